@@ -1,0 +1,68 @@
+"""What an engine is: a way to step a fixed-size chunk of worlds in lockstep.
+
+The rollout (`btr_mjx.engines.program`) is written once against `Stepper`; the engines that run inside JAX differ only
+in how they lay a chunk out in memory and how they compute one step. Native MuJoCo needs no stepper: it runs whole
+rollouts on its own threads.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import jax
+import numpy as np
+
+Leaves = Mapping[str, np.ndarray]
+"""MjModel field name -> (..., *field shape): the fields in which the models of a batch differ."""
+
+
+class UnsupportedModel(ValueError):  # noqa: N818 (it names the input, not the failure)
+    """The model uses a feature that this engine does not compute; the message names it and the engine that does."""
+
+
+class Stepper(Protocol):
+    """One MuJoCo step for a chunk of C worlds. Every method but `pack` is traced by JAX.
+
+    The state is a pytree of the engine's own layout. The arrays that cross this boundary have the batch LAST, so that
+    an engine that keeps its batch in the SIMD lanes pays nothing.
+    """
+
+    nq: int
+    nv: int
+    nu: int
+    timestep: float
+
+    def pack(self, leaves: Leaves) -> Any:
+        """Lay per-world model fields out for this engine (numpy, on the host).
+
+        Args:
+          leaves: MjModel fields of shape (N, C, *field shape), N chunks of C worlds; fields that are absent are the
+            base model's, equal for all worlds.
+
+        Returns:
+          A pytree of numpy arrays with leading axis N; `initial` and `step` take one slice of it.
+        """
+        ...
+
+    def initial(self, params: Any, chunk: int) -> Any:
+        """State of `chunk` worlds at rest in the model's qpos0, with actuator activations zero."""
+        ...
+
+    def step(self, params: Any, state: Any, ctrl: jax.Array) -> Any:
+        """Advance by one time step under controls of shape (nu, C)."""
+        ...
+
+    def qpos(self, state: Any) -> jax.Array:
+        """Generalised positions (nq, C), MuJoCo's order and conventions."""
+        ...
+
+    def qvel(self, state: Any) -> jax.Array:
+        """Generalised velocities (nv, C), MuJoCo's order and conventions."""
+        ...
+
+    def power(self, state: Any) -> jax.Array:
+        """Sum over actuators of |force x velocity| in the last step [W], shape (C,)."""
+        ...
+
+    def capped(self, state: Any) -> jax.Array:
+        """Whether the constraint solver stopped at its iteration cap in the last step, bool (C,)."""
+        ...
