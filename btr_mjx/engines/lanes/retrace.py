@@ -1,0 +1,412 @@
+"""A JAX transformation that rewrites a function so that XLA computes each expensive value once.
+
+XLA's CPU backend fuses an elementwise producer into *every* consumer and computes it again in each of them. In a long
+unrolled straight-line program (thousands of scalar operations on arrays of lanes) that recomputation compounds, and it
+dominates both the run time and the compile time. `retrace` breaks the chains: it traces the function to a jaxpr and
+
+1. inlines nested calls (`jit`, `closed_call`, `custom_jvp`), with fresh variables for every inlined equation;
+2. merges common subexpressions, in the same walk;
+3. drops equations whose results nobody reads;
+4. puts a `lax.optimization_barrier` after each value that several equations read and that is dear to recompute.
+
+The bodies of `while`, `scan` and `cond` are rewritten in the same way.
+
+Guarantees. The rewritten function performs the same operations on the same operands as the original, each at most as
+often; op by op (outside `jit`) its results have the same bits. Under `jit` the compiler may fuse differently, so
+results agree to rounding. Derivatives are those of the original function, custom rules included. Equations with side
+effects keep their order and are never merged, dropped or looked into, and neither are callbacks and random primitives
+merged. `retrace(retrace(f))` equals `retrace(f)`. All passes take time linear in the size of the jaxpr.
+
+Limits. Like `jax.jit`, the wrapped function sees tracers, not values, for all its arguments. Nothing is cached: each
+call traces anew, so call it inside `jit`. Barriers written by hand are kept. Shardings and compiler options attached
+to a nested `jit` keep it from being inlined; its body is rewritten all the same.
+"""
+
+import functools
+import struct
+from collections import Counter
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.extend import core
+
+_P = core.primitives
+
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+# Cost of one equation per element, in simple arithmetic operations. Primitives that are not listed cost 1.
+DEFAULT_COSTS: Mapping[str, float] = MappingProxyType(
+    # Moving or relabelling elements is folded into the addressing of the loop that reads them.
+    dict.fromkeys(_words("broadcast_in_dim convert_element_type copy reshape rev slice squeeze transpose"), 0.0)
+    | dict.fromkeys(_words("cbrt div rem rsqrt sqrt"), 8.0)
+    | dict.fromkeys(_words("acos acosh asin asinh atan atan2 atanh cos cosh digamma erf erf_inv erfc exp exp2"), 30.0)
+    | dict.fromkeys(_words("expm1 lgamma log log1p logistic pow sin sinh tan tanh argmax argmin"), 30.0)
+    | dict.fromkeys(_words("reduce_and reduce_max reduce_min reduce_or reduce_prod reduce_sum reduce_xor"), 30.0)
+)
+
+# The results of these are written to memory whatever their readers are: XLA never recomputes them.
+_OPAQUE = _words(
+    "cholesky conv_general_dilated cumsum cumprod cummax cummin cumlogsumexp dot_general fft gather "
+    "optimization_barrier scatter scatter_add scatter_max scatter_min scatter_mul sort triangular_solve threefry2x32"
+)
+
+# a op b has the bits of b op a. Not so for float max and min, where the order of +0 and -0 decides.
+_COMMUTATIVE = _words("add mul and or xor eq ne")
+_COMMUTATIVE_EXACT = _words("max min")
+
+# Never merged: barriers exist to keep values apart, copies to own their memory, the others may hide state.
+_KEEP_APART = ("optimization_barrier", "copy", "random_", "rng_", "threefry", "pure_callback", "io_callback", "infeed")
+
+# The parameters that hold the bodies of control flow.
+_BODIES = {
+    _P.while_p: ("cond_jaxpr", "body_jaxpr"),
+    _P.scan_p: ("jaxpr",),
+    _P.cond_p: ("branches",),
+    _P.jit_p: ("jaxpr",),
+}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What `retrace` does to a function; counts include nested bodies, each counted once per place it appears.
+
+    Attributes:
+        ops: Equations that remain, barriers not counted.
+        materialised: Barriers put in.
+        merged: Equations replaced by an equal earlier one.
+        dead: Equations dropped because nobody reads their results.
+    """
+
+    ops: int = 0
+    materialised: int = 0
+    merged: int = 0
+    dead: int = 0
+
+    @property
+    def removed(self) -> int:
+        """Equations that were traced and are gone, merged or dead."""
+        return self.merged + self.dead
+
+    def __add__(self, other: "Plan") -> "Plan":
+        return Plan(
+            self.ops + other.ops,
+            self.materialised + other.materialised,
+            self.merged + other.merged,
+            self.dead + other.dead,
+        )
+
+
+def retrace[**A, R](
+    fn: Callable[A, R], *, threshold: float = 8.0, costs: Mapping[str, float] | None = None
+) -> Callable[A, R]:
+    """Returns `fn` with common subexpressions merged and expensive shared values computed once.
+
+    The cost of a value is the cost of its own operation plus the costs of its operands, counted back to the nearest
+    arguments or values that are in memory already (barriers, loop results, matrix products). A value with `n >= 2`
+    readers is put behind a barrier if recomputing it `n - 1` times costs more than `threshold`; being a result of the
+    function counts as one more reader.
+
+    Args:
+        fn: A function of pytrees of arrays and numbers, as `jax.jit` takes. It may be used under any JAX
+            transformation, and inside the bodies of loops.
+        threshold: Recomputation that is cheaper than a trip through memory, in simple operations per element. Zero
+            puts a barrier on every shared value that costs anything, infinity none (subexpressions are still merged).
+        costs: Cost per element of primitives by name; takes precedence over `DEFAULT_COSTS`.
+
+    Returns:
+        A function with the signature, the results and the derivatives of `fn`.
+
+    Raises:
+        ValueError: If `threshold` or a cost is negative or not a number.
+    """
+    options = _options(threshold, costs)
+
+    @functools.wraps(fn)
+    def retraced(*args: A.args, **kwargs: A.kwargs) -> R:
+        jaxpr, consts, tree = _trace(fn, args, kwargs)
+        result = _Rewriter(options, inline_custom=_is_pure(jaxpr)).rewrite(jaxpr)
+        run = core.jaxpr_as_fun(result.jaxpr)
+        if result.custom:
+            # Inlining forgot the custom rules, so derivatives are taken through the program as it was traced.
+            original = core.jaxpr_as_fun(jaxpr)
+            run = jax.custom_jvp(run)
+            run.defjvp(lambda primals, tangents: jax.jvp(original, primals, tangents))
+        return jax.tree.unflatten(tree, run(*consts, *map(_as_array, jax.tree.leaves((args, kwargs)))))
+
+    return retraced
+
+
+def plan(
+    fn: Callable[..., Any], *args: Any, threshold: float = 8.0, costs: Mapping[str, float] | None = None, **kwargs: Any
+) -> Plan:
+    """Says what `retrace(fn, threshold=threshold, costs=costs)(*args, **kwargs)` does, without running `fn`.
+
+    Args:
+        fn: As in `retrace`.
+        *args: Arguments of `fn`; `jax.ShapeDtypeStruct`s will do.
+        threshold: As in `retrace`.
+        costs: As in `retrace`.
+        **kwargs: Keyword arguments of `fn`.
+
+    Returns:
+        The numbers of equations kept, merged and dropped, and of barriers.
+
+    Raises:
+        ValueError: If `threshold` or a cost is negative or not a number.
+    """
+    options = _options(threshold, costs)
+    jaxpr, _, _ = _trace(fn, args, kwargs)
+    return _Rewriter(options, inline_custom=_is_pure(jaxpr)).rewrite(jaxpr).plan
+
+
+class _Options(NamedTuple):
+    threshold: float
+    costs: Mapping[str, float]
+
+
+class _Result(NamedTuple):
+    jaxpr: core.Jaxpr
+    plan: Plan
+    custom: bool  # a call with a custom derivative rule was inlined somewhere in it
+
+
+def _options(threshold: float, costs: Mapping[str, float] | None) -> _Options:
+    for name, value in {"threshold": threshold, **(costs or {})}.items():
+        if not value >= 0:  # catches NaN too
+            raise ValueError(f"got {name} = {value!r}, expected a number >= 0; 0 means free, inf is allowed")
+    return _Options(threshold, {**DEFAULT_COSTS, **(costs or {})})
+
+
+def _trace(fn: Callable[..., Any], args: Any, kwargs: Any) -> tuple[core.Jaxpr, Sequence[Any], Any]:
+    """Traces `fn`; returns its jaxpr, the values of the leading inputs that are constants, and the output's tree."""
+    # A new function object each time: JAX caches traces by function, and `fn` may close over tracers that changed.
+    jaxpr, shape = jax.make_jaxpr(lambda *a, **k: fn(*a, **k), return_shape=True)(*args, **kwargs)
+    # Constants may be tracers of an enclosing transformation too: as inputs they are differentiated like arguments.
+    return jaxpr.with_consts(()), jaxpr.consts, jax.tree.structure(shape)
+
+
+def _as_array(leaf: Any) -> Any:
+    # Primitives take numpy arrays as they are, 64 bits and all, where `jit` would have converted them.
+    return jnp.asarray(leaf) if isinstance(leaf, (bool, int, float, complex, np.ndarray, np.generic)) else leaf
+
+
+def _is_pure(jaxpr: core.Jaxpr) -> bool:
+    return not jaxpr.effects and not any(eqn.effects for eqn in jaxpr.eqns)
+
+
+class _Unmergeable(Exception):
+    """Raised for an equation whose parameters cannot be compared."""
+
+
+class _Rewriter:
+    """Rewrites one traced function. A body that occurs twice (the same object) is rewritten once."""
+
+    def __init__(self, options: _Options, inline_custom: bool):
+        self.options = options
+        self.inline_custom = inline_custom
+        self.done: dict[int, tuple[core.Jaxpr, _Result]] = {}  # holds on to the jaxprs, so that ids stay unique
+
+    def rewrite(self, jaxpr: core.Jaxpr) -> _Result:
+        if id(jaxpr) not in self.done:
+            self.done[id(jaxpr)] = (jaxpr, self._rewrite(jaxpr))
+        return self.done[id(jaxpr)][1]
+
+    def _rewrite(self, jaxpr: core.Jaxpr) -> _Result:
+        flat = _Flattener(self.inline_custom)
+        invars = [core.Var(v.aval) for v in jaxpr.invars]
+        outvars = flat.add(jaxpr, invars)
+        live, readers = _liveness(flat.eqns, outvars)
+        eqns: list[core.JaxprEqn] = []
+        barred: dict[Any, core.Var] = {}  # shared value -> the same value behind its barrier
+        cost: dict[core.Var, float] = {}  # of recomputing a value from what is in memory; absent if it is there
+        counts = Plan(merged=flat.merged, dead=len(flat.eqns) - len(live))
+        custom = flat.custom
+        for eqn in live:
+            for body in self._bodies(eqn):
+                counts += self.rewrite(body).plan
+                custom |= self.rewrite(body).custom
+            eqns.append(eqn.replace(invars=_rename(barred, eqn.invars), params=self._rewritten_params(eqn)))
+            counts += Plan(ops=eqn.primitive is not lax.optimization_barrier_p)
+            if eqn.primitive.multiple_results or eqn.primitive.name in _OPAQUE:
+                continue
+            (out,) = eqn.outvars
+            own = self.options.costs.get(eqn.primitive.name, 1.0)
+            # An operand used twice by one equation is computed once: XLA emits one loop body per reader.
+            cost[out] = own + sum(cost.get(v, 0.0) for v in {v for v in eqn.invars if isinstance(v, core.Var)})
+            if cost[out] * (readers.get(out, 0) - 1) > self.options.threshold and _can_wait(out.aval):
+                barred[out] = core.Var(out.aval)
+                cost[out] = 0.0
+                eqns.append(_barrier(out, barred[out], eqn))
+                counts += Plan(materialised=1)
+        result = core.Jaxpr(
+            constvars=list(flat.constvars.values()),
+            invars=invars,
+            outvars=_rename(barred, outvars),
+            eqns=eqns,
+            effects=jaxpr.effects,
+            debug_info=jaxpr.debug_info,
+            consts=flat.constants,
+        )
+        return _Result(result, counts, custom)
+
+    def _bodies(self, eqn: core.JaxprEqn) -> list[core.Jaxpr]:
+        """The jaxprs in `eqn` that are to be rewritten; none if it has effects, which may hold on to its variables."""
+        if eqn.effects:
+            return []
+        values = [eqn.params[name] for name in _BODIES.get(eqn.primitive, ())]
+        return [body for v in values for body in (v if isinstance(v, tuple) else (v,)) if _is_pure(body)]
+
+    def _rewritten_params(self, eqn: core.JaxprEqn) -> dict[str, Any]:
+        new = {id(body): self.rewrite(body).jaxpr for body in self._bodies(eqn)}
+        if not new:
+            return eqn.params
+        params = dict(eqn.params)
+        for name in _BODIES[eqn.primitive]:
+            old = params[name]
+            params[name] = tuple(new.get(id(v), v) for v in old) if isinstance(old, tuple) else new.get(id(old), old)
+        return params
+
+
+class _Flattener:
+    """Copies equations into one list, inlining calls and leaving out equations that are there already."""
+
+    def __init__(self, inline_custom: bool):
+        self.inline_custom = inline_custom
+        self.eqns: list[core.JaxprEqn] = []
+        self.constants: list[Any] = []
+        self.constvars: dict[tuple[int, Any], core.Var] = {}
+        self.merged = 0
+        self.custom = False
+        self.known: dict[Hashable, list[core.Var]] = {}
+
+    def add(self, jaxpr: core.Jaxpr, inputs: Sequence[Any]) -> list[Any]:
+        """Adds the equations of `jaxpr` applied to `inputs`; returns the variables or literals of its results."""
+        # One jaxpr may be added many times, and different jaxprs may share variables: the names live in this call.
+        names = dict(zip(jaxpr.invars, inputs, strict=True))
+        names.update((v, self._constant(v, c)) for v, c in zip(jaxpr.constvars, jaxpr.consts, strict=True))
+        for eqn in jaxpr.eqns:
+            operands = _rename(names, eqn.invars)
+            body = self._inlinable(eqn, operands)
+            if body is None:
+                names.update(zip(eqn.outvars, self._append(eqn, operands), strict=True))
+            else:
+                self.custom |= eqn.primitive is _P.custom_jvp_call_p
+                names.update(zip(eqn.outvars, self.add(body, operands), strict=True))
+        return _rename(names, jaxpr.outvars)
+
+    def _constant(self, var: core.Var, value: Any) -> core.Var:
+        key = (id(value), var.aval)
+        if key not in self.constvars:
+            self.constvars[key] = core.Var(var.aval)
+            self.constants.append(value)
+        return self.constvars[key]
+
+    def _inlinable(self, eqn: core.JaxprEqn, operands: Sequence[Any]) -> core.Jaxpr | None:
+        """The jaxpr that `eqn` merely calls, or None."""
+        params = eqn.params
+        if eqn.primitive is _P.jit_p:
+            # Whatever was asked of the nested compilation cannot be asked of a part of the surrounding program.
+            asked = [*params["in_shardings"], *params["out_shardings"], *params["in_layouts"], *params["out_layouts"]]
+            if params["compiler_options_kvs"] or any(a is not None and repr(a) != "UnspecifiedValue" for a in asked):
+                return None
+            body = params["jaxpr"]
+        elif eqn.primitive in (_P.call_p, _P.closed_call_p) or (
+            eqn.primitive is _P.custom_jvp_call_p and self.inline_custom
+        ):
+            body = params["call_jaxpr"]
+        else:
+            return None
+        inner, outer = [*body.invars, *body.outvars], [*operands, *eqn.outvars]
+        same_types = len(inner) == len(outer) and all(a.aval == b.aval for a, b in zip(inner, outer, strict=True))
+        return body if same_types and not eqn.effects and _is_pure(body) else None
+
+    def _append(self, eqn: core.JaxprEqn, operands: list[Any]) -> list[core.Var]:
+        try:
+            key = _key(eqn, operands)
+        except _Unmergeable:
+            key = None
+        if key in self.known:
+            self.merged += 1
+            return self.known[key]
+        outvars = [core.Var(v.aval) for v in eqn.outvars]
+        self.eqns.append(eqn.replace(invars=operands, outvars=outvars))
+        if key is not None:
+            self.known[key] = outvars
+        return outvars
+
+
+def _rename(names: Mapping[Any, Any], atoms: Sequence[Any]) -> list[Any]:
+    return [v if isinstance(v, core.Literal) else names.get(v, v) for v in atoms]
+
+
+def _liveness(eqns: Sequence[core.JaxprEqn], outvars: Sequence[Any]) -> tuple[list[core.JaxprEqn], Counter[core.Var]]:
+    """Drops equations that nobody needs; counts the readers of each value, being an output among them."""
+    readers = Counter({v for v in outvars if isinstance(v, core.Var)})
+    live = []
+    for eqn in reversed(eqns):
+        if eqn.effects or any(v in readers for v in eqn.outvars):
+            live.append(eqn)
+            readers.update({v for v in eqn.invars if isinstance(v, core.Var)})
+    return live[::-1], readers
+
+
+def _can_wait(aval: Any) -> bool:
+    """Whether a barrier may be put on values of this type: arrays of numbers, not keys, tokens or references."""
+    return isinstance(aval, jax.core.ShapedArray) and aval.size > 0 and isinstance(aval.dtype, np.dtype)
+
+
+def _barrier(value: core.Var, result: core.Var, like: core.JaxprEqn) -> core.JaxprEqn:
+    return core.new_jaxpr_eqn([value], [result], lax.optimization_barrier_p, {}, set(), like.source_info, like.ctx)
+
+
+def _key(eqn: core.JaxprEqn, operands: Sequence[Any]) -> Hashable:
+    """A key that two equations share only if they compute the same bits.
+
+    Raises:
+        _Unmergeable: If the equation must stay, or if that cannot be told.
+    """
+    name = eqn.primitive.name
+    if eqn.effects or name.startswith(_KEEP_APART):
+        raise _Unmergeable
+    inputs: Any = tuple(_literal_key(v) if isinstance(v, core.Literal) else v for v in operands)
+    if name in _COMMUTATIVE or (name in _COMMUTATIVE_EXACT and not jnp.issubdtype(operands[0].aval.dtype, jnp.inexact)):
+        inputs = frozenset(inputs)
+    # Types and contexts are interned by JAX, so they compare by identity. Types include weakness and sharding.
+    return eqn.primitive, inputs, _freeze(eqn.params), tuple(v.aval for v in eqn.outvars), eqn.ctx
+
+
+def _literal_key(literal: core.Literal) -> Hashable:
+    # By bits: 0 and -0 differ, a NaN equals itself, and 1 is not 1.0 nor True, because the types differ.
+    if not isinstance(literal.aval, jax.core.ShapedArray) or not isinstance(literal.aval.dtype, np.dtype):
+        raise _Unmergeable
+    return literal.aval, np.asarray(literal.val, dtype=literal.aval.dtype).tobytes()
+
+
+def _freeze(value: Any) -> Hashable:
+    """A hashable stand-in for a parameter; unlike `==` it tells 1 from True and 1.0, and 0.0 from -0.0."""
+    if isinstance(value, dict):
+        return type(value), frozenset((k, _freeze(v)) for k, v in value.items())
+    if isinstance(value, tuple | list):
+        return type(value), tuple(map(_freeze, value))
+    if isinstance(value, float):
+        return type(value), struct.pack("d", value)
+    if isinstance(value, complex):
+        return type(value), struct.pack("dd", value.real, value.imag)
+    if isinstance(value, np.ndarray | np.generic) and value.dtype != object:
+        return type(value), value.dtype, value.shape, value.tobytes()
+    if isinstance(value, core.Jaxpr):
+        raise _Unmergeable
+    try:
+        hash(value)
+    except TypeError:
+        raise _Unmergeable from None
+    return type(value), value
