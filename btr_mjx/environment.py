@@ -1,0 +1,109 @@
+"""What a result may depend on besides the config: versions, machine, devices, source."""
+
+import os
+import platform
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+PACKAGES = ("btr-mjx", "numpy", "scipy", "jax", "jaxlib", "mujoco", "mujoco-mjx")
+COMPARED = ("python", "versions", "machine", "processor", "cpus_usable", "devices", "settings", "git")
+
+
+def describe_environment(devices: Sequence[Any] | None = None) -> dict[str, Any]:
+    """Describe this process and the machine it runs on; costs no import and starts no device.
+
+    Args:
+      devices: jax devices to record; None records jax's own if it is running already, else null.
+
+    Returns:
+      A JSON-able dict: python, versions (null: not installed), system, machine, processor, cpus, cpus_usable, devices,
+      settings (environment variables of jax and XLA), git (commit and whether the tree differs from it, or null), start
+      (UTC), argv and pid.
+    """
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    found = _running_devices() if devices is None else devices
+    return {
+        "python": platform.python_version(),
+        "versions": {name: package_version(name) for name in PACKAGES},
+        "system": platform.platform(),
+        "machine": platform.machine(),
+        "processor": _processor(),
+        "cpus": os.cpu_count(),
+        "cpus_usable": usable,
+        "devices": None if found is None else [_device(device) for device in found],
+        "settings": {name: os.environ[name] for name in sorted(os.environ) if name.startswith(("XLA_", "JAX_"))},
+        "git": git_state(Path(__file__).parent),
+        "start": datetime.now(UTC).isoformat(timespec="seconds"),
+        "argv": list(sys.argv),
+        "pid": os.getpid(),
+    }
+
+
+def environment_changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """What differs between two descriptions and can change results, one short line each."""
+    changes = []
+    for name in COMPARED:
+        a, b = before.get(name), now.get(name)
+        if isinstance(a, Mapping) and isinstance(b, Mapping):
+            parts = [key for key in {**a, **b} if a.get(key) != b.get(key)]
+            changes += [f"{key} changed from {a.get(key)} to {b.get(key)}" for key in parts]
+        elif a != b and (name != "devices" or (a and b)):  # absent devices only say that jax ran later
+            changes.append(f"{name} changed from {a} to {b}")
+    return changes
+
+
+def package_version(name: str) -> str | None:
+    """Version of an installed distribution, None where it is not installed."""
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def git_state(folder: Path) -> dict[str, Any] | None:
+    """The commit that `folder` is checked out from and whether files differ from it; None where git cannot say.
+
+    A folder that some repository merely contains (an environment with this package installed) has no commit of its own.
+    """
+    if not _git(folder, "ls-files", "."):
+        return None
+    commit = _git(folder, "rev-parse", "HEAD")
+    status = _git(folder, "status", "--porcelain")
+    return None if not commit or status is None else {"commit": commit, "dirty": bool(status)}
+
+
+def _git(folder: Path, *arguments: str) -> str | None:
+    command = ["git", "--no-optional-locks", "-C", str(folder), *arguments]
+    try:
+        done = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, timeout=10, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.decode("utf-8", "replace").strip()
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return platform.processor()
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor()
+
+
+def _running_devices() -> Sequence[Any] | None:
+    # Asking jax for its devices would start it, with whatever flags are set so far; so look, and do not ask.
+    bridge = sys.modules.get("jax._src.xla_bridge")
+    started = getattr(bridge, "backends_are_initialized", None)
+    try:
+        return sys.modules["jax"].devices() if started is not None and started() else None
+    except Exception:  # a private name of another jax; the description is not worth a failed run
+        return None
+
+
+def _device(device: Any) -> str:
+    return device if isinstance(device, str) else f"{device.platform}:{device.id} {device.device_kind}"

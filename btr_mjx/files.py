@@ -1,0 +1,285 @@
+"""Files that are either whole or absent: JSON, arrays, tables and figures.
+
+Every write goes to a hidden temporary file in the same folder, is flushed to the disk and then renamed over the target,
+so a reader (or a process that starts after a kill -9 or a power cut) sees the old file or the new one, never a part.
+
+Formats:
+
+- JSON is strict. A float that is not finite becomes one of the strings "NaN", "Infinity", "-Infinity", which
+  `float()` reads back; null stays what it says, no value. Tuples become lists, enums their names, paths strings,
+  dataclasses objects, numpy scalars and arrays numbers and lists.
+- Arrays are `.npz` without pickle. The zip comment holds the SHA-256 of every byte before it, so that one file vouches
+  for itself; `numpy.load` reads it like any other `.npz`.
+- Tables are Parquet, or CSV where a human reads them, by the file name's suffix.
+"""
+
+import dataclasses
+import enum
+import hashlib
+import json
+import math
+import os
+import secrets
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path, PurePath
+from typing import Any, BinaryIO
+
+import numpy as np
+import polars as pl
+
+from btr_mjx.errors import DamagedFile, InputError
+
+DIGEST_PREFIX = b"sha256:"
+DIGEST_LENGTH = 64
+
+
+def sync_folder(folder: Path) -> None:
+    """Make renames and new names in `folder` survive a power cut, where the system can."""
+    if not hasattr(os, "O_DIRECTORY"):
+        return
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def is_temporary(path: Path) -> bool:
+    """Whether a killed process may have left this file in the middle of a write."""
+    return path.name.startswith(".") and path.name.endswith(".tmp")
+
+
+@contextmanager
+def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
+    """Open a file that takes its name only when the block ends without an error.
+
+    Missing folders are made. The file is readable and seekable, and is fsynced before the rename.
+
+    Raises:
+      OSError: the folder cannot be written to; an existing file keeps its content.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.tmp")
+    try:
+        with temporary.open("x+b") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    sync_folder(path.parent)
+
+
+def to_plain(value: Any, *, strict: bool = True) -> Any:
+    """Reduce a value to what JSON knows: None, bool, int, float, str, list and dict with str keys.
+
+    Args:
+      value: also dataclasses (their init fields), enums (by name), paths, tuples, numpy scalars and arrays.
+      strict: write floats that are not finite as strings; False keeps them as floats.
+
+    Raises:
+      TypeError: a value or a key of any other type, with the place where it stands.
+    """
+
+    def reduce(value: Any, where: str) -> Any:
+        if isinstance(value, np.generic | np.ndarray) and value.dtype.kind in "biufU":
+            value = value.tolist()
+        if isinstance(value, enum.Enum):
+            return value.name
+        if value is None or isinstance(value, bool | int | str):
+            return value
+        if isinstance(value, float):
+            if math.isfinite(value) or not strict:
+                return value
+            return "NaN" if math.isnan(value) else ("Infinity" if value > 0 else "-Infinity")
+        if isinstance(value, PurePath):
+            return value.as_posix()
+        if isinstance(value, list | tuple):
+            return [reduce(item, f"{where}[{i}]") for i, item in enumerate(value)]
+        if dataclasses.is_dataclass(value) and not isinstance(value, type):
+            value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value) if field.init}
+        if isinstance(value, Mapping):
+            for key in value:
+                if not isinstance(key, str):
+                    raise TypeError(f"{where}: JSON keys are strings, got {key!r}")
+            return {str(key): reduce(item, f"{where}.{key}") for key, item in value.items()}
+        raise TypeError(f"{where}: cannot be written as JSON: {type(value).__name__}")
+
+    return reduce(value, "value")
+
+
+def write_json(path: str | Path, value: Any) -> None:
+    """Write strict, indented JSON; see the module's notes and `to_plain` for what is allowed.
+
+    Raises:
+      TypeError: the value holds something that JSON cannot express.
+      OSError: the file cannot be written.
+    """
+    text = json.dumps(to_plain(value), indent=2, allow_nan=False) + "\n"
+    with atomic_write(path) as file:
+        file.write(text.encode("utf-8"))
+
+
+def read_json(path: str | Path) -> Any:
+    """Read strict JSON. Numbers that are not finite come back as the strings they were written as.
+
+    Raises:
+      DamagedFile: not strict JSON (NaN tokens are refused too); names line and column.
+      OSError: the file cannot be read.
+    """
+
+    def refuse(token: str) -> None:
+        raise ValueError(f"{token} is not JSON")
+
+    data = Path(path).read_bytes()
+    try:
+        return json.loads(data.decode("utf-8"), parse_constant=refuse)
+    except ValueError as error:
+        raise DamagedFile(f"{path}: not valid JSON ({error})") from error
+
+
+def _as_saved(name: str, value: Any) -> np.ndarray:
+    array = np.asarray(value)
+    if array.dtype.hasobject:
+        raise TypeError(f"array {name!r}: object arrays cannot be saved without pickle; got dtype {array.dtype}")
+    if array.dtype.kind == "V" and array.dtype.names is None:
+        raise TypeError(f"array {name!r}: .npz does not keep dtype {array.dtype}; convert it first, e.g. to float32")
+    return array
+
+
+def write_arrays(path: str | Path, arrays: Mapping[str, Any], *, compress: bool = False) -> None:
+    """Write named arrays as `.npz` with a SHA-256 digest of the file inside it.
+
+    Every dtype comes back bit for bit, NaN payloads included. Equal arrays give equal files.
+
+    Raises:
+      TypeError: an array of Python objects, or of a dtype that `.npz` does not keep (bfloat16).
+      OSError: the file cannot be written.
+    """
+    saved = {name: _as_saved(name, array) for name, array in arrays.items()}
+    with atomic_write(path) as file:
+        with zipfile.ZipFile(file, "w") as archive:
+            for name, array in saved.items():
+                entry = zipfile.ZipInfo(f"{name}.npy")  # its date is a constant: equal arrays, equal bytes
+                entry.compress_type = zipfile.ZIP_DEFLATED if compress else zipfile.ZIP_STORED
+                with archive.open(entry, "w", force_zip64=True) as member:
+                    np.lib.format.write_array(member, array, allow_pickle=False)
+            archive.comment = DIGEST_PREFIX + b"0" * DIGEST_LENGTH
+        digest = _digest(file)
+        file.seek(-DIGEST_LENGTH, os.SEEK_END)
+        file.write(digest)
+
+
+def _digest(file: BinaryIO) -> bytes:
+    """SHA-256, in hex, of all bytes but the last 64, which are its own place."""
+    remaining = file.seek(0, os.SEEK_END) - DIGEST_LENGTH
+    file.seek(0)
+    total = hashlib.sha256()
+    while remaining > 0:
+        block = file.read(min(remaining, 1 << 20))
+        if not block:
+            break
+        total.update(block)
+        remaining -= len(block)
+    return total.hexdigest().encode("ascii")
+
+
+def read_arrays(path: str | Path, *, require_digest: bool = False) -> dict[str, np.ndarray]:
+    """Read a `.npz` file and verify the digest that `write_arrays` put there.
+
+    Args:
+      path: the file.
+      require_digest: also refuse files without a digest (those that another program wrote).
+
+    Raises:
+      DamagedFile: cut short, altered, not a `.npz` file or holding Python objects.
+      OSError: the file cannot be read.
+    """
+    with Path(path).open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(-min(size, len(DIGEST_PREFIX) + DIGEST_LENGTH), os.SEEK_END)
+        tail = file.read()
+        if tail.startswith(DIGEST_PREFIX):
+            if _digest(file) != tail[-DIGEST_LENGTH:]:
+                raise DamagedFile(f"{path}: the checksum does not match, the file was altered")
+        elif require_digest:
+            raise DamagedFile(f"{path}: no checksum at the end, the file was cut short or is of another origin")
+        file.seek(0)
+        try:
+            with np.load(file, allow_pickle=False) as archive:
+                if not isinstance(archive, np.lib.npyio.NpzFile):
+                    raise DamagedFile(f"{path}: not a .npz file")
+                return {name: archive[name] for name in archive.files}
+        except DamagedFile:
+            raise
+        except Exception as error:  # zipfile and numpy raise a dozen types for bytes that make no sense
+            raise DamagedFile(f"{path}: not a readable .npz file ({error})") from error
+
+
+def _suffix(path: str | Path) -> str:
+    suffix = Path(path).suffix
+    if suffix not in (".parquet", ".csv"):
+        raise InputError(f"{path}: a table's name ends in .parquet or .csv, got {suffix or 'no suffix'!r}")
+    return suffix
+
+
+def write_table(path: str | Path, table: pl.DataFrame | Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> None:
+    """Write a table as `.parquet` or `.csv`.
+
+    In a CSV file an absent value is an empty field and a NaN is "NaN"; floats keep all their digits.
+
+    Args:
+      path: the file; its suffix decides the format.
+      table: a polars frame, columns by name, or a list of rows.
+
+    Raises:
+      InputError: another suffix.
+      OSError: the file cannot be written.
+    """
+    suffix = _suffix(path)
+    frame = table if isinstance(table, pl.DataFrame) else pl.DataFrame(table, infer_schema_length=None)
+    with atomic_write(path) as file:
+        if suffix == ".parquet":
+            frame.write_parquet(file)
+        else:
+            frame.write_csv(file)
+
+
+def read_table(path: str | Path) -> pl.DataFrame:
+    """Read a `.parquet` or `.csv` table.
+
+    Raises:
+      InputError: another suffix.
+      DamagedFile: the content does not parse.
+      OSError: the file cannot be read.
+    """
+    suffix = _suffix(path)
+    data = BytesIO(Path(path).read_bytes())
+    try:
+        return pl.read_parquet(data) if suffix == ".parquet" else pl.read_csv(data, infer_schema_length=None)
+    except Exception as error:  # polars has no common base class for what its readers raise
+        raise DamagedFile(f"{path}: not a readable {suffix[1:]} table ({error})") from error
+
+
+def write_figure(path: str | Path, figure: Any, *, dpi: int = 150, **options: Any) -> None:
+    """Save a matplotlib figure; the file name's suffix decides the format (.png, .svg, .pdf).
+
+    Args:
+      path: the file.
+      figure: a `matplotlib.figure.Figure`.
+      dpi: resolution of pixels.
+      options: further arguments of `Figure.savefig`.
+
+    Raises:
+      OSError: the file cannot be written.
+    """
+    image = BytesIO()  # the backends seek and close as they like; the atomic file stays ours
+    figure.savefig(image, format=Path(path).suffix[1:] or "png", dpi=dpi, **options)
+    with atomic_write(path) as file:
+        file.write(image.getvalue())

@@ -1,0 +1,158 @@
+"""Progress on stderr, and stopping at a safe point.
+
+Bars are tqdm's. Where stderr is not a terminal nothing is shown unless it is asked for, and then as plain lines at
+intervals, fit for a log file.
+"""
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, TextIO
+
+from tqdm import tqdm
+
+from btr_mjx.errors import Interrupted
+
+LINE_INTERVAL = 10.0
+"""Seconds between the lines that replace a bar where there is no terminal."""
+
+
+def note(message: str) -> None:
+    """Print a line on stderr without tearing a bar that is being drawn."""
+    tqdm.write(message, file=sys.stderr)
+
+
+def progress(
+    iterable: Iterable[Any] | None = None,
+    *,
+    total: int | None = None,
+    description: str | None = None,
+    unit: str = "it",
+    unit_scale: bool = False,
+    show: bool | None = None,
+    interval: float = LINE_INTERVAL,
+    file: TextIO | None = None,
+) -> Any:
+    """A progress bar with rate and time left; iterate over it, or use it as a context manager and call `update(n)`.
+
+    Bars may be nested: on a terminal inner bars are drawn below and vanish at their end; in a log each prints lines.
+
+    Args:
+      iterable: what to go through; None for a bar that is moved by `update`.
+      total: number of units; taken from the iterable where it has a length.
+      description: what the bar is about.
+      unit: what is counted, e.g. "pairs".
+      unit_scale: write 1234567 as 1.23M.
+      show: True: always (lines where there is no terminal); False: never; None: on a terminal only.
+      interval: least number of seconds between two lines.
+      file: where to; None means stderr.
+
+    Returns:
+      A tqdm bar (`update`, `set_postfix`, `close`); when silent, one that prints nothing.
+    """
+    stream = sys.stderr if file is None else file
+    terminal = hasattr(stream, "isatty") and stream.isatty()
+    scaled = {"iterable": iterable, "total": total, "desc": description, "unit": unit, "unit_scale": unit_scale}
+    if show is False or (show is None and not terminal):
+        return tqdm(disable=True, **scaled)
+    if terminal:
+        return tqdm(file=stream, leave=None, dynamic_ncols=True, **scaled)
+    return _LineBar(file=_Lines(stream), mininterval=interval, miniters=1, position=0, leave=True, **scaled)
+
+
+class _Lines:
+    """A stream for tqdm in which every redraw is a line of its own and cursor movements are dropped."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> None:
+        text = text.strip("\r\n ")
+        if text:
+            self._stream.write(text + "\n")
+
+    def flush(self) -> None:
+        self._stream.flush()
+
+
+class _LineBar(tqdm):
+    """tqdm without the bar; the line is padded by nobody and erased by nobody."""
+
+    @staticmethod
+    def status_printer(file: Any) -> Any:
+        last = [""]
+
+        def show(text: str) -> None:
+            if text != last[0]:  # close() draws once more what update() has just drawn
+                last[0] = text
+                file.write(text)
+                file.flush()
+
+        return show
+
+    @staticmethod
+    def format_meter(n: Any, total: Any, elapsed: float, **options: Any) -> str:
+        head = "{desc}{percentage:.0f}% {n_fmt}/{total_fmt}" if total else "{desc}{n_fmt} {unit}"
+        tail = " [{elapsed}<{remaining}, {rate_fmt}{postfix}]" if total else " [{elapsed}, {rate_fmt}{postfix}]"
+        return tqdm.format_meter(n, total, elapsed, **{**options, "bar_format": head + tail, "ncols": None})
+
+
+class StopRequest:
+    """Whether somebody asked the run to stop; see `graceful_interrupt`."""
+
+    def __init__(self) -> None:
+        self.signum: int | None = None
+
+    @property
+    def requested(self) -> bool:
+        """True after the first signal; for loops that poll."""
+        return self.signum is not None
+
+    def checkpoint(self) -> None:
+        """Call where everything is saved.
+
+        Raises:
+          Interrupted: a signal came in since.
+        """
+        if self.signum is not None:
+            raise Interrupted(f"stopped at a safe point ({signal.Signals(self.signum).name})", self.signum)
+
+    def _handle(self, signum: int, frame: Any) -> None:
+        if self.signum is not None:
+            raise Interrupted(f"stopped at once ({signal.Signals(signum).name})", signum)
+        self.signum = signum
+        # Not print: the signal may have come in the middle of a buffered write to the same stream.
+        with suppress(OSError, ValueError):
+            os.write(2, b"\nstopping at the next safe point; once more to stop at once\n")
+
+
+@contextmanager
+def graceful_interrupt() -> Iterator[StopRequest]:
+    """Let SIGINT and SIGTERM stop the block at its next safe point instead of anywhere.
+
+    The first signal sets `requested` and makes the next `checkpoint()` raise; the second raises `Interrupted` at once,
+    which here means: as soon as Python runs, that is after a compiled call that is under way. The handlers from before
+    come back when the block ends. Within another `graceful_interrupt` the outer request is shared. Outside the main
+    thread, where Python allows no handlers, the request never comes.
+
+    Raises:
+      Interrupted: out of `checkpoint()`, or anywhere in the block on the second signal.
+    """
+    outer = getattr(signal.getsignal(signal.SIGINT), "__self__", None)
+    if isinstance(outer, StopRequest):
+        yield outer
+        return
+    request = StopRequest()
+    if threading.current_thread() is not threading.main_thread():
+        yield request
+        return
+    before = {number: signal.signal(number, request._handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield request
+    finally:
+        for number, handler in before.items():
+            # None: the handler was not installed from Python and cannot be put back
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
