@@ -11,11 +11,13 @@ from typing import Any, Protocol
 import jax
 import numpy as np
 
+from btr_mjx.errors import InputError
+
 Leaves = Mapping[str, np.ndarray]
 """MjModel field name -> (..., *field shape): the fields in which the models of a batch differ."""
 
 
-class UnsupportedModel(ValueError):  # noqa: N818 (it names the input, not the failure)
+class UnsupportedModel(InputError):  # noqa: N818 (it names the input, not the failure)
     """The model uses a feature that this engine does not compute; the message names it and the engine that does."""
 
 

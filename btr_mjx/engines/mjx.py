@@ -1,0 +1,189 @@
+"""The `mjx` engine: `jax.vmap` of `mujoco.mjx.step`. General, differentiable, any device; the reference inside JAX.
+
+The solver runs to convergence: MuJoCo's own iteration limit and tolerance apply, never a fixed small number of steps.
+What MJX would silently ignore is refused here, and the one thing it lacks that we need, the integral term of MuJoCo's
+`pid` actuator, is carried in the state.
+"""
+
+import copy
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from mujoco import mjx
+
+from btr_mjx.engines.base import Leaves, UnsupportedModel
+
+_RESIDUAL_LIMIT = 1e-3
+"""A step whose constraint forces leave more than this share of the forces unbalanced counts as not converged."""
+
+
+class MjxStepper:
+    """Steps a chunk of worlds with `jax.vmap(mjx.step)`; see `btr_mjx.engines.base.Stepper`.
+
+    The state is a dict of batch-first arrays: qpos (C, nq), qvel (C, nv), warmstart (C, nv), integral (C, nu),
+    power (C,), residual (C,).
+    """
+
+    def __init__(self, model: mujoco.MjModel, varying: frozenset[str]) -> None:
+        """Prepare a model.
+
+        Args:
+          model: the base model.
+          varying: names of the fields that `pack` will be given.
+
+        Raises:
+          UnsupportedModel: a feature that MJX does not compute.
+        """
+        _refuse(model)
+        self.nq, self.nv, self.nu = model.nq, model.nv, model.nu
+        self.timestep = float(model.opt.timestep)
+        self._pid = model.actuator_gaintype == mujoco.mjtGain.mjGAIN_PID
+        plain, changed = _without_pid(model)
+        try:
+            put = mjx.put_model(plain, impl="jax")
+            if changed:
+                put = put.replace(na=0)
+        except NotImplementedError as error:
+            raise UnsupportedModel(f"MJX does not support this model: {error}; use engine='native'") from None
+        # Numpy leaves: device arrays closed over by a sharded function would be tied to one device.
+        self._model = jax.tree.map(lambda x: np.asarray(x) if isinstance(x, jax.Array) else x, put)
+        self._data = jax.tree.map(
+            lambda x: np.asarray(x) if isinstance(x, jax.Array) else x, mjx.make_data(put)
+        )
+        self._used = tuple(sorted(name for name in varying if _leaf(self._model, name) is not None))
+        self._integral_gain = model.actuator_gainprm[:, 0] * self._pid
+        self._kp = np.where(self._pid, -model.actuator_biasprm[:, 1], 1.0)
+        self._length_address = _length_address(model)
+        self._gear = model.actuator_gear[:, 0]
+
+    def pack(self, leaves: Leaves) -> dict[str, np.ndarray]:
+        """See `Stepper.pack`: the fields that MJX holds, batch first, in the model's precision."""
+        if self._pid.any() and ("actuator_gainprm" in leaves or "actuator_biasprm" in leaves):
+            raise UnsupportedModel("mjx: gains of `pid` actuators cannot vary within a batch; use engine='lanes'")
+        return {name: np.asarray(leaves[name], _leaf(self._model, name).dtype) for name in self._used}
+
+    def initial(self, params: dict[str, jax.Array], chunk: int) -> dict[str, jax.Array]:
+        """See `Stepper.initial`."""
+        dtype = jnp.result_type(float)
+        qpos = params.get("qpos0", jnp.asarray(self._model.qpos0))
+        zeros = lambda n: jnp.zeros((chunk, n), dtype)  # noqa: E731
+        return {
+            "qpos": jnp.broadcast_to(qpos, (chunk, self.nq)).astype(dtype),
+            "qvel": zeros(self.nv),
+            "warmstart": zeros(self.nv),
+            "integral": zeros(self.nu),
+            "power": jnp.zeros(chunk, dtype),
+            "residual": jnp.zeros(chunk, dtype),
+        }
+
+    def step(self, params: dict[str, jax.Array], state: dict[str, jax.Array], ctrl: jax.Array) -> dict[str, jax.Array]:
+        """See `Stepper.step`."""
+        return jax.vmap(self.step_one)(params, state, ctrl.T)
+
+    def step_one(self, params: dict[str, jax.Array], state: dict[str, jax.Array], ctrl: jax.Array) -> dict[str, Any]:
+        """One world: `mjx.step` on the model with `params` filled in, under controls (nu,)."""
+        # MJX takes numpy leaves for structure, so they become JAX arrays here.
+        model = jax.tree.map(jnp.asarray, self._model).tree_replace(params)
+        data = jax.tree.map(jnp.asarray, self._data).replace(
+            qpos=state["qpos"],
+            qvel=state["qvel"],
+            qacc_warmstart=state["warmstart"],
+            ctrl=ctrl + (self._integral_gain / self._kp).astype(ctrl.dtype) * state["integral"],
+        )
+        data = mjx.step(model, data)
+        smooth, constraint = data.qfrc_smooth, data.qfrc_constraint
+        unbalanced = mjx.mul_m(model, data, data.qacc) - smooth - constraint
+        scale = jnp.abs(smooth).sum() + jnp.abs(constraint).sum()
+        length = self._gear.astype(ctrl.dtype) * state["qpos"][self._length_address]
+        return {
+            "qpos": data.qpos,
+            "qvel": data.qvel,
+            "warmstart": data.qacc_warmstart,
+            # act_dot of MuJoCo's pid actuator: the error at the step's start.
+            "integral": state["integral"] + self.timestep * (ctrl - length) * self._pid,
+            "power": jnp.abs(data.actuator_force * data._impl.actuator_velocity).sum(),
+            "residual": jnp.abs(unbalanced).sum() / jnp.maximum(scale, 1e-12),
+        }
+
+    def qpos(self, state: dict[str, jax.Array]) -> jax.Array:
+        """See `Stepper.qpos`."""
+        return state["qpos"].T
+
+    def qvel(self, state: dict[str, jax.Array]) -> jax.Array:
+        """See `Stepper.qvel`."""
+        return state["qvel"].T
+
+    def power(self, state: dict[str, jax.Array]) -> jax.Array:
+        """See `Stepper.power`."""
+        return state["power"]
+
+    def capped(self, state: dict[str, jax.Array]) -> jax.Array:
+        """See `Stepper.capped`: MJX does not report iterations, so the unbalanced force itself is judged."""
+        return state["residual"] > _RESIDUAL_LIMIT
+
+
+def _leaf(model: mjx.Model, name: str) -> Any:
+    """The numpy leaf of an mjx.Model with a field's name, or None where MJX does not hold that field."""
+    value: Any = model
+    for part in name.split("."):
+        value = getattr(value, part, None)
+    return value if isinstance(value, np.ndarray) and value.dtype.kind == "f" else None
+
+
+def _without_pid(model: mujoco.MjModel) -> tuple[mujoco.MjModel, bool]:
+    """A copy whose `pid` actuators are position servos of the same kp and kv, and whether there were any."""
+    pid = model.actuator_gaintype == mujoco.mjtGain.mjGAIN_PID
+    plain = copy.copy(model)
+    plain.actuator_gaintype[pid] = mujoco.mjtGain.mjGAIN_FIXED
+    plain.actuator_dyntype[pid] = mujoco.mjtDyn.mjDYN_NONE
+    plain.actuator_gainprm[pid, 0] = -model.actuator_biasprm[pid, 1]
+    plain.actuator_actadr[pid] = -1
+    plain.actuator_actnum[pid] = 0
+    return plain, bool(pid.any())
+
+
+def _length_address(model: mujoco.MjModel) -> np.ndarray:
+    """Address in qpos of each actuator's joint; 0 for actuators that need no integral."""
+    joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+    return np.where(joint, model.jnt_qposadr[np.where(joint, model.actuator_trnid[:, 0], 0)], 0)
+
+
+_IGNORED = {
+    "actuator_armature": "actuator armature",
+    "actuator_damping": "actuator damping",
+    "actuator_dampingpoly": "polynomial actuator damping",
+    "actuator_delay": "actuator delay",
+    "geom_adhesion": "adhesion",
+    "geom_surfacevel": "surface velocity",
+    "jnt_stiffnesspoly": "polynomial joint stiffness",
+    "dof_dampingpoly": "polynomial joint damping",
+    "tendon_stiffnesspoly": "polynomial tendon stiffness",
+    "tendon_dampingpoly": "polynomial tendon damping",
+}
+"""Fields that native MuJoCo 3.17 computes with and MJX 3.17 passes over without a word."""
+
+
+def _refuse(model: mujoco.MjModel) -> None:
+    def refuse(what: str) -> None:
+        raise UnsupportedModel(f"MJX silently ignores {what}: remove it from the model or use engine='native'")
+
+    for field, what in _IGNORED.items():
+        if np.any(getattr(model, field)):
+            refuse(f"{what} ({field})")
+    if model.opt.noslip_iterations:
+        refuse("the noslip solver (opt.noslip_iterations)")
+    pid = model.actuator_gaintype == mujoco.mjtGain.mjGAIN_PID
+    if not pid.any():
+        return
+    names = [model.actuator(i).name or f"actuator {i}" for i in np.flatnonzero(pid)]
+    if not np.all(pid):
+        raise UnsupportedModel("mjx: `pid` and other actuators in one model; make all of them `pid` or none")
+    joint = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_biasprm[:, 1] < 0)
+    if not joint.all() or np.any(model.actuator_dynprm) or np.any(model.actuator_ctrlnum != 1):
+        raise UnsupportedModel(
+            f"mjx: `pid` actuators ({', '.join(names[:3])}, ...) must act on hinges or slides, with kp > 0, input='pos' "
+            "and neither imax nor slewmax; use engine='native' for others"
+        )

@@ -1,0 +1,200 @@
+"""The rollout as one compiled program, for the engines that run inside JAX.
+
+Pairs (s, c) come in a block of fixed shape, (devices x capacity) chunks of C worlds. The block is sharded over the
+devices; each device runs its chunks one after the other, so that memory does not grow with the number of pairs, and
+stops at the last chunk in use, so that a small batch costs little. The number of steps is an argument of the program,
+not a constant in it: one compilation serves every horizon.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.sharding import AxisType, Mesh, PartitionSpec
+
+from btr_mjx.engines.base import Leaves, Stepper
+from btr_mjx.robots import Signal
+
+
+class Record(NamedTuple):
+    """What a rollout reports; inside the program the batch is the last axis of every array.
+
+    Attributes:
+      start: (3, C) base position at t = 0 [m].
+      position: (K, 3, C) base position at the sample times [m].
+      energy: (K, C) mechanical work of the motors up to the sample times, integral of sum |force x velocity| [J].
+      peak_speed: (C,) highest speed of the base at any step [m/s].
+      capped: (C,) number of steps in which the constraint solver stopped at its cap.
+      qpos: (K, nq, C), or (K, 0, C) where states are not wanted.
+      qvel: (K, nv, C), likewise.
+    """
+
+    start: Any
+    position: Any
+    energy: Any
+    peak_speed: Any
+    capped: Any
+    qpos: Any
+    qvel: Any
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Shape of a block.
+
+    Attributes:
+      devices: number of devices it is sharded over.
+      capacity: chunks per device.
+      chunk: worlds per chunk.
+    """
+
+    devices: int
+    capacity: int
+    chunk: int
+
+    @property
+    def pairs(self) -> int:
+        """Pairs that one block holds."""
+        return self.devices * self.capacity * self.chunk
+
+
+def rollout(
+    stepper: Stepper,
+    signal: Signal,
+    base_address: tuple[int, int] | None,
+    record_states: bool,
+    params: Any,
+    controllers: jax.Array,
+    samples: jax.Array,
+) -> Record:
+    """Roll one chunk out (traced).
+
+    Args:
+      stepper: the engine.
+      signal: reference signal of the robot.
+      base_address: where the base's position begins in qpos and its velocity in qvel, or None for a fixed base.
+      record_states: whether qpos and qvel are recorded at the samples.
+      params: the engine's parameters of this chunk.
+      controllers: (n_c, C).
+      samples: (K,) ascending step counts at which to record; the last one ends the rollout.
+
+    Returns:
+      The record.
+    """
+    chunk = controllers.shape[1]
+    state = stepper.initial(params, chunk)
+    dtype = stepper.qpos(state).dtype
+    zeros = jnp.zeros(chunk, dtype)
+
+    def base(state: Any) -> jax.Array:
+        if base_address is None:
+            return jnp.zeros((3, chunk), dtype)
+        return stepper.qpos(state)[base_address[0] : base_address[0] + 3]
+
+    def speed(state: Any) -> jax.Array:
+        if base_address is None:
+            return zeros
+        velocity = stepper.qvel(state)[base_address[1] : base_address[1] + 3]
+        return jnp.sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
+
+    def step(k: jax.Array, carry: tuple) -> tuple:
+        state, energy, peak, capped = carry
+        time = k.astype(dtype) * jnp.asarray(stepper.timestep, dtype)
+        state = stepper.step(params, state, signal(controllers, time, jnp))
+        energy = energy + stepper.power(state) * jnp.asarray(stepper.timestep, dtype)
+        return state, energy, jnp.maximum(peak, speed(state)), capped + stepper.capped(state)
+
+    def segment(carry: tuple, bounds: jax.Array) -> tuple:
+        carry = lax.fori_loop(bounds[0], bounds[1], step, carry)
+        state, energy = carry[:2]
+        nothing = jnp.zeros((0, chunk), dtype)
+        states = (stepper.qpos(state), stepper.qvel(state)) if record_states else (nothing, nothing)
+        return carry, (base(state), energy, *states)
+
+    start = base(state)
+    bounds = jnp.stack([jnp.concatenate([jnp.zeros(1, samples.dtype), samples[:-1]]), samples], axis=1)
+    carry = (state, zeros, zeros, jnp.zeros(chunk, jnp.int32))
+    (_, _, peak, capped), (position, energy, qpos, qvel) = lax.scan(segment, carry, bounds)
+    return Record(start, position, energy, peak, capped, qpos, qvel)
+
+
+def _run_chunks(one: Callable[..., Record], params: Any, controllers: Any, samples: Any, active: Any) -> Record:
+    """Chunks 0 .. active - 1 of one device in turn; the others stay zero."""
+    first = lambda tree: jax.tree.map(lambda x: x[0], tree)  # noqa: E731
+    shapes = jax.eval_shape(one, first(params), controllers[0], samples)
+    out = jax.tree.map(lambda s: jnp.zeros((controllers.shape[0], *s.shape), s.dtype), shapes)
+
+    def body(i: jax.Array, out: Record) -> Record:
+        take = lambda x: lax.dynamic_index_in_dim(x, i, keepdims=False)  # noqa: E731
+        result = one(jax.tree.map(take, params), take(controllers), samples)
+        return jax.tree.map(lambda x, y: lax.dynamic_update_index_in_dim(x, y, i, 0), out, result)
+
+    return lax.fori_loop(0, active, body, out)
+
+
+class Program:
+    """A compiled block rollout. Build once per (robot, engine, layout, number of samples); call for any pairs."""
+
+    def __init__(
+        self,
+        stepper: Stepper,
+        signal: Signal,
+        base_address: tuple[int, int] | None,
+        layout: Layout,
+        record_states: bool,
+        devices: list[jax.Device],
+    ) -> None:
+        self.stepper, self.layout = stepper, layout
+
+        def one(params: Any, controllers: jax.Array, samples: jax.Array) -> Record:
+            return rollout(stepper, signal, base_address, record_states, params, controllers, samples)
+
+        mesh = Mesh(np.array(devices), ("chunks",), axis_types=(AxisType.Auto,))
+        sharded, copied = PartitionSpec("chunks"), PartitionSpec()
+        mapped = jax.shard_map(
+            lambda *args: _run_chunks(one, *args),
+            mesh=mesh,
+            in_specs=(sharded, sharded, copied, copied),
+            out_specs=sharded,
+            check_vma=False,
+        )
+        wide = {"xla_cpu_prefer_vector_width": "512"} if devices[0].platform == "cpu" else {}
+        self.function = jax.jit(mapped, compiler_options=wide)
+
+    def arguments(self, leaves: Leaves, controllers: np.ndarray, samples: np.ndarray) -> tuple:
+        """Lay up to `layout.pairs` pairs out as the block that `function` takes.
+
+        Args:
+          leaves: MjModel fields (B, *field shape).
+          controllers: (B, n_c).
+          samples: (K,) step counts.
+        """
+        devices, capacity, chunk = self.layout.devices, self.layout.capacity, self.layout.chunk
+        count = len(controllers)
+        used = -(-count // chunk)
+        active = -(-used // devices)
+        # Chunk i of the batch is the (i // devices)-th of device i % devices: few chunks still use every device.
+        place = np.arange(devices * capacity * chunk).reshape(capacity, devices, chunk).transpose(1, 0, 2)
+        index = np.minimum(place, count - 1).reshape(-1, chunk)
+        packed = self.stepper.pack({name: values[index] for name, values in leaves.items()})
+        blocks = np.moveaxis(controllers[index], 2, 1).astype(jnp.result_type(float))
+        return packed, blocks, np.asarray(samples, np.int32), np.int32(active)
+
+    def unpack(self, record: Record, count: int) -> Record:
+        """Back to batch-first numpy arrays of the `count` pairs that were asked for."""
+        devices, capacity, chunk = self.layout.devices, self.layout.capacity, self.layout.chunk
+
+        def pairs(x: jax.Array) -> np.ndarray:
+            blocks = np.asarray(x).reshape(devices, capacity, *x.shape[1:]).swapaxes(0, 1)
+            batch_first = np.moveaxis(blocks, -1, 2)
+            return batch_first.reshape(self.layout.pairs, *batch_first.shape[3:])[:count]
+
+        return Record(*(pairs(x) for x in record))
+
+    def __call__(self, leaves: Leaves, controllers: np.ndarray, samples: np.ndarray) -> Record:
+        """Roll out up to `layout.pairs` pairs and return their record, batch first: (B, ...), (B, K, ...)."""
+        return self.unpack(self.function(*self.arguments(leaves, controllers, samples)), len(controllers))

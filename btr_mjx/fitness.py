@@ -1,0 +1,148 @@
+"""Fitness functions, delta_k and Delta_fitness (eq. 3 and 4 of the paper), learning performance."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from btr_mjx.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What a behaviour B(E, c) came to, for a batch of any leading shape (...).
+
+    Attributes:
+      times: (K,) sample times [s], ascending; the last one is the end of the trial.
+      start: (..., 3) base position at t = 0 [m].
+      position: (..., K, 3) base position at the sample times [m].
+      energy: (..., K) mechanical work of the motors so far, the integral of sum |force x velocity| dt [J].
+      qpos: (..., K, nq) generalised positions, or None where they were not asked for.
+      qvel: (..., K, nv) generalised velocities, likewise.
+    """
+
+    times: NDArray[np.float64]
+    start: NDArray[np.float64]
+    position: NDArray[np.float64]
+    energy: NDArray[np.float64]
+    qpos: NDArray[np.float64] | None = None
+    qvel: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
+class FitnessFunction:
+    """A named fitness: `function` maps an Outcome of leading shape (...) to f of shape (...).
+
+    Attributes:
+      name: for tables and settings.
+      unit: its unit.
+      maximise: whether larger is better.
+      function: the map; NaN where it is not defined.
+    """
+
+    name: str
+    unit: str
+    maximise: bool
+    function: Callable[[Outcome], np.ndarray]
+
+    def __call__(self, outcome: Outcome) -> np.ndarray:
+        """Fitness of each behaviour."""
+        return self.function(outcome)
+
+
+def _speed(outcome: Outcome) -> np.ndarray:
+    return np.linalg.norm((outcome.position[..., -1, :] - outcome.start)[..., :2], axis=-1) / outcome.times[-1]
+
+
+def _forward(outcome: Outcome) -> np.ndarray:
+    return (outcome.position[..., -1, 0] - outcome.start[..., 0]) / outcome.times[-1]
+
+
+def _energy_per_metre(outcome: Outcome) -> np.ndarray:
+    travelled = np.linalg.norm((outcome.position[..., -1, :] - outcome.start)[..., :2], axis=-1)
+    return outcome.energy[..., -1] / np.where(travelled > 1e-3, travelled, np.nan)
+
+
+FITNESS_FUNCTIONS: dict[str, FitnessFunction] = {
+    function.name: function
+    for function in (
+        # The paper's: horizontal distance between start and end, over T_e.
+        FitnessFunction("distance", "m/s", True, _speed),
+        FitnessFunction("forward_speed", "m/s", True, _forward),
+        # Not defined for a robot that stayed within a millimetre of its start.
+        FitnessFunction("energy_per_metre", "J/m", False, _energy_per_metre),
+    )
+}
+"""The built-in fitness functions by name."""
+
+DISTANCE = FITNESS_FUNCTIONS["distance"]
+
+
+def fitness_function(name: str) -> FitnessFunction:
+    """A built-in fitness function.
+
+    Raises:
+      InputError: an unknown name.
+    """
+    if name not in FITNESS_FUNCTIONS:
+        raise InputError(f"fitness: got {name!r}, expected one of: {', '.join(FITNESS_FUNCTIONS)}")
+    return FITNESS_FUNCTIONS[name]
+
+
+def delta(f_s: ArrayLike, f_r: ArrayLike) -> np.ndarray:
+    """delta_k = |f_sk - f_rk|, eq. 3.
+
+    Args:
+      f_s: (..., m) fitness of m controllers in simulations.
+      f_r: (m,) their fitness in reality.
+
+    Returns:
+      (..., m); NaN where either fitness is NaN.
+
+    Raises:
+      InputError: the last axes differ.
+    """
+    simulated, real = np.asarray(f_s, np.float64), np.asarray(f_r, np.float64)
+    if real.ndim != 1 or simulated.shape[-1:] != real.shape:
+        raise InputError(
+            f"f_r: got shape {real.shape} for f_s of shape {simulated.shape}, expected one fitness per controller, "
+            f"({simulated.shape[-1] if simulated.ndim else 'm'},)"
+        )
+    return np.abs(simulated - real)
+
+
+def delta_fitness(f_s: ArrayLike, f_r: ArrayLike) -> np.ndarray:
+    """Delta_fitness = mean of delta_k over the m behaviours, eq. 4.
+
+    Args:
+      f_s: (..., m) fitness of m controllers in simulations.
+      f_r: (m,) their fitness in reality.
+
+    Returns:
+      (...); NaN for a simulation in which any of the behaviours diverged: it does not reproduce reality, and leaving
+      the diverged ones out would reward it.
+    """
+    return delta(f_s, f_r).mean(axis=-1)
+
+
+def learning_performance(f_0: float, f_end: float, f_max: float, dimension: int, evaluations: int) -> float:
+    """LP = IF d / e with IF = (f_end - f_0) / f_max, the paper's first footnote.
+
+    Args:
+      f_0: fitness in reality before learning.
+      f_end: fitness in reality after learning.
+      f_max: the largest fitness in reality seen, which normalises the improvement.
+      dimension: d, number of controller parameters.
+      evaluations: e, evaluations in reality.
+
+    Returns:
+      LP; 0 where f_max is 0.
+
+    Raises:
+      InputError: no evaluation.
+    """
+    if evaluations < 1:
+        raise InputError(f"evaluations: got {evaluations}, expected at least one evaluation in reality")
+    improvement = (f_end - f_0) / abs(f_max) if f_max else 0.0
+    return float(improvement * dimension / evaluations)
