@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike
 from btr_mjx.devices import use_all_cores
 from btr_mjx.engines import native
 from btr_mjx.engines.base import Stepper, UnsupportedModel
-from btr_mjx.engines.lanes import LanesStepper
 from btr_mjx.engines.mjx import MjxStepper
 from btr_mjx.engines.program import Layout, Program, Record
 from btr_mjx.errors import InputError
@@ -85,7 +84,7 @@ def evaluate(
     fitness: FitnessFunction = DISTANCE,
     times: ArrayLike | None = None,
     states: bool = False,
-    settings: EngineSettings = EngineSettings(),  # noqa: B008 (frozen)
+    settings: EngineSettings = EngineSettings(),
     progress: Callable[[int], object] | None = None,
 ) -> Evaluation:
     """Try controllers in simulations.
@@ -113,7 +112,9 @@ def evaluate(
     s = np.atleast_2d(robot.simulation_box.validate(simulations, "simulations"))
     c = np.atleast_2d(robot.controller_box.validate(controllers, "controllers"))
     if s.ndim != 2 or c.ndim != 2 or not len(s) or not len(c):
-        raise InputError(f"got simulations {s.shape} and controllers {c.shape}, expected non-empty (L, n_s) and (M, n_c)")
+        raise InputError(
+            f"got simulations {s.shape} and controllers {c.shape}, expected non-empty (L, n_s) and (M, n_c)"
+        )
     if pairwise and len(s) != len(c):
         raise InputError(f"pairwise: got {len(s)} simulations and {len(c)} controllers, expected as many of each")
     shape = (len(s),) if pairwise else (len(s), len(c))
@@ -172,7 +173,9 @@ def _sample_steps(robot: Robot, times: ArrayLike | None, timestep: float) -> np.
     wanted = np.atleast_1d(np.asarray(robot.duration if times is None else times, np.float64))
     steps = np.round(wanted / timestep)
     if wanted.ndim != 1 or not np.all(np.isfinite(steps)) or np.any(np.diff(steps, prepend=0) < 1):
-        raise InputError(f"times: got {wanted.tolist()}, expected ascending times at least one step of {timestep} s apart")
+        raise InputError(
+            f"times: got {wanted.tolist()}, expected ascending times at least one step of {timestep} s apart"
+        )
     if wanted[-1] > robot.duration * (1 + 1e-9):
         raise InputError(f"times: got {wanted[-1]} s, expected at most the trial's duration of {robot.duration} s")
     return steps.astype(int)
@@ -250,6 +253,8 @@ def _essence(robot: Robot) -> Robot:
 @lru_cache(maxsize=16)
 def _stepper(robot: Robot, engine: Engine, x64: bool) -> Stepper:
     model, varying = base_model(robot), frozenset(varying_fields(robot))
+    from btr_mjx.engines.lanes import LanesStepper
+
     return LanesStepper(model, varying) if engine == "lanes" else MjxStepper(model, varying)
 
 

@@ -96,9 +96,7 @@ def varying_fields(robot: Robot) -> tuple[str, ...]:
 
 def field_names(model: mujoco.MjModel) -> list[str]:
     """Every array field of a model, and those of its options and statistics that are numbers."""
-    arrays = [
-        name for name in dir(model) if not name.startswith("_") and isinstance(getattr(model, name), np.ndarray)
-    ]
+    arrays = [name for name in dir(model) if not name.startswith("_") and isinstance(getattr(model, name), np.ndarray)]
     return arrays + [f"opt.{name}" for name in OPTIONS] + [f"stat.{name}" for name in STATISTICS]
 
 

@@ -92,7 +92,9 @@ class Robot:
         """
         values = self.simulation_box.validate(simulation, "simulation")
         if values.ndim != 1:
-            raise InputError(f"simulation: got shape {values.shape}, expected one row of {self.simulation_box.n} values")
+            raise InputError(
+                f"simulation: got shape {values.shape}, expected one row of {self.simulation_box.n} values"
+            )
         names = dict(zip(self.simulation_box.names, values.tolist(), strict=True))
         try:
             return _template(self.template).render(dict(self.constants) | names)

@@ -50,9 +50,7 @@ class MjxStepper:
             raise UnsupportedModel(f"MJX does not support this model: {error}; use engine='native'") from None
         # Numpy leaves: device arrays closed over by a sharded function would be tied to one device.
         self._model = jax.tree.map(lambda x: np.asarray(x) if isinstance(x, jax.Array) else x, put)
-        self._data = jax.tree.map(
-            lambda x: np.asarray(x) if isinstance(x, jax.Array) else x, mjx.make_data(put)
-        )
+        self._data = jax.tree.map(lambda x: np.asarray(x) if isinstance(x, jax.Array) else x, mjx.make_data(put))
         self._used = tuple(sorted(name for name in varying if _leaf(self._model, name) is not None))
         self._integral_gain = model.actuator_gainprm[:, 0] * self._pid
         self._kp = np.where(self._pid, -model.actuator_biasprm[:, 1], 1.0)
