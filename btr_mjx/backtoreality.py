@@ -15,11 +15,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from btr_mjx.behaviour import evaluate
-from btr_mjx.btr_state import Problem, SearchSettings, State, Trials
+from btr_mjx.behaviour import Engine, evaluate
+from btr_mjx.btr_state import Problem, Progress, SearchSettings, State, Trials
 from btr_mjx.errors import InputError
 from btr_mjx.evolution import GAConfig, GAState, GeneticAlgorithm
-from btr_mjx.fitness import delta_fitness
+from btr_mjx.fitness import DISTANCE, FitnessFunction, delta_fitness
+from btr_mjx.robots import Robot
 from btr_mjx.spaces import Box
 
 
@@ -103,6 +104,46 @@ def search_controllers(problem: Problem, state: State, report: Report) -> State:
     if len(state.scores) == settings.generations:
         report("archive", _archive(state, "controllers"))
     return state if len(state.scores) < settings.generations else replace(state, phase="transfer", search=None)
+
+
+def evolve_controllers(
+    robot: Robot,
+    simulation: np.ndarray,
+    settings: SearchSettings,
+    *,
+    seed: int,
+    genome: np.ndarray | None = None,
+    fitness: FitnessFunction = DISTANCE,
+    engine: Engine | None = None,
+    progress: Progress | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Step 1 on its own: evolve controllers in one simulation.
+
+    Args:
+      robot: the robot.
+      simulation: (n_s,).
+      settings: of the search.
+      seed: of everything random.
+      genome: (bits,) to start from; None for a random one.
+      fitness: the fitness function.
+      engine: see `behaviour.evaluate`.
+      progress: called with the number of pairs simulated since the last call.
+
+    Returns:
+      (g, M, bits) all generations in order and (g, M) their fitness; see `select_transferable`.
+    """
+    box = robot.controller_box.with_bits(settings.bits)
+    algorithm = _algorithm(box, settings, fitness.maximise)
+    rng = np.random.default_rng([seed, 0, 1])
+    search = algorithm.init(rng, genome=genome)
+    genomes, scores = [], []
+    for _ in range(settings.generations):
+        asked, search = algorithm.ask(search)
+        evaluation = evaluate(robot, simulation, box.decode(asked), engine=engine, fitness=fitness, progress=progress)
+        search = algorithm.tell(search, asked, evaluation.fitness[0])
+        genomes.append(asked)
+        scores.append(evaluation.fitness[0])
+    return np.array(genomes), np.array(scores)
 
 
 def select_transferable(

@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike
 from btr_mjx.devices import use_all_cores
 from btr_mjx.engines import native
 from btr_mjx.engines.base import Stepper, UnsupportedModel
-from btr_mjx.engines.mjx import MjxStepper
 from btr_mjx.engines.program import Layout, Program, Record
 from btr_mjx.errors import InputError
 from btr_mjx.fitness import DISTANCE, FitnessFunction, Outcome
@@ -253,9 +252,14 @@ def _essence(robot: Robot) -> Robot:
 @lru_cache(maxsize=16)
 def _stepper(robot: Robot, engine: Engine, x64: bool) -> Stepper:
     model, varying = base_model(robot), frozenset(varying_fields(robot))
-    from btr_mjx.engines.lanes import LanesStepper
+    # Imported here: either takes a second, and a command needs one of them.
+    if engine == "lanes":
+        from btr_mjx.engines.lanes import LanesStepper
 
-    return LanesStepper(model, varying) if engine == "lanes" else MjxStepper(model, varying)
+        return LanesStepper(model, varying)
+    from btr_mjx.engines.mjx import MjxStepper
+
+    return MjxStepper(model, varying)
 
 
 @lru_cache(maxsize=16)

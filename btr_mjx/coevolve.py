@@ -32,7 +32,7 @@ from btr_mjx.fitness import fitness_function, learning_performance
 from btr_mjx.models import base_model
 from btr_mjx.progress import StopRequest, graceful_interrupt, progress
 from btr_mjx.reality import SimulatedReality
-from btr_mjx.robots import Robot, hexapod, read_template
+from btr_mjx.robots import Robot, robot_of
 from btr_mjx.runs import IGNORED_FIELDS, RunFolder, is_unused
 
 
@@ -124,14 +124,6 @@ PRESETS: dict[str, CoevolveConfig] = {
     ),
 }
 """Defaults by the value of --preset."""
-
-
-def robot_of(template: Path | None, duration: float) -> Robot:
-    """The hexapod, or one with another template."""
-    robot = dataclasses.replace(hexapod(), duration=duration)
-    if template is None:
-        return robot
-    return dataclasses.replace(robot, template=read_template(template), template_path=str(template))
 
 
 def parse_values(robot: Robot, settings: Sequence[str]) -> dict[str, float]:

@@ -1,8 +1,8 @@
 """Simulations s -> rendered MJCF -> compiled models -> one batch that stacks only the fields that differ.
 
 Compiling is left to MuJoCo: every row is exactly the model that `mujoco.MjModel.from_xml_string` makes of its rendered
-MJCF, derived fields (body_invweight0, dof_M0, stat.meaninertia, ...) included. What a batch stores is one base model and,
-for each field in which models of this robot can differ, a stacked float64 array.
+MJCF, derived fields (body_invweight0, dof_M0, stat.meaninertia, ...) included. What a batch stores is one base model
+and, for each field in which models of this robot can differ, a stacked float64 array.
 """
 
 import copy
@@ -130,7 +130,7 @@ def _compiled_row(robot: Robot, simulation: bytes) -> dict[str, np.ndarray]:
     for name, expected in _constant_fields(robot).items():
         if not np.array_equal(read_field(model, name), expected):
             raise InputError(
-                f"{robot.template_path}: {name} changes at {dict(zip(robot.simulation_box.names, values.tolist()))} "
+                f"{robot.template_path}: {name} changes at {dict(zip(robot.simulation_box.names, values.tolist(), strict=True))} "
                 "but not at the probes across the box; a batch needs fields that depend smoothly on the parameters"
             )
     return {name: read_field(model, name).astype(np.float64) for name in varying_fields(robot)}

@@ -1,7 +1,7 @@
 """Where f_r comes from. Anything with a `measure` method is a reality: a robot, a file of measurements, a simulation.
 
-`SimulatedReality` is a hidden simulation s_r. Run by the engine that also searches, it makes Theorems 1 and 2 exact; run
-by native MuJoCo in float64 with a time step and an integrator of its own, it is free of the inverse crime.
+`SimulatedReality` is a hidden simulation s_r. Run by the engine that also searches, it makes Theorems 1 and 2 exact;
+run by native MuJoCo in float64 with a time step and an integrator of its own, it is free of the inverse crime.
 """
 
 from dataclasses import dataclass, field

@@ -31,9 +31,9 @@ from btr_mjx.errors import InputError
 from btr_mjx.spaces import Box
 
 Signal = Callable[[Any, Any, Any], Any]
-"""signal(controller, time, xp): controls (n_u, ...) at one time [s] of controllers (n_c, ...); xp is numpy or jax.numpy.
+"""signal(controller, time, xp): controls (n_u, ...) at one time [s] of controllers (n_c, ...).
 
-The parameters come first and the batch last. Only elementwise arithmetic of `xp` may be used on the batch.
+xp is numpy or jax.numpy. The parameters come first and the batch last. Only elementwise arithmetic of `xp` may be used on the batch.
 """
 
 
@@ -246,3 +246,19 @@ def hexapod(**constants: float) -> Robot:
         constants=tuple(HEXAPOD.items()),
         base_body="b0",
     ).with_constants(**constants)
+
+
+def robot_of(template: str | Path | None = None, duration: float = 1.7) -> Robot:
+    """The hexapod, or one with another template of the same parameters and motors, as commands take it.
+
+    Args:
+      template: file of the template; None for the paper's hexapod.
+      duration: T_e [s].
+
+    Raises:
+      InputError: a template that cannot be read, a duration that is not positive.
+    """
+    robot = replace(hexapod(), duration=duration)
+    if template is None:
+        return robot
+    return replace(robot, template=read_template(template), template_path=str(template))

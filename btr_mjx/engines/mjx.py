@@ -5,16 +5,21 @@ What MJX would silently ignore is refused here, and the one thing it lacks that 
 `pid` actuator, is carried in the state.
 """
 
+import contextlib
 import copy
+import io
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from mujoco import mjx
 
 from btr_mjx.engines.base import Leaves, UnsupportedModel
+
+# MJX prints, on stdout, that its optional GPU back end is not installed.
+with contextlib.redirect_stdout(io.StringIO()):
+    from mujoco import mjx
 
 _RESIDUAL_LIMIT = 1e-3
 """A step whose constraint forces leave more than this share of the forces unbalanced counts as not converged."""
