@@ -1,0 +1,177 @@
+"""Forces of actuators, springs and dampers, and the derivative of the actuator forces by velocity."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from btr_mjx.engines.lanes import support
+from btr_mjx.engines.lanes.parameters import Parameters
+from btr_mjx.engines.lanes.scalars import Scalar, add, dot, is_zero, mul, sub, total
+from btr_mjx.engines.lanes.tree import FREE, Actuator, Plan
+
+_DYN, _GAIN, _BIAS = mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
+
+
+@dataclass
+class Actuation:
+    """What the actuators do in one step."""
+
+    force: dict[int, Scalar]
+    """Generalised force per dof of the plan."""
+    damping: dict[int, Scalar]
+    """Minus the derivative of that force by the dof's velocity."""
+    act: list[jax.Array]
+    """Activations at the end of the step."""
+    power: list[tuple[Scalar, int]]
+    """|force x velocity| of each actuator [W], and its group size."""
+
+
+def rows(values: jax.Array, ids: Sequence[int] | np.ndarray) -> jax.Array:
+    """Rows of an (n, C) array for the members of a group: (C,) or (G, C), one strided slice if possible."""
+    if len(ids) == 1:
+        return values[ids[0]]
+    steps = set(np.diff(ids).tolist())
+    if len(steps) == 1 and (step := steps.pop()) > 0:
+        return values[ids[0] : ids[-1] + 1 : step]
+    return jnp.stack([values[i] for i in ids])
+
+
+def _clip(value: Scalar, bounds: Sequence[Scalar]) -> jax.Array:
+    ones = jnp.ones_like(value)
+    return jnp.clip(value, mul(bounds[0], ones), mul(bounds[1], ones))
+
+
+def actuate(
+    model: mujoco.MjModel,
+    plan: Plan,
+    parameters: Parameters,
+    q: Sequence[Sequence[jax.Array]],
+    v: Sequence[jax.Array],
+    act: Sequence[jax.Array],
+    ctrl: jax.Array,
+) -> Actuation:
+    """Actuator forces at the given state and controls (mj_fwdActuation, mjd_actuator_vel).
+
+    Args:
+      model: base model, for what does not differ between worlds.
+      plan: the static plan.
+      parameters: numbers of this chunk.
+      q: coordinates per joint.
+      v: velocity per dof.
+      act: activations per state of the plan.
+      ctrl: controls (nu, C).
+
+    Returns:
+      Forces, their derivatives, next activations and power.
+    """
+    result = Actuation({}, {}, list(act), [])
+    if support.disabled(model, "ACTUATION"):
+        return result
+    coordinates = iter(q)
+    for link in plan.links:
+        for n, joint in enumerate(link.joints):
+            here, key = next(coordinates), f"{link.index}/joint{n}"
+            if joint.kind == FREE or not joint.actuators:
+                continue
+            dof = joint.dofs[0]
+            force: Scalar = 0.0
+            for k, actuator in enumerate(joint.actuators):
+                own = f"{key}/actuator{k}"
+                one = _actuator(model, parameters, own, actuator, here[0], v[dof], act, ctrl, result)
+                velocity = mul(parameters.one(f"{own}/gear"), v[dof])
+                result.power.append((jnp.abs(mul(one[0], velocity)), link.size))
+                gear = parameters.one(f"{own}/gear")
+                force = add(force, mul(gear, one[0]))
+                result.damping[dof] = add(result.damping.get(dof, 0.0), mul(mul(gear, gear), one[1]))
+            if model.jnt_actfrclimited[joint.ids[0]]:
+                force = _clip(force, parameters[f"{key}/actfrcrange"])
+            result.force[dof] = force
+    return result
+
+
+def _actuator(
+    model: mujoco.MjModel,
+    parameters: Parameters,
+    key: str,
+    actuator: Actuator,
+    q: jax.Array,
+    v: jax.Array,
+    act: Sequence[jax.Array],
+    ctrl: jax.Array,
+    result: Actuation,
+) -> tuple[Scalar, Scalar]:
+    """Force of one actuator and minus its derivative by the actuator's velocity; writes the next activation."""
+    a = actuator.ids[0]
+    gear = parameters.one(f"{key}/gear")
+    length, velocity = mul(gear, q), mul(gear, v)
+    raw = u = rows(ctrl, actuator.ids)
+    if model.actuator_ctrllimited[a] and not support.disabled(model, "CLAMPCTRL"):
+        u = _clip(u, parameters[f"{key}/ctrlrange"])
+    gain, bias = parameters[f"{key}/gain"], parameters[f"{key}/bias"]
+    state = [1.0, length, velocity]
+    if model.actuator_biastype[a] == _BIAS.mjBIAS_NONE:
+        bias = [0.0, 0.0, 0.0]
+    damping = mul(-1.0, bias[2])
+    if actuator.state >= 0:
+        result.act[actuator.state] = _next_act(model, parameters, key, a, act[actuator.state], u, length)
+    if model.actuator_gaintype[a] == _GAIN.mjGAIN_PID:
+        force = total([mul(mul(-1.0, bias[1]), sub(u, length)), bias[0], mul(bias[2], velocity)])
+        if actuator.state >= 0:
+            force = add(force, mul(gain[0], act[actuator.state]))
+    else:
+        drive = act[actuator.state] if actuator.state >= 0 else u
+        if model.actuator_gaintype[a] == _GAIN.mjGAIN_AFFINE:
+            factor = dot(gain, state)
+            driven = act[actuator.state] if actuator.state >= 0 else raw  # MuJoCo's derivative takes unclamped controls
+            damping = sub(damping, mul(gain[2], driven))
+        else:
+            factor = gain[0]
+        force = add(mul(factor, drive), dot(bias, state))
+    if model.actuator_forcelimited[a]:
+        bounds = parameters[f"{key}/forcerange"]
+        inside = (sub(force, bounds[0]) > 0) & (sub(force, bounds[1]) < 0)
+        if not is_zero(damping):
+            damping = jnp.where(inside, damping, 0)
+        force = _clip(force, bounds)
+    return force, damping
+
+
+def _next_act(
+    model: mujoco.MjModel, parameters: Parameters, key: str, a: int, z: jax.Array, u: jax.Array, length: Scalar
+) -> jax.Array:
+    """Activation after one step (mj_nextActivation)."""
+    dt, kind = float(model.opt.timestep), int(model.actuator_dyntype[a])
+    first = parameters[f"{key}/dynamics"][0]
+    if kind == _DYN.mjDYN_PID:
+        rate = sub(u, length)
+        if model.actuator_dynprm[a, 0] > 0:  # anti-windup
+            rate = jnp.where(sub(z, first) >= 0, jnp.minimum(rate, 0), rate)
+            rate = jnp.where(add(z, first) <= 0, jnp.maximum(rate, 0), rate)
+        following = add(z, mul(dt, rate))
+    elif kind == _DYN.mjDYN_INTEGRATOR:
+        following = add(z, mul(dt, u))
+    else:
+        tau = jnp.maximum(first, 1e-15)
+        share = dt / tau if kind == _DYN.mjDYN_FILTER else -jnp.expm1(-dt / tau)
+        following = add(z, sub(u, z) * jnp.asarray(share, z.dtype))
+    if model.actuator_actlimited[a]:
+        following = _clip(following, parameters[f"{key}/actrange"])
+    return following
+
+
+def springs(plan: Plan, parameters: Parameters, q: Sequence[Sequence[jax.Array]]) -> dict[int, Scalar]:
+    """Spring force per dof [N or N m]; absent where a joint has no stiffness."""
+    result: dict[int, Scalar] = {}
+    coordinates = iter(q)
+    for link in plan.links:
+        for n, joint in enumerate(link.joints):
+            here, key = next(coordinates), f"{link.index}/joint{n}"
+            if joint.kind == FREE or is_zero(parameters.one(f"{key}/stiffness")):
+                continue
+            stretch = sub(here[0], parameters.one(f"{key}/spring"))
+            result[joint.dofs[0]] = mul(mul(-1.0, parameters.one(f"{key}/stiffness")), stretch)
+    return result

@@ -1,0 +1,204 @@
+"""Contacts of spheres, capsules and boxes with planes of the world.
+
+A contact acts at one point of one link. What the solver needs from it is linear in the acceleration of that point: a
+3x3 stiffness and a force, both exact for the cone's present zone. The contact Jacobian never appears.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from btr_mjx.engines.lanes import support
+from btr_mjx.engines.lanes.kinematics import Motion, point_velocity
+from btr_mjx.engines.lanes.parameters import Parameters
+from btr_mjx.engines.lanes.scalars import (
+    Matrix,
+    Scalar,
+    Symmetric,
+    Vector,
+    add,
+    array,
+    cross,
+    dot,
+    full,
+    is_zero,
+    matvec,
+    mul,
+    neg,
+    sandwich,
+    scale,
+    sub,
+    total,
+    transpose,
+    vadd,
+    vsub,
+)
+from btr_mjx.engines.lanes.spatial import Block, Spatial
+from btr_mjx.engines.lanes.tree import Link, Plan, Touch
+
+type Model = tuple[jax.Array, ...]
+
+
+def impedance(parameters: Sequence[Scalar], depth: Scalar) -> Scalar:
+    """MuJoCo's impedance d(r) in (0, 1) at violation `depth` = |r| (getimpedance).
+
+    Args:
+      parameters: dmin, dmax, width, midpoint, power.
+      depth: distance beyond the margin, any sign.
+    """
+    low, high, width, middle, power = parameters
+    x = jnp.minimum(jnp.abs(mul(_inverse(width), depth)), 1.0)
+    rest = sub(1.0, x)
+    if power == 1.0:
+        y = x
+    elif power == 2.0:
+        upper = sub(1.0, mul(_inverse(sub(1.0, middle)), mul(rest, rest)))
+        y = jnp.where(_below(x, middle), mul(_inverse(middle), mul(x, x)), upper)
+    else:
+        ones = jnp.ones_like(x)
+        middle, power = mul(middle, ones), mul(power, ones)
+        upper = sub(1.0, (1.0 - middle) * (rest / (1.0 - middle)) ** power)
+        y = jnp.where(x <= middle, middle * (x / middle) ** power, upper)
+    return add(low, mul(y, sub(high, low)))
+
+
+def _inverse(a: Scalar) -> Scalar:
+    return 1.0 / a
+
+
+def _below(x: jax.Array, limit: Scalar) -> jax.Array:
+    return sub(x, limit) <= 0
+
+
+@dataclass
+class Contact:
+    """One contact point of one link; inactive where `weight` is zero."""
+
+    link: Link
+    x: Vector
+    """Contact point relative to the link's origin, world axes [m]."""
+    frame: Matrix
+    """Rows: normal and two tangents."""
+    friction: Scalar
+    condim: int
+    weight: Scalar
+    """Inverse regularisation D of each row [kg]; of the normal row for an elliptic cone."""
+    reference: Vector
+    """Reference acceleration along the rows of the frame [m/s^2]."""
+
+    def model(self, a: Vector) -> Model:
+        """Weights of the rows that push at contact-frame acceleration `a`: the cone's zone."""
+        if self.condim == 1:
+            jar = sub(a[0], self.reference[0])
+            return (jnp.where(jar < 0, self.weight, 0),)
+        edges, references = self._edges(a), self._edges(self.reference)
+        return tuple(jnp.where(sub(edge, ref) < 0, self.weight, 0) for edge, ref in zip(edges, references, strict=True))
+
+    def _edges(self, a: Vector) -> list[Scalar]:
+        """Components along the four edges of the friction pyramid."""
+        p, q = mul(self.friction, a[1]), mul(self.friction, a[2])
+        return [add(a[0], p), sub(a[0], p), add(a[0], q), sub(a[0], q)]
+
+    def linear(self, model: Model) -> tuple[Symmetric, Vector]:
+        """Stiffness and force in the contact frame for a zone."""
+        if self.condim == 1:
+            return [model[0], 0.0, 0.0, 0.0, 0.0, 0.0], [mul(model[0], self.reference[0]), 0.0, 0.0]
+        mu, (w0, w1, w2, w3) = self.friction, model
+        pair1, pair2, skew1, skew2 = add(w0, w1), add(w2, w3), mul(mu, sub(w0, w1)), mul(mu, sub(w2, w3))
+        square = mul(mu, mu)
+        stiffness = [add(pair1, pair2), mul(square, pair1), mul(square, pair2), skew1, skew2, 0.0]
+        return stiffness, matvec(full(stiffness), self.reference)
+
+    def acceleration(self, spatial: Spatial) -> list[Scalar]:
+        """Contact-frame acceleration of the point from the spatial acceleration of its link."""
+        linear, angular = spatial
+        return matvec(self.frame, vadd(linear, cross(angular, self.x)))
+
+    def effect(self, model: Model) -> tuple[Block, Spatial]:
+        """Stiffness block and wrench about the link's origin for a zone."""
+        stiffness, force = self.linear(model)
+        across = transpose(self.frame)
+        k, f = sandwich(across, stiffness), matvec(across, force)
+        mixed = [cross(self.x, row) for row in full(k)]
+        columns = [cross(self.x, column) for column in transpose(mixed)]
+        angular = [columns[j][i] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+        return Block(k, mixed, angular), (f, cross(self.x, f))
+
+
+def _points(parameters: Parameters, key: str, touch: Touch, m: Motion) -> list[tuple[list[Scalar], Any]]:
+    """Points whose spheres of the geom's radius may touch: offset from the link's origin, offset from the centre."""
+    centre = matvec(m.turn, parameters[f"{key}/centre"])
+    if touch.kind == support.SPHERE:
+        return [(centre, None)]
+    if touch.kind == support.CAPSULE:
+        segment = scale(parameters.one(f"{key}/half"), matvec(m.turn, parameters[f"{key}/axis"]))
+        return [(vadd(centre, segment), None), (vsub(centre, segment), None)]
+    edges = [matvec(m.turn, row) for row in parameters.matrix(f"{key}/edges")]
+    corners = []
+    for signs in product((-1.0, 1.0), repeat=3):
+        corner = [total(mul(sign, edge[i]) for sign, edge in zip(signs, edges, strict=True)) for i in range(3)]
+        corners.append((vadd(centre, corner), corner))
+    return corners
+
+
+def _contact_frame(parameters: Parameters, key: str, touch: Touch, m: Motion) -> Matrix:
+    """The plane's contact frame, its first tangent turned to a capsule's axis (mjc_PlaneCapsule)."""
+    frame = parameters.matrix(f"plane{touch.plane}/frame")
+    if touch.kind != support.CAPSULE:
+        return frame
+    normal, axis = frame[0], matvec(m.turn, parameters[f"{key}/axis"])
+    tangent = vsub(axis, scale(dot(normal, axis), normal))
+    square = dot(tangent, tangent)
+    upright = square < 1e-30  # no direction to follow: MuJoCo takes the first axis
+    inverse = jax.lax.rsqrt(jnp.where(upright, 1.0, square))
+    tangent = [jnp.where(upright, unit, mul(inverse, t)) for unit, t in zip((1.0, 0.0, 0.0), tangent, strict=True)]
+    return [normal, tangent, cross(normal, tangent)]
+
+
+def contacts(plan: Plan, parameters: Parameters, motions: Sequence[Motion], dtype: Any) -> list[Contact]:
+    """All contact points of a chunk that could be active, with MuJoCo's reference accelerations and weights."""
+    found = []
+    for link, m in zip(plan.links, motions, strict=True):
+        for n, touch in enumerate(link.touches):
+            key = f"{link.index}/touch{n}"
+            frame = _contact_frame(parameters, key, touch, m)
+            base = sub(dot(frame[0], m.position), parameters.one(f"plane{touch.plane}/offset"))
+            for offset, corner in _points(parameters, key, touch, m):
+                found.append(_contact(parameters, key, link, touch, m, frame, base, offset, corner, dtype))
+    return found
+
+
+def _contact(
+    parameters: Parameters,
+    key: str,
+    link: Link,
+    touch: Touch,
+    m: Motion,
+    frame: Matrix,
+    base: Scalar,
+    offset: Vector,
+    corner: Vector | None,
+    dtype: Any,
+) -> Contact:
+    """One point: `base` is the height of the link's origin over the plane, `offset` leads from there to the point."""
+    radius = parameters.one(f"{key}/radius")
+    distance = sub(add(base, dot(frame[0], offset)), radius)
+    beyond = sub(distance, parameters.one(f"{key}/margin"))
+    active = beyond < 0
+    if corner is not None:
+        active = active & (dot(frame[0], corner) <= 0)  # a box touches with its lower corners only
+    x = vsub(offset, scale(add(radius, mul(0.5, distance)), frame[0]))
+    imp = impedance(parameters[f"{key}/impedance"], beyond)
+    strength = mul(parameters.one(f"{key}/scale"), imp / (1.0 - imp))
+    stiffness, damping = parameters[f"{key}/reference"]
+    velocity = matvec(frame, point_velocity(m, x))
+    reference = scale(neg(damping), velocity)
+    reference[0] = sub(reference[0], mul(mul(stiffness, imp), beyond))
+    weight = jnp.where(active, strength, 0)
+    if is_zero(weight):
+        weight = array(weight, beyond.shape, dtype)
+    return Contact(link, x, frame, parameters.one(f"{key}/friction"), touch.condim, weight, reference)

@@ -1,0 +1,343 @@
+"""From MjModel fields to the numbers that the step needs, in float64 on the host, for one model or a batch of them.
+
+Every derived number remembers whether it differs between worlds by the shape of its batch axes: (1, 1) if all the
+fields it came from are common to all worlds, (N, C) otherwise. Common numbers become constants of the traced program,
+the others its arguments.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import mujoco
+import numpy as np
+
+from btr_mjx.engines.lanes import support
+from btr_mjx.engines.lanes.scalars import Scalar, constant
+from btr_mjx.engines.lanes.tree import FREE, Joint, Plan, Touch, descendants, rigid_members
+
+VARYING = frozenset(
+    f"{group}_{field}"
+    for group, fields in {
+        "body": "mass inertia ipos iquat pos quat invweight0",
+        "geom": "pos quat size friction solref solimp solmix margin",
+        "jnt": "axis pos range margin stiffness solref solimp actfrcrange",
+        "dof": "damping armature frictionloss invweight0 solref solimp",
+        "actuator": "gainprm biasprm dynprm gear ctrlrange forcerange actrange",
+    }.items()
+    for field in fields.split()
+) | {"qpos0", "qpos_spring", "opt.gravity", "opt.wind", "opt.density", "opt.viscosity", "opt.impratio"}
+"""Fields that may differ between worlds."""
+
+_BYSTANDERS = frozenset(
+    f"{group}{field}"
+    for group, fields in {
+        "body_": "subtreemass margin",
+        "geom_": "aabb rbound rgba",
+        "dof_": "M0 length",
+        "actuator_": "acc0 length0 lengthrange cranklength",
+        "opt.": "magnetic tolerance ls_tolerance noslip_tolerance ccd_tolerance sleep_tolerance iterations ls_iterations",
+    }.items()
+    for field in fields.split()
+)
+"""Fields of bodies, joints, geoms, actuators and options that do not influence the motion, or only through others."""
+
+
+_MINVAL, _MINMU, _MINIMP, _MAXIMP = 1e-15, 1e-5, 1e-4, 0.9999  # MuJoCo's constants of these names
+
+
+def base_field(model: mujoco.MjModel, field: str) -> np.ndarray:
+    """A field of the model, "opt.x" for options, in float64."""
+    owner = model.opt if field.startswith("opt.") else model
+    return np.asarray(getattr(owner, field.removeprefix("opt.")), np.float64)
+
+
+def matters(field: str) -> bool:
+    """Whether a field can influence the motion of a supported model, other than through fields derived from it."""
+    physical = field.startswith(("body_", "jnt_", "dof_", "geom_", "actuator_", "opt.", "qpos"))
+    return physical and field not in _BYSTANDERS and not field.endswith("_user") and not field.startswith("body_bvh")
+
+
+class Fields:
+    """Reads elements of MjModel fields with two batch axes in front: (N, C) where they may differ, else (1, 1)."""
+
+    def __init__(self, model: mujoco.MjModel, masks: Mapping[str, np.ndarray], leaves: Mapping[str, np.ndarray]):
+        """Initialises the view.
+
+        Args:
+          model: base model.
+          masks: field name -> bool array of the field's shape, elements that may differ between worlds.
+          leaves: field name -> (N, C, *field shape).
+        """
+        self._model, self._masks, self._leaves = model, masks, leaves
+
+    def __call__(self, field: str, index: Any = ()) -> np.ndarray:
+        """The element or block field[index], shape (N, C, ...) or (1, 1, ...)."""
+        index = index if isinstance(index, tuple) else (index,)
+        mask = self._masks.get(field)
+        if mask is not None and mask[index].any():
+            return np.asarray(self._leaves[field], np.float64)[(slice(None), slice(None), *index)]
+        return base_field(self._model, field)[index][None, None]
+
+
+def _matrix(quaternion: np.ndarray) -> np.ndarray:
+    """Rotation matrices (..., 3, 3) of quaternions (..., 4), with rounding dust swept off zeros and ones."""
+    w, x, y, z = np.moveaxis(quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
+    ]
+    matrix = np.stack([np.stack(row, -1) for row in rows], -2)
+    nearest = np.round(matrix)
+    return np.where(np.abs(matrix - nearest) < 1e-15, nearest, matrix)
+
+
+def _apply(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    return (matrix @ vector[..., None])[..., 0]
+
+
+def rigid_pose(model: mujoco.MjModel, fields: Fields, body: int, root: int) -> tuple[np.ndarray, np.ndarray]:
+    """Position (..., 3) and rotation (..., 3, 3) of a body in the frame of an ancestor that it is welded to."""
+    if body == root:
+        return np.zeros((1, 1, 3)), np.eye(3)[None, None]
+    position, matrix = rigid_pose(model, fields, int(model.body_parentid[body]), root)
+    position = position + _apply(matrix, fields("body_pos", body))
+    return position, matrix @ _matrix(fields("body_quat", body))
+
+
+def _rigid_root(model: mujoco.MjModel, body: int) -> int:
+    """The jointed body, or the world, that a body is welded to."""
+    while body and model.body_jntnum[body] == 0:
+        body = int(model.body_parentid[body])
+    return body
+
+
+def _inertia(model: mujoco.MjModel, fields: Fields, body: int) -> dict[str, np.ndarray]:
+    """Moments of a rigid link about its origin: mass, `h` = sum of m c [kg m], `inertia` (xx yy zz xy xz yz)."""
+    h: Any = np.zeros((1, 1, 3))
+    own: Any = np.zeros((1, 1))
+    tensor: Any = np.zeros((1, 1, 3, 3))
+    for b in rigid_members(model, body):
+        position, matrix = rigid_pose(model, fields, b, body)
+        mass = fields("body_mass", b)[..., None]
+        c = position + _apply(matrix, fields("body_ipos", b))
+        axes = matrix @ _matrix(fields("body_iquat", b))
+        about = (axes * fields("body_inertia", b)[..., None, :]) @ np.swapaxes(axes, -1, -2)
+        square = (c * c).sum(-1)[..., None, None] * np.eye(3) - c[..., :, None] * c[..., None, :]
+        own, h = own + mass[..., 0], h + mass * c
+        tensor = tensor + about + mass[..., None] * square
+    six = [tensor[..., i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    subtree: Any = sum(fields("body_mass", b) for b in descendants(model, body))
+    return {"mass": own[..., None], "h": h, "inertia": np.stack(six, -1), "subtree_mass": subtree[..., None]}
+
+
+def _frame(model: mujoco.MjModel, fields: Fields, body: int) -> dict[str, np.ndarray]:
+    """Pose of a link's body at zero joint angles in the frame of its parent link."""
+    parent = int(model.body_parentid[body])
+    position, matrix = rigid_pose(model, fields, parent, _rigid_root(model, parent))
+    turn = matrix @ _matrix(fields("body_quat", body))
+    return {"pos": position + _apply(matrix, fields("body_pos", body)), "rot": turn.reshape(*turn.shape[:2], 9)}
+
+
+def _reference(solref: np.ndarray, dmax: np.ndarray, model: mujoco.MjModel) -> np.ndarray:
+    """Stiffness K [1/s^2] and damping B [1/s] of a constraint from its solref, (..., 2)."""
+    mixed = (solref[..., 0] > 0) != (solref[..., 1] > 0)
+    solref = np.where(mixed[..., None], [0.02, 1.0], solref)
+    time, ratio = solref[..., 0], solref[..., 1]
+    if not support.disabled(model, "REFSAFE"):
+        time = np.where(time > 0, np.maximum(time, 2 * model.opt.timestep), time)
+    positive = np.where(time > 0, time, 1.0), np.where(ratio > 0, ratio, 1.0)
+    k = np.where(
+        time > 0, 1 / np.maximum(_MINVAL, (dmax * positive[0] * positive[1]) ** 2), -time / np.maximum(_MINVAL, dmax**2)
+    )
+    b = np.where(ratio > 0, 2 / np.maximum(_MINVAL, dmax * positive[0]), -ratio / np.maximum(_MINVAL, dmax))
+    return np.stack([k, b], -1)
+
+
+def _impedance(solimp: np.ndarray) -> np.ndarray:
+    """Clamped (dmin, dmax, width, midpoint, power), written so that a flat impedance needs no case of its own."""
+    low, high, mid = (np.clip(solimp[..., i], _MINIMP, _MAXIMP) for i in (0, 1, 3))
+    width, power = solimp[..., 2], np.maximum(1, solimp[..., 4])
+    flat = (low == high) | (width <= _MINVAL)
+    mean = 0.5 * (low + high)
+    return np.stack([np.where(flat, mean, low), np.where(flat, mean, high), np.where(flat, 1.0, width), mid, power], -1)
+
+
+def _row(solref: np.ndarray, solimp: np.ndarray, model: mujoco.MjModel) -> dict[str, np.ndarray]:
+    dmax = np.clip(solimp[..., 1], _MINIMP, _MAXIMP)
+    return {"reference": _reference(solref, dmax, model), "impedance": _impedance(solimp)}
+
+
+def _touch(model: mujoco.MjModel, fields: Fields, body: int, touch: Touch, geom: int) -> dict[str, np.ndarray]:
+    """Geometry and mixed contact parameters of one geom against one plane (mj_contactParam, mj_makeImpedance)."""
+    plane = touch.plane
+    owner = int(model.geom_bodyid[geom])
+    position, matrix = rigid_pose(model, fields, owner, body)
+    result = {"centre": position + _apply(matrix, fields("geom_pos", geom))}
+    size = fields("geom_size", geom)
+    if touch.kind != support.SPHERE:
+        matrix = matrix @ _matrix(fields("geom_quat", geom))
+    if touch.kind == support.CAPSULE:
+        result["axis"] = matrix[..., 2]
+        result["half"] = size[..., 1:2]
+    if touch.kind == support.BOX:
+        edges = matrix * size[..., None, :]
+        result["edges"] = np.swapaxes(edges, -1, -2).reshape(*edges.shape[:2], 9)
+    result["radius"] = np.zeros((1, 1, 1)) if touch.kind == support.BOX else size[..., 0:1]
+    first, second = model.geom_priority[plane], model.geom_priority[geom]
+    both = {
+        key: (fields(f"geom_{key}", plane), fields(f"geom_{key}", geom)) for key in ("solref", "solimp", "friction")
+    }
+    if first != second:
+        chosen = {key: value[0 if first > second else 1] for key, value in both.items()}
+    else:
+        chosen = _mix(fields("geom_solmix", plane)[..., None], fields("geom_solmix", geom)[..., None], both)
+    mu = np.maximum(_MINMU, chosen["friction"][..., 0:1])
+    weight = (
+        fields("body_invweight0", owner)[..., 0:1] + fields("body_invweight0", int(model.geom_bodyid[plane]))[..., 0:1]
+    )
+    if touch.condim == 3 and model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL:
+        weight = weight * 2 * mu**2 * (1 + mu**2) / np.maximum(_MINVAL, fields("opt.impratio")[..., None])
+    result |= {"friction": mu, "scale": 1 / np.maximum(_MINVAL, weight)}
+    result |= _row(chosen["solref"], chosen["solimp"], model)
+    result["margin"] = (fields("geom_margin", plane) + fields("geom_margin", geom))[..., None]
+    return result
+
+
+def _mix(
+    first: np.ndarray, second: np.ndarray, both: dict[str, tuple[np.ndarray, np.ndarray]]
+) -> dict[str, np.ndarray]:
+    """Contact parameters of two geoms of equal priority, from their solmix weights (..., 1)."""
+    small1, small2 = first < _MINVAL, second < _MINVAL
+    share = np.where(small1 | small2, 1.0, first / np.where(small1 | small2, 1.0, first + second))
+    share = np.where(small1 & small2, 0.5, np.where(small1, 0.0, np.where(small2, 1.0, share)))
+    ref1, ref2 = both["solref"]
+    standard = (ref1[..., 0:1] > 0) & (ref2[..., 0:1] > 0)
+    return {
+        "solref": np.where(standard, share * ref1 + (1 - share) * ref2, np.minimum(ref1, ref2)),
+        "solimp": share * both["solimp"][0] + (1 - share) * both["solimp"][1],
+        "friction": np.maximum(*both["friction"]),
+    }
+
+
+def _joint(model: mujoco.MjModel, fields: Fields, joint: Joint, j: int) -> dict[str, np.ndarray]:
+    """Geometry, passive forces, limit and friction loss of one joint."""
+    dof, adr = int(model.jnt_dofadr[j]), int(model.jnt_qposadr[j])
+    dofs = slice(dof, dof + len(joint.dofs))
+    result = {
+        "ref": fields("qpos0", slice(adr, adr + (7 if joint.kind == FREE else 1))),
+        "damping": fields("dof_damping", dofs),
+        "armature": fields("dof_armature", dofs),
+    }
+    if support.disabled(model, "DAMPER"):
+        result["damping"] = np.zeros((1, 1, len(joint.dofs)))
+    if joint.kind == FREE:
+        return result
+    axis = fields("jnt_axis", j)
+    result |= {"axis": axis, "pos": fields("jnt_pos", j), "spring": fields("qpos_spring", slice(adr, adr + 1))}
+    stiff = np.zeros((1, 1, 1)) if support.disabled(model, "SPRING") else fields("jnt_stiffness", slice(j, j + 1))
+    result |= {"stiffness": stiff, "actfrcrange": fields("jnt_actfrcrange", j)}
+    weight = np.maximum(_MINVAL, fields("dof_invweight0", slice(dof, dof + 1)))
+    if joint.limited:
+        row = _row(fields("jnt_solref", j), fields("jnt_solimp", j), model)
+        result |= {f"limit_{key}": value for key, value in row.items()}
+        result |= {"range": fields("jnt_range", j), "limit_margin": fields("jnt_margin", slice(j, j + 1))}
+        result["limit_scale"] = 1 / weight
+    if joint.friction:
+        row = _row(fields("dof_solref", dof), fields("dof_solimp", dof), model)
+        low = row["impedance"][..., 0:1]  # friction rows sit at zero violation
+        result["loss"] = fields("dof_frictionloss", slice(dof, dof + 1))
+        result["loss_weight"] = low / ((1 - low) * weight)
+        result["loss_damping"] = row["reference"][..., 1:2]
+    return result
+
+
+def _actuator(fields: Fields, a: int) -> dict[str, np.ndarray]:
+    return {
+        "gain": fields("actuator_gainprm", a)[..., :3],
+        "bias": fields("actuator_biasprm", a)[..., :3],
+        "dynamics": fields("actuator_dynprm", a)[..., :2],
+        "gear": fields("actuator_gear", a)[..., :1],
+        "ctrlrange": fields("actuator_ctrlrange", a),
+        "forcerange": fields("actuator_forcerange", a),
+        "actrange": fields("actuator_actrange", a),
+    }
+
+
+def _plane(model: mujoco.MjModel, fields: Fields, geom: int) -> dict[str, np.ndarray]:
+    """Contact frame (normal and two tangents, as mju_makeFrame) and offset of a plane along its normal."""
+    position, matrix = rigid_pose(model, fields, int(model.geom_bodyid[geom]), 0)
+    position = position + _apply(matrix, fields("geom_pos", geom))
+    normal = (matrix @ _matrix(fields("geom_quat", geom)))[..., 2]
+    guess = np.where(np.abs(normal[..., 1:2]) < 0.5, [0.0, 1.0, 0.0], [0.0, 0.0, 1.0])
+    tangent = guess - (guess * normal).sum(-1, keepdims=True) * normal
+    tangent = tangent / np.linalg.norm(tangent, axis=-1, keepdims=True)
+    frame = np.concatenate([normal, tangent, np.cross(normal, tangent)], -1)
+    return {"frame": frame, "offset": (normal * position).sum(-1, keepdims=True)}
+
+
+def derive(model: mujoco.MjModel, plan: Plan, fields: Fields) -> dict[str, np.ndarray]:
+    """All numbers of the step: name -> (N, C, G, k) where they differ between worlds, else (1, 1, G, k)."""
+    table: dict[str, np.ndarray] = {}
+
+    def put(prefix: str, members: list[dict[str, np.ndarray]]) -> None:
+        for key in members[0]:
+            table[f"{prefix}/{key}"] = np.stack(np.broadcast_arrays(*(member[key] for member in members)), axis=2)
+
+    gravity = np.zeros((1, 1, 3)) if support.disabled(model, "GRAVITY") else fields("opt.gravity")
+    options = {key: fields(f"opt.{key}")[..., None] for key in ("density", "viscosity", "impratio")}
+    put("world", [{"gravity": gravity, "wind": fields("opt.wind"), **options}])
+    for plane in sorted({touch.plane for link in plan.links for touch in link.touches}):
+        put(f"plane{plane}", [_plane(model, fields, plane)])
+    for link in plan.links:
+        put(f"{link.index}", [_inertia(model, fields, b) | _frame(model, fields, b) for b in link.bodies])
+        for n, joint in enumerate(link.joints):
+            put(f"{link.index}/joint{n}", [_joint(model, fields, joint, j) for j in joint.ids])
+            for k, actuator in enumerate(joint.actuators):
+                put(f"{link.index}/joint{n}/actuator{k}", [_actuator(fields, a) for a in actuator.ids])
+        for n, touch in enumerate(link.touches):
+            members = zip(link.bodies, touch.geoms, strict=True)
+            put(f"{link.index}/touch{n}", [_touch(model, fields, b, touch, g) for b, g in members])
+    return table
+
+
+def split(table: Mapping[str, np.ndarray]) -> tuple[dict[str, list[Scalar]], dict[str, list[np.ndarray]]]:
+    """Separate a derived table into constants and arrays.
+
+    Returns:
+      name -> list of k constants, and name -> list of k float64 arrays (N, C) or (N, G, C).
+    """
+    constants: dict[str, list[Scalar]] = {}
+    arrays: dict[str, list[np.ndarray]] = {}
+    for key, value in table.items():
+        if value.shape[:2] == (1, 1):
+            constants[key] = [constant(value[0, 0, :, i]) for i in range(value.shape[-1])]
+        else:
+            lanes_last = np.moveaxis(value, 1, -1)  # (N, G, k, C)
+            columns = [lanes_last[:, :, i] for i in range(value.shape[-1])]
+            arrays[key] = [column[:, 0] if value.shape[2] == 1 else column for column in columns]
+    return constants, arrays
+
+
+class Parameters:
+    """The numbers of one chunk while tracing: constants, and the arrays of one slice of the packed leaves."""
+
+    def __init__(self, constants: Mapping[str, list[Scalar]], arrays: Mapping[str, list[jax.Array]]):
+        self._constants, self._arrays = constants, arrays
+
+    def __getitem__(self, key: str) -> list[Scalar]:
+        return list(self._arrays[key]) if key in self._arrays else self._constants[key]
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._arrays or key in self._constants
+
+    def one(self, key: str) -> Scalar:
+        """A quantity with a single component."""
+        (value,) = self[key]
+        return value
+
+    def matrix(self, key: str) -> list[list[Scalar]]:
+        """A quantity with nine components, as three rows."""
+        nine = self[key]
+        return [nine[0:3], nine[3:6], nine[6:9]]

@@ -1,0 +1,89 @@
+"""Constraints on a single dof: joint limits and dry friction."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from btr_mjx.engines.lanes.contacts import impedance
+from btr_mjx.engines.lanes.parameters import Parameters
+from btr_mjx.engines.lanes.scalars import Scalar, add, mul, neg, sub
+from btr_mjx.engines.lanes.tree import FREE, Plan
+
+type Model = tuple[jax.Array, ...]
+
+
+@dataclass
+class Limit:
+    """One side of a joint's range, active where `weight` is not zero."""
+
+    dof: int
+    sign: float
+    """+1 for the lower side: the constraint pushes towards positive velocity."""
+    weight: Scalar
+    reference: Scalar
+
+    def model(self, a: jax.Array) -> Model:
+        """Weight of the row if it pushes at joint acceleration `a`."""
+        return (jnp.where(sub(mul(self.sign, a), self.reference) < 0, self.weight, 0),)
+
+    def effect(self, model: Model) -> tuple[Scalar, Scalar]:
+        """Addition to the dof's diagonal, and force."""
+        return model[0], mul(self.sign, mul(model[0], self.reference))
+
+
+@dataclass
+class Friction:
+    """Friction loss of a dof: a force that opposes motion, bounded by `loss`."""
+
+    dof: int
+    loss: Scalar
+    weight: Scalar
+    reference: Scalar
+
+    def model(self, a: jax.Array) -> Model:
+        """Stiffness and force: inside the bound a stiff damper, outside a constant force."""
+        jar = sub(a, self.reference)
+        pull = mul(self.weight, jar)
+        sticks = (sub(pull, self.loss) < 0) & (add(pull, self.loss) > 0)
+        slip = jnp.where(pull > 0, neg(self.loss), self.loss)
+        force = jnp.where(sticks, mul(self.weight, self.reference), slip)
+        return jnp.where(sticks, self.weight, 0), force
+
+    def effect(self, model: Model) -> tuple[Scalar, Scalar]:
+        """Addition to the dof's diagonal, and force."""
+        return model[0], model[1]
+
+
+def dof_rows(
+    plan: Plan, parameters: Parameters, q: Sequence[Sequence[jax.Array]], v: Sequence[jax.Array]
+) -> list[Limit | Friction]:
+    """All limit and friction rows of a chunk (mj_instantiateLimit, mj_instantiateFriction)."""
+    found: list[Limit | Friction] = []
+    coordinates = iter(q)
+    for link in plan.links:
+        for n, joint in enumerate(link.joints):
+            here = next(coordinates)
+            key = f"{link.index}/joint{n}"
+            if joint.kind == FREE:
+                continue
+            dof = joint.dofs[0]
+            if joint.friction:
+                reference = mul(neg(parameters.one(f"{key}/loss_damping")), v[dof])
+                loss, weight = parameters.one(f"{key}/loss"), parameters.one(f"{key}/loss_weight")
+                found.append(Friction(dof, loss, mul(weight, jnp.ones_like(v[dof])), reference))
+            if joint.limited:
+                lower, upper = parameters[f"{key}/range"]
+                for sign, distance in ((1.0, sub(here[0], lower)), (-1.0, sub(upper, here[0]))):
+                    found.append(_limit(parameters, key, dof, sign, distance, v[dof]))
+    return found
+
+
+def _limit(parameters: Parameters, key: str, dof: int, sign: float, distance: Scalar, v: jax.Array) -> Limit:
+    beyond = sub(distance, parameters.one(f"{key}/limit_margin"))
+    imp = impedance(parameters[f"{key}/limit_impedance"], beyond)
+    stiffness, damping = parameters[f"{key}/limit_reference"]
+    strength = mul(parameters.one(f"{key}/limit_scale"), imp / (1.0 - imp))
+    reference = sub(mul(neg(damping), mul(sign, v)), mul(mul(stiffness, imp), beyond))
+    return Limit(dof, sign, jnp.where(beyond < 0, strength, 0), reference)

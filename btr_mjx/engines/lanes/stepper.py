@@ -1,0 +1,232 @@
+"""The lanes engine's `Stepper`: one MuJoCo step for a chunk of worlds, the batch in the SIMD lanes."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from btr_mjx.engines.base import Leaves
+from btr_mjx.engines.lanes import support
+from btr_mjx.engines.lanes.actuation import actuate, rows, springs
+from btr_mjx.engines.lanes.contacts import contacts
+from btr_mjx.engines.lanes.dynamics import dof_matrix, inertia_and_bias, to_world
+from btr_mjx.engines.lanes.integrate import advance
+from btr_mjx.engines.lanes.kinematics import motions
+from btr_mjx.engines.lanes.parameters import VARYING, Fields, Parameters, base_field, derive, matters, split
+from btr_mjx.engines.lanes.retrace import retrace
+from btr_mjx.engines.lanes.rows import dof_rows
+from btr_mjx.engines.lanes.scalars import add, array, group_sum, scale, total, vsub
+from btr_mjx.engines.lanes.solver import constrained_acceleration
+from btr_mjx.engines.lanes.spatial import times
+from btr_mjx.engines.lanes.tree import FREE, make_plan
+
+
+@jax.tree_util.register_dataclass
+@dataclass
+class State:
+    """State of a chunk of C worlds; every array is (C,), or (G, C) for the members of a group."""
+
+    q: list[list[jax.Array]]
+    """Per joint of the plan: 7 coordinates of a free joint (position, unit quaternion), else 1."""
+    v: list[jax.Array]
+    """Velocity per dof, MuJoCo's conventions."""
+    act: list[jax.Array]
+    """Activation states."""
+    acceleration: list[jax.Array]
+    """Last acceleration per dof, angular parts of free joints in world axes: the next step's first guess."""
+    power: jax.Array
+    """Sum over actuators of |force x velocity| in the last step [W], (C,)."""
+    capped: jax.Array
+    """Whether the solver reached its bound in the last step, bool (C,)."""
+
+
+class LanesStepper:
+    """MuJoCo steps for chunks of worlds whose models differ only in the numbers of some fields.
+
+    Computes trees of free, hinge and slide joints over planes; see `support.check` for what is refused. The solver runs
+    to convergence whatever the model's iteration limits and tolerances say.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        varying: Iterable[str] | Mapping[str, np.ndarray] = (),
+        *,
+        max_newton: int = 20,
+        dtype: Any = None,
+    ):
+        """Initialises the engine for one model structure.
+
+        Args:
+          model: the base model; fields that are not in `varying` are compiled in.
+          varying: fields that differ between worlds, by MjModel's names ("opt.gravity" for options). As a mapping, the
+            values are bool arrays of the field's shape: the elements that may differ. Fields without influence on the
+            motion (colours, bounding boxes, ...) are ignored.
+          max_newton: bound on the solver's iterations per step.
+          dtype: float32 or float64; None for JAX's present default.
+
+        Raises:
+          UnsupportedModel: the model uses something that this engine does not compute, or a field of `varying` may
+            not differ between worlds.
+          ValueError: a mask of `varying` has the wrong shape.
+        """
+        self._model, self._dtype, self._max_newton = model, np.dtype(dtype or jnp.result_type(float)), max_newton
+        self.nq, self.nv, self.nu = int(model.nq), int(model.nv), int(model.nu)
+        self.timestep = float(model.opt.timestep)
+        pairs = support.check(model)
+        self._masks = self._read_masks(varying)
+        friction = (np.asarray(model.dof_frictionloss) != 0) | self._masks.get(
+            "dof_frictionloss", np.zeros(self.nv, bool)
+        )
+        if support.disabled(model, "CONSTRAINT") or support.disabled(model, "FRICTIONLOSS"):
+            friction = np.zeros(self.nv, bool)
+        self._plan = make_plan(model, pairs, friction)
+        twice = {name: np.stack([base_field(model, name)] * 2)[None] for name in self._masks}
+        table = derive(model, self._plan, Fields(model, self._masks, twice))
+        self._constants, arrays = split(table)
+        self._varying_names = frozenset(arrays)
+
+    def _read_masks(self, varying: Iterable[str] | Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Field name -> bool array of the field's shape."""
+        masks = {}
+        for name in sorted(varying):
+            if not matters(name):
+                continue
+            if name not in VARYING:
+                raise support.refuse(f"a field {name!r} that differs between worlds")
+            shape = base_field(self._model, name).shape
+            mask = np.asarray(varying[name], bool) if isinstance(varying, Mapping) else np.ones(shape, bool)
+            if mask.shape != shape:
+                raise ValueError(f"mask of field {name!r} has shape {mask.shape}, expected {shape}")
+            masks[name] = mask
+        return masks
+
+    def pack(self, leaves: Leaves) -> dict[str, list[np.ndarray]]:
+        """Lay per-world model fields out for this engine (numpy, on the host).
+
+        Args:
+          leaves: MjModel field name -> (N, C, *field shape): N chunks of C worlds, for every field of `varying`.
+
+        Returns:
+          name -> list of arrays with leading axis N; `initial` and `step` take one slice of it.
+
+        Raises:
+          ValueError: a field of `varying` is missing, a field is given that does not vary, or a shape is wrong.
+        """
+        if {name for name in leaves if matters(name)} != set(self._masks):
+            raise ValueError(f"got the fields {sorted(leaves)}, expected those that vary: {sorted(self._masks)}")
+        for name, mask in self._masks.items():
+            if leaves[name].shape[2:] != mask.shape:
+                raise ValueError(f"field {name!r} has shape {leaves[name].shape}, expected (N, C, *{mask.shape})")
+        _, arrays = split(derive(self._model, self._plan, Fields(self._model, self._masks, leaves)))
+        return {key: [column.astype(self._dtype) for column in columns] for key, columns in arrays.items()}
+
+    def _shape(self, size: int, chunk: int) -> tuple[int, ...]:
+        return (chunk,) if size == 1 else (size, chunk)
+
+    def initial(self, params: Mapping[str, list[jax.Array]], chunk: int) -> State:
+        """State of `chunk` worlds at rest in the model's qpos0, with actuator activations zero."""
+        parameters = Parameters(self._constants, params)
+        q: list[list[jax.Array]] = []
+        v: list[jax.Array] = []
+        act: dict[int, jax.Array] = {}
+        for link in self._plan.links:
+            shape = self._shape(link.size, chunk)
+            for n, joint in enumerate(link.joints):
+                q.append([array(x, shape, self._dtype) for x in parameters[f"{link.index}/joint{n}/ref"]])
+                v += [jnp.zeros(shape, self._dtype) for _ in joint.dofs]
+                act |= {a.state: jnp.zeros(shape, self._dtype) for a in joint.actuators if a.state >= 0}
+        lanes = jnp.zeros(chunk, self._dtype)
+        acts = [act[i] for i in range(self._plan.states)]
+        return State(q, v, acts, [jnp.zeros_like(x) for x in v], lanes, lanes > 0)
+
+    def state(self, qpos: Any, qvel: Any, act: Any = None) -> State:
+        """State of a chunk from MuJoCo's arrays.
+
+        Args:
+          qpos: positions (nq, C).
+          qvel: velocities (nv, C).
+          act: activations (na, C); zero if None.
+        """
+        qpos, qvel = jnp.asarray(qpos, self._dtype), jnp.asarray(qvel, self._dtype)
+        q, v, acts = [], [], [jnp.zeros(0)] * self._plan.states
+        for joint in (joint for link in self._plan.links for joint in link.joints):
+            positions, dofs = (
+                np.array([adr[j] for j in joint.ids]) for adr in (self._model.jnt_qposadr, self._model.jnt_dofadr)
+            )
+            q.append([rows(qpos, positions + i) for i in range(7 if joint.kind == FREE else 1)])
+            v += [rows(qvel, dofs + i) for i in range(len(joint.dofs))]
+            for a in joint.actuators:
+                if a.state >= 0:
+                    adr = np.array([self._model.actuator_actadr[i] for i in a.ids])
+                    acts[a.state] = jnp.zeros_like(v[-1]) if act is None else rows(jnp.asarray(act, self._dtype), adr)
+        lanes = jnp.zeros(qpos.shape[-1], self._dtype)
+        return State(q, v, acts, [jnp.zeros_like(x) for x in v], lanes, lanes > 0)
+
+    def step(self, params: Mapping[str, list[jax.Array]], state: State, ctrl: jax.Array) -> State:
+        """Advance by one time step under controls of shape (nu, C)."""
+        return retrace(self._step)(params, state, ctrl)
+
+    def _step(self, params: Mapping[str, list[jax.Array]], state: State, ctrl: jax.Array) -> State:
+        model, plan = self._model, self._plan
+        parameters = Parameters(self._constants, params)
+        q, v = state.q, state.v
+        moving = motions(plan, parameters, q, v)
+        mass, bias = inertia_and_bias(plan, parameters, moving)
+        actuation = actuate(model, plan, parameters, q, v, state.act, ctrl)
+        damping = dof_matrix(plan, parameters, moving, "damping")
+        smooth = vsub(scale(-1.0, bias), times(plan, damping, to_world(plan, moving, v)))
+        for force in (actuation.force, springs(plan, parameters, q)):
+            for dof, value in force.items():
+                smooth[dof] = add(smooth[dof], value)
+        constraints = [*dof_rows(plan, parameters, q, v), *contacts(plan, parameters, moving, self._dtype)]
+        found, capped = constrained_acceleration(
+            plan, moving, constraints, mass, smooth, state.acceleration, self._max_newton
+        )
+        following = advance(model, plan, moving, q, v, mass, damping, actuation.damping, found)
+        power = total(group_sum(p, size) for p, size in actuation.power)
+        return State(*following, actuation.act, found, array(power, capped.shape, self._dtype), capped)
+
+    def qpos(self, state: State) -> jax.Array:
+        """Generalised positions (nq, C), MuJoCo's order and conventions."""
+        adr = self._model.jnt_qposadr
+        joints = [joint for link in self._plan.links for joint in link.joints]
+        found = [
+            (adr[j] + i, x, member)
+            for joint, xs in zip(joints, state.q, strict=True)
+            for i, x in enumerate(xs)
+            for member, j in enumerate(joint.ids)
+        ]
+        return _in_order(found)
+
+    def qvel(self, state: State) -> jax.Array:
+        """Generalised velocities (nv, C), MuJoCo's order and conventions."""
+        return self._dofs_in_order(state.v)
+
+    def _dofs_in_order(self, values: Sequence[jax.Array]) -> jax.Array:
+        adr = self._model.jnt_dofadr
+        joints = [joint for link in self._plan.links for joint in link.joints]
+        found = [
+            (adr[j] + i, values[k], member)
+            for joint in joints
+            for i, k in enumerate(joint.dofs)
+            for member, j in enumerate(joint.ids)
+        ]
+        return _in_order(found)
+
+    def power(self, state: State) -> jax.Array:
+        """Sum over actuators of |force x velocity| in the last step [W], shape (C,)."""
+        return state.power
+
+    def capped(self, state: State) -> jax.Array:
+        """Whether the constraint solver stopped at its iteration cap in the last step, bool (C,)."""
+        return state.capped
+
+
+def _in_order(rows: Sequence[tuple[int, jax.Array, int]]) -> jax.Array:
+    """Stack rows (address, array (C,) or (G, C), member) by address."""
+    return jnp.stack([x[member] if x.ndim == 2 else x for _, x, member in sorted(rows, key=lambda row: row[0])])

@@ -1,0 +1,253 @@
+"""From an MjModel to a static plan: which bodies form a rigid link, which links are alike, which dofs depend on which.
+
+Bodies without joints are fused into the nearest ancestor that has some. Sibling subtrees with the same structure (the
+legs of a robot) become one *group*: a single chain of links whose scalars carry a leading axis G. Groups are not
+nested; inside a group every link keeps its G.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
+HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """Actuators with joint transmission that sit on the same joint of every member of a group."""
+
+    ids: tuple[int, ...]
+    """MuJoCo actuator of each member."""
+    state: int
+    """Index into the activation list of the state, -1 if the actuator has none."""
+
+
+@dataclass(frozen=True)
+class Joint:
+    """The same joint of every member of a group."""
+
+    kind: int
+    """mujoco.mjtJoint: free, slide or hinge."""
+    ids: tuple[int, ...]
+    """MuJoCo joint of each member."""
+    dofs: tuple[int, ...]
+    """Dofs of the plan."""
+    limited: bool
+    friction: bool
+    """Whether some member has, or may have, dof friction loss."""
+    actuators: tuple[Actuator, ...]
+
+
+@dataclass(frozen=True)
+class Touch:
+    """A geom of every member of a group against one plane of the world."""
+
+    plane: int
+    """MuJoCo geom of the plane."""
+    geoms: tuple[int, ...]
+    """MuJoCo geom of each member."""
+    kind: int
+    """mujoco.mjtGeom: sphere, capsule or box."""
+    condim: int
+    """1 or 3, after MuJoCo's mixing of both geoms."""
+
+
+@dataclass(frozen=True)
+class Link:
+    """A rigid body with at least one joint, in each of `size` alike subtrees."""
+
+    index: int
+    parent: int
+    """Index of the parent link, -1 for the world; parents come before children."""
+    size: int
+    """Members of the group; 1 means no group axis."""
+    bodies: tuple[int, ...]
+    """The MuJoCo body that carries the joints, of each member."""
+    joints: tuple[Joint, ...]
+    touches: tuple[Touch, ...]
+
+    @property
+    def dofs(self) -> tuple[int, ...]:
+        """Dofs of the plan that move this link relative to its parent."""
+        return tuple(k for joint in self.joints for k in joint.dofs)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Static structure of all trees of a model. One dof of the plan stands for `dof_size` dofs of MuJoCo."""
+
+    links: tuple[Link, ...]
+    dof_size: tuple[int, ...]
+    ancestors: tuple[tuple[int, ...], ...]
+    """Of each dof, the dofs before it on the way from the root, ascending."""
+    states: int
+    """Number of activation states of the plan."""
+
+    def chain(self, link: Link) -> list[Link]:
+        """The link and its ancestors, from the link to the root."""
+        chain = [link]
+        while chain[-1].parent >= 0:
+            chain.append(self.links[chain[-1].parent])
+        return chain
+
+
+def rigid_members(model: mujoco.MjModel, body: int) -> list[int]:
+    """The body and its descendants that move rigidly with it."""
+    members = [body]
+    for b in range(body + 1, model.nbody):
+        if model.body_jntnum[b] == 0 and model.body_parentid[b] in members:
+            members.append(b)
+    return members
+
+
+def descendants(model: mujoco.MjModel, body: int) -> list[int]:
+    """The body and everything below it."""
+    found = [body]
+    for b in range(body + 1, model.nbody):
+        if model.body_parentid[b] in found:
+            found.append(b)
+    return found
+
+
+class _Builder:
+    """Walks the kinematic tree once; `build` returns the plan."""
+
+    def __init__(self, model: mujoco.MjModel, pairs: Mapping[int, list[tuple[int, int]]], friction: np.ndarray):
+        """Initialises the walk.
+
+        Args:
+          model: the model.
+          pairs: geom -> (plane geom, condim) of all its possible contacts.
+          friction: bool (nv,), dofs that have or may have friction loss.
+        """
+        self.model, self.pairs, self.friction = model, pairs, friction
+        self.links: list[Link] = []
+        self.dof_size: list[int] = []
+        self.ancestors: list[tuple[int, ...]] = []
+        self.states = 0
+        self.members = {b: rigid_members(model, b) for b in range(model.nbody) if b == 0 or model.body_jntnum[b]}
+        joint_actuators: dict[int, list[int]] = {}
+        for a in range(model.nu):
+            joint_actuators.setdefault(int(model.actuator_trnid[a, 0]), []).append(a)
+        self.actuators = joint_actuators
+        self.signatures: dict[int, str] = {}
+        for b in reversed(sorted(self.members)):
+            self.signatures[b] = self._signature(b)
+
+    def _children(self, body: int) -> list[int]:
+        """Jointed bodies directly below a link, alike ones next to each other in MuJoCo's order."""
+        m = self.model
+        below = [b for b in range(body + 1, m.nbody) if m.body_jntnum[b] and m.body_parentid[b] in self.members[body]]
+        return sorted(below, key=lambda b: (self.signatures[b], b))
+
+    def _joints(self, body: int) -> range:
+        start = int(self.model.body_jntadr[body])
+        return range(start, start + int(self.model.body_jntnum[body])) if body else range(0)
+
+    def _touching(self, body: int) -> list[int]:
+        return [
+            g for g in range(self.model.ngeom) if self.model.geom_bodyid[g] in self.members[body] and g in self.pairs
+        ]
+
+    def _signature(self, body: int) -> str:
+        """Text that is equal for subtrees that can share one trace."""
+        m = self.model
+        joints = []
+        for j in self._joints(body):
+            dof = int(m.jnt_dofadr[j])
+            acts = [
+                (
+                    int(m.actuator_dyntype[a]),
+                    int(m.actuator_gaintype[a]),
+                    int(m.actuator_biastype[a]),
+                    bool(m.actuator_ctrllimited[a]),
+                    bool(m.actuator_forcelimited[a]),
+                    bool(m.actuator_actlimited[a]),
+                    int(m.actuator_actnum[a]),
+                    m.actuator_delay[a].item(),
+                    tuple(m.actuator_history[a].tolist()),
+                    m.actuator_dynprm[a, 0].item() > 0,
+                )
+                for a in self.actuators.get(j, [])
+            ]
+            joints.append(
+                (
+                    int(m.jnt_type[j]),
+                    bool(m.jnt_limited[j]),
+                    bool(m.jnt_actfrclimited[j]),
+                    bool(self.friction[dof]),
+                    acts,
+                )
+            )
+        touches = [(int(m.geom_type[g]), self.pairs[g]) for g in self._touching(body)] if body else []
+        return repr((joints, touches, [self.signatures[b] for b in self._children(body)]))
+
+    def _add(self, parent: int, bodies: tuple[int, ...]) -> None:
+        """Append the link of one or more alike bodies, then everything below."""
+        m, size, index = self.model, len(bodies), len(self.links)
+        above = self._dofs_to_root(parent)
+        joints = []
+        for slot in zip(*(self._joints(b) for b in bodies), strict=True):
+            kind = int(m.jnt_type[slot[0]])
+            dofs = []
+            for _ in range(6 if kind == FREE else 1):
+                dofs.append(len(self.dof_size))
+                self.dof_size.append(size)
+                self.ancestors.append(tuple(above))
+                above = [*above, dofs[-1]]
+            actuators = []
+            for ids in zip(*(self.actuators.get(j, []) for j in slot), strict=True):
+                stateful = m.actuator_actnum[ids[0]] > 0
+                actuators.append(Actuator(ids, self.states if stateful else -1))
+                self.states += int(stateful)
+            dof = int(m.jnt_dofadr[slot[0]])
+            joints.append(
+                Joint(kind, slot, tuple(dofs), bool(m.jnt_limited[slot[0]]), bool(self.friction[dof]), tuple(actuators))
+            )
+        touches = [
+            Touch(plane, geoms, int(m.geom_type[geoms[0]]), condim)
+            for geoms in zip(*(self._touching(b) for b in bodies), strict=True)
+            for plane, condim in self.pairs[geoms[0]]
+        ]
+        self.links.append(Link(index, parent, size, bodies, tuple(joints), tuple(touches)))
+        self._descend(index, bodies)
+
+    def _descend(self, index: int, bodies: tuple[int, ...]) -> None:
+        if len(bodies) > 1:  # already a group: its members' children in parallel
+            for children in zip(*(self._children(b) for b in bodies), strict=True):
+                self._add(index, children)
+            return
+        alike: dict[str, list[int]] = {}
+        for child in self._children(bodies[0]):
+            alike.setdefault(self.signatures[child], []).append(child)
+        for group in sorted(alike.values()):
+            self._add(index, tuple(group))
+
+    def _dofs_to_root(self, parent: int) -> list[int]:
+        dofs: list[int] = []
+        while parent >= 0:
+            dofs = [*self.links[parent].dofs, *dofs]
+            parent = self.links[parent].parent
+        return dofs
+
+    def build(self) -> Plan:
+        self._descend(-1, (0,))
+        return Plan(tuple(self.links), tuple(self.dof_size), tuple(self.ancestors), self.states)
+
+
+def make_plan(model: mujoco.MjModel, pairs: Mapping[int, list[tuple[int, int]]], friction: np.ndarray) -> Plan:
+    """Walk the kinematic tree of a model.
+
+    Args:
+      model: the model; must have passed `support.check`.
+      pairs: geom -> (plane geom, condim) of all its possible contacts (`support.check` finds them).
+      friction: bool (nv,), dofs that have or may have friction loss.
+
+    Returns:
+      The static plan; links in depth-first order.
+    """
+    return _Builder(model, pairs, friction).build()
