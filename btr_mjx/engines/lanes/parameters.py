@@ -36,7 +36,7 @@ _BYSTANDERS = frozenset(
         "geom_": "aabb rbound rgba",
         "dof_": "M0 length",
         "actuator_": "acc0 length0 lengthrange cranklength",
-        "opt.": "magnetic tolerance ls_tolerance noslip_tolerance ccd_tolerance sleep_tolerance iterations ls_iterations",
+        "opt.": "magnetic tolerance ls_tolerance ccd_tolerance sleep_tolerance iterations ls_iterations",
     }.items()
     for field in fields.split()
 )
