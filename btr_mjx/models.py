@@ -129,8 +129,9 @@ def _compiled_row(robot: Robot, simulation: bytes) -> dict[str, np.ndarray]:
     model = compile_mjcf(robot, robot.render(values))
     for name, expected in _constant_fields(robot).items():
         if not np.array_equal(read_field(model, name), expected):
+            where = dict(zip(robot.simulation_box.names, values.tolist(), strict=True))
             raise InputError(
-                f"{robot.template_path}: {name} changes at {dict(zip(robot.simulation_box.names, values.tolist(), strict=True))} "
+                f"{robot.template_path}: {name} changes at {where} "
                 "but not at the probes across the box; a batch needs fields that depend smoothly on the parameters"
             )
     return {name: read_field(model, name).astype(np.float64) for name in varying_fields(robot)}

@@ -33,7 +33,8 @@ from btr_mjx.spaces import Box
 Signal = Callable[[Any, Any, Any], Any]
 """signal(controller, time, xp): controls (n_u, ...) at one time [s] of controllers (n_c, ...).
 
-xp is numpy or jax.numpy. The parameters come first and the batch last. Only elementwise arithmetic of `xp` may be used on the batch.
+xp is numpy or jax.numpy. The parameters come first and the batch last. Only elementwise arithmetic of `xp` may be used
+on the batch.
 """
 
 

@@ -67,8 +67,9 @@ def delta(
     Raises:
       InputError: bad parameters, or as many fitnesses as there are controllers are not given.
     """
+    how = settings or EngineSettings()
     evaluation = evaluate(
-        robot, simulations, controllers, engine=engine, fitness=fitness, settings=settings or EngineSettings(), progress=progress
+        robot, simulations, controllers, engine=engine, fitness=fitness, settings=how, progress=progress
     )
     return fitness_room.delta(evaluation.fitness, f_real)
 

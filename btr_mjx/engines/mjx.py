@@ -143,6 +143,7 @@ def _without_pid(model: mujoco.MjModel) -> tuple[mujoco.MjModel, bool]:
     plain.actuator_gaintype[pid] = mujoco.mjtGain.mjGAIN_FIXED
     plain.actuator_dyntype[pid] = mujoco.mjtDyn.mjDYN_NONE
     plain.actuator_gainprm[pid, 0] = -model.actuator_biasprm[pid, 1]
+    plain.actuator_dynprm[pid, 0] = 1.0  # MuJoCo's default, as a <position> actuator has it
     plain.actuator_actadr[pid] = -1
     plain.actuator_actnum[pid] = 0
     return plain, bool(pid.any())

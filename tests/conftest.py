@@ -1,0 +1,34 @@
+"""Shared fixtures. Programs are compiled once per session: robots are values, so every test shares them."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from btr_mjx.robots import Robot, hexapod
+
+
+@pytest.fixture(scope="session")
+def robot() -> Robot:
+    """The hexapod, tried for 60 steps only."""
+    return dataclasses.replace(hexapod(), duration=0.03)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20240607)
+
+
+SMALL_RUN = (
+    "--engine=native",
+    "--duration=0.05",
+    "--controllers=8",
+    "--controller-generations=2",
+    "--trials=3",
+    "--simulations=6",
+    "--simulation-generations=2",
+    "--iterations=2",
+    "--no-figures",
+    "--no-progress",
+)
+"""Flags of a co-evolution that takes a few seconds."""
