@@ -5,7 +5,7 @@ import io
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -20,6 +20,10 @@ from btr_mjx.evolution import (
     state_to_arrays,
 )
 from btr_mjx.spaces import Box
+
+# Reproducible examples, and no time limits on a busy machine.
+settings.register_profile("steady", deadline=None, derandomize=True)
+settings.load_profile("steady")
 
 KINDS = ["uniform", "one_point", "two_point"]
 LOW, HIGH = 0.4, 1.6

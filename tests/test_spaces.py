@@ -4,10 +4,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from btr_mjx.spaces import Box, bits_to_index, index_to_bits
+
+# Reproducible examples, and no time limits on a busy machine.
+settings.register_profile("steady", deadline=None, derandomize=True)
+settings.load_profile("steady")
 
 LIMBS = Box([f"bl_{i}" for i in range(3, 15)], 0.4, 1.6, units="m")
 
