@@ -215,7 +215,8 @@ def side_spearman(delta: ArrayLike, values: ArrayLike, truth: float) -> Floats:
       truth: the true value; a grid point there belongs to both sides.
 
     Returns:
-      (..., 2) rho below and above the truth; NaN for a side with fewer than two points.
+      (..., 2) rho below and above the truth; NaN for a side with fewer than three finite points, of which any two are
+      in perfect order, one way or the other.
 
     Raises:
       ValueError: shapes that do not match.
@@ -225,7 +226,11 @@ def side_spearman(delta: ArrayLike, values: ArrayLike, truth: float) -> Floats:
         raise ValueError(f"values: got shape {grid.shape}, expected (G,): one grid for all curves")
     y, _ = _curves(delta, grid, "values")
     error = np.abs(grid - truth)
-    return np.stack([spearman(y[..., side], error[side]) for side in (grid <= truth, grid >= truth)], axis=-1)
+    sides = []
+    for side in (grid <= truth, grid >= truth):
+        enough = np.isfinite(y[..., side]).sum(axis=-1) >= 3
+        sides.append(np.where(enough, spearman(y[..., side], error[side]), np.nan))
+    return np.stack(sides, axis=-1)
 
 
 def monotonicity(delta: ArrayLike, error: ArrayLike) -> Floats:

@@ -215,7 +215,8 @@ def test_each_side_of_the_truth():
     shuffled = np.random.default_rng(0).permutation(13)
     sides = side_spearman(wrong_above[:, shuffled], grid[shuffled], truth)
     np.testing.assert_allclose(sides, [[1, 1], [1, -1]])
-    np.testing.assert_array_equal(side_spearman(lopsided, grid, 1.6)[1], np.nan)  # only the last point is on that side
+    for truth_at, expected in ((-1, np.nan), (-2, np.nan), (-3, 1.0)):  # one, two, three points on that side
+        np.testing.assert_array_equal(side_spearman(lopsided, grid, grid[truth_at])[1], expected)
     between = side_spearman(np.abs(grid - 0.85), grid, 0.85)
     np.testing.assert_allclose(between, [1, 1])
 
