@@ -162,7 +162,7 @@ def generator_to_json(generator: np.random.Generator) -> dict[str, Any]:
         raise ValueError(f"expected one of {', '.join(BIT_GENERATORS)}, got {state['bit_generator']}")
     seeds = bits.seed_seq
     if isinstance(seeds, np.random.SeedSequence):
-        state["seed_sequence"] = {**seeds.state, "n_children_spawned": seeds.n_children_spawned}
+        state["seed_sequence"] = seeds.state
     return _pack(state)
 
 
@@ -181,7 +181,7 @@ def generator_from_json(data: Mapping[str, Any]) -> np.random.Generator:
         # The seed is overwritten below; it only keeps `spawn` in step, and no entropy is drawn from the system.
         bits = BIT_GENERATORS[name](np.random.SeedSequence(**seeds) if seeds else 0)
         bits.state = state
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(f"generator state: not a valid state of {name} ({error})") from error
     return np.random.Generator(bits)
 

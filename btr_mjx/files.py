@@ -212,12 +212,11 @@ def read_arrays(path: str | Path, *, require_digest: bool = False) -> dict[str, 
             raise DamagedFile(f"{path}: no checksum at the end, the file was cut short or is of another origin")
         file.seek(0)
         try:
-            with np.load(file, allow_pickle=False) as archive:
-                if not isinstance(archive, np.lib.npyio.NpzFile):
-                    raise DamagedFile(f"{path}: not a .npz file")
+            archive = np.load(file, allow_pickle=False)
+            if isinstance(archive, np.ndarray):
+                raise ValueError("it holds a single .npy array")
+            with archive:
                 return {name: archive[name] for name in archive.files}
-        except DamagedFile:
-            raise
         except Exception as error:  # zipfile and numpy raise a dozen types for bytes that make no sense
             raise DamagedFile(f"{path}: not a readable .npz file ({error})") from error
 

@@ -79,25 +79,33 @@ class _Lines:
 
 
 class _LineBar(tqdm):
-    """tqdm without the bar; the line is padded by nobody and erased by nobody."""
+    """tqdm that prints a line now and then: at the beginning, at intervals and at the end."""
+
+    _drawn: tuple[float, Any, Any] | None = None
+
+    def refresh(self, *args: Any, **options: Any) -> None:
+        # set_postfix() and set_description() ask for a redraw at once, which would be a line each time
+        now = self._time()
+        if self._drawn is None or now - self._drawn[0] >= self.mininterval:
+            self._drawn = (now, self.n, self.postfix)
+            self.display()
+
+    def close(self) -> None:
+        if self._drawn is not None and self._drawn[1:] == (self.n, self.postfix):
+            self.leave = False  # the last line says it all
+        super().close()
 
     @staticmethod
     def status_printer(file: Any) -> Any:
-        last = [""]
-
-        def show(text: str) -> None:
-            if text != last[0]:  # close() draws once more what update() has just drawn
-                last[0] = text
-                file.write(text)
-                file.flush()
-
-        return show
+        return file.write
 
     @staticmethod
     def format_meter(n: Any, total: Any, elapsed: float, **options: Any) -> str:
+        description = (options.get("prefix") or "").removesuffix(": ")  # set_description() has put it there already
         head = "{desc}{percentage:.0f}% {n_fmt}/{total_fmt}" if total else "{desc}{n_fmt} {unit}"
         tail = " [{elapsed}<{remaining}, {rate_fmt}{postfix}]" if total else " [{elapsed}, {rate_fmt}{postfix}]"
-        return tqdm.format_meter(n, total, elapsed, **{**options, "bar_format": head + tail, "ncols": None})
+        options |= {"prefix": description and f"{description}: ", "bar_format": head + tail, "ncols": None}
+        return tqdm.format_meter(n, total, elapsed, **options)
 
 
 class StopRequest:
