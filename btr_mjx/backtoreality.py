@@ -46,7 +46,7 @@ def begin(problem: Problem, genome: np.ndarray | None = None) -> State:
       InputError: bad start or unknown names.
     """
     start = problem.robot.simulation_box.validate(problem.start, "start simulation")
-    problem.embed(start[problem.robot.simulation_box.indices(problem.unknown)])
+    problem.simulation_box.encode(start[problem.robot.simulation_box.indices(problem.unknown)])
     box = problem.controller_box
     first = box.random_genomes(_rng(problem, 0, 0)) if genome is None else box.validate_genomes(genome)
     trials = Trials(np.zeros((0, box.n)), np.zeros(0), np.zeros(0), np.zeros(0, int))

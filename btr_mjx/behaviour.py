@@ -171,7 +171,7 @@ def _evaluation(
 def _sample_steps(robot: Robot, times: ArrayLike | None, timestep: float) -> np.ndarray:
     wanted = np.atleast_1d(np.asarray(robot.duration if times is None else times, np.float64))
     steps = np.round(wanted / timestep)
-    if wanted.ndim != 1 or not np.all(np.isfinite(steps)) or np.any(np.diff(steps, prepend=0) < 1):
+    if wanted.ndim != 1 or not wanted.size or not np.all(np.isfinite(steps)) or np.any(np.diff(steps, prepend=0) < 1):
         raise InputError(
             f"times: got {wanted.tolist()}, expected ascending times at least one step of {timestep} s apart"
         )

@@ -31,6 +31,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from btr_mjx.errors import InputError
 from btr_mjx.spaces import Box
 
 Crossover = Literal["uniform", "one_point", "two_point"]
@@ -55,7 +56,7 @@ def mutate(genomes: NDArray[np.bool_], p_m: float, rng: np.random.Generator) -> 
       (..., n_bits) new genomes.
 
     Raises:
-      ValueError: p_m outside [0, 1].
+      InputError: p_m outside [0, 1].
     """
     _probability("p_m", p_m)
     return genomes ^ (rng.random(genomes.shape) < p_m)
@@ -81,11 +82,11 @@ def crossover(
       (..., n_bits) children; every bit is that of one of the two parents.
 
     Raises:
-      ValueError: shapes differ, p_c outside [0, 1], unknown kind.
+      InputError: shapes differ, p_c outside [0, 1], unknown kind.
     """
     _probability("p_c", p_c)
     if first.shape != second.shape:
-        raise ValueError(f"crossover: got parents of shapes {first.shape} and {second.shape}, expected equal shapes")
+        raise InputError(f"crossover: got parents of shapes {first.shape} and {second.shape}, expected equal shapes")
     n, pairs = first.shape[-1], (*first.shape[:-1], 1)
     # Both cuts leave at least one bit to either parent, where there are two bits to share.
     if kind == "uniform":
@@ -95,13 +96,13 @@ def crossover(
     elif kind == "two_point":
         from_second = (np.arange(n) - rng.integers(0, n, pairs)) % n < rng.integers(1, max(n, 2), pairs)
     else:
-        raise ValueError(f"crossover: got {kind!r}, expected one of {', '.join(map(repr, get_args(Crossover)))}")
+        raise InputError(f"crossover: got {kind!r}, expected one of {', '.join(map(repr, get_args(Crossover)))}")
     return np.where(from_second & (rng.random(pairs) < p_c), second, first)
 
 
 def _probability(name: str, value: float) -> None:
     if not 0 <= value <= 1:  # catches NaN too
-        raise ValueError(f"{name}: got {value!r}, expected a probability within [0, 1]")
+        raise InputError(f"{name}: got {value!r}, expected a probability within [0, 1]")
 
 
 def _frozen(array: ArrayLike, dtype: Any = None) -> NDArray:
@@ -136,18 +137,18 @@ class GAConfig:
     def __post_init__(self):
         """Check the ranges."""
         if not isinstance(self.maximise, bool):
-            raise ValueError(f"maximise: got {self.maximise!r}, expected True or False")
+            raise InputError(f"maximise: got {self.maximise!r}, expected True or False")
         _probability("p_m", self.p_m)
         _probability("p_c", self.p_c)
         if self.crossover not in get_args(Crossover):
             kinds = ", ".join(map(repr, get_args(Crossover)))
-            raise ValueError(f"crossover: got {self.crossover!r}, expected one of {kinds}")
+            raise InputError(f"crossover: got {self.crossover!r}, expected one of {kinds}")
         for name, least in (("population", 2), ("elites", 0), ("tournament", 1)):
             value = getattr(self, name)
             if not isinstance(value, (int, np.integer)) or value < least:
-                raise ValueError(f"{name}: got {value!r}, expected a whole number, {least} or more")
+                raise InputError(f"{name}: got {value!r}, expected a whole number, {least} or more")
         if self.elites >= self.population:
-            raise ValueError(
+            raise InputError(
                 f"elites: got {self.elites}, expected fewer than the population of {self.population}; "
                 "otherwise nothing new would ever be tried"
             )
@@ -216,11 +217,11 @@ def state_from_arrays(arrays: Mapping[str, np.ndarray]) -> GAState:
       arrays: the dict, or an open npz file.
 
     Raises:
-      ValueError: arrays missing, or of the wrong type or shape.
+      InputError: arrays missing, or of the wrong type or shape.
     """
     missing = [field.name for field in fields(GAState) if field.name not in arrays]
     if missing:
-        raise ValueError(f"GA state: got no {', '.join(missing)}, expected what state_to_arrays writes")
+        raise InputError(f"GA state: got no {', '.join(missing)}, expected what state_to_arrays writes")
     get = {field.name: np.asarray(arrays[field.name]) for field in fields(GAState)}
     m, n_bits = get["parents"].shape if get["parents"].ndim == 2 else (-1, -1)
     expected: dict[str, tuple[type, list[tuple[int, ...]]]] = {
@@ -234,7 +235,7 @@ def state_from_arrays(arrays: Mapping[str, np.ndarray]) -> GAState:
     }
     for name, (dtype, shapes) in expected.items():
         if get[name].dtype != dtype or get[name].shape not in shapes:
-            raise ValueError(
+            raise InputError(
                 f"GA state: got {name} of type {get[name].dtype} and shape {get[name].shape}, expected "
                 f"{dtype.__name__} and {' or '.join(map(str, shapes))}; the file is not a GA state or was altered"
             )
@@ -268,7 +269,7 @@ class GeneticAlgorithm:
           The state before the first `ask`.
 
         Raises:
-          ValueError: a genome of the wrong length.
+          InputError: a genome of the wrong length.
         """
         # A stream of our own: a copy of the caller's would repeat the numbers that the caller draws next.
         source = seed.integers(2**63, size=2).tolist() if isinstance(seed, np.random.Generator) else seed
@@ -279,7 +280,7 @@ class GeneticAlgorithm:
         else:
             start = self.box.validate_genomes(genome, "genome")
             if start.ndim != 1:
-                raise ValueError(f"genome: got shape {start.shape}, expected ({self.box.n_bits},): one genome")
+                raise InputError(f"genome: got shape {start.shape}, expected ({self.box.n_bits},): one genome")
             population = mutate(np.tile(start, (m, 1)), self.config.p_m, rng)
             population[0] = start
         return GAState(_frozen(population), _frozen(np.full(m, np.nan)), None, 0, None, np.nan, _stream_of(rng))
@@ -324,20 +325,20 @@ class GeneticAlgorithm:
           The state for the next `ask`.
 
         Raises:
-          ValueError: tell before ask; genomes or fitness of the wrong shape or type.
+          InputError: tell before ask; genomes or fitness of the wrong shape or type.
         """
         self._check(state)
         if state.asked is None:
-            raise ValueError("tell: got a state with no genomes asked, expected the state that ask returned; call ask")
+            raise InputError("tell: got a state with no genomes asked, expected the state that ask returned; call ask")
         told = self.box.validate_genomes(genomes)
         if told.shape != state.asked.shape:
-            raise ValueError(f"tell: got genomes of shape {told.shape}, expected {state.asked.shape} as asked")
+            raise InputError(f"tell: got genomes of shape {told.shape}, expected {state.asked.shape} as asked")
         try:
             value = np.asarray(fitness, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise ValueError(f"tell: got fitness {fitness!r}, expected real numbers ({error})") from None
+            raise InputError(f"tell: got fitness {fitness!r}, expected real numbers ({error})") from None
         if value.shape != told.shape[:1]:
-            raise ValueError(f"tell: got fitness of shape {value.shape}, expected {told.shape[:1]}: one per genome")
+            raise InputError(f"tell: got fitness of shape {value.shape}, expected {told.shape[:1]}: one per genome")
         value = np.where(np.isfinite(value), value, np.nan)
         state = replace(state, asked=None, generation=state.generation + 1)
         if np.isnan(value).all():
@@ -352,7 +353,7 @@ class GeneticAlgorithm:
     def _check(self, state: GAState) -> None:
         expected = (self.config.population, self.box.n_bits)
         if state.parents.shape != expected:
-            raise ValueError(
+            raise InputError(
                 f"state: got a population of shape {state.parents.shape}, expected {expected}; it belongs to another "
                 "configuration or box"
             )
@@ -395,10 +396,10 @@ def optimise(
       start: (n,) vector from which the first generation is made by bit flips; None starts at random.
 
     Raises:
-      ValueError: fewer than one generation, a start outside the box, fitness of the wrong shape.
+      InputError: fewer than one generation, a start outside the box, fitness of the wrong shape.
     """
     if generations < 1:
-        raise ValueError(f"generations: got {generations}, expected at least 1")
+        raise InputError(f"generations: got {generations}, expected at least 1")
     ga = GeneticAlgorithm(box, config)
     state = ga.init(seed, None if start is None else box.encode(start))
     values, best, mean, failed = [], [], [], []
@@ -428,9 +429,9 @@ def minimize(
     """`optimise` towards the minimum, by default with the default settings.
 
     Raises:
-      ValueError: a configuration that maximises; and as `optimise`.
+      InputError: a configuration that maximises; and as `optimise`.
     """
     config = GAConfig(maximise=False) if config is None else config
     if config.maximise:
-        raise ValueError("minimize: got a configuration with maximise=True, expected maximise=False; or call optimise")
+        raise InputError("minimize: got a configuration with maximise=True, expected maximise=False; or call optimise")
     return optimise(fn, box, config, seed=seed, generations=generations, start=start)

@@ -21,6 +21,8 @@ import numpy as np
 import scipy.stats
 from numpy.typing import ArrayLike, NDArray
 
+from btr_mjx.errors import InputError
+
 Floats = NDArray[np.float64]
 
 DEFAULT_WINDOW = 42
@@ -44,20 +46,20 @@ def sensor_scale(reference: ArrayLike, groups: Sequence[Any] | None = None) -> F
       has no scale and gets inf: the metrics then ignore it. Give it a group if it should count.
 
     Raises:
-      ValueError: fewer than two axes, NaN or infinite entries, or a wrong number of labels.
+      InputError: fewer than two axes, NaN or infinite entries, or a wrong number of labels.
     """
     array = np.asarray(reference, dtype=np.float64)
     if array.ndim < 2 or 0 in array.shape:
-        raise ValueError(f"reference: got shape {array.shape}, expected (..., N_b, n_sensors) with data in it")
+        raise InputError(f"reference: got shape {array.shape}, expected (..., N_b, n_sensors) with data in it")
     if not np.isfinite(array).all():
-        raise ValueError("reference: got NaN or infinite entries, expected finite series; leave out what diverged")
+        raise InputError("reference: got NaN or infinite entries, expected finite series; leave out what diverged")
     flat = array.reshape(-1, array.shape[-1])
     spread = flat.std(axis=0)
     # Rounding gives a constant series a tiny spread; dividing by it would make noise the loudest sensor.
     spread[np.ptp(flat, axis=0) == 0] = 0.0
     if groups is not None:
         if len(groups) != len(spread):
-            raise ValueError(f"groups: got {len(groups)} labels, expected {len(spread)}, one per sensor")
+            raise InputError(f"groups: got {len(groups)} labels, expected {len(spread)}, one per sensor")
         members = np.array([[a == b for b in groups] for a in groups], dtype=np.float64)
         spread = np.sqrt(members @ spread**2 / members.sum(axis=1))
     return np.where(spread > 0, spread, np.inf)
@@ -67,7 +69,7 @@ def _scaled_difference(x_r: ArrayLike, x_s: ArrayLike, header: ArrayLike | None,
     """Scaled x_r - x_s over the longest header, the headers as an array, and whether there was only one."""
     real, simulated = np.asarray(x_r, dtype=np.float64), np.asarray(x_s, dtype=np.float64)
     if real.ndim < 2 or simulated.ndim < 2 or real.shape[-2:] != simulated.shape[-2:]:
-        raise ValueError(
+        raise InputError(
             f"sensor series: got shapes {real.shape} and {simulated.shape}, expected (..., N_b, n_sensors) with equal "
             "N_b and n_sensors"
         )
@@ -75,17 +77,17 @@ def _scaled_difference(x_r: ArrayLike, x_s: ArrayLike, header: ArrayLike | None,
     headers = np.asarray(n_steps if header is None else header)
     valid = headers.size and np.issubdtype(headers.dtype, np.integer) and headers.ndim <= 1
     if not valid or headers.min() < 1 or headers.max() > n_steps:
-        raise ValueError(f"header: got {header!r}, expected whole numbers of steps within 1 .. {n_steps}")
+        raise InputError(f"header: got {header!r}, expected whole numbers of steps within 1 .. {n_steps}")
     divisor = np.asarray(scale, dtype=np.float64)
     if divisor.shape not in ((), (n_sensors,)) or not (divisor > 0).all():
-        raise ValueError(
+        raise InputError(
             f"scale: got {scale!r}, expected one positive number, or {n_sensors} of them; sensor_scale makes them"
         )
     longest = int(headers.max())
     try:
         difference = (real[..., :longest, :] - simulated[..., :longest, :]) / divisor
     except ValueError:
-        raise ValueError(
+        raise InputError(
             f"sensor series: got shapes {real.shape} and {simulated.shape}, expected leading axes that broadcast"
         ) from None
     return difference, np.atleast_1d(headers), headers.ndim == 0
@@ -120,10 +122,10 @@ def rolling_mean_metric(
       (...) distances, or (..., H) for H headers; NaN where a series is NaN within the header.
 
     Raises:
-      ValueError: shapes that do not match, headers outside 1 .. N_b, a window below 1, scales that are not positive.
+      InputError: shapes that do not match, headers outside 1 .. N_b, a window below 1, scales that are not positive.
     """
     if not isinstance(window, (int, np.integer)) or window < 1:
-        raise ValueError(f"window: got {window!r}, expected a whole number of steps, 1 or more")
+        raise InputError(f"window: got {window!r}, expected a whole number of steps, 1 or more")
     with np.errstate(invalid="ignore", over="ignore"):  # diverged series end up as NaN, as promised
         difference, headers, single = _scaled_difference(x_r, x_s, header, scale)
         # The rolling mean is linear, so the difference of means is the mean of differences.
@@ -151,7 +153,7 @@ def euclidean_metric(
       (...) distances, or (..., H) for H headers; NaN where a series is NaN within the header.
 
     Raises:
-      ValueError: as `rolling_mean_metric`.
+      InputError: as `rolling_mean_metric`.
     """
     with np.errstate(invalid="ignore", over="ignore"):
         difference, headers, single = _scaled_difference(x_r, x_s, header, scale)
@@ -165,13 +167,13 @@ def euclidean_metric(
 def _curves(delta: ArrayLike, other: ArrayLike, what: str) -> tuple[Floats, Floats]:
     y, x = np.asarray(delta, dtype=np.float64), np.asarray(other, dtype=np.float64)
     if y.ndim == 0 or x.ndim == 0 or y.shape[-1] != x.shape[-1]:
-        raise ValueError(
+        raise InputError(
             f"got delta of shape {y.shape} and {what} of shape {x.shape}, expected (..., G) both, one per grid point"
         )
     try:
         y, x = np.broadcast_arrays(y, x)
     except ValueError:
-        raise ValueError(
+        raise InputError(
             f"got delta of shape {y.shape} and {what} of shape {x.shape}, expected leading axes that broadcast"
         ) from None
     return y, x
@@ -188,7 +190,7 @@ def spearman(delta: ArrayLike, error: ArrayLike) -> Floats:
       (...) rho within [-1, 1]; NaN where fewer than two points are finite or either side is constant.
 
     Raises:
-      ValueError: shapes that do not match.
+      InputError: shapes that do not match.
     """
     y, x = _curves(delta, error, "error")
     known = np.isfinite(y) & np.isfinite(x)
@@ -219,11 +221,11 @@ def side_spearman(delta: ArrayLike, values: ArrayLike, truth: float) -> Floats:
       in perfect order, one way or the other.
 
     Raises:
-      ValueError: shapes that do not match.
+      InputError: shapes that do not match.
     """
     grid = np.asarray(values, dtype=np.float64)
     if grid.ndim != 1:
-        raise ValueError(f"values: got shape {grid.shape}, expected (G,): one grid for all curves")
+        raise InputError(f"values: got shape {grid.shape}, expected (G,): one grid for all curves")
     y, _ = _curves(delta, grid, "values")
     error = np.abs(grid - truth)
     sides = []
@@ -247,7 +249,7 @@ def monotonicity(delta: ArrayLike, error: ArrayLike) -> Floats:
       (...) share within [0, 1]; NaN where no pair can be compared.
 
     Raises:
-      ValueError: shapes that do not match.
+      InputError: shapes that do not match.
     """
     y, x = _curves(delta, error, "error")
     dy, dx = np.diff(y, axis=-1), np.diff(x, axis=-1)
@@ -272,7 +274,7 @@ def roughness(delta: ArrayLike) -> Floats:
     """
     y = np.asarray(delta, dtype=np.float64)
     if y.ndim == 0:
-        raise ValueError("delta: got a single number, expected (..., G)")
+        raise InputError("delta: got a single number, expected (..., G)")
     known = np.isfinite(y)
     # Repeating the last known point adds no variation: the curve is joined across what is missing.
     index = np.maximum.accumulate(np.where(known, np.arange(y.shape[-1]), -1), axis=-1)
@@ -330,15 +332,15 @@ def bootstrap_interval(
       Estimate and interval; one sample gives an estimate without an interval.
 
     Raises:
-      ValueError: no samples, NaN or infinite samples, a level outside (0, 1).
+      InputError: no samples, NaN or infinite samples, a level outside (0, 1).
     """
     array = np.asarray(samples, dtype=np.float64)
     if array.ndim == 0 or 0 in array.shape:
-        raise ValueError(f"samples: got shape {array.shape}, expected (..., n) with at least one sample")
+        raise InputError(f"samples: got shape {array.shape}, expected (..., n) with at least one sample")
     if not np.isfinite(array).all():
-        raise ValueError("samples: got NaN or infinite ones, expected finite numbers; leave them out and report it")
+        raise InputError("samples: got NaN or infinite ones, expected finite numbers; leave them out and report it")
     if not 0 < level < 1:
-        raise ValueError(f"level: got {level!r}, expected a confidence level within (0, 1), such as 0.95")
+        raise InputError(f"level: got {level!r}, expected a confidence level within (0, 1), such as 0.95")
     if "axis" not in inspect.signature(statistic).parameters:
         statistic = functools.partial(_along_axis, statistic)
     estimate = np.asarray(statistic(array, axis=-1), dtype=np.float64)

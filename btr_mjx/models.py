@@ -116,7 +116,7 @@ def compile_mjcf(robot: Robot, xml: str) -> mujoco.MjModel:
         return mujoco.MjModel.from_xml_string(xml)
     except ValueError as error:
         message = " ".join(str(error).split())
-        found = re.search(r"line (\d+)", message)
+        found = re.search(r"[Ll]ine (?:number=)?(\d+)", message)  # two forms: MuJoCo's own and its XML parser's
         shown = ""
         if found and 0 < int(found[1]) <= len(xml.splitlines()):
             shown = f"; line {found[1]} of the rendered MJCF reads: {xml.splitlines()[int(found[1]) - 1].strip()}"

@@ -121,7 +121,7 @@ def statistics(grid: ArrayLike, curve: ArrayLike, truth: float) -> dict[str, flo
       roughness: total variation over range; at_minimum: the parameter's value where the curve is least.
     """
     x, y = np.asarray(grid, float), np.asarray(curve, float)
-    left, right = metrics.side_spearman(x, y, truth)
+    left, right = np.moveaxis(np.asarray(metrics.side_spearman(y, x, truth)), -1, 0)
     error = np.abs(x - truth)
     return {
         "spearman": float(metrics.spearman(y, error)),

@@ -20,6 +20,8 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from btr_mjx.errors import InputError
+
 Code = Literal["binary", "gray"]
 """How a grid index is written as bits."""
 
@@ -68,14 +70,14 @@ def index_to_bits(index: NDArray[np.int64], n_bits: int, code: Code) -> NDArray[
 
 def _names(names: Iterable[str], what: str) -> tuple[str, ...]:
     if isinstance(names, str):
-        raise ValueError(f"{what}: got the single string {names!r}, expected a sequence of names; write ({names!r},)")
+        raise InputError(f"{what}: got the single string {names!r}, expected a sequence of names; write ({names!r},)")
     result = tuple(names)
     bad = [name for name in result if not isinstance(name, str) or not name]
     if bad or not result:
-        raise ValueError(f"{what}: got {result!r}, expected one or more non-empty strings")
+        raise InputError(f"{what}: got {result!r}, expected one or more non-empty strings")
     twice = sorted({name for name in result if result.count(name) > 1})
     if twice:
-        raise ValueError(f"{what}: got {', '.join(twice)} more than once, expected distinct names; drop the repetition")
+        raise InputError(f"{what}: got {', '.join(twice)} more than once, expected distinct names; drop the repetition")
     return result
 
 
@@ -83,7 +85,7 @@ def _numbers(values: ArrayLike, what: str) -> NDArray[np.float64]:
     try:
         return np.array(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{what}: got {values!r}, expected an array of real numbers ({error})") from None
+        raise InputError(f"{what}: got {values!r}, expected an array of real numbers ({error})") from None
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -130,7 +132,7 @@ class Box:
           units: one unit for all parameters, or n of them.
 
         Raises:
-          ValueError: repeated or empty names; bounds that are not finite or not low < high; counts of bits outside
+          InputError: repeated or empty names; bounds that are not finite or not low < high; counts of bits outside
             1 .. 32, or so many that neighbouring grid points would coincide in float64; an unknown code.
         """
         names = _names(names, "Box names")
@@ -139,7 +141,7 @@ class Box:
         for what, given in (("low", low), ("high", high)):
             bound = _numbers(given, f"Box {what}")
             if bound.shape not in ((), (n,)):
-                raise ValueError(f"Box {what}: got shape {bound.shape}, expected ({n},), one per name, or one number")
+                raise InputError(f"Box {what}: got shape {bound.shape}, expected ({n},), one per name, or one number")
             bound = np.broadcast_to(bound, (n,)).copy()
             bound.flags.writeable = False
             bounds.append(bound)
@@ -147,19 +149,19 @@ class Box:
         units = (units,) * n if isinstance(units, str) else tuple(units)
         for what, given, kind in (("bits", bits, (int, np.integer)), ("units", units, str)):
             if len(given) != n or not all(isinstance(item, kind) and not isinstance(item, bool) for item in given):
-                raise ValueError(f"Box {what}: got {given!r}, expected one value for all or {n}, one per name")
+                raise InputError(f"Box {what}: got {given!r}, expected one value for all or {n}, one per name")
         if code not in get_args(Code):
-            raise ValueError(f"Box code: got {code!r}, expected one of {', '.join(map(repr, get_args(Code)))}")
+            raise InputError(f"Box code: got {code!r}, expected one of {', '.join(map(repr, get_args(Code)))}")
         for name, lo, hi, b in zip(names, bounds[0].tolist(), bounds[1].tolist(), bits, strict=True):
             if not (np.isfinite(lo) and np.isfinite(hi) and lo < hi and np.isfinite(hi - lo)):
-                raise ValueError(
+                raise InputError(
                     f"Box bounds of {name!r}: got [{lo}, {hi}], expected finite low < high; "
                     "a parameter that is known does not belong in the box of unknowns"
                 )
             if not 1 <= b <= MAX_BITS:
-                raise ValueError(f"Box bits of {name!r}: got {b}, expected 1 .. {MAX_BITS}")
+                raise InputError(f"Box bits of {name!r}: got {b}, expected 1 .. {MAX_BITS}")
             if (hi - lo) / (2**b - 1) < 8 * np.spacing(max(abs(lo), abs(hi))):
-                raise ValueError(
+                raise InputError(
                     f"Box bits of {name!r}: {b} bits over [{lo}, {hi}] are finer than float64 resolves; "
                     "use fewer bits, or measure the parameter from the middle of its range"
                 )
@@ -218,14 +220,14 @@ class Box:
         """Position of a parameter.
 
         Raises:
-          ValueError: unknown name; the message lists the valid ones and the nearest match.
+          InputError: unknown name; the message lists the valid ones and the nearest match.
         """
         try:
             return self.names.index(name)
         except ValueError:
             near = difflib.get_close_matches(str(name), self.names, n=1, cutoff=0.4)
             hint = f"; did you mean {near[0]!r}?" if near else ""
-            raise ValueError(f"unknown parameter {name!r}{hint} (valid: {', '.join(self.names)})") from None
+            raise InputError(f"unknown parameter {name!r}{hint} (valid: {', '.join(self.names)})") from None
 
     def indices(self, names: Iterable[str]) -> NDArray[np.int64]:
         """(k,) positions of k distinct parameters, in the order given; errors as `index`."""
@@ -244,12 +246,12 @@ class Box:
           (..., n) a float64 copy.
 
         Raises:
-          ValueError: wrong length, NaN or outside the bounds; the message names the first such value, its parameter,
+          InputError: wrong length, NaN or outside the bounds; the message names the first such value, its parameter,
             its row (when there are leading axes), the range and a remedy.
         """
         array = _numbers(values, what)
         if array.ndim == 0 or array.shape[-1] != self.n:
-            raise ValueError(
+            raise InputError(
                 f"{what}: got shape {array.shape}, expected (..., {self.n}): one value for each of "
                 f"{', '.join(self.names)}"
             )
@@ -262,7 +264,7 @@ class Box:
             more = f" ({int(bad.sum())} such values)" if bad.sum() > 1 else ""
             value, unit = float(array[(*row, i)]), f" {self.units[i]}" if self.units[i] else ""
             remedy = "look for the computation that made it NaN" if np.isnan(value) else "correct or clip it"
-            raise ValueError(
+            raise InputError(
                 f"{what}: got {value!r} for {self.names[i]!r}{where}, expected a value within "
                 f"[{self.low[i]:.12g}, {self.high[i]:.12g}]{unit}{more}; {remedy}"
             )
@@ -282,7 +284,7 @@ class Box:
           (..., n) points of the grid; all zeros (in binary) decode to `low` exactly, the last grid point to `high`.
 
         Raises:
-          ValueError: wrong length, or entries other than 0 and 1.
+          InputError: wrong length, or entries other than 0 and 1.
         """
         bits = self.validate_genomes(genomes)
         slots = self._slots
@@ -301,7 +303,7 @@ class Box:
           (..., n_bits) bool. `decode(encode(x))` is within half a `step` of x; `encode(decode(g))` is g.
 
         Raises:
-          ValueError: as `validate`.
+          InputError: as `validate`.
         """
         array = self.validate(values, "values to encode")
         index = np.rint((array - self.low) / self.span * self._last).astype(np.int64)
@@ -311,14 +313,14 @@ class Box:
         """Check genomes; (..., n_bits) bool, or ValueError for a wrong length or entries other than 0 and 1."""
         array = np.asarray(genomes)
         if array.ndim == 0 or array.shape[-1] != self.n_bits:
-            raise ValueError(
+            raise InputError(
                 f"{what}: got shape {array.shape}, expected (..., {self.n_bits}): the bits of {self.n} parameters"
             )
         if array.dtype == bool:
             return array
         bits = array.astype(bool)
         if not np.array_equal(bits, array):
-            raise ValueError(f"{what}: got dtype {array.dtype} with entries other than 0 and 1, expected bool")
+            raise InputError(f"{what}: got dtype {array.dtype} with entries other than 0 and 1, expected bool")
         return bits
 
     def sample(self, rng: np.random.Generator, size: Size = ()) -> NDArray[np.float64]:
@@ -353,7 +355,7 @@ class Box:
           (..., n) a new array; `base` is left alone.
 
         Raises:
-          ValueError: as `index` and `validate`.
+          InputError: as `index` and `validate`.
         """
         names = _names(names, "names")
         i = self.indices(names)

@@ -1,8 +1,8 @@
 """Choose the hexapod's constants: `uv run python experiments/calibrate_robot.py --out runs/calibration`.
 
 For every candidate set of constants and every seed: controllers are evolved where bl_14 is shortest, bl_14 is scanned
-with the 15 best (reality 1.6 m) and bl_5 with mutants of the best (reality 0.88 m) at p_m = 0.02 and 0.2. A robot will do
-if its gaits are fast, random controllers stay finite and Delta_fitness orders simulations by their error.
+with the 15 best (reality 1.6 m) and bl_5 with mutants of the best (reality 0.88 m) at p_m = 0.02 and 0.2. A robot will
+do if its gaits are fast, random controllers stay finite and Delta_fitness orders simulations by their error.
 
 The run folder keeps one row per candidate and seed (calibration.parquet) and the curves (curves-*.npz); a run that was
 interrupted goes on with --resume. calibration.md and calibration.png are made from these files.
