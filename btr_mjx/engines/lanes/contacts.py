@@ -37,7 +37,7 @@ from btr_mjx.engines.lanes.scalars import (
     vadd,
     vsub,
 )
-from btr_mjx.engines.lanes.spatial import Block, Spatial
+from btr_mjx.engines.lanes.spatial import Block, Spatial, point_block
 from btr_mjx.engines.lanes.tree import Link, Plan, Touch
 
 type Model = tuple[jax.Array, ...]
@@ -122,11 +122,8 @@ class Contact:
         """Stiffness block and wrench about the link's origin for a zone."""
         stiffness, force = self.linear(model)
         across = transpose(self.frame)
-        k, f = sandwich(across, stiffness), matvec(across, force)
-        mixed = [cross(self.x, row) for row in full(k)]
-        columns = [cross(self.x, column) for column in transpose(mixed)]
-        angular = [columns[j][i] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
-        return Block(k, mixed, angular), (f, cross(self.x, f))
+        f = matvec(across, force)
+        return point_block(sandwich(across, stiffness), self.x), (f, cross(self.x, f))
 
 
 def _points(parameters: Parameters, key: str, touch: Touch, m: Motion) -> list[tuple[list[Scalar], Any]]:

@@ -1,86 +1,108 @@
-"""Mass matrix and bias forces of the whole robot from the motion of its links."""
+"""Inertia of the links, the wrenches that their motion takes, and what sits on single dofs."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from btr_mjx.engines.lanes.kinematics import Motion
 from btr_mjx.engines.lanes.parameters import Parameters
-from btr_mjx.engines.lanes.scalars import (
-    Scalar,
-    cross,
-    full,
-    is_zero,
-    matvec,
-    sandwich,
-    scale,
-    transpose,
-    vadd,
-)
-from btr_mjx.engines.lanes.spatial import Spatial, TreeMatrix, mass_matrix, merge, project
+from btr_mjx.engines.lanes.scalars import Scalar, add, cross, is_zero, matvec, mul, sandwich, scale, transpose, vadd
+from btr_mjx.engines.lanes.spatial import Block, Spatial, rigid_block
 from btr_mjx.engines.lanes.tree import FREE, Joint, Plan
 
+_NO_COUPLING = [[0.0] * 3] * 3
 
-def inertia_and_bias(plan: Plan, parameters: Parameters, motions: Sequence[Motion]) -> tuple[TreeMatrix, list[Scalar]]:
-    """Joint-space inertia with armature, and the forces that hold the joint accelerations at zero.
 
-    Returns:
-      The mass matrix (angular dofs of free joints in world axes), and Coriolis, centrifugal and gravity forces.
+@dataclass
+class System:
+    """A symmetric matrix over dofs in factored form: one block per link, and single dofs."""
+
+    blocks: list[Block]
+    """Per link, about its origin; what belongs to the dofs of a free joint is in the block of its link."""
+    diagonal: dict[int, Scalar]
+    """Per dof of hinges and slides; absent entries are zero."""
+
+    def __add__(self, other: "System") -> "System":
+        keys = sorted(self.diagonal.keys() | other.diagonal.keys())
+        diagonal = {k: add(self.diagonal.get(k, 0.0), other.diagonal.get(k, 0.0)) for k in keys}
+        return System([a + b for a, b in zip(self.blocks, other.blocks, strict=True)], diagonal)
+
+    def times(self, factor: Scalar) -> "System":
+        """The matrix multiplied by a scalar."""
+        return System([b.times(factor) for b in self.blocks], {k: mul(factor, d) for k, d in self.diagonal.items()})
+
+    @property
+    def zero(self) -> bool:
+        """Whether all entries are known to be zero."""
+        return not self.diagonal and all(is_zero(x) for block in self.blocks for x in block.scalars())
+
+
+def inertia(plan: Plan, parameters: Parameters, motions: Sequence[Motion]) -> System:
+    """Inertia of all links, with armature."""
+    blocks = []
+    for link, m in zip(plan.links, motions, strict=True):
+        h = matvec(m.turn, parameters[f"{link.index}/h"])
+        about = sandwich(m.turn, parameters[f"{link.index}/inertia"])
+        blocks.append(rigid_block(parameters.one(f"{link.index}/mass"), h, about))
+    return System(blocks, {}) + dof_system(plan, parameters, motions, "armature")
+
+
+def bias_wrenches(plan: Plan, parameters: Parameters, motions: Sequence[Motion]) -> list[Spatial]:
+    """Wrench about each link's origin that keeps its motion up while all joint accelerations are zero.
+
+    Newton and Euler about the origin: with h = sum of m c and J about the origin, the force is
+    m a + alpha x h + w x (w x h) and the torque J alpha + w x J w + h x a.
     """
-    masses, moments = [], []
-    wrenches: list[Spatial] = []
+    found: list[Spatial] = []
     for link, m in zip(plan.links, motions, strict=True):
-        key = f"{link.index}"
-        h = matvec(m.turn, parameters[f"{key}/h"])
-        inertia = sandwich(m.turn, parameters[f"{key}/inertia"])
-        masses.append(parameters.one(f"{key}/subtree_mass"))
-        moments.append((h, inertia))
-        mass = parameters.one(f"{key}/mass")
-        # Newton and Euler about the origin: no need for the centre of mass or the inertia about it.
-        force = vadd(scale(mass, m.acceleration), vadd(cross(m.spin_rate, h), cross(m.spin, cross(m.spin, h))))
-        torque = vadd(matvec(full(inertia), m.spin_rate), cross(m.spin, matvec(full(inertia), m.spin)))
-        wrenches.append((force, vadd(torque, cross(h, m.acceleration))))
-    matrix = mass_matrix(plan, motions, masses, moments)
-    return merge(matrix, dof_matrix(plan, parameters, motions, "armature")), project(plan, motions, wrenches)
+        mass = parameters.one(f"{link.index}/mass")
+        h = matvec(m.turn, parameters[f"{link.index}/h"])
+        body = rigid_block(mass, h, sandwich(m.turn, parameters[f"{link.index}/inertia"]))
+        force, torque = body @ (m.acceleration, m.spin_rate)
+        momentum = rigid_block(0.0, h, body.angular) @ ([0.0] * 3, m.spin)
+        found.append((vadd(force, cross(m.spin, momentum[0])), vadd(torque, cross(m.spin, momentum[1]))))
+    return found
 
 
-def free_block(joint: Joint, m: Motion, values: Sequence[Scalar]) -> TreeMatrix:
-    """Per-dof numbers of a free joint as a matrix; the angular ones live in link axes and are turned to the world."""
-    matrix: TreeMatrix = {(k, k): value for k, value in zip(joint.dofs[:3], values[:3], strict=True)}
-    if values[3] is values[4] is values[5] or (isinstance(values[3], float) and values[3] == values[4] == values[5]):
-        angular = full([values[3]] * 3 + [0.0] * 3)
-    else:
-        angular = full(sandwich(m.turn, [*values[3:], 0.0, 0.0, 0.0]))
-    matrix |= {(joint.dofs[3 + i], joint.dofs[3 + j]): angular[i][j] for i in range(3) for j in range(i + 1)}
-    return {key: value for key, value in matrix.items() if not is_zero(value)}
-
-
-def dof_matrix(plan: Plan, parameters: Parameters, motions: Sequence[Motion], what: str) -> TreeMatrix:
-    """A quantity per dof ("armature" or "damping") as a matrix over the dofs of the plan."""
-    matrix: TreeMatrix = {}
+def dof_system(plan: Plan, parameters: Parameters, motions: Sequence[Motion], what: str) -> System:
+    """A quantity per dof, "armature" or "damping", as a system."""
+    blocks, diagonal = [], {}
     for link, m in zip(plan.links, motions, strict=True):
+        block = Block([0.0] * 6, _NO_COUPLING, [0.0] * 6)
         for n, joint in enumerate(link.joints):
             values = parameters[f"{link.index}/joint{n}/{what}"]
             if joint.kind == FREE:
-                matrix |= free_block(joint, m, values)
+                block = Block([*values[:3], 0.0, 0.0, 0.0], _NO_COUPLING, _turned_diagonal(m, values[3:]))
             elif not is_zero(values[0]):
-                matrix[joint.dofs[0], joint.dofs[0]] = values[0]
-    return matrix
+                diagonal[joint.dofs[0]] = values[0]
+        blocks.append(block)
+    return System(blocks, diagonal)
 
 
-def to_world(plan: Plan, motions: Sequence[Motion], v: Sequence[Scalar]) -> list[Scalar]:
-    """Dof velocities in MuJoCo's convention to the solver's: angular parts of free joints turned to world axes."""
-    return _turned(plan, [m.turn for m in motions], v)
+def _turned_diagonal(m: Motion, values: Sequence[Scalar]) -> list[Scalar]:
+    """Numbers along a link's axes as a symmetric matrix in world axes."""
+    if all(isinstance(x, float) and x == values[0] for x in values):
+        return [*values, 0.0, 0.0, 0.0]
+    return sandwich(m.turn, [*values, 0.0, 0.0, 0.0])
 
 
-def to_local(plan: Plan, motions: Sequence[Motion], v: Sequence[Scalar]) -> list[Scalar]:
-    """Inverse of `to_world`."""
-    return _turned(plan, [transpose(m.turn) for m in motions], v)
-
-
-def _turned(plan: Plan, turns: Sequence[Sequence[Sequence[Scalar]]], v: Sequence[Scalar]) -> list[Scalar]:
-    result = list(v)
-    for link, turn in zip(plan.links, turns, strict=True):
-        if link.joints[0].kind == FREE:
-            angular = link.joints[0].dofs[3:]
-            for k, value in zip(angular, matvec(turn, [v[k] for k in angular]), strict=True):
+def local_rates(plan: Plan, motions: Sequence[Motion], x: Sequence[Scalar]) -> list[Scalar]:
+    """Dof accelerations in MuJoCo's convention: angular ones of free joints turned from world to link axes."""
+    result = list(x)
+    for link, m in zip(plan.links, motions, strict=True):
+        joint: Joint = link.joints[0]
+        if joint.kind == FREE:
+            angular = joint.dofs[3:]
+            for k, value in zip(angular, matvec(transpose(m.turn), [x[k] for k in angular]), strict=True):
                 result[k] = value
     return result
+
+
+def against(
+    system: System, links: Sequence[Spatial], dofs: Sequence[Scalar]
+) -> tuple[list[Spatial], dict[int, Scalar]]:
+    """Wrenches per link and forces per dof that a system takes at given accelerations (or velocities), negated."""
+    wrenches: list[Spatial] = []
+    for block, a in zip(system.blocks, links, strict=True):
+        force, torque = block @ a
+        wrenches.append((scale(-1.0, force), scale(-1.0, torque)))
+    return wrenches, {k: mul(-1.0, mul(d, dofs[k])) for k, d in system.diagonal.items()}

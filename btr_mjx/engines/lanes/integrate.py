@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import mujoco
 
 from btr_mjx.engines.lanes import support
-from btr_mjx.engines.lanes.dynamics import to_local
-from btr_mjx.engines.lanes.factor import solve
+from btr_mjx.engines.lanes.articulated import solve
+from btr_mjx.engines.lanes.dynamics import System, against, local_rates
 from btr_mjx.engines.lanes.kinematics import Motion, unit_quaternion
-from btr_mjx.engines.lanes.scalars import Scalar, add, array, is_zero, mul, scale, vadd
-from btr_mjx.engines.lanes.spatial import TreeMatrix, merge, times
+from btr_mjx.engines.lanes.scalars import Scalar, add, array, is_zero, scale, vadd
+from btr_mjx.engines.lanes.spatial import propagate
 from btr_mjx.engines.lanes.tree import FREE, Plan
 
 
@@ -21,8 +21,8 @@ def advance(
     motions: Sequence[Motion],
     q: Sequence[Sequence[jax.Array]],
     v: Sequence[jax.Array],
-    mass: TreeMatrix,
-    damping: TreeMatrix,
+    inertia: System,
+    damping: System,
     actuator_damping: Mapping[int, Scalar],
     acceleration: Sequence[jax.Array],
 ) -> tuple[list[list[jax.Array]], list[jax.Array]]:
@@ -34,7 +34,7 @@ def advance(
       motions: where the links are.
       q: coordinates per joint.
       v: velocity per dof.
-      mass: joint-space inertia M.
+      inertia: of all links, with armature, M.
       damping: minus the derivative of the passive forces by velocity, D.
       actuator_damping: the same of the actuator forces, per dof.
       acceleration: solution of the constraint problem, per dof.
@@ -43,18 +43,23 @@ def advance(
       Coordinates per joint and velocities per dof after one step.
     """
     dt = float(model.opt.timestep)
-    implicit: TreeMatrix = {}
+    implicit = damping
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST:
-        implicit = merge(damping, {(k, k): d for k, d in actuator_damping.items() if not is_zero(d)})
-    elif not support.disabled(model, "EULERDAMP"):
-        implicit = damping
-    if implicit:
+        scalars = {k: d for k, d in actuator_damping.items() if not is_zero(d)}
+        implicit = System(
+            damping.blocks, damping.diagonal | {k: add(damping.diagonal.get(k, 0.0), d) for k, d in scalars.items()}
+        )
+    elif support.disabled(model, "EULERDAMP"):
+        implicit = damping.times(0.0)
+    if not implicit.zero:
         # (M + h D) a' = M a, since M a is the sum of all forces at the solution; solving for the difference a' - a
         # keeps digits and spares the projection of the contact forces.
-        system = merge(mass, {key: mul(dt, d) for key, d in implicit.items()})
-        change = solve(plan, system, scale(-dt, times(plan, implicit, acceleration)))
+        rated = implicit.times(dt)
+        system = inertia + rated
+        wrenches, tau = against(rated, propagate(plan, motions, acceleration), acceleration)
+        change, _ = solve(plan, motions, system.blocks, wrenches, system.diagonal, tau)
         acceleration = [array(add(a, c), a.shape, a.dtype) for a, c in zip(acceleration, change, strict=True)]
-    rates = to_local(plan, motions, acceleration)
+    rates = local_rates(plan, motions, acceleration)
     velocities = vadd(v, scale(dt, rates))
     coordinates = []
     joints = [joint for link in plan.links for joint in link.joints]

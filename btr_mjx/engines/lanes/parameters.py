@@ -14,7 +14,7 @@ import numpy as np
 
 from btr_mjx.engines.lanes import support
 from btr_mjx.engines.lanes.scalars import Scalar, constant
-from btr_mjx.engines.lanes.tree import FREE, Joint, Plan, Touch, descendants, rigid_members
+from btr_mjx.engines.lanes.tree import FREE, Joint, Plan, Touch, rigid_members
 
 VARYING = frozenset(
     f"{group}_{field}"
@@ -128,8 +128,7 @@ def _inertia(model: mujoco.MjModel, fields: Fields, body: int) -> dict[str, np.n
         own, h = own + mass[..., 0], h + mass * c
         tensor = tensor + about + mass[..., None] * square
     six = [tensor[..., i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
-    subtree: Any = sum(fields("body_mass", b) for b in descendants(model, body))
-    return {"mass": own[..., None], "h": h, "inertia": np.stack(six, -1), "subtree_mass": subtree[..., None]}
+    return {"mass": own[..., None], "h": h, "inertia": np.stack(six, -1)}
 
 
 def _frame(model: mujoco.MjModel, fields: Fields, body: int) -> dict[str, np.ndarray]:

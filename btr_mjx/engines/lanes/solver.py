@@ -5,38 +5,29 @@ and a solution is found when the zones at the minimum are the ones it was comput
 solution computes the same numbers again, bit for bit, while its neighbours in the chunk still search.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import reduce
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
+from btr_mjx.engines.lanes.articulated import solve
 from btr_mjx.engines.lanes.contacts import Contact, Model
-from btr_mjx.engines.lanes.factor import solve
+from btr_mjx.engines.lanes.dynamics import System
 from btr_mjx.engines.lanes.kinematics import Motion
 from btr_mjx.engines.lanes.rows import Friction, Limit
-from btr_mjx.engines.lanes.scalars import ZERO, Scalar, Vector, add, array, vadd
-from btr_mjx.engines.lanes.spatial import (
-    Block,
-    Spatial,
-    TreeMatrix,
-    add_blocks,
-    assemble,
-    merge,
-    project,
-    propagate,
-)
+from btr_mjx.engines.lanes.scalars import Scalar, add, array, vadd
+from btr_mjx.engines.lanes.spatial import Spatial, propagate
 from btr_mjx.engines.lanes.tree import Plan
 
 type Constraints = Sequence[Contact | Limit | Friction]
 
 
-def _models(plan: Plan, motions: Sequence[Motion], constraints: Constraints, a: Sequence[jax.Array]) -> list[Model]:
-    """Zone of every constraint at dof accelerations `a`."""
-    spatial = propagate(plan, motions, a)
+def _models(constraints: Constraints, a: Sequence[jax.Array], links: Sequence[Spatial]) -> list[Model]:
+    """Zone of every constraint at accelerations `a` of the dofs and `links` of the links."""
     return [
-        c.model(c.acceleration(spatial[c.link.index])) if isinstance(c, Contact) else c.model(a[c.dof])
+        c.model(c.acceleration(links[c.link.index])) if isinstance(c, Contact) else c.model(a[c.dof])
         for c in constraints
     ]
 
@@ -45,27 +36,25 @@ def _step(
     plan: Plan,
     motions: Sequence[Motion],
     constraints: Constraints,
-    mass: TreeMatrix,
-    smooth: Sequence[Scalar],
+    inertia: System,
+    wrenches: Sequence[Spatial],
+    tau: Mapping[int, Scalar],
     models: Sequence[Model],
-) -> list[Scalar]:
-    """Minimum of the quadratic that the cost is on the given zones."""
-    blocks: dict[int, Block] = {}
-    wrenches: list[tuple[Vector, Vector]] = [(ZERO, ZERO)] * len(plan.links)
-    matrix, right = dict(mass), list(smooth)
+) -> tuple[list[Scalar], list[Spatial]]:
+    """Minimum of the quadratic that the cost is on the given zones: accelerations of dofs and links."""
+    blocks, outer = list(inertia.blocks), list(wrenches)
+    diagonal, forces = dict(inertia.diagonal), dict(tau)
     for c, model in zip(constraints, models, strict=True):
         if isinstance(c, Contact):
             block, (force, torque) = c.effect(model)
             at = c.link.index
-            blocks[at] = block if at not in blocks else add_blocks(blocks[at], block)
-            wrenches[at] = (vadd(wrenches[at][0], force), vadd(wrenches[at][1], torque))
+            blocks[at] = blocks[at] + block
+            outer[at] = vadd(outer[at][0], force), vadd(outer[at][1], torque)
         else:
             stiffness, push = c.effect(model)
-            matrix[c.dof, c.dof] = add(matrix[c.dof, c.dof], stiffness)
-            right[c.dof] = add(right[c.dof], push)
-    matrix = merge(matrix, assemble(plan, motions, blocks))
-    forces: list[Spatial] = list(wrenches)
-    return solve(plan, matrix, vadd(right, project(plan, motions, forces)))
+            diagonal[c.dof] = add(diagonal.get(c.dof, 0.0), stiffness)
+            forces[c.dof] = add(forces.get(c.dof, 0.0), push)
+    return solve(plan, motions, blocks, outer, diagonal, forces)
 
 
 def _moved(plan: Plan, constraints: Constraints, old: Sequence[Model], new: Sequence[Model]) -> jax.Array:
@@ -81,8 +70,9 @@ def constrained_acceleration(
     plan: Plan,
     motions: Sequence[Motion],
     constraints: Constraints,
-    mass: TreeMatrix,
-    smooth: Sequence[Scalar],
+    inertia: System,
+    wrenches: Sequence[Spatial],
+    tau: Mapping[int, Scalar],
     guess: Sequence[jax.Array],
     max_newton: int,
 ) -> tuple[list[jax.Array], jax.Array]:
@@ -92,8 +82,9 @@ def constrained_acceleration(
       plan: the static plan.
       motions: where the links are.
       constraints: contacts, limits and friction rows.
-      mass: joint-space inertia.
-      smooth: all forces but those of the constraints, per dof.
+      inertia: of all links, with armature.
+      wrenches: all forces on links but those of the constraints, about the links' origins.
+      tau: all forces along single dofs but those of the constraints.
       guess: accelerations to start from, per dof (shape (C,) or (G, C)).
       max_newton: bound on the iterations.
 
@@ -102,7 +93,7 @@ def constrained_acceleration(
     """
     lanes = guess[0].shape[-1]
     if not constraints:
-        solution = solve(plan, mass, smooth)
+        solution, _ = solve(plan, motions, inertia.blocks, wrenches, inertia.diagonal, tau)
         return [array(x, g.shape, g.dtype) for x, g in zip(solution, guess, strict=True)], jnp.zeros(lanes, bool)
 
     def shaped(models: Sequence[Model]) -> list[Model]:
@@ -112,15 +103,15 @@ def constrained_acceleration(
 
     def body(carry: tuple) -> tuple:
         count, _, _, models = carry
-        a = _step(plan, motions, constraints, mass, smooth, models)
-        a = [array(x, g.shape, g.dtype) for x, g in zip(a, guess, strict=True)]
-        following = shaped(_models(plan, motions, constraints, a))
+        x, links = _step(plan, motions, constraints, inertia, wrenches, tau, models)
+        a = [array(x_k, g.shape, g.dtype) for x_k, g in zip(x, guess, strict=True)]
+        following = shaped(_models(constraints, a, links))
         return count + 1, _moved(plan, constraints, models, following), a, following
 
     def searching(carry: tuple) -> jax.Array:
         return jnp.any(carry[1]) & (carry[0] < max_newton)
 
-    start = shaped(_models(plan, motions, constraints, guess))
+    start = shaped(_models(constraints, guess, propagate(plan, motions, guess)))
     carry = (jnp.int32(0), jnp.ones(lanes, bool), list(guess), start)
     _, moved, solution, _ = lax.while_loop(searching, body, carry)
     return solution, moved

@@ -13,15 +13,14 @@ from btr_mjx.engines.base import Leaves
 from btr_mjx.engines.lanes import support
 from btr_mjx.engines.lanes.actuation import actuate, rows, springs
 from btr_mjx.engines.lanes.contacts import contacts
-from btr_mjx.engines.lanes.dynamics import dof_matrix, inertia_and_bias, to_world
+from btr_mjx.engines.lanes.dynamics import against, bias_wrenches, dof_system, inertia
 from btr_mjx.engines.lanes.integrate import advance
 from btr_mjx.engines.lanes.kinematics import motions
 from btr_mjx.engines.lanes.parameters import VARYING, Fields, Parameters, base_field, derive, matters, split
 from btr_mjx.engines.lanes.retrace import retrace
 from btr_mjx.engines.lanes.rows import dof_rows
-from btr_mjx.engines.lanes.scalars import add, array, group_sum, scale, total, vsub
+from btr_mjx.engines.lanes.scalars import add, array, group_sum, total, vsub
 from btr_mjx.engines.lanes.solver import constrained_acceleration
-from btr_mjx.engines.lanes.spatial import times
 from btr_mjx.engines.lanes.tree import FREE, make_plan
 
 
@@ -176,18 +175,20 @@ class LanesStepper:
         parameters = Parameters(self._constants, params)
         q, v = state.q, state.v
         moving = motions(plan, parameters, q, v)
-        mass, bias = inertia_and_bias(plan, parameters, moving)
+        bodies = inertia(plan, parameters, moving)
+        damping = dof_system(plan, parameters, moving, "damping")
         actuation = actuate(model, plan, parameters, q, v, state.act, ctrl)
-        damping = dof_matrix(plan, parameters, moving, "damping")
-        smooth = vsub(scale(-1.0, bias), times(plan, damping, to_world(plan, moving, v)))
+        moves = [(m.velocity, m.spin) for m in moving]
+        wrenches, tau = against(damping, moves, v)
+        bias = bias_wrenches(plan, parameters, moving)
+        wrenches = [(vsub(f, g), vsub(n, o)) for (f, n), (g, o) in zip(wrenches, bias, strict=True)]
         for force in (actuation.force, springs(plan, parameters, q)):
-            for dof, value in force.items():
-                smooth[dof] = add(smooth[dof], value)
+            tau = {k: add(tau.get(k, 0.0), force.get(k, 0.0)) for k in sorted(tau.keys() | force.keys())}
         constraints = [*dof_rows(plan, parameters, q, v), *contacts(plan, parameters, moving, self._dtype)]
         found, capped = constrained_acceleration(
-            plan, moving, constraints, mass, smooth, state.acceleration, self._max_newton
+            plan, moving, constraints, bodies, wrenches, tau, state.acceleration, self._max_newton
         )
-        following = advance(model, plan, moving, q, v, mass, damping, actuation.damping, found)
+        following = advance(model, plan, moving, q, v, bodies, damping, actuation.damping, found)
         power = total(group_sum(p, size) for p, size in actuation.power)
         return State(*following, actuation.act, found, array(power, capped.shape, self._dtype), capped)
 

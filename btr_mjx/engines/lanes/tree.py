@@ -82,17 +82,8 @@ class Plan:
 
     links: tuple[Link, ...]
     dof_size: tuple[int, ...]
-    ancestors: tuple[tuple[int, ...], ...]
-    """Of each dof, the dofs before it on the way from the root, ascending."""
     states: int
     """Number of activation states of the plan."""
-
-    def chain(self, link: Link) -> list[Link]:
-        """The link and its ancestors, from the link to the root."""
-        chain = [link]
-        while chain[-1].parent >= 0:
-            chain.append(self.links[chain[-1].parent])
-        return chain
 
 
 def rigid_members(model: mujoco.MjModel, body: int) -> list[int]:
@@ -102,15 +93,6 @@ def rigid_members(model: mujoco.MjModel, body: int) -> list[int]:
         if model.body_jntnum[b] == 0 and model.body_parentid[b] in members:
             members.append(b)
     return members
-
-
-def descendants(model: mujoco.MjModel, body: int) -> list[int]:
-    """The body and everything below it."""
-    found = [body]
-    for b in range(body + 1, model.nbody):
-        if model.body_parentid[b] in found:
-            found.append(b)
-    return found
 
 
 class _Builder:
@@ -127,7 +109,6 @@ class _Builder:
         self.model, self.pairs, self.friction = model, pairs, friction
         self.links: list[Link] = []
         self.dof_size: list[int] = []
-        self.ancestors: list[tuple[int, ...]] = []
         self.states = 0
         self.members = {b: rigid_members(model, b) for b in range(model.nbody) if b == 0 or model.body_jntnum[b]}
         joint_actuators: dict[int, list[int]] = {}
@@ -189,7 +170,6 @@ class _Builder:
     def _add(self, parent: int, bodies: tuple[int, ...]) -> None:
         """Append the link of one or more alike bodies, then everything below."""
         m, size, index = self.model, len(bodies), len(self.links)
-        above = self._dofs_to_root(parent)
         joints = []
         for slot in zip(*(self._joints(b) for b in bodies), strict=True):
             kind = int(m.jnt_type[slot[0]])
@@ -197,8 +177,6 @@ class _Builder:
             for _ in range(6 if kind == FREE else 1):
                 dofs.append(len(self.dof_size))
                 self.dof_size.append(size)
-                self.ancestors.append(tuple(above))
-                above = [*above, dofs[-1]]
             actuators = []
             for ids in zip(*(self.actuators.get(j, []) for j in slot), strict=True):
                 stateful = m.actuator_actnum[ids[0]] > 0
@@ -227,16 +205,9 @@ class _Builder:
         for group in sorted(alike.values()):
             self._add(index, tuple(group))
 
-    def _dofs_to_root(self, parent: int) -> list[int]:
-        dofs: list[int] = []
-        while parent >= 0:
-            dofs = [*self.links[parent].dofs, *dofs]
-            parent = self.links[parent].parent
-        return dofs
-
     def build(self) -> Plan:
         self._descend(-1, (0,))
-        return Plan(tuple(self.links), tuple(self.dof_size), tuple(self.ancestors), self.states)
+        return Plan(tuple(self.links), tuple(self.dof_size), self.states)
 
 
 def make_plan(model: mujoco.MjModel, pairs: Mapping[int, list[tuple[int, int]]], friction: np.ndarray) -> Plan:

@@ -1,0 +1,113 @@
+"""Solution of (J^T B J + diag) x = J^T f + tau by articulated bodies, in one sweep to the roots and one back.
+
+B is one symmetric block per link (its inertia, and whatever stiffness acts on it), f one wrench per link, diag and tau
+belong to single dofs (armature, limits, actuators). Neither J nor the matrix over dofs is formed, and the cost grows
+with the number of links, not with the depth of the tree (Featherstone 2008, chapter 7).
+"""
+
+from collections.abc import Mapping, Sequence
+
+from btr_mjx.engines.lanes.kinematics import Motion
+from btr_mjx.engines.lanes.scalars import (
+    Scalar,
+    Vector,
+    add,
+    cross,
+    dot,
+    full,
+    is_zero,
+    mul,
+    scale,
+    sub,
+    total,
+    vadd,
+    vsub,
+)
+from btr_mjx.engines.lanes.spatial import Block, Spatial, along, carried, outgoing
+from btr_mjx.engines.lanes.tree import FREE, Plan
+
+
+def solve(
+    plan: Plan,
+    motions: Sequence[Motion],
+    blocks: Sequence[Block],
+    wrenches: Sequence[Spatial],
+    diagonal: Mapping[int, Scalar],
+    tau: Mapping[int, Scalar],
+) -> tuple[list[Scalar], list[Spatial]]:
+    """Accelerations of dofs and links.
+
+    Args:
+      plan: the static plan.
+      motions: where the links are.
+      blocks: B, per link, about its origin.
+      wrenches: f, per link, about its origin.
+      diagonal: additions to single dofs, none on free joints (those belong into the block of the root link).
+      tau: forces along single dofs, likewise.
+
+    Returns:
+      x per dof, and the spatial acceleration J x per link.
+    """
+    inner, outer = list(blocks), list(wrenches)
+    yields: dict[int, tuple[Spatial, Scalar, Scalar]] = {}
+    for link, m in reversed(list(zip(plan.links, motions, strict=True))):
+        block, wrench = inner[link.index], outer[link.index]
+        if link.joints[0].kind == FREE:
+            continue
+        for k, column in reversed(list(zip(link.dofs, m.columns, strict=True))):
+            u = block @ column
+            inverse = 1.0 / add(along(column, u), diagonal.get(k, 0.0))
+            force = mul(add(along(column, wrench), tau.get(k, 0.0)), inverse)
+            yields[k] = u, inverse, force
+            block = block.without(u, inverse)
+            wrench = vsub(wrench[0], scale(force, u[0])), vsub(wrench[1], scale(force, u[1]))
+        if link.parent >= 0:
+            torque = vadd(wrench[1], cross(m.arm, wrench[0]))
+            up = outgoing(plan, link, [*block.moved(m.arm).scalars(), *wrench[0], *torque])
+            inner[link.parent] = inner[link.parent] + Block.of(up[:21])
+            above = outer[link.parent]
+            outer[link.parent] = vadd(above[0], up[21:24]), vadd(above[1], up[24:])
+    x: list[Scalar] = []
+    found: list[Spatial] = []
+    for link, m in zip(plan.links, motions, strict=True):
+        if link.joints[0].kind == FREE:
+            six = _solve_six(inner[link.index], outer[link.index])
+            x += six
+            found.append((six[:3], six[3:]))
+            continue
+        linear, angular = carried(link, m, found)
+        for k, (v, w) in zip(link.dofs, m.columns, strict=True):
+            (f, n), inverse, force = yields[k]
+            x.append(sub(force, mul(inverse, add(dot(f, linear), dot(n, angular)))))
+            linear, angular = vadd(linear, scale(x[k], v)), vadd(angular, scale(x[k], w))
+        found.append((linear, angular))
+    return x, found
+
+
+def _solve_six(block: Block, wrench: Spatial) -> list[Scalar]:
+    """Acceleration of a free link from its articulated inertia: a dense 6x6 LDL^T."""
+    linear, angular = full(block.linear), full(block.angular)
+    matrix = [list(linear[i][: i + 1]) for i in range(3)]
+    matrix += [[*(block.mixed[j][i] for j in range(3)), *angular[i][: i + 1]] for i in range(3)]
+    return ldl_solve(matrix, [*wrench[0], *wrench[1]])
+
+
+def ldl_solve(lower: Sequence[Sequence[Scalar]], right: Vector) -> list[Scalar]:
+    """Solve a symmetric positive definite system given by the rows of its lower triangle."""
+    n = len(right)
+    factor: list[list[Scalar]] = [[0.0] * n for _ in range(n)]  # L
+    scaled: list[list[Scalar]] = [[0.0] * n for _ in range(n)]  # L D
+    inverse: list[Scalar] = []
+    y: list[Scalar] = []
+    for j in range(n):
+        for i in range(j, n):
+            done = total(mul(factor[j][k], scaled[i][k]) for k in range(j))
+            scaled[i][j] = sub(lower[i][j], done)
+        inverse.append(1.0 / scaled[j][j])
+        for i in range(j + 1, n):
+            factor[i][j] = mul(scaled[i][j], inverse[j])
+        y.append(sub(right[j], total(mul(factor[j][k], y[k]) for k in range(j) if not is_zero(factor[j][k]))))
+    x: list[Scalar] = [0.0] * n
+    for i in reversed(range(n)):
+        x[i] = sub(mul(y[i], inverse[i]), total(mul(factor[k][i], x[k]) for k in range(i + 1, n)))
+    return x
