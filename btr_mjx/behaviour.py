@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from btr_mjx.devices import use_all_cores
+from btr_mjx.devices import use_all_cores, use_compilation_cache
 from btr_mjx.engines import native
 from btr_mjx.engines.base import Stepper, UnsupportedModel
 from btr_mjx.engines.program import Layout, Program, Record
@@ -265,6 +265,7 @@ def _stepper(robot: Robot, engine: Engine, x64: bool) -> Stepper:
 @lru_cache(maxsize=16)
 def _program(robot: Robot, engine: Engine, samples: int, states: bool, chunk: int | None, x64: bool) -> Program:
     use_all_cores()
+    use_compilation_cache()
     devices = jax.devices()
     on_cpu = devices[0].platform == "cpu"
     stepper = _stepper(robot, engine, x64)

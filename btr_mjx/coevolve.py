@@ -62,7 +62,7 @@ class CoevolveConfig:
     start: Literal["nominal", "random"] = "nominal"
     """s_0: the nominal lengths, or random values of the unknown ones."""
 
-    iterations: int = 4
+    iterations: int = 3
     """At most so many iterations of Back-to-Reality."""
     trials: int = 10
     """m, controllers tried in reality per iteration."""
