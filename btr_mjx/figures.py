@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator, NullLocator
+from matplotlib.ticker import MaxNLocator
 
+from btr_mjx.figure_axes import ABOVE, blocks, gap, generation_axis, legend_above, positive_scale, width
 from btr_mjx.run_data import RunData, ScanData, Search, with_unit
 
 SIMULATED, REAL = "#1f5fa8", "#c8641e"
@@ -24,18 +26,11 @@ MARKERS = "osD^vPX*<>"
 
 def controller_fitness(run: RunData) -> Figure:
     """Fitness over the generations of step 1, and the tried controllers' fitness in simulation and reality."""
-    figure = Figure(figsize=(_width(run.controllers, 0.32), 3.4))
+    figure = Figure(figsize=(width(run.controllers, 0.32), 3.4))
     axes = figure.subplots()
     slot = _slot(run)
-    offsets = _blocks(run.controllers, slot)
-    for number, (search, offset) in enumerate(zip(run.controllers, offsets, strict=True)):
-        x = offset + 1 + np.arange(len(search.scores))
-        label = lambda text, first=number == 0: text if first else None  # noqa: E731
-        low, high = _quantile(search.scores, 0.1), _quantile(search.scores, 0.9)
-        axes.fill_between(x, low, high, color="0.87", linewidth=0, label=label("middle 80 % of the population"))
-        axes.plot(x, _nan(np.mean, search.scores), "--", color="0.35", linewidth=1.1, label=label("mean"))
-        best = _nan(np.max if run.maximise else np.min, search.scores)
-        axes.plot(x, best, "-", color="black", marker=".", label=label("best"))
+    offsets = blocks(run.controllers, slot, first=0.4 * slot - 0.4)
+    _population(axes, run.controllers, offsets, np.max if run.maximise else np.min)
     trials = run.trials
     for iteration in np.unique(trials["iteration"]):
         rows = np.flatnonzero(trials["iteration"] == iteration)
@@ -52,37 +47,30 @@ def controller_fitness(run: RunData) -> Figure:
         label = lambda text, last=last: text if last else None  # noqa: E731
         axes.plot(x, f_s, "o", color=SIMULATED, fillstyle="none", label=label("tried: in simulation"), **style)
         axes.plot(x, f_r, "D", color=REAL, markersize=3.8, label=label("tried: in reality"), **style)
-    _generation_axis(axes, run.controllers, offsets, slot, begin=0.5)
+    generation_axis(axes, run.controllers, offsets, slot, border=0.5)
     axes.set(ylabel=run.fitness_label)
-    axes.annotate("$c_0$", (0, 0), xycoords=("data", "axes fraction"), xytext=(0, -5), **_BELOW)
-    _legend_above(figure, axes)
+    axes.annotate("$c_0$", (0, 0), xycoords=("data", "axes fraction"), xytext=(0, -5), **ABOVE | {"va": "top"})
+    legend_above(figure, axes)
     return figure
 
 
 def delta_fitness(run: RunData) -> Figure:
     """Delta_fitness over the generations of step 3, before and after each."""
-    figure = Figure(figsize=(_width(run.simulations, 0.32), 3.2))
+    figure = Figure(figsize=(width(run.simulations, 0.32), 3.2))
     axes = figure.subplots()
-    offsets = _blocks(run.simulations, 1)
+    room = gap(run.simulations)
+    offsets = blocks(run.simulations, room, first=(room - 1) / 2)
     shown = [run.iterations["delta_before"].to_numpy(), run.iterations["delta_after"].to_numpy()]
-    for number, (search, offset) in enumerate(zip(run.simulations, offsets, strict=True)):
-        x = offset + 1 + np.arange(len(search.scores))
-        label = lambda text, first=number == 0: text if first else None  # noqa: E731
-        low, high = _quantile(search.scores, 0.1), _quantile(search.scores, 0.9)
-        axes.fill_between(x, low, high, color="0.87", linewidth=0, label=label("middle 80 % of the population"))
-        axes.plot(x, _nan(np.mean, search.scores), "--", color="0.35", linewidth=1.1, label=label("mean"))
-        best = _nan(np.min, search.scores)
-        axes.plot(x, best, "-", color="black", marker=".", label=label("best"))
-        shown += [best, low, high]
-    starts = np.array(offsets, float)
-    ends = starts + [len(search.scores) for search in run.simulations]
+    shown += _population(axes, run.simulations, offsets, np.min)
+    starts = np.array(offsets) + 1 - (room + 1) / 2
+    ends = np.array(offsets) + [len(search.scores) for search in run.simulations]
     mark: dict[str, Any] = {"linestyle": "none", "markersize": 6, "zorder": 4}
     axes.plot(starts, shown[0], "o", color=REAL, fillstyle="none", label="before the search", **mark)
     axes.plot(ends, shown[1], "s", color=SIMULATED, label="after the search", **mark)
-    _generation_axis(axes, run.simulations, offsets, 1)
-    _positive_scale(axes, np.concatenate([np.ravel(values) for values in shown]))
+    generation_axis(axes, run.simulations, offsets, room, border=1 - 0.75 * (room + 1))
+    positive_scale(axes, np.concatenate([np.ravel(values) for values in shown]))
     axes.set(ylabel=with_unit(r"$\Delta_{fitness}$", run.unit))
-    _legend_above(figure, axes)
+    legend_above(figure, axes)
     return figure
 
 
@@ -93,30 +81,35 @@ def limb_lengths(run: RunData) -> Figure:
     rows = math.ceil(box.n / columns)
     figure = Figure(figsize=(2.2 + 2.4 * columns, 0.9 + 1.75 * rows))
     panels = np.atleast_1d(figure.subplots(rows, columns, sharex=True, squeeze=False)).ravel()
-    offsets = _blocks(run.simulations, 1)
+    room = gap(run.simulations)
+    offsets = blocks(run.simulations, room, first=(room - 1) / 2)
     x, values, darkness = _members(run.simulations, offsets)
+    size = float(np.clip(4000 / len(x), 2.0, 7.0))
     for i, axes in enumerate(panels[: box.n]):
         label = r"simulations, darker for a larger $\Delta_{fitness}$"
-        axes.scatter(
-            x, values[:, i], s=7, c=darkness, cmap="Greys", vmin=0, vmax=1, linewidths=0, zorder=1, label=label
-        )
+        shades: dict[str, Any] = {"c": darkness, "cmap": "Greys", "vmin": 0, "vmax": 1}
+        axes.scatter(x, values[:, i], s=size, linewidths=0, zorder=1, label=label, **shades)
         for number, (search, offset) in enumerate(zip(run.simulations, offsets, strict=True)):
             best = [_member_best(search, g)[i] for g in range(len(search.scores))]
             least = "the one with the least" if number == 0 else None
-            axes.plot(offset + 1 + np.arange(len(best)), best, color="black", linewidth=1.6, zorder=3, label=least)
+            axes.plot(offset + 1 + np.arange(len(best)), best, color="black", linewidth=1.1, zorder=3, label=least)
         if run.truth is not None:
-            axes.axhline(run.truth[i], color=REAL, linestyle="--", linewidth=1.2, zorder=2, label="truth")
+            axes.axhline(run.truth[i], color=REAL, linestyle="--", linewidth=1.4, zorder=3.5, label="truth")
         style: dict[str, Any] = {"linestyle": "none", "zorder": 4, "clip_on": False}
         axes.plot(0, run.start[i], "o", color="black", fillstyle="none", markersize=6, label="start", **style)
         end = offsets[-1] + len(run.simulations[-1].scores)
         axes.plot(end, run.identified[i], "s", color=SIMULATED, markersize=5.5, label="identified", **style)
         margin = 0.04 * box.span[i]
         axes.set(ylim=(box.low[i] - margin, box.high[i] + margin), ylabel=with_unit(box.names[i], box.units[i]))
-        _generation_axis(axes, run.simulations, offsets, 1, label=i >= box.n - columns, numbered=i < columns)
+        sides = ("t" if i < columns else "") + ("b" if i >= box.n - columns else "")
+        generation_axis(axes, run.simulations, offsets, room, border=1 - 0.5 * (room + 1), most=9, sides=sides)
         axes.tick_params(labelbottom=i >= box.n - columns)
     for axes in panels[box.n :]:
         axes.remove()
-    _legend_above(figure, panels[0], columns=2 if columns == 1 else 4)
+    legend = legend_above(figure, panels[0], columns=2 if columns == 1 else 4)
+    for handle in legend.legend_handles:
+        if isinstance(handle, PathCollection):
+            handle.set_sizes([12.0])  # a dot of the cloud is too small to be seen on its own
     return figure
 
 
@@ -127,7 +120,7 @@ def sim_versus_reality(run: RunData) -> Figure:
     f_s, f_r, iteration = (run.trials[name] for name in ("f_s", "f_r", "iteration"))
     numbers = np.unique(iteration)
     # Long runs: name so many iterations that the legend stays small.
-    named = set(numbers[:: math.ceil(len(numbers) / 8)]) | {numbers[-1]} if len(numbers) else set()
+    named = {0, numbers.max(), *numbers[numbers > 0][:: math.ceil(len(numbers) / 8)]}
     for number in numbers:
         rows = iteration == number
         grey = 0.8 * (1 - (number - 1) / max(numbers.max() - 1, 1))
@@ -157,7 +150,7 @@ def sim_versus_reality(run: RunData) -> Figure:
     if not both.all():
         axes.set_title(f"{(~both).sum()} of {len(both)} trials failed and are not shown", loc="left", color="0.3")
     # On the side of the diagonal where fewer points lie.
-    axes.legend(loc="upper left" if (f_r[both] > f_s[both]).mean() < 0.5 else "lower right")
+    axes.legend(loc="upper left" if (f_r[both] > f_s[both]).sum() <= both.sum() / 2 else "lower right")
     return figure
 
 
@@ -186,83 +179,13 @@ def scan(data: ScanData) -> Figure:
         if np.isfinite(float(data.result.get(name, np.nan))):
             parts.append(f"{name} {float(data.result[name]):.2f}")
     axes.set_title(", ".join(parts), loc="left", color="0.3")
-    _legend_above(figure, axes)
+    legend_above(figure, axes)
     return figure
-
-
-def _width(searches: Sequence[Search], per_generation: float) -> float:
-    """Wide enough to tell generations apart, narrow enough for a page [inch]."""
-    return float(np.clip(2.6 + per_generation * sum(len(search.scores) for search in searches), 5.6, 9.0))
 
 
 def _slot(run: RunData) -> float:
     """Width of a visit to reality on an axis of generations: room for each trial, but no more than for the search."""
     return max(2.0, 0.6 * max(len(search.scores) for search in run.controllers))
-
-
-def _blocks(searches: Sequence[Search], gap: float) -> list[float]:
-    """Where each iteration begins; its generations stand at 1, 2, ... after that, then comes the gap."""
-    lengths = [len(search.scores) + gap for search in searches]
-    return [0.0, *np.cumsum(lengths[:-1]).tolist()]
-
-
-def _generation_axis(
-    axes: Axes,
-    searches: Sequence[Search],
-    offsets: list[float],
-    gap: float,
-    begin: float = -0.5,
-    label: bool = True,
-    numbered: bool = True,
-) -> None:
-    """Number the generations of each iteration from 1, and the iterations along the top.
-
-    Args:
-      axes: where.
-      searches: one per iteration.
-      offsets: from `_blocks`.
-      gap: likewise.
-      begin: where a block's left border lies, from its offset.
-      label: whether to name the axis.
-      numbered: whether to name the iterations.
-    """
-    total = sum(len(search.scores) for search in searches)
-    step = next(step for step in (1, 2, 5, 10, 20, 50, 100, 200, 500, total) if total / step <= 18)
-    places, names = [], []
-    for search, offset in zip(searches, offsets, strict=True):
-        count = len(search.scores)
-        for generation in range(1, count + 1):
-            if generation == count or (generation % step == 0 and count - generation >= 0.6 * step):
-                places.append(offset + generation)
-                names.append(str(generation))
-        if numbered:
-            text = f"iteration {search.iteration}" if len(searches) <= 5 else str(search.iteration)
-            middle = offset + begin + (count + gap) / 2
-            axes.annotate(text, (middle, 1), xycoords=("data", "axes fraction"), xytext=(0, 2), **_ABOVE)
-    for offset in offsets[1:]:
-        axes.axvline(offset + begin, color="0.8", linewidth=0.7, zorder=0)
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.set_xticks(places, names)
-    axes.set_xlim(-0.6, offsets[-1] + begin + len(searches[-1].scores) + gap + 0.1)
-    if label:
-        axes.set_xlabel("generation")
-
-
-_ABOVE: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "va": "bottom", "fontsize": 8, "color": "0.3"}
-_BELOW = _ABOVE | {"va": "top"}
-
-
-def _positive_scale(axes: Axes, values: np.ndarray) -> None:
-    """A logarithmic axis where values span more than a decade; below the least positive one it is linear down to 0."""
-    finite = values[np.isfinite(values)]
-    positive = finite[finite > 0]
-    if not len(positive) or positive.max() <= 10 * positive.min():
-        axes.set_ylim(bottom=0)
-    elif (finite <= 0).any():
-        axes.set_yscale("symlog", linthresh=10 ** math.floor(math.log10(positive.min())), linscale=0.5)
-        axes.set_ylim(bottom=0)
-    else:
-        axes.set_yscale("log")
 
 
 def _members(searches: Sequence[Search], offsets: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -287,14 +210,35 @@ def _member_best(search: Search, generation: int) -> np.ndarray:
     return search.parameters[generation, np.nanargmin(scores)]
 
 
-def _nan(function: Callable[[np.ndarray], float], scores: np.ndarray) -> np.ndarray:
+def _finite(function: Callable[[np.ndarray], float], scores: np.ndarray) -> np.ndarray:
     """A function of the finite members of each generation (g, population); NaN where there is none."""
     return np.array([function(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in scores])
 
 
-def _quantile(scores: np.ndarray, q: float) -> np.ndarray:
-    return _nan(lambda row: np.quantile(row, q), scores)
+def _population(
+    axes: Axes, searches: Sequence[Search], offsets: list[float], best_of: Callable[[np.ndarray], float]
+) -> list[np.ndarray]:
+    """Draw best, mean and spread of every generation of the searches.
+
+    Returns:
+      What spans the range to be shown.
+    """
+    shown = []
+    for number, (search, offset) in enumerate(zip(searches, offsets, strict=True)):
+        x = offset + 1 + np.arange(len(search.scores))
+        low, mean, high = (_finite(f, search.scores) for f in (_tenth, np.mean, _ninetieth))
+        best = _finite(best_of, search.scores)
+        names = ("middle 80 % of the population", "mean", "best") if number == 0 else (None, None, None)
+        axes.fill_between(x, low, high, color="0.87", linewidth=0, label=names[0])
+        axes.plot(x, mean, "--", color="0.35", linewidth=1.1, label=names[1])
+        axes.plot(x, best, "-", color="black", marker=".", label=names[2])
+        shown += [best, low, high]
+    return shown
 
 
-def _legend_above(figure: Figure, axes: Axes, columns: int = 3) -> None:
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=columns)
+def _tenth(values: np.ndarray) -> float:
+    return float(np.quantile(values, 0.1))
+
+
+def _ninetieth(values: np.ndarray) -> float:
+    return float(np.quantile(values, 0.9))

@@ -26,8 +26,8 @@ from btr_mjx.progress import note
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-AZIMUTH, ELEVATION = 125.0, -22.0
-"""Default view [degrees]: from the front right and above, where no leg of a hexapod hides another."""
+AZIMUTH, ELEVATION = 145.0, -28.0
+"""Default view [degrees]: from the front right and above, where every limb of a hexapod shows its length."""
 
 TIMEOUT = 60.0
 """Seconds after which a backend that does not answer counts as broken."""
@@ -84,7 +84,10 @@ def camera_for(
       margin: empty share of the picture at each side.
     """
     view = Camera(np.zeros(3), 0.0, azimuth, elevation)
-    points = np.concatenate([cloud for model in models for _, cloud in point_clouds(model)])
+    clouds = [cloud for model in models for _, cloud in point_clouds(model)]
+    if any(map(has_ground, models)):
+        clouds += [cloud * [1, 1, 0] for cloud in clouds]  # the shadows, with the sun at noon
+    points = np.concatenate(clouds)
     right, up, forward = view.axes @ points.T
     slope = (1 - 2 * margin) * np.tan(np.radians(view.fovy) / 2)
     distance, centre = 0.0, []
@@ -198,6 +201,11 @@ def _render(
             return None
 
 
+def has_ground(model: mujoco.MjModel) -> bool:
+    """Whether there is a plane to stand on."""
+    return bool((model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any())
+
+
 def point_clouds(model: mujoco.MjModel) -> list[tuple[int, np.ndarray]]:
     """Points whose convex hull is a geom, for each geom that has an extent, in the default posture.
 
@@ -268,7 +276,7 @@ def sketch(axes: "Axes", model: mujoco.MjModel, camera: Camera, aspect: float = 
         return flat[ConvexHull(flat).vertices], float(depth.mean())
 
     clouds = point_clouds(without_covered(model))
-    shadows = [outline(cloud * [1, 1, 0])[0] for _, cloud in clouds]
+    shadows = [outline(cloud * [1, 1, 0])[0] for _, cloud in clouds] if has_ground(model) else []
     axes.add_collection(PolyCollection(shadows, facecolor="0.88", edgecolor="none", zorder=1))
     shapes = [(*outline(cloud), tuple(0.35 + 0.65 * model.geom_rgba[geom, :3])) for geom, cloud in clouds]
     shapes.sort(key=lambda shape: -shape[1])

@@ -40,16 +40,16 @@ def morphologies(robot: Robot, run: RunData) -> Figure:
     for model in models:
         model.geom_rgba[searched] = UNKNOWN
         model.geom_matid[searched] = -1
-    figure = Figure(figsize=(3.3 * len(cases), 3.3 + 0.16 * math.ceil(run.box.n / 3)))
+    columns, size = (2, 8.5) if run.box.n <= 4 else (3, 7.5)
+    figure = Figure(figsize=(3.3 * len(cases), 3.2 + 0.18 * math.ceil(run.box.n / columns)))
     panels = figure.subplots(1, len(cases), squeeze=False)[0]
     draw(panels, models)
     for axes, title, values in zip(panels, cases, cases.values(), strict=True):
         axes.set_title(title, fontsize=11)
         units = [f" {unit}" if unit else "" for unit in run.box.units]
-        lengths = [f"{n} = {v:.2f}{unit}" for n, v, unit in zip(run.box.names, values, units, strict=True)]
-        columns = 2 if len(lengths) <= 4 else 3
+        lengths = [f"{n}: {v:.2f}{unit}" for n, v, unit in zip(run.box.names, values, units, strict=True)]
         lines = [",  ".join(lengths[i : i + columns]) for i in range(0, len(lengths), columns)]
-        axes.text(0.5, -0.03, "\n".join(lines), transform=axes.transAxes, ha="center", va="top", fontsize=8.5)
+        axes.text(0.5, -0.03, "\n".join(lines), transform=axes.transAxes, ha="center", va="top", fontsize=size)
     return figure
 
 
