@@ -149,20 +149,24 @@ def render_all(
 def working_backend() -> str | None:
     """Value of MUJOCO_GL under which rendering works here, None if none does (and a note that says so).
 
-    Tried once per process: the value that the user set, or else EGL and OSMesa (Linux), or the system's own.
+    Tried once per process: the value that the user set, or else EGL, OSMesa and, on a desktop, GLFW (Linux), or the
+    system's own (elsewhere).
     """
-    ball = mujoco.MjModel.from_xml_string('<mujoco><worldbody><geom size="1"/></worldbody></mujoco>')
     given = os.environ.get("MUJOCO_GL", "").strip().lower()
-    tried = [given] if given else (["egl", "osmesa"] if platform.system() == "Linux" else [""])
-    if given not in ("disable", "disabled", "off", "false", "0"):
-        for backend in tried:
-            picture = _render([ball], 32, 32, camera_for([ball], 1.0), backend)
-            if picture is not None and np.ptp(picture) > 0:
-                return backend
-    names = " or ".join(backend or "the default" for backend in tried)
-    note(
-        f"no OpenGL (tried MUJOCO_GL={names}): robots are sketched instead of rendered; on Debian: apt install libegl1"
-    )
+    if given in ("disable", "disabled", "off", "false", "0"):
+        note(f"robots are sketched, not rendered: MUJOCO_GL={given}")
+        return None
+    tried = [given] if given else ["egl", "osmesa"] if platform.system() == "Linux" else [""]
+    if not given and os.environ.get("DISPLAY"):
+        tried.append("glfw")
+    ball = mujoco.MjModel.from_xml_string('<mujoco><worldbody><geom size="1"/></worldbody></mujoco>')
+    for backend in tried:
+        picture = _render([ball], 32, 32, camera_for([ball], 1.0), backend)
+        if picture is not None and np.ptp(picture) > 0:
+            return backend
+    names = ", ".join(backend or "the default" for backend in tried)
+    hint = "; on Debian: apt install libegl1" if platform.system() == "Linux" else ""
+    note(f"robots are sketched, not rendered: no OpenGL (tried {names}){hint}")
     return None
 
 

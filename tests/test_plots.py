@@ -382,6 +382,7 @@ def fresh_probe(monkeypatch):
 def test_no_backend_is_said_once_in_one_line(fresh_probe, capsys):
     calls = []
     fresh_probe.delenv("MUJOCO_GL", raising=False)
+    fresh_probe.delenv("DISPLAY", raising=False)
     fresh_probe.setattr(pictures.platform, "system", lambda: "Linux")
 
     def fail(command, **options):
