@@ -224,9 +224,19 @@ def search_simulations(problem: Problem, state: State, report: Report) -> State:
 
 
 def delta_of_simulations(problem: Problem, simulations: np.ndarray, trials: Trials, iteration: int) -> np.ndarray:
-    """Delta_fitness (eq. 4) of simulations (L, n_s) over the behaviours that count; failed trials are left out."""
-    latest = trials.iteration == iteration if problem.settings.behaviours == "latest" else trials.iteration > 0
-    use = latest & np.isfinite(trials.f_r)
+    """Delta_fitness (eq. 4) of simulations over the behaviours that count in an iteration.
+
+    Args:
+      problem: the problem; its settings say which behaviours count.
+      simulations: (L, n_s).
+      trials: evaluations in reality; failed ones are left out.
+      iteration: only trials up to this one are used.
+
+    Returns:
+      (L,).
+    """
+    first = iteration if problem.settings.behaviours == "latest" else 1
+    use = (trials.iteration >= first) & (trials.iteration <= iteration) & np.isfinite(trials.f_r)
     f_s = _simulate(problem, simulations, trials.controllers[use])
     return delta_fitness(f_s, trials.f_r[use])
 

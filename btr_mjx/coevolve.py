@@ -89,7 +89,7 @@ class CoevolveConfig:
     """Generations of step 3."""
     simulation_p_m: float = 0.1
     """Probability per bit of flipping a simulation's bit."""
-    simulation_bits: int = 8
+    simulation_bits: int = 10
     """Bits per unknown parameter."""
 
     reality_engine: Literal["same", "lanes", "mjx", "native"] = "same"

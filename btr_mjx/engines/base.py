@@ -17,7 +17,7 @@ Leaves = Mapping[str, np.ndarray]
 """MjModel field name -> (..., *field shape): the fields in which the models of a batch differ."""
 
 
-class UnsupportedModel(InputError):  # noqa: N818 (it names the input, not the failure)
+class UnsupportedModel(InputError):
     """The model uses a feature that this engine does not compute; the message names it and the engine that does."""
 
 

@@ -188,6 +188,6 @@ def _refuse(model: mujoco.MjModel) -> None:
     joint = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_biasprm[:, 1] < 0)
     if not joint.all() or np.any(model.actuator_dynprm) or np.any(model.actuator_ctrlnum != 1):
         raise UnsupportedModel(
-            f"mjx: `pid` actuators ({', '.join(names[:3])}, ...) must act on hinges or slides, with kp > 0, input='pos' "
-            "and neither imax nor slewmax; use engine='native' for others"
+            f"mjx: `pid` actuators ({', '.join(names[:3])}, ...) must act on hinges or slides, with kp > 0, "
+            "input='pos' and neither imax nor slewmax; use engine='native' for others"
         )

@@ -1,7 +1,7 @@
 """The `native` engine: MuJoCo's own C code in float64 on threads, by `mujoco.batch.Batch`.
 
-It is the oracle for the engines inside JAX, and a reality that shares no code with them: it may run at another time step
-and with another integrator. Results are bit-identical at any thread count.
+It is the oracle for the engines inside JAX, and a reality that shares no code with them: it may run at another time
+step and with another integrator. Results are bit-identical at any thread count.
 """
 
 import copy

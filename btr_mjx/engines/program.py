@@ -118,7 +118,11 @@ def rollout(
     start = base(state)
     bounds = jnp.stack([jnp.concatenate([jnp.zeros(1, samples.dtype), samples[:-1]]), samples], axis=1)
     carry = (state, zeros, zeros, jnp.zeros(chunk, jnp.int32))
-    (_, _, peak, capped), (position, energy, qpos, qvel) = lax.scan(segment, carry, bounds)
+    ended: tuple
+    sampled: tuple
+    ended, sampled = lax.scan(segment, carry, bounds)
+    position, energy, qpos, qvel = sampled
+    peak, capped = ended[2:]
     return Record(start, position, energy, peak, capped, qpos, qvel)
 
 
@@ -186,7 +190,7 @@ class Program:
 
     def unpack(self, record: Record, count: int) -> Record:
         """Back to batch-first numpy arrays of the `count` pairs that were asked for."""
-        devices, capacity, chunk = self.layout.devices, self.layout.capacity, self.layout.chunk
+        devices, capacity = self.layout.devices, self.layout.capacity
 
         def pairs(x: jax.Array) -> np.ndarray:
             blocks = np.asarray(x).reshape(devices, capacity, *x.shape[1:]).swapaxes(0, 1)
