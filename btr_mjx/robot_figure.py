@@ -13,8 +13,8 @@ from btr_mjx.robots import Robot
 from btr_mjx.run_data import RunData
 
 WIDTH, HEIGHT = 640, 560
-UNKNOWN = (0.16, 0.40, 0.70, 1.0)
-"""Colour of the parts whose size is searched."""
+UNKNOWN = (0.97, 0.80, 0.30, 1.0)
+"""Colour of the parts whose size is searched: lighter than the rest, in black and white too."""
 
 
 def morphologies(robot: Robot, run: RunData) -> Figure:
