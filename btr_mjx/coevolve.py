@@ -57,8 +57,10 @@ class CoevolveConfig:
 
     unknown: tuple[str, ...] = ("bl_5", "bl_14")
     """Parameters of the simulation that are searched, or "all"; the others are known."""
-    truth: tuple[str, ...] = ("bl_5=0.88", "bl_14=1.6")
-    """Hidden reality s_r: NAME=VALUE of unknown parameters [m]; those not named are drawn from the seed."""
+    truth: tuple[str, ...] = ("preset",)
+    """Hidden reality s_r: NAME=VALUE of unknown parameters [m], or "preset" for the preset's own values (quick:
+    bl_5=0.88 bl_14=1.6, paper: bl_3=0.54 bl_5=0.54 bl_6=0.74 bl_8=0.74); unknown parameters not named are drawn from
+    the seed."""
     start: Literal["nominal", "random"] = "nominal"
     """s_0: the nominal lengths, or random values of the unknown ones."""
 
@@ -111,7 +113,6 @@ PRESETS: dict[str, CoevolveConfig] = {
     "paper": CoevolveConfig(
         preset="paper",
         unknown=("bl_3", "bl_5", "bl_6", "bl_8"),
-        truth=("bl_3=0.54", "bl_5=0.54", "bl_6=0.74", "bl_8=0.74"),
         start="random",
         iterations=5,
         trials=15,
@@ -124,6 +125,12 @@ PRESETS: dict[str, CoevolveConfig] = {
     ),
 }
 """Defaults by the value of --preset."""
+
+PRESET_TRUTH: dict[str, dict[str, float]] = {
+    "quick": {"bl_5": 0.88, "bl_14": 1.6},
+    "paper": {"bl_3": 0.54, "bl_5": 0.54, "bl_6": 0.74, "bl_8": 0.74},
+}
+"""Realities of the paper's Fig. 2 and Fig. 4 [m]."""
 
 
 def parse_values(robot: Robot, settings: Sequence[str]) -> dict[str, float]:
@@ -157,7 +164,11 @@ def build_problem(config: CoevolveConfig) -> Problem:
     box = robot.simulation_box
     unknown = box.names if config.unknown == ("all",) else tuple(config.unknown)
     indices = box.indices(unknown)
-    given = parse_values(robot, config.truth)
+    named = [setting for setting in config.truth if setting != "preset"]
+    given = parse_values(robot, named)
+    if "preset" in config.truth:
+        own = PRESET_TRUTH[config.preset]
+        given = {name: value for name, value in own.items() if name in unknown} | given
     for name in given:
         if name not in unknown:
             raise InputError(f"truth {name}={given[name]}: {name} is not among the unknown ({', '.join(unknown)})")

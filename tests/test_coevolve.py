@@ -15,7 +15,9 @@ from conftest import SMALL_RUN
 
 import btr_mjx
 from btr_mjx import coevolve
+from btr_mjx.btr_state import Problem
 from btr_mjx.files import read_arrays, read_table
+from btr_mjx.robots import hexapod
 
 SAME = ("result.json", "generations.parquet", "iterations.parquet", "trials.npz", "simulations-002.npz")
 
@@ -223,5 +225,25 @@ def test_presets() -> None:
     assert (paper.preset, paper.trials, paper.seed) == ("paper", 15, 5)
     assert paper.unknown == ("bl_3", "bl_5", "bl_6", "bl_8")
     assert coevolve.parse([]).unknown == ("bl_5", "bl_14")
-    every = coevolve.build_problem(coevolve.parse(["--unknown", "all", "--truth"]))
+
+
+def test_unknown_and_truth() -> None:
+    def problem(*flags: str) -> Problem:
+        return coevolve.build_problem(coevolve.parse(flags))
+
+    def truth(*flags: str) -> list[float]:
+        return list(problem(*flags).reality.truth)
+
+    nominal = list(hexapod().nominal)
+    every = problem("--unknown", "all", "--truth")
     assert every.simulation_box.n == 12
+    assert all(a != b for a, b in zip(every.reality.truth, nominal, strict=True))
+    assert truth("--unknown", "all")[2] == 0.88  # the preset's own value; the others are drawn
+    assert truth("--unknown", "bl_3", "bl_14")[11] == 1.6
+    assert truth("--unknown", "bl_3", "bl_14")[2] == nominal[2]  # bl_5 is known then
+    assert truth("--truth", "preset", "bl_5=0.5")[2] == 0.5
+    assert truth("--preset", "paper")[:6] == [0.54, 0.64, 0.54, 0.74, 0.64, 0.74]
+    # What is drawn depends on the seed alone, not on which values are given.
+    assert truth("--truth", "bl_5=0.5")[11] == truth("--truth")[11] != truth("--truth", "--seed", "1")[11]
+    assert problem().start.tolist() == nominal
+    assert problem("--start", "random").start[2] != nominal[2]
