@@ -111,3 +111,20 @@ def ldl_solve(lower: Sequence[Sequence[Scalar]], right: Vector) -> list[Scalar]:
     for i in reversed(range(n)):
         x[i] = sub(mul(y[i], inverse[i]), total(mul(factor[k][i], x[k]) for k in range(i + 1, n)))
     return x
+
+
+def lu_solve(rows: Sequence[Sequence[Scalar]], right: Vector) -> list[Scalar]:
+    """Solve a small unsymmetric system by elimination without pivoting; it must be close to positive definite."""
+    n = len(right)
+    a, b = [list(row) for row in rows], list(right)
+    inverse: list[Scalar] = []
+    for k in range(n):
+        inverse.append(1.0 / a[k][k])
+        for i in range(k + 1, n):
+            factor = mul(a[i][k], inverse[k])
+            a[i] = [sub(a[i][j], mul(factor, a[k][j])) if j > k else 0.0 for j in range(n)]
+            b[i] = sub(b[i], mul(factor, b[k]))
+    x: list[Scalar] = [0.0] * n
+    for k in reversed(range(n)):
+        x[k] = mul(sub(b[k], total(mul(a[k][j], x[j]) for j in range(k + 1, n))), inverse[k])
+    return x

@@ -6,11 +6,13 @@ A contact acts at one point of one link. What the solver needs from it is linear
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from itertools import product
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from btr_mjx.engines.lanes import support
 from btr_mjx.engines.lanes.kinematics import Motion, point_velocity
@@ -84,34 +86,22 @@ class Contact:
     frame: Matrix
     """Rows: normal and two tangents."""
     friction: Scalar
-    condim: int
     weight: Scalar
     """Inverse regularisation D of each row [kg]; of the normal row for an elliptic cone."""
     reference: Vector
     """Reference acceleration along the rows of the frame [m/s^2]."""
 
     def model(self, a: Vector) -> Model:
-        """Weights of the rows that push at contact-frame acceleration `a`: the cone's zone."""
-        if self.condim == 1:
-            jar = sub(a[0], self.reference[0])
-            return (jnp.where(jar < 0, self.weight, 0),)
-        edges, references = self._edges(a), self._edges(self.reference)
-        return tuple(jnp.where(sub(edge, ref) < 0, self.weight, 0) for edge, ref in zip(edges, references, strict=True))
-
-    def _edges(self, a: Vector) -> list[Scalar]:
-        """Components along the four edges of the friction pyramid."""
-        p, q = mul(self.friction, a[1]), mul(self.friction, a[2])
-        return [add(a[0], p), sub(a[0], p), add(a[0], q), sub(a[0], q)]
+        """The zone of the cone that contact-frame acceleration `a` lies in, as the numbers that `linear` needs."""
+        raise NotImplementedError
 
     def linear(self, model: Model) -> tuple[Symmetric, Vector]:
-        """Stiffness and force in the contact frame for a zone."""
-        if self.condim == 1:
-            return [model[0], 0.0, 0.0, 0.0, 0.0, 0.0], [mul(model[0], self.reference[0]), 0.0, 0.0]
-        mu, (w0, w1, w2, w3) = self.friction, model
-        pair1, pair2, skew1, skew2 = add(w0, w1), add(w2, w3), mul(mu, sub(w0, w1)), mul(mu, sub(w2, w3))
-        square = mul(mu, mu)
-        stiffness = [add(pair1, pair2), mul(square, pair1), mul(square, pair2), skew1, skew2, 0.0]
-        return stiffness, matvec(full(stiffness), self.reference)
+        """Stiffness and force in the contact frame for a zone: at `a` the contact pushes with force - stiffness a."""
+        raise NotImplementedError
+
+    def settled(self, old: Model, new: Model) -> jax.Array:
+        """Whether two zones are the same."""
+        return reduce(jnp.logical_and, [x == y for x, y in zip(old, new, strict=True)])
 
     def acceleration(self, spatial: Spatial) -> list[Scalar]:
         """Contact-frame acceleration of the point from the spatial acceleration of its link."""
@@ -124,6 +114,99 @@ class Contact:
         across = transpose(self.frame)
         f = matvec(across, force)
         return point_block(sandwich(across, stiffness), self.x), (f, cross(self.x, f))
+
+
+class Frictionless(Contact):
+    """A contact with a normal row only."""
+
+    def model(self, a: Vector) -> Model:
+        """Weight of the row if it pushes."""
+        return (jnp.where(sub(a[0], self.reference[0]) < 0, self.weight, 0),)
+
+    def linear(self, model: Model) -> tuple[Symmetric, Vector]:
+        """See `Contact.linear`."""
+        return [model[0], 0.0, 0.0, 0.0, 0.0, 0.0], [mul(model[0], self.reference[0]), 0.0, 0.0]
+
+
+class Pyramid(Contact):
+    """A contact with the four edges of a friction pyramid."""
+
+    def __post_init__(self) -> None:
+        self._references = self._edges(self.reference)  # once, not in every iteration
+
+    def _edges(self, a: Vector) -> list[Scalar]:
+        """Components along the four edges."""
+        p, q = mul(self.friction, a[1]), mul(self.friction, a[2])
+        return [add(a[0], p), sub(a[0], p), add(a[0], q), sub(a[0], q)]
+
+    def model(self, a: Vector) -> Model:
+        """Weights of the edges that push."""
+        edges = zip(self._edges(a), self._references, strict=True)
+        return tuple(jnp.where(sub(edge, reference) < 0, self.weight, 0) for edge, reference in edges)
+
+    def linear(self, model: Model) -> tuple[Symmetric, Vector]:
+        """See `Contact.linear`."""
+        mu, (w0, w1, w2, w3) = self.friction, model
+        pair1, pair2, skew1, skew2 = add(w0, w1), add(w2, w3), mul(mu, sub(w0, w1)), mul(mu, sub(w2, w3))
+        square = mul(mu, mu)
+        stiffness = [add(pair1, pair2), mul(square, pair1), mul(square, pair2), skew1, skew2, 0.0]
+        return stiffness, matvec(full(stiffness), self.reference)
+
+
+@dataclass
+class Ellipse(Contact):
+    """A contact with an elliptic cone (mj_constraintUpdate): between its zones the cost is not quadratic."""
+
+    impratio: Scalar
+    tolerance: float
+    """Relative change of stiffness and force below which two models are the same."""
+
+    def model(self, a: Vector) -> Model:
+        """Stiffness (six numbers) and force (three)."""
+        mu, ratio = self.friction, jnp.sqrt(jnp.asarray(self.impratio, a[0].dtype))
+        cone = mu / ratio  # slope of the regularised cone
+        jar = vsub(a, self.reference)
+        n, u, w = mul(jar[0], cone), mul(jar[1], mu), mul(jar[2], mu)
+        square = add(mul(u, u), mul(w, w))
+        slides = square > 0
+        t = jnp.sqrt(jnp.where(slides, square, 1.0)) * slides
+        free = (n >= cone * t) & (slides | (n >= 0))
+        sticks = (cone * n + t <= 0) & (slides | (n < 0))
+        # Sliding: the cost is 1/2 strength (n - cone t)^2.
+        strength = self.weight / (cone * cone * (1.0 + cone * cone))
+        inverse = 1.0 / jnp.where(slides, t, 1.0)
+        gap = n - cone * t
+        push = -strength * gap * cone
+        e1, e2 = u * inverse, w * inverse  # direction of sliding
+        bend = cone * n * inverse
+        side = strength * mu * mu
+        hessian = [
+            strength * cone * cone,
+            side * (bend * e1 * e1 + cone * cone - bend),
+            side * (bend * e2 * e2 + cone * cone - bend),
+            -strength * cone * mu * cone * e1,
+            -strength * cone * mu * cone * e2,
+            side * bend * e1 * e2,
+        ]
+        slide_force = vadd([push, -push * e1 * mu, -push * e2 * mu], matvec(full(hessian), a))
+        across = self.weight * (ratio * ratio)
+        stick = [self.weight, across, across, 0.0, 0.0, 0.0]
+        stick_force = matvec(full(stick), self.reference)
+        pairs = zip([*stick, *stick_force], [*hessian, *slide_force], strict=True)
+        return tuple(jnp.where(free, 0, jnp.where(sticks, x, y)) for x, y in pairs)
+
+    def linear(self, model: Model) -> tuple[Symmetric, Vector]:
+        """See `Contact.linear`."""
+        return model[:6], model[6:]
+
+    def settled(self, old: Model, new: Model) -> jax.Array:
+        """Whether two models agree to the tolerance."""
+        same = []
+        for part in (slice(0, 6), slice(6, 9)):
+            size = reduce(jnp.maximum, [jnp.abs(x) for x in new[part]])
+            change = reduce(jnp.maximum, [jnp.abs(x - y) for x, y in zip(old[part], new[part], strict=True)])
+            same.append(~(change > self.tolerance * size))
+        return same[0] & same[1]
 
 
 def _points(parameters: Parameters, key: str, touch: Touch, m: Motion) -> list[tuple[list[Scalar], Any]]:
@@ -156,7 +239,9 @@ def _contact_frame(parameters: Parameters, key: str, touch: Touch, m: Motion) ->
     return [normal, tangent, cross(normal, tangent)]
 
 
-def contacts(plan: Plan, parameters: Parameters, motions: Sequence[Motion], dtype: Any) -> list[Contact]:
+def contacts(
+    plan: Plan, parameters: Parameters, motions: Sequence[Motion], elliptic: bool, dtype: Any
+) -> list[Contact]:
     """All contact points of a chunk that could be active, with MuJoCo's reference accelerations and weights."""
     found = []
     for link, m in zip(plan.links, motions, strict=True):
@@ -165,7 +250,7 @@ def contacts(plan: Plan, parameters: Parameters, motions: Sequence[Motion], dtyp
             frame = _contact_frame(parameters, key, touch, m)
             base = sub(dot(frame[0], m.position), parameters.one(f"plane{touch.plane}/offset"))
             for offset, corner in _points(parameters, key, touch, m):
-                found.append(_contact(parameters, key, link, touch, m, frame, base, offset, corner, dtype))
+                found.append(_contact(parameters, key, link, touch, m, frame, base, offset, corner, elliptic, dtype))
     return found
 
 
@@ -179,6 +264,7 @@ def _contact(
     base: Scalar,
     offset: Vector,
     corner: Vector | None,
+    elliptic: bool,
     dtype: Any,
 ) -> Contact:
     """One point: `base` is the height of the link's origin over the plane, `offset` leads from there to the point."""
@@ -198,4 +284,10 @@ def _contact(
     weight = jnp.where(active, strength, 0)
     if is_zero(weight):
         weight = array(weight, beyond.shape, dtype)
-    return Contact(link, x, frame, parameters.one(f"{key}/friction"), touch.condim, weight, reference)
+    numbers = (link, x, frame, parameters.one(f"{key}/friction"), weight, reference)
+    if touch.condim == 1:
+        return Frictionless(*numbers)
+    if not elliptic:
+        return Pyramid(*numbers)
+    tolerance = float(np.sqrt(np.finfo(dtype).eps))
+    return Ellipse(*numbers, parameters.one("world/impratio"), tolerance)

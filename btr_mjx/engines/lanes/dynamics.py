@@ -10,6 +10,7 @@ from btr_mjx.engines.lanes.spatial import Block, Spatial, rigid_block
 from btr_mjx.engines.lanes.tree import FREE, Joint, Plan
 
 _NO_COUPLING = [[0.0] * 3] * 3
+NO_BLOCK = Block([0.0] * 6, _NO_COUPLING, [0.0] * 6)
 
 
 @dataclass
@@ -67,7 +68,7 @@ def dof_system(plan: Plan, parameters: Parameters, motions: Sequence[Motion], wh
     """A quantity per dof, "armature" or "damping", as a system."""
     blocks, diagonal = [], {}
     for link, m in zip(plan.links, motions, strict=True):
-        block = Block([0.0] * 6, _NO_COUPLING, [0.0] * 6)
+        block = NO_BLOCK
         for n, joint in enumerate(link.joints):
             values = parameters[f"{link.index}/joint{n}/{what}"]
             if joint.kind == FREE:

@@ -7,11 +7,25 @@ import jax.numpy as jnp
 import mujoco
 
 from btr_mjx.engines.lanes import support
-from btr_mjx.engines.lanes.articulated import solve
-from btr_mjx.engines.lanes.dynamics import System, against, local_rates
+from btr_mjx.engines.lanes.articulated import lu_solve, solve
+from btr_mjx.engines.lanes.dynamics import NO_BLOCK, System, against, local_rates
 from btr_mjx.engines.lanes.kinematics import Motion, unit_quaternion
-from btr_mjx.engines.lanes.scalars import Scalar, add, array, is_zero, scale, vadd
-from btr_mjx.engines.lanes.spatial import propagate
+from btr_mjx.engines.lanes.scalars import (
+    Scalar,
+    add,
+    array,
+    cross,
+    dot,
+    full,
+    is_zero,
+    matvec,
+    mul,
+    scale,
+    sub,
+    transpose,
+    vadd,
+)
+from btr_mjx.engines.lanes.spatial import Block, Spatial, propagate
 from btr_mjx.engines.lanes.tree import FREE, Plan
 
 
@@ -24,6 +38,7 @@ def advance(
     inertia: System,
     damping: System,
     actuator_damping: Mapping[int, Scalar],
+    medium: System | None,
     acceleration: Sequence[jax.Array],
 ) -> tuple[list[list[jax.Array]], list[jax.Array]]:
     """Next coordinates and velocities.
@@ -35,8 +50,9 @@ def advance(
       q: coordinates per joint.
       v: velocity per dof.
       inertia: of all links, with armature, M.
-      damping: minus the derivative of the passive forces by velocity, D.
+      damping: minus the derivative of the dampers' forces by velocity.
       actuator_damping: the same of the actuator forces, per dof.
+      medium: the same of the drag, None in a vacuum.
       acceleration: solution of the constraint problem, per dof.
 
     Returns:
@@ -45,20 +61,29 @@ def advance(
     dt = float(model.opt.timestep)
     implicit = damping
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST:
-        scalars = {k: d for k, d in actuator_damping.items() if not is_zero(d)}
-        implicit = System(
-            damping.blocks, damping.diagonal | {k: add(damping.diagonal.get(k, 0.0), d) for k, d in scalars.items()}
-        )
+        blocks = [NO_BLOCK] * len(plan.links)
+        implicit = damping + System(blocks, {k: d for k, d in actuator_damping.items() if not is_zero(d)})
+        implicit = implicit + medium if medium else implicit
     elif support.disabled(model, "EULERDAMP"):
         implicit = damping.times(0.0)
+    implicit = implicit.times(dt)
+    links = propagate(plan, motions, acceleration)
+    following: list[Scalar] = list(acceleration)
     if not implicit.zero:
         # (M + h D) a' = M a, since M a is the sum of all forces at the solution; solving for the difference a' - a
         # keeps digits and spares the projection of the contact forces.
-        rated = implicit.times(dt)
-        system = inertia + rated
-        wrenches, tau = against(rated, propagate(plan, motions, acceleration), acceleration)
+        system = inertia + implicit
+        wrenches, tau = against(implicit, links, acceleration)
         change, _ = solve(plan, motions, system.blocks, wrenches, system.diagonal, tau)
-        acceleration = [array(add(a, c), a.shape, a.dtype) for a, c in zip(acceleration, change, strict=True)]
+        following = [add(a, c) for a, c in zip(acceleration, change, strict=True)]
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST:
+        for link in plan.links:
+            if link.alone:
+                i = link.index
+                change = _gyroscopic(inertia.blocks[i], implicit.blocks[i], motions[i], links[i], dt)
+                for k, c in zip(link.dofs, change, strict=True):
+                    following[k] = add(acceleration[k], c)
+    acceleration = [array(x, a.shape, a.dtype) for x, a in zip(following, acceleration, strict=True)]
     rates = local_rates(plan, motions, acceleration)
     velocities = vadd(v, scale(dt, rates))
     coordinates = []
@@ -70,6 +95,29 @@ def advance(
             moved += _turned(unit_quaternion(old[3:]), speed[3:], dt)
         coordinates.append(moved)
     return coordinates, velocities
+
+
+def _gyroscopic(inertia: Block, damping: Block, m: Motion, a: Spatial, dt: float) -> list[Scalar]:
+    """Change of a lone free body's acceleration when its velocity forces, gyroscopic ones included, act implicitly.
+
+    The bias force is w x (w x h) and the bias torque about the origin w x J w; their derivatives by w make the system
+    unsymmetric (mjd_freeMhat).
+    """
+    w, h = m.spin, [inertia.mixed[1][2], inertia.mixed[2][0], inertia.mixed[0][1]]
+    tensor = full(inertia.angular)
+    along, momentum = dot(w, h), matvec(tensor, w)
+    force = [[sub(mul(w[i], h[j]), mul(2.0, mul(h[i], w[j]))) for j in range(3)] for i in range(3)]
+    torque = transpose([cross(w, column) for column in transpose(tensor)])
+    for i in range(3):
+        force[i][i] = add(force[i][i], along)
+        j, k = (i + 1) % 3, (i + 2) % 3
+        torque[j][k], torque[k][j] = add(torque[j][k], momentum[i]), sub(torque[k][j], momentum[i])
+    both = inertia + damping
+    rows = [[*full(both.linear)[i], *vadd(both.mixed[i], scale(dt, force[i]))] for i in range(3)]
+    rows += [[*transpose(both.mixed)[i], *vadd(full(both.angular)[i], scale(dt, torque[i]))] for i in range(3)]
+    drag, turn = damping @ a
+    right = vadd(drag, scale(dt, matvec(force, a[1]))), vadd(turn, scale(dt, matvec(torque, a[1])))
+    return lu_solve(rows, scale(-1.0, [*right[0], *right[1]]))
 
 
 def _turned(q: Sequence[jax.Array], spin: Sequence[jax.Array], dt: float) -> list[jax.Array]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from btr_mjx.engines.lanes import support
 from btr_mjx.engines.lanes.scalars import Scalar, constant
-from btr_mjx.engines.lanes.tree import FREE, Joint, Plan, Touch, rigid_members
+from btr_mjx.engines.lanes.tree import FREE, Joint, Plan, Touch, massive_members, rigid_members
 
 VARYING = frozenset(
     f"{group}_{field}"
@@ -129,6 +129,17 @@ def _inertia(model: mujoco.MjModel, fields: Fields, body: int) -> dict[str, np.n
         tensor = tensor + about + mass[..., None] * square
     six = [tensor[..., i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
     return {"mass": own[..., None], "h": h, "inertia": np.stack(six, -1)}
+
+
+def _fluid(model: mujoco.MjModel, fields: Fields, body: int, root: int) -> dict[str, np.ndarray]:
+    """Pose of a body's inertia in its link, and the edges [m] of the box that has this inertia."""
+    position, matrix = rigid_pose(model, fields, body, root)
+    moments = fields("body_inertia", body)
+    spread = np.maximum(_MINVAL, moments.sum(-1, keepdims=True) - 2 * moments)
+    box = np.sqrt(6 * spread / fields("body_mass", body)[..., None])
+    turn = matrix @ _matrix(fields("body_iquat", body))
+    centre = position + _apply(matrix, fields("body_ipos", body))
+    return {"pos": centre, "rot": turn.reshape(*turn.shape[:2], 9), "box": box}
 
 
 def _frame(model: mujoco.MjModel, fields: Fields, body: int) -> dict[str, np.ndarray]:
@@ -287,17 +298,25 @@ def derive(model: mujoco.MjModel, plan: Plan, fields: Fields) -> dict[str, np.nd
     gravity = np.zeros((1, 1, 3)) if support.disabled(model, "GRAVITY") else fields("opt.gravity")
     options = {key: fields(f"opt.{key}")[..., None] for key in ("density", "viscosity", "impratio")}
     put("world", [{"gravity": gravity, "wind": fields("opt.wind"), **options}])
+    stirred = not (
+        support.disabled(model, "SPRING") and support.disabled(model, "DAMPER")
+    )  # they gate all passive forces
+    wet = stirred and bool(np.any(options["density"]) or np.any(options["viscosity"]))
     for plane in sorted({touch.plane for link in plan.links for touch in link.touches}):
         put(f"plane{plane}", [_plane(model, fields, plane)])
     for link in plan.links:
         put(f"{link.index}", [_inertia(model, fields, b) | _frame(model, fields, b) for b in link.bodies])
+        if wet:
+            for n, bodies in enumerate(zip(*(massive_members(model, b) for b in link.bodies), strict=False)):
+                members = zip(bodies, link.bodies, strict=True)
+                put(f"{link.index}/fluid{n}", [_fluid(model, fields, b, root) for b, root in members])
         for n, joint in enumerate(link.joints):
             put(f"{link.index}/joint{n}", [_joint(model, fields, joint, j) for j in joint.ids])
             for k, actuator in enumerate(joint.actuators):
                 put(f"{link.index}/joint{n}/actuator{k}", [_actuator(fields, a) for a in actuator.ids])
         for n, touch in enumerate(link.touches):
-            members = zip(link.bodies, touch.geoms, strict=True)
-            put(f"{link.index}/touch{n}", [_touch(model, fields, b, touch, g) for b, g in members])
+            geoms = zip(link.bodies, touch.geoms, strict=True)
+            put(f"{link.index}/touch{n}", [_touch(model, fields, b, touch, g) for b, g in geoms])
     return table
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import jax
 import jax.numpy as jnp
@@ -14,8 +15,26 @@ from btr_mjx.engines.lanes.tree import FREE, Plan
 type Model = tuple[jax.Array, ...]
 
 
+class Row:
+    """A constraint on one dof."""
+
+    dof: int
+
+    def model(self, a: jax.Array) -> Model:
+        """The zone that joint acceleration `a` lies in, as the numbers that `effect` needs."""
+        raise NotImplementedError
+
+    def effect(self, model: Model) -> tuple[Scalar, Scalar]:
+        """Stiffness and force for a zone: at `a` the row pushes along its dof with force - stiffness a."""
+        raise NotImplementedError
+
+    def settled(self, old: Model, new: Model) -> jax.Array:
+        """Whether two zones are the same."""
+        return reduce(jnp.logical_and, [x == y for x, y in zip(old, new, strict=True)])
+
+
 @dataclass
-class Limit:
+class Limit(Row):
     """One side of a joint's range, active where `weight` is not zero."""
 
     dof: int
@@ -29,12 +48,12 @@ class Limit:
         return (jnp.where(sub(mul(self.sign, a), self.reference) < 0, self.weight, 0),)
 
     def effect(self, model: Model) -> tuple[Scalar, Scalar]:
-        """Addition to the dof's diagonal, and force."""
+        """See `Row.effect`."""
         return model[0], mul(self.sign, mul(model[0], self.reference))
 
 
 @dataclass
-class Friction:
+class Friction(Row):
     """Friction loss of a dof: a force that opposes motion, bounded by `loss`."""
 
     dof: int
@@ -52,15 +71,13 @@ class Friction:
         return jnp.where(sticks, self.weight, 0), force
 
     def effect(self, model: Model) -> tuple[Scalar, Scalar]:
-        """Addition to the dof's diagonal, and force."""
+        """See `Row.effect`."""
         return model[0], model[1]
 
 
-def dof_rows(
-    plan: Plan, parameters: Parameters, q: Sequence[Sequence[jax.Array]], v: Sequence[jax.Array]
-) -> list[Limit | Friction]:
+def dof_rows(plan: Plan, parameters: Parameters, q: Sequence[Sequence[jax.Array]], v: Sequence[jax.Array]) -> list[Row]:
     """All limit and friction rows of a chunk (mj_instantiateLimit, mj_instantiateFriction)."""
-    found: list[Limit | Friction] = []
+    found: list[Row] = []
     coordinates = iter(q)
     for link in plan.links:
         for n, joint in enumerate(link.joints):

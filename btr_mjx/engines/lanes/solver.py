@@ -1,8 +1,11 @@
-"""Newton's method on MuJoCo's convex constraint problem, run to a fixed active set.
+"""Newton's method on MuJoCo's convex constraint problem, run until the zones of all constraints stay the same.
 
 The cost is quadratic on every zone of the constraints, so a full step from a zone lands on that zone's exact minimum,
-and a solution is found when the zones at the minimum are the ones it was computed for. A world that has found its
-solution computes the same numbers again, bit for bit, while its neighbours in the chunk still search.
+and a solution is found when the zones at the minimum are the ones it was computed for. Elliptic cones, whose sides are
+not quadratic, and dry friction need a line search besides.
+
+A world's result does not depend on its neighbours: one that has found its solution computes the same numbers again,
+bit for bit, or keeps them where a line search might move them, while its neighbours in the chunk still search.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,15 +16,16 @@ import jax.numpy as jnp
 from jax import lax
 
 from btr_mjx.engines.lanes.articulated import solve
-from btr_mjx.engines.lanes.contacts import Contact, Model
+from btr_mjx.engines.lanes.contacts import Contact, Ellipse, Model
 from btr_mjx.engines.lanes.dynamics import System
 from btr_mjx.engines.lanes.kinematics import Motion
-from btr_mjx.engines.lanes.rows import Friction, Limit
+from btr_mjx.engines.lanes.linesearch import step_length
+from btr_mjx.engines.lanes.rows import Friction, Row
 from btr_mjx.engines.lanes.scalars import Scalar, add, array, vadd
 from btr_mjx.engines.lanes.spatial import Spatial, propagate
 from btr_mjx.engines.lanes.tree import Plan
 
-type Constraints = Sequence[Contact | Limit | Friction]
+type Constraints = Sequence[Contact | Row]
 
 
 def _models(constraints: Constraints, a: Sequence[jax.Array], links: Sequence[Spatial]) -> list[Model]:
@@ -57,11 +61,11 @@ def _step(
     return solve(plan, motions, blocks, outer, diagonal, forces)
 
 
-def _moved(plan: Plan, constraints: Constraints, old: Sequence[Model], new: Sequence[Model]) -> jax.Array:
+def _moved(constraints: Constraints, old: Sequence[Model], new: Sequence[Model]) -> jax.Array:
     """Which worlds (C,) have left the zones that they were solved for."""
     flags = []
-    for before, after in zip(old, new, strict=True):
-        flag = reduce(jnp.logical_or, [x != y for x, y in zip(before, after, strict=True)])
+    for c, before, after in zip(constraints, old, new, strict=True):
+        flag = ~c.settled(before, after)
         flags += [flag[i] for i in range(flag.shape[0])] if flag.ndim == 2 else [flag]
     return reduce(jnp.logical_or, flags)
 
@@ -95,6 +99,7 @@ def constrained_acceleration(
     if not constraints:
         solution, _ = solve(plan, motions, inertia.blocks, wrenches, inertia.diagonal, tau)
         return [array(x, g.shape, g.dtype) for x, g in zip(solution, guess, strict=True)], jnp.zeros(lanes, bool)
+    search = any(isinstance(c, Ellipse | Friction) for c in constraints)
 
     def shaped(models: Sequence[Model]) -> list[Model]:
         shapes = [(c.link.size if isinstance(c, Contact) else plan.dof_size[c.dof]) for c in constraints]
@@ -102,11 +107,20 @@ def constrained_acceleration(
         return [tuple(array(x, s, guess[0].dtype) for x in model) for model, s in zip(models, full, strict=True)]
 
     def body(carry: tuple) -> tuple:
-        count, _, _, models = carry
+        count, moving, old, models = carry
         x, links = _step(plan, motions, constraints, inertia, wrenches, tau, models)
         a = [array(x_k, g.shape, g.dtype) for x_k, g in zip(x, guess, strict=True)]
+        if search:
+            length = step_length(plan, motions, constraints, inertia, wrenches, tau, old, a)
+            a = [jnp.where(moving, y + length * (z - y), y) for y, z in zip(old, a, strict=True)]
+            links = propagate(plan, motions, a)
         following = shaped(_models(constraints, a, links))
-        return count + 1, _moved(plan, constraints, models, following), a, following
+        moved = _moved(constraints, models, following)
+        if search:
+            moved = moved & moving
+            pairs = zip(models, following, strict=True)
+            following = [tuple(jnp.where(moving, y, x) for x, y in zip(*pair, strict=True)) for pair in pairs]
+        return count + 1, moved, a, following
 
     def searching(carry: tuple) -> jax.Array:
         return jnp.any(carry[1]) & (carry[0] < max_newton)

@@ -12,14 +12,15 @@ import numpy as np
 from btr_mjx.engines.base import Leaves
 from btr_mjx.engines.lanes import support
 from btr_mjx.engines.lanes.actuation import actuate, rows, springs
-from btr_mjx.engines.lanes.contacts import contacts
+from btr_mjx.engines.lanes.contacts import Contact, contacts
 from btr_mjx.engines.lanes.dynamics import against, bias_wrenches, dof_system, inertia
+from btr_mjx.engines.lanes.fluid import drag
 from btr_mjx.engines.lanes.integrate import advance
 from btr_mjx.engines.lanes.kinematics import motions
 from btr_mjx.engines.lanes.parameters import VARYING, Fields, Parameters, base_field, derive, matters, split
 from btr_mjx.engines.lanes.retrace import retrace
-from btr_mjx.engines.lanes.rows import dof_rows
-from btr_mjx.engines.lanes.scalars import add, array, group_sum, total, vsub
+from btr_mjx.engines.lanes.rows import Row, dof_rows
+from btr_mjx.engines.lanes.scalars import add, array, group_sum, total, vadd, vsub
 from btr_mjx.engines.lanes.solver import constrained_acceleration
 from btr_mjx.engines.lanes.tree import FREE, make_plan
 
@@ -75,6 +76,7 @@ class LanesStepper:
         """
         self._model, self._dtype, self._max_newton = model, np.dtype(dtype or jnp.result_type(float)), max_newton
         self.nq, self.nv, self.nu = int(model.nq), int(model.nv), int(model.nu)
+        self._elliptic = bool(model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC)
         self.timestep = float(model.opt.timestep)
         pairs = support.check(model)
         self._masks = self._read_masks(varying)
@@ -182,13 +184,19 @@ class LanesStepper:
         wrenches, tau = against(damping, moves, v)
         bias = bias_wrenches(plan, parameters, moving)
         wrenches = [(vsub(f, g), vsub(n, o)) for (f, n), (g, o) in zip(wrenches, bias, strict=True)]
+        medium = drag(plan, parameters, moving)
+        if medium is not None:
+            wrenches = [(vadd(f, g), vadd(n, o)) for (f, n), (g, o) in zip(wrenches, medium[0], strict=True)]
         for force in (actuation.force, springs(plan, parameters, q)):
             tau = {k: add(tau.get(k, 0.0), force.get(k, 0.0)) for k in sorted(tau.keys() | force.keys())}
-        constraints = [*dof_rows(plan, parameters, q, v), *contacts(plan, parameters, moving, self._dtype)]
+        constraints: list[Contact | Row] = [
+            *dof_rows(plan, parameters, q, v),
+            *contacts(plan, parameters, moving, self._elliptic, self._dtype),
+        ]
         found, capped = constrained_acceleration(
             plan, moving, constraints, bodies, wrenches, tau, state.acceleration, self._max_newton
         )
-        following = advance(model, plan, moving, q, v, bodies, damping, actuation.damping, found)
+        following = advance(model, plan, moving, q, v, bodies, damping, actuation.damping, medium and medium[1], found)
         power = total(group_sum(p, size) for p, size in actuation.power)
         return State(*following, actuation.act, found, array(power, capped.shape, self._dtype), capped)
 

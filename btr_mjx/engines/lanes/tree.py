@@ -69,6 +69,8 @@ class Link:
     """The MuJoCo body that carries the joints, of each member."""
     joints: tuple[Joint, ...]
     touches: tuple[Touch, ...]
+    alone: bool
+    """Whether this is a free body by itself."""
 
     @property
     def dofs(self) -> tuple[int, ...]:
@@ -93,6 +95,26 @@ def rigid_members(model: mujoco.MjModel, body: int) -> list[int]:
         if model.body_jntnum[b] == 0 and model.body_parentid[b] in members:
             members.append(b)
     return members
+
+
+def massive_members(model: mujoco.MjModel, body: int) -> list[int]:
+    """Members of a rigid link that have mass."""
+    return [b for b in rigid_members(model, body) if model.body_mass[b] >= 1e-15]
+
+
+def stands_alone(model: mujoco.MjModel, body: int) -> bool:
+    """Whether a body is a free body by itself, which MuJoCo integrates with its gyroscopic forces (mj_isFreeBody)."""
+    alone = model.body_jntnum[body] == 1 and model.jnt_type[model.body_jntadr[body]] == FREE
+    return bool(alone and model.body_subtreemass[body] == model.body_mass[body] and not jointed_below(model, body))
+
+
+def jointed_below(model: mujoco.MjModel, body: int) -> bool:
+    """Whether some body below this one has joints."""
+    below = [body]
+    for b in range(body + 1, model.nbody):
+        if model.body_parentid[b] in below:
+            below.append(b)
+    return any(model.body_jntnum[b] for b in below[1:])
 
 
 class _Builder:
@@ -165,7 +187,8 @@ class _Builder:
                 )
             )
         touches = [(int(m.geom_type[g]), self.pairs[g]) for g in self._touching(body)] if body else []
-        return repr((joints, touches, [self.signatures[b] for b in self._children(body)]))
+        own = (stands_alone(m, body), len(massive_members(m, body))) if body else ()
+        return repr((joints, touches, own, [self.signatures[b] for b in self._children(body)]))
 
     def _add(self, parent: int, bodies: tuple[int, ...]) -> None:
         """Append the link of one or more alike bodies, then everything below."""
@@ -191,7 +214,7 @@ class _Builder:
             for geoms in zip(*(self._touching(b) for b in bodies), strict=True)
             for plane, condim in self.pairs[geoms[0]]
         ]
-        self.links.append(Link(index, parent, size, bodies, tuple(joints), tuple(touches)))
+        self.links.append(Link(index, parent, size, bodies, tuple(joints), tuple(touches), stands_alone(m, bodies[0])))
         self._descend(index, bodies)
 
     def _descend(self, index: int, bodies: tuple[int, ...]) -> None:
