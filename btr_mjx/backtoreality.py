@@ -11,12 +11,14 @@ state after it. Whatever runs it can save the state between pieces and go on lat
 """
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
 
 from btr_mjx.behaviour import Engine, evaluate
 from btr_mjx.btr_state import Problem, Progress, SearchSettings, State, Trials
+from btr_mjx.distances import fitness_at_marks, multiscale_fitness
 from btr_mjx.errors import InputError
 from btr_mjx.evolution import GAConfig, GAState, GeneticAlgorithm
 from btr_mjx.fitness import DISTANCE, FitnessFunction, delta_fitness
@@ -49,7 +51,9 @@ def begin(problem: Problem, genome: np.ndarray | None = None) -> State:
     problem.simulation_box.encode(start[problem.robot.simulation_box.indices(problem.unknown)])
     box = problem.controller_box
     first = box.random_genomes(_rng(problem, 0, 0)) if genome is None else box.validate_genomes(genome)
-    trials = Trials(np.zeros((0, box.n)), np.zeros(0), np.zeros(0), np.zeros(0, int))
+    _check_marks(problem)
+    marks = np.zeros((0, len(problem.times) - 1))
+    trials = Trials(np.zeros((0, box.n)), np.zeros(0), marks, np.zeros(0), np.zeros(0, int))
     return State("baseline", 1, start, first, trials)
 
 
@@ -88,8 +92,8 @@ def try_first_controller(problem: Problem, state: State) -> State:
     """Try c_0 in reality: the fitness before learning, f_0 of the learning performance."""
     controllers = problem.controller_box.decode(state.genome)[None]
     f_s = _simulate(problem, state.simulation[None], controllers)[0]
-    f_r = problem.reality.measure(controllers, len(state.trials))
-    return replace(state, phase="controllers", trials=state.trials.add(controllers, f_r, f_s, 0))
+    measured = problem.reality.measure(controllers, len(state.trials), problem.times)
+    return replace(state, phase="controllers", trials=state.trials.add(controllers, measured, f_s, 0))
 
 
 def search_controllers(problem: Problem, state: State, report: Report) -> State:
@@ -190,17 +194,18 @@ def test_in_reality(problem: Problem, state: State) -> State:
             "start from another simulation or lower the motor gains"
         )
     controllers = problem.controller_box.decode(genomes)
-    f_r = problem.reality.measure(controllers, len(state.trials))
+    measured = problem.reality.measure(controllers, len(state.trials), problem.times)
+    f_r = measured[:, -1]
     if not np.isfinite(f_r).any():
         raise InputError(f"iteration {state.iteration}: all {len(f_r)} trials in reality failed (fitness is NaN)")
-    trials = state.trials.add(controllers, f_r, f_s, state.iteration)
+    trials = state.trials.add(controllers, measured, f_s, state.iteration)
     winner = genomes[best(f_r, problem.fitness.maximise)]
     before = delta_of_simulations(problem, state.simulation[None], trials, state.iteration)[0]
     return State("simulations", state.iteration, state.simulation, winner, trials, delta_before=float(before))
 
 
 def search_simulations(problem: Problem, state: State, report: Report) -> State:
-    """Step 3, one generation: evolve simulations for the least Delta_fitness."""
+    """Step 3, one generation: evolve simulations for the least distance from reality."""
     settings, box = problem.settings.simulations, problem.simulation_box
     algorithm = _algorithm(box, settings, maximise=False)
     search = state.search
@@ -224,7 +229,9 @@ def search_simulations(problem: Problem, state: State, report: Report) -> State:
 
 
 def delta_of_simulations(problem: Problem, simulations: np.ndarray, trials: Trials, iteration: int) -> np.ndarray:
-    """Delta_fitness (eq. 4) of simulations over the behaviours that count in an iteration.
+    """Distance of simulations from reality over the behaviours that count in an iteration.
+
+    Delta_fitness (eq. 4), or `distances.multiscale_fitness`: for the latter trials are simulated up to the last mark.
 
     Args:
       problem: the problem; its settings say which behaviours count.
@@ -237,8 +244,31 @@ def delta_of_simulations(problem: Problem, simulations: np.ndarray, trials: Tria
     """
     first = iteration if problem.settings.behaviours == "latest" else 1
     use = (trials.iteration >= first) & (trials.iteration <= iteration) & np.isfinite(trials.f_r)
-    f_s = _simulate(problem, simulations, trials.controllers[use])
-    return delta_fitness(f_s, trials.f_r[use])
+    if problem.settings.distance == "fitness":
+        f_s = _simulate(problem, simulations, trials.controllers[use])
+        return delta_fitness(f_s, trials.f_r[use])
+    evaluation = evaluate(
+        problem.robot,
+        simulations,
+        trials.controllers[use],
+        engine=problem.engine,
+        fitness=problem.fitness,
+        times=problem.settings.marks,
+        progress=problem.progress,
+    )
+    at_marks = fitness_at_marks(evaluation.outcome, problem.fitness)
+    f_s = np.where(evaluation.diverged[..., None], np.nan, at_marks)
+    return multiscale_fitness(f_s, trials.f_marks[use])
+
+
+def _check_marks(problem: Problem) -> None:
+    """Marks must lie within the trial, in order."""
+    times = problem.times
+    if times[0] <= 0 or any(later <= earlier for earlier, later in pairwise(times)):
+        raise InputError(
+            f"marks: got {list(times[:-1])}, expected ascending times within the trial of {times[-1]} s; "
+            "lengthen the trial or give earlier marks"
+        )
 
 
 def _finish_iteration(problem: Problem, state: State, report: Report) -> State:

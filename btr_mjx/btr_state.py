@@ -8,6 +8,7 @@ import numpy as np
 
 from btr_mjx import evolution
 from btr_mjx.behaviour import Engine
+from btr_mjx.distances import MARKS
 from btr_mjx.errors import InputError
 from btr_mjx.evolution import GAState
 from btr_mjx.fitness import DISTANCE, FitnessFunction
@@ -16,6 +17,7 @@ from btr_mjx.robots import Robot
 from btr_mjx.spaces import Box
 
 Phase = Literal["baseline", "controllers", "transfer", "simulations", "done"]
+Distance = Literal["fitness", "multiscale"]
 Progress = Callable[[int], object]
 
 
@@ -55,7 +57,10 @@ class BTRSettings:
       iterations: at most so many iterations.
       max_evaluations: stop before exceeding so many evaluations in reality; None for no limit.
       target_delta: stop once Delta_fitness is at most this; None for no target.
-      behaviours: whether Delta_fitness compares the behaviours of the latest iteration (the paper) or all so far.
+      behaviours: whether the distance compares the behaviours of the latest iteration (the paper) or all so far.
+      distance: what step 3 minimises: "fitness" is Delta_fitness (the paper), "multiscale" is
+        `distances.multiscale_fitness` at `marks`.
+      marks: ascending times [s], before the end of the trial.
     """
 
     controllers: SearchSettings
@@ -65,6 +70,8 @@ class BTRSettings:
     max_evaluations: int | None = None
     target_delta: float | None = None
     behaviours: Literal["latest", "all"] = "latest"
+    distance: Distance = "fitness"
+    marks: tuple[float, ...] = MARKS
 
     def __post_init__(self) -> None:
         if not 1 <= self.trials < self.controllers.population:
@@ -79,6 +86,8 @@ class BTRSettings:
                 f"max_evaluations: got {self.max_evaluations}, expected at least {self.trials + 1}: the first "
                 "controller and one iteration's trials"
             )
+        if self.distance == "multiscale" and self.trials < 2:
+            raise InputError("trials m = 1: the multiscale distance needs at least 2, to know the spread at each mark")
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +126,12 @@ class Problem:
         """Box of the controllers, with the bits of step 1."""
         return self.robot.controller_box.with_bits(self.settings.controllers.bits)
 
+    @property
+    def times(self) -> tuple[float, ...]:
+        """Times [s] at which a trial in reality is measured: the marks, where the distance needs them, and T_e."""
+        marks = self.settings.marks if self.settings.distance == "multiscale" else ()
+        return (*marks, self.robot.duration)
+
     def embed(self, unknown_values: np.ndarray) -> np.ndarray:
         """(..., n_s) simulations with these values (..., n_unknown) of the unknown parameters."""
         return self.robot.simulation_box.embed(self.start, self.unknown, unknown_values)
@@ -129,25 +144,28 @@ class Trials:
     Attributes:
       controllers: (n, n_c).
       f_r: (n,) fitness in reality.
+      f_marks: (n, K) fitness in reality as if the trial had ended at each mark; K is 0 for Delta_fitness.
       f_s: (n,) fitness in the simulation in which the controller was found.
       iteration: (n,) iteration that tried it, 0 for the first controller c_0.
     """
 
     controllers: np.ndarray
     f_r: np.ndarray
+    f_marks: np.ndarray
     f_s: np.ndarray
     iteration: np.ndarray
 
     def __len__(self) -> int:
         return len(self.f_r)
 
-    def add(self, controllers: np.ndarray, f_r: np.ndarray, f_s: np.ndarray, iteration: int) -> "Trials":
-        """With further trials."""
+    def add(self, controllers: np.ndarray, measured: np.ndarray, f_s: np.ndarray, iteration: int) -> "Trials":
+        """With further trials: controllers (m, n_c) and what `Reality.measure` gave for them (m, K + 1)."""
         return Trials(
             np.concatenate([self.controllers, controllers]),
-            np.concatenate([self.f_r, f_r]),
+            np.concatenate([self.f_r, measured[:, -1]]),
+            np.concatenate([self.f_marks, measured[:, :-1]]),
             np.concatenate([self.f_s, f_s]),
-            np.concatenate([self.iteration, np.full(len(f_r), iteration)]),
+            np.concatenate([self.iteration, np.full(len(f_s), iteration)]),
         )
 
 
@@ -163,8 +181,8 @@ class State:
       trials: all evaluations in reality.
       search: state of the search under way, None between searches.
       genomes: (g, population, bits) all generations of the search under way.
-      scores: (g, population) their fitness or Delta_fitness.
-      delta_before: Delta_fitness of s_(i-1) over the behaviours of iteration i.
+      scores: (g, population) their fitness or distance.
+      delta_before: the distance of s_(i-1) over the behaviours of iteration i.
       stop: why the algorithm ended, "" before.
     """
 

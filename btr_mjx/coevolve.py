@@ -26,6 +26,7 @@ import tyro
 from btr_mjx import backtoreality, plots
 from btr_mjx.behaviour import EngineSettings
 from btr_mjx.btr_state import BTRSettings, Problem, SearchSettings, State, state_from_arrays, state_to_arrays
+from btr_mjx.distances import MARKS
 from btr_mjx.errors import InputError, cli_errors, resume_command
 from btr_mjx.files import write_arrays, write_json
 from btr_mjx.fitness import fitness_function, learning_performance
@@ -74,6 +75,11 @@ class CoevolveConfig:
     """Stop once Delta_fitness is at most this [unit of the fitness]."""
     behaviours: Literal["latest", "all"] = "all"
     """Delta_fitness over the behaviours of the latest iteration (the paper), or over all so far."""
+    distance: Literal["fitness", "multiscale"] = "fitness"
+    """What step 3 minimises: Delta_fitness (the paper), or the fitness at several early marks of the trial, which finds
+    many unknown parameters from few trials."""
+    marks: tuple[float, ...] = MARKS
+    """Marks of the multiscale distance [s]."""
     fitness: str = "distance"
     """Fitness function: distance, forward_speed or energy_per_metre."""
 
@@ -210,6 +216,8 @@ def build_problem(config: CoevolveConfig) -> Problem:
             max_evaluations=config.max_evaluations,
             target_delta=config.target_delta,
             behaviours=config.behaviours,
+            distance=config.distance,
+            marks=config.marks,
         ),
         fitness=fitness,
         engine=engine,

@@ -10,7 +10,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from btr_mjx.behaviour import Engine, EngineSettings, Evaluation, evaluate
+from btr_mjx.behaviour import Engine, EngineSettings, evaluate
+from btr_mjx.distances import fitness_at_marks
 from btr_mjx.errors import InputError
 from btr_mjx.fitness import DISTANCE, FitnessFunction
 from btr_mjx.robots import Robot
@@ -19,15 +20,16 @@ from btr_mjx.robots import Robot
 class Reality(Protocol):
     """Something controllers can be tried in."""
 
-    def measure(self, controllers: np.ndarray, trial: int) -> np.ndarray:
+    def measure(self, controllers: np.ndarray, trial: int, times: tuple[float, ...]) -> np.ndarray:
         """Try controllers once each.
 
         Args:
           controllers: (m, n_c).
           trial: how many evaluations were made before; makes noise repeatable after a resume.
+          times: K ascending times [s], the last one T_e.
 
         Returns:
-          (m,) fitness f_r; NaN for a trial that failed.
+          (m, K) fitness as if the trial had ended at each time; the last column is f_r. NaN for a trial that failed.
         """
         ...
 
@@ -59,22 +61,21 @@ class SimulatedReality:
         if not 0 <= self.noise < np.inf:
             raise InputError(f"noise: got {self.noise}, expected a relative standard deviation of 0 or more")
 
-    def measure(self, controllers: ArrayLike, trial: int = 0) -> np.ndarray:
-        """Try controllers once each; see `Reality.measure`."""
-        fitness = self.evaluate(controllers).fitness[0]
-        if not self.noise:
-            return fitness
-        # One stream per trial number: the noise does not depend on how trials are grouped into calls.
-        draws = [np.random.default_rng([self.seed, trial + k]).normal() for k in range(len(fitness))]
-        return fitness * (1.0 + self.noise * np.array(draws))
-
-    def evaluate(self, controllers: ArrayLike) -> Evaluation:
-        """The whole evaluation (1, m), without noise."""
-        return evaluate(
+    def measure(self, controllers: ArrayLike, trial: int = 0, times: tuple[float, ...] | None = None) -> np.ndarray:
+        """Try controllers once each; see `Reality.measure`. Without times, the end of the trial alone."""
+        trials = evaluate(
             self.robot,
             [self.truth],
             controllers,
             engine=self.engine,
             fitness=self.fitness,
             settings=self.settings,
+            times=times,
         )
+        values = np.where(trials.diverged[0, :, None], np.nan, fitness_at_marks(trials.outcome, self.fitness)[0])
+        if not self.noise:
+            return values
+        # One stream per trial number: the noise does not depend on how trials are grouped into calls. The end of the
+        # trial draws first: asking for more times leaves its noise as it was.
+        draws = [np.random.default_rng([self.seed, trial + k]).normal(size=values.shape[1]) for k in range(len(values))]
+        return values * (1.0 + self.noise * np.array(draws)[:, ::-1])

@@ -8,6 +8,7 @@ import pytest
 from btr_mjx import backtoreality as btr
 from btr_mjx.behaviour import evaluate
 from btr_mjx.btr_state import BTRSettings, Problem, SearchSettings, State, Trials, state_from_arrays, state_to_arrays
+from btr_mjx.distances import multiscale_fitness
 from btr_mjx.errors import InputError
 from btr_mjx.fitness import FITNESS_FUNCTIONS
 from btr_mjx.reality import SimulatedReality
@@ -24,9 +25,9 @@ class Counting:
     def __init__(self, inner: SimulatedReality) -> None:
         self.inner, self.calls = inner, []
 
-    def measure(self, controllers: np.ndarray, trial: int) -> np.ndarray:
+    def measure(self, controllers: np.ndarray, trial: int, times: tuple[float, ...]) -> np.ndarray:
         self.calls.append((trial, np.array(controllers)))
-        return self.inner.measure(controllers, trial)
+        return self.inner.measure(controllers, trial, times)
 
 
 @pytest.fixture
@@ -138,8 +139,8 @@ def test_all_behaviours_or_the_latest(problem: Problem) -> None:
 
 def test_failed_trials_are_left_out_and_never_best(problem: Problem) -> None:
     class Breaks:
-        def measure(self, controllers: np.ndarray, trial: int) -> np.ndarray:
-            values = problem.reality.inner.measure(controllers, trial)
+        def measure(self, controllers: np.ndarray, trial: int, times: tuple[float, ...]) -> np.ndarray:
+            values = problem.reality.inner.measure(controllers, trial, times)
             values[0] = np.nan
             return values
 
@@ -149,8 +150,8 @@ def test_failed_trials_are_left_out_and_never_best(problem: Problem) -> None:
     assert all(np.isfinite(r["delta_after"]) and np.isfinite(r["f_r_best"]) for r in rows["iteration"])
 
     class Dead:
-        def measure(self, controllers: np.ndarray, trial: int) -> np.ndarray:
-            return np.full(len(controllers), np.nan)
+        def measure(self, controllers: np.ndarray, trial: int, times: tuple[float, ...]) -> np.ndarray:
+            return np.full((len(controllers), len(times)), np.nan)
 
     with pytest.raises(InputError, match="all 3 trials in reality failed"):
         run(dataclasses.replace(problem, reality=Dead()))
@@ -210,8 +211,9 @@ def test_bad_search_settings() -> None:
 
 
 def test_trials_grow() -> None:
-    trials = Trials(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, int))
-    grown = trials.add(np.ones((3, 2)), np.arange(3.0), np.zeros(3), 4)
+    trials = Trials(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 1)), np.zeros(0), np.zeros(0, int))
+    grown = trials.add(np.ones((3, 2)), np.arange(6.0).reshape(3, 2), np.zeros(3), 4)
+    assert (grown.f_r.tolist(), grown.f_marks.tolist()) == ([1, 3, 5], [[0], [2], [4]])
     assert len(trials) == 0
     assert (len(grown), grown.iteration.tolist()) == (3, [4, 4, 4])
 
@@ -224,6 +226,34 @@ def test_noise_is_repeatable_and_per_trial(robot: Robot) -> None:
     together = noisy.measure(c, 10)
     apart = np.concatenate([noisy.measure(c[i : i + 1], 10 + i) for i in range(4)])
     np.testing.assert_array_equal(together, apart)
+    np.testing.assert_array_equal(noisy.measure(c, 10, (0.01, 0.02, 0.03))[:, -1], together[:, 0])
     relative = together / clean.measure(c) - 1
     assert 0 < np.abs(relative).max() < 0.5
     assert not np.array_equal(noisy.measure(c, 11), together)
+
+
+def test_multiscale_distance_in_step_3(problem: Problem) -> None:
+    """The scores are multiscale_fitness of both sides measured from scratch; the truth has distance zero."""
+    settings = dataclasses.replace(SETTINGS, distance="multiscale", marks=(0.01, 0.02))
+    multiscale = dataclasses.replace(problem, settings=settings)
+    state, rows = run(multiscale)
+    archive = rows["archive"][1]
+    tried = state.trials.controllers[1:4]
+    s_r = np.array(problem.reality.inner.truth)
+
+    def at(time: float, simulations: np.ndarray) -> np.ndarray:
+        return evaluate(problem.robot, simulations, tried, engine="native", times=[time]).fitness
+
+    simulations = problem.embed(problem.simulation_box.decode(archive["genomes"][0]))
+    f_s = np.stack([at(0.01, simulations), at(0.02, simulations)], axis=-1)
+    f_r = np.stack([at(0.01, s_r[None])[0], at(0.02, s_r[None])[0]], axis=-1)
+    np.testing.assert_array_equal(state.trials.f_marks[1:4], f_r)
+    np.testing.assert_array_equal(archive["scores"][0], multiscale_fitness(f_s, f_r))
+    assert btr.delta_of_simulations(multiscale, s_r[None], state.trials, 2) == 0.0
+
+
+def test_marks_must_lie_within_the_trial(problem: Problem) -> None:
+    for marks in ((0.01, 0.2), (0.02, 0.01), (0.0, 0.01)):
+        settings = dataclasses.replace(SETTINGS, distance="multiscale", marks=marks)
+        with pytest.raises(InputError, match="marks"):
+            btr.begin(dataclasses.replace(problem, settings=settings))
