@@ -98,7 +98,7 @@ class Robot:
             )
         names = dict(zip(self.simulation_box.names, values.tolist(), strict=True))
         try:
-            return _template(self.template).render(dict(self.constants) | names)
+            return compiled_template(self.template).render(dict(self.constants) | names)
         except jinja2.UndefinedError as error:
             known = ", ".join([*self.simulation_box.names, *dict(self.constants)])
             raise InputError(
@@ -134,7 +134,8 @@ _TEMPLATE_FUNCTIONS: Mapping[str, Any] = {
 
 
 @lru_cache(maxsize=64)
-def _template(text: str) -> jinja2.Template:
+def compiled_template(text: str) -> jinja2.Template:
+    """The template of a text, with the functions that templates may use."""
     environment = SandboxedEnvironment(undefined=jinja2.StrictUndefined, autoescape=False)
     environment.globals.update(_TEMPLATE_FUNCTIONS)
     return environment.from_string(text)
