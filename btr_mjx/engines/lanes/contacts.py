@@ -55,9 +55,10 @@ def impedance(parameters: Sequence[Scalar], depth: Scalar) -> Scalar:
     low, high, width, middle, power = parameters
     x = jnp.minimum(jnp.abs(mul(_inverse(width), depth)), 1.0)
     rest = sub(1.0, x)
-    if power == 1.0:
+    shape = power if isinstance(power, float) else None
+    if shape == 1.0:
         y = x
-    elif power == 2.0:
+    elif shape == 2.0:
         upper = sub(1.0, mul(_inverse(sub(1.0, middle)), mul(rest, rest)))
         y = jnp.where(_below(x, middle), mul(_inverse(middle), mul(x, x)), upper)
     else:
@@ -128,6 +129,7 @@ class Frictionless(Contact):
         return [model[0], 0.0, 0.0, 0.0, 0.0, 0.0], [mul(model[0], self.reference[0]), 0.0, 0.0]
 
 
+@dataclass
 class Pyramid(Contact):
     """A contact with the four edges of a friction pyramid."""
 

@@ -5,9 +5,21 @@ from dataclasses import dataclass
 
 from btr_mjx.engines.lanes.kinematics import Motion
 from btr_mjx.engines.lanes.parameters import Parameters
-from btr_mjx.engines.lanes.scalars import Scalar, add, cross, is_zero, matvec, mul, sandwich, scale, transpose, vadd
+from btr_mjx.engines.lanes.scalars import (
+    Matrix,
+    Scalar,
+    add,
+    cross,
+    is_zero,
+    matvec,
+    mul,
+    sandwich,
+    scale,
+    transpose,
+    vadd,
+)
 from btr_mjx.engines.lanes.spatial import Block, Spatial, rigid_block
-from btr_mjx.engines.lanes.tree import FREE, Joint, Plan
+from btr_mjx.engines.lanes.tree import FREE, Plan
 
 _NO_COUPLING = [[0.0] * 3] * 3
 NO_BLOCK = Block([0.0] * 6, _NO_COUPLING, [0.0] * 6)
@@ -88,12 +100,20 @@ def _turned_diagonal(m: Motion, values: Sequence[Scalar]) -> list[Scalar]:
 
 def local_rates(plan: Plan, motions: Sequence[Motion], x: Sequence[Scalar]) -> list[Scalar]:
     """Dof accelerations in MuJoCo's convention: angular ones of free joints turned from world to link axes."""
+    return _turned_rates(plan, [transpose(m.turn) for m in motions], x)
+
+
+def world_rates(plan: Plan, motions: Sequence[Motion], x: Sequence[Scalar]) -> list[Scalar]:
+    """Inverse of `local_rates`."""
+    return _turned_rates(plan, [m.turn for m in motions], x)
+
+
+def _turned_rates(plan: Plan, turns: Sequence[Matrix], x: Sequence[Scalar]) -> list[Scalar]:
     result = list(x)
-    for link, m in zip(plan.links, motions, strict=True):
-        joint: Joint = link.joints[0]
-        if joint.kind == FREE:
-            angular = joint.dofs[3:]
-            for k, value in zip(angular, matvec(transpose(m.turn), [x[k] for k in angular]), strict=True):
+    for link, turn in zip(plan.links, turns, strict=True):
+        if link.joints[0].kind == FREE:
+            angular = link.joints[0].dofs[3:]
+            for k, value in zip(angular, matvec(turn, [x[k] for k in angular]), strict=True):
                 result[k] = value
     return result
 

@@ -76,7 +76,7 @@ class Fields:
         index = index if isinstance(index, tuple) else (index,)
         mask = self._masks.get(field)
         if mask is not None and mask[index].any():
-            return np.asarray(self._leaves[field], np.float64)[(slice(None), slice(None), *index)]
+            return self._leaves[field][(slice(None), slice(None), *index)].astype(np.float64, copy=False)
         return base_field(self._model, field)[index][None, None]
 
 

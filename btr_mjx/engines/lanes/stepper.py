@@ -13,7 +13,7 @@ from btr_mjx.engines.base import Leaves
 from btr_mjx.engines.lanes import support
 from btr_mjx.engines.lanes.actuation import actuate, rows, springs
 from btr_mjx.engines.lanes.contacts import Contact, contacts
-from btr_mjx.engines.lanes.dynamics import against, bias_wrenches, dof_system, inertia
+from btr_mjx.engines.lanes.dynamics import against, bias_wrenches, dof_system, inertia, local_rates, world_rates
 from btr_mjx.engines.lanes.fluid import drag
 from btr_mjx.engines.lanes.integrate import advance
 from btr_mjx.engines.lanes.kinematics import motions
@@ -37,7 +37,7 @@ class State:
     act: list[jax.Array]
     """Activation states."""
     acceleration: list[jax.Array]
-    """Last acceleration per dof, angular parts of free joints in world axes: the next step's first guess."""
+    """Acceleration per dof in the last step, MuJoCo's conventions; the next step's first guess."""
     power: jax.Array
     """Sum over actuators of |force x velocity| in the last step [W], (C,)."""
     capped: jax.Array
@@ -85,9 +85,9 @@ class LanesStepper:
         )
         if support.disabled(model, "CONSTRAINT") or support.disabled(model, "FRICTIONLOSS"):
             friction = np.zeros(self.nv, bool)
-        self._plan = make_plan(model, pairs, friction)
+        self.plan = make_plan(model, pairs, friction)
         twice = {name: np.stack([base_field(model, name)] * 2)[None] for name in self._masks}
-        table = derive(model, self._plan, Fields(model, self._masks, twice))
+        table = derive(model, self.plan, Fields(model, self._masks, twice))
         self._constants, arrays = split(table)
         self._varying_names = frozenset(arrays)
 
@@ -123,7 +123,7 @@ class LanesStepper:
         for name, mask in self._masks.items():
             if leaves[name].shape[2:] != mask.shape:
                 raise ValueError(f"field {name!r} has shape {leaves[name].shape}, expected (N, C, *{mask.shape})")
-        _, arrays = split(derive(self._model, self._plan, Fields(self._model, self._masks, leaves)))
+        _, arrays = split(derive(self._model, self.plan, Fields(self._model, self._masks, leaves)))
         return {key: [column.astype(self._dtype) for column in columns] for key, columns in arrays.items()}
 
     def _shape(self, size: int, chunk: int) -> tuple[int, ...]:
@@ -135,14 +135,14 @@ class LanesStepper:
         q: list[list[jax.Array]] = []
         v: list[jax.Array] = []
         act: dict[int, jax.Array] = {}
-        for link in self._plan.links:
+        for link in self.plan.links:
             shape = self._shape(link.size, chunk)
             for n, joint in enumerate(link.joints):
                 q.append([array(x, shape, self._dtype) for x in parameters[f"{link.index}/joint{n}/ref"]])
                 v += [jnp.zeros(shape, self._dtype) for _ in joint.dofs]
                 act |= {a.state: jnp.zeros(shape, self._dtype) for a in joint.actuators if a.state >= 0}
         lanes = jnp.zeros(chunk, self._dtype)
-        acts = [act[i] for i in range(self._plan.states)]
+        acts = [act[i] for i in range(self.plan.states)]
         return State(q, v, acts, [jnp.zeros_like(x) for x in v], lanes, lanes > 0)
 
     def state(self, qpos: Any, qvel: Any, act: Any = None) -> State:
@@ -154,8 +154,8 @@ class LanesStepper:
           act: activations (na, C); zero if None.
         """
         qpos, qvel = jnp.asarray(qpos, self._dtype), jnp.asarray(qvel, self._dtype)
-        q, v, acts = [], [], [jnp.zeros(0)] * self._plan.states
-        for joint in (joint for link in self._plan.links for joint in link.joints):
+        q, v, acts = [], [], [jnp.zeros(0)] * self.plan.states
+        for joint in (joint for link in self.plan.links for joint in link.joints):
             positions, dofs = (
                 np.array([adr[j] for j in joint.ids]) for adr in (self._model.jnt_qposadr, self._model.jnt_dofadr)
             )
@@ -173,7 +173,7 @@ class LanesStepper:
         return retrace(self._step)(params, state, ctrl)
 
     def _step(self, params: Mapping[str, list[jax.Array]], state: State, ctrl: jax.Array) -> State:
-        model, plan = self._model, self._plan
+        model, plan = self._model, self.plan
         parameters = Parameters(self._constants, params)
         q, v = state.q, state.v
         moving = motions(plan, parameters, q, v)
@@ -193,17 +193,19 @@ class LanesStepper:
             *dof_rows(plan, parameters, q, v),
             *contacts(plan, parameters, moving, self._elliptic, self._dtype),
         ]
+        guess = world_rates(plan, moving, state.acceleration)
         found, capped = constrained_acceleration(
-            plan, moving, constraints, bodies, wrenches, tau, state.acceleration, self._max_newton
+            plan, moving, constraints, bodies, wrenches, tau, guess, self._max_newton
         )
         following = advance(model, plan, moving, q, v, bodies, damping, actuation.damping, medium and medium[1], found)
         power = total(group_sum(p, size) for p, size in actuation.power)
-        return State(*following, actuation.act, found, array(power, capped.shape, self._dtype), capped)
+        rates = local_rates(plan, moving, found)
+        return State(*following, actuation.act, rates, array(power, capped.shape, self._dtype), capped)
 
     def qpos(self, state: State) -> jax.Array:
         """Generalised positions (nq, C), MuJoCo's order and conventions."""
         adr = self._model.jnt_qposadr
-        joints = [joint for link in self._plan.links for joint in link.joints]
+        joints = [joint for link in self.plan.links for joint in link.joints]
         found = [
             (adr[j] + i, x, member)
             for joint, xs in zip(joints, state.q, strict=True)
@@ -216,9 +218,22 @@ class LanesStepper:
         """Generalised velocities (nv, C), MuJoCo's order and conventions."""
         return self._dofs_in_order(state.v)
 
+    def qacc(self, state: State) -> jax.Array:
+        """Accelerations of the last step before implicit damping (nv, C): MuJoCo's qacc."""
+        return self._dofs_in_order(state.acceleration)
+
+    def act(self, state: State) -> jax.Array:
+        """Activations (na, C), MuJoCo's order."""
+        adr = self._model.actuator_actadr
+        found = []
+        for actuator in (a for link in self.plan.links for joint in link.joints for a in joint.actuators):
+            if actuator.state >= 0:
+                found += [(adr[i], state.act[actuator.state], member) for member, i in enumerate(actuator.ids)]
+        return _in_order(found) if found else jnp.zeros((0, *state.power.shape), self._dtype)
+
     def _dofs_in_order(self, values: Sequence[jax.Array]) -> jax.Array:
         adr = self._model.jnt_dofadr
-        joints = [joint for link in self._plan.links for joint in link.joints]
+        joints = [joint for link in self.plan.links for joint in link.joints]
         found = [
             (adr[j] + i, values[k], member)
             for joint in joints
