@@ -1,13 +1,16 @@
-"""Simulations s -> rendered MJCF -> compiled models -> one batch that stacks only the fields that differ.
+"""Simulations s -> models in one batch that stacks only the fields that differ.
 
-Compiling is left to MuJoCo: every row is exactly the model that `mujoco.MjModel.from_xml_string` makes of its rendered
-MJCF, derived fields (body_invweight0, dof_M0, stat.meaninertia, ...) included. What a batch stores is one base model
-and, for each field in which models of this robot can differ, a stacked float64 array.
+Every row is the model that `mujoco.MjModel.from_xml_string` makes of its rendered MJCF, derived fields
+(body_invweight0, dof_M0, stat.meaninertia, ...) included. What a batch stores is one base model and, for each field in
+which models of this robot can differ, a stacked float64 array.
+
+Templates that only do arithmetic are prepared together, without compiling, by `btr_mjx.model_route`; all others are
+rendered and compiled one by one. Which way a simulation goes depends on the robot and on that simulation alone.
 """
 
 import copy
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import mujoco
@@ -15,13 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from btr_mjx.errors import InputError
+from btr_mjx.model_fields import PHYSICS, field_names, read_field, write_field
+from btr_mjx.model_route import Route, Unable, build
 from btr_mjx.robots import Robot
-
-STATISTICS = ("meaninertia", "meanmass", "meansize", "extent", "center")
-"""Fields of `MjModel.stat`, called "stat.<name>" in a batch."""
-
-OPTIONS = ("timestep", "gravity", "wind", "density", "viscosity", "impratio", "tolerance", "ls_tolerance")
-"""Numeric fields of `MjModel.opt` that a batch can carry, called "opt.<name>"."""
 
 _PROBES = 12
 """Random simulations that are compiled once per robot to learn which fields depend on s, besides the box's corners."""
@@ -47,30 +46,59 @@ class Models:
         """A model of its own for one row: a copy of the base model with that row's values filled in."""
         model = copy.copy(self.base)
         for name, values in self.leaves.items():
-            _write(model, name, values[index])
+            write_field(model, name, values[index])
         return model
 
 
 def compile_models(robot: Robot, simulations: ArrayLike) -> Models:
-    """Compile one model per simulation and stack what differs.
+    """The model of each simulation, with what differs stacked.
 
     Args:
       robot: the robot whose template is rendered.
       simulations: (L, n_s) parameters inside the robot's simulation box.
 
     Returns:
-      The batch. Equal simulations share one compilation, and recent ones are remembered.
+      The batch. Equal simulations are prepared once. A row depends on its own simulation only, to the bit.
 
     Raises:
       InputError: bad parameters, a template that does not render, or MJCF that MuJoCo does not accept (the message
         names the file and the line).
     """
     values = np.atleast_2d(robot.simulation_box.validate(simulations, "simulations"))
-    fields = varying_fields(robot)
-    base = base_model(robot)
-    rows = [_compiled_row(robot, row.tobytes()) for row in values]
-    leaves = {name: np.stack([row[name] for row in rows]) for name in fields}
-    return Models(base, leaves)
+    place: dict[bytes, int] = {}
+    index = np.array([place.setdefault(row.tobytes(), len(place)) for row in values])
+    distinct = np.frombuffer(b"".join(place)).reshape(len(place), -1)
+    route, fields = _route(_essence(robot)), varying_fields(robot)
+    if isinstance(route, Route):
+        leaves, done = route.prepare(distinct)
+        for i in np.flatnonzero(~done):
+            for name, value in _compiled_row(robot, distinct[i].tobytes()).items():
+                leaves[name][i] = value
+    else:
+        rows = [_compiled_row(robot, simulation) for simulation in place]
+        leaves = {name: np.stack([row[name] for row in rows]) for name in fields}
+    if len(place) < len(values):
+        leaves = {name: leaf[index] for name, leaf in leaves.items()}
+    return Models(base_model(robot), leaves)
+
+
+def why_compiled(robot: Robot) -> str:
+    """Why the models of a robot have to be compiled one by one, which is slow; empty where they do not have to be."""
+    route = _route(_essence(robot))
+    return "" if isinstance(route, Route) else route
+
+
+@lru_cache(maxsize=16)
+def _route(robot: Robot) -> Route | str:
+    try:
+        return build(robot, base_model(robot), varying_fields(robot))
+    except Unable as reason:
+        return str(reason)
+
+
+def _essence(robot: Robot) -> Robot:
+    """The robot without what its models do not depend on."""
+    return replace(robot, name="", duration=1.0, speed_limit=1.0, base_body=None)
 
 
 @lru_cache(maxsize=16)
@@ -92,18 +120,6 @@ def varying_fields(robot: Robot) -> tuple[str, ...]:
     base = base_model(robot)
     models = [compile_mjcf(robot, robot.render(probe)) for probe in probes]
     return tuple(name for name in field_names(base) if any(_differ(base, model, name) for model in models))
-
-
-def field_names(model: mujoco.MjModel) -> list[str]:
-    """Every array field of a model, and those of its options and statistics that are numbers."""
-    arrays = [name for name in dir(model) if not name.startswith("_") and isinstance(getattr(model, name), np.ndarray)]
-    return arrays + [f"opt.{name}" for name in OPTIONS] + [f"stat.{name}" for name in STATISTICS]
-
-
-def read_field(model: mujoco.MjModel, name: str) -> np.ndarray:
-    """One field of a model by its name in a batch, as an array of its own."""
-    owner, _, field = name.rpartition(".")
-    return np.array(getattr(getattr(model, owner) if owner else model, field))
 
 
 def compile_mjcf(robot: Robot, xml: str) -> mujoco.MjModel:
@@ -141,8 +157,7 @@ def _compiled_row(robot: Robot, simulation: bytes) -> dict[str, np.ndarray]:
 def _constant_fields(robot: Robot) -> dict[str, np.ndarray]:
     """The base model's physics fields that must not depend on s (pictures and names are not checked)."""
     base, varying = base_model(robot), varying_fields(robot)
-    physics = ("body_", "jnt_", "dof_", "geom_", "actuator_", "eq_", "tendon_", "opt.", "qpos")
-    names = (name for name in field_names(base) if name.startswith(physics) and name not in varying)
+    names = (name for name in field_names(base) if name.startswith(PHYSICS) and name not in varying)
     return {name: read_field(base, name) for name in names}
 
 
@@ -154,13 +169,3 @@ def _differ(a: mujoco.MjModel, b: mujoco.MjModel, name: str) -> bool:
             "all simulations of a robot must have the same bodies, joints, geoms and motors"
         )
     return not np.array_equal(x, y)
-
-
-def _write(model: mujoco.MjModel, name: str, value: np.ndarray) -> None:
-    owner, _, field = name.rpartition(".")
-    target = getattr(model, owner) if owner else model
-    current = getattr(target, field)
-    if isinstance(current, np.ndarray):
-        current[...] = value
-    else:
-        setattr(target, field, type(current)(value))

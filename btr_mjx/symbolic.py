@@ -25,7 +25,7 @@ import numpy as np
 from btr_mjx.robots import Robot, compiled_template
 
 
-class Untraceable(Exception):  # noqa: N818 (it names the template, not a failure)
+class Untraceable(Exception):
     """The template does something with a parameter that cannot be recorded; the message says what.
 
     Neither a ValueError nor a TypeError: Jinja2's filters `float` and `int` would catch those and print a zero.
@@ -84,7 +84,8 @@ class Graph:
                 if node.operation == "parameter":
                     found[i] = np.ascontiguousarray(parameters[:, int(node.operands[0])])
                 else:
-                    found[i] = _OPERATIONS[node.operation](*(found[x] if isinstance(x, int) else x for x in node.operands))
+                    operands = (found[x] if isinstance(x, int) else x for x in node.operands)
+                    found[i] = _OPERATIONS[node.operation](*operands)
                 failed |= ~np.isfinite(found[i])
         values = np.empty((len(places), len(parameters)))
         for row, place in zip(values, places, strict=True):
@@ -158,10 +159,15 @@ def _divide(a: Any, b: Any) -> Any:
     return np.where(np.equal(b, 0), np.nan, np.divide(a, b))  # Python raises an error
 
 
-def _scalar(function: Callable[..., float], *operands: Any) -> np.ndarray:
+def elementwise(function: Callable[..., float], *operands: Any) -> np.ndarray:
     """Apply a function of Python's math to each element: numpy's own versions may differ in the last bit.
 
-    Errors and complex results become NaN.
+    Args:
+      function: a function of floats that returns a float.
+      *operands: arrays or floats of shapes that broadcast.
+
+    Returns:
+      float64 array of the common shape; NaN where the function raises an error or returns a complex number.
     """
 
     def one(*xs: float) -> float:
@@ -171,11 +177,13 @@ def _scalar(function: Callable[..., float], *operands: Any) -> np.ndarray:
             return math.nan
         return y if isinstance(y, float) else math.nan
 
-    columns = [x.tolist() for x in np.broadcast_arrays(*operands)]
+    arrays = np.broadcast_arrays(*operands)
+    columns = [x.ravel().tolist() for x in arrays]
     try:
-        return np.array(list(map(function, *columns)), np.float64)
+        values = np.array(list(map(function, *columns)), np.float64)
     except (ArithmeticError, ValueError, TypeError):
-        return np.array(list(map(one, *columns)))
+        values = np.array(list(map(one, *columns)), np.float64)
+    return values.reshape(arrays[0].shape)
 
 
 _OPERATIONS: dict[str, Callable[..., Any]] = {
@@ -183,12 +191,12 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "-": np.subtract,
     "*": np.multiply,
     "/": _divide,
-    "**": partial(_scalar, lambda x, y: x**y),
+    "**": partial(elementwise, lambda x, y: x**y),
     "neg": np.negative,
     "abs": np.abs,
     "sqrt": np.sqrt,  # correctly rounded, as math.sqrt; NaN where that raises
-    "sin": partial(_scalar, math.sin),
-    "cos": partial(_scalar, math.cos),
+    "sin": partial(elementwise, math.sin),
+    "cos": partial(elementwise, math.cos),
     "radians": lambda x: np.multiply(x, math.pi / 180),
     # Python's rule for which of two arguments is returned, signed zeros included.
     "min": lambda a, b: np.where(np.less(b, a), b, a),

@@ -101,11 +101,13 @@ def test_base_body_must_move_freely(robot: Robot) -> None:
             evaluate(dataclasses.replace(robot, base_body=name), [robot.nominal], c, engine="native")
 
 
-def test_equal_simulations_are_compiled_once(robot: Robot) -> None:
+def test_equal_simulations_are_prepared_once(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     """What makes 10,000 pairs of a few morphologies cheap to prepare."""
-    from btr_mjx.models import _compiled_row
+    from btr_mjx.model_route import Route
 
     s = robot.simulation_box.sample(np.random.default_rng(99), 2)
-    before = _compiled_row.cache_info().misses
-    compile_models(robot, np.repeat(s, 500, 0))
-    assert _compiled_row.cache_info().misses - before == 2
+    counts, prepare = [], Route.prepare
+    monkeypatch.setattr(Route, "prepare", lambda self, rows: counts.append(len(rows)) or prepare(self, rows))
+    models = compile_models(robot, np.repeat(s, 500, 0))
+    assert counts == [2]
+    assert len(models) == 1000
