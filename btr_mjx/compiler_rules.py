@@ -1,13 +1,13 @@
 """What MuJoCo's compiler computes from a geom's attributes, for many geoms and simulations at a time.
 
-Source: google-deepmind/mujoco, src/user/user_objects.cc (mjCGeom::Compile, GetVolume, SetInertia, ComputeAABB,
+Source: google-deepmind/mujoco, src/user/user_objects.cc (mjCGeom::Compile, GetVolume, SetInertia,
 mjCBody::InertiaFromGeom) and src/user/user_util.cc. Every formula keeps the compiler's order of operations and uses
-elementwise arithmetic only, so that results are the compiler's to the bit and do not depend on the batch. Vectors are
-stacks of components along the first axis: (3, ...), quaternions (4, ...) with the real part first.
+elementwise arithmetic only, so that results are the compiler's to the bit (principal axes: to rounding) and do not
+depend on the batch. Vectors are stacks of components along the first axis: (3, ...), quaternions (4, ...) with the real
+part first.
 """
 
 import math
-from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -16,8 +16,6 @@ from btr_mjx.symbolic import elementwise
 
 EPS = 1e-14
 """The compiler's threshold below which a length, mass, volume or moment counts as zero (mjEPS)."""
-
-_JACOBI_EPS = 1e-12
 
 SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX = (
     int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}")) for name in ("SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX")
@@ -92,18 +90,6 @@ def inertia(kind: int, mass: np.ndarray, size: np.ndarray) -> np.ndarray:
     return np.stack([mass * (bb + cc) / share, mass * (aa + cc) / share, mass * (aa + bb) / share])
 
 
-def bounding_box(kind: int, size: np.ndarray) -> np.ndarray:
-    """Centre and half sides (6, ...) of the boxes around geoms of one kind with sizes (3, ...), in the geom's frame."""
-    a, b, c = size
-    half = {
-        SPHERE: lambda: (a, a, a),
-        CAPSULE: lambda: (a, a, a + b),
-        CYLINDER: lambda: (a, a, b),
-    }.get(kind, lambda: (a, b, c))()
-    zero = np.zeros_like(a)
-    return np.stack([zero, zero, zero, *half])
-
-
 def _matrix(quaternion: np.ndarray) -> np.ndarray:
     """Rotation matrices (9, ...), row by row, of quaternions (4, ...) (mjuu_quat2mat)."""
     q = [[a * b for b in quaternion] for a in quaternion]
@@ -123,26 +109,6 @@ def _matrix(quaternion: np.ndarray) -> np.ndarray:
     unit = np.reshape(np.eye(3), (9,) + (1,) * (quaternion.ndim - 1))
     none = (quaternion[0] == 1) & (quaternion[1] == 0) & (quaternion[2] == 0) & (quaternion[3] == 0)
     return np.where(none, unit, regular)
-
-
-def _product(a: Sequence[np.ndarray], b: Sequence[np.ndarray]) -> np.ndarray:
-    """Products (9, ...) of matrices (9, ...)."""
-    return np.stack(
-        [a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j] for i in range(3) for j in range(3)]
-    )
-
-
-def _times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Normalised products (4, ...) of quaternions (4, ...) (mjuu_mulquat)."""
-    product = np.stack(
-        [
-            a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-            a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-            a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
-            a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
-        ]
-    )
-    return normalized(product)[0]
 
 
 def merged(
@@ -185,60 +151,19 @@ def merged(
 
 
 def principal_axes(full: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Eigenvalues and the quaternion of the eigenvectors of symmetric matrices (mjuu_eig3).
+    """Eigenvalues and the quaternion of the eigenvectors of symmetric matrices.
+
+    The iteration is MuJoCo's own, one matrix at a time: the order and the signs of the axes are matters of convention.
+    The compiler has another copy of it, which normalises in other places: quaternions agree to a few 1e-15.
 
     Args:
       full: (6, L) elements xx, yy, zz, xy, xz, yz.
 
     Returns:
-      (3, L) eigenvalues in falling order and (4, L) quaternions, in MuJoCo's convention of order and sign.
+      (3, L) eigenvalues in falling order and (4, L) quaternions.
     """
-    xx, yy, zz, xy, xz, yz = full
-    matrix = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz])
-    count = full.shape[1]
-    quaternion, values = np.zeros((4, count)), np.zeros((3, count))
-    quaternion[0] = 1
-    turning = np.arange(count)  # lanes that have not converged: each goes on for as long as it would alone
-    for _ in range(500):
-        diagonal, step, found = _jacobi(matrix[:, turning], quaternion[:, turning])
-        values[:, turning] = diagonal
-        turning, step = turning[found], step[:, found]
-        if not len(turning):
-            break
-        quaternion[:, turning] = normalized(_times(quaternion[:, turning], step))[0]
-    root = 0.707106781186548  # as the compiler has it, to this number of digits
-    for lead in (0, 1, 0):  # bubble sort
-        swap = values[lead] + _JACOBI_EPS < values[lead + 1]
-        values[lead], values[lead + 1] = (
-            np.where(swap, values[lead + 1], values[lead]),
-            np.where(swap, values[lead], values[lead + 1]),
-        )
-        step = np.zeros((4, count))
-        step[0] = step[(lead + 2) % 3 + 1] = root
-        quaternion = np.where(swap, normalized(_times(quaternion, step))[0], quaternion)
-    return values, quaternion
-
-
-def _jacobi(matrix: np.ndarray, quaternion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """One Jacobi rotation: the present diagonal (3, L), the rotation (4, L), and whether one is still needed (L,)."""
-    axes = _matrix(quaternion)
-    transposed = axes[[0, 3, 6, 1, 4, 7, 2, 5, 8]]
-    d = _product(_product(transposed, matrix), axes)
-    first = (np.abs(d[1]) > np.abs(d[2])) & (np.abs(d[1]) > np.abs(d[5]))
-    second = ~first & (np.abs(d[2]) > np.abs(d[5]))
-    pick = lambda a, b, c: np.where(first, a, np.where(second, b, c))  # noqa: E731
-    off = pick(d[1], d[2], d[5])
-    large = np.abs(off) >= _JACOBI_EPS
-    tau = (pick(d[4], d[8], d[8]) - pick(d[0], d[0], d[4])) / (2 * np.where(large, off, 1.0))
-    rising = tau >= 0
-    root = np.sqrt(1 + tau * tau)
-    tangent = np.where(rising, 1.0 / (tau + root), -1.0 / (-tau + root))
-    cosine = 1.0 / np.sqrt(1 + tangent * tangent)
-    small = np.sqrt(np.where(cosine < 1, 0.5 - 0.5 * cosine, 0.0))
-    part = np.where(rising, -small, small)
-    part = np.where(second, -part, part)
-    zero = np.zeros_like(part)
-    step = np.stack(
-        [np.sqrt(1.0 - part * part), pick(zero, zero, part), pick(zero, part, zero), pick(part, zero, zero)]
-    )
-    return d[[0, 4, 8]], normalized(step)[0], large & ~(cosine > 1.0 - _JACOBI_EPS)
+    matrices = np.ascontiguousarray(full[[0, 3, 4, 3, 1, 5, 4, 5, 2]].T)
+    values, quaternions, vectors = np.empty((len(matrices), 3)), np.empty((len(matrices), 4)), np.empty(9)
+    for matrix, value, quaternion in zip(matrices, values, quaternions, strict=True):
+        mujoco.mju_eig3(value, vectors, quaternion, matrix)
+    return values.T, quaternions.T

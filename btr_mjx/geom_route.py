@@ -9,7 +9,7 @@ import numpy as np
 from btr_mjx import compiler_rules as rules
 from btr_mjx.model_sources import Cells, Tagged, sources
 
-FRAME_FIELDS = ("geom_pos", "geom_quat", "geom_size", "geom_aabb")
+FRAME_FIELDS = ("geom_pos", "geom_quat", "geom_size")
 INERTIA_FIELDS = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
 
 
@@ -75,8 +75,7 @@ class GeomRoute:
             masses, moments = _mass(group, slots, frame[2])
             lowest = frame[2][: rules.SIZES[group.kind]].min(axis=0)
             failed |= ~(lowest > (0 if group.ends is None else rules.EPS)).all(axis=0)
-            box = rules.bounding_box(group.kind, frame[2])
-            for name, value in zip(FRAME_FIELDS, (*frame, box), strict=True):
+            for name, value in zip(FRAME_FIELDS, frame, strict=True):
                 fields[name][:, group.ids] = value.transpose(2, 1, 0)
             solids.append((*frame[:2], masses, moments))
         for body in self.bodies:

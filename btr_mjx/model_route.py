@@ -40,8 +40,11 @@ _TOLERANCE = 1e-12
 """Largest difference from the compiler that a route may have, relative to the largest element of a field."""
 
 
-_INPUTS = MODEL_FIELDS & set(mujoco.MjModel._setconst_inputs)
-"""Fields that mj_setConst reads."""
+_INPUTS = MODEL_FIELDS & set(mujoco.MjModel._setconst_inputs) - {"geom_aabb"}
+"""Fields that mj_setConst reads, but for the boxes around geoms, which it makes from their sizes first."""
+
+_HIERARCHY = ("bvh_child", "bvh_nodeid", "bvh_depth")
+"""How the geoms of a body are gathered in bounding volumes. Any way is right: all rows have the base model's."""
 
 
 class Route:
@@ -115,7 +118,7 @@ class Route:
             fields[name].reshape(count, -1)[:, elements] = (slots[source] * factor).T
         failed |= self.geoms.write(slots, fields)
         for name in self._constant:
-            same = fields[name] == read_field(self.base, name)
+            same = _equal(read_field(self.base, name), fields[name])
             failed |= ~same.reshape(count, -1).all(axis=1)
         if failed.any():  # whatever stands in these rows, MuJoCo must be able to digest it
             for name in self._copies:
@@ -131,10 +134,10 @@ class Route:
             kinematics = {name: values[:count] for name, values in self._kinematics.items()}
             fields = statistics(self.base, kinematics, *own) | fields
         for name, leaf in leaves.items():
-            value = fields[name]
-            if value.shape != leaf.shape:  # of bvh_aabb a batch holds the bodies' part; the meshes' does not vary
+            value = leaf[:0] if name in _HIERARCHY else fields[name]
+            if value.shape != leaf.shape:  # of bvh_aabb a batch has the bodies' part; the meshes' is constant
                 leaf[:] = read_field(self.base, name)
-                leaf[:, : value.shape[1]] = value
+                leaf[: len(value), : value.shape[1]] = value
             else:
                 leaf[:] = value
         return ~failed
@@ -181,6 +184,8 @@ def _assemble(
     cells: dict[str, Cells],
 ) -> Route:
     for name, found in cells.items():
+        if name in _HIERARCHY:
+            continue
         changed = found.responding | (found.constant != read_field(base, name).ravel())
         if changed.any() and read_field(base, name).dtype.kind != "f":
             raise Unable(f"{name} depends on the parameters")
@@ -189,11 +194,11 @@ def _assemble(
     geoms = geom_route(taggings, cells)
     ruled = (*FRAME_FIELDS, *INERTIA_FIELDS) if geoms.groups else ()
     copies = {name: c for name, c in cells.items() if name in ruled or (c.responding.any() and not c.computed.any())}
-    rest = [name for name in varying if name not in copies]
+    rest = [name for name in varying if name not in copies and name not in _HIERARCHY]
     derived = tuple(name for name in rest if name in MODEL_FIELDS - _INPUTS)
     own = [name for name in rest if name.startswith("stat.")]
     for name in cells:
-        known = name in copies or name in derived or name in own or name not in varying
+        known = name in copies or name not in rest or name in derived or name in own
         if not known or (name in _INPUTS and name not in copies and cells[name].responding.any()):
             raise Unable(f"{name} is computed by a rule that is not known here")
     if own and no_statistics(base):
@@ -223,17 +228,18 @@ def verify(route: Route, robot: Robot) -> None:
             model = mujoco.MjModel.from_xml_string(text)
         except ValueError as error:
             raise Unable(f"a model that the compiler refuses: {error}") from None
+        rebuilt = any(not np.array_equal(getattr(model, n), getattr(route.base, n)) for n in _HIERARCHY)
         for name in names:
+            if rebuilt and name.startswith("bvh_"):
+                continue
             found = leaves[name][i] if name in leaves else read_field(route.base, name)
-            _compare(name, read_field(model, name), found)
+            expected = read_field(model, name)
+            if expected.shape != found.shape or not np.all(_equal(expected, found)):
+                raise Unable(f"{name} is not what the compiler makes of it")
 
 
-def _compare(name: str, expected: np.ndarray, found: np.ndarray) -> None:
-    if expected.shape != found.shape:
-        raise Unable(f"{name} has another shape at some simulations")
+def _equal(expected: np.ndarray, found: np.ndarray) -> np.ndarray:
+    """Which elements are equal, up to rounding where they are floats."""
     if expected.dtype.kind == "f":
-        equal = np.abs(found - expected) <= _TOLERANCE * np.abs(expected).max(initial=0.0)
-    else:
-        equal = found == expected
-    if not np.all(equal):
-        raise Unable(f"{name} is not what the compiler makes of it")
+        return np.abs(found - expected) <= _TOLERANCE * np.abs(expected).max(initial=0.0)
+    return found == expected
