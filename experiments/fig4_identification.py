@@ -1,0 +1,272 @@
+"""Fig. 4: `uv run python experiments/fig4_identification.py`. Does a small distance mean a right simulation?
+
+Four unknown lengths (the paper's): bl_3 = bl_5 = 0.54 m, bl_6 = bl_8 = 0.74 m are hidden, the rest is known; 15 mutants
+of an evolved controller were tried in reality. (a) Delta_fitness over 100 generations of the genetic algorithm, (b) the
+parameters of all its members, (c) the error of the best member against simulated trials, with CMA-ES at as many,
+(d) what the behaviours feel: Delta_fitness around the truth, one parameter at a time, in units of its change per metre.
+
+Twelve unknown lengths: (e) CMA-ES from 0.25 m away, by Delta_fitness and by `distances.multiscale_fitness` of random
+controllers: with exact measurements, with 5 % of noise on every one, and with a reality that is native MuJoCo at
+another time step and integrator.
+
+The run folder holds one file per search and seed, NAME-0.npz, ...: parameters (g, L, n), values (g, L), truth (n,),
+start (n,), trials (g,) whole trials simulated so far; and sensitivity-0.npz: offsets (O,) [m], delta and multiscale
+(12, O). fig4.json holds the statistics over seeds, fig4.png the figure.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from common import Arrays, Bench, Config, Journal, Step, Unit, command, load, run_units
+from curves import interval
+from fig2_scans import evolve
+from fig4_drawing import draw_searches
+from identification import Distance, Search, away_from, cma_es, genetic
+
+from btr_mjx.behaviour import EngineSettings
+from btr_mjx.distances import multiscale_fitness
+from btr_mjx.errors import InputError
+from btr_mjx.evolution import mutate
+from btr_mjx.files import write_json
+from btr_mjx.fitness import delta_fitness
+
+TRUTH = {"bl_3": 0.54, "bl_5": 0.54, "bl_6": 0.74, "bl_8": 0.74}
+"""The paper's hidden lengths [m]."""
+
+OTHER_PHYSICS = EngineSettings(timestep=2.5e-4, integrator="implicitfast")
+"""A reality free of the inverse crime: half the time step, another integrator, float64."""
+
+OFFSETS = (-0.12, -0.06, -0.03, -0.015, 0.0, 0.015, 0.03, 0.06, 0.12)
+"""Where Delta is taken around the truth [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fig4Config(Config):
+    """Settings of Fig. 4."""
+
+    p_m: float = 0.2
+    """Probability per bit of the mutants that are tried."""
+    away: float = 0.2
+    """How far every one of the four unknown lengths is off at the start [m]."""
+    members: int = 50
+    """L of the searches of four lengths."""
+    search_generations: int = 100
+    """Their generations; CMA-ES stops earlier once it has converged."""
+    simulation_p_m: float = 0.03
+    """Probability per bit of the genetic algorithm."""
+    bits: int = 10
+    """Bits per length."""
+    away_12: float = 0.25
+    """How far every one of twelve unknown lengths is off at the start [m]."""
+    members_12: int = 32
+    """L of their searches."""
+    generations_12: int = 80
+    """Their generations."""
+    noisy_trials: int = 45
+    """Behaviours where measurements are noisy."""
+    noise: float = 0.05
+    """Relative standard deviation of that noise."""
+
+    def check(self) -> None:
+        """As `Config.check`."""
+        super().check()
+        if min(self.members, self.members_12) < 4 or self.noisy_trials < 2 or not 0 <= self.noise < 1:
+            raise InputError(
+                f"members {self.members} and {self.members_12}, noisy_trials {self.noisy_trials}, noise {self.noise}: "
+                "expected at least 4, 4 and 2, and less than 1"
+            )
+
+
+PRESETS = {
+    "quick": Fig4Config(seeds=2, trials=8, members=24, search_generations=12, generations_12=30, noisy_trials=20),
+    "paper": Fig4Config(preset="paper", seeds=5),
+}
+"""Settings by preset."""
+
+SEARCHES_12 = {"delta-12": 60, "multiscale-12": None, "noisy-12": None, "native-12": None}
+"""Searches of twelve lengths; at most so many generations of the costly one."""
+
+
+def hidden(bench: Bench) -> np.ndarray:
+    """Reality (n_s,): the paper's four lengths, the others nominal."""
+    box = bench.robot.simulation_box
+    return box.embed(bench.robot.nominal_simulation, list(TRUTH), list(TRUTH.values()))
+
+
+def mutants_of_best(config: Fig4Config, bench: Bench, start: np.ndarray, seed: int, journal: Journal) -> np.ndarray:
+    """The behaviours tried in reality (m, n_c): mutants of the best controller evolved in s_0."""
+    count = config.population * config.generations
+    best = journal(lambda: evolve(bench, config, start, seed)[0][0], count)
+    rng = np.random.default_rng([seed, 4])
+    mutants = mutate(np.tile(best, (config.trials, 1)), config.p_m, rng)
+    return bench.robot.controller_box.with_bits(config.search.bits).decode(mutants)
+
+
+def recorded(search: Search, truth: np.ndarray, start: np.ndarray, per_member: float) -> Arrays:
+    """The arrays of a search; `per_member` is what one member costs, in whole trials."""
+    cost = per_member * search.values.shape[1] * np.arange(1, len(search.values) + 1)
+    return {"parameters": search.parameters, "values": search.values, "truth": truth, "start": start, "trials": cost}
+
+
+def four(config: Fig4Config, method: str, seed: int, step: Step, journal: Journal) -> Arrays:
+    """The paper's search, by the genetic algorithm or by CMA-ES."""
+    bench = Bench.of(config, step)
+    names, reality = list(TRUTH), hidden(bench)
+    box = bench.robot.simulation_box.subspace(names).with_bits(config.bits)
+    truth = np.array(list(TRUTH.values()))
+    start = away_from(truth, box, config.away, seed)
+    embed = partial(bench.robot.simulation_box.embed, reality, names)
+    controllers = mutants_of_best(config, bench, embed(start), seed, journal)
+    f_r = journal(lambda: bench.whole(reality[None], controllers)[0, :, -1], config.trials)
+
+    def distance(values: np.ndarray) -> np.ndarray:
+        cost = len(values) * config.trials
+        return journal(lambda: delta_fitness(bench.whole(embed(values), controllers)[..., -1], f_r), cost)
+
+    if method == "ga":
+        search = genetic(distance, box, start, config.members, config.search_generations, config.simulation_p_m, seed)
+    else:
+        search = cma_es(distance, box, start, config.members, config.search_generations, seed)
+    return recorded(search, truth, start, config.trials)
+
+
+def twelve(config: Fig4Config, name: str, seed: int, step: Step, journal: Journal) -> Arrays:
+    """All lengths unknown: CMA-ES by one of the distances."""
+    bench = Bench.of(config, step)
+    box, reality = bench.robot.simulation_box, hidden(bench)
+    start = away_from(reality, box, config.away_12, seed)
+    if name == "delta-12":
+        controllers = mutants_of_best(config, bench, start, seed, journal)
+        share = 1.0
+        f_r = journal(lambda: bench.whole(reality[None], controllers)[0, :, -1], config.trials)
+        measure = lambda s: delta_fitness(bench.whole(s, controllers)[..., -1], f_r)  # noqa: E731
+    else:
+        count = config.noisy_trials if name == "noisy-12" else config.trials
+        controllers = bench.robot.controller_box.sample(np.random.default_rng([seed, 5]), count)
+        share = config.horizon / config.duration
+        other = OTHER_PHYSICS if name == "native-12" else None
+        marks = journal(lambda: bench.early(reality[None], controllers, other)[0], count * share)
+        if name == "noisy-12":
+            marks = marks * (1 + config.noise * np.random.default_rng([seed, 6]).standard_normal(marks.shape))
+        measure = lambda s: multiscale_fitness(bench.early(s, controllers), marks)  # noqa: E731
+    cost = len(controllers) * share
+    distance: Distance = lambda s: journal(lambda: measure(s), len(s) * cost)  # noqa: E731
+    generations = min(config.generations_12, SEARCHES_12[name] or config.generations_12)
+    search = cma_es(distance, box, start, config.members_12, generations, seed)
+    return recorded(search, reality, start, cost)
+
+
+def sensitivity(config: Fig4Config, seed: int, step: Step, journal: Journal) -> Arrays:
+    """Both distances around the truth, one parameter at a time, with the behaviours of the search of four."""
+    bench = Bench.of(config, step)
+    box, reality = bench.robot.simulation_box, hidden(bench)
+    inner = box.subspace(list(TRUTH))
+    start = box.embed(reality, list(TRUTH), away_from(np.array(list(TRUTH.values())), inner, config.away, seed))
+    controllers = mutants_of_best(config, bench, start, seed, journal)
+    real = journal(lambda: bench.whole(reality[None], controllers)[0], config.trials)
+    line = reality + np.array(OFFSETS)[None, :, None] * np.eye(box.n)[:, None, :]
+    fitness = journal(lambda: bench.whole(line.reshape(-1, box.n), controllers), line.size / box.n * config.trials)
+    fitness = fitness.reshape(*line.shape[:2], *fitness.shape[1:])
+    return {
+        "offsets": np.array(OFFSETS),
+        "delta": delta_fitness(fitness[..., -1], real[:, -1]),
+        "multiscale": multiscale_fitness(fitness[..., :-1], real[:, :-1]),
+    }
+
+
+def units(config: Fig4Config) -> list[Unit]:
+    """One unit per search and seed, all searches of one seed before the next seed."""
+    evolved = config.population * config.generations
+    four_cost = evolved + config.trials * (1 + config.members * config.search_generations)
+    share = config.horizon / config.duration
+    found = []
+    for seed in range(config.seeds):
+        found += [Unit(f"{method}-{seed}", four_cost, partial(four, config, method, seed)) for method in ("ga", "cma")]
+        cost = evolved + (12 * len(OFFSETS) + 1) * config.trials
+        found.append(Unit(f"sensitivity-{seed}", cost, partial(sensitivity, config, seed)))
+        for name, most in SEARCHES_12.items():
+            members = config.members_12 * min(config.generations_12, most or config.generations_12)
+            count = config.noisy_trials if name == "noisy-12" else config.trials
+            searched = (members + 1) * count
+            trials = evolved + searched if name == "delta-12" else searched * share
+            found.append(Unit(f"{name}-{seed}", trials, partial(twelve, config, name, seed)))
+    return found
+
+
+def compute(config: Fig4Config) -> int:
+    """Compute the searches that are missing; returns how many there were."""
+    return run_units(config, units(config), "fig4")
+
+
+def search_of(arrays: Arrays) -> Search:
+    """A search from its file."""
+    return Search(arrays["parameters"], arrays["values"])
+
+
+def at_equal_cost(first: Arrays, second: Arrays) -> int:
+    """Index of the last generation of `first` that cost no more than the whole of `second`."""
+    return int(np.searchsorted(first["trials"], second["trials"][-1], side="right") - 1)
+
+
+def summarise(folder: Path) -> dict[str, Any]:
+    """Errors [m], distances and sensitivities of every seed, with intervals.
+
+    Returns:
+      searches: per search its final error and distance, those of its first generation and the error at the start;
+      felt: per length the change of either distance per metre at the truth (mean of both sides, 0.03 m away).
+    """
+    result: dict[str, Any] = {"searches": {}}
+    for name in ("ga", "cma", *SEARCHES_12):
+        rows = []
+        for arrays in load(folder, name):
+            search, truth = search_of(arrays), arrays["truth"]
+            errors = np.abs(search.best - truth)
+            rows.append(
+                {
+                    "error": float(errors[-1].mean()),
+                    "worst": float(errors[-1].max()),
+                    "start": float(np.abs(arrays["start"] - truth).mean()),
+                    "first": float(errors[0].mean()),
+                    "distance": float(np.nanmin(search.values)),
+                    "distance_first": float(np.nanmin(search.values[0])),
+                    "trials": float(arrays["trials"][-1]),
+                    **{f"error_{i}": float(value) for i, value in enumerate(errors[-1])},
+                }
+            )
+        keys = list(rows[0])
+        result["searches"][name] = {
+            key: {**interval([row[key] for row in rows]), "values": [row[key] for row in rows]} for key in keys
+        }
+    found = load(folder, "sensitivity")
+    offsets = found[0]["offsets"]
+    near = np.isclose(np.abs(offsets), 0.03)
+    result["felt"] = {
+        kind: [
+            {"name": f"bl_{i + 3}", **interval([float(a[kind][i, near].mean() / 0.03) for a in found])}
+            for i in range(len(found[0][kind]))
+        ]
+        for kind in ("delta", "multiscale")
+    }
+    result["at_truth"] = float(max(a["delta"][:, offsets == 0].max() for a in found))
+    return result
+
+
+def draw(folder: Path) -> list[Path]:
+    """fig4.json and fig4.png from the saved searches; (a) and (b) show seed 0."""
+    summary = summarise(folder)
+    write_json(folder / "fig4.json", summary)
+    searches = {name: load(folder, name) for name in ("ga", "cma", *SEARCHES_12)}
+    return [folder / "fig4.json", draw_searches(folder / "fig4.png", list(TRUTH), searches, summary)]
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Entry point."""
+    command(PRESETS, __doc__, "fig4_identification", argv, compute, draw)
+
+
+if __name__ == "__main__":
+    main()

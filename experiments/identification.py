@@ -1,0 +1,119 @@
+"""Searching simulations: a genetic algorithm and CMA-ES on the same distance, and their records.
+
+A search minimises a distance over some unknown parameters and keeps every member of every generation, so that figures
+of its course need nothing else. It is a pure function of its seed and of the distances it is told.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cmaes
+import numpy as np
+
+from btr_mjx.evolution import GAConfig, GeneticAlgorithm
+from btr_mjx.spaces import Box
+
+Distance = Callable[[np.ndarray], np.ndarray]
+"""(L, n) values of the unknown parameters -> (L,) distances, NaN where a simulation failed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """All members of a search.
+
+    Attributes:
+      parameters: (g, L, n).
+      values: (g, L) their distances.
+    """
+
+    parameters: np.ndarray
+    values: np.ndarray
+
+    @property
+    def best(self) -> np.ndarray:
+        """(g, n) parameters of the least distance found up to each generation."""
+        count = self.values.shape[1]
+        flat = np.where(np.isfinite(self.values), self.values, np.inf).ravel()
+        least = np.array([flat[: (g + 1) * count].argmin() for g in range(len(self.values))])
+        return self.parameters.reshape(-1, self.parameters.shape[-1])[least]
+
+    def error(self, truth: np.ndarray) -> np.ndarray:
+        """(g,) mean absolute error of `best`, in the parameters' unit."""
+        return np.abs(self.best - truth).mean(axis=-1)
+
+
+def away_from(truth: np.ndarray, box: Box, distance: float, seed: int) -> np.ndarray:
+    """A start (n,) whose every parameter lies `distance` from the truth, on a random side but inside the box."""
+    sign = np.random.default_rng([seed, 41]).choice([-1.0, 1.0], len(truth))
+    there = truth + sign * distance
+    inside = (there >= box.low) & (there <= box.high)
+    return np.clip(np.where(inside, there, truth - sign * distance), box.low, box.high)
+
+
+def genetic(
+    distance: Distance, box: Box, start: np.ndarray, population: int, generations: int, p_m: float, seed: int
+) -> Search:
+    """Step 3 of Back-to-Reality: a random population with s_0 as one of its members.
+
+    Args:
+      distance: what is minimised.
+      box: the unknown parameters, with the bits of their genomes.
+      start: (n,) s_0.
+      population: L.
+      generations: number of generations.
+      p_m: probability per bit of flipping a bit.
+      seed: of everything random.
+    """
+    algorithm = GeneticAlgorithm(box, GAConfig(maximise=False, population=population, p_m=p_m))
+    state = algorithm.init(np.random.default_rng([seed, 42]))
+    parameters, values = [], []
+    for generation in range(generations):
+        genomes, state = algorithm.ask(state)
+        if generation == 0:
+            genomes = np.concatenate([box.encode(start)[None], genomes[1:]])
+        told = distance(box.decode(genomes))
+        state = algorithm.tell(state, genomes, told)
+        parameters.append(box.decode(genomes))
+        values.append(told)
+    return Search(np.array(parameters), np.array(values))
+
+
+def cma_es(
+    distance: Distance,
+    box: Box,
+    start: np.ndarray,
+    population: int,
+    generations: int,
+    seed: int,
+    sigma: float = 0.125,
+    enough: float = 5e-5,
+) -> Search:
+    """CMA-ES (Hansen and Ostermeier, 2001; package `cmaes`) from s_0, in the box scaled to the unit cube.
+
+    Args:
+      distance: what is minimised; failed members are told the worst finite distance of their generation, doubled.
+      box: the unknown parameters.
+      start: (n,) s_0.
+      population: L.
+      generations: at most so many.
+      seed: of everything random.
+      sigma: first step size, as a share of each parameter's range.
+      enough: stops once the population's spread in every parameter is below this share of its range.
+    """
+    unit = np.tile([0.0, 1.0], (box.n, 1))
+    strategy = cmaes.CMA(
+        mean=(start - box.low) / box.span, sigma=sigma, bounds=unit, population_size=population, seed=seed
+    )
+    parameters, values = [], []
+    for _ in range(generations):
+        asked = np.array([strategy.ask() for _ in range(population)])
+        members = np.clip(box.low + box.span * asked, box.low, box.high)
+        told = distance(members)
+        finite = told[np.isfinite(told)]
+        worst = 2 * finite.max() if len(finite) else 1.0
+        strategy.tell([(x, float(v)) for x, v in zip(asked, np.where(np.isfinite(told), told, worst), strict=True)])
+        parameters.append(members)
+        values.append(told)
+        if asked.std(axis=0).max() < enough:
+            break
+    return Search(np.array(parameters), np.array(values))
