@@ -262,3 +262,10 @@ def test_masked_elements_of_a_field_stay_constants() -> None:
     params = stepper.pack({"dof_damping": np.full((1, WORLDS, model.nv), 0.5)})
     assert list(params) == ["2/joint0/damping"]
     assert stepper.plan.links[2].joints[0].kind == HINGE
+
+
+def test_friction_of_a_free_joint_is_refused_when_worlds_bring_it() -> None:
+    model = mujoco.MjModel.from_xml_string(CASES["box_corners"])
+    stepper = LanesStepper(model, ["dof_frictionloss"])
+    with pytest.raises(UnsupportedModel, match="free joint"):
+        stepper.pack({"dof_frictionloss": np.ones((1, WORLDS, model.nv))})

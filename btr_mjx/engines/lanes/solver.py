@@ -20,6 +20,7 @@ from btr_mjx.engines.lanes.contacts import Contact, Ellipse, Model
 from btr_mjx.engines.lanes.dynamics import System
 from btr_mjx.engines.lanes.kinematics import Motion
 from btr_mjx.engines.lanes.linesearch import step_length
+from btr_mjx.engines.lanes.retrace import retrace
 from btr_mjx.engines.lanes.rows import Friction, Row
 from btr_mjx.engines.lanes.scalars import Scalar, add, array, vadd
 from btr_mjx.engines.lanes.spatial import Spatial, propagate
@@ -127,5 +128,6 @@ def constrained_acceleration(
 
     start = shaped(_models(constraints, guess, propagate(plan, motions, guess)))
     carry = (jnp.int32(0), jnp.ones(lanes, bool), list(guess), start)
-    _, moved, solution, _ = lax.while_loop(searching, body, carry)
+    # The loop is two thirds of a step's time: materialise more here than elsewhere, for more compile time.
+    _, moved, solution, _ = lax.while_loop(searching, retrace(body, threshold=3), carry)
     return solution, moved

@@ -116,6 +116,7 @@ class LanesStepper:
           name -> list of arrays with leading axis N; `initial` and `step` take one slice of it.
 
         Raises:
+          UnsupportedModel: a free joint has stiffness or friction loss.
           ValueError: a field of `varying` is missing, a field is given that does not vary, or a shape is wrong.
         """
         if {name for name in leaves if matters(name)} != set(self._masks):
@@ -123,6 +124,10 @@ class LanesStepper:
         for name, mask in self._masks.items():
             if leaves[name].shape[2:] != mask.shape:
                 raise ValueError(f"field {name!r} has shape {leaves[name].shape}, expected (N, C, *{mask.shape})")
+        free = np.asarray(self._model.jnt_type) == FREE
+        for name, where in (("jnt_stiffness", free), ("dof_frictionloss", free[self._model.dof_jntid])):
+            if name in self._masks and np.any(leaves[name][..., where]):
+                raise support.refuse(f"{name} of a free joint")
         _, arrays = split(derive(self._model, self.plan, Fields(self._model, self._masks, leaves)))
         return {key: [column.astype(self._dtype) for column in columns] for key, columns in arrays.items()}
 
