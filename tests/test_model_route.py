@@ -180,13 +180,11 @@ FALLBACKS = {
         link='<frame pos="{{ a }} 0 0" euler="0 30 0"><geom type="box" size="{{ r }} 1 1" pos="0 0 {{ b }}"/></frame>'
     ),
     "compiler option": dict(compiler='boundmass="1"', link='<geom type="box" size="0.1 0.1 {{ a }}"/>'),
-    "total mass": dict(compiler='settotalmass="5"'),
     "shell": dict(link='<geom type="box" size="0.1 0.2 {{ a }}" shellinertia="true"/>'),
     "damping ratio": {"damping": 'dampratio="{{ r }}"'},
 }
 
 
-@pytest.mark.filterwarnings("ignore:compiler attribute 'settotalmass'")
 @pytest.mark.parametrize("parts", FALLBACKS.values(), ids=FALLBACKS.keys())
 def test_what_is_not_understood_is_compiled(parts: dict[str, str]) -> None:
     robot = arm(**parts)

@@ -1,0 +1,102 @@
+"""What preparing morphologies costs beside simulating them: `uv run python benchmarks/models.py`.
+
+Every morphology is tried once by the lanes engine. The stages take their turn in each of several rounds, so that
+whatever else the machine does hits all alike; ratios are medians of the per-round ratios.
+"""
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+import mujoco
+import numpy as np
+import tyro
+
+from btr_mjx.behaviour import _essence, _program
+from btr_mjx.devices import available_cores, use_all_cores
+from btr_mjx.models import compile_models, why_compiled
+from btr_mjx.robots import hexapod
+
+
+@dataclass(frozen=True)
+class Config:
+    """Settings; every field is a flag."""
+
+    morphologies: int = 10_000
+    """Morphologies that are prepared."""
+    steps: int = 3400
+    """Steps for which they are simulated."""
+    compiled: int = 100
+    """Morphologies that are compiled one by one, for comparison."""
+    rounds: int = 3
+    """Rounds in which all stages take their turn."""
+    json: Path | None = None
+    """Write the numbers here too."""
+
+
+def main(config: Config) -> None:
+    """Run all rounds and print the table."""
+    use_all_cores()
+    robot = hexapod()
+    rng = np.random.default_rng(0)
+    simulations = robot.simulation_box.sample(rng, config.morphologies)
+    start = time.perf_counter()
+    assert not why_compiled(robot)
+    first = time.perf_counter() - start
+
+    # One block of pairs, as `evaluate` runs it; its cost per pair is that of all blocks.
+    program = _program(_essence(robot), "lanes", 1, False, None, bool(jax.config.read("jax_enable_x64")))
+    size = program.layout.pairs
+    controllers = robot.controller_box.sample(rng, size)
+    leaves = compile_models(robot, np.resize(simulations, (size, robot.simulation_box.n))).leaves
+    samples = np.array([config.steps])
+    arguments = program.arguments(leaves, controllers, samples)
+    compiled = program.function.lower(*arguments).compile()
+
+    def prepare() -> None:
+        for i in range(0, config.morphologies, size):
+            compile_models(robot, simulations[i : i + size])
+
+    def compile_each() -> None:
+        for s in simulations[: config.compiled]:
+            mujoco.MjModel.from_xml_string(robot.render(s))
+
+    stages: dict[str, tuple[Callable[[], object], int]] = {
+        "prepare": (prepare, config.morphologies),
+        "lay out for the engine": (lambda: program.arguments(leaves, controllers, samples), size),
+        "simulate": (lambda: jax.block_until_ready(compiled(*arguments)), size),
+        "render and compile each": (compile_each, config.compiled),
+    }
+    seconds: dict[str, list[float]] = {name: [] for name in stages}
+    for run, _ in stages.values():
+        run()  # warm up
+    for _ in range(config.rounds):
+        for name, (run, count) in stages.items():
+            start = time.perf_counter()
+            run()
+            seconds[name].append((time.perf_counter() - start) / count)
+
+    simulate = np.array(seconds["simulate"])
+    share = {name: float(np.median(np.array(x) / simulate)) for name, x in seconds.items()}
+    print(
+        f"{available_cores()} cores, {config.morphologies} morphologies, {config.steps} steps, {config.rounds} rounds"
+    )
+    print(f"{'':26}{'us each':>10}{'of simulating':>15}")
+    for name, x in seconds.items():
+        print(f"{name:26}{np.median(x) * 1e6:10.1f}{share[name]:15.1%}")
+    print(f"once per robot: {first:.2f} s")
+    if config.json is not None:
+        numbers = {
+            "us_each": {name: float(np.median(x) * 1e6) for name, x in seconds.items()},
+            "share_of_simulating": share,
+            "once_per_robot_s": first,
+            "seconds": seconds,
+        }
+        config.json.write_text(json.dumps(numbers, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config, description=__doc__))
