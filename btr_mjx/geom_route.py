@@ -73,8 +73,8 @@ class GeomRoute:
         for group in self.groups:
             frame = _frame(group, slots)
             masses, moments = _mass(group, slots, frame[2])
-            lowest = frame[2][: rules.SIZES[group.kind]].min(axis=0)
-            failed |= ~(lowest > (0 if group.ends is None else rules.EPS)).all(axis=0)
+            if group.ends is not None:
+                failed |= ~(frame[2][: rules.SIZES[group.kind]].min(axis=0) > rules.EPS).all(axis=0)
             for name, value in zip(FRAME_FIELDS, frame, strict=True):
                 fields[name][:, group.ids] = value.transpose(2, 1, 0)
             solids.append((*frame[:2], masses, moments))
@@ -88,8 +88,6 @@ class GeomRoute:
                 stacked = [np.stack(x, axis=-2) for x in zip(*parts, strict=True)]
                 mass, position, orientation, moments = rules.merged(stacked[2], stacked[0], stacked[1], stacked[3])
                 failed |= ~(moments[2] >= rules.EPS)
-            a, b, c = moments
-            failed |= ~((a + b >= c) & (a + c >= b) & (b + c >= a))
             for name, value in zip(INERTIA_FIELDS, (mass, position, orientation, moments), strict=True):
                 fields[name][:, body.id] = value.T
         return failed

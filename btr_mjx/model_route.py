@@ -17,7 +17,6 @@ on its own simulation only, to the bit.
 """
 
 import copy
-import os
 from functools import partial
 from threading import Lock
 
@@ -25,6 +24,8 @@ import mujoco
 import numpy as np
 from mujoco.batch import MODEL_FIELDS, Batch
 
+from btr_mjx.compiler_rules import SIZES
+from btr_mjx.devices import available_cores
 from btr_mjx.geom_route import FRAME_FIELDS, INERTIA_FIELDS, GeomRoute, Unable, geom_route
 from btr_mjx.model_fields import PHYSICS, field_names, read_field
 from btr_mjx.model_sources import Cells, Tagged, sources, tagged
@@ -83,7 +84,7 @@ class Route:
         # Kinematics for the statistics need no contacts; constants do not depend on these flags.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
         # One batch serves all calls: making its arrays costs as much as computing what is in them.
-        self._batch, self._lock = Batch(model, nsim=_CHUNK, nthread=os.cpu_count() or 1), Lock()
+        self._batch, self._lock = Batch(model, nsim=_CHUNK, nthread=available_cores()), Lock()
         self._fields = {name: self._batch.expand(name) for name in (*copies, *derived) if name in MODEL_FIELDS}
         for name in copies.keys() - self._fields.keys():
             value = read_field(base, name)
@@ -116,7 +117,7 @@ class Route:
         slots, failed = self.skeleton.evaluate(simulations)
         for name, (elements, source, factor) in self._copies.items():
             fields[name].reshape(count, -1)[:, elements] = (slots[source] * factor).T
-        failed |= self.geoms.write(slots, fields)
+        failed |= self.geoms.write(slots, fields) | self._refused(fields)
         for name in self._constant:
             same = _equal(read_field(self.base, name), fields[name])
             failed |= ~same.reshape(count, -1).all(axis=1)
@@ -141,6 +142,22 @@ class Route:
             else:
                 leaf[:] = value
         return ~failed
+
+    def _refused(self, fields: dict[str, np.ndarray]) -> np.ndarray:
+        """Rows (L,) whose sizes or inertias the compiler does not accept."""
+        count = len(next(iter(fields.values())))
+        refused = np.zeros(count, bool)
+        if "geom_size" in self._copies:
+            counts = [SIZES.get(int(kind), 0) for kind in self.base.geom_type]
+            needed = np.arange(3) < np.array(counts)[:, None]
+            refused |= ~(fields["geom_size"][:, needed] > 0).all(axis=1)
+        if "body_mass" in self._copies:
+            refused |= ~(fields["body_mass"] >= 0).all(axis=1)
+        if "body_inertia" in self._copies:
+            a, b, c = fields["body_inertia"].transpose(2, 0, 1)
+            accepted = (a >= 0) & (b >= 0) & (c >= 0) & (a + b >= c) & (a + c >= b) & (b + c >= a)
+            refused |= ~accepted.all(axis=1)
+        return refused
 
 
 def build(robot: Robot, base: mujoco.MjModel, varying: tuple[str, ...]) -> Route:

@@ -247,13 +247,15 @@ def test_rows_that_the_compiler_treats_otherwise_are_compiled(monkeypatch: pytes
             np.testing.assert_array_equal(leaf[i], read_field(alone, name), err_msg=name)
 
 
-def test_a_model_that_the_compiler_refuses_is_refused() -> None:
-    robot = arm(link='<geom size="{{ a - 0.1 }}"/>')
-    robot = dataclasses.replace(
-        robot, simulation_box=Box(NAMES, robot.simulation_box.low - 1e-3, robot.simulation_box.high)
-    )
+@pytest.mark.parametrize("extra", ["", 'mass="0"'])
+def test_a_model_that_the_compiler_refuses_is_refused(extra: str) -> None:
+    """A size that is negative in a gap between all probes."""
+    robot = arm(link=f'<geom size="{{{{ abs(a - 0.4321) - 0.0005 }}}}" {extra}/><geom size="0.1"/>')
+    assert models.why_compiled(robot) == ""
+    inside = robot.nominal_simulation
+    inside[0] = 0.4321
     with pytest.raises(models.InputError, match="size"):
-        models.compile_models(robot, [robot.nominal, robot.simulation_box.low])
+        models.compile_models(robot, [robot.nominal, inside])
 
 
 @pytest.mark.parametrize("several", [False, True])
