@@ -41,12 +41,25 @@ ASSUMED_RATE = 500.0
 """Whole trials per second that the estimates of time assume; two quiet cores reach it with the lanes engine."""
 
 
+TINY: dict[str, Any] = {
+    "engine": "native",
+    "duration": 0.05,
+    "horizon": 0.02,
+    "marks": 2,
+    "seeds": 2,
+    "trials": 3,
+    "population": 6,
+    "generations": 2,
+}
+"""Settings that every experiment's preset "tiny" shares: seconds, and no result."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Config:
     """Settings of every experiment; every field is a flag."""
 
-    preset: Literal["quick", "paper"] = "quick"
-    """Defaults of all other settings: quick takes minutes, paper is what the claims are decided by."""
+    preset: Literal["quick", "paper", "tiny"] = "quick"
+    """Defaults of all other settings: quick takes minutes, paper is what decides the claims, tiny is for tests."""
     seeds: int = 3
     """Seeds 0 .. N - 1; more can be added to a folder later."""
     out: Path | None = None

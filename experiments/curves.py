@@ -29,7 +29,8 @@ def curve_numbers(
     Returns:
       rho: Spearman's, between distance and error |grid - truth|; rho_sides: the mean of it on either side of the truth,
       which a valley steeper on one side does not lower; monotonicity: share of neighbours in the right order;
-      roughness: total variation / range; linearity: Pearson's r between distance and error, mean of both sides; off:
+      roughness: total variation / range; roughness_sides: the mean of it on either side of the truth, 1 where both are
+      monotonic (all of a valley has 1 .. 2, by how equal its sides are); linearity: Pearson's r between distance and error, mean of both sides; off:
       |argmin - truth|.
     """
     use = np.ones(len(grid), bool) if keep is None else keep
@@ -41,15 +42,16 @@ def curve_numbers(
     sides = [side for side in (x <= truth, x >= truth) if side.sum() > 2]
     with warnings.catch_warnings(), np.errstate(invalid="ignore"):
         warnings.simplefilter("ignore")  # means of curves that are all NaN
-        by_side = np.stack(
-            [metrics.spearman(y[..., side], error[side]) for side in sides] or [np.full(y.shape[:-1], np.nan)]
-        )
-        straight = np.stack([_pearson(y[..., side], error[side]) for side in sides] or [np.full(y.shape[:-1], np.nan)])
+        nothing = [np.full(y.shape[:-1], np.nan)]
+        by_side = np.stack([metrics.spearman(y[..., side], error[side]) for side in sides] or nothing)
+        rough = np.stack([metrics.roughness(y[..., side]) for side in sides] or nothing)
+        straight = np.stack([_pearson(y[..., side], error[side]) for side in sides] or nothing)
         numbers = {
             "rho": metrics.spearman(y, error),
             "rho_sides": np.nanmean(by_side, axis=0),
             "monotonicity": metrics.monotonicity(y, error),
             "roughness": metrics.roughness(y),
+            "roughness_sides": np.nanmean(rough, axis=0),
             "linearity": np.nanmean(straight, axis=0),
             "off": np.abs(x[least] - truth),
         }

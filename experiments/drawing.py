@@ -41,7 +41,12 @@ def truth_line(axes: Axes, truth: float) -> None:
 
 
 def delta_panel(
-    axes: Axes, grid: np.ndarray, delta: np.ndarray, truth: float, others: Sequence[np.ndarray] = ()
+    axes: Axes,
+    grid: np.ndarray,
+    delta: np.ndarray,
+    truth: float,
+    others: Sequence[np.ndarray] = (),
+    headroom: float = 1.08,
 ) -> None:
     """delta_k thin and grey, their mean thick and black, and Delta_fitness of other seeds dotted.
 
@@ -51,6 +56,7 @@ def delta_panel(
       delta: (G, m).
       truth: the parameter's value in reality.
       others: (G,) each.
+      headroom: the axis ends at so many times the largest delta_k.
     """
     lines = axes.plot(grid, delta, color="0.72", linewidth=0.6, zorder=1)
     lines[0].set_label(rf"$\delta_k$ of {delta.shape[1]} behaviours")
@@ -61,4 +67,4 @@ def delta_panel(
     truth_line(axes, truth)
     finite = delta[np.isfinite(delta)]
     top = np.quantile(finite, 0.995) if len(finite) else 1.0
-    axes.set(ylabel=r"$\delta_k$, $\Delta_{fitness}$ [m/s]", ylim=(-0.02 * top, 1.08 * top))
+    axes.set(ylabel=r"$\delta_k$, $\Delta_{fitness}$ [m/s]", ylim=(-0.02 * top, headroom * top))

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import Arrays, Bench, Config, Journal, Step, Unit, command, load, run_units
+from common import TINY, Arrays, Bench, Config, Journal, Step, Unit, command, load, run_units
 from curves import curve_numbers, felt, intervals, multiscale_curve
 from drawing import delta_panel, figure_of, letter, save
 from matplotlib.axes import Axes
@@ -48,6 +48,7 @@ class Fig2Config(Config):
 PRESETS = {
     "quick": Fig2Config(seeds=3, grid=25),
     "paper": Fig2Config(preset="paper", seeds=10),
+    "tiny": Fig2Config(preset="tiny", **TINY, grid=5),
 }
 """Settings by preset."""
 
@@ -125,6 +126,7 @@ def summarise(seeds: Sequence[Arrays]) -> dict[str, Any]:
             at = grid == truth
             row = {
                 "at_truth": float(each[at].max()),
+                "mean_at_truth": float(each[at].mean()),
                 "elsewhere": float(np.nanmin(each.mean(axis=1)[~at])),
                 **curve_numbers(grid, each.mean(axis=1), truth),
                 **curve_numbers(grid, multiscale_curve(part["fitness"], part["real"]), truth, "multiscale "),

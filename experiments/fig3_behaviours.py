@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 import scipy.stats
-from common import Arrays, Bench, Config, Journal, Step, Unit, command, load, run_units
+from common import TINY, Arrays, Bench, Config, Journal, Step, Unit, command, load, run_units
 from curves import curve_numbers, influence, interval, multiscale_curve, noise_numbers, subset_numbers
 from drawing import delta_panel, figure_of, letter, save, shades, truth_line
 from fig2_scans import START, TRUTHS, evolve, line_of
@@ -67,6 +67,7 @@ class Fig3Config(Config):
 PRESETS = {
     "quick": Fig3Config(seeds=3, grid=25, diversities=6),
     "paper": Fig3Config(preset="paper", seeds=10),
+    "tiny": Fig3Config(preset="tiny", **TINY, grid=7, mutants=9, diversities=3),
 }
 """Settings by preset."""
 
@@ -123,6 +124,12 @@ def deltas(arrays: Arrays) -> np.ndarray:
     return delta(arrays["fitness"][..., -1], arrays["real"][:, -1])
 
 
+def every_behaviour(arrays: Arrays) -> np.ndarray:
+    """Fitness along the grid of all mutants, of whatever p_m, (G, M + P m)."""
+    diverse = np.moveaxis(arrays["diverse"][..., -1], 0, 1)
+    return np.concatenate([arrays["fitness"][..., -1], diverse.reshape(len(diverse), -1)], axis=1)
+
+
 def diverse_curves(arrays: Arrays) -> np.ndarray:
     """Delta_fitness for every p_m (P, G)."""
     return np.abs(arrays["diverse"][..., -1] - arrays["diverse_real"][:, None, :, -1]).mean(axis=-1)
@@ -144,7 +151,7 @@ def summarise(seeds: Sequence[Arrays]) -> dict[str, Any]:
       seed; noise: per level and m; multiscale: of that distance.
     """
     grid = seeds[0]["grid"]
-    keep = influence(grid, [arrays["fitness"][..., -1] for arrays in seeds], TRUTH)
+    keep = influence(grid, [every_behaviour(arrays) for arrays in seeds], TRUTH)
     sizes = sizes_of(seeds[0]["fitness"].shape[1])
     by_m = [subset_numbers(grid, deltas(a), TRUTH, sizes, keep, seed=i) for i, a in enumerate(seeds)]
     by_p_m = [[curve_numbers(grid, row, TRUTH, keep=keep) for row in diverse_curves(arrays)] for arrays in seeds]
@@ -212,9 +219,9 @@ def nested_panel(axes: Axes, arrays: Arrays) -> None:
     truth_line(axes, TRUTH)
     axes.set(xlabel=f"{PARAMETER} [m]", ylabel=r"$\Delta_{fitness}$ [m/s]", ylim=(0, 1.75 * np.nanmax(means[:, 2:])))
     low, high = np.nanmin([arrays["real"][:, -1], arrays["start"]]), np.nanmax([arrays["real"][:, -1], arrays["start"]])
-    insets = (("reality", arrays["real"][:, -1], 0.04), ("starting simulation", arrays["start"], 0.54))
+    insets = (("reality", arrays["real"][:, -1], 0.08), ("starting simulation", arrays["start"], 0.58))
     for name, values, left in insets:
-        inset = axes.inset_axes((left, 0.72, 0.44, 0.24))
+        inset = axes.inset_axes((left, 0.72, 0.41, 0.22))
         inset.bar(np.arange(1, len(values) + 1), values, width=0.8, color="0.35")
         inset.set(ylim=(min(low, 0), high), xticks=[1, len(values)])
         inset.tick_params(labelsize=6, length=2, pad=1)
@@ -240,11 +247,14 @@ def number_panel(axes: Axes, x: Sequence[float], rows: Sequence[dict[str, Any]],
     """Rank correlation (filled, left) and roughness (open, right) with intervals."""
     other = axes.twinx()
     other.spines["right"].set_visible(True)
-    for name, where, marker, fill, style in (("rho", axes, "o", "full", "-"), ("roughness", other, "s", "none", "--")):
+    for name, where, marker, fill, style in (
+        ("rho_sides", axes, "o", "full", "-"),
+        ("roughness_sides", other, "s", "none", "--"),
+    ):
         middle = np.array([row[name]["estimate"] for row in rows])
         ends = np.array([[row[name]["low"], row[name]["high"]] for row in rows]).T
         error = np.abs(np.where(np.isfinite(ends), ends, middle) - middle)
-        word = r"Spearman's $\rho$" if name == "rho" else "roughness"
+        word = r"Spearman's $\rho$ by side" if name == "rho_sides" else "roughness by side"
         where.errorbar(
             x, middle, error, marker=marker, fillstyle=fill, linestyle=style, color="black", lw=1, capsize=2, label=word
         )
@@ -279,7 +289,7 @@ def draw(folder: Path) -> list[Path]:
 def fill(figure: Figure, first: Arrays, summary: dict[str, Any]) -> None:
     """All panels."""
     panels: Any = figure.subplots(2, 3, height_ratios=[1.25, 1])
-    delta_panel(panels[0, 0], first["grid"], deltas(first), TRUTH)
+    delta_panel(panels[0, 0], first["grid"], deltas(first), TRUTH, headroom=1.4)
     panels[0, 0].set_xlabel(f"{PARAMETER} [m]")
     panels[0, 0].legend(loc="upper center", fontsize=7)
     low, high = summary["influence"]

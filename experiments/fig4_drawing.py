@@ -9,6 +9,7 @@ from common import Arrays
 from drawing import figure_of, letter, save
 from identification import Search
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 LOOKS: dict[str, tuple[str, dict[str, Any]]] = {
     "ga": ("genetic algorithm", {"color": "black", "linestyle": "-"}),
@@ -61,6 +62,7 @@ def distance_panel(axes: Axes, arrays: Arrays) -> None:
     axes.plot(np.repeat(x, values.shape[1]), values.ravel(), ".", color="0.75", markersize=1.5, label="members")
     axes.plot(x, np.nanmin(values, axis=1), color="black", label="best of the generation")
     axes.set(xlabel="generation", ylabel=r"$\Delta_{fitness}$ [m/s]", ylim=(0, None))
+    axes.xaxis.set_major_locator(MaxNLocator(10, integer=True))
     axes.legend(fontsize=7, ncols=2, loc="upper right")
 
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import Arrays, Bench, Config, Journal, Step, Unit, command, load, run_units
+from common import TINY, Arrays, Bench, Config, Journal, Step, Unit, command, load, run_units
 from curves import interval
 from fig2_scans import evolve
 from fig4_drawing import draw_searches
@@ -84,6 +84,9 @@ class Fig4Config(Config):
 PRESETS = {
     "quick": Fig4Config(seeds=2, trials=8, members=24, search_generations=12, generations_12=30, noisy_trials=20),
     "paper": Fig4Config(preset="paper", seeds=5),
+    "tiny": Fig4Config(
+        preset="tiny", **TINY, members=6, search_generations=3, members_12=6, generations_12=2, noisy_trials=4
+    ),
 }
 """Settings by preset."""
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import Arrays, Bench, Config, Journal, Step, Unit, command, load, run_units
+from common import TINY, Arrays, Bench, Config, Journal, Step, Unit, command, load, run_units
 from curves import curve_numbers, interval, multiscale_curve
 from drawing import figure_of, letter, save, shades, truth_line
 from fig2_scans import START, TRUTHS, evolve, line_of
@@ -61,6 +61,7 @@ class Fig5Config(Config):
 PRESETS = {
     "quick": Fig5Config(seeds=3, grid=25),
     "paper": Fig5Config(preset="paper", seeds=10),
+    "tiny": Fig5Config(preset="tiny", **TINY, grid=5, samples=80),
 }
 """Settings by preset."""
 
