@@ -29,9 +29,9 @@ def curve_numbers(
     Returns:
       rho: Spearman's, between distance and error |grid - truth|; rho_sides: the mean of it on either side of the truth,
       which a valley steeper on one side does not lower; monotonicity: share of neighbours in the right order;
-      roughness: total variation / range; roughness_sides: the mean of it on either side of the truth, 1 where both are
-      monotonic (all of a valley has 1 .. 2, by how equal its sides are); linearity: Pearson's r between distance and error, mean of both sides; off:
-      |argmin - truth|.
+      roughness: total variation / range; roughness_sides: the mean of it on either side, 1 where both are monotonic
+      (the whole of a valley has 1 .. 2, by how equal its sides are); linearity: Pearson's r between distance and error,
+      mean of both sides; off: |argmin - truth|.
     """
     use = np.ones(len(grid), bool) if keep is None else keep
     x, y = grid[use], np.asarray(curves, float)[..., use]
@@ -101,7 +101,8 @@ def felt(grid: np.ndarray, fitness: np.ndarray, low: float, high: float, apart: 
     ends = np.minimum(grid + apart, grid[-1])
     inside = (grid >= low - 1e-9) & (ends <= high + 1e-9)
     outside = ((ends <= low + 1e-9) | (grid >= high - 1e-9)) & np.isfinite(step)
-    return float(np.nanmean(step[inside]) / np.nanmean(step[outside]))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(np.nanmean(step[inside]) / np.nanmean(step[outside]))
 
 
 def felt_along(grid: np.ndarray, fitness: np.ndarray, apart: float = 0.1) -> np.ndarray:

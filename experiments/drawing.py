@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -33,6 +34,11 @@ def letter(axes: Axes, name: str, text: str) -> None:
 def shades(count: int, lightest: float = 0.82) -> list[str]:
     """`count` greys, from light to black."""
     return [str(grey) for grey in np.linspace(lightest, 0.0, count)]
+
+
+def white_legend(axes: Axes, **options: Any) -> None:
+    """A legend on white, for panels that are full of lines."""
+    axes.legend(fontsize=7, frameon=True, facecolor="white", edgecolor="none", framealpha=0.85, **options)
 
 
 def truth_line(axes: Axes, truth: float) -> None:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from common import TINY, Arrays, Bench, Config, Journal, Step, Unit, command, load, run_units
 from curves import curve_numbers, felt, intervals, multiscale_curve
-from drawing import delta_panel, figure_of, letter, save
+from drawing import delta_panel, figure_of, letter, save, white_legend
 from matplotlib.axes import Axes
 
 from btr_mjx import scan
@@ -179,7 +179,7 @@ def draw(folder: Path) -> list[Path]:
             axes.set(xlabel=f"{parameter} [m]")
             letter(axes, name, rf"median $\rho$ of {len(seeds)} seeds {numbers['median']:.2f}")
             if name == "b":
-                axes.legend(loc="best", fontsize=7)
+                white_legend(axes, loc="best")
         return [folder / "fig2.json", save(figure, folder / "fig2.png")]
 
 

@@ -22,7 +22,7 @@ import numpy as np
 import scipy.stats
 from common import TINY, Arrays, Bench, Config, Journal, Step, Unit, command, load, run_units
 from curves import curve_numbers, influence, interval, multiscale_curve, noise_numbers, subset_numbers
-from drawing import delta_panel, figure_of, letter, save, shades, truth_line
+from drawing import delta_panel, figure_of, letter, save, shades, truth_line, white_legend
 from fig2_scans import START, TRUTHS, evolve, line_of
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -225,7 +225,7 @@ def nested_panel(axes: Axes, arrays: Arrays) -> None:
         inset.bar(np.arange(1, len(values) + 1), values, width=0.8, color="0.35")
         inset.set(ylim=(min(low, 0), high), xticks=[1, len(values)])
         inset.tick_params(labelsize=6, length=2, pad=1)
-        inset.set_title(f"f in {name}", fontsize=6.5, pad=2)
+        inset.set_title(f"$f$ in {name}", fontsize=6, pad=2)
 
 
 def diverse_panel(axes: Axes, arrays: Arrays) -> None:
@@ -247,21 +247,17 @@ def number_panel(axes: Axes, x: Sequence[float], rows: Sequence[dict[str, Any]],
     """Rank correlation (filled, left) and roughness (open, right) with intervals."""
     other = axes.twinx()
     other.spines["right"].set_visible(True)
-    for name, where, marker, fill, style in (
-        ("rho_sides", axes, "o", "full", "-"),
-        ("roughness_sides", other, "s", "none", "--"),
-    ):
+    looks = (
+        ("rho_sides", axes, "o", "full", "-", "\u25cf Spearman's \u03c1 by side"),
+        ("roughness_sides", other, "s", "none", "--", "\u25a1 roughness by side"),
+    )
+    for name, where, marker, fill, line, words in looks:
         middle = np.array([row[name]["estimate"] for row in rows])
         ends = np.array([[row[name]["low"], row[name]["high"]] for row in rows]).T
         error = np.abs(np.where(np.isfinite(ends), ends, middle) - middle)
-        word = r"Spearman's $\rho$ by side" if name == "rho_sides" else "roughness by side"
-        where.errorbar(
-            x, middle, error, marker=marker, fillstyle=fill, linestyle=style, color="black", lw=1, capsize=2, label=word
-        )
-        where.set_ylabel(word)
+        where.errorbar(x, middle, error, marker=marker, fillstyle=fill, linestyle=line, color="black", lw=1, capsize=2)
+        where.set_ylabel(words)
     axes.set(xscale="log", xlabel=label)
-    handles = [axes.get_legend_handles_labels(), other.get_legend_handles_labels()]
-    axes.legend(handles[0][0] + handles[1][0], handles[0][1] + handles[1][1], loc="center right", fontsize=7)
 
 
 def noise_panel(axes: Axes, summary: dict[str, Any]) -> None:
@@ -291,7 +287,7 @@ def fill(figure: Figure, first: Arrays, summary: dict[str, Any]) -> None:
     panels: Any = figure.subplots(2, 3, height_ratios=[1.25, 1])
     delta_panel(panels[0, 0], first["grid"], deltas(first), TRUTH, headroom=1.4)
     panels[0, 0].set_xlabel(f"{PARAMETER} [m]")
-    panels[0, 0].legend(loc="upper center", fontsize=7)
+    white_legend(panels[0, 0], loc="upper center")
     low, high = summary["influence"]
     panels[0, 0].axvspan(low, high, ymax=0.02, color="0.4", linewidth=0)
     mutants = first["fitness"].shape[1]

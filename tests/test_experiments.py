@@ -1,0 +1,329 @@
+"""The paper's experiments at tiny sizes: saved data against plain loops and scipy, resuming, drawing alone."""
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import claims
+import common
+import curves
+import fig2_scans
+import fig3_behaviours
+import fig4_identification
+import fig5_metrics
+import identification
+import numpy as np
+import pytest
+import scipy.stats
+
+from btr_mjx.files import read_arrays
+from btr_mjx.robots import robot_of
+from btr_mjx.runs import RunFolder
+from btr_mjx.spaces import Box
+
+FIGURES: dict[str, Any] = claims.FIGURES
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """All experiments and the claims, computed once."""
+    path = tmp_path_factory.mktemp("experiments")
+    claims.main(["--preset", "tiny", "--out", str(path), "--no-progress"])
+    return path
+
+
+def numbers(path: Path) -> Any:
+    return json.loads(path.read_text())
+
+
+@pytest.fixture
+def no_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Any call that would simulate fails."""
+
+    def refuse(*args: Any, **options: Any) -> None:
+        raise AssertionError("simulated")
+
+    for module in (common, fig5_metrics):
+        monkeypatch.setattr(module, "evaluate", refuse)
+    monkeypatch.setattr(fig2_scans, "evolve_controllers", refuse)
+
+
+# ---- what was saved ----
+
+
+def test_fig2(folder: Path) -> None:
+    summary = numbers(folder / "fig2_scans" / "fig2.json")
+    config = fig2_scans.PRESETS["tiny"]
+    for seed in range(config.seeds):
+        arrays = read_arrays(folder / "fig2_scans" / f"seed-{seed}.npz")
+        for parameter, truth in fig2_scans.TRUTHS.items():
+            part = {k.partition("/")[2]: v for k, v in arrays.items() if k.startswith(parameter + "/")}
+            assert part["grid"].tolist() == sorted({*np.linspace(0.4, 1.6, config.grid).tolist(), truth})
+            assert part["fitness"].shape == (len(part["grid"]), config.trials, config.marks + 1)
+            assert part["scores"].shape == (config.generations, config.population)
+            each = np.abs(part["fitness"][..., -1] - part["real"][:, -1])
+            assert (each[part["grid"] == truth] == 0.0).all()  # Theorem 1
+            mean, error = each.mean(axis=1), np.abs(part["grid"] - truth)
+            row = summary[parameter]["seeds"][seed]
+            assert float(row["rho"]) == pytest.approx(scipy.stats.spearmanr(mean, error).statistic)
+            assert row["roughness"] == pytest.approx(np.abs(np.diff(mean)).sum() / np.ptp(mean))
+            assert row["lost"] == pytest.approx((part["start"] - part["real"])[:, -1].mean())
+            assert row["elsewhere"] == mean[error > 0].min() > 0
+
+
+def test_fig3(folder: Path) -> None:
+    summary = numbers(folder / "fig3_behaviours" / "fig3.json")
+    config = fig3_behaviours.PRESETS["tiny"]
+    assert summary["at_truth"] == 0.0
+    assert list(summary["by_m"]) == ["1", "3", "9"]
+    low, high = summary["influence"]
+    assert low <= fig3_behaviours.TRUTH <= high
+    for seed in range(config.seeds):
+        arrays = read_arrays(folder / "fig3_behaviours" / f"seed-{seed}.npz")
+        grid = arrays["grid"]
+        assert arrays["diverse"].shape == (config.diversities, len(grid), config.trials, config.marks + 1)
+        keep = (grid >= low) & (grid <= high)
+        each = np.abs(arrays["fitness"][..., -1] - arrays["real"][:, -1])
+        curve = [np.mean([each[i, k] for k in range(config.mutants)]) for i in range(len(grid))]
+        off = abs(grid[keep][np.argmin(np.array(curve)[keep])] - fig3_behaviours.TRUTH)
+        assert summary["by_m"]["9"]["off"]["values"][seed] == off
+    assert len({row["p_m"] for row in summary["by_p_m"]}) == config.diversities
+
+
+def test_fig4(folder: Path) -> None:
+    path, config = folder / "fig4_identification", fig4_identification.PRESETS["tiny"]
+    summary = numbers(path / "fig4.json")
+    assert summary["at_truth"] == 0.0
+    for name, shape in (("ga", (3, 6, 4)), ("cma", (3, 6, 4)), ("multiscale-12", (2, 6, 12)), ("noisy-12", (2, 6, 12))):
+        for seed in range(config.seeds):
+            arrays = read_arrays(path / f"{name}-{seed}.npz")
+            assert arrays["parameters"].shape == shape
+            assert arrays["values"].shape == shape[:2]
+            away = config.away if shape[2] == 4 else config.away_12
+            np.testing.assert_allclose(np.abs(arrays["start"] - arrays["truth"]), away)
+            g, member = np.unravel_index(arrays["values"].argmin(), shape[:2])
+            error = np.abs(arrays["parameters"][g, member] - arrays["truth"]).mean()
+            assert summary["searches"][name]["error"]["values"][seed] == pytest.approx(error)
+    exact, other = (read_arrays(path / f"{name}-12-0.npz") for name in ("multiscale", "native"))
+    np.testing.assert_array_equal(exact["parameters"][0], other["parameters"][0])
+    assert (exact["values"] != other["values"]).all()
+    # The GA's population holds s_0; the distance of any member is what a plain call says.
+    ga = read_arrays(path / "ga-0.npz")
+    np.testing.assert_allclose(ga["parameters"][0, 0], ga["start"], atol=1.2 / 2**10)
+
+
+def test_fig5(folder: Path) -> None:
+    config = fig5_metrics.PRESETS["tiny"]
+    summary = numbers(folder / "fig5_metrics" / "fig5.json")
+    for seed in range(config.seeds):
+        arrays = read_arrays(folder / "fig5_metrics" / f"seed-{seed}.npz")
+        other = read_arrays(folder / "fig2_scans" / f"seed-{seed}.npz")
+        at = arrays["grid"] == fig5_metrics.TRUTH
+        assert arrays["rolling"].shape == (len(fig5_metrics.HEADERS), len(at))
+        assert (arrays["rolling"][:, at] == 0).all()
+        assert (arrays["rolling"][:, ~at] > 0).all()
+        assert (arrays["euclidean"][at] == 0).all()
+        # The same behaviours as Fig. 2c, measured by the same fitness at T_e.
+        np.testing.assert_array_equal(arrays["fitness"][..., -1], other["bl_5/fitness"][..., -1])
+        r = np.corrcoef(arrays["rolling"][-1], arrays["euclidean"])[0, 1]
+        assert summary["like_euclidean"]["100 %"]["values"][seed] == pytest.approx(r)
+
+
+def test_claims(folder: Path) -> None:
+    rows = numbers(folder / "claims.json")
+    assert len(rows) >= 12
+    assert all(list(row)[:5] == ["claim", "statistic", "low", "high", "verdict"] for row in rows)
+    assert {row["verdict"] for row in rows} <= {"holds", "does not", "undecided"}
+    assert [row["verdict"] for row in rows[:2]] == ["holds", "holds"]  # Theorems 1 and 2, at any size
+    text = (folder / "claims.md").read_text()
+    assert all(row["claim"] in text for row in rows)
+    assert len({row["claim"] for row in rows}) == len(rows)
+
+
+@pytest.mark.parametrize(
+    ("sense", "low", "high", "verdict"),
+    [
+        ("at most", 0.0, 0.0, "holds"),
+        ("less than", 0.0, 0.0, "does not"),
+        ("at least", 0.8, 1.0, "holds"),
+        ("more than", -0.1, 0.1, "undecided"),
+        ("more than", -0.2, -0.1, "does not"),
+        ("more than", np.nan, np.nan, "undecided"),
+    ],
+)
+def test_verdicts(sense: Any, low: float, high: float, verdict: str) -> None:
+    bound = 0.5 if sense == "at least" else 0.0
+    assert claims.Claim("", "", sense, bound, 0.0, low, high, 3).verdict == verdict
+
+
+# ---- without simulating ----
+
+
+@pytest.mark.usefixtures("no_simulation")
+def test_drawing_does_not_simulate(folder: Path, capsys: pytest.CaptureFixture) -> None:
+    before = {path: path.read_bytes() for path in folder.rglob("*.json")}
+    pictures = [next((folder / name).glob("*.png")) for name in FIGURES]
+    for path in pictures:
+        path.unlink()
+    flags = ["--preset", "tiny", "--no-progress", "--out"]
+    fig2_scans.main([*flags, str(folder / "fig2_scans"), "--draw-only"])
+    pictures[0].unlink()
+    claims.main([*flags, str(folder)])  # all data exist: everything is drawn, nothing computed
+    assert all(path.stat().st_size > 10_000 for path in pictures)
+    assert {path: path.read_bytes() for path in folder.rglob("*.json")} == before
+
+
+@pytest.mark.usefixtures("no_simulation")
+def test_bad_input_is_one_line(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    cases = [
+        ([fig2_scans, "--draw-only", "--out", str(tmp_path / "no")], "nothing was computed"),
+        ([fig2_scans, "--trials", "6", "--out", str(tmp_path / "no")], "m = 6"),
+        ([fig2_scans, "--grid", "6", "--out", str(folder / "fig2_scans")], "grid"),
+        ([fig3_behaviours, "--mutants", "1", "--out", str(tmp_path / "no")], "mutants 1"),
+        ([fig4_identification, "--members", "2", "--out", str(tmp_path / "no")], "members 2"),
+        ([fig5_metrics, "--samples", "10", "--out", str(tmp_path / "no")], "samples"),
+    ]
+    for (module, *flags), words in cases:
+        with pytest.raises(SystemExit) as stop:
+            module.main(["--preset", "tiny", "--no-progress", *flags])
+        assert stop.value.code == 2
+        lines = capsys.readouterr().err.strip().splitlines()
+        assert len(lines) == 1
+        assert words in lines[0]
+    assert not (tmp_path / "no").exists()
+
+
+# ---- resuming ----
+
+
+def test_a_killed_run_goes_on(folder: Path, tmp_path: Path) -> None:
+    """kill -9 after the first unit; then --resume gives the same files, and more seeds add to them."""
+    script = Path(fig2_scans.__file__)
+    words = [sys.executable, str(script), "--preset", "tiny", "--out", str(tmp_path / "run"), "--no-progress"]
+    process = subprocess.Popen([*words, "--seeds", "40"], stdout=subprocess.DEVNULL)
+    try:
+        while not (tmp_path / "run" / "seed-0.npz").exists():
+            assert process.poll() is None
+            with pytest.raises(subprocess.TimeoutExpired):
+                process.wait(0.02)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    done = {path.name: path.read_bytes() for path in (tmp_path / "run").glob("seed-*.npz")}
+    assert done.keys() != {f"seed-{i}.npz" for i in range(40)}
+    fig2_scans.main([*words[2:], "--seeds", str(len(done) + 1), "--resume"])
+    for name, content in done.items():
+        assert (tmp_path / "run" / name).read_bytes() == content
+    assert len(list((tmp_path / "run").glob("seed-*.npz"))) == len(done) + 1
+    assert done["seed-0.npz"] == (folder / "fig2_scans" / "seed-0.npz").read_bytes()
+
+
+def test_a_unit_goes_on_within_itself(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search that died in its last generation repeats the others from memory, and ends in the same bytes."""
+    config = common.dataclasses.replace(fig4_identification.PRESETS["tiny"], out=tmp_path / "run")
+    unit = fig4_identification.units(config)[1]
+    assert unit.name == "cma-0"
+    honest, calls = common.evaluate, []
+
+    def mortal(*args: Any, **options: Any) -> Any:
+        calls.append(1)
+        if len(calls) == 4:
+            raise MemoryError
+        return honest(*args, **options)
+
+    monkeypatch.setattr(common, "evaluate", mortal)
+    with RunFolder.create(config.folder, config) as run:
+        journal = common.Journal(run, unit.name, lambda count: None, interval=0.0)
+        with pytest.raises(MemoryError):
+            unit.work(lambda count: None, journal)
+    with RunFolder.create(config.folder, config, resume=True) as run:
+        arrays = unit.work(lambda count: None, common.Journal(run, unit.name, lambda count: None))
+    assert len(calls) == 3 + 2  # 3 remembered; the one that died, again
+    expected = read_arrays(folder / "fig4_identification" / "cma-0.npz")
+    for name, value in expected.items():
+        np.testing.assert_array_equal(arrays[name], value)
+
+
+def test_a_damaged_unit_is_computed_again(folder: Path, tmp_path: Path) -> None:
+    config = common.dataclasses.replace(fig2_scans.PRESETS["tiny"], out=tmp_path, seeds=1, progress=False)
+    units = fig2_scans.units(config)
+    content = (folder / "fig2_scans" / "seed-0.npz").read_bytes()
+    (tmp_path / "seed-0.npz").write_bytes(content)
+    assert common.missing(tmp_path, units) == []
+    (tmp_path / "seed-0.npz").write_bytes(content[:-200])
+    assert common.missing(tmp_path, units) == units
+
+
+# ---- parts ----
+
+
+def test_curve_numbers(rng: np.random.Generator) -> None:
+    grid, truth = np.linspace(0.4, 1.6, 25), 0.9
+    curve = np.abs(grid - truth) + rng.normal(0, 0.1, 25)
+    curve[3] = np.nan
+    found = curves.curve_numbers(grid, curve, truth)
+    left, right = (grid <= truth) & np.isfinite(curve), grid >= truth
+    for name, statistic in (("rho_sides", scipy.stats.spearmanr), ("linearity", scipy.stats.pearsonr)):
+        sides = [statistic(curve[side], np.abs(grid - truth)[side]).statistic for side in (left, right)]
+        assert found[name] == pytest.approx(np.mean(sides))
+    rough = [np.abs(np.diff(curve[side])).sum() / np.ptp(curve[side]) for side in (left, right)]
+    assert found["roughness_sides"] == pytest.approx(np.mean(rough))
+    assert found["off"] == abs(grid[np.nanargmin(curve)] - truth)
+    several = curves.curve_numbers(grid, np.stack([curve, np.abs(grid - truth)]), truth)
+    assert several["rho_sides"] == pytest.approx((found["rho_sides"] + 1) / 2)
+
+
+def test_what_is_felt() -> None:
+    grid = np.linspace(0.4, 1.6, 49)
+    fitness = np.stack([np.maximum(grid - 1.1, 0), 2 * np.maximum(grid - 1.1, 0)], axis=1)
+    assert curves.felt(grid, fitness, 0.4, 1.1) == pytest.approx(0, abs=1e-12)
+    assert curves.felt(grid, fitness, 1.1, 1.6) == np.inf or curves.felt(grid, fitness, 1.1, 1.6) > 10
+    keep = curves.influence(grid, [fitness], 1.6)
+    assert 1.0 <= grid[keep].min() <= 1.1
+    assert grid[keep].max() == 1.6
+
+
+def test_averages_over_behaviours(rng: np.random.Generator) -> None:
+    """Noise on the curves is averaged out by m; all behaviours together are one curve, whatever the draws."""
+    grid, truth = np.linspace(0.4, 1.6, 25), 0.9
+    slopes = rng.uniform(0.5, 2, 30)
+    f_s = slopes * (grid - truth)[:, None] + rng.normal(0, 0.2, (25, 30)) * (grid != truth)[:, None]
+    delta = np.abs(f_s)
+    found = curves.subset_numbers(grid, delta, truth, [1, 5, 30])
+    assert found[1]["rho_sides"] < found[5]["rho_sides"] < found[30]["rho_sides"]
+    assert found[30] == pytest.approx(curves.curve_numbers(grid, delta.mean(axis=1), truth))
+    noisy = curves.noise_numbers(grid, f_s + 1, np.ones(30), truth, [1, 30], 0.3)
+    assert noisy[30]["off"] < noisy[1]["off"]
+
+
+def test_searches_find_a_bowl() -> None:
+    box = Box([f"x_{i}" for i in range(4)], 0.4, 1.6, bits=10)
+    truth = np.array([0.54, 0.74, 1.1, 0.9])
+    start = identification.away_from(truth, box, 0.2, 0)
+    np.testing.assert_allclose(np.abs(start - truth), 0.2)
+    assert ((start >= box.low) & (start <= box.high)).all()
+
+    def bowl(x: np.ndarray) -> np.ndarray:
+        value = np.abs(x - truth).sum(axis=1)
+        value[::7] = np.nan  # failures must not stop either search
+        return value
+
+    ga = identification.genetic(bowl, box, start, 30, 40, 0.03, seed=1)
+    cma = identification.cma_es(bowl, box, start, 16, 120, seed=1)
+    assert ga.error(truth)[-1] < 0.02
+    assert cma.error(truth)[-1] < 0.002
+    assert len(cma.values) < 120  # it stops once it has converged
+    assert (np.diff(np.nanmin(ga.values, axis=1)) <= 0.3).all()
+
+
+def test_marks_share_a_bench() -> None:
+    """Fitness at a mark does not depend on how the trial goes on."""
+    config = fig2_scans.PRESETS["tiny"]
+    bench = common.Bench.of(config, lambda count: None)
+    robot = robot_of(None, config.duration)
+    rng = np.random.default_rng(0)
+    s, c = robot.simulation_box.sample(rng, 2), robot.controller_box.sample(rng, 3)
+    np.testing.assert_array_equal(bench.early(s, c), bench.whole(s, c)[..., :-1])
