@@ -250,7 +250,7 @@ def test_rows_that_the_compiler_treats_otherwise_are_compiled(monkeypatch: pytes
 @pytest.mark.parametrize("extra", ["", 'mass="0"'])
 def test_a_model_that_the_compiler_refuses_is_refused(extra: str) -> None:
     """A size that is negative in a gap between all probes."""
-    robot = arm(link=f'<geom size="{{{{ abs(a - 0.4321) - 0.0005 }}}}" {extra}/><geom size="0.1"/>')
+    robot = arm(link=f'<geom size="{{{{ (a - 0.4321) | abs - 0.0005 }}}}" {extra}/><geom size="0.1"/>')
     assert models.why_compiled(robot) == ""
     inside = robot.nominal_simulation
     inside[0] = 0.4321
