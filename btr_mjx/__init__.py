@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from btr_mjx.behaviour import EngineSettings, Evaluation, evaluate
     from btr_mjx.errors import InputError
     from btr_mjx.fitness import FitnessFunction, Outcome
+    from btr_mjx.pairs import Trajectory, model_leaves, pair_fitness, pair_trajectory
     from btr_mjx.reality import Reality, SimulatedReality
     from btr_mjx.robots import Robot, hexapod
     from btr_mjx.spaces import Box
@@ -30,8 +31,12 @@ _HOME = {
     "Reality": "reality",
     "Robot": "robots",
     "SimulatedReality": "reality",
+    "Trajectory": "pairs",
     "evaluate": "behaviour",
     "hexapod": "robots",
+    "model_leaves": "pairs",
+    "pair_fitness": "pairs",
+    "pair_trajectory": "pairs",
 }
 _MODULES = ("coevolve", "metrics", "scan")
 
@@ -45,10 +50,14 @@ __all__ = [
     "Reality",
     "Robot",
     "SimulatedReality",
+    "Trajectory",
     "coevolve",
     "evaluate",
     "hexapod",
     "metrics",
+    "model_leaves",
+    "pair_fitness",
+    "pair_trajectory",
     "scan",
 ]
 

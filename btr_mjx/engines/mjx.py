@@ -66,7 +66,7 @@ class MjxStepper:
         """See `Stepper.pack`: the fields that MJX holds, batch first, in the model's precision."""
         if self._pid.any() and ("actuator_gainprm" in leaves or "actuator_biasprm" in leaves):
             raise UnsupportedModel("mjx: gains of `pid` actuators cannot vary within a batch; use engine='lanes'")
-        return {name: np.asarray(leaves[name], _leaf(self._model, name).dtype) for name in self._used}
+        return {name: leaves[name].astype(_leaf(self._model, name).dtype, copy=False) for name in self._used}
 
     def initial(self, params: dict[str, jax.Array], chunk: int) -> dict[str, jax.Array]:
         """See `Stepper.initial`."""

@@ -1,0 +1,168 @@
+"""A function of one row that `jax.vmap` turns into work on whole chunks of rows.
+
+A SIMD kernel computes a fixed number of rows at once, each row on its own. `rowwise(kernel, chunk)` is the same
+function for one row, to be used like any function of JAX:
+
+- `jax.vmap`, nested to any depth, inside or outside `jax.jit`, flattens all mapped axes into one batch, pads it to
+  whole chunks and runs the kernel chunk after chunk, so that memory does not grow with the batch. Arguments that are
+  not mapped along an axis are not copied along it: rows are gathered one chunk at a time.
+- `jax.jvp` runs the kernel's own forward-mode derivative on chunks, for the arguments that are differentiated only;
+  directions count as rows (`jax.jacfwd` puts them into the lanes).
+- Chunks are shared out over devices.
+
+A row's result does not depend on where in the batch it stands, nor on whether there is a batch.
+"""
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.custom_derivatives import SymbolicZero
+from jax.sharding import AxisType, Mesh, PartitionSpec
+
+Kernel = Callable[..., Any]
+"""kernel(*arguments) -> results: pytrees of arrays whose first axis counts the chunk's rows."""
+
+
+def rowwise(kernel: Kernel, chunk: int, devices: Sequence[jax.Device] | None = None) -> Kernel:
+    """The function of one row that a kernel computes for many.
+
+    Args:
+      kernel: maps pytrees of arrays (chunk, ...) to a pytree of floating-point arrays (chunk, ...). Row i of the
+        results depends on row i of the arguments only, and has the same bits in any position.
+      chunk: rows that the kernel takes.
+      devices: devices that the chunks of a batch are shared out over; None for all of the default backend. Within a
+        `shard_map` of the caller's, chunks stay on the device that they are on.
+
+    Returns:
+      A function of pytrees of arrays (...), without the rows' axis. It supports `jit`, `vmap`, `jvp`, `jacfwd` and
+      their compositions. Reverse mode (`grad`, `vjp`) and `linearize` raise JAX's ValueError that says so.
+    """
+    traced_once = jax.jit(kernel)  # the kernel may be long, and every vmap level traces what it contains
+
+    @jax.jit  # so that a call outside the user's own `jit` is compiled once too
+    @functools.wraps(kernel)
+    def function(*arguments: Any) -> Any:
+        arrays, tree = jax.tree.flatten(arguments)
+        repeated = lambda *xs: [jnp.broadcast_to(x, (chunk, *x.shape)) for x in xs]  # noqa: E731
+        results = jax.eval_shape(lambda *xs: traced_once(*jax.tree.unflatten(tree, repeated(*xs))), *arrays)
+
+        @jax.jit
+        def flat(*chunks: jax.Array) -> tuple[jax.Array, ...]:
+            return tuple(jax.tree.leaves(traced_once(*jax.tree.unflatten(tree, chunks))))
+
+        found = tuple(devices) if devices is not None else tuple(jax.devices())
+        everything = (frozenset(range(len(arrays))),) * len(jax.tree.leaves(results))
+        batch = _Batch(flat, chunk, found, (), ((),) * len(arrays), everything)
+        return jax.tree.unflatten(jax.tree.structure(results), _apply(batch, *arrays))
+
+    return function
+
+
+@dataclass(frozen=True, eq=False)
+class _Batch:
+    """A batch of rows with several batch axes.
+
+    Attributes:
+      kernel: maps arrays (chunk, ...) to a tuple of such.
+      chunk: rows per call of the kernel.
+      devices: what the chunks are shared out over.
+      sizes: sizes of the batch axes.
+      axes: for each argument, which of the batch axes it has; they are its first ones, in this order.
+      sources: for each result, the arguments that it depends on.
+    """
+
+    kernel: Callable[..., tuple[jax.Array, ...]]
+    chunk: int
+    devices: tuple[jax.Device, ...]
+    sizes: tuple[int, ...]
+    axes: tuple[tuple[int, ...], ...]
+    sources: tuple[frozenset[int], ...]
+
+    def mapped(self, size: int, batched: Sequence[bool]) -> "_Batch":
+        """With another batch axis in front, which some of the arguments have."""
+        axes = tuple((0,) * one + tuple(i + 1 for i in old) for one, old in zip(batched, self.axes, strict=True))
+        return replace(self, sizes=(size, *self.sizes), axes=axes)
+
+    def differentiated(self, active: Sequence[bool]) -> "_Batch":
+        """Results and their tangents, of all arguments and then the tangents of the active ones."""
+
+        @jax.jit
+        def kernel(*arguments: jax.Array) -> tuple[jax.Array, ...]:
+            primals, tangents = arguments[: len(active)], arguments[len(active) :]
+
+            def of_active(*varied: jax.Array) -> tuple[jax.Array, ...]:
+                given = iter(varied)
+                return self.kernel(*(next(given) if one else x for one, x in zip(active, primals, strict=True)))
+
+            chosen = tuple(x for one, x in zip(active, primals, strict=True) if one)
+            results, derivatives = jax.jvp(of_active, chosen, tangents)
+            return (*results, *derivatives)
+
+        axes = self.axes + tuple(a for one, a in zip(active, self.axes, strict=True) if one)
+        everything = (frozenset(range(len(axes))),) * len(self.sources)
+        return replace(self, kernel=kernel, axes=axes, sources=self.sources + everything)
+
+    def run(self, *arguments: jax.Array) -> tuple[jax.Array, ...]:
+        """Results of all rows, (*sizes, ...)."""
+        count = math.prod(self.sizes)
+        # A batch inside a `shard_map` of the caller's is already where it belongs.
+        inside = jax.sharding.get_abstract_mesh().manual_axes
+        chunks = -(-count // self.chunk)
+        workers = 1 if inside else min(len(self.devices), max(chunks, 1))
+        turns = -(-chunks // workers)
+
+        def one(turn: jax.Array, arguments: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+            row = jnp.minimum(turn * self.chunk + jnp.arange(self.chunk), count - 1)
+            position = jnp.unravel_index(row, self.sizes) if self.sizes else ()
+            return self.kernel(*(self._rows(x, a, position) for x, a in zip(arguments, self.axes, strict=True)))
+
+        def some(turn: jax.Array, *arguments: jax.Array) -> tuple[jax.Array, ...]:
+            return lax.map(lambda i: one(i, arguments), turn)
+
+        order = jnp.arange(workers * turns)
+        if workers > 1:
+            mesh = Mesh(np.array(self.devices[:workers]), ("chunks",), axis_types=(AxisType.Auto,))
+            sharded, copied = PartitionSpec("chunks"), PartitionSpec()
+            specs = (sharded, *(copied for _ in arguments))
+            some = jax.shard_map(some, mesh=mesh, in_specs=specs, out_specs=sharded, check_vma=False)
+        results = some(order, *arguments)
+        return tuple(x.reshape(-1, *x.shape[2:])[:count].reshape(*self.sizes, *x.shape[2:]) for x in results)
+
+    def _rows(self, x: jax.Array, axes: tuple[int, ...], position: Sequence[jax.Array]) -> jax.Array:
+        if not axes:
+            return jnp.broadcast_to(x, (self.chunk, *x.shape))
+        return x[tuple(position[i] for i in axes)]
+
+
+def _apply(batch: _Batch, *arguments: jax.Array) -> tuple[jax.Array, ...]:
+    """`batch.run`, as JAX's transformations see it."""
+
+    @jax.custom_batching.custom_vmap
+    def run(*arguments: jax.Array) -> tuple[jax.Array, ...]:
+        return batch.run(*arguments)
+
+    @run.def_vmap
+    def mapped(size: int, batched: list[bool], *arguments: jax.Array) -> tuple[Any, Any]:
+        results = _apply(batch.mapped(size, batched), *arguments)
+        # A value does not differ between the directions of its derivative, and must not seem to.
+        differs = tuple(any(batched[i] for i in sources) for sources in batch.sources)
+        return tuple(x if one else x[0] for one, x in zip(differs, results, strict=True)), differs
+
+    # custom_vmap differentiates by all arguments at once, and vmaps a loop over chunks where only tangents are mapped.
+    differentiable = jax.custom_jvp(run)
+
+    def derivative(primals: tuple, tangents: tuple) -> tuple[tuple, tuple]:
+        active = [not isinstance(t, SymbolicZero) for t in tangents]
+        moving = [t for one, t in zip(active, tangents, strict=True) if one]
+        both = _apply(batch.differentiated(active), *primals, *moving)
+        return both[: len(both) // 2], both[len(both) // 2 :]
+
+    differentiable.defjvp(derivative, symbolic_zeros=True)
+    return differentiable(*arguments)

@@ -1,0 +1,101 @@
+"""NumPy code on arrays that JAX traces.
+
+What the engines derive from model fields, and fitness functions, are written in NumPy, to run on the host in double
+precision. `TracedArray` lets the same code be traced: NumPy hands its functions and operators over to classes that
+define `__array_function__` and `__array_ufunc__`, and this class hands them on to `jax.numpy`. `in_double` runs such
+code in double precision inside a program of any precision.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
+
+from btr_mjx.forward import with_derivative
+
+
+class TracedArray(NDArrayOperatorsMixin):
+    """A JAX array that NumPy's functions and operators accept; what they return of it is a `TracedArray` too.
+
+    It has the attributes and methods of a `jax.Array`, and `jax.numpy` accepts it. NumPy functions that `jax.numpy`
+    does not have, in-place changes, and decisions on values raise TypeError.
+    """
+
+    def __init__(self, value: jax.Array):
+        self._value = value
+
+    def __jax_array__(self) -> jax.Array:
+        return self._value
+
+    def __getitem__(self, index: Any) -> "TracedArray":
+        return _wrapped(self._value[_plain(index)])
+
+    def __len__(self) -> int:
+        return len(self._value)
+
+    def __iter__(self) -> Iterator["TracedArray"]:
+        return (self[i] for i in range(len(self)))
+
+    def __bool__(self) -> bool:
+        raise TypeError("a decision depends on a value of a rollout that is being compiled; use np.where instead")
+
+    def __getattr__(self, name: str) -> Any:
+        # No protocols by this way (`__array__`, ...): they would give the traced value to NumPy itself.
+        if name.startswith("_"):
+            raise AttributeError(name)
+        found = getattr(self._value, name)
+        if not callable(found):
+            return _wrapped(found)
+        return lambda *args, **kwargs: _wrapped(found(*_plain(args), **_plain(kwargs)))
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
+        if method != "__call__" or not hasattr(jnp, ufunc.__name__):
+            return NotImplemented
+        return _wrapped(getattr(jnp, ufunc.__name__)(*_plain(inputs), **kwargs))
+
+    def __array_function__(self, function: Callable, types: Any, args: tuple, kwargs: dict) -> Any:
+        room = jnp.linalg if function.__module__ == "numpy.linalg" else jnp
+        if not hasattr(room, function.__name__):
+            return NotImplemented
+        return _wrapped(getattr(room, function.__name__)(*_plain(args), **_plain(kwargs)))
+
+
+def in_double(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that computes in double precision, derivatives included, in any mode of JAX.
+
+    Args:
+      function: maps pytrees of floating-point arrays to such a pytree. Inside it, `float64` arrays are as good as any
+        other; it converts its arguments to double precision and its results from it.
+
+    Returns:
+      The function, for use in programs that JAX traces, with forward-mode derivatives.
+    """
+
+    def run(*arguments: Any) -> Any:
+        with jax.enable_x64(True):
+            return function(*arguments)
+
+    # JAX would differentiate what was traced here outside of this mode, and take single precision for double.
+    return with_derivative(run, in_double)
+
+
+def _plain(tree: Any) -> Any:
+    """Arguments for `jax.numpy`, which does not take lists of numbers for arrays."""
+    if isinstance(tree, TracedArray):
+        return tree.__jax_array__()
+    if isinstance(tree, dict):
+        return {key: _plain(value) for key, value in tree.items()}
+    if isinstance(tree, list) and all(isinstance(x, int | float) for x in tree):
+        return np.asarray(tree)
+    if isinstance(tree, list | tuple):
+        return type(tree)(map(_plain, tree))
+    return tree
+
+
+def _wrapped(tree: Any) -> Any:
+    if isinstance(tree, list | tuple):
+        return type(tree)(map(_wrapped, tree))
+    return TracedArray(tree) if isinstance(tree, jax.Array) else tree
