@@ -326,47 +326,49 @@ def claims_of_fig4(summary: dict[str, Any]) -> list[Claim]:
 
 
 def claims_of_fig5(summary: dict[str, Any]) -> list[Claim]:
-    """The paper's statements on sensor metrics."""
-    values = lambda name, key: numbers(summary["distances"][name][key]["values"])  # noqa: E731
-    alike = lambda name: numbers(summary["like_euclidean"][name]["values"])  # noqa: E731
-    short, long = "1.25 %", "100 %"
-    minus = lambda a, b: [x - y for x, y in zip(a, b, strict=True)]  # noqa: E731
+    """The paper's statements on sensor metrics, for means over m behaviours, for single ones and for longer trials."""
+    short, whole = "1.25 %", "100 %"
+    alike = {name: numbers(summary["like_euclidean"][name]["values"]) for name in (short, whole)}
+
+    def minus(source: dict[str, Any], kind: str, first: str, second: str) -> list[float]:
+        pairs = (numbers(source[kind][name]["monotonicity"]["values"]) for name in (first, second))
+        return [a - b for a, b in zip(*pairs, strict=True)]
+
     share = "difference of the share of neighbours in order"
+    lose = partial(tested, measure=f"{share}: 100 % - 1.25 %", sense="less than", bound=0.0)
+    keep = partial(tested, measure=f"{share}: by fitness - rolling mean 100 %", sense="more than", bound=0.0)
+    longer = f"trials of {fig5_metrics.LONGER} T_e"
     return [
         claimed(
             "Fig. 5: the shortest header is near linear",
             "Pearson's r with the error, mean of both sides",
             "at least",
             0.95,
-            values(short, "linearity"),
-        ),
-        tested(
-            "Fig. 5: long headers lose monotonicity",
-            share + ": 100 % - 1.25 %",
-            "less than",
-            0.0,
-            minus(values(long, "monotonicity"), values(short, "monotonicity")),
+            numbers(summary["distances"][short]["linearity"]["values"]),
         ),
         tested(
             "Fig. 5: the whole header behaves like the Euclidean metric",
             "difference of Pearson's r with it: 100 % - 1.25 %",
             "more than",
             0.0,
-            minus(alike(long), alike(short)),
+            [a - b for a, b in zip(alike[whole], alike[short], strict=True)],
         ),
-        tested(
+        lose("Fig. 5: long headers lose monotonicity", differences=minus(summary, "distances", whole, short)),
+        lose(
+            "Fig. 5: long headers lose monotonicity, single behaviours",
+            differences=minus(summary, "single", whole, short),
+        ),
+        lose(
+            f"Fig. 5: long headers lose monotonicity, single behaviours, {longer}",
+            differences=minus(summary["long"], "single", whole, short),
+        ),
+        keep(
             "Fig. 5: Delta_fitness keeps its monotonicity at the full T_e, where the rolling mean lost it",
-            share + ": Delta_fitness - rolling mean 100 %",
-            "more than",
-            0.0,
-            minus(values("delta_fitness", "monotonicity"), values(long, "monotonicity")),
+            differences=minus(summary, "distances", "delta_fitness", whole),
         ),
-        tested(
-            "The multiscale distance is more monotonic than the rolling mean of whole trials",
-            share + ": multiscale - rolling mean 100 %",
-            "more than",
-            0.0,
-            minus(values("multiscale", "monotonicity"), values(long, "monotonicity")),
+        keep(
+            "The multiscale distance keeps it better than the rolling mean of whole trials",
+            differences=minus(summary, "distances", "multiscale", whole),
         ),
     ]
 

@@ -1,20 +1,22 @@
 """Fig. 5: `uv run python experiments/fig5_metrics.py`. Do distances between sensor series last as long as trials do?
 
-Over bl_5, reality 0.88 m, the m = 15 behaviours of Fig. 2c: the rolling mean metric of Bongard and Lipson for headers
-of 1.25 % .. 100 % of T_e, the Euclidean metric of whole trials, Delta_fitness and the multiscale distance. Each is
-divided by its largest value, for its shape is what matters.
+Over bl_5, reality 0.88 m, the m = 15 behaviours of Fig. 2c: (a) the rolling mean metric of Bongard and Lipson for
+headers of 1.25 % .. 100 % of T_e and the Euclidean metric of whole trials, (b) Delta_fitness and the multiscale
+distance, each divided by its largest value, for its shape is what matters; means over the behaviours. (c) How well they
+order simulations by their error: means over 15 behaviours, single behaviours, and single behaviours where trials take
+three times as long.
 
 Sensors are the state: position and orientation of the base, its velocities, joint angles and joint velocities, each
 kind scaled by its spread in reality. Forces at the feet are left out: the engines report states, not contact forces.
 Series are sampled 320 times a trial, every 5.3 ms; the rolling mean is over 1.25 % of T_e.
 
-The run folder holds seed-0.npz, ...: grid (G,), headers (H,) as shares of T_e, rolling (H, G), euclidean (G,), all per
-behaviour first averaged, fitness (G, m, K + 1) and real (m, K + 1) as in Fig. 2. fig5.json holds the statistics over
-seeds, fig5.png the figure.
+The run folder holds seed-0.npz, ... and, for the longer trials, long-0.npz, ...: grid (G,), headers (H,) as shares of
+the trial, rolling (H, G, m), euclidean (G, m), fitness (G, m, K + 1) and real (m, K + 1) as in Fig. 2. fig5.json holds
+the statistics over seeds, fig5.png the figure.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,7 +24,7 @@ from typing import Any
 import numpy as np
 from common import TINY, Arrays, Bench, Config, Journal, Step, Unit, command, load, run_units
 from curves import curve_numbers, interval, multiscale_curve
-from drawing import figure_of, letter, save, shades, truth_line
+from drawing import figure_of, letter, save, shades, truth_line, white_legend
 from fig2_scans import START, TRUTHS, evolve, line_of
 from matplotlib.axes import Axes
 
@@ -31,13 +33,17 @@ from btr_mjx.behaviour import base_address, evaluate
 from btr_mjx.distances import fitness_at_marks
 from btr_mjx.errors import InputError
 from btr_mjx.files import write_json
-from btr_mjx.fitness import DISTANCE, Outcome, delta_fitness
+from btr_mjx.fitness import DISTANCE, Outcome, delta
 from btr_mjx.robots import Robot
 
 PARAMETER = "bl_5"
 TRUTH = TRUTHS[PARAMETER]
 HEADERS = (0.0125, 0.025, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0)
 """Headers as shares of T_e, the paper's shortest and longest and seven between."""
+
+
+LONGER = 3
+"""How many times as long the longer trials take."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,22 +90,23 @@ def kinds(robot: Robot, n_q: int, n_v: int) -> list[str]:
     return names
 
 
-def work(config: Fig5Config, seed: int, step: Step, journal: Journal) -> Arrays:
-    """All simulations of one seed."""
+def work(config: Fig5Config, longer: int, seed: int, step: Step, journal: Journal) -> Arrays:
+    """All simulations of one seed, in trials `longer` times as long."""
     bench = Bench.of(config, step)
     grid, line, reality = line_of(bench, PARAMETER, config.grid)
     start = scan.along(bench.robot, PARAMETER, [START[PARAMETER]])[0]
     genomes = journal(lambda: evolve(bench, config, start, seed)[0], config.population * config.generations)
     controllers = bench.robot.controller_box.with_bits(config.search.bits).decode(genomes)
-    times = config.duration * np.arange(1, config.samples + 1) / config.samples
+    duration = longer * config.duration
+    times = duration * np.arange(1, config.samples + 1) / config.samples
     trials = evaluate(
-        bench.robot,
+        replace(bench.robot, duration=duration),
         np.concatenate([reality, line]),
         controllers,
         engine=bench.engine,
         times=times,
         states=True,
-        progress=step,
+        progress=lambda pairs: step(longer * pairs),
     )
     series = np.where(trials.diverged[..., None, None], np.nan, sensors(trials.outcome))
     assert trials.outcome.qpos is not None
@@ -108,15 +115,15 @@ def work(config: Fig5Config, seed: int, step: Step, journal: Journal) -> Arrays:
     headers = [max(1, round(share * config.samples)) for share in HEADERS]
     window = max(1, round(HEADERS[0] * config.samples))
     # One simulation at a time: the series of all of them together would not fit into a cache, nor into some machines.
-    rolling = [metrics.rolling_mean_metric(series[0], row, headers, window, scale).mean(axis=0) for row in series[1:]]
-    euclidean = [metrics.euclidean_metric(series[0], row, scale=scale).mean() for row in series[1:]]
-    at = np.append(np.searchsorted(times, np.array(config.mark_times) - 1e-9), config.samples - 1)
+    rolling = [metrics.rolling_mean_metric(series[0], row, headers, window, scale) for row in series[1:]]
+    euclidean = [metrics.euclidean_metric(series[0], row, scale=scale) for row in series[1:]]
+    at = np.append(np.searchsorted(times[:-1], np.array(config.mark_times) - 1e-9), config.samples - 1)
     fitness = fitness_at_marks(trials.outcome, DISTANCE)[..., at]
     fitness = np.where(trials.diverged[..., None], np.nan, fitness)
     return {
         "grid": grid,
         "headers": np.array(HEADERS),
-        "rolling": np.array(rolling).T,
+        "rolling": np.moveaxis(np.array(rolling), -1, 0),
         "euclidean": np.array(euclidean),
         "fitness": fitness[1:],
         "real": fitness[0],
@@ -124,9 +131,13 @@ def work(config: Fig5Config, seed: int, step: Step, journal: Journal) -> Arrays:
 
 
 def units(config: Fig5Config) -> list[Unit]:
-    """One unit per seed."""
-    trials = config.population * config.generations + config.trials * (config.grid + 2)
-    return [Unit(f"seed-{seed}", trials, partial(work, config, seed)) for seed in range(config.seeds)]
+    """Two units per seed: trials of T_e, and longer ones."""
+    evolved, scanned = config.population * config.generations, config.trials * (config.grid + 2)
+    return [
+        Unit(f"{name}-{seed}", evolved + longer * scanned, partial(work, config, longer, seed))
+        for name, longer in (("seed", 1), ("long", LONGER))
+        for seed in range(config.seeds)
+    ]
 
 
 def compute(config: Fig5Config) -> int:
@@ -135,14 +146,17 @@ def compute(config: Fig5Config) -> int:
 
 
 def curves_of(arrays: Arrays) -> dict[str, np.ndarray]:
-    """Every distance over the grid (G,), by name; rolling means by header, "1.25 %"."""
-    rolling = {percent(share): curve for share, curve in zip(arrays["headers"], arrays["rolling"], strict=True)}
-    return {
-        **rolling,
-        "euclidean": arrays["euclidean"],
-        "delta_fitness": delta_fitness(arrays["fitness"][..., -1], arrays["real"][:, -1]),
-        "multiscale": multiscale_curve(arrays["fitness"], arrays["real"]),
-    }
+    """Every distance over the grid, means over behaviours (G,), by name; rolling means by header, "1.25 %"."""
+    single = single_curves(arrays)
+    multiscale = multiscale_curve(arrays["fitness"], arrays["real"])
+    return {name: curves.mean(axis=0) for name, curves in single.items()} | {"multiscale": multiscale}
+
+
+def single_curves(arrays: Arrays) -> dict[str, np.ndarray]:
+    """The same of every behaviour (m, G); of Delta_fitness that is delta_k. The multiscale distance needs several."""
+    rolling = {percent(share): curves.T for share, curves in zip(arrays["headers"], arrays["rolling"], strict=True)}
+    delta_k = delta(arrays["fitness"][..., -1], arrays["real"][:, -1])
+    return {**rolling, "euclidean": arrays["euclidean"].T, "delta_fitness": delta_k.T}
 
 
 def percent(share: float) -> str:
@@ -154,22 +168,25 @@ def summarise(seeds: Sequence[Arrays]) -> dict[str, Any]:
     """Numbers of every distance over all of the parameter's range, with intervals and the seeds' values.
 
     Returns:
-      distances: by name, see `curves.curve_numbers`; like_euclidean: per header, Pearson's r between its curve and the
-      Euclidean metric's.
+      distances: by name, see `curves.curve_numbers`, of the means over behaviours; single: means of the numbers of
+      single behaviours; like_euclidean: per header, Pearson's r between its curve and the Euclidean metric's.
     """
-    curves = [curves_of(arrays) for arrays in seeds]
-    grid = seeds[0]["grid"]
-    distances = {}
-    for name in curves[0]:
-        rows = [curve_numbers(grid, each[name], TRUTH) for each in curves]
-        distances[name] = {
-            key: {**interval(values), "values": values} for key in rows[0] for values in [[row[key] for row in rows]]
-        }
-    alike = {}
+    grid, together = seeds[0]["grid"], [curves_of(arrays) for arrays in seeds]
+    result: dict[str, Any] = {}
+    for kind, each in (("distances", together), ("single", [single_curves(arrays) for arrays in seeds])):
+        result[kind] = {}
+        for name in each[0]:
+            rows = [curve_numbers(grid, curves[name], TRUTH) for curves in each]
+            result[kind][name] = {
+                key: {**interval(values), "values": values}
+                for key in rows[0]
+                for values in [[row[key] for row in rows]]
+            }
+    result["like_euclidean"] = {}
     for share in seeds[0]["headers"]:
-        values = [float(np.corrcoef(each[percent(share)], each["euclidean"])[0, 1]) for each in curves]
-        alike[percent(share)] = {**interval(values), "values": values}
-    return {"distances": distances, "like_euclidean": alike}
+        values = [float(np.corrcoef(each[percent(share)], each["euclidean"])[0, 1]) for each in together]
+        result["like_euclidean"][percent(share)] = {**interval(values), "values": values}
+    return result
 
 
 def curves_panel(axes: Axes, arrays: Arrays) -> None:
@@ -178,12 +195,11 @@ def curves_panel(axes: Axes, arrays: Arrays) -> None:
     for share, grey in zip(headers, shades(len(headers), 0.8), strict=True):
         curve = curves[percent(share)]
         axes.plot(arrays["grid"], curve / np.nanmax(curve), color=grey, linewidth=1.2, label=percent(share))
-    axes.plot(
-        arrays["grid"], curves["euclidean"] / np.nanmax(curves["euclidean"]), "k--", linewidth=1.6, label="Euclidean"
-    )
+    whole = curves["euclidean"]
+    axes.plot(arrays["grid"], whole / np.nanmax(whole), "k--", linewidth=1.6, label="Euclidean")
     truth_line(axes, TRUTH)
     axes.set(xlabel=f"{PARAMETER} [m]", ylabel="metric / its maximum", ylim=(0, 1.42))
-    axes.legend(fontsize=6.5, ncols=4, loc="upper center", columnspacing=1.0, handlelength=1.6)
+    white_legend(axes, ncols=4, loc="upper center", columnspacing=1.0, handlelength=1.6)
 
 
 def fitness_panel(axes: Axes, seeds: Sequence[Arrays]) -> None:
@@ -193,58 +209,59 @@ def fitness_panel(axes: Axes, seeds: Sequence[Arrays]) -> None:
         ("multiscale", "multiscale", "0.5", "--"),
     )
     for number, arrays in enumerate(seeds):
+        curves = curves_of(arrays)
         for name, label, color, line in looks:
-            curve = curves_of(arrays)[name]
-            axes.plot(
-                arrays["grid"],
-                curve / np.nanmax(curve),
-                color=color,
-                linestyle=line,
-                linewidth=0.5 if number else 2.0,
-                label=None if number else label,
-            )
+            curve = curves[name] / np.nanmax(curves[name])
+            width, words = (0.5, None) if number else (2.0, label)
+            axes.plot(arrays["grid"], curve, color=color, linestyle=line, linewidth=width, label=words)
     truth_line(axes, TRUTH)
     axes.set(xlabel=f"{PARAMETER} [m]", ylabel="distance / its maximum", ylim=(0, 1.3))
-    axes.legend(fontsize=7, ncols=2, loc="upper center")
+    white_legend(axes, ncols=2, loc="upper center")
 
 
 def header_panel(axes: Axes, summary: dict[str, Any], headers: np.ndarray) -> None:
-    """Order and straightness against the header, with the other distances as levels."""
-    x = 100 * headers
-    for key, marker, fill, label in (
-        ("rho_sides", "o", "full", r"$\rho$ by side"),
-        ("linearity", "s", "none", "$r$ by side"),
-    ):
-        rows = [summary["distances"][percent(share)][key] for share in headers]
+    """Order against the header, with the other distances as levels."""
+    together, single, longer = summary["distances"], summary["single"], summary["long"]["single"]
+    series = (
+        (together, "o", "full", "-", "rolling mean, $m$ together"),
+        (single, "s", "none", "--", "rolling mean, one behaviour"),
+        (longer, "^", "none", ":", f"the same, {LONGER} $T_e$"),
+    )
+    for numbers, marker, fillstyle, line, label in series:
+        rows = [numbers[percent(share)]["rho_sides"] for share in headers]
         middle = np.array([row["estimate"] for row in rows])
         ends = np.array([[row["low"], row["high"]] for row in rows]).T
         error = np.abs(np.where(np.isfinite(ends), ends, middle) - middle)
-        axes.errorbar(x, middle, error, marker=marker, fillstyle=fill, color="black", lw=1, capsize=2, label=label)
+        look: dict[str, Any] = {"marker": marker, "fillstyle": fillstyle, "linestyle": line}
+        axes.errorbar(100 * headers, middle, error, color="black", lw=1, capsize=2, label=label, **look)
     levels = (
-        ("euclidean", "--", "Euclidean"),
-        ("delta_fitness", "-", r"$\Delta_{fitness}$"),
-        ("multiscale", ":", "multiscale"),
+        (together["delta_fitness"], "-", r"$\Delta_{fitness}$, $m$ together"),
+        (single["delta_fitness"], "--", r"$\delta_k$, one behaviour"),
+        (together["multiscale"], ":", "multiscale, $m$ together"),
     )
-    for name, line, label in levels:
-        level = summary["distances"][name]["rho_sides"]["estimate"]
-        axes.axhline(level, color="0.45", linestyle=line, linewidth=1, label=rf"$\rho$ of {label}")
-    axes.set(xscale="log", xlabel="header [% of $T_e$]", ylabel="correlation with the error", ylim=(None, 1.01))
+    for numbers, line, label in levels:
+        axes.axhline(numbers["rho_sides"]["estimate"], color="0.55", linestyle=line, linewidth=1.2, label=label)
+    axes.set(xscale="log", xlabel="header [% of the trial]", ylabel=r"Spearman's $\rho$ by side")
+    low = axes.get_ylim()[0]
+    axes.set_ylim(low - 0.9 * (1 - low), 1 + 0.03 * (1 - low))
+    axes.set_xticks([1.25, 5, 20, 100], ["1.25", "5", "20", "100"])
+    axes.minorticks_off()
     axes.legend(fontsize=6.5, loc="lower left")
 
 
 def draw(folder: Path) -> list[Path]:
     """fig5.json and fig5.png from the saved seeds; (a) shows seed 0."""
     seeds = load(folder, "seed")
-    summary = summarise(seeds)
+    summary = {**summarise(seeds), "long": summarise(load(folder, "long"))}
     write_json(folder / "fig5.json", summary)
     with figure_of(9.6, 3.3) as figure:
-        panels: Any = figure.subplots(1, 3, width_ratios=[1.25, 1, 1])
+        panels: Any = figure.subplots(1, 3, width_ratios=[1.25, 1, 1.1])
         curves_panel(panels[0], seeds[0])
         letter(panels[0], "a", "rolling mean metric by header")
         fitness_panel(panels[1], seeds)
         letter(panels[1], "b", "by fitness")
         header_panel(panels[2], summary, seeds[0]["headers"])
-        letter(panels[2], "c", f"order and straightness, {len(seeds)} seeds")
+        letter(panels[2], "c", f"order by error, seeds: {len(seeds)}")
         return [folder / "fig5.json", save(figure, folder / "fig5.png")]
 
 
