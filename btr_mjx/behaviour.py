@@ -135,7 +135,7 @@ def evaluate(
 def fastest_engine(robot: Robot) -> Engine:
     """The fastest engine that can run a robot: lanes; failing that MJX on an accelerator and native on a CPU."""
     try:
-        _stepper(_essence(robot), "lanes", False)
+        _stepper(_essence(robot), "lanes", bool(jax.config.read("jax_enable_x64")))
         return "lanes"
     except UnsupportedModel:
         return "native" if jax.default_backend() == "cpu" else "mjx"
