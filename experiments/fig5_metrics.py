@@ -228,7 +228,7 @@ def header_panel(axes: Axes, summary: dict[str, Any], headers: np.ndarray) -> No
         (longer, "^", "none", ":", f"the same, {LONGER} $T_e$"),
     )
     for numbers, marker, fillstyle, line, label in series:
-        rows = [numbers[percent(share)]["rho_sides"] for share in headers]
+        rows = [numbers[percent(share)]["monotonicity"] for share in headers]
         middle = np.array([row["estimate"] for row in rows])
         ends = np.array([[row["low"], row["high"]] for row in rows]).T
         error = np.abs(np.where(np.isfinite(ends), ends, middle) - middle)
@@ -240,8 +240,8 @@ def header_panel(axes: Axes, summary: dict[str, Any], headers: np.ndarray) -> No
         (together["multiscale"], ":", "multiscale, $m$ together"),
     )
     for numbers, line, label in levels:
-        axes.axhline(numbers["rho_sides"]["estimate"], color="0.55", linestyle=line, linewidth=1.2, label=label)
-    axes.set(xscale="log", xlabel="header [% of the trial]", ylabel=r"Spearman's $\rho$ by side")
+        axes.axhline(numbers["monotonicity"]["estimate"], color="0.55", linestyle=line, linewidth=1.2, label=label)
+    axes.set(xscale="log", xlabel="header [% of the trial]", ylabel="share of neighbours in order")
     low = axes.get_ylim()[0]
     axes.set_ylim(low - 0.9 * (1 - low), 1 + 0.03 * (1 - low))
     axes.set_xticks([1.25, 5, 20, 100], ["1.25", "5", "20", "100"])

@@ -15,6 +15,7 @@ import fig3_behaviours
 import fig4_identification
 import fig5_metrics
 import identification
+import maps
 import numpy as np
 import pytest
 import scipy.stats
@@ -27,11 +28,19 @@ from btr_mjx.spaces import Box
 FIGURES: dict[str, Any] = claims.FIGURES
 
 
+TINY = ["--preset", "tiny", "--no-progress", "--out"]
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """All experiments and the claims, computed once."""
+    """All experiments, computed once; then figures and claims, which find everything and must not simulate."""
     path = tmp_path_factory.mktemp("experiments")
-    claims.main(["--preset", "tiny", "--out", str(path), "--no-progress"])
+    for name, config in claims.configs(claims.ClaimsConfig(preset="tiny", out=path, progress=False)).items():
+        assert FIGURES[name].compute(config) > 0
+        assert not list(path.rglob("*.png"))
+    with pytest.MonkeyPatch.context() as patch:
+        forbid_simulation(patch)
+        claims.main([*TINY, str(path)])
     return path
 
 
@@ -39,16 +48,20 @@ def numbers(path: Path) -> Any:
     return json.loads(path.read_text())
 
 
-@pytest.fixture
-def no_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
+def forbid_simulation(patch: pytest.MonkeyPatch) -> None:
     """Any call that would simulate fails."""
 
     def refuse(*args: Any, **options: Any) -> None:
         raise AssertionError("simulated")
 
     for module in (common, fig5_metrics):
-        monkeypatch.setattr(module, "evaluate", refuse)
-    monkeypatch.setattr(fig2_scans, "evolve_controllers", refuse)
+        patch.setattr(module, "evaluate", refuse)
+    patch.setattr(fig2_scans, "evolve_controllers", refuse)
+
+
+@pytest.fixture
+def no_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
+    forbid_simulation(monkeypatch)
 
 
 # ---- what was saved ----
@@ -163,17 +176,15 @@ def test_verdicts(sense: Any, low: float, high: float, verdict: str) -> None:
 
 
 @pytest.mark.usefixtures("no_simulation")
-def test_drawing_does_not_simulate(folder: Path, capsys: pytest.CaptureFixture) -> None:
-    before = {path: path.read_bytes() for path in folder.rglob("*.json")}
-    pictures = [next((folder / name).glob("*.png")) for name in FIGURES]
-    for path in pictures:
-        path.unlink()
-    flags = ["--preset", "tiny", "--no-progress", "--out"]
-    fig2_scans.main([*flags, str(folder / "fig2_scans"), "--draw-only"])
-    pictures[0].unlink()
-    claims.main([*flags, str(folder)])  # all data exist: everything is drawn, nothing computed
-    assert all(path.stat().st_size > 10_000 for path in pictures)
-    assert {path: path.read_bytes() for path in folder.rglob("*.json")} == before
+def test_drawing_alone(folder: Path) -> None:
+    """The fixture drew everything without simulating; here one figure again, by --draw-only, with the same numbers."""
+    assert all(next((folder / name).glob("*.png")).stat().st_size > 10_000 for name in FIGURES)
+    picture, summary = folder / "fig2_scans" / "fig2.png", folder / "fig2_scans" / "fig2.json"
+    before = summary.read_bytes()
+    picture.unlink()
+    fig2_scans.main([*TINY, str(folder / "fig2_scans"), "--draw-only"])
+    assert picture.stat().st_size > 10_000
+    assert summary.read_bytes() == before
 
 
 @pytest.mark.usefixtures("no_simulation")
@@ -188,12 +199,22 @@ def test_bad_input_is_one_line(folder: Path, tmp_path: Path, capsys: pytest.Capt
     ]
     for (module, *flags), words in cases:
         with pytest.raises(SystemExit) as stop:
-            module.main(["--preset", "tiny", "--no-progress", *flags])
+            module.main([*TINY[:-1], *flags])
         assert stop.value.code == 2
         lines = capsys.readouterr().err.strip().splitlines()
         assert len(lines) == 1
         assert words in lines[0]
     assert not (tmp_path / "no").exists()
+
+
+def test_maps(tmp_path: Path) -> None:
+    flags = ["--seeds", "1", "--behaviours", "2", "--noises", "0", "--horizons", "0.02"]
+    maps.main([*TINY, str(tmp_path / "maps"), *flags])
+    summary = numbers(tmp_path / "maps" / "maps.json")
+    assert {"m2-noise0", "horizon20", "choice-random", "choice-fittest", "choice-disagreement", "truth"} == set(summary)
+    # The three trials that both begin with are the same, whatever is chosen later.
+    assert summary["choice-random"][0] == summary["choice-disagreement"][0]
+    assert (tmp_path / "maps" / "maps.png").exists()
 
 
 # ---- resuming ----
