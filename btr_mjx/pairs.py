@@ -16,7 +16,6 @@ over many contacts a gait's derivatives grow as chaos does. They are forward mod
 solver's loop runs until it has converged, which reverse mode cannot undo.
 """
 
-import copy
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -34,7 +33,6 @@ from btr_mjx.engines.base import Stepper
 from btr_mjx.engines.program import Record, rollout
 from btr_mjx.errors import InputError
 from btr_mjx.fitness import DISTANCE, FitnessFunction, Outcome
-from btr_mjx.forward import with_derivative
 from btr_mjx.models import base_model, compile_models
 from btr_mjx.robots import Robot
 from btr_mjx.rowwise import rowwise
@@ -179,8 +177,6 @@ def _one_pair(
 
     def roll(leaves: Leaves, controllers: jax.Array) -> Record:
         stepper = _stepper(robot, chosen)
-        if chosen == "lanes":
-            stepper = _differentiable(stepper)
         # Behind a barrier the number of steps stays unknown to the compiler, which would unroll short loops otherwise
         # and compute other bits.
         marks = lax.optimization_barrier(jnp.asarray(samples, jnp.int32))
@@ -207,15 +203,6 @@ def _engine(robot: Robot) -> Engine:
 
 def _stepper(robot: Robot, engine: Engine) -> Stepper:
     return behaviour._stepper(behaviour._essence(robot), engine, bool(jax.config.read("jax_enable_x64")))
-
-
-def _differentiable(stepper: Stepper) -> Stepper:
-    """The lanes engine with derivatives in its own manner: shared values of the derivative are computed once too."""
-    from btr_mjx.engines.lanes.retrace import retrace
-
-    changed = copy.copy(stepper)
-    changed.step = with_derivative(stepper.step, retrace)  # type: ignore[method-assign]
-    return changed
 
 
 def _timestep(robot: Robot) -> float:

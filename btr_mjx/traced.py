@@ -12,9 +12,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_derivatives import SymbolicZero
 from numpy.lib.mixins import NDArrayOperatorsMixin
-
-from btr_mjx.forward import with_derivative
 
 
 class TracedArray(NDArrayOperatorsMixin):
@@ -78,8 +77,25 @@ def in_double(function: Callable[..., Any]) -> Callable[..., Any]:
         with jax.enable_x64(True):
             return function(*arguments)
 
-    # JAX would differentiate what was traced here outside of this mode, and take single precision for double.
-    return with_derivative(run, in_double)
+    def derivative(primals: tuple, tangents: tuple) -> Any:
+        values, tree = jax.tree.flatten(primals)
+        slopes = jax.tree.leaves(tangents)
+        moves = [not isinstance(slope, SymbolicZero) for slope in slopes]
+
+        def both(values: list, slopes: list) -> Any:
+            def of_moving(*moving: jax.Array) -> Any:
+                given = iter(moving)
+                mixed = [next(given) if one else x for one, x in zip(moves, values, strict=True)]
+                return function(*jax.tree.unflatten(tree, mixed))
+
+            return jax.jvp(of_moving, [x for one, x in zip(moves, values, strict=True) if one], slopes)
+
+        # JAX would differentiate what was traced here outside of this mode, and take single precision for double.
+        return in_double(both)(values, [slope for one, slope in zip(moves, slopes, strict=True) if one])
+
+    differentiable = jax.custom_jvp(run)
+    differentiable.defjvp(derivative, symbolic_zeros=True)
+    return differentiable
 
 
 def _plain(tree: Any) -> Any:
