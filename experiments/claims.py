@@ -260,7 +260,8 @@ def claims_of_fig4(summary: dict[str, Any]) -> list[Claim]:
     fallen = [
         last / first for first, last in zip(values("ga", "distance_first"), values("ga", "distance"), strict=True)
     ]
-    gain = [np.log10(a / b) for a, b in zip(values("cma", "error"), values("ga", "error"), strict=True)]
+    # Both may hit the truth to the last bit of a length's genome; a micrometre is as good as 0.
+    gain = [float(np.log10(max(a, 1e-6) / max(b, 1e-6))) for a, b in summary["equal_cost"]]
     felt = np.array([row["estimate"] for row in summary["felt"]["delta"]])
     errors = np.array([values("delta-12", f"error_{i}") for i in range(len(felt))])
     order = [float(metrics.spearman(column, felt)) for column in errors.T]
@@ -287,7 +288,7 @@ def claims_of_fig4(summary: dict[str, Any]) -> list[Claim]:
             values("cma", "error"),
         ),
         tested(
-            "CMA-ES ends nearer to the truth than the genetic algorithm at no more trials",
+            "CMA-ES ends nearer to the truth than the genetic algorithm at as many trials",
             "log10 of the ratio of errors",
             "less than",
             0.0,

@@ -73,7 +73,7 @@ def parameter_panel(axes: Axes, arrays: Arrays, index: int, name: str) -> None:
     grey = 0.85 - 0.5 * rank / max(len(rank) - 1, 1)
     x = np.repeat(np.arange(1, len(values) + 1), values.shape[1])
     axes.scatter(x, parameters.ravel(), c=grey.astype(str).tolist(), s=2, linewidths=0, rasterized=True)
-    search = Search(arrays["parameters"], values)
+    search = Search(arrays["parameters"], values, arrays["simulated"])
     axes.plot(np.arange(1, len(values) + 1), search.best[:, index], color="black", linewidth=1.4)
     axes.axhline(arrays["truth"][index], color="#c8641e", linestyle="--", linewidth=1.2)
     axes.plot(0, arrays["start"][index], "ko", fillstyle="none", clip_on=False)
@@ -85,7 +85,7 @@ def parameter_panel(axes: Axes, arrays: Arrays, index: int, name: str) -> None:
 
 def error_lines(axes: Axes, runs: Sequence[Arrays], label: str, look: Mapping[str, Any]) -> None:
     """Error of the best member so far, thin per seed, and their median thick while all seeds go on."""
-    errors = [Search(run["parameters"], run["values"]).error(run["truth"]) for run in runs]
+    errors = [Search(run["parameters"], run["values"], run["simulated"]).error(run["truth"]) for run in runs]
     for run, error in zip(runs, errors, strict=True):
         axes.plot(run["trials"], np.maximum(error, 1e-5), linewidth=0.5, alpha=0.7, **look)
     longest = max(runs, key=lambda run: len(run["trials"]))["trials"]

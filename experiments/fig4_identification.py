@@ -9,9 +9,9 @@ Twelve unknown lengths: (e) CMA-ES from 0.25 m away, by Delta_fitness and by `di
 controllers: with exact measurements, with 5 % of noise on every one, and with a reality that is native MuJoCo at
 another time step and integrator.
 
-The run folder holds one file per search and seed, NAME-0.npz, ...: parameters (g, L, n), values (g, L), truth (n,),
-start (n,), trials (g,) whole trials simulated so far; and sensitivity-0.npz: offsets (O,) [m], delta and multiscale
-(12, O). fig4.json holds the statistics over seeds, fig4.png the figure.
+The run folder holds one file per search and seed, NAME-0.npz, ...: parameters (g, L, n), values (g, L), simulated
+(g,), truth (n,), start (n,), trials (g,) whole trials simulated so far; and sensitivity-0.npz: offsets (O,) [m], delta
+and multiscale (12, O). fig4.json holds the statistics over seeds, fig4.png the figure.
 """
 
 from collections.abc import Sequence
@@ -90,7 +90,7 @@ PRESETS = {
 }
 """Settings by preset."""
 
-SEARCHES_12 = {"delta-12": 60, "multiscale-12": None, "noisy-12": None, "native-12": None}
+SEARCHES_12 = {"delta-12": 45, "multiscale-12": None, "noisy-12": None, "native-12": None}
 """Searches of twelve lengths; at most so many generations of the costly one."""
 
 
@@ -111,8 +111,8 @@ def mutants_of_best(config: Fig4Config, bench: Bench, start: np.ndarray, seed: i
 
 def recorded(search: Search, truth: np.ndarray, start: np.ndarray, per_member: float) -> Arrays:
     """The arrays of a search; `per_member` is what one member costs, in whole trials."""
-    cost = per_member * search.values.shape[1] * np.arange(1, len(search.values) + 1)
-    return {"parameters": search.parameters, "values": search.values, "truth": truth, "start": start, "trials": cost}
+    cost = per_member * np.cumsum(search.simulated)
+    return {**vars(search), "truth": truth, "start": start, "trials": cost}
 
 
 def four(config: Fig4Config, method: str, seed: int, step: Step, journal: Journal) -> Arrays:
@@ -207,12 +207,17 @@ def compute(config: Fig4Config) -> int:
 
 def search_of(arrays: Arrays) -> Search:
     """A search from its file."""
-    return Search(arrays["parameters"], arrays["values"])
+    return Search(arrays["parameters"], arrays["values"], arrays["simulated"])
 
 
-def at_equal_cost(first: Arrays, second: Arrays) -> int:
-    """Index of the last generation of `first` that cost no more than the whole of `second`."""
-    return int(np.searchsorted(first["trials"], second["trials"][-1], side="right") - 1)
+def at_equal_cost(first: Arrays, second: Arrays) -> tuple[float, float]:
+    """Errors of two searches of one seed at the last generations that both could afford [m]."""
+    cost = min(first["trials"][-1], second["trials"][-1])
+    pairs = (
+        (search_of(a).error(a["truth"]), np.searchsorted(a["trials"], cost, side="right")) for a in (first, second)
+    )
+    one, other = (float(error[max(count - 1, 0)]) for error, count in pairs)
+    return one, other
 
 
 def summarise(folder: Path) -> dict[str, Any]:
@@ -220,6 +225,7 @@ def summarise(folder: Path) -> dict[str, Any]:
 
     Returns:
       searches: per search its final error and distance, those of its first generation and the error at the start;
+      equal_cost: errors of CMA-ES and of the genetic algorithm at the same number of trials;
       felt: per length the change of either distance per metre at the truth (mean of both sides, 0.03 m away).
     """
     result: dict[str, Any] = {"searches": {}}
@@ -244,6 +250,8 @@ def summarise(folder: Path) -> dict[str, Any]:
         result["searches"][name] = {
             key: {**interval([row[key] for row in rows]), "values": [row[key] for row in rows]} for key in keys
         }
+    both = zip(load(folder, "cma"), load(folder, "ga"), strict=True)
+    result["equal_cost"] = [at_equal_cost(cma, ga) for cma, ga in both]
     found = load(folder, "sensitivity")
     offsets = found[0]["offsets"]
     near = np.isclose(np.abs(offsets), 0.03)

@@ -24,10 +24,12 @@ class Search:
     Attributes:
       parameters: (g, L, n).
       values: (g, L) their distances.
+      simulated: (g,) how many members had to be simulated: a genome that comes again keeps its distance.
     """
 
     parameters: np.ndarray
     values: np.ndarray
+    simulated: np.ndarray
 
     @property
     def best(self) -> np.ndarray:
@@ -66,16 +68,22 @@ def genetic(
     """
     algorithm = GeneticAlgorithm(box, GAConfig(maximise=False, population=population, p_m=p_m))
     state = algorithm.init(np.random.default_rng([seed, 42]))
-    parameters, values = [], []
+    known: dict[bytes, float] = {}
+    parameters, values, simulated = [], [], []
     for generation in range(generations):
         genomes, state = algorithm.ask(state)
         if generation == 0:
             genomes = np.concatenate([box.encode(start)[None], genomes[1:]])
-        told = distance(box.decode(genomes))
+        members, keys = box.decode(genomes), [genome.tobytes() for genome in genomes]
+        new = {key: i for i, key in enumerate(keys) if key not in known}
+        if new:
+            known |= zip(new, distance(members[list(new.values())]).tolist(), strict=True)
+        told = np.array([known[key] for key in keys])
         state = algorithm.tell(state, genomes, told)
-        parameters.append(box.decode(genomes))
+        parameters.append(members)
         values.append(told)
-    return Search(np.array(parameters), np.array(values))
+        simulated.append(len(new))
+    return Search(np.array(parameters), np.array(values), np.array(simulated))
 
 
 def cma_es(
@@ -116,4 +124,4 @@ def cma_es(
         values.append(told)
         if asked.std(axis=0).max() < enough:
             break
-    return Search(np.array(parameters), np.array(values))
+    return Search(np.array(parameters), np.array(values), np.full(len(values), population))
