@@ -55,7 +55,7 @@ def away_from(truth: np.ndarray, box: Box, distance: float, seed: int) -> np.nda
 def genetic(
     distance: Distance, box: Box, start: np.ndarray, population: int, generations: int, p_m: float, seed: int
 ) -> Search:
-    """Step 3 of Back-to-Reality: a random population with s_0 as one of its members.
+    """Step 3 of Back-to-Reality: a population made from s_0 by bit flips, with s_0 as one of its members.
 
     Args:
       distance: what is minimised.
@@ -67,13 +67,11 @@ def genetic(
       seed: of everything random.
     """
     algorithm = GeneticAlgorithm(box, GAConfig(maximise=False, population=population, p_m=p_m))
-    state = algorithm.init(np.random.default_rng([seed, 42]))
+    state = algorithm.init(np.random.default_rng([seed, 42]), genome=box.encode(start))
     known: dict[bytes, float] = {}
     parameters, values, simulated = [], [], []
-    for generation in range(generations):
+    for _ in range(generations):
         genomes, state = algorithm.ask(state)
-        if generation == 0:
-            genomes = np.concatenate([box.encode(start)[None], genomes[1:]])
         members, keys = box.decode(genomes), [genome.tobytes() for genome in genomes]
         new = {key: i for i, key in enumerate(keys) if key not in known}
         if new:
