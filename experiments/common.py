@@ -11,6 +11,7 @@ remembered numbers, without simulating anything twice.
 
 import dataclasses
 import sys
+import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -163,7 +164,7 @@ class Journal:
           run: the open run folder.
           unit: name of the unit.
           step: called with the number of whole trials that a remembered call stood for.
-          interval: least number of calls' seconds between two checkpoints.
+          interval: least time between two checkpoints [s].
         """
         self._run, self._unit, self._step, self._interval = run, unit, step, interval
         checkpoint = run.load_latest()
@@ -172,21 +173,20 @@ class Journal:
         self._values = (
             [checkpoint.arrays[f"{i:06d}"] for i in range(checkpoint.meta["calls"])] if checkpoint and mine else []
         )
-        self._next, self._unsaved = 0, 0.0
+        self._next, self._saved = 0, time.monotonic()
 
     def __call__(self, compute: Callable[[], np.ndarray], trials: float) -> np.ndarray:
         """The value of `compute()`, from memory where it was computed before.
 
         Args:
           compute: simulates `trials` whole trials and reports them to the progress bar itself.
-          trials: their number; decides, too, when the next checkpoint is due.
+          trials: their number.
         """
         if self._next < len(self._values):
             self._step(trials)
         else:
             self._values.append(np.asarray(compute()))
-            self._unsaved += trials / ASSUMED_RATE
-            if self._unsaved >= self._interval:
+            if time.monotonic() - self._saved >= self._interval:
                 self.save()
         self._next += 1
         return self._values[self._next - 1]
@@ -195,7 +195,7 @@ class Journal:
         """Write a checkpoint."""
         arrays = {f"{i:06d}": value for i, value in enumerate(self._values)}
         self._run.save_checkpoint(self._number, arrays, {"unit": self._unit, "calls": len(arrays)})
-        self._number, self._unsaved = self._number + 1, 0.0
+        self._number, self._saved = self._number + 1, time.monotonic()
 
 
 @dataclass(frozen=True)
