@@ -7,8 +7,9 @@ slot; an element that never changes is a constant; anything else is computed by 
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -34,7 +35,7 @@ class Tagged:
 
     spec: mujoco.MjSpec
     model: mujoco.MjModel
-    slots: dict[type, dict[float, tuple[int, float]]]
+    slots: Mapping[Any, Mapping[float, tuple[int, float]]]
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,7 @@ def tagged(robot: Robot, skeleton: Skeleton) -> list[Tagged]:
         values, _ = skeleton.evaluate(robot.simulation_box.sample(rng, 1))
         # Upwards only: what must not be negative often is exactly zero.
         tags = values[:, 0] * (1 + 1e-3 * rng.random(len(values))) + 1e-5 * (0.5 + rng.random(len(values)))
-        spec = mujoco.MjSpec.from_string(skeleton.fill(tags))
+        spec = mujoco.MjSpec.from_string(skeleton.fill(tags.tolist()))
         model = spec.compile()
         slots = {
             kind: {float(kind(tag * factor)): (i, factor) for i, tag in enumerate(tags) for factor in _FACTORS}
