@@ -364,6 +364,11 @@ class Bench:
         engine = None if config.engine == "auto" else config.engine
         return cls(robot_of(None, config.duration), engine, config.mark_times, step)
 
+    def with_marks_until(self, horizon: float) -> "Bench":
+        """The same bench with as many marks, the last one at `horizon` [s]."""
+        count = len(self.marks)
+        return dataclasses.replace(self, marks=tuple(np.linspace(horizon / count, horizon, count).tolist()))
+
     def early(self, simulations: np.ndarray, controllers: np.ndarray, settings: EngineSettings | None = None) -> Any:
         """Fitness at the marks (L, M, K) of trials that end at the last mark; NaN where a pair diverged."""
         return self._fitness(simulations, controllers, self.marks, settings)

@@ -6,8 +6,8 @@ parameters of all its members, (c) the error of the best member against simulate
 (d) what the behaviours feel: Delta_fitness around the truth, one parameter at a time, in units of its change per metre.
 
 Twelve unknown lengths: (e) CMA-ES from 0.25 m away, by Delta_fitness and by `distances.multiscale_fitness` of random
-controllers: with exact measurements, with 5 % of noise on every one, and with a reality that is native MuJoCo at
-another time step and integrator.
+controllers at eight marks within 0.05 s: with exact measurements, with 5 % of noise on every one, and with a reality
+that is native MuJoCo at another time step and integrator.
 
 The run folder holds one file per search and seed, NAME-0.npz, ...: parameters (g, L, n), values (g, L), simulated
 (g,), truth (n,), start (n,), trials (g,) whole trials simulated so far; and sensitivity-0.npz: offsets (O,) [m], delta
@@ -64,8 +64,10 @@ class Fig4Config(Config):
     """How far every one of twelve unknown lengths is off at the start [m]."""
     members_12: int = 32
     """L of their searches."""
-    generations_12: int = 80
+    generations_12: int = 120
     """Their generations."""
+    horizon_12: float = 0.05
+    """Last mark of their multiscale distance [s]. Later marks bring contacts, and dead ends to the search."""
     noisy_trials: int = 45
     """Behaviours where measurements are noisy."""
     noise: float = 0.05
@@ -74,6 +76,8 @@ class Fig4Config(Config):
     def check(self) -> None:
         """As `Config.check`."""
         super().check()
+        if not 0 < self.horizon_12 <= self.duration:
+            raise InputError(f"horizon_12: got {self.horizon_12} s, expected within the trial of {self.duration} s")
         if min(self.members, self.members_12) < 4 or self.noisy_trials < 2 or not 0 <= self.noise < 1:
             raise InputError(
                 f"members {self.members} and {self.members_12}, noisy_trials {self.noisy_trials}, noise {self.noise}: "
@@ -82,10 +86,17 @@ class Fig4Config(Config):
 
 
 PRESETS = {
-    "quick": Fig4Config(seeds=2, trials=8, members=24, search_generations=12, generations_12=30, noisy_trials=20),
+    "quick": Fig4Config(seeds=2, trials=8, members=24, search_generations=12, generations_12=60, noisy_trials=20),
     "paper": Fig4Config(preset="paper", seeds=5),
     "tiny": Fig4Config(
-        preset="tiny", **TINY, members=6, search_generations=3, members_12=6, generations_12=2, noisy_trials=4
+        preset="tiny",
+        **TINY,
+        members=6,
+        search_generations=3,
+        members_12=6,
+        generations_12=2,
+        noisy_trials=4,
+        horizon_12=0.02,
     ),
 }
 """Settings by preset."""
@@ -150,7 +161,8 @@ def twelve(config: Fig4Config, name: str, seed: int, step: Step, journal: Journa
     else:
         count = config.noisy_trials if name == "noisy-12" else config.trials
         controllers = bench.robot.controller_box.sample(np.random.default_rng([seed, 5]), count)
-        share = config.horizon / config.duration
+        bench = bench.with_marks_until(config.horizon_12)
+        share = config.horizon_12 / config.duration
         other = OTHER_PHYSICS if name == "native-12" else None
         marks = journal(lambda: bench.early(reality[None], controllers, other)[0], count * share)
         if name == "noisy-12":
@@ -185,7 +197,7 @@ def units(config: Fig4Config) -> list[Unit]:
     """One unit per search and seed, all searches of one seed before the next seed."""
     evolved = config.population * config.generations
     four_cost = evolved + config.trials * (1 + config.members * config.search_generations)
-    share = config.horizon / config.duration
+    share = config.horizon_12 / config.duration
     found = []
     for seed in range(config.seeds):
         found += [Unit(f"{method}-{seed}", four_cost, partial(four, config, method, seed)) for method in ("ga", "cma")]
