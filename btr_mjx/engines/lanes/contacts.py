@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 from itertools import product
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -92,6 +92,9 @@ class Contact:
     reference: Vector
     """Reference acceleration along the rows of the frame [m/s^2]."""
 
+    flags: ClassVar[int] = 0
+    """Numbers of a zone that are either the weight or zero, where that is all there is to it; else 0."""
+
     def model(self, a: Vector) -> Model:
         """The zone of the cone that contact-frame acceleration `a` lies in, as the numbers that `linear` needs."""
         raise NotImplementedError
@@ -120,6 +123,8 @@ class Contact:
 class Frictionless(Contact):
     """A contact with a normal row only."""
 
+    flags: ClassVar[int] = 1
+
     def model(self, a: Vector) -> Model:
         """Weight of the row if it pushes."""
         return (jnp.where(sub(a[0], self.reference[0]) < 0, self.weight, 0),)
@@ -132,6 +137,8 @@ class Frictionless(Contact):
 @dataclass
 class Pyramid(Contact):
     """A contact with the four edges of a friction pyramid."""
+
+    flags: ClassVar[int] = 4
 
     def __post_init__(self) -> None:
         self._references = self._edges(self.reference)  # once, not in every iteration

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +20,9 @@ class Row:
     """A constraint on one dof."""
 
     dof: int
+    weight: Scalar
+    flags: ClassVar[int] = 0
+    """As of a contact: numbers of a zone that are either the weight or zero."""
 
     def model(self, a: jax.Array) -> Model:
         """The zone that joint acceleration `a` lies in, as the numbers that `effect` needs."""
@@ -42,6 +46,7 @@ class Limit(Row):
     """+1 for the lower side: the constraint pushes towards positive velocity."""
     weight: Scalar
     reference: Scalar
+    flags: ClassVar[int] = 1
 
     def model(self, a: jax.Array) -> Model:
         """Weight of the row if it pushes at joint acceleration `a`."""

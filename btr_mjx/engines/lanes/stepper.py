@@ -16,12 +16,12 @@ from btr_mjx.engines.lanes.contacts import Contact, contacts
 from btr_mjx.engines.lanes.dynamics import against, bias_wrenches, dof_system, inertia, local_rates, world_rates
 from btr_mjx.engines.lanes.fluid import drag
 from btr_mjx.engines.lanes.integrate import advance
-from btr_mjx.engines.lanes.kinematics import motions
+from btr_mjx.engines.lanes.kinematics import Motion, motions
 from btr_mjx.engines.lanes.parameters import VARYING, Fields, Parameters, base_field, derive, matters, split
 from btr_mjx.engines.lanes.retrace import retrace
 from btr_mjx.engines.lanes.rows import Row, dof_rows
 from btr_mjx.engines.lanes.scalars import add, array, group_sum, total, vadd, vsub
-from btr_mjx.engines.lanes.solver import constrained_acceleration
+from btr_mjx.engines.lanes.solver import Zones, constrained_acceleration
 from btr_mjx.engines.lanes.tree import FREE, make_plan
 
 
@@ -38,6 +38,8 @@ class State:
     """Activation states."""
     acceleration: list[jax.Array]
     """Acceleration per dof in the last step, MuJoCo's conventions; the next step's first guess."""
+    zones: Zones
+    """Which constraints pushed in the last step, see `solver.Zones`; the solver's other first guess."""
     power: jax.Array
     """Sum over actuators of |force x velocity| in the last step [W], (C,)."""
     capped: jax.Array
@@ -90,6 +92,9 @@ class LanesStepper:
         table = derive(model, self.plan, Fields(model, self._masks, twice))
         self._constants, arrays = split(table)
         self._varying_names = frozenset(arrays)
+        self._zone_layout: list[tuple[int, int]] = []
+        sample = {key: [np.asarray(column[0], self._dtype) for column in columns] for key, columns in arrays.items()}
+        jax.eval_shape(self._lay_zones_out, sample)
 
     def _read_masks(self, varying: Iterable[str] | Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Field name -> bool array of the field's shape."""
@@ -134,9 +139,39 @@ class LanesStepper:
     def _shape(self, size: int, chunk: int) -> tuple[int, ...]:
         return (chunk,) if size == 1 else (size, chunk)
 
+    def _lay_zones_out(self, params: Mapping[str, list[jax.Array]]) -> None:
+        """Note, while being traced, how many flags each constraint has and how many members its group."""
+        parameters = Parameters(self._constants, params)
+        q, v, _ = self._rest(parameters, 2)
+        for c in self._constraints(parameters, q, v, motions(self.plan, parameters, q, v)):
+            self._zone_layout.append((c.flags, c.link.size if isinstance(c, Contact) else self.plan.dof_size[c.dof]))
+
+    def _no_zones(self, chunk: int) -> Zones:
+        return [
+            tuple(jnp.zeros(self._shape(size, chunk), bool) for _ in range(count)) for count, size in self._zone_layout
+        ]
+
+    def _constraints(
+        self,
+        parameters: Parameters,
+        q: list[list[jax.Array]],
+        v: list[jax.Array],
+        moving: Sequence[Motion],
+    ) -> list[Contact | Row]:
+        return [
+            *dof_rows(self.plan, parameters, q, v),
+            *contacts(self.plan, parameters, moving, self._elliptic, self._dtype),
+        ]
+
     def initial(self, params: Mapping[str, list[jax.Array]], chunk: int) -> State:
         """State of `chunk` worlds at rest in the model's qpos0, with actuator activations zero."""
-        parameters = Parameters(self._constants, params)
+        q, v, acts = self._rest(Parameters(self._constants, params), chunk)
+        lanes = jnp.zeros(chunk, self._dtype)
+        return State(q, v, acts, [jnp.zeros_like(x) for x in v], self._no_zones(chunk), lanes, lanes > 0)
+
+    def _rest(
+        self, parameters: Parameters, chunk: int
+    ) -> tuple[list[list[jax.Array]], list[jax.Array], list[jax.Array]]:
         q: list[list[jax.Array]] = []
         v: list[jax.Array] = []
         act: dict[int, jax.Array] = {}
@@ -146,9 +181,7 @@ class LanesStepper:
                 q.append([array(x, shape, self._dtype) for x in parameters[f"{link.index}/joint{n}/ref"]])
                 v += [jnp.zeros(shape, self._dtype) for _ in joint.dofs]
                 act |= {a.state: jnp.zeros(shape, self._dtype) for a in joint.actuators if a.state >= 0}
-        lanes = jnp.zeros(chunk, self._dtype)
-        acts = [act[i] for i in range(self.plan.states)]
-        return State(q, v, acts, [jnp.zeros_like(x) for x in v], lanes, lanes > 0)
+        return q, v, [act[i] for i in range(self.plan.states)]
 
     def state(self, qpos: Any, qvel: Any, act: Any = None) -> State:
         """State of a chunk from MuJoCo's arrays.
@@ -171,7 +204,8 @@ class LanesStepper:
                     adr = np.array([self._model.actuator_actadr[i] for i in a.ids])
                     acts[a.state] = jnp.zeros_like(v[-1]) if act is None else rows(jnp.asarray(act, self._dtype), adr)
         lanes = jnp.zeros(qpos.shape[-1], self._dtype)
-        return State(q, v, acts, [jnp.zeros_like(x) for x in v], lanes, lanes > 0)
+        zones = self._no_zones(qpos.shape[-1])
+        return State(q, v, acts, [jnp.zeros_like(x) for x in v], zones, lanes, lanes > 0)
 
     def step(self, params: Mapping[str, list[jax.Array]], state: State, ctrl: jax.Array) -> State:
         """Advance by one time step under controls of shape (nu, C)."""
@@ -194,18 +228,15 @@ class LanesStepper:
             wrenches = [(vadd(f, g), vadd(n, o)) for (f, n), (g, o) in zip(wrenches, medium[0], strict=True)]
         for force in (actuation.force, springs(plan, parameters, q)):
             tau = {k: add(tau.get(k, 0.0), force.get(k, 0.0)) for k in sorted(tau.keys() | force.keys())}
-        constraints: list[Contact | Row] = [
-            *dof_rows(plan, parameters, q, v),
-            *contacts(plan, parameters, moving, self._elliptic, self._dtype),
-        ]
+        constraints = self._constraints(parameters, q, v, moving)
         guess = world_rates(plan, moving, state.acceleration)
-        found, capped = constrained_acceleration(
-            plan, moving, constraints, bodies, wrenches, tau, guess, self._max_newton
+        found, capped, zones = constrained_acceleration(
+            plan, moving, constraints, bodies, wrenches, tau, guess, state.zones, self._max_newton
         )
         following = advance(model, plan, moving, q, v, bodies, damping, actuation.damping, medium and medium[1], found)
         power = total(group_sum(p, size) for p, size in actuation.power)
         rates = local_rates(plan, moving, found)
-        return State(*following, actuation.act, rates, array(power, capped.shape, self._dtype), capped)
+        return State(*following, actuation.act, rates, zones, array(power, capped.shape, self._dtype), capped)
 
     def qpos(self, state: State) -> jax.Array:
         """Generalised positions (nq, C), MuJoCo's order and conventions."""
