@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 
 from btr_mjx import behaviour
 from btr_mjx.behaviour import Engine
-from btr_mjx.devices import use_all_cores
+from btr_mjx.devices import use_all_cores, use_compilation_cache
 from btr_mjx.engines.base import Stepper
 from btr_mjx.engines.program import Record, rollout
 from btr_mjx.errors import InputError
@@ -168,25 +168,28 @@ def _one_pair(
     kernel: Callable[..., Any],
 ) -> Callable[[Leaves, Any], Any]:
     use_all_cores()
+    use_compilation_cache()
     chosen = engine or _engine(robot)
     if chosen == "native":
         raise InputError("engine: got 'native', which runs outside JAX; expected 'lanes' or 'mjx', or use evaluate()")
     on_cpu = (devices[0] if devices else jax.devices()[0]).platform == "cpu"
     width = chunk or (64 if on_cpu else 4096)
     address = behaviour.base_address(robot)
+    nominal = compile_models(robot, robot.nominal_simulation).leaves
+    needed = _influential(nominal)
+    _stepper(robot, chosen)  # a robot that the engine does not support is refused here
 
     def roll(leaves: Leaves, controllers: jax.Array) -> Record:
         stepper = _stepper(robot, chosen)
         # Behind a barrier the number of steps stays unknown to the compiler, which would unroll short loops otherwise
         # and compute other bits.
         marks = lax.optimization_barrier(jnp.asarray(samples, jnp.int32))
-        params = _packed(stepper, leaves)
+        # An engine may hold fields that do not influence the motion: they get the nominal model's values.
+        params = _packed(stepper, leaves, {name: x[0] for name, x in nominal.items() if name not in needed})
         wanted = controllers.T.astype(jnp.result_type(float))
         return rollout(stepper, robot.signal, address, states, params, wanted, marks)
 
     one = rowwise(partial(kernel, roll=roll), width, devices)
-    needed = _influential(compile_models(robot, robot.nominal_simulation).leaves)
-    _stepper(robot, chosen)  # a robot that the engine does not support is refused here
 
     def function(leaves: Leaves, controller: Any) -> Any:
         missing = [name for name in needed if name not in leaves]
@@ -220,12 +223,20 @@ def _influential(names: Any) -> list[str]:
     return sorted(name for name in names if matters(name))
 
 
-def _packed(stepper: Stepper, leaves: Leaves) -> Any:
-    """The engine's parameters of one chunk, derived in double precision as on the host."""
+def _packed(stepper: Stepper, leaves: Leaves, others: dict[str, np.ndarray]) -> Any:
+    """The engine's parameters of one chunk, derived in double precision as on the host.
+
+    Args:
+      stepper: the engine.
+      leaves: traced fields (C, *field shape).
+      others: fields (*field shape) that are equal for all pairs.
+    """
+    (chunk,) = {len(value) for value in leaves.values()}
 
     def derived(leaves: Leaves) -> Any:
         wide: dict[str, Any] = {name: TracedArray(value.astype(np.float64)[None]) for name, value in leaves.items()}
-        packed = stepper.pack(wide)
+        same = {name: np.broadcast_to(value, (1, chunk, *value.shape)) for name, value in others.items()}
+        packed = stepper.pack(same | wide)
         return jax.tree.map(lambda x: jnp.asarray(x)[0], packed, is_leaf=lambda x: isinstance(x, TracedArray))
 
     return in_double(derived)(leaves)
