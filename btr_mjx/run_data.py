@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from btr_mjx.configs import read_config_json
+from btr_mjx.configs import CONFIG_NAME, read_config_json
 from btr_mjx.errors import InputError
 from btr_mjx.files import read_arrays, read_json, read_table
-from btr_mjx.fitness import FITNESS_FUNCTIONS
+from btr_mjx.fitness import DISTANCE, FITNESS_FUNCTIONS
 from btr_mjx.robots import Robot, hexapod, robot_of
 from btr_mjx.spaces import Box
 
@@ -144,12 +144,12 @@ def read_robot(folder: Path) -> Robot:
 
 
 def read_scan(folder: Path) -> ScanData:
-    """Read a run folder of `python -m btr_mjx.scan`.
+    """Read a run folder of `python -m btr_mjx.scan`, or the scan.npz and result.json that a script of one's own saved.
 
     Raises:
-      InputError: no run folder, one whose run has not ended, or a damaged file.
+      InputError: no scan, one that has not ended, or a damaged file.
     """
-    config = read_config_json(folder)
+    config = read_config_json(folder) if (folder / CONFIG_NAME).exists() else {"fitness": DISTANCE.name}
     result = _result(folder)
     arrays = read_arrays(folder / "scan.npz")
     function, box = FITNESS_FUNCTIONS.get(config.get("fitness", "")), hexapod().simulation_box

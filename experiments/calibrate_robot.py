@@ -21,7 +21,7 @@ from btr_mjx import scan
 from btr_mjx.backtoreality import evolve_controllers, select_transferable
 from btr_mjx.behaviour import evaluate
 from btr_mjx.btr_state import Progress, SearchSettings
-from btr_mjx.errors import cli_errors, resume_command
+from btr_mjx.errors import InputError, cli_errors, resume_command
 from btr_mjx.evolution import mutate
 from btr_mjx.files import atomic_write, read_arrays, read_table, write_arrays, write_figure, write_json
 from btr_mjx.progress import graceful_interrupt, progress
@@ -167,7 +167,7 @@ def main() -> None:
     with cli_errors(resume_command("experiments.calibrate_robot", sys.argv[1:], config.out)):
         unknown = [name for name in config.candidates if name not in CANDIDATES]
         if unknown:
-            raise SystemExit(f"error: unknown candidates {unknown}; valid: {', '.join(CANDIDATES)}")
+            raise InputError(f"candidates: got {', '.join(unknown)}, expected some of: {', '.join(CANDIDATES)}")
         compute(config)
         print(summarise(config.out))
         draw(config.out)

@@ -1,5 +1,6 @@
 """Scans: the library functions against plain loops, the command, and the short script."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from btr_mjx import scan
 from btr_mjx.behaviour import evaluate
 from btr_mjx.errors import InputError
 from btr_mjx.files import read_arrays
-from btr_mjx.robots import Robot
+from btr_mjx.robots import Robot, hexapod
 
 SMALL = ("--engine=native", "--duration=0.03", "--grid=5", "--trials=3", "--controllers=6", "--generations=2")
 
@@ -114,3 +115,15 @@ def test_public_names() -> None:
     assert callable(btr.coevolve)
     with pytest.raises(AttributeError, match="reality_gap"):
         _ = btr.reality_gap
+
+
+def test_the_short_script(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A shorter trial: it saves and draws, and Delta_fitness is exactly zero at the truth."""
+    import scan_bl14
+
+    monkeypatch.setattr(btr, "hexapod", lambda: dataclasses.replace(hexapod(), duration=0.01), raising=False)
+    scan_bl14.main(tmp_path)
+    arrays = read_arrays(tmp_path / "scan.npz")
+    assert arrays["delta"].shape == (49, 15)
+    assert arrays["delta_fitness"][-1] == 0.0
+    assert (tmp_path / "scan.png").stat().st_size > 1000
