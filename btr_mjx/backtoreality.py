@@ -242,11 +242,9 @@ def delta_of_simulations(problem: Problem, simulations: np.ndarray, trials: Tria
     Returns:
       (L,).
     """
-    first = iteration if problem.settings.behaviours == "latest" else 1
-    use = (trials.iteration >= first) & (trials.iteration <= iteration) & np.isfinite(trials.f_r)
     if problem.settings.distance == "fitness":
-        f_s = _simulate(problem, simulations, trials.controllers[use])
-        return delta_fitness(f_s, trials.f_r[use])
+        return whole_trial_delta(problem, simulations, trials, iteration)
+    use = _counting(problem, trials, iteration)
     evaluation = evaluate(
         problem.robot,
         simulations,
@@ -259,6 +257,18 @@ def delta_of_simulations(problem: Problem, simulations: np.ndarray, trials: Tria
     at_marks = fitness_at_marks(evaluation.outcome, problem.fitness)
     f_s = np.where(evaluation.diverged[..., None], np.nan, at_marks)
     return multiscale_fitness(f_s, trials.f_marks[use])
+
+
+def whole_trial_delta(problem: Problem, simulations: np.ndarray, trials: Trials, iteration: int) -> np.ndarray:
+    """Delta_fitness (eq. 4), whatever distance step 3 minimises; arguments as of `delta_of_simulations`."""
+    use = _counting(problem, trials, iteration)
+    return delta_fitness(_simulate(problem, simulations, trials.controllers[use]), trials.f_r[use])
+
+
+def _counting(problem: Problem, trials: Trials, iteration: int) -> np.ndarray:
+    """Which trials count in an iteration, bool (n,)."""
+    first = iteration if problem.settings.behaviours == "latest" else 1
+    return (trials.iteration >= first) & (trials.iteration <= iteration) & np.isfinite(trials.f_r)
 
 
 def _check_marks(problem: Problem) -> None:

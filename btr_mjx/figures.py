@@ -69,7 +69,7 @@ def delta_fitness(run: RunData) -> Figure:
     axes.plot(ends, shown[1], "s", color=SIMULATED, label="after the search", **mark)
     generation_axis(axes, run.simulations, offsets, room, border=1 - 0.75 * (room + 1))
     positive_scale(axes, np.concatenate([np.ravel(values) for values in shown]))
-    axes.set(ylabel=with_unit(r"$\Delta_{fitness}$", run.unit))
+    axes.set(ylabel=run.distance_label)
     legend_above(figure, axes)
     return figure
 
@@ -86,7 +86,7 @@ def limb_lengths(run: RunData) -> Figure:
     x, values, darkness = _members(run.simulations, offsets)
     size = float(np.clip(4000 / len(x), 2.0, 7.0))
     for i, axes in enumerate(panels[: box.n]):
-        label = r"simulations, darker for a larger $\Delta_{fitness}$"
+        label = f"simulations, darker for a larger {run.distance_symbol}"
         shades: dict[str, Any] = {"c": darkness, "cmap": "Greys", "vmin": 0, "vmax": 1}
         axes.scatter(x, values[:, i], s=size, linewidths=0, zorder=1, label=label, **shades)
         for number, (search, offset) in enumerate(zip(run.simulations, offsets, strict=True)):

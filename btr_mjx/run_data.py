@@ -47,6 +47,7 @@ class RunData:
       controllers: step 1 of every iteration.
       simulations: step 3 of every iteration.
       result: result.json.
+      distance: what step 3 minimised, "fitness" (Delta_fitness) or "multiscale".
     """
 
     fitness: str
@@ -61,6 +62,17 @@ class RunData:
     controllers: list[Search]
     simulations: list[Search]
     result: dict[str, Any]
+    distance: str = "fitness"
+
+    @property
+    def distance_symbol(self) -> str:
+        """How figures call what step 3 minimised."""
+        return r"$\Delta_{fitness}$" if self.distance == "fitness" else "multiscale distance"
+
+    @property
+    def distance_label(self) -> str:
+        """For axes: the same with its unit; the multiscale distance has none."""
+        return with_unit(self.distance_symbol, self.unit if self.distance == "fitness" else "")
 
     @property
     def fitness_label(self) -> str:
@@ -130,6 +142,7 @@ def read_run(folder: Path) -> RunData:
         controllers=[_search(folder, "controllers", "fitness", i) for i in range(1, count + 1)],
         simulations=[_search(folder, "simulations", "delta_fitness", i) for i in range(1, count + 1)],
         result=result,
+        distance=config.get("distance", "fitness"),
     )
 
 

@@ -15,9 +15,12 @@ from conftest import SMALL_RUN
 
 import btr_mjx
 from btr_mjx import coevolve
+from btr_mjx.behaviour import evaluate
 from btr_mjx.btr_state import Problem
 from btr_mjx.files import read_arrays, read_table
+from btr_mjx.plots import draw_run
 from btr_mjx.robots import hexapod
+from btr_mjx.run_data import read_run
 
 SAME = ("result.json", "generations.parquet", "iterations.parquet", "trials.npz", "simulations-002.npz")
 
@@ -247,3 +250,19 @@ def test_unknown_and_truth() -> None:
     assert truth("--truth", "bl_5=0.5")[11] == truth("--truth")[11] != truth("--truth", "--seed", "1")[11]
     assert problem().start.tolist() == nominal
     assert problem("--start", "random").start[2] != nominal[2]
+
+
+def test_delta_fitness_is_reported_whatever_is_minimised(tmp_path: Path) -> None:
+    """delta_fitness_* in result.json are eq. 4 over whole trials, computed here from scratch."""
+    flags = [*SMALL_RUN, "--distance", "multiscale", "--marks", "0.02", "0.04", "--iterations", "1"]
+    coevolve.main([*flags, "--out", str(tmp_path / "run")])
+    result, trials = json.loads((tmp_path / "run/result.json").read_text()), read_arrays(tmp_path / "run/trials.npz")
+    problem = coevolve.build_problem(coevolve.parse(flags))
+    tried, f_r = trials["controllers"][1:], trials["f_r"][1:]
+    last = problem.embed(np.array(list(result["simulation"].values())))
+    for name, simulation in (("first", problem.start), ("last", last)):
+        f_s = evaluate(problem.robot, simulation, tried, engine="native").fitness[0]
+        assert result[f"delta_fitness_{name}"] == pytest.approx(np.abs(f_s - f_r).mean(), rel=1e-12)
+    assert trials["f_marks"].shape == (4, 2)
+    draw_run(tmp_path / "run")
+    assert read_run(tmp_path / "run").distance_label == "multiscale distance"

@@ -4,6 +4,7 @@ A contact acts at one point of one link. What the solver needs from it is linear
 3x3 stiffness and a force, both exact for the cone's present zone. The contact Jacobian never appears.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
@@ -78,7 +79,7 @@ def _below(x: jax.Array, limit: Scalar) -> jax.Array:
 
 
 @dataclass
-class Contact:
+class Contact(ABC):
     """One contact point of one link; inactive where `weight` is zero."""
 
     link: Link
@@ -95,13 +96,13 @@ class Contact:
     flags: ClassVar[int] = 0
     """Numbers of a zone that are either the weight or zero, where that is all there is to it; else 0."""
 
+    @abstractmethod
     def model(self, a: Vector) -> Model:
         """The zone of the cone that contact-frame acceleration `a` lies in, as the numbers that `linear` needs."""
-        raise NotImplementedError
 
+    @abstractmethod
     def linear(self, model: Model) -> tuple[Symmetric, Vector]:
         """Stiffness and force in the contact frame for a zone: at `a` the contact pushes with force - stiffness a."""
-        raise NotImplementedError
 
     def settled(self, old: Model, new: Model) -> jax.Array:
         """Whether two zones are the same."""

@@ -1,5 +1,6 @@
 """Constraints on a single dof: joint limits and dry friction."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
@@ -16,7 +17,7 @@ from btr_mjx.engines.lanes.tree import FREE, Plan
 type Model = tuple[jax.Array, ...]
 
 
-class Row:
+class Row(ABC):
     """A constraint on one dof."""
 
     dof: int
@@ -24,13 +25,13 @@ class Row:
     flags: ClassVar[int] = 0
     """As of a contact: numbers of a zone that are either the weight or zero."""
 
+    @abstractmethod
     def model(self, a: jax.Array) -> Model:
         """The zone that joint acceleration `a` lies in, as the numbers that `effect` needs."""
-        raise NotImplementedError
 
+    @abstractmethod
     def effect(self, model: Model) -> tuple[Scalar, Scalar]:
         """Stiffness and force for a zone: at `a` the row pushes along its dof with force - stiffness a."""
-        raise NotImplementedError
 
     def settled(self, old: Model, new: Model) -> jax.Array:
         """Whether two zones are the same."""
