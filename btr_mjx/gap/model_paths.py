@@ -1,0 +1,229 @@
+"""Names of a model's parts, and paths to single numbers in a model.
+
+A path says which number of a model is meant, in the words of the MJCF file:
+
+    joint:knee/damping      an attribute of a named part: joint, body, geom, actuator, site or tendon
+    geom:foot/friction[1]   one component of a vector; without an index the first
+    option/density          an attribute of <option>
+    dof_damping[3]          a field of the compiled `mujoco.MjModel`, by index: dof_damping[3], geom_friction[2][0]
+
+`joint/knee/damping`, `joint:knee.damping` and `joint[@name='knee']/@damping` mean the same as the first line.
+
+A change of `body:<name>/mass` scales the body's inertia with it, as a change of density does. Constants that MuJoCo
+derives from the changed numbers are brought up to date by `set_values`, as the compiler would.
+"""
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from btr_mjx.errors import InputError
+
+KINDS: Mapping[str, tuple[mujoco.mjtObj, str]] = {
+    "joint": (mujoco.mjtObj.mjOBJ_JOINT, "njnt"),
+    "body": (mujoco.mjtObj.mjOBJ_BODY, "nbody"),
+    "geom": (mujoco.mjtObj.mjOBJ_GEOM, "ngeom"),
+    "actuator": (mujoco.mjtObj.mjOBJ_ACTUATOR, "nu"),
+    "site": (mujoco.mjtObj.mjOBJ_SITE, "nsite"),
+    "tendon": (mujoco.mjtObj.mjOBJ_TENDON, "ntendon"),
+    "sensor": (mujoco.mjtObj.mjOBJ_SENSOR, "nsensor"),
+}
+"""Kinds of named parts, and the field of MjModel that counts them."""
+
+_DOF = {"damping": "dof_damping", "armature": "dof_armature", "frictionloss": "dof_frictionloss"}
+ATTRIBUTES: Mapping[str, Mapping[str, str]] = {
+    "joint": {**_DOF, "stiffness": "jnt_stiffness", "range": "jnt_range", "pos": "jnt_pos", "axis": "jnt_axis"}
+    | {"springref": "qpos_spring", "margin": "jnt_margin", "actuatorfrcrange": "jnt_actfrcrange"},
+    "body": {"mass": "body_mass", "pos": "body_pos", "quat": "body_quat", "gravcomp": "body_gravcomp"}
+    | {"ipos": "body_ipos", "diaginertia": "body_inertia"},
+    "geom": {"friction": "geom_friction", "solref": "geom_solref", "solimp": "geom_solimp", "margin": "geom_margin"}
+    | {"gap": "geom_gap", "pos": "geom_pos", "size": "geom_size"},
+    "actuator": {"kp": "", "kv": "", "ki": "", "gear": "actuator_gear", "forcerange": "actuator_forcerange"}
+    | {"ctrlrange": "actuator_ctrlrange", "gainprm": "actuator_gainprm", "biasprm": "actuator_biasprm"}
+    | {"dynprm": "actuator_dynprm"},
+    "site": {"pos": "site_pos"},
+    "tendon": {"damping": "tendon_damping", "stiffness": "tendon_stiffness", "frictionloss": "tendon_frictionloss"}
+    | {"armature": "tendon_armature"},
+    "option": {name: "" for name in ("timestep", "gravity", "wind", "density", "viscosity")},
+}
+"""Attributes that a path may name, and the field of MjModel behind each ("" where it is not a field of its own)."""
+
+_PATH = re.compile(
+    r"^(?P<kind>[a-z]+)(?:\[@name=['\"](?P<quoted>.*)['\"]\]|[:/](?P<name>.+))[/.]@?(?P<attribute>[a-z]+)$"
+)
+_INDEX = re.compile(r"^(?P<head>.*?)(?P<index>(?:\[\d+\])+)$")
+
+
+def nearest(name: str, known: Sequence[str], count: int = 3) -> str:
+    """The known names most like `name`, quoted and joined, for error messages; all of them if they are few."""
+    if not known:
+        return "none"
+    close = difflib.get_close_matches(name, known, count, 0.4)
+    return ", ".join(repr(k) for k in (close or list(known)[: 2 * count]))
+
+
+def part_names(model: mujoco.MjModel, kind: str) -> list[str]:
+    """Names of all parts of a kind, in the model's order.
+
+    A part without a name goes by another one that is unique: a joint by its body's name, an actuator by its joint's,
+    else by "<kind><index>".
+
+    Raises:
+      InputError: an unknown kind.
+    """
+    if kind not in KINDS:
+        raise InputError(f"kind of part {kind!r}: expected one of {', '.join(KINDS)}")
+    what, count = KINDS[kind]
+    names = [mujoco.mj_id2name(model, what, i) or "" for i in range(getattr(model, count))]
+    for i, name in enumerate(names):
+        if name:
+            continue
+        other = ""
+        if kind == "joint":
+            other = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, int(model.jnt_bodyid[i])) or ""
+        elif kind == "actuator" and model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT:
+            other = part_names(model, "joint")[int(model.actuator_trnid[i, 0])]
+        names[i] = other if other and other not in names else f"{kind}{i}"
+    return names
+
+
+@dataclass(frozen=True)
+class ModelPath:
+    """A number of a model.
+
+    Attributes:
+      text: the path as it was given.
+      kind: "joint", ..., "option", or "" for a field of MjModel.
+      part: index of the part; 0 for an option.
+      attribute: the attribute's or the field's name.
+      index: indices into the attribute's or the field's array.
+    """
+
+    text: str
+    kind: str
+    part: int
+    attribute: str
+    index: tuple[int, ...]
+
+    def read(self, model: mujoco.MjModel) -> float:
+        """The number's value."""
+        array, sign = self._view(model)
+        return float(sign * array[self.index])
+
+    def write(self, model: mujoco.MjModel, value: float) -> None:
+        """Set the number in place. Derived constants are not updated: call `mujoco.mj_setConst` after the last write.
+
+        Raises:
+          InputError: a value that is not finite, or a mass that is not positive.
+        """
+        if not np.isfinite(value):
+            raise InputError(f"{self.text}: got {value}, expected a finite number")
+        if (self.kind, self.attribute) == ("body", "mass"):
+            old = model.body_mass[self.part]
+            if value <= 0 or old <= 0:
+                raise InputError(f"{self.text}: got {value} instead of {old}, expected two positive masses")
+            model.body_inertia[self.part] *= value / old
+        if (self.kind, self.attribute) == ("option", "timestep"):
+            model.opt.timestep = value
+            return
+        if self.kind == "option" and self.attribute in ("density", "viscosity"):
+            setattr(model.opt, self.attribute, value)
+            return
+        array, sign = self._view(model)
+        array[self.index] = sign * value
+        if (self.kind, self.attribute) == ("actuator", "kp") and not _is_pid(model, self.part):
+            model.actuator_gainprm[self.part, 0] = value
+        if (self.kind, self.attribute) == ("actuator", "forcerange"):
+            model.actuator_forcelimited[self.part] = 1
+        if (self.kind, self.attribute) == ("joint", "damping"):
+            model.dof_damping[self._dofs(model)] = value
+        if self.kind == "joint" and self.attribute in ("armature", "frictionloss"):
+            getattr(model, f"dof_{self.attribute}")[self._dofs(model)] = value
+
+    def _dofs(self, model: mujoco.MjModel) -> slice:
+        first = int(model.jnt_dofadr[self.part])
+        return slice(first, first + int(np.sum(model.dof_jntid == self.part)))
+
+    def _view(self, model: mujoco.MjModel) -> tuple[np.ndarray, float]:
+        """An array that `index` points into, and the sign of the number in it."""
+        if not self.kind:
+            return getattr(model, self.attribute), 1.0
+        if self.kind == "option":
+            return np.atleast_1d(np.asarray(getattr(model.opt, self.attribute))), 1.0
+        if self.kind == "actuator" and self.attribute in ("kp", "kv"):
+            return model.actuator_biasprm[self.part, {"kp": 1, "kv": 2}[self.attribute] :], -1.0
+        if self.kind == "actuator" and self.attribute == "ki":
+            return model.actuator_gainprm[self.part], 1.0
+        field = getattr(model, ATTRIBUTES[self.kind][self.attribute])
+        row = self.part
+        if self.kind == "joint" and self.attribute in _DOF:
+            row = int(model.jnt_dofadr[self.part])
+        elif self.kind == "joint" and self.attribute == "springref":
+            row = int(model.jnt_qposadr[self.part])
+        return np.atleast_1d(field[row : row + 1] if field.ndim == 1 else field[row]), 1.0
+
+
+def _is_pid(model: mujoco.MjModel, actuator: int) -> bool:
+    return bool(model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_PID)
+
+
+def parse_path(model: mujoco.MjModel, text: str) -> ModelPath:
+    """Find the number that a path means.
+
+    Args:
+      model: the model.
+      text: the path, see the module's notes.
+
+    Raises:
+      InputError: another form, or a part, attribute, field or index that the model lacks, with the nearest valid ones.
+    """
+    match = _INDEX.match(text.strip())
+    head, index = (match["head"], match["index"]) if match else (text.strip(), "")
+    numbers = tuple(int(n) for n in re.findall(r"\d+", index))
+    if head.startswith("option/"):
+        head = "option:x/" + head.removeprefix("option/")
+    found = _PATH.match(head)
+    if found is None:
+        if head.isidentifier() and isinstance(getattr(model, head, None), np.ndarray):
+            path = ModelPath(text, "", 0, head, numbers)
+        elif head.isidentifier() and index:
+            fields = [name for name in dir(model) if isinstance(getattr(model, name, None), np.ndarray)]
+            raise InputError(f"path {text!r}: MjModel has no array {head!r}; nearest: {nearest(head, fields)}")
+        else:
+            raise InputError(
+                f"path {text!r}: expected KIND:NAME/ATTRIBUTE such as 'joint:knee/damping', or a field of MjModel such "
+                "as 'dof_damping[3]'"
+            )
+    else:
+        kind, name, attribute = found["kind"], found["quoted"] or found["name"], found["attribute"]
+        if kind not in ATTRIBUTES:
+            raise InputError(f"path {text!r}: there is no kind {kind!r}; expected one of {', '.join(ATTRIBUTES)}")
+        names = ["x"] if kind == "option" else part_names(model, kind)
+        if name not in names:
+            raise InputError(f"path {text!r}: the model has no {kind} {name!r}; nearest: {nearest(name, names)}")
+        if attribute not in ATTRIBUTES[kind]:
+            known = ", ".join(ATTRIBUTES[kind])
+            raise InputError(f"path {text!r}: a {kind}'s attributes here are {known}; got {attribute!r}")
+        path = ModelPath(text, kind, names.index(name), attribute, numbers or (0,))
+    try:
+        value = path.read(model)
+    except (IndexError, TypeError):
+        raise InputError(f"path {text!r}: the index does not point at a single number of {path.attribute}") from None
+    if not np.isfinite(value):
+        raise InputError(f"path {text!r}: the model's own value is {value}")
+    return path
+
+
+def set_values(model: mujoco.MjModel, values: Mapping[str, float]) -> None:
+    """Set numbers of a model in place and bring its derived constants up to date.
+
+    Raises:
+      InputError: see `parse_path` and `ModelPath.write`.
+    """
+    for text, value in values.items():
+        parse_path(model, text).write(model, float(value))
+    mujoco.mj_setConst(model, mujoco.MjData(model))
