@@ -1,0 +1,200 @@
+"""What was commanded over a recording, as a function of time that can be delayed and filtered exactly.
+
+A command is a piecewise polynomial, one column per control. A first-order lag of it is again a polynomial plus an
+exponential on each piece, so that delays and lags cost no simulation and have no discretisation of their own.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
+
+from btr_mjx.errors import InputError
+
+Interpolation = Literal["hold", "linear", "cubic"]
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command between its samples; before the first and after the last it keeps the end value.
+
+    Attributes:
+      times: (K,) ascending [s].
+      values: (K, nu) in the units of the controls.
+      interpolation: "hold" keeps a sample until the next, "linear" joins them, "cubic" is a spline through them.
+      delay: (nu,) by how much each control is late [s]; negative values are early.
+      lags: time constants (nu,) [s] of first-order lags in series; 0 is no lag.
+      added: (nu,) constant that is added in the end.
+    """
+
+    times: np.ndarray
+    values: np.ndarray
+    interpolation: Interpolation = "linear"
+    delay: np.ndarray | None = None
+    lags: tuple[np.ndarray, ...] = ()
+    added: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        if self.values.ndim != 2 or self.times.shape != (len(self.values),) or not len(self.times):
+            raise InputError(
+                f"command: got times {self.times.shape} and values {self.values.shape}, expected (K,) and (K, nu)"
+            )
+        if self.interpolation not in ("hold", "linear", "cubic"):
+            raise InputError(f"interpolation: got {self.interpolation!r}, expected 'hold', 'linear' or 'cubic'")
+
+    @property
+    def n(self) -> int:
+        """Number of controls."""
+        return self.values.shape[1]
+
+    def shifted(self, delay: ArrayLike) -> "Command":
+        """The same command, later by `delay` [s], a number or (nu,)."""
+        return self._with(delay=self._delay + np.asarray(delay, float))
+
+    def filtered(self, time_constant: ArrayLike) -> "Command":
+        """The command after a first-order lag, T dy/dt = u - y, at rest before the first sample.
+
+        Args:
+          time_constant: T [s], a number or (nu,); 0 leaves a control as it is.
+        """
+        constant = np.broadcast_to(np.asarray(time_constant, float), (self.n,))
+        if (constant < 0).any():
+            raise InputError(f"time constant of a lag: got {constant.min()} s, expected 0 or more")
+        return self._with(lags=(*self.lags, constant))
+
+    def plus(self, offset: ArrayLike) -> "Command":
+        """The command with a constant (nu,) added."""
+        offset = np.broadcast_to(np.asarray(offset, float), (self.n,))
+        return self._with(added=offset if self.added is None else self.added + offset)
+
+    def at(self, times: ArrayLike) -> np.ndarray:
+        """Values (..., nu) at times (...) [s]."""
+        times = np.asarray(times, float)
+        flat = times.reshape(-1)
+        out = np.empty((flat.size, self.n))
+        delays = self._delay
+        for delay in np.unique(delays):
+            columns = np.flatnonzero(delays == delay)
+            out[:, columns] = self._evaluate(flat - delay, columns)
+        if self.added is not None:
+            out += self.added
+        return out.reshape(*times.shape, self.n)
+
+    def _with(self, **changes: Any) -> "Command":
+        """A changed copy, which shares what is already known of the polynomial."""
+        other = replace(self, **changes)
+        other.__dict__["_polynomial"] = self._polynomial
+        if other.lags is self.lags:
+            other.__dict__["_solution"] = self._solution
+        return other
+
+    @property
+    def _delay(self) -> np.ndarray:
+        return np.zeros(self.n) if self.delay is None else np.broadcast_to(self.delay, (self.n,))
+
+    def _evaluate(self, times: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Columns of the undelayed command at times (N,)."""
+        polynomial, exponentials = self._solution
+        piece = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 1)
+        since = np.maximum(times - self.times[piece], 0.0)[:, None]
+        every = len(columns) == self.n
+        out = None
+        for coefficient in polynomial[::-1]:
+            part = coefficient[piece] if every else coefficient[piece[:, None], columns]
+            out = part if out is None else out * since + part
+        assert out is not None
+        for weight, constant in exponentials:
+            chosen = constant[columns]
+            slow = chosen > 0
+            if slow.any():
+                part = weight[piece[:, None], columns[slow]]
+                out[:, slow] += part * np.exp(-since / chosen[slow])
+        return out
+
+    @cached_property
+    def _polynomial(self) -> np.ndarray:
+        """Coefficients (order, K, nu) of each piece before any lag."""
+        return _polynomial(self.times, self.values, self.interpolation)
+
+    @cached_property
+    def _solution(self) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
+        """Coefficients (order, K, nu) of each piece in the time since its start, and (weights (K, nu), constants)."""
+        polynomial = self._polynomial
+        exponentials: list[tuple[np.ndarray, np.ndarray]] = []
+        for constant in self.lags:
+            polynomial, exponentials = _lagged(self.times, polynomial, exponentials, constant)
+        return polynomial, exponentials
+
+
+def _polynomial(times: np.ndarray, values: np.ndarray, interpolation: Interpolation) -> np.ndarray:
+    """(order, K, nu) coefficients, lowest first; the last piece is constant."""
+    if interpolation == "hold" or len(times) == 1:
+        return values[None].astype(float)
+    if interpolation == "linear" or len(times) < 4:
+        slope = np.zeros_like(values, float)
+        slope[:-1] = np.diff(values, axis=0) / np.diff(times)[:, None]
+        return np.stack([values.astype(float), slope])
+    spline = CubicSpline(times, values, axis=0).c[::-1]
+    return np.concatenate([spline, np.stack([values[-1], *np.zeros((3, values.shape[1]))])[:, None]], axis=1)
+
+
+def _lagged(
+    times: np.ndarray,
+    polynomial: np.ndarray,
+    exponentials: list[tuple[np.ndarray, np.ndarray]],
+    constant: np.ndarray,
+) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
+    """The exact response of T dy/dt = u - y to every piece, starting at rest on the first value."""
+    order, count, n = polynomial.shape
+    # Two equal lags in series would resonate; a relative shift of 1e-4 is far below anything that data can tell.
+    for _, other in exponentials:
+        resonant = (constant > 0) & np.isclose(constant, other, rtol=9e-5, atol=0)
+        constant = np.where(resonant, other * (1 + 1e-4), constant)
+    response, derivative, sign = np.zeros_like(polynomial), polynomial, np.ones(n)
+    for _ in range(order):
+        response = response + sign * derivative
+        powers = np.arange(1, order)[:, None, None]
+        derivative = np.concatenate([powers * derivative[1:], np.zeros((1, count, n))]) if order > 1 else derivative * 0
+        sign = -sign * constant
+    carried = []
+    for weight, other in exponentials:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.where(other > 0, 1.0 / (1.0 - constant / np.where(other > 0, other, 1.0)), 0.0)
+        carried.append((weight * ratio, other))
+    # What is left of the state at the start of a piece decays: w_{k+1} = y_k(end) - particular_{k+1}(0).
+    slow = constant > 0
+    length = np.diff(times)[:, None]
+    end = _horner(response[:, :-1], length)
+    begin = response[0].copy()
+    for weight, other in carried:
+        decayed = np.exp(-length / np.where(other > 0, other, 1.0))
+        end = end + weight[:-1] * np.where(other > 0, decayed, 0.0)
+        begin = begin + weight
+    start = polynomial[0, 0] + sum((weight[0] for weight, _ in exponentials), np.zeros(n))
+    drive = np.empty((count, n))
+    drive[0] = start - begin[0]
+    drive[1:] = end - begin[1:]
+    decay = np.zeros((count, n))
+    decay[1:] = np.exp(-length / np.where(slow, constant, 1.0))
+    weight = np.where(slow, _recurrence(decay, drive), 0.0)
+    return response, [*carried, (weight, constant)]
+
+
+def _horner(coefficients: np.ndarray, x: np.ndarray) -> np.ndarray:
+    out = coefficients[-1]
+    for coefficient in coefficients[-2::-1]:
+        out = out * x + coefficient
+    return out
+
+
+def _recurrence(decay: np.ndarray, drive: np.ndarray) -> np.ndarray:
+    """w_k = decay_k w_{k-1} + drive_k along the first axis, in log2(K) vectorised passes."""
+    decay, drive, shift = decay.copy(), drive.copy(), 1
+    while shift < len(drive):
+        drive[shift:] += decay[shift:] * drive[:-shift]
+        decay[shift:] *= decay[:-shift]
+        shift *= 2
+    return drive
