@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from btr_mjx.errors import InputError
+from btr_mjx.gap.activation import activations
 from btr_mjx.gap.commands import Command
 from btr_mjx.gap.laws import Rows
 from btr_mjx.gap.tangent import between, difference, integrate
@@ -237,6 +238,25 @@ def test_a_stretch_of_another_model_is_refused(model: mujoco.MjModel) -> None:
     windows = stretch(model, 13)
     with pytest.raises(InputError, match="expected"):
         simulate([(World.of(mujoco.MjModel.from_xml_string("<mujoco/>")), windows)])
+
+
+def test_activations_follow_from_the_motion() -> None:
+    actuators = """<actuator><pid joint="hip" kp="20" ki="30" kv="0.5" input="pos"/>
+      <general joint="slide" dyntype="filter" dynprm="0.02" gainprm="3"/></actuator>"""
+    model = mujoco.MjModel.from_xml_string(XML[: XML.index("<actuator>")] + actuators + "</mujoco>")
+    world, data, sent = World.of(model), mujoco.MjData(model), command(6)
+    world.command_edits.append(lambda command: command.shifted([0.003, 0.0]))
+    time, rows = 0.001 * np.arange(151), []
+    for t in time:
+        rows.append((data.qpos.copy(), data.qvel.copy(), data.act.copy()))
+        data.ctrl[:] = world.command(sent).at(t + 0.0005)
+        mujoco.mj_step(model, data)
+    qpos, qvel, act = (np.array(column) for column in zip(*rows, strict=True))
+    np.testing.assert_allclose(activations(world, sent, time, qpos, qvel), act, atol=1e-12)
+    coarse = activations(world, sent, time[::4], qpos[::4], qvel[::4])
+    np.testing.assert_allclose(coarse, act[::4], atol=0.02 * np.abs(act).max())
+    late = activations(world, sent, time[50:], qpos[50:], qvel[50:], start=act[50])
+    np.testing.assert_allclose(late, act[50:], atol=1e-12)
 
 
 @settings(max_examples=30, deadline=None)
