@@ -7,21 +7,32 @@ from pathlib import Path
 import jax
 import jaxlib
 
+_COMPILER_FLAG = "--xla_backend_extra_options="
+_COMPILER_OPTIONS = "xla_slp_vectorizer_disabled,xla_cpu_disable_loop_unrolling"
+"""A step of `lanes` is one function of hundreds of short loops that are vectors already: unrolling them and looking for
+more vectors doubles the machine code and the time to compile it, and runs slower for want of instruction cache."""
+
 
 def use_all_cores() -> None:
-    """Give JAX one CPU device per core, if it has not started yet and nobody has chosen a number.
+    """Set XLA's CPU backend up for batches of worlds, if it has not started yet: one device per core, compact code.
 
     One XLA device runs a chunk on about one core, so a batch is sharded over as many devices as there are cores. JAX
-    fixes the number when it first touches a device; afterwards this does nothing. A number set by the user, by
-    `jax.config` or by `--xla_force_host_platform_device_count` in XLA_FLAGS, is left alone.
+    fixes their number and its compiler's options when it first touches a device; afterwards this does nothing. What the
+    user has chosen is left alone: a number of devices set by `jax.config` or by
+    `--xla_force_host_platform_device_count` in XLA_FLAGS, and `--xla_backend_extra_options` there.
     """
-    if "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", ""):
-        return
+    flags = os.environ.get("XLA_FLAGS", "")
+    number = jax.config.jax_num_cpu_devices
     try:
-        if jax.config.jax_num_cpu_devices == -1:
-            jax.config.update("jax_num_cpu_devices", available_cores())
-    except RuntimeError:  # JAX has started: its devices stay as they are
+        # JAX has no way to ask whether it has started, but once it has it refuses to change this number.
+        jax.config.update("jax_num_cpu_devices", 2 if number == 1 else 1)
+    except RuntimeError:
         logging.getLogger(__name__).debug("JAX is already running on %d devices", jax.device_count())
+        return
+    counted = number != -1 or "xla_force_host_platform_device_count" in flags
+    jax.config.update("jax_num_cpu_devices", number if counted else available_cores())
+    if _COMPILER_FLAG not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} {_COMPILER_FLAG}{_COMPILER_OPTIONS}".strip()
 
 
 def available_cores() -> int:

@@ -182,11 +182,18 @@ class Program:
         used = -(-count // chunk)
         active = -(-used // devices)
         # Chunk i of the batch is the (i // devices)-th of device i % devices: few chunks still use every device.
-        place = np.arange(devices * capacity * chunk).reshape(capacity, devices, chunk).transpose(1, 0, 2)
+        place = np.arange(devices * active * chunk).reshape(active, devices, chunk).transpose(1, 0, 2)
         index = np.minimum(place, count - 1).reshape(-1, chunk)
+
+        def block(x: np.ndarray) -> np.ndarray:
+            """The chunks in use; the others are never looked at."""
+            whole = np.zeros((devices, capacity, *x.shape[1:]), x.dtype)
+            whole[:, :active] = x.reshape(devices, active, *x.shape[1:])
+            return whole.reshape(devices * capacity, *x.shape[1:])
+
         packed = self.stepper.pack({name: values[index] for name, values in leaves.items()})
-        blocks = np.moveaxis(controllers[index], 2, 1).astype(jnp.result_type(float))
-        return packed, blocks, np.asarray(samples, np.int32), np.int32(active)
+        controls = np.moveaxis(controllers[index], 2, 1).astype(jnp.result_type(float))
+        return jax.tree.map(block, packed), block(controls), np.asarray(samples, np.int32), np.int32(active)
 
     def unpack(self, record: Record, count: int) -> Record:
         """Back to batch-first numpy arrays of the `count` pairs that were asked for."""

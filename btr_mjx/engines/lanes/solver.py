@@ -151,6 +151,6 @@ def constrained_acceleration(
         start = shaped(_recalled(constraints, zones, start))
     carry = (jnp.int32(0), jnp.ones(lanes, bool), list(guess), start)
     # The loop is two thirds of a step's time: materialise more here than elsewhere, for more compile time.
-    _, moved, solution, last = lax.while_loop(searching, retrace(body, threshold=3), carry)
+    _, moved, solution, last = lax.while_loop(searching, retrace(body, threshold=8), carry)
     pushing = [tuple(x != 0 for x in model[: c.flags]) for c, model in zip(constraints, last, strict=True)]
     return solution, moved, pushing

@@ -209,7 +209,7 @@ class LanesStepper:
 
     def step(self, params: Mapping[str, list[jax.Array]], state: State, ctrl: jax.Array) -> State:
         """Advance by one time step under controls of shape (nu, C)."""
-        return retrace(self._step)(params, state, ctrl)
+        return retrace(self._step, threshold=16)(params, state, ctrl)
 
     def _step(self, params: Mapping[str, list[jax.Array]], state: State, ctrl: jax.Array) -> State:
         model, plan = self._model, self.plan
