@@ -1,0 +1,416 @@
+"""Hidden cases: recordings of a robot that lacks something in its believed model, drawn from a seed.
+
+A case draws what is missing (one effect, two, none, or one outside the library), where, how large, how noisy the
+sensors are and how often they sample; and, in every case, nulls included, small errors everywhere, as calibration
+leaves them. Reality runs in native MuJoCo, float64, with a time step of 1e-4 s and the implicit integrator.
+
+    truth = make_case("folder", seed=7)         # writes a dataset; what it returns is the answer
+
+The folder says nothing about the answer.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap import hidden_physics as physics
+from btr_mjx.gap.dataset_files import Format, save_dataset
+from btr_mjx.gap.hidden_outside import OUTSIDE, possible
+from btr_mjx.gap.hidden_physics import Loads, Reality, Restart, loads, simulate
+from btr_mjx.gap.hidden_robots import CaseRobot, Motion, case_robot
+from btr_mjx.gap.recordings import Recording
+
+Verdict = Literal["effect", "none", "unexplained"]
+RATES = (200, 250, 400, 500)
+"""Samples per second."""
+SHARES: Mapping[Verdict, float] = {"none": 0.22, "unexplained": 0.18, "effect": 0.60}
+"""Shares of the verdicts that would be right."""
+FIT, TEST = 8, 4
+"""Behaviours to fit and held out."""
+
+JOINT_EFFECTS = (
+    "viscous_damping",
+    "dry_friction",
+    "load_friction",
+    "stribeck_friction",
+    "armature",
+    "joint_stiffness",
+    "joint_offset",
+)
+ACTUATOR_EFFECTS = ("backlash", "actuator_delay", "actuator_lag", "actuator_gain", "torque_limit")
+BODY_EFFECTS = ("payload", "link_length")
+WORLD_EFFECTS = ("ground_friction", "ground_slope", "contact_softness", "air_drag", "constant_force")
+SINGLE = ("joint_stiffness", "joint_offset")
+"""Effects that sit on one joint only."""
+
+
+@dataclass(frozen=True)
+class Missing:
+    """Something that the believed model lacks.
+
+    Attributes:
+      effect: its name.
+      location: where it sits.
+      parameters: its size.
+    """
+
+    effect: str
+    location: str
+    parameters: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The answer of a case.
+
+    Attributes:
+      robot: name of the case robot.
+      seed: of the case.
+      verdict: what a perfect reader of the data would say.
+      effects: what is missing, in the library.
+      outside: name and place of what is missing outside the library, "" for nothing.
+      rate: samples per second.
+      noise: factor on the sensors' noise.
+      visible: how far what is missing moves the robot within 40 ms, as chi^2 of the noise, summed over all windows of
+        the recordings to fit; 0 for nothing. A rough measure of what could be seen.
+    """
+
+    robot: str
+    seed: int
+    verdict: Verdict
+    effects: tuple[Missing, ...]
+    outside: str
+    rate: int
+    noise: float
+    visible: float = 0.0
+
+
+@dataclass
+class _Draw:
+    """A case while it is drawn."""
+
+    robot: CaseRobot
+    rng: np.random.Generator
+    motions: Sequence[Motion]
+    sizes: Loads
+    background: Reality = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.background = Reality.of(self.robot)
+
+
+def make_case(
+    folder: str | Path,
+    seed: int,
+    robot: str = "hexapod",
+    *,
+    verdict: Verdict | None = None,
+    effects: Sequence[str] | int = 1,
+    outside: str | None = None,
+    rate: int | None = None,
+    noise: float | None = None,
+    recordings: tuple[int, int] = (FIT, TEST),
+    background: float = 1.0,
+    file_format: Format = "npz",
+) -> Truth:
+    """Draw a case and write its dataset.
+
+    Args:
+      folder: the dataset's folder.
+      seed: of everything that is drawn.
+      robot: name of a case robot.
+      verdict: kind of case; None draws it.
+      effects: number of missing effects, or their names.
+      outside: name of the effect outside the library; None draws it.
+      rate: samples per second; None draws one of `RATES`.
+      noise: factor on the robot's noise; None draws it from 1 to 3.
+      recordings: numbers of behaviours to fit and held out.
+      background: factor on the small errors everywhere.
+      file_format: of the recordings.
+
+    Returns:
+      The answer.
+
+    Raises:
+      InputError: a robot, an effect or a verdict that does not exist, or an effect that the robot cannot have.
+    """
+    machine = case_robot(robot)
+    rng = np.random.default_rng([seed, 17])
+    chosen: Verdict = _drawn_verdict(rng) if verdict is None else verdict
+    drawn_rate, drawn_noise = int(rng.choice(RATES)), float(np.exp(rng.uniform(0, np.log(3))))
+    rate, noise = rate or drawn_rate, drawn_noise if noise is None else noise
+    motions = [machine.draw_motion(rng) for _ in range(sum(recordings))]
+    draw = _Draw(machine, rng, motions, loads(machine, motions[:3]))
+    disturb = _background(draw, background)
+    disturb(draw.background)
+    reality = Reality.of(machine)
+    disturb(reality)
+    missing: tuple[Missing, ...] = ()
+    where = ""
+    if chosen == "effect":
+        missing = _add_effects(draw, reality, effects)
+    elif chosen == "unexplained":
+        names = possible(reality)
+        name = str(rng.choice(names)) if outside is None else outside
+        if name not in names:
+            raise InputError(f"effect outside the library {name!r}: {robot} can have {', '.join(names)}")
+        where = f"{name} at {OUTSIDE[name](reality, list(draw.sizes.torque), draw.sizes, rng)}"
+    elif chosen != "none":
+        raise InputError(f"verdict {chosen!r}: expected 'effect', 'none' or 'unexplained'")
+    rows = [simulate(reality, motion, machine.duration, rate) for motion in motions]
+    visible = 0.0 if chosen == "none" else _visible(draw, rows[: recordings[0]], rate, noise)
+    _write(folder, draw, rows, rate, noise, recordings[0], file_format)
+    return Truth(robot, seed, chosen, missing, where, rate, noise, visible)
+
+
+def _drawn_verdict(rng: np.random.Generator) -> Verdict:
+    names: list[Verdict] = list(SHARES)
+    return names[int(rng.choice(len(names), p=list(SHARES.values())))]
+
+
+def _background(draw: _Draw, scale: float) -> Any:
+    """Small errors everywhere, drawn once; returns what adds them to a reality."""
+    rng, robot, sizes = draw.rng, draw.robot, draw.sizes
+    joints = list(sizes.torque)
+    n = len(joints)
+    model = robot.model
+    heavy = [model.body(b).name for b in range(1, model.nbody) if model.body_mass[b] > 0]
+    gain, offset, damping = (scale * s * rng.normal(size=n) for s in (3e-3, 5e-4, 4e-4))
+    mass, length = scale * 4e-3 * rng.normal(size=len(heavy)), scale * 4e-4 * rng.normal(size=len(robot.links))
+    friction, softness = scale * np.array([0.03, 2e-4]) * rng.normal(size=2)
+
+    def add(reality: Reality) -> None:
+        for i, name in enumerate(joints):
+            physics.actuator_gain(reality, [name], gain[i])
+            physics.joint_offset(reality, [name], offset[i])
+            believed = float(np.array(reality.spec.joint(name).damping)[0])
+            physics.viscous_damping(
+                reality, [name], max(damping[i] * sizes.torque[name] / sizes.speed[name], -0.9 * believed)
+            )
+        for body, share in zip(heavy, mass, strict=True):
+            physics.scale_mass(reality, body, 1 + share)
+        for body, share in zip(robot.links, length, strict=True):
+            physics.link_length(reality, body, share * _length(robot, body))
+        if robot.floor is not None:
+            physics.ground_friction(reality, 1 + friction)
+            physics.contact_softness(reality, softness)
+
+    return add
+
+
+def _length(robot: CaseRobot, body: str) -> float:
+    """Length of a link [m]."""
+    model = robot.model
+    geom = int(model.body(body).geomadr[0])
+    return 2 * float(model.geom_size[geom, 1])
+
+
+def _possible_effects(draw: _Draw) -> list[str]:
+    floor = draw.robot.floor is not None
+    names = [*JOINT_EFFECTS, *ACTUATOR_EFFECTS, *BODY_EFFECTS]
+    return names + [name for name in WORLD_EFFECTS if floor or name == "air_drag"]
+
+
+def _add_effects(draw: _Draw, reality: Reality, effects: Sequence[str] | int) -> tuple[Missing, ...]:
+    """Draw what is missing, each effect of another kind and at another place."""
+    known = _possible_effects(draw)
+    count = effects if isinstance(effects, int) else len(effects)
+    if not 1 <= count <= len(known):
+        raise InputError(f"effects: got {effects!r}, expected names or a number of at least 1")
+    names = [str(n) for n in draw.rng.choice(known, count, replace=False)] if isinstance(effects, int) else effects
+    missing: list[Missing] = []
+    for name in names:
+        if name not in known:
+            raise InputError(f"effect {name!r}: {draw.robot.name} can have {', '.join(known)}")
+        while True:
+            one, apply = _drawn_effect(draw, name)
+            if one.location == "world" or one.location not in [other.location for other in missing]:
+                break
+            if len(draw.sizes.torque) == 1:
+                break
+        apply(reality)
+        missing.append(one)
+    return tuple(missing)
+
+
+def _log(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def _joints_at(draw: _Draw, single: bool, group: bool = True) -> tuple[str, list[str]]:
+    """A joint, a leg or all joints: the name after the kind and the joints."""
+    rng, joints = draw.rng, list(draw.sizes.torque)
+    kind = rng.choice(3, p=[0.5, 0.3, 0.2])
+    if single or len(joints) == 1 or kind == 0 or not group:
+        name = str(rng.choice(joints))
+        return name, [name]
+    if kind == 1 and draw.robot.legs:
+        leg = str(rng.choice(draw.robot.legs))
+        return f"subtree:{leg}", _below(draw.robot.model, leg, joints)
+    return "all", joints
+
+
+def _below(model: mujoco.MjModel, body: str, joints: Sequence[str]) -> list[str]:
+    root, chosen = model.body(body).id, []
+    for name in joints:
+        at = int(model.joint(name).bodyid[0])
+        while at > root:
+            at = int(model.body_parentid[at])
+        if at == root:
+            chosen.append(name)
+    return chosen
+
+
+def _drawn_effect(draw: _Draw, name: str) -> tuple[Missing, Any]:
+    """An effect of a random place and size, and what adds it to a reality."""
+    if name in BODY_EFFECTS:
+        return _drawn_body(draw, name)
+    if name in WORLD_EFFECTS:
+        return _drawn_world(draw, name)
+    place, joints = _joints_at(draw, name in SINGLE)
+    location = place
+    if place != "all" and not place.startswith("subtree:"):
+        location = f"{'joint' if name in JOINT_EFFECTS else 'actuator'}:{place}"
+    parameters = _joint_sizes(draw, name, joints)
+    function = getattr(physics, name)
+    return Missing(name, location, parameters), lambda r: function(r, joints, **parameters)
+
+
+def _joint_sizes(draw: _Draw, name: str, joints: Sequence[str]) -> dict[str, float]:
+    """Sizes of an effect on joints, from the loads there: the same for all of them."""
+    rng, s = draw.rng, draw.sizes
+    torque, speed, travel = (float(np.mean([v[j] for j in joints])) for v in (s.torque, s.speed, s.travel))
+    acceleration = float(np.mean([s.acceleration[j] for j in joints]))
+    pace = 60.0 / draw.robot.tempo
+    if name == "viscous_damping":
+        return {"damping": _log(rng, 3e-3, 0.1) * torque / speed}
+    if name == "dry_friction":
+        return {"torque": _log(rng, 3e-3, 0.06) * torque}
+    if name == "load_friction":
+        return {"fraction": _log(rng, 0.02, 0.3)}
+    if name == "stribeck_friction":
+        coulomb = _log(rng, 3e-3, 0.04) * torque
+        return {"coulomb": coulomb, "static": coulomb * rng.uniform(1.5, 3.0), "speed": rng.uniform(0.03, 0.15) * speed}
+    if name == "armature":
+        return {"inertia": _log(rng, 4e-3, 0.12) * torque / acceleration}
+    if name == "joint_stiffness":
+        return {"stiffness": _log(rng, 4e-3, 0.06) * torque / travel}
+    if name == "joint_offset":
+        return {"angle": float(rng.choice([-1, 1])) * _log(rng, 4e-3, 0.03)}
+    if name == "backlash":
+        return {"half_width": _log(rng, 1e-3, 0.015)}
+    if name == "actuator_delay":
+        return {"delay": pace * _log(rng, 1.5e-4, 3e-3)}
+    if name == "actuator_lag":
+        return {"time_constant": pace * _log(rng, 1.5e-4, 3e-3)}
+    if name == "actuator_gain":
+        return {"gain": -_log(rng, 0.01, 0.15)}
+    assert name == "torque_limit"
+    return {"limit": (1 - rng.uniform(0.15, 0.5)) * max(s.torque[j] for j in joints)}
+
+
+def _drawn_body(draw: _Draw, name: str) -> tuple[Missing, Any]:
+    rng, robot = draw.rng, draw.robot
+    model = robot.model
+    if name == "link_length":
+        body = str(rng.choice(robot.links))
+        change = float(rng.choice([-1, 1])) * _log(rng, 6e-3, 0.08) * _length(robot, body)
+        return Missing(name, f"body:{body}", {"length": change}), lambda r: physics.link_length(r, body, change)
+    if robot.base is not None and rng.random() < 0.4:
+        body = robot.base
+        mass = _log(rng, 0.015, 0.1) * float(model.body_subtreemass[0])
+        half = float(model.geom_rbound[int(model.body(body).geomadr[0])])
+        position = half * rng.uniform([-0.6, -0.2, 0.0], [0.6, 0.2, 0.2])
+    else:
+        body = str(rng.choice(robot.links))
+        mass = _log(rng, 0.03, 0.2) * float(model.body(body).mass[0])
+        geom = int(model.body(body).geomadr[0])
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
+        tip = rotation.reshape(3, 3)[:, 2] * model.geom_size[geom, 1]  # from the capsule's centre to one end
+        ends = [model.geom_pos[geom] + tip, model.geom_pos[geom] - tip]
+        position = max(ends, key=np.linalg.norm) * rng.uniform(0.6, 1.0)
+    size = {"mass": mass, **dict(zip(("x", "y", "z"), map(float, position), strict=True))}
+    return Missing(name, f"body:{body}", size), lambda r: physics.payload(r, body, mass, list(position))
+
+
+def _drawn_world(draw: _Draw, name: str) -> tuple[Missing, Any]:
+    rng, robot = draw.rng, draw.robot
+    if name == "ground_friction":
+        factor = 1 - rng.uniform(0.15, 0.6)
+        return Missing(name, "world", {"factor": factor}), lambda r: physics.ground_friction(r, factor)
+    if name == "contact_softness":
+        change = _log(rng, 2e-3, 0.03)
+        return Missing(name, "world", {"change": change}), lambda r: physics.contact_softness(r, change)
+    if name == "ground_slope":
+        size, angle = _log(rng, 0.04, 0.15), rng.uniform(0, 2 * np.pi)
+        x, y = float(size * np.cos(angle)), float(size * np.sin(angle))
+        return Missing(name, "world", {"x": x, "y": y}), lambda r: physics.ground_slope(r, x, y)
+    if name == "air_drag":
+        density = _log(rng, *robot.drag)
+        return Missing(name, "world", {"density": density}), lambda r: physics.air_drag(r, density)
+    body = str(robot.base)
+    force = rng.normal(size=3)
+    force *= _log(rng, 0.045, 0.22) * float(robot.model.body_subtreemass[0]) * 9.81 / np.linalg.norm(force)
+    pull = dict(zip(("x", "y", "z"), map(float, force), strict=True))
+    return Missing(name, f"body:{body}", pull), lambda r: physics.constant_force(r, body, list(force))
+
+
+def _visible(draw: _Draw, rows: Sequence[Mapping[str, np.ndarray]], rate: int, noise: float) -> float:
+    """See `Truth.visible`: reality against the background alone, both from the same states every 40 ms."""
+    model = draw.robot.model
+    sigma_q, sigma_v = (noise * s for s in draw.robot.sigma(model))
+    samples, total = max(4, round(0.04 * rate)), 0.0
+    used = min(2, len(rows))
+    for motion, row in zip(draw.motions[:used], rows, strict=False):
+        without = simulate(draw.background, motion, draw.robot.duration, rate, restart=Restart(row, samples))
+        count = len(row["time"]) // samples * samples
+        moves = np.zeros((count, model.nv))
+        for k in range(count):
+            mujoco.mj_differentiatePos(model, moves[k], 1.0, without["qpos"][k], row["qpos"][k])
+        speeds = (row["qvel"] - without["qvel"])[:count]
+        both = np.stack([moves / sigma_q, speeds / sigma_v], 1).reshape(-1, samples, 2, model.nv)
+        time = np.arange(samples) / rate
+        shift = np.stack([np.ones(samples) / sigma_q[:, None], np.zeros((model.nv, samples))], 1)
+        drift = np.stack([time / sigma_q[:, None], np.ones(samples) / sigma_v[:, None]], 1)
+        for joint in range(model.nv):
+            basis = np.linalg.qr(np.stack([shift[joint].ravel(), drift[joint].ravel()], 1))[0]
+            signal = both[:, :, :, joint].transpose(0, 2, 1).reshape(len(both), -1)
+            total += float(np.sum((signal - signal @ basis @ basis.T) ** 2))
+    return total * len(rows) / used
+
+
+def _write(
+    folder: str | Path,
+    draw: _Draw,
+    rows: Sequence[Mapping[str, np.ndarray]],
+    rate: int,
+    noise: float,
+    fit: int,
+    file_format: Format,
+) -> None:
+    model, rng = draw.robot.model, draw.rng
+    sigma_q, sigma_v = (noise * s for s in draw.robot.sigma(model))
+    recordings = []
+    for i, (motion, row) in enumerate(zip(draw.motions, rows, strict=True)):
+        qpos = row["qpos"].copy()
+        for k, error in enumerate(rng.normal(size=row["qvel"].shape) * sigma_q):
+            mujoco.mj_integratePos(model, qpos[k], error, 1.0)
+        recordings.append(
+            Recording(
+                name=f"behaviour_{i + 1:02d}",
+                time=row["time"],
+                ctrl=motion(row["time"]),
+                qpos=qpos,
+                qvel=row["qvel"] + rng.normal(size=row["qvel"].shape) * sigma_v,
+                qvel_measured=np.ones(model.nv, bool),
+                split="fit" if i < fit else "test",
+                model=model,
+            )
+        )
+    save_dataset(folder, draw.robot.xml, recordings, interpolation="cubic", file_format=file_format)
