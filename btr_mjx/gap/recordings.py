@@ -50,6 +50,8 @@ from btr_mjx.gap.samples import check_time, estimate_velocity, normalise, sound_
 from btr_mjx.gap.toml_tables import check_keys, file_name, is_number, read_toml, toml_rows, toml_section
 
 FILE_NAME = "dataset.toml"
+TABLES = ("model", "parameter", "recording", "control", "tolerances", "noise")
+"""Tables of dataset.toml."""
 MIN_SAMPLES = 20
 """A recording shorter than this holds no window."""
 
@@ -181,6 +183,32 @@ def load(folder: str | Path) -> Dataset:
       DamagedFile: a file that does not parse.
       OSError: a file that cannot be read.
     """
+    head, table = read_head(folder)
+    path, notes = head.folder / FILE_NAME, list(head.notes)
+    listed = toml_rows(table, "recording", path)
+    if not listed:
+        raise InputError(f'{path}: there is no [[recording]]; add one with file = "..."')
+    recordings = [
+        read_recording(head.folder, row, head.model, f"{path}: [[recording]] {i + 1}", notes)
+        for i, row in enumerate(listed)
+    ]
+    parts = split(recordings, [row.get("split") for row in listed], str(path))
+    return replace(head, recordings=tuple(parts), notes=tuple(notes))
+
+
+def read_head(folder: str | Path, more: Sequence[str] = ()) -> tuple[Dataset, dict[str, Any]]:
+    """Read what dataset.toml says beside its recordings.
+
+    Args:
+      folder: the folder, or its dataset.toml.
+      more: further tables that it may hold.
+
+    Returns:
+      A dataset without recordings, and the file's tables.
+
+    Raises:
+      InputError, DamagedFile, OSError: see `load`.
+    """
     folder = Path(folder)
     folder = folder.parent if folder.name == FILE_NAME and folder.is_file() else folder
     if not folder.is_dir():
@@ -190,7 +218,7 @@ def load(folder: str | Path) -> Dataset:
         raise InputError(f"{folder}: it holds no {FILE_NAME}; see btr_mjx/gap/recordings.py for its form")
     table = read_toml(path)
     notes: list[str] = []
-    check_keys(table, ("model", "parameter", "recording", "control", "tolerances", "noise"), f"{path}", notes)
+    check_keys(table, (*TABLES, *more), f"{path}", notes)
     about = toml_section(table, "model", path)
     check_keys(about, ("file",), f"{path}: [model]", notes)
     model_file = folder / file_name(about, "file", f"{path}: [model]")
@@ -200,31 +228,22 @@ def load(folder: str | Path) -> Dataset:
     interpolation = control.get("interpolation", "linear")
     if interpolation not in ("hold", "linear", "cubic"):
         raise InputError(f"{path}: interpolation {interpolation!r}: expected 'hold', 'linear' or 'cubic'")
-    parameters = tuple(
-        _parameter(row, model, f"{path}: [[parameter]] {i + 1}", notes)
-        for i, row in enumerate(toml_rows(table, "parameter", path))
-    )
-    listed = toml_rows(table, "recording", path)
-    if not listed:
-        raise InputError(f'{path}: there is no [[recording]]; add one with file = "..."')
-    recordings = [
-        read_recording(folder, row, model, f"{path}: [[recording]] {i + 1}", notes) for i, row in enumerate(listed)
-    ]
-    for believed in parameters:
-        for recording in recordings:
-            believed.value(recording.model)
-    return Dataset(
+    head = Dataset(
         folder=folder,
         model=model,
         model_file=model_file,
         spec_xml=spec_xml,
-        parameters=parameters,
-        recordings=tuple(split(recordings, [row.get("split") for row in listed], str(path))),
+        parameters=tuple(
+            _parameter(row, model, f"{path}: [[parameter]] {i + 1}", notes)
+            for i, row in enumerate(toml_rows(table, "parameter", path))
+        ),
+        recordings=(),
         interpolation=interpolation,
         tolerances=_tolerances(table.get("tolerances", {}), path),
         noise=read_noise(table.get("noise", {}), model, f"{path}: [noise]", notes),
         notes=tuple(notes),
     )
+    return head, table
 
 
 def noise_of(dataset: Dataset) -> Noise:
