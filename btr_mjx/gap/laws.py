@@ -25,6 +25,7 @@ class Rows:
       qfrc_applied: (N, nv) generalised force [N or N m].
       xfrc_applied: (N, nbody, 6) force [N] and torque [N m] on bodies, in the world frame.
       actuator_force: (N, nout) force of the actuators in the last step; before the first step, at the start state.
+      qfrc_actuator: (N, nv) the same as generalised forces.
       fields: field name -> (N, *field shape).
     """
 
@@ -37,6 +38,7 @@ class Rows:
     qfrc_applied: np.ndarray
     xfrc_applied: np.ndarray
     actuator_force: np.ndarray
+    qfrc_actuator: np.ndarray
     fields: Mapping[str, np.ndarray]
 
     def field(self, name: str) -> np.ndarray:

@@ -402,12 +402,13 @@ class _Forces:
         state = {
             name: batch.bind(name) for name in ("time", "qpos", "qvel", "act", "ctrl", "qfrc_applied", "xfrc_applied")
         }
-        force = batch.bind("actuator_force")
+        force, torque = batch.bind("actuator_force"), batch.bind("qfrc_actuator")
         for world, own in with_laws:
             names = {name for law in world.laws for name in law.fields}
             fields = {name: batch.expand(name)[own] for name in sorted(names)}
             views = {name: values[own] for name, values in state.items()}
-            self._laws.append((world, Rows(world.model, **views, actuator_force=force[own], fields=fields)))
+            forces = {"actuator_force": force[own], "qfrc_actuator": torque[own]}
+            self._laws.append((world, Rows(world.model, **views, **forces, fields=fields)))
         self._rows = np.concatenate([np.arange(own.start, own.stop) for _, own in with_laws])
 
     def start(self) -> None:

@@ -1,0 +1,138 @@
+"""Mass and inertia of bodies whose parts change: a mass that is added, a link that becomes longer."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+_GEOM = mujoco.mjtGeom
+_LONG = (int(_GEOM.mjGEOM_CAPSULE), int(_GEOM.mjGEOM_CYLINDER))
+_BOXED = (int(_GEOM.mjGEOM_BOX), int(_GEOM.mjGEOM_ELLIPSOID))
+
+
+@dataclass(frozen=True)
+class MassProperties:
+    """Of a body in its own frame.
+
+    Attributes:
+      mass: [kg].
+      centre: (3,) centre of mass [m].
+      inertia: (3, 3) about the centre of mass, along the body's axes [kg m^2].
+    """
+
+    mass: float
+    centre: np.ndarray
+    inertia: np.ndarray
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, body: int) -> "MassProperties":
+        """What a model says of a body."""
+        turn = rotation(model.body_iquat[body])
+        inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T
+        return cls(float(model.body_mass[body]), model.body_ipos[body].copy(), inertia)
+
+    def plus(self, other: "MassProperties") -> "MassProperties":
+        """Of both together."""
+        mass = self.mass + other.mass
+        if mass == 0:
+            return self
+        centre = (self.mass * self.centre + other.mass * other.centre) / mass
+        inertia = np.zeros((3, 3))
+        for part in (self, other):
+            inertia += part.inertia + part.mass * _spread(part.centre - centre)
+        return MassProperties(mass, centre, inertia)
+
+    def write(self, model: mujoco.MjModel, body: int) -> None:
+        """Set the body of a model, principal moments kept physical (positive, triangle inequality)."""
+        moments, axes = np.linalg.eigh(self.inertia)
+        moments = np.maximum(moments, 1e-9 * max(float(moments.max()), 1e-12))
+        moments[2] = min(moments[2], moments[0] + moments[1])
+        if np.linalg.det(axes) < 0:
+            axes[:, 0] *= -1
+        quaternion = np.zeros(4)
+        mujoco.mju_mat2Quat(quaternion, axes.flatten())
+        model.body_mass[body] = max(self.mass, 1e-9)
+        model.body_ipos[body] = self.centre
+        model.body_inertia[body] = moments
+        model.body_iquat[body] = quaternion
+        forget_frames(model, body)
+
+
+def point_mass(mass: float, position: np.ndarray) -> MassProperties:
+    """Of a point."""
+    return MassProperties(mass, np.asarray(position, float), np.zeros((3, 3)))
+
+
+def forget_frames(model: mujoco.MjModel, body: int) -> None:
+    """Tell MuJoCo not to take a body's inertial frame, geoms and sites for each other; they may have coincided."""
+    model.body_sameframe[body] = 0
+    model.geom_sameframe[model.geom_bodyid == body] = 0
+    model.site_sameframe[model.site_bodyid == body] = 0
+
+
+def rotation(quaternion: np.ndarray) -> np.ndarray:
+    """(3, 3) matrix of a quaternion."""
+    flat = np.zeros(9)
+    mujoco.mju_quat2Mat(flat, np.asarray(quaternion, float))
+    return flat.reshape(3, 3)
+
+
+def long_axis(model: mujoco.MjModel, geom: int, direction: np.ndarray) -> tuple[int, float] | None:
+    """The axis of a geom that runs along a direction: its index in `size` and half the extent of the geom's ends.
+
+    Returns:
+      None for geoms that do not run along it (less than 0.9 of the cosine) and for shapes without a length.
+    """
+    kind, turn = int(model.geom_type[geom]), rotation(model.geom_quat[geom])
+    along = np.abs(turn.T @ direction)
+    if kind in _LONG and along[2] > 0.9:
+        return 1, float(model.geom_size[geom, 1])
+    if kind in _BOXED and along.max() > 0.9:
+        axis = int(along.argmax())
+        return axis, float(model.geom_size[geom, axis])
+    return None
+
+
+def axis_vector(model: mujoco.MjModel, geom: int, axis: int) -> np.ndarray:
+    """Unit vector in the body's frame of an axis that `long_axis` found."""
+    column = 2 if int(model.geom_type[geom]) in _LONG else axis
+    return rotation(model.geom_quat[geom])[:, column]
+
+
+def geoms_at_density(model: mujoco.MjModel, geoms: Sequence[int], density: float) -> MassProperties:
+    """Of solid geoms of one density."""
+    total = MassProperties(0.0, np.zeros(3), np.zeros((3, 3)))
+    for geom in geoms:
+        volume, moments = _solid(int(model.geom_type[geom]), model.geom_size[geom])
+        turn = rotation(model.geom_quat[geom])
+        inertia = density * turn @ np.diag(moments) @ turn.T
+        total = total.plus(MassProperties(density * volume, model.geom_pos[geom].copy(), inertia))
+    return total
+
+
+def _solid(kind: int, size: np.ndarray) -> tuple[float, np.ndarray]:
+    """Volume and principal moments of inertia at density 1."""
+    a, b, c = (float(x) for x in size)
+    if kind == int(_GEOM.mjGEOM_SPHERE):
+        volume = 4 / 3 * np.pi * a**3
+        return volume, np.full(3, 0.4 * volume * a**2)
+    if kind in _BOXED:
+        volume = 8 * a * b * c if kind == int(_GEOM.mjGEOM_BOX) else 4 / 3 * np.pi * a * b * c
+        divisor = 3 if kind == int(_GEOM.mjGEOM_BOX) else 5
+        return volume, volume / divisor * np.array([b * b + c * c, a * a + c * c, a * a + b * b])
+    if kind not in _LONG:
+        return 0.0, np.zeros(3)
+    tube = np.pi * a * a * 2 * b
+    across, along = tube * (3 * a * a + 4 * b * b) / 12, tube * a * a / 2
+    if kind == int(_GEOM.mjGEOM_CYLINDER):
+        return tube, np.array([across, across, along])
+    caps = 4 / 3 * np.pi * a**3  # two half balls, their centres 3/8 of the radius beyond the tube's ends
+    along += 0.4 * caps * a * a
+    across += caps * (0.4 * a * a + b * b + 0.75 * a * b)
+    return tube + caps, np.array([across, across, along])
+
+
+def _spread(offset: np.ndarray) -> np.ndarray:
+    """Parallel axis theorem for unit mass."""
+    return offset @ offset * np.eye(3) - np.outer(offset, offset)

@@ -1,0 +1,149 @@
+"""How large things are in a model or in data: what steps, bounds and tolerances of effects are made of."""
+
+import copy
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.places import actuator_count, ground_geoms, joint_of
+
+_TURN = 0.3
+"""Amplitude that a joint is believed to have before any data are seen [rad]."""
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Typical sizes of what happens in a robot.
+
+    Attributes:
+      torque: (nv,) peak of the actuators' generalised force at each degree of freedom [N or N m].
+      speed: (nv,) peak speed [m/s or rad/s].
+      amplitude: (nv,) half the range of motion [m or rad].
+      inertia: (nv,) inertia at each degree of freedom [kg or kg m^2].
+      force: (n_actuators,) peak force of each actuator [N or N m].
+      time: typical amplitude over speed [s]; the inverse of the angular frequency for a sine.
+      length: half the model's extent [m].
+      mass: of everything that moves [kg].
+      touching: (ngeom,) whether a geom touches the ground, or could.
+    """
+
+    torque: np.ndarray
+    speed: np.ndarray
+    amplitude: np.ndarray
+    inertia: np.ndarray
+    force: np.ndarray
+    time: float
+    length: float
+    mass: float
+    touching: np.ndarray
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel) -> "Scales":
+        """Scales guessed from the model alone."""
+        data = mujoco.MjData(model)
+        mujoco.mj_resetData(model, data)
+        mujoco.mj_forward(model, data)
+        amplitude = np.full(model.nv, _TURN)
+        for j in np.flatnonzero(model.jnt_limited):
+            if model.jnt_type[j] >= int(mujoco.mjtJoint.mjJNT_SLIDE):
+                amplitude[model.jnt_dofadr[j]] = min(_TURN, 0.5 * float(np.ptp(model.jnt_range[j])))
+        inertia = np.maximum(model.dof_M0, 1e-12)
+        speed = amplitude / 0.1
+        force = np.zeros(actuator_count(model))
+        torque = np.maximum(np.abs(data.qfrc_bias), inertia * speed / 0.1)
+        for a in range(len(force)):
+            joint = joint_of(model, a)
+            dof = None if joint is None else int(model.jnt_dofadr[joint])
+            reach = _TURN if dof is None else amplitude[dof]
+            gear = float(np.linalg.norm(model.actuator_gear[a])) or 1.0
+            stiffness = abs(float(model.actuator_biasprm[a, 1])) or abs(float(model.actuator_gainprm[a, 0]))
+            force[a] = 0.2 * stiffness * reach * gear
+            if model.actuator_forcelimited[a]:
+                force[a] = min(force[a], float(np.abs(model.actuator_forcerange[a]).max())) or force[a]
+            if dof is not None:
+                torque[dof] = max(torque[dof], force[a] * gear)
+        touching = np.zeros(model.ngeom, bool)
+        touching[ground_geoms(model)[0]] = True
+        return cls(torque, speed, amplitude, inertia, force, 0.1, *_sizes(model), touching)
+
+    @classmethod
+    def measured(
+        cls,
+        model: mujoco.MjModel,
+        qpos: np.ndarray,
+        qvel: np.ndarray,
+        ctrl: np.ndarray,
+        act: np.ndarray | None = None,
+    ) -> "Scales":
+        """Scales of measured states, with forces as the believed model would exert them there.
+
+        Args:
+          model: the believed model.
+          qpos: (N, nq) configurations; a few hundred rows are enough.
+          qvel: (N, nv) velocities.
+          ctrl: (N, nu) controls at the same times.
+          act: (N, na) states of actuators; None for zeros.
+        """
+        guess = cls.of(model)
+        model = copy.copy(model)
+        data = mujoco.MjData(model)
+        torque, inertia, force = [], [], []
+        touching = np.zeros(model.ngeom, bool)
+        ground = np.zeros(model.ngeom, bool)
+        ground[ground_geoms(model)[1]] = True
+        model.geom_margin[:] = np.maximum(model.geom_margin, 0.01 * guess.length)
+        model.geom_gap[:] = model.geom_margin  # seen, but without force
+        diagonal = np.zeros(model.nv)
+        for k in range(len(qpos)):
+            data.qpos[:], data.qvel[:], data.ctrl[:] = qpos[k], qvel[k], ctrl[k]
+            if act is not None:
+                data.act[:] = act[k]
+            mujoco.mj_forward(model, data)
+            torque.append(np.abs(data.qfrc_actuator))
+            force.append(np.abs(data.actuator_force[: len(guess.force)]))
+            if k % 16 == 0:
+                full = np.zeros((model.nv, model.nv))
+                mujoco.mj_fullM(model, data, full)
+                inertia.append(np.diag(full).copy())
+            pairs = data.contact.geom[: data.ncon]
+            for pair in pairs[ground[pairs].any(axis=1)] if data.ncon else []:
+                touching[pair] = True
+        touching &= ~ground
+        speed = np.maximum(np.percentile(np.abs(qvel), 99, axis=0), 1e-3 * guess.speed)
+        amplitude = _amplitude(model, qpos, guess.amplitude)
+        mean_inertia = np.maximum(np.mean(inertia, axis=0) if inertia else diagonal, 1e-12)
+        driven = np.percentile(torque, 99.5, axis=0)
+        passive = mean_inertia * speed**2 / np.maximum(amplitude, 1e-9)
+        hinges = driven > 0
+        ratio = (amplitude / speed)[hinges if hinges.any() else slice(None)]
+        time = float(np.median(ratio)) if ratio.size else guess.time
+        return cls(
+            np.where(hinges, driven, np.maximum(passive, 1e-9)),
+            speed,
+            amplitude,
+            mean_inertia,
+            np.maximum(np.percentile(force, 99.5, axis=0), 1e-6 * guess.force),
+            time,
+            guess.length,
+            guess.mass,
+            touching,
+        )
+
+
+def _amplitude(model: mujoco.MjModel, qpos: np.ndarray, guess: np.ndarray) -> np.ndarray:
+    """(nv,) half the range of motion of hinges and slides; the guess for free and ball joints."""
+    out = guess.copy()
+    for j in np.flatnonzero(model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)):
+        low, high = np.percentile(qpos[:, model.jnt_qposadr[j]], [1, 99])
+        dof = model.jnt_dofadr[j]
+        out[dof] = max(0.5 * (high - low), 1e-3 * guess[dof])
+    return out
+
+
+def _sizes(model: mujoco.MjModel) -> tuple[float, float]:
+    moving = model.body_weldid != 0
+    geoms = moving[model.geom_bodyid]
+    reach = model.geom_rbound[geoms]
+    length = max(float(model.stat.extent) / 2, float(reach.max(initial=0)), 1e-6)
+    return (min(length, 10 * float(reach.max(initial=length))), max(float(model.body_mass[moving].sum()), 1e-9))
