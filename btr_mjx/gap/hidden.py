@@ -41,8 +41,9 @@ JOINT_EFFECTS = (
     "armature",
     "joint_stiffness",
     "joint_offset",
+    "backlash",
 )
-ACTUATOR_EFFECTS = ("backlash", "actuator_delay", "actuator_lag", "actuator_gain", "torque_limit")
+ACTUATOR_EFFECTS = ("actuator_delay", "actuator_lag", "actuator_gain", "torque_limit")
 BODY_EFFECTS = ("payload", "link_length")
 WORLD_EFFECTS = ("ground_friction", "ground_slope", "contact_softness", "air_drag", "constant_force")
 SINGLE = ("joint_stiffness", "joint_offset")
@@ -292,24 +293,23 @@ def _joint_sizes(draw: _Draw, name: str, joints: Sequence[str]) -> dict[str, flo
     if name == "dry_friction":
         return {"torque": _log(rng, 3e-3, 0.06) * torque}
     if name == "load_friction":
-        return {"fraction": _log(rng, 0.02, 0.3)}
+        return {"coefficient": _log(rng, 0.02, 0.3)}
     if name == "stribeck_friction":
-        coulomb = _log(rng, 3e-3, 0.04) * torque
-        return {"coulomb": coulomb, "static": coulomb * rng.uniform(1.5, 3.0), "speed": rng.uniform(0.03, 0.15) * speed}
+        return {"torque": _log(rng, 0.01, 0.1) * torque, "speed": rng.uniform(0.05, 0.3) * speed}
     if name == "armature":
-        return {"inertia": _log(rng, 4e-3, 0.12) * torque / acceleration}
+        return {"armature": _log(rng, 4e-3, 0.12) * torque / acceleration}
     if name == "joint_stiffness":
         return {"stiffness": _log(rng, 4e-3, 0.06) * torque / travel}
     if name == "joint_offset":
-        return {"angle": float(rng.choice([-1, 1])) * _log(rng, 4e-3, 0.03)}
+        return {"offset": float(rng.choice([-1, 1])) * _log(rng, 4e-3, 0.03)}
     if name == "backlash":
-        return {"half_width": _log(rng, 1e-3, 0.015)}
+        return {"play": _log(rng, 1e-3, 0.015)}
     if name == "actuator_delay":
         return {"delay": pace * _log(rng, 1.5e-4, 3e-3)}
     if name == "actuator_lag":
         return {"time_constant": pace * _log(rng, 1.5e-4, 3e-3)}
     if name == "actuator_gain":
-        return {"gain": -_log(rng, 0.01, 0.15)}
+        return {"change": -_log(rng, 0.01, 0.15)}
     assert name == "torque_limit"
     return {"limit": (1 - rng.uniform(0.15, 0.5)) * max(s.torque[j] for j in joints)}
 
@@ -320,7 +320,7 @@ def _drawn_body(draw: _Draw, name: str) -> tuple[Missing, Any]:
     if name == "link_length":
         body = str(rng.choice(robot.links))
         change = float(rng.choice([-1, 1])) * _log(rng, 6e-3, 0.08) * _length(robot, body)
-        return Missing(name, f"body:{body}", {"length": change}), lambda r: physics.link_length(r, body, change)
+        return Missing(name, f"body:{body}", {"change": change}), lambda r: physics.link_length(r, body, change)
     if robot.base is not None and rng.random() < 0.4:
         body = robot.base
         mass = _log(rng, 0.015, 0.1) * float(model.body_subtreemass[0])
@@ -343,13 +343,16 @@ def _drawn_world(draw: _Draw, name: str) -> tuple[Missing, Any]:
     rng, robot = draw.rng, draw.robot
     if name == "ground_friction":
         factor = 1 - rng.uniform(0.15, 0.6)
-        return Missing(name, "world", {"factor": factor}), lambda r: physics.ground_friction(r, factor)
+        believed = float(robot.model.geom_friction[:, 0].max())
+        return Missing(name, "world", {"coefficient": factor * believed}), lambda r: physics.ground_friction(r, factor)
     if name == "contact_softness":
         change = _log(rng, 2e-3, 0.03)
-        return Missing(name, "world", {"change": change}), lambda r: physics.contact_softness(r, change)
+        believed = float(robot.model.geom_solref[0, 0])
+        size = {"time_constant": believed + change}
+        return Missing(name, "world", size), lambda r: physics.contact_softness(r, change)
     if name == "ground_slope":
-        size, angle = _log(rng, 0.04, 0.15), rng.uniform(0, 2 * np.pi)
-        x, y = float(size * np.cos(angle)), float(size * np.sin(angle))
+        tilt, angle = _log(rng, 0.04, 0.15), rng.uniform(0, 2 * np.pi)
+        x, y = float(tilt * np.cos(angle)), float(tilt * np.sin(angle))
         return Missing(name, "world", {"x": x, "y": y}), lambda r: physics.ground_slope(r, x, y)
     if name == "air_drag":
         density = _log(rng, *robot.drag)

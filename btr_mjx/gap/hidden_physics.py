@@ -64,10 +64,10 @@ def dry_friction(r: Reality, joints: Sequence[str], torque: float) -> None:
         r.spec.joint(name).frictionloss += torque
 
 
-def armature(r: Reality, joints: Sequence[str], inertia: float) -> None:
+def armature(r: Reality, joints: Sequence[str], armature: float) -> None:
     """Rotor inertia [kg m^2] more than believed."""
     for name in joints:
-        r.spec.joint(name).armature += inertia
+        r.spec.joint(name).armature += armature
 
 
 def joint_stiffness(r: Reality, joints: Sequence[str], stiffness: float) -> None:
@@ -80,17 +80,17 @@ def joint_stiffness(r: Reality, joints: Sequence[str], stiffness: float) -> None
         joint.springref = 0.0
 
 
-def joint_offset(r: Reality, joints: Sequence[str], angle: float) -> None:
-    """Encoders that show the true angle plus `angle` [rad]; the motor controller trusts them."""
+def joint_offset(r: Reality, joints: Sequence[str], offset: float) -> None:
+    """Encoders that show the true angle plus `offset` [rad]; the motor controller trusts them."""
     for name in joints:
-        r.offset[name] = r.offset.get(name, 0.0) + angle
+        r.offset[name] = r.offset.get(name, 0.0) + offset
 
 
-def actuator_gain(r: Reality, joints: Sequence[str], gain: float) -> None:
-    """Motors (and their controllers) whose force is `1 + gain` times what is believed."""
+def actuator_gain(r: Reality, joints: Sequence[str], change: float) -> None:
+    """Motors (and their controllers) whose force is `1 + change` times what is believed."""
     for _, actuator in r.actuators_of(joints):
-        actuator.gainprm = np.array(actuator.gainprm) * (1 + gain)
-        actuator.biasprm = np.array(actuator.biasprm) * (1 + gain)
+        actuator.gainprm = np.array(actuator.gainprm) * (1 + change)
+        actuator.biasprm = np.array(actuator.biasprm) * (1 + change)
 
 
 def torque_limit(r: Reality, joints: Sequence[str], limit: float) -> None:
@@ -112,37 +112,36 @@ def actuator_lag(r: Reality, joints: Sequence[str], time_constant: float) -> Non
         r.lag[i] = time_constant
 
 
-def backlash(r: Reality, joints: Sequence[str], half_width: float) -> None:
-    """A dead band of +- `half_width` [rad] in the error that a position controller sees."""
+def backlash(r: Reality, joints: Sequence[str], play: float) -> None:
+    """A dead band of +- `play` [rad] in the error that a position controller sees."""
     pairs = [(i, a.target) for i, a in r.actuators_of(joints)]
 
     def hook(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         for i, name in pairs:
             error = data.ctrl[i] - data.joint(name).qpos[0]
-            data.ctrl[i] -= min(max(error, -half_width), half_width)
+            data.ctrl[i] -= min(max(error, -play), play)
 
     r.hooks.append(hook)
 
 
-def load_friction(r: Reality, joints: Sequence[str], fraction: float) -> None:
-    """Friction of a gear: `fraction` of the motor's torque."""
+def load_friction(r: Reality, joints: Sequence[str], coefficient: float) -> None:
+    """Friction of a gear: `coefficient` times the motor's torque."""
     pairs = [(i, a.target) for i, a in r.actuators_of(joints)]
 
     def hook(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         for i, name in pairs:
-            model.joint(name).frictionloss[0] = believed[name] + fraction * abs(data.actuator_force[i])
+            model.joint(name).frictionloss[0] += coefficient * abs(data.actuator_force[i])
 
-    believed = {name: r.spec.joint(name).frictionloss for _, name in pairs}
     r.hooks.append(hook)
 
 
-def stribeck_friction(r: Reality, joints: Sequence[str], coulomb: float, static: float, speed: float) -> None:
-    """Friction [N m] that falls from `static` at rest to `coulomb` above `speed` [rad/s]."""
+def stribeck_friction(r: Reality, joints: Sequence[str], torque: float, speed: float) -> None:
+    """Friction that is `torque` [N m] at rest and falls off above `speed` [rad/s]."""
 
     def hook(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         for name in joints:
             ratio = data.joint(name).qvel[0] / speed
-            model.joint(name).frictionloss[0] = coulomb + (static - coulomb) * np.exp(-ratio * ratio)
+            model.joint(name).frictionloss[0] += torque * np.exp(-ratio * ratio)
 
     r.hooks.append(hook)
 
@@ -191,9 +190,10 @@ def contact_softness(r: Reality, change: float) -> None:
 
 
 def ground_slope(r: Reality, x: float, y: float) -> None:
-    """Ground that falls towards +x and +y by these angles [rad]: gravity turns instead."""
+    """Ground that is turned by x [rad] about the x axis, then by y about the y axis; gravity turns instead."""
     size = float(np.linalg.norm(r.spec.option.gravity))
-    r.spec.option.gravity = [size * np.sin(x) * np.cos(y), size * np.sin(y), -size * np.cos(x) * np.cos(y)]
+    down = -np.array([-np.sin(y), np.cos(y) * np.sin(x), np.cos(y) * np.cos(x)])  # -z, seen from the ground
+    r.spec.option.gravity = size * down
 
 
 def air_drag(r: Reality, density: float) -> None:
@@ -287,6 +287,7 @@ def simulate(
     commands = _arriving(r, motion, steps, timestep)
     commands -= np.array([r.offset.get(a.target, 0.0) for a in r.spec.actuators])
     rows: dict[str, list[np.ndarray]] = {"time": [], "qpos": [], "qvel": [], "force": [], "act": []}
+    frictionloss = model.dof_frictionloss.copy()
     mujoco.mj_forward(model, data)
     for k in range(steps + 1):
         if restart is not None and k % (every * restart.samples) == 0:
@@ -304,7 +305,7 @@ def simulate(
         if k == steps:
             break
         data.ctrl[:] = commands[k]
-        data.qfrc_applied[:], data.xfrc_applied[:] = 0.0, 0.0
+        data.qfrc_applied[:], data.xfrc_applied[:], model.dof_frictionloss[:] = 0.0, 0.0, frictionloss
         for hook in r.hooks:
             hook(model, data)
         mujoco.mj_step(model, data)
