@@ -8,6 +8,7 @@ from btr_mjx.gap.worlds import World, fields_of
 _UNSET = float("nan")
 
 _DERIVED = (
+    "actuator_delay",  # an edit of the command in a world; see `Effect.native`
     "actuator_acc0",
     "actuator_length0",
     "body_invweight0",
@@ -25,7 +26,7 @@ _DERIVED = (
     "tendon_length0",
     "ten_J",
 )
-"""Fields that the compiler derives from the others."""
+"""Fields that the compiler derives from the others, or that are written by other means."""
 
 _GEOM = {
     "geom_friction": "friction",
