@@ -132,7 +132,8 @@ def loose_battery(r: Reality, joints: Sequence[str], sizes: Loads, rng: np.rando
     holder.add_joint(name="battery swings", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 1, 0], damping=[1e-4, 0, 0])
     length = float(np.clip(length, 0.02, 0.3))
     weight = rng.uniform(0.04, 0.12) * (whole if r.robot.base else float(model.body(body).mass[0]) * 2)
-    holder.add_geom(pos=[0, 0, -length], size=[0.01, 0, 0], mass=weight, contype=0, conaffinity=0)
+    ball = mujoco.mjtGeom.mjGEOM_SPHERE
+    holder.add_geom(type=ball, pos=[0, 0, -length], size=[0.01, 0, 0], mass=weight, contype=0, conaffinity=0)
     return f"body:{body}"
 
 
