@@ -50,7 +50,7 @@ def read_noise(table: Any, model: mujoco.MjModel, where: str, notes: list[str]) 
             turning = part.startswith("w")
             position = ["rotation" if turning else "position"] if part else []
             velocity = ["angular_velocity" if turning else "velocity"] if part else []
-            single = f"qpos/{name}/{part[1:]}"  # a rotation has no column of its own in qpos
+            single = "" if turning else f"qpos/{name}/{part[1:]}"  # a rotation has no column of its own in qpos
             keys = (
                 [single, f"qpos/{name}", *position, "qpos"],
                 [f"qvel/{name}/{part}", f"qvel/{name}", *velocity, "qvel"],

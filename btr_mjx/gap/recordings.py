@@ -42,7 +42,7 @@ from typing import Any, Literal
 import mujoco
 import numpy as np
 
-from btr_mjx.errors import InputError
+from btr_mjx.errors import InputError, one_line
 from btr_mjx.gap.columns import check_names, control_columns, read_columns, spread, state_columns
 from btr_mjx.gap.model_paths import parse_path, set_values
 from btr_mjx.gap.noise import Noise, estimate_noise, read_noise
@@ -267,7 +267,7 @@ def load_model(path: Path) -> tuple[mujoco.MjModel, str]:
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
-        raise InputError(f"{path}: MuJoCo does not load this model: {error}") from None
+        raise InputError(f"{path}: MuJoCo does not load this model: {one_line(error)}") from None
     if model.nu == 0 or model.njnt == 0:
         raise InputError(f"{path}: the model has {model.njnt} joints and {model.nu} actuators; expected some of both")
     return model, path.read_text(encoding="utf-8")
