@@ -1,0 +1,142 @@
+"""Figures of a diagnosis: each function makes one matplotlib Figure out of what was saved, and touches no file."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from btr_mjx.gap.wording import named, number
+
+MEASURED, BEFORE, AFTER = "#000000", "#c8641e", "#1f5fa8"
+"""Data, the believed model, the mended model; dots, dashes and a solid line say the same in grey."""
+
+
+def disagreement_map(
+    rows: Sequence[str], columns: Sequence[str], before: np.ndarray, after: np.ndarray | None = None
+) -> Figure:
+    """Heat map of the disagreement in units of the noise.
+
+    Args:
+      rows: names of joints or bodies.
+      columns: names of regimes.
+      before: (R, C) disagreement of the believed model, 1 is the noise; NaN where there are no data.
+      after: the same of the mended model, or None.
+    """
+    panels = [("believed model", before)] + ([("mended model", after)] if after is not None else [])
+    height = 1.3 + 0.21 * len(rows)
+    figure = Figure(figsize=(2.2 + len(panels) * max(2.2, 0.55 * len(columns)), height))
+    axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    known = before[np.isfinite(before)]
+    top = max(4.0, float(known.max(initial=1.0)))
+    grey = matplotlib.colormaps["Greys"].with_extremes(bad="#ffffff")
+    norm = LogNorm(1.0, top, clip=True)
+    image = None
+    for panel, (name, values) in zip(axes, panels, strict=True):
+        shown = np.ma.masked_invalid(np.asarray(values, float))
+        image = panel.imshow(shown, cmap=grey, norm=norm, aspect="auto")
+        for i in range(len(rows)):
+            for j in range(len(columns)):
+                value = float(np.asarray(values, float)[i, j])
+                dark = np.isfinite(value) and norm(value) > 0.55
+                text = number(value, 2) if np.isfinite(value) else "·"
+                panel.text(j, i, text, ha="center", va="center", fontsize=7, color="white" if dark else "black")
+        panel.set_title(name)
+        panel.set_xticks(range(len(columns)), columns, rotation=40, ha="right")
+        panel.tick_params(length=0)
+        for spine in panel.spines.values():
+            spine.set_visible(False)
+    axes[0].set_yticks(range(len(rows)), rows)
+    assert image is not None
+    bar = figure.colorbar(image, ax=list(axes), shrink=min(1.0, 2.0 / height), pad=0.02)
+    bar.set_label("disagreement / noise")
+    return figure
+
+
+def ranking_bars(rows: Sequence[Mapping[str, Any]], found: Sequence[tuple[str, str]], most: int = 14) -> Figure:
+    """Candidates by score, with the best black, what cannot be told from it hatched, the others grey.
+
+    Args:
+      rows: entries of `ranking` in result.json, best first.
+      found: (effect, location) of the effects that were named.
+      most: how many are shown.
+    """
+    shown = list(rows)[:most]
+    figure = Figure(figsize=(7.2, 0.7 + 0.25 * max(len(shown), 1)))
+    axes = figure.subplots()
+    scores = [max(float(row.get("score") or 0.0), 0.0) for row in shown]
+    for i, (row, score) in enumerate(zip(shown, scores, strict=True)):
+        best = (row["effect"], row["location"]) in set(found)
+        same = bool(row.get("equivalent")) and not best
+        axes.barh(
+            i,
+            score,
+            height=0.62,
+            color="#000000" if best else "#ffffff" if same else "#c4c4c4",
+            edgecolor="#000000" if best or same else "#c4c4c4",
+            hatch="/////" if same else None,
+            linewidth=0.7,
+        )
+        note = number(float(row.get("score") or 0.0))
+        if not best and row.get("margin") is not None:
+            note += f"  (−{number(abs(float(row['margin'])))})"
+        axes.annotate(note, (score, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=7.5)
+    axes.set_yticks(range(len(shown)), [_capital(named(row)) for row in shown])
+    axes.invert_yaxis()
+    axes.set_xlim(0, 1.18 * max([*scores, 1e-9]))
+    axes.tick_params(axis="y", length=0)
+    axes.set_xlabel("score (in brackets: distance to the best)")
+    return figure
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def overlay(
+    time: np.ndarray,
+    measured: np.ndarray,
+    before: np.ndarray | None,
+    after: np.ndarray | None,
+    names: Sequence[str],
+    units: Sequence[str],
+    most: int = 3,
+) -> Figure:
+    """Held-out recording: measured, before and after, with what is left of the difference below.
+
+    Args:
+      time: (K,) [s].
+      measured: (K, C) data.
+      before: (K, C) of the believed model, or None.
+      after: (K, C) of the mended model, or None.
+      names: channels.
+      units: of the channels.
+      most: channels shown, those where the believed model is worst first.
+    """
+    worst = np.zeros(len(names)) if before is None else np.nanmean(np.abs(before - measured), axis=0)
+    spread = np.maximum(np.nanstd(measured, axis=0), 1e-12)
+    chosen = np.argsort(-np.nan_to_num(worst / spread), kind="stable")[:most]
+    figure = Figure(figsize=(7.4, 0.5 + 1.75 * len(chosen)))
+    axes = figure.subplots(len(chosen), 2, sharex=True, squeeze=False, width_ratios=[1.25, 1])
+    styles: tuple[tuple[str, np.ndarray | None, dict[str, Any]], ...] = (
+        ("believed model", before, {"color": BEFORE, "linestyle": (0, (4, 2))}),
+        ("mended model", after, {"color": AFTER, "linestyle": "-"}),
+    )
+    for (left, right), channel in zip(axes, chosen, strict=True):
+        every = max(1, len(time) // 250)
+        left.plot(time[::every], measured[::every, channel], ".", color=MEASURED, markersize=2.2, label="measured")
+        right.axhline(0.0, color="0.7", linewidth=0.6)
+        for label, values, look in styles:
+            if values is None:
+                continue
+            left.plot(time, values[:, channel], linewidth=1.1, label=label, **look)
+            right.plot(time, values[:, channel] - measured[:, channel], linewidth=0.9, **look)
+        left.set_ylabel(f"{names[channel]} [{units[channel]}]")
+        right.set_title("model − measured", loc="left", fontsize=8)
+    for panel in axes[-1]:
+        panel.set_xlabel("time [s]")
+    handles, labels = axes[0][0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=3)
+    return figure

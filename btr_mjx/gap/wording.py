@@ -1,0 +1,191 @@
+"""The results of a diagnosis in words: a verdict that an engineer can act on, and the names of effects and places."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+TITLES: Mapping[str, str] = {
+    "viscous_damping": "viscous damping",
+    "dry_friction": "dry friction",
+    "load_friction": "load-dependent gear friction",
+    "stribeck_friction": "Stribeck (breakaway) friction",
+    "armature": "rotor inertia (armature)",
+    "joint_stiffness": "a spring",
+    "joint_offset": "an encoder offset",
+    "backlash": "backlash",
+    "actuator_delay": "a delay of the command",
+    "actuator_lag": "a first-order lag of the command",
+    "actuator_gain": "a change of the motor's strength",
+    "torque_limit": "a torque limit",
+    "payload": "a payload",
+    "link_length": "another length of the link",
+    "com_shift": "a shift of the centre of mass",
+    "constant_force": "a constant force",
+    "air_drag": "air drag",
+    "ground_slope": "a slope of the ground",
+    "ground_friction": "another friction of the ground",
+    "contact_softness": "another softness of contact",
+}
+"""Effects as they appear in sentences; others appear by their names."""
+
+
+def title(effect: str) -> str:
+    """An effect in words."""
+    return TITLES.get(effect, effect.replace("_", " "))
+
+
+def place(label: str) -> str:
+    """A place in words."""
+    kind, _, name = label.partition(":")
+    if kind == "subtree":
+        return f"every joint from body {name} down"
+    if not name:
+        return {"all": "all joints", "world": "the world as a whole"}.get(label, label)
+    return f"{kind} {name}"
+
+
+def named(row: Mapping[str, Any]) -> str:
+    """Effect and place of an entry of results, in words."""
+    return f"{title(str(row['effect']))} at {place(str(row['location']))}"
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number for readers: three significant digits, no exponent where none is needed."""
+    if value is None or not math.isfinite(float(value)):
+        return "–"
+    value = float(value)
+    if value == 0:
+        return "0"
+    size = math.floor(math.log10(abs(value)))
+    if -4 <= size < 6:
+        text = f"{value:.{max(digits - 1 - size, 0)}f}"
+        return (text.rstrip("0").rstrip(".") if "." in text else text).replace("-", "−")
+    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+    return f"{mantissa}·10^{int(exponent)}".replace("-", "−")
+
+
+def with_interval(parameter: Mapping[str, Any]) -> str:
+    """A value with its interval and unit: "0.31 ± 0.03 N m", or both ends where they are lopsided."""
+    value, low, high = (_float(parameter.get(key)) for key in ("value", "low", "high"))
+    unit = str(parameter.get("unit", "") or "")
+    unit = "" if unit in ("1", "") else f" {unit}"
+    if value is None:
+        return "–"
+    if low is None or high is None:
+        return f"{number(value)}{unit}"
+    above, below = high - value, value - low
+    if above >= 0 and below >= 0 and abs(above - below) <= 0.35 * max(above, below):
+        return f"{_rounded(value, (above + below) / 2)}{unit}"
+    return f"{number(value)} [{number(low)}, {number(high)}]{unit}"
+
+
+def _rounded(value: float, error: float) -> str:
+    """Value and error with as many decimals as the error deserves."""
+    if not error > 0:
+        return number(value)
+    decimals = max(0, 1 - math.floor(math.log10(error)))
+    if decimals > 8 or abs(value) >= 1e6:
+        return f"{number(value)} ± {number(error, 2)}"
+    return f"{value:.{decimals}f} ± {error:.{decimals}f}".replace("-", "−")
+
+
+def _float(value: Any) -> float | None:
+    try:
+        out = float(value)
+    except (TypeError, ValueError):
+        return None
+    return out if math.isfinite(out) else None
+
+
+def parameters_in_words(effect: Mapping[str, Any]) -> str:
+    """All parameters of an effect."""
+    return ", ".join(f"{name.replace('_', ' ')} {with_interval(p)}" for name, p in effect["parameters"].items())
+
+
+def verdict_sentence(result: Mapping[str, Any]) -> str:
+    """What result.json says, in one paragraph."""
+    parts = [_where(result)]
+    verdict, effects = result.get("verdict"), list(result.get("effects") or [])
+    if verdict == "effect" and effects:
+        subject = "The missing effect is" if len(effects) == 1 else "The missing effects are"
+        each = " and ".join(f"{named(effect)} ({parameters_in_words(effect)})" for effect in effects)
+        parts.append(f"{subject} {each}.")
+        parts.append(_gap(result))
+        parts.append(_runner_up(result))
+    elif verdict == "none":
+        parts = ["Nothing is missing: simulation and data agree within the noise and the usual tolerances."]
+        parts.append(_noise_floor(result))
+    else:
+        parts.append("Something is missing that none of the known effects explains.")
+        looks = _description(result)
+        parts.append(f"It looks like this: {looks}" if looks else "")
+        parts.append(_noise_floor(result))
+    parts.append(_equivalent(result))
+    return " ".join(part for part in parts if part)
+
+
+def _where(result: Mapping[str, Any]) -> str:
+    where = result.get("where")
+    return f"Simulation and data disagree most at {where}." if isinstance(where, str) and where else ""
+
+
+def _gap(result: Mapping[str, Any]) -> str:
+    gap = result.get("gap") or {}
+    before, after, floor = (_float(gap.get(key)) for key in ("before", "after", "noise_floor"))
+    if before is None or after is None:
+        return ""
+    unit = f" {gap['unit']}" if gap.get("unit") else ""
+    many = "them" if len(result.get("effects") or []) > 1 else "it"
+    text = f"Adding {many} shrinks the held-out gap from {number(before)} to {number(after)}{unit}"
+    return text + (f" (noise floor {number(floor)})." if floor is not None else ".")
+
+
+def _noise_floor(result: Mapping[str, Any]) -> str:
+    gap = result.get("gap") or {}
+    before, floor = _float(gap.get("before")), _float(gap.get("noise_floor"))
+    if before is None:
+        return ""
+    unit = f" {gap['unit']}" if gap.get("unit") else ""
+    return f"The held-out gap is {number(before)}{unit}" + (f", the noise floor {number(floor)}." if floor else ".")
+
+
+def _runner_up(result: Mapping[str, Any]) -> str:
+    same = {_key(effect) for effect in result.get("effects") or []}
+    others = [row for row in result.get("ranking") or [] if _key(row) not in same and not row.get("equivalent")]
+    ranked = [row for row in result.get("ranking") or [] if _key(row) in same]
+    if not others:
+        return ""
+    best, second = (_float(ranked[0].get("score")) if ranked else None), _float(others[0].get("score"))
+    if best is None or second is None or best <= 0:
+        return f"Runner-up: {named(others[0])}."
+    share = second / best
+    how = "far behind" if share < 0.6 else "behind" if share < 0.9 else "close behind"
+    return f"Runner-up: {named(others[0])}, {how} ({100 * max(share, 0):.0f} % of the score)."
+
+
+def _key(row: Mapping[str, Any]) -> tuple[str, str]:
+    return str(row["effect"]), str(row["location"])
+
+
+def _equivalent(result: Mapping[str, Any]) -> str:
+    """Candidates that these data cannot tell apart, and what to do about it."""
+    same = {_key(effect) for effect in result.get("effects") or []}
+    others = []
+    for entry in result.get("equivalent") or []:
+        members = entry if isinstance(entry, Sequence) and not isinstance(entry, str | Mapping) else [entry]
+        others += [m for m in members if isinstance(m, Mapping) and "effect" in m and _key(m) not in same]
+    if not others:
+        return ""
+    text = f"These data cannot tell it apart from {' or '.join(named(m) for m in others[:4])}"
+    text += f" (and {len(others) - 4} more)" if len(others) > 4 else ""
+    return text + (": run the experiment below next." if result.get("next_experiment") else ".")
+
+
+def _description(result: Mapping[str, Any]) -> str:
+    looks = result.get("unexplained")
+    if isinstance(looks, Mapping):
+        looks = looks.get("description") or looks.get("text")
+    if isinstance(looks, Sequence) and not isinstance(looks, str):
+        looks = "; ".join(str(item.get("text", item)) if isinstance(item, Mapping) else str(item) for item in looks)
+    text = str(looks or "").strip()
+    return text if not text or text.endswith(".") else f"{text}."

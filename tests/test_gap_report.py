@@ -1,0 +1,176 @@
+"""The page of a diagnosis, from files that a test can write by hand."""
+
+import html.parser
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_gap_effects import QUADRUPED
+
+from btr_mjx.errors import InputError
+from btr_mjx.files import write_arrays, write_json
+from btr_mjx.gap.mend import Found, mend
+from btr_mjx.gap.report import draw, main
+from btr_mjx.gap.wording import number, verdict_sentence, with_interval
+
+RESULT: dict[str, Any] = {
+    "verdict": "effect",
+    "dataset": "quadruped <left>",
+    "where": "joint knee0, when it moves fast under load",
+    "effects": [
+        {
+            "effect": "load_friction",
+            "location": "joint:knee0",
+            "parameters": {"coefficient": {"value": 0.312, "low": 0.283, "high": 0.343, "unit": "1"}},
+        }
+    ],
+    "ranking": [
+        {"effect": "load_friction", "location": "joint:knee0", "score": 812.0, "margin": 0.0},
+        {"effect": "load_friction", "location": "subtree:thigh0", "score": 800.0, "margin": 12.0, "equivalent": True},
+        {"effect": "dry_friction", "location": "joint:knee0", "score": 402.0, "margin": 410.0},
+        {"effect": "payload", "location": "body:torso", "score": -3.0, "margin": 815.0},
+    ],
+    "equivalent": [{"effect": "load_friction", "location": "subtree:thigh0"}],
+    "gap": {"before": 0.054, "after": 0.027, "noise_floor": 0.02, "unit": "rad"},
+    "believed": [
+        {"name": "knee damping", "path": "joint:knee0/damping", "before": 0.2, "after": 0.21, "unit": "N m s/rad"}
+    ],
+    "confounds": ["dry friction of the same joint explains half of it"],
+    "next_experiment": {"text": "Drive knee0 at twice the speed under the same load."},
+    "steps": 712000,
+    "seconds": 9.4,
+    "seed": 0,
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, rng: np.random.Generator) -> Path:
+    write_json(tmp_path / "result.json", RESULT)
+    rows = [f"joint {name}" for name in ("hip0", "knee0", "hip1", "knee1")]
+    columns = ["slow", "fast", "small load", "large load", "contact", "air"]
+    before = rng.uniform(0.9, 1.6, (4, 6))
+    before[1, [1, 3]] = [21.0, 34.0]
+    before[2, 4] = np.nan
+    write_arrays(
+        tmp_path / "disagreement.npz",
+        {"rows": np.array(rows), "columns": np.array(columns), "before": before, "after": np.minimum(before, 1.3)},
+    )
+    time = np.linspace(0, 2, 400)
+    truth = np.stack([0.4 * np.sin(6 * time + k) for k in range(4)], axis=1)
+    arrays: dict[str, Any] = {"names": np.array(["hip0", "knee0", "hip1", "knee1"]), "units": np.array(["rad"] * 4)}
+    arrays["recordings"] = np.array(["trot-07"])
+    arrays |= {"time_0": time, "measured_0": truth + 0.003 * rng.normal(size=truth.shape)}
+    arrays |= {"before_0": truth + 0.1 * np.sin(5 * time)[:, None] * [0, 1, 0.2, 0], "after_0": truth}
+    write_arrays(tmp_path / "overlays.npz", arrays)
+    mended = mend(QUADRUPED, [Found("load_friction", "joint:knee0", {"coefficient": 0.312})])
+    (tmp_path / "mended.xml").write_text(mended.xml)
+    write_json(tmp_path / "mended.json", mended.as_json())
+    write_json(tmp_path / "environment.json", {"mujoco": "3.17.0", "python": "3.12.1"})
+    return tmp_path
+
+
+class Page(html.parser.HTMLParser):
+    """Collects what a test asks about: text, images, addresses."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.words: list[str] = []
+        self.images: list[dict[str, str | None]] = []
+        self.addresses: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        if tag == "img":
+            self.images.append(given)
+        self.addresses += [v or "" for k, v in attrs if k in ("src", "href")]
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return re.sub(r"\s+", " ", " ".join(self.words))
+
+
+def test_the_page_says_it_all_and_needs_nothing_else(folder: Path) -> None:
+    page = Page(draw(folder).read_text(encoding="utf-8"))
+    assert "Simulation and data disagree most at joint knee0, when it moves fast under load." in page.text
+    assert "The missing effect is load-dependent gear friction at joint knee0 (coefficient 0.312 ± 0.030)." in page.text
+    assert "shrinks the held-out gap from 0.054 to 0.027 rad (noise floor 0.02)." in page.text
+    assert "Runner-up: dry friction at joint knee0, far behind" in page.text
+    assert "quadruped <left>" in page.text  # escaped in the source
+    for heading in ("What is missing", "Where simulation", "Candidates", "Before and after", "Believed", "mistaken"):
+        assert heading in page.text
+    assert "Drive knee0 at twice the speed" in page.text
+    assert "712 000 simulated steps" in page.text
+    assert len(page.images) == 3
+    assert all(image["alt"] for image in page.images)
+    assert all(address.startswith("data:") for address in page.addresses)
+    assert sorted(p.name for p in (folder / "figures").iterdir()) == [
+        "disagreement.png",
+        "overlay-0.png",
+        "ranking.png",
+    ]
+
+
+def test_the_same_files_draw_the_same_page(folder: Path) -> None:
+    assert draw(folder).read_bytes() == draw(folder).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"verdict": "none", "effects": []}, "Nothing is missing"),
+        (
+            {"verdict": "unexplained", "effects": [], "unexplained": "joint knee0, a force that follows its angle"},
+            "follows",
+        ),
+        (
+            {"verdict": "unexplained", "effects": [], "unexplained": [{"text": "a"}, {"text": "b"}]},
+            "It looks like this: a; b.",
+        ),
+    ],
+)
+def test_other_verdicts(folder: Path, change: dict[str, Any], expected: str) -> None:
+    write_json(folder / "result.json", RESULT | change)
+    for name in ("disagreement.npz", "overlays.npz", "mended.xml", "environment.json"):
+        (folder / name).unlink()
+    shutil.rmtree(folder / "figures", ignore_errors=True)
+    assert expected in Page(draw(folder).read_text(encoding="utf-8")).text
+
+
+def test_two_effects_and_equivalent_ones_in_the_sentence() -> None:
+    second = {
+        "effect": "payload",
+        "location": "body:torso",
+        "parameters": {"mass": {"value": 2.0, "low": 1.0, "high": 4.0, "unit": "kg"}},
+    }
+    text = verdict_sentence(RESULT | {"effects": [*RESULT["effects"], second]})
+    assert "The missing effects are load-dependent" in text
+    assert "a payload at body torso (mass 2 [1, 4] kg)" in text
+    assert "cannot tell it apart from load-dependent gear friction at every joint from body thigh0 down: run" in text
+
+
+def test_numbers_for_readers() -> None:
+    assert [number(x) for x in (0.0, 1234.5, 0.31234, -2.0, 1e-7, None)] == [
+        "0",
+        "1234",
+        "0.312",
+        "−2",
+        "1.00·10^−7",
+        "–",
+    ]
+    assert with_interval({"value": 12.34, "low": 11.9, "high": 12.8, "unit": "N m"}) == "12.34 ± 0.45 N m"
+    assert with_interval({"value": 1.0, "unit": "kg"}) == "1 kg"
+
+
+def test_a_folder_without_a_diagnosis(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"result\.json"):
+        draw(tmp_path)
+    with pytest.raises(SystemExit) as stopped:
+        main([str(tmp_path)])
+    assert stopped.value.code == 2
