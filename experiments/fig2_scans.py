@@ -17,10 +17,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import TINY, Arrays, Bench, Config, Journal, Step, Unit, command, load, run_units
+from bench import Bench
+from common import TINY, Config, command
 from curves import curve_numbers, felt, intervals, multiscale_curve
 from drawing import delta_panel, figure_of, letter, save, white_legend
 from matplotlib.axes import Axes
+from units import Arrays, Journal, Step, Unit, load, run_units
 
 from btr_mjx import scan
 from btr_mjx.backtoreality import evolve_controllers, select_transferable

@@ -20,12 +20,14 @@ from typing import Any
 
 import numpy as np
 import scipy.stats
-from common import TINY, Arrays, Bench, Config, Journal, Step, Unit, command, load, run_units
+from bench import Bench
+from common import TINY, Config, command
 from curves import curve_numbers, influence, interval, multiscale_curve, noise_numbers, subset_numbers
 from drawing import delta_panel, figure_of, letter, save, shades, truth_line, white_legend
 from fig2_scans import START, TRUTHS, evolve, line_of
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from units import Arrays, Journal, Step, Unit, load, run_units
 
 from btr_mjx import metrics, scan
 from btr_mjx.errors import InputError

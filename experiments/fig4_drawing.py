@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import Arrays
 from drawing import figure_of, letter, save
 from identification import Search
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
+from units import Arrays
 
 LOOKS: dict[str, tuple[str, dict[str, Any]]] = {
     "ga": ("genetic algorithm", {"color": "black", "linestyle": "-"}),

@@ -21,11 +21,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import TINY, Arrays, Bench, Config, Journal, Step, Unit, command, load, run_units
+from bench import Bench
+from common import TINY, Config, command
 from curves import interval
 from fig2_scans import evolve
 from fig4_drawing import draw_searches
 from identification import Distance, Search, away_from, cma_es, genetic
+from units import Arrays, Journal, Step, Unit, load, run_units
 
 from btr_mjx.behaviour import EngineSettings
 from btr_mjx.distances import multiscale_fitness

@@ -22,11 +22,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import TINY, Arrays, Bench, Config, Journal, Step, Unit, command, load, run_units
+from bench import Bench
+from common import TINY, Config, command
 from curves import curve_numbers, interval, multiscale_curve
 from drawing import figure_of, letter, save, shades, truth_line, white_legend
 from fig2_scans import START, TRUTHS, evolve, line_of
 from matplotlib.axes import Axes
+from units import Arrays, Journal, Step, Unit, load, run_units
 
 from btr_mjx import metrics, scan
 from btr_mjx.behaviour import base_address, evaluate

@@ -18,13 +18,15 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-from common import TINY, Arrays, Bench, Config, Journal, Step, Unit, command, load, run_units
+from bench import Bench
+from common import TINY, Config, command
 from curves import interval
 from drawing import figure_of, letter, save
 from fig2_scans import evolve
 from fig4_identification import hidden
 from identification import Search, away_from, cma_es
 from matplotlib.axes import Axes
+from units import Arrays, Journal, Step, Unit, load, run_units
 
 from btr_mjx.distances import multiscale_fitness
 from btr_mjx.errors import InputError

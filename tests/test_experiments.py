@@ -1,5 +1,6 @@
 """The paper's experiments at tiny sizes: saved data against plain loops and scipy, resuming, drawing alone."""
 
+import dataclasses
 import json
 import signal
 import subprocess
@@ -7,8 +8,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import bench as bench_room
 import claims
-import common
 import curves
 import fig2_scans
 import fig3_behaviours
@@ -19,6 +20,8 @@ import maps
 import numpy as np
 import pytest
 import scipy.stats
+import units as units_room
+import verdicts
 
 from btr_mjx.files import read_arrays
 from btr_mjx.robots import robot_of
@@ -54,7 +57,7 @@ def forbid_simulation(patch: pytest.MonkeyPatch) -> None:
     def refuse(*args: Any, **options: Any) -> None:
         raise AssertionError("simulated")
 
-    for module in (common, fig5_metrics):
+    for module in (bench_room, fig5_metrics):
         patch.setattr(module, "evaluate", refuse)
     patch.setattr(fig2_scans, "evolve_controllers", refuse)
 
@@ -169,7 +172,7 @@ def test_claims(folder: Path) -> None:
 )
 def test_verdicts(sense: Any, low: float, high: float, verdict: str) -> None:
     bound = 0.5 if sense == "at least" else 0.0
-    assert claims.Claim("", "", sense, bound, 0.0, low, high, 3).verdict == verdict
+    assert verdicts.Claim("", "", sense, bound, 0.0, low, high, 3).verdict == verdict
 
 
 # ---- without simulating ----
@@ -244,10 +247,10 @@ def test_a_killed_run_goes_on(folder: Path, tmp_path: Path) -> None:
 
 def test_a_unit_goes_on_within_itself(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A search that died in its last generation repeats the others from memory, and ends in the same bytes."""
-    config = common.dataclasses.replace(fig4_identification.PRESETS["tiny"], out=tmp_path / "run")
+    config = dataclasses.replace(fig4_identification.PRESETS["tiny"], out=tmp_path / "run")
     unit = fig4_identification.units(config)[1]
     assert unit.name == "cma-0"
-    honest, calls = common.evaluate, []
+    honest, calls = bench_room.evaluate, []
 
     def mortal(*args: Any, **options: Any) -> Any:
         calls.append(1)
@@ -255,13 +258,13 @@ def test_a_unit_goes_on_within_itself(folder: Path, tmp_path: Path, monkeypatch:
             raise MemoryError
         return honest(*args, **options)
 
-    monkeypatch.setattr(common, "evaluate", mortal)
+    monkeypatch.setattr(bench_room, "evaluate", mortal)
     with RunFolder.create(config.folder, config) as run:
-        journal = common.Journal(run, unit.name, lambda count: None, interval=0.0)
+        journal = units_room.Journal(run, unit.name, lambda count: None, interval=0.0)
         with pytest.raises(MemoryError):
             unit.work(lambda count: None, journal)
     with RunFolder.create(config.folder, config, resume=True) as run:
-        arrays = unit.work(lambda count: None, common.Journal(run, unit.name, lambda count: None))
+        arrays = unit.work(lambda count: None, units_room.Journal(run, unit.name, lambda count: None))
     assert len(calls) == 3 + 2  # 3 remembered; the one that died, again
     expected = read_arrays(folder / "fig4_identification" / "cma-0.npz")
     for name, value in expected.items():
@@ -269,13 +272,13 @@ def test_a_unit_goes_on_within_itself(folder: Path, tmp_path: Path, monkeypatch:
 
 
 def test_a_damaged_unit_is_computed_again(folder: Path, tmp_path: Path) -> None:
-    config = common.dataclasses.replace(fig2_scans.PRESETS["tiny"], out=tmp_path, seeds=1, progress=False)
+    config = dataclasses.replace(fig2_scans.PRESETS["tiny"], out=tmp_path, seeds=1, progress=False)
     units = fig2_scans.units(config)
     content = (folder / "fig2_scans" / "seed-0.npz").read_bytes()
     (tmp_path / "seed-0.npz").write_bytes(content)
-    assert common.missing(tmp_path, units) == []
+    assert units_room.missing(tmp_path, units) == []
     (tmp_path / "seed-0.npz").write_bytes(content[:-200])
-    assert common.missing(tmp_path, units) == units
+    assert units_room.missing(tmp_path, units) == units
 
 
 # ---- parts ----
@@ -343,7 +346,7 @@ def test_searches_find_a_bowl() -> None:
 def test_marks_share_a_bench() -> None:
     """Fitness at a mark does not depend on how the trial goes on."""
     config = fig2_scans.PRESETS["tiny"]
-    bench = common.Bench.of(config, lambda count: None)
+    bench = bench_room.Bench.of(config, lambda count: None)
     robot = robot_of(None, config.duration)
     rng = np.random.default_rng(0)
     s, c = robot.simulation_box.sample(rng, 2), robot.controller_box.sample(rng, 3)

@@ -1,0 +1,195 @@
+"""Units of work that survive a kill.
+
+An experiment is a list of units, one or a few per seed. Each is computed once and written as one `.npz` file, so that a
+run that was killed goes on with the units that are missing, and more seeds can be added later. A unit that takes
+minutes is made of calls that its journal remembers: a resumed unit repeats its decisions (all seeded) from the
+remembered numbers, without simulating anything twice.
+
+    run_units(config, [Unit("seed-0", 1500, work), ...])        # skips what exists
+    draw(config.out)                                            # from the files alone
+"""
+
+import dataclasses
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from common import Config
+
+from btr_mjx.configs import config_to_json, differences, read_config, read_config_json
+from btr_mjx.errors import DamagedFile, InputError
+from btr_mjx.files import read_arrays, write_arrays
+from btr_mjx.progress import graceful_interrupt, note, progress
+from btr_mjx.runs import IGNORED_FIELDS, RunFolder, is_unused
+
+Arrays = dict[str, np.ndarray]
+Step = Callable[[float], object]
+
+IGNORED = (*IGNORED_FIELDS, "seeds", "draw_only")
+"""Settings that may change when a folder is taken up again: more seeds are more units."""
+
+ASSUMED_RATE = 500.0
+"""Whole trials per second that the estimates of time assume; two quiet cores reach it with the lanes engine."""
+
+
+class Journal:
+    """Remembers the numbers of a unit's expensive calls, so that a resumed unit need not simulate them again.
+
+    Args of the calls are not compared: a unit makes the same calls in the same order whenever it is run.
+    """
+
+    def __init__(self, run: RunFolder, unit: str, step: Step, interval: float = 15.0) -> None:
+        """Take up what the folder's newest checkpoint remembers of this unit.
+
+        Args:
+          run: the open run folder.
+          unit: name of the unit.
+          step: called with the number of whole trials that a remembered call stood for.
+          interval: least time between two checkpoints [s].
+        """
+        self._run, self._unit, self._step, self._interval = run, unit, step, interval
+        checkpoint = run.load_latest()
+        self._number = 0 if checkpoint is None else checkpoint.step + 1
+        mine = checkpoint is not None and checkpoint.meta.get("unit") == unit
+        self._values = (
+            [checkpoint.arrays[f"{i:06d}"] for i in range(checkpoint.meta["calls"])] if checkpoint and mine else []
+        )
+        self._next, self._saved = 0, time.monotonic()
+
+    def __call__(self, compute: Callable[[], np.ndarray], trials: float) -> np.ndarray:
+        """The value of `compute()`, from memory where it was computed before.
+
+        Args:
+          compute: simulates `trials` whole trials and reports them to the progress bar itself.
+          trials: their number.
+        """
+        if self._next < len(self._values):
+            self._step(trials)
+        else:
+            self._values.append(np.asarray(compute()))
+            if time.monotonic() - self._saved >= self._interval:
+                self.save()
+        self._next += 1
+        return self._values[self._next - 1]
+
+    def save(self) -> None:
+        """Write a checkpoint."""
+        arrays = {f"{i:06d}": value for i, value in enumerate(self._values)}
+        self._run.save_checkpoint(self._number, arrays, {"unit": self._unit, "calls": len(arrays)})
+        self._number, self._saved = self._number + 1, time.monotonic()
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A piece of work that is done once.
+
+    Attributes:
+      name: stem of its file.
+      trials: what it simulates, in whole trials.
+      work: makes its arrays; takes the progress bar's step and the journal.
+    """
+
+    name: str
+    trials: float
+    work: Callable[[Step, Journal], Arrays]
+
+
+def missing(folder: Path, units: Sequence[Unit]) -> list[Unit]:
+    """Units whose file is absent; a damaged file is removed and counts as absent."""
+    left = []
+    for unit in units:
+        path = folder / f"{unit.name}.npz"
+        try:
+            read_arrays(path, require_digest=True)
+        except FileNotFoundError:
+            left.append(unit)
+        except DamagedFile as error:
+            note(f"warning: {error}; computed again")
+            with suppress(OSError):
+                path.unlink()
+            left.append(unit)
+    return left
+
+
+def estimate(trials: float) -> str:
+    """A line on what is to come."""
+    return (
+        f"{trials:,.0f} whole trials to simulate, {trials / ASSUMED_RATE / 60:.1f} min at {ASSUMED_RATE:.0f} a second"
+    )
+
+
+def run_units(config: Config, units: Sequence[Unit], description: str) -> int:
+    """Compute the units that are missing in the run folder; see `Config.out`, `resume` and `draw_only`.
+
+    Args:
+      config: the settings; the folder refuses others than it was started with.
+      units: all units.
+      description: for the progress bar.
+
+    Returns:
+      The number of units computed now.
+
+    Raises:
+      InputError: the folder belongs to another config, or is unfinished and --resume was not given.
+    """
+    folder = config.folder
+    if config.draw_only:
+        return 0
+    if not is_unused(folder) and not missing(folder, units):
+        changed = differences_to_saved(config)
+        if changed:
+            raise InputError(f"{folder} was computed with other settings ({'; '.join(changed)}); give another --out")
+        return 0
+    with RunFolder.create(folder, config, config.resume, ignore=IGNORED) as run, graceful_interrupt() as stop:
+        left = missing(folder, units)
+        total = sum(unit.trials for unit in left)
+        if config.progress:
+            note(f"{description}: {len(left)} of {len(units)} units left, {estimate(total)}")
+        with progress(total=round(total), description=description, unit="trials", show=config.progress) as bar:
+            step = whole_steps(bar.update)
+            for unit in left:
+                bar.set_description(f"{description} {unit.name}")
+                arrays = unit.work(step, Journal(run, unit.name, step))
+                write_arrays(folder / f"{unit.name}.npz", arrays)
+                stop.checkpoint()
+    return len(left)
+
+
+def whole_steps(update: Callable[[int], object]) -> Step:
+    """A step that takes fractions and passes whole numbers on."""
+    rest = 0.0
+
+    def step(count: float) -> None:
+        nonlocal rest
+        rest += count
+        # A hair more, so that ten steps of a tenth make one.
+        whole = int(rest + 1e-6)
+        rest -= whole
+        update(whole)
+
+    return step
+
+
+def differences_to_saved(config: Config) -> list[str]:
+    """How these settings differ from those of the folder, where it matters."""
+    return differences(read_config_json(config.folder), config_to_json(config), IGNORED)
+
+
+def load(folder: Path, prefix: str) -> list[Arrays]:
+    """The finished units whose names begin so, by seed: "seed" finds seed-0.npz, seed-1.npz, ...
+
+    Raises:
+      InputError: there is none.
+    """
+    paths = sorted(folder.glob(f"{prefix}-*.npz"), key=lambda path: int(path.stem.rpartition("-")[2]))
+    if not paths:
+        raise InputError(f"{folder} holds no {prefix}-*.npz: nothing was computed yet; run without --draw-only")
+    return [read_arrays(path) for path in paths]
+
+
+def saved[T: Config](config: T) -> T:
+    """The settings that a folder was computed with, for drawing alone."""
+    return dataclasses.replace(read_config(config.folder, type(config)), out=config.out)
