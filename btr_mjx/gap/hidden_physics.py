@@ -150,7 +150,7 @@ def payload(r: Reality, body: str, mass: float, position: Sequence[float]) -> No
     """A point mass [kg] at `position` [m] in the body's frame; a negative one thins the whole body instead."""
     if mass > 0:
         extra = r.spec.body(body).add_body(name=f"payload on {body}", pos=list(position))
-        extra.mass, extra.inertia, extra.explicitinertial = mass, [1e-9 * mass] * 3, True
+        extra.mass, extra.inertia, extra.ipos, extra.explicitinertial = mass, [1e-9 * mass] * 3, [0.0] * 3, True
         return
     scale_mass(r, body, 1 + mass / float(r.spec.copy().compile().body(body).mass[0]))
 
