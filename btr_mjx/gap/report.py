@@ -14,7 +14,6 @@ Files of a diagnosis folder, of which all but the first may be missing:
 import base64
 import sys
 from collections.abc import Mapping, Sequence
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -113,10 +112,9 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _picture(folder: Path, name: str, figure: "Figure", alt: str, caption: str) -> dict[str, str]:
-    write_figure(folder / "figures" / f"{name}.png", figure, dpi=160)
-    image = BytesIO()
-    figure.savefig(image, format="png", dpi=160)
-    return {"data": base64.b64encode(image.getvalue()).decode("ascii"), "alt": alt, "caption": caption}
+    file = folder / "figures" / f"{name}.png"
+    write_figure(file, figure, dpi=160)
+    return {"data": base64.b64encode(file.read_bytes()).decode("ascii"), "alt": alt, "caption": caption}
 
 
 def _texts(values: np.ndarray) -> list[str]:
