@@ -14,6 +14,7 @@ from units import Arrays
 LOOKS: dict[str, tuple[str, dict[str, Any]]] = {
     "ga": ("genetic algorithm", {"color": "black", "linestyle": "-"}),
     "cma": ("CMA-ES", {"color": "black", "linestyle": "--"}),
+    "adam-12": ("multiscale, Adam", {"color": "0.4", "linestyle": (0, (5, 1))}),
     "delta-12": (r"$\Delta_{fitness}$", {"color": "0.55", "linestyle": "-"}),
     "multiscale-12": ("multiscale", {"color": "black", "linestyle": "-"}),
     "noisy-12": ("multiscale, noise", {"color": "black", "linestyle": ":"}),

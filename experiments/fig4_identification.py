@@ -7,7 +7,7 @@ parameters of all its members, (c) the error of the best member against simulate
 
 Twelve unknown lengths: (e) CMA-ES from 0.25 m away, by Delta_fitness and by `distances.multiscale_fitness` of random
 controllers at eight marks within 0.05 s: with exact measurements, with 5 % of noise on every one, and with a reality
-that is native MuJoCo at another time step and integrator.
+that is native MuJoCo at another time step and integrator; and Adam on the same marks, at as many trials.
 
 The run folder holds one file per search and seed, NAME-0.npz, ...: parameters (g, L, n), values (g, L), simulated
 (g,), truth (n,), start (n,), trials (g,) whole trials simulated so far; and sensitivity-0.npz: offsets (O,) [m], delta
@@ -26,7 +26,7 @@ from common import TINY, Config, command
 from curves import interval
 from fig2_scans import evolve
 from fig4_drawing import draw_searches
-from identification import Distance, Search, away_from, cma_es, genetic
+from identification import Distance, Search, adam, away_from, cma_es, genetic
 from units import Arrays, Journal, Step, Unit, load, run_units
 
 from btr_mjx.behaviour import EngineSettings
@@ -103,7 +103,7 @@ PRESETS = {
 }
 """Settings by preset."""
 
-SEARCHES_12 = {"delta-12": 45, "multiscale-12": None, "noisy-12": None, "native-12": None}
+SEARCHES_12 = {"delta-12": 45, "multiscale-12": None, "noisy-12": None, "native-12": None, "adam-12": None}
 """Searches of twelve lengths; at most so many generations of the costly one."""
 
 
@@ -150,6 +150,16 @@ def four(config: Fig4Config, method: str, seed: int, step: Step, journal: Journa
     return recorded(search, truth, start, config.trials)
 
 
+def squares(f_s: np.ndarray, f_r: np.ndarray) -> np.ndarray:
+    """The multiscale distance with squares instead of clipped absolute values, which has a gradient everywhere."""
+    return (((f_s - f_r) / f_r.std(axis=0)) ** 2).mean(axis=(-2, -1))
+
+
+def adam_steps(config: Fig4Config, unknown: int) -> int:
+    """Steps that simulate as many members as CMA-ES does."""
+    return max(1, config.members_12 * config.generations_12 // (2 * unknown + 1))
+
+
 def twelve(config: Fig4Config, name: str, seed: int, step: Step, journal: Journal) -> Arrays:
     """All lengths unknown: CMA-ES by one of the distances."""
     bench = Bench.of(config, step)
@@ -173,7 +183,11 @@ def twelve(config: Fig4Config, name: str, seed: int, step: Step, journal: Journa
     cost = len(controllers) * share
     distance: Distance = lambda s: journal(lambda: measure(s), len(s) * cost)  # noqa: E731
     generations = min(config.generations_12, SEARCHES_12[name] or config.generations_12)
-    search = cma_es(distance, box, start, config.members_12, generations, seed)
+    if name == "adam-12":
+        smooth: Distance = lambda s: journal(lambda: squares(bench.early(s, controllers), marks), len(s) * cost)  # noqa: E731
+        search = adam(smooth, box, start, adam_steps(config, box.n))
+    else:
+        search = cma_es(distance, box, start, config.members_12, generations, seed)
     return recorded(search, reality, start, cost)
 
 
@@ -207,6 +221,8 @@ def units(config: Fig4Config) -> list[Unit]:
         found.append(Unit(f"sensitivity-{seed}", cost, partial(sensitivity, config, seed)))
         for name, most in SEARCHES_12.items():
             members = config.members_12 * min(config.generations_12, most or config.generations_12)
+            if name == "adam-12":
+                members = adam_steps(config, 12) * 25
             count = config.noisy_trials if name == "noisy-12" else config.trials
             searched = (members + 1) * count
             trials = evolved + searched if name == "delta-12" else searched * share

@@ -1,4 +1,4 @@
-"""Searching simulations: a genetic algorithm and CMA-ES on the same distance, and their records.
+"""Searching simulations: a genetic algorithm, CMA-ES and Adam on a distance, and their records.
 
 A search minimises a distance over some unknown parameters and keeps every member of every generation, so that figures
 of its course need nothing else. It is a pure function of its seed and of the distances it is told.
@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import cmaes
 import numpy as np
+import optax
 
 from btr_mjx.evolution import GAConfig, GeneticAlgorithm
 from btr_mjx.spaces import Box
@@ -123,3 +124,37 @@ def cma_es(
         if asked.std(axis=0).max() < enough:
             break
     return Search(np.array(parameters), np.array(values), np.full(len(values), population))
+
+
+def adam(
+    distance: Distance, box: Box, start: np.ndarray, generations: int, rate: float = 0.03, apart: float = 0.004
+) -> Search:
+    """Adam (Kingma and Ba, 2015; package `optax`) from s_0, in the box scaled to the unit cube.
+
+    Gradients are central differences of a smooth distance: the members of a generation are the point reached and its
+    2 n neighbours, one call. A parameter whose neighbours failed stays where it is for that generation.
+
+    Args:
+      distance: what is minimised.
+      box: the unknown parameters.
+      start: (n,) s_0.
+      generations: number of steps; their length falls to nothing as a cosine.
+      rate: length of the first steps, as a share of each parameter's range.
+      apart: distance of the neighbours, likewise.
+    """
+    strategy = optax.adam(optax.cosine_decay_schedule(rate, generations))
+    point = (start - box.low) / box.span
+    state = strategy.init(point)
+    neighbours = np.concatenate([np.zeros((1, box.n)), apart * np.eye(box.n), -apart * np.eye(box.n)])
+    parameters, values = [], []
+    for _ in range(generations):
+        asked = np.clip(point + neighbours, 0.0, 1.0)
+        members = box.low + box.span * asked
+        told = distance(members)
+        between = (asked[1 : box.n + 1] - asked[box.n + 1 :]).sum(axis=1)
+        gradient = np.nan_to_num((told[1 : box.n + 1] - told[box.n + 1 :]) / between)
+        update, state = strategy.update(gradient, state)
+        point = np.clip(point + np.asarray(update), 0.0, 1.0)
+        parameters.append(members)
+        values.append(told)
+    return Search(np.array(parameters), np.array(values), np.full(len(values), len(neighbours)))

@@ -9,7 +9,6 @@ remembered numbers, without simulating anything twice.
     draw(config.out)                                            # from the files alone
 """
 
-import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -19,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from common import Config
 
-from btr_mjx.configs import config_to_json, differences, read_config, read_config_json
+from btr_mjx.configs import config_to_json, differences, read_config_json
 from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.files import read_arrays, write_arrays
 from btr_mjx.progress import graceful_interrupt, note, progress
@@ -188,8 +187,3 @@ def load(folder: Path, prefix: str) -> list[Arrays]:
     if not paths:
         raise InputError(f"{folder} holds no {prefix}-*.npz: nothing was computed yet; run without --draw-only")
     return [read_arrays(path) for path in paths]
-
-
-def saved[T: Config](config: T) -> T:
-    """The settings that a folder was computed with, for drawing alone."""
-    return dataclasses.replace(read_config(config.folder, type(config)), out=config.out)

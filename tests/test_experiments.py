@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import bench as bench_room
+import btr_twelve
 import claims
 import curves
 import fig2_scans
@@ -17,9 +18,11 @@ import fig4_identification
 import fig5_metrics
 import identification
 import maps
+import mujoco
 import numpy as np
 import pytest
 import scipy.stats
+import thirty_unknowns
 import units as units_room
 import verdicts
 
@@ -223,6 +226,47 @@ def test_maps(tmp_path: Path) -> None:
 # ---- resuming ----
 
 
+def test_thirty_unknowns(tmp_path: Path) -> None:
+    """The robot has every parameter it says, and the saved search starts where it should."""
+    robot = thirty_unknowns.detailed_hexapod()
+    box = robot.simulation_box
+    model = mujoco.MjModel.from_xml_string(robot.render(robot.nominal_simulation))
+    plain = mujoco.MjModel.from_xml_string(robot_of().render(robot_of().nominal_simulation))
+    changed = robot.nominal_simulation.copy()
+    changed[box.indices(["density_4", "kp_2", "friction"])] = [110.0, 1300.0, 0.5]
+    other = mujoco.MjModel.from_xml_string(robot.render(changed))
+    assert box.n == 32
+    assert model.body("b3").mass == plain.body("b3").mass
+    assert other.body("b4").mass / model.body("b4").mass == pytest.approx(110 / 200, rel=1e-12)
+    different = [
+        model.actuator(i).name
+        for i in range(18)
+        if (other.actuator(i).gainprm != model.actuator(i).gainprm).any()
+        or (other.actuator(i).biasprm != model.actuator(i).biasprm).any()
+    ]
+    assert different == ["j4_vertical", "j4_frontal", "j10"]
+    assert other.geom("foot0").friction[0] == 0.5
+    thirty_unknowns.main([*TINY, str(tmp_path)])
+    arrays = read_arrays(tmp_path / "search-0.npz")
+    assert (np.abs(arrays["start"] - arrays["truth"]) <= 0.2 * arrays["span"] + 1e-9).all()
+    assert numbers(tmp_path / "thirty.json")["lengths"]["seeds"] == 2
+
+
+def test_btr_twelve(tmp_path: Path) -> None:
+    """Its numbers are those of the runs, and drawing again simulates nothing."""
+    words = ["--preset", "tiny", "--seeds", "1", "--no-progress", "--out", str(tmp_path)]
+    btr_twelve.main(words)
+    row, result = numbers(tmp_path / "btr_twelve.json")["seeds"][0], numbers(tmp_path / "seed-0" / "result.json")
+    robot = robot_of(None, 0.06)
+    found = btr_twelve.evaluate(
+        robot, [list(result["simulation"].values())], [result["best_controller"]], engine="native"
+    )
+    assert row["f_s"] == found.fitness[0, 0]
+    assert row["gap"] == pytest.approx(abs(row["f_s"] / result["f_r_best"] - 1))
+    assert set(result["truth"]) == set(robot.simulation_box.names)
+    btr_twelve.main([*words, "--draw-only"])
+
+
 def test_a_killed_run_goes_on(folder: Path, tmp_path: Path) -> None:
     """kill -9 after the first unit; then --resume gives the same files, and more seeds add to them."""
     script = Path(fig2_scans.__file__)
@@ -337,8 +381,10 @@ def test_searches_find_a_bowl() -> None:
 
     ga = identification.genetic(bowl, box, start, 30, 40, 0.03, seed=1)
     cma = identification.cma_es(bowl, box, start, 16, 120, seed=1)
+    adam = identification.adam(lambda x: ((x - truth) ** 2).sum(axis=1), box, start, 150)
     assert ga.error(truth)[-1] < 0.02
     assert cma.error(truth)[-1] < 0.002
+    assert adam.error(truth)[-1] < 0.005  # within its finite differences
     assert len(cma.values) < 120  # it stops once it has converged
     assert (np.diff(np.nanmin(ga.values, axis=1)) <= 0.3).all()
 
