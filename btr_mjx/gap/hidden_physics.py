@@ -352,8 +352,11 @@ def _arriving(r: Reality, motion: Motion, steps: int, timestep: float) -> np.nda
     for i in np.flatnonzero(r.delay):
         commands[:, i] = motion(np.maximum(times - r.delay[i], 0.0))[:, i]
     for i in np.flatnonzero(r.lag):
-        keep, state = np.exp(-timestep / r.lag[i]), motion(np.zeros(1))[0, i]
+        # Exact for a command that is linear between the middles of two steps; at rest on its first value.
+        constant, last, state = float(r.lag[i]), float(motion(np.zeros(1))[0, i]), float(motion(np.zeros(1))[0, i])
         for k in range(steps):
-            state = commands[k, i] + keep * (state - commands[k, i])
-            commands[k, i] = state
+            span, command = (timestep if k else timestep / 2), float(commands[k, i])
+            ramp = constant * (command - last) / span
+            state = command - ramp + (state - last + ramp) * np.exp(-span / constant)
+            last, commands[k, i] = command, state
     return commands

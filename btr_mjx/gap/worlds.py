@@ -127,11 +127,11 @@ def fields_of(world: World, base: mujoco.MjModel) -> dict[str, np.ndarray]:
     """The fields of a world's model that differ from a base model, derived constants included.
 
     Args:
-      world: whose model is compared; its derived constants are recomputed where they depend on what was edited.
+      world: whose model is compared; its derived constants are recomputed.
       base: a model of the same structure.
     """
     changed = _differing(world.model, base)
-    if not _CONSTANT_INPUTS.isdisjoint(changed):
+    if changed:
         mujoco.mj_setConst(world.model, mujoco.MjData(world.model))
         changed = _differing(world.model, base)
     return changed
@@ -216,6 +216,8 @@ def _run(
 ) -> None:
     """Simulate one batch and write the states of its pieces."""
     base = copy.copy(jobs[block[0][0]][0].model)
+    # The first world may have been edited, and its constants with it.
+    mujoco.mj_setConst(base, mujoco.MjData(base))
     if timestep is not None:
         base.opt.timestep = timestep
     # An invalid state must stay visible; MuJoCo's automatic reset would turn it into a new start.
@@ -426,8 +428,6 @@ class _Forces:
             for law in world.laws:
                 law(rows)
 
-
-_CONSTANT_INPUTS = frozenset(mujoco.MjModel._setconst_inputs)
 
 _SIZES = ("nq", "nv", "nu", "na", "nbody", "njnt", "ngeom", "nsite", "ntendon", "neq", "nM", "nhistory", "nmocap")
 
