@@ -10,7 +10,7 @@ The folder says nothing about the answer.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -116,6 +116,7 @@ def make_case(
     rate: int | None = None,
     noise: float | None = None,
     recordings: tuple[int, int] = (FIT, TEST),
+    duration: float | None = None,
     background: float = 1.0,
     file_format: Format = "npz",
 ) -> Truth:
@@ -131,6 +132,7 @@ def make_case(
       rate: samples per second; None draws one of `RATES`.
       noise: factor on the robot's noise; None draws it from 1 to 3.
       recordings: numbers of behaviours to fit and held out.
+      duration: of a recording [s]; None for the robot's own.
       background: factor on the small errors everywhere.
       file_format: of the recordings.
 
@@ -140,7 +142,7 @@ def make_case(
     Raises:
       InputError: a robot, an effect or a verdict that does not exist, or an effect that the robot cannot have.
     """
-    machine = case_robot(robot)
+    machine = case_robot(robot) if duration is None else replace(case_robot(robot), duration=duration)
     rng = np.random.default_rng([seed, 17])
     chosen: Verdict = _drawn_verdict(rng) if verdict is None else verdict
     drawn_rate, drawn_noise = int(rng.choice(RATES)), float(np.exp(rng.uniform(0, np.log(3))))

@@ -132,11 +132,11 @@ def quadruped_xml() -> str:
     <position kp="80" kv="2"/>
     <default class="limb"><geom type="capsule" contype="0" conaffinity="0"/></default>
     <default class="foot">
-      <geom type="sphere" mass="0.05" contype="0" conaffinity="1" condim="3" friction="0.8 0.005 0.0001"/>
+      <geom type="sphere" mass="0" contype="0" conaffinity="1" condim="3" friction="0.8 0.005 0.0001"/>
     </default>
   </default>
   <worldbody>
-    <geom name="floor" type="plane" size="0 0 1" contype="1" conaffinity="0"/>
+    <geom name="floor" type="plane" size="0 0 1" contype="1" conaffinity="0" friction="0.8 0.005 0.0001"/>
     <body name="trunk" pos="0 0 0.33">
       <freejoint name="root"/>
       <geom name="trunk" type="box" size="0.22 0.09 0.06" mass="7" contype="0" conaffinity="0"/>{"".join(legs)}
