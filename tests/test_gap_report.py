@@ -58,12 +58,13 @@ def folder(tmp_path: Path, rng: np.random.Generator) -> Path:
         tmp_path / "disagreement.npz",
         {"rows": np.array(rows), "columns": np.array(columns), "before": before, "after": np.minimum(before, 1.3)},
     )
-    time = np.linspace(0, 2, 400)
-    truth = np.stack([0.4 * np.sin(6 * time + k) for k in range(4)], axis=1)
-    arrays: dict[str, Any] = {"names": np.array(["hip0", "knee0", "hip1", "knee1"]), "units": np.array(["rad"] * 4)}
-    arrays["recordings"] = np.array(["trot-07"])
-    arrays |= {"time_0": time, "measured_0": truth + 0.003 * rng.normal(size=truth.shape)}
-    arrays |= {"before_0": truth + 0.1 * np.sin(5 * time)[:, None] * [0, 1, 0.2, 0], "after_0": truth}
+    arrays: dict[str, Any] = {key: np.array([v, v]) for key, v in (("names", "knee0"), ("units", "rad"))}
+    arrays["recordings"] = np.array(["trot-07", "trot-08"])
+    for n, length in enumerate((0.08, 2.0)):
+        time = np.linspace(1, 1 + length, 400)
+        truth = 0.4 * np.sin(6 * time + n)
+        arrays |= {f"time_{n}": time, f"measured_{n}": truth + 0.003 * rng.normal(size=400)}
+        arrays |= {f"before_{n}": truth + 0.1 * np.sin(5 * time), f"after_{n}": truth}
     write_arrays(tmp_path / "overlays.npz", arrays)
     mended = mend(QUADRUPED, [Found("load_friction", "joint:knee0", {"coefficient": 0.312})])
     (tmp_path / "mended.xml").write_text(mended.xml)
@@ -112,7 +113,7 @@ def test_the_page_says_it_all_and_needs_nothing_else(folder: Path) -> None:
     assert all(address.startswith("data:") for address in page.addresses)
     assert sorted(p.name for p in (folder / "figures").iterdir()) == [
         "disagreement.png",
-        "overlay-0.png",
+        "overlays.png",
         "ranking.png",
     ]
 

@@ -17,6 +17,7 @@ listed in `mended.terms`, and a `Callback` adds them to any simulation:
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -87,21 +88,19 @@ _USE = (
 
 
 def mend(
-    xml: str,
+    source: str | Path,
     found: Sequence[Found],
     *,
     believed: Mapping[str, float] | None = None,
     effects: Sequence[Effect] = EFFECTS,
-    assets: dict[str, bytes] | None = None,
 ) -> Mended:
     """Add effects to a model.
 
     Args:
-      xml: MJCF of the believed model.
+      source: MJCF of the believed model, text or a file.
       found: the missing effects, in the order in which they apply.
       believed: path into the model -> refitted value of believed parameters, see `model_paths`.
       effects: the library that `found` refers to.
-      assets: files that the MJCF refers to, by name.
 
     Returns:
       The mended model. Its numbers have the six digits of MuJoCo's XML.
@@ -109,7 +108,7 @@ def mend(
     Raises:
       InputError: an effect, place or parameter that the library or the model does not have.
     """
-    spec = normalised(xml, assets)
+    spec = normalised(source)
     base = spec.compile()
     world = World.of(base)
     if believed:

@@ -8,6 +8,7 @@ them, inside a template as any other robot's.
 import itertools
 import re
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ _MOST = 6
 
 
 def mended_robot(
-    xml: str,
+    source: str | Path,
     effects_found: Sequence[Mapping[str, Any]],
     *,
     signal: Signal,
@@ -46,7 +47,7 @@ def mended_robot(
     """A robot whose space of simulations is spanned by the parameters of the effects that were found.
 
     Args:
-      xml: MJCF of the believed model.
+      source: MJCF of the believed model, text or a file.
       effects_found: `effects` of result.json: effect, location, parameters with value, low and high.
       signal: reference signal of the robot's controllers.
       controller_box: space of its controllers.
@@ -64,11 +65,11 @@ def mended_robot(
       InputError: an effect that MJCF cannot say, too many parameters, or numbers that no polynomial follows.
     """
     found = [Found.from_result(entry) for entry in effects_found]
-    mended = mend(xml, found, believed=believed, effects=effects)
+    mended = mend(source, found, believed=believed, effects=effects)
     if mended.terms:
         lacking = ", ".join(f"{term['effect']}@{term['location']}" for term in mended.terms)
         raise InputError(f"{lacking}: MJCF has no such term, so that it cannot be a simulation of Back-to-Reality")
-    names, nominal, low, high = _box(xml, found, effects_found, widen, effects)
+    names, nominal, low, high = _box(source, found, effects_found, widen, effects)
     if not names or len(names) > _MOST:
         raise InputError(f"effects with {len(names)} parameters: expected 1 to {_MOST}")
     point = np.array(nominal)
@@ -77,7 +78,7 @@ def mended_robot(
         rest, items = list(values.tolist()), []
         for item in found:
             items.append(Found(item.effect, item.location, {key: rest.pop(0) for key in item.values}))
-        return mend(xml, items, believed=believed, effects=effects).xml
+        return mend(source, items, believed=believed, effects=effects).xml
 
     template = _template(text, names, np.array(low), np.array(high))
     return Robot(
@@ -94,14 +95,14 @@ def mended_robot(
 
 
 def _box(
-    xml: str,
+    source: str | Path,
     found: Sequence[Found],
     entries: Sequence[Mapping[str, Any]],
     widen: float,
     effects: Sequence[Effect],
 ) -> tuple[list[str], list[float], list[float], list[float]]:
     """Names, nominal values and bounds of the new dimensions."""
-    model = normalised(xml).compile()
+    model = normalised(source).compile()
     names: list[str] = []
     nominal: list[float] = []
     low: list[float] = []

@@ -6,8 +6,7 @@ Files of a diagnosis folder, of which all but the first may be missing:
 
 - result.json: verdict, effects, ranking, equivalent, gap, next_experiment and what else the page shows;
 - disagreement.npz: `rows` (R,), `columns` (C,), `before` (R, C) and optionally `after` (R, C) in units of the noise;
-- overlays.npz: `recordings` (N,), `names` (C,), `units` (C,), and for each n `time_n` (K,), `measured_n`, `before_n`,
-  `after_n` (K, C);
+- overlays.npz: `recordings`, `names`, `units` (N,), for each n `time_n`, `measured_n`, `before_n`, `after_n` (K,);
 - mended.json beside mended.xml; environment.json.
 """
 
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
 
 PAGE = "report.html"
 _TEMPLATE = Path(__file__).with_name("report.html.j2")
-_OVERLAYS = 4
+_OVERLAYS = 6
 
 _CODE = """import json, mujoco
 from btr_mjx.gap.mend import Callback
@@ -81,8 +80,8 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
             _texts(data["rows"]), _texts(data["columns"]), data["before"], data.get("after")
         )
         caption = (
-            "Root mean square of model − data over each part's share of the windows, in units of the noise: 1 is the "
-            "noise floor, dots are regimes without data."
+            "Mean square of the force that would make the believed model follow the data, in units of what noise alone "
+            "would give: 1 is the noise floor, a dot a regime without data."
         )
         out["map"] = _picture(folder, "disagreement", figure, "Disagreement by part and regime", caption)
     ranking = list(result.get("ranking") or [])
@@ -96,18 +95,18 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
         out["ranking"] = _picture(folder, "ranking", figure, "Candidates by score", caption)
     if (folder / "overlays.npz").is_file():
         data = read_arrays(folder / "overlays.npz")
-        names, units = _texts(data["names"]), _texts(data["units"])
-        for n, recording in enumerate(_texts(data["recordings"])[:_OVERLAYS]):
-            figure = figures.overlay(
-                data[f"time_{n}"],
-                data[f"measured_{n}"],
-                data.get(f"before_{n}"),
-                data.get(f"after_{n}"),
-                names,
-                units,
+        stretches = [
+            figures.Stretch(
+                recording, name, unit, *(data[f"{key}_{n}"] for key in ("time", "measured", "before", "after"))
             )
-            caption = f"Held-out recording {recording}: the channels in which the believed model is worst."
-            out["overlays"].append(_picture(folder, f"overlay-{n}", figure, f"Recording {recording}", caption))
+            for n, (recording, name, unit) in enumerate(
+                zip(*(_texts(data[key]) for key in ("recordings", "names", "units")), strict=True)
+            )
+        ]
+        if stretches:
+            caption = "Held-out stretches in which the believed model is worst, with what is left of the difference."
+            figure = figures.overlays(stretches[:_OVERLAYS])
+            out["overlays"].append(_picture(folder, "overlays", figure, "Before and after", caption))
     return out
 
 
@@ -142,7 +141,7 @@ def _content(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
         "effects": effects,
         "interval_note": str(
             result.get("interval_note")
-            or "From and to: 95 % intervals, from the scatter between recordings, which does not assume a good fit."
+            or "From and to: 90 % intervals from resampled windows, which do not assume that the fit is good."
         ),
         "unexplained": _lines(result.get("unexplained")),
         "equivalent": _equivalent(result),
@@ -159,12 +158,18 @@ def _unit(unit: Any) -> str:
     return "" if unit in (None, "1") else str(unit)
 
 
-_GAPS = {"before": "held-out gap before", "after": "after", "noise_floor": "noise floor"}
-
-
 def _gap(gap: Mapping[str, Any]) -> list[tuple[str, str]]:
-    unit = f" {gap['unit']}" if gap.get("unit") else ""
-    return [(label, f"{number(gap[key])}{unit}") for key, label in _GAPS.items() if _is_number(gap.get(key))]
+    """Figures under the verdict."""
+    loop = f" {gap.get('open_loop_unit', 'rad')}"
+    rows = (
+        ("held-out gap before", "before", ""),
+        ("after", "after", ""),
+        ("noise floor", "noise_floor", ""),
+        ("open-loop error before", "open_loop_before", loop),
+        ("after", "open_loop_after", loop),
+    )
+    shown = [(label, f"{number(gap[key])}{unit}") for label, key, unit in rows if _is_number(gap.get(key))]
+    return shown if not gap.get("unit") else [*shown, ("measured in", str(gap["unit"]))]
 
 
 def _is_number(value: Any) -> bool:

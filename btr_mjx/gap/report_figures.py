@@ -1,6 +1,7 @@
 """Figures of a diagnosis: each function makes one matplotlib Figure out of what was saved, and touches no file."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import matplotlib
@@ -51,7 +52,7 @@ def disagreement_map(
     axes[0].set_yticks(range(len(rows)), rows)
     assert image is not None
     bar = figure.colorbar(image, ax=list(axes), shrink=min(1.0, 2.0 / height), pad=0.02)
-    bar.set_label("disagreement / noise")
+    bar.set_label("force² / noise")
     return figure
 
 
@@ -95,46 +96,45 @@ def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def overlay(
-    time: np.ndarray,
-    measured: np.ndarray,
-    before: np.ndarray | None,
-    after: np.ndarray | None,
-    names: Sequence[str],
-    units: Sequence[str],
-    most: int = 3,
-) -> Figure:
-    """Held-out recording: measured, before and after, with what is left of the difference below.
+@dataclass(frozen=True)
+class Stretch:
+    """A held-out stretch of one coordinate.
 
-    Args:
+    Attributes:
+      recording: where it is from.
+      name: of the coordinate.
+      unit: of the coordinate.
       time: (K,) [s].
-      measured: (K, C) data.
-      before: (K, C) of the believed model, or None.
-      after: (K, C) of the mended model, or None.
-      names: channels.
-      units: of the channels.
-      most: channels shown, those where the believed model is worst first.
+      measured, before, after: (K,) data, believed model, mended model.
     """
-    worst = np.zeros(len(names)) if before is None else np.nanmean(np.abs(before - measured), axis=0)
-    spread = np.maximum(np.nanstd(measured, axis=0), 1e-12)
-    chosen = np.argsort(-np.nan_to_num(worst / spread), kind="stable")[:most]
-    figure = Figure(figsize=(7.4, 0.5 + 1.75 * len(chosen)))
-    axes = figure.subplots(len(chosen), 2, sharex=True, squeeze=False, width_ratios=[1.25, 1])
-    styles: tuple[tuple[str, np.ndarray | None, dict[str, Any]], ...] = (
-        ("believed model", before, {"color": BEFORE, "linestyle": (0, (4, 2))}),
-        ("mended model", after, {"color": AFTER, "linestyle": "-"}),
-    )
-    for (left, right), channel in zip(axes, chosen, strict=True):
-        every = max(1, len(time) // 250)
-        left.plot(time[::every], measured[::every, channel], ".", color=MEASURED, markersize=2.2, label="measured")
+
+    recording: str
+    name: str
+    unit: str
+    time: np.ndarray
+    measured: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+
+
+def overlays(stretches: Sequence[Stretch]) -> Figure:
+    """Measured, before and after, with what is left of the difference beside it; one row a stretch."""
+    figure = Figure(figsize=(7.4, 0.6 + 1.6 * len(stretches)))
+    axes = figure.subplots(len(stretches), 2, squeeze=False, width_ratios=[1.25, 1])
+    for (left, right), one in zip(axes, stretches, strict=True):
+        every = max(1, len(one.time) // 250)
+        left.plot(one.time[::every], one.measured[::every], ".", color=MEASURED, markersize=2.6, label="measured")
         right.axhline(0.0, color="0.7", linewidth=0.6)
-        for label, values, look in styles:
-            if values is None:
-                continue
-            left.plot(time, values[:, channel], linewidth=1.1, label=label, **look)
-            right.plot(time, values[:, channel] - measured[:, channel], linewidth=0.9, **look)
-        left.set_ylabel(f"{names[channel]} [{units[channel]}]")
-        right.set_title("model − measured", loc="left", fontsize=8)
+        for label, values, look in (
+            ("believed model", one.before, {"color": BEFORE, "linestyle": (0, (4, 2))}),
+            ("mended model", one.after, {"color": AFTER, "linestyle": "-"}),
+        ):
+            style: dict[str, Any] = dict(look)
+            left.plot(one.time, values, linewidth=1.1, label=label, **style)
+            right.plot(one.time, values - one.measured, linewidth=0.9, **style)
+        left.set_ylabel(f"{one.name} [{one.unit}]")
+        left.set_title(f"recording {one.recording}", loc="left", fontsize=8)
+        right.set_title(f"model − measured [{one.unit}]", loc="left", fontsize=8)
     for panel in axes[-1]:
         panel.set_xlabel("time [s]")
     handles, labels = axes[0][0].get_legend_handles_labels()

@@ -1,5 +1,7 @@
 """Write what was edited in a compiled model back into its specification, so that the edit becomes an MJCF file."""
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 
@@ -45,19 +47,23 @@ _PAIR = {"pair_friction": "friction", "pair_solref": "solref", "pair_solimp": "s
 _ACTUATOR = ("gainprm", "biasprm", "forcerange", "forcelimited", "gear", "ctrlrange")
 
 
-def normalised(xml: str, assets: dict[str, bytes] | None = None) -> mujoco.MjSpec:
+def normalised(source: str | Path) -> mujoco.MjSpec:
     """A specification in MuJoCo's own form: radians, poses and inertias as the compiler found them.
 
     What the compiler would compute again from an edited model is made explicit: velocity gains that follow from a
     damping ratio, masses that are scaled to a total.
 
     Args:
-      xml: MJCF text.
-      assets: files that it refers to.
+      source: MJCF text, or a file; the meshes and textures of a file are referred to by absolute paths from then on.
     """
-    spec = mujoco.MjSpec.from_string(xml, assets=assets or {})
+    if isinstance(source, Path):
+        spec = mujoco.MjSpec.from_file(str(source))
+        folder = source.resolve().parent
+        spec.meshdir, spec.texturedir = str(folder / spec.meshdir), str(folder / spec.texturedir)
+    else:
+        spec = mujoco.MjSpec.from_string(source)
     model = spec.compile()
-    spec = mujoco.MjSpec.from_string(spec.to_xml(), assets=assets or {})
+    spec = mujoco.MjSpec.from_string(spec.to_xml())
     again = spec.compile()
     if (
         spec.compiler.settotalmass > 0
