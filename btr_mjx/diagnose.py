@@ -1,0 +1,268 @@
+"""Name the effect that a simulation lacks: `python -m btr_mjx.diagnose DATASET --out RUN`.
+
+DATASET is a folder with dataset.toml (see btr_mjx/gap/recordings.py), with BAM's JSON beside a servo.toml, or of
+LeRobot's form beside a dataset.toml. `python -m btr_mjx.diagnose --demo` makes a hidden case from a seed and solves it.
+
+The run folder holds:
+
+    config.json, environment.json   what was asked for, and with which versions and machine
+    preflight.csv                   what was found before any fit
+    result.json                     verdict, effects with intervals, ranking, gap, next experiment
+    ranking.csv, believed.csv, disagreement.csv, *.npz   tables and arrays behind the page
+    mended.xml, mended.json         the believed model with what was found
+    report.html, figures/           the page
+    demo/, truth.json               with --demo: the case, and the answer
+
+The exit code is 0 for every verdict.
+"""
+
+import dataclasses
+import importlib.util
+import sys
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from btr_mjx.errors import InputError, cli_errors, resume_command
+from btr_mjx.files import read_json, write_json, write_table
+from btr_mjx.gap import report, saved
+from btr_mjx.gap.effect import Effect
+from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.hidden import make_case
+from btr_mjx.gap.identify import identify
+from btr_mjx.gap.model_paths import nearest
+from btr_mjx.gap.preflight import Finding, preflight, refuse_errors
+from btr_mjx.gap.recordings import Dataset
+from btr_mjx.gap.sources import open_dataset
+from btr_mjx.gap.wording import named, place, title
+from btr_mjx.progress import graceful_interrupt, progress
+from btr_mjx.runs import IGNORED_FIELDS, RunFolder, is_unused
+
+STAGES = 12
+"""Words that a search says about its progress, roughly; the bar ends where the search does."""
+
+
+@dataclass(frozen=True)
+class DiagnoseConfig:
+    """Settings of a diagnosis; every field is a flag."""
+
+    dataset: Annotated[Path | None, tyro.conf.Positional] = None
+    """Folder of the recordings."""
+    out: Path | None = None
+    """Run folder; by default the first unused one of runs/diagnosis-<seed>, runs/diagnosis-<seed>-2, ..."""
+    resume: bool = False
+    """Continue the run in --out."""
+    seed: int = 0
+    """Seed of everything random; of the hidden case with --demo."""
+    progress: bool = True
+    """Show a progress bar (lines now and then where there is no terminal)."""
+    figures: bool = True
+    """Draw the page and its figures."""
+
+    effects: tuple[str, ...] = ("all",)
+    """Effects that may be named: "all", names of the library, or FILE.py:NAME for one of your own; "all FILE.py:NAME"
+    adds that to the library."""
+    max_effects: int = 2
+    """Name at most so many effects."""
+    signal: Literal["trajectory", "fitness"] = "trajectory"
+    """trajectory: recordings of the motion. fitness: a table of controllers and measured fitness."""
+
+    demo: bool = False
+    """Make a hidden case from the seed and solve it; the last lines say what was hidden."""
+    robot: Literal["hexapod", "pendulum", "quadruped", "arm"] = "hexapod"
+    """Robot of the hidden case."""
+
+
+def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, Any]:
+    """Diagnose a dataset in a run folder.
+
+    Args:
+      config: the settings.
+      **changes: fields of the config to replace.
+
+    Returns:
+      What result.json holds.
+
+    Raises:
+      InputError: bad settings or data, or a folder that cannot take this run.
+      Interrupted: a signal asked to stop; the run can be resumed.
+    """
+    config = resolve_folder(dataclasses.replace(config or DiagnoseConfig(), **changes))
+    check(config)
+    library = library_of(config.effects)
+    dataset = None
+    if not config.demo:
+        assert config.dataset is not None
+        dataset, findings = examine(config.dataset, library)
+        refuse_errors(findings)
+    assert config.out is not None
+    ignore = (*IGNORED_FIELDS, "figures")
+    with RunFolder.create(config.out, config, config.resume, ignore=ignore) as run, graceful_interrupt() as stop:
+        if dataset is None:
+            _make_demo(run.path, config)
+            dataset, findings = examine(run.path / "demo", library)
+            stop.checkpoint()
+        print_findings(findings)
+        write_table(run.path / "preflight.csv", [dataclasses.asdict(f) for f in findings])
+        if not (run.path / saved.RESULT).is_file():
+            solve(dataset, library, config, run.path, stop.checkpoint)
+            stop.checkpoint()
+        if config.figures:
+            report.draw(run.path)
+        return read_json(run.path / saved.RESULT)
+
+
+def check(config: DiagnoseConfig) -> None:
+    """Refuse settings that cannot work.
+
+    Raises:
+      InputError: no dataset or two of them, or less than one effect.
+    """
+    if (config.dataset is None) != config.demo:
+        what = "no dataset" if config.dataset is None else f"a dataset ({config.dataset}) and --demo"
+        raise InputError(f"got {what}; give a folder of recordings, or --demo alone")
+    if config.max_effects < 1:
+        raise InputError(f"max_effects: got {config.max_effects}, expected at least 1")
+
+
+def resolve_folder(config: DiagnoseConfig) -> DiagnoseConfig:
+    """Choose a run folder where none is named.
+
+    Raises:
+      InputError: a resume that does not say of what.
+    """
+    if config.out is not None:
+        return config
+    if config.resume:
+        raise InputError("--resume: say which run to continue with --out FOLDER")
+    base, number = f"{'demo' if config.demo else 'diagnosis'}-{config.seed}", 2
+    out = Path("runs") / base
+    while not is_unused(out):
+        out, number = Path("runs") / f"{base}-{number}", number + 1
+    return dataclasses.replace(config, out=out)
+
+
+def library_of(names: Sequence[str]) -> tuple[Effect, ...]:
+    """The effects that may be named.
+
+    Args:
+      names: "all", names of the library, FILE.py:NAME.
+
+    Raises:
+      InputError: a name that the library lacks, with the nearest; a file that holds no effect.
+    """
+    known = {effect.name: effect for effect in EFFECTS}
+    chosen: dict[str, Effect] = {}
+    for name in names:
+        if name == "all":
+            chosen |= known
+        elif ".py:" in name:
+            own = _own_effect(name)
+            chosen[own.name] = own
+        elif name in known:
+            chosen[name] = known[name]
+        else:
+            raise InputError(f"effect {name!r} is not in the library; nearest: {nearest(name, list(known), 5)}")
+    if not chosen:
+        raise InputError("effects: got none, expected names of the library or all")
+    return tuple(chosen.values())
+
+
+def _own_effect(name: str) -> Effect:
+    file, _, attribute = name.rpartition(":")
+    spec = importlib.util.spec_from_file_location(Path(file).stem, file)
+    if spec is None or spec.loader is None or not Path(file).is_file():
+        raise InputError(f"effect {name!r}: there is no file {file}")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    effect = getattr(module, attribute, None)
+    if not isinstance(effect, Effect):
+        raise InputError(f"effect {name!r}: {attribute} in {file} is {type(effect).__name__}, expected an Effect")
+    return effect
+
+
+def examine(folder: Path, library: Sequence[Effect]) -> tuple[Dataset, list[Finding]]:
+    """Read a dataset and look at it before any fit."""
+    dataset = open_dataset(folder)
+    return dataset, preflight(dataset, [effect.name for effect in library])
+
+
+def solve(
+    dataset: Dataset,
+    library: Sequence[Effect],
+    config: DiagnoseConfig,
+    folder: Path,
+    checkpoint: Callable[[], None] = lambda: None,
+) -> None:
+    """Search for what is missing and write everything that the page is drawn from."""
+    with progress(total=STAGES, description="diagnosis", unit="stages", show=config.progress or False) as bar:
+
+        def note(word: str) -> None:
+            bar.set_description(word)
+            bar.update(1 if bar.n < STAGES - 1 else 0)
+            checkpoint()
+
+        diagnosis = identify(dataset, library, config.max_effects, config.seed, note)
+        bar.update(STAGES - bar.n)
+    saved.save(diagnosis, dataset, folder, effects=library, more={"seed": config.seed, "signal": config.signal})
+
+
+def _make_demo(folder: Path, config: DiagnoseConfig) -> None:
+    """Make the hidden case, once."""
+    if not (folder / "truth.json").is_file():
+        truth = make_case(folder / "demo", config.seed, config.robot)
+        write_json(folder / "truth.json", truth)
+
+
+def print_findings(findings: Sequence[Finding]) -> None:
+    """Print what preflight found."""
+    print("preflight")
+    for finding in findings:
+        mark = "" if finding.level == "note" else f"{finding.level}: "
+        print(textwrap.fill(f"{mark}{finding.message}", 110, initial_indent="  - ", subsequent_indent="    "))
+    print(flush=True)
+
+
+def print_result(result: Mapping[str, Any], folder: Path) -> None:
+    """Print the verdict, the effects and the ranking."""
+    print(textwrap.fill(str(result["sentence"]), 110))
+    rows = [row for row in result["ranking"] if not row["beside"]][:6]
+    if rows:
+        print(f"\n{'candidate':60}{'score':>12}{'held-out gain':>16}")
+    for row in rows:
+        print(f"{named(row):60}{row['score']:12.1f}{row['held_out']:16.1f}")
+    print(f"\nall files in {folder}")
+
+
+def print_truth(truth: Mapping[str, Any]) -> None:
+    """Print what was hidden, last."""
+    hidden = [
+        f"{title(e['effect'])} at {place(e['location'])} "
+        f"({', '.join(f'{name} {value:.4g}' for name, value in e['parameters'].items())})"
+        for e in truth["effects"]
+    ]
+    if truth["outside"]:
+        hidden.append(f"something outside the library: {truth['outside'].replace('_', ' ')}")
+    print(f"hidden was: {' and '.join(hidden) or 'nothing'}")
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Entry point of the command."""
+    argv = sys.argv[1:] if argv is None else list(argv)
+    config = tyro.cli(DiagnoseConfig, args=list(argv), description=__doc__, prog="btr_mjx.diagnose")
+    with cli_errors():
+        config = resolve_folder(config)
+        with cli_errors(resume_command("btr_mjx.diagnose", argv, config.out)):
+            result = diagnose(config)
+        assert config.out is not None
+        print_result(result, config.out)
+        if config.demo:
+            print_truth(read_json(config.out / "truth.json"))
+
+
+if __name__ == "__main__":
+    main()
