@@ -33,7 +33,10 @@ RESULT: dict[str, Any] = {
         {"effect": "dry_friction", "location": "joint:knee0", "score": 402.0, "margin": 410.0},
         {"effect": "payload", "location": "body:torso", "score": -3.0, "margin": 815.0},
     ],
-    "equivalent": [{"effect": "load_friction", "location": "subtree:thigh0"}],
+    "equivalent": [
+        {"effect": "load_friction", "location": "joint:knee0"},
+        {"effect": "load_friction", "location": "subtree:thigh0"},
+    ],
     "gap": {"before": 0.054, "after": 0.027, "noise_floor": 0.02, "unit": "rad"},
     "believed": [
         {"name": "knee damping", "path": "joint:knee0/damping", "before": 0.2, "after": 0.21, "unit": "N m s/rad"}
@@ -101,7 +104,7 @@ def test_the_page_says_it_all_and_needs_nothing_else(folder: Path) -> None:
     page = Page(draw(folder).read_text(encoding="utf-8"))
     assert "Simulation and data disagree most at joint knee0, when it moves fast under load." in page.text
     assert "The missing effect is load-dependent gear friction at joint knee0 (coefficient 0.312 ± 0.030)." in page.text
-    assert "shrinks the held-out gap from 0.054 to 0.027 rad (noise floor 0.02)." in page.text
+    assert "shrinks the held-out gap from 0.054 to 0.027 (noise floor 0.02; rad)." in page.text
     assert "Runner-up: dry friction at joint knee0, far behind" in page.text
     assert "quadruped <left>" in page.text  # escaped in the source
     for heading in ("What is missing", "Where simulation", "Candidates", "Before and after", "Believed", "mistaken"):

@@ -161,15 +161,15 @@ def _unit(unit: Any) -> str:
 def _gap(gap: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Figures under the verdict."""
     loop = f" {gap.get('open_loop_unit', 'rad')}"
+    unit = f" [{gap['unit']}]" if gap.get("unit") else ""
     rows = (
-        ("held-out gap before", "before", ""),
+        (f"held-out gap before{unit}", "before", ""),
         ("after", "after", ""),
         ("noise floor", "noise_floor", ""),
         ("open-loop error before", "open_loop_before", loop),
         ("after", "open_loop_after", loop),
     )
-    shown = [(label, f"{number(gap[key])}{unit}") for label, key, unit in rows if _is_number(gap.get(key))]
-    return shown if not gap.get("unit") else [*shown, ("measured in", str(gap["unit"]))]
+    return [(label, f"{number(gap[key])}{of}") for label, key, of in rows if _is_number(gap.get(key))]
 
 
 def _is_number(value: Any) -> bool:
@@ -212,8 +212,10 @@ def _said(value: Any) -> str:
 
 
 def _equivalent(result: Mapping[str, Any]) -> list[str]:
+    """What cannot be told apart, if that is more than what was named."""
+    given = result.get("equivalent") or []
     out = []
-    for entry in result.get("equivalent") or []:
+    for entry in given if len(given) > 1 or not result.get("effects") else []:
         members = entry if isinstance(entry, Sequence) and not isinstance(entry, str) else [entry]
         out.append("; ".join(named(m) if isinstance(m, Mapping) and "effect" in m else _said(m) for m in members))
     return out

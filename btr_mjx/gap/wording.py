@@ -135,8 +135,10 @@ def _gap(result: Mapping[str, Any]) -> str:
     if before is None or after is None:
         return ""
     many = "them" if len(result.get("effects") or []) > 1 else "it"
-    text = f"Adding {many} shrinks the held-out gap from {number(before)} to {number(after)}{_of(gap)}"
-    text += f" (noise floor {number(floor)})" if floor is not None else ""
+    text = f"Adding {many} shrinks the held-out gap from {number(before)} to {number(after)}"
+    inside = [f"noise floor {number(floor)}"] if floor is not None else []
+    inside += [str(gap["unit"])] if gap.get("unit") else []
+    text += f" ({'; '.join(inside)})" if inside else ""
     start, end = _float(gap.get("open_loop_before")), _float(gap.get("open_loop_after"))
     if start is not None and end is not None:
         unit = gap.get("open_loop_unit", "rad")
@@ -146,16 +148,13 @@ def _gap(result: Mapping[str, Any]) -> str:
     return f"{text}."
 
 
-def _of(gap: Mapping[str, Any]) -> str:
-    return f" {gap['unit']}" if gap.get("unit") else ""
-
-
 def _noise_floor(result: Mapping[str, Any]) -> str:
     gap = result.get("gap") or {}
     before, floor = _float(gap.get("before")), _float(gap.get("noise_floor"))
     if before is None:
         return ""
-    return f"The held-out gap is {number(before)}{_of(gap)}" + (f", the noise floor {number(floor)}." if floor else ".")
+    unit = f" ({gap['unit']})" if gap.get("unit") else ""
+    return f"The held-out gap is {number(before)}{unit}" + (f", the noise floor {number(floor)}." if floor else ".")
 
 
 def _runner_up(result: Mapping[str, Any]) -> str:
