@@ -1,6 +1,7 @@
 """Effects against independent routes: compiled MJCF, other models of the same physics, plain loops of the equation."""
 
 import copy
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -141,7 +142,10 @@ def inertia(model: mujoco.MjModel, body: int) -> np.ndarray:
     return turn @ np.diag(model.body_inertia[body]) @ turn.T
 
 
-def test_every_effect_of_the_issue_has_a_place_on_a_walking_robot() -> None:
+def test_every_effect_is_documented_and_has_a_place_on_a_walking_robot() -> None:
+    table = (Path(__file__).parent.parent / "docs" / "effects.md").read_text(encoding="utf-8")
+    assert [effect.name for effect in EFFECTS if f"| `{effect.name}` |" not in table] == []
+    assert all(effect.equation and effect.excited_by and effect.apply.__doc__ for effect in EFFECTS)
     model = load("quadruped")
     found = {c.effect.name for c in candidates(model, Scales.of(model), EFFECTS)}
     assert found == {effect.name for effect in EFFECTS}
