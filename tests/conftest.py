@@ -5,7 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from btr_mjx.devices import use_all_cores
 from btr_mjx.robots import Robot, hexapod
+
+use_all_cores()  # before any test touches JAX: what is compiled directly gets the same options as what users compile
 
 
 @pytest.fixture(scope="session")

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.engines.lanes import support
+from btr_mjx.engines.lanes.delays import delayed
 from btr_mjx.engines.lanes.parameters import Parameters
 from btr_mjx.engines.lanes.scalars import Scalar, add, dot, is_zero, mul, sub, total
 from btr_mjx.engines.lanes.tree import FREE, Actuator, Plan
@@ -26,6 +27,8 @@ class Actuation:
     """Minus the derivative of that force by the dof's velocity."""
     act: list[jax.Array]
     """Activations at the end of the step."""
+    history: list[list[jax.Array]]
+    """Controls of the last steps, the newest first, per history of the plan."""
     power: list[tuple[Scalar, int]]
     """|force x velocity| of each actuator [W], and its group size."""
 
@@ -52,6 +55,7 @@ def actuate(
     q: Sequence[Sequence[jax.Array]],
     v: Sequence[jax.Array],
     act: Sequence[jax.Array],
+    history: Sequence[Sequence[jax.Array]],
     ctrl: jax.Array,
 ) -> Actuation:
     """Actuator forces at the given state and controls (mj_fwdActuation, mjd_actuator_vel).
@@ -63,12 +67,13 @@ def actuate(
       q: coordinates per joint.
       v: velocity per dof.
       act: activations per state of the plan.
+      history: earlier controls per history of the plan.
       ctrl: controls (nu, C).
 
     Returns:
-      Forces, their derivatives, next activations and power.
+      Forces, their derivatives, next activations and histories, and power.
     """
-    result = Actuation({}, {}, list(act), [])
+    result = Actuation({}, {}, list(act), [list(samples) for samples in history], [])
     if support.disabled(model, "ACTUATION"):
         return result
     coordinates = iter(q)
@@ -109,6 +114,12 @@ def _actuator(
     gear = parameters.one(f"{key}/gear")
     length, velocity = mul(gear, q), mul(gear, v)
     raw = u = rows(ctrl, actuator.ids)
+    if actuator.memory >= 0:
+        samples, delay = result.history[actuator.memory], parameters.one(f"{key}/delay")
+        result.history[actuator.memory] = [raw, *samples[:-1]]
+        if not is_zero(delay):
+            age = mul(1.0 / float(model.opt.timestep), delay)
+            u = jnp.where(sub(delay, 0.0) != 0, delayed(samples, age, int(model.actuator_history[a, 1])), u)
     if model.actuator_ctrllimited[a] and not support.disabled(model, "CLAMPCTRL"):
         u = _clip(u, parameters[f"{key}/ctrlrange"])
     gain, bias = parameters[f"{key}/gain"], parameters[f"{key}/bias"]

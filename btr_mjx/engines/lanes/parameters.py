@@ -23,7 +23,7 @@ VARYING = frozenset(
         "geom": "pos quat size friction solref solimp solmix margin",
         "jnt": "axis pos range margin stiffness solref solimp actfrcrange",
         "dof": "damping armature frictionloss invweight0 solref solimp",
-        "actuator": "gainprm biasprm dynprm gear ctrlrange forcerange actrange",
+        "actuator": "gainprm biasprm dynprm gear ctrlrange forcerange actrange delay",
     }.items()
     for field in fields.split()
 ) | {"qpos0", "qpos_spring", "opt.gravity", "opt.wind", "opt.density", "opt.viscosity", "opt.impratio"}
@@ -272,6 +272,7 @@ def _actuator(fields: Fields, a: int) -> dict[str, np.ndarray]:
         "ctrlrange": fields("actuator_ctrlrange", a),
         "forcerange": fields("actuator_forcerange", a),
         "actrange": fields("actuator_actrange", a),
+        "delay": fields("actuator_delay", slice(a, a + 1)),
     }
 
 

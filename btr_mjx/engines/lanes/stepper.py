@@ -36,6 +36,8 @@ class State:
     """Velocity per dof, MuJoCo's conventions."""
     act: list[jax.Array]
     """Activation states."""
+    history: list[list[jax.Array]]
+    """Controls of the last steps, the newest first, per actuator that may be delayed."""
     acceleration: list[jax.Array]
     """Acceleration per dof in the last step, MuJoCo's conventions; the next step's first guess."""
     zones: Zones
@@ -151,6 +153,13 @@ class LanesStepper:
             tuple(jnp.zeros(self._shape(size, chunk), bool) for _ in range(count)) for count, size in self._zone_layout
         ]
 
+    def _no_history(self, chunk: int) -> list[list[jax.Array]]:
+        """Controls before the first step: zero."""
+        return [
+            [jnp.zeros(self._shape(size, chunk), self._dtype) for _ in range(samples)]
+            for samples, size in self.plan.memories
+        ]
+
     def _constraints(
         self,
         parameters: Parameters,
@@ -167,7 +176,9 @@ class LanesStepper:
         """State of `chunk` worlds at rest in the model's qpos0, with actuator activations zero."""
         q, v, acts = self._rest(Parameters(self._constants, params), chunk)
         lanes = jnp.zeros(chunk, self._dtype)
-        return State(q, v, acts, [jnp.zeros_like(x) for x in v], self._no_zones(chunk), lanes, lanes > 0)
+        return State(
+            q, v, acts, self._no_history(chunk), [jnp.zeros_like(x) for x in v], self._no_zones(chunk), lanes, lanes > 0
+        )
 
     def _rest(
         self, parameters: Parameters, chunk: int
@@ -184,7 +195,7 @@ class LanesStepper:
         return q, v, [act[i] for i in range(self.plan.states)]
 
     def state(self, qpos: Any, qvel: Any, act: Any = None) -> State:
-        """State of a chunk from MuJoCo's arrays.
+        """State of a chunk from MuJoCo's arrays; whatever is delayed remembers controls of zero.
 
         Args:
           qpos: positions (nq, C).
@@ -205,7 +216,9 @@ class LanesStepper:
                     acts[a.state] = jnp.zeros_like(v[-1]) if act is None else rows(jnp.asarray(act, self._dtype), adr)
         lanes = jnp.zeros(qpos.shape[-1], self._dtype)
         zones = self._no_zones(qpos.shape[-1])
-        return State(q, v, acts, [jnp.zeros_like(x) for x in v], zones, lanes, lanes > 0)
+        return State(
+            q, v, acts, self._no_history(qpos.shape[-1]), [jnp.zeros_like(x) for x in v], zones, lanes, lanes > 0
+        )
 
     def step(self, params: Mapping[str, list[jax.Array]], state: State, ctrl: jax.Array) -> State:
         """Advance by one time step under controls of shape (nu, C)."""
@@ -218,7 +231,7 @@ class LanesStepper:
         moving = motions(plan, parameters, q, v)
         bodies = inertia(plan, parameters, moving)
         damping = dof_system(plan, parameters, moving, "damping")
-        actuation = actuate(model, plan, parameters, q, v, state.act, ctrl)
+        actuation = actuate(model, plan, parameters, q, v, state.act, state.history, ctrl)
         moves = [(m.velocity, m.spin) for m in moving]
         wrenches, tau = against(damping, moves, v)
         bias = bias_wrenches(plan, parameters, moving)
@@ -236,7 +249,9 @@ class LanesStepper:
         following = advance(model, plan, moving, q, v, bodies, damping, actuation.damping, medium and medium[1], found)
         power = total(group_sum(p, size) for p, size in actuation.power)
         rates = local_rates(plan, moving, found)
-        return State(*following, actuation.act, rates, zones, array(power, capped.shape, self._dtype), capped)
+        return State(
+            *following, actuation.act, actuation.history, rates, zones, array(power, capped.shape, self._dtype), capped
+        )
 
     def qpos(self, state: State) -> jax.Array:
         """Generalised positions (nq, C), MuJoCo's order and conventions."""

@@ -136,8 +136,6 @@ def _check_actuators(m: mujoco.MjModel) -> None:
             raise refuse(f"actuators with several inputs, outputs or states ({where})")
         if m.actuator_actearly[a]:
             raise refuse(f"actearly ({where})")
-        if m.actuator_delay[a] or m.actuator_history[a, 0]:
-            raise refuse(f"actuator delay and history ({where})")
 
 
 def _contact_pairs(m: mujoco.MjModel) -> dict[int, list[tuple[int, int]]]:

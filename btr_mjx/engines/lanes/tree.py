@@ -24,6 +24,8 @@ class Actuator:
     """MuJoCo actuator of each member."""
     state: int
     """Index into the activation list of the state, -1 if the actuator has none."""
+    memory: int
+    """Index into the list of control histories, -1 if the actuator keeps none."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,8 @@ class Plan:
     dof_size: tuple[int, ...]
     states: int
     """Number of activation states of the plan."""
+    memories: tuple[tuple[int, int], ...]
+    """Of every history of controls: samples that it holds, and members of its group."""
 
 
 def rigid_members(model: mujoco.MjModel, body: int) -> list[int]:
@@ -132,6 +136,7 @@ class _Builder:
         self.links: list[Link] = []
         self.dof_size: list[int] = []
         self.states = 0
+        self.memories: list[tuple[int, int]] = []
         self.members = {b: rigid_members(model, b) for b in range(model.nbody) if b == 0 or model.body_jntnum[b]}
         joint_actuators: dict[int, list[int]] = {}
         for a in range(model.nu):
@@ -171,7 +176,6 @@ class _Builder:
                     bool(m.actuator_forcelimited[a]),
                     bool(m.actuator_actlimited[a]),
                     int(m.actuator_actnum[a]),
-                    m.actuator_delay[a].item(),
                     tuple(m.actuator_history[a].tolist()),
                     m.actuator_dynprm[a, 0].item() > 0,
                 )
@@ -203,7 +207,10 @@ class _Builder:
             actuators = []
             for ids in zip(*(self.actuators.get(j, []) for j in slot), strict=True):
                 stateful = m.actuator_actnum[ids[0]] > 0
-                actuators.append(Actuator(ids, self.states if stateful else -1))
+                samples = int(m.actuator_history[ids[0], 0])
+                memory = len(self.memories) if samples else -1
+                actuators.append(Actuator(ids, self.states if stateful else -1, memory))
+                self.memories += [(samples, size)] if samples else []
                 self.states += int(stateful)
             dof = int(m.jnt_dofadr[slot[0]])
             joints.append(
@@ -230,7 +237,7 @@ class _Builder:
 
     def build(self) -> Plan:
         self._descend(-1, (0,))
-        return Plan(tuple(self.links), tuple(self.dof_size), self.states)
+        return Plan(tuple(self.links), tuple(self.dof_size), self.states, tuple(self.memories))
 
 
 def make_plan(model: mujoco.MjModel, pairs: Mapping[int, list[tuple[int, int]]], friction: np.ndarray) -> Plan:
