@@ -1,0 +1,111 @@
+"""Hypotheses: values of what may be refitted and effects that are added, and the worlds they make."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.effect import Candidate
+from btr_mjx.gap.recordings import Believed
+from btr_mjx.gap.refine import Unknowns
+from btr_mjx.gap.windows import MakeWorld
+from btr_mjx.gap.worlds import World
+
+DELICATE = 0.15
+"""Finite-difference steps of candidates that move contacts are smaller by this factor."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """What the robot could be.
+
+    Attributes:
+      parameters: what may be refitted.
+      believed: (P,) their values.
+      effects: candidates with their values.
+    """
+
+    parameters: tuple[Believed, ...]
+    believed: tuple[float, ...]
+    effects: tuple[tuple[Candidate, tuple[float, ...]], ...] = ()
+
+    def __call__(self, model: mujoco.MjModel) -> World:
+        """The world of a recording whose believed model is `model`."""
+        world = World.of(model)
+        for parameter, value in zip(self.parameters, self.believed, strict=True):
+            parameter.write(world.model, value)
+        if self.parameters:
+            mujoco.mj_setConst(world.model, mujoco.MjData(world.model))
+        for candidate, values in self.effects:
+            candidate.apply(world, np.array(values))
+        return world
+
+    def with_effect(self, candidate: Candidate, values: Sequence[float] | np.ndarray) -> "Hypothesis":
+        """The same with one more effect."""
+        added = (candidate, tuple(float(value) for value in values))
+        return Hypothesis(self.parameters, self.believed, (*self.effects, added))
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers its effects have."""
+        return sum(len(values) for _, values in self.effects)
+
+    @property
+    def name(self) -> str:
+        """Its effects' names."""
+        return " + ".join(candidate.name for candidate, _ in self.effects) or "nothing"
+
+    def values(self, with_believed: bool) -> np.ndarray:
+        """Its free numbers: believed ones if wanted, then those of its effects."""
+        own = [value for _, values in self.effects for value in values]
+        return np.array([*(self.believed if with_believed else ()), *own], float)
+
+    def replaced(self, values: np.ndarray, with_believed: bool) -> "Hypothesis":
+        """The same with other free numbers, in the order of `values`."""
+        numbers = [float(value) for value in values]
+        believed = tuple(numbers[: len(self.believed)]) if with_believed else self.believed
+        rest = numbers[len(self.believed) :] if with_believed else numbers
+        effects, first = [], 0
+        for candidate, own in self.effects:
+            effects.append((candidate, tuple(rest[first : first + len(own)])))
+            first += len(own)
+        return Hypothesis(self.parameters, believed, tuple(effects))
+
+
+def believed_steps(parameters: Sequence[Believed], values: Sequence[float]) -> np.ndarray:
+    """Finite-difference steps of what may be refitted (P,)."""
+    steps = []
+    for parameter, value in zip(parameters, values, strict=True):
+        size = min(
+            0.02 * max(abs(value), 1e-3 * (parameter.high - parameter.low)), 0.1 * (parameter.high - parameter.low)
+        )
+        steps.append(size if value + size <= parameter.high else -size)
+    return np.array(steps)
+
+
+def unknowns(hypothesis: Hypothesis, with_believed: bool, delicate: Collection[str] = ()) -> Unknowns:
+    """The free numbers of a hypothesis with their bounds.
+
+    Args:
+      hypothesis: its values are where a search starts.
+      with_believed: whether the believed numbers move along.
+      delicate: names of candidates that need smaller finite differences.
+    """
+    low, high, step = [], [], []
+    if with_believed:
+        for parameter in hypothesis.parameters:
+            low.append(parameter.low)
+            high.append(parameter.high)
+        step += list(np.abs(believed_steps(hypothesis.parameters, hypothesis.believed)))
+    for candidate, _ in hypothesis.effects:
+        for own in candidate.parameters:
+            low.append(own.low)
+            high.append(own.high)
+            step.append(abs(own.step) * (DELICATE if candidate.name in delicate else 1.0))
+
+    def make(values: np.ndarray) -> MakeWorld:
+        return hypothesis.replaced(values, with_believed)
+
+    size = len(low)
+    return Unknowns(np.array(low), np.array(high), np.array(step), make, np.zeros(size), np.zeros(size))

@@ -1,0 +1,331 @@
+"""NAME: find the effect that a believed model lacks, or say honestly that none, or none of the library, is missing.
+
+    diagnosis = identify(load("my_dataset"))
+    diagnosis.verdict, diagnosis.effects
+
+Candidates are searched by `search.Bench`; here it is decided what may be called by name. A name needs a score beyond
+its price on all data, a gain on held-out recordings, and a size beyond what calibration leaves. What a name leaves
+unexplained is measured against unknown generalised forces, which stand for everything that could be missing.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from btr_mjx.gap.diagnosis import Diagnosis, DisagreementMap, Gap, Named, Overlay, Refit, Row
+from btr_mjx.gap.disagreement import disagreement, place_names
+from btr_mjx.gap.effect import Effect
+from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.forces import Circumstances, Description, ForceFit, circumstances, describe, lack_of_fit
+from btr_mjx.gap.hypotheses import Hypothesis
+from btr_mjx.gap.intervals import intervals
+from btr_mjx.gap.openloop import open_loop
+from btr_mjx.gap.recordings import Dataset
+from btr_mjx.gap.score import bounded
+from btr_mjx.gap.screening import tolerance_of
+from btr_mjx.gap.search import Bench, Judged, Options
+
+THRESHOLD = 15.0
+"""Score, beyond the price of its numbers, that a name needs."""
+
+SECOND_THRESHOLD = 25.0
+"""What one more effect needs; what the first one's linearisation leaves must not count as a second one."""
+
+HELD_OUT = 5.0
+"""Gain on held-out recordings that a name needs."""
+
+HELD_OUT_SHARE = 0.15
+"""Part of the gain per window to fit that held-out windows must show as well."""
+
+TOLERANCES = 4.0
+"""Size that a name needs, in tolerances of its parameter."""
+
+MARGIN = 25.0
+"""Candidates whose scores differ by less are called equivalent."""
+
+SURPRISE = 6.0
+"""Lack of fit that cannot be noise, in standard deviations, on both sides of the split."""
+
+SHARE = 0.6
+"""Names that explain less of what unknown forces could are not the explanation, where a lack of fit remains."""
+
+
+def identify(
+    dataset: Dataset,
+    effects: Sequence[Effect] = EFFECTS,
+    max_effects: int = 2,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+    options: Options | None = None,
+) -> Diagnosis:
+    """Find what is missing.
+
+    Args:
+      dataset: recordings on both sides of the split, and the believed model.
+      effects: the library of effects.
+      max_effects: largest number of effects that are named.
+      seed: of the resampling behind intervals.
+      progress: called with a word on what is being done.
+      options: how much is spent.
+
+    Returns:
+      The diagnosis.
+
+    Raises:
+      InputError: no recordings on one side of the split, recordings too short for a window, no motion.
+    """
+    begun = time.monotonic()
+    note = progress or (lambda _: None)
+    bench = Bench(dataset, effects, options, note)
+    note("leaders")
+    rounds = [bench.polish(bench.find())]
+    named: list[Judged] = []
+    while rounds[-1] and accepted(bench, rounds[-1][0], named[-1] if named else None):
+        named.append(rounds[-1][0])
+        if len(named) >= max_effects:
+            break
+        note("one more effect")
+        rounds.append(bench.find(named[-1]))
+        if rounds[-1] and accepted(bench, rounds[-1][0], named[-1]):
+            rounds[-1] = bench.polish(rounds[-1], most=1)
+    note("lack of fit")
+    check = _Check(bench)
+    final = named[-1] if named else None
+    share = check.share(final)
+    before, after = check.surprise(None), check.surprise(final)
+    surprised = min(after) > SURPRISE
+    verdict = "effect" if named else "none"
+    if surprised and (final is None or share < SHARE):
+        verdict = "unexplained"
+    said = named if verdict == "effect" else []
+    rng = np.random.default_rng(seed)
+    return Diagnosis(
+        verdict=verdict,  # type: ignore[arg-type]
+        effects=_named(bench, said, rounds, rng),
+        ranking=_ranking(rounds),
+        equivalent=equivalent(rounds[0]) if rounds[0] and verdict == "effect" else (),
+        gap=_gap(bench, said[-1] if said else None),
+        disagreement=check.map(),
+        unexplained=check.words(final) if verdict == "unexplained" or surprised else (),
+        believed=_believed(bench, final),
+        confounds=(),
+        overlays=_overlays(bench, final),
+        share=share,
+        lack_of_fit=(min(before), min(after)),
+        threshold=THRESHOLD,
+        dispersion=bench.dispersion,
+        sigma=bench.sigma,
+        windows=(len(bench.fit.windows), len(bench.test.windows), bench.fit.windows.k, bench.survey.span),
+        steps=bench.counter.steps,
+        seconds=time.monotonic() - begun,
+        survivors=_survivors(bench, rounds, named),
+    )
+
+
+def accepted(bench: Bench, judged: Judged, given: Judged | None) -> bool:
+    """Whether a candidate may be called by name.
+
+    Args:
+      bench: of the search.
+      judged: the candidate, beside what was found before.
+      given: what was found before.
+    """
+    score = judged.score - (given.score if given else 0.0)
+    gain = judged.gain - (given.gain if given else 0.0)
+    held_out = judged.held_out - (given.held_out if given else 0.0)
+    expected = gain * len(bench.test.windows) / len(bench.fit.windows)
+    if score < (SECOND_THRESHOLD if given else THRESHOLD):
+        return False
+    if held_out < max(HELD_OUT, HELD_OUT_SHARE * expected):
+        return False
+    candidate, values = judged.hypothesis.effects[-1]
+    tolerance = tolerance_of(candidate, bench.dataset.tolerances)
+    return abs(values[0] - candidate.null[0]) > TOLERANCES * tolerance
+
+
+def equivalent(judged: Sequence[Judged]) -> tuple[str, ...]:
+    """Names that the data cannot tell from the best one, the best one first.
+
+    Args:
+      judged: one round, best first.
+    """
+    best = judged[0]
+    close = [j for j in judged if best.score - j.score <= MARGIN and j.score > 0.3 * best.score]
+    return tuple(j.hypothesis.effects[-1][0].name for j in close)
+
+
+class _Check:
+    """Unknown forces on both sides of the split."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+        self.sides = (bench.fit, bench.test)
+        self.around: list[Circumstances] = [circumstances(side.windows, bench.base) for side in self.sides]
+        self.fits = [ForceFit(side.windows, around) for side, around in zip(self.sides, self.around, strict=True)]
+        self.base = [self._forces(i, None) for i in (0, 1)]
+
+    def _residual(self, i: int, judged: Judged | None) -> np.ndarray:
+        if judged is None:
+            residual = self.sides[i].windows.residual
+        else:
+            residual = (judged.refined.residual, judged.residual)[i]
+        return self.sides[i].nuisance.absorbed(residual, self.bench.cut)
+
+    def _forces(self, i: int, judged: Judged | None):
+        return self.fits[i](self._residual(i, judged))
+
+    def surprise(self, judged: Judged | None) -> tuple[float, float]:
+        """Lack of fit on both sides."""
+        return tuple(lack_of_fit(self._forces(i, judged)) for i in (0, 1))  # type: ignore[return-value]
+
+    def share(self, judged: Judged | None) -> float:
+        """Part of what unknown forces explain that a hypothesis explains, on held-out windows."""
+        if judged is None:
+            return 0.0
+        before, after = self._forces(1, None), self._forces(1, judged)
+        cut = np.maximum(3.0 * np.median(before.explained), before.rank)
+        start = bounded(before.explained, cut) - before.rank
+        end = bounded(after.explained, cut) - after.rank
+        return float(1.0 - end.sum() / max(start.sum(), 1e-9))
+
+    def map(self) -> DisagreementMap:
+        """The map before any fit."""
+        forces = self.fits[0](self.sides[0].windows.residual)
+        return disagreement(self.bench.dataset.model, self.fits[0], forces, self.around[0])
+
+    def words(self, judged: Judged | None) -> tuple[str, ...]:
+        """The best description of what is left."""
+        names = place_names(self.bench.dataset.model)
+        found = describe(self.fits[0], self._forces(0, judged), self.around[0])
+        return tuple(sentence(d, names) for d in found)
+
+
+def sentence(description: Description, names: Sequence[str]) -> str:
+    """A description in words."""
+    text = f"{names[description.dof]}: {100 * description.share:.0f} % of the unexplained force"
+    text += f", root mean square {description.size:.3g} (SI)"
+    if description.follows:
+        parts = []
+        for name, dof, correlation in description.follows:
+            where = "" if dof is None or dof == description.dof else f" of {names[dof]}"
+            parts.append(f"{name}{where} (correlation {correlation:+.2f})")
+        text += ", follows " + " and ".join(parts)
+    return text
+
+
+def _named(bench: Bench, named: Sequence[Judged], rounds: Sequence[Sequence[Judged]], rng: np.random.Generator):
+    if not named:
+        return ()
+    final = named[-1]
+    numbers = intervals(bench, final, rng)
+    out, first, before = [], 0, None
+    for i, (candidate, values) in enumerate(final.hypothesis.effects):
+        parameters = {p.name: numbers[first + j] for j, p in enumerate(candidate.parameters)}
+        first += len(values)
+        own = named[i]
+        score = own.score - (before.score if before else 0.0)
+        held_out = own.held_out - (before.held_out if before else 0.0)
+        others = tuple(name for name in equivalent(rounds[i]) if name != candidate.name)
+        effect = candidate.effect
+        out.append(
+            Named(
+                effect.name,
+                candidate.place.label,
+                parameters,
+                score,
+                held_out,
+                others,
+                effect.excited_by,
+                effect.equation,
+            )
+        )
+        before = own
+    return tuple(out)
+
+
+def _ranking(rounds: Sequence[Sequence[Judged]]) -> tuple[Row, ...]:
+    rows = []
+    for judged in rounds:
+        for j in judged:
+            candidate, values = j.hypothesis.effects[-1]
+            rows.append(
+                Row(
+                    candidate.effect.name,
+                    candidate.place.label,
+                    j.score,
+                    judged[0].score - j.score,
+                    j.gain,
+                    j.held_out,
+                    {p.name: float(v) for p, v in zip(candidate.parameters, values, strict=True)},
+                    tuple(c.name for c, _ in j.hypothesis.effects[:-1]),
+                )
+            )
+    return tuple(rows)
+
+
+def _gap(bench: Bench, judged: Judged | None) -> Gap:
+    windows, freedom = bench.test.windows, bench.test.windows.freedom
+    base = bench.test.nuisance.profile(windows.residual, bench.cut).chi2
+    end = base if judged is None else judged.chi2
+    cut = 3.0 * max(freedom, float(np.median(base)))
+
+    def mean(chi2: np.ndarray) -> float:
+        return float(bounded(chi2, cut).mean() / freedom)
+
+    residual = windows.residual if judged is None else judged.residual
+    loops = open_loop(bench, [bench.base, bench.base if judged is None else judged.hypothesis])
+    return Gap(
+        mean(base),
+        mean(end),
+        1.0,
+        float(np.sqrt((windows.residual**2).mean())),
+        float(np.sqrt((residual**2).mean())),
+        *loops,
+    )
+
+
+def _believed(bench: Bench, final: Judged | None) -> tuple[Refit, ...]:
+    last = bench.base if final is None else final.hypothesis
+    rows = zip(bench.dataset.parameters, bench.before, bench.base.believed, last.believed, strict=True)
+    return tuple(Refit(p.name, a, b, c) for p, a, b, c in rows)
+
+
+def _overlays(bench: Bench, final: Judged | None, count: int = 3) -> tuple[Overlay, ...]:
+    """Held-out windows in which the believed model is worst, at their worst joint."""
+    windows = bench.test.windows
+    makes: list[Hypothesis] = [bench.base, bench.base if final is None else final.hypothesis]
+    before, after = windows.states(makes)
+    model = bench.dataset.model
+    names = place_names(model)
+    sigma = bench.sigma[: windows.nv]
+    away = windows.minus(before, np.concatenate([windows.target_q, windows.target_v], -1))[..., : windows.nv] / sigma
+    plain = np.flatnonzero(model.jnt_type[model.dof_jntid] >= 2)
+    out = []
+    order = np.argsort(-np.nan_to_num((windows.residual**2).sum(1)))
+    for w in order[len(order) // 10 :][:count]:
+        if not len(plain):
+            break
+        dof = int(plain[np.argmax(np.nan_to_num(np.abs(away[w][:, plain]).max(0)))])
+        address = int(model.jnt_qposadr[model.dof_jntid[dof]])
+        recording = bench.dataset.test[windows.recording[w]]
+        out.append(
+            Overlay(
+                recording.name,
+                names[dof],
+                windows.time[w],
+                windows.target_q[w, :, address],
+                before[w, :, address],
+                after[w, :, address],
+            )
+        )
+    return tuple(out)
+
+
+def _survivors(bench: Bench, rounds: Sequence[Sequence[Judged]], named: Sequence[Judged]) -> tuple[Hypothesis, ...]:
+    """Hypotheses that are still possible: those near the best, and nothing where no name was found."""
+    last = rounds[min(len(named), len(rounds)) - 1] if named else rounds[0]
+    if not last:
+        return (bench.base,)
+    close = [j.hypothesis for j in last if last[0].score - j.score <= 2 * MARGIN]
+    return tuple(close if named else [bench.base, *close[:2]])

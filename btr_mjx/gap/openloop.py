@@ -1,0 +1,43 @@
+"""Whole recordings, simulated open loop from their first sample, where motion is not chaotic."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.smoothing import smooth
+from btr_mjx.gap.tangent import difference
+from btr_mjx.gap.windows import Data, MakeWorld
+from btr_mjx.gap.worlds import Counter, Stretch, simulate
+
+
+def open_loop(bench: Bench, makes: Sequence[MakeWorld]) -> list[float]:
+    """Mean absolute position error over whole held-out recordings [rad or m]; NaN where the robot touches the world.
+
+    Args:
+      bench: of the search.
+      makes: hypotheses.
+    """
+    if bench.survey.contact:
+        return [float("nan")] * len(makes)
+    return [float(np.mean(errors)) for errors in recording_errors(bench.test.windows.data, makes, bench.counter)]
+
+
+def recording_errors(data: Data, makes: Sequence[MakeWorld], counter: Counter | None = None) -> np.ndarray:
+    """Mean absolute position error of hypotheses over whole recordings (hypotheses, recordings) [rad or m]."""
+    jobs = []
+    for make in makes:
+        for i, (recording, track) in enumerate(zip(data.recordings, data.tracks, strict=True)):
+            qpos, qvel, _ = smooth(recording.model, track, np.array([0]), data.sigma, data.half)
+            act = data.acts[i][:1] if recording.model.na else None
+            since = (track.time - track.time[0])[None]
+            stretch = Stretch(track.time[:1], qpos, qvel, since, data.commands, np.array([i]), act)
+            jobs.append((make(recording.model), stretch))
+    found = simulate(jobs, counter=counter)
+    out = np.empty((len(makes), len(data.recordings)))
+    for n, states in enumerate(found):
+        i = n % len(data.recordings)
+        recording = data.recordings[i]
+        away = difference(recording.model, recording.qpos, states[0, :, : recording.model.nq])
+        out[n // len(data.recordings), i] = np.nanmean(np.abs(away))
+    return out

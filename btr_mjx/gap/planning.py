@@ -1,0 +1,135 @@
+"""Which windows of the recordings are looked at: how long, how many, where.
+
+A robot that touches the world is followed for some tens of milliseconds at a time, because contact breaks the linear
+picture; a smooth one for as long as the believed model stays near the data, because slow effects (friction, an offset)
+show in long windows only.
+"""
+
+import os
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.smoothing import smooth
+from btr_mjx.gap.tangent import difference
+from btr_mjx.gap.windows import Data
+from btr_mjx.gap.worlds import Counter, Stretch, World, simulate
+
+CONTACT_SPAN = 0.02
+"""Length of a window of a robot that touches the world [s]."""
+
+_LONGEST = 2.5
+"""No window is longer [s]."""
+
+_STRAY = 0.25
+"""A window may be so long that the believed model strays by this part of the motion's own spread."""
+
+_FEWEST = 6
+"""Samples of a window after its first, at least."""
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What the recordings go through.
+
+    Attributes:
+      touching: per recording (K,) bool: something is in contact.
+      contact: whether the robot touches anything worth mentioning.
+      span: length of the windows [s].
+    """
+
+    touching: tuple[np.ndarray, ...]
+    contact: bool
+    span: float
+
+
+def survey(data: Data, counter: Counter) -> Survey:
+    """Evaluate the believed models at the measured states, and choose the windows' length.
+
+    Args:
+      data: recordings to fit.
+      counter: adds up the simulated steps.
+    """
+    touching = []
+    for recording, track in zip(data.recordings, data.tracks, strict=True):
+        world = World.of(recording.model)
+        batch = Batch(world.model, nsim=len(track.time), nthread=os.cpu_count() or 1)
+        batch.bind("qpos")[:] = track.qpos
+        contacts = batch.bind("ncon")
+        batch.forward(stage=int(mujoco.mjtStage.mjSTAGE_POS))
+        counter.steps += len(track.time)
+        touching.append(np.array(contacts).reshape(-1) > 0)
+    contact = float(np.concatenate(touching).mean()) > 0.01
+    span = CONTACT_SPAN if contact else _smooth_span(data, counter)
+    return Survey(tuple(touching), contact, span)
+
+
+def _smooth_span(data: Data, counter: Counter) -> float:
+    """The longest window over which the believed model stays near the data."""
+    model = data.recordings[0].model
+    shortest = min(float(r.time[-1] - r.time[0]) for r in data.recordings)
+    longest = min(_LONGEST, shortest / 2)
+    marks = np.geomspace(CONTACT_SPAN, max(longest, 2 * CONTACT_SPAN), 12)
+    stray: list[np.ndarray] = []
+    spread = np.zeros(model.nv)
+    for i, (recording, track) in enumerate(zip(data.recordings, data.tracks, strict=True)):
+        spread = np.maximum(spread, difference(model, track.qpos[:1], track.qpos).std(0))
+        last = int(np.searchsorted(track.time, track.time[-1] - marks[-1]))
+        first = np.unique(np.linspace(0, max(last - 1, 0), 4).astype(int))
+        qpos, qvel, _ = smooth(model, track, first, data.sigma, data.half)
+        own = np.full(len(first), i)
+        act = data.acts[i][first] if model.na else None
+        stretch = Stretch(track.time[first], qpos, qvel, marks, data.commands, own, act)
+        states = simulate([(World.of(recording.model), stretch)], counter=counter)[0]
+        there = track.time[first][:, None] + marks
+        nearest = np.clip(np.searchsorted(track.time, there), 0, len(track.time) - 1)
+        at = np.minimum(nearest, len(track.time) - 1)
+        stray.append(np.abs(difference(model, track.qpos[at], states[..., : model.nq])))
+    away = np.nan_to_num(np.concatenate(stray), nan=np.inf)  # (windows, marks, nv)
+    typical = np.median(away, axis=0) / np.maximum(spread, 1e-9)
+    moving = spread > 10 * data.sigma[: model.nv]
+    if not moving.any():
+        raise InputError("the recordings hold no motion beyond the noise; nothing can be told from them")
+    good = (typical[:, moving] < _STRAY).all(1)
+    count = int(np.argmin(good)) if not good.all() else len(good)
+    return float(marks[max(count - 1, 0)])
+
+
+def place(
+    data: Data, span: float, budget: float, per_step: float, per_recording: int | None = None
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Windows spread evenly over the recordings.
+
+    Args:
+      data: the recordings.
+      span: length of a window [s].
+      budget: simulated steps that may be spent.
+      per_step: simulated steps that the analysis costs per step of a window.
+      per_recording: a fixed number instead of a budget.
+
+    Returns:
+      Recording (W,), first sample (W,) and samples of a window after its first.
+
+    Raises:
+      InputError: a recording is too short for a window.
+    """
+    model = data.recordings[0].model
+    interval = float(np.median(np.concatenate([np.diff(r.time) for r in data.recordings])))
+    k = max(_FEWEST, round(span / interval))
+    steps = max(1.0, k * interval / float(model.opt.timestep))
+    room = [(len(r.time) - 1 - data.half) // k for r in data.recordings]
+    if min(room) < 1:
+        r = data.recordings[int(np.argmin(room))]
+        raise InputError(f"recording {r.name!r}: {len(r.time)} samples are too short for a window of {k + 1} samples")
+    affordable = budget / (per_step * steps) / len(data.recordings)
+    recording, first = [], []
+    for i, (r, most) in enumerate(zip(data.recordings, room, strict=True)):
+        count = int(np.clip(round(per_recording or affordable), 1, most))
+        last = len(r.time) - 1 - k
+        begin = min(data.half, last)
+        first.append(np.unique(np.linspace(begin, last, count).astype(int)))
+        recording.append(np.full(len(first[-1]), i))
+    return np.concatenate(recording), np.concatenate(first), k

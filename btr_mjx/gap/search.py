@@ -1,0 +1,410 @@
+"""The search for the missing effect: candidates are scanned, leaders refined, and judged on data not used for it.
+
+A `Bench` holds the windows of the recordings to fit and of those held out, linearised around the believed model, with
+the signatures of every candidate. `Bench.find` returns the judged leaders of one round, best first; a second round
+searches for one more effect beside those that were found.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.effect import Effect, candidates
+from btr_mjx.gap.hypotheses import Hypothesis, unknowns
+from btr_mjx.gap.noise import estimate_noise
+from btr_mjx.gap.planning import Survey, place, survey
+from btr_mjx.gap.recordings import Dataset
+from btr_mjx.gap.refine import Nuisance, Refined, refine
+from btr_mjx.gap.scales import Scales
+from btr_mjx.gap.score import Fit, bounded
+from btr_mjx.gap.screening import (
+    Entry,
+    Lead,
+    Scanner,
+    changed_fields,
+    entries_of,
+    moves_contact,
+    nuisances,
+    screen,
+    tolerance_of,
+)
+from btr_mjx.gap.smoothing import half_width
+from btr_mjx.gap.windows import Data, Windows, prepare, track_of
+from btr_mjx.gap.worlds import Counter
+
+_CUT = 1.5
+"""A window whose chi^2 exceeds its degrees of freedom by this factor begins to count less."""
+
+_HELD_OUT = 0.5
+"""Windows of held-out recordings per window to fit, at most."""
+
+_FEW = 6
+"""Up to so many believed numbers are refitted together with every leader."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """How much is spent.
+
+    Attributes:
+      steps: simulated steps that one search may cost, roughly.
+      leaders: candidates that are refined by true simulation.
+      contact_leaders: further candidates that move contacts, which start from several values.
+      iterations: Gauss-Newton steps of a refinement.
+    """
+
+    steps: float = 6.5e5
+    leaders: int = 6
+    contact_leaders: int = 4
+    iterations: int = 3
+
+
+@dataclass(frozen=True)
+class Side:
+    """Windows on one side of the split, with what is fitted along.
+
+    Attributes:
+      windows: linearised around the base.
+      nuisance: tolerances, and on the side that is fitted what may be refitted.
+    """
+
+    windows: Windows
+    nuisance: Nuisance
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A refined hypothesis and what the data say of it.
+
+    Attributes:
+      hypothesis: with its refined values.
+      refined: on the recordings to fit.
+      gain: fall of the loss there against the reference, in units of the dispersion.
+      held_out: fall of the loss on the held-out recordings.
+      score: gain on both, less what its numbers cost.
+      residual: (W, R) on the held-out windows.
+      chi2: (W,) there, with the tolerances at their best.
+    """
+
+    hypothesis: Hypothesis
+    refined: Refined
+    gain: float
+    held_out: float
+    score: float
+    residual: np.ndarray
+    chi2: np.ndarray
+
+    @property
+    def name(self) -> str:
+        """The hypothesis' name."""
+        return self.hypothesis.name
+
+
+class Bench:
+    """Everything a search needs about one dataset.
+
+    Attributes:
+      dataset: the data.
+      base: the believed model after its refit.
+      before: the believed values as given.
+      fit, test: the two sides of the split.
+      scanner: linear scans on the side that is fitted.
+      survey: what the recordings go through.
+      counter: simulated steps so far.
+      cut: chi^2 above which a window counts less.
+      dispersion: chi^2 per degree of freedom of the best hypothesis, at least 1.
+    """
+
+    def __init__(
+        self,
+        dataset: Dataset,
+        effects: Sequence[Effect],
+        options: Options | None = None,
+        note: Callable[[str], None] | None = None,
+    ) -> None:
+        self.dataset, self.options = dataset, options or Options()
+        note = note or (lambda _: None)
+        self.counter = Counter()
+        for name, side in (("fit", dataset.fit), ("test", dataset.test)):
+            if not side:
+                raise InputError(f"{dataset.folder}: no recording is in split {name!r}")
+        note("state estimates")
+        model = dataset.fit[0].model
+        tracks = [track_of(r) for r in dataset.recordings]
+        noise = dataset.noise or estimate_noise(model, [(t.time, t.qpos, t.qvel, t.measured) for t in tracks])
+        self.sigma = np.concatenate([noise.qpos, noise.qvel])
+        half = half_width(model, tracks, self.sigma)
+        data = prepare(dataset.fit, dataset.interpolation, self.sigma, half)
+        held = prepare(dataset.test, dataset.interpolation, self.sigma, half)
+        self.survey: Survey = survey(data, self.counter)
+        self.scales = _scales(data)
+        self.candidates = candidates(model, self.scales, effects)
+        self.before = tuple(parameter.value(dataset.model) for parameter in dataset.parameters)
+        self.base = Hypothesis(dataset.parameters, self.before)
+        self.fields = {c.name: changed_fields(c, model, self.base) for c in self.candidates}
+        self.delicate = {name for name in self.fields if self.survey.contact and moves_contact(self.fields[name])}
+        entries = entries_of(self.candidates, self.fields, self.delicate)
+        note("windows")
+        self.fit, self.test = self._plan(data, held, entries)
+        self._start(note)
+        note(f"signatures of {len(entries)} candidates")
+        windows = self.fit.windows
+        screened = screen(windows, self.base, entries, self.single)
+        nuisance = nuisances(windows, self.base, screened, dataset.tolerances, self.single)
+        self.fit = Side(windows, nuisance)
+        self.scanner = Scanner(screened, nuisance)
+        known = [e for e in entries if not e.probe and tolerance_of(e.candidate, dataset.tolerances) > 0]
+        own = screen(self.test.windows, self.base, known, self.single)
+        bare = Hypothesis((), ())  # what may be refitted is refitted on the other side only
+        columns = nuisances(self.test.windows, bare, own, dataset.tolerances, self.single)
+        self.test = Side(self.test.windows, columns)
+        self._polished_residuals: tuple[np.ndarray, np.ndarray] | None = None
+        self.dispersion = 1.0
+        self.cut = _CUT * windows.freedom
+        self._settle(None)
+
+    def _plan(self, data: Data, held: Data, entries: Sequence[Entry]) -> tuple[Side, Side]:
+        """Choose the windows of both sides."""
+        model = data.recordings[0].model
+        interval = float(np.median(np.concatenate([np.diff(r.time) for r in data.recordings])))
+        steps = max(1, round(interval / float(model.opt.timestep)))
+        count = sum(len(e.steps) for e in entries)
+        self.single = steps >= 3 and count > 30
+        screening = count / steps if self.single else count
+        state = 2 * model.nv + 12
+        per_step = state + screening + 4.0 * (self.options.leaders + self.options.contact_leaders)
+        share = 0.8 if len(data.recordings) >= len(held.recordings) else 0.6
+        recording, first, k = place(data, self.survey.span, share * self.options.steps, per_step)
+        fit = Side(Windows(data, recording, first, k, self.counter), _nothing(0, 0))
+        most = max(1, round(_HELD_OUT * len(first) / len(held.recordings)))
+        recording, first, k = place(
+            held, self.survey.span, (1 - share) * self.options.steps, state + 20 + screening / 3
+        )
+        if len(first) > most * len(held.recordings):
+            recording, first, k = place(held, self.survey.span, 0.0, 1.0, per_recording=most)
+        return fit, Side(Windows(held, recording, first, k, self.counter), _nothing(0, 0))
+
+    def _start(self, note: Callable[[str], None]) -> None:
+        """Linearise around the believed model, refitting what may be refitted first."""
+        windows = self.fit.windows
+        note("linearisation")
+        windows.linearise(self.base)
+        if self.base.parameters:
+            note("refit of the believed parameters")
+            for _ in range(2):
+                nothing = _nothing(len(windows), windows.residual.shape[1])
+                cut = _CUT * max(windows.freedom, float(np.median((windows.residual**2).sum(1))))
+                free = unknowns(self.base, True)
+                found = refine(windows, nothing, cut, [(free, [self.base.values(True)])], 6)[0]
+                self.base = self.base.replaced(found.values, True)
+                windows.linearise(self.base)
+        self.test.windows.linearise(self.base)
+
+    @property
+    def joint(self) -> bool:
+        """Whether the believed numbers are refitted together with every leader."""
+        return 0 < len(self.base.parameters) <= _FEW
+
+    def _settle(self, best: np.ndarray | None) -> None:
+        """Fit the dispersion to the best chi^2 (W,) so far, and the reference losses with it."""
+        side = self.fit
+        if best is None:
+            residual = side.windows.residual
+            cut = _CUT * max(side.windows.freedom, float(np.median((residual**2).sum(1))))
+            best = side.nuisance.profile(residual, cut).chi2
+        self.dispersion = max(1.0, float(np.median(best)) / side.windows.freedom)
+        self.cut = _CUT * side.windows.freedom * self.dispersion
+        self.reference = self._reference(side), self._reference(self.test)
+
+    def _reference(self, side: Side) -> Fit:
+        return side.nuisance.profile(side.windows.residual, self.cut)
+
+    def loss(self, residual: np.ndarray, test: bool = False) -> float:
+        """Loss of a residual, with the tolerances at their best, in units of the dispersion."""
+        side = self.test if test else self.fit
+        return side.nuisance.profile(residual, self.cut).loss / self.dispersion
+
+    def find(self, given: Judged | None = None, count: int | None = None) -> list[Judged]:
+        """One round: scan, refine, judge.
+
+        Args:
+          given: what was found before; None for the believed model.
+          count: leaders to refine instead of the usual number.
+
+        Returns:
+          Judged leaders, best first, gains measured against the believed model.
+        """
+        start = self.base if given is None else given.hypothesis
+        residual = self.fit.windows.residual if given is None else given.refined.residual
+        extra = None if given is None else given.refined.columns
+        leads = self.scanner(residual, self.cut, extra)
+        taken = {candidate.name for candidate, _ in start.effects}
+        leads = [lead for lead in leads if self._entry(lead).candidate.name not in taken]
+        if given is None and leads:
+            self._settle(self._linear_best(leads[:5], residual))
+        picked = self._pick(leads, count or self.options.leaders)
+        if not picked:
+            return []
+        hypotheses = []
+        for starts in picked.values():
+            candidate = self._entry(starts[0]).candidate
+            own = start.with_effect(candidate, starts[0].values)
+            head = own.values(self.joint)[: -len(starts[0].values)]
+            tries = [np.concatenate([head, lead.values]) for lead in starts]
+            if candidate.name in self.delicate:
+                tries += [np.concatenate([head, values]) for values in self._probes(starts[0])]
+            hypotheses.append((own, tries))
+        found = refine(
+            self.fit.windows,
+            self.free_nuisance,
+            self.cut,
+            [(unknowns(own, self.joint, self.delicate), tries) for own, tries in hypotheses],
+            self.options.iterations,
+            self.reference[0].loss if given is None else given.refined.loss,
+        )
+        refined = [own.replaced(r.values, self.joint) for (own, _), r in zip(hypotheses, found, strict=True)]
+        if given is None:
+            best = min(found, key=lambda r: r.loss)
+            self._settle(best.chi2)
+        return self.judge(refined, found, self.test.windows)
+
+    @property
+    def free_nuisance(self) -> Nuisance:
+        """What is fitted along with leaders: without the believed numbers where these move by themselves."""
+        nuisance = self.fit.nuisance
+        if not self.joint:
+            return nuisance
+        keep = slice(0, len(nuisance.precision) - len(self.base.parameters))
+        return Nuisance(nuisance.columns[:, keep], nuisance.precision[keep], nuisance.gram[:, keep, keep])
+
+    def judge(
+        self,
+        hypotheses: Sequence[Hypothesis],
+        found: Sequence[Refined],
+        test: Windows,
+        references: tuple[Fit, Fit] | None = None,
+    ) -> list[Judged]:
+        """Judge refined hypotheses on both sides of the split, best first.
+
+        Args:
+          hypotheses: with their refined values.
+          found: what the refinement found on the recordings to fit.
+          test: held-out windows to judge on.
+          references: fits of the believed model on both sides; None for the usual ones.
+        """
+        held = test.residuals(list(hypotheses))
+        nuisance = self.free_nuisance
+        size = np.log(self.fit.windows.residual.size + self.test.windows.residual.size)
+        reference = self.reference if references is None else references
+        out = []
+        for hypothesis, refined, residual in zip(hypotheses, found, held, strict=True):
+            own = nuisance.profile(refined.residual, self.cut), self.test.nuisance.profile(residual, self.cut)
+            gain, held_out = (self._gain(a, b) for a, b in zip(reference, own, strict=True))
+            score = gain + held_out - size * hypothesis.numbers
+            out.append(Judged(hypothesis, refined, gain, held_out, score, residual, own[1].chi2))
+        return sorted(out, key=lambda judged: -judged.score)
+
+    def _gain(self, before: Fit, after: Fit) -> float:
+        """Fall of the loss without the window that gains most: one touchdown must not make a name."""
+        windows = bounded(before.chi2, self.cut) - bounded(after.chi2, self.cut)
+        return float(before.loss - after.loss - max(windows.max(), 0.0)) / self.dispersion
+
+    def polish(self, judged: Sequence[Judged], within: float = 40.0, most: int = 3) -> list[Judged]:
+        """Judge the leaders again, with starting states that suit each of them.
+
+        Args:
+          judged: best first.
+          within: leaders so close to the best are polished as well.
+          most: at most so many.
+
+        Returns:
+          All of them, best first.
+        """
+        if not judged:
+            return []
+        near = max(within, 0.1 * judged[0].score)
+        close = [j for j in judged if judged[0].score - j.score <= near][:most]
+        out = [j for j in judged if j not in close]
+        references = self._polished()
+        for own in close:
+            windows = self.fit.windows.recentred(own.hypothesis)
+            free = unknowns(own.hypothesis, self.joint, self.delicate)
+            start = own.hypothesis.values(self.joint)
+            refined = refine(windows, self.free_nuisance, self.cut, [(free, [start])], 2)[0]
+            hypothesis = own.hypothesis.replaced(refined.values, self.joint)
+            out += self.judge([hypothesis], [refined], self.test.windows.recentred(hypothesis), references)
+        return sorted(out, key=lambda j: -j.score)
+
+    def _polished(self) -> tuple[Fit, Fit]:
+        """Fits of the believed model with starting states polished as those of leaders are."""
+        if self._polished_residuals is None:
+            sides = (self.fit.windows.recentred(self.base), self.test.windows.recentred(self.base))
+            self._polished_residuals = (sides[0].residual, sides[1].residual)
+        first, second = self._polished_residuals
+        return self.fit.nuisance.profile(first, self.cut), self.test.nuisance.profile(second, self.cut)
+
+    def _entry(self, lead: Lead) -> Entry:
+        return self.scanner.screened.entries[lead.index]
+
+    def _pick(self, leads: Sequence[Lead], count: int) -> dict[str, list[Lead]]:
+        """Leaders by name, each with one or more starts."""
+        price = np.log(self.fit.windows.residual.size) * self.dispersion
+
+        def merit(lead: Lead) -> float:
+            return lead.gain - price * len(lead.values)
+
+        by_name: dict[str, list[Lead]] = {}
+        for lead in sorted(leads, key=merit, reverse=True):
+            by_name.setdefault(self._entry(lead).candidate.name, []).append(lead)
+        names = list(by_name)
+        chosen = names[:count]
+        moving = [name for name in names[count:] if name in self.delicate][: self.options.contact_leaders]
+        probed = [name for name in names[count:] if any(self._entry(lead).probe for lead in by_name[name])][:1]
+        return {name: by_name[name][:3] for name in dict.fromkeys([*chosen, *moving, *probed])}
+
+    def _probes(self, lead: Lead) -> list[np.ndarray]:
+        """Further starts of a candidate that moves contacts: some steps to either side."""
+        entry, out = self._entry(lead), []
+        first = entry.candidate.parameters[0]
+        for factor in (3.0, -3.0):
+            values = lead.values.copy()
+            values[0] = np.clip(first.null + factor * first.step, first.low, first.high)
+            if values[0] != first.null:
+                out.append(values)
+        return out
+
+    def _linear_best(self, leads: Sequence[Lead], residual: np.ndarray) -> np.ndarray:
+        """Windows' chi^2 (W,) of the lead with the lowest median, in the linear picture."""
+        best = None
+        for lead in leads:
+            entry = self._entry(lead)
+            share = (lead.values - entry.candidate.null) / entry.steps
+            moved = residual + np.tensordot(share, self.scanner.screened.signature(lead.index), 1)
+            chi2 = self.fit.nuisance.profile(moved, self.cut).chi2
+            if best is None or np.median(chi2) < np.median(best):
+                best = chi2
+        assert best is not None
+        return best
+
+
+def _nothing(windows: int, rows: int) -> Nuisance:
+    return Nuisance.of(np.zeros((0, windows, rows), np.float32), np.zeros(0))
+
+
+def _scales(data: Data) -> Scales:
+    """Typical sizes in the data, from a few hundred samples."""
+    model = data.recordings[0].model
+    picks = [
+        np.unique(np.linspace(0, len(r.time) - 1, max(20, 400 // len(data.recordings))).astype(int))
+        for r in data.recordings
+    ]
+    rows = list(zip(data.recordings, data.tracks, data.acts, picks, strict=True))
+    return Scales.measured(
+        model,
+        np.concatenate([track.qpos[i] for _, track, _, i in rows]),
+        np.concatenate([np.nan_to_num(track.qvel[i]) for _, track, _, i in rows]),
+        np.concatenate([recording.ctrl[i] for recording, _, _, i in rows]),
+        np.concatenate([act[i] for _, _, act, i in rows]) if model.na else None,
+    )

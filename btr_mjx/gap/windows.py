@@ -1,0 +1,332 @@
+"""Short windows of the recordings: multiple shooting, with the unknown starting state of each window projected out.
+
+A window begins at a smoothed state that takes one Gauss-Newton step towards its own samples where that helps. What
+the starting state could still explain is projected out of residuals and of signatures, so that neither noise at the
+start nor chaos between windows matters. Residuals come from a simulation with a fine time step (the simulator's own
+error looks like damping); how they answer to parameters comes from the model's time step.
+"""
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.commands import Command
+from btr_mjx.gap.recordings import Recording
+from btr_mjx.gap.score import orthonormal, project
+from btr_mjx.gap.smoothing import Track, histories, smooth
+from btr_mjx.gap.tangent import difference, integrate
+from btr_mjx.gap.worlds import Counter, Job, Stretch, World, simulate
+
+MakeWorld = Callable[[mujoco.MjModel], World]
+"""The world of a hypothesis, given the believed model of a recording."""
+
+FINE = 4
+"""The fine pass divides the time step by this."""
+
+_NUDGE = 0.2
+"""Perturbation of a starting state, in units of the noise."""
+
+_REACH = 1.5
+"""How far a starting state may be led away from the smoothed one, in units of the noise."""
+
+_CEILING = 1e4
+"""Residuals are cut here, in units of the noise; a diverged simulation counts as this."""
+
+
+@dataclass(frozen=True)
+class Data:
+    """Recordings made ready for windows.
+
+    Attributes:
+      recordings: the recordings.
+      tracks: what was measured in each.
+      commands: what was commanded in each.
+      acts: activation states at the samples of each, (K, na).
+      sigma: (2 nv,) noise of positions and velocities.
+      measured: (2 nv,) bool: which coordinates were measured.
+      half: samples on either side that a state estimate uses.
+    """
+
+    recordings: tuple[Recording, ...]
+    tracks: tuple[Track, ...]
+    commands: tuple[Command, ...]
+    acts: tuple[np.ndarray, ...]
+    sigma: np.ndarray
+    measured: np.ndarray
+    half: int
+
+
+def prepare(recordings: Sequence[Recording], interpolation: str, sigma: np.ndarray, half: int) -> Data:
+    """Make recordings ready for windows.
+
+    Args:
+      recordings: at least one.
+      interpolation: of the command.
+      sigma: (2 nv,) noise.
+      half: samples on either side that a state estimate uses.
+    """
+    tracks = tuple(track_of(r) for r in recordings)
+    commands = tuple(Command(r.time, r.ctrl, interpolation) for r in recordings)  # type: ignore[arg-type]
+    acts = tuple(histories(r.model, t, c) for r, t, c in zip(recordings, tracks, commands, strict=True))
+    seen = np.stack([r.qvel_measured for r in recordings]).all(0)
+    measured = np.concatenate([np.ones(recordings[0].model.nv, bool), seen])
+    return Data(tuple(recordings), tracks, commands, acts, sigma, measured, half)
+
+
+def track_of(recording: Recording) -> Track:
+    """What was measured in a recording."""
+    return Track(recording.time, recording.qpos, recording.qvel, recording.qvel_measured)
+
+
+class Windows:
+    """Windows of equal numbers of samples over some recordings.
+
+    Attributes:
+      data: the recordings.
+      recording: (W,) which recording each window is of.
+      first: (W,) its first sample.
+      k: samples of a window after the first.
+      qpos, qvel: (W, nq), (W, nv) starting states, measured coordinates.
+      residual: (W, R) projected residual of the base world in units of the noise; set by `linearise`.
+      basis: (W, R, D) orthonormal directions of the starting state.
+      freedom: residual degrees of freedom of a window.
+    """
+
+    def __init__(
+        self, data: Data, recording: np.ndarray, first: np.ndarray, k: int, counter: Counter | None = None
+    ) -> None:
+        self.data, self.recording, self.first, self.k = data, np.asarray(recording), np.asarray(first), k
+        self.counter = counter or Counter()
+        index = self.first[:, None] + np.arange(k + 1)
+        pick = [data.recordings[r] for r in self.recording]
+        self.time = np.stack([r.time[i] for r, i in zip(pick, index, strict=True)])
+        self.since = self.time - self.time[:, :1]
+        self.target_q = np.stack([r.qpos[i] for r, i in zip(pick, index, strict=True)])
+        self.target_v = np.stack([r.qvel[i] for r, i in zip(pick, index, strict=True)])
+        self.target_v = np.nan_to_num(self.target_v)
+        self.act = np.stack([data.acts[r][i] for r, i in zip(self.recording, index, strict=True)])
+        model = pick[0].model
+        self.nq, self.nv = model.nq, model.nv
+        self.dt = float(model.opt.timestep)
+        self.groups = self._by_model()
+        self.qpos, self.qvel = np.empty((len(self), self.nq)), np.empty((len(self), self.nv))
+        for r in np.unique(self.recording):
+            own = np.flatnonzero(self.recording == r)
+            q, v, _ = smooth(model, data.tracks[r], self.first[own], data.sigma, data.half)
+            self.qpos[own], self.qvel[own] = q, v
+        self.smoothed = self.qpos.copy(), self.qvel.copy()
+        self.channels = np.flatnonzero(data.measured)
+        self.residual = np.zeros((len(self), (k + 1) * len(self.channels)))
+        self.basis = np.zeros((len(self), self.residual.shape[1], 0))
+        self.correction = np.zeros_like(self.residual)
+        self.base = np.zeros((0, 0, 0))
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of a window's residual."""
+        return self.residual.shape[1] - 2 * self.nv
+
+    @property
+    def models(self) -> list[mujoco.MjModel]:
+        """Believed models, one per group of recordings that share one."""
+        return [model for model, _ in self.groups]
+
+    def _by_model(self) -> list[tuple[mujoco.MjModel, np.ndarray]]:
+        """Believed models and the windows of each."""
+        groups: dict[int, tuple[mujoco.MjModel, list[int]]] = {}
+        for window, r in enumerate(self.recording):
+            model = self.data.recordings[r].model
+            groups.setdefault(id(model), (model, []))[1].append(window)
+        return [(model, np.array(own)) for model, own in groups.values()]
+
+    def stretch(self, own: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, samples: np.ndarray) -> Stretch:
+        """A stretch of windows `own` from given states at given times since their start."""
+        return Stretch(
+            start=self.time[own, 0],
+            qpos=qpos,
+            qvel=qvel,
+            samples=samples,
+            commands=self.data.commands,
+            recording=self.recording[own],
+            act=self.act[own, 0] if self.act.shape[2] else None,
+        )
+
+    def states(
+        self, makes: Sequence[MakeWorld], *, fine: bool = False, start: tuple[np.ndarray, np.ndarray] | None = None
+    ) -> list[np.ndarray]:
+        """Simulate hypotheses over all windows.
+
+        Args:
+          makes: one world maker per hypothesis.
+          fine: use the fine time step.
+          start: other starting states qpos (W, nq), qvel (W, nv).
+
+        Returns:
+          For each hypothesis states (W, k + 1, nq + nv).
+        """
+        qpos, qvel = start or (self.qpos, self.qvel)
+        stretches = [self.stretch(own, qpos[own], qvel[own], self.since[own]) for _, own in self.groups]
+        jobs: list[Job] = []
+        for make in makes:
+            jobs += [(make(model), s) for (model, _), s in zip(self.groups, stretches, strict=True)]
+        found = simulate(jobs, timestep=self.dt / FINE if fine else None, counter=self.counter)
+        out = []
+        for i in range(len(makes)):
+            states = np.empty((len(self), self.k + 1, self.nq + self.nv))
+            for j, (_, own) in enumerate(self.groups):
+                states[own] = found[i * len(self.groups) + j]
+            out.append(states)
+        return out
+
+    def whiten(self, states: np.ndarray) -> np.ndarray:
+        """States minus data in units of the noise, (W, R)."""
+        return self._scale(self.minus(states, np.concatenate([self.target_q, self.target_v], -1)))
+
+    def minus(self, states: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """Difference of states in the tangent space (..., 2 nv)."""
+        model, nq = self.groups[0][0], self.nq
+        position = difference(model, other[..., :nq], states[..., :nq])
+        return np.concatenate([position, states[..., nq:] - other[..., nq:]], -1)
+
+    def _scale(self, tangent: np.ndarray) -> np.ndarray:
+        """Tangent vectors (..., k + 1, 2 nv) as rows (..., R) in units of the noise; what is invalid becomes huge."""
+        rows = (tangent / self.data.sigma)[..., self.channels]
+        rows = np.clip(np.nan_to_num(rows, nan=_CEILING, posinf=_CEILING, neginf=-_CEILING), -_CEILING, _CEILING)
+        return rows.reshape(*rows.shape[:-2], -1)
+
+    def linearise(self, make: MakeWorld, steps: int = 5) -> None:
+        """Make a hypothesis the base world: improve the starting states, then project them out.
+
+        Args:
+          make: the hypothesis.
+          steps: Gauss-Newton steps of the starting states; a window keeps a step only if it helps.
+        """
+        base = self.states([make])[0]
+        self.transitions = self._transitions(make, base)
+        jacobian = self.jacobian()
+        self.basis = orthonormal(jacobian)
+        correction = self.whiten(self.states([make], fine=True)[0]) - self.whiten(base)
+        self._centre(make, steps, self.whiten(base) + correction, correction, jacobian)
+        self.jacobians = jacobian
+        self.rebase(make)
+
+    def _centre(
+        self, make: MakeWorld, steps: int, raw: np.ndarray, correction: np.ndarray, jacobian: np.ndarray
+    ) -> None:
+        """Gauss-Newton steps of the starting states; a window keeps a step only if it helps.
+
+        A wrong model would drag its starting states along; they stay near the smoothed ones, which know no model.
+        """
+        inverse = np.linalg.pinv(jacobian, rcond=1e-10)
+        model, raw, sigma = self.groups[0][0], raw.copy(), self.data.sigma
+        smoothed = np.concatenate(self.smoothed, -1)
+        for _ in range(steps):
+            away = self.minus(np.concatenate([self.qpos, self.qvel], -1), smoothed)
+            move = away - (inverse @ raw[..., None])[..., 0] * sigma
+            move = np.clip(move, -_REACH * sigma, _REACH * sigma)
+            start = integrate(model, self.smoothed[0], move[:, : self.nv]), self.smoothed[1] + move[:, self.nv :]
+            trial = self.whiten(self.states([make], start=start)[0]) + correction
+            better = (trial**2).sum(1) < (raw**2).sum(1)
+            self.qpos[better], self.qvel[better] = start[0][better], start[1][better]
+            raw[better] = trial[better]
+
+    def recentred(self, make: MakeWorld, steps: int = 2) -> "Windows":
+        """A copy whose starting states suit another hypothesis, which is its base for residuals."""
+        other = copy.copy(self)
+        other.qpos, other.qvel = self.qpos.copy(), self.qvel.copy()
+        raw = self.whiten(self.states([make])[0]) + self.correction
+        other._centre(make, steps, raw, self.correction, self.jacobians)
+        other.rebase(make)
+        return other
+
+    def rebase(self, make: MakeWorld) -> None:
+        """Make another hypothesis the base for residuals; starting states and their directions stay."""
+        self.base = self.states([make])[0]
+        fine = self.whiten(self.states([make], fine=True)[0])
+        self.correction = fine - self.whiten(self.base)
+        self.residual = project(fine, self.basis)
+
+    def residuals(self, makes: Sequence[MakeWorld]) -> list[np.ndarray]:
+        """Projected residuals (W, R) of hypotheses, by true simulation."""
+        return [project(self.whiten(s) + self.correction, self.basis) for s in self.states(makes)]
+
+    def _transitions(self, make: MakeWorld, base: np.ndarray) -> np.ndarray:
+        """How a small change of the state at each sample carries over to the next sample, (W, k, 2 nv, 2 nv)."""
+        size = 2 * self.nv
+        out = np.zeros((len(self), self.k, size, size))
+        step = _NUDGE * self.data.sigma
+        jobs: list[Job] = []
+        for model, own in self.groups:
+            world, starts = make(model), base[own][:, :-1]  # (w, k, nx)
+            q, v = starts[..., : self.nq], starts[..., self.nq :]
+            nudge = np.concatenate([np.zeros((1, size)), np.diag(step)])  # (1 + size, 2 nv)
+            qs = integrate(model, q[..., None, :], nudge[:, : self.nv])
+            vs = v[..., None, :] + nudge[:, self.nv :]
+            jobs.append((world, self.pieces(own, qs, vs)))
+        timestep = 2 * self.dt if self._may_stride() else None
+        found = simulate(jobs, timestep=timestep, counter=self.counter)
+        for (_, own), states in zip(self.groups, found, strict=True):
+            states = states.reshape(len(own), self.k, 1 + size, -1)
+            moved = np.nan_to_num(self.minus(states[:, :, 1:], states[:, :, :1]))  # (w, k, size, 2 nv)
+            out[own] = np.swapaxes(moved / step[:, None], 2, 3)
+        return out
+
+    def _may_stride(self) -> bool:
+        """Whether transitions may take steps of twice the length: they only say which directions are unknown."""
+        model = self.groups[0][0]
+        implicit = (mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+        stiff = model.geom_solref[:, 0].min(initial=1.0)
+        interval = float(np.median(np.diff(self.since, axis=1)))
+        return model.opt.integrator in implicit and stiff >= 8 * self.dt and interval >= 3.9 * self.dt
+
+    def pieces(self, own: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> Stretch:
+        """Every sample interval of windows `own` as a stretch of its own, from states (w, k, n, ...)."""
+        count = qpos.shape[2]
+
+        def rows(values: np.ndarray) -> np.ndarray:
+            return np.repeat(values.reshape(-1, *values.shape[2:]), count, axis=0)
+
+        length = np.diff(self.since[own], axis=1)
+        return Stretch(
+            start=rows(self.time[own][:, :-1]),
+            qpos=qpos.reshape(-1, self.nq),
+            qvel=qvel.reshape(-1, self.nv),
+            samples=rows(length)[:, None],
+            commands=self.data.commands,
+            recording=rows(np.repeat(self.recording[own][:, None], self.k, 1)),
+            act=rows(self.act[own][:, :-1]) if self.act.shape[2] else None,
+        )
+
+    def jacobian(self) -> np.ndarray:
+        """How the residual answers to the starting state in units of the noise, (W, R, 2 nv)."""
+        size = 2 * self.nv
+        carried = np.broadcast_to(np.diag(self.data.sigma), (len(self), size, size))
+        out = [carried]
+        for k in range(self.k):
+            carried = self.transitions[:, k] @ carried
+            out.append(carried)
+        answer = np.stack(out, 1) / self.data.sigma[:, None]  # (W, k + 1, 2 nv, size)
+        return answer[:, :, self.channels].reshape(len(self), -1, size)
+
+    def carry(self, injected: np.ndarray) -> np.ndarray:
+        """Signatures of what is added to the state over every sample interval.
+
+        Args:
+          injected: (C, W, k, 2 nv) additions at the end of each interval.
+
+        Returns:
+          (C, W, R) projected signatures in units of the noise, float32.
+        """
+        injected = np.moveaxis(injected, 0, 2)  # (W, k, C, 2 nv)
+        state = np.zeros((len(self), injected.shape[2], 2 * self.nv))
+        rows = np.zeros((injected.shape[2], len(self), self.k + 1, 2 * self.nv))
+        for k in range(self.k):
+            state = state @ np.swapaxes(self.transitions[:, k], 1, 2) + injected[:, k]
+            rows[:, :, k + 1] = np.swapaxes(state, 0, 1)
+        return project(self._scale(rows), self.basis).astype(np.float32)
