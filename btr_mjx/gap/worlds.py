@@ -157,7 +157,7 @@ def simulate(
       offset, qvel without. Between two steps they are interpolated in the tangent space. Rows are NaN from where a
       simulation became invalid.
     """
-    out = [np.full((*stretch.times.shape, world.model.nq + world.model.nv), np.nan) for world, stretch in jobs]
+    out = [np.empty((*stretch.times.shape, world.model.nq + world.model.nv)) for world, stretch in jobs]
     for members in _alike(jobs, timestep):
         for block in _blocks(members, jobs):
             _run(block, jobs, out, timestep, threads, counter)
@@ -229,8 +229,6 @@ def _run(
     count = int(ends[-1])
     batch = Batch(base, nsim=count, nthread=threads or os.cpu_count() or 1)
     _write_models(batch, base, pieces, rows)
-    # With its stage left out, a reset only writes the default state.
-    batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
     qpos, qvel, time = batch.bind("qpos"), batch.bind("qvel"), batch.bind("time")
     for (world, stretch), own in zip(pieces, rows, strict=True):
         time[own] = stretch.start
