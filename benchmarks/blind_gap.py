@@ -1,0 +1,307 @@
+"""Blind cases of the missing-effect workflow: `uv run python benchmarks/blind_gap.py --cases 300 --json FILE`.
+
+Every case is made by a process of its own kind, which writes the data into one folder and the truth into another; the
+process that solves it is given the data's folder only, and writes its answer before anything opens the truth. Then the
+answer is scored, by detectability: the gain of the true effect at its true parameters, on the same windows.
+
+Cases are independent and files of their own: a killed benchmark goes on where it was with the same command.
+"""
+
+import json
+import multiprocessing
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import gap_scores as scores
+import mujoco
+import numpy as np
+import tyro
+
+from btr_mjx.environment import describe_environment
+from btr_mjx.errors import cli_errors
+from btr_mjx.files import read_json, to_plain, write_json, write_table
+from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.hidden import Truth, make_case
+from btr_mjx.gap.hidden_robots import case_robot
+from btr_mjx.gap.identify import identify
+from btr_mjx.gap.recordings import load
+from btr_mjx.gap.refine import Refined
+from btr_mjx.gap.saved import as_result
+from btr_mjx.gap.search import Bench
+from btr_mjx.progress import note, progress
+
+MIXED = ("hexapod", "hexapod", "hexapod", "quadruped", "arm", "pendulum")
+"""Robots of a mixed benchmark, by turns."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Settings; every field is a flag."""
+
+    cases: int = 300
+    """Number of cases."""
+    seed: int = 0
+    """Seed of the cases."""
+    robot: Literal["hexapod", "pendulum", "quadruped", "arm", "mixed"] = "hexapod"
+    """Robot of the cases; mixed takes all by turns."""
+    effects: int = 1
+    """Effects that are missing in cases where something of the library is: 1, or 2 at once."""
+    only_effects: bool = False
+    """No nulls and nothing outside the library."""
+    workers: int = 1
+    """Processes that make cases, and as many that solve them."""
+    out: Path | None = None
+    """Folder of the cases' files; by default runs/blind_gap-<robot>-<effects>-<seed>."""
+    json: Path | None = None
+    """Write the numbers here too."""
+    duration: float | None = None
+    """Another duration of the recordings [s], for a quick look."""
+    oracle: bool = True
+    """Score detectability by a search of its own; without it, effects count as detectable by what moves visibly."""
+
+
+@dataclass(frozen=True)
+class Files:
+    """Where a case's files are."""
+
+    folder: Path
+    index: int
+
+    @property
+    def name(self) -> str:
+        """Of the case."""
+        return f"{self.index:04d}"
+
+    @property
+    def truth(self) -> Path:
+        """Written by the process that makes the case."""
+        return self.folder / "truth" / f"{self.name}.json"
+
+    @property
+    def answer(self) -> Path:
+        """Written by the process that solves it."""
+        return self.folder / "answers" / f"{self.name}.json"
+
+    @property
+    def oracle(self) -> Path:
+        """Written after the answer."""
+        return self.folder / "oracle" / f"{self.name}.json"
+
+    @property
+    def data(self) -> Path:
+        """All that the solver sees; removed when the case is done, as it can be made again from its seed."""
+        return self.folder / "data" / self.name
+
+
+def make(config: Config, files: Files) -> None:
+    """Make a case and write its truth."""
+    robot = MIXED[files.index % len(MIXED)] if config.robot == "mixed" else config.robot
+    seed = int(np.random.SeedSequence([config.seed, files.index]).generate_state(1)[0])
+    temporary = Path(tempfile.mkdtemp(prefix=f".{files.name}.", dir=_made(files.data.parent)))
+    truth: Truth = make_case(
+        temporary,
+        seed,
+        robot,
+        verdict="effect" if config.only_effects else None,
+        effects=config.effects,
+        duration=config.duration,
+    )
+    shutil.rmtree(files.data, ignore_errors=True)
+    temporary.rename(files.data)
+    write_json(files.truth, truth)
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def solve(data: Path, answer: Path) -> None:
+    """Solve a case; nothing here knows where the truth is."""
+    dataset = load(data)
+    diagnosis = identify(dataset, max_effects=2)
+    result = as_result(diagnosis, dataset)
+    others = [
+        row
+        for row in result["ranking"]
+        if not row["beside"] and f"{row['effect']}@{row['location']}" not in diagnosis.equivalent
+    ]
+    best = result["ranking"][0]["score"] if result["ranking"] else 0.0
+    keys = ("verdict", "effects", "equivalent", "gap", "unexplained", "share", "lack_of_fit", "steps", "seconds")
+    write_json(
+        answer,
+        {key: result[key] for key in keys}
+        | {"ranking": result["ranking"][:10], "best_score": best}
+        | {"margin": best - others[0]["score"] if others and result["ranking"] else None},
+    )
+
+
+def consult(config: Config, files: Files) -> None:
+    """Gain of what is hidden, at its true parameters, and of each part of a pair beside the other."""
+    truth = read_json(files.truth)
+    missing = truth["effects"]
+    gains: list[float] = []
+    if missing and config.oracle:
+        bench = Bench(load(files.data), EFFECTS)
+        found = {candidate.name: candidate for candidate in bench.candidates}
+        model = bench.dataset.model
+        added = []
+        for one in missing:
+            names = [c for c in found if c.split("@")[0] == one["effect"]]
+            match = [c for c in names if scores.same_place(model, c.partition("@")[2], one["location"])]
+            if match:
+                candidate = found[match[0]]
+                values = scores.true_values(model, one, [p.name for p in candidate.parameters])
+                added.append((candidate, np.array(values)))
+        if len(added) == len(missing):
+            whole = _gain(bench, added)
+            gains = [
+                whole - (_gain(bench, [a for a in added if a is not one]) if len(added) > 1 else 0.0) for one in added
+            ]
+    elif missing:
+        gains = [float(truth["visible"])]
+    write_json(files.oracle, {"gains": gains})
+
+
+def _gain(bench: Bench, added: list[Any]) -> float:
+    """Fall of the loss on both sides of the split with some effects at given values."""
+    hypothesis = bench.base
+    for candidate, values in added:
+        hypothesis = hypothesis.with_effect(candidate, values)
+    residual = bench.fit.windows.residuals([hypothesis])[0]
+    fit = bench.free_nuisance.profile(residual, bench.cut)
+    refined = Refined(hypothesis.values(False), fit.loss, residual, np.zeros((0, *residual.shape)), fit.chi2)
+    judged = bench.judge([hypothesis], [refined], bench.test.windows)[0]
+    return judged.gain + judged.held_out
+
+
+def work(config: Config, files: Files) -> None:
+    """Solve a case, then ask the oracle."""
+    if not files.answer.is_file():
+        solve(files.data, files.answer)
+    consult(config, files)
+    shutil.rmtree(files.data, ignore_errors=True)
+
+
+def run(config: Config, folder: Path) -> Iterator[int]:
+    """Make and solve all cases that are not done; yields the index of each case that is."""
+    context = multiprocessing.get_context("spawn")
+    left = []
+    for index in range(config.cases):
+        if Files(folder, index).oracle.is_file():
+            yield index
+        else:
+            left.append(Files(folder, index))
+    with (
+        ProcessPoolExecutor(config.workers, context) as makers,
+        ProcessPoolExecutor(config.workers, context) as solvers,
+    ):
+        pending: dict[Future[None], tuple[str, Files]] = {}
+        queue = iter(left)
+
+        def feed() -> None:
+            files = next(queue, None)
+            if files is not None:
+                ready = files.truth.is_file() and files.data.is_dir()
+                task = solvers.submit(work, config, files) if ready else makers.submit(make, config, files)
+                pending[task] = ("solved" if ready else "made", files)
+
+        for _ in range(2 * config.workers):
+            feed()
+        while pending:
+            done, _ = wait(pending, return_when=FIRST_COMPLETED)
+            for task in done:
+                stage, files = pending.pop(task)
+                failure = task.exception()
+                if failure is not None:
+                    note(f"case {files.name} failed: {type(failure).__name__}: {failure}")
+                    write_json(
+                        folder / "failed" / f"{files.name}.json", {"error": f"{type(failure).__name__}: {failure}"}
+                    )
+                    feed()
+                elif stage == "made":
+                    pending[solvers.submit(work, config, files)] = ("solved", files)
+                else:
+                    yield files.index
+                    feed()
+
+
+def table(folder: Path, cases: int) -> list[dict[str, Any]]:
+    """Rows of the cases that are done."""
+    models: dict[str, mujoco.MjModel] = {}
+    rows = []
+    for index in range(cases):
+        files = Files(folder, index)
+        if not files.oracle.is_file():
+            continue
+        truth = read_json(files.truth)
+        name = truth["robot"]
+        models.setdefault(name, case_robot(name).model)
+        case = {"truth": truth, "answer": read_json(files.answer), "oracle": read_json(files.oracle)}
+        rows.append({"case": index, **scores.judge(models[name], case)})
+    return rows
+
+
+def show(numbers: Mapping[str, Any], rows: list[dict[str, Any]]) -> None:
+    """Print bars, confusions and what went wrong."""
+    print(f"{'':32}{'measured':>12}{'bar':>12}")
+    for name, bar in scores.bars(numbers).items():
+        value = "-" if bar["measured"] is None else f"{bar['measured']:.4g}"
+        print(
+            f"{name:32}{value:>12}{bar['bar']:>12}  {'' if bar['met'] is None else 'met' if bar['met'] else 'NOT MET'}"
+        )
+    for name in ("cases", "detectable", "undetectable_share", "right_of_all_effects", "false_names", "outside_flagged"):
+        value = numbers[name]
+        print(f"{name:32}{'-' if value is None else format(value, '.4g'):>12}")
+    print(f"\n{'hidden':24}{'said':24}{'cases':>6}")
+    for entry in scores.confusion(rows):
+        print(f"{entry['hidden']:24}{entry['said']:24}{entry['cases']:6d}")
+
+
+def main() -> None:
+    """Entry point."""
+    config = tyro.cli(Config, description=__doc__)
+    with cli_errors():
+        folder = config.out or Path("runs") / f"blind_gap-{config.robot}-{config.effects}-{config.seed}"
+        key = {k: v for k, v in to_plain(config).items() if k not in ("cases", "workers", "out", "json")}
+        if (folder / "config.json").is_file() and read_json(folder / "config.json") != key:
+            print(f"error: {folder} holds cases of other settings; choose another --out", file=sys.stderr)
+            raise SystemExit(2)
+        write_json(folder / "config.json", key)
+        write_json(folder / "environment.json", describe_environment())
+        with progress(total=config.cases, description="blind cases", unit="cases") as bar:
+            for _ in run(config, folder):
+                bar.update(1)
+        rows = table(folder, config.cases)
+        numbers = scores.summary(rows)
+        report = {
+            "config": key,
+            "environment": read_json(folder / "environment.json"),
+            "numbers": numbers,
+            "bars": scores.bars(numbers),
+            "confusion": scores.confusion(rows),
+            "calibration": scores.calibration(rows),
+            "rows": rows,
+        }
+        write_json(folder / "numbers.json", report)
+        if rows:
+            write_table(
+                folder / "cases.csv", [{k: r.get(k) for k in dict.fromkeys(k for q in rows for k in q)} for r in rows]
+            )
+        if config.json is not None:
+            write_json(config.json, report)
+        show(numbers, rows)
+        print(json.dumps({k: v for k, v in numbers.items() if v is not None}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,250 @@
+"""Scores of blind cases: what was said against what was hidden. Pure arithmetic on the files of `blind_gap.py`."""
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.links import link_of
+from btr_mjx.gap.places import joint_of
+
+_FREE, _SLIDE = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+DETECTABLE = 60.0
+"""Gain, at the true parameters, beyond which an effect counts as detectable."""
+STRONG = 1000.0
+"""Visible chi^2 beyond which an effect outside the library counts as strong."""
+BARS: Mapping[str, tuple[str, float]] = {
+    "right_kind_and_place": (">=", 0.90),
+    "truth_in_equivalence_set": (">=", 0.97),
+    "right_limb_or_body": (">=", 0.95),
+    "parameter_error_median": ("<=", 0.05),
+    "parameter_error_90": ("<=", 0.20),
+    "nulls_named": ("<=", 0.02),
+    "strong_outside_flagged": (">=", 0.80),
+    "false_unexplained": ("<=", 0.03),
+    "gap_closed_median": (">=", 0.70),
+    "pairs_both_found": (">=", 0.70),
+    "steps_largest": ("<=", 1e6),
+    "seconds_median": ("<=", 15.0),
+}
+"""What the numbers should be."""
+Case = Mapping[str, Any]
+"""A case's `truth`, its `answer` (result.json in short) and its `oracle`."""
+
+
+def joints_of(model: mujoco.MjModel, label: str) -> frozenset[str]:
+    """Hinges and slides that a place stands for; empty for a body, a geom or the world."""
+    kind, _, name = label.partition(":")
+    names = [model.joint(j).name for j in range(model.njnt) if model.jnt_type[j] >= _SLIDE]
+    if kind == "all":
+        return frozenset(names)
+    if kind == "joint":
+        return frozenset([name])
+    if kind == "actuator":
+        joint = joint_of(model, model.actuator(name).id)
+        return frozenset() if joint is None else frozenset([model.joint(joint).name])
+    if kind == "subtree":
+        root = model.body(name).id
+        return frozenset(j for j in names if _below(model, int(model.joint(j).bodyid[0]), root))
+    return frozenset()
+
+
+def _below(model: mujoco.MjModel, body: int, root: int) -> bool:
+    while body > root:
+        body = int(model.body_parentid[body])
+    return body == root
+
+
+def same_place(model: mujoco.MjModel, one: str, other: str) -> bool:
+    """Whether two labels mean the same place; bodies that are welded together are one."""
+    if joints_of(model, one) or joints_of(model, other):
+        return joints_of(model, one) == joints_of(model, other)
+    bodies = [_body(model, label) for label in (one, other)]
+    return bodies[0] == bodies[1]
+
+
+def _body(model: mujoco.MjModel, label: str) -> int:
+    """The body of a place, -1 for the world."""
+    kind, _, name = label.partition(":")
+    return int(model.body_weldid[model.body(name).id]) if kind == "body" else -1
+
+
+def limbs_of(model: mujoco.MjModel, label: str) -> frozenset[str]:
+    """Limbs that a place touches: the branches at the trunk or at the base; a trunk or the world is its own limb."""
+    joints = joints_of(model, label)
+    bodies = {int(model.joint(j).bodyid[0]) for j in joints} or {_body(model, label)}
+    return frozenset("world" if b < 0 else model.body(_limb(model, b)).name for b in bodies)
+
+
+def _limb(model: mujoco.MjModel, body: int) -> int:
+    floating = model.jnt_type[model.body_jntadr[model.body_rootid[body]]] == _FREE
+    trunk = int(model.body_rootid[body]) if floating else 0
+    while body not in (trunk, 0) and int(model.body_weldid[int(model.body_parentid[body])]) != trunk:
+        body = int(model.body_parentid[body])
+    return trunk if int(model.body_weldid[body]) == trunk and trunk else body
+
+
+def same_effect(model: mujoco.MjModel, one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Whether two entries name the same kind at the same place."""
+    return one["effect"] == other["effect"] and same_place(model, one["location"], other["location"])
+
+
+def true_values(model: mujoco.MjModel, missing: Mapping[str, Any], names: Sequence[str]) -> list[float]:
+    """The hidden parameters in the words of the library's candidate at that place."""
+    parameters = missing["parameters"]
+    values = []
+    for name in names:
+        if name == "along":
+            link = link_of(model, model.body(missing["location"].partition(":")[2]).id)
+            assert link is not None
+            values.append(float((np.array([parameters[c] for c in "xyz"]) - link.anchor) @ link.direction))
+        else:
+            values.append(float(parameters[name]))
+    return values
+
+
+def parameter_error(missing: Mapping[str, Any], named: Mapping[str, Any]) -> float:
+    """Relative error of the size of a rightly named effect: of vectors the length of the error, of payloads the mass.
+
+    Where an effect is absent at a value other than zero (friction, softness), errors are relative to the distance
+    from there; a torque limit's to the limit.
+    """
+    true, said = missing["parameters"], named["parameters"]
+    if "mass" in true:
+        names: Sequence[str] = ["mass"]
+    elif "x" in true:
+        names = [name for name in "xyz" if name in true]
+    else:
+        names = [next(iter(true))]
+    null = [0.0 if name == "limit" else float(said[name].get("null", 0.0)) for name in names]
+    truth = np.array([float(true[name]) for name in names])
+    return float(np.linalg.norm([float(said[n]["value"]) - t for n, t in zip(names, truth, strict=True)])) / float(
+        np.linalg.norm(truth - np.array(null))
+    )
+
+
+def judge(model: mujoco.MjModel, case: Case) -> dict[str, Any]:
+    """One row of the table of cases."""
+    truth, answer, oracle = case["truth"], case["answer"], case["oracle"]
+    hidden, named = truth["effects"], answer["effects"]
+    row: dict[str, Any] = {
+        "robot": truth["robot"],
+        "seed": truth["seed"],
+        "truth": truth["verdict"],
+        "hidden": " + ".join(f"{e['effect']}@{e['location']}" for e in hidden) or truth["outside"] or "-",
+        "said": answer["verdict"],
+        "named": " + ".join(f"{e['effect']}@{e['location']}" for e in named) or "-",
+        "visible": truth["visible"],
+        "rate": truth["rate"],
+        "noise": truth["noise"],
+        "oracle": min(oracle["gains"], default=0.0),
+        "detectable": bool(oracle["gains"]) and min(oracle["gains"]) > DETECTABLE,
+        "strong": truth["verdict"] == "unexplained" and truth["visible"] > STRONG,
+        "score": named[0]["score"] if named else answer["best_score"],
+        "margin": answer["margin"],
+        "gap_before": answer["gap"]["before"],
+        "gap_after": answer["gap"]["after"],
+        "gap_closed": answer["gap"]["closed"],
+        "steps": answer["steps"],
+        "seconds": answer["seconds"],
+    }
+    if hidden:
+        found = [[n for n in named if same_effect(model, h, n)] for h in hidden]
+        row["right"] = all(found) if len(hidden) > 1 else bool(named) and same_effect(model, hidden[0], named[0])
+        close = [*named, *answer["equivalent"]]
+        row["in_set"] = answer["verdict"] == "effect" and all(
+            any(same_effect(model, h, c) for c in close) for h in hidden
+        )
+        limbs = [limbs_of(model, h["location"]) for h in hidden]
+        said = [limbs_of(model, n["location"]) for n in named]
+        row["right_limb"] = all(limb in said for limb in limbs)
+        row["extra"] = len(named) > len(hidden)
+        errors = [parameter_error(h, f[0]) for h, f in zip(hidden, found, strict=True) if f]
+        row["error"] = max(errors, default=float("nan")) if row["right"] else float("nan")
+    return row
+
+
+def _share(rows: Sequence[Mapping[str, Any]], good: Callable[[Mapping[str, Any]], bool]) -> float | None:
+    return float(np.mean([bool(good(row)) for row in rows])) if rows else None
+
+
+def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The numbers of the benchmark; None where there are no cases of the kind."""
+    effects = [r for r in rows if r["truth"] == "effect" and " + " not in r["hidden"]]
+    pairs = [r for r in rows if r["truth"] == "effect" and " + " in r["hidden"]]
+    nulls, outside = ([r for r in rows if r["truth"] == t] for t in ("none", "unexplained"))
+    seen = [r for r in effects if r["detectable"]]
+    right = [r for r in seen if r["right"]]
+    errors = np.array([r["error"] for r in right])
+    explained = [r for r in rows if r["truth"] != "unexplained"]
+    numbers: dict[str, Any] = {
+        "cases": len(rows),
+        "effects": len(effects),
+        "pairs": len(pairs),
+        "nulls": len(nulls),
+        "outside": len(outside),
+        "detectable": len(seen),
+        "undetectable_share": _share(effects, lambda r: not r["detectable"]),
+        "right_kind_and_place": _share(seen, lambda r: r["right"]),
+        "right_of_all_effects": _share(effects, lambda r: r["right"]),
+        "truth_in_equivalence_set": _share(seen, lambda r: r["in_set"]),
+        "right_limb_or_body": _share(seen, lambda r: r["right_limb"]),
+        "named_beside_the_truth": _share(seen, lambda r: r["extra"]),
+        "parameter_error_median": float(np.median(errors)) if len(errors) else None,
+        "parameter_error_90": float(np.percentile(errors, 90)) if len(errors) else None,
+        "nulls_named": _share(nulls, lambda r: r["said"] == "effect"),
+        "strong_outside": sum(r["strong"] for r in outside),
+        "strong_outside_flagged": _share([r for r in outside if r["strong"]], lambda r: r["said"] == "unexplained"),
+        "outside_flagged": _share(outside, lambda r: r["said"] == "unexplained"),
+        "outside_named": _share(outside, lambda r: r["said"] == "effect"),
+        "false_unexplained": _share(explained, lambda r: r["said"] == "unexplained"),
+        "false_names": _share(rows, lambda r: r["said"] == "effect" and not r.get("right", False)),
+        "gap_closed_median": float(np.median([r["gap_closed"] for r in right])) if right else None,
+        "pairs_detectable": sum(r["detectable"] for r in pairs),
+        "pairs_both_found": _share([r for r in pairs if r["detectable"]], lambda r: r["right"]),
+        "steps_median": float(np.median([r["steps"] for r in rows])) if rows else None,
+        "steps_largest": max((r["steps"] for r in rows), default=None),
+        "seconds_median": float(np.median([r["seconds"] for r in rows])) if rows else None,
+        "seconds_largest": max((r["seconds"] for r in rows), default=None),
+    }
+    return numbers
+
+
+def bars(numbers: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Each bar with what was measured and whether it was met; None where nothing was measured."""
+    out = {}
+    for name, (sign, bar) in BARS.items():
+        value = numbers[name]
+        met = None if value is None else bool(value >= bar if sign == ">=" else value <= bar)
+        out[name] = {"measured": value, "bar": f"{sign} {bar:g}", "met": met}
+    return out
+
+
+def confusion(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Counts of what was said by what was hidden: kinds of effects, nothing, something outside the library."""
+    counts: dict[tuple[str, str], int] = {}
+    for row in rows:
+        hidden = (
+            row["hidden"].split("@")[0] if row["truth"] == "effect" and " + " not in row["hidden"] else row["truth"]
+        )
+        hidden = "two effects" if " + " in row["hidden"] else hidden
+        said = row["named"].split("@")[0] if row["said"] == "effect" else row["said"]
+        counts[hidden, said] = counts.get((hidden, said), 0) + 1
+    return [{"hidden": h, "said": s, "cases": n} for (h, s), n in sorted(counts.items())]
+
+
+MARGINS = (0.0, 10.0, 25.0, 50.0, 100.0, 400.0, np.inf)
+
+
+def calibration(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """How often a name was right, by its margin over the next candidate."""
+    named = [r for r in rows if r["said"] == "effect" and r["margin"] is not None]
+    out = []
+    for low, high in itertools.pairwise(MARGINS):
+        inside = [r for r in named if low <= r["margin"] < high]
+        out.append(
+            {"from": low, "to": high, "names": len(inside), "right": _share(inside, lambda r: r.get("right", False))}
+        )
+    return out
