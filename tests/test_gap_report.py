@@ -147,6 +147,16 @@ def test_other_verdicts(folder: Path, change: dict[str, Any], expected: str) -> 
     assert expected in Page(draw(folder).read_text(encoding="utf-8")).text
 
 
+def test_one_more_effect_has_candidates_of_its_own(folder: Path) -> None:
+    second = {"effect": "payload", "location": "body:torso", "parameters": {"mass": {"value": 2.0, "unit": "kg"}}}
+    row = {"effect": "payload", "location": "body:torso", "score": 900.0, "beside": ["load_friction@joint:knee0"]}
+    changed = {"effects": [*RESULT["effects"], second], "ranking": [*RESULT["ranking"], row]}
+    write_json(folder / "result.json", RESULT | changed)
+    page = Page(draw(folder).read_text(encoding="utf-8"))
+    assert "one more effect beside load-dependent gear friction at joint knee0" in page.text
+    assert len(page.images) == 4
+
+
 def test_two_effects_and_equivalent_ones_in_the_sentence() -> None:
     second = {
         "effect": "payload",

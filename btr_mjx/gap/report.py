@@ -73,7 +73,7 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
     """The figures, each saved beside the page and inside it."""
     from btr_mjx.gap import report_figures as figures
 
-    out: dict[str, Any] = {"map": None, "ranking": None, "overlays": []}
+    out: dict[str, Any] = {"map": None, "ranking": [], "overlays": []}
     if (folder / "disagreement.npz").is_file():
         data = read_arrays(folder / "disagreement.npz")
         figure = figures.disagreement_map(
@@ -84,15 +84,23 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
             "would give: 1 is the noise floor, a dot a regime without data."
         )
         out["map"] = _picture(folder, "disagreement", figure, "Disagreement by part and regime", caption)
-    ranking = list(result.get("ranking") or [])
+    found = [(e["effect"], e["location"]) for e in result.get("effects") or []]
+    rows = list(result.get("ranking") or [])
+    ranking = [row for row in rows if not row.get("beside")]
     if ranking:
-        found = [(e["effect"], e["location"]) for e in result.get("effects") or []]
         figure = figures.ranking_bars(ranking, found)
         caption = (
             "Score: how far the misfit falls, beyond what the effect's numbers cost. Black: named. Hatched: cannot be "
             "told apart from it by these data. Grey: other candidates."
         )
-        out["ranking"] = _picture(folder, "ranking", figure, "Candidates by score", caption)
+        out["ranking"].append(_picture(folder, "ranking", figure, "Candidates by score", caption))
+    second = [row for row in rows if row.get("beside")]
+    if second and len(found) > 1:
+        figure = figures.ranking_bars(second, found)
+        caption = (
+            f"The same for one more effect beside {' and '.join(_beside(second[0]))}; scores are of both together."
+        )
+        out["ranking"].append(_picture(folder, "ranking-second", figure, "Candidates for one more effect", caption))
     if (folder / "overlays.npz").is_file():
         data = read_arrays(folder / "overlays.npz")
         stretches = [
@@ -105,9 +113,14 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
         ]
         if stretches:
             caption = "Held-out stretches in which the believed model is worst, with what is left of the difference."
-            figure = figures.overlays(stretches[:_OVERLAYS])
+            after = {"effect": "mended model", "unexplained": "best candidate"}.get(str(result.get("verdict")))
+            figure = figures.overlays(stretches[:_OVERLAYS], after)
             out["overlays"].append(_picture(folder, "overlays", figure, "Before and after", caption))
     return out
+
+
+def _beside(row: Mapping[str, Any]) -> list[str]:
+    return [named(dict(zip(("effect", "location"), name.split("@", 1), strict=True))) for name in row["beside"]]
 
 
 def _picture(folder: Path, name: str, figure: "Figure", alt: str, caption: str) -> dict[str, str]:
@@ -137,7 +150,7 @@ def _content(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
         "heading": "Simulation against data",
         "dataset": str(result.get("dataset") or folder.name),
         "sentence": verdict_sentence(result),
-        "gap": _gap(result.get("gap") or {}),
+        "gap": _gap(result.get("gap") or {}, bool(effects)),
         "effects": effects,
         "interval_note": str(
             result.get("interval_note")
@@ -158,16 +171,16 @@ def _unit(unit: Any) -> str:
     return "" if unit in (None, "1") else str(unit)
 
 
-def _gap(gap: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _gap(gap: Mapping[str, Any], mended: bool) -> list[tuple[str, str]]:
     """Figures under the verdict."""
     loop = f" {gap.get('open_loop_unit', 'rad')}"
     unit = f" [{gap['unit']}]" if gap.get("unit") else ""
     rows = (
-        (f"held-out gap before{unit}", "before", ""),
-        ("after", "after", ""),
+        (f"held-out gap{' before' if mended else ''}{unit}", "before", ""),
+        ("after", "after" if mended else "", ""),
         ("noise floor", "noise_floor", ""),
-        ("open-loop error before", "open_loop_before", loop),
-        ("after", "open_loop_after", loop),
+        (f"open-loop error{' before' if mended else ''}", "open_loop_before", loop),
+        ("after", "open_loop_after" if mended else "", loop),
     )
     return [(label, f"{number(gap[key])}{of}") for label, key, of in rows if _is_number(gap.get(key))]
 

@@ -8,6 +8,7 @@ import matplotlib
 import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from btr_mjx.gap.wording import named, number
 
@@ -81,7 +82,7 @@ def ranking_bars(rows: Sequence[Mapping[str, Any]], found: Sequence[tuple[str, s
             linewidth=0.7,
         )
         note = number(float(row.get("score") or 0.0))
-        if not best and row.get("margin") is not None:
+        if not best and row.get("margin"):
             note += f"  (−{number(abs(float(row['margin'])))})"
         axes.annotate(note, (score, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=7.5)
     axes.set_yticks(range(len(shown)), [_capital(named(row)) for row in shown])
@@ -117,8 +118,13 @@ class Stretch:
     after: np.ndarray
 
 
-def overlays(stretches: Sequence[Stretch]) -> Figure:
-    """Measured, before and after, with what is left of the difference beside it; one row a stretch."""
+def overlays(stretches: Sequence[Stretch], after: str | None = "mended model") -> Figure:
+    """Measured, before and after, with what is left of the difference beside it; one row a stretch.
+
+    Args:
+      stretches: what is shown.
+      after: what the second model is called; None leaves it out.
+    """
     figure = Figure(figsize=(7.4, 0.6 + 1.6 * len(stretches)))
     axes = figure.subplots(len(stretches), 2, squeeze=False, width_ratios=[1.25, 1])
     for (left, right), one in zip(axes, stretches, strict=True):
@@ -127,14 +133,18 @@ def overlays(stretches: Sequence[Stretch]) -> Figure:
         right.axhline(0.0, color="0.7", linewidth=0.6)
         for label, values, look in (
             ("believed model", one.before, {"color": BEFORE, "linestyle": (0, (4, 2))}),
-            ("mended model", one.after, {"color": AFTER, "linestyle": "-"}),
+            (after, one.after, {"color": AFTER, "linestyle": "-"}),
         ):
+            if label is None:
+                continue
             style: dict[str, Any] = dict(look)
             left.plot(one.time, values, linewidth=1.1, label=label, **style)
             right.plot(one.time, values - one.measured, linewidth=0.9, **style)
         left.set_ylabel(f"{one.name} [{one.unit}]")
         left.set_title(f"recording {one.recording}", loc="left", fontsize=8)
         right.set_title(f"model − measured [{one.unit}]", loc="left", fontsize=8)
+        for panel in (left, right):
+            panel.xaxis.set_major_locator(MaxNLocator(4))
     for panel in axes[-1]:
         panel.set_xlabel("time [s]")
     handles, labels = axes[0][0].get_legend_handles_labels()

@@ -159,8 +159,9 @@ def _noise_floor(result: Mapping[str, Any]) -> str:
 
 def _runner_up(result: Mapping[str, Any]) -> str:
     same = {_key(effect) for effect in result.get("effects") or []}
-    others = [row for row in result.get("ranking") or [] if _key(row) not in same and not row.get("equivalent")]
-    ranked = [row for row in result.get("ranking") or [] if _key(row) in same]
+    rows = [row for row in result.get("ranking") or [] if not row.get("beside")]
+    others = [row for row in rows if _key(row) not in same and not row.get("equivalent")]
+    ranked = [row for row in rows if _key(row) in same]
     if not others:
         return ""
     best, second = (_float(ranked[0].get("score")) if ranked else None), _float(others[0].get("score"))
