@@ -227,7 +227,9 @@ def _run(
     ends = np.cumsum([len(stretch) for _, stretch in pieces])
     rows = [slice(end - len(stretch), end) for end, (_, stretch) in zip(ends, pieces, strict=True)]
     count = int(ends[-1])
-    batch = Batch(base, nsim=count, nthread=threads or os.cpu_count() or 1)
+    # Threads that wait for each other at every step cost more than they bring to a few rows.
+    most = threads or os.cpu_count() or 1
+    batch = Batch(base, nsim=count, nthread=max(1, min(most, count // 48)))
     _write_models(batch, base, pieces, rows)
     qpos, qvel, time = batch.bind("qpos"), batch.bind("qvel"), batch.bind("time")
     for (world, stretch), own in zip(pieces, rows, strict=True):
