@@ -15,7 +15,10 @@ from btr_mjx.gap.sensitivity import force_signatures, parts
 from btr_mjx.gap.windows import MakeWorld, Windows
 
 _BINS = 4
-"""Parts of a window with a force of their own."""
+"""Parts of a window with a force of their own, at least."""
+
+_PART = 0.05
+"""Longest part of a window with one force [s]."""
 
 _CAP = 6.0
 """A window's excess counts up to so many standard deviations."""
@@ -111,7 +114,8 @@ class ForceFit:
     """Fits unknown generalised forces to residuals of one set of windows."""
 
     def __init__(self, windows: Windows, around: Circumstances, bins: int | None = None) -> None:
-        self.bins = min(bins or _BINS, windows.k)
+        length = float(np.median(windows.since[:, -1]))
+        self.bins = min(bins or max(_BINS, round(length / _PART)), windows.k)
         self.part = parts(windows.k, self.bins)
         columns = force_signatures(windows, around.inverse, self.bins)
         self._shape = (len(windows), windows.nv, self.bins)
@@ -146,10 +150,10 @@ def excess(forces: Forces) -> np.ndarray:
     return np.minimum(forces.explained - forces.rank, _CAP * spread)
 
 
-def lack_of_fit(forces: Forces) -> float:
-    """How many standard deviations the windows' excess lies above pure noise."""
-    spread = np.sqrt(2.0 * forces.rank)
-    return float(excess(forces).sum() / np.sqrt((spread**2).sum()))
+def lack_of_fit(sides: Sequence[Forces]) -> float:
+    """How many standard deviations the windows' excess lies above pure noise, over both sides of the split."""
+    total = sum(float(excess(forces).sum()) for forces in sides)
+    return total / float(np.sqrt(sum(2.0 * float(forces.rank.sum()) for forces in sides)))
 
 
 @dataclass(frozen=True)

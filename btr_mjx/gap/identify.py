@@ -94,7 +94,7 @@ def identify(
     final = named[-1] if named else None
     share = check.share(final)
     before, after = check.surprise(None), check.surprise(final)
-    surprised = min(after) > SURPRISE
+    surprised = after > SURPRISE
     verdict = "effect" if named else "none"
     if surprised and (final is None or share < SHARE):
         verdict = "unexplained"
@@ -112,7 +112,7 @@ def identify(
         confounds=(),
         overlays=_overlays(bench, final),
         share=share,
-        lack_of_fit=(min(before), min(after)),
+        lack_of_fit=(before, after),
         threshold=THRESHOLD,
         dispersion=bench.dispersion,
         sigma=bench.sigma,
@@ -175,19 +175,21 @@ class _Check:
     def _forces(self, i: int, judged: Judged | None):
         return self.fits[i](self._residual(i, judged))
 
-    def surprise(self, judged: Judged | None) -> tuple[float, float]:
-        """Lack of fit on both sides."""
-        return tuple(lack_of_fit(self._forces(i, judged)) for i in (0, 1))  # type: ignore[return-value]
+    def surprise(self, judged: Judged | None) -> float:
+        """Lack of fit over both sides, in standard deviations."""
+        return lack_of_fit([self._forces(i, judged) for i in (0, 1)])
 
     def share(self, judged: Judged | None) -> float:
-        """Part of what unknown forces explain that a hypothesis explains, on held-out windows."""
+        """Part of what unknown forces explain that a hypothesis explains, over both sides of the split."""
         if judged is None:
             return 0.0
-        before, after = self._forces(1, None), self._forces(1, judged)
-        cut = np.maximum(3.0 * np.median(before.explained), before.rank)
-        start = bounded(before.explained, cut) - before.rank
-        end = bounded(after.explained, cut) - after.rank
-        return float(1.0 - end.sum() / max(start.sum(), 1e-9))
+        start = end = 0.0
+        for i in (0, 1):
+            before, after = self._forces(i, None), self._forces(i, judged)
+            cut = np.maximum(3.0 * np.median(before.explained), 2.0 * before.rank)
+            start += float((bounded(before.explained, cut) - before.rank).sum())
+            end += float((bounded(after.explained, cut) - after.rank).sum())
+        return 1.0 - end / start if start > 0 else 0.0
 
     def map(self) -> DisagreementMap:
         """The map before any fit."""

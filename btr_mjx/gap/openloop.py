@@ -28,7 +28,7 @@ def recording_errors(data: Data, makes: Sequence[MakeWorld], counter: Counter | 
     jobs = []
     for make in makes:
         for i, (recording, track) in enumerate(zip(data.recordings, data.tracks, strict=True)):
-            qpos, qvel, _ = smooth(recording.model, track, np.array([0]), data.sigma, data.half)
+            qpos, qvel, _ = smooth(recording.model, track, np.array([0]), data.sigma, data.span)
             act = data.acts[i][:1] if recording.model.na else None
             since = (track.time - track.time[0])[None]
             stretch = Stretch(track.time[:1], qpos, qvel, since, data.commands, np.array([i]), act)

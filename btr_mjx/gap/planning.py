@@ -21,7 +21,7 @@ from btr_mjx.gap.worlds import Counter, Stretch, World, simulate
 CONTACT_SPAN = 0.02
 """Length of a window of a robot that touches the world [s]."""
 
-_LONGEST = 2.5
+_LONGEST = 3.0
 """No window is longer [s]."""
 
 _STRAY = 0.25
@@ -71,7 +71,7 @@ def _smooth_span(data: Data, counter: Counter) -> float:
     """The longest window over which the believed model stays near the data."""
     model = data.recordings[0].model
     shortest = min(float(r.time[-1] - r.time[0]) for r in data.recordings)
-    longest = min(_LONGEST, shortest / 2)
+    longest = min(_LONGEST, 0.48 * shortest)
     marks = np.geomspace(CONTACT_SPAN, max(longest, 2 * CONTACT_SPAN), 12)
     stray: list[np.ndarray] = []
     spread = np.zeros(model.nv)
@@ -79,7 +79,7 @@ def _smooth_span(data: Data, counter: Counter) -> float:
         spread = np.maximum(spread, difference(model, track.qpos[:1], track.qpos).std(0))
         last = int(np.searchsorted(track.time, track.time[-1] - marks[-1]))
         first = np.unique(np.linspace(0, max(last - 1, 0), 4).astype(int))
-        qpos, qvel, _ = smooth(model, track, first, data.sigma, data.half)
+        qpos, qvel, _ = smooth(model, track, first, data.sigma, data.span)
         own = np.full(len(first), i)
         act = data.acts[i][first] if model.na else None
         stretch = Stretch(track.time[first], qpos, qvel, marks, data.commands, own, act)
@@ -120,7 +120,7 @@ def place(
     interval = float(np.median(np.concatenate([np.diff(r.time) for r in data.recordings])))
     k = max(_FEWEST, round(span / interval))
     steps = max(1.0, k * interval / float(model.opt.timestep))
-    room = [(len(r.time) - 1 - data.half) // k for r in data.recordings]
+    room = [(len(r.time) - 1 - data.span.half) // k for r in data.recordings]
     if min(room) < 1:
         r = data.recordings[int(np.argmin(room))]
         raise InputError(f"recording {r.name!r}: {len(r.time)} samples are too short for a window of {k + 1} samples")
@@ -129,7 +129,7 @@ def place(
     for i, (r, most) in enumerate(zip(data.recordings, room, strict=True)):
         count = int(np.clip(round(per_recording or affordable), 1, most))
         last = len(r.time) - 1 - k
-        begin = min(data.half, last)
+        begin = min(data.span.half, last)
         first.append(np.unique(np.linspace(begin, last, count).astype(int)))
         recording.append(np.full(len(first[-1]), i))
     return np.concatenate(recording), np.concatenate(first), k

@@ -30,7 +30,7 @@ from btr_mjx.gap.screening import (
     screen,
     tolerance_of,
 )
-from btr_mjx.gap.smoothing import half_width
+from btr_mjx.gap.smoothing import best_span
 from btr_mjx.gap.windows import Data, Windows, prepare, track_of
 from btr_mjx.gap.worlds import Counter
 
@@ -55,7 +55,7 @@ class Options:
       iterations: Gauss-Newton steps of a refinement.
     """
 
-    steps: float = 6.5e5
+    steps: float = 7.5e5
     leaders: int = 6
     contact_leaders: int = 4
     iterations: int = 3
@@ -86,6 +86,8 @@ class Judged:
       score: gain on both, less what its numbers cost.
       residual: (W, R) on the held-out windows.
       chi2: (W,) there, with the tolerances at their best.
+      windows: of both sides of the split, with the starting states that it was judged with.
+      references: fits of the believed model on both sides, with starting states found in the same way.
     """
 
     hypothesis: Hypothesis
@@ -95,6 +97,8 @@ class Judged:
     score: float
     residual: np.ndarray
     chi2: np.ndarray
+    windows: tuple[Windows, Windows]
+    references: tuple[Fit, Fit]
 
     @property
     def name(self) -> str:
@@ -135,9 +139,9 @@ class Bench:
         tracks = [track_of(r) for r in dataset.recordings]
         noise = dataset.noise or estimate_noise(model, [(t.time, t.qpos, t.qvel, t.measured) for t in tracks])
         self.sigma = np.concatenate([noise.qpos, noise.qvel])
-        half = half_width(model, tracks, self.sigma)
-        data = prepare(dataset.fit, dataset.interpolation, self.sigma, half)
-        held = prepare(dataset.test, dataset.interpolation, self.sigma, half)
+        span = best_span(model, tracks, self.sigma)
+        data = prepare(dataset.fit, dataset.interpolation, self.sigma, span)
+        held = prepare(dataset.test, dataset.interpolation, self.sigma, span)
         self.survey: Survey = survey(data, self.counter)
         self.scales = _scales(data)
         self.candidates = candidates(model, self.scales, effects)
@@ -176,12 +180,11 @@ class Bench:
         state = 2 * model.nv + 12
         per_step = state + screening + 4.0 * (self.options.leaders + self.options.contact_leaders)
         share = 0.8 if len(data.recordings) >= len(held.recordings) else 0.6
-        recording, first, k = place(data, self.survey.span, share * self.options.steps, per_step)
+        budget = self.options.steps * float(np.clip(20.0 / model.nv, 1.0, 6.0))  # small models step faster
+        recording, first, k = place(data, self.survey.span, share * budget, per_step)
         fit = Side(Windows(data, recording, first, k, self.counter), _nothing(0, 0))
         most = max(1, round(_HELD_OUT * len(first) / len(held.recordings)))
-        recording, first, k = place(
-            held, self.survey.span, (1 - share) * self.options.steps, state + 20 + screening / 3
-        )
+        recording, first, k = place(held, self.survey.span, (1 - share) * budget, state + 20 + screening / 3)
         if len(first) > most * len(held.recordings):
             recording, first, k = place(held, self.survey.span, 0.0, 1.0, per_recording=most)
         return fit, Side(Windows(held, recording, first, k, self.counter), _nothing(0, 0))
@@ -195,7 +198,7 @@ class Bench:
             note("refit of the believed parameters")
             for _ in range(2):
                 nothing = _nothing(len(windows), windows.residual.shape[1])
-                cut = _CUT * max(windows.freedom, float(np.median((windows.residual**2).sum(1))))
+                cut = _CUT * _typical((windows.residual**2).sum(1), windows.freedom)
                 free = unknowns(self.base, True)
                 found = refine(windows, nothing, cut, [(free, [self.base.values(True)])], 6)[0]
                 self.base = self.base.replaced(found.values, True)
@@ -212,10 +215,10 @@ class Bench:
         side = self.fit
         if best is None:
             residual = side.windows.residual
-            cut = _CUT * max(side.windows.freedom, float(np.median((residual**2).sum(1))))
+            cut = _CUT * _typical((residual**2).sum(1), side.windows.freedom)
             best = side.nuisance.profile(residual, cut).chi2
-        self.dispersion = max(1.0, float(np.median(best)) / side.windows.freedom)
-        self.cut = _CUT * side.windows.freedom * self.dispersion
+        typical = _typical(best, side.windows.freedom)
+        self.dispersion, self.cut = typical / side.windows.freedom, _CUT * typical
         self.reference = self._reference(side), self._reference(self.test)
 
     def _reference(self, side: Side) -> Fit:
@@ -237,6 +240,7 @@ class Bench:
           Judged leaders, best first, gains measured against the believed model.
         """
         start = self.base if given is None else given.hypothesis
+        windows = (self.fit.windows, self.test.windows) if given is None else given.windows
         residual = self.fit.windows.residual if given is None else given.refined.residual
         extra = None if given is None else given.refined.columns
         leads = self.scanner(residual, self.cut, extra)
@@ -257,7 +261,7 @@ class Bench:
                 tries += [np.concatenate([head, values]) for values in self._probes(starts[0])]
             hypotheses.append((own, tries))
         found = refine(
-            self.fit.windows,
+            windows[0],
             self.free_nuisance,
             self.cut,
             [(unknowns(own, self.joint, self.delicate), tries) for own, tries in hypotheses],
@@ -268,7 +272,7 @@ class Bench:
         if given is None:
             best = min(found, key=lambda r: r.loss)
             self._settle(best.chi2)
-        return self.judge(refined, found, self.test.windows)
+        return self.judge(refined, found, windows, None if given is None else given.references)
 
     @property
     def free_nuisance(self) -> Nuisance:
@@ -283,7 +287,7 @@ class Bench:
         self,
         hypotheses: Sequence[Hypothesis],
         found: Sequence[Refined],
-        test: Windows,
+        windows: tuple[Windows, Windows],
         references: tuple[Fit, Fit] | None = None,
     ) -> list[Judged]:
         """Judge refined hypotheses on both sides of the split, best first.
@@ -291,10 +295,10 @@ class Bench:
         Args:
           hypotheses: with their refined values.
           found: what the refinement found on the recordings to fit.
-          test: held-out windows to judge on.
+          windows: of both sides, to judge on.
           references: fits of the believed model on both sides; None for the usual ones.
         """
-        held = test.residuals(list(hypotheses))
+        held = windows[1].residuals(list(hypotheses))
         nuisance = self.free_nuisance
         size = np.log(self.fit.windows.residual.size + self.test.windows.residual.size)
         reference = self.reference if references is None else references
@@ -303,7 +307,7 @@ class Bench:
             own = nuisance.profile(refined.residual, self.cut), self.test.nuisance.profile(residual, self.cut)
             gain, held_out = (self._gain(a, b) for a, b in zip(reference, own, strict=True))
             score = gain + held_out - size * hypothesis.numbers
-            out.append(Judged(hypothesis, refined, gain, held_out, score, residual, own[1].chi2))
+            out.append(Judged(hypothesis, refined, gain, held_out, score, residual, own[1].chi2, windows, reference))
         return sorted(out, key=lambda judged: -judged.score)
 
     def _gain(self, before: Fit, after: Fit) -> float:
@@ -334,7 +338,8 @@ class Bench:
             start = own.hypothesis.values(self.joint)
             refined = refine(windows, self.free_nuisance, self.cut, [(free, [start])], 2)[0]
             hypothesis = own.hypothesis.replaced(refined.values, self.joint)
-            out += self.judge([hypothesis], [refined], self.test.windows.recentred(hypothesis), references)
+            both = windows, self.test.windows.recentred(hypothesis)
+            out += self.judge([hypothesis], [refined], both, references)
         return sorted(out, key=lambda j: -j.score)
 
     def _polished(self) -> tuple[Fit, Fit]:
@@ -387,6 +392,11 @@ class Bench:
                 best = chi2
         assert best is not None
         return best
+
+
+def _typical(chi2: np.ndarray, freedom: int) -> float:
+    """A chi^2 that most windows stay below, and never less than noise gives."""
+    return max(float(freedom), float(np.quantile(chi2, 0.8)) / (1.0 + 1.2 / np.sqrt(freedom)))
 
 
 def _nothing(windows: int, rows: int) -> Nuisance:

@@ -1,6 +1,6 @@
 """Estimates of a robot's state from noisy samples at uneven times.
 
-A cubic in time is fitted to the samples around each chosen one, to positions and, where they were measured, to
+A polynomial in time is fitted to the samples around each chosen one, to positions and, where they were measured, to
 velocities, each in units of its noise. Positions are tangent vectors from the chosen sample, so any joint will do.
 """
 
@@ -18,6 +18,19 @@ from btr_mjx.gap.worlds import World
 
 _WIDTHS = (3, 4, 5, 6, 8, 10, 13, 16, 20)
 """Half widths of the fit that are tried, in samples."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """What a state estimate uses.
+
+    Attributes:
+      half: samples on either side.
+      order: coefficients of the polynomial.
+    """
+
+    half: int
+    order: int = 4
 
 
 @dataclass(frozen=True)
@@ -42,7 +55,7 @@ def smooth(
     track: Track,
     samples: np.ndarray,
     sigma: np.ndarray,
-    half: int,
+    span: Span,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Smoothed states at some samples of a recording.
 
@@ -51,14 +64,14 @@ def smooth(
       track: the recording.
       samples: (N,) indices of samples.
       sigma: (2 nv,) noise of positions and velocities.
-      half: samples used on either side; at the ends of the recording the window is shifted inwards.
+      span: samples that are used; at the ends of the recording they are shifted inwards.
 
     Returns:
       qpos (N, nq), qvel (N, nv) and the fit's chi^2 per degree of freedom (N, nv).
     """
     count, nv = len(track.time), model.nv
-    width = min(2 * half + 1, count)
-    first = np.clip(samples - half, 0, count - width)
+    width = min(2 * span.half + 1, count)
+    first = np.clip(samples - span.half, 0, count - width)
     index = first[:, None] + np.arange(width)
     tau = track.time[index] - track.time[samples][:, None]
     scale = np.maximum(np.abs(tau).max(1), 1e-9)
@@ -66,7 +79,7 @@ def smooth(
     centre = track.qpos[samples]
     position = difference(model, centre[:, None], track.qpos[index])  # (N, width, nv)
     velocity = np.where(track.measured, track.qvel[index], 0.0) * scale[:, None, None]
-    order = min(4, width)
+    order = min(span.order, width)
     basis = np.stack([u**p for p in range(order)], -1)  # (N, width, order)
     slope = np.stack([p * u ** max(p - 1, 0) for p in range(order)], -1)
     weight_v = np.where(track.measured, 1.0 / sigma[nv:], 0.0) / scale[:, None]  # (N, nv)
@@ -85,30 +98,29 @@ def smooth(
     return integrate(model, centre, fitted[..., 0]), fitted[..., 1] / scale[:, None], chi2
 
 
-def half_width(model: mujoco.MjModel, tracks: list[Track], sigma: np.ndarray, limit: float = 1.3) -> int:
-    """The widest fit that the motion still allows: the residuals of a cubic must look like noise.
+def best_span(model: mujoco.MjModel, tracks: list[Track], sigma: np.ndarray, limit: float = 1.2) -> Span:
+    """The fit with the smallest error that the motion still allows: its residuals must look like noise.
 
     Args:
       model: whose joints are meant.
       tracks: recordings.
       sigma: (2 nv,) noise.
       limit: largest median chi^2 per degree of freedom in the worst coordinate.
-
-    Returns:
-      Half width in samples.
     """
-    best = _WIDTHS[0]
-    for half in _WIDTHS:
-        chi2 = []
-        for track in tracks:
-            if len(track.time) < 2 * half + 1:
-                continue
-            picks = np.unique(np.linspace(half, len(track.time) - 1 - half, 40).astype(int))
-            chi2.append(smooth(model, track, picks, sigma, half)[2])
-        if not chi2 or np.quantile(np.concatenate(chi2), 0.5, axis=0).max() > limit:
-            break
-        best = half
-    return best
+    found = [Span(_WIDTHS[0], 6)]
+    for order in (4, 6):
+        for half in _WIDTHS:
+            chi2 = []
+            for track in tracks:
+                if len(track.time) < 2 * half + 1:
+                    continue
+                picks = np.unique(np.linspace(half, len(track.time) - 1 - half, 40).astype(int))
+                chi2.append(smooth(model, track, picks, sigma, Span(half, order))[2])
+            if not chi2 or np.median(np.concatenate(chi2), axis=0).max() > limit:
+                break
+            found.append(Span(half, order))
+    # A longer fit knows more; two more coefficients cost about a factor of two in samples.
+    return max(found, key=lambda span: span.half * (1.0 if span.order == 4 else 0.5))
 
 
 def histories(model: mujoco.MjModel, track: Track, command: Command) -> np.ndarray:

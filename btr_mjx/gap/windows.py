@@ -16,7 +16,7 @@ import numpy as np
 from btr_mjx.gap.commands import Command
 from btr_mjx.gap.recordings import Recording
 from btr_mjx.gap.score import orthonormal, project
-from btr_mjx.gap.smoothing import Track, histories, smooth
+from btr_mjx.gap.smoothing import Span, Track, histories, smooth
 from btr_mjx.gap.tangent import difference, integrate
 from btr_mjx.gap.worlds import Counter, Job, Stretch, World, simulate
 
@@ -29,7 +29,7 @@ FINE = 4
 _NUDGE = 0.2
 """Perturbation of a starting state, in units of the noise."""
 
-_REACH = 1.5
+_REACH = 2.0
 """How far a starting state may be led away from the smoothed one, in units of the noise."""
 
 _CEILING = 1e4
@@ -47,7 +47,7 @@ class Data:
       acts: activation states at the samples of each, (K, na).
       sigma: (2 nv,) noise of positions and velocities.
       measured: (2 nv,) bool: which coordinates were measured.
-      half: samples on either side that a state estimate uses.
+      span: samples that a state estimate uses.
     """
 
     recordings: tuple[Recording, ...]
@@ -56,24 +56,24 @@ class Data:
     acts: tuple[np.ndarray, ...]
     sigma: np.ndarray
     measured: np.ndarray
-    half: int
+    span: Span
 
 
-def prepare(recordings: Sequence[Recording], interpolation: str, sigma: np.ndarray, half: int) -> Data:
+def prepare(recordings: Sequence[Recording], interpolation: str, sigma: np.ndarray, span: Span) -> Data:
     """Make recordings ready for windows.
 
     Args:
       recordings: at least one.
       interpolation: of the command.
       sigma: (2 nv,) noise.
-      half: samples on either side that a state estimate uses.
+      span: samples that a state estimate uses.
     """
     tracks = tuple(track_of(r) for r in recordings)
     commands = tuple(Command(r.time, r.ctrl, interpolation) for r in recordings)  # type: ignore[arg-type]
     acts = tuple(histories(r.model, t, c) for r, t, c in zip(recordings, tracks, commands, strict=True))
     seen = np.stack([r.qvel_measured for r in recordings]).all(0)
     measured = np.concatenate([np.ones(recordings[0].model.nv, bool), seen])
-    return Data(tuple(recordings), tracks, commands, acts, sigma, measured, half)
+    return Data(tuple(recordings), tracks, commands, acts, sigma, measured, span)
 
 
 def track_of(recording: Recording) -> Track:
@@ -115,7 +115,7 @@ class Windows:
         self.qpos, self.qvel = np.empty((len(self), self.nq)), np.empty((len(self), self.nv))
         for r in np.unique(self.recording):
             own = np.flatnonzero(self.recording == r)
-            q, v, _ = smooth(model, data.tracks[r], self.first[own], data.sigma, data.half)
+            q, v, _ = smooth(model, data.tracks[r], self.first[own], data.sigma, data.span)
             self.qpos[own], self.qvel[own] = q, v
         self.smoothed = self.qpos.copy(), self.qvel.copy()
         self.channels = np.flatnonzero(data.measured)
