@@ -32,7 +32,7 @@ from common import Config
 from drawing import figure_of, save
 from fig3_behaviours import sizes_of
 from matplotlib.axes import Axes
-from paper_claims import claims_of_fig2, claims_of_fig3, claims_of_fig4, claims_of_fig5
+from paper_claims import claims_of_fig2, claims_of_fig3, claims_of_fig4, claims_of_fig5, explained
 from units import estimate, missing
 from verdicts import Claim
 
@@ -74,12 +74,14 @@ def collect(folder: Path, sizes: Sequence[int]) -> list[Claim]:
     """All claims, from the figures' JSON files."""
     read = lambda name: read_json(folder / name / f"{name.partition('_')[0]}.json")  # noqa: E731
     third, fourth = read("fig3_behaviours"), read("fig4_identification")
-    return [
-        *claims_of_fig2(read("fig2_scans"), [float(third["at_truth"]), float(fourth["at_truth"])]),
-        *claims_of_fig3(third, sizes),
-        *claims_of_fig4(fourth),
-        *claims_of_fig5(read("fig5_metrics")),
-    ]
+    return explained(
+        [
+            *claims_of_fig2(read("fig2_scans"), [float(third["at_truth"]), float(fourth["at_truth"])]),
+            *claims_of_fig3(third, sizes),
+            *claims_of_fig4(fourth),
+            *claims_of_fig5(read("fig5_metrics")),
+        ]
+    )
 
 
 def table(claims: Sequence[Claim]) -> str:
@@ -94,6 +96,9 @@ def table(claims: Sequence[Claim]) -> str:
         )
     counts = {word: sum(claim.verdict == word for claim in claims) for word in ("holds", "does not", "undecided")}
     lines += ["", ", ".join(f"{count} {word}" for word, count in counts.items()) + f" of {len(claims)}.", ""]
+    reasons = [claim for claim in claims if claim.why]
+    if reasons:
+        lines += ["## What does not hold, and why", "", *(f"- **{claim.claim}.** {claim.why}" for claim in reasons), ""]
     rule = (__doc__ or "").partition("\n\n")[2].partition("\n\n")[2]
     return "\n".join(lines) + "\n" + rule
 

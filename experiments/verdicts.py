@@ -34,6 +34,7 @@ class Claim:
       high: upper end.
       seeds: number of seeds that gave a number.
       p: p-value of the paired test, None where there is none.
+      why: where the claim does not hold here, what is known of the reason.
     """
 
     claim: str
@@ -45,6 +46,7 @@ class Claim:
     high: float
     seeds: int
     p: float | None = None
+    why: str = ""
 
     @property
     def verdict(self) -> str:
@@ -58,7 +60,7 @@ class Claim:
     def row(self) -> dict[str, Any]:
         """For claims.json."""
         first = {name: getattr(self, name) for name in ("claim", "statistic", "low", "high", "verdict")}
-        return first | {name: getattr(self, name) for name in ("measure", "sense", "bound", "seeds", "p")}
+        return first | {name: getattr(self, name) for name in ("measure", "sense", "bound", "seeds", "p", "why")}
 
 
 def claimed(
