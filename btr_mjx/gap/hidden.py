@@ -10,19 +10,19 @@ The folder says nothing about the answer.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap import hidden_physics as physics
 from btr_mjx.gap.dataset_files import Format, save_dataset
+from btr_mjx.gap.hidden_draw import Draw, Missing, add_effects, background_of
 from btr_mjx.gap.hidden_outside import OUTSIDE, possible
-from btr_mjx.gap.hidden_physics import Loads, Reality, Restart, loads, simulate
-from btr_mjx.gap.hidden_robots import CaseRobot, Motion, case_robot
+from btr_mjx.gap.hidden_physics import Reality, Restart, loads, simulate
+from btr_mjx.gap.hidden_robots import case_robot
 from btr_mjx.gap.recordings import Recording
 
 Verdict = Literal["effect", "none", "unexplained"]
@@ -32,37 +32,6 @@ SHARES: Mapping[Verdict, float] = {"none": 0.22, "unexplained": 0.18, "effect": 
 """Shares of the verdicts that would be right."""
 FIT, TEST = 8, 4
 """Behaviours to fit and held out."""
-
-JOINT_EFFECTS = (
-    "viscous_damping",
-    "dry_friction",
-    "load_friction",
-    "stribeck_friction",
-    "armature",
-    "joint_stiffness",
-    "joint_offset",
-    "backlash",
-)
-ACTUATOR_EFFECTS = ("actuator_delay", "actuator_lag", "actuator_gain", "torque_limit")
-BODY_EFFECTS = ("payload", "link_length")
-WORLD_EFFECTS = ("ground_friction", "ground_slope", "contact_softness", "air_drag", "constant_force")
-SINGLE = ("joint_stiffness", "joint_offset")
-"""Effects that sit on one joint only."""
-
-
-@dataclass(frozen=True)
-class Missing:
-    """Something that the believed model lacks.
-
-    Attributes:
-      effect: its name.
-      location: where it sits.
-      parameters: its size.
-    """
-
-    effect: str
-    location: str
-    parameters: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -89,20 +58,6 @@ class Truth:
     rate: int
     noise: float
     visible: float = 0.0
-
-
-@dataclass
-class _Draw:
-    """A case while it is drawn."""
-
-    robot: CaseRobot
-    rng: np.random.Generator
-    motions: Sequence[Motion]
-    sizes: Loads
-    background: Reality = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.background = Reality.of(self.robot)
 
 
 def make_case(
@@ -148,27 +103,48 @@ def make_case(
     drawn_rate, drawn_noise = int(rng.choice(RATES)), float(np.exp(rng.uniform(0, np.log(3))))
     rate, noise = rate or drawn_rate, drawn_noise if noise is None else noise
     motions = [machine.draw_motion(rng) for _ in range(sum(recordings))]
-    draw = _Draw(machine, rng, motions, loads(machine, motions[:3]))
-    disturb = _background(draw, background)
-    disturb(draw.background)
-    reality = Reality.of(machine)
-    disturb(reality)
-    missing: tuple[Missing, ...] = ()
-    where = ""
-    if chosen == "effect":
-        missing = _add_effects(draw, reality, effects)
-    elif chosen == "unexplained":
-        names = possible(reality)
-        name = str(rng.choice(names)) if outside is None else outside
-        if name not in names:
-            raise InputError(f"effect outside the library {name!r}: {robot} can have {', '.join(names)}")
-        where = f"{name} at {OUTSIDE[name](reality, list(draw.sizes.torque), draw.sizes, rng)}"
-    elif chosen != "none":
-        raise InputError(f"verdict {chosen!r}: expected 'effect', 'none' or 'unexplained'")
+    draw = Draw(machine, rng, motions, loads(machine, motions[:3]))
+    reality, missing, where = draw_reality(draw, chosen, effects, outside, background)
     rows = [simulate(reality, motion, machine.duration, rate) for motion in motions]
     visible = 0.0 if chosen == "none" else _visible(draw, rows[: recordings[0]], rate, noise)
     _write(folder, draw, rows, rate, noise, recordings[0], file_format)
     return Truth(robot, seed, chosen, missing, where, rate, noise, visible)
+
+
+def draw_reality(
+    draw: Draw, verdict: Verdict, effects: Sequence[str] | int, outside: str | None, background: float
+) -> tuple[Reality, tuple[Missing, ...], str]:
+    """A reality with small errors and with what is missing.
+
+    Args:
+      draw: the case; its background is filled in.
+      verdict: kind of case.
+      effects: number of missing effects, or their names.
+      outside: name of the effect outside the library; None draws it.
+      background: factor on the small errors.
+
+    Returns:
+      The reality, what is missing of the library, and what is missing outside it.
+
+    Raises:
+      InputError: see `make_case`.
+    """
+    disturb = background_of(draw, background)
+    disturb(draw.background)
+    reality = Reality.of(draw.robot)
+    disturb(reality)
+    if verdict == "effect":
+        return reality, add_effects(draw, reality, effects), ""
+    if verdict == "none":
+        return reality, (), ""
+    if verdict != "unexplained":
+        raise InputError(f"verdict {verdict!r}: expected 'effect', 'none' or 'unexplained'")
+    names = possible(reality)
+    name = str(draw.rng.choice(names)) if outside is None else outside
+    if name not in names:
+        raise InputError(f"effect outside the library {name!r}: {draw.robot.name} can have {', '.join(names)}")
+    place = OUTSIDE[name](reality, list(draw.sizes.torque), draw.sizes, draw.rng)
+    return reality, (), f"{name} at {place}"
 
 
 def _drawn_verdict(rng: np.random.Generator) -> Verdict:
@@ -176,197 +152,7 @@ def _drawn_verdict(rng: np.random.Generator) -> Verdict:
     return names[int(rng.choice(len(names), p=list(SHARES.values())))]
 
 
-def _background(draw: _Draw, scale: float) -> Any:
-    """Small errors everywhere, drawn once; returns what adds them to a reality."""
-    rng, robot, sizes = draw.rng, draw.robot, draw.sizes
-    joints = list(sizes.torque)
-    n = len(joints)
-    model = robot.model
-    heavy = [model.body(b).name for b in range(1, model.nbody) if model.body_mass[b] > 0]
-    gain, offset, damping = (scale * s * rng.normal(size=n) for s in (3e-3, 5e-4, 4e-4))
-    mass, length = scale * 4e-3 * rng.normal(size=len(heavy)), scale * 4e-4 * rng.normal(size=len(robot.links))
-    friction, softness = scale * np.array([0.03, 2e-4]) * rng.normal(size=2)
-
-    def add(reality: Reality) -> None:
-        for i, name in enumerate(joints):
-            physics.actuator_gain(reality, [name], gain[i])
-            physics.joint_offset(reality, [name], offset[i])
-            believed = float(np.array(reality.spec.joint(name).damping)[0])
-            physics.viscous_damping(
-                reality, [name], max(damping[i] * sizes.torque[name] / sizes.speed[name], -0.9 * believed)
-            )
-        for body, share in zip(heavy, mass, strict=True):
-            physics.scale_mass(reality, body, 1 + share)
-        for body, share in zip(robot.links, length, strict=True):
-            physics.link_length(reality, body, share * _length(robot, body))
-        if robot.floor is not None:
-            physics.ground_friction(reality, 1 + friction)
-            physics.contact_softness(reality, softness)
-
-    return add
-
-
-def _length(robot: CaseRobot, body: str) -> float:
-    """Length of a link [m]."""
-    model = robot.model
-    geom = int(model.body(body).geomadr[0])
-    return 2 * float(model.geom_size[geom, 1])
-
-
-def _possible_effects(draw: _Draw) -> list[str]:
-    floor = draw.robot.floor is not None
-    names = [*JOINT_EFFECTS, *ACTUATOR_EFFECTS, *BODY_EFFECTS]
-    return names + [name for name in WORLD_EFFECTS if floor or name == "air_drag"]
-
-
-def _add_effects(draw: _Draw, reality: Reality, effects: Sequence[str] | int) -> tuple[Missing, ...]:
-    """Draw what is missing, each effect of another kind and at another place."""
-    known = _possible_effects(draw)
-    count = effects if isinstance(effects, int) else len(effects)
-    if not 1 <= count <= len(known):
-        raise InputError(f"effects: got {effects!r}, expected names or a number of at least 1")
-    names = [str(n) for n in draw.rng.choice(known, count, replace=False)] if isinstance(effects, int) else effects
-    missing: list[Missing] = []
-    for name in names:
-        if name not in known:
-            raise InputError(f"effect {name!r}: {draw.robot.name} can have {', '.join(known)}")
-        while True:
-            one, apply = _drawn_effect(draw, name)
-            if one.location == "world" or one.location not in [other.location for other in missing]:
-                break
-            if len(draw.sizes.torque) == 1:
-                break
-        apply(reality)
-        missing.append(one)
-    return tuple(missing)
-
-
-def _log(rng: np.random.Generator, low: float, high: float) -> float:
-    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
-
-
-def _joints_at(draw: _Draw, single: bool, group: bool = True) -> tuple[str, list[str]]:
-    """A joint, a leg or all joints: the name after the kind and the joints."""
-    rng, joints = draw.rng, list(draw.sizes.torque)
-    kind = rng.choice(3, p=[0.5, 0.3, 0.2])
-    if single or len(joints) == 1 or kind == 0 or not group:
-        name = str(rng.choice(joints))
-        return name, [name]
-    if kind == 1 and draw.robot.legs:
-        leg = str(rng.choice(draw.robot.legs))
-        return f"subtree:{leg}", _below(draw.robot.model, leg, joints)
-    return "all", joints
-
-
-def _below(model: mujoco.MjModel, body: str, joints: Sequence[str]) -> list[str]:
-    root, chosen = model.body(body).id, []
-    for name in joints:
-        at = int(model.joint(name).bodyid[0])
-        while at > root:
-            at = int(model.body_parentid[at])
-        if at == root:
-            chosen.append(name)
-    return chosen
-
-
-def _drawn_effect(draw: _Draw, name: str) -> tuple[Missing, Any]:
-    """An effect of a random place and size, and what adds it to a reality."""
-    if name in BODY_EFFECTS:
-        return _drawn_body(draw, name)
-    if name in WORLD_EFFECTS:
-        return _drawn_world(draw, name)
-    place, joints = _joints_at(draw, name in SINGLE)
-    location = place
-    if place != "all" and not place.startswith("subtree:"):
-        location = f"{'joint' if name in JOINT_EFFECTS else 'actuator'}:{place}"
-    parameters = _joint_sizes(draw, name, joints)
-    function = getattr(physics, name)
-    return Missing(name, location, parameters), lambda r: function(r, joints, **parameters)
-
-
-def _joint_sizes(draw: _Draw, name: str, joints: Sequence[str]) -> dict[str, float]:
-    """Sizes of an effect on joints, from the loads there: the same for all of them."""
-    rng, s = draw.rng, draw.sizes
-    torque, speed, travel = (float(np.mean([v[j] for j in joints])) for v in (s.torque, s.speed, s.travel))
-    acceleration = float(np.mean([s.acceleration[j] for j in joints]))
-    pace = 60.0 / draw.robot.tempo
-    if name == "viscous_damping":
-        return {"damping": _log(rng, 3e-3, 0.1) * torque / speed}
-    if name == "dry_friction":
-        return {"torque": _log(rng, 3e-3, 0.06) * torque}
-    if name == "load_friction":
-        return {"coefficient": _log(rng, 0.02, 0.3)}
-    if name == "stribeck_friction":
-        return {"torque": _log(rng, 0.01, 0.1) * torque, "speed": rng.uniform(0.05, 0.3) * speed}
-    if name == "armature":
-        return {"armature": _log(rng, 4e-3, 0.12) * torque / acceleration}
-    if name == "joint_stiffness":
-        return {"stiffness": _log(rng, 4e-3, 0.06) * torque / travel}
-    if name == "joint_offset":
-        return {"offset": float(rng.choice([-1, 1])) * _log(rng, 4e-3, 0.03)}
-    if name == "backlash":
-        return {"play": _log(rng, 1e-3, 0.015)}
-    if name == "actuator_delay":
-        return {"delay": pace * _log(rng, 1.5e-4, 3e-3)}
-    if name == "actuator_lag":
-        return {"time_constant": pace * _log(rng, 1.5e-4, 3e-3)}
-    if name == "actuator_gain":
-        return {"change": -_log(rng, 0.01, 0.15)}
-    assert name == "torque_limit"
-    return {"limit": (1 - rng.uniform(0.15, 0.5)) * max(s.torque[j] for j in joints)}
-
-
-def _drawn_body(draw: _Draw, name: str) -> tuple[Missing, Any]:
-    rng, robot = draw.rng, draw.robot
-    model = robot.model
-    if name == "link_length":
-        body = str(rng.choice(robot.links))
-        change = float(rng.choice([-1, 1])) * _log(rng, 6e-3, 0.08) * _length(robot, body)
-        return Missing(name, f"body:{body}", {"change": change}), lambda r: physics.link_length(r, body, change)
-    if robot.base is not None and rng.random() < 0.4:
-        body = robot.base
-        mass = _log(rng, 0.015, 0.1) * float(model.body_subtreemass[0])
-        half = float(model.geom_rbound[int(model.body(body).geomadr[0])])
-        position = half * rng.uniform([-0.6, -0.2, 0.0], [0.6, 0.2, 0.2])
-    else:
-        body = str(rng.choice(robot.links))
-        mass = _log(rng, 0.03, 0.2) * float(model.body(body).mass[0])
-        geom = int(model.body(body).geomadr[0])
-        rotation = np.zeros(9)
-        mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
-        tip = rotation.reshape(3, 3)[:, 2] * model.geom_size[geom, 1]  # from the capsule's centre to one end
-        ends = [model.geom_pos[geom] + tip, model.geom_pos[geom] - tip]
-        position = max(ends, key=np.linalg.norm) * rng.uniform(0.6, 1.0)
-    size = {"mass": mass, **dict(zip(("x", "y", "z"), map(float, position), strict=True))}
-    return Missing(name, f"body:{body}", size), lambda r: physics.payload(r, body, mass, list(position))
-
-
-def _drawn_world(draw: _Draw, name: str) -> tuple[Missing, Any]:
-    rng, robot = draw.rng, draw.robot
-    if name == "ground_friction":
-        factor = 1 - rng.uniform(0.15, 0.6)
-        believed = float(robot.model.geom_friction[:, 0].max())
-        return Missing(name, "world", {"coefficient": factor * believed}), lambda r: physics.ground_friction(r, factor)
-    if name == "contact_softness":
-        change = _log(rng, 2e-3, 0.03)
-        believed = float(robot.model.geom_solref[0, 0])
-        size = {"time_constant": believed + change}
-        return Missing(name, "world", size), lambda r: physics.contact_softness(r, change)
-    if name == "ground_slope":
-        tilt, angle = _log(rng, 0.04, 0.15), rng.uniform(0, 2 * np.pi)
-        x, y = float(tilt * np.cos(angle)), float(tilt * np.sin(angle))
-        return Missing(name, "world", {"x": x, "y": y}), lambda r: physics.ground_slope(r, x, y)
-    if name == "air_drag":
-        density = _log(rng, *robot.drag)
-        return Missing(name, "world", {"density": density}), lambda r: physics.air_drag(r, density)
-    body = str(robot.base)
-    force = rng.normal(size=3)
-    force *= _log(rng, 0.045, 0.22) * float(robot.model.body_subtreemass[0]) * 9.81 / np.linalg.norm(force)
-    pull = dict(zip(("x", "y", "z"), map(float, force), strict=True))
-    return Missing(name, f"body:{body}", pull), lambda r: physics.constant_force(r, body, list(force))
-
-
-def _visible(draw: _Draw, rows: Sequence[Mapping[str, np.ndarray]], rate: int, noise: float) -> float:
+def _visible(draw: Draw, rows: Sequence[Mapping[str, np.ndarray]], rate: int, noise: float) -> float:
     """See `Truth.visible`: reality against the background alone, both from the same states every 40 ms."""
     model = draw.robot.model
     sigma_q, sigma_v = (noise * s for s in draw.robot.sigma(model))
@@ -392,7 +178,7 @@ def _visible(draw: _Draw, rows: Sequence[Mapping[str, np.ndarray]], rate: int, n
 
 def _write(
     folder: str | Path,
-    draw: _Draw,
+    draw: Draw,
     rows: Sequence[Mapping[str, np.ndarray]],
     rate: int,
     noise: float,
