@@ -88,10 +88,11 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
     rows = list(result.get("ranking") or [])
     ranking = [row for row in rows if not row.get("beside")]
     if ranking:
-        figure = figures.ranking_bars(ranking, found)
+        threshold = result["threshold"] if _is_number(result.get("threshold")) else None
+        figure = figures.ranking_bars(ranking, found, threshold)
         caption = (
             "Score: how far the misfit falls, beyond what the effect's numbers cost. Black: named. Hatched: cannot be "
-            "told apart from it by these data. Grey: other candidates."
+            "told apart from it by these data. Grey: other candidates. Dotted line: what a name needs at least."
         )
         out["ranking"].append(_picture(folder, "ranking", figure, "Candidates by score", caption))
     second = [row for row in rows if row.get("beside")]

@@ -57,12 +57,18 @@ def disagreement_map(
     return figure
 
 
-def ranking_bars(rows: Sequence[Mapping[str, Any]], found: Sequence[tuple[str, str]], most: int = 14) -> Figure:
+def ranking_bars(
+    rows: Sequence[Mapping[str, Any]],
+    found: Sequence[tuple[str, str]],
+    threshold: float | None = None,
+    most: int = 14,
+) -> Figure:
     """Candidates by score, with the best black, what cannot be told from it hatched, the others grey.
 
     Args:
       rows: entries of `ranking` in result.json, best first.
       found: (effect, location) of the effects that were named.
+      threshold: score that a name needs; None if it is not shown.
       most: how many are shown.
     """
     shown = list(rows)[:most]
@@ -87,7 +93,9 @@ def ranking_bars(rows: Sequence[Mapping[str, Any]], found: Sequence[tuple[str, s
         axes.annotate(note, (score, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=7.5)
     axes.set_yticks(range(len(shown)), [_capital(named(row)) for row in shown])
     axes.invert_yaxis()
-    axes.set_xlim(0, 1.18 * max([*scores, 1e-9]))
+    axes.set_xlim(0, 1.18 * max([*scores, threshold or 1e-9]))
+    if threshold is not None:
+        axes.axvline(threshold, color="0.4", linewidth=0.8, linestyle=(0, (2, 2)), zorder=0)
     axes.tick_params(axis="y", length=0)
     axes.set_xlabel("score (in brackets: distance to the best)")
     return figure
