@@ -103,7 +103,10 @@ class Page(html.parser.HTMLParser):
 def test_the_page_says_it_all_and_needs_nothing_else(folder: Path) -> None:
     page = Page(draw(folder).read_text(encoding="utf-8"))
     assert "Simulation and data disagree most at joint knee0, when it moves fast under load." in page.text
-    assert "The missing effect is load-dependent gear friction at joint knee0 (coefficient 0.312 ± 0.030)." in page.text
+    assert (
+        "The missing effect is load-dependent gear friction at joint knee0 (0.312 ± 0.030 of the motor torque)."
+        in page.text
+    )
     assert "shrinks the held-out gap from 0.054 to 0.027 (noise floor 0.02; rad)." in page.text
     assert "Runner-up: dry friction at joint knee0, far behind" in page.text
     assert "quadruped <left>" in page.text  # escaped in the source
@@ -167,6 +170,15 @@ def test_two_effects_and_equivalent_ones_in_the_sentence() -> None:
     assert "The missing effects are load-dependent" in text
     assert "a payload at body torso (mass 2 [1, 4] kg)" in text
     assert "cannot tell it apart from load-dependent gear friction at every joint from body thigh0 down: run" in text
+
+
+def test_whole_recordings_come_first_in_the_sentence() -> None:
+    gap = {"before": 9.0, "after": 2.0, "noise_floor": 1.0, "open_loop_before": 0.054, "open_loop_after": 0.027}
+    text = verdict_sentence(RESULT | {"gap": gap})
+    assert (
+        "simulated from their first sample, from 0.054 to 0.027 rad, and the gap over short stretches from 9 to 2"
+        in text
+    )
 
 
 def test_numbers_for_readers() -> None:

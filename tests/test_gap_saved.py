@@ -83,7 +83,7 @@ def test_what_is_saved_says_what_was_found(dataset: Dataset, tmp_path: Path) -> 
     assert result["gap"]["before"] == 4.0
     assert result["seed"] == 3
     assert result["where"] == "joint knee0, when it moves fast under high load"
-    assert "load-dependent gear friction at joint knee0 (coefficient 0.310 ± 0.030)" in result["sentence"]
+    assert "load-dependent gear friction at joint knee0 (0.310 ± 0.030 of the motor torque)" in result["sentence"]
     assert pl.read_csv(out / "ranking.csv")["effect"].to_list() == ["load_friction", "dry_friction", "payload"]
     assert pl.read_csv(out / "disagreement.csv")["fast"].to_list() == [1.02, 10.0]
     assert read_arrays(out / "overlays.npz")["units"].tolist() == ["rad"]

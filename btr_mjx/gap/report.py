@@ -177,11 +177,11 @@ def _gap(gap: Mapping[str, Any], mended: bool) -> list[tuple[str, str]]:
     loop = f" {gap.get('open_loop_unit', 'rad')}"
     unit = f" [{gap['unit']}]" if gap.get("unit") else ""
     rows = (
+        (f"open-loop error{' before' if mended else ''}", "open_loop_before", loop),
+        ("after", "open_loop_after" if mended else "", loop),
         (f"held-out gap{' before' if mended else ''}{unit}", "before", ""),
         ("after", "after" if mended else "", ""),
         ("noise floor", "noise_floor", ""),
-        (f"open-loop error{' before' if mended else ''}", "open_loop_before", loop),
-        ("after", "open_loop_after" if mended else "", loop),
     )
     return [(label, f"{number(gap[key])}{of}") for label, key, of in rows if _is_number(gap.get(key))]
 

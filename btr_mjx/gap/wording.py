@@ -99,6 +99,8 @@ def _float(value: Any) -> float | None:
 
 def parameters_in_words(effect: Mapping[str, Any]) -> str:
     """All parameters of an effect."""
+    if effect["effect"] == "load_friction" and set(effect["parameters"]) == {"coefficient"}:
+        return f"{with_interval(effect['parameters']['coefficient'])} of the motor torque"
     return ", ".join(f"{name.replace('_', ' ')} {with_interval(p)}" for name, p in effect["parameters"].items())
 
 
@@ -135,17 +137,17 @@ def _gap(result: Mapping[str, Any]) -> str:
     if before is None or after is None:
         return ""
     many = "them" if len(result.get("effects") or []) > 1 else "it"
-    text = f"Adding {many} shrinks the held-out gap from {number(before)} to {number(after)}"
     inside = [f"noise floor {number(floor)}"] if floor is not None else []
     inside += [str(gap["unit"])] if gap.get("unit") else []
-    text += f" ({'; '.join(inside)})" if inside else ""
+    fall = f"from {number(before)} to {number(after)}" + (f" ({'; '.join(inside)})" if inside else "")
     start, end = _float(gap.get("open_loop_before")), _float(gap.get("open_loop_after"))
-    if start is not None and end is not None:
-        unit = gap.get("open_loop_unit", "rad")
-        text += (
-            f", and the mean position error over whole held-out recordings from {number(start)} to {number(end)} {unit}"
-        )
-    return f"{text}."
+    if start is None or end is None:
+        return f"Adding {many} shrinks the held-out gap {fall}."
+    path = f"from {number(start)} to {number(end)} {gap.get('open_loop_unit', 'rad')}"
+    return (
+        f"Adding {many} shrinks the position error over whole held-out recordings, simulated from their first sample, "
+        f"{path}, and the gap over short stretches {fall}."
+    )
 
 
 def _noise_floor(result: Mapping[str, Any]) -> str:
