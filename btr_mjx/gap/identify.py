@@ -44,11 +44,20 @@ TOLERANCES = 4.0
 MARGIN = 25.0
 """Candidates whose scores differ by less are called equivalent."""
 
-SURPRISE = 6.0
-"""Lack of fit that cannot be noise, in standard deviations, on both sides of the split."""
+SURPRISE = 5.0
+"""Lack of fit that cannot be noise where nothing was named, in standard deviations."""
 
-SHARE = 0.6
-"""Names that explain less of what unknown forces could are not the explanation, where a lack of fit remains."""
+LEFT_OVER = 3.2
+"""Lack of fit that a name may leave, in standard deviations."""
+
+SHARE = 0.85
+"""Part of what unknown forces explain that a name must explain where it leaves more than that."""
+
+COARSE = 5.0
+"""Dispersion beyond which no model of this kind reaches the noise: real machines have a hundred small effects."""
+
+COARSE_SHARE = 0.55
+"""The same part there."""
 
 
 def identify(
@@ -94,9 +103,10 @@ def identify(
     final = named[-1] if named else None
     share = check.share(final)
     before, after = check.surprise(None), check.surprise(final)
-    surprised = after > SURPRISE
     verdict = "effect" if named else "none"
-    if surprised and (final is None or share < SHARE):
+    enough = COARSE_SHARE if bench.dispersion > COARSE else SHARE
+    surprised = after > (LEFT_OVER if named else SURPRISE)
+    if surprised and (final is None or share < enough):
         verdict = "unexplained"
     said = named if verdict == "effect" else []
     rng = np.random.default_rng(seed)

@@ -13,6 +13,9 @@ import numpy as np
 from btr_mjx.gap.score import Evidence, Fit, fit
 from btr_mjx.gap.windows import MakeWorld, Windows
 
+_PATIENCE = 3
+"""Rounds before a search may be given up: its starts, its derivatives and one step."""
+
 _BEHIND = 0.4, 40.0
 """A search whose gain is less than this part of the best one, less this much, is given up."""
 
@@ -118,7 +121,9 @@ def refine(
     searches = [_search(unknowns, starts, nuisance, cut, iterations) for unknowns, starts in hypotheses]
     out: list[Refined | None] = [None] * len(searches)
     wanted = {i: next(search)[0] for i, search in enumerate(searches)}
+    rounds = 0
     while wanted:
+        rounds += 1
         makes = [hypotheses[i][0].make(values) for i, rows in wanted.items() for values in rows]
         found = windows.residuals(makes)
         first = 0
@@ -130,7 +135,7 @@ def refine(
                 coming[i], out[i] = searches[i].send(answer)
             except StopIteration as stop:
                 out[i] = stop.value
-        if reference is not None:
+        if reference is not None and rounds > _PATIENCE:
             gains = {i: reference - result.loss for i, result in enumerate(out) if result is not None}
             least = _BEHIND[0] * max(gains.values()) - _BEHIND[1]
             coming = {i: rows for i, rows in coming.items() if gains[i] >= least}

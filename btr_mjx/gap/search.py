@@ -14,6 +14,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.effect import Effect, candidates
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.noise import estimate_noise
+from btr_mjx.gap.places import Place
 from btr_mjx.gap.planning import Survey, place, survey
 from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.refine import Nuisance, Refined, refine
@@ -257,7 +258,9 @@ class Bench:
             own = start.with_effect(candidate, starts[0].values)
             head = own.values(self.joint)[: -len(starts[0].values)]
             tries = [np.concatenate([head, lead.values]) for lead in starts]
-            if candidate.name in self.delicate:
+            if any(self._entry(lead).probe for lead in starts):
+                tries += [np.concatenate([head, values]) for values in self._grid(starts[0])]
+            elif candidate.name in self.delicate:
                 tries += [np.concatenate([head, values]) for values in self._probes(starts[0])]
             hypotheses.append((own, tries))
         found = refine(
@@ -366,8 +369,23 @@ class Bench:
         names = list(by_name)
         chosen = names[:count]
         moving = [name for name in names[count:] if name in self.delicate][: self.options.contact_leaders]
-        probed = [name for name in names[count:] if any(self._entry(lead).probe for lead in by_name[name])][:1]
-        return {name: by_name[name][:3] for name in dict.fromkeys([*chosen, *moving, *probed])}
+        # A limit looks like a weak motor from afar: where a motor leads, its limit is tried as well.
+        limits = [name for name in names if any(self._entry(lead).probe for lead in by_name[name])]
+        places = [self._entry(by_name[name][0]).candidate.place for name in names[:2]]
+        same = [n for n in limits if any(_overlap(self._entry(by_name[n][0]).candidate.place, p) for p in places)]
+        picked = dict.fromkeys([*chosen, *moving, *limits[:1], *same[:1]])
+        return {name: sorted(by_name[name], key=lambda lead: -self._entry(lead).probe)[:3] for name in picked}
+
+    def _grid(self, lead: Lead) -> list[np.ndarray]:
+        """Starts of a limit all the way to its tightest."""
+        entry, out = self._entry(lead), []
+        first = entry.candidate.parameters[0]
+        tightest = first.low if first.step < 0 else first.high
+        for share in (0.1, 0.25, 0.4, 0.55, 0.7, 0.85):
+            values = lead.values.copy()
+            values[0] = first.null + share * (tightest - first.null)
+            out.append(values)
+        return out
 
     def _probes(self, lead: Lead) -> list[np.ndarray]:
         """Further starts of a candidate that moves contacts: some steps to either side."""
@@ -392,6 +410,11 @@ class Bench:
                 best = chi2
         assert best is not None
         return best
+
+
+def _overlap(a: Place, b: Place) -> bool:
+    """Whether two places are the same motors or joints."""
+    return bool(a.joints) and set(a.joints) == set(b.joints)
 
 
 def _typical(chi2: np.ndarray, freedom: int) -> float:

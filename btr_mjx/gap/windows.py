@@ -23,14 +23,17 @@ from btr_mjx.gap.worlds import Counter, Job, Stretch, World, simulate
 MakeWorld = Callable[[mujoco.MjModel], World]
 """The world of a hypothesis, given the believed model of a recording."""
 
-FINE = 4
-"""The fine pass divides the time step by this."""
+_FINE = 1.25e-4
+"""Time step that the fine pass aims at [s]; it divides the model's by 4 at least, and by 10 at most."""
+
+_LONG = 400
+"""Windows of more steps are divided by 4 only."""
 
 _NUDGE = 0.2
 """Perturbation of a starting state, in units of the noise."""
 
 _REACH = 2.0
-"""How far a starting state may be led away from the smoothed one, in units of the noise."""
+"""How far a starting state may be led away from the smoothed one, in units of the noise; more where smoothing fails."""
 
 _CEILING = 1e4
 """Residuals are cut here, in units of the noise; a diverged simulation counts as this."""
@@ -113,10 +116,13 @@ class Windows:
         self.dt = float(model.opt.timestep)
         self.groups = self._by_model()
         self.qpos, self.qvel = np.empty((len(self), self.nq)), np.empty((len(self), self.nv))
+        doubt = np.ones((len(self), self.nv))
         for r in np.unique(self.recording):
             own = np.flatnonzero(self.recording == r)
-            q, v, _ = smooth(model, data.tracks[r], self.first[own], data.sigma, data.span)
+            q, v, chi2 = smooth(model, data.tracks[r], self.first[own], data.sigma, data.span)
             self.qpos[own], self.qvel[own] = q, v
+            doubt[own] = np.maximum(chi2, 1.0)
+        self.reach = _REACH * data.sigma * np.concatenate([doubt, doubt], -1)
         self.smoothed = self.qpos.copy(), self.qvel.copy()
         self.channels = np.flatnonzero(data.measured)
         self.residual = np.zeros((len(self), (k + 1) * len(self.channels)))
@@ -131,6 +137,13 @@ class Windows:
     def freedom(self) -> int:
         """Degrees of freedom of a window's residual."""
         return self.residual.shape[1] - 2 * self.nv
+
+    @property
+    def fine_step(self) -> float:
+        """Time step of the fine pass [s]."""
+        if self.since[:, -1].max() > _LONG * self.dt:
+            return self.dt / 4
+        return self.dt / float(np.clip(round(self.dt / _FINE), 4, 10))
 
     @property
     def models(self) -> list[mujoco.MjModel]:
@@ -175,7 +188,7 @@ class Windows:
         jobs: list[Job] = []
         for make in makes:
             jobs += [(make(model), s) for (model, _), s in zip(self.groups, stretches, strict=True)]
-        found = simulate(jobs, timestep=self.dt / FINE if fine else None, counter=self.counter)
+        found = simulate(jobs, timestep=self.fine_step if fine else None, counter=self.counter)
         out = []
         for i in range(len(makes)):
             states = np.empty((len(self), self.k + 1, self.nq + self.nv))
@@ -229,7 +242,7 @@ class Windows:
         for _ in range(steps):
             away = self.minus(np.concatenate([self.qpos, self.qvel], -1), smoothed)
             move = away - (inverse @ raw[..., None])[..., 0] * sigma
-            move = np.clip(move, -_REACH * sigma, _REACH * sigma)
+            move = np.clip(move, -self.reach, self.reach)
             start = integrate(model, self.smoothed[0], move[:, : self.nv]), self.smoothed[1] + move[:, self.nv :]
             trial = self.whiten(self.states([make], start=start)[0]) + correction
             better = (trial**2).sum(1) < (raw**2).sum(1)

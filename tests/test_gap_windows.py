@@ -1,0 +1,165 @@
+import mujoco
+import numpy as np
+import pytest
+from gap_arm import SIGMA, arm, dataset, recording
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.effect import candidates
+from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.forces import ForceFit, circumstances, describe, lack_of_fit
+from btr_mjx.gap.hypotheses import Hypothesis
+from btr_mjx.gap.planning import place
+from btr_mjx.gap.scales import Scales
+from btr_mjx.gap.sensitivity import force_signatures, signatures
+from btr_mjx.gap.smoothing import Span, Track, best_span, smooth
+from btr_mjx.gap.windows import Windows, prepare
+from btr_mjx.gap.worlds import World
+
+
+@pytest.fixture(scope="module")
+def windows():
+    recordings = [recording(f"r{i}", seed=i) for i in range(2)]
+    data = prepare(recordings, "cubic", SIGMA, Span(5, 6))
+    out = Windows(data, np.array([0, 0, 1, 1]), np.array([10, 150, 20, 200]), 30)
+    out.linearise(World.of)
+    return out
+
+
+def candidate(name):
+    model = arm()
+    found = candidates(model, Scales.of(model), EFFECTS)
+    return next(c for c in found if c.name == name)
+
+
+def test_jacobian_agrees_with_whole_window_differences(windows):
+    jacobian = windows.jacobian()
+    for j in range(4):
+        nudge = np.zeros(4)
+        nudge[j] = 0.2 * SIGMA[j]
+        start = windows.qpos + nudge[:2], windows.qvel + nudge[2:]
+        moved = windows.whiten(windows.states([World.of], start=start)[0]) - windows.whiten(windows.base)
+        np.testing.assert_allclose(moved / 0.2, jacobian[:, :, j], atol=0.02 * np.abs(jacobian[:, :, j]).max())
+
+
+def test_starting_states_are_projected_out(windows):
+    nudge = 0.5 * SIGMA
+    start = windows.qpos + nudge[:2], windows.qvel + nudge[2:]
+    there = windows.states([World.of], start=start)[0]
+    raw = windows.whiten(there) - windows.whiten(windows.base)
+    inner = np.einsum("wr,wrd->wd", raw, windows.basis)
+    left = raw - np.einsum("wd,wrd->wr", inner, windows.basis)
+    assert np.abs(left).max() < 0.02 * np.abs(raw).max()
+
+
+def test_residual_of_the_true_model_is_noise(windows):
+    chi2 = (windows.residual**2).sum(1) / windows.freedom
+    assert np.all((chi2 > 0.6) & (chi2 < 1.5))
+
+
+@pytest.mark.parametrize("single", [False, True])
+@pytest.mark.parametrize("name", ["viscous_damping@joint:elbow", "actuator_delay@actuator:shoulder", "armature@all"])
+def test_signatures_agree_with_true_simulation(windows, name, single):
+    chosen = candidate(name)
+    base = Hypothesis((), ())
+    make = base.with_effect(chosen, [0.2 * p.step for p in chosen.parameters])
+    true = windows.residuals([make])[0] - windows.residual
+    found = signatures(windows, base, [make], single)[0]
+    assert np.linalg.norm(found - true) < (0.35 if single else 0.12) * np.linalg.norm(true)
+
+
+def test_force_signatures_agree_with_an_applied_force(windows):
+    around = circumstances(windows, World.of)
+    found = force_signatures(windows, around.inverse, 1)
+
+    class Push:
+        fields = ()
+
+        def __call__(self, rows):
+            rows.qfrc_applied[:, 1] += 0.01
+
+    def make(model):
+        world = World.of(model)
+        world.laws.append(Push())
+        return world
+
+    true = (windows.residuals([make])[0] - windows.residual) / 0.01
+    assert np.linalg.norm(found[1] - true) < 0.25 * np.linalg.norm(true)
+
+
+def test_unknown_forces_find_joint_and_variable():
+    def spring(model):
+        model.jnt_stiffness[1] = 2.0
+
+    data = prepare([recording("r", spring, seed=5)], "cubic", SIGMA, Span(5, 6))
+    out = Windows(data, np.zeros(8, int), np.linspace(10, 250, 8).astype(int), 20)
+    out.linearise(World.of)
+    around = circumstances(out, World.of)
+    fit = ForceFit(out, around)
+    forces = fit(out.residual)
+    assert lack_of_fit([forces]) > 6
+    best = describe(fit, forces, around)[0]
+    assert best.dof == 1
+    assert best.follows[0][0].startswith("position")
+    assert best.follows[0][2] < 0  # a spring pulls back
+
+
+def test_smoothing_is_exact_for_polynomials_at_uneven_times():
+    rng = np.random.default_rng(3)
+    time = np.cumsum(rng.uniform(0.002, 0.008, 60))
+    shape = np.array([[0.1, 2.0, -3.0, 4.0], [0.3, -1.0, 5.0, 2.0]])
+    qpos = sum(shape[:, p] * time[:, None] ** p for p in range(4))
+    qvel = sum(p * shape[:, p] * time[:, None] ** (p - 1) for p in range(1, 4))
+    for measured in ([True, True], [False, True]):
+        track = Track(time, qpos, np.where(measured, qvel, np.nan), np.array(measured))
+        q, v, chi2 = smooth(arm(), track, np.array([0, 7, 30, 59]), SIGMA, Span(4, 4))
+        np.testing.assert_allclose(q, qpos[[0, 7, 30, 59]], atol=1e-7)
+        np.testing.assert_allclose(v, qvel[[0, 7, 30, 59]], atol=1e-5)
+        assert chi2.max() < 1e-3
+
+
+def test_smoothing_of_a_free_body_follows_its_rotation():
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><freejoint/><geom size="0.1"/></body></worldbody></mujoco>'
+    )
+    time, spin = np.arange(30) * 0.01, np.array([0.5, -2.0, 1.0])
+    qpos, qvel = np.zeros((30, 7)), np.zeros((30, 6))
+    quat = np.array([1.0, 0, 0, 0])
+    for k in range(30):
+        qpos[k, 3:] = quat
+        qpos[k, 0], qvel[k, 0], qvel[k, 3:] = time[k] ** 2, 2 * time[k], spin
+        mujoco.mju_quatIntegrate(quat, spin, 0.01)
+    track = Track(time, qpos, qvel, np.array([True] * 3 + [False] * 3))
+    q, v, _ = smooth(model, track, np.array([12]), np.full(12, 1e-3), Span(4, 4))
+    np.testing.assert_allclose(q[0], qpos[12], atol=1e-5)
+    np.testing.assert_allclose(v[0], qvel[12], atol=2e-3)
+
+
+def test_longer_fits_for_slower_motion():
+    tracks = []
+    for speed in (2.0, 60.0):
+        time = np.arange(300) * 0.002
+        rng = np.random.default_rng(1)
+        qpos = 0.3 * np.sin(speed * time)[:, None] + 1e-3 * rng.standard_normal((300, 2))
+        qvel = 0.3 * speed * np.cos(speed * time)[:, None] + 0.01 * rng.standard_normal((300, 2))
+        tracks.append(Track(time, qpos, qvel, np.ones(2, bool)))
+    slow, fast = (best_span(arm(), [track], SIGMA) for track in tracks)
+    assert slow.half > fast.half
+
+
+def test_windows_of_uneven_samples():
+    data = prepare([recording("r", seed=4, uneven=True)], "cubic", SIGMA, Span(5, 6))
+    out = Windows(data, np.zeros(4, int), np.array([10, 80, 150, 220]), 25)
+    out.linearise(World.of)
+    chi2 = (out.residual**2).sum(1) / out.freedom
+    assert np.all((chi2 > 0.5) & (chi2 < 1.6))
+
+
+def test_windows_stay_inside_recordings_and_short_ones_are_refused():
+    made = dataset(fit=2, test=1)
+    data = prepare(made.fit, "cubic", SIGMA, Span(5, 6))
+    recording_of, first, k = place(data, 0.1, 1e6, 10.0)
+    for r, f in zip(recording_of, first, strict=True):
+        assert f >= 0
+        assert f + k < len(made.fit[r].time)
+    with pytest.raises(InputError, match="too short for a window"):
+        place(data, 5.0, 1e6, 10.0)
