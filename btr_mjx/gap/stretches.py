@@ -1,0 +1,178 @@
+"""Windows of recordings that are simulated together: their commands, and their states picked while a batch runs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.commands import Command
+from btr_mjx.gap.tangent import between
+from btr_mjx.gap.world import World
+
+_BLOCK = 64
+"""Steps for which controls are laid out at once."""
+
+_HUGE = 1e10
+"""A state beyond this is a numerical accident, as in MuJoCo's own check."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Windows of recordings that are simulated together.
+
+    Attributes:
+      start: (W,) time at which each window starts [s].
+      qpos: (W, nq) measured configuration at the start.
+      qvel: (W, nv) velocity at the start.
+      samples: (K,) or (W, K) ascending times since the start at which states are wanted [s].
+      commands: the commands of the recordings.
+      recording: (W,) which of `commands` each window belongs to.
+      act: (W, na) activation of actuators with a state at the start; None for zeros.
+    """
+
+    start: np.ndarray
+    qpos: np.ndarray
+    qvel: np.ndarray
+    samples: np.ndarray
+    commands: tuple[Command, ...]
+    recording: np.ndarray
+    act: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    @property
+    def times(self) -> np.ndarray:
+        """(W, K) times since the start [s]."""
+        return np.broadcast_to(self.samples, (len(self), np.shape(self.samples)[-1]))
+
+    def take(self, rows: np.ndarray | slice) -> "Stretch":
+        """Some of the windows."""
+        return Stretch(
+            self.start[rows],
+            self.qpos[rows],
+            self.qvel[rows],
+            self.times[rows],
+            self.commands,
+            np.asarray(self.recording)[rows],
+            None if self.act is None else self.act[rows],
+        )
+
+
+Job = tuple[World, Stretch]
+"""A world over windows."""
+
+Piece = tuple[int, int, int]
+"""A job's index and the range of its windows."""
+
+
+class Sampler:
+    """Picks the states at the sample times while a batch runs."""
+
+    def __init__(self, model: mujoco.MjModel, pieces: Sequence[Job], dt: float) -> None:
+        self._model, self._dt = model, dt
+        times = [stretch.times for _, stretch in pieces]
+        self._row = np.concatenate(
+            [
+                np.repeat(first + np.arange(len(t)), t.shape[1])
+                for t, first in zip(times, np.cumsum([0, *map(len, times[:-1])]), strict=True)
+            ]
+        )
+        at = np.concatenate([t.reshape(-1) for t in times]) / dt
+        whole = np.floor(at + 1e-6)
+        part = np.where(at - whole < 1e-6, 0.0, at - whole)
+        self._part = part
+        # A state between two steps is known once the later one is.
+        stage = (whole + (part > 0)).astype(int)
+        self.steps = np.zeros(sum(map(len, times)), int)
+        np.maximum.at(self.steps, self._row, stage)
+        self._order = np.argsort(stage, kind="stable")
+        self._bounds = np.searchsorted(stage[self._order], np.arange(int(stage.max(initial=0)) + 2))
+        self._states = np.full((len(at), model.nq + model.nv), np.nan)
+
+    def _due(self, stage: int) -> np.ndarray:
+        return self._order[self._bounds[stage] : self._bounds[stage + 1]]
+
+    def before(self, stage: int, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """States before the step to `stage` of the samples that lie inside it."""
+        due = self._due(stage)
+        due = due[self._part[due] > 0]
+        return (qpos[self._row[due]], qvel[self._row[due]]) if len(due) else None
+
+    def record(
+        self,
+        stage: int,
+        qpos: np.ndarray,
+        qvel: np.ndarray,
+        dead: np.ndarray,
+        before: tuple[np.ndarray, np.ndarray] | None = None,
+    ) -> None:
+        """Keep the states of the samples at `stage`."""
+        due = self._due(stage)
+        if not len(due):
+            return
+        own = self._row[due]
+        q, v = qpos[own], qvel[own]
+        inside = self._part[due] > 0
+        if before is not None:
+            fraction = self._part[due[inside]]
+            q[inside], v[inside] = between(self._model, before, (q[inside], v[inside]), fraction, self._dt)
+        states = np.concatenate([q, v], axis=1)
+        states[dead[own]] = np.nan
+        self._states[due] = states
+
+    def write(self, block: list[Piece], out: list[np.ndarray]) -> None:
+        """Hand the states to their jobs; invalid rows are NaN from the first invalid sample on."""
+        first = 0
+        for index, a, b in block:
+            shape = out[index][a:b].shape
+            states = self._states[first : first + shape[0] * shape[1]].reshape(shape)
+            bad = ~(np.abs(states) < _HUGE).all(-1)
+            states[np.logical_or.accumulate(bad, axis=1)] = np.nan
+            out[index][a:b] = states
+            first += shape[0] * shape[1]
+
+
+class Controls:
+    """Controls of all rows, evaluated once for each (stretch, edits) and laid out for a block of steps at a time."""
+
+    def __init__(self, pieces: Sequence[Job], rows: Sequence[slice], dt: float, nu: int) -> None:
+        self._pieces, self._rows, self._dt, self._nu = pieces, rows, dt, nu
+        self._keys = [
+            (
+                id(stretch.commands),
+                stretch.start.tobytes(),
+                np.asarray(stretch.recording).tobytes(),
+                *map(id, world.command_edits),
+            )
+            for world, stretch in pieces
+        ]
+        self._edited: dict[tuple, Command] = {}
+        self._laid: dict[tuple, np.ndarray] = {}
+
+    def write(self, step: int, ctrl: np.ndarray) -> None:
+        """Controls of one step, sampled in its middle."""
+        if not self._nu:
+            return
+        if step % _BLOCK == 0:
+            self._lay(step)
+        for key, own in zip(self._keys, self._rows, strict=True):
+            ctrl[own] = self._laid[key][step % _BLOCK]
+
+    def _lay(self, first: int) -> None:
+        self._laid = {}
+        longest = max(float(stretch.times.max(initial=0)) for _, stretch in self._pieces)
+        count = min(_BLOCK, int(longest / self._dt) + 2 - first)
+        since = (first + np.arange(count) + 0.5) * self._dt
+        for key, (world, stretch) in zip(self._keys, self._pieces, strict=True):
+            if key in self._laid:
+                continue
+            values = np.empty((count, len(stretch), self._nu))
+            for recording in np.unique(stretch.recording):
+                own = np.flatnonzero(np.asarray(stretch.recording) == recording)
+                name = (id(stretch.commands), int(recording), *key[3:])
+                if name not in self._edited:
+                    self._edited[name] = world.command(stretch.commands[recording])
+                values[:, own] = self._edited[name].at(since[:, None] + stretch.start[own])
+            self._laid[key] = values

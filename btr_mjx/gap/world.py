@@ -1,0 +1,93 @@
+"""One way the robot could be: what an effect edits."""
+
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco.batch import MODEL_FIELDS
+
+from btr_mjx.gap.commands import Command
+from btr_mjx.gap.laws import Law
+
+CommandEdit = Callable[[Command], Command]
+
+
+@dataclass
+class World:
+    """One way the robot could be. Effects edit it in place, one after another.
+
+    Attributes:
+      model: a private copy. Constants that MuJoCo derives from it follow by themselves when it is simulated.
+      command_edits: applied to the command of every recording, in order.
+      laws: the state-dependent part, called in order before every step.
+      offset: (nv,) what the encoders add to the true configuration, in the tangent space.
+      wrench: (nbody, 6) constant force [N] and torque [N m] on bodies, at their centre of mass in the world frame.
+    """
+
+    model: mujoco.MjModel
+    command_edits: list[CommandEdit]
+    laws: list[Law]
+    offset: np.ndarray
+    wrench: np.ndarray
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel) -> "World":
+        """The world that a model describes; native delays of actuators become an edit of the command."""
+        model = copy.copy(model)
+        edits: list[CommandEdit] = []
+        if model.actuator_delay.any():
+            delay = np.zeros(model.nu)
+            for actuator, first in enumerate(model.actuator_ctrladr):
+                delay[first : first + model.actuator_ctrlnum[actuator]] = model.actuator_delay[actuator]
+            model.actuator_delay[:] = 0
+            edits.append(lambda command: command.shifted(delay))
+        return cls(model, edits, [], np.zeros(model.nv), np.zeros((model.nbody, 6)))
+
+    def command(self, command: Command) -> Command:
+        """What arrives at the actuators when `command` is sent."""
+        for edit in self.command_edits:
+            command = edit(command)
+        return command
+
+
+def fields_of(world: World, base: mujoco.MjModel) -> dict[str, np.ndarray]:
+    """The fields of a world's model that differ from a base model, derived constants included.
+
+    Args:
+      world: whose model is compared; its derived constants are recomputed.
+      base: a model of the same structure.
+    """
+    changed = _differing(world.model, base)
+    if changed:
+        mujoco.mj_setConst(world.model, mujoco.MjData(world.model))
+        changed = _differing(world.model, base)
+    return changed
+
+
+_COMPARED = tuple(
+    sorted(
+        name
+        for name in MODEL_FIELDS
+        if name.startswith(("body_", "jnt_", "dof_", "geom_", "site_", "actuator_", "tendon_", "ten_", "eq_", "opt."))
+        or name in ("qpos0", "qpos_spring", "pair_friction", "pair_solref", "pair_solimp", "pair_margin", "pair_gap")
+        if not name.endswith(("_user", "_rgba", "_group", "_matid", "adr", "num", "id"))
+        if name not in ("opt.timestep", "opt.integrator", "opt.disableflags", "opt.enableflags")
+    )
+)
+"""Fields in which two worlds of one structure may differ in a way that matters to motion."""
+
+
+def _differing(model: mujoco.MjModel, base: mujoco.MjModel) -> dict[str, np.ndarray]:
+    changed = {}
+    for name in _COMPARED:
+        if name.startswith("opt."):
+            ours, theirs = getattr(model.opt, name[4:]), getattr(base.opt, name[4:])
+            same = np.array_equal(ours, theirs) if isinstance(ours, np.ndarray) else ours == theirs
+        else:
+            ours, theirs = getattr(model, name), getattr(base, name)
+            same = np.array_equal(ours, theirs)
+        if not same:
+            changed[name] = np.array(ours)
+    return changed
