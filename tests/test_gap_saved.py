@@ -12,6 +12,7 @@ from test_gap_effects import QUADRUPED
 
 from btr_mjx.files import read_arrays, read_json
 from btr_mjx.gap.diagnosis import Diagnosis, DisagreementMap, Estimate, Gap, Named, Overlay, Refit, Row
+from btr_mjx.gap.next_experiment import NextExperiment
 from btr_mjx.gap.recordings import Believed, Dataset
 from btr_mjx.gap.report import draw
 from btr_mjx.gap.saved import save, where
@@ -122,12 +123,20 @@ def test_without_a_name(dataset: Dataset, tmp_path: Path, verdict: str) -> None:
     nothing = replace(
         diagnosis(), verdict=verdict, effects=(), equivalent=(), unexplained=("joint:knee0: all of it",), overlays=()
     )
-    result = save(nothing, dataset, tmp_path / "run", next_experiment={"text": "Walk faster."})
+    time = np.linspace(0, 1, 30)
+    values = np.sin(np.outer(time, [3, 4, 5, 6]))
+    names = ("load_friction@joint:knee0", "nothing missing")
+    proposal = NextExperiment(time, values, names, 40.0, (3.0, 40.0, 5.0), 1, "it tells them apart")
+    result = save(nothing, dataset, tmp_path / "run", next_experiment=proposal)
     assert not (tmp_path / "run" / "mended.xml").exists()
     page = draw(tmp_path / "run").read_text(encoding="utf-8")
     assert ("Nothing is missing" in page) == (verdict == "none")
-    assert "Walk faster." in page
-    assert result["next_experiment"] == {"text": "Walk faster."}
+    assert "Send the command in next_command.csv: it tells them apart." in page
+    assert "It decides between load-dependent gear friction at joint knee0 and nothing missing." in page
+    assert result["next_experiment"]["others"] == {"median": 4.0, "count": 2}
+    saved = pl.read_csv(tmp_path / "run" / "next_command.csv")
+    assert saved.columns == ["time", *(f"ctrl/{name}" for name in ("hip0", "knee0", "hip1", "knee1"))]
+    assert (tmp_path / "run" / "figures" / "next-command.png").is_file()
 
 
 def test_where_says_nothing_about_noise() -> None:

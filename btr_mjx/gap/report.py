@@ -7,6 +7,7 @@ Files of a diagnosis folder, of which all but the first may be missing:
 - result.json: verdict, effects, ranking, equivalent, gap, next_experiment and what else the page shows;
 - disagreement.npz: `rows` (R,), `columns` (C,), `before` (R, C) and optionally `after` (R, C) in units of the noise;
 - overlays.npz: `recordings`, `names`, `units` (N,), for each n `time_n`, `measured_n`, `before_n`, `after_n` (K,);
+- next_command.csv: `time` and the proposed command;
 - mended.json beside mended.xml; environment.json.
 """
 
@@ -20,7 +21,7 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 
 from btr_mjx.errors import InputError, cli_errors
-from btr_mjx.files import atomic_write, read_arrays, read_json, write_figure
+from btr_mjx.files import atomic_write, read_arrays, read_json, read_table, write_figure
 from btr_mjx.gap.wording import named, number, title, verdict_sentence
 from btr_mjx.plots import style
 
@@ -73,7 +74,7 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
     """The figures, each saved beside the page and inside it."""
     from btr_mjx.gap import report_figures as figures
 
-    out: dict[str, Any] = {"map": None, "ranking": [], "overlays": []}
+    out: dict[str, Any] = {"map": None, "ranking": [], "overlays": [], "command": None}
     if (folder / "disagreement.npz").is_file():
         data = read_arrays(folder / "disagreement.npz")
         figure = figures.disagreement_map(
@@ -117,6 +118,13 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
             after = {"effect": "mended model", "unexplained": "best candidate"}.get(str(result.get("verdict")))
             figure = figures.overlays(stretches[:_OVERLAYS], after)
             out["overlays"].append(_picture(folder, "overlays", figure, "Before and after", caption))
+    if (folder / "next_command.csv").is_file():
+        table = read_table(folder / "next_command.csv")
+        names = [name for name in table.columns if name != "time"]
+        figure = figures.commands(table["time"].to_numpy(), table.select(names).to_numpy(), names)
+        more = len(names) - 5
+        caption = "The proposed command" + (f"; {more} further channels are in next_command.csv." if more > 0 else ".")
+        out["command"] = _picture(folder, "next-command", figure, "The proposed command", caption)
     return out
 
 
@@ -161,7 +169,7 @@ def _content(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
         "equivalent": _equivalent(result),
         "believed": _table(result.get("believed")),
         "confounds": _lines(result.get("confounds")),
-        "next_experiment": _lines(result.get("next_experiment")),
+        "next_experiment": _experiment(result.get("next_experiment")),
         "mended": _mended(folder),
         "notes": _lines(result.get("notes")),
         "footer": _footer(folder, result),
@@ -203,6 +211,15 @@ def _lines(value: Any) -> list[str]:
     if isinstance(value, Sequence):
         return [line for item in value for line in ([_said(item)] if isinstance(item, Mapping) else _lines(item))]
     return [_said(value)]
+
+
+def _experiment(value: Any) -> list[str]:
+    """What to do next, and between which candidates it decides."""
+    lines = _lines(value)
+    if isinstance(value, Mapping) and len(value.get("between") or []) == 2:
+        pair = [named(one) if "effect" in one else str(one["name"]) for one in value["between"]]
+        lines.append(f"It decides between {pair[0]} and {pair[1]}.")
+    return lines
 
 
 def _said(value: Any) -> str:

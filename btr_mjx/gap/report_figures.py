@@ -158,3 +158,23 @@ def overlays(stretches: Sequence[Stretch], after: str | None = "mended model") -
     handles, labels = axes[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=3)
     return figure
+
+
+def commands(time: np.ndarray, values: np.ndarray, names: Sequence[str], most: int = 5) -> Figure:
+    """A proposed command, the channels that move most.
+
+    Args:
+      time: (K,) [s].
+      values: (K, n) commands.
+      names: of the channels.
+      most: how many are shown.
+    """
+    chosen = np.argsort(-np.ptp(values, axis=0), kind="stable")[:most]
+    figure = Figure(figsize=(7.2, 2.2))
+    axes = figure.subplots()
+    for k, style in zip(chosen, ("-", "--", ":", "-.", (0, (6, 2, 1, 2, 1, 2))), strict=False):
+        axes.plot(time, values[:, k], linestyle=style, linewidth=1.1, label=names[k])
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel("command")
+    figure.legend(loc="outside upper left", ncols=5)
+    return figure

@@ -11,11 +11,13 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.files import atomic_write, write_arrays, write_json, write_table
+from btr_mjx.gap.columns import control_columns
 from btr_mjx.gap.diagnosis import Diagnosis, DisagreementMap
 from btr_mjx.gap.effect import Effect
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.mend import Found, Mended, mend
 from btr_mjx.gap.model_paths import parse_path, part_names
+from btr_mjx.gap.next_experiment import NextExperiment
 from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.wording import place, verdict_sentence
 
@@ -28,7 +30,7 @@ def save(
     folder: str | Path,
     *,
     effects: Sequence[Effect] = EFFECTS,
-    next_experiment: Mapping[str, Any] | None = None,
+    next_experiment: NextExperiment | None = None,
     more: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Write a diagnosis.
@@ -39,7 +41,7 @@ def save(
       folder: where result.json, ranking.csv, disagreement.csv, disagreement.npz, overlays.npz, believed.csv and, where
         an effect was named or something refitted, mended.xml and mended.json go.
       effects: the library that was searched.
-      next_experiment: what tells the survivors apart, with a line `text`; None if there is none.
+      next_experiment: what tells the survivors apart, for next_command.csv; None if there is none.
       more: further entries of result.json.
 
     Returns:
@@ -49,7 +51,9 @@ def save(
       OSError: the folder cannot be written to.
     """
     folder = Path(folder)
-    result = as_result(diagnosis, dataset) | {"next_experiment": next_experiment} | dict(more or {})
+    result = as_result(diagnosis, dataset) | {"next_experiment": None} | dict(more or {})
+    if next_experiment is not None:
+        result["next_experiment"] = _write_command(next_experiment, dataset.model, folder)
     mended = mended_model(diagnosis, dataset, effects)
     if mended is not None:
         _write_text(folder / "mended.xml", mended.xml)
@@ -175,6 +179,20 @@ def mended_model(diagnosis: Diagnosis, dataset: Dataset, effects: Sequence[Effec
         return mend(source, found, believed=values, effects=effects)
     except (InputError, ValueError) as error:
         return Mended(dataset.spec_xml, notes=(f"the model could not be mended: {error}",))
+
+
+def _write_command(proposal: NextExperiment, model: mujoco.MjModel, folder: Path) -> dict[str, Any]:
+    """Write the proposed command as a table, columns as of a recording, and say what it is for."""
+    columns = {name: proposal.values[:, k] for k, name in enumerate(control_columns(model))}
+    write_table(folder / "next_command.csv", {"time": proposal.time} | columns)
+    others = np.delete(np.asarray(proposal.others, float), proposal.chosen)
+    return {
+        "text": f"Send the command in next_command.csv: {proposal.reason}.",
+        "file": "next_command.csv",
+        "between": [_entry(name) if "@" in name else {"name": name} for name in proposal.between],
+        "disagreement": proposal.disagreement,
+        "others": {"median": float(np.median(others)) if len(others) else None, "count": len(others)},
+    }
 
 
 def _write_text(path: Path, text: str) -> None:
