@@ -58,8 +58,8 @@ class Fig4Config(Config):
     """L of the searches of four lengths."""
     search_generations: int = 100
     """Their generations; CMA-ES stops earlier once it has converged."""
-    simulation_p_m: float = 0.03
-    """Probability per bit of the genetic algorithm."""
+    simulation_p_m: tuple[float, float] = (0.2, 0.02)
+    """Probability per bit of the genetic algorithm, in its first and in its last generation."""
     bits: int = 10
     """Bits per length."""
     away_12: float = 0.25

