@@ -17,6 +17,7 @@ Intervals from few seeds are too narrow, see `btr_mjx.metrics.bootstrap_interval
 """
 
 import dataclasses
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -68,6 +69,8 @@ class ClaimsConfig:
     """Accepted for uniformity: what is there is always kept, and what is missing is computed."""
     draw_only: bool = False
     """Write the tables and figures from the saved files and simulate nothing."""
+    gallery: Path | None = None
+    """Copy the figures, claims.json and claims.md here too, such as docs/gallery."""
 
 
 def collect(folder: Path, sizes: Sequence[int]) -> list[Claim]:
@@ -157,15 +160,20 @@ def run(config: ClaimsConfig) -> list[Claim]:
             note(f"claims: {estimate(sum(unit.trials for units in left.values() for unit in units))}")
         for name, each in settings.items():
             FIGURES[name].compute(each)
-    for module, name in zip(FIGURES.values(), settings, strict=True):
-        for path in module.draw(folder / name):
-            print(path)
+    made = [path for name, module in FIGURES.items() for path in module.draw(folder / name)]
+    for path in made:
+        print(path)
     third: Any = settings["fig3_behaviours"]
     claims = collect(folder, sizes_of(third.mutants))
     write_json(folder / "claims.json", [claim.row for claim in claims])
     with atomic_write(folder / "claims.md") as file:
         file.write(table(claims).encode())
     draw_claims(folder / "claims.png", claims)
+    if config.gallery is not None:
+        config.gallery.mkdir(parents=True, exist_ok=True)
+        pictures = [path for path in made if path.suffix == ".png"]
+        for path in (*pictures, *(folder / f"claims.{suffix}" for suffix in ("json", "md", "png"))):
+            shutil.copyfile(path, config.gallery / path.name)
     return claims
 
 

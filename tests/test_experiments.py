@@ -46,7 +46,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         assert not list(path.rglob("*.png"))
     with pytest.MonkeyPatch.context() as patch:
         forbid_simulation(patch)
-        claims.main([*TINY, str(path)])
+        claims.main([*TINY, str(path), "--gallery", str(path / "gallery")])
     return path
 
 
@@ -160,6 +160,11 @@ def test_claims(folder: Path) -> None:
     text = (folder / "claims.md").read_text()
     assert all(row["claim"] in text for row in rows)
     assert len({row["claim"] for row in rows}) == len(rows)
+    shown = {"claims.json", "claims.md", "claims.png", "fig2.png", "fig3.png", "fig4.png", "fig5.png"}
+    assert {path.name for path in (folder / "gallery").iterdir()} == shown
+    assert (folder / "gallery" / "claims.md").read_text() == text
+    unexplained = [row["claim"] for row in rows if row["verdict"] == "holds" and row["why"]]
+    assert not unexplained
 
 
 @pytest.mark.parametrize(
