@@ -32,6 +32,9 @@ from btr_mjx.distances import multiscale_fitness
 from btr_mjx.errors import InputError
 from btr_mjx.files import write_json
 
+Part = Literal["behaviours", "horizon", "choice", "truth"]
+"""The maps (a) to (d)."""
+
 Choice = Literal["random", "fittest", "disagreement"]
 """How the next controllers to try in reality are chosen."""
 
@@ -43,6 +46,8 @@ ROUND = 3
 class MapsConfig(Config):
     """Settings of the maps."""
 
+    parts: tuple[Part, ...] = get_args(Part)
+    """Maps to compute; others can be added to a folder later."""
     horizon: float = 0.05
     """Last mark in (a), (c) and (d) [s]."""
     away: float = 0.25
@@ -221,20 +226,21 @@ def units(config: MapsConfig) -> list[Unit]:
         def add(name: str, trials: float, work: Callable[..., Arrays], *given: Any, seed: int = seed) -> None:
             found.append(Unit(f"{name}-{seed}", trials, partial(work, config, *given, seed)))
 
-        for noise in config.noises:
+        for noise in config.noises if "behaviours" in config.parts else ():
             for m in config.behaviours:
                 add(f"m{m}-noise{100 * noise:g}", (searched + 1) * m * share, once, m, noise, None)
-        for horizon in config.horizons:
+        for horizon in config.horizons if "horizon" in config.parts else ():
             cost = (searched + 1) * config.trials * horizon / config.duration
             add(f"horizon{1000 * horizon:g}", cost, once, config.trials, 0.0, horizon)
-        for choice in get_args(Choice):
+        for choice in get_args(Choice) if "choice" in config.parts else ():
             cost = (searched + 1) * sum(rounds) * share
             if choice == "fittest":
                 cost += config.population * config.generations
             if choice == "disagreement":
                 cost += (len(rounds) - 1) * config.believed * config.pool * share
             add(f"choice-{choice}", cost, choose, choice)
-        add("truth", (searched + 1) * config.trials * share, other_truth)
+        if "truth" in config.parts:
+            add("truth", (searched + 1) * config.trials * share, other_truth)
     return found
 
 
@@ -265,32 +271,40 @@ def error_line(axes: Axes, x: Sequence[float], rows: Sequence[dict[str, Any]], l
 
 
 def fill(panels: Sequence[Axes], summary: dict[str, Any]) -> None:
-    """All panels."""
+    """All panels; those whose map was not computed stay empty."""
     noises = sorted({float(name.partition("noise")[2]) for name in summary if "-noise" in name})
     looks = [("o", "-", "full"), ("s", "--", "none"), ("^", ":", "full"), ("D", "-.", "none")]
     for noise, (marker, line, fillstyle) in zip(noises, looks, strict=False):
         rows = sorted((v[0] for k, v in summary.items() if k.endswith(f"-noise{noise:g}")), key=lambda row: row["m"])
         m = [row["m"] for row in rows]
         error_line(panels[0], m, rows, f"noise {noise:g} %", marker=marker, linestyle=line, fillstyle=fillstyle)
-    panels[0].set(xscale="log", xlabel="$m$", xticks=m, xticklabels=[f"{i:g}" for i in m])
+        panels[0].set(xscale="log", xticks=m, xticklabels=[f"{i:g}" for i in m])
     horizons = sorted((float(k.removeprefix("horizon")) / 1000, v[0]) for k, v in summary.items() if k[:7] == "horizon")
-    error_line(panels[1], [h for h, _ in horizons], [row for _, row in horizons], "", marker="o")
-    panels[1].set(xscale="log", xlabel="last mark [s]")
+    if horizons:
+        error_line(panels[1], [h for h, _ in horizons], [row for _, row in horizons], "", marker="o")
+        panels[1].set(xscale="log")
     for choice, (marker, line, fillstyle) in zip(get_args(Choice), looks[1::-1] + looks[2:], strict=False):
-        rows = summary[f"choice-{choice}"]
+        rows = summary.get(f"choice-{choice}", [])
         m = [row["m"] for row in rows]
-        error_line(panels[2], m, rows, choice, marker=marker, linestyle=line, fillstyle=fillstyle)
-    panels[2].set(xlabel="trials in reality")
-    values = np.sort(summary["truth"][0]["values"])
-    panels[3].plot(values, (np.arange(len(values)) + 1) / len(values), "k.-", drawstyle="steps-post")
-    panels[3].set(xscale="log", ylim=(0, 1.05), ylabel="share of truths", xlabel="mean error of lengths [m]")
-    for axes, name, text in zip(panels, "abcd", ("behaviours", "horizon", "choice", "random truths"), strict=True):
+        if rows:
+            error_line(panels[2], m, rows, choice, marker=marker, linestyle=line, fillstyle=fillstyle)
+    values = np.sort(summary["truth"][0]["values"]) if "truth" in summary else np.zeros(0)
+    if len(values):
+        panels[3].plot(values, (np.arange(len(values)) + 1) / len(values), "k.-", drawstyle="steps-post")
+        panels[3].set(xscale="log")
+    panels[3].set(ylim=(0, 1.05), ylabel="share of truths", xlabel="mean error of lengths [m]")
+    titles = ("behaviours", "horizon", "choice", "random truths")
+    below = ("$m$", "last mark [s]", "trials in reality")
+    for axes, name, text in zip(panels, "abcd", titles, strict=True):
         letter(axes, name, text)
-        if name != "d":
-            axes.set(yscale="log", ylabel="mean error of lengths [m]")
+    for axes, words in zip(panels, below, strict=False):
+        axes.set(xlabel=words, ylabel="mean error of lengths [m]")
+        if axes.lines:
+            axes.set(yscale="log")
     panels[0].minorticks_off()
     for axes in (panels[0], panels[2]):
-        axes.legend(fontsize=7)
+        if axes.lines:
+            axes.legend(fontsize=7)
 
 
 def draw(folder: Path) -> list[Path]:

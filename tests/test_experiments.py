@@ -226,6 +226,8 @@ def test_maps(tmp_path: Path) -> None:
     # The three trials that both begin with are the same, whatever is chosen later.
     assert summary["choice-random"][0] == summary["choice-disagreement"][0]
     assert (tmp_path / "maps" / "maps.png").exists()
+    maps.main([*TINY, str(tmp_path / "one"), "--seeds", "1", "--parts", "truth"])
+    assert set(numbers(tmp_path / "one" / "maps.json")) == {"truth"}
 
 
 # ---- resuming ----
