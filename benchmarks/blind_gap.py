@@ -34,7 +34,6 @@ from btr_mjx.gap.hidden import Truth, make_case
 from btr_mjx.gap.hidden_robots import case_robot
 from btr_mjx.gap.identify import identify
 from btr_mjx.gap.recordings import load
-from btr_mjx.gap.refine import Refined
 from btr_mjx.gap.saved import as_result
 from btr_mjx.gap.search import Bench
 from btr_mjx.progress import note, progress
@@ -173,15 +172,21 @@ def consult(config: Config, files: Files) -> None:
 
 
 def _gain(bench: Bench, added: list[Any]) -> float:
-    """Fall of the loss on both sides of the split with some effects at given values."""
+    """Fall of the loss on both sides of the split with some effects at given values.
+
+    Starting states suit the hypothesis, and the believed model's suit that.
+    """
     hypothesis = bench.base
     for candidate, values in added:
         hypothesis = hypothesis.with_effect(candidate, values)
-    residual = bench.fit.windows.residuals([hypothesis])[0]
-    fit = bench.free_nuisance.profile(residual, bench.cut)
-    refined = Refined(hypothesis.values(False), fit.loss, residual, np.zeros((0, *residual.shape)), fit.chi2)
-    judged = bench.judge([hypothesis], [refined], bench.test.windows)[0]
-    return judged.gain + judged.held_out
+    total = 0.0
+    for side, nuisance in ((bench.fit, bench.free_nuisance), (bench.test, bench.test.nuisance)):
+        before, after = (
+            nuisance.profile(side.windows.recentred(world).residual, bench.cut).loss
+            for world in (bench.base, hypothesis)
+        )
+        total += float(before - after) / bench.dispersion
+    return total
 
 
 def work(config: Config, files: Files) -> None:

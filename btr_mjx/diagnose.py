@@ -32,11 +32,15 @@ from btr_mjx.files import read_json, write_json, write_table
 from btr_mjx.gap import report, saved
 from btr_mjx.gap.effect import Effect
 from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.fitness_search import identify_fitness
+from btr_mjx.gap.fitness_table import FitnessTable, load_fitness
 from btr_mjx.gap.hidden import make_case
+from btr_mjx.gap.hidden_fitness import make_fitness_case
 from btr_mjx.gap.identify import identify
 from btr_mjx.gap.model_paths import nearest
-from btr_mjx.gap.preflight import Finding, preflight, refuse_errors
+from btr_mjx.gap.preflight import Finding, preflight, preflight_fitness, refuse_errors
 from btr_mjx.gap.recordings import Dataset
+from btr_mjx.gap.saved import as_result
 from btr_mjx.gap.sources import open_dataset
 from btr_mjx.gap.wording import named, place, title
 from btr_mjx.progress import graceful_interrupt, progress
@@ -69,7 +73,8 @@ class DiagnoseConfig:
     max_effects: int = 2
     """Name at most so many effects."""
     signal: Literal["trajectory", "fitness"] = "trajectory"
-    """trajectory: recordings of the motion. fitness: a table of controllers and measured fitness."""
+    """trajectory: recordings of the motion. fitness: a table of controllers and measured fitness, see
+    btr_mjx/gap/fitness_table.py."""
 
     demo: bool = False
     """Make a hidden case from the seed and solve it; the last lines say what was hidden."""
@@ -94,17 +99,17 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
     config = resolve_folder(dataclasses.replace(config or DiagnoseConfig(), **changes))
     check(config)
     library = library_of(config.effects)
-    dataset = None
+    dataset: Dataset | FitnessTable | None = None
     if not config.demo:
         assert config.dataset is not None
-        dataset, findings = examine(config.dataset, library)
+        dataset, findings = examine(config.dataset, library, config.signal)
         refuse_errors(findings)
     assert config.out is not None
     ignore = (*IGNORED_FIELDS, "figures")
     with RunFolder.create(config.out, config, config.resume, ignore=ignore) as run, graceful_interrupt() as stop:
         if dataset is None:
             _make_demo(run.path, config)
-            dataset, findings = examine(run.path / "demo", library)
+            dataset, findings = examine(run.path / "demo", library, config.signal)
             stop.checkpoint()
         print_findings(findings)
         write_table(run.path / "preflight.csv", [dataclasses.asdict(f) for f in findings])
@@ -185,14 +190,17 @@ def _own_effect(name: str) -> Effect:
     return effect
 
 
-def examine(folder: Path, library: Sequence[Effect]) -> tuple[Dataset, list[Finding]]:
+def examine(folder: Path, library: Sequence[Effect], signal: str) -> tuple[Dataset | FitnessTable, list[Finding]]:
     """Read a dataset and look at it before any fit."""
+    if signal == "fitness":
+        table = load_fitness(folder)
+        return table, preflight_fitness(table)
     dataset = open_dataset(folder)
     return dataset, preflight(dataset, [effect.name for effect in library])
 
 
 def solve(
-    dataset: Dataset,
+    dataset: Dataset | FitnessTable,
     library: Sequence[Effect],
     config: DiagnoseConfig,
     folder: Path,
@@ -206,15 +214,21 @@ def solve(
             bar.update(1 if bar.n < STAGES - 1 else 0)
             checkpoint()
 
-        diagnosis = identify(dataset, library, config.max_effects, config.seed, note)
+        more: dict[str, Any] = {"seed": config.seed, "signal": config.signal}
+        if isinstance(dataset, FitnessTable):
+            diagnosis, data = identify_fitness(dataset, library, note), dataset.head
+            more["gap"] = as_result(diagnosis, data)["gap"] | {"unit": "m/s of Delta_fitness"}
+        else:
+            diagnosis, data = identify(dataset, library, config.max_effects, config.seed, note), dataset
         bar.update(STAGES - bar.n)
-    saved.save(diagnosis, dataset, folder, effects=library, more={"seed": config.seed, "signal": config.signal})
+    saved.save(diagnosis, data, folder, effects=library, more=more)
 
 
 def _make_demo(folder: Path, config: DiagnoseConfig) -> None:
     """Make the hidden case, once."""
     if not (folder / "truth.json").is_file():
-        truth = make_case(folder / "demo", config.seed, config.robot)
+        case = make_fitness_case if config.signal == "fitness" else make_case
+        truth = case(folder / "demo", config.seed, config.robot)
         write_json(folder / "truth.json", truth)
 
 

@@ -1,0 +1,76 @@
+"""Hidden cases of which only fitness is known: a table of controllers and what they came to in a hidden reality."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.fitness_table import save_fitness
+from btr_mjx.gap.hidden import Truth, Verdict, draw_reality
+from btr_mjx.gap.hidden_draw import Draw
+from btr_mjx.gap.hidden_physics import loads, simulate
+from btr_mjx.gap.hidden_robots import Motion, case_robot
+from btr_mjx.gap.model_paths import part_names
+
+FIT, TEST = 45, 15
+"""Trials to fit and held out."""
+
+
+def make_fitness_case(
+    folder: str | Path,
+    seed: int,
+    robot: str = "hexapod",
+    *,
+    verdict: Verdict = "effect",
+    effects: Sequence[str] | int = 1,
+    trials: tuple[int, int] = (FIT, TEST),
+    duration: float | None = None,
+    background: float = 1.0,
+) -> Truth:
+    """Draw a case and write its table of trials.
+
+    Controllers are r_i = a_i sin(omega t + phi_i), with random amplitudes and phases, at the robot's own tempo.
+
+    Args:
+      folder: the dataset's folder.
+      seed: of everything that is drawn.
+      robot: name of a case robot that walks.
+      verdict: kind of case.
+      effects: number of missing effects, or their names.
+      trials: numbers of trials to fit and held out.
+      duration: of a trial [s]; None for the robot's own.
+      background: factor on the small errors everywhere.
+
+    Returns:
+      The answer.
+
+    Raises:
+      InputError: see `hidden.make_case`; a robot that is bolted down.
+    """
+    machine = case_robot(robot)
+    if machine.base is None:
+        raise InputError(f"robot {robot!r}: it is bolted down and comes nowhere; expected one that walks")
+    model, rng = machine.model, np.random.default_rng([seed, 29])
+    span, count = duration or machine.duration, sum(trials)
+    amplitude = rng.uniform(0.13, 0.314, (count, model.nu))
+    phase = rng.uniform(0, np.pi, (count, model.nu))
+
+    def motion(k: int) -> Motion:
+        return lambda t: amplitude[k] * np.sin(machine.tempo * t[:, None] + phase[k])
+
+    motions = [motion(k) for k in range(count)]
+    draw = Draw(machine, rng, motions, loads(machine, motions[:3]))
+    reality, missing, outside = draw_reality(draw, verdict, effects, None, background)
+    base = int(model.jnt_qposadr[model.body_jntadr[model.body(machine.base).id]])
+    fitness = []
+    for one in motions:
+        qpos = simulate(reality, one, span, 1.0 / span)["qpos"]
+        fitness.append(float(np.linalg.norm(qpos[-1, base : base + 2] - qpos[0, base : base + 2])) / span)
+    names = part_names(model, "actuator")
+    columns = {f"amplitude/{n}": amplitude[:, i] for i, n in enumerate(names)}
+    columns |= {f"phase/{n}": phase[:, i] for i, n in enumerate(names)}
+    columns |= {"fitness": np.array(fitness), "split": np.repeat(["fit", "test"], trials)}
+    about = {"body": machine.base, "function": "distance", "duration": span, "omega": machine.tempo}
+    save_fitness(folder, machine.xml, about, columns)
+    return Truth(robot, seed, verdict, missing, outside, 0, 0.0)
