@@ -37,7 +37,7 @@ def arm() -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(XML)
 
 
-def command(rng, duration=1.5, rate=200.0):
+def command(rng, duration=0.7, rate=200.0):
     time = np.arange(0.0, duration, 1 / rate)
     phase, speed = rng.uniform(0, 6.28, 2), rng.uniform(3, 9, 2)
     return Command(time, rng.uniform(0.4, 0.9, 2) * np.sin(time[:, None] * speed + phase), "cubic")
@@ -74,7 +74,7 @@ def recording(name, change=None, seed=0, split="fit", noise=1.0, believed=None, 
 def dataset(change=None, seed=0, fit=3, test=2, parameters: tuple[Believed, ...] = (), noise=1.0):
     believed = arm()
     recordings = tuple(
-        recording(f"r{i}", change, 100 * seed + i, "fit" if i < fit else "test", noise, believed)
+        recording(f"r{i}", change, 100 * seed + i, "fit" if i < fit else "test", noise, believed, duration=0.7)
         for i in range(fit + test)
     )
     known = Noise(SIGMA[:2].copy(), SIGMA[2:].copy())

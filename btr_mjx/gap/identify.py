@@ -13,16 +13,17 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from btr_mjx.gap.calibration import tolerance_draws
 from btr_mjx.gap.diagnosis import Diagnosis, DisagreementMap, Gap, Named, Overlay, Refit, Row
 from btr_mjx.gap.disagreement import disagreement, place_names
 from btr_mjx.gap.effect import Effect
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.forces import Circumstances, Description, ForceFit, circumstances, describe, lack_of_fit
+from btr_mjx.gap.forces import Circumstances, Description, ForceFit, Forces, circumstances, describe, lack_of_fit
 from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.intervals import intervals
 from btr_mjx.gap.openloop import open_loop
 from btr_mjx.gap.recordings import Dataset
-from btr_mjx.gap.score import bounded
+from btr_mjx.gap.score import bounded, project
 from btr_mjx.gap.screening import tolerance_of
 from btr_mjx.gap.search import Bench, Judged, Options
 
@@ -35,7 +36,7 @@ SECOND_THRESHOLD = 25.0
 HELD_OUT = 5.0
 """Gain on held-out recordings that a name needs."""
 
-HELD_OUT_SHARE = 0.15
+HELD_OUT_SHARE = 0.08
 """Part of the gain per window to fit that held-out windows must show as well."""
 
 TOLERANCES = 4.0
@@ -44,10 +45,13 @@ TOLERANCES = 4.0
 MARGIN = 25.0
 """Candidates whose scores differ by less are called equivalent."""
 
-SURPRISE = 5.0
+SURPRISE = 6.0
 """Lack of fit that cannot be noise where nothing was named, in standard deviations."""
 
-LEFT_OVER = 3.2
+_NULLS = 5
+"""Simulated nulls behind the lack of fit."""
+
+LEFT_OVER = 4.0
 """Lack of fit that a name may leave, in standard deviations."""
 
 SHARE = 0.85
@@ -99,7 +103,8 @@ def identify(
         if rounds[-1] and accepted(bench, rounds[-1][0], named[-1]):
             rounds[-1] = bench.polish(rounds[-1], most=1)
     note("lack of fit")
-    check = _Check(bench)
+    rng = np.random.default_rng([seed, 1])
+    check = _Check(bench, rng)
     final = named[-1] if named else None
     share = check.share(final)
     before, after = check.surprise(None), check.surprise(final)
@@ -109,7 +114,6 @@ def identify(
     if surprised and (final is None or share < enough):
         verdict = "unexplained"
     said = named if verdict == "effect" else []
-    rng = np.random.default_rng(seed)
     return Diagnosis(
         verdict=verdict,  # type: ignore[arg-type]
         effects=_named(bench, said, rounds, rng),
@@ -168,12 +172,12 @@ def equivalent(judged: Sequence[Judged]) -> tuple[str, ...]:
 class _Check:
     """Unknown forces on both sides of the split."""
 
-    def __init__(self, bench: Bench) -> None:
+    def __init__(self, bench: Bench, rng: np.random.Generator) -> None:
         self.bench = bench
         self.sides = (bench.fit, bench.test)
         self.around: list[Circumstances] = [circumstances(side.windows, bench.base) for side in self.sides]
         self.fits = [ForceFit(side.windows, around) for side, around in zip(self.sides, self.around, strict=True)]
-        self.base = [self._forces(i, None) for i in (0, 1)]
+        self.null = self._null(rng)
 
     def _residual(self, i: int, judged: Judged | None) -> np.ndarray:
         if judged is None:
@@ -182,12 +186,31 @@ class _Check:
             residual = (judged.refined.residual, judged.residual)[i]
         return self.sides[i].nuisance.absorbed(residual, self.bench.cut)
 
-    def _forces(self, i: int, judged: Judged | None):
+    def _forces(self, i: int, judged: Judged | None) -> Forces:
         return self.fits[i](self._residual(i, judged))
 
+    def _null(self, rng: np.random.Generator) -> tuple[float, float]:
+        """Mean and spread of the lack of fit where nothing is missing but what calibration leaves.
+
+        Tolerances are drawn and truly simulated, because what they leave beyond the linear picture looks like a lack
+        of fit; the sensors' noise is added.
+        """
+        bench = self.bench
+        draws = tolerance_draws(bench.base, bench.candidates, bench.dataset.tolerances, rng, _NULLS)
+        found: list[list[Forces]] = [[] for _ in draws]
+        for i, side in enumerate(self.sides):
+            windows = side.windows
+            for own, residual in zip(found, windows.residuals(draws), strict=True):
+                noise = project(rng.standard_normal(residual.shape), windows.basis)
+                there = residual - windows.residual + noise
+                own.append(self.fits[i](side.nuisance.absorbed(there, bench.cut)))
+        fits = [lack_of_fit(own) for own in found]
+        return float(np.mean(fits)), float(np.std(fits))
+
     def surprise(self, judged: Judged | None) -> float:
-        """Lack of fit over both sides, in standard deviations."""
-        return lack_of_fit([self._forces(i, judged) for i in (0, 1)])
+        """Lack of fit over both sides, in standard deviations beyond that of a null."""
+        value = lack_of_fit([self._forces(i, judged) for i in (0, 1)])
+        return (value - self.null[0]) / float(np.hypot(1.0, 1.5 * self.null[1]))
 
     def share(self, judged: Judged | None) -> float:
         """Part of what unknown forces explain that a hypothesis explains, over both sides of the split."""

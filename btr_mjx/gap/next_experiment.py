@@ -263,7 +263,7 @@ def recordings_needed(
     rng: np.random.Generator,
     choose: bool,
     most: int = 6,
-    tries: int = _TRIES,
+    commands: Sequence[Command] | None = None,
 ) -> int:
     """How many recordings a simulated reality must give until two hypotheses are told apart.
 
@@ -275,12 +275,12 @@ def recordings_needed(
       rng: for commands and noise.
       choose: take the commands with the largest expected disagreement first, instead of any.
       most: give up after so many.
-      tries: commands to choose from.
+      commands: to choose from; None for random ones.
 
     Returns:
       Number of recordings; `most + 1` where they did not suffice.
     """
-    commands = random_commands(dataset, rng, tries)
+    commands = commands or random_commands(dataset, rng, _TRIES)
     order = np.arange(len(commands))
     if choose:
         order = np.argsort([-compare([truth, rival], dataset, c, sigma)[0, 1] for c in commands])

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from btr_mjx.gap.score import Evidence, Fit, fit
+from btr_mjx.gap.score import Evidence, Fit, fit, robust_gain
 from btr_mjx.gap.windows import MakeWorld, Windows
 
 _PATIENCE = 3
@@ -103,7 +103,7 @@ def refine(
     cut: float,
     hypotheses: Sequence[tuple[Unknowns, Sequence[np.ndarray]]],
     iterations: int = 3,
-    reference: float | None = None,
+    reference: Fit | None = None,
 ) -> list[Refined]:
     """Refine hypotheses side by side.
 
@@ -113,12 +113,13 @@ def refine(
       cut: chi^2 above which a window counts less.
       hypotheses: unknowns and one or more starting values of each; the best start is taken.
       iterations: largest number of Gauss-Newton steps.
-      reference: loss without any of them; where given, hypotheses that fall far behind the best are given up early.
+      reference: fit without any of them; where given, losses are compared with it window by window, and hypotheses
+        that fall far behind the best are given up early.
 
     Returns:
       One result per hypothesis.
     """
-    searches = [_search(unknowns, starts, nuisance, cut, iterations) for unknowns, starts in hypotheses]
+    searches = [_search(unknowns, starts, nuisance, cut, iterations, reference) for unknowns, starts in hypotheses]
     out: list[Refined | None] = [None] * len(searches)
     wanted = {i: next(search)[0] for i, search in enumerate(searches)}
     rounds = 0
@@ -136,7 +137,7 @@ def refine(
             except StopIteration as stop:
                 out[i] = stop.value
         if reference is not None and rounds > _PATIENCE:
-            gains = {i: reference - result.loss for i, result in enumerate(out) if result is not None}
+            gains = {i: reference.loss - result.loss for i, result in enumerate(out) if result is not None}
             least = _BEHIND[0] * max(gains.values()) - _BEHIND[1]
             coming = {i: rows for i, rows in coming.items() if gains[i] >= least}
         wanted = coming
@@ -144,12 +145,17 @@ def refine(
 
 
 def _search(
-    unknowns: Unknowns, starts: Sequence[np.ndarray], nuisance: Nuisance, cut: float, iterations: int
+    unknowns: Unknowns,
+    starts: Sequence[np.ndarray],
+    nuisance: Nuisance,
+    cut: float,
+    iterations: int,
+    reference: Fit | None,
 ) -> Generator[tuple[list[np.ndarray], "Refined | None"], list[np.ndarray], "Refined"]:
     """Gauss-Newton of one hypothesis; yields the values to simulate and where it is, and is sent their residuals."""
     tries = [np.clip(start, unknowns.low, unknowns.high) for start in starts]
     found = yield tries, None
-    scored = [_loss(unknowns, nuisance, cut, t, e) for t, e in zip(tries, found, strict=True)]
+    scored = [_loss(unknowns, nuisance, cut, t, e, reference) for t, e in zip(tries, found, strict=True)]
     best = int(np.argmin([loss for loss, _ in scored]))
     values, residual, (loss, chi2) = tries[best], found[best], scored[best]
     columns = np.zeros((len(values), *residual.shape), np.float32)
@@ -175,7 +181,7 @@ def _search(
         for share in (1.0, 0.4):
             trial = np.clip(values + share * step, unknowns.low, unknowns.high)
             found = yield [trial], Refined(values, loss, residual, columns, chi2)
-            trial_loss, trial_chi2 = _loss(unknowns, nuisance, cut, trial, found[0])
+            trial_loss, trial_chi2 = _loss(unknowns, nuisance, cut, trial, found[0], reference)
             if trial_loss < loss:
                 gained = loss - trial_loss
                 values, residual, loss, chi2 = trial, found[0], trial_loss, trial_chi2
@@ -186,11 +192,17 @@ def _search(
 
 
 def _loss(
-    unknowns: Unknowns, nuisance: Nuisance, cut: float, values: np.ndarray, residual: np.ndarray
+    unknowns: Unknowns,
+    nuisance: Nuisance,
+    cut: float,
+    values: np.ndarray,
+    residual: np.ndarray,
+    reference: Fit | None,
 ) -> tuple[float, np.ndarray]:
     found = nuisance.profile(residual, cut)
     prior = float((unknowns.precision * (values - unknowns.centre) ** 2).sum())
-    return found.loss + prior, found.chi2
+    loss = found.loss if reference is None else reference.loss - robust_gain(reference, found, cut)
+    return loss + prior, found.chi2
 
 
 def _nudges(unknowns: Unknowns, values: np.ndarray) -> list[np.ndarray]:

@@ -6,11 +6,12 @@ searches for one more effect beside those that were found.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from btr_mjx.errors import InputError
+from btr_mjx.gap.calibration import soften, stubborn, tolerance_draws
 from btr_mjx.gap.effect import Effect, candidates
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.noise import estimate_noise
@@ -19,11 +20,12 @@ from btr_mjx.gap.planning import Survey, place, survey
 from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.refine import Nuisance, Refined, refine
 from btr_mjx.gap.scales import Scales
-from btr_mjx.gap.score import Fit, bounded
+from btr_mjx.gap.score import Fit, bounded, project, robust_gain
 from btr_mjx.gap.screening import (
     Entry,
     Lead,
     Scanner,
+    Screen,
     changed_fields,
     entries_of,
     moves_contact,
@@ -41,6 +43,9 @@ _CUT = 1.5
 _HELD_OUT = 0.5
 """Windows of held-out recordings per window to fit, at most."""
 
+_DRAWS = 8
+"""Draws of all tolerances that show where these leave the linear picture."""
+
 _FEW = 6
 """Up to so many believed numbers are refitted together with every leader."""
 
@@ -56,7 +61,7 @@ class Options:
       iterations: Gauss-Newton steps of a refinement.
     """
 
-    steps: float = 7.5e5
+    steps: float = 7e5
     leaders: int = 6
     contact_leaders: int = 4
     iterations: int = 3
@@ -157,14 +162,15 @@ class Bench:
         note(f"signatures of {len(entries)} candidates")
         windows = self.fit.windows
         screened = screen(windows, self.base, entries, self.single)
-        nuisance = nuisances(windows, self.base, screened, dataset.tolerances, self.single)
+        rng = np.random.default_rng(0)
+        draws = tolerance_draws(self.base, self.candidates, dataset.tolerances, rng, _DRAWS)
+        screened, nuisance = self._softened(windows, self.base, screened, draws)
         self.fit = Side(windows, nuisance)
         self.scanner = Scanner(screened, nuisance)
         known = [e for e in entries if not e.probe and tolerance_of(e.candidate, dataset.tolerances) > 0]
         own = screen(self.test.windows, self.base, known, self.single)
         bare = Hypothesis((), ())  # what may be refitted is refitted on the other side only
-        columns = nuisances(self.test.windows, bare, own, dataset.tolerances, self.single)
-        self.test = Side(self.test.windows, columns)
+        self.test = Side(self.test.windows, self._softened(self.test.windows, bare, own, draws)[1])
         self._polished_residuals: tuple[np.ndarray, np.ndarray] | None = None
         self.dispersion = 1.0
         self.cut = _CUT * windows.freedom
@@ -205,6 +211,22 @@ class Bench:
                 self.base = self.base.replaced(found.values, True)
                 windows.linearise(self.base)
         self.test.windows.linearise(self.base)
+
+    def _softened(
+        self, windows: Windows, base: Hypothesis, screened: Screen, draws: Sequence[Hypothesis]
+    ) -> tuple[Screen, Nuisance]:
+        """Nuisances of one side, after what tolerances do to contacts has been taken into account there."""
+        given = self.dataset.tolerances
+        nuisance = nuisances(windows, base, screened, given, self.single)
+        if not (self.survey.contact and len(nuisance.precision)):
+            return screened, nuisance
+        directions = stubborn(windows, nuisance, draws, _CUT * windows.freedom)
+        soften(windows, directions)
+        columns = np.empty_like(screened.columns)
+        for i, column in enumerate(screened.columns):
+            columns[i] = project(column, directions)
+        screened = replace(screened, columns=columns)
+        return screened, nuisances(windows, base, screened, given, self.single)
 
     @property
     def joint(self) -> bool:
@@ -269,7 +291,7 @@ class Bench:
             self.cut,
             [(unknowns(own, self.joint, self.delicate), tries) for own, tries in hypotheses],
             self.options.iterations,
-            self.reference[0].loss if given is None else given.refined.loss,
+            (self.reference if given is None else given.references)[0],
         )
         refined = [own.replaced(r.values, self.joint) for (own, _), r in zip(hypotheses, found, strict=True)]
         if given is None:
@@ -314,9 +336,11 @@ class Bench:
         return sorted(out, key=lambda judged: -judged.score)
 
     def _gain(self, before: Fit, after: Fit) -> float:
-        """Fall of the loss without the window that gains most: one touchdown must not make a name."""
-        windows = bounded(before.chi2, self.cut) - bounded(after.chi2, self.cut)
-        return float(before.loss - after.loss - max(windows.max(), 0.0)) / self.dispersion
+        """Robust fall of the loss, without the window that gains most: one touchdown must not make a name."""
+        fall = bounded(before.chi2, self.cut) - bounded(after.chi2, self.cut)
+        most = float(np.quantile(np.abs(fall), 0.8)) * 3.0 + 15.0
+        best = float(np.clip(fall.max(), 0.0, most))
+        return (robust_gain(before, after, self.cut) - best) / self.dispersion
 
     def polish(self, judged: Sequence[Judged], within: float = 40.0, most: int = 3) -> list[Judged]:
         """Judge the leaders again, with starting states that suit each of them.
@@ -339,7 +363,7 @@ class Bench:
             windows = self.fit.windows.recentred(own.hypothesis)
             free = unknowns(own.hypothesis, self.joint, self.delicate)
             start = own.hypothesis.values(self.joint)
-            refined = refine(windows, self.free_nuisance, self.cut, [(free, [start])], 2)[0]
+            refined = refine(windows, self.free_nuisance, self.cut, [(free, [start])], 2, references[0])[0]
             hypothesis = own.hypothesis.replaced(refined.values, self.joint)
             both = windows, self.test.windows.recentred(hypothesis)
             out += self.judge([hypothesis], [refined], both, references)

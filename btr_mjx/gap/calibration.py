@@ -1,0 +1,74 @@
+"""What calibration leaves, beyond the linear picture.
+
+Tolerances are marginalised as signatures, linearly. Where the robot touches the world that is not enough: a length
+that is wrong by half a millimetre decides whether a foot touches at all. Draws of all tolerances are therefore truly
+simulated, and the directions in which they leave the linear picture count less, window by window.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from btr_mjx.gap.effect import Candidate
+from btr_mjx.gap.hypotheses import Hypothesis
+from btr_mjx.gap.refine import Nuisance
+from btr_mjx.gap.score import project
+from btr_mjx.gap.screening import tolerance_of
+from btr_mjx.gap.windows import Windows
+
+
+def tolerance_draws(
+    base: Hypothesis,
+    candidates: Sequence[Candidate],
+    given: Mapping[str, float],
+    rng: np.random.Generator,
+    count: int,
+) -> list[Hypothesis]:
+    """Worlds in which nothing is missing but what calibration leaves.
+
+    Args:
+      base: the believed world.
+      candidates: all candidates; those with a tolerance are drawn.
+      given: tolerances of the dataset by effect.
+      rng: for the draws.
+      count: number of worlds.
+    """
+    loose = [c for c in candidates if tolerance_of(c, given) > 0]
+    out = []
+    for _ in range(count):
+        hypothesis = base
+        for candidate in loose:
+            values, first = candidate.null, candidate.parameters[0]
+            values[0] += tolerance_of(candidate, given) * float(np.clip(rng.standard_normal(), -2.5, 2.5))
+            values[0] = np.clip(values[0], first.low, first.high)
+            hypothesis = hypothesis.with_effect(candidate, values)
+        out.append(hypothesis)
+    return out
+
+
+def stubborn(windows: Windows, nuisance: Nuisance, draws: Sequence[Hypothesis], cut: float) -> np.ndarray:
+    """Directions in which tolerances leave the linear picture, scaled for a soft projection.
+
+    Args:
+      windows: the data.
+      nuisance: the tolerances' signatures, which absorb the linear part.
+      draws: worlds of `tolerance_draws`.
+      cut: chi^2 above which a window counts less.
+
+    Returns:
+      (W, R, draws) directions; appended to a basis of `project` they divide each by its standard deviation.
+    """
+    left = []
+    for residual in windows.residuals(list(draws)):
+        change = residual - windows.residual
+        left.append(nuisance.absorbed(change, cut))
+    spread = np.moveaxis(np.stack(left), 0, 2) / np.sqrt(len(left))  # (W, R, draws)
+    u, s, _ = np.linalg.svd(spread, full_matrices=False)
+    shrink = 1.0 - 1.0 / np.sqrt(1.0 + s**2)
+    return u * np.sqrt(shrink)[:, None, :]
+
+
+def soften(windows: Windows, directions: np.ndarray) -> None:
+    """Let directions (W, R, D) of `stubborn` count less in all residuals of some windows from now on."""
+    windows.residual = project(windows.residual, directions)
+    windows.basis = np.concatenate([windows.basis, directions], axis=2)

@@ -1,0 +1,190 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from gap_arm import SIGMA, dataset, recording
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.commands import Command
+from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.hypotheses import Hypothesis, unknowns
+from btr_mjx.gap.identify import equivalent, identify
+from btr_mjx.gap.next_experiment import compare, propose, random_commands, recordings_needed
+from btr_mjx.gap.recordings import Believed
+from btr_mjx.gap.search import Bench, Options
+
+LIBRARY = tuple(
+    e for e in EFFECTS if e.name in ("viscous_damping", "dry_friction", "armature", "actuator_gain", "actuator_delay")
+)
+QUICK = Options(steps=6e4, leaders=4, contact_leaders=0)
+
+
+def damped(model):
+    model.dof_damping[1] += 0.1
+
+
+@pytest.fixture(scope="module")
+def found():
+    return identify(dataset(damped, seed=1), LIBRARY, max_effects=1, options=QUICK)
+
+
+def test_damping_at_the_elbow_is_named(found):
+    assert found.verdict == "effect"
+    (named,) = found.effects
+    assert named.name == "viscous_damping@joint:elbow"
+    estimate = named.parameters["damping"]
+    assert estimate.value == pytest.approx(0.1, rel=0.1)
+    assert estimate.low < estimate.value < estimate.high
+    assert estimate.unit == "N m s/rad"
+    assert found.equivalent[0] == named.name
+
+
+def test_the_gap_closes_on_held_out_recordings(found):
+    assert found.gap.before > 2 * found.gap.after
+    assert found.gap.after == pytest.approx(1.0, abs=0.2)
+    assert found.gap.closed > 0.9
+    assert found.gap.open_loop_after < 0.3 * found.gap.open_loop_before
+
+
+def test_the_map_points_at_the_elbow_in_fast_motion(found):
+    table = found.disagreement
+    assert table.places == ("joint:shoulder", "joint:elbow")
+    value = dict(zip(table.regimes, table.value[1], strict=True))
+    assert value["all"] > 3
+    assert value["fast"] > value["slow"]
+    assert table.value[1, 0] > 2 * table.value[0, 0]
+    assert np.isnan(value["contact"])
+
+
+def test_the_ranking_is_ordered_and_complete(found):
+    scores = [row.score for row in found.ranking]
+    assert scores == sorted(scores, reverse=True)
+    assert found.ranking[0].margin == 0
+    assert found.ranking[0].score > found.threshold
+    assert found.steps > 0
+
+
+def test_nothing_is_named_where_nothing_is_missing():
+    found = identify(dataset(seed=2), LIBRARY, options=QUICK)
+    assert found.verdict == "none"
+    assert not found.effects
+    assert found.gap.before == found.gap.after
+
+
+def test_believed_numbers_are_refitted_before_anything_is_called_missing():
+    believed = (Believed("elbow damping", ("joint:elbow/damping",), 0.0, 1.0),)
+    found = identify(dataset(damped, seed=1, parameters=believed), LIBRARY, options=QUICK)
+    assert found.verdict == "none"
+    (row,) = found.believed
+    assert row.believed == pytest.approx(0.05)
+    assert row.refitted == pytest.approx(0.15, rel=0.1)
+
+
+def test_something_outside_the_library_is_called_unexplained():
+    def spring(model):
+        model.jnt_stiffness[0] = 4.0
+        model.qpos_spring[0] = 0.5
+
+    only = tuple(e for e in LIBRARY if e.name in ("viscous_damping", "armature"))
+    found = identify(dataset(spring, seed=3), only, options=QUICK)
+    assert found.verdict == "unexplained"
+    assert not found.effects
+    assert found.unexplained[0].startswith("joint:shoulder")
+
+
+def test_two_effects_at_once():
+    def both(model):
+        damped(model)
+        model.dof_armature[0] += 0.03
+
+    found = identify(dataset(both, seed=4), LIBRARY, max_effects=2, options=QUICK)
+    assert {named.name for named in found.effects} == {"viscous_damping@joint:elbow", "armature@joint:shoulder"}
+
+
+def test_results_are_bit_identical():
+    made = dataset(damped, seed=5, fit=2, test=1)
+    benches = [Bench(made, LIBRARY[:1], QUICK) for _ in range(2)]
+    first, second = (bench.find() for bench in benches)
+    assert [(j.name, j.score) for j in first] == [(j.name, j.score) for j in second]
+
+
+def test_both_sides_of_the_split_are_needed():
+    with pytest.raises(InputError, match="split 'test'"):
+        identify(dataset(fit=2, test=0), LIBRARY, options=QUICK)
+
+
+def test_hypotheses_keep_their_numbers_in_order():
+    bench = Bench(dataset(damped, seed=1, fit=2, test=1), LIBRARY, QUICK)
+    first, second = bench.candidates[0], bench.candidates[-1]
+    believed = (Believed("elbow damping", ("joint:elbow/damping",), 0.0, 1.0),)
+    made = Hypothesis(believed, (0.2,)).with_effect(first, [0.3]).with_effect(second, [0.004])
+    np.testing.assert_allclose(made.values(True), [0.2, 0.3, 0.004])
+    again = made.replaced(np.array([0.1, 0.2, 0.3]), True)
+    np.testing.assert_allclose(again.values(False), [0.2, 0.3])
+    assert again.believed == (0.1,)
+    assert len(unknowns(made, True).low) == 3
+    assert made.name == f"{first.name} + {second.name}"
+    judged = bench.find()
+    assert equivalent(judged)[0] == judged[0].name
+
+
+def hypotheses():
+    bench = Bench(dataset(damped, seed=1, fit=2, test=1), LIBRARY, QUICK)
+    by_name = {c.name: c for c in bench.candidates}
+    viscous = bench.base.with_effect(by_name["viscous_damping@joint:elbow"], [0.02])
+    dry = bench.base.with_effect(by_name["dry_friction@joint:elbow"], [0.05])
+    return bench, viscous, dry
+
+
+def test_a_still_command_separates_less_than_a_lively_one():
+    bench, viscous, dry = hypotheses()
+    time = np.arange(0, 1.0, 0.005)
+    still = Command(time, np.zeros((len(time), 2)), "linear")
+    lively = Command(time, 0.8 * np.sin(time[:, None] * [5.0, 9.0]), "linear")
+    values = [compare([viscous, dry], bench.dataset, c, SIGMA)[0, 1] for c in (still, lively)]
+    assert values[1] > 10 * max(values[0], 1e-9)
+
+
+def test_chosen_experiments_save_recordings():
+    """Three of the commands to choose from do not move the arm: any choice that looks ahead avoids them."""
+    bench, viscous, dry = hypotheses()
+    time = np.arange(0, 0.6, 0.005)
+    still = Command(time, np.zeros((len(time), 2)), "linear")
+    lively = Command(time, 0.8 * np.sin(time[:, None] * [5.0, 9.0]), "linear")
+    commands = [still, still, still, lively]
+    needed = [
+        recordings_needed(
+            viscous, dry, bench.dataset, SIGMA, np.random.default_rng(0), choose, most=4, commands=commands
+        )
+        for choose in (True, False)
+    ]
+    assert needed[0] == 1
+    assert needed[1] > 2
+
+
+def test_a_proposal_names_its_pair_and_stays_in_range(found):
+    made = dataset(damped, seed=1, fit=2, test=1)
+    _, viscous, dry = hypotheses()
+    survivors = (viscous, dry)
+    asked = dataclasses.replace(found, survivors=survivors)
+    proposal = propose(asked, made, seed=3, commands=random_commands(made, np.random.default_rng(0), 3))
+    assert proposal is not None
+    assert proposal.values.shape == (len(proposal.time), 2)
+    assert proposal.disagreement == max(proposal.others)
+    assert set(proposal.between) <= {h.name for h in survivors}
+    assert propose(dataclasses.replace(found, survivors=survivors[:1]), made) is None
+
+
+def test_uneven_samples_without_velocities():
+    believed = dataset(fit=1, test=1).model
+    recordings = tuple(
+        recording(f"u{i}", damped, 50 + i, "fit" if i < 3 else "test", believed=believed, uneven=True, duration=0.7)
+        for i in range(5)
+    )
+    blind = tuple(
+        dataclasses.replace(r, qvel=np.full_like(r.qvel, np.nan), qvel_measured=np.zeros(2, bool)) for r in recordings
+    )
+    made = dataclasses.replace(dataset(fit=1, test=1), recordings=blind)
+    found = identify(made, LIBRARY[:2], max_effects=1, options=QUICK)
+    assert found.verdict == "effect"
+    assert found.effects[0].location == "joint:elbow"
