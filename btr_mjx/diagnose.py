@@ -9,6 +9,7 @@ The run folder holds:
     preflight.csv                   what was found before any fit
     result.json                     verdict, effects with intervals, ranking, gap, next experiment
     ranking.csv, believed.csv, disagreement.csv, *.npz   tables and arrays behind the page
+    next_command.csv                what to command next, where candidates cannot be told apart
     mended.xml, mended.json         the believed model with what was found
     report.html, figures/           the page
     demo/, truth.json               with --demo: the case, and the answer
@@ -38,6 +39,7 @@ from btr_mjx.gap.hidden import make_case
 from btr_mjx.gap.hidden_fitness import make_fitness_case
 from btr_mjx.gap.identify import identify
 from btr_mjx.gap.model_paths import nearest
+from btr_mjx.gap.next_experiment import propose
 from btr_mjx.gap.preflight import Finding, preflight, preflight_fitness, refuse_errors
 from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.saved import as_result
@@ -216,12 +218,14 @@ def solve(
 
         more: dict[str, Any] = {"seed": config.seed, "signal": config.signal}
         if isinstance(dataset, FitnessTable):
-            diagnosis, data = identify_fitness(dataset, library, note), dataset.head
+            diagnosis, data, proposal = identify_fitness(dataset, library, note), dataset.head, None
             more["gap"] = as_result(diagnosis, data)["gap"] | {"unit": "m/s of Delta_fitness"}
         else:
             diagnosis, data = identify(dataset, library, config.max_effects, config.seed, note), dataset
+            note("next experiment")
+            proposal = propose(diagnosis, dataset, config.seed)
         bar.update(STAGES - bar.n)
-    saved.save(diagnosis, data, folder, effects=library, more=more)
+    saved.save(diagnosis, data, folder, effects=library, next_experiment=proposal, more=more)
 
 
 def _make_demo(folder: Path, config: DiagnoseConfig) -> None:
