@@ -43,8 +43,9 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError, one_line
+from btr_mjx.gap.believed import Believed, read_believed
 from btr_mjx.gap.columns import check_names, control_columns, read_columns, spread, state_columns
-from btr_mjx.gap.model_paths import parse_path, set_values
+from btr_mjx.gap.model_paths import set_values
 from btr_mjx.gap.noise import Noise, estimate_noise, read_noise
 from btr_mjx.gap.samples import check_time, estimate_velocity, normalise, sound_rows
 from btr_mjx.gap.toml_tables import check_keys, file_name, is_number, read_toml, toml_rows, toml_section
@@ -57,39 +58,6 @@ MIN_SAMPLES = 20
 
 Split = Literal["fit", "test"]
 Interpolation = Literal["hold", "linear", "cubic"]
-
-
-@dataclass(frozen=True)
-class Believed:
-    """A number of the believed model that may be refitted.
-
-    Attributes:
-      name: for reports.
-      paths: numbers of the model that it sets, see `model_paths`.
-      low, high: bounds; factors if `relative`.
-      relative: the value multiplies each recording's own numbers instead of replacing them.
-    """
-
-    name: str
-    paths: tuple[str, ...]
-    low: float
-    high: float
-    relative: bool = False
-
-    @property
-    def path(self) -> str:
-        """The first path."""
-        return self.paths[0]
-
-    def value(self, model: mujoco.MjModel) -> float:
-        """The believed value: 1 if relative."""
-        return 1.0 if self.relative else parse_path(model, self.path).read(model)
-
-    def write(self, model: mujoco.MjModel, value: float) -> None:
-        """Set it in place in a model that holds the believed numbers; call `mj_setConst` after the last one."""
-        for name in self.paths:
-            path = parse_path(model, name)
-            path.write(model, path.read(model) * value if self.relative else value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +202,7 @@ def read_head(folder: str | Path, more: Sequence[str] = ()) -> tuple[Dataset, di
         model_file=model_file,
         spec_xml=spec_xml,
         parameters=tuple(
-            _parameter(row, model, f"{path}: [[parameter]] {i + 1}", notes)
+            read_believed(row, model, f"{path}: [[parameter]] {i + 1}", notes)
             for i, row in enumerate(toml_rows(table, "parameter", path))
         ),
         recordings=(),
@@ -398,32 +366,6 @@ def split(recordings: Sequence[Recording], given: Sequence[Any], where: str) -> 
         only.part(slice(None, cut), "fit", f"{only.name} (first part)"),
         only.part(slice(cut, None), "test", f"{only.name} (last third)"),
     ]
-
-
-def _parameter(row: Mapping[str, Any], model: mujoco.MjModel, where: str, notes: list[str]) -> Believed:
-    check_keys(row, ("name", "path", "bounds", "low", "high", "relative", "unit"), where, notes)
-    paths = row.get("path")
-    texts = [paths] if isinstance(paths, str) else paths
-    if not isinstance(texts, list) or not texts or not all(isinstance(t, str) for t in texts):
-        raise InputError(f'{where}: path {paths!r}: expected a text such as "joint:knee/damping", or a list of them')
-    bounds = row.get("bounds", [row.get("low"), row.get("high")])
-    if not isinstance(bounds, list) or len(bounds) != 2 or not all(is_number(b) for b in bounds):
-        raise InputError(f"{where}: bounds {bounds!r}: expected [LOW, HIGH]")
-    low, high = map(float, bounds)
-    if not low < high:
-        raise InputError(f"{where}: bounds {bounds!r}: expected LOW below HIGH")
-    try:
-        believed = Believed(str(row.get("name", texts[0])), tuple(texts), low, high, bool(row.get("relative", False)))
-        for one in texts:
-            parse_path(model, one)
-        value = believed.value(model)
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from None
-    if not low <= value <= high:
-        raise InputError(
-            f"{where}: the model's own value of {believed.path!r} is {value:.6g}, outside its bounds [{low}, {high}]"
-        )
-    return believed
 
 
 def _tolerances(table: Any, path: Path) -> dict[str, float]:
