@@ -33,7 +33,7 @@ from btr_mjx.gap.screening import (
     screen,
     tolerance_of,
 )
-from btr_mjx.gap.smoothing import best_span
+from btr_mjx.gap.smoothing import best_span, smooth
 from btr_mjx.gap.windows import Data, Windows, prepare, track_of
 from btr_mjx.gap.worlds import Counter
 
@@ -461,7 +461,7 @@ def _scales(data: Data) -> Scales:
     return Scales.measured(
         model,
         np.concatenate([track.qpos[i] for _, track, _, i in rows]),
-        np.concatenate([np.nan_to_num(track.qvel[i]) for _, track, _, i in rows]),
+        np.concatenate([smooth(model, track, i, data.sigma, data.span)[1] for _, track, _, i in rows]),
         np.concatenate([recording.ctrl[i] for recording, _, _, i in rows]),
         np.concatenate([act[i] for _, _, act, i in rows]) if model.na else None,
     )

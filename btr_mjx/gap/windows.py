@@ -35,6 +35,9 @@ _NUDGE = 0.2
 _REACH = 2.0
 """How far a starting state may be led away from the smoothed one, in units of the noise; more where smoothing fails."""
 
+_UNSEEN = 50.0
+"""Coordinates that were not measured may be led away further by this factor."""
+
 _CEILING = 1e4
 """Residuals are cut here, in units of the noise; a diverged simulation counts as this."""
 
@@ -122,7 +125,8 @@ class Windows:
             q, v, chi2 = smooth(model, data.tracks[r], self.first[own], data.sigma, data.span)
             self.qpos[own], self.qvel[own] = q, v
             doubt[own] = np.maximum(chi2, 1.0)
-        self.reach = _REACH * data.sigma * np.concatenate([doubt, doubt], -1)
+        free = np.where(data.measured, 1.0, _UNSEEN)
+        self.reach = _REACH * data.sigma * free * np.concatenate([doubt, doubt], -1)
         self.smoothed = self.qpos.copy(), self.qvel.copy()
         self.channels = np.flatnonzero(data.measured)
         self.residual = np.zeros((len(self), (k + 1) * len(self.channels)))
