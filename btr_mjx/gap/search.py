@@ -6,7 +6,7 @@ searches for one more effect beside those that were found.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,6 +33,7 @@ from btr_mjx.gap.screening import (
     screen,
     tolerance_of,
 )
+from btr_mjx.gap.search_records import Judged, Options, Side
 from btr_mjx.gap.smoothing import best_span, smooth
 from btr_mjx.gap.windows import Data, Windows, prepare, track_of
 from btr_mjx.gap.worlds import Counter
@@ -48,68 +49,6 @@ _DRAWS = 8
 
 _FEW = 6
 """Up to so many believed numbers are refitted together with every leader."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """How much is spent.
-
-    Attributes:
-      steps: simulated steps that one search may cost, roughly.
-      leaders: candidates that are refined by true simulation.
-      contact_leaders: further candidates that move contacts, which start from several values.
-      iterations: Gauss-Newton steps of a refinement.
-    """
-
-    steps: float = 7e5
-    leaders: int = 6
-    contact_leaders: int = 4
-    iterations: int = 3
-
-
-@dataclass(frozen=True)
-class Side:
-    """Windows on one side of the split, with what is fitted along.
-
-    Attributes:
-      windows: linearised around the base.
-      nuisance: tolerances, and on the side that is fitted what may be refitted.
-    """
-
-    windows: Windows
-    nuisance: Nuisance
-
-
-@dataclass(frozen=True, eq=False)
-class Judged:
-    """A refined hypothesis and what the data say of it.
-
-    Attributes:
-      hypothesis: with its refined values.
-      refined: on the recordings to fit.
-      gain: fall of the loss there against the reference, in units of the dispersion.
-      held_out: fall of the loss on the held-out recordings.
-      score: gain on both, less what its numbers cost.
-      residual: (W, R) on the held-out windows.
-      chi2: (W,) there, with the tolerances at their best.
-      windows: of both sides of the split, with the starting states that it was judged with.
-      references: fits of the believed model on both sides, with starting states found in the same way.
-    """
-
-    hypothesis: Hypothesis
-    refined: Refined
-    gain: float
-    held_out: float
-    score: float
-    residual: np.ndarray
-    chi2: np.ndarray
-    windows: tuple[Windows, Windows]
-    references: tuple[Fit, Fit]
-
-    @property
-    def name(self) -> str:
-        """The hypothesis' name."""
-        return self.hypothesis.name
 
 
 class Bench:
@@ -465,3 +404,6 @@ def _scales(data: Data) -> Scales:
         np.concatenate([recording.ctrl[i] for recording, _, _, i in rows]),
         np.concatenate([act[i] for _, _, act, i in rows]) if model.na else None,
     )
+
+
+__all__ = ["Bench", "Judged", "Options", "Side"]

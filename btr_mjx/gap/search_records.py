@@ -1,0 +1,72 @@
+"""Records of the search: what it may cost, the two sides of the split, a judged hypothesis."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from btr_mjx.gap.hypotheses import Hypothesis
+from btr_mjx.gap.refine import Nuisance, Refined
+from btr_mjx.gap.score import Fit
+from btr_mjx.gap.windows import Windows
+
+
+@dataclass(frozen=True)
+class Options:
+    """How much is spent.
+
+    Attributes:
+      steps: simulated steps that one search may cost, roughly.
+      leaders: candidates that are refined by true simulation.
+      contact_leaders: further candidates that move contacts, which start from several values.
+      iterations: Gauss-Newton steps of a refinement.
+    """
+
+    steps: float = 7e5
+    leaders: int = 6
+    contact_leaders: int = 4
+    iterations: int = 3
+
+
+@dataclass(frozen=True)
+class Side:
+    """Windows on one side of the split, with what is fitted along.
+
+    Attributes:
+      windows: linearised around the base.
+      nuisance: tolerances, and on the side that is fitted what may be refitted.
+    """
+
+    windows: Windows
+    nuisance: Nuisance
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A refined hypothesis and what the data say of it.
+
+    Attributes:
+      hypothesis: with its refined values.
+      refined: on the recordings to fit.
+      gain: fall of the loss there against the reference, in units of the dispersion.
+      held_out: fall of the loss on the held-out recordings.
+      score: gain on both, less what its numbers cost.
+      residual: (W, R) on the held-out windows.
+      chi2: (W,) there, with the tolerances at their best.
+      windows: of both sides of the split, with the starting states that it was judged with.
+      references: fits of the believed model on both sides, with starting states found in the same way.
+    """
+
+    hypothesis: Hypothesis
+    refined: Refined
+    gain: float
+    held_out: float
+    score: float
+    residual: np.ndarray
+    chi2: np.ndarray
+    windows: tuple[Windows, Windows]
+    references: tuple[Fit, Fit]
+
+    @property
+    def name(self) -> str:
+        """The hypothesis' name."""
+        return self.hypothesis.name
