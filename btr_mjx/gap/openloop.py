@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.smoothing import smooth
 from btr_mjx.gap.tangent import difference
@@ -49,45 +48,3 @@ def _errors(data: Data, makes: Sequence[MakeWorld], counter: Counter | None) -> 
         away = difference(recording.model, recording.qpos, states[0, :, : recording.model.nq])
         out[-1].append(np.nan_to_num(away, nan=1e3))
     return out
-
-
-def refit(bench: Bench, hypothesis: Hypothesis, iterations: int = 6) -> Hypothesis:
-    """Refit all free numbers of a hypothesis to whole recordings, where motion is not chaotic.
-
-    The mean absolute position error is lowered by reweighted Gauss-Newton steps: few recordings that no model of the
-    kind can follow do not decide.
-
-    Args:
-      bench: of the search.
-      hypothesis: its values are the start.
-      iterations: largest number of steps.
-
-    Returns:
-      The hypothesis with new values; the same one where the robot touches the world.
-    """
-    free = unknowns(hypothesis, True)
-    if bench.survey.contact or not len(free.low):
-        return hypothesis
-    data, values = bench.fit.windows.data, hypothesis.values(True)
-    residual = _stacked(_errors(data, [hypothesis], bench.counter))[0]
-    for _ in range(iterations):
-        steps = np.where(values + free.step <= free.high, free.step, -free.step)
-        moved = [free.make(values + np.where(np.arange(len(values)) == i, h, 0.0)) for i, h in enumerate(steps)]
-        columns = (_stacked(_errors(data, moved, bench.counter)) - residual).T / steps
-        weight = 1.0 / np.hypot(residual, 0.2 * np.median(np.abs(residual)) + 1e-12)
-        normal = columns.T @ (columns * weight[:, None])
-        normal = normal + 1e-6 * np.diag(np.diag(normal)) + 1e-300 * np.eye(len(values))
-        step = -np.linalg.solve(normal, columns.T @ (weight * residual))
-        tries = [np.clip(values + share * step, free.low, free.high) for share in (1.0, 0.5, 0.2, 0.05)]
-        found = _stacked(_errors(data, [free.make(t) for t in tries], bench.counter))
-        means = np.abs(found).mean(1)
-        best = int(np.argmin(means))
-        if means[best] > (1.0 - 2e-3) * np.abs(residual).mean():
-            break
-        values, residual = tries[best], found[best]
-    return hypothesis.replaced(values, True)
-
-
-def _stacked(errors: list[list[np.ndarray]]) -> np.ndarray:
-    """(hypotheses, samples) errors of all recordings in one row each."""
-    return np.stack([np.concatenate([e.ravel() for e in row]) for row in errors])
