@@ -101,7 +101,12 @@ def table(claims: Sequence[Claim]) -> str:
     lines += ["", ", ".join(f"{count} {word}" for word, count in counts.items()) + f" of {len(claims)}.", ""]
     reasons = [claim for claim in claims if claim.why]
     if reasons:
-        lines += ["## What does not hold, and why", "", *(f"- **{claim.claim}.** {claim.why}" for claim in reasons), ""]
+        lines += [
+            "## What does not hold or is undecided, and why",
+            "",
+            *(f"- **{claim.claim}.** {claim.why}" for claim in reasons),
+            "",
+        ]
     rule = (__doc__ or "").partition("\n\n")[2].partition("\n\n")[2]
     return "\n".join(lines) + "\n" + rule
 
