@@ -34,7 +34,7 @@ from btr_mjx.models import base_model
 from btr_mjx.progress import StopRequest, graceful_interrupt, progress
 from btr_mjx.reality import SimulatedReality
 from btr_mjx.robots import Robot, robot_of
-from btr_mjx.runs import IGNORED_FIELDS, RunFolder, is_unused
+from btr_mjx.runs import IGNORED_FIELDS, RunFolder, chosen_folder
 from btr_mjx.summary import summarise, summary_table
 
 
@@ -263,14 +263,7 @@ def resolve_folder(config: CoevolveConfig) -> CoevolveConfig:
     Raises:
       InputError: a resume that does not say of what.
     """
-    if config.out is not None:
-        return config
-    if config.resume:
-        raise InputError("--resume: say which run to continue with --out FOLDER")
-    base, number = f"{config.preset}-{config.seed}", 2
-    out = Path("runs") / base
-    while not is_unused(out):
-        out, number = Path("runs") / f"{base}-{number}", number + 1
+    out = chosen_folder(config.out, config.resume, f"{config.preset}-{config.seed}")
     return dataclasses.replace(config, out=out)
 
 

@@ -46,7 +46,7 @@ from btr_mjx.gap.saved import as_result
 from btr_mjx.gap.sources import open_dataset
 from btr_mjx.gap.wording import named, place, title
 from btr_mjx.progress import graceful_interrupt, progress
-from btr_mjx.runs import IGNORED_FIELDS, RunFolder, is_unused
+from btr_mjx.runs import IGNORED_FIELDS, RunFolder, chosen_folder
 
 STAGES = 12
 """Words that a search says about its progress, roughly; the bar ends where the search does."""
@@ -142,14 +142,7 @@ def resolve_folder(config: DiagnoseConfig) -> DiagnoseConfig:
     Raises:
       InputError: a resume that does not say of what.
     """
-    if config.out is not None:
-        return config
-    if config.resume:
-        raise InputError("--resume: say which run to continue with --out FOLDER")
-    base, number = f"{'demo' if config.demo else 'diagnosis'}-{config.seed}", 2
-    out = Path("runs") / base
-    while not is_unused(out):
-        out, number = Path("runs") / f"{base}-{number}", number + 1
+    out = chosen_folder(config.out, config.resume, f"{'demo' if config.demo else 'diagnosis'}-{config.seed}")
     return dataclasses.replace(config, out=out)
 
 

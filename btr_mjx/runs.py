@@ -271,3 +271,19 @@ def _check(path: Path, data: Mapping[str, Any], resume: bool, ignore: Collection
         raise InputError(
             f"{path} was started with another config ({'; '.join(changed)}); give the saved values or another --out"
         )
+
+
+def chosen_folder(out: Path | None, resume: bool, base: str) -> Path:
+    """The run folder of a command: the one that is named, or the first unused one of runs/BASE, runs/BASE-2, ...
+
+    Raises:
+      InputError: a resume that does not say of what.
+    """
+    if out is not None:
+        return out
+    if resume:
+        raise InputError("--resume: say which run to continue with --out FOLDER")
+    found, number = Path("runs") / base, 2
+    while not is_unused(found):
+        found, number = Path("runs") / f"{base}-{number}", number + 1
+    return found

@@ -30,7 +30,7 @@ Step = Callable[[float], object]
 IGNORED = (*IGNORED_FIELDS, "seeds", "draw_only")
 """Settings that may change when a folder is taken up again: more seeds are more units."""
 
-ASSUMED_RATE = 500.0
+ASSUMED_RATE = 400.0
 """Whole trials per second that the estimates of time assume; two quiet cores reach it with the lanes engine."""
 
 
