@@ -4,7 +4,8 @@ Iteration i:
   1. Controller search: a population of M controllers is made from c_(i-1) by bit flips and evolved for a few
      generations in the best simulation s_(i-1).
   2. Selection, transfer, test: the m best are tried in reality; the best of them there becomes c_i.
-  3. Simulation search: a population of L simulations around s_(i-1) is evolved to minimise Delta_fitness.
+  3. Simulation search: a population of L simulations around s_(i-1) is evolved to minimise Delta_fitness; see
+     `simulation_search`.
 
 `advance(problem, state)` does the next smallest piece of work (one generation, or one visit to reality) and returns the
 state after it. Whatever runs it can save the state between pieces and go on later with the same result, to the bit.
@@ -16,14 +17,14 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from btr_mjx import simulation_search
 from btr_mjx.behaviour import Engine, evaluate
 from btr_mjx.btr_state import Problem, Progress, SearchSettings, State, Trials
-from btr_mjx.distances import fitness_at_marks, multiscale_fitness
 from btr_mjx.errors import InputError
-from btr_mjx.evolution import GAConfig, GAState, GeneticAlgorithm
-from btr_mjx.fitness import DISTANCE, FitnessFunction, delta_fitness
+from btr_mjx.evolution import GAState
+from btr_mjx.fitness import DISTANCE, FitnessFunction
 from btr_mjx.robots import Robot
-from btr_mjx.spaces import Box
+from btr_mjx.simulation_search import delta_of_simulations, genetic_algorithm
 
 
 class Report(Protocol):
@@ -50,7 +51,7 @@ def begin(problem: Problem, genome: np.ndarray | None = None) -> State:
     start = problem.robot.simulation_box.validate(problem.start, "start simulation")
     problem.simulation_box.encode(start[problem.robot.simulation_box.indices(problem.unknown)])
     box = problem.controller_box
-    first = box.random_genomes(_rng(problem, 0, 0)) if genome is None else box.validate_genomes(genome)
+    first = box.random_genomes(problem.rng(0, 0)) if genome is None else box.validate_genomes(genome)
     _check_marks(problem)
     marks = np.zeros((0, len(problem.times) - 1))
     trials = Trials(np.zeros((0, box.n)), np.zeros(0), marks, np.zeros(0), np.zeros(0, int))
@@ -91,7 +92,7 @@ def coevolve(problem: Problem, report: Report | None = None) -> State:
 def try_first_controller(problem: Problem, state: State) -> State:
     """Try c_0 in reality: the fitness before learning, f_0 of the learning performance."""
     controllers = problem.controller_box.decode(state.genome)[None]
-    f_s = _simulate(problem, state.simulation[None], controllers)[0]
+    f_s = problem.simulate(state.simulation[None], controllers)[0]
     measured = problem.reality.measure(controllers, len(state.trials), problem.times)
     return replace(state, phase="controllers", trials=state.trials.add(controllers, measured, f_s, 0))
 
@@ -99,10 +100,10 @@ def try_first_controller(problem: Problem, state: State) -> State:
 def search_controllers(problem: Problem, state: State, report: Report) -> State:
     """Step 1, one generation: evolve controllers in s_(i-1) for the best fitness."""
     settings, box = problem.settings.controllers, problem.controller_box
-    algorithm = _algorithm(box, settings, maximise=problem.fitness.maximise)
-    search = state.search or algorithm.init(_rng(problem, state.iteration, 1), genome=state.genome)
+    algorithm = genetic_algorithm(box, settings, maximise=problem.fitness.maximise)
+    search = state.search or algorithm.init(problem.rng(state.iteration, 1), genome=state.genome)
     genomes, search = algorithm.ask(search)
-    scores = _simulate(problem, state.simulation[None], box.decode(genomes))[0]
+    scores = problem.simulate(state.simulation[None], box.decode(genomes))[0]
     state = _after_generation(state, algorithm.tell(search, genomes, scores), genomes, scores)
     report("generation", _generation_row(state, "controllers", scores, problem.fitness.maximise))
     if len(state.scores) == settings.generations:
@@ -137,7 +138,7 @@ def evolve_controllers(
       (g, M, bits) all generations in order and (g, M) their fitness; see `select_transferable`.
     """
     box = robot.controller_box.with_bits(settings.bits)
-    algorithm = _algorithm(box, settings, fitness.maximise)
+    algorithm = genetic_algorithm(box, settings, fitness.maximise)
     rng = np.random.default_rng([seed, 0, 1])
     search = algorithm.init(rng, genome=genome)
     genomes, scores = [], []
@@ -205,70 +206,16 @@ def test_in_reality(problem: Problem, state: State) -> State:
 
 
 def search_simulations(problem: Problem, state: State, report: Report) -> State:
-    """Step 3, one generation: evolve simulations for the least distance from reality."""
-    settings, box = problem.settings.simulations, problem.simulation_box
-    algorithm = _algorithm(box, settings, maximise=False)
-    search = state.search
-    if search is None:
-        known = box.encode(state.simulation[problem.robot.simulation_box.indices(problem.unknown)])
-        search = algorithm.init(_rng(problem, state.iteration, 3), genome=known)
-        if state.iteration == 1:
-            # Nothing has been measured before: the population is random, with s_0 as one of its members.
-            drawn = box.random_genomes(_rng(problem, 0, 3), settings.population)
-            search = replace(search, parents=np.concatenate([known[None], drawn[1:]]))
-    genomes, search = algorithm.ask(search)
-    simulations = problem.embed(box.decode(genomes))
+    """Step 3, one generation: search simulations for the least distance from reality."""
+    genomes, search = simulation_search.ask(problem, state)
+    simulations = problem.embed(problem.simulation_box.decode(genomes))
     scores = delta_of_simulations(problem, simulations, state.trials, state.iteration)
-    state = _after_generation(state, algorithm.tell(search, genomes, scores), genomes, scores)
-    row = _generation_row(state, "simulations", scores, False)
-    report("generation", row)
-    if len(state.scores) < settings.generations:
+    state = _after_generation(state, simulation_search.tell(problem, search, genomes, scores), genomes, scores)
+    report("generation", _generation_row(state, "simulations", scores, False))
+    if not simulation_search.finished(problem, state):
         return state
     report("archive", _archive(state, "simulations"))
     return _finish_iteration(problem, state, report)
-
-
-def delta_of_simulations(problem: Problem, simulations: np.ndarray, trials: Trials, iteration: int) -> np.ndarray:
-    """Distance of simulations from reality over the behaviours that count in an iteration.
-
-    Delta_fitness (eq. 4), or `distances.multiscale_fitness`: for the latter trials are simulated up to the last mark.
-
-    Args:
-      problem: the problem; its settings say which behaviours count.
-      simulations: (L, n_s).
-      trials: evaluations in reality; failed ones are left out.
-      iteration: only trials up to this one are used.
-
-    Returns:
-      (L,).
-    """
-    if problem.settings.distance == "fitness":
-        return whole_trial_delta(problem, simulations, trials, iteration)
-    use = _counting(problem, trials, iteration)
-    evaluation = evaluate(
-        problem.robot,
-        simulations,
-        trials.controllers[use],
-        engine=problem.engine,
-        fitness=problem.fitness,
-        times=problem.settings.marks,
-        progress=problem.progress,
-    )
-    at_marks = fitness_at_marks(evaluation.outcome, problem.fitness)
-    f_s = np.where(evaluation.diverged[..., None], np.nan, at_marks)
-    return multiscale_fitness(f_s, trials.f_marks[use])
-
-
-def whole_trial_delta(problem: Problem, simulations: np.ndarray, trials: Trials, iteration: int) -> np.ndarray:
-    """Delta_fitness (eq. 4), whatever distance step 3 minimises; arguments as of `delta_of_simulations`."""
-    use = _counting(problem, trials, iteration)
-    return delta_fitness(_simulate(problem, simulations, trials.controllers[use]), trials.f_r[use])
-
-
-def _counting(problem: Problem, trials: Trials, iteration: int) -> np.ndarray:
-    """Which trials count in an iteration, bool (n,)."""
-    first = iteration if problem.settings.behaviours == "latest" else 1
-    return (trials.iteration >= first) & (trials.iteration <= iteration) & np.isfinite(trials.f_r)
 
 
 def _check_marks(problem: Problem) -> None:
@@ -322,26 +269,7 @@ def _finish_iteration(problem: Problem, state: State, report: Report) -> State:
     )
 
 
-def _simulate(problem: Problem, simulations: np.ndarray, controllers: np.ndarray) -> np.ndarray:
-    evaluation = evaluate(
-        problem.robot,
-        simulations,
-        controllers,
-        engine=problem.engine,
-        fitness=problem.fitness,
-        progress=problem.progress,
-    )
-    return evaluation.fitness
-
-
-def _algorithm(box: Box, settings: SearchSettings, maximise: bool) -> GeneticAlgorithm:
-    elites = min(2, settings.population - 1)
-    return GeneticAlgorithm(
-        box, GAConfig(population=settings.population, p_m=settings.p_m, elites=elites, maximise=maximise)
-    )
-
-
-def _after_generation(state: State, search: GAState, genomes: np.ndarray, scores: np.ndarray) -> State:
+def _after_generation(state: State, search: GAState | None, genomes: np.ndarray, scores: np.ndarray) -> State:
     first = not len(state.scores)
     return replace(
         state,
@@ -372,8 +300,3 @@ def _archive(state: State, phase: str) -> dict[str, Any]:
 def best(values: np.ndarray, maximise: bool) -> int:
     """Index of the best finite value."""
     return int(np.nanargmax(values) if maximise else np.nanargmin(values))
-
-
-def _rng(problem: Problem, iteration: int, step: int) -> np.random.Generator:
-    """Independent streams for each step of each iteration, whatever was drawn before."""
-    return np.random.default_rng([problem.seed, iteration, step])

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from btr_mjx import evolution
-from btr_mjx.behaviour import Engine
+from btr_mjx.behaviour import Engine, evaluate
 from btr_mjx.distances import MARKS
 from btr_mjx.errors import InputError
 from btr_mjx.evolution import GAState
@@ -18,7 +18,11 @@ from btr_mjx.spaces import Box
 
 Phase = Literal["baseline", "controllers", "transfer", "simulations", "done"]
 Distance = Literal["fitness", "multiscale"]
+Optimiser = Literal["ga", "cma"]
 Progress = Callable[[int], object]
+
+CMA_BITS = 30
+"""Bits per parameter in which members of CMA-ES are kept: a grid of a billionth of the range."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,8 @@ class BTRSettings:
       distance: what step 3 minimises: "fitness" is Delta_fitness (the paper), "multiscale" is
         `distances.multiscale_fitness` at `marks`.
       marks: ascending times [s], before the end of the trial.
+      optimiser: of step 3: "ga" is the genetic algorithm (the paper), "cma" is CMA-ES, which ignores p_m and bits and
+        ends a search early once it has converged.
     """
 
     controllers: SearchSettings
@@ -72,6 +78,7 @@ class BTRSettings:
     behaviours: Literal["latest", "all"] = "latest"
     distance: Distance = "fitness"
     marks: tuple[float, ...] = MARKS
+    optimiser: Optimiser = "ga"
 
     def __post_init__(self) -> None:
         if not 1 <= self.trials < self.controllers.population:
@@ -85,6 +92,11 @@ class BTRSettings:
             raise InputError(
                 f"max_evaluations: got {self.max_evaluations}, expected at least {self.trials + 1}: the first "
                 "controller and one iteration's trials"
+            )
+        if self.optimiser == "cma" and self.simulations.population < 4:
+            raise InputError(
+                f"simulations L = {self.simulations.population}: CMA-ES needs at least 4; raise L or take the genetic "
+                "algorithm"
             )
         if self.distance == "multiscale" and self.trials < 2:
             raise InputError("trials m = 1: the multiscale distance needs at least 2, to know the spread at each mark")
@@ -119,7 +131,8 @@ class Problem:
     @property
     def simulation_box(self) -> Box:
         """Box of the unknown parameters, with the bits of step 3."""
-        return self.robot.simulation_box.subspace(self.unknown).with_bits(self.settings.simulations.bits)
+        bits = CMA_BITS if self.settings.optimiser == "cma" else self.settings.simulations.bits
+        return self.robot.simulation_box.subspace(self.unknown).with_bits(bits)
 
     @property
     def controller_box(self) -> Box:
@@ -135,6 +148,17 @@ class Problem:
     def embed(self, unknown_values: np.ndarray) -> np.ndarray:
         """(..., n_s) simulations with these values (..., n_unknown) of the unknown parameters."""
         return self.robot.simulation_box.embed(self.start, self.unknown, unknown_values)
+
+    def simulate(self, simulations: np.ndarray, controllers: np.ndarray) -> np.ndarray:
+        """Fitness (L, M) of controllers (M, n_c) in simulations (L, n_s)."""
+        evaluation = evaluate(
+            self.robot, simulations, controllers, engine=self.engine, fitness=self.fitness, progress=self.progress
+        )
+        return evaluation.fitness
+
+    def rng(self, iteration: int, step: int) -> np.random.Generator:
+        """Independent streams for each step of each iteration, whatever was drawn before."""
+        return np.random.default_rng([self.seed, iteration, step])
 
 
 @dataclass(frozen=True, eq=False)

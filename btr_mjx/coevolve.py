@@ -81,6 +81,9 @@ class CoevolveConfig:
     many unknown parameters from few trials."""
     marks: tuple[float, ...] = MARKS
     """Marks of the multiscale distance [s]."""
+    optimiser: Literal["ga", "cma"] = "ga"
+    """How step 3 searches: the genetic algorithm (the paper), or CMA-ES, which finds many unknown parameters far better
+    and ends early once it has converged."""
     fitness: str = "distance"
     """Fitness function: distance, forward_speed or energy_per_metre."""
 
@@ -219,6 +222,7 @@ def build_problem(config: CoevolveConfig) -> Problem:
             behaviours=config.behaviours,
             distance=config.distance,
             marks=config.marks,
+            optimiser=config.optimiser,
         ),
         fitness=fitness,
         engine=engine,
@@ -285,7 +289,10 @@ def _run(problem: Problem, run: RunFolder, stop: StopRequest, show: bool) -> Sta
         problem = dataclasses.replace(problem, progress=bar.update)
         while state.phase != "done":
             bar.set_description(f"iteration {state.iteration}: {_DOING[state.phase]}")
+            phase = state.phase
             state = backtoreality.advance(problem, state, report)
+            if phase == "simulations" != state.phase:  # the search may have ended early
+                bar.total = bar.n + _pairs_left(problem, state)
             run.save_checkpoint(step, *state_to_arrays(state))
             step += 1
             stop.checkpoint()

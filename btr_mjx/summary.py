@@ -8,6 +8,7 @@ import numpy as np
 from btr_mjx import backtoreality
 from btr_mjx.btr_state import Problem, State
 from btr_mjx.fitness import learning_performance
+from btr_mjx.simulation_search import whole_trial_delta
 
 
 def summarise(problem: Problem, state: State) -> dict[str, Any]:
@@ -27,7 +28,7 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
     best = int(backtoreality.best(np.where(latest, trials.f_r, np.nan), maximise))
     f_end, f_max = float(trials.f_r[best]), float(np.nanmax(np.abs(trials.f_r)))
     delta = lambda s, iteration: float(  # noqa: E731
-        backtoreality.whole_trial_delta(problem, s[None], trials, iteration)[0]
+        whole_trial_delta(problem, s[None], trials, iteration)[0]
     )
     indices = problem.robot.simulation_box.indices(problem.unknown)
     truth = getattr(problem.reality, "truth", None)

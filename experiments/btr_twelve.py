@@ -34,7 +34,7 @@ BY_FITNESS = replace(
     trials=15,
     simulations=50,
     simulation_generations=100,
-    simulation_p_m=0.03,
+    optimiser="cma",
     figures=False,
 )
 """All lengths unknown, for either distance."""

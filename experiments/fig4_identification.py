@@ -60,6 +60,8 @@ class Fig4Config(Config):
     """Their generations; CMA-ES stops earlier once it has converged."""
     simulation_p_m: tuple[float, float] = (0.2, 0.02)
     """Probability per bit of the genetic algorithm, in its first and in its last generation."""
+    tournament: int = 3
+    """Contestants per tournament of the genetic algorithm."""
     bits: int = 10
     """Bits per length."""
     away_12: float = 0.25
@@ -144,7 +146,8 @@ def four(config: Fig4Config, method: str, seed: int, step: Step, journal: Journa
         return journal(lambda: delta_fitness(bench.whole(embed(values), controllers)[..., -1], f_r), cost)
 
     if method == "ga":
-        search = genetic(distance, box, start, config.members, config.search_generations, config.simulation_p_m, seed)
+        schedule = config.members, config.search_generations, config.simulation_p_m
+        search = genetic(distance, box, start, *schedule, seed, config.tournament)
     else:
         search = cma_es(distance, box, start, config.members, config.search_generations, seed)
     return recorded(search, truth, start, config.trials)

@@ -7,10 +7,10 @@ of its course need nothing else. It is a pure function of its seed and of the di
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import cmaes
 import numpy as np
 import optax
 
+from btr_mjx import cma
 from btr_mjx.evolution import GAConfig, GeneticAlgorithm
 from btr_mjx.spaces import Box
 
@@ -61,6 +61,7 @@ def genetic(
     generations: int,
     p_m: tuple[float, float],
     seed: int,
+    tournament: int = 5,
 ) -> Search:
     """Step 3 of Back-to-Reality: a random population with s_0 as one of its members, mutated less and less.
 
@@ -75,9 +76,10 @@ def genetic(
       generations: number of generations.
       p_m: probability per bit of flipping a bit, in the first and in the last generation; geometric in between.
       seed: of everything random.
+      tournament: contestants per tournament; fewer let side valleys live longer.
     """
     algorithms = [
-        GeneticAlgorithm(box, GAConfig(maximise=False, population=population, p_m=float(p)))
+        GeneticAlgorithm(box, GAConfig(maximise=False, population=population, p_m=float(p), tournament=tournament))
         for p in np.geomspace(*p_m, generations)
     ]
     state = algorithms[0].init(np.random.default_rng([seed, 42]))
@@ -106,36 +108,30 @@ def cma_es(
     population: int,
     generations: int,
     seed: int,
-    sigma: float = 0.125,
-    enough: float = 5e-5,
+    sigma: float = cma.SIGMA,
 ) -> Search:
-    """CMA-ES (Hansen and Ostermeier, 2001; package `cmaes`) from s_0, in the box scaled to the unit cube.
+    """CMA-ES from s_0, in the box scaled to the unit cube.
 
     Args:
-      distance: what is minimised; failed members are told the worst finite distance of their generation, doubled.
+      distance: what is minimised.
       box: the unknown parameters.
       start: (n,) s_0.
       population: L.
-      generations: at most so many.
+      generations: at most so many; it stops earlier once the population has shrunk to a point.
       seed: of everything random.
       sigma: first step size, as a share of each parameter's range.
-      enough: stops once the population's spread in every parameter is below this share of its range.
     """
-    unit = np.tile([0.0, 1.0], (box.n, 1))
-    strategy = cmaes.CMA(
-        mean=(start - box.low) / box.span, sigma=sigma, bounds=unit, population_size=population, seed=seed
-    )
+    nothing = np.zeros((0, population, box.n))
+    strategy = cma.restored((start - box.low) / box.span, nothing, nothing[..., 0], population=population, sigma=sigma)
     parameters, values = [], []
-    for _ in range(generations):
-        asked = np.array([strategy.ask() for _ in range(population)])
+    for generation in range(generations):
+        asked = cma.ask(strategy, [seed, generation])
         members = np.clip(box.low + box.span * asked, box.low, box.high)
         told = distance(members)
-        finite = told[np.isfinite(told)]
-        worst = 2 * finite.max() if len(finite) else 1.0
-        strategy.tell([(x, float(v)) for x, v in zip(asked, np.where(np.isfinite(told), told, worst), strict=True)])
+        cma.tell(strategy, asked, told)
         parameters.append(members)
         values.append(told)
-        if asked.std(axis=0).max() < enough:
+        if cma.converged(asked):
             break
     return Search(np.array(parameters), np.array(values), np.full(len(values), population))
 

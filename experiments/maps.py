@@ -58,10 +58,12 @@ class MapsConfig(Config):
     """Their generations."""
     behaviours: tuple[int, ...] = (3, 6, 15, 45)
     """Values of m in (a)."""
-    noises: tuple[float, ...] = (0.0, 0.05)
+    noises: tuple[float, ...] = (0.0, 0.01, 0.05, 0.1)
     """Relative standard deviations of a measurement in (a)."""
     horizons: tuple[float, ...] = (0.025, 0.05, 0.1, 0.2, 0.4)
     """Times of the last mark in (b) [s]."""
+    truths: int = 10
+    """Random robots in (d), one a seed of its own."""
     pool: int = 60
     """Controllers to choose from in (c)."""
     believed: int = 16
@@ -78,11 +80,13 @@ class MapsConfig(Config):
 
 
 PRESETS = {
-    "quick": MapsConfig(seeds=1, search_generations=60, horizons=(0.05, 0.2), behaviours=(3, 15)),
+    "quick": MapsConfig(
+        seeds=1, truths=2, noises=(0.0, 0.05), search_generations=60, horizons=(0.05, 0.2), behaviours=(3, 15),
+    ),
     "paper": MapsConfig(preset="paper", seeds=5),
     "tiny": MapsConfig(
         preset="tiny", **TINY, members=6, search_generations=2, behaviours=(2, 4), horizons=(0.02, 0.05), pool=5,
-        believed=3,
+        believed=3, truths=2, noises=(0.0, 0.05),
     ),
 }  # fmt: skip
 """Settings by preset."""
@@ -239,8 +243,9 @@ def units(config: MapsConfig) -> list[Unit]:
             if choice == "disagreement":
                 cost += (len(rounds) - 1) * config.believed * config.pool * share
             add(f"choice-{choice}", cost, choose, choice)
-        if "truth" in config.parts:
-            add("truth", (searched + 1) * config.trials * share, other_truth)
+    for seed in range(config.truths if "truth" in config.parts else 0):
+        cost = (searched + 1) * config.trials * share
+        found.append(Unit(f"truth-{seed}", cost, partial(other_truth, config, seed)))
     return found
 
 

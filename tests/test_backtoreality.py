@@ -1,6 +1,7 @@
 """The three steps of Back-to-Reality, one by one and together, on tiny sizes."""
 
 import dataclasses
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.fitness import FITNESS_FUNCTIONS
 from btr_mjx.reality import SimulatedReality
 from btr_mjx.robots import Robot
+from btr_mjx.simulation_search import delta_of_simulations
 
 SETTINGS = BTRSettings(
     controllers=SearchSettings(8, 2), trials=3, simulations=SearchSettings(6, 2, p_m=0.1), iterations=2
@@ -106,7 +108,9 @@ def test_the_truth_as_start_is_kept(problem: Problem) -> None:
     np.testing.assert_array_equal(state.simulation, problem.reality.inner.truth)
 
 
-def test_resuming_after_any_piece_gives_the_same_end(problem: Problem) -> None:
+@pytest.mark.parametrize("optimiser", ["ga", "cma"])
+def test_resuming_after_any_piece_gives_the_same_end(problem: Problem, optimiser: Literal["ga", "cma"]) -> None:
+    problem = dataclasses.replace(problem, settings=dataclasses.replace(SETTINGS, optimiser=optimiser))
     whole, rows = run(problem)
     state, again = btr.begin(problem), []
     while state.phase != "done":
@@ -130,7 +134,7 @@ def test_all_behaviours_or_the_latest(problem: Problem) -> None:
     state, _ = run(problem)
     both = dataclasses.replace(problem, settings=dataclasses.replace(SETTINGS, behaviours="all"))
     s = problem.start[None]
-    latest, everything = (btr.delta_of_simulations(p, s, state.trials, 2)[0] for p in (problem, both))
+    latest, everything = (delta_of_simulations(p, s, state.trials, 2)[0] for p in (problem, both))
     f = evaluate(problem.robot, s, state.trials.controllers, engine="native").fitness[0]
     differences = np.abs(f - state.trials.f_r)
     assert latest == pytest.approx(differences[4:].mean(), rel=1e-12)
@@ -249,7 +253,24 @@ def test_multiscale_distance_in_step_3(problem: Problem) -> None:
     f_r = np.stack([at(0.01, s_r[None])[0], at(0.02, s_r[None])[0]], axis=-1)
     np.testing.assert_array_equal(state.trials.f_marks[1:4], f_r)
     np.testing.assert_array_equal(archive["scores"][0], multiscale_fitness(f_s, f_r))
-    assert btr.delta_of_simulations(multiscale, s_r[None], state.trials, 2) == 0.0
+    assert delta_of_simulations(multiscale, s_r[None], state.trials, 2) == 0.0
+
+
+def test_cma_es_in_step_3(problem: Problem) -> None:
+    """It finds both lengths from the behaviours of one iteration, and stops once it has converged."""
+    settings = dataclasses.replace(
+        SETTINGS, simulations=SearchSettings(12, 80), iterations=1, optimiser="cma", distance="multiscale",
+        marks=(0.01, 0.015, 0.02),
+    )  # fmt: skip
+    state, rows = run(dataclasses.replace(problem, settings=settings))
+    found = rows["archive"][1]
+    assert len(found["scores"]) < 80
+    assert np.abs(state.simulation - problem.reality.inner.truth).max() < 1e-3
+    few = dataclasses.replace(settings, simulations=SearchSettings(12, 5))
+    _, short = run(dataclasses.replace(problem, settings=few))
+    np.testing.assert_array_equal(short["archive"][1]["genomes"], found["genomes"][:5])
+    with pytest.raises(InputError, match="at least 4"):
+        dataclasses.replace(settings, simulations=SearchSettings(3, 5))
 
 
 def test_marks_must_lie_within_the_trial(problem: Problem) -> None:
