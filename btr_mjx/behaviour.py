@@ -97,7 +97,7 @@ def evaluate(
       fitness: the fitness function.
       times: (K,) sample times in (0, T_e] [s] for the outcome, rounded to steps; None for the end alone. The last one
         ends the trial.
-      states: whether the outcome holds qpos and qvel at the sample times.
+      states: whether the outcome holds qpos, qvel and act at the sample times.
       settings: how the engine runs.
       progress: called with the number of pairs done since the last call.
 
@@ -157,8 +157,7 @@ def _evaluation(
         whole["start"],
         whole["position"],
         whole["energy"],
-        whole["qpos"] if states else None,
-        whole["qvel"] if states else None,
+        *(whole[name] if states else None for name in ("qpos", "qvel", "act")),
     )
     finite = np.isfinite(outcome.position).all((-2, -1)) & np.isfinite(outcome.energy).all(-1)
     # A comparison that NaN fails: an invalid speed counts as too fast.
@@ -270,7 +269,9 @@ def _program(robot: Robot, engine: Engine, samples: int, states: bool, chunk: in
     on_cpu = devices[0].platform == "cpu"
     stepper = _stepper(robot, engine, x64)
     width = chunk or (64 if on_cpu else 4096)
-    record_bytes = samples * (stepper.nq + stepper.nv if states else 4) * width * len(devices) * (8 if x64 else 4)
+    record_bytes = (
+        samples * (stepper.nq + stepper.nv + stepper.nu if states else 4) * width * len(devices) * (8 if x64 else 4)
+    )
     capacity = int(np.clip(_TRACE_BYTES // record_bytes, 1, _CAPACITY if on_cpu else 4))
     layout = Layout(len(devices), capacity, width)
     return Program(stepper, robot.signal, base_address(robot), layout, states, devices)

@@ -41,6 +41,7 @@ def fitness_at_marks(outcome: Outcome, fitness: FitnessFunction) -> np.ndarray:
             outcome.energy[..., :k],
             None if outcome.qpos is None else outcome.qpos[..., :k, :],
             None if outcome.qvel is None else outcome.qvel[..., :k, :],
+            None if outcome.act is None else outcome.act[..., :k, :],
         )
         values.append(fitness(early))
     return np.stack(values, axis=-1)

@@ -20,6 +20,7 @@ class Outcome:
       energy: (..., K) mechanical work of the motors so far, the integral of sum |force x velocity| dt [J].
       qpos: (..., K, nq) generalised positions, or None where they were not asked for.
       qvel: (..., K, nv) generalised velocities, likewise.
+      act: (..., K, na) activations of the actuators, likewise.
     """
 
     times: NDArray[np.float64]
@@ -28,6 +29,7 @@ class Outcome:
     energy: NDArray[np.float64]
     qpos: NDArray[np.float64] | None = None
     qvel: NDArray[np.float64] | None = None
+    act: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,9 @@ distance, each divided by its largest value, for its shape is what matters; mean
 order simulations by their error: means over 15 behaviours, single behaviours, and single behaviours where trials take
 three times as long.
 
-Sensors are the state: position and orientation of the base, its velocities, joint angles and joint velocities, each
-kind scaled by its spread in reality. Forces at the feet are left out: the engines report states, not contact forces.
-Series are sampled 320 times a trial, every 5.3 ms; the rolling mean is over 1.25 % of T_e.
+Sensors: position and orientation of the base, its velocities, joint angles, joint velocities, and the normal contact
+force at each foot, each kind scaled by its spread in reality. Series are sampled 320 times a trial, every 5.3 ms; the
+rolling mean is over 1.25 % of T_e.
 
 The run folder holds seed-0.npz, ... and, for the longer trials, long-0.npz, ...: grid (G,), headers (H,) as shares of
 the trial, rolling (H, G, m), euclidean (G, m), fitness (G, m, K + 1) and real (m, K + 1) as in Fig. 2. fig5.json holds
@@ -36,6 +36,8 @@ from btr_mjx.distances import fitness_at_marks
 from btr_mjx.errors import InputError
 from btr_mjx.files import write_json
 from btr_mjx.fitness import DISTANCE, Outcome, delta
+from btr_mjx.foot_forces import foot_bodies, foot_forces
+from btr_mjx.models import base_model
 from btr_mjx.robots import Robot
 
 PARAMETER = "bl_5"
@@ -74,17 +76,19 @@ PRESETS = {
 """Settings by preset."""
 
 
-def sensors(outcome: Outcome) -> np.ndarray:
-    """Sensor series (..., N, n_q + n_v): positions and velocities of everything."""
+def sensors(robot: Robot, simulations: np.ndarray, controllers: np.ndarray, outcome: Outcome) -> np.ndarray:
+    """Sensor series (L, m, N, n_q + n_v + feet): positions and velocities of everything, contact forces at the feet."""
     assert outcome.qpos is not None
     assert outcome.qvel is not None
-    return np.concatenate([outcome.qpos, outcome.qvel], axis=-1)
+    forces = foot_forces(robot, simulations, controllers, outcome)
+    return np.concatenate([outcome.qpos, outcome.qvel, forces], axis=-1)
 
 
-def kinds(robot: Robot, n_q: int, n_v: int) -> list[str]:
+def kinds(robot: Robot) -> list[str]:
     """Kind of every sensor; sensors of a kind share their scale."""
-    address = base_address(robot)
-    names = ["joint angle"] * n_q + ["joint velocity"] * n_v
+    address, model = base_address(robot), base_model(robot)
+    n_q = model.nq
+    names = ["joint angle"] * n_q + ["joint velocity"] * model.nv + ["foot force"] * len(foot_bodies(model))
     if address is not None:
         q, v = address[0], n_q + address[1]
         names[q : q + 7] = ["base position"] * 3 + ["base orientation"] * 4
@@ -101,19 +105,19 @@ def work(config: Fig5Config, longer: int, seed: int, step: Step, journal: Journa
     controllers = bench.robot.controller_box.with_bits(config.search.bits).decode(genomes)
     duration = longer * config.duration
     times = duration * np.arange(1, config.samples + 1) / config.samples
+    simulations = np.concatenate([reality, line])
     trials = evaluate(
         replace(bench.robot, duration=duration),
-        np.concatenate([reality, line]),
+        simulations,
         controllers,
         engine=bench.engine,
         times=times,
         states=True,
         progress=lambda pairs: step(longer * pairs),
     )
-    series = np.where(trials.diverged[..., None, None], np.nan, sensors(trials.outcome))
-    assert trials.outcome.qpos is not None
-    n_q = trials.outcome.qpos.shape[-1]
-    scale = metrics.sensor_scale(series[0], kinds(bench.robot, n_q, series.shape[-1] - n_q))
+    series = sensors(bench.robot, simulations, controllers, trials.outcome)
+    series = np.where(trials.diverged[..., None, None], np.nan, series)
+    scale = metrics.sensor_scale(series[0], kinds(bench.robot))
     headers = [max(1, round(share * config.samples)) for share in HEADERS]
     window = max(1, round(HEADERS[0] * config.samples))
     # One simulation at a time: the series of all of them together would not fit into a cache, nor into some machines.

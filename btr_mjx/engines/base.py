@@ -61,6 +61,10 @@ class Stepper(Protocol):
         """Generalised velocities (nv, C), MuJoCo's order and conventions."""
         ...
 
+    def act(self, state: Any) -> jax.Array:
+        """Activations of the actuators (na, C), MuJoCo's order."""
+        ...
+
     def power(self, state: Any) -> jax.Array:
         """Sum over actuators of |force x velocity| in the last step [W], shape (C,)."""
         ...

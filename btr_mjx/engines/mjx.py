@@ -119,6 +119,10 @@ class MjxStepper:
         """See `Stepper.qvel`."""
         return state["qvel"].T
 
+    def act(self, state: dict[str, jax.Array]) -> jax.Array:
+        """See `Stepper.act`: either every actuator has an integral or none has."""
+        return state["integral"].T if self._pid.any() else state["integral"].T[:0]
+
     def power(self, state: dict[str, jax.Array]) -> jax.Array:
         """See `Stepper.power`."""
         return state["power"]

@@ -49,7 +49,7 @@ def rollout(
       samples: (K,) ascending step counts at which to record.
       signal: reference signal of the robot, sampled at the start of each step.
       base_address: where the base's position begins in qpos and its velocity in qvel, or None.
-      record_states: whether qpos and qvel are recorded.
+      record_states: whether qpos, qvel and act are recorded.
       timestep: another time step [s]; samples then count its steps.
       integrator: another integrator, a key of `INTEGRATORS`.
       threads: number of threads; None for all cores.
@@ -66,11 +66,11 @@ def rollout(
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     count, dt = len(controllers), float(model.opt.timestep)
     batch = Batch(model, nsim=count, nthread=threads or os.cpu_count() or 1)
-    _expand(batch, leaves)
+    expand(batch, leaves)
     # With its stage left out, a reset only writes qpos0; the models' own constants are already in the leaves.
     batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
     parameters = np.ascontiguousarray(controllers.T)
-    qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
+    qpos, qvel, act = (batch.bind(name) for name in ("qpos", "qvel", "act"))
     if "qpos0" in leaves:
         qpos[:] = leaves["qpos0"]
 
@@ -99,10 +99,10 @@ def rollout(
             alive &= ~(np.asarray(batch.warning).reshape(count, -1)[:, _INVALID].any(1))
             done += steps
         position = np.where(alive[:, None], base(), np.nan)
-        states = (np.array(qpos), np.array(qvel)) if record_states else (np.zeros((count, 0)),) * 2
+        states = tuple(np.array(x if record_states else x[:, :0]) for x in (qpos, qvel, act))
         records.append((position, energy.copy(), *states))
-    position, work, q, v = (np.stack(column, axis=1) for column in zip(*records, strict=True))
-    return Record(start, position, work, peak, capped, q, v)
+    position, work, *recorded = (np.stack(column, axis=1) for column in zip(*records, strict=True))
+    return Record(start, position, work, peak, capped, *recorded)
 
 
 _INVALID = [
@@ -112,7 +112,7 @@ _INVALID = [
 ]
 
 
-def _expand(batch: Batch, leaves: Leaves) -> None:
+def expand(batch: Batch, leaves: Leaves) -> None:
     """Write the fields in which the models differ into the batch (statistics are not model fields of a batch)."""
     for name, values in leaves.items():
         if not name.startswith("stat."):

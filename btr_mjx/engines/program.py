@@ -31,6 +31,7 @@ class Record(NamedTuple):
       capped: (C,) number of steps in which the constraint solver stopped at its cap.
       qpos: (K, nq, C), or (K, 0, C) where states are not wanted.
       qvel: (K, nv, C), likewise.
+      act: (K, na, C), likewise.
     """
 
     start: Any
@@ -40,6 +41,7 @@ class Record(NamedTuple):
     capped: Any
     qpos: Any
     qvel: Any
+    act: Any
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ def rollout(
       stepper: the engine.
       signal: reference signal of the robot.
       base_address: where the base's position begins in qpos and its velocity in qvel, or None for a fixed base.
-      record_states: whether qpos and qvel are recorded at the samples.
+      record_states: whether qpos, qvel and act are recorded at the samples.
       params: the engine's parameters of this chunk.
       controllers: (n_c, C).
       samples: (K,) ascending step counts at which to record; the last one ends the rollout.
@@ -112,7 +114,7 @@ def rollout(
         carry = lax.fori_loop(bounds[0], bounds[1], step, carry)
         state, energy = carry[:2]
         nothing = jnp.zeros((0, chunk), dtype)
-        states = (stepper.qpos(state), stepper.qvel(state)) if record_states else (nothing, nothing)
+        states = (stepper.qpos(state), stepper.qvel(state), stepper.act(state)) if record_states else (nothing,) * 3
         return carry, (base(state), energy, *states)
 
     start = base(state)
@@ -121,9 +123,9 @@ def rollout(
     ended: tuple
     sampled: tuple
     ended, sampled = lax.scan(segment, carry, bounds)
-    position, energy, qpos, qvel = sampled
+    position, energy, *states = sampled
     peak, capped = ended[2:]
-    return Record(start, position, energy, peak, capped, qpos, qvel)
+    return Record(start, position, energy, peak, capped, *states)
 
 
 def _run_chunks(one: Callable[..., Record], params: Any, controllers: Any, samples: Any, active: Any) -> Record:
