@@ -6,8 +6,9 @@ parameters of all its members, (c) the error of the best member against simulate
 (d) what the behaviours feel: Delta_fitness around the truth, one parameter at a time, in units of its change per metre.
 
 Twelve unknown lengths: (e) CMA-ES from 0.25 m away, by Delta_fitness and by `distances.multiscale_fitness` of random
-controllers at eight marks within 0.05 s: with exact measurements, with 5 % of noise on every one, and with a reality
-that is native MuJoCo at another time step and integrator; and Adam on the same marks, at as many trials.
+controllers at eight marks within 0.05 s: with exact measurements, and with a reality that is native MuJoCo at another
+time step and integrator; at marks within 0.1 s of more controllers with 5 % of noise on every number; and Adam on the
+marks of the exact measurements, at as many trials.
 
 The run folder holds one file per search and seed, NAME-0.npz, ...: parameters (g, L, n), values (g, L), simulated
 (g,), truth (n,), start (n,), trials (g,) whole trials simulated so far; and sensitivity-0.npz: offsets (O,) [m], delta
@@ -74,14 +75,17 @@ class Fig4Config(Config):
     """Last mark of their multiscale distance [s]. Later marks bring contacts, and dead ends to the search."""
     noisy_trials: int = 45
     """Behaviours where measurements are noisy."""
+    horizon_noisy: float = 0.1
+    """Last mark there [s]: what later marks tell of the lengths outweighs the dead ends that they bring."""
     noise: float = 0.05
     """Relative standard deviation of that noise."""
 
     def check(self) -> None:
         """As `Config.check`."""
         super().check()
-        if not 0 < self.horizon_12 <= self.duration:
-            raise InputError(f"horizon_12: got {self.horizon_12} s, expected within the trial of {self.duration} s")
+        for name in ("horizon_12", "horizon_noisy"):
+            if not 0 < getattr(self, name) <= self.duration:
+                raise InputError(f"{name}: got {getattr(self, name)} s, expected within the trial of {self.duration} s")
         if min(self.members, self.members_12) < 4 or self.noisy_trials < 2 or not 0 <= self.noise < 1:
             raise InputError(
                 f"members {self.members} and {self.members_12}, noisy_trials {self.noisy_trials}, noise {self.noise}: "
@@ -101,6 +105,7 @@ PRESETS = {
         generations_12=2,
         noisy_trials=4,
         horizon_12=0.02,
+        horizon_noisy=0.04,
     ),
 }
 """Settings by preset."""
@@ -176,8 +181,9 @@ def twelve(config: Fig4Config, name: str, seed: int, step: Step, journal: Journa
     else:
         count = config.noisy_trials if name == "noisy-12" else config.trials
         controllers = bench.robot.controller_box.sample(np.random.default_rng([seed, 5]), count)
-        bench = bench.with_marks_until(config.horizon_12)
-        share = config.horizon_12 / config.duration
+        horizon = config.horizon_noisy if name == "noisy-12" else config.horizon_12
+        bench = bench.with_marks_until(horizon)
+        share = horizon / config.duration
         other = OTHER_PHYSICS if name == "native-12" else None
         marks = journal(lambda: bench.early(reality[None], controllers, other)[0], count * share)
         if name == "noisy-12":
@@ -216,7 +222,6 @@ def units(config: Fig4Config) -> list[Unit]:
     """One unit per search and seed, all searches of one seed before the next seed."""
     evolved = config.population * config.generations
     four_cost = evolved + config.trials * (1 + config.members * config.search_generations)
-    share = config.horizon_12 / config.duration
     found = []
     for seed in range(config.seeds):
         found += [Unit(f"{method}-{seed}", four_cost, partial(four, config, method, seed)) for method in ("ga", "cma")]
@@ -226,8 +231,9 @@ def units(config: Fig4Config) -> list[Unit]:
             members = config.members_12 * min(config.generations_12, most or config.generations_12)
             if name == "adam-12":
                 members = adam_steps(config, 12) * 25
-            count = config.noisy_trials if name == "noisy-12" else config.trials
-            searched = (members + 1) * count
+            noisy = name == "noisy-12"
+            share = (config.horizon_noisy if noisy else config.horizon_12) / config.duration
+            searched = (members + 1) * (config.noisy_trials if noisy else config.trials)
             trials = evolved + searched if name == "delta-12" else searched * share
             found.append(Unit(f"{name}-{seed}", trials, partial(twelve, config, name, seed)))
     return found
