@@ -97,6 +97,15 @@ def test_nuisances_absorb_what_they_can_explain():
     np.testing.assert_allclose(data.gram[:, 0, 1], (columns[0] ** 2).sum(1), rtol=1e-6)
 
 
+def test_tolerances_know_nothing_of_how_far_models_are_off():
+    """A misfit that is ten times larger in every respect moves tolerances no further."""
+    residual, columns = problem(6, columns=2)
+    small = Nuisance.of(columns, np.array([4.0, 9.0])).profile(residual, 1e12)
+    large = Nuisance.of(10 * columns, np.array([4.0, 9.0])).against(100.0).profile(10 * residual, 1e14)
+    np.testing.assert_allclose(large.values, small.values, rtol=1e-8)
+    assert np.abs(small.values).min() > 1e-3
+
+
 @given(st.integers(0, 1000))
 @settings(max_examples=20)
 def test_chi2_of_evidence_is_that_of_the_vectors(seed):

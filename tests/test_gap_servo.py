@@ -76,6 +76,24 @@ def test_the_model_is_the_textbook_motor(goal: float, start: float) -> None:
     assert data.qpos[0] == pytest.approx(textbook(NOMINAL, goal, start, 0.3, setting), abs=2e-4)
 
 
+def test_friction_that_is_added_holds_the_load() -> None:
+    """A gear that rubs more than the load pulls stays where it is; MuJoCo's default creeps by 20 mrad a second."""
+    held = mujoco.MjModel.from_xml_string(servo_xml(NOMINAL, **SETTING))
+    soft = mujoco.MjModel.from_xml_string(servo_xml(NOMINAL, **SETTING))
+    soft.dof_solref[:], soft.dof_solimp[:] = [0.02, 1.0], [0.9, 0.95, 1e-3, 0.5, 2]
+    ends = []
+    for model in (held, soft):
+        model.dof_frictionloss[:] = 0.6
+        model.actuator_gainprm[:], model.actuator_biasprm[:] = 0, 0
+        data = mujoco.MjData(model)
+        data.qpos[:] = 1.0
+        for _ in range(500):
+            mujoco.mj_step(model, data)
+        ends.append(float(data.qpos[0]))
+    assert abs(ends[0] - 1.0) < 1e-4
+    assert abs(ends[1] - 1.0) > 5e-3
+
+
 def test_a_folder_becomes_a_dataset(folder: Path) -> None:
     dataset = open_dataset(folder)
     assert [r.split for r in dataset.recordings] == ["fit", "fit", "test", "fit", "test", "fit"]

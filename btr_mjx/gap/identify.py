@@ -301,7 +301,7 @@ def _ranking(rounds: Sequence[Sequence[Judged]]) -> tuple[Row, ...]:
 
 def _gap(bench: Bench, judged: Judged | None) -> Gap:
     windows, freedom = bench.test.windows, bench.test.windows.freedom
-    base = bench.test.nuisance.profile(windows.residual, bench.cut).chi2
+    base = bench.nuisance(bench.test).profile(windows.residual, bench.cut).chi2
     end = base if judged is None else judged.chi2
     cut = 3.0 * max(freedom, float(np.median(base)))
 

@@ -44,7 +44,7 @@ def intervals(bench: Bench, judged: Judged, rng: np.random.Generator) -> list[Es
         for block in picked:
             share[blocks[block]] += 1.0
         draws[i] = solve(share) - centre
-    normal = np.tensordot(w, data.gram, 1) / bench.dispersion + np.diag(precision)
+    normal = (np.tensordot(w, data.gram, 1) + np.diag(precision)) / bench.dispersion
     posterior = np.linalg.inv(normal + ridge * np.trace(normal))[:size, :size]
     extra = np.sqrt(np.maximum(np.diag(posterior), 0.0)) * rng.standard_normal((_DRAWS, size))
     spread = draws + extra

@@ -20,6 +20,10 @@ _BEHIND = 0.4, 40.0
 """A search whose gain is less than this part of the best one, less this much, is given up."""
 
 
+_STANDSTILL = 0.5
+"""A step that gains less is the last, in units of what a degree of freedom typically contributes to chi^2."""
+
+
 @dataclass(frozen=True)
 class Nuisance:
     """What is fitted along with every hypothesis.
@@ -39,6 +43,13 @@ class Nuisance:
         """The nuisance of some signatures (N, W, R)."""
         columns = np.ascontiguousarray(np.moveaxis(signatures, 0, 1))
         return cls(columns, precision, (columns @ np.swapaxes(columns, 1, 2)).astype(float))
+
+    def against(self, dispersion: float) -> "Nuisance":
+        """The same where no model comes nearer to the data than `dispersion` (chi^2 per degree of freedom).
+
+        Residuals that are not noise must not pull tolerances beyond what calibration leaves.
+        """
+        return Nuisance(self.columns, self.precision * dispersion, self.gram)
 
     def evidence(self, residual: np.ndarray, columns: np.ndarray) -> Evidence:
         """Evidence of a residual (W, R) on free columns (P, W, R) followed by the nuisances."""
@@ -186,7 +197,7 @@ def _search(
                 gained = loss - trial_loss
                 values, residual, loss, chi2 = trial, found[0], trial_loss, trial_chi2
                 break
-        if gained < 0.5:
+        if gained < _STANDSTILL * max(1.0, cut / residual.shape[1]):
             break
     return Refined(values, loss, residual, columns, chi2)
 

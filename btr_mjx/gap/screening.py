@@ -237,7 +237,12 @@ class Scanner:
         return Evidence((residual**2).sum(1), moment.astype(float), self._gram)
 
     def __call__(
-        self, residual: np.ndarray, cut: float, extra: np.ndarray | None = None, thorough: int = 40
+        self,
+        residual: np.ndarray,
+        cut: float,
+        extra: np.ndarray | None = None,
+        thorough: int = 40,
+        dispersion: float = 1.0,
     ) -> list[Lead]:
         """Scan all candidates.
 
@@ -246,13 +251,14 @@ class Scanner:
           cut: chi^2 above which a window counts less.
           extra: (E, W, R) free columns that are fitted along (effects that were found already).
           thorough: so many leaders are fitted again with weights of their own.
+          dispersion: chi^2 per degree of freedom that no candidate falls below, beside which tolerances stay tight.
 
         Returns:
           Leads, best first.
         """
         data = self.evidence(residual)
         nuisance = np.arange(self._count, data.n)
-        precision = self.nuisance.precision
+        precision = self.nuisance.precision * dispersion
         if extra is not None and len(extra):
             data = self._extended(data, residual, extra)
             nuisance = np.arange(self._count, data.n)

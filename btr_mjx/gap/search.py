@@ -178,18 +178,23 @@ class Bench:
         if best is None:
             residual = side.windows.residual
             cut = _CUT * _typical((residual**2).sum(1), side.windows.freedom)
-            best = side.nuisance.profile(residual, cut).chi2
+            dispersion = max(1.0, cut / (_CUT * side.windows.freedom))
+            best = side.nuisance.against(dispersion).profile(residual, cut).chi2
         typical = _typical(best, side.windows.freedom)
         self.dispersion, self.cut = typical / side.windows.freedom, _CUT * typical
         self.reference = self._reference(side), self._reference(self.test)
 
     def _reference(self, side: Side) -> Fit:
-        return side.nuisance.profile(side.windows.residual, self.cut)
+        return self.nuisance(side).profile(side.windows.residual, self.cut)
+
+    def nuisance(self, side: Side) -> Nuisance:
+        """The tolerances of a side, as tight as they are beside what no hypothesis explains."""
+        return side.nuisance.against(self.dispersion)
 
     def loss(self, residual: np.ndarray, test: bool = False) -> float:
         """Loss of a residual, with the tolerances at their best, in units of the dispersion."""
         side = self.test if test else self.fit
-        return side.nuisance.profile(residual, self.cut).loss / self.dispersion
+        return self.nuisance(side).profile(residual, self.cut).loss / self.dispersion
 
     def find(self, given: Judged | None = None, count: int | None = None) -> list[Judged]:
         """One round: scan, refine, judge.
@@ -205,7 +210,7 @@ class Bench:
         windows = (self.fit.windows, self.test.windows) if given is None else given.windows
         residual = self.fit.windows.residual if given is None else given.refined.residual
         extra = None if given is None else given.refined.columns
-        leads = self.scanner(residual, self.cut, extra)
+        leads = self.scanner(residual, self.cut, extra, dispersion=self.dispersion)
         taken = {candidate.name for candidate, _ in start.effects}
         leads = [lead for lead in leads if self._entry(lead).candidate.name not in taken]
         if given is None and leads:
@@ -241,7 +246,7 @@ class Bench:
     @property
     def free_nuisance(self) -> Nuisance:
         """What is fitted along with leaders: without the believed numbers where these move by themselves."""
-        nuisance = self.fit.nuisance
+        nuisance = self.nuisance(self.fit)
         if not self.joint:
             return nuisance
         keep = slice(0, len(nuisance.precision) - len(self.base.parameters))
@@ -268,7 +273,7 @@ class Bench:
         reference = self.reference if references is None else references
         out = []
         for hypothesis, refined, residual in zip(hypotheses, found, held, strict=True):
-            own = nuisance.profile(refined.residual, self.cut), self.test.nuisance.profile(residual, self.cut)
+            own = nuisance.profile(refined.residual, self.cut), self.nuisance(self.test).profile(residual, self.cut)
             gain, held_out = (self._gain(a, b) for a, b in zip(reference, own, strict=True))
             score = gain + held_out - size * hypothesis.numbers
             out.append(Judged(hypothesis, refined, gain, held_out, score, residual, own[1].chi2, windows, reference))
@@ -314,7 +319,7 @@ class Bench:
             sides = (self.fit.windows.recentred(self.base), self.test.windows.recentred(self.base))
             self._polished_residuals = (sides[0].residual, sides[1].residual)
         first, second = self._polished_residuals
-        return self.fit.nuisance.profile(first, self.cut), self.test.nuisance.profile(second, self.cut)
+        return self.nuisance(self.fit).profile(first, self.cut), self.nuisance(self.test).profile(second, self.cut)
 
     def _entry(self, lead: Lead) -> Entry:
         return self.scanner.screened.entries[lead.index]
@@ -368,7 +373,7 @@ class Bench:
             entry = self._entry(lead)
             share = (lead.values - entry.candidate.null) / entry.steps
             moved = residual + np.tensordot(share, self.scanner.screened.signature(lead.index), 1)
-            chi2 = self.fit.nuisance.profile(moved, self.cut).chi2
+            chi2 = self.nuisance(self.fit).profile(moved, self.cut).chi2
             if best is None or np.median(chi2) < np.median(best):
                 best = chi2
         assert best is not None

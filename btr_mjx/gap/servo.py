@@ -6,6 +6,7 @@ torque = kt / R (duty vin - kt dq/dt). In MuJoCo's words, exactly:
     position actuator   gain kp g kt vin / R, force range +- max_duty kt vin / R
     joint damping       kt^2 / R + viscous friction
     armature            the rotor's inertia at the output
+    friction            none yet; what is added holds a load still, where MuJoCo's default creeps
 
 vin is the supply's nominal voltage: `input_volts` is sampled within the PWM's period and scatters by volts, and with
 it the model follows the recordings no better. Mass, length, kp and vin belong to a recording, so each has a model of
@@ -28,6 +29,9 @@ from btr_mjx.gap.toml_tables import check_keys, is_number, read_toml, toml_secti
 FILE_NAME = "servo.toml"
 TIMESTEP = 0.002
 """[s]; the gap workflow corrects what is left of the step's error."""
+HOLD = 'solreffriction="0.004 1" solimpfriction="0.9999 0.9999 0.001"'
+"""MuJoCo's friction is soft by default: a joint that should stick gives way at about 1e-3 s times the acceleration
+that it withstands, which is 20 mrad a second under this pendulum. A gear holds for as long as one looks."""
 SETTINGS = ("mass", "length", "kp", "vin")
 """What a recording states of itself."""
 COLUMNS: Mapping[str, str] = {
@@ -107,7 +111,7 @@ def servo_xml(servo: Servo, mass: float, length: float, kp: float, vin: float) -
   <worldbody>
     <body name="arm">
       {arm}
-      <joint name="servo" type="hinge" axis="0 -1 0" damping="{damping!r}" armature="{servo.armature!r}"/>
+      <joint name="servo" type="hinge" axis="0 -1 0" damping="{damping!r}" armature="{servo.armature!r}" {HOLD}/>
       <geom name="arm" type="capsule" fromto="0 0 0 0 0 {-length!r}" size="0.005" mass="0" contype="0" conaffinity="0"/>
       <body name="load" pos="0 0 {-length!r}">
         <inertial pos="0 0 0" mass="{mass!r}" diaginertia="{point!r} {point!r} {point!r}"/>

@@ -90,40 +90,31 @@ class Sampler:
         self._order = np.argsort(stage, kind="stable")
         self._bounds = np.searchsorted(stage[self._order], np.arange(int(stage.max(initial=0)) + 2))
         self._states = np.full((len(at), model.nq + model.nv), np.nan)
+        self._earlier = np.full_like(self._states, np.nan)
 
     def _due(self, stage: int) -> np.ndarray:
         return self._order[self._bounds[stage] : self._bounds[stage + 1]]
 
-    def before(self, stage: int, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """States before the step to `stage` of the samples that lie inside it."""
-        due = self._due(stage)
-        due = due[self._part[due] > 0]
-        return (qpos[self._row[due]], qvel[self._row[due]]) if len(due) else None
+    def before(self, stage: int, qpos: np.ndarray, qvel: np.ndarray) -> None:
+        """Keep the states before the step to `stage` of the samples that lie inside it."""
+        self._keep(self._earlier, self._due(stage), qpos, qvel)
 
-    def record(
-        self,
-        stage: int,
-        qpos: np.ndarray,
-        qvel: np.ndarray,
-        dead: np.ndarray,
-        before: tuple[np.ndarray, np.ndarray] | None = None,
-    ) -> None:
-        """Keep the states of the samples at `stage`."""
+    def record(self, stage: int, qpos: np.ndarray, qvel: np.ndarray, dead: np.ndarray) -> None:
+        """Keep the states of the samples at `stage`, or of the step that they lie inside of."""
         due = self._due(stage)
-        if not len(due):
-            return
-        own = self._row[due]
-        q, v = qpos[own], qvel[own]
-        inside = self._part[due] > 0
-        if before is not None:
-            fraction = self._part[due[inside]]
-            q[inside], v[inside] = between(self._model, before, (q[inside], v[inside]), fraction, self._dt)
-        states = np.concatenate([q, v], axis=1)
-        states[dead[own]] = np.nan
-        self._states[due] = states
+        self._keep(self._states, due, qpos, qvel)
+        if dead.any():
+            self._states[due[dead[self._row[due]]]] = np.nan
+
+    def _keep(self, states: np.ndarray, due: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> None:
+        if len(due):
+            own, nq = self._row[due], self._model.nq
+            states[due, :nq] = qpos[own]
+            states[due, nq:] = qvel[own]
 
     def write(self, block: list[Piece], out: list[np.ndarray]) -> None:
         """Hand the states to their jobs; invalid rows are NaN from the first invalid sample on."""
+        self._interpolate()
         first = 0
         for index, a, b in block:
             shape = out[index][a:b].shape
@@ -132,6 +123,17 @@ class Sampler:
             states[np.logical_or.accumulate(bad, axis=1)] = np.nan
             out[index][a:b] = states
             first += shape[0] * shape[1]
+
+    def _interpolate(self) -> None:
+        """Samples inside a step, all at once: one by one they would cost more than the simulation."""
+        inside = np.flatnonzero(self._part > 0)
+        if not len(inside):
+            return
+        nq = self._model.nq
+        earlier, later = self._earlier[inside], self._states[inside]
+        states = (earlier[:, :nq], earlier[:, nq:]), (later[:, :nq], later[:, nq:])
+        found = between(self._model, *states, self._part[inside], self._dt)
+        self._states[inside] = np.concatenate(found, axis=1)
 
 
 class Controls:

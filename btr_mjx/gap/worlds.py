@@ -150,14 +150,14 @@ def _run(
         if k == 0:
             forces.start()
         forces.apply()
-        before = sampler.before(k + 1, qpos, qvel)
+        sampler.before(k + 1, qpos, qvel)
         try:
             batch.step(ids)
         except SimulationError as error:
             dead[error.ids] = True
         if counter is not None:
             counter.steps += running
-        sampler.record(k + 1, qpos, qvel, dead, before)
+        sampler.record(k + 1, qpos, qvel, dead)
     sampler.write(block, out)
 
 
@@ -176,7 +176,7 @@ class _Forces:
 
     def __init__(self, batch: Batch, pieces: Sequence[Job], rows: Sequence[slice]) -> None:
         self._batch = batch
-        self._laws: list[tuple[World, Rows]] = []
+        self._laws: list[tuple[World, Rows, list[tuple[np.ndarray, np.ndarray]]]] = []
         wrenches = batch.bind("xfrc_applied")
         for (world, _), own in zip(pieces, rows, strict=True):
             wrenches[own] = world.wrench
@@ -192,7 +192,8 @@ class _Forces:
             fields = {name: batch.expand(name)[own] for name in sorted(names)}
             views = {name: values[own] for name, values in state.items()}
             forces = {"actuator_force": force[own], "qfrc_actuator": torque[own]}
-            self._laws.append((world, Rows(world.model, **views, **forces, fields=fields)))
+            unchanged = [(values, np.array(read_field(world.model, name))) for name, values in fields.items()]
+            self._laws.append((world, Rows(world.model, **views, **forces, fields=fields), unchanged))
         self._rows = np.concatenate([np.arange(own.start, own.stop) for _, own in with_laws])
 
     def start(self) -> None:
@@ -202,11 +203,11 @@ class _Forces:
 
     def apply(self) -> None:
         """Put back what laws may have changed, then call them."""
-        for world, rows in self._laws:
+        for world, rows, unchanged in self._laws:
             rows.qfrc_applied[...] = 0.0
             rows.xfrc_applied[...] = world.wrench
-            for name, values in rows.fields.items():
-                values[...] = read_field(world.model, name)
+            for values, value in unchanged:
+                values[...] = value
             for law in world.laws:
                 law(rows)
 
