@@ -1,8 +1,9 @@
 """How many trials does a robot need to know itself: `uv run python experiments/maps.py`.
 
 Twelve unknown lengths, CMA-ES on `distances.multiscale_fitness`, error of the simulation found:
-(a) against the number m of random controllers tried in reality, for several levels of noise on every measurement;
-(b) against the last of the eight marks, m = 15;
+(a) against the number m of random controllers tried in reality, for several levels of noise on every measurement, and
+for a reality that is native MuJoCo at another time step and integrator;
+(b) against the last of the eight marks, m = 15, with exact and with noisy measurements;
 (c) against m where trials are chosen three at a time: at random, the fittest of an evolution in s_0 (the paper's
 choice), or those on which simulations that explain the trials so far disagree most;
 (d) for random truths, m = 15.
@@ -23,11 +24,12 @@ from common import TINY, Config, command
 from curves import interval
 from drawing import figure_of, letter, save
 from fig2_scans import evolve
-from fig4_identification import hidden
+from fig4_identification import OTHER_PHYSICS, hidden
 from identification import Search, away_from, cma_es
 from matplotlib.axes import Axes
 from units import Arrays, Journal, Step, Unit, load, run_units
 
+from btr_mjx.behaviour import EngineSettings
 from btr_mjx.distances import multiscale_fitness
 from btr_mjx.errors import InputError
 from btr_mjx.files import write_json
@@ -60,8 +62,10 @@ class MapsConfig(Config):
     """Values of m in (a)."""
     noises: tuple[float, ...] = (0.0, 0.01, 0.05, 0.1)
     """Relative standard deviations of a measurement in (a)."""
-    horizons: tuple[float, ...] = (0.025, 0.05, 0.1, 0.2, 0.4)
+    horizons: tuple[float, ...] = (0.025, 0.05, 0.1, 0.2)
     """Times of the last mark in (b) [s]."""
+    horizon_noises: tuple[float, ...] = (0.0, 0.05)
+    """Relative standard deviations of a measurement in (b)."""
     truths: int = 10
     """Random robots in (d), one a seed of its own."""
     pool: int = 60
@@ -102,6 +106,7 @@ class Task:
       journal: of the unit.
       truth: (12,) reality.
       seed: of the searches.
+      reality: how reality is simulated; None for the same engine as the searches.
     """
 
     config: MapsConfig
@@ -109,6 +114,7 @@ class Task:
     journal: Journal
     truth: np.ndarray
     seed: int
+    reality: EngineSettings | None = None
 
     @property
     def share(self) -> float:
@@ -118,7 +124,7 @@ class Task:
     def measure(self, controllers: np.ndarray, noise: float = 0.0) -> np.ndarray:
         """Try controllers in reality: fitness at the marks (m, K)."""
         count = len(controllers) * self.share
-        marks = self.journal(lambda: self.bench.early(self.truth[None], controllers)[0], count)
+        marks = self.journal(lambda: self.bench.early(self.truth[None], controllers, self.reality)[0], count)
         return marks * (1 + noise * np.random.default_rng([self.seed, 6]).standard_normal(marks.shape))
 
     def find(self, start: np.ndarray, controllers: np.ndarray, measured: np.ndarray, number: int = 0) -> Search:
@@ -149,10 +155,17 @@ def random_controllers(task: Task, count: int) -> np.ndarray:
 
 
 def once(
-    config: MapsConfig, m: int, noise: float, horizon: float | None, seed: int, step: Step, journal: Journal
-) -> Any:
+    config: MapsConfig,
+    m: int,
+    noise: float,
+    horizon: float | None,
+    reality: EngineSettings | None,
+    seed: int,
+    step: Step,
+    journal: Journal,
+) -> Arrays:
     """One search with m random controllers."""
-    task = task_of(config, seed, step, journal, horizon)
+    task = replace(task_of(config, seed, step, journal, horizon), reality=reality)
     return _searched(task, m, noise)
 
 
@@ -230,12 +243,14 @@ def units(config: MapsConfig) -> list[Unit]:
         def add(name: str, trials: float, work: Callable[..., Arrays], *given: Any, seed: int = seed) -> None:
             found.append(Unit(f"{name}-{seed}", trials, partial(work, config, *given, seed)))
 
-        for noise in config.noises if "behaviours" in config.parts else ():
-            for m in config.behaviours:
-                add(f"m{m}-noise{100 * noise:g}", (searched + 1) * m * share, once, m, noise, None)
+        for m in config.behaviours if "behaviours" in config.parts else ():
+            for noise in config.noises:
+                add(f"m{m}-noise{100 * noise:g}", (searched + 1) * m * share, once, m, noise, None, None)
+            add(f"m{m}-native", (searched + 1) * m * share, once, m, 0.0, None, OTHER_PHYSICS)
         for horizon in config.horizons if "horizon" in config.parts else ():
             cost = (searched + 1) * config.trials * horizon / config.duration
-            add(f"horizon{1000 * horizon:g}", cost, once, config.trials, 0.0, horizon)
+            for noise in config.horizon_noises:
+                add(f"horizon{1000 * horizon:g}-{100 * noise:g}", cost, once, config.trials, noise, horizon, None)
         for choice in get_args(Choice) if "choice" in config.parts else ():
             cost = (searched + 1) * sum(rounds) * share
             if choice == "fittest":
@@ -278,16 +293,24 @@ def error_line(axes: Axes, x: Sequence[float], rows: Sequence[dict[str, Any]], l
 def fill(panels: Sequence[Axes], summary: dict[str, Any]) -> None:
     """All panels; those whose map was not computed stay empty."""
     noises = sorted({float(name.partition("noise")[2]) for name in summary if "-noise" in name})
-    looks = [("o", "-", "full"), ("s", "--", "none"), ("^", ":", "full"), ("D", "-.", "none")]
-    for noise, (marker, line, fillstyle) in zip(noises, looks, strict=False):
-        rows = sorted((v[0] for k, v in summary.items() if k.endswith(f"-noise{noise:g}")), key=lambda row: row["m"])
+    looks = [("o", "-", "full"), ("s", "--", "none"), ("^", ":", "full"), ("D", "-.", "none"), ("v", "-", "none")]
+    kinds = [(f"-noise{noise:g}", f"noise {noise:g} %") for noise in noises] + [("-native", "other physics")]
+    for (end, label), (marker, line, fillstyle) in zip(kinds, looks, strict=False):
+        rows = sorted((v[0] for k, v in summary.items() if k.endswith(end)), key=lambda row: row["m"])
         m = [row["m"] for row in rows]
-        error_line(panels[0], m, rows, f"noise {noise:g} %", marker=marker, linestyle=line, fillstyle=fillstyle)
-        panels[0].set(xscale="log", xticks=m, xticklabels=[f"{i:g}" for i in m])
-    horizons = sorted((float(k.removeprefix("horizon")) / 1000, v[0]) for k, v in summary.items() if k[:7] == "horizon")
-    if horizons:
-        error_line(panels[1], [h for h, _ in horizons], [row for _, row in horizons], "", marker="o")
-        panels[1].set(xscale="log")
+        if rows:
+            error_line(panels[0], m, rows, label, marker=marker, linestyle=line, fillstyle=fillstyle)
+            panels[0].set(xscale="log", xticks=m, xticklabels=[f"{i:g}" for i in m])
+    horizons = {k.removeprefix("horizon").partition("-")[::2]: v[0] for k, v in summary.items() if k[:7] == "horizon"}
+    for noise, (marker, line, fillstyle) in zip(sorted({float(n) for _, n in horizons}), looks, strict=False):
+        at = sorted(
+            ((float(time) / 1000, row) for (time, n), row in horizons.items() if float(n) == noise),
+            key=lambda pair: pair[0],
+        )
+        times, rows = [time for time, _ in at], [row for _, row in at]
+        error_line(panels[1], times, rows, f"noise {noise:g} %", marker=marker, linestyle=line, fillstyle=fillstyle)
+        panels[1].set(xscale="log", xticks=times, xticklabels=[f"{time:g}" for time in times])
+        panels[1].minorticks_off()
     for choice, (marker, line, fillstyle) in zip(get_args(Choice), looks[1::-1] + looks[2:], strict=False):
         rows = summary.get(f"choice-{choice}", [])
         m = [row["m"] for row in rows]
@@ -307,7 +330,7 @@ def fill(panels: Sequence[Axes], summary: dict[str, Any]) -> None:
         if axes.lines:
             axes.set(yscale="log")
     panels[0].minorticks_off()
-    for axes in (panels[0], panels[2]):
+    for axes in panels[:3]:
         if axes.lines:
             axes.legend(fontsize=7)
 

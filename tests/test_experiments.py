@@ -222,7 +222,16 @@ def test_maps(tmp_path: Path) -> None:
     flags = ["--seeds", "1", "--behaviours", "2", "--noises", "0", "--horizons", "0.02"]
     maps.main([*TINY, str(tmp_path / "maps"), *flags])
     summary = numbers(tmp_path / "maps" / "maps.json")
-    assert {"m2-noise0", "horizon20", "choice-random", "choice-fittest", "choice-disagreement", "truth"} == set(summary)
+    assert {
+        "m2-noise0",
+        "m2-native",
+        "horizon20-0",
+        "horizon20-5",
+        "choice-random",
+        "choice-fittest",
+        "choice-disagreement",
+        "truth",
+    } == set(summary)
     # The three trials that both begin with are the same, whatever is chosen later.
     assert summary["choice-random"][0] == summary["choice-disagreement"][0]
     assert (tmp_path / "maps" / "maps.png").exists()
