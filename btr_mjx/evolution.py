@@ -24,85 +24,19 @@ p_c = 0.9 and two elites at 50 individuals find four parameters of smooth or mil
 a method that learns directions, such as CMA-ES. On long genomes and many generations p_m = 1 / n_bits ends closer.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from btr_mjx.errors import InputError
+from btr_mjx.genetic_operators import Crossover, check_probability, crossover, mutate
 from btr_mjx.spaces import Box
-
-Crossover = Literal["uniform", "one_point", "two_point"]
-"""uniform: each bit from either parent; one_point: head and tail; two_point: one arc of the genome seen as a ring."""
-
-Objective = Callable[[NDArray[np.float64]], ArrayLike]
-"""(M, n) vectors of a box -> (M,) fitness, NaN where the evaluation failed."""
 
 Seed = int | np.random.Generator
 """An integer, or a generator from which a seed is drawn (it advances)."""
-
-
-def mutate(genomes: NDArray[np.bool_], p_m: float, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Flip every bit independently with probability p_m.
-
-    Args:
-      genomes: (..., n_bits).
-      p_m: probability per bit, 0 .. 1.
-      rng: source of randomness; advances.
-
-    Returns:
-      (..., n_bits) new genomes.
-
-    Raises:
-      InputError: p_m outside [0, 1].
-    """
-    _probability("p_m", p_m)
-    return genomes ^ (rng.random(genomes.shape) < p_m)
-
-
-def crossover(
-    first: NDArray[np.bool_],
-    second: NDArray[np.bool_],
-    p_c: float,
-    kind: Crossover,
-    rng: np.random.Generator,
-) -> NDArray[np.bool_]:
-    """Make one child of each pair of parents.
-
-    Args:
-      first: (..., n_bits).
-      second: (..., n_bits), the same shape.
-      p_c: probability that a pair is crossed; otherwise the child is a copy of `first`.
-      kind: "uniform", "one_point" or "two_point".
-      rng: source of randomness; advances.
-
-    Returns:
-      (..., n_bits) children; every bit is that of one of the two parents.
-
-    Raises:
-      InputError: shapes differ, p_c outside [0, 1], unknown kind.
-    """
-    _probability("p_c", p_c)
-    if first.shape != second.shape:
-        raise InputError(f"crossover: got parents of shapes {first.shape} and {second.shape}, expected equal shapes")
-    n, pairs = first.shape[-1], (*first.shape[:-1], 1)
-    # Both cuts leave at least one bit to either parent, where there are two bits to share.
-    if kind == "uniform":
-        from_second = rng.random(first.shape) < 0.5
-    elif kind == "one_point":
-        from_second = np.arange(n) >= rng.integers(1, max(n, 2), pairs)
-    elif kind == "two_point":
-        from_second = (np.arange(n) - rng.integers(0, n, pairs)) % n < rng.integers(1, max(n, 2), pairs)
-    else:
-        raise InputError(f"crossover: got {kind!r}, expected one of {', '.join(map(repr, get_args(Crossover)))}")
-    return np.where(from_second & (rng.random(pairs) < p_c), second, first)
-
-
-def _probability(name: str, value: float) -> None:
-    if not 0 <= value <= 1:  # catches NaN too
-        raise InputError(f"{name}: got {value!r}, expected a probability within [0, 1]")
 
 
 def _frozen(array: ArrayLike, dtype: Any = None) -> NDArray:
@@ -138,8 +72,8 @@ class GAConfig:
         """Check the ranges."""
         if not isinstance(self.maximise, bool):
             raise InputError(f"maximise: got {self.maximise!r}, expected True or False")
-        _probability("p_m", self.p_m)
-        _probability("p_c", self.p_c)
+        check_probability("p_m", self.p_m)
+        check_probability("p_c", self.p_c)
         if self.crossover not in get_args(Crossover):
             kinds = ", ".join(map(repr, get_args(Crossover)))
             raise InputError(f"crossover: got {self.crossover!r}, expected one of {kinds}")
@@ -357,81 +291,3 @@ class GeneticAlgorithm:
                 f"state: got a population of shape {state.parents.shape}, expected {expected}; it belongs to another "
                 "configuration or box"
             )
-
-
-@dataclass(frozen=True, eq=False)
-class Optimum:
-    """What `optimise` found; G generations of M vectors with n parameters.
-
-    Attributes:
-      values: (n,) the best vector evaluated, NaN where every evaluation failed.
-      fitness: its fitness, NaN likewise.
-      best_values: (G, n) the best so far after each generation.
-      best_fitness: (G,) its fitness.
-      mean_fitness: (G,) mean over the finite members of each generation, NaN where there are none.
-      failed: (G,) number of members without a finite fitness.
-      state: the state after the last generation; the run can go on from it.
-    """
-
-    values: NDArray[np.float64]
-    fitness: float
-    best_values: NDArray[np.float64]
-    best_fitness: NDArray[np.float64]
-    mean_fitness: NDArray[np.float64]
-    failed: NDArray[np.int64]
-    state: GAState
-
-
-def optimise(
-    fn: Objective, box: Box, config: GAConfig, *, seed: Seed, generations: int, start: ArrayLike | None = None
-) -> Optimum:
-    """Run the genetic algorithm in the direction that the configuration says.
-
-    Args:
-      fn: maps (M, n) vectors to (M,) fitness, NaN where the evaluation failed.
-      box: the space searched.
-      config: settings.
-      seed: an integer or a generator.
-      generations: G >= 1; `fn` is called once a generation.
-      start: (n,) vector from which the first generation is made by bit flips; None starts at random.
-
-    Raises:
-      InputError: fewer than one generation, a start outside the box, fitness of the wrong shape.
-    """
-    if generations < 1:
-        raise InputError(f"generations: got {generations}, expected at least 1")
-    ga = GeneticAlgorithm(box, config)
-    state = ga.init(seed, None if start is None else box.encode(start))
-    values, best, mean, failed = [], [], [], []
-    for _ in range(generations):
-        genomes, state = ga.ask(state)
-        fitness = np.asarray(fn(box.decode(genomes)), dtype=np.float64)
-        state = ga.tell(state, genomes, fitness)
-        finite = fitness[np.isfinite(fitness)]
-        values.append(np.full(box.n, np.nan) if state.best_genome is None else box.decode(state.best_genome))
-        best.append(state.best_fitness)
-        mean.append(finite.mean() if finite.size else np.nan)
-        failed.append(config.population - finite.size)
-    return Optimum(
-        values[-1], best[-1], np.array(values), np.array(best), np.array(mean), np.array(failed, np.int64), state
-    )
-
-
-def minimize(
-    fn: Objective,
-    box: Box,
-    config: GAConfig | None = None,
-    *,
-    seed: Seed,
-    generations: int,
-    start: ArrayLike | None = None,
-) -> Optimum:
-    """`optimise` towards the minimum, by default with the default settings.
-
-    Raises:
-      InputError: a configuration that maximises; and as `optimise`.
-    """
-    config = GAConfig(maximise=False) if config is None else config
-    if config.maximise:
-        raise InputError("minimize: got a configuration with maximise=True, expected maximise=False; or call optimise")
-    return optimise(fn, box, config, seed=seed, generations=generations, start=start)

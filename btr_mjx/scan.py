@@ -29,9 +29,9 @@ from btr_mjx.backtoreality import evolve_controllers, select_transferable
 from btr_mjx.behaviour import Engine, EngineSettings, evaluate
 from btr_mjx.btr_state import Progress, SearchSettings
 from btr_mjx.errors import InputError, cli_errors
-from btr_mjx.evolution import mutate
 from btr_mjx.files import write_arrays, write_json
 from btr_mjx.fitness import DISTANCE, FitnessFunction, fitness_function
+from btr_mjx.genetic_operators import mutate
 from btr_mjx.models import base_model
 from btr_mjx.progress import progress as progress_bar
 from btr_mjx.robots import Robot, robot_of

@@ -22,8 +22,8 @@ from btr_mjx.backtoreality import evolve_controllers, select_transferable
 from btr_mjx.behaviour import evaluate
 from btr_mjx.btr_state import Progress, SearchSettings
 from btr_mjx.errors import InputError, cli_errors, resume_command
-from btr_mjx.evolution import mutate
 from btr_mjx.files import atomic_write, read_arrays, read_table, write_arrays, write_figure, write_json
+from btr_mjx.genetic_operators import mutate
 from btr_mjx.progress import graceful_interrupt, progress
 from btr_mjx.robots import Robot, hexapod
 from btr_mjx.runs import RunFolder

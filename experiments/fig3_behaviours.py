@@ -31,9 +31,9 @@ from units import Arrays, Journal, Step, Unit, load, run_units
 
 from btr_mjx import metrics, scan
 from btr_mjx.errors import InputError
-from btr_mjx.evolution import mutate
 from btr_mjx.files import write_json
 from btr_mjx.fitness import delta
+from btr_mjx.genetic_operators import mutate
 
 PARAMETER = "bl_5"
 TRUTH = TRUTHS[PARAMETER]

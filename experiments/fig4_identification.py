@@ -33,9 +33,9 @@ from units import Arrays, Journal, Step, Unit, load, run_units
 from btr_mjx.behaviour import EngineSettings
 from btr_mjx.distances import multiscale_fitness
 from btr_mjx.errors import InputError
-from btr_mjx.evolution import mutate
 from btr_mjx.files import write_json
 from btr_mjx.fitness import delta_fitness
+from btr_mjx.genetic_operators import mutate
 
 TRUTH = {"bl_3": 0.54, "bl_5": 0.54, "bl_6": 0.74, "bl_8": 0.74}
 """The paper's hidden lengths [m]."""

@@ -9,16 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from btr_mjx.evolution import (
-    GAConfig,
-    GeneticAlgorithm,
-    crossover,
-    minimize,
-    mutate,
-    optimise,
-    state_from_arrays,
-    state_to_arrays,
-)
+from btr_mjx.evolution import GAConfig, GeneticAlgorithm, state_from_arrays, state_to_arrays
+from btr_mjx.genetic_operators import crossover, mutate
+from btr_mjx.optimise import minimize, optimise
 from btr_mjx.spaces import Box
 
 # Reproducible examples, and no time limits on a busy machine.

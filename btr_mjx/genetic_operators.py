@@ -1,0 +1,73 @@
+"""What a genetic algorithm does to bit strings: mutation and crossover."""
+
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from btr_mjx.errors import InputError
+
+Crossover = Literal["uniform", "one_point", "two_point"]
+"""uniform: each bit from either parent; one_point: head and tail; two_point: one arc of the genome seen as a ring."""
+
+
+def mutate(genomes: NDArray[np.bool_], p_m: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Flip every bit independently with probability p_m.
+
+    Args:
+      genomes: (..., n_bits).
+      p_m: probability per bit, 0 .. 1.
+      rng: source of randomness; advances.
+
+    Returns:
+      (..., n_bits) new genomes.
+
+    Raises:
+      InputError: p_m outside [0, 1].
+    """
+    check_probability("p_m", p_m)
+    return genomes ^ (rng.random(genomes.shape) < p_m)
+
+
+def crossover(
+    first: NDArray[np.bool_],
+    second: NDArray[np.bool_],
+    p_c: float,
+    kind: Crossover,
+    rng: np.random.Generator,
+) -> NDArray[np.bool_]:
+    """Make one child of each pair of parents.
+
+    Args:
+      first: (..., n_bits).
+      second: (..., n_bits), the same shape.
+      p_c: probability that a pair is crossed; otherwise the child is a copy of `first`.
+      kind: "uniform", "one_point" or "two_point".
+      rng: source of randomness; advances.
+
+    Returns:
+      (..., n_bits) children; every bit is that of one of the two parents.
+
+    Raises:
+      InputError: shapes differ, p_c outside [0, 1], unknown kind.
+    """
+    check_probability("p_c", p_c)
+    if first.shape != second.shape:
+        raise InputError(f"crossover: got parents of shapes {first.shape} and {second.shape}, expected equal shapes")
+    n, pairs = first.shape[-1], (*first.shape[:-1], 1)
+    # Both cuts leave at least one bit to either parent, where there are two bits to share.
+    if kind == "uniform":
+        from_second = rng.random(first.shape) < 0.5
+    elif kind == "one_point":
+        from_second = np.arange(n) >= rng.integers(1, max(n, 2), pairs)
+    elif kind == "two_point":
+        from_second = (np.arange(n) - rng.integers(0, n, pairs)) % n < rng.integers(1, max(n, 2), pairs)
+    else:
+        raise InputError(f"crossover: got {kind!r}, expected one of {', '.join(map(repr, get_args(Crossover)))}")
+    return np.where(from_second & (rng.random(pairs) < p_c), second, first)
+
+
+def check_probability(name: str, value: float) -> None:
+    """Raise InputError for what is no probability."""
+    if not 0 <= value <= 1:  # catches NaN too
+        raise InputError(f"{name}: got {value!r}, expected a probability within [0, 1]")
