@@ -1,8 +1,9 @@
 """Back-to-Reality with all lengths unknown: `uv run python experiments/btr_twelve.py`.
 
-Runs `python -m btr_mjx.coevolve --unknown all` by the multiscale distance, once a seed, against the robot of Fig. 4
-with its other eight lengths drawn from the seed. What counts is the controller that comes out: its fitness in reality
-against its fitness in the simulation that was identified.
+Runs `python -m btr_mjx.coevolve --unknown all --distance multiscale --optimiser cma`, once a seed, against the robot of
+Fig. 4 with its other eight lengths drawn from the seed; `--physics other` simulates reality by native MuJoCo in float64
+with another time step and integrator, so that it shares neither code nor errors with the searches. What counts is the
+controller that comes out: its fitness in reality against its fitness in the simulation that was identified.
 
 The run folder holds a run of the command per seed, seed-0/, ...; btr_twelve.json holds the numbers, btr_twelve.png the
 figure.
@@ -17,6 +18,7 @@ import numpy as np
 import tyro
 from curves import interval
 from drawing import figure_of, letter, save
+from fig4_identification import OTHER_PHYSICS
 
 from btr_mjx.behaviour import evaluate
 from btr_mjx.coevolve import PRESETS as COEVOLVE
@@ -38,6 +40,13 @@ BY_FITNESS = replace(
     figures=False,
 )
 """All lengths unknown, for either distance."""
+
+OTHER_REALITY: dict[str, Any] = {
+    "reality_engine": "native",
+    "reality_timestep": OTHER_PHYSICS.timestep,
+    "reality_integrator": OTHER_PHYSICS.integrator,
+}
+"""Settings of a reality of other physics."""
 
 SIZES: dict[str, CoevolveConfig] = {
     "quick": replace(BY_FITNESS, iterations=2, simulation_generations=30),
@@ -63,10 +72,12 @@ class BtrConfig:
 
     preset: Literal["quick", "paper", "tiny"] = "quick"
     """Sizes of the runs."""
+    physics: Literal["same", "other"] = "same"
+    """How reality is simulated; each needs a run folder of its own."""
     seeds: int = 5
     """Seeds 0 .. N - 1."""
     out: Path | None = None
-    """Run folder; by default runs/experiments-<preset>/btr_twelve."""
+    """Run folder; by default runs/experiments-<preset>/btr_twelve, or btr_twelve_other."""
     progress: bool = True
     """Show progress bars."""
     draw_only: bool = False
@@ -77,6 +88,8 @@ def run_of(config: BtrConfig, folder: Path, seed: int) -> CoevolveConfig:
     """The command's settings of one seed."""
     out = folder / f"seed-{seed}"
     own = replace(SIZES[config.preset], distance="multiscale", seed=seed, progress=config.progress, out=out)
+    if config.physics == "other":
+        own = replace(own, **OTHER_REALITY)
     return replace(own, resume=not is_unused(out))
 
 
@@ -121,7 +134,8 @@ def draw(folder: Path) -> list[Path]:
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point."""
     config = tyro.cli(BtrConfig, args=argv, description=__doc__, prog="btr_twelve")
-    folder = config.out or Path("runs", f"experiments-{config.preset}", "btr_twelve")
+    name = "btr_twelve" if config.physics == "same" else "btr_twelve_other"
+    folder = config.out or Path("runs", f"experiments-{config.preset}", name)
     with cli_errors("the same command: what is done is kept"):
         if config.seeds < 1:
             raise InputError(f"seeds: got {config.seeds}, expected at least 1")

@@ -27,7 +27,8 @@ import units as units_room
 import verdicts
 
 from btr_mjx.files import read_arrays
-from btr_mjx.robots import robot_of
+from btr_mjx.models import base_model
+from btr_mjx.robots import Robot, robot_of
 from btr_mjx.runs import RunFolder
 from btr_mjx.spaces import Box
 
@@ -266,6 +267,20 @@ def test_thirty_unknowns(tmp_path: Path) -> None:
     arrays = read_arrays(tmp_path / "search-0.npz")
     assert (np.abs(arrays["start"] - arrays["truth"]) <= 0.2 * arrays["span"] + 1e-9).all()
     assert numbers(tmp_path / "thirty.json")["lengths"]["seeds"] == 2
+
+
+def test_other_physics_are_another_integrator(robot: Robot) -> None:
+    own = mujoco.mjtIntegrator(base_model(robot).opt.integrator)
+    assert fig4_identification.OTHER_PHYSICS.integrator == "rk4"
+    assert own == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    assert fig4_identification.OTHER_PHYSICS.timestep != base_model(robot).opt.timestep
+
+
+def test_btr_twelve_in_other_physics(tmp_path: Path) -> None:
+    btr_twelve.main(["--preset", "tiny", "--seeds", "1", "--no-progress", "--physics", "other", "--out", str(tmp_path)])
+    config = numbers(tmp_path / "seed-0" / "config.json")
+    assert (config["reality_engine"], config["reality_integrator"]) == ("native", "rk4")
+    assert config["reality_timestep"] == 2.5e-4
 
 
 def test_btr_twelve(tmp_path: Path) -> None:
