@@ -106,7 +106,7 @@ PRESETS = {
         **TINY,
         members=6,
         search_generations=3,
-        cma_generations=2,
+        cma_generations=3,
         members_12=6,
         generations_12=2,
         noisy_trials=4,

@@ -21,7 +21,7 @@ from common import Config
 from btr_mjx.configs import config_to_json, differences, read_config_json
 from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.files import read_arrays, write_arrays
-from btr_mjx.progress import graceful_interrupt, note, progress
+from btr_mjx.progress import StopRequest, graceful_interrupt, note, progress
 from btr_mjx.runs import IGNORED_FIELDS, RunFolder, is_unused
 
 Arrays = dict[str, np.ndarray]
@@ -40,16 +40,17 @@ class Journal:
     Args of the calls are not compared: a unit makes the same calls in the same order whenever it is run.
     """
 
-    def __init__(self, run: RunFolder, unit: str, step: Step, interval: float = 15.0) -> None:
+    def __init__(self, run: RunFolder, unit: str, step: Step, stop: StopRequest, interval: float = 15.0) -> None:
         """Take up what the folder's newest checkpoint remembers of this unit.
 
         Args:
           run: the open run folder.
           unit: name of the unit.
           step: called with the number of whole trials that a remembered call stood for.
+          stop: whether somebody asked to stop; that happens after the next call.
           interval: least time between two checkpoints [s].
         """
-        self._run, self._unit, self._step, self._interval = run, unit, step, interval
+        self._run, self._unit, self._step, self._stop, self._interval = run, unit, step, stop, interval
         checkpoint = run.load_latest()
         self._number = 0 if checkpoint is None else checkpoint.step + 1
         mine = checkpoint is not None and checkpoint.meta.get("unit") == unit
@@ -64,13 +65,17 @@ class Journal:
         Args:
           compute: simulates `trials` whole trials and reports them to the progress bar itself.
           trials: their number.
+
+        Raises:
+          Interrupted: a signal asked to stop; what was computed is saved.
         """
         if self._next < len(self._values):
             self._step(trials)
         else:
             self._values.append(np.asarray(compute()))
-            if time.monotonic() - self._saved >= self._interval:
+            if self._stop.requested or time.monotonic() - self._saved >= self._interval:
                 self.save()
+            self._stop.checkpoint()
         self._next += 1
         return self._values[self._next - 1]
 
@@ -151,7 +156,7 @@ def run_units(config: Config, units: Sequence[Unit], description: str) -> int:
             step = whole_steps(bar.update)
             for unit in left:
                 bar.set_description(f"{description} {unit.name}")
-                arrays = unit.work(step, Journal(run, unit.name, step))
+                arrays = unit.work(step, Journal(run, unit.name, step, stop))
                 write_arrays(folder / f"{unit.name}.npz", arrays)
                 stop.checkpoint()
     return len(left)

@@ -26,8 +26,10 @@ import thirty_unknowns
 import units as units_room
 import verdicts
 
+from btr_mjx.errors import Interrupted
 from btr_mjx.files import read_arrays
 from btr_mjx.models import base_model
+from btr_mjx.progress import StopRequest
 from btr_mjx.robots import Robot, robot_of
 from btr_mjx.runs import RunFolder
 from btr_mjx.spaces import Box
@@ -330,15 +332,30 @@ def test_a_unit_goes_on_within_itself(folder: Path, tmp_path: Path, monkeypatch:
 
     monkeypatch.setattr(bench_room, "evaluate", mortal)
     with RunFolder.create(config.folder, config) as run:
-        journal = units_room.Journal(run, unit.name, lambda count: None, interval=0.0)
+        journal = units_room.Journal(run, unit.name, lambda count: None, StopRequest(), interval=0.0)
         with pytest.raises(MemoryError):
             unit.work(lambda count: None, journal)
     with RunFolder.create(config.folder, config, resume=True) as run:
-        arrays = unit.work(lambda count: None, units_room.Journal(run, unit.name, lambda count: None))
+        arrays = unit.work(lambda count: None, units_room.Journal(run, unit.name, lambda count: None, StopRequest()))
     assert len(calls) == 3 + 2  # 3 remembered; the one that died, again
     expected = read_arrays(folder / "fig4_identification" / "cma-0.npz")
     for name, value in expected.items():
         np.testing.assert_array_equal(arrays[name], value)
+
+
+def test_a_unit_stops_after_the_call_under_way(tmp_path: Path) -> None:
+    """A request to stop does not wait for the unit's end, and what was computed by then is remembered."""
+    config, stop, nothing = fig2_scans.PRESETS["tiny"], StopRequest(), lambda count: None
+    with RunFolder.create(tmp_path / "run", config) as run:
+        journal = units_room.Journal(run, "seed-0", nothing, stop)
+        assert journal(lambda: np.array(1.0), 1) == 1.0
+        stop.signum = signal.SIGINT
+        with pytest.raises(Interrupted):
+            journal(lambda: np.array(2.0), 1)
+    with RunFolder.create(tmp_path / "run", config, resume=True) as run:
+        journal = units_room.Journal(run, "seed-0", nothing, StopRequest())
+        # Nothing of this is computed again: the numbers are the remembered ones.
+        assert [float(journal(lambda: np.array(0.0), 1)) for _ in range(3)] == [1.0, 2.0, 0.0]
 
 
 def test_a_damaged_unit_is_computed_again(folder: Path, tmp_path: Path) -> None:
