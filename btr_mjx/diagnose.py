@@ -13,6 +13,7 @@ The run folder holds:
     mended.xml, mended.json         the believed model with what was found
     report.html, figures/           the page
     demo/, truth.json               with --demo: the case, and the answer
+    search/                         what was simulated so far, until the search ends; --resume goes on from there
 
 The exit code is 0 for every verdict.
 """
@@ -33,23 +34,25 @@ from btr_mjx.files import read_json, write_json, write_table
 from btr_mjx.gap import report, saved
 from btr_mjx.gap.effect import Effect
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.fitness_search import identify_fitness
+from btr_mjx.gap.fitness_search import expected_steps, identify_fitness
 from btr_mjx.gap.fitness_table import FitnessTable, load_fitness
 from btr_mjx.gap.hidden import make_case
 from btr_mjx.gap.hidden_fitness import make_fitness_case
 from btr_mjx.gap.identify import identify
+from btr_mjx.gap.journal import Journal
 from btr_mjx.gap.model_paths import nearest
 from btr_mjx.gap.next_experiment import propose
 from btr_mjx.gap.preflight import Finding, preflight, preflight_fitness, refuse_errors
 from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.saved import as_result
+from btr_mjx.gap.search_records import Options
 from btr_mjx.gap.sources import open_dataset
 from btr_mjx.gap.wording import named, place, title
 from btr_mjx.progress import graceful_interrupt, progress
 from btr_mjx.runs import IGNORED_FIELDS, RunFolder, chosen_folder
 
-STAGES = 12
-"""Words that a search says about its progress, roughly; the bar ends where the search does."""
+JOURNAL = "search"
+"""Folder of what was simulated, in a run folder."""
 
 
 @dataclass(frozen=True)
@@ -202,23 +205,34 @@ def solve(
     checkpoint: Callable[[], None] = lambda: None,
 ) -> None:
     """Search for what is missing and write everything that the page is drawn from."""
-    with progress(total=STAGES, description="diagnosis", unit="stages", show=config.progress or False) as bar:
+    if isinstance(dataset, FitnessTable):
+        total = expected_steps(dataset, library)
+    else:
+        total = Options().budget(dataset.model.nv)
+    with progress(
+        total=round(total), description="search", unit="steps", unit_scale=True, show=config.progress or False
+    ) as bar:
 
         def note(word: str) -> None:
             bar.set_description(word)
-            bar.update(1 if bar.n < STAGES - 1 else 0)
             checkpoint()
 
+        def count(steps: int) -> None:
+            bar.total = max(bar.total or 0, steps)  # the total is what a search may cost, roughly
+            bar.update(steps - bar.n)
+            checkpoint()
+
+        journal = Journal(folder / JOURNAL, count)
         more: dict[str, Any] = {"seed": config.seed, "signal": config.signal}
         if isinstance(dataset, FitnessTable):
-            diagnosis, data, proposal = identify_fitness(dataset, library, note), dataset.head, None
+            diagnosis, data, proposal = identify_fitness(dataset, library, note, counter=journal), dataset.head, None
             more["gap"] = as_result(diagnosis, data)["gap"] | {"unit": "m/s of Delta_fitness"}
         else:
-            diagnosis, data = identify(dataset, library, config.max_effects, config.seed, note), dataset
+            diagnosis = identify(dataset, library, config.max_effects, config.seed, note, counter=journal)
             note("next experiment")
-            proposal = propose(diagnosis, dataset, config.seed)
-        bar.update(STAGES - bar.n)
+            data, proposal = dataset, propose(diagnosis, dataset, config.seed, counter=journal)
     saved.save(diagnosis, data, folder, effects=library, next_experiment=proposal, more=more)
+    journal.close()
 
 
 def _make_demo(folder: Path, config: DiagnoseConfig) -> None:

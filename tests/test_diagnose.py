@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,10 @@ import pytest
 from btr_mjx import diagnose
 from btr_mjx.diagnose import DiagnoseConfig
 from btr_mjx.errors import InputError
-from btr_mjx.gap.diagnosis import Diagnosis, DisagreementMap, Estimate, Gap, Named, Overlay, Row
+from btr_mjx.gap.diagnosis import Confound, Diagnosis, DisagreementMap, Estimate, Gap, Named, Overlay, Row
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.hidden import make_case
+from btr_mjx.gap.journal import Journal
 from btr_mjx.gap.recordings import Dataset
 
 TIME = np.linspace(0, 1, 20)
@@ -31,7 +33,7 @@ FOUND = Diagnosis(
     disagreement=DisagreementMap(("joint:servo",), ("all", "fast"), np.array([[3.0, 5.0]]), np.array([[40, 20]])),
     unexplained=(),
     believed=(),
-    confounds=(),
+    confounds=(Confound("dry_friction@joint:servo", "viscous_damping@joint:servo", 0.93, "More viscous damping."),),
     overlays=(Overlay("behaviour_09", "joint:servo", TIME, np.sin(TIME), np.cos(TIME), np.sin(TIME) + 0.01),),
     share=0.9,
     lack_of_fit=(12.0, 0.5),
@@ -57,7 +59,14 @@ def searches(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     """Arguments of each search; its answer is `FOUND`."""
     calls: list[dict[str, Any]] = []
 
-    def stand_in(dataset: Dataset, effects: Any, max_effects: int, seed: int, progress: Callable[[str], None]) -> Any:
+    def stand_in(
+        dataset: Dataset,
+        effects: Any,
+        max_effects: int,
+        seed: int,
+        progress: Callable[[str], None],
+        counter: Journal,
+    ) -> Any:
         progress("windows")
         calls.append(
             {"dataset": dataset, "effects": [e.name for e in effects], "max_effects": max_effects, "seed": seed}
@@ -92,6 +101,8 @@ def test_a_run_folder(folder: Path, searches: list, capsys: pytest.CaptureFixtur
     }
     assert {"before", "after", "noise_floor"} <= set(result["gap"])
     assert {"ranking", "equivalent", "next_experiment"} <= set(result)
+    assert result["confounds"] == [dataclasses.asdict(FOUND.confounds[0])]
+    assert "<li>More viscous damping.</li>" in (run / "report.html").read_text()
     names = {path.name for path in run.iterdir()}
     assert {"config.json", "environment.json", "preflight.csv", "ranking.csv", "report.html", "mended.xml"} <= names
 
@@ -118,7 +129,7 @@ def test_an_interrupted_demo_goes_on(
     run = tmp_path / "run"
     monkeypatch.setattr(diagnose, "make_case", lambda *a: make_case(*a, recordings=(2, 1), duration=0.8))
 
-    def interrupted(*args: Any) -> Any:
+    def interrupted(*args: Any, **more: Any) -> Any:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(diagnose, "identify", interrupted)
@@ -128,7 +139,7 @@ def test_an_interrupted_demo_goes_on(
     assert stop.value.code == 130
     assert f"--out {run} --no-progress --no-figures --resume" in capsys.readouterr().err
     truth = (run / "truth.json").read_bytes()
-    monkeypatch.setattr(diagnose, "identify", lambda *a: NOTHING)
+    monkeypatch.setattr(diagnose, "identify", lambda *a, **k: NOTHING)
     diagnose.main([*argv, "--resume"])
     assert (run / "truth.json").read_bytes() == truth
     last = capsys.readouterr().out.strip().splitlines()[-1]
@@ -136,6 +147,51 @@ def test_an_interrupted_demo_goes_on(
     hidden = json.loads(truth)
     assert (last == "hidden was: nothing") == (hidden["verdict"] == "none")
     assert json.loads((run / "result.json").read_text())["verdict"] == "none"
+
+
+def test_a_killed_search_goes_on(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Stopped in the middle of the search and resumed: what was simulated is read back, and the result is the same."""
+    argv = [str(folder), "--effects", "dry_friction", "viscous_damping", "--max-effects", "1", "--no-figures"]
+    diagnose.main([*argv, "--out", str(tmp_path / "whole"), "--no-progress"])
+    steps = json.loads((tmp_path / "whole" / "result.json").read_text())["steps"]
+    run, journal = tmp_path / "run", Journal
+
+    def killed(path: Path, report: Callable[[int], None]) -> Journal:
+        def count(done: int) -> None:
+            report(done)
+            if done > 0.6 * steps:
+                raise KeyboardInterrupt
+
+        return journal(path, count)
+
+    monkeypatch.setattr(diagnose, "Journal", killed)
+    with pytest.raises(SystemExit):
+        diagnose.main([*argv, "--out", str(run)])
+    saved = {path: path.stat().st_mtime_ns for path in (run / "search").iterdir()}
+    assert len(saved) > 5
+    err = capsys.readouterr().err
+    assert re.search(r"\d+%.*steps/s", err)
+    kept: list[int] = []
+
+    def watched(path: Path, report: Callable[[int], None]) -> Journal:
+        def count(done: int) -> None:
+            report(done)
+            kept.append(sum(p.stat().st_mtime_ns == t for p, t in saved.items()))
+
+        return journal(path, count)
+
+    monkeypatch.setattr(diagnose, "Journal", watched)
+    diagnose.main([*argv, "--out", str(run), "--no-progress", "--resume"])
+    assert set(kept) == {len(saved)}  # no answer was written again
+    assert len(kept) > len(saved)
+    assert not (run / "search").exists()
+    results = [json.loads((tmp_path / name / "result.json").read_text()) for name in ("whole", "run")]
+    for result in results:
+        del result["seconds"]
+    assert results[0] == results[1]
+    assert (run / "ranking.csv").read_bytes() == (tmp_path / "whole" / "ranking.csv").read_bytes()
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Fitness alone: what a table of trials says, its bad input, and a search that finds a large effect."""
 
+import dataclasses
 from pathlib import Path
 
 import mujoco
@@ -9,8 +10,10 @@ import pytest
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
-from btr_mjx.gap.fitness_search import Trials, identify_fitness
+from btr_mjx.gap.fitness_screen import Answers, answers, coarse_step, leads
+from btr_mjx.gap.fitness_search import expected_steps, identify_fitness
 from btr_mjx.gap.fitness_table import load_fitness, save_fitness
+from btr_mjx.gap.fitness_trials import Trials
 from btr_mjx.gap.hidden_fitness import make_fitness_case
 from btr_mjx.gap.preflight import preflight_fitness, refuse_errors
 from btr_mjx.gap.worlds import World
@@ -90,14 +93,76 @@ def test_fitness_against_a_loop(folder: Path) -> None:
     np.testing.assert_allclose(trials.fitness([world], rows)[0], table.fitness[:5], atol=1e-6)
 
 
+CHOSEN = [e for e in EFFECTS if e.name in ("ground_friction", "viscous_damping", "payload", "actuator_gain")]
+
+
 def test_a_large_effect_is_found(folder: Path) -> None:
-    chosen = [e for e in EFFECTS if e.name in ("ground_friction", "viscous_damping", "payload", "actuator_gain")]
-    diagnosis = identify_fitness(load_fitness(folder), chosen)
+    table = load_fitness(folder)
+    diagnosis = identify_fitness(table, CHOSEN)
     assert diagnosis.verdict == "effect"
     assert diagnosis.effects[0].effect == "ground_friction"
     assert diagnosis.effects[0].parameters["coefficient"].value == pytest.approx(0.25, rel=0.25)
     assert diagnosis.gap.after < 0.5 * diagnosis.gap.before
     assert diagnosis.ranking[0].margin == 0
+    assert len(diagnosis.ranking) == len(candidates(MODEL, Trials(table).scales(np.arange(3)), CHOSEN))
+    assert expected_steps(table, CHOSEN) == pytest.approx(diagnosis.steps, rel=0.5)
+
+
+def test_answers_serve_another_reality(folder: Path) -> None:
+    """What candidates do does not depend on what was measured: with it at hand the search is the same, and cheaper."""
+    table = load_fitness(folder)
+    trials = Trials(table)
+    rows = np.arange(16)
+    own = trials.fitness([World.of(MODEL)], rows)[0]
+    step = coarse_step(trials, rows, own, table.fitness[rows] - own)
+    known = answers(trials, candidates(MODEL, trials.scales(np.arange(3)), CHOSEN), rows, step)
+    again, whole = identify_fitness(table, CHOSEN, known=known), identify_fitness(table, CHOSEN)
+    np.testing.assert_equal(*([dataclasses.asdict(row) for row in d.ranking] for d in (again, whole)))
+    assert again.steps < 0.9 * whole.steps
+
+
+def test_answers_against_single_simulations(folder: Path) -> None:
+    trials = Trials(load_fitness(folder))
+    rows = np.arange(3)
+    slippery = {c.name: c for c in candidates(MODEL, Scales.of(MODEL), EFFECTS)}["ground_friction@world"]
+    known = answers(trials, [slippery], rows, 0.002)
+    world = slippery.apply(World.of(MODEL), slippery.null + known.sizes[0])
+    expected = trials.fitness([world], rows)[0] - trials.fitness([World.of(MODEL)], rows)[0]
+    np.testing.assert_array_equal(known.change[0][0], expected)
+    assert known.sizes[0][0] == pytest.approx(8 * slippery.parameters[0].step)
+
+
+def test_leads_are_a_fit_within_bounds(rng: np.random.Generator) -> None:
+    both = [c for c in candidates(MODEL, Scales.of(MODEL), EFFECTS) if c.effect.name in ("dry_friction", "payload")]
+    friction = next(c for c in both if c.effect.name == "dry_friction")
+    other = next(c for c in both if c.effect.name == "payload")
+    step = friction.parameters[0].step
+    change = rng.normal(size=(2, 12))
+    known = Answers(
+        (other, friction),
+        np.arange(12),
+        0.002,
+        np.zeros(12),
+        (np.array([0.1]), np.array([step])),
+        (change[:1], change[1:]),
+    )
+    first, second = leads(known, 3.0 * change[1])
+    assert (first.candidate, first.explained) == (friction, pytest.approx(1.0))
+    assert first.values[0] == pytest.approx(3.0 * step)
+    assert second.explained < 0.6
+    against = next(lead for lead in leads(known, -3.0 * change[1]) if lead.candidate is friction)
+    assert against.values[0] == friction.parameters[0].low  # there is no friction below none
+    assert against.explained <= 0
+
+
+def test_a_coarse_step_must_not_hide_what_is_sought(folder: Path) -> None:
+    trials = Trials(load_fitness(folder))
+    rows = np.arange(6)
+    own = trials.fitness([World.of(MODEL)], rows)[0]
+    error = np.abs(trials.fitness([World.of(MODEL)], rows, 0.008)[0] - own).mean()
+    assert coarse_step(trials, rows, own, np.full(6, 2.1 * error)) == pytest.approx(0.008)
+    assert coarse_step(trials, rows, own, np.full(6, 1.9 * error)) < 0.008
+    assert coarse_step(trials, rows, own, np.zeros(6)) == pytest.approx(0.002)
 
 
 def test_nothing_is_named_where_nothing_is_missing(folder: Path) -> None:

@@ -41,7 +41,14 @@ RESULT: dict[str, Any] = {
     "believed": [
         {"name": "knee damping", "path": "joint:knee0/damping", "before": 0.2, "after": 0.21, "unit": "N m s/rad"}
     ],
-    "confounds": ["dry friction of the same joint explains half of it"],
+    "confounds": [
+        {
+            "effect": "load_friction@joint:knee",
+            "other": "dry_friction@joint:knee",
+            "correlation": 0.93,
+            "text": "dry friction of the same joint explains half of it",
+        }
+    ],
     "next_experiment": {"text": "Drive knee0 at twice the speed under the same load."},
     "steps": 712000,
     "seconds": 9.4,

@@ -11,7 +11,7 @@ import pytest
 from test_gap_effects import QUADRUPED
 
 from btr_mjx.files import read_arrays, read_json
-from btr_mjx.gap.diagnosis import Diagnosis, DisagreementMap, Estimate, Gap, Named, Overlay, Refit, Row
+from btr_mjx.gap.diagnosis import Confound, Diagnosis, DisagreementMap, Estimate, Gap, Named, Overlay, Refit, Row
 from btr_mjx.gap.next_experiment import NextExperiment
 from btr_mjx.gap.recordings import Believed, Dataset
 from btr_mjx.gap.report import draw
@@ -42,7 +42,7 @@ def diagnosis() -> Diagnosis:
         disagreement=disagreement(),
         unexplained=(),
         believed=(Refit("knee damping", 0.2, 0.3, 0.21), Refit("hip gain", 1.0, 1.1, 1.05)),
-        confounds=("a careful word",),
+        confounds=(Confound("payload@body:a", "armature@joint:b", 0.96, "a careful word"),),
         overlays=(Overlay("trot", "joint:knee0", time, time, time + 0.1, time + 0.01),),
         share=0.9,
         lack_of_fit=(9.0, 0.4),

@@ -126,6 +126,23 @@ class Refit:
 
 
 @dataclass(frozen=True)
+class Confound:
+    """Something that could be mistaken for a named effect, or that gave way to it.
+
+    Attributes:
+      effect: what was named, "effect@location".
+      other: candidate, "effect@location", or believed parameter.
+      correlation: of their traces, in [0, 1]; None for a parameter that moved when the effect entered.
+      text: in words.
+    """
+
+    effect: str
+    other: str
+    correlation: float | None
+    text: str
+
+
+@dataclass(frozen=True)
 class Overlay:
     """A held-out stretch for a figure.
 
@@ -175,7 +192,7 @@ class Diagnosis:
       disagreement: the map.
       unexplained: what is left, in words.
       believed: what may be refitted.
-      confounds: what to be careful about, in words.
+      confounds: what could be mistaken for what was named, and what gave way to it.
       overlays: stretches for figures.
       share: part of what any force could explain that the named effects explain.
       lack_of_fit: standard deviations by which the data exceed the noise, before and after.
@@ -197,7 +214,7 @@ class Diagnosis:
     disagreement: DisagreementMap
     unexplained: tuple[str, ...]
     believed: tuple[Refit, ...]
-    confounds: tuple[str, ...]
+    confounds: tuple[Confound, ...]
     overlays: tuple[Overlay, ...]
     share: float
     lack_of_fit: tuple[float, float]

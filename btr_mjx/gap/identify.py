@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from btr_mjx.gap.calibration import tolerance_draws
+from btr_mjx.gap.confounds import confounds
 from btr_mjx.gap.diagnosis import Diagnosis, DisagreementMap, Gap, Named, Overlay, Refit, Row
 from btr_mjx.gap.disagreement import disagreement, place_names
 from btr_mjx.gap.effect import Effect
@@ -26,6 +27,7 @@ from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.score import bounded, project
 from btr_mjx.gap.screening import tolerance_of
 from btr_mjx.gap.search import Bench, Judged, Options
+from btr_mjx.gap.worlds import Counter
 
 THRESHOLD = 15.0
 """Score, beyond the price of its numbers, that a name needs."""
@@ -71,6 +73,7 @@ def identify(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
     options: Options | None = None,
+    counter: Counter | None = None,
 ) -> Diagnosis:
     """Find what is missing.
 
@@ -81,6 +84,7 @@ def identify(
       seed: of the resampling behind intervals.
       progress: called with a word on what is being done.
       options: how much is spent.
+      counter: adds up the simulated steps; a `journal.Journal` remembers them for a search that goes on.
 
     Returns:
       The diagnosis.
@@ -90,7 +94,7 @@ def identify(
     """
     begun = time.monotonic()
     note = progress or (lambda _: None)
-    bench = Bench(dataset, effects, options, note)
+    bench = Bench(dataset, effects, options, note, counter)
     note("leaders")
     rounds = [bench.polish(bench.find())]
     named: list[Judged] = []
@@ -123,7 +127,7 @@ def identify(
         disagreement=check.map(),
         unexplained=check.words(final) if verdict == "unexplained" or surprised else (),
         believed=_believed(bench, final),
-        confounds=(),
+        confounds=confounds(bench, named if verdict == "effect" else []),
         overlays=_overlays(bench, final),
         share=share,
         lack_of_fit=(before, after),

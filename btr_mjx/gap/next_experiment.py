@@ -20,7 +20,7 @@ from btr_mjx.gap.recordings import Dataset, Recording
 from btr_mjx.gap.smoothing import Span
 from btr_mjx.gap.tangent import integrate
 from btr_mjx.gap.windows import Windows, prepare
-from btr_mjx.gap.worlds import Stretch, simulate
+from btr_mjx.gap.worlds import Counter, Stretch, simulate
 
 _TRIES = 10
 """Random commands that are compared where none are given."""
@@ -59,7 +59,11 @@ class NextExperiment:
 
 
 def propose(
-    diagnosis: Diagnosis, dataset: Dataset, seed: int = 0, commands: Sequence[Command] | None = None
+    diagnosis: Diagnosis,
+    dataset: Dataset,
+    seed: int = 0,
+    commands: Sequence[Command] | None = None,
+    counter: Counter | None = None,
 ) -> NextExperiment | None:
     """The next experiment after a diagnosis.
 
@@ -68,6 +72,7 @@ def propose(
       dataset: where the robot starts, and what commands look like.
       seed: of random commands.
       commands: what could be commanded; None for random variations of the recorded commands.
+      counter: of simulated steps.
 
     Returns:
       The proposal; None where fewer than two hypotheses survived.
@@ -77,7 +82,7 @@ def propose(
         return None
     rng = np.random.default_rng(seed)
     commands = commands or random_commands(dataset, rng, _TRIES)
-    found = [compare(survivors, dataset, command, diagnosis.sigma) for command in commands]
+    found = [compare(survivors, dataset, command, diagnosis.sigma, counter) for command in commands]
     # The pair that is hardest to separate decides.
     values = np.array([min(pairs.values()) for pairs in found])
     best = int(np.argmax(values))
@@ -147,6 +152,7 @@ def record(
     command: Command,
     noise: np.ndarray | None,
     rng: np.random.Generator | None = None,
+    counter: Counter | None = None,
 ) -> Recording:
     """A recording of a command in a simulated reality, sampled as the dataset is.
 
@@ -156,13 +162,15 @@ def record(
       command: what is commanded.
       noise: (2 nv,) of the sensors; None for none.
       rng: for the noise.
+      counter: of simulated steps.
     """
     first = dataset.recordings[0]
     model = first.model
     interval = float(np.median(np.diff(first.time)))
     time = np.arange(0.0, float(command.times[-1]) + 1e-9, interval)
     stretch = Stretch(np.zeros(1), first.qpos[:1], np.nan_to_num(first.qvel[:1]), time, (command,), np.zeros(1, int))
-    states = simulate([(make(model), stretch)], timestep=float(model.opt.timestep) / 2)[0][0]
+    step = float(model.opt.timestep) / 2
+    states = simulate([(make(model), stretch)], timestep=step, counter=counter)[0][0]
     good = np.isfinite(states).all(1)
     last = len(time) if good.all() else max(int(np.argmin(good)), 2)
     qpos, qvel = states[:last, : model.nq], states[:last, model.nq :]
@@ -175,7 +183,11 @@ def record(
 
 
 def compare(
-    survivors: Sequence[Hypothesis], dataset: Dataset, command: Command, sigma: np.ndarray
+    survivors: Sequence[Hypothesis],
+    dataset: Dataset,
+    command: Command,
+    sigma: np.ndarray,
+    counter: Counter | None = None,
 ) -> dict[tuple[int, int], float]:
     """Expected differences of scores, for every pair of hypotheses, in one recording of a command.
 
@@ -184,9 +196,10 @@ def compare(
       dataset: where the robot starts and how often it is sampled.
       command: the command.
       sigma: (2 nv,) noise.
+      counter: of simulated steps.
     """
-    recording = record(survivors[0], dataset, command, None)
-    found = _judged(survivors, recording, dataset.interpolation, sigma)
+    recording = record(survivors[0], dataset, command, None, counter=counter)
+    found = _judged(survivors, recording, dataset.interpolation, sigma, counter)
     if found is None:
         return {(i, j): 0.0 for i in range(len(survivors)) for j in range(i + 1, len(survivors))}
     residuals, columns = found
@@ -228,7 +241,11 @@ def _left(residual: np.ndarray, columns: np.ndarray) -> float:
 
 
 def _judged(
-    hypotheses: Sequence[Hypothesis], recording: Recording, interpolation: str, sigma: np.ndarray
+    hypotheses: Sequence[Hypothesis],
+    recording: Recording,
+    interpolation: str,
+    sigma: np.ndarray,
+    counter: Counter | None = None,
 ) -> tuple[list[np.ndarray], list[np.ndarray]] | None:
     """Residuals (W, R) of hypotheses in windows of a recording, and their answers to their own numbers (P, W, R)."""
     interval = float(np.median(np.diff(recording.time)))
@@ -238,7 +255,7 @@ def _judged(
     if last < 4:
         return None
     first = np.unique(np.linspace(min(3, last), last, _WINDOWS).astype(int))
-    windows = Windows(data, np.zeros(len(first), int), first, k)
+    windows = Windows(data, np.zeros(len(first), int), first, k, counter)
     windows.linearise(hypotheses[0], steps=2)
     makes, spans = list(hypotheses), []
     for hypothesis in hypotheses:

@@ -107,7 +107,7 @@ def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
         "gap": asdict(diagnosis.gap) | {"closed": diagnosis.gap.closed, "unit": "χ² per degree of freedom"},
         "unexplained": list(diagnosis.unexplained),
         "believed": [asdict(refit) for refit in diagnosis.believed],
-        "confounds": list(diagnosis.confounds),
+        "confounds": [asdict(confound) for confound in diagnosis.confounds],
         "share": diagnosis.share,
         "lack_of_fit": dict(zip(("before", "after"), diagnosis.lack_of_fit, strict=True)),
         "threshold": diagnosis.threshold,

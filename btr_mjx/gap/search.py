@@ -72,10 +72,11 @@ class Bench:
         effects: Sequence[Effect],
         options: Options | None = None,
         note: Callable[[str], None] | None = None,
+        counter: Counter | None = None,
     ) -> None:
         self.dataset, self.options = dataset, options or Options()
         note = note or (lambda _: None)
-        self.counter = Counter()
+        self.counter = counter or Counter()
         for name, side in (("fit", dataset.fit), ("test", dataset.test)):
             if not side:
                 raise InputError(f"{dataset.folder}: no recording is in split {name!r}")
@@ -126,7 +127,7 @@ class Bench:
         state = 2 * model.nv + 12
         per_step = state + screening + 4.0 * (self.options.leaders + self.options.contact_leaders)
         share = 0.8 if len(data.recordings) >= len(held.recordings) else 0.6
-        budget = self.options.steps * float(np.clip(20.0 / model.nv, 1.0, 6.0))  # small models step faster
+        budget = self.options.budget(model.nv)
         recording, first, k = place(data, self.survey.span, share * budget, per_step)
         fit = Side(Windows(data, recording, first, k, self.counter), _nothing(0, 0))
         most = max(1, round(_HELD_OUT * len(first) / len(held.recordings)))

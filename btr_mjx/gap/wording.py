@@ -28,6 +28,20 @@ TITLES: Mapping[str, str] = {
 }
 """Effects as they appear in sentences; others appear by their names."""
 
+_MORE: Mapping[str, tuple[str, str]] = {
+    "viscous_damping": ("more viscous damping", "less viscous damping"),
+    "dry_friction": ("more dry friction", "less dry friction"),
+    "armature": ("more rotor inertia", "less rotor inertia"),
+    "actuator_delay": ("a later command", "an earlier command"),
+    "actuator_gain": ("a stronger motor", "a weaker motor"),
+    "payload": ("more mass", "less mass"),
+    "link_length": ("a longer link", "a shorter link"),
+    "ground_friction": ("more friction of the ground", "less friction of the ground"),
+    "contact_softness": ("softer contacts", "harder contacts"),
+    "air_drag": ("more air drag", "less air drag"),
+}
+"""Effects that may go both ways: how an increase and a decrease of their first number are called."""
+
 
 def title(effect: str) -> str:
     """An effect in words."""
@@ -47,6 +61,29 @@ def place(label: str) -> str:
 def named(row: Mapping[str, Any]) -> str:
     """Effect and place of an entry of results, in words."""
     return f"{title(str(row['effect']))} at {place(str(row['location']))}"
+
+
+def likeness(effect: str, location: str, change: float, correlation: float) -> str:
+    """What would leave the same traces as a named effect.
+
+    Args:
+      effect: its name, or that of a believed parameter.
+      location: where it would sit; "" for a believed parameter.
+      change: of its first number.
+      correlation: of the traces.
+    """
+    if not location:
+        what = f"a {'larger' if change > 0 else 'smaller'} {effect}"
+    else:
+        more, less = _MORE.get(effect, (title(effect), title(effect)))
+        what = f"{more if change > 0 else less} at {place(location)}"
+    how = "almost the same" if correlation >= 0.95 else "similar"
+    return f"{what[0].upper()}{what[1:]} would leave {how} traces ({correlation:.2f})."
+
+
+def moved(name: str, before: float, after: float) -> str:
+    """A believed parameter that gave way to an effect."""
+    return f"The believed {name} moved from {number(before)} to {number(after)} when the effect entered."
 
 
 def number(value: float | None, digits: int = 3) -> str:

@@ -1,0 +1,208 @@
+"""What fitness alone can see: `uv run python benchmarks/fitness_gap.py --cases 10 --out FOLDER`.
+
+Hidden cases of one robot with one missing effect each, of which only the fitness of 45 + 15 controllers is known. A
+case counts as strong if its effect alone changes the fitness by `STRONG` times what calibration's leftovers do; weaker
+ones are left out. No more than `PER_KIND` cases are of one kind, so that the few kinds that move a robot much do not
+decide alone.
+
+All cases are tried with the same controllers, so that what candidates do is simulated once. Cases, answers and results
+are files in the folder: a killed benchmark goes on where it was with the same command.
+"""
+
+import sys
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+
+from btr_mjx.environment import describe_environment
+from btr_mjx.errors import cli_errors
+from btr_mjx.files import read_arrays, read_json, write_arrays, write_json
+from btr_mjx.gap.effect import Candidate, candidates
+from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.fitness_screen import COARSER, Answers, answers
+from btr_mjx.gap.fitness_search import SCREENED, identify_fitness
+from btr_mjx.gap.fitness_table import FitnessTable, load_fitness
+from btr_mjx.gap.fitness_trials import Trials
+from btr_mjx.gap.hidden import Verdict, draw_reality
+from btr_mjx.gap.hidden_draw import Missing
+from btr_mjx.gap.hidden_fitness import case_draw, make_fitness_case
+from btr_mjx.gap.saved import as_result
+from btr_mjx.gap.world import World
+from btr_mjx.progress import note, progress
+
+STRONG = 2.0
+"""Change of the fitness by a strong effect, in units of what calibration's leftovers change."""
+PER_KIND = 2
+"""Cases of one kind, at most."""
+_PROBED = 12
+"""Trials on which the strength of a drawn effect is measured."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Settings; every field is a flag."""
+
+    out: Path
+    """Folder of cases and results."""
+    cases: int = 10
+    """Number of strong cases."""
+    seed: int = 1000
+    """Seed of the first case; that of the null."""
+    controllers: int = 5
+    """Seed of the controllers, which all cases share."""
+    robot: str = "hexapod"
+    """Robot of the cases."""
+
+
+def run(config: Config) -> dict[str, Any]:
+    """Make and solve the cases; results.json holds what is returned."""
+    null = load_fitness(_case(config, config.seed, None))
+    trials = Trials(null)
+    fit = np.flatnonzero(~null.test)
+    floor = _delta(trials, null, fit)
+    note(f"calibration's leftovers alone: Delta_fitness {floor:.4f} m/s")
+    known = _answers(config, trials, fit[:SCREENED])
+    seeds = _strong(config, trials, known, floor)
+    rows = []
+    for seed in progress(seeds["strong"], description="cases", unit="cases"):
+        rows.append(_solved(config, seed, known))
+        note(_line(rows[-1]))
+    result = {"config": config, "floor": floor, **seeds, "cases": rows, "summary": summary(rows)}
+    write_json(config.out / "results.json", {**result, "environment": describe_environment()})
+    return result
+
+
+def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Shares over cases."""
+    falls = np.array([row["fall"] for row in rows])
+    return {
+        "kind_first": float(np.mean([row["kind_rank"] == 1 for row in rows])),
+        "kind_in_top_3": float(np.mean([row["kind_rank"] is not None and row["kind_rank"] <= 3 for row in rows])),
+        "kind_in_top_3_rows": float(np.mean([row["row_rank"] is not None and row["row_rank"] <= 3 for row in rows])),
+        "fall_median": float(np.median(falls)),
+        "fall_at_least_half": float(np.mean(falls >= 0.5)),
+        "named": float(np.mean([row["verdict"] == "effect" for row in rows])),
+    }
+
+
+def _case(config: Config, seed: int, effects: int | None) -> Path:
+    """Folder of a case, made if absent; a null without effects."""
+    folder = config.out / f"case-{seed}"
+    truths = config.out / f"truth-{seed}.json"
+    if not truths.is_file():
+        verdict: Verdict = "none" if effects is None else "effect"
+        truth = make_fitness_case(
+            folder, seed, config.robot, verdict=verdict, effects=effects or 1, controllers=config.controllers
+        )
+        write_json(truths, truth)
+    return folder
+
+
+def _answers(config: Config, trials: Trials, rows: np.ndarray) -> Answers:
+    """What candidates do, simulated once."""
+    model = trials.table.head.model
+    library = candidates(model, trials.scales(np.flatnonzero(~trials.table.test)[:3]), EFFECTS)
+    path, step = config.out / "answers.npz", COARSER[0] * float(model.opt.timestep)
+    if not path.is_file():
+        found = answers(trials, library, rows, step, note)
+        arrays = {f"sizes_{i}": own for i, own in enumerate(found.sizes)}
+        arrays |= {f"change_{i}": own for i, own in enumerate(found.change)}
+        write_arrays(path, arrays | {"rows": rows, "believed": found.believed})
+    saved = read_arrays(path)
+    each = range(len(library))
+    return Answers(
+        tuple(library),
+        saved["rows"],
+        step,
+        saved["believed"],
+        tuple(saved[f"sizes_{i}"] for i in each),
+        tuple(saved[f"change_{i}"] for i in each),
+    )
+
+
+def _strong(config: Config, trials: Trials, known: Answers, floor: float) -> dict[str, Any]:
+    """Seeds of strong cases, and how many were drawn by kind."""
+    path = config.out / "strong.json"
+    if not path.is_file():
+        by_name = {c.name: c for c in known.candidates}
+        strong: list[int] = []
+        drawn: Counter[str] = Counter()
+        kinds: Counter[str] = Counter()
+        seed = config.seed
+        while len(strong) < config.cases:
+            seed += 1
+            (missing,) = draw_reality(case_draw(config.robot, seed, config.controllers), "effect", 1, None, 1.0)[1]
+            drawn[missing.effect] += 1
+            candidate = by_name.get(f"{missing.effect}@{missing.location}")
+            if kinds[missing.effect] >= PER_KIND or candidate is None:
+                continue
+            world = candidate.apply(World.of(trials.table.head.model), values_of(candidate, missing))
+            fitness = trials.fitness([world], known.rows[:_PROBED], known.timestep)[0]
+            if np.nanmean(np.abs(fitness - known.believed[:_PROBED])) >= STRONG * floor:
+                strong.append(seed)
+                kinds[missing.effect] += 1
+        write_json(path, {"strong": strong, "drawn": dict(drawn)})
+    return read_json(path)
+
+
+def values_of(candidate: Candidate, missing: Missing) -> np.ndarray:
+    """The values of a hidden effect; where the candidate has other shape numbers, these stay at their start."""
+    return np.array([missing.parameters.get(p.name, p.null) for p in candidate.parameters])
+
+
+def _delta(trials: Trials, table: FitnessTable, rows: np.ndarray) -> float:
+    found = trials.fitness([World.of(table.head.model)], rows)[0]
+    return float(np.nanmean(np.abs(found - table.fitness[rows])))
+
+
+def _solved(config: Config, seed: int, known: Answers) -> dict[str, Any]:
+    """One case: what was found, and how that compares with the truth."""
+    folder = _case(config, seed, 1)
+    if not (folder / "result.json").is_file():
+        table = load_fitness(folder)
+        write_json(folder / "result.json", as_result(identify_fitness(table, known=known), table.head))
+    result, (missing,) = read_json(folder / "result.json"), read_json(config.out / f"truth-{seed}.json")["effects"]
+    names = [row["effect"] for row in result["ranking"]]
+    kinds = list(dict.fromkeys(names))
+    first = result["ranking"][0]
+    gap = result["gap"]["before"]
+    return {
+        "seed": seed,
+        "missing": missing,
+        "found": {key: first[key] for key in ("effect", "location", "parameters")},
+        "verdict": result["verdict"],
+        "row_rank": names.index(missing["effect"]) + 1 if missing["effect"] in names else None,
+        "kind_rank": kinds.index(missing["effect"]) + 1 if missing["effect"] in kinds else None,
+        "top": [f"{row['effect']}@{row['location']}" for row in result["ranking"][:5]],
+        "before": gap,
+        "fall": float(first["held_out"]) / gap,
+        "noise_floor": result["gap"]["noise_floor"],
+        "steps": result["steps"],
+        "seconds": result["seconds"],
+    }
+
+
+def _line(row: Mapping[str, Any]) -> str:
+    missing, found = row["missing"], row["found"]
+    return (
+        f"{row['seed']}: {missing['effect']}@{missing['location']}, found {found['effect']}@{found['location']}, "
+        f"kind ranks {row['kind_rank']}, Delta_fitness on unseen controllers {row['before']:.3f} falls by "
+        f"{100 * row['fall']:.0f} %, {row['steps'] / 1e6:.1f} M steps, {row['seconds']:.0f} s"
+    )
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Entry point of the command."""
+    config = tyro.cli(Config, args=sys.argv[1:] if argv is None else list(argv), description=__doc__)
+    with cli_errors():
+        for name, value in run(config)["summary"].items():
+            print(f"{name:24}{value:8.2f}")
+
+
+if __name__ == "__main__":
+    main()
