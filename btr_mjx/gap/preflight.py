@@ -7,37 +7,17 @@ Findings of level "error" say what makes the data unusable (wrong units, no exci
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
-from scipy.signal import correlate
 
 from btr_mjx.errors import InputError
+from btr_mjx.gap.clocks import clocks, sampling
 from btr_mjx.gap.excitation import JointTrack, blind_effects, joint_tracks
+from btr_mjx.gap.findings import Finding, listed
 from btr_mjx.gap.fitness_table import FitnessTable
 from btr_mjx.gap.model_paths import part_names
 from btr_mjx.gap.noise import Noise
-from btr_mjx.gap.recordings import Dataset, Recording, noise_of
-
-Level = Literal["error", "warning", "note"]
-_FEW = 6
-"""So many names are listed in one finding."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Something about a dataset.
-
-    Attributes:
-      level: "error", "warning" or "note".
-      topic: what it is about, in one or two words.
-      message: one line.
-    """
-
-    level: Level
-    topic: str
-    message: str
+from btr_mjx.gap.recordings import Dataset, noise_of
 
 
 def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Finding]:
@@ -56,11 +36,11 @@ def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Fi
     findings += [Finding("warning" if "unknown key" in line else "note", "loading", line) for line in dataset.notes]
     for line in dict.fromkeys(note for recording in dataset.recordings for note in recording.notes):
         names = [r.name for r in dataset.recordings if line in r.notes]
-        findings.append(Finding("note", "loading", f"{line} ({_listed(names)})"))
-    findings += _sampling(dataset)
+        findings.append(Finding("note", "loading", f"{line} ({listed(names)})"))
+    findings += sampling(dataset)
     findings += _units(joints)
     findings += _channels(dataset, joints, noise)
-    findings += _clocks(dataset, joints)
+    findings += clocks(dataset, joints)
     findings += _starts(dataset)
     findings += _excitation(dataset, joints, effects)
     order = {"error": 0, "warning": 1, "note": 2}
@@ -103,82 +83,14 @@ def refuse_errors(findings: Sequence[Finding]) -> None:
             raise InputError(finding.message)
 
 
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:_FEW]) + (f" and {len(names) - _FEW} more" if len(names) > _FEW else "")
-
-
 def _summary(dataset: Dataset) -> list[str]:
     model, times = dataset.model, [r.time for r in dataset.recordings]
     seconds = sum(float(t[-1] - t[0]) for t in times)
     return [
         f"{len(dataset.fit)} recordings to fit and {len(dataset.test)} held out, {seconds:.1f} s, "
         f"{sum(map(len, times))} samples of {model.njnt} joints and {model.nu} commands",
-        "held out: " + _listed([r.name for r in dataset.test]),
+        "held out: " + listed([r.name for r in dataset.test]),
     ]
-
-
-def _sampling(dataset: Dataset) -> list[Finding]:
-    findings = []
-    steps = np.concatenate([np.diff(r.time) for r in dataset.recordings])
-    usual = float(np.median(steps))
-    if usual >= 0.5 or usual < 1e-6:
-        what = "milliseconds" if usual >= 0.5 else "another unit"
-        return [
-            Finding(
-                "error",
-                "units",
-                f"time: samples are {usual:.6g} s apart, which looks like {what}; the column time is in seconds",
-            )
-        ]
-    findings.append(
-        Finding(
-            "note",
-            "sampling",
-            f"{1 / usual:.1f} samples per second; the middle 98 % of intervals is "
-            f"{1e3 * np.percentile(steps, 1):.3g} to {1e3 * np.percentile(steps, 99):.3g} ms",
-        )
-    )
-    for recording in dataset.recordings:
-        gaps = np.flatnonzero(np.diff(recording.time) > 3 * usual)
-        if len(gaps):
-            k = int(gaps[np.argmax(np.diff(recording.time)[gaps])])
-            findings.append(
-                Finding(
-                    "warning",
-                    "gaps",
-                    f"{recording.name}: {len(gaps)} gaps of more than three intervals, the longest from "
-                    f"{recording.time[k]:.6g} to {recording.time[k + 1]:.6g} s",
-                )
-            )
-    tempo = max((_tempo(r) for r in dataset.recordings), default=0.0)
-    if tempo > 0 and 1 / (tempo * usual) < 10:
-        findings.append(
-            Finding(
-                "warning",
-                "sampling",
-                f"commands turn over at {tempo:.3g} Hz, {1 / (tempo * usual):.1f} samples a period; delays and "
-                "velocities are hard to see below ten",
-            )
-        )
-    if dataset.model.opt.timestep > usual:
-        findings.append(
-            Finding(
-                "warning",
-                "sampling",
-                f"the model's time step of {dataset.model.opt.timestep:g} s is longer than a sampling interval",
-            )
-        )
-    return findings
-
-
-def _tempo(recording: Recording) -> float:
-    """Mean rate of zero crossings of the commands' changes, as a frequency [Hz]; 0 for constant commands."""
-    rates = []
-    for column in recording.ctrl.T:
-        if np.ptp(column) > 0:
-            wave = np.sign(column - np.mean(column))
-            rates.append(0.5 * np.count_nonzero(np.diff(wave)) / (recording.time[-1] - recording.time[0]))
-    return float(np.median(rates)) if rates else 0.0
 
 
 def _units(joints: Sequence[JointTrack]) -> list[Finding]:
@@ -239,7 +151,7 @@ def _channels(dataset: Dataset, joints: Sequence[JointTrack], noise: Noise) -> l
         (quiet, "joints that move no further than their noise"),
     ):
         if names:
-            findings.append(Finding("warning", "channels", f"{text}: {_listed(names)}"))
+            findings.append(Finding("warning", "channels", f"{text}: {listed(names)}"))
     for joint in joints:
         stuck = _stuck_at_peak(joint.qpos)
         if stuck > 0.05 and np.ptp(joint.qpos) > 0 and len(np.unique(joint.qpos)) > 20:
@@ -276,57 +188,6 @@ def _channels(dataset: Dataset, joints: Sequence[JointTrack], noise: Noise) -> l
 def _stuck_at_peak(signal: np.ndarray) -> float:
     """Share of the samples at the largest or at the smallest value, whichever is more."""
     return float(max(np.mean(signal == signal.max()), np.mean(signal == signal.min())))
-
-
-def _clocks(dataset: Dataset, joints: Sequence[JointTrack]) -> list[Finding]:
-    """A hint only: by how much responses follow commands, servo dynamics included."""
-    model, shifts = dataset.model, []
-    usual = float(np.median(np.concatenate([np.diff(r.time) for r in dataset.recordings])))
-    for joint in joints:
-        if not joint.servo or joint.actuator is None or np.ptp(joint.ctrl) == 0:
-            continue
-        q = int(model.jnt_qposadr[part_names(model, "joint").index(joint.name)])
-        own = [_shift(r.time, r.ctrl[:, joint.actuator], r.qpos[:, q], usual) for r in dataset.recordings]
-        found = [s for s in own if s is not None]
-        if found:
-            shifts.append((joint.name, float(np.median(found))))
-    if not shifts:
-        return []
-    values = np.array([shift for _, shift in shifts])
-    findings = [
-        Finding(
-            "note",
-            "clocks",
-            f"positions follow commands by {1e3 * np.median(values):.3g} ms ({1e3 * values.min():.3g} to "
-            f"{1e3 * values.max():.3g} ms), the servo's own dynamics included",
-        )
-    ]
-    early = [name for name, shift in shifts if shift < -1.5 * usual]
-    if early:
-        findings.append(
-            Finding(
-                "warning",
-                "clocks",
-                f"positions come before their commands at {_listed(early)}; do both share one clock?",
-            )
-        )
-    return findings
-
-
-def _shift(time: np.ndarray, command: np.ndarray, response: np.ndarray, step: float) -> float | None:
-    """Delay [s] of the best correlation within a quarter of a second; None where nothing correlates."""
-    even = np.arange(time[0], time[-1], step)
-    if len(even) < 40 or np.ptp(command) == 0 or np.ptp(response) == 0:
-        return None
-    a, b = (np.interp(even, time, x) for x in (command, response))
-    a, b = (np.gradient(x) - np.mean(np.gradient(x)) for x in (a, b))
-    size = float(np.linalg.norm(a) * np.linalg.norm(b))
-    if size == 0:
-        return None
-    reach = min(int(0.25 / step), len(even) // 4)
-    scores = correlate(b, a)[len(a) - 1 - reach : len(a) + reach] / size
-    best = int(np.argmax(scores))
-    return (best - reach) * step if scores[best] > 0.7 else None
 
 
 def _starts(dataset: Dataset) -> list[Finding]:

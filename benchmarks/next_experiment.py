@@ -1,0 +1,150 @@
+"""Whether a chosen experiment saves recordings: `uv run python benchmarks/next_experiment.py --out FOLDER`.
+
+Each case is a robot that lacks one effect, and one short recording of it that does not say which: the true effect and
+its closest rival have scores within `MARGIN` of each other. Both may be recorded again with any of ten variations of
+the recorded commands. One experimenter takes those first on which the two are expected to disagree most, the other
+takes them as they come. What is counted is how many recordings each needs until truth and rival are told apart, in a
+simulated reality with the sensors' noise.
+
+Every case is a file in the folder, written when it is done: a killed benchmark goes on where it was with the same
+command.
+"""
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+
+from btr_mjx.environment import describe_environment
+from btr_mjx.errors import cli_errors
+from btr_mjx.files import read_json, write_json
+from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.hidden import Truth, make_case
+from btr_mjx.gap.hypotheses import Hypothesis
+from btr_mjx.gap.next_experiment import MARGIN, random_commands, recordings_needed
+from btr_mjx.gap.recordings import load
+from btr_mjx.gap.search import Bench, Options
+from btr_mjx.progress import note, progress
+
+_QUICK = Options(steps=2e4, leaders=8, contact_leaders=0)
+
+
+@dataclass(frozen=True)
+class Config:
+    """Settings; every field is a flag."""
+
+    out: Path
+    """Folder of cases and results."""
+    cases: int = 12
+    """Number of ambiguous cases."""
+    seed: int = 0
+    """Seed of the first one that is tried."""
+    robot: str = "pendulum"
+    """Robot of the cases."""
+    orders: int = 4
+    """Random orders of the commands, each against the chosen one."""
+    commands: int = 10
+    """Commands to choose from."""
+    most: int = 6
+    """Recordings after which an experimenter gives up; counted as one more."""
+    duration: float = 1.0
+    """Of the first recording [s]."""
+
+
+def run(config: Config) -> dict[str, Any]:
+    """Try seeds until there are enough ambiguous cases; results.json holds what is returned."""
+    rows: list[Any] = []
+    seed = config.seed
+    with progress(total=config.cases, description="ambiguous cases", unit="cases") as bar:
+        while sum(row["ambiguous"] for row in rows) < config.cases:
+            path = config.out / f"case-{seed}.json"
+            if not path.is_file():
+                write_json(path, _case(config, seed))
+            rows.append(read_json(path))
+            if rows[-1]["ambiguous"]:
+                note(_line(rows[-1]))
+                bar.update(1)
+            seed += 1
+    ambiguous = [row for row in rows if row["ambiguous"]]
+    result = {"config": config, "tried": len(rows), "cases": ambiguous, "summary": summary(ambiguous)}
+    write_json(config.out / "results.json", {**result, "environment": describe_environment()})
+    return result
+
+
+def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Mean numbers of recordings, and in how many cases the choice needed fewer or more than chance did on average."""
+    chosen = np.array([row["chosen"] for row in rows], float)
+    chance = np.array([np.mean(row["random"]) for row in rows])
+    return {
+        "recordings_chosen": float(chosen.mean()),
+        "recordings_random": float(chance.mean()),
+        "saved": float(1 - chosen.mean() / chance.mean()),
+        "fewer": float(np.mean(chosen < chance)),
+        "more": float(np.mean(chosen > chance)),
+    }
+
+
+def _case(config: Config, seed: int) -> dict[str, Any]:
+    """One seed: whether it is ambiguous, and how many recordings are needed then."""
+    folder = config.out / f"data-{seed}"
+    truth = make_case(
+        folder, seed, config.robot, verdict="effect", recordings=(1, 1), duration=config.duration, noise=2.0
+    )
+    dataset = load(folder)
+    bench = Bench(dataset, EFFECTS, _QUICK)
+    judged = bench.find()
+    (missing,) = truth.effects
+    own = next((j for j in judged if j.name == f"{missing.effect}@{missing.location}"), None)
+    rivals = [j for j in judged if j is not own]
+    if own is None or not rivals or own.score - rivals[0].score > MARGIN:
+        return {"seed": seed, "ambiguous": False, "missing": missing}
+    real, rival = _at_truth(bench, own.hypothesis, truth), rivals[0].hypothesis
+    needed = []
+    for order in range(config.orders + 1):
+        # The same commands for all; chance differs in their order, and in the noise.
+        commands = random_commands(dataset, np.random.default_rng([seed, 3]), config.commands)
+        rng = np.random.default_rng([seed, 4, order])
+        chosen = order == 0
+        if not chosen:
+            commands = [commands[i] for i in rng.permutation(len(commands))]
+        needed.append(recordings_needed(real, rival, dataset, bench.sigma, rng, chosen, config.most, commands))
+    return {
+        "seed": seed,
+        "ambiguous": True,
+        "missing": missing,
+        "rival": rival.name,
+        "lead": own.score - rivals[0].score,
+        "chosen": needed[0],
+        "random": needed[1:],
+    }
+
+
+def _at_truth(bench: Bench, found: Hypothesis, truth: Truth) -> Hypothesis:
+    """The true effect at its true values."""
+    candidate = found.effects[-1][0]
+    values = [truth.effects[0].parameters.get(p.name, p.null) for p in candidate.parameters]
+    return bench.base.with_effect(candidate, np.array(values))
+
+
+def _line(row: Mapping[str, Any]) -> str:
+    missing = row["missing"]
+    return (
+        f"{row['seed']}: {missing['effect']}@{missing['location']} or {row['rival']}: "
+        f"{row['chosen']} chosen, {np.mean(row['random']):.1f} at random"
+    )
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Entry point of the command."""
+    config = tyro.cli(Config, args=sys.argv[1:] if argv is None else list(argv), description=__doc__)
+    with cli_errors():
+        for name, value in run(config)["summary"].items():
+            print(f"{name:24}{value:8.2f}")
+
+
+if __name__ == "__main__":
+    main()
