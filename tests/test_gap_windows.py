@@ -10,10 +10,11 @@ from btr_mjx.gap.forces import ForceFit, circumstances, describe, lack_of_fit
 from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.planning import place
 from btr_mjx.gap.scales import Scales
+from btr_mjx.gap.score import project
 from btr_mjx.gap.sensitivity import force_signatures, signatures
 from btr_mjx.gap.smoothing import Span, Track, best_span, smooth
 from btr_mjx.gap.windows import Windows, prepare
-from btr_mjx.gap.worlds import World
+from btr_mjx.gap.worlds import World, simulate
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +55,18 @@ def test_starting_states_are_projected_out(windows):
 def test_residual_of_the_true_model_is_noise(windows):
     chi2 = (windows.residual**2).sum(1) / windows.freedom
     assert np.all((chi2 > 0.6) & (chi2 < 1.5))
+
+
+def test_long_windows_hold_no_error_of_the_time_step(windows):
+    """The residual belongs to steps of 1.25e-4 s, although nothing finer than 5e-4 s is simulated."""
+    long = Windows(windows.data, np.array([0, 1]), np.array([10, 20]), 230)
+    long.linearise(World.of)
+    assert long.fine_step == long.dt / 4
+    start = long.stretch(np.arange(2), long.qpos, long.qvel, long.since)
+    exact = simulate([(World.of(long.groups[0][0]), start)], timestep=1.25e-4)[0]
+    left = long.residual - project(long.whiten(exact), long.basis)
+    coarse = project(long.whiten(long.base) - long.whiten(exact), long.basis)
+    assert np.linalg.norm(left, axis=1).max() < 0.02 * np.linalg.norm(coarse, axis=1).min()
 
 
 @pytest.mark.parametrize("single", [False, True])

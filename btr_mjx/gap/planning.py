@@ -21,7 +21,7 @@ from btr_mjx.gap.worlds import Counter, Stretch, World, simulate
 CONTACT_SPAN = 0.02
 """Length of a window of a robot that touches the world [s]."""
 
-_LONGEST = 3.0
+_LONGEST = 1.0
 """No window is longer [s]."""
 
 _STRAY = 0.25

@@ -28,7 +28,7 @@ class Options:
 
     def budget(self, nv: int) -> float:
         """Simulated steps that may go into a model of `nv` degrees of freedom: small ones step faster."""
-        return self.steps * float(np.clip(20.0 / nv, 1.0, 6.0))
+        return self.steps * float(np.clip(20.0 / nv, 1.0, 2.0))
 
 
 @dataclass(frozen=True)

@@ -24,10 +24,10 @@ MakeWorld = Callable[[mujoco.MjModel], World]
 """The world of a hypothesis, given the believed model of a recording."""
 
 _FINE = 1.25e-4
-"""Time step that the fine pass aims at [s]; it divides the model's by 4 at least, and by 10 at most."""
+"""Time step that residuals belong to [s]; the fine pass divides the model's by 4 to 10."""
 
 _LONG = 400
-"""Windows of more steps are divided by 4 only."""
+"""Windows of more steps are divided by 4 only; the rest is extrapolated."""
 
 _NUDGE = 0.2
 """Perturbation of a starting state, in units of the noise."""
@@ -228,7 +228,7 @@ class Windows:
         self.transitions = self._transitions(make, base)
         jacobian = self.jacobian()
         self.basis = orthonormal(jacobian)
-        correction = self.whiten(self.states([make], fine=True)[0]) - self.whiten(base)
+        correction = self._step_error(make, base)
         self._centre(make, steps, self.whiten(base) + correction, correction, jacobian)
         self.jacobians = jacobian
         self.rebase(make)
@@ -265,9 +265,18 @@ class Windows:
     def rebase(self, make: MakeWorld) -> None:
         """Make another hypothesis the base for residuals; starting states and their directions stay."""
         self.base = self.states([make])[0]
-        fine = self.whiten(self.states([make], fine=True)[0])
-        self.correction = fine - self.whiten(self.base)
-        self.residual = project(fine, self.basis)
+        self.correction = self._step_error(make, self.base)
+        self.residual = project(self.whiten(self.base) + self.correction, self.basis)
+
+    def _step_error(self, make: MakeWorld, base: np.ndarray) -> np.ndarray:
+        """What the model's time step does to the states `base` (W, k + 1, nq + nv) of a hypothesis, (W, R).
+
+        The error of a step is of first order in its length. What the fine pass leaves of it looks like a delay of half
+        a fine step; where that is longer than it should be the rest is extrapolated.
+        """
+        step = self.fine_step
+        rest = (self.dt - min(step, _FINE)) / (self.dt - step)
+        return rest * (self.whiten(self.states([make], fine=True)[0]) - self.whiten(base))
 
     def residuals(self, makes: Sequence[MakeWorld]) -> list[np.ndarray]:
         """Projected residuals (W, R) of hypotheses, by true simulation."""
