@@ -27,8 +27,8 @@ from btr_mjx.runs import IGNORED_FIELDS, RunFolder, is_unused
 Arrays = dict[str, np.ndarray]
 Step = Callable[[float], object]
 
-IGNORED = (*IGNORED_FIELDS, "seeds", "draw_only")
-"""Settings that may change when a folder is taken up again: more seeds are more units."""
+IGNORED = (*IGNORED_FIELDS, "seeds", "parts", "truths", "draw_only")
+"""Settings that may change when a folder is taken up again: more seeds, or parts, are more units."""
 
 ASSUMED_RATE = 400.0
 """Whole trials per second that the estimates of time assume; two quiet cores reach it with the lanes engine."""

@@ -235,6 +235,8 @@ def test_maps(tmp_path: Path) -> None:
     assert (tmp_path / "maps" / "maps.png").exists()
     maps.main([*TINY, str(tmp_path / "one"), "--seeds", "1", "--parts", "truth"])
     assert set(numbers(tmp_path / "one" / "maps.json")) == {"truth"}
+    maps.main([*TINY, str(tmp_path / "one"), "--seeds", "1", "--parts", "marks", "--resume"])
+    assert set(numbers(tmp_path / "one" / "maps.json")) == {"truth", "marks1", "marks2"}
 
 
 # ---- resuming ----
