@@ -22,7 +22,7 @@ from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.forces import Circumstances, Description, ForceFit, Forces, circumstances, describe, lack_of_fit
 from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.intervals import intervals
-from btr_mjx.gap.openloop import open_loop
+from btr_mjx.gap.openloop import followed, following, open_loop
 from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.score import bounded, project
 from btr_mjx.gap.screening import tolerance_of
@@ -106,6 +106,10 @@ def identify(
         rounds.append(bench.find(named[-1]))
         if rounds[-1] and accepted(bench, rounds[-1][0], named[-1]):
             rounds[-1] = bench.polish(rounds[-1], most=1)
+    base = bench.base
+    if bench.dispersion > COARSE and not bench.survey.contact:
+        note("whole recordings")
+        base, named[-1:] = followed(bench, base), [following(bench, judged) for judged in named[-1:]]
     note("lack of fit")
     rng = np.random.default_rng([seed, 1])
     check = _Check(bench, rng)
@@ -123,10 +127,10 @@ def identify(
         effects=_named(bench, said, rounds, rng),
         ranking=_ranking(rounds),
         equivalent=equivalent(rounds[0]) if rounds[0] and verdict == "effect" else (),
-        gap=_gap(bench, said[-1] if said else None),
+        gap=_gap(bench, base, said[-1] if said else None),
         disagreement=check.map(),
         unexplained=check.words(final) if verdict == "unexplained" or surprised else (),
-        believed=_believed(bench, final),
+        believed=_believed(bench, base, final),
         confounds=confounds(bench, named if verdict == "effect" else []),
         overlays=_overlays(bench, final),
         share=share,
@@ -303,7 +307,7 @@ def _ranking(rounds: Sequence[Sequence[Judged]]) -> tuple[Row, ...]:
     return tuple(rows)
 
 
-def _gap(bench: Bench, judged: Judged | None) -> Gap:
+def _gap(bench: Bench, start: Hypothesis, judged: Judged | None) -> Gap:
     windows, freedom = bench.test.windows, bench.test.windows.freedom
     base = bench.nuisance(bench.test).profile(windows.residual, bench.cut).chi2
     end = base if judged is None else judged.chi2
@@ -313,7 +317,7 @@ def _gap(bench: Bench, judged: Judged | None) -> Gap:
         return float(bounded(chi2, cut).mean() / freedom)
 
     residual = windows.residual if judged is None else judged.residual
-    loops = open_loop(bench, [bench.base, bench.base if judged is None else judged.hypothesis])
+    loops = open_loop(bench, [start, start if judged is None else judged.hypothesis])
     return Gap(
         mean(base),
         mean(end),
@@ -324,9 +328,9 @@ def _gap(bench: Bench, judged: Judged | None) -> Gap:
     )
 
 
-def _believed(bench: Bench, final: Judged | None) -> tuple[Refit, ...]:
-    last = bench.base if final is None else final.hypothesis
-    rows = zip(bench.dataset.parameters, bench.before, bench.base.believed, last.believed, strict=True)
+def _believed(bench: Bench, base: Hypothesis, final: Judged | None) -> tuple[Refit, ...]:
+    last = base if final is None else final.hypothesis
+    rows = zip(bench.dataset.parameters, bench.before, base.believed, last.believed, strict=True)
     return tuple(Refit(p.name, a, b, c) for p, a, b, c in rows)
 
 
