@@ -6,7 +6,7 @@ for a reality that is native MuJoCo at another time step and integrator;
 (b) against the last of the eight marks, m = 15, with exact and with noisy measurements, and with a curriculum of marks;
 (c) against the number of marks;
 (d) against the diversity p_m of the behaviours, mutants of one evolved controller;
-(e) against m where trials are chosen three at a time: at random, the fittest of an evolution in s_0 (the paper's
+(e) against m where noisy trials are chosen three at a time: at random, the fittest of an evolution in s_0 (the paper's
 choice), or those on which simulations that explain the trials so far disagree most;
 (f) for random truths, m = 15.
 
@@ -79,7 +79,7 @@ def units(config: MapsConfig) -> list[Unit]:
         for name, point in points_of(config).items():
             found.append(Unit(f"{name}-{seed}", cost_of(config, point), partial(search_at, config, point, seed)))
         for choice in get_args(Choice) if "choice" in config.parts else ():
-            cost = (searched + 1) * sum(rounds) * share
+            cost = (searched * (sum(rounds) + ROUND) / 2 + sum(rounds)) * share
             if choice == "fittest":
                 cost += config.population * config.generations
             if choice == "disagreement":

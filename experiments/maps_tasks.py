@@ -59,6 +59,8 @@ class MapsConfig(Config):
     """p_m of the mutants of one evolved controller that are tried in (d)."""
     pool: int = 60
     """Controllers to choose from in (e)."""
+    choice_noise: float = 0.05
+    """Relative standard deviation of a measurement in (e): exact ones tell all lengths from three trials."""
     believed: int = 16
     """Simulations whose disagreement counts in (e)."""
     truths: int = 10
@@ -241,7 +243,10 @@ def choose(config: MapsConfig, choice: Choice, seed: int, step: Step, journal: J
         tried += left[:ROUND]
         left = left[ROUND:]
         controllers = pool[tried]
-        search = task.find(start, controllers, task.measure(controllers), len(rows))
+        measured = task.measure(controllers, config.choice_noise)
+        # Later searches start from what the one before found.
+        generations = config.search_generations // (2 if rows else 1)
+        search = task.find(start, controllers, measured, len(rows), generations)
         start = search.best[-1]
         rows.append(task.result(search) | {"m": float(len(tried))})
     return {name: np.array([row[name] for row in rows]) for name in ("error", "distance", "m")}
