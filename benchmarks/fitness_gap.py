@@ -35,7 +35,7 @@ from btr_mjx.gap.saved import as_result
 from btr_mjx.gap.world import World
 from btr_mjx.progress import note, progress
 
-STRONG = 2.0
+STRONG = 3.0
 """Change of the fitness by a strong effect, in units of what calibration's leftovers change."""
 PER_KIND = 2
 """Cases of one kind, at most."""
@@ -110,7 +110,7 @@ def _answers(config: Config, trials: Trials, rows: np.ndarray) -> Answers:
     path, step = config.out / "answers.npz", COARSER[0] * float(model.opt.timestep)
     if not path.is_file():
         found = answers(trials, library, rows, step, note)
-        arrays = {f"sizes_{i}": own for i, own in enumerate(found.sizes)}
+        arrays = {f"tried_{i}": own for i, own in enumerate(found.tried)}
         arrays |= {f"change_{i}": own for i, own in enumerate(found.change)}
         write_arrays(path, arrays | {"rows": rows, "believed": found.believed})
     saved = read_arrays(path)
@@ -120,7 +120,7 @@ def _answers(config: Config, trials: Trials, rows: np.ndarray) -> Answers:
         saved["rows"],
         step,
         saved["believed"],
-        tuple(saved[f"sizes_{i}"] for i in each),
+        tuple(saved[f"tried_{i}"] for i in each),
         tuple(saved[f"change_{i}"] for i in each),
     )
 

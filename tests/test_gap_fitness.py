@@ -126,10 +126,11 @@ def test_answers_against_single_simulations(folder: Path) -> None:
     rows = np.arange(3)
     slippery = {c.name: c for c in candidates(MODEL, Scales.of(MODEL), EFFECTS)}["ground_friction@world"]
     known = answers(trials, [slippery], rows, 0.002)
-    world = slippery.apply(World.of(MODEL), slippery.null + known.sizes[0])
+    world = slippery.apply(World.of(MODEL), slippery.null + known.tried[0][0])
     expected = trials.fitness([world], rows)[0] - trials.fitness([World.of(MODEL)], rows)[0]
     np.testing.assert_array_equal(known.change[0][0], expected)
-    assert known.sizes[0][0] == pytest.approx(8 * slippery.parameters[0].step)
+    assert known.tried[0].shape == (1, 1)
+    assert known.tried[0][0, 0] == pytest.approx(8 * slippery.parameters[0].step)
 
 
 def test_leads_are_a_fit_within_bounds(rng: np.random.Generator) -> None:
@@ -138,14 +139,8 @@ def test_leads_are_a_fit_within_bounds(rng: np.random.Generator) -> None:
     other = next(c for c in both if c.effect.name == "payload")
     step = friction.parameters[0].step
     change = rng.normal(size=(2, 12))
-    known = Answers(
-        (other, friction),
-        np.arange(12),
-        0.002,
-        np.zeros(12),
-        (np.array([0.1]), np.array([step])),
-        (change[:1], change[1:]),
-    )
+    tried = (0.1 * np.eye(len(other.parameters))[:1], np.array([[step]]))
+    known = Answers((other, friction), np.arange(12), 0.002, np.zeros(12), tried, (change[:1], change[1:]))
     first, second = leads(known, 3.0 * change[1])
     assert (first.candidate, first.explained) == (friction, pytest.approx(1.0))
     assert first.values[0] == pytest.approx(3.0 * step)
@@ -153,6 +148,21 @@ def test_leads_are_a_fit_within_bounds(rng: np.random.Generator) -> None:
     against = next(lead for lead in leads(known, -3.0 * change[1]) if lead.candidate is friction)
     assert against.values[0] == friction.parameters[0].low  # there is no friction below none
     assert against.explained <= 0
+
+
+def test_directions_are_tried_both_ways(folder: Path, rng: np.random.Generator) -> None:
+    """Pushed either way the robot goes further: the fit takes the side that was seen, not the opposite of the other."""
+    slope = {c.name: c for c in candidates(MODEL, Scales.of(MODEL), EFFECTS)}["ground_slope@world"]
+    rows = np.arange(2)
+    known = answers(Trials(load_fitness(folder)), [slope], rows, 0.002)
+    step = 4 * slope.parameters[0].step
+    np.testing.assert_allclose(known.tried[0], step * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))
+    ahead, behind, left, right = change = rng.uniform(0.0, 1.0, (4, 12))
+    known = Answers((slope,), np.arange(12), 0.002, np.zeros(12), known.tried, (change,))
+    (lead,) = leads(known, 1.5 * behind + 0.5 * left)
+    np.testing.assert_allclose(lead.values, [-1.5 * step, 0.5 * step])
+    assert lead.explained == pytest.approx(1.0)
+    assert leads(known, -ahead - right)[0].explained <= 0
 
 
 def test_a_coarse_step_must_not_hide_what_is_sought(folder: Path) -> None:

@@ -82,7 +82,7 @@ def expected_steps(table: FitnessTable, effects: Sequence[Effect] = EFFECTS) -> 
     """How many steps a search takes, roughly."""
     trials = Trials(table)
     model, fit = table.head.model, np.flatnonzero(~table.test)
-    worlds = sum(len(axes(c)) for c in candidates(model, trials.scales(fit[:3]), effects))
+    worlds = sum(2 * len(axes(c)) - 1 for c in candidates(model, trials.scales(fit[:3]), effects))
     per_trial = table.duration / float(model.opt.timestep)
     screened = min(SCREENED, len(fit)) / COARSER[0] * (worlds + NARROWED * len(FACTORS))
     return per_trial * (screened + len(fit) * (REFINED + len(FINE_FACTORS)) + 3 * len(table.fitness))
