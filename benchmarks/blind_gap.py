@@ -13,6 +13,7 @@ import os
 import shutil
 import sys
 import tempfile
+import time
 from collections.abc import Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
@@ -32,7 +33,7 @@ from btr_mjx.files import read_json, to_plain, write_json, write_table
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.hidden import Truth, make_case
 from btr_mjx.gap.hidden_robots import case_robot
-from btr_mjx.gap.identify import identify
+from btr_mjx.gap.identify import name_missing
 from btr_mjx.gap.recordings import load
 from btr_mjx.gap.saved import as_result
 from btr_mjx.gap.search import Bench
@@ -124,10 +125,11 @@ def _made(folder: Path) -> Path:
     return folder
 
 
-def solve(data: Path, answer: Path) -> None:
-    """Solve a case; nothing here knows where the truth is."""
-    dataset = load(data)
-    diagnosis = identify(dataset, max_effects=2)
+def solve(data: Path, answer: Path) -> Bench:
+    """Solve a case; nothing here knows where the truth is. Returns the bench, for the oracle."""
+    begun, dataset = time.monotonic(), load(data)
+    bench = Bench(dataset, EFFECTS)
+    diagnosis = name_missing(bench, begun=begun)
     result = as_result(diagnosis, dataset)
     others = [
         row
@@ -142,15 +144,22 @@ def solve(data: Path, answer: Path) -> None:
         | {"ranking": result["ranking"][:10], "best_score": best}
         | {"margin": best - others[0]["score"] if others and result["ranking"] else None},
     )
+    return bench
 
 
-def consult(config: Config, files: Files) -> None:
-    """Gain of what is hidden, at its true parameters, and of each part of a pair beside the other."""
+def consult(config: Config, files: Files, bench: Bench | None) -> None:
+    """Gain of what is hidden, at its true parameters, and of each part of a pair beside the other.
+
+    Args:
+      config: of the benchmark.
+      files: of the case.
+      bench: that the case was solved with, if it was solved just now.
+    """
     truth = read_json(files.truth)
     missing = truth["effects"]
     gains: list[float] = []
     if missing and config.oracle:
-        bench = Bench(load(files.data), EFFECTS)
+        bench = bench or Bench(load(files.data), EFFECTS)
         found = {candidate.name: candidate for candidate in bench.candidates}
         model = bench.dataset.model
         added = []
@@ -180,20 +189,18 @@ def _gain(bench: Bench, added: list[Any]) -> float:
     for candidate, values in added:
         hypothesis = hypothesis.with_effect(candidate, values)
     total = 0.0
-    for side, nuisance in ((bench.fit, bench.free_nuisance), (bench.test, bench.test.nuisance)):
-        before, after = (
-            nuisance.profile(side.windows.recentred(world).residual, bench.cut).loss
-            for world in (bench.base, hypothesis)
-        )
+    for side, free in ((bench.fit, bench.free), (bench.test, bench.nuisance)):
+        anew = any(candidate.name in bench.delicate for candidate, _ in added)
+        around = (side.recentred(world, anew) for world in (bench.base, hypothesis))
+        before, after = (free(own).profile(own.windows.residual, bench.cut).loss for own in around)
         total += float(before - after) / bench.dispersion
     return total
 
 
 def work(config: Config, files: Files) -> None:
     """Solve a case, then ask the oracle."""
-    if not files.answer.is_file():
-        solve(files.data, files.answer)
-    consult(config, files)
+    bench = None if files.answer.is_file() else solve(files.data, files.answer)
+    consult(config, files, bench)
     shutil.rmtree(files.data, ignore_errors=True)
 
 

@@ -23,6 +23,9 @@ XML = """
       </body>
     </body>
   </worldbody>
+  <tendon>
+    <fixed name="cord" springlength="-9 0"><joint joint="elbow" coef="1"/></fixed>
+  </tendon>
   <actuator>
     <position name="shoulder" joint="shoulder" kp="20" kv="0.5"/>
     <position name="elbow" joint="elbow" kp="10" kv="0.2"/>

@@ -1,4 +1,5 @@
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,8 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.commands import Command
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
-from btr_mjx.gap.identify import equivalent, identify
+from btr_mjx.gap.identify import equivalent, identify, missing
+from btr_mjx.gap.leftover import Leftover
 from btr_mjx.gap.next_experiment import compare, propose, random_commands, recordings_needed
 from btr_mjx.gap.recordings import Believed
 from btr_mjx.gap.search import Bench, Options
@@ -92,6 +94,20 @@ def test_something_outside_the_library_is_called_unexplained():
     assert found.unexplained[0].startswith("joint:shoulder")
 
 
+def test_a_spring_on_one_side_is_not_called_a_spring():
+    """A cord that pulls in one half of the range: stiffness explains most of it, but not its shape."""
+
+    def cord(model):
+        model.tendon_stiffness[0] = 0.1
+
+    library = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "joint_stiffness", "armature"))
+    found = identify(dataset(cord, seed=6), library, options=QUICK)
+    assert (found.ranking[0].effect, found.ranking[0].location) == ("joint_stiffness", "joint:elbow")
+    assert found.ranking[0].score > 5 * found.threshold
+    assert found.verdict == "unexplained"
+    assert found.unexplained[0].startswith("joint:elbow: a force there follows")
+
+
 def test_two_effects_at_once():
     def both(model):
         damped(model)
@@ -99,6 +115,45 @@ def test_two_effects_at_once():
 
     found = identify(dataset(both, seed=4), LIBRARY, max_effects=2, options=QUICK)
     assert {named.name for named in found.effects} == {"viscous_damping@joint:elbow", "armature@joint:shoulder"}
+
+
+def as_judged(name, score):
+    return SimpleNamespace(score=score, hypothesis=SimpleNamespace(effects=[(SimpleNamespace(name=name), (1.0,))]))
+
+
+def test_what_moves_contacts_is_equivalent_further_away():
+    judged = [as_judged("a", 500.0), as_judged("b", 480.0), as_judged("c", 460.0), as_judged("d", 300.0)]
+    assert equivalent(judged) == ("a", "b")
+    assert equivalent(judged, {"c"}) == ("a", "b", "c")
+    assert equivalent(judged, {"a"}) == ("a", "b", "c")
+
+
+def left_by(gains, dispersion=1.0):
+    """A check in which hypotheses leave given gains at one joint; 45 may be chance."""
+    left = {gain: Leftover(np.array([0.0]), np.array([0.0]), left, None) for gain, left in gains.items()}
+    bench = SimpleNamespace(dispersion=dispersion)
+    return SimpleNamespace(bench=bench, gain=45.0, excess=5.5, left=lambda judged: left[judged.gain])
+
+
+@pytest.mark.parametrize(
+    ("left", "expected"),
+    [
+        ({1000.0: 40.0}, False),  # chance
+        ({1000.0: 100.0}, True),
+        ({5000.0: 100.0}, False),  # little beside what the name explains
+        ({1000.0: 300.0, 1200.0: 40.0}, True),  # a second name explains less than a force of another shape
+        ({1000.0: 300.0, 1500.0: 40.0}, False),  # two effects
+    ],
+)
+def test_what_a_name_may_leave(left, expected):
+    named = [SimpleNamespace(gain=gain) for gain in left]
+    assert missing(left_by(left), named, 0.9, 0.0) is expected
+
+
+def test_real_machines_leave_more():
+    named = [SimpleNamespace(gain=1000.0)]
+    assert not missing(left_by({}, dispersion=50.0), named, 0.7, 30.0)
+    assert missing(left_by({}, dispersion=50.0), named, 0.3, 30.0)
 
 
 def test_results_are_bit_identical():

@@ -42,12 +42,12 @@ def test_what_has_no_numbers_stays(bench: Bench) -> None:
 
 def test_a_name_that_follows_is_judged_by_its_new_numbers(bench: Bench) -> None:
     start = at(bench, 0.03)
-    sides = bench.fit.windows, bench.test.windows
+    sides = bench.fit, bench.test
     values = start.values(bench.joint)
     refined = bench.find()[0].refined
     (judged,) = bench.judge([start], [refined], sides)
     again = following(bench, judged)
-    np.testing.assert_array_equal(again.refined.residual, sides[0].residuals([again.hypothesis])[0])
+    np.testing.assert_array_equal(again.refined.residual, sides[0].windows.residuals([again.hypothesis])[0])
     np.testing.assert_array_equal(again.refined.values, again.hypothesis.values(bench.joint))
     assert again.hypothesis.values(bench.joint)[0] > 2 * values[0]
     assert again.held_out > judged.held_out

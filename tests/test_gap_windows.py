@@ -8,11 +8,14 @@ from btr_mjx.gap.effect import candidates
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.forces import ForceFit, circumstances, describe, lack_of_fit
 from btr_mjx.gap.hypotheses import Hypothesis
+from btr_mjx.gap.leftover import Joints, features
 from btr_mjx.gap.planning import place
+from btr_mjx.gap.refine import Nuisance
 from btr_mjx.gap.scales import Scales
 from btr_mjx.gap.score import project
 from btr_mjx.gap.sensitivity import force_signatures, signatures
 from btr_mjx.gap.smoothing import Span, Track, best_span, smooth
+from btr_mjx.gap.transitions import strangeness, transitions
 from btr_mjx.gap.windows import Windows, prepare
 from btr_mjx.gap.worlds import World, simulate
 
@@ -114,6 +117,91 @@ def test_unknown_forces_find_joint_and_variable():
     assert best.dof == 1
     assert best.follows[0][0].startswith("position")
     assert best.follows[0][2] < 0  # a spring pulls back
+
+
+def noise_of(windows, seed):
+    rng = np.random.default_rng(seed)
+    return project(rng.standard_normal(windows.residual.shape), windows.basis)
+
+
+def test_a_force_of_an_unknown_shape_is_found_at_its_joint(windows):
+    """A cable that pulls in one half plane, as the signatures have it, on top of noise; and noise alone."""
+    around = circumstances(windows, World.of)
+    fit = ForceFit(windows, around)
+    known = features(arm(), fit, around)
+    nothing = Nuisance.of(np.zeros((0, *windows.residual.shape), np.float32), np.zeros(0))
+    one = next(f for f in known if f.dof == 0 and f.name == "absolute position")
+    pull = np.einsum("wb,wbr->wr", one.values, fit.columns.reshape(len(windows), *fit.shape, -1)[:, 0])
+    noise = noise_of(windows, 0)
+    size = 12.0 / np.linalg.norm(pull)
+    joints = Joints(fit, nothing, known)
+    found = joints(noise + size * pull, 1e4)
+    assert found.feature is not None
+    assert (found.feature.dof, found.feature.name) == (0, "absolute position")
+    assert found.gain > 60
+    quiet = joints(noise, 1e4)
+    assert quiet.gain < 25
+    assert quiet.worst < 4 < found.worst
+
+
+def test_what_is_fitted_along_is_not_left_over(windows):
+    around = circumstances(windows, World.of)
+    fit = ForceFit(windows, around)
+    known = features(arm(), fit, around)
+    nothing = Nuisance.of(np.zeros((0, *windows.residual.shape), np.float32), np.zeros(0))
+    one = next(f for f in known if f.dof == 1 and f.name == "position cubed")
+    pull = np.einsum("wb,wbr->wr", one.values, fit.columns.reshape(len(windows), *fit.shape, -1)[:, 1])
+    residual = noise_of(windows, 1) + 10.0 / np.linalg.norm(pull) * pull
+    joints = Joints(fit, nothing, [one])
+    blind = joints(residual, 1e4, pull[None].astype(np.float32))
+    assert blind.gain == 0
+    assert joints(residual, 1e4).gain > 40
+
+
+def test_transitions_are_found_anew_only_where_they_changed(windows):
+    """A stop at the elbow that the believed arm does not have changes the intervals in which it is touched."""
+
+    def stopped(model):
+        world = World.of(model)
+        world.model.jnt_limited[1], world.model.jnt_range[1] = 1, (-3.0, 0.0)
+        world.model.jnt_solref[1] = -10000.0, -10.0
+        return world
+
+    states = windows.states([stopped])[0]
+    touched = states[:, :-1, 1] > 0.0
+    assert 0.1 < touched.mean() < 0.9
+    error = strangeness(windows, stopped, states)
+    inside = states[:, :-1, 1] < -0.1
+    assert np.median(error[inside]) < 0.1
+    assert np.median(error[touched]) > 2.0
+    anew = windows.recentred(stopped, anew=True)
+    states = anew.states([stopped])[0]
+    full = transitions(windows, stopped, states)
+    scale = SIGMA / SIGMA[:, None]
+    error = np.abs((anew.transitions - full) * scale).max((2, 3))
+    assert np.quantile(error, 0.9) < 0.5
+    assert np.quantile(np.abs((windows.transitions - full) * scale).max((2, 3)), 0.8) > 2.0
+
+
+def test_starting_states_of_another_world_are_projected_out_when_found_anew(windows):
+    def stiff(model):
+        world = World.of(model)
+        world.model.jnt_stiffness[1] = 60.0
+        return world
+
+    there = windows.recentred(stiff, anew=True)
+    nudge = 0.5 * SIGMA
+    start = there.qpos + nudge[:2], there.qvel + nudge[2:]
+    raw = there.whiten(there.states([stiff], start=start)[0]) - there.whiten(there.base)
+    left = [np.abs(project(raw, w.basis)).max() / np.abs(raw).max() for w in (windows, there)]
+    assert left[1] < 0.05 < left[0]
+
+
+def test_some_windows_are_windows(windows):
+    part = windows.some(np.array([3, 1]))
+    make = World.of
+    np.testing.assert_allclose(part.residuals([make])[0], windows.residuals([make])[0][[3, 1]], atol=1e-9)
+    assert part.recording.tolist() == windows.recording[[3, 1]].tolist()
 
 
 def test_smoothing_is_exact_for_polynomials_at_uneven_times():

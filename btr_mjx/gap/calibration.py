@@ -12,7 +12,6 @@ import numpy as np
 from btr_mjx.gap.effect import Candidate
 from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.refine import Nuisance
-from btr_mjx.gap.score import project
 from btr_mjx.gap.screening import tolerance_of
 from btr_mjx.gap.windows import Windows
 
@@ -66,9 +65,3 @@ def stubborn(windows: Windows, nuisance: Nuisance, draws: Sequence[Hypothesis], 
     u, s, _ = np.linalg.svd(spread, full_matrices=False)
     shrink = 1.0 - 1.0 / np.sqrt(1.0 + s**2)
     return u * np.sqrt(shrink)[:, None, :]
-
-
-def soften(windows: Windows, directions: np.ndarray) -> None:
-    """Let directions (W, R, D) of `stubborn` count less in all residuals of some windows from now on."""
-    windows.residual = project(windows.residual, directions)
-    windows.basis = np.concatenate([windows.basis, directions], axis=2)

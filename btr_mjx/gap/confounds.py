@@ -32,7 +32,7 @@ def confounds(bench: Bench, named: Sequence[Judged]) -> tuple[Confound, ...]:
     if not named:
         return ()
     final = named[-1]
-    nuisance = bench.free_nuisance
+    nuisance = bench.free(bench.fit)
     rest = Rest(nuisance.columns, nuisance.precision, weight(final.refined.chi2, bench.cut))
     taken = {candidate.effect.name for candidate, _ in final.hypothesis.effects}
     first = len(final.refined.values) - final.hypothesis.numbers

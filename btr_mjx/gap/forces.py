@@ -111,15 +111,22 @@ class Forces:
 
 
 class ForceFit:
-    """Fits unknown generalised forces to residuals of one set of windows."""
+    """Fits unknown generalised forces to residuals of one set of windows.
+
+    Attributes:
+      bins: parts of a window with a force of their own.
+      columns: (W, nv * bins, R) their signatures, degree of freedom first.
+    """
 
     def __init__(self, windows: Windows, around: Circumstances, bins: int | None = None) -> None:
         length = float(np.median(windows.since[:, -1]))
         self.bins = min(bins or max(_BINS, round(length / _PART)), windows.k)
         self.part = parts(windows.k, self.bins)
         columns = force_signatures(windows, around.inverse, self.bins)
-        self._shape = (len(windows), windows.nv, self.bins)
-        stacked = np.moveaxis(columns, 0, 1).astype(float)  # (W, nv * bins, R)
+        self.shape = (windows.nv, self.bins)
+        self._shape = (len(windows), *self.shape)
+        self.columns = np.ascontiguousarray(np.moveaxis(columns, 0, 1))  # (W, nv * bins, R)
+        stacked = self.columns.astype(float)
         scale = np.sqrt((stacked**2).sum(2)) + 1e-300
         u, s, vt = np.linalg.svd(stacked / scale[..., None], full_matrices=False)
         keep = s > 1e-3 * s[:, :1]

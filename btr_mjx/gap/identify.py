@@ -9,28 +9,31 @@ unexplained is measured against unknown generalised forces, which stand for ever
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
-from btr_mjx.gap.calibration import tolerance_draws
+from btr_mjx.gap.check import Check
 from btr_mjx.gap.confounds import confounds
-from btr_mjx.gap.diagnosis import Diagnosis, DisagreementMap, Gap, Named, Overlay, Refit, Row
-from btr_mjx.gap.disagreement import disagreement, place_names
+from btr_mjx.gap.diagnosis import Diagnosis, Gap, Named, Overlay, Refit, Row
+from btr_mjx.gap.disagreement import place_names
 from btr_mjx.gap.effect import Effect
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.forces import Circumstances, Description, ForceFit, Forces, circumstances, describe, lack_of_fit
 from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.intervals import intervals
 from btr_mjx.gap.openloop import followed, following, open_loop
+from btr_mjx.gap.polish import Polisher
 from btr_mjx.gap.recordings import Dataset
-from btr_mjx.gap.score import bounded, project
+from btr_mjx.gap.score import bounded
 from btr_mjx.gap.screening import tolerance_of
 from btr_mjx.gap.search import Bench, Judged, Options
 from btr_mjx.gap.worlds import Counter
 
 THRESHOLD = 15.0
 """Score, beyond the price of its numbers, that a name needs."""
+
+CONTACT_THRESHOLD = 40.0
+"""The same of what moves contacts, whose directions are found anew: near a touchdown these are a matter of chance."""
 
 SECOND_THRESHOLD = 25.0
 """What one more effect needs; what the first one's linearisation leaves must not count as a second one."""
@@ -47,23 +50,23 @@ TOLERANCES = 4.0
 MARGIN = 25.0
 """Candidates whose scores differ by less are called equivalent."""
 
-SURPRISE = 6.0
-"""Lack of fit that cannot be noise where nothing was named, in standard deviations."""
+CONTACT_MARGIN = 0.1
+"""The same where one of them moves contacts, at least, as a part of the best score."""
 
-_NULLS = 5
-"""Simulated nulls behind the lack of fit."""
+SURPRISE = 6.0
+"""Lack of fit over everything that cannot be noise where nothing was named, in standard deviations."""
 
 LEFT_OVER = 4.0
-"""Lack of fit that a name may leave, in standard deviations."""
+"""The same where something was named."""
 
-SHARE = 0.85
-"""Part of what unknown forces explain that a name must explain where it leaves more than that."""
+LEFT_SHARE = 0.06
+"""Part of its own gain that a name may leave at single joints."""
 
 COARSE = 5.0
 """Dispersion beyond which no model of this kind reaches the noise: real machines have a hundred small effects."""
 
 COARSE_SHARE = 0.55
-"""The same part there."""
+"""Part of what unknown forces explain that a name must explain there."""
 
 
 def identify(
@@ -93,10 +96,34 @@ def identify(
       InputError: no recordings on one side of the split, recordings too short for a window, no motion.
     """
     begun = time.monotonic()
+    bench = Bench(dataset, effects, options, progress, counter)
+    return name_missing(bench, max_effects, seed, progress, begun)
+
+
+def name_missing(
+    bench: Bench,
+    max_effects: int = 2,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+    begun: float | None = None,
+) -> Diagnosis:
+    """The part of `identify` that follows when a bench is ready.
+
+    Args:
+      bench: as it was made.
+      max_effects: largest number of effects that are named.
+      seed: of the resampling behind intervals.
+      progress: called with a word on what is being done.
+      begun: time at which the work began, of `time.monotonic`; None for now.
+
+    Returns:
+      The diagnosis.
+    """
+    begun = time.monotonic() if begun is None else begun
     note = progress or (lambda _: None)
-    bench = Bench(dataset, effects, options, note, counter)
     note("leaders")
-    rounds = [bench.polish(bench.find())]
+    polish = Polisher(bench)
+    rounds = [polish(bench.find())]
     named: list[Judged] = []
     while rounds[-1] and accepted(bench, rounds[-1][0], named[-1] if named else None):
         named.append(rounds[-1][0])
@@ -105,28 +132,28 @@ def identify(
         note("one more effect")
         rounds.append(bench.find(named[-1]))
         if rounds[-1] and accepted(bench, rounds[-1][0], named[-1]):
-            rounds[-1] = bench.polish(rounds[-1], most=1)
+            rounds[-1] = polish(rounds[-1], most=1)
     base = bench.base
     if bench.dispersion > COARSE and not bench.survey.contact:
         note("whole recordings")
         base, named[-1:] = followed(bench, base), [following(bench, judged) for judged in named[-1:]]
     note("lack of fit")
     rng = np.random.default_rng([seed, 1])
-    check = _Check(bench, rng)
+    check = Check(bench, rng)
     final = named[-1] if named else None
     share = check.share(final)
     before, after = check.surprise(None), check.surprise(final)
+    best = rounds[0][0] if rounds[0] else None
     verdict = "effect" if named else "none"
-    enough = COARSE_SHARE if bench.dispersion > COARSE else SHARE
-    surprised = after > (LEFT_OVER if named else SURPRISE)
-    if surprised and (final is None or share < enough):
+    surprised = missing(check, named, share, after) if named else strange(check, best)
+    if surprised:
         verdict = "unexplained"
     said = named if verdict == "effect" else []
     return Diagnosis(
         verdict=verdict,  # type: ignore[arg-type]
         effects=_named(bench, said, rounds, rng),
         ranking=_ranking(rounds),
-        equivalent=equivalent(rounds[0]) if rounds[0] and verdict == "effect" else (),
+        equivalent=equivalent(rounds[0], bench.delicate) if rounds[0] and verdict == "effect" else (),
         gap=_gap(bench, base, said[-1] if said else None),
         disagreement=check.map(),
         unexplained=check.words(final) if verdict == "unexplained" or surprised else (),
@@ -157,7 +184,10 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None) -> bool:
     gain = judged.gain - (given.gain if given else 0.0)
     held_out = judged.held_out - (given.held_out if given else 0.0)
     expected = gain * len(bench.test.windows) / len(bench.fit.windows)
-    if score < (SECOND_THRESHOLD if given else THRESHOLD):
+    needed = SECOND_THRESHOLD if given else THRESHOLD
+    if judged.hypothesis.effects[-1][0].name in bench.delicate:
+        needed = max(needed, CONTACT_THRESHOLD)
+    if score < needed:
         return False
     if held_out < max(HELD_OUT, HELD_OUT_SHARE * expected):
         return False
@@ -166,95 +196,52 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None) -> bool:
     return abs(values[0] - candidate.null[0]) > TOLERANCES * tolerance
 
 
-def equivalent(judged: Sequence[Judged]) -> tuple[str, ...]:
+def missing(check: Check, named: Sequence[Judged], share: float, surprise: float) -> bool:
+    """Whether what was named leaves so much that something else must be at work.
+
+    Args:
+      check: of the lack of fit.
+      named: what was named, each beside those before.
+      share: part of what unknown forces explain that the last one explains.
+      surprise: lack of fit that it leaves, in standard deviations.
+    """
+    if check.bench.dispersion > COARSE:
+        return surprise > LEFT_OVER and share < COARSE_SHARE
+    if len(named) > 1:
+        # What a force of another shape explains better than the second name was never two effects.
+        first = check.left(named[0])
+        if first.gain > max(check.gain, named[1].gain - named[0].gain):
+            return True
+    left, most = check.left(named[-1]), LEFT_SHARE * named[-1].gain
+    return left.gain > max(check.gain, most) or (left.worst > check.excess and float(left.chi2.max()) > most)
+
+
+def strange(check: Check, best: Judged | None) -> bool:
+    """Whether something is missing though nothing may be named; what the best candidate explains is weak, not strange.
+
+    Args:
+      check: of the lack of fit.
+      best: candidate of the first round.
+    """
+    judged = best if best is not None and best.score > 0 else None
+    left = check.left(judged)
+    return check.surprise(judged) > SURPRISE or left.gain > check.gain or left.worst > check.excess
+
+
+def equivalent(judged: Sequence[Judged], delicate: Collection[str] = ()) -> tuple[str, ...]:
     """Names that the data cannot tell from the best one, the best one first.
 
     Args:
       judged: one round, best first.
+      delicate: names of candidates that move contacts, whose scores are less certain.
     """
-    best = judged[0]
-    close = [j for j in judged if best.score - j.score <= MARGIN and j.score > 0.3 * best.score]
-    return tuple(j.hypothesis.effects[-1][0].name for j in close)
-
-
-class _Check:
-    """Unknown forces on both sides of the split."""
-
-    def __init__(self, bench: Bench, rng: np.random.Generator) -> None:
-        self.bench = bench
-        self.sides = (bench.fit, bench.test)
-        self.around: list[Circumstances] = [circumstances(side.windows, bench.base) for side in self.sides]
-        self.fits = [ForceFit(side.windows, around) for side, around in zip(self.sides, self.around, strict=True)]
-        self.null = self._null(rng)
-
-    def _residual(self, i: int, judged: Judged | None) -> np.ndarray:
-        if judged is None:
-            residual = self.sides[i].windows.residual
-        else:
-            residual = (judged.refined.residual, judged.residual)[i]
-        return self.sides[i].nuisance.absorbed(residual, self.bench.cut)
-
-    def _forces(self, i: int, judged: Judged | None) -> Forces:
-        return self.fits[i](self._residual(i, judged))
-
-    def _null(self, rng: np.random.Generator) -> tuple[float, float]:
-        """Mean and spread of the lack of fit where nothing is missing but what calibration leaves.
-
-        Tolerances are drawn and truly simulated, because what they leave beyond the linear picture looks like a lack
-        of fit; the sensors' noise is added.
-        """
-        bench = self.bench
-        draws = tolerance_draws(bench.base, bench.candidates, bench.dataset.tolerances, rng, _NULLS)
-        found: list[list[Forces]] = [[] for _ in draws]
-        for i, side in enumerate(self.sides):
-            windows = side.windows
-            for own, residual in zip(found, windows.residuals(draws), strict=True):
-                noise = project(rng.standard_normal(residual.shape), windows.basis)
-                there = residual - windows.residual + noise
-                own.append(self.fits[i](side.nuisance.absorbed(there, bench.cut)))
-        fits = [lack_of_fit(own) for own in found]
-        return float(np.mean(fits)), float(np.std(fits))
-
-    def surprise(self, judged: Judged | None) -> float:
-        """Lack of fit over both sides, in standard deviations beyond that of a null."""
-        value = lack_of_fit([self._forces(i, judged) for i in (0, 1)])
-        return (value - self.null[0]) / float(np.hypot(1.0, 1.5 * self.null[1]))
-
-    def share(self, judged: Judged | None) -> float:
-        """Part of what unknown forces explain that a hypothesis explains, over both sides of the split."""
-        if judged is None:
-            return 0.0
-        start = end = 0.0
-        for i in (0, 1):
-            before, after = self._forces(i, None), self._forces(i, judged)
-            cut = np.maximum(3.0 * np.median(before.explained), 2.0 * before.rank)
-            start += float((bounded(before.explained, cut) - before.rank).sum())
-            end += float((bounded(after.explained, cut) - after.rank).sum())
-        return 1.0 - end / start if start > 0 else 0.0
-
-    def map(self) -> DisagreementMap:
-        """The map before any fit."""
-        forces = self.fits[0](self.sides[0].windows.residual)
-        return disagreement(self.bench.dataset.model, self.fits[0], forces, self.around[0])
-
-    def words(self, judged: Judged | None) -> tuple[str, ...]:
-        """The best description of what is left."""
-        names = place_names(self.bench.dataset.model)
-        found = describe(self.fits[0], self._forces(0, judged), self.around[0])
-        return tuple(sentence(d, names) for d in found)
-
-
-def sentence(description: Description, names: Sequence[str]) -> str:
-    """A description in words."""
-    text = f"{names[description.dof]}: {100 * description.share:.0f} % of the unexplained force"
-    text += f", root mean square {description.size:.3g} (SI)"
-    if description.follows:
-        parts = []
-        for name, dof, correlation in description.follows:
-            where = "" if dof is None or dof == description.dof else f" of {names[dof]}"
-            parts.append(f"{name}{where} (correlation {correlation:+.2f})")
-        text += ", follows " + " and ".join(parts)
-    return text
+    best, out = judged[0], []
+    for j in judged:
+        names = [k.hypothesis.effects[-1][0].name for k in (best, j)]
+        margin = max(MARGIN, CONTACT_MARGIN * best.score) if any(n in delicate for n in names) else MARGIN
+        if best.score - j.score <= margin and j.score > 0.3 * best.score:
+            out.append(names[1])
+    return tuple(out)
 
 
 def _named(bench: Bench, named: Sequence[Judged], rounds: Sequence[Sequence[Judged]], rng: np.random.Generator):
@@ -269,7 +256,7 @@ def _named(bench: Bench, named: Sequence[Judged], rounds: Sequence[Sequence[Judg
         own = named[i]
         score = own.score - (before.score if before else 0.0)
         held_out = own.held_out - (before.held_out if before else 0.0)
-        others = tuple(name for name in equivalent(rounds[i]) if name != candidate.name)
+        others = tuple(name for name in equivalent(rounds[i], bench.delicate) if name != candidate.name)
         effect = candidate.effect
         out.append(
             Named(

@@ -21,8 +21,8 @@ def intervals(bench: Bench, judged: Judged, rng: np.random.Generator) -> list[Es
       judged: the hypothesis.
       rng: for the draws.
     """
-    windows = bench.fit.windows
-    nuisance = bench.free_nuisance
+    windows = judged.sides[0].windows
+    nuisance = bench.free(judged.sides[0])
     data = nuisance.evidence(judged.refined.residual, judged.refined.columns)
     size, count = len(judged.refined.values), len(windows)
     precision = np.concatenate([np.zeros(size), nuisance.precision])

@@ -79,11 +79,11 @@ def following(bench: Bench, judged: Judged) -> Judged:
       judged: what was found.
     """
     hypothesis = followed(bench, judged.hypothesis)
-    residual = judged.windows[0].residuals([hypothesis])[0]
-    own = bench.free_nuisance.profile(residual, bench.cut)
+    residual = judged.sides[0].windows.residuals([hypothesis])[0]
+    own = bench.free(judged.sides[0]).profile(residual, bench.cut)
     values = hypothesis.values(bench.joint)
     refined = replace(judged.refined, values=values, residual=residual, loss=own.loss, chi2=own.chi2)
-    return bench.judge([hypothesis], [refined], judged.windows, judged.references)[0]
+    return bench.judge([hypothesis], [refined], judged.sides, judged.references)[0]
 
 
 def recording_errors(data: Data, makes: Sequence[MakeWorld], counter: Counter | None = None) -> np.ndarray:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from btr_mjx.gap.score import Evidence, Fit, fit, robust_gain
+from btr_mjx.gap.score import Evidence, Fit, fit, project, robust_gain
 from btr_mjx.gap.windows import MakeWorld, Windows
 
 _PATIENCE = 3
@@ -50,6 +50,14 @@ class Nuisance:
         Residuals that are not noise must not pull tolerances beyond what calibration leaves.
         """
         return Nuisance(self.columns, self.precision * dispersion, self.gram)
+
+    def projected(self, basis: np.ndarray) -> "Nuisance":
+        """The same where other directions (W, R, D) are projected out, see `score.project`."""
+        return Nuisance.of(project(np.moveaxis(self.columns, 1, 0), basis).astype(self.columns.dtype), self.precision)
+
+    def some(self, index: np.ndarray) -> "Nuisance":
+        """Those of some windows."""
+        return Nuisance(self.columns[index], self.precision, self.gram[index])
 
     def evidence(self, residual: np.ndarray, columns: np.ndarray) -> Evidence:
         """Evidence of a residual (W, R) on free columns (P, W, R) followed by the nuisances."""

@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.calibration import soften, stubborn, tolerance_draws
-from btr_mjx.gap.effect import Effect, candidates
+from btr_mjx.gap.calibration import stubborn, tolerance_draws
+from btr_mjx.gap.effect import Candidate, Effect, candidates
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
+from btr_mjx.gap.leaders import contact_scan, pick, starts
 from btr_mjx.gap.noise import estimate_noise
-from btr_mjx.gap.places import Place
 from btr_mjx.gap.planning import Survey, place, survey
 from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.refine import Nuisance, Refined, refine
@@ -34,6 +34,7 @@ from btr_mjx.gap.screening import (
     tolerance_of,
 )
 from btr_mjx.gap.search_records import Judged, Options, Side
+from btr_mjx.gap.sensitivity import intervals_per_look
 from btr_mjx.gap.smoothing import best_span, smooth
 from btr_mjx.gap.windows import Data, Windows, prepare, track_of
 from btr_mjx.gap.worlds import Counter
@@ -111,7 +112,6 @@ class Bench:
         own = screen(self.test.windows, self.base, known, self.single)
         bare = Hypothesis((), ())  # what may be refitted is refitted on the other side only
         self.test = Side(self.test.windows, self._softened(self.test.windows, bare, own, draws)[1])
-        self._polished_residuals: tuple[np.ndarray, np.ndarray] | None = None
         self.dispersion = 1.0
         self.cut = _CUT * windows.freedom
         self._settle(None)
@@ -123,7 +123,7 @@ class Bench:
         steps = max(1, round(interval / float(model.opt.timestep)))
         count = sum(len(e.steps) for e in entries)
         self.single = steps >= 3 and count > 30
-        screening = count / steps if self.single else count
+        screening = count / steps / intervals_per_look(interval) if self.single else count
         state = 2 * model.nv + 12
         per_step = state + screening + 4.0 * (self.options.leaders + self.options.contact_leaders)
         share = 0.8 if len(data.recordings) >= len(held.recordings) else 0.6
@@ -160,11 +160,10 @@ class Bench:
         nuisance = nuisances(windows, base, screened, given, self.single)
         if not (self.survey.contact and len(nuisance.precision)):
             return screened, nuisance
-        directions = stubborn(windows, nuisance, draws, _CUT * windows.freedom)
-        soften(windows, directions)
+        windows.soften(stubborn(windows, nuisance, draws, _CUT * windows.freedom))
         columns = np.empty_like(screened.columns)
         for i, column in enumerate(screened.columns):
-            columns[i] = project(column, directions)
+            columns[i] = project(column, windows.soft)
         screened = replace(screened, columns=columns)
         return screened, nuisances(windows, base, screened, given, self.single)
 
@@ -197,18 +196,18 @@ class Bench:
         side = self.test if test else self.fit
         return self.nuisance(side).profile(residual, self.cut).loss / self.dispersion
 
-    def find(self, given: Judged | None = None, count: int | None = None) -> list[Judged]:
+    def find(self, given: Judged | None = None) -> list[Judged]:
         """One round: scan, refine, judge.
 
         Args:
           given: what was found before; None for the believed model.
-          count: leaders to refine instead of the usual number.
 
         Returns:
           Judged leaders, best first, gains measured against the believed model.
         """
         start = self.base if given is None else given.hypothesis
-        windows = (self.fit.windows, self.test.windows) if given is None else given.windows
+        options = self.options if given is None else self.options.fewer
+        sides = (self.fit, self.test) if given is None else given.sides
         residual = self.fit.windows.residual if given is None else given.refined.residual
         extra = None if given is None else given.refined.columns
         leads = self.scanner(residual, self.cut, extra, dispersion=self.dispersion)
@@ -216,23 +215,20 @@ class Bench:
         leads = [lead for lead in leads if self._entry(lead).candidate.name not in taken]
         if given is None and leads:
             self._settle(self._linear_best(leads[:5], residual))
-        picked = self._pick(leads, count or self.options.leaders)
-        if not picked:
+        price = np.log(self.fit.windows.residual.size) * self.dispersion
+        starting = {own[0].index: starts(own, self._entry) for own in pick(leads, self._entry, options, price).values()}
+        tries = [(self.scanner.screened.entries[index].candidate, values) for index, values in starting.items()]
+        tries = self._with_contacts(start, sides[0], residual, tries, options)
+        if not tries:
             return []
         hypotheses = []
-        for starts in picked.values():
-            candidate = self._entry(starts[0]).candidate
-            own = start.with_effect(candidate, starts[0].values)
-            head = own.values(self.joint)[: -len(starts[0].values)]
-            tries = [np.concatenate([head, lead.values]) for lead in starts]
-            if any(self._entry(lead).probe for lead in starts):
-                tries += [np.concatenate([head, values]) for values in self._grid(starts[0])]
-            elif candidate.name in self.delicate:
-                tries += [np.concatenate([head, values]) for values in self._probes(starts[0])]
-            hypotheses.append((own, tries))
+        for candidate, values in tries:
+            own = start.with_effect(candidate, values[0])
+            head = own.values(self.joint)[: -len(values[0])]
+            hypotheses.append((own, [np.concatenate([head, v]) for v in values]))
         found = refine(
-            windows[0],
-            self.free_nuisance,
+            sides[0].windows,
+            self.free(sides[0]),
             self.cut,
             [(unknowns(own, self.joint, self.delicate), tries) for own, tries in hypotheses],
             self.options.iterations,
@@ -242,12 +238,38 @@ class Bench:
         if given is None:
             best = min(found, key=lambda r: r.loss)
             self._settle(best.chi2)
-        return self.judge(refined, found, windows, None if given is None else given.references)
+        return self.judge(refined, found, sides, None if given is None else given.references)
 
-    @property
-    def free_nuisance(self) -> Nuisance:
-        """What is fitted along with leaders: without the believed numbers where these move by themselves."""
-        nuisance = self.nuisance(self.fit)
+    def _with_contacts(
+        self,
+        start: Hypothesis,
+        side: Side,
+        residual: np.ndarray,
+        tries: Sequence[tuple[Candidate, list[np.ndarray]]],
+        options: Options,
+    ) -> list[tuple[Candidate, list[np.ndarray]]]:
+        """Candidates with their starting values, and those that a scan of contacts adds."""
+        taken = {candidate.name for candidate, _ in start.effects}
+        moving = [c for c in self.candidates if c.name in self.delicate and c.name not in taken]
+        out = {candidate.name: (candidate, list(values)) for candidate, values in tries}
+        if not moving:
+            return list(out.values())
+        index = np.arange(0, len(side.windows), options.every)
+        half = side.some(index)
+        nuisance = self.free(half)
+        reference = nuisance.profile(residual[index], self.cut)
+        added = 0
+        for gain, candidate, values in contact_scan(half.windows, nuisance, start, moving, self.cut, reference):
+            known = candidate.name in out
+            if gain <= 0 or (added >= options.contact_leaders and not known):
+                continue
+            added += not known
+            out.setdefault(candidate.name, (candidate, []))[1].append(values)
+        return list(out.values())
+
+    def free(self, side: Side) -> Nuisance:
+        """What is fitted along on the side to fit: without the believed numbers where these move by themselves."""
+        nuisance = self.nuisance(side)
         if not self.joint:
             return nuisance
         keep = slice(0, len(nuisance.precision) - len(self.base.parameters))
@@ -257,7 +279,7 @@ class Bench:
         self,
         hypotheses: Sequence[Hypothesis],
         found: Sequence[Refined],
-        windows: tuple[Windows, Windows],
+        sides: tuple[Side, Side],
         references: tuple[Fit, Fit] | None = None,
     ) -> list[Judged]:
         """Judge refined hypotheses on both sides of the split, best first.
@@ -265,107 +287,30 @@ class Bench:
         Args:
           hypotheses: with their refined values.
           found: what the refinement found on the recordings to fit.
-          windows: of both sides, to judge on.
+          sides: of the split, to judge on.
           references: fits of the believed model on both sides; None for the usual ones.
         """
-        held = windows[1].residuals(list(hypotheses))
-        nuisance = self.free_nuisance
+        held = sides[1].windows.residuals(list(hypotheses))
+        nuisance = self.free(sides[0])
         size = np.log(self.fit.windows.residual.size + self.test.windows.residual.size)
         reference = self.reference if references is None else references
         out = []
         for hypothesis, refined, residual in zip(hypotheses, found, held, strict=True):
-            own = nuisance.profile(refined.residual, self.cut), self.nuisance(self.test).profile(residual, self.cut)
-            gain, held_out = (self._gain(a, b) for a, b in zip(reference, own, strict=True))
+            own = nuisance.profile(refined.residual, self.cut), self.nuisance(sides[1]).profile(residual, self.cut)
+            gain, held_out = (self.fall(a, b) for a, b in zip(reference, own, strict=True))
             score = gain + held_out - size * hypothesis.numbers
-            out.append(Judged(hypothesis, refined, gain, held_out, score, residual, own[1].chi2, windows, reference))
+            out.append(Judged(hypothesis, refined, gain, held_out, score, residual, own[1].chi2, sides, reference))
         return sorted(out, key=lambda judged: -judged.score)
 
-    def _gain(self, before: Fit, after: Fit) -> float:
+    def fall(self, before: Fit, after: Fit) -> float:
         """Robust fall of the loss, without the window that gains most: one touchdown must not make a name."""
         fall = bounded(before.chi2, self.cut) - bounded(after.chi2, self.cut)
         most = float(np.quantile(np.abs(fall), 0.8)) * 3.0 + 15.0
         best = float(np.clip(fall.max(), 0.0, most))
         return (robust_gain(before, after, self.cut) - best) / self.dispersion
 
-    def polish(self, judged: Sequence[Judged], within: float = 40.0, most: int = 3) -> list[Judged]:
-        """Judge the leaders again, with starting states that suit each of them.
-
-        Args:
-          judged: best first.
-          within: leaders so close to the best are polished as well.
-          most: at most so many.
-
-        Returns:
-          All of them, best first.
-        """
-        if not judged:
-            return []
-        near = max(within, 0.1 * judged[0].score)
-        close = [j for j in judged if judged[0].score - j.score <= near][:most]
-        out = [j for j in judged if j not in close]
-        references = self._polished()
-        for own in close:
-            windows = self.fit.windows.recentred(own.hypothesis)
-            free = unknowns(own.hypothesis, self.joint, self.delicate)
-            start = own.hypothesis.values(self.joint)
-            refined = refine(windows, self.free_nuisance, self.cut, [(free, [start])], 2, references[0])[0]
-            hypothesis = own.hypothesis.replaced(refined.values, self.joint)
-            both = windows, self.test.windows.recentred(hypothesis)
-            out += self.judge([hypothesis], [refined], both, references)
-        return sorted(out, key=lambda j: -j.score)
-
-    def _polished(self) -> tuple[Fit, Fit]:
-        """Fits of the believed model with starting states polished as those of leaders are."""
-        if self._polished_residuals is None:
-            sides = (self.fit.windows.recentred(self.base), self.test.windows.recentred(self.base))
-            self._polished_residuals = (sides[0].residual, sides[1].residual)
-        first, second = self._polished_residuals
-        return self.nuisance(self.fit).profile(first, self.cut), self.nuisance(self.test).profile(second, self.cut)
-
     def _entry(self, lead: Lead) -> Entry:
         return self.scanner.screened.entries[lead.index]
-
-    def _pick(self, leads: Sequence[Lead], count: int) -> dict[str, list[Lead]]:
-        """Leaders by name, each with one or more starts."""
-        price = np.log(self.fit.windows.residual.size) * self.dispersion
-
-        def merit(lead: Lead) -> float:
-            return lead.gain - price * len(lead.values)
-
-        by_name: dict[str, list[Lead]] = {}
-        for lead in sorted(leads, key=merit, reverse=True):
-            by_name.setdefault(self._entry(lead).candidate.name, []).append(lead)
-        names = list(by_name)
-        chosen = names[:count]
-        moving = [name for name in names[count:] if name in self.delicate][: self.options.contact_leaders]
-        # A limit looks like a weak motor from afar: where a motor leads, its limit is tried as well.
-        limits = [name for name in names if any(self._entry(lead).probe for lead in by_name[name])]
-        places = [self._entry(by_name[name][0]).candidate.place for name in names[:2]]
-        same = [n for n in limits if any(_overlap(self._entry(by_name[n][0]).candidate.place, p) for p in places)]
-        picked = dict.fromkeys([*chosen, *moving, *limits[:1], *same[:1]])
-        return {name: sorted(by_name[name], key=lambda lead: -self._entry(lead).probe)[:3] for name in picked}
-
-    def _grid(self, lead: Lead) -> list[np.ndarray]:
-        """Starts of a limit all the way to its tightest."""
-        entry, out = self._entry(lead), []
-        first = entry.candidate.parameters[0]
-        tightest = first.low if first.step < 0 else first.high
-        for share in (0.1, 0.25, 0.4, 0.55, 0.7, 0.85):
-            values = lead.values.copy()
-            values[0] = first.null + share * (tightest - first.null)
-            out.append(values)
-        return out
-
-    def _probes(self, lead: Lead) -> list[np.ndarray]:
-        """Further starts of a candidate that moves contacts: some steps to either side."""
-        entry, out = self._entry(lead), []
-        first = entry.candidate.parameters[0]
-        for factor in (3.0, -3.0):
-            values = lead.values.copy()
-            values[0] = np.clip(first.null + factor * first.step, first.low, first.high)
-            if values[0] != first.null:
-                out.append(values)
-        return out
 
     def _linear_best(self, leads: Sequence[Lead], residual: np.ndarray) -> np.ndarray:
         """Windows' chi^2 (W,) of the lead with the lowest median, in the linear picture."""
@@ -379,11 +324,6 @@ class Bench:
                 best = chi2
         assert best is not None
         return best
-
-
-def _overlap(a: Place, b: Place) -> bool:
-    """Whether two places are the same motors or joints."""
-    return bool(a.joints) and set(a.joints) == set(b.joints)
 
 
 def _typical(chi2: np.ndarray, freedom: int) -> float:

@@ -1,13 +1,13 @@
 """Records of the search: what it may cost, the two sides of the split, a judged hypothesis."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.refine import Nuisance, Refined
 from btr_mjx.gap.score import Fit
-from btr_mjx.gap.windows import Windows
+from btr_mjx.gap.windows import MakeWorld, Windows
 
 
 @dataclass(frozen=True)
@@ -17,18 +17,25 @@ class Options:
     Attributes:
       steps: simulated steps that one search may cost, roughly.
       leaders: candidates that are refined by true simulation.
-      contact_leaders: further candidates that move contacts, which start from several values.
+      contact_leaders: candidates that move contacts that are refined beyond those, by a scan of true simulations.
       iterations: Gauss-Newton steps of a refinement.
+      every: candidates that move contacts are scanned on one of so many windows.
     """
 
-    steps: float = 7e5
+    steps: float = 4.4e5
     leaders: int = 6
     contact_leaders: int = 4
     iterations: int = 3
+    every: int = 2
+
+    @property
+    def fewer(self) -> "Options":
+        """What is spent on one more effect: about half."""
+        return replace(self, leaders=max(1, self.leaders // 2), contact_leaders=self.contact_leaders // 2, every=4)
 
     def budget(self, nv: int) -> float:
         """Simulated steps that may go into a model of `nv` degrees of freedom: small ones step faster."""
-        return self.steps * float(np.clip(20.0 / nv, 1.0, 2.0))
+        return self.steps * float(np.clip(20.0 / nv, 1.0, 3.2))
 
 
 @dataclass(frozen=True)
@@ -43,6 +50,15 @@ class Side:
     windows: Windows
     nuisance: Nuisance
 
+    def recentred(self, make: MakeWorld, anew: bool = False) -> "Side":
+        """The same around another hypothesis, see `Windows.recentred`."""
+        windows = self.windows.recentred(make, anew)
+        return Side(windows, self.nuisance.projected(windows.basis) if anew else self.nuisance)
+
+    def some(self, index: np.ndarray) -> "Side":
+        """Some of the windows."""
+        return Side(self.windows.some(index), self.nuisance.some(index))
+
 
 @dataclass(frozen=True, eq=False)
 class Judged:
@@ -56,7 +72,7 @@ class Judged:
       score: gain on both, less what its numbers cost.
       residual: (W, R) on the held-out windows.
       chi2: (W,) there, with the tolerances at their best.
-      windows: of both sides of the split, with the starting states that it was judged with.
+      sides: of the split, with the starting states that it was judged with.
       references: fits of the believed model on both sides, with starting states found in the same way.
     """
 
@@ -67,7 +83,7 @@ class Judged:
     score: float
     residual: np.ndarray
     chi2: np.ndarray
-    windows: tuple[Windows, Windows]
+    sides: tuple[Side, Side]
     references: tuple[Fit, Fit]
 
     @property

@@ -12,6 +12,9 @@ import numpy as np
 from btr_mjx.gap.windows import MakeWorld, Windows
 from btr_mjx.gap.worlds import Job, Stretch, World, simulate
 
+_HOLD = 0.005
+"""What a world adds is evaluated once in so long a time [s], or once in every sample interval if that is longer."""
+
 _CHUNK = 64
 """Signatures that are projected at once."""
 
@@ -28,20 +31,22 @@ def signatures(
       windows: linearised around `base`.
       base: the base world.
       makes: worlds that differ a little from it.
-      single: one step in the middle of each interval instead of all its steps.
+      single: one step in the middle of each interval, or of a few short ones, instead of all steps.
 
     Returns:
       (C, W, R) projected signatures in units of the noise, float32.
     """
     out = np.zeros((len(makes), *windows.residual.shape), np.float32)
-    pieces = _middles(windows, base) if single else _intervals(windows)
+    hold = intervals_per_look(float(np.median(np.diff(windows.since, axis=1)))) if single else 1
+    pieces = _middles(windows, base, hold) if single else _intervals(windows)
     for first in range(0, len(makes), _CHUNK):
         chunk = list(makes[first : first + _CHUNK])
         worlds = [[make(model) for model in windows.models] for make in [base, *chunk]]
         found = _ends(windows, worlds, pieces)
         change = np.nan_to_num(windows.minus(found[1:], found[:1]))
         if single:
-            change = _spread(windows, change[..., windows.nv :] / windows.dt)
+            pushed = np.repeat(change[..., windows.nv :] / windows.dt, hold, axis=2)[:, :, : windows.k]
+            change = _spread(windows, pushed)
         out[first : first + len(chunk)] = windows.carry(change)
     return out
 
@@ -93,16 +98,23 @@ def _intervals(windows: Windows) -> list[tuple[np.ndarray, Stretch]]:
     return out
 
 
-def _middles(windows: Windows, base: MakeWorld) -> list[tuple[np.ndarray, Stretch]]:
-    """Each group's windows and one step around the middle of each sample interval."""
+def intervals_per_look(interval: float) -> int:
+    """Sample intervals of some length [s] that share one evaluation of what a world adds."""
+    return max(1, int(_HOLD / interval + 1e-6))
+
+
+def _middles(windows: Windows, base: MakeWorld, hold: int) -> list[tuple[np.ndarray, Stretch]]:
+    """Each group's windows and one step around the middle of every `hold` sample intervals."""
     out = []
-    middle = 0.5 * (windows.since[:, 1:] + windows.since[:, :-1]) - 0.5 * windows.dt
+    first = np.arange(0, windows.k, hold)
+    last = np.minimum(first + hold, windows.k)
+    middle = 0.5 * (windows.since[:, first] + windows.since[:, last]) - 0.5 * windows.dt
     middle = np.maximum(middle, 0.0)
     for model, own in windows.groups:
         stretch = windows.stretch(own, windows.qpos[own], windows.qvel[own], middle[own])
         states = simulate([(base(model), stretch)], counter=windows.counter)[0]
-        act = 0.5 * (windows.act[own][:, 1:] + windows.act[own][:, :-1])
-        count = len(own) * windows.k
+        act = 0.5 * (windows.act[own][:, first] + windows.act[own][:, last])
+        count = len(own) * len(first)
         out.append(
             (
                 own,
@@ -112,7 +124,7 @@ def _middles(windows: Windows, base: MakeWorld) -> list[tuple[np.ndarray, Stretc
                     qvel=states[..., windows.nq :].reshape(count, -1),
                     samples=np.full((count, 1), windows.dt),
                     commands=windows.data.commands,
-                    recording=np.repeat(windows.recording[own], windows.k),
+                    recording=np.repeat(windows.recording[own], len(first)),
                     act=act.reshape(count, -1) if act.shape[2] else None,
                 ),
             )
@@ -123,13 +135,14 @@ def _middles(windows: Windows, base: MakeWorld) -> list[tuple[np.ndarray, Stretc
 def _ends(
     windows: Windows, worlds: Sequence[Sequence[World]], pieces: Sequence[tuple[np.ndarray, Stretch]]
 ) -> np.ndarray:
-    """States at the ends of the pieces in each world, (C, W, k, nq + nv)."""
+    """States at the ends of the pieces in each world, (C, W, pieces of a window, nq + nv)."""
     jobs: list[Job] = []
     for own_worlds in worlds:
         jobs += [(world, stretch) for world, (_, stretch) in zip(own_worlds, pieces, strict=True)]
     found = simulate(jobs, counter=windows.counter)
-    out = np.empty((len(worlds), len(windows), windows.k, windows.nq + windows.nv))
+    each = len(pieces[0][1]) // len(pieces[0][0])
+    out = np.empty((len(worlds), len(windows), each, windows.nq + windows.nv))
     for i in range(len(worlds)):
         for j, (own, _) in enumerate(pieces):
-            out[i, own] = found[i * len(pieces) + j].reshape(len(own), windows.k, -1)
+            out[i, own] = found[i * len(pieces) + j].reshape(len(own), each, -1)
     return out

@@ -18,6 +18,7 @@ from btr_mjx.gap.recordings import Recording
 from btr_mjx.gap.score import orthonormal, project
 from btr_mjx.gap.smoothing import Span, Track, histories, smooth
 from btr_mjx.gap.tangent import difference, integrate
+from btr_mjx.gap.transitions import strangeness, transitions
 from btr_mjx.gap.worlds import Counter, Job, Stretch, World, simulate
 
 MakeWorld = Callable[[mujoco.MjModel], World]
@@ -29,14 +30,20 @@ _FINE = 1.25e-4
 _LONG = 400
 """Windows of more steps are divided by 4 only; the rest is extrapolated."""
 
-_NUDGE = 0.2
-"""Perturbation of a starting state, in units of the noise."""
+_STRANGE = 1.0
+"""Error of an interval's transition, see `strangeness`, beyond which it is found anew."""
 
 _REACH = 2.0
 """How far a starting state may be led away from the smoothed one, in units of the noise; more where smoothing fails."""
 
 _UNSEEN = 50.0
 """Coordinates that were not measured may be led away further by this factor."""
+
+_PER_WINDOW = (
+    *("recording", "first", "time", "since", "target_q", "target_v", "act", "qpos", "qvel", "reach"),
+    *("residual", "basis", "soft", "correction", "base", "transitions", "jacobians"),
+)
+"""Arrays with a row for every window."""
 
 _CEILING = 1e4
 """Residuals are cut here, in units of the noise; a diverged simulation counts as this."""
@@ -97,7 +104,8 @@ class Windows:
       k: samples of a window after the first.
       qpos, qvel: (W, nq), (W, nv) starting states, measured coordinates.
       residual: (W, R) projected residual of the base world in units of the noise; set by `linearise`.
-      basis: (W, R, D) orthonormal directions of the starting state.
+      basis: (W, R, D) orthonormal directions of the starting state, then those of `soften`.
+      soft: (W, R, S) the latter.
       freedom: residual degrees of freedom of a window.
     """
 
@@ -131,6 +139,7 @@ class Windows:
         self.channels = np.flatnonzero(data.measured)
         self.residual = np.zeros((len(self), (k + 1) * len(self.channels)))
         self.basis = np.zeros((len(self), self.residual.shape[1], 0))
+        self.soft = self.basis
         self.correction = np.zeros_like(self.residual)
         self.base = np.zeros((0, 0, 0))
 
@@ -225,22 +234,40 @@ class Windows:
           steps: Gauss-Newton steps of the starting states; a window keeps a step only if it helps.
         """
         base = self.states([make])[0]
-        self.transitions = self._transitions(make, base)
-        jacobian = self.jacobian()
-        self.basis = orthonormal(jacobian)
+        self.transitions = transitions(self, make, base)
+        self.jacobians = self.jacobian()
         correction = self._step_error(make, base)
-        self._centre(make, steps, self.whiten(base) + correction, correction, jacobian)
-        self.jacobians = jacobian
+        self._centre(make, steps, self.whiten(base) + correction, correction)
+        self._differentiate(make)
         self.rebase(make)
 
-    def _centre(
-        self, make: MakeWorld, steps: int, raw: np.ndarray, correction: np.ndarray, jacobian: np.ndarray
-    ) -> None:
+    def _differentiate(self, make: MakeWorld) -> None:
+        """Directions of the starting states for another hypothesis or other states: anew where they have changed."""
+        states = self.states([make])[0]
+        changed = strangeness(self, make, states) > _STRANGE
+        self.transitions = transitions(self, make, states, changed, self.transitions)
+        self.jacobians = self.jacobian()
+        self.basis = orthonormal(self.jacobians)
+        self.soften(self.soft)
+
+    def soften(self, directions: np.ndarray) -> None:
+        """Let some directions count less in all residuals from now on.
+
+        Args:
+          directions: (W, R, D), scaled as those of `project`; what they share with starting states is left out.
+        """
+        state = self.basis[:, :, : 2 * self.nv]
+        off = project(np.moveaxis(directions, 2, 0), state)
+        self.soft = np.moveaxis(off, 0, 2)
+        self.basis = np.concatenate([state, self.soft], 2)
+        self.residual = project(self.residual, self.soft)
+
+    def _centre(self, make: MakeWorld, steps: int, raw: np.ndarray, correction: np.ndarray) -> None:
         """Gauss-Newton steps of the starting states; a window keeps a step only if it helps.
 
         A wrong model would drag its starting states along; they stay near the smoothed ones, which know no model.
         """
-        inverse = np.linalg.pinv(jacobian, rcond=1e-10)
+        inverse = np.linalg.pinv(self.jacobians, rcond=1e-10)
         model, raw, sigma = self.groups[0][0], raw.copy(), self.data.sigma
         smoothed = np.concatenate(self.smoothed, -1)
         for _ in range(steps):
@@ -253,13 +280,33 @@ class Windows:
             self.qpos[better], self.qvel[better] = start[0][better], start[1][better]
             raw[better] = trial[better]
 
-    def recentred(self, make: MakeWorld, steps: int = 2) -> "Windows":
-        """A copy whose starting states suit another hypothesis, which is its base for residuals."""
+    def recentred(self, make: MakeWorld, anew: bool = False) -> "Windows":
+        """A copy whose starting states suit another hypothesis, which is its base for residuals.
+
+        Args:
+          make: the hypothesis.
+          anew: what the starting states could explain is found anew as well. Where a hypothesis lets a foot touch at
+            another time, the base world's directions leave the noise of the starting state in the residual, and
+            judge the truth worse than nothing.
+        """
         other = copy.copy(self)
         other.qpos, other.qvel = self.qpos.copy(), self.qvel.copy()
         raw = self.whiten(self.states([make])[0]) + self.correction
-        other._centre(make, steps, raw, self.correction, self.jacobians)
+        other._centre(make, 1 if anew else 2, raw, self.correction)
+        if anew:
+            other._differentiate(make)
+            raw = other.whiten(other.states([make])[0]) + self.correction
+            other._centre(make, 1, raw, self.correction)
         other.rebase(make)
+        return other
+
+    def some(self, index: np.ndarray) -> "Windows":
+        """Some of the windows."""
+        other = copy.copy(self)
+        for name in _PER_WINDOW:
+            setattr(other, name, getattr(self, name)[index])
+        other.smoothed = self.smoothed[0][index], self.smoothed[1][index]
+        other.groups = other._by_model()
         return other
 
     def rebase(self, make: MakeWorld) -> None:
@@ -282,51 +329,34 @@ class Windows:
         """Projected residuals (W, R) of hypotheses, by true simulation."""
         return [project(self.whiten(s) + self.correction, self.basis) for s in self.states(makes)]
 
-    def _transitions(self, make: MakeWorld, base: np.ndarray) -> np.ndarray:
-        """How a small change of the state at each sample carries over to the next sample, (W, k, 2 nv, 2 nv)."""
-        size = 2 * self.nv
-        out = np.zeros((len(self), self.k, size, size))
-        step = _NUDGE * self.data.sigma
-        jobs: list[Job] = []
-        for model, own in self.groups:
-            world, starts = make(model), base[own][:, :-1]  # (w, k, nx)
-            q, v = starts[..., : self.nq], starts[..., self.nq :]
-            nudge = np.concatenate([np.zeros((1, size)), np.diag(step)])  # (1 + size, 2 nv)
-            qs = integrate(model, q[..., None, :], nudge[:, : self.nv])
-            vs = v[..., None, :] + nudge[:, self.nv :]
-            jobs.append((world, self.pieces(own, qs, vs)))
-        timestep = 2 * self.dt if self._may_stride() else None
-        found = simulate(jobs, timestep=timestep, counter=self.counter)
-        for (_, own), states in zip(self.groups, found, strict=True):
-            states = states.reshape(len(own), self.k, 1 + size, -1)
-            moved = np.nan_to_num(self.minus(states[:, :, 1:], states[:, :, :1]))  # (w, k, size, 2 nv)
-            out[own] = np.swapaxes(moved / step[:, None], 2, 3)
-        return out
-
-    def _may_stride(self) -> bool:
-        """Whether transitions may take steps of twice the length: they only say which directions are unknown."""
-        model = self.groups[0][0]
-        implicit = (mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
-        stiff = model.geom_solref[:, 0].min(initial=1.0)
-        interval = float(np.median(np.diff(self.since, axis=1)))
-        return model.opt.integrator in implicit and stiff >= 8 * self.dt and interval >= 3.9 * self.dt
-
     def pieces(self, own: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> Stretch:
         """Every sample interval of windows `own` as a stretch of its own, from states (w, k, n, ...)."""
-        count = qpos.shape[2]
+        return self.intervals(
+            np.repeat(own, self.k),
+            np.tile(np.arange(self.k), len(own)),
+            qpos.reshape(-1, *qpos.shape[2:]),
+            qvel.reshape(-1, *qvel.shape[2:]),
+        )
 
-        def rows(values: np.ndarray) -> np.ndarray:
-            return np.repeat(values.reshape(-1, *values.shape[2:]), count, axis=0)
+    def intervals(self, window: np.ndarray, interval: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> Stretch:
+        """Some sample intervals as stretches of their own.
 
-        length = np.diff(self.since[own], axis=1)
+        Args:
+          window: (N,) of each.
+          interval: (N,) its number within the window.
+          qpos: (N, n, nq) states that it is started from.
+          qvel: (N, n, nv).
+        """
+        count = qpos.shape[1]
+        window, interval = np.repeat(window, count), np.repeat(interval, count)
         return Stretch(
-            start=rows(self.time[own][:, :-1]),
+            start=self.time[window, interval],
             qpos=qpos.reshape(-1, self.nq),
             qvel=qvel.reshape(-1, self.nv),
-            samples=rows(length)[:, None],
+            samples=(self.since[window, interval + 1] - self.since[window, interval])[:, None],
             commands=self.data.commands,
-            recording=rows(np.repeat(self.recording[own][:, None], self.k, 1)),
-            act=rows(self.act[own][:, :-1]) if self.act.shape[2] else None,
+            recording=self.recording[window],
+            act=self.act[window, interval] if self.act.shape[2] else None,
         )
 
     def jacobian(self) -> np.ndarray:

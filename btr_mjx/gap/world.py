@@ -84,10 +84,10 @@ def _differing(model: mujoco.MjModel, base: mujoco.MjModel) -> dict[str, np.ndar
     for name in _COMPARED:
         if name.startswith("opt."):
             ours, theirs = getattr(model.opt, name[4:]), getattr(base.opt, name[4:])
-            same = np.array_equal(ours, theirs) if isinstance(ours, np.ndarray) else ours == theirs
         else:
             ours, theirs = getattr(model, name), getattr(base, name)
-            same = np.array_equal(ours, theirs)
+        # Bytes, because this is done for hundreds of worlds and array_equal takes ten times as long.
+        same = ours.tobytes() == theirs.tobytes() if isinstance(ours, np.ndarray) else ours == theirs
         if not same:
             changed[name] = np.array(ours)
     return changed

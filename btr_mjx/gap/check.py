@@ -1,0 +1,147 @@
+"""Lack of fit: what a hypothesis leaves, measured against unknown forces and against simulated nulls.
+
+Simulated nulls are worlds in which nothing is missing but what calibration leaves, with the sensors' noise: what they
+seem to leave is what may be left by chance, for these data and this model.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from btr_mjx.gap.calibration import tolerance_draws
+from btr_mjx.gap.diagnosis import DisagreementMap
+from btr_mjx.gap.disagreement import disagreement, place_names
+from btr_mjx.gap.forces import Circumstances, Description, ForceFit, Forces, circumstances, describe, lack_of_fit
+from btr_mjx.gap.leftover import Feature, Joints, Leftover, features
+from btr_mjx.gap.score import bounded, project
+from btr_mjx.gap.search import Bench, Judged
+
+_NULLS = 5
+"""Simulated nulls behind the lack of fit."""
+
+_LEAST_EXCESS = 5.5
+"""Excess at one joint that may be chance, at least, in standard deviations."""
+
+_LEAST_GAIN = 45.0
+"""Gain by something that no effect follows that may be chance, at least."""
+
+_BEYOND = 1.4
+"""What may be chance, as a factor on the largest of the simulated nulls."""
+
+
+class Check:
+    """Unknown forces on both sides of the split.
+
+    Attributes:
+      excess: largest excess at one joint that may be chance.
+      gain: largest gain by something that no effect follows that may be chance.
+    """
+
+    def __init__(self, bench: Bench, rng: np.random.Generator) -> None:
+        self.bench = bench
+        self.sides = (bench.fit, bench.test)
+        self.around: list[Circumstances] = [circumstances(side.windows, bench.base) for side in self.sides]
+        self.fits = [ForceFit(side.windows, around) for side, around in zip(self.sides, self.around, strict=True)]
+        known = features(bench.dataset.model, self.fits[0], self.around[0])
+        self._joints = Joints(self.fits[0], bench.nuisance(bench.fit), known)
+        self.null, left = self._null(rng)
+        self.excess = max(_LEAST_EXCESS, _BEYOND * max(one.worst for one in left))
+        self.gain = max(_LEAST_GAIN, _BEYOND * max(one.gain for one in left))
+
+    def _residual(self, i: int, judged: Judged | None) -> np.ndarray:
+        if judged is None:
+            residual = self.sides[i].windows.residual
+        else:
+            residual = (judged.refined.residual, judged.residual)[i]
+        side = (self.sides if judged is None else judged.sides)[i]
+        return self.bench.nuisance(side).absorbed(residual, self.bench.cut)
+
+    def _forces(self, i: int, judged: Judged | None) -> Forces:
+        return self._fit(i, judged)(self._residual(i, judged))
+
+    def _fit(self, i: int, judged: Judged | None) -> ForceFit:
+        """Unknown forces in the windows that a hypothesis was judged with."""
+        if judged is None or judged.sides[i].windows.basis is self.sides[i].windows.basis:
+            return self.fits[i]
+        return ForceFit(judged.sides[i].windows, self.around[i])
+
+    def _null(self, rng: np.random.Generator) -> tuple[tuple[float, float], list[Leftover]]:
+        """Mean and spread of the lack of fit where nothing is missing, and what is left at single joints there.
+
+        Tolerances are drawn and truly simulated, because what they leave beyond the linear picture looks like a lack
+        of fit; the sensors' noise is added.
+        """
+        bench = self.bench
+        draws = tolerance_draws(bench.base, bench.candidates, bench.dataset.tolerances, rng, _NULLS)
+        found: list[list[Forces]] = [[] for _ in draws]
+        left = []
+        for i, side in enumerate(self.sides):
+            windows, nuisance = side.windows, bench.nuisance(side)
+            for own, residual in zip(found, windows.residuals(draws), strict=True):
+                noise = project(rng.standard_normal(residual.shape), windows.basis)
+                there = residual - windows.residual + noise
+                own.append(self.fits[i](nuisance.absorbed(there, bench.cut)))
+                if i == 0:
+                    left.append(self._joints(there, bench.cut))
+        fits = [lack_of_fit(own) for own in found]
+        return (float(np.mean(fits)), float(np.std(fits))), left
+
+    def surprise(self, judged: Judged | None) -> float:
+        """Lack of fit over both sides, in standard deviations beyond that of a null."""
+        value = lack_of_fit([self._forces(i, judged) for i in (0, 1)])
+        return (value - self.null[0]) / float(np.hypot(1.0, 1.5 * self.null[1]))
+
+    def left(self, judged: Judged | None) -> Leftover:
+        """What a hypothesis leaves at single joints, on the recordings to fit."""
+        bench, joints = self.bench, self._joints
+        if judged is None:
+            return joints(bench.fit.windows.residual, bench.cut)
+        fit = self._fit(0, judged)
+        if fit is not self.fits[0] or bench.joint:
+            joints = Joints(fit, bench.free(judged.sides[0]), joints.known)
+        return joints(judged.refined.residual, bench.cut, judged.refined.columns)
+
+    def share(self, judged: Judged | None) -> float:
+        """Part of what unknown forces explain that a hypothesis explains, over both sides of the split."""
+        if judged is None:
+            return 0.0
+        start = end = 0.0
+        for i in (0, 1):
+            before, after = self._forces(i, None), self._forces(i, judged)
+            cut = np.maximum(3.0 * np.median(before.explained), 2.0 * before.rank)
+            start += float((bounded(before.explained, cut) - before.rank).sum())
+            end += float((bounded(after.explained, cut) - after.rank).sum())
+        return 1.0 - end / start if start > 0 else 0.0
+
+    def map(self) -> DisagreementMap:
+        """The map before any fit."""
+        forces = self.fits[0](self.sides[0].windows.residual)
+        return disagreement(self.bench.dataset.model, self.fits[0], forces, self.around[0])
+
+    def words(self, judged: Judged | None) -> tuple[str, ...]:
+        """The best description of what is left."""
+        names = place_names(self.bench.dataset.model)
+        fit = self._fit(0, judged)
+        found = describe(fit, self._forces(0, judged), self.around[0])
+        left = self.left(judged)
+        telling = [] if left.feature is None or left.gain <= self.gain else [telling_sentence(left.feature, names)]
+        return (*telling, *(sentence(d, names) for d in found))
+
+
+def telling_sentence(feature: Feature, names: Sequence[str]) -> str:
+    """A feature in words."""
+    where = "" if feature.other is None else f" of {names[feature.other]}"
+    return f"{names[feature.dof]}: a force there follows {feature.name}{where}, as no effect that was tried does"
+
+
+def sentence(description: Description, names: Sequence[str]) -> str:
+    """A description in words."""
+    text = f"{names[description.dof]}: {100 * description.share:.0f} % of the unexplained force"
+    text += f", root mean square {description.size:.3g} (SI)"
+    if description.follows:
+        parts = []
+        for name, dof, correlation in description.follows:
+            where = "" if dof is None or dof == description.dof else f" of {names[dof]}"
+            parts.append(f"{name}{where} (correlation {correlation:+.2f})")
+        text += ", follows " + " and ".join(parts)
+    return text

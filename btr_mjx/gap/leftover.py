@@ -1,0 +1,170 @@
+"""What a hypothesis leaves at single joints: sharper than one number for everything that could be missing.
+
+Unknown forces everywhere have a hundred unknowns a window, and what a nearly right name leaves drowns in their noise.
+It sits at few joints, though, and follows few variables. Two questions are therefore asked of every degree of freedom:
+whether forces there alone explain more than noise, and whether a force there follows something that no effect of the
+library follows, such as the angle's absolute value, a ripple, another joint's load, or time.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.forces import Circumstances, ForceFit
+from btr_mjx.gap.refine import Nuisance
+from btr_mjx.gap.score import robust_gain, weight
+
+_CAP = 6.0
+"""A window's excess counts up to so many standard deviations."""
+
+_RIPPLES = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0)
+"""Half periods of a ripple over a joint's amplitude."""
+
+_LOOK = 6
+"""So many of the most telling features are tested window by window."""
+
+
+@dataclass(frozen=True)
+class Feature:
+    """A variable that a force may follow.
+
+    Attributes:
+      dof: where the force acts.
+      name: of the variable.
+      other: degree of freedom that the variable belongs to; None for its own.
+      values: (W, bins).
+    """
+
+    dof: int
+    name: str
+    other: int | None
+    values: np.ndarray
+
+
+@dataclass(frozen=True)
+class Leftover:
+    """What is left at single joints.
+
+    Attributes:
+      excess: (nv,) standard deviations by which forces at each degree of freedom alone explain more than noise.
+      chi2: (nv,) the same, in units of chi^2.
+      gain: fall of the loss by the most telling feature, robust.
+      feature: that feature; None where nothing is left.
+    """
+
+    excess: np.ndarray
+    chi2: np.ndarray
+    gain: float
+    feature: Feature | None
+
+    @property
+    def worst(self) -> float:
+        """The largest excess."""
+        return float(self.excess.max(initial=0.0))
+
+
+def features(model: mujoco.MjModel, fit: ForceFit, around: Circumstances) -> list[Feature]:
+    """Variables that no effect of a usual library follows.
+
+    Args:
+      model: the believed model.
+      fit: unknown forces of some windows.
+      around: circumstances of the same windows.
+    """
+    position, load, time = (fit.average(x) for x in (around.position, around.load, around.time))
+    plain = np.flatnonzero(model.jnt_type[model.dof_jntid] >= int(mujoco.mjtJoint.mjJNT_SLIDE))
+    out = []
+    for dof in range(model.nv):
+        middle, half = (np.quantile(position[..., dof], q) for q in (0.5, 0.98))
+        x = (position[..., dof] - middle) / max(half - middle, 1e-12)
+        if dof not in plain:
+            out.append(Feature(dof, "position", None, x))
+            continue
+        out += [Feature(dof, "absolute position", None, np.abs(x)), Feature(dof, "position cubed", None, x**3)]
+        for count in _RIPPLES:
+            phase = count * np.pi * x
+            out += [Feature(dof, "ripple", None, wave(phase)) for wave in (np.sin, np.cos)]
+        out.append(Feature(dof, "load growing with time", None, load[..., dof] * (time - time.mean())))
+        for other in plain[plain != dof]:
+            out.append(Feature(dof, "load", int(other), load[..., other]))
+            out.append(Feature(dof, "position", int(other), position[..., other] - position[..., other].mean()))
+    return out
+
+
+class Joints:
+    """Asks residuals of one set of windows what they hold at single joints."""
+
+    def __init__(self, fit: ForceFit, nuisance: Nuisance, known: Sequence[Feature]) -> None:
+        """Prepare what does not depend on a residual.
+
+        Args:
+          fit: unknown forces of the windows.
+          nuisance: what is fitted along.
+          known: features to look for.
+        """
+        self.nuisance, self.known = nuisance, known
+        self._columns = fit.columns.reshape(len(fit.columns), *fit.shape, -1)  # (W, nv, bins, R)
+        self._gram = self._columns @ np.swapaxes(self._columns, 2, 3)  # (W, nv, bins, bins)
+        self._roots = np.linalg.eigh(self._gram)
+        self._across = self._with(nuisance.columns)
+
+    def _with(self, columns: np.ndarray) -> np.ndarray:
+        """Inner products (W, nv, bins, P) of the forces' signatures with columns (W, P, R)."""
+        windows, nv, bins, rows = self._columns.shape
+        flat = self._columns.reshape(windows, nv * bins, rows)
+        return (flat @ np.swapaxes(columns, 1, 2)).reshape(windows, nv, bins, -1)
+
+    def __call__(self, residual: np.ndarray, cut: float, free: np.ndarray | None = None) -> Leftover:
+        """What is left of a residual at single joints.
+
+        Args:
+          residual: (W, R).
+          cut: chi^2 above which a window counts less.
+          free: (P, W, R) derivatives of the residual by the numbers of a hypothesis, which are fitted along.
+        """
+        before = self.nuisance.profile(residual, cut)
+        absorbed = residual + np.einsum("wnr,n->wr", self.nuisance.columns, before.values)
+        moment = (self._columns @ absorbed[:, None, :, None])[..., 0]  # (W, nv, bins)
+        excess, chi2 = self._excess(moment)
+        w = weight(before.chi2, cut)
+        own = np.zeros((0, *residual.shape), np.float32) if free is None else free.astype(np.float32)
+        data, size = self.nuisance.evidence(absorbed, own), len(own)
+        prior = np.concatenate([np.zeros(size), self.nuisance.precision])
+        normal = np.tensordot(w, data.gram, 1) + np.diag(prior)
+        normal += (1e-9 * np.trace(normal) / max(len(prior), 1) + 1e-12) * np.eye(len(prior))
+        pull = w @ data.moment + prior * np.concatenate([np.zeros(size), before.values])
+        inverse = np.linalg.inv(normal)
+        across = np.concatenate([self._with(np.moveaxis(own, 0, 1)), self._across], -1) * w[:, None, None, None]
+        found = []
+        for feature in self.known:
+            f, dof = feature.values, feature.dof
+            size_here = float((w * np.einsum("wb,wbc,wc->w", f, self._gram[:, dof], f, optimize=True)).sum())
+            mixed = np.tensordot(f, across[:, dof], 2)
+            rest = size_here - float(mixed @ inverse @ mixed)
+            if size_here > 0 and rest > 1e-3 * size_here:
+                push = float(w @ (f * moment[:, dof]).sum(1)) - float(mixed @ inverse @ pull)
+                found.append((push**2 / rest, -push / rest, mixed, feature))
+        best, gain = None, 0.0
+        reference = self.nuisance.profile(absorbed, cut)
+        for _, amplitude, mixed, feature in sorted(found, key=lambda row: -row[0])[:_LOOK]:
+            moved = absorbed + amplitude * np.einsum(
+                "wb,wbr->wr", feature.values, self._columns[:, feature.dof], optimize=True
+            )
+            shift = -inverse @ (pull + amplitude * mixed)
+            moved = moved + np.einsum("pwr,p->wr", own, shift[:size])
+            fall = robust_gain(reference, self.nuisance.profile(moved, cut), cut)
+            if fall > gain:
+                best, gain = feature, fall
+        return Leftover(excess, chi2, gain, best)
+
+    def _excess(self, moment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Excess of unknown forces at each degree of freedom alone, in standard deviations and in chi^2."""
+        value, vector = self._roots
+        keep = value > 1e-6 * value[..., -1:]
+        inner = (np.swapaxes(vector, 2, 3) @ moment[..., None])[..., 0]
+        explained = (np.where(keep, inner**2 / np.where(keep, value, 1.0), 0.0)).sum(-1)  # (W, nv)
+        rank = keep.sum(-1)
+        beyond = np.minimum(explained - rank, _CAP * np.sqrt(2.0 * rank)).sum(0)
+        return beyond / np.sqrt(np.maximum(2.0 * rank.sum(0), 1.0)), beyond

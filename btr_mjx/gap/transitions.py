@@ -1,0 +1,112 @@
+"""How a small change of the state carries over from one sample to the next, and where that has changed.
+
+Differentiating every interval of every window is the dearest part of a linearisation. Another hypothesis changes few
+intervals, those in which something touches that did not; a single nudge in a random direction tells which.
+"""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.tangent import integrate
+from btr_mjx.gap.world import World
+from btr_mjx.gap.worlds import Job, simulate
+
+if TYPE_CHECKING:
+    from btr_mjx.gap.windows import Windows
+
+_NUDGE = 0.2
+"""Perturbation of a state, in units of the noise."""
+
+
+def transitions(
+    windows: "Windows",
+    make: Callable[[mujoco.MjModel], World],
+    states: np.ndarray,
+    wanted: np.ndarray | None = None,
+    known: np.ndarray | None = None,
+) -> np.ndarray:
+    """How a small change of the state at each sample carries over to the next sample.
+
+    Args:
+      windows: the data.
+      make: the hypothesis.
+      states: (W, k + 1, nq + nv) its states.
+      wanted: (W, k) bool: intervals to differentiate; None for all.
+      known: transitions of the others.
+
+    Returns:
+      (W, k, 2 nv, 2 nv).
+    """
+    size = 2 * windows.nv
+    nudges = np.diag(_NUDGE * windows.data.sigma)
+    if wanted is None or known is None:
+        wanted = np.ones((len(windows), windows.k), bool)
+        known = np.zeros((len(windows), windows.k, size, size))
+    out = known.copy()
+    window, interval = np.nonzero(wanted)
+    moved = _moved(windows, make, states, window, interval, np.broadcast_to(nudges, (len(window), size, size)))
+    out[window, interval] = np.swapaxes(moved / np.diag(nudges)[:, None], 1, 2)
+    return out
+
+
+def strangeness(windows: "Windows", make: Callable[[mujoco.MjModel], World], states: np.ndarray) -> np.ndarray:
+    """By how much a hypothesis' transitions differ from those that the windows know.
+
+    Args:
+      windows: linearised.
+      make: the hypothesis.
+      states: (W, k + 1, nq + nv) its states.
+
+    Returns:
+      (W, k) root sum square, in units of the noise, of the error for a nudge by the noise of every coordinate, with
+      signs of its own; its mean square over signs is the squared norm of the difference.
+    """
+    window, interval = (i.ravel() for i in np.indices((len(windows), windows.k)))
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], (len(window), 1, 2 * windows.nv))
+    nudges = signs * _NUDGE * windows.data.sigma
+    moved = _moved(windows, make, states, window, interval, nudges)[:, 0]
+    expected = (windows.transitions[window, interval] @ nudges[:, 0, :, None])[..., 0]
+    error = (moved - expected) / (_NUDGE * windows.data.sigma)
+    return np.sqrt((error**2).sum(-1)).reshape(len(windows), windows.k)
+
+
+def _moved(
+    windows: "Windows",
+    make: Callable[[mujoco.MjModel], World],
+    states: np.ndarray,
+    window: np.ndarray,
+    interval: np.ndarray,
+    nudges: np.ndarray,
+) -> np.ndarray:
+    """Where nudges (N, n, 2 nv) of the states at N intervals lead to at their ends, (N, n, 2 nv)."""
+    nq, nv = windows.nq, windows.nv
+    out = np.zeros(nudges.shape)
+    jobs: list[Job] = []
+    members = []
+    for model, own in windows.groups:
+        mine = np.flatnonzero(np.isin(window, own))
+        if not len(mine):
+            continue
+        start = states[window[mine], interval[mine], None]  # (n, 1, nx)
+        both = np.concatenate([np.zeros_like(nudges[mine, :1]), nudges[mine]], 1)
+        qpos = integrate(model, np.broadcast_to(start[..., :nq], (*both.shape[:2], nq)), both[..., :nv])
+        qvel = start[..., nq:] + both[..., nv:]
+        jobs.append((make(model), windows.intervals(window[mine], interval[mine], qpos, qvel)))
+        members.append(mine)
+    found = simulate(jobs, timestep=2 * windows.dt if _may_stride(windows) else None, counter=windows.counter)
+    for mine, ends in zip(members, found, strict=True):
+        ends = ends.reshape(len(mine), nudges.shape[1] + 1, -1)
+        out[mine] = np.nan_to_num(windows.minus(ends[:, 1:], ends[:, :1]))
+    return out
+
+
+def _may_stride(windows: "Windows") -> bool:
+    """Whether transitions may take steps of twice the length: they only say which directions are unknown."""
+    model = windows.groups[0][0]
+    implicit = (mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+    stiff = model.geom_solref[:, 0].min(initial=1.0)
+    interval = float(np.median(np.diff(windows.since, axis=1)))
+    return model.opt.integrator in implicit and stiff >= 8 * windows.dt and interval >= 3.9 * windows.dt
