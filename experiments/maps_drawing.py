@@ -7,6 +7,7 @@ import numpy as np
 from drawing import letter
 from maps_tasks import Choice
 from matplotlib.axes import Axes
+from matplotlib.ticker import LogLocator, NullFormatter
 
 LOOKS = [("o", "-", "full"), ("s", "--", "none"), ("^", ":", "full"), ("D", "-.", "none"), ("v", "-", "none")]
 """Marker, line and filling of a panel's lines."""
@@ -48,7 +49,7 @@ def over(axes: Axes, points: Sequence[tuple[float, dict[str, Any]]], label: str,
 
 
 def fill(panels: Sequence[Axes], summary: Mapping[str, Rows]) -> None:
-    """All panels; those whose map was not computed stay empty."""
+    """All panels; those whose map was not computed are hidden."""
     kinds = [(f"-noise{noise:g}", f"noise {noise:g} %") for noise in noise_levels(summary, "m")] + [
         ("-native", "other physics")
     ]
@@ -63,14 +64,18 @@ def fill(panels: Sequence[Axes], summary: Mapping[str, Rows]) -> None:
     over(panels[3], named(summary, "p_m"), "mutants", LOOKS[0])
     for row in summary.get("p_m-random", ())[:1]:
         panels[3].axhline(row["estimate"], color="0.5", lw=1, label="random")
-    for choice, look in zip(get_args(Choice), LOOKS, strict=False):
+    for i, (choice, look) in enumerate(zip(get_args(Choice), LOOKS, strict=False)):
         rows = summary.get(f"choice-{choice}", [])
         if rows:
-            error_line(panels[4], [row["m"] for row in rows], rows, choice, look)
+            m = [row["m"] for row in rows]
+            # A little aside, so that intervals do not hide each other.
+            error_line(panels[4], [value + 0.3 * (i - 1) for value in m], rows, choice, look)
+            panels[4].set(xticks=m, xticklabels=[f"{value:g}" for value in m])
     values = np.sort(summary["truth"][0]["values"]) if "truth" in summary else np.zeros(0)
     if len(values):
         panels[5].plot(values, (np.arange(len(values)) + 1) / len(values), "k.-", drawstyle="steps-post")
         panels[5].set(xscale="log")
+        panels[5].xaxis.set_minor_formatter(NullFormatter())
     panels[5].set(ylim=(0, 1.05), ylabel="share of truths", xlabel="mean error of lengths [m]")
     titles = ("behaviours", "horizon", "marks", "diversity", "choice", "random truths")
     below = ("$m$", "last mark [s]", "marks", "$p_m$", "trials in reality")
@@ -80,5 +85,10 @@ def fill(panels: Sequence[Axes], summary: Mapping[str, Rows]) -> None:
         axes.set(xlabel=words, ylabel="mean error of lengths [m]")
         if axes.lines:
             axes.set(yscale="log")
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.yaxis.set_major_formatter("{x:g}")
+            axes.yaxis.set_minor_formatter(NullFormatter())
             if axes is not panels[2]:
                 axes.legend(fontsize=7)
+    for axes in panels:
+        axes.set_visible(bool(axes.lines))
