@@ -117,7 +117,8 @@ def draw(folder: Path) -> list[Path]:
     write_json(folder / "maps.json", summary)
     with figure_of(8.4, 5.6) as figure:
         panels: Any = figure.subplots(2, 3)
-        fill(panels.ravel().tolist(), summary)
+        count = fill(figure, panels.ravel().tolist(), summary)
+        figure.set_size_inches(2.8 * min(count, 3), 2.8 * -(-count // 3))
         return [folder / "maps.json", save(figure, folder / "maps.png")]
 
 

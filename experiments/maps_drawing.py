@@ -7,6 +7,8 @@ import numpy as np
 from drawing import letter
 from maps_tasks import Choice
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
 from matplotlib.ticker import LogLocator, NullFormatter
 
 LOOKS = [("o", "-", "full"), ("s", "--", "none"), ("^", ":", "full"), ("D", "-.", "none"), ("v", "-", "none")]
@@ -48,8 +50,12 @@ def over(axes: Axes, points: Sequence[tuple[float, dict[str, Any]]], label: str,
         axes.minorticks_off()
 
 
-def fill(panels: Sequence[Axes], summary: Mapping[str, Rows]) -> None:
-    """All panels; those whose map was not computed are hidden."""
+def fill(figure: Figure, panels: Sequence[Axes], summary: Mapping[str, Rows]) -> int:
+    """Draw all panels; those whose map was not computed are removed, and the others move up.
+
+    Returns:
+      The number of panels left.
+    """
     kinds = [(f"-noise{noise:g}", f"noise {noise:g} %") for noise in noise_levels(summary, "m")] + [
         ("-native", "other physics")
     ]
@@ -90,5 +96,11 @@ def fill(panels: Sequence[Axes], summary: Mapping[str, Rows]) -> None:
             axes.yaxis.set_minor_formatter(NullFormatter())
             if axes is not panels[2]:
                 axes.legend(fontsize=7)
+    left = [axes for axes in panels if axes.lines]
     for axes in panels:
-        axes.set_visible(bool(axes.lines))
+        if not axes.lines:
+            axes.remove()
+    grid = GridSpec(-(-len(left) // 3), min(len(left), 3), figure=figure)
+    for place, axes in enumerate(left):
+        axes.set_subplotspec(grid[divmod(place, 3)])
+    return len(left)
