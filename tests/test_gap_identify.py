@@ -13,7 +13,7 @@ from btr_mjx.gap.identify import equivalent, identify, missing
 from btr_mjx.gap.leftover import Leftover
 from btr_mjx.gap.next_experiment import compare, propose, random_commands, recordings_needed
 from btr_mjx.gap.recordings import Believed
-from btr_mjx.gap.search import Bench, Options
+from btr_mjx.gap.search import Bench, Options, luckiest
 
 LIBRARY = tuple(
     e for e in EFFECTS if e.name in ("viscous_damping", "dry_friction", "armature", "actuator_gain", "actuator_delay")
@@ -39,6 +39,21 @@ def test_damping_at_the_elbow_is_named(found):
     assert estimate.low < estimate.value < estimate.high
     assert estimate.unit == "N m s/rad"
     assert found.equivalent[0] == named.name
+
+
+def test_three_recordings_are_enough():
+    """One window held out is all that there is to confirm a name, and not a stroke of luck to be left out."""
+    few = identify(dataset(damped, seed=1, fit=2, test=1), LIBRARY, max_effects=1, options=QUICK)
+    assert [named.name for named in few.effects] == ["viscous_damping@joint:elbow"]
+
+
+def test_luck_counts_where_windows_are_many():
+    falls = np.full(20, 2.0)
+    falls[3] = 500.0
+    assert luckiest(falls) == pytest.approx(3 * 2 + 15)  # the outlier, within what is usual
+    assert luckiest(-falls) == 0.0
+    assert luckiest(np.array([40.0])) == 0.0
+    assert luckiest(np.array([40.0, 40.0])) == pytest.approx(40.0 / 8)
 
 
 def test_the_gap_closes_on_held_out_recordings(found):

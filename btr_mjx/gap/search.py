@@ -45,6 +45,9 @@ _CUT = 1.5
 _HELD_OUT = 0.5
 """Windows of held-out recordings per window to fit, at most."""
 
+_MANY = 8
+"""Beside so many others, a window's gain may be luck."""
+
 _DRAWS = 8
 """Draws of all tolerances that show where these leave the linear picture."""
 
@@ -304,9 +307,7 @@ class Bench:
 
     def fall(self, before: Fit, after: Fit) -> float:
         """Robust fall of the loss, without the window that gains most: one touchdown must not make a name."""
-        fall = bounded(before.chi2, self.cut) - bounded(after.chi2, self.cut)
-        most = float(np.quantile(np.abs(fall), 0.8)) * 3.0 + 15.0
-        best = float(np.clip(fall.max(), 0.0, most))
+        best = luckiest(bounded(before.chi2, self.cut) - bounded(after.chi2, self.cut))
         return (robust_gain(before, after, self.cut) - best) / self.dispersion
 
     def _entry(self, lead: Lead) -> Entry:
@@ -324,6 +325,20 @@ class Bench:
                 best = chi2
         assert best is not None
         return best
+
+
+def luckiest(fall: np.ndarray) -> float:
+    """What the window that gains most may owe to luck, to be taken off a gain.
+
+    Args:
+      fall: (W,) by how much chi^2 falls in each window.
+
+    Returns:
+      Its fall, within a few times what is usual. Where windows are few, only a part of it: one of one, or of two, is
+      all that there is.
+    """
+    most = float(np.quantile(np.abs(fall), 0.8)) * 3.0 + 15.0
+    return float(np.clip(fall.max(), 0.0, most)) * min(1.0, (len(fall) - 1) / _MANY)
 
 
 def _typical(chi2: np.ndarray, freedom: int) -> float:
