@@ -9,7 +9,6 @@ All cases are tried with the same controllers, so that what candidates do is sim
 are files in the folder: a killed benchmark goes on where it was with the same command.
 """
 
-import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,10 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
+from summary_command import command
 
 from btr_mjx.environment import describe_environment
-from btr_mjx.errors import cli_errors
 from btr_mjx.files import read_arrays, read_json, write_arrays, write_json
 from btr_mjx.gap.effect import Candidate, candidates
 from btr_mjx.gap.effects import EFFECTS
@@ -198,10 +196,7 @@ def _line(row: Mapping[str, Any]) -> str:
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
-    config = tyro.cli(Config, args=sys.argv[1:] if argv is None else list(argv), description=__doc__)
-    with cli_errors():
-        for name, value in run(config)["summary"].items():
-            print(f"{name:24}{value:8.2f}")
+    command(Config, run, __doc__, argv)
 
 
 if __name__ == "__main__":

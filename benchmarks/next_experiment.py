@@ -10,17 +10,15 @@ Every case is a file in the folder, written when it is done: a killed benchmark 
 command.
 """
 
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
+from summary_command import command
 
 from btr_mjx.environment import describe_environment
-from btr_mjx.errors import cli_errors
 from btr_mjx.files import read_json, write_json
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.hidden import Truth, make_case
@@ -140,10 +138,7 @@ def _line(row: Mapping[str, Any]) -> str:
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
-    config = tyro.cli(Config, args=sys.argv[1:] if argv is None else list(argv), description=__doc__)
-    with cli_errors():
-        for name, value in run(config)["summary"].items():
-            print(f"{name:24}{value:8.2f}")
+    command(Config, run, __doc__, argv)
 
 
 if __name__ == "__main__":

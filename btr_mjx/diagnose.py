@@ -175,6 +175,11 @@ def library_of(names: Sequence[str]) -> tuple[Effect, ...]:
     return tuple(chosen.values())
 
 
+def own_code(names: Sequence[str]) -> bytes:
+    """The files of effects of one's own, for `journal.Journal`: what an earlier version of them gave is not theirs."""
+    return b"".join(Path(name.rpartition(":")[0]).read_bytes() for name in names if ".py:" in name)
+
+
 def _own_effect(name: str) -> Effect:
     file, _, attribute = name.rpartition(":")
     spec = importlib.util.spec_from_file_location(Path(file).stem, file)
@@ -222,7 +227,7 @@ def solve(
             bar.update(steps - bar.n)
             checkpoint()
 
-        journal = Journal(folder / JOURNAL, count)
+        journal = Journal(folder / JOURNAL, count, own_code(config.effects))
         more: dict[str, Any] = {"seed": config.seed, "signal": config.signal}
         if isinstance(dataset, FitnessTable):
             diagnosis, data, proposal = identify_fitness(dataset, library, note, counter=journal), dataset.head, None

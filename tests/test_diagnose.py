@@ -158,13 +158,13 @@ def test_a_killed_search_goes_on(
     steps = json.loads((tmp_path / "whole" / "result.json").read_text())["steps"]
     run, journal = tmp_path / "run", Journal
 
-    def killed(path: Path, report: Callable[[int], None]) -> Journal:
+    def killed(path: Path, report: Callable[[int], None], code: bytes) -> Journal:
         def count(done: int) -> None:
             report(done)
             if done > 0.6 * steps:
                 raise KeyboardInterrupt
 
-        return journal(path, count)
+        return journal(path, count, code)
 
     monkeypatch.setattr(diagnose, "Journal", killed)
     with pytest.raises(SystemExit):
@@ -175,12 +175,12 @@ def test_a_killed_search_goes_on(
     assert re.search(r"\d+%.*steps/s", err)
     kept: list[int] = []
 
-    def watched(path: Path, report: Callable[[int], None]) -> Journal:
+    def watched(path: Path, report: Callable[[int], None], code: bytes) -> Journal:
         def count(done: int) -> None:
             report(done)
             kept.append(sum(p.stat().st_mtime_ns == t for p, t in saved.items()))
 
-        return journal(path, count)
+        return journal(path, count, code)
 
     monkeypatch.setattr(diagnose, "Journal", watched)
     diagnose.main([*argv, "--out", str(run), "--no-progress", "--resume"])

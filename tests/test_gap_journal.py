@@ -53,6 +53,15 @@ def other_command() -> list:
     return [(delay.apply(World.of(arm()), [1e-3]), stretch())]
 
 
+def test_answers_of_other_code_are_not_given(tmp_path: Path) -> None:
+    """An effect of one's own that was edited between a kill and a resume must not be answered by its former self."""
+    jobs = [(World.of(arm()), stretch())]
+    simulate(jobs, counter=Journal(tmp_path, code=b"before"))
+    assert Journal(tmp_path, code=b"before").recall(jobs, None) is not None
+    assert Journal(tmp_path, code=b"after").recall(jobs, None) is None
+    assert not list(tmp_path.glob("*.npz"))
+
+
 @pytest.mark.parametrize(
     "jobs", [other_model, other_command, lambda: [(World.of(arm()), stretch(1))]], ids=["model", "command", "start"]
 )

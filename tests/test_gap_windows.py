@@ -124,12 +124,20 @@ def noise_of(windows, seed):
     return project(rng.standard_normal(windows.residual.shape), windows.basis)
 
 
-def test_a_force_of_an_unknown_shape_is_found_at_its_joint(windows):
-    """A cable that pulls in one half plane, as the signatures have it, on top of noise; and noise alone."""
+def forces_of(windows):
+    """Unknown forces of the windows, features that they may follow, and nothing that is fitted along."""
     around = circumstances(windows, World.of)
     fit = ForceFit(windows, around)
-    known = features(arm(), fit, around)
-    nothing = Nuisance.of(np.zeros((0, *windows.residual.shape), np.float32), np.zeros(0))
+    return (
+        fit,
+        features(arm(), fit, around),
+        Nuisance.of(np.zeros((0, *windows.residual.shape), np.float32), np.zeros(0)),
+    )
+
+
+def test_a_force_of_an_unknown_shape_is_found_at_its_joint(windows):
+    """A cable that pulls in one half plane, as the signatures have it, on top of noise; and noise alone."""
+    fit, known, nothing = forces_of(windows)
     one = next(f for f in known if f.dof == 0 and f.name == "absolute position")
     pull = np.einsum("wb,wbr->wr", one.values, fit.columns.reshape(len(windows), *fit.shape, -1)[:, 0])
     noise = noise_of(windows, 0)
@@ -145,10 +153,7 @@ def test_a_force_of_an_unknown_shape_is_found_at_its_joint(windows):
 
 
 def test_what_is_fitted_along_is_not_left_over(windows):
-    around = circumstances(windows, World.of)
-    fit = ForceFit(windows, around)
-    known = features(arm(), fit, around)
-    nothing = Nuisance.of(np.zeros((0, *windows.residual.shape), np.float32), np.zeros(0))
+    fit, known, nothing = forces_of(windows)
     one = next(f for f in known if f.dof == 1 and f.name == "position cubed")
     pull = np.einsum("wb,wbr->wr", one.values, fit.columns.reshape(len(windows), *fit.shape, -1)[:, 1])
     residual = noise_of(windows, 1) + 10.0 / np.linalg.norm(pull) * pull

@@ -31,15 +31,17 @@ class Journal(Counter):
       steps: simulated steps so far, those that were read back included.
     """
 
-    def __init__(self, folder: Path, report: Callable[[int], None] | None = None) -> None:
+    def __init__(self, folder: Path, report: Callable[[int], None] | None = None, code: bytes = b"") -> None:
         """Open a journal.
 
         Args:
           folder: of the files; made if absent.
           report: called with the number of steps so far after each answer.
+          code: of effects that are not this package's; answers found with other code are not given.
         """
         super().__init__()
         self._folder, self._report, self._calls, self._before = folder, report, 0, 0
+        self._code = _code() + code
         folder.mkdir(parents=True, exist_ok=True)
 
     def recall(self, jobs: Sequence[Job], timestep: float | None) -> list[np.ndarray] | None:
@@ -52,7 +54,7 @@ class Journal(Counter):
             saved = read_arrays(path, require_digest=True)
         except DamagedFile:
             saved = {}
-        if saved.get("question", np.array("")).item() != _question(jobs, timestep):
+        if saved.get("question", np.array("")).item() != _question(self._code, jobs, timestep):
             self._forget()
             return None
         self._done(int(saved["steps"]))
@@ -62,7 +64,7 @@ class Journal(Counter):
         """Write the states of this call."""
         arrays = {f"states_{i}": own for i, own in enumerate(states)}
         steps = self.steps - self._before
-        arrays |= {"question": np.array(_question(jobs, timestep)), "steps": np.array(steps)}
+        arrays |= {"question": np.array(_question(self._code, jobs, timestep)), "steps": np.array(steps)}
         write_arrays(self._file(self._calls), arrays)
         self._done(0)
 
@@ -86,9 +88,9 @@ class Journal(Counter):
                 path.unlink()
 
 
-def _question(jobs: Sequence[Job], timestep: float | None) -> str:
+def _question(code: bytes, jobs: Sequence[Job], timestep: float | None) -> str:
     """Digest of what is asked for. The state-dependent laws of worlds are code, which counts as a whole."""
-    digest = hashlib.sha256(_code())
+    digest = hashlib.sha256(code)
     digest.update(repr(timestep).encode())
     commands: dict[int, tuple] = {}
     for world, stretch in jobs:

@@ -1,0 +1,26 @@
+"""The command line of benchmarks that end in a few numbers."""
+
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import tyro
+
+from btr_mjx.errors import cli_errors
+
+
+def command[C](
+    config: type[C], run: Callable[[C], Mapping[str, Any]], text: str | None, argv: Sequence[str] | None
+) -> None:
+    """Read the settings, run the benchmark and print its summary.
+
+    Args:
+      config: class of the settings.
+      run: returns the results, with the numbers under "summary".
+      text: what help says.
+      argv: words of the command line; None for the process's own.
+    """
+    settings = tyro.cli(config, args=sys.argv[1:] if argv is None else list(argv), description=text)
+    with cli_errors():
+        for name, value in run(settings)["summary"].items():
+            print(f"{name:24}{value:8.2f}")
