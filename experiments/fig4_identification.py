@@ -11,8 +11,9 @@ time step and integrator; at marks within 0.1 s of more controllers with 5 % of 
 marks of the exact measurements, at as many trials.
 
 The run folder holds one file per search and seed, NAME-0.npz, ...: parameters (g, L, n), values (g, L), simulated
-(g,), truth (n,), start (n,), trials (g,) whole trials simulated so far; and sensitivity-0.npz: offsets (O,) [m], delta
-and multiscale (12, O). fig4.json holds the statistics over seeds, fig4.png the figure.
+(g,), truth (n,), start (n,), trials (g,) whole trials simulated so far; behaviours-0.npz: controllers (m, n_c) that
+the search of four tries in reality; and sensitivity-0.npz: offsets (O,) [m], delta and multiscale (12, O). fig4.json
+holds the statistics over seeds, fig4.png the figure.
 """
 
 from collections.abc import Sequence
@@ -33,7 +34,7 @@ from units import Arrays, Journal, Step, Unit, load, run_units
 from btr_mjx.behaviour import EngineSettings
 from btr_mjx.distances import multiscale_fitness
 from btr_mjx.errors import InputError
-from btr_mjx.files import write_json
+from btr_mjx.files import read_arrays, write_json
 from btr_mjx.fitness import delta_fitness
 from btr_mjx.genetic_operators import mutate
 
@@ -141,15 +142,33 @@ def recorded(search: Search, truth: np.ndarray, start: np.ndarray, per_member: f
     return {**vars(search), "truth": truth, "start": start, "trials": cost}
 
 
+def start_of_four(config: Fig4Config, bench: Bench, seed: int) -> np.ndarray:
+    """Where the search of four lengths starts (4,)."""
+    inner = bench.robot.simulation_box.subspace(list(TRUTH))
+    return away_from(np.array(list(TRUTH.values())), inner, config.away, seed)
+
+
+def behaviours(config: Fig4Config, seed: int, step: Step, journal: Journal) -> Arrays:
+    """What is tried in reality when four lengths are unknown: the same for all searches of a seed."""
+    bench = Bench.of(config, step)
+    start = bench.robot.simulation_box.embed(hidden(bench), list(TRUTH), start_of_four(config, bench, seed))
+    return {"controllers": mutants_of_best(config, bench, start, seed, journal)}
+
+
+def behaviours_of(config: Fig4Config, seed: int) -> np.ndarray:
+    """The behaviours (m, n_c) that `behaviours` left in the run folder."""
+    return read_arrays(config.folder / f"behaviours-{seed}.npz")["controllers"]
+
+
 def four(config: Fig4Config, method: str, seed: int, step: Step, journal: Journal) -> Arrays:
     """The paper's search, by the genetic algorithm or by CMA-ES."""
     bench = Bench.of(config, step)
     names, reality = list(TRUTH), hidden(bench)
     box = bench.robot.simulation_box.subspace(names).with_bits(config.bits)
     truth = np.array(list(TRUTH.values()))
-    start = away_from(truth, box, config.away, seed)
+    start = start_of_four(config, bench, seed)
     embed = partial(bench.robot.simulation_box.embed, reality, names)
-    controllers = mutants_of_best(config, bench, embed(start), seed, journal)
+    controllers = behaviours_of(config, seed)
     f_r = journal(lambda: bench.whole(reality[None], controllers)[0, :, -1], config.trials)
 
     def distance(values: np.ndarray) -> np.ndarray:
@@ -210,9 +229,7 @@ def sensitivity(config: Fig4Config, seed: int, step: Step, journal: Journal) -> 
     """Both distances around the truth, one parameter at a time, with the behaviours of the search of four."""
     bench = Bench.of(config, step)
     box, reality = bench.robot.simulation_box, hidden(bench)
-    inner = box.subspace(list(TRUTH))
-    start = box.embed(reality, list(TRUTH), away_from(np.array(list(TRUTH.values())), inner, config.away, seed))
-    controllers = mutants_of_best(config, bench, start, seed, journal)
+    controllers = behaviours_of(config, seed)
     real = journal(lambda: bench.whole(reality[None], controllers)[0], config.trials)
     line = reality + np.array(OFFSETS)[None, :, None] * np.eye(box.n)[:, None, :]
     fitness = journal(lambda: bench.whole(line.reshape(-1, box.n), controllers), line.size / box.n * config.trials)
@@ -229,10 +246,11 @@ def units(config: Fig4Config) -> list[Unit]:
     evolved = config.population * config.generations
     found = []
     for seed in range(config.seeds):
+        found.append(Unit(f"behaviours-{seed}", evolved, partial(behaviours, config, seed)))
         for method, generations in (("ga", config.search_generations), ("cma", config.cma_generations)):
-            cost = evolved + config.trials * (1 + config.members * generations)
+            cost = config.trials * (1 + config.members * generations)
             found.append(Unit(f"{method}-{seed}", cost, partial(four, config, method, seed)))
-        cost = evolved + (12 * len(OFFSETS) + 1) * config.trials
+        cost = (12 * len(OFFSETS) + 1) * config.trials
         found.append(Unit(f"sensitivity-{seed}", cost, partial(sensitivity, config, seed)))
         for name, most in SEARCHES_12.items():
             members = config.members_12 * min(config.generations_12, most or config.generations_12)

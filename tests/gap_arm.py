@@ -7,7 +7,8 @@ import numpy as np
 
 from btr_mjx.gap.commands import Command
 from btr_mjx.gap.noise import Noise
-from btr_mjx.gap.recordings import Believed, Dataset, Recording
+from btr_mjx.gap.recording import Recording
+from btr_mjx.gap.recordings import Believed, Dataset
 
 XML = """
 <mujoco>

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -322,8 +323,7 @@ def test_a_killed_run_goes_on(folder: Path, tmp_path: Path) -> None:
 def test_a_unit_goes_on_within_itself(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A search that died in its last generation repeats the others from memory, and ends in the same bytes."""
     config = dataclasses.replace(fig4_identification.PRESETS["tiny"], out=tmp_path / "run")
-    unit = fig4_identification.units(config)[1]
-    assert unit.name == "cma-0"
+    unit = next(one for one in fig4_identification.units(config) if one.name == "cma-0")
     honest, calls = bench_room.evaluate, []
 
     def mortal(*args: Any, **options: Any) -> Any:
@@ -334,6 +334,7 @@ def test_a_unit_goes_on_within_itself(folder: Path, tmp_path: Path, monkeypatch:
 
     monkeypatch.setattr(bench_room, "evaluate", mortal)
     with RunFolder.create(config.folder, config) as run:
+        shutil.copy(folder / "fig4_identification" / "behaviours-0.npz", config.folder)
         journal = units_room.Journal(run, unit.name, lambda count: None, StopRequest(), interval=0.0)
         with pytest.raises(MemoryError):
             unit.work(lambda count: None, journal)

@@ -13,8 +13,10 @@ from btr_mjx.gap import hidden_physics as physics
 from btr_mjx.gap.commands import Command
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
 from btr_mjx.gap.hidden import SHARES, make_case
+from btr_mjx.gap.hidden_motion import Restart
+from btr_mjx.gap.hidden_motion import simulate as move
 from btr_mjx.gap.hidden_outside import OUTSIDE, possible
-from btr_mjx.gap.hidden_physics import Reality, Restart
+from btr_mjx.gap.hidden_physics import Reality
 from btr_mjx.gap.hidden_robots import case_robot, case_robots
 from btr_mjx.gap.recordings import load, noise_of
 from btr_mjx.gap.worlds import Stretch, World, simulate
@@ -79,8 +81,8 @@ def test_two_routes_to_the_same_physics(
     model, motion = machine.model, machine.draw_motion(np.random.default_rng(3))
     reality = Reality.of(machine)
     add(reality, effect, location, joints, values)
-    rows = physics.simulate(reality, motion, 0.25, RATE)
-    without = physics.simulate(Reality.of(machine), motion, 0.25, RATE, restart=Restart(rows, SPAN))
+    rows = move(reality, motion, 0.25, RATE)
+    without = move(Reality.of(machine), motion, 0.25, RATE, restart=Restart(rows, SPAN))
     found = {c.name: c for c in candidates(model, Scales.of(model), EFFECTS)}[f"{effect}@{location}"]
     names = [parameter.name for parameter in found.parameters]
     assert sorted(names) == sorted(values)
@@ -153,7 +155,7 @@ def test_small_errors_everywhere(tmp_path: Path) -> None:
         recording = load(folder).recordings[0]
         believed = Reality.of(case_robot("arm"))
         command = Command(recording.time, recording.ctrl, "cubic")
-        clean = physics.simulate(believed, command.at, 0.5, 500)
+        clean = move(believed, command.at, 0.5, 500)
         gaps.append(np.abs(clean["qpos"] - recording.qpos[: len(clean["qpos"])]).max())
     assert gaps[0] < 1e-5
     assert 1e-4 < gaps[1] < 0.02

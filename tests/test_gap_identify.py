@@ -9,9 +9,10 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.commands import Command
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
-from btr_mjx.gap.identify import equivalent, identify, missing
+from btr_mjx.gap.identify import identify, missing
 from btr_mjx.gap.leftover import Leftover
 from btr_mjx.gap.next_experiment import compare, propose, random_commands, recordings_needed
+from btr_mjx.gap.outcome import equivalent
 from btr_mjx.gap.recordings import Believed
 from btr_mjx.gap.search import Bench, Options, luckiest
 

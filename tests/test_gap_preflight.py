@@ -11,7 +11,8 @@ import pytest
 from btr_mjx.errors import InputError
 from btr_mjx.gap.hidden_robots import case_robot
 from btr_mjx.gap.preflight import Finding, preflight, refuse_errors
-from btr_mjx.gap.recordings import Believed, Dataset, Recording
+from btr_mjx.gap.recording import Recording
+from btr_mjx.gap.recordings import Believed, Dataset
 
 ROBOT = case_robot("arm")
 

@@ -16,7 +16,8 @@ from btr_mjx.gap.columns import control_columns, state_columns
 from btr_mjx.gap.dataset_files import Format, recording_columns, save_dataset
 from btr_mjx.gap.model_paths import parse_path, part_names, set_values
 from btr_mjx.gap.noise import Noise, estimate_noise
-from btr_mjx.gap.recordings import Believed, Recording, load, noise_of
+from btr_mjx.gap.recording import Recording
+from btr_mjx.gap.recordings import Believed, load, noise_of
 from btr_mjx.gap.samples import estimate_velocity
 from btr_mjx.gap.tangent import integrate
 

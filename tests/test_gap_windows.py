@@ -10,13 +10,14 @@ from btr_mjx.gap.forces import ForceFit, circumstances, describe, lack_of_fit
 from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.leftover import Joints, features
 from btr_mjx.gap.planning import place
+from btr_mjx.gap.prepared import prepare
 from btr_mjx.gap.refine import Nuisance
 from btr_mjx.gap.scales import Scales
 from btr_mjx.gap.score import project
 from btr_mjx.gap.sensitivity import force_signatures, signatures
 from btr_mjx.gap.smoothing import Span, Track, best_span, smooth
 from btr_mjx.gap.transitions import strangeness, transitions
-from btr_mjx.gap.windows import Windows, prepare
+from btr_mjx.gap.windows import Windows
 from btr_mjx.gap.worlds import World, simulate
 
 

@@ -35,6 +35,7 @@ class Check:
     Attributes:
       excess: largest excess at one joint that may be chance.
       gain: largest gain by something that no effect follows that may be chance.
+      held_out: (nulls, W) chi^2 of the held-out windows in the simulated nulls, tolerances at their best.
     """
 
     def __init__(self, bench: Bench, rng: np.random.Generator) -> None:
@@ -44,7 +45,7 @@ class Check:
         self.fits = [ForceFit(side.windows, around) for side, around in zip(self.sides, self.around, strict=True)]
         known = features(bench.dataset.model, self.fits[0], self.around[0])
         self._joints = Joints(self.fits[0], bench.nuisance(bench.fit), known)
-        self.null, left = self._null(rng)
+        self.null, left, self.held_out = self._null(rng)
         self.excess = max(_LEAST_EXCESS, _BEYOND * max(one.worst for one in left))
         self.gain = max(_LEAST_GAIN, _BEYOND * max(one.gain for one in left))
 
@@ -65,8 +66,8 @@ class Check:
             return self.fits[i]
         return ForceFit(judged.sides[i].windows, self.around[i])
 
-    def _null(self, rng: np.random.Generator) -> tuple[tuple[float, float], list[Leftover]]:
-        """Mean and spread of the lack of fit where nothing is missing, and what is left at single joints there.
+    def _null(self, rng: np.random.Generator) -> tuple[tuple[float, float], list[Leftover], np.ndarray]:
+        """Where nothing is missing: mean and spread of the lack of fit, what is left at single joints, `held_out`.
 
         Tolerances are drawn and truly simulated, because what they leave beyond the linear picture looks like a lack
         of fit; the sensors' noise is added.
@@ -74,7 +75,7 @@ class Check:
         bench = self.bench
         draws = tolerance_draws(bench.base, bench.candidates, bench.dataset.tolerances, rng, _NULLS)
         found: list[list[Forces]] = [[] for _ in draws]
-        left = []
+        left, held_out = [], []
         for i, side in enumerate(self.sides):
             windows, nuisance = side.windows, bench.nuisance(side)
             for own, residual in zip(found, windows.residuals(draws), strict=True):
@@ -83,8 +84,10 @@ class Check:
                 own.append(self.fits[i](nuisance.absorbed(there, bench.cut)))
                 if i == 0:
                     left.append(self._joints(there, bench.cut))
+                else:
+                    held_out.append(nuisance.profile(there, bench.cut).chi2)
         fits = [lack_of_fit(own) for own in found]
-        return (float(np.mean(fits)), float(np.std(fits))), left
+        return (float(np.mean(fits)), float(np.std(fits))), left, np.stack(held_out)
 
     def surprise(self, judged: Judged | None) -> float:
         """Lack of fit over both sides, in standard deviations beyond that of a null."""

@@ -8,7 +8,8 @@ from scipy.signal import correlate
 from btr_mjx.gap.excitation import JointTrack
 from btr_mjx.gap.findings import Finding, listed
 from btr_mjx.gap.model_paths import part_names
-from btr_mjx.gap.recordings import Dataset, Recording
+from btr_mjx.gap.recording import Recording
+from btr_mjx.gap.recordings import Dataset
 
 
 def sampling(dataset: Dataset) -> list[Finding]:

@@ -12,7 +12,8 @@ from btr_mjx.errors import InputError
 from btr_mjx.files import atomic_write, write_arrays, write_table
 from btr_mjx.gap.columns import control_columns, state_columns
 from btr_mjx.gap.noise import Noise, as_table
-from btr_mjx.gap.recordings import FILE_NAME, Believed, Interpolation, Recording
+from btr_mjx.gap.recording import Recording
+from btr_mjx.gap.recordings import FILE_NAME, Believed, Interpolation
 
 Format = Literal["npz", "csv", "parquet"]
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from btr_mjx.gap.model_paths import part_names
 from btr_mjx.gap.places import ground_geoms, joint_of
-from btr_mjx.gap.recordings import Dataset, Recording
+from btr_mjx.gap.recording import Recording
+from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.tangent import difference
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)

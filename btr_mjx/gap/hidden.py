@@ -20,10 +20,11 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.dataset_files import Format, save_dataset
 from btr_mjx.gap.hidden_draw import Draw, Missing, add_effects, background_of
+from btr_mjx.gap.hidden_motion import Restart, loads, simulate
 from btr_mjx.gap.hidden_outside import OUTSIDE, possible
-from btr_mjx.gap.hidden_physics import Reality, Restart, loads, simulate
+from btr_mjx.gap.hidden_physics import Reality
 from btr_mjx.gap.hidden_robots import case_robot
-from btr_mjx.gap.recordings import Recording
+from btr_mjx.gap.recording import Recording
 
 Verdict = Literal["effect", "none", "unexplained"]
 RATES = (200, 250, 400, 500)

@@ -9,7 +9,8 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap import hidden_physics as physics
-from btr_mjx.gap.hidden_physics import Loads, Reality
+from btr_mjx.gap.hidden_motion import Loads
+from btr_mjx.gap.hidden_physics import Reality
 from btr_mjx.gap.hidden_robots import CaseRobot, Motion
 
 JOINT_EFFECTS = (

@@ -10,7 +10,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.fitness_table import save_fitness
 from btr_mjx.gap.hidden import Truth, Verdict, draw_reality
 from btr_mjx.gap.hidden_draw import Draw
-from btr_mjx.gap.hidden_physics import Loads, loads, simulate
+from btr_mjx.gap.hidden_motion import Loads, loads, simulate
 from btr_mjx.gap.hidden_robots import CaseRobot, Motion, case_robot
 from btr_mjx.gap.model_paths import part_names
 

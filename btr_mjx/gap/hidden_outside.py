@@ -5,7 +5,8 @@ from collections.abc import Callable, Sequence
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.hidden_physics import Loads, Reality
+from btr_mjx.gap.hidden_motion import Loads
+from btr_mjx.gap.hidden_physics import Reality
 
 Outside = Callable[[Reality, Sequence[str], Loads, np.random.Generator], str]
 """Adds the effect to a reality with driven joints, their loads and a generator; returns where it sits."""

@@ -9,22 +9,19 @@ unexplained is measured against unknown generalised forces, which stand for ever
 """
 
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from btr_mjx.gap.check import Check
 from btr_mjx.gap.confounds import confounds
-from btr_mjx.gap.diagnosis import Diagnosis, Gap, Named, Overlay, Refit, Row
-from btr_mjx.gap.disagreement import place_names
+from btr_mjx.gap.diagnosis import Diagnosis
 from btr_mjx.gap.effect import Effect
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.hypotheses import Hypothesis
-from btr_mjx.gap.intervals import intervals
-from btr_mjx.gap.openloop import followed, following, open_loop
+from btr_mjx.gap.openloop import followed, following
+from btr_mjx.gap.outcome import equivalent, gap_of, named_effects, overlays, ranking_of, refits, survivors
 from btr_mjx.gap.polish import Polisher
 from btr_mjx.gap.recordings import Dataset
-from btr_mjx.gap.score import bounded
 from btr_mjx.gap.screening import tolerance_of
 from btr_mjx.gap.search import Bench, Judged, Options
 from btr_mjx.gap.worlds import Counter
@@ -46,12 +43,6 @@ HELD_OUT_SHARE = 0.08
 
 TOLERANCES = 4.0
 """Size that a name needs, in tolerances of its parameter."""
-
-MARGIN = 25.0
-"""Candidates whose scores differ by less are called equivalent."""
-
-CONTACT_MARGIN = 0.1
-"""The same where one of them moves contacts, at least, as a part of the best score."""
 
 SURPRISE = 6.0
 """Lack of fit over everything that cannot be noise where nothing was named, in standard deviations."""
@@ -151,15 +142,15 @@ def name_missing(
     said = named if verdict == "effect" else []
     return Diagnosis(
         verdict=verdict,  # type: ignore[arg-type]
-        effects=_named(bench, said, rounds, rng),
-        ranking=_ranking(rounds),
+        effects=named_effects(bench, said, rounds, rng),
+        ranking=ranking_of(rounds),
         equivalent=equivalent(rounds[0], bench.delicate) if rounds[0] and verdict == "effect" else (),
-        gap=_gap(bench, base, said[-1] if said else None),
+        gap=gap_of(bench, base, said[-1] if said else None, check.held_out),
         disagreement=check.map(),
         unexplained=check.words(final) if verdict == "unexplained" or surprised else (),
-        believed=_believed(bench, base, final),
+        believed=refits(bench, base, final),
         confounds=confounds(bench, named if verdict == "effect" else []),
-        overlays=_overlays(bench, final),
+        overlays=overlays(bench, final),
         share=share,
         lack_of_fit=(before, after),
         threshold=THRESHOLD,
@@ -168,7 +159,7 @@ def name_missing(
         windows=(len(bench.fit.windows), len(bench.test.windows), bench.fit.windows.k, bench.survey.span),
         steps=bench.counter.steps,
         seconds=time.monotonic() - begun,
-        survivors=_survivors(bench, rounds, named),
+        survivors=survivors(bench, rounds, named),
     )
 
 
@@ -227,136 +218,3 @@ def strange(check: Check, best: Judged | None) -> bool:
     judged = best if best is not None and best.score > 0 else None
     left = check.left(judged)
     return check.surprise(judged) > SURPRISE or left.gain > check.gain or left.worst > check.excess
-
-
-def equivalent(judged: Sequence[Judged], delicate: Collection[str] = ()) -> tuple[str, ...]:
-    """Names that the data cannot tell from the best one, the best one first.
-
-    Args:
-      judged: one round, best first.
-      delicate: names of candidates that move contacts, whose scores are less certain.
-    """
-    best, out = judged[0], []
-    for j in judged:
-        names = [k.hypothesis.effects[-1][0].name for k in (best, j)]
-        margin = max(MARGIN, CONTACT_MARGIN * best.score) if any(n in delicate for n in names) else MARGIN
-        if best.score - j.score <= margin and j.score > 0.3 * best.score:
-            out.append(names[1])
-    return tuple(out)
-
-
-def _named(bench: Bench, named: Sequence[Judged], rounds: Sequence[Sequence[Judged]], rng: np.random.Generator):
-    if not named:
-        return ()
-    final = named[-1]
-    numbers = intervals(bench, final, rng)
-    out, first, before = [], 0, None
-    for i, (candidate, values) in enumerate(final.hypothesis.effects):
-        parameters = {p.name: numbers[first + j] for j, p in enumerate(candidate.parameters)}
-        first += len(values)
-        own = named[i]
-        score = own.score - (before.score if before else 0.0)
-        held_out = own.held_out - (before.held_out if before else 0.0)
-        others = tuple(name for name in equivalent(rounds[i], bench.delicate) if name != candidate.name)
-        effect = candidate.effect
-        out.append(
-            Named(
-                effect.name,
-                candidate.place.label,
-                parameters,
-                score,
-                held_out,
-                others,
-                effect.excited_by,
-                effect.equation,
-            )
-        )
-        before = own
-    return tuple(out)
-
-
-def _ranking(rounds: Sequence[Sequence[Judged]]) -> tuple[Row, ...]:
-    rows = []
-    for judged in rounds:
-        for j in judged:
-            candidate, values = j.hypothesis.effects[-1]
-            rows.append(
-                Row(
-                    candidate.effect.name,
-                    candidate.place.label,
-                    j.score,
-                    judged[0].score - j.score,
-                    j.gain,
-                    j.held_out,
-                    {p.name: float(v) for p, v in zip(candidate.parameters, values, strict=True)},
-                    tuple(c.name for c, _ in j.hypothesis.effects[:-1]),
-                )
-            )
-    return tuple(rows)
-
-
-def _gap(bench: Bench, start: Hypothesis, judged: Judged | None) -> Gap:
-    windows, freedom = bench.test.windows, bench.test.windows.freedom
-    base = bench.nuisance(bench.test).profile(windows.residual, bench.cut).chi2
-    end = base if judged is None else judged.chi2
-    cut = 3.0 * max(freedom, float(np.median(base)))
-
-    def mean(chi2: np.ndarray) -> float:
-        return float(bounded(chi2, cut).mean() / freedom)
-
-    residual = windows.residual if judged is None else judged.residual
-    loops = open_loop(bench, [start, start if judged is None else judged.hypothesis])
-    return Gap(
-        mean(base),
-        mean(end),
-        1.0,
-        float(np.sqrt((windows.residual**2).mean())),
-        float(np.sqrt((residual**2).mean())),
-        *loops,
-    )
-
-
-def _believed(bench: Bench, base: Hypothesis, final: Judged | None) -> tuple[Refit, ...]:
-    last = base if final is None else final.hypothesis
-    rows = zip(bench.dataset.parameters, bench.before, base.believed, last.believed, strict=True)
-    return tuple(Refit(p.name, a, b, c) for p, a, b, c in rows)
-
-
-def _overlays(bench: Bench, final: Judged | None, count: int = 3) -> tuple[Overlay, ...]:
-    """Held-out windows in which the believed model is worst, at their worst joint."""
-    windows = bench.test.windows
-    makes: list[Hypothesis] = [bench.base, bench.base if final is None else final.hypothesis]
-    before, after = windows.states(makes)
-    model = bench.dataset.model
-    names = place_names(model)
-    sigma = bench.sigma[: windows.nv]
-    away = windows.minus(before, np.concatenate([windows.target_q, windows.target_v], -1))[..., : windows.nv] / sigma
-    plain = np.flatnonzero(model.jnt_type[model.dof_jntid] >= 2)
-    out = []
-    order = np.argsort(-np.nan_to_num((windows.residual**2).sum(1)))
-    for w in order[len(order) // 10 :][:count]:
-        if not len(plain):
-            break
-        dof = int(plain[np.argmax(np.nan_to_num(np.abs(away[w][:, plain]).max(0)))])
-        address = int(model.jnt_qposadr[model.dof_jntid[dof]])
-        recording = bench.dataset.test[windows.recording[w]]
-        out.append(
-            Overlay(
-                recording.name,
-                names[dof],
-                windows.time[w],
-                windows.target_q[w, :, address],
-                before[w, :, address],
-                after[w, :, address],
-            )
-        )
-    return tuple(out)
-
-
-def _survivors(bench: Bench, rounds: Sequence[Sequence[Judged]], named: Sequence[Judged]) -> tuple[Hypothesis, ...]:
-    """Hypotheses that are still possible: those near the best, and nothing where no name was found."""
-    last = rounds[min(len(named), len(rounds)) - 1] if named else rounds[0]
-    if not last:
-        return (bench.base,)
-    close = [j.hypothesis for j in last if last[0].score - j.score <= 2 * MARGIN]
-    return tuple(close if named else [bench.base, *close[:2]])

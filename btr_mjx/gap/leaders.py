@@ -8,8 +8,9 @@ from btr_mjx.gap.effect import Candidate
 from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.places import Place
 from btr_mjx.gap.refine import Nuisance
+from btr_mjx.gap.scanner import Lead
 from btr_mjx.gap.score import Fit, robust_gain
-from btr_mjx.gap.screening import Entry, Lead
+from btr_mjx.gap.screening import Entry
 from btr_mjx.gap.search_records import Options
 from btr_mjx.gap.windows import Windows
 

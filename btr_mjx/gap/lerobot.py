@@ -28,7 +28,8 @@ from btr_mjx.errors import InputError
 from btr_mjx.files import read_json, read_table
 from btr_mjx.gap.columns import SUFFIXES
 from btr_mjx.gap.model_paths import nearest, part_names
-from btr_mjx.gap.recordings import Dataset, Recording, assemble, read_head, split
+from btr_mjx.gap.recording import Recording, assemble, split
+from btr_mjx.gap.recordings import Dataset, read_head
 from btr_mjx.gap.toml_tables import check_keys
 
 INFO = Path("meta") / "info.json"
@@ -45,7 +46,7 @@ def load_lerobot(folder: str | Path) -> Dataset:
 
     Raises:
       InputError: names that are no joints or actuators of the model, missing columns, no frames, and what
-        `recordings.assemble` refuses.
+        `recording.assemble` refuses.
       DamagedFile: a file that does not parse.
     """
     head, table = read_head(folder, more=("lerobot",))

@@ -16,10 +16,12 @@ from btr_mjx.gap.commands import Command
 from btr_mjx.gap.diagnosis import Diagnosis
 from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.planning import CONTACT_SPAN
-from btr_mjx.gap.recordings import Dataset, Recording
+from btr_mjx.gap.prepared import prepare
+from btr_mjx.gap.recording import Recording
+from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.smoothing import Span
 from btr_mjx.gap.tangent import integrate
-from btr_mjx.gap.windows import Windows, prepare
+from btr_mjx.gap.windows import Windows
 from btr_mjx.gap.worlds import Counter, Stretch, simulate
 
 _TRIES = 10

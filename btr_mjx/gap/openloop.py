@@ -11,10 +11,11 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
+from btr_mjx.gap.prepared import Data
 from btr_mjx.gap.search import Bench, Judged
 from btr_mjx.gap.smoothing import smooth
 from btr_mjx.gap.tangent import difference
-from btr_mjx.gap.windows import Data, MakeWorld
+from btr_mjx.gap.windows import MakeWorld
 from btr_mjx.gap.worlds import Counter, Stretch, simulate
 
 _EVALUATIONS = 8

@@ -13,9 +13,9 @@ import numpy as np
 from mujoco.batch import Batch
 
 from btr_mjx.errors import InputError
+from btr_mjx.gap.prepared import Data
 from btr_mjx.gap.smoothing import smooth
 from btr_mjx.gap.tangent import difference
-from btr_mjx.gap.windows import Data
 from btr_mjx.gap.worlds import Counter, Stretch, World, simulate
 
 CONTACT_SPAN = 0.02

@@ -1,4 +1,4 @@
-"""Screening: signatures of every candidate, of the tolerances and of what may be refitted, and their linear scan."""
+"""Screening: signatures of every candidate, of the tolerances and of what may be refitted."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,6 @@ import numpy as np
 from btr_mjx.gap.effect import Candidate
 from btr_mjx.gap.hypotheses import DELICATE, Hypothesis, believed_steps
 from btr_mjx.gap.refine import Nuisance
-from btr_mjx.gap.score import Evidence, fit, scan, weight
 from btr_mjx.gap.sensitivity import signatures
 from btr_mjx.gap.windows import MakeWorld, Windows
 from btr_mjx.gap.worlds import fields_of
@@ -187,136 +186,3 @@ def nuisances(
             precision.append((step / (0.5 * (parameter.high - parameter.low))) ** 2)
     stacked = np.stack(columns) if columns else np.zeros((0, *windows.residual.shape), np.float32)
     return Nuisance.of(stacked, np.array(precision))
-
-
-@dataclass(frozen=True)
-class Lead:
-    """A candidate as the linear scan sees it.
-
-    Attributes:
-      index: of the candidate.
-      gain: reduction of the loss.
-      values: (p,) its numbers.
-    """
-
-    index: int
-    gain: float
-    values: np.ndarray
-
-
-class Scanner:
-    """Linear scans of all candidates on residuals of one set of windows.
-
-    Signatures of groups are formed once; every scan is arithmetic on inner products.
-    """
-
-    def __init__(self, screened: Screen, nuisance: Nuisance) -> None:
-        self.screened, self.nuisance = screened, nuisance
-        spans, count = [], 0
-        for entry in screened.entries:
-            spans.append(np.arange(count, count + len(entry.steps)))
-            count += len(entry.steps)
-        self._spans = spans
-        mixing = np.zeros((count, len(screened.columns)), np.float32)
-        for span, group in zip(spans, screened.groups, strict=True):
-            for row, (columns, factors) in zip(span, group, strict=True):
-                mixing[row, columns] = factors
-        self._mixing = mixing
-        raw = np.moveaxis(screened.columns, 0, 1)  # (W, C, R)
-        self._raw = raw
-        own = mixing @ (raw @ np.swapaxes(raw, 1, 2)) @ mixing.T
-        across = mixing @ (raw @ np.swapaxes(nuisance.columns, 1, 2))
-        self._gram = np.block([[own, across], [np.swapaxes(across, 1, 2), nuisance.gram]]).astype(np.float32)
-        self._count = count
-
-    def evidence(self, residual: np.ndarray) -> Evidence:
-        """Evidence of a residual (W, R) on all candidates' numbers followed by the nuisances."""
-        vector = residual.astype(np.float32)[..., None]
-        own = (self._raw @ vector)[..., 0] @ self._mixing.T
-        moment = np.concatenate([own, (self.nuisance.columns @ vector)[..., 0]], 1)
-        return Evidence((residual**2).sum(1), moment.astype(float), self._gram)
-
-    def __call__(
-        self,
-        residual: np.ndarray,
-        cut: float,
-        extra: np.ndarray | None = None,
-        thorough: int = 40,
-        dispersion: float = 1.0,
-    ) -> list[Lead]:
-        """Scan all candidates.
-
-        Args:
-          residual: (W, R).
-          cut: chi^2 above which a window counts less.
-          extra: (E, W, R) free columns that are fitted along (effects that were found already).
-          thorough: so many leaders are fitted again with weights of their own.
-          dispersion: chi^2 per degree of freedom that no candidate falls below, beside which tolerances stay tight.
-
-        Returns:
-          Leads, best first.
-        """
-        data = self.evidence(residual)
-        nuisance = np.arange(self._count, data.n)
-        precision = self.nuisance.precision * dispersion
-        if extra is not None and len(extra):
-            data = self._extended(data, residual, extra)
-            nuisance = np.arange(self._count, data.n)
-            precision = np.concatenate([precision, np.zeros(len(extra))])
-        alone = fit(data.take(nuisance), precision, cut)
-        gains, _ = scan(data, self._spans, nuisance, precision, weight(alone.chi2, cut))
-        open_gains, _ = scan(data, self._spans, nuisance, precision, np.sqrt(weight(alone.chi2, cut)))
-        half = thorough // 2
-        chosen = dict.fromkeys([*np.argsort(-gains)[:half].tolist(), *np.argsort(-open_gains)[:half].tolist()])
-        leads = []
-        for index in chosen:
-            span = self._spans[index]
-            low, high = self._bounds(index)
-            ends = np.full(len(nuisance), np.inf)
-            own = fit(
-                data.take(np.concatenate([span, nuisance])),
-                np.concatenate([np.zeros(len(span)), precision]),
-                cut,
-                np.concatenate([low, -ends]),
-                np.concatenate([high, ends]),
-            )
-            values = self._values(index, own.values[: len(span)])
-            leads.append(Lead(index, alone.loss - own.loss, values))
-        return sorted(leads, key=lambda lead: -lead.gain)
-
-    def _extended(self, data: Evidence, residual: np.ndarray, extra: np.ndarray) -> Evidence:
-        """Evidence with more columns at the end."""
-        free = np.moveaxis(extra, 0, 1).astype(np.float32)
-        vector = residual.astype(np.float32)[..., None]
-        own = self._mixing @ (self._raw @ np.swapaxes(free, 1, 2))
-        across = np.concatenate([own, self.nuisance.columns @ np.swapaxes(free, 1, 2)], 1)  # (W, C, E)
-        gram = np.block([[data.gram, across], [np.swapaxes(across, 1, 2), free @ np.swapaxes(free, 1, 2)]])
-        moment = np.concatenate([data.moment, (free @ vector)[..., 0]], 1)
-        return Evidence(data.energy, moment, gram)
-
-    def _bounds(self, index: int) -> tuple[np.ndarray, np.ndarray]:
-        """Bounds of an entry's coefficients, in steps; those of shapes are open, those of probes near 1."""
-        entry = self.screened.entries[index]
-        low, high = np.full(len(entry.steps), -np.inf), np.full(len(entry.steps), np.inf)
-        for i, (parameter, step) in enumerate(zip(entry.candidate.parameters, entry.steps, strict=True)):
-            if not parameter.shape:
-                low[i], high[i] = sorted(
-                    ((parameter.low - parameter.null) / step, (parameter.high - parameter.null) / step)
-                )
-        if entry.probe:
-            low[0], high[0] = 0.0, 1.5
-        return low, high
-
-    def _values(self, index: int, coefficients: np.ndarray) -> np.ndarray:
-        """Coefficients in steps as numbers: that of a shape stands for its product with the first number."""
-        entry = self.screened.entries[index]
-        values = entry.candidate.null
-        for i, parameter in enumerate(entry.candidate.parameters):
-            share = coefficients[i]
-            if parameter.shape:
-                amplitude = coefficients[0] if abs(coefficients[0]) > 0.3 else 0.3 * np.sign(coefficients[0] or 1.0)
-                share = coefficients[i] / amplitude
-            elif entry.probe and i == 0:
-                share = 1.0
-            values[i] = np.clip(values[i] + share * entry.steps[i], parameter.low, parameter.high)
-        return values

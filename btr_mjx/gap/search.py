@@ -17,14 +17,14 @@ from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.leaders import contact_scan, pick, starts
 from btr_mjx.gap.noise import estimate_noise
 from btr_mjx.gap.planning import Survey, place, survey
+from btr_mjx.gap.prepared import Data, prepare, track_of
 from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.refine import Nuisance, Refined, refine
 from btr_mjx.gap.scales import Scales
+from btr_mjx.gap.scanner import Lead, Scanner
 from btr_mjx.gap.score import Fit, bounded, project, robust_gain
 from btr_mjx.gap.screening import (
     Entry,
-    Lead,
-    Scanner,
     Screen,
     changed_fields,
     entries_of,
@@ -36,14 +36,21 @@ from btr_mjx.gap.screening import (
 from btr_mjx.gap.search_records import Judged, Options, Side
 from btr_mjx.gap.sensitivity import intervals_per_look
 from btr_mjx.gap.smoothing import best_span, smooth
-from btr_mjx.gap.windows import Data, Windows, prepare, track_of
+from btr_mjx.gap.transitions import may_stride
+from btr_mjx.gap.windows import Windows
 from btr_mjx.gap.worlds import Counter
 
 _CUT = 1.5
 """A window whose chi^2 exceeds its degrees of freedom by this factor begins to count less."""
 
-_HELD_OUT = 0.5
+_HELD_OUT = 1.0
 """Windows of held-out recordings per window to fit, at most."""
+
+_AROUND = 24
+"""Simulations of every window beside those of its transitions: fine passes, starting states, draws of tolerances."""
+
+_JUDGED = 14
+"""Hypotheses that are judged on held-out windows, roughly."""
 
 _MANY = 8
 """Beside so many others, a window's gain may be luck."""
@@ -127,14 +134,14 @@ class Bench:
         count = sum(len(e.steps) for e in entries)
         self.single = steps >= 3 and count > 30
         screening = count / steps / intervals_per_look(interval) if self.single else count
-        state = 2 * model.nv + 12
+        state = (2 * model.nv + 1) * (0.5 if may_stride(model, interval) else 1.0) + _AROUND
         per_step = state + screening + 4.0 * (self.options.leaders + self.options.contact_leaders)
-        share = 0.8 if len(data.recordings) >= len(held.recordings) else 0.6
+        share = 0.7 if len(data.recordings) >= len(held.recordings) else 0.6
         budget = self.options.budget(model.nv)
         recording, first, k = place(data, self.survey.span, share * budget, per_step)
         fit = Side(Windows(data, recording, first, k, self.counter), _nothing(0, 0))
         most = max(1, round(_HELD_OUT * len(first) / len(held.recordings)))
-        recording, first, k = place(held, self.survey.span, (1 - share) * budget, state + 20 + screening / 3)
+        recording, first, k = place(held, self.survey.span, (1 - share) * budget, state + _JUDGED + screening / 3)
         if len(first) > most * len(held.recordings):
             recording, first, k = place(held, self.survey.span, 0.0, 1.0, per_recording=most)
         return fit, Side(Windows(held, recording, first, k, self.counter), _nothing(0, 0))

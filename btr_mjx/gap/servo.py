@@ -23,7 +23,8 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import DamagedFile, InputError
-from btr_mjx.gap.recordings import Believed, Dataset, Recording, Split, assemble, split
+from btr_mjx.gap.recording import Recording, Split, assemble, split
+from btr_mjx.gap.recordings import Believed, Dataset
 from btr_mjx.gap.toml_tables import check_keys, is_number, read_toml, toml_section
 
 FILE_NAME = "servo.toml"
@@ -132,7 +133,7 @@ def load_servo(folder: str | Path) -> Dataset:
     Within each group of equal mass, length, kp and vin about a third is held out, another kind of motion in each group.
 
     Raises:
-      InputError: no recordings, a value that is missing or no number, or what `recordings.assemble` refuses.
+      InputError: no recordings, a value that is missing or no number, or what `recording.assemble` refuses.
       DamagedFile: a file that does not parse.
     """
     folder = Path(folder)

@@ -96,17 +96,22 @@ def _moved(
         qvel = start[..., nq:] + both[..., nv:]
         jobs.append((make(model), windows.intervals(window[mine], interval[mine], qpos, qvel)))
         members.append(mine)
-    found = simulate(jobs, timestep=2 * windows.dt if _may_stride(windows) else None, counter=windows.counter)
+    stride = may_stride(windows.groups[0][0], float(np.median(np.diff(windows.since, axis=1))))
+    found = simulate(jobs, timestep=2 * windows.dt if stride else None, counter=windows.counter)
     for mine, ends in zip(members, found, strict=True):
         ends = ends.reshape(len(mine), nudges.shape[1] + 1, -1)
         out[mine] = np.nan_to_num(windows.minus(ends[:, 1:], ends[:, :1]))
     return out
 
 
-def _may_stride(windows: "Windows") -> bool:
-    """Whether transitions may take steps of twice the length: they only say which directions are unknown."""
-    model = windows.groups[0][0]
+def may_stride(model: mujoco.MjModel, interval: float) -> bool:
+    """Whether transitions may take steps of twice the length: they only say which directions are unknown.
+
+    Args:
+      model: the believed model.
+      interval: typical time between two samples [s].
+    """
     implicit = (mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
     stiff = model.geom_solref[:, 0].min(initial=1.0)
-    interval = float(np.median(np.diff(windows.since, axis=1)))
-    return model.opt.integrator in implicit and stiff >= 8 * windows.dt and interval >= 3.9 * windows.dt
+    dt = float(model.opt.timestep)
+    return model.opt.integrator in implicit and stiff >= 8 * dt and interval >= 3.9 * dt

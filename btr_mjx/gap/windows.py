@@ -8,15 +8,13 @@ error looks like damping); how they answer to parameters comes from the model's 
 
 import copy
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.commands import Command
-from btr_mjx.gap.recordings import Recording
+from btr_mjx.gap.prepared import Data
 from btr_mjx.gap.score import orthonormal, project
-from btr_mjx.gap.smoothing import Span, Track, histories, smooth
+from btr_mjx.gap.smoothing import smooth
 from btr_mjx.gap.tangent import difference, integrate
 from btr_mjx.gap.transitions import strangeness, transitions
 from btr_mjx.gap.worlds import Counter, Job, Stretch, World, simulate
@@ -47,51 +45,6 @@ _PER_WINDOW = (
 
 _CEILING = 1e4
 """Residuals are cut here, in units of the noise; a diverged simulation counts as this."""
-
-
-@dataclass(frozen=True)
-class Data:
-    """Recordings made ready for windows.
-
-    Attributes:
-      recordings: the recordings.
-      tracks: what was measured in each.
-      commands: what was commanded in each.
-      acts: activation states at the samples of each, (K, na).
-      sigma: (2 nv,) noise of positions and velocities.
-      measured: (2 nv,) bool: which coordinates were measured.
-      span: samples that a state estimate uses.
-    """
-
-    recordings: tuple[Recording, ...]
-    tracks: tuple[Track, ...]
-    commands: tuple[Command, ...]
-    acts: tuple[np.ndarray, ...]
-    sigma: np.ndarray
-    measured: np.ndarray
-    span: Span
-
-
-def prepare(recordings: Sequence[Recording], interpolation: str, sigma: np.ndarray, span: Span) -> Data:
-    """Make recordings ready for windows.
-
-    Args:
-      recordings: at least one.
-      interpolation: of the command.
-      sigma: (2 nv,) noise.
-      span: samples that a state estimate uses.
-    """
-    tracks = tuple(track_of(r) for r in recordings)
-    commands = tuple(Command(r.time, r.ctrl, interpolation) for r in recordings)  # type: ignore[arg-type]
-    acts = tuple(histories(r.model, t, c) for r, t, c in zip(recordings, tracks, commands, strict=True))
-    seen = np.stack([r.qvel_measured for r in recordings]).all(0)
-    measured = np.concatenate([np.ones(recordings[0].model.nv, bool), seen])
-    return Data(tuple(recordings), tracks, commands, acts, sigma, measured, span)
-
-
-def track_of(recording: Recording) -> Track:
-    """What was measured in a recording."""
-    return Track(recording.time, recording.qpos, recording.qvel, recording.qvel_measured)
 
 
 class Windows:

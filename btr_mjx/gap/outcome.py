@@ -1,0 +1,173 @@
+"""From a finished search to the records of a `Diagnosis`: names, ranking, the gap before and after, what else fits."""
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from btr_mjx.gap.diagnosis import Gap, Named, Overlay, Refit, Row
+from btr_mjx.gap.disagreement import place_names
+from btr_mjx.gap.hypotheses import Hypothesis
+from btr_mjx.gap.intervals import intervals
+from btr_mjx.gap.openloop import open_loop
+from btr_mjx.gap.score import bounded
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Judged
+
+MARGIN = 25.0
+"""Candidates whose scores differ by less are called equivalent."""
+
+CONTACT_MARGIN = 0.1
+"""The same where one of them moves contacts, at least, as a part of the best score."""
+
+
+def equivalent(judged: Sequence[Judged], delicate: Collection[str] = ()) -> tuple[str, ...]:
+    """Names that the data cannot tell from the best one, the best one first.
+
+    Args:
+      judged: one round, best first.
+      delicate: names of candidates that move contacts, whose scores are less certain.
+    """
+    best, out = judged[0], []
+    for j in judged:
+        names = [k.hypothesis.effects[-1][0].name for k in (best, j)]
+        margin = max(MARGIN, CONTACT_MARGIN * best.score) if any(n in delicate for n in names) else MARGIN
+        if best.score - j.score <= margin and j.score > 0.3 * best.score:
+            out.append(names[1])
+    return tuple(out)
+
+
+def named_effects(
+    bench: Bench, named: Sequence[Judged], rounds: Sequence[Sequence[Judged]], rng: np.random.Generator
+) -> tuple[Named, ...]:
+    """What is called by name.
+
+    Args:
+      bench: of the search.
+      named: what was found, each beside those before.
+      rounds: judged candidates of every round, best first.
+      rng: of the resampling behind intervals.
+    """
+    if not named:
+        return ()
+    final = named[-1]
+    numbers = intervals(bench, final, rng)
+    out, first, before = [], 0, None
+    for i, (candidate, values) in enumerate(final.hypothesis.effects):
+        parameters = {p.name: numbers[first + j] for j, p in enumerate(candidate.parameters)}
+        first += len(values)
+        own = named[i]
+        score = own.score - (before.score if before else 0.0)
+        held_out = own.held_out - (before.held_out if before else 0.0)
+        others = tuple(name for name in equivalent(rounds[i], bench.delicate) if name != candidate.name)
+        effect = candidate.effect
+        out.append(
+            Named(
+                effect.name,
+                candidate.place.label,
+                parameters,
+                score,
+                held_out,
+                others,
+                effect.excited_by,
+                effect.equation,
+            )
+        )
+        before = own
+    return tuple(out)
+
+
+def ranking_of(rounds: Sequence[Sequence[Judged]]) -> tuple[Row, ...]:
+    """Rows of all rounds, best first in each."""
+    rows = []
+    for judged in rounds:
+        for j in judged:
+            candidate, values = j.hypothesis.effects[-1]
+            rows.append(
+                Row(
+                    candidate.effect.name,
+                    candidate.place.label,
+                    j.score,
+                    judged[0].score - j.score,
+                    j.gain,
+                    j.held_out,
+                    {p.name: float(v) for p, v in zip(candidate.parameters, values, strict=True)},
+                    tuple(c.name for c, _ in j.hypothesis.effects[:-1]),
+                )
+            )
+    return tuple(rows)
+
+
+def gap_of(bench: Bench, start: Hypothesis, judged: Judged | None, nulls: np.ndarray) -> Gap:
+    """The gap on held-out recordings.
+
+    Args:
+      bench: of the search.
+      start: the believed model, refitted.
+      judged: what was named, all of it; None for nothing.
+      nulls: chi^2 of held-out windows where nothing is missing, any shape; their mean is the noise floor.
+    """
+    windows, freedom = bench.test.windows, bench.test.windows.freedom
+    base = bench.nuisance(bench.test).profile(windows.residual, bench.cut).chi2
+    end = base if judged is None else judged.chi2
+    cut = 3.0 * max(freedom, float(np.median(base)))
+
+    def mean(chi2: np.ndarray) -> float:
+        return float(bounded(chi2, cut).mean() / freedom)
+
+    residual = windows.residual if judged is None else judged.residual
+    loops = open_loop(bench, [start, start if judged is None else judged.hypothesis])
+    return Gap(
+        mean(base),
+        mean(end),
+        mean(nulls),
+        float(np.sqrt((windows.residual**2).mean())),
+        float(np.sqrt((residual**2).mean())),
+        *loops,
+    )
+
+
+def refits(bench: Bench, base: Hypothesis, final: Judged | None) -> tuple[Refit, ...]:
+    """Where the believed numbers went, without and with what was named."""
+    last = base if final is None else final.hypothesis
+    rows = zip(bench.dataset.parameters, bench.before, base.believed, last.believed, strict=True)
+    return tuple(Refit(p.name, a, b, c) for p, a, b, c in rows)
+
+
+def overlays(bench: Bench, final: Judged | None, count: int = 3) -> tuple[Overlay, ...]:
+    """Held-out windows in which the believed model is worst, at their worst joint."""
+    windows = bench.test.windows
+    makes: list[Hypothesis] = [bench.base, bench.base if final is None else final.hypothesis]
+    before, after = windows.states(makes)
+    model = bench.dataset.model
+    names = place_names(model)
+    sigma = bench.sigma[: windows.nv]
+    away = windows.minus(before, np.concatenate([windows.target_q, windows.target_v], -1))[..., : windows.nv] / sigma
+    plain = np.flatnonzero(model.jnt_type[model.dof_jntid] >= 2)
+    out = []
+    order = np.argsort(-np.nan_to_num((windows.residual**2).sum(1)))
+    for w in order[len(order) // 10 :][:count]:
+        if not len(plain):
+            break
+        dof = int(plain[np.argmax(np.nan_to_num(np.abs(away[w][:, plain]).max(0)))])
+        address = int(model.jnt_qposadr[model.dof_jntid[dof]])
+        recording = bench.dataset.test[windows.recording[w]]
+        out.append(
+            Overlay(
+                recording.name,
+                names[dof],
+                windows.time[w],
+                windows.target_q[w, :, address],
+                before[w, :, address],
+                after[w, :, address],
+            )
+        )
+    return tuple(out)
+
+
+def survivors(bench: Bench, rounds: Sequence[Sequence[Judged]], named: Sequence[Judged]) -> tuple[Hypothesis, ...]:
+    """Hypotheses that are still possible: those near the best, and nothing where no name was found."""
+    last = rounds[min(len(named), len(rounds)) - 1] if named else rounds[0]
+    if not last:
+        return (bench.base,)
+    close = [j.hypothesis for j in last if last[0].score - j.score <= 2 * MARGIN]
+    return tuple(close if named else [bench.base, *close[:2]])

@@ -1,0 +1,55 @@
+"""Recordings made ready for windows: what was measured, commanded and, where actuators have states, going on inside."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from btr_mjx.gap.commands import Command
+from btr_mjx.gap.recording import Recording
+from btr_mjx.gap.smoothing import Span, Track, histories
+
+
+@dataclass(frozen=True)
+class Data:
+    """Recordings made ready for windows.
+
+    Attributes:
+      recordings: the recordings.
+      tracks: what was measured in each.
+      commands: what was commanded in each.
+      acts: activation states at the samples of each, (K, na).
+      sigma: (2 nv,) noise of positions and velocities.
+      measured: (2 nv,) bool: which coordinates were measured.
+      span: samples that a state estimate uses.
+    """
+
+    recordings: tuple[Recording, ...]
+    tracks: tuple[Track, ...]
+    commands: tuple[Command, ...]
+    acts: tuple[np.ndarray, ...]
+    sigma: np.ndarray
+    measured: np.ndarray
+    span: Span
+
+
+def prepare(recordings: Sequence[Recording], interpolation: str, sigma: np.ndarray, span: Span) -> Data:
+    """Make recordings ready for windows.
+
+    Args:
+      recordings: at least one.
+      interpolation: of the command.
+      sigma: (2 nv,) noise.
+      span: samples that a state estimate uses.
+    """
+    tracks = tuple(track_of(r) for r in recordings)
+    commands = tuple(Command(r.time, r.ctrl, interpolation) for r in recordings)  # type: ignore[arg-type]
+    acts = tuple(histories(r.model, t, c) for r, t, c in zip(recordings, tracks, commands, strict=True))
+    seen = np.stack([r.qvel_measured for r in recordings]).all(0)
+    measured = np.concatenate([np.ones(recordings[0].model.nv, bool), seen])
+    return Data(tuple(recordings), tracks, commands, acts, sigma, measured, span)
+
+
+def track_of(recording: Recording) -> Track:
+    """What was measured in a recording."""
+    return Track(recording.time, recording.qpos, recording.qvel, recording.qvel_measured)
