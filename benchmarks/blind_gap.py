@@ -58,7 +58,7 @@ class Config:
     only_effects: bool = False
     """No nulls and nothing outside the library."""
     workers: int = 1
-    """Processes that make cases, and as many that solve them."""
+    """Processes that make cases, and as many that solve them; several solvers get a core each."""
     out: Path | None = None
     """Folder of the cases' files; by default runs/blind_gap-<robot>-<effects>-<seed>."""
     json: Path | None = None
@@ -204,6 +204,16 @@ def work(config: Config, files: Files) -> None:
     shutil.rmtree(files.data, ignore_errors=True)
 
 
+def stay_on(cores: Any) -> None:
+    """Let a solver use its own cores: threads of several solvers would wait for each other at every step.
+
+    Args:
+      cores: queue with a set of cores for each solver.
+    """
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, cores.get())
+
+
 def run(config: Config, folder: Path) -> Iterator[int]:
     """Make and solve all cases that are not done; yields the index of each case that is."""
     context = multiprocessing.get_context("spawn")
@@ -213,9 +223,13 @@ def run(config: Config, folder: Path) -> Iterator[int]:
             yield index
         else:
             left.append(Files(folder, index))
+    cores = context.Queue()
+    usable = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [0]
+    for worker in range(config.workers):
+        cores.put({usable[worker % len(usable)]} if config.workers > 1 else set(usable))
     with (
         ProcessPoolExecutor(config.workers, context) as makers,
-        ProcessPoolExecutor(config.workers, context) as solvers,
+        ProcessPoolExecutor(config.workers, context, stay_on, (cores,)) as solvers,
     ):
         pending: dict[Future[None], tuple[str, Files]] = {}
         queue = iter(left)

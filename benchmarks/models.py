@@ -16,7 +16,8 @@ import numpy as np
 import tyro
 
 from btr_mjx.behaviour import _essence, _program
-from btr_mjx.devices import available_cores, use_all_cores
+from btr_mjx.devices import use_all_cores
+from btr_mjx.environment import available_cores
 from btr_mjx.models import compile_models, why_compiled
 from btr_mjx.robots import hexapod
 

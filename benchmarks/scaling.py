@@ -22,7 +22,7 @@ import numpy as np
 import tyro
 
 from btr_mjx.behaviour import evaluate
-from btr_mjx.devices import available_cores
+from btr_mjx.environment import available_cores
 from btr_mjx.models import base_model, compile_models
 from btr_mjx.robots import hexapod
 

@@ -23,10 +23,11 @@ from mujoco import rollout
 from mujoco.batch import Batch
 
 from btr_mjx.behaviour import _essence, _program, _stepper, base_address
-from btr_mjx.devices import available_cores, use_all_cores
+from btr_mjx.devices import use_all_cores
 from btr_mjx.engines import native
 from btr_mjx.engines.mjx import MjxStepper
 from btr_mjx.engines.program import Program
+from btr_mjx.environment import available_cores
 from btr_mjx.models import Models, compile_models
 from btr_mjx.robots import Robot, hexapod
 

@@ -7,6 +7,8 @@ from pathlib import Path
 import jax
 import jaxlib
 
+from btr_mjx.environment import available_cores
+
 _COMPILER_FLAG = "--xla_backend_extra_options="
 _COMPILER_OPTIONS = "xla_slp_vectorizer_disabled,xla_cpu_disable_loop_unrolling"
 """A step of `lanes` is one function of hundreds of short loops that are vectors already: unrolling them and looking for
@@ -33,11 +35,6 @@ def use_all_cores() -> None:
     jax.config.update("jax_num_cpu_devices", number if counted else available_cores())
     if _COMPILER_FLAG not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} {_COMPILER_FLAG}{_COMPILER_OPTIONS}".strip()
-
-
-def available_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def use_compilation_cache() -> None:

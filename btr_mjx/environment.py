@@ -14,6 +14,11 @@ PACKAGES = ("btr-mjx", "numpy", "scipy", "jax", "jaxlib", "mujoco", "mujoco-mjx"
 COMPARED = ("python", "versions", "machine", "processor", "cpus_usable", "devices", "settings", "git")
 
 
+def available_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def describe_environment(devices: Sequence[Any] | None = None) -> dict[str, Any]:
     """Describe this process and the machine it runs on; costs no import and starts no device.
 
@@ -25,7 +30,6 @@ def describe_environment(devices: Sequence[Any] | None = None) -> dict[str, Any]
       settings (environment variables of jax and XLA), git (commit and whether the tree differs from it, or null), start
       (UTC), argv and pid.
     """
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     found = _running_devices() if devices is None else devices
     return {
         "python": platform.python_version(),
@@ -34,7 +38,7 @@ def describe_environment(devices: Sequence[Any] | None = None) -> dict[str, Any]
         "machine": platform.machine(),
         "processor": _processor(),
         "cpus": os.cpu_count(),
-        "cpus_usable": usable,
+        "cpus_usable": available_cores(),
         "devices": None if found is None else [_device(device) for device in found],
         "settings": {name: os.environ[name] for name in sorted(os.environ) if name.startswith(("XLA_", "JAX_"))},
         "git": git_state(Path(__file__).parent),

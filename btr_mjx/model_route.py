@@ -25,7 +25,7 @@ import numpy as np
 from mujoco.batch import MODEL_FIELDS, Batch
 
 from btr_mjx.compiler_rules import SIZES
-from btr_mjx.devices import available_cores
+from btr_mjx.environment import available_cores
 from btr_mjx.geom_route import FRAME_FIELDS, INERTIA_FIELDS, GeomRoute, Unable, geom_route
 from btr_mjx.model_fields import PHYSICS, field_names, read_field
 from btr_mjx.model_sources import Cells, Tagged, sources, tagged

@@ -5,7 +5,6 @@ step and with another integrator. Results are bit-identical at any thread count.
 """
 
 import copy
-import os
 from collections.abc import Mapping
 
 import mujoco
@@ -14,6 +13,7 @@ from mujoco.batch import Batch
 
 from btr_mjx.engines.base import Leaves
 from btr_mjx.engines.program import Record
+from btr_mjx.environment import available_cores
 from btr_mjx.robots import Signal
 
 _SEGMENT = 100
@@ -65,7 +65,7 @@ def rollout(
     # An invalid state must stay visible; MuJoCo's automatic reset would turn it into a new start.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     count, dt = len(controllers), float(model.opt.timestep)
-    batch = Batch(model, nsim=count, nthread=threads or os.cpu_count() or 1)
+    batch = Batch(model, nsim=count, nthread=threads or available_cores())
     expand(batch, leaves)
     # With its stage left out, a reset only writes qpos0; the models' own constants are already in the leaves.
     batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)

@@ -109,6 +109,12 @@ class Joints:
         self._gram = self._columns @ np.swapaxes(self._columns, 2, 3)  # (W, nv, bins, bins)
         self._roots = np.linalg.eigh(self._gram)
         self._across = self._with(nuisance.columns)
+        self._at: list[tuple[int, list[Feature], np.ndarray, np.ndarray]] = []
+        for dof in sorted({feature.dof for feature in known}):
+            here = [feature for feature in known if feature.dof == dof]
+            values = np.stack([feature.values for feature in here], 1)  # (W, features, bins)
+            size = ((values @ self._gram[:, dof]) * values).sum(2)
+            self._at.append((dof, here, np.swapaxes(values, 0, 1).reshape(len(here), -1), size))
 
     def _with(self, columns: np.ndarray) -> np.ndarray:
         """Inner products (W, nv, bins, P) of the forces' signatures with columns (W, P, R)."""
@@ -138,14 +144,13 @@ class Joints:
         inverse = np.linalg.inv(normal)
         across = np.concatenate([self._with(np.moveaxis(own, 0, 1)), self._across], -1) * w[:, None, None, None]
         found = []
-        for feature in self.known:
-            f, dof = feature.values, feature.dof
-            size_here = float((w * np.einsum("wb,wbc,wc->w", f, self._gram[:, dof], f, optimize=True)).sum())
-            mixed = np.tensordot(f, across[:, dof], 2)
-            rest = size_here - float(mixed @ inverse @ mixed)
-            if size_here > 0 and rest > 1e-3 * size_here:
-                push = float(w @ (f * moment[:, dof]).sum(1)) - float(mixed @ inverse @ pull)
-                found.append((push**2 / rest, -push / rest, mixed, feature))
+        for dof, here, values, sizes in self._at:
+            size_here = w @ sizes
+            mixed = values @ across[:, dof].reshape(values.shape[1], -1)  # (features, P)
+            rest = size_here - ((mixed @ inverse) * mixed).sum(1)
+            push = values @ (w[:, None] * moment[:, dof]).ravel() - mixed @ (inverse @ pull)
+            for i in np.flatnonzero((size_here > 0) & (rest > 1e-3 * size_here)):
+                found.append((push[i] ** 2 / rest[i], -push[i] / rest[i], mixed[i], here[i]))
         best, gain = None, 0.0
         reference = self.nuisance.profile(absorbed, cut)
         for _, amplitude, mixed, feature in sorted(found, key=lambda row: -row[0])[:_LOOK]:

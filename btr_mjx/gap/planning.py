@@ -5,13 +5,13 @@ picture; a smooth one for as long as the believed model stays near the data, bec
 show in long windows only.
 """
 
-import os
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from btr_mjx.environment import available_cores
 from btr_mjx.errors import InputError
 from btr_mjx.gap.prepared import Data
 from btr_mjx.gap.smoothing import smooth
@@ -56,7 +56,7 @@ def survey(data: Data, counter: Counter) -> Survey:
     touching = []
     for recording, track in zip(data.recordings, data.tracks, strict=True):
         world = World.of(recording.model)
-        batch = Batch(world.model, nsim=len(track.time), nthread=os.cpu_count() or 1)
+        batch = Batch(world.model, nsim=len(track.time), nthread=available_cores())
         batch.bind("qpos")[:] = track.qpos
         contacts = batch.bind("ncon")
         batch.forward(stage=int(mujoco.mjtStage.mjSTAGE_POS))

@@ -37,22 +37,17 @@ class Scanner:
             spans.append(np.arange(count, count + len(entry.steps)))
             count += len(entry.steps)
         self._spans = spans
-        mixing = np.zeros((count, len(screened.columns)), np.float32)
-        for span, group in zip(spans, screened.groups, strict=True):
-            for row, (columns, factors) in zip(span, group, strict=True):
-                mixing[row, columns] = factors
-        self._mixing = mixing
-        raw = np.moveaxis(screened.columns, 0, 1)  # (W, C, R)
-        self._raw = raw
-        own = mixing @ (raw @ np.swapaxes(raw, 1, 2)) @ mixing.T
-        across = mixing @ (raw @ np.swapaxes(nuisance.columns, 1, 2))
+        columns = np.concatenate([screened.signature(i) for i in range(len(screened.entries))])
+        self._columns = np.ascontiguousarray(np.moveaxis(columns, 0, 1))  # (W, C, R)
+        own = self._columns @ np.swapaxes(self._columns, 1, 2)
+        across = self._columns @ np.swapaxes(nuisance.columns, 1, 2)
         self._gram = np.block([[own, across], [np.swapaxes(across, 1, 2), nuisance.gram]]).astype(np.float32)
         self._count = count
 
     def evidence(self, residual: np.ndarray) -> Evidence:
         """Evidence of a residual (W, R) on all candidates' numbers followed by the nuisances."""
         vector = residual.astype(np.float32)[..., None]
-        own = (self._raw @ vector)[..., 0] @ self._mixing.T
+        own = (self._columns @ vector)[..., 0]
         moment = np.concatenate([own, (self.nuisance.columns @ vector)[..., 0]], 1)
         return Evidence((residual**2).sum(1), moment.astype(float), self._gram)
 
@@ -108,7 +103,7 @@ class Scanner:
         """Evidence with more columns at the end."""
         free = np.moveaxis(extra, 0, 1).astype(np.float32)
         vector = residual.astype(np.float32)[..., None]
-        own = self._mixing @ (self._raw @ np.swapaxes(free, 1, 2))
+        own = self._columns @ np.swapaxes(free, 1, 2)
         across = np.concatenate([own, self.nuisance.columns @ np.swapaxes(free, 1, 2)], 1)  # (W, C, E)
         gram = np.block([[data.gram, across], [np.swapaxes(across, 1, 2), free @ np.swapaxes(free, 1, 2)]])
         moment = np.concatenate([data.moment, (free @ vector)[..., 0]], 1)

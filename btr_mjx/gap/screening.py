@@ -11,7 +11,7 @@ from btr_mjx.gap.hypotheses import DELICATE, Hypothesis, believed_steps
 from btr_mjx.gap.refine import Nuisance
 from btr_mjx.gap.sensitivity import signatures
 from btr_mjx.gap.windows import MakeWorld, Windows
-from btr_mjx.gap.worlds import fields_of
+from btr_mjx.gap.world import fields_of, fingerprint
 
 _SHAPES_CONTACT = frozenset({"geom_pos", "geom_quat", "geom_size", "body_pos", "body_quat", "jnt_pos", "qpos0"})
 _SHAPES_CONTACT |= {"geom_friction", "geom_solref", "geom_solimp", "geom_margin"}
@@ -60,21 +60,26 @@ def simulated(candidate: Candidate) -> bool:
     return not (candidate.effect.summable and candidate.place.members)
 
 
-def changed_fields(candidate: Candidate, model: mujoco.MjModel, base: Hypothesis) -> set[str]:
-    """Fields of the model that a small step of a candidate changes, derived constants included."""
-    own = base(model)
-    values = candidate.null
-    values[0] += candidate.parameters[0].step
-    return set(fields_of(base.with_effect(candidate, values)(model), own.model))
+def changed_fields(
+    candidates: Sequence[Candidate], model: mujoco.MjModel, base: Hypothesis
+) -> dict[str, frozenset[str]]:
+    """Fields of the model that a small step of each candidate changes, derived constants included, by name."""
+    own = base(model).model
+    known, out = fingerprint(own), {}
+    for candidate in candidates:
+        values = candidate.null
+        values[0] += candidate.parameters[0].step
+        out[candidate.name] = frozenset(fields_of(base.with_effect(candidate, values)(model), own, known))
+    return out
 
 
-def moves_contact(fields: set[str]) -> bool:
+def moves_contact(fields: Collection[str]) -> bool:
     """Whether a change of these fields moves or alters contacts, where linear signatures mislead."""
-    return not fields.isdisjoint(_SHAPES_CONTACT)
+    return not _SHAPES_CONTACT.isdisjoint(fields)
 
 
 def entries_of(
-    candidates: Sequence[Candidate], fields: Mapping[str, set[str]], delicate: Collection[str] = ()
+    candidates: Sequence[Candidate], fields: Mapping[str, frozenset[str]], delicate: Collection[str] = ()
 ) -> list[Entry]:
     """Entries of candidates: each at its own steps, and limits at a few values of their own.
 
@@ -89,7 +94,7 @@ def entries_of(
         if candidate.name in delicate:
             steps = steps * DELICATE
         out.append(Entry(candidate, steps))
-        if not fields.get(candidate.name, set()).isdisjoint(_CLAMPS):
+        if not fields.get(candidate.name, frozenset()).isdisjoint(_CLAMPS):
             first = candidate.parameters[0]
             tightest = first.low if first.step < 0 else first.high
             for share in _CLAMP_PROBES:

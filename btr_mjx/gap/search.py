@@ -104,7 +104,7 @@ class Bench:
         self.candidates = candidates(model, self.scales, effects)
         self.before = tuple(parameter.value(dataset.model) for parameter in dataset.parameters)
         self.base = Hypothesis(dataset.parameters, self.before)
-        self.fields = {c.name: changed_fields(c, model, self.base) for c in self.candidates}
+        self.fields = changed_fields(self.candidates, model, self.base)
         self.delicate = {name for name in self.fields if self.survey.contact and moves_contact(self.fields[name])}
         entries = entries_of(self.candidates, self.fields, self.delicate)
         note("windows")

@@ -4,13 +4,13 @@ A polynomial in time is fitted to the samples around each chosen one, to positio
 velocities, each in units of its noise. Positions are tangent vectors from the chosen sample, so any joint will do.
 """
 
-import os
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from btr_mjx.environment import available_cores
 from btr_mjx.gap.activation import activations
 from btr_mjx.gap.commands import Command
 from btr_mjx.gap.tangent import difference, integrate
@@ -141,7 +141,7 @@ def histories(model: mujoco.MjModel, track: Track, command: Command) -> np.ndarr
     if not np.isin(model.actuator_dyntype, [int(kind) for kind in plain]).all() or model.actuator_actlimited.any():
         return activations(world, command, track.time, track.qpos, np.where(track.measured, track.qvel, 0.0))
     # Integrals: the rate does not depend on the activation, so that every sample is evaluated at once.
-    batch = Batch(world.model, nsim=len(track.time), nthread=os.cpu_count() or 1)
+    batch = Batch(world.model, nsim=len(track.time), nthread=available_cores())
     batch.bind("qpos")[:], batch.bind("qvel")[:] = track.qpos, np.where(track.measured, track.qvel, 0.0)
     batch.bind("ctrl")[:] = world.command(command).at(track.time)
     rate = batch.bind("act_dot")

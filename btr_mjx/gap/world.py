@@ -1,8 +1,9 @@
 """One way the robot could be: what an effect edits."""
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -52,17 +53,23 @@ class World:
         return command
 
 
-def fields_of(world: World, base: mujoco.MjModel) -> dict[str, np.ndarray]:
+Fingerprint = Mapping[str, object]
+"""The fields of a model that are compared, as bytes or numbers."""
+
+
+def fields_of(world: World, base: mujoco.MjModel, known: Fingerprint | None = None) -> dict[str, np.ndarray]:
     """The fields of a world's model that differ from a base model, derived constants included.
 
     Args:
       world: whose model is compared; its derived constants are recomputed.
       base: a model of the same structure.
+      known: `fingerprint(base)`, for whoever compares many worlds with one base.
     """
-    changed = _differing(world.model, base)
+    known = fingerprint(base) if known is None else known
+    changed = _differing(world.model, known)
     if changed:
         mujoco.mj_setConst(world.model, mujoco.MjData(world.model))
-        changed = _differing(world.model, base)
+        changed = _differing(world.model, known)
     return changed
 
 
@@ -79,15 +86,24 @@ _COMPARED = tuple(
 """Fields in which two worlds of one structure may differ in a way that matters to motion."""
 
 
-def _differing(model: mujoco.MjModel, base: mujoco.MjModel) -> dict[str, np.ndarray]:
+def fingerprint(model: mujoco.MjModel) -> Fingerprint:
+    """What `fields_of` compares."""
+    return {name: _comparable(_field(model, name)) for name in _COMPARED}
+
+
+def _field(model: mujoco.MjModel, name: str) -> Any:
+    return getattr(model.opt, name[4:]) if name.startswith("opt.") else getattr(model, name)
+
+
+def _comparable(value: Any) -> object:
+    # Bytes, because this is done for hundreds of worlds and array_equal takes ten times as long.
+    return value.tobytes() if isinstance(value, np.ndarray) else value
+
+
+def _differing(model: mujoco.MjModel, known: Fingerprint) -> dict[str, np.ndarray]:
     changed = {}
-    for name in _COMPARED:
-        if name.startswith("opt."):
-            ours, theirs = getattr(model.opt, name[4:]), getattr(base.opt, name[4:])
-        else:
-            ours, theirs = getattr(model, name), getattr(base, name)
-        # Bytes, because this is done for hundreds of worlds and array_equal takes ten times as long.
-        same = ours.tobytes() == theirs.tobytes() if isinstance(ours, np.ndarray) else ours == theirs
-        if not same:
+    for name, theirs in known.items():
+        ours = _field(model, name)
+        if _comparable(ours) != theirs:
             changed[name] = np.array(ours)
     return changed

@@ -6,7 +6,6 @@ sampled in the middle of each step, because a control held from the step's start
 """
 
 import copy
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -14,14 +13,18 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 
+from btr_mjx.environment import available_cores
 from btr_mjx.errors import InputError
 from btr_mjx.gap.laws import Rows
 from btr_mjx.gap.stretches import Controls, Job, Piece, Sampler, Stretch
 from btr_mjx.gap.tangent import integrate
-from btr_mjx.gap.world import CommandEdit, World, fields_of
+from btr_mjx.gap.world import CommandEdit, World, fields_of, fingerprint
 from btr_mjx.model_fields import read_field
 
 __all__ = ["CommandEdit", "Counter", "Job", "Stretch", "World", "fields_of", "simulate"]
+
+_ROWS_PER_THREAD = 16
+"""Rows that are worth a thread."""
 
 _ROWS = 8192
 """Rows of one batch: bounds the memory that many jobs take."""
@@ -133,8 +136,8 @@ def _run(
     rows = [slice(end - len(stretch), end) for end, (_, stretch) in zip(ends, pieces, strict=True)]
     count = int(ends[-1])
     # Threads that wait for each other at every step cost more than they bring to a few rows.
-    most = threads or os.cpu_count() or 1
-    batch = Batch(base, nsim=count, nthread=max(1, min(most, count // 48)))
+    most = threads or available_cores()
+    batch = Batch(base, nsim=count, nthread=max(1, min(most, count // _ROWS_PER_THREAD)))
     _write_models(batch, base, pieces, rows)
     qpos, qvel, time = batch.bind("qpos"), batch.bind("qvel"), batch.bind("time")
     for (world, stretch), own in zip(pieces, rows, strict=True):
@@ -176,9 +179,10 @@ def _run(
 def _write_models(batch: Batch, base: mujoco.MjModel, pieces: Sequence[Job], rows: Sequence[slice]) -> None:
     """Give every row its world's model: only the fields in which a world differs are expanded."""
     known: dict[int, dict[str, np.ndarray]] = {}
+    prints = fingerprint(base)
     for (world, _), own in zip(pieces, rows, strict=True):
         if id(world) not in known:
-            known[id(world)] = fields_of(world, base)
+            known[id(world)] = fields_of(world, base, prints)
         for name, values in known[id(world)].items():
             batch.expand(name)[own] = values
 
