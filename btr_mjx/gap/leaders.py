@@ -7,18 +7,28 @@ import numpy as np
 from btr_mjx.gap.effect import Candidate
 from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.places import Place
-from btr_mjx.gap.refine import Nuisance
 from btr_mjx.gap.scanner import Lead
-from btr_mjx.gap.score import Fit, robust_gain
+from btr_mjx.gap.score import robust_gain
 from btr_mjx.gap.screening import Entry
-from btr_mjx.gap.search_records import Options
-from btr_mjx.gap.windows import Windows
+from btr_mjx.gap.search_records import Options, Side
+
+_Try = tuple[float, Candidate, np.ndarray]
 
 _CLAMP_SHARES = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85)
 """Starts of a limit, as parts of the way from where it does nothing to its tightest."""
 
-_EITHER_SIDE = (3.0, -3.0)
-"""Where candidates that move contacts are tried, in steps of their first number."""
+_EITHER_SIDE = (1.0, -1.0)
+"""Where candidates that move contacts are tried, in steps of their first number: a small one helps a little wherever
+the truth lies beyond half of it, a large one is worse than nothing where the truth is small."""
+
+_AGAIN = (1.0, 3.0)
+"""Factors on that for the best of them, which are then looked at in all windows."""
+
+_BEST = 8
+"""So many of them."""
+
+_WORSE = -5.0
+"""What fits so much worse at a small size is not looked at again."""
 
 
 def pick(
@@ -48,7 +58,10 @@ def pick(
     limits = [name for name in names if any(entry(lead).probe for lead in by_name[name])]
     places = [entry(by_name[name][0]).candidate.place for name in names[:2]]
     same = [n for n in limits if any(_overlap(entry(by_name[n][0]).candidate.place, p) for p in places)]
-    picked = dict.fromkeys([*chosen, *limits[:1], *same[:1]])
+    # The limit of one motor hides that its neighbours have one as well: in the linear picture they cancel.
+    first = entry(by_name[limits[0]][0]).candidate.place if limits else None
+    groups = [n for n in limits if first is not None and _within(first, entry(by_name[n][0]).candidate.place)]
+    picked = dict.fromkeys([*chosen, *limits[:1], *same[:1], *groups[:2]])
     return {name: sorted(by_name[name], key=lambda lead: -entry(lead).probe)[:3] for name in picked}
 
 
@@ -64,40 +77,53 @@ def starts(leads: Sequence[Lead], entry: Callable[[Lead], Entry]) -> list[np.nda
 
 
 def contact_scan(
-    windows: Windows,
-    nuisance: Nuisance,
-    start: Hypothesis,
-    delicate: Sequence[Candidate],
-    cut: float,
-    reference: Fit,
-) -> list[tuple[float, Candidate, np.ndarray]]:
+    side: Side, start: Hypothesis, delicate: Sequence[Candidate], cut: float, residual: np.ndarray, every: int
+) -> list[_Try]:
     """Scan candidates that move contacts by true simulation, as linear signatures mislead there.
 
     Args:
-      windows: where.
-      nuisance: what is fitted along there.
+      side: windows, and what is fitted along.
       start: what is there already.
       delicate: the candidates.
       cut: chi^2 above which a window counts less.
-      reference: fit of what is there already.
+      residual: (W, R) of what is there already.
+      every: all candidates are tried on one of so many windows, the best of them on all.
 
     Returns:
-      Gain, candidate and its best starting values (p,), best first.
+      Gain, candidate and its best starting values (p,), best first; the first few gains are of all windows.
     """
-    tries = []
-    for candidate in delicate:
-        first = candidate.parameters[0]
-        for factor in _EITHER_SIDE:
+
+    def attempt(own: np.ndarray, tries: Sequence[tuple[Candidate, float]]) -> list[_Try]:
+        """Simulate candidates on some windows, at values of their first number, and keep each one's best."""
+        some = side.some(own)
+        reference = some.nuisance.profile(residual[own], cut)
+        rows = []
+        for candidate, value in tries:
             values = candidate.null
-            values[0] = np.clip(first.null + factor * first.step, first.low, first.high)
-            tries.append((candidate, values))
-    found = windows.residuals([start.with_effect(candidate, values) for candidate, values in tries])
-    best: dict[str, tuple[float, Candidate, np.ndarray]] = {}
-    for (candidate, values), residual in zip(tries, found, strict=True):
-        gain = robust_gain(reference, nuisance.profile(residual, cut), cut)
-        if candidate.name not in best or gain > best[candidate.name][0]:
-            best[candidate.name] = gain, candidate, values
-    return sorted(best.values(), key=lambda row: -row[0])
+            values[0] = np.clip(value, candidate.parameters[0].low, candidate.parameters[0].high)
+            rows.append((candidate, values))
+        found = some.windows.residuals([start.with_effect(candidate, values) for candidate, values in rows])
+        best: dict[str, _Try] = {}
+        for (candidate, values), moved in zip(rows, found, strict=True):
+            gain = robust_gain(reference, some.nuisance.profile(moved, cut), cut)
+            if candidate.name not in best or gain > best[candidate.name][0]:
+                best[candidate.name] = gain, candidate, values
+        return sorted(best.values(), key=lambda row: -row[0])
+
+    firsts = {candidate.name: candidate.parameters[0] for candidate in delicate}
+    sides = [(c, firsts[c.name].null + sign * firsts[c.name].step) for c in delicate for sign in _EITHER_SIDE]
+    index = np.arange(len(side.windows))
+    few = [row for row in attempt(index[::every], sides) if row[0] > _WORSE]
+    further = []
+    for _, candidate, values in few[:_BEST]:
+        null = firsts[candidate.name].null
+        further += [(candidate, null + factor * (values[0] - null)) for factor in _AGAIN]
+    return [*attempt(index, further), *few[_BEST:]]
+
+
+def _within(a: Place, b: Place) -> bool:
+    """Whether the motors or joints of one place are some of another's."""
+    return bool(a.joints) and set(a.joints) < set(b.joints)
 
 
 def _overlap(a: Place, b: Place) -> bool:

@@ -1,11 +1,12 @@
 """Leaders judged again, with starting states that suit each of them.
 
 Linear directions of the starting states, found in the believed model, judge a hypothesis that moves contacts worse than
-nothing although it is true: a foot touches at another time. Such leaders get directions of their own, and several
-starting values, because derivatives through a touchdown lead nowhere.
+nothing although it is true: a foot touches at another time. Such leaders get directions of their own, found anew while
+their size is walked over, because derivatives through a touchdown lead nowhere.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,14 +25,20 @@ _CLOSE = 40.0
 _MOVING = 3
 """Candidates that move contacts, beyond the leaders, that are looked at again."""
 
+_WALKS = 4
+"""Candidates that move contacts that are looked at again, leaders included."""
+
+_HOPE = 0.25
+"""Part of the best gain that such a candidate must have before its size is walked over."""
+
 _PROMISE = 0.5
-"""Part of the best gain that these must then have to be judged again."""
+"""Part of the best gain that it must have afterwards to be judged again."""
 
-_FACTORS = (1.0, 0.7, 0.85, 1.15, 1.3)
-"""Factors on the size of a candidate that moves contacts, from which its refinement starts again."""
+_STRIDE = 1.5
+"""Factor on the size at every step of the walk."""
 
-_AGAIN = 2
-"""Times that a candidate that moves contacts may be linearised anew."""
+_STRIDES = 3
+"""Steps of the walk in either direction, at most."""
 
 
 class Polisher:
@@ -60,64 +67,64 @@ class Polisher:
             return []
         best = judged[0].score
         close = [j for j in judged if best - j.score <= max(_CLOSE, 0.1 * best) and best > _HOPELESS][:most]
-        close += self._promising([j for j in judged if j not in close], max(judged[0].gain, _CLOSE))
-        if not close:
+        plain = [j for j in close if not self._moves_contacts(j.hypothesis)]
+        others = [j for j in judged if j not in close and j.gain > 0 and self._moves_contacts(j.hypothesis)]
+        moving = [j for j in close if j not in plain] + others[:_MOVING]
+        walked = [(j, self._walked(j.hypothesis, max(judged[0].gain, _CLOSE))) for j in moving[:_WALKS]]
+        tries = [(j, j.hypothesis) for j in plain] + [(j, found) for j, found in walked if found is not None]
+        if not tries:
             return list(judged)
-        out = [j for j in judged if j not in close]
-        references = self._polished(any(j.hypothesis.effects[-1][0].name in bench.delicate for j in close))
-        for own in close:
-            hypothesis, anew = own.hypothesis, any(c.name in bench.delicate for c, _ in own.hypothesis.effects)
-            for _ in range(_AGAIN):
-                side = bench.fit.recentred(hypothesis, anew)
-                free = unknowns(hypothesis, bench.joint, bench.delicate)
-                refined = refine(
-                    side.windows, bench.free(side), bench.cut, [(free, self._around(hypothesis))], 2, references[0]
-                )[0]
-                before, hypothesis = hypothesis, hypothesis.replaced(refined.values, bench.joint)
-                if not self._moved(before, hypothesis):
-                    break
+        chosen = [j for j, _ in tries]
+        out = [j for j in judged if j not in chosen]
+        references = self._polished(len(chosen) > len(plain))
+        for own, hypothesis in tries:
+            anew = own not in plain
+            side = bench.fit.recentred(hypothesis, anew)
+            free = unknowns(hypothesis, bench.joint, bench.delicate)
+            start = [hypothesis.values(bench.joint)]
+            refined = refine(side.windows, bench.free(side), bench.cut, [(free, start)], 2, references[0])[0]
+            hypothesis = hypothesis.replaced(refined.values, bench.joint)
             sides = side, bench.test.recentred(hypothesis, anew)
             out += bench.judge([hypothesis], [refined], sides, references)
         return sorted(out, key=lambda j: -j.score)
 
-    def _around(self, hypothesis: Hypothesis) -> list[np.ndarray]:
-        """Starting values of a refinement: where contacts move, derivatives alone do not lead to the best value."""
-        bench = self.bench
-        candidate, own = hypothesis.effects[-1]
-        values = hypothesis.values(bench.joint)
-        if candidate.name not in bench.delicate:
-            return [values]
-        place, null = len(values) - len(own), candidate.parameters[0].null
-        out = []
-        for factor in _FACTORS:
-            trial = values.copy()
-            trial[place] = null + factor * (own[0] - null)
-            out.append(trial)
-        return out
+    def _moves_contacts(self, hypothesis: Hypothesis) -> bool:
+        return any(candidate.name in self.bench.delicate for candidate, _ in hypothesis.effects)
 
-    def _promising(self, judged: Sequence[Judged], best: float) -> list[Judged]:
-        """Candidates that move contacts and may come near the best gain, on a part of the windows, linearised anew."""
+    def _walked(self, hypothesis: Hypothesis, best: float) -> Hypothesis | None:
+        """Where a walk over the size of the last effect ends, on a part of the windows, linearised anew at every step.
+
+        Directions found at one size mislead at another as soon as a foot touches, so that no derivative leads there.
+
+        Args:
+          hypothesis: one that moves contacts.
+          best: gain that it has to come near to.
+
+        Returns:
+          None for one that does not.
+        """
         bench = self.bench
-        moving = [j for j in judged if j.gain > 0 and j.hypothesis.effects[-1][0].name in bench.delicate][:_MOVING]
         index = np.arange(0, len(bench.fit.windows), 3)
         few = bench.fit.some(index)
+        share = len(index) / len(bench.fit.windows)
         reference = bench.free(few).profile(few.windows.residual, bench.cut)
-        out = []
-        for own in moving:
-            side = few.recentred(own.hypothesis, anew=True)
-            gain = bench.fall(reference, bench.free(side).profile(side.windows.residual, bench.cut))
-            if len(bench.fit.windows) / len(index) * gain > _PROMISE * best:
-                out.append(own)
-        return out
 
-    def _moved(self, before: Hypothesis, after: Hypothesis) -> bool:
-        """Whether contacts have moved so far that the windows' directions are of yesterday."""
-        bench = self.bench
-        candidate, values = after.effects[-1]
-        first = candidate.parameters[0]
-        if candidate.name not in bench.delicate:
-            return False
-        return abs(values[0] - before.effects[-1][1][0]) > 0.15 * abs(values[0] - first.null) + abs(first.step)
+        def gain(factor: float) -> float:
+            side = few.recentred(_scaled(hypothesis, factor), anew=True)
+            return bench.fall(reference, bench.free(side).profile(side.windows.residual, bench.cut)) / share
+
+        known = {1.0: gain(1.0)}
+        if known[1.0] < _HOPE * best:
+            return None
+        for stride in (_STRIDE, 1.0 / _STRIDE):
+            factor = 1.0
+            for _ in range(_STRIDES):
+                known[factor * stride] = gain(factor * stride)
+                if known[factor * stride] < known[factor]:
+                    break
+                factor *= stride
+        there = max(known, key=lambda factor: known[factor])
+        return _scaled(hypothesis, there) if known[there] > _PROMISE * best else None
 
     def _polished(self, anew: bool) -> tuple[Fit, Fit]:
         """Fits of the believed model with starting states polished as those of leaders are.
@@ -137,3 +144,12 @@ class Polisher:
             for sides in zip(*self._polished_sides.values(), strict=True)
         )
         return first, second
+
+
+def _scaled(hypothesis: Hypothesis, factor: float) -> Hypothesis:
+    """The same with the last effect's first number farther from its null, or nearer."""
+    candidate, values = hypothesis.effects[-1]
+    first = candidate.parameters[0]
+    value = float(np.clip(first.null + factor * (values[0] - first.null), first.low, first.high))
+    effects = (*hypothesis.effects[:-1], (candidate, (value, *values[1:])))
+    return replace(hypothesis, effects=effects)

@@ -226,6 +226,9 @@ class Bench:
         if given is None and leads:
             self._settle(self._linear_best(leads[:5], residual))
         price = np.log(self.fit.windows.residual.size) * self.dispersion
+        if given is not None:
+            # Most robots lack one thing: what is not worth its price in the linear picture is not simulated as well.
+            leads = [lead for lead in leads if lead.gain > price * len(lead.values)]
         starting = {own[0].index: starts(own, self._entry) for own in pick(leads, self._entry, options, price).values()}
         tries = [(self.scanner.screened.entries[index].candidate, values) for index, values in starting.items()]
         tries = self._with_contacts(start, sides[0], residual, tries, options)
@@ -264,12 +267,9 @@ class Bench:
         out = {candidate.name: (candidate, list(values)) for candidate, values in tries}
         if not moving:
             return list(out.values())
-        index = np.arange(0, len(side.windows), options.every)
-        half = side.some(index)
-        nuisance = self.free(half)
-        reference = nuisance.profile(residual[index], self.cut)
+        side = Side(side.windows, self.free(side))
         added = 0
-        for gain, candidate, values in contact_scan(half.windows, nuisance, start, moving, self.cut, reference):
+        for gain, candidate, values in contact_scan(side, start, moving, self.cut, residual, options.every):
             known = candidate.name in out
             if gain <= 0 or (added >= options.contact_leaders and not known):
                 continue
