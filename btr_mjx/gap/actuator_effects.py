@@ -29,7 +29,9 @@ def _per_control(model: mujoco.MjModel, place: Place, value: float) -> np.ndarra
 
 def _delay(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
     time = scales.time
-    return (Parameter("delay", "s", -0.15 * time, max(2.0 * time, 0.03), 0.03 * time),)
+    # Clocks may differ, but not from one motor to the next.
+    low = -0.15 * time if len(place.actuators) == actuator_count(model) else 0.0
+    return (Parameter("delay", "s", low, max(2.0 * time, 0.03), 0.03 * time),)
 
 
 def _shift(delay: np.ndarray) -> Callable[[Command], Command]:
@@ -37,7 +39,7 @@ def _shift(delay: np.ndarray) -> Callable[[Command], Command]:
 
 
 def _apply_delay(world: World, place: Place, values: np.ndarray) -> None:
-    """u(t) = command(t - delay): bus and controller latency; a negative value says that commands were logged late."""
+    """u(t) = command(t - delay): bus and controller latency; negative (all together only): commands were logged late."""
     world.command_edits.append(_shift(_per_control(world.model, place, float(values[0]))))
 
 

@@ -35,7 +35,7 @@ CONTACT_THRESHOLD = 40.0
 SECOND_THRESHOLD = 25.0
 """What one more effect needs; what the first one's linearisation leaves must not count as a second one."""
 
-HELD_OUT = 5.0
+HELD_OUT = 3.0
 """Gain on held-out recordings that a name needs."""
 
 HELD_OUT_SHARE = 0.08

@@ -31,7 +31,9 @@ class Options:
     @property
     def fewer(self) -> "Options":
         """What is spent on one more effect: about half."""
-        return replace(self, leaders=max(1, self.leaders // 2), contact_leaders=self.contact_leaders // 2, every=4)
+        return replace(
+            self, leaders=max(1, self.leaders // 2), contact_leaders=self.contact_leaders // 2, every=3 * self.every
+        )
 
     def budget(self, nv: int) -> float:
         """Simulated steps that may go into a model of `nv` degrees of freedom: small ones step faster."""
