@@ -117,7 +117,7 @@ PRESETS = {
 }
 """Settings by preset."""
 
-SEARCHES_12 = {"delta-12": 25, "multiscale-12": None, "noisy-12": None, "native-12": None, "adam-12": None}
+SEARCHES_12 = {"delta-12": 20, "multiscale-12": None, "noisy-12": None, "native-12": None, "adam-12": None}
 """Searches of twelve lengths; at most so many generations of the costly one."""
 
 

@@ -39,7 +39,7 @@ def _shift(delay: np.ndarray) -> Callable[[Command], Command]:
 
 
 def _apply_delay(world: World, place: Place, values: np.ndarray) -> None:
-    """u(t) = command(t - delay): bus and controller latency; negative (all together only): commands were logged late."""
+    """u(t) = command(t - delay): bus and controller latency; negative, for all only: commands were logged late."""
     world.command_edits.append(_shift(_per_control(world.model, place, float(values[0]))))
 
 
