@@ -53,6 +53,12 @@ LEFT_OVER = 4.0
 LEFT_SHARE = 0.06
 """Part of its own gain that a name may leave at single joints."""
 
+REST = 2.5
+"""Lack of fit that a name may leave, in standard deviations, unless it explains most of what there was."""
+
+REST_SHARE = 0.5
+"""Part of what unknown forces explain that is most of it."""
+
 COARSE = 5.0
 """Dispersion beyond which no model of this kind reaches the noise: real machines have a hundred small effects."""
 
@@ -204,6 +210,8 @@ def missing(check: Check, named: Sequence[Judged], share: float, surprise: float
         first = check.left(named[0])
         if first.gain > max(check.gain, named[1].gain - named[0].gain):
             return True
+    if surprise > REST and share < REST_SHARE:
+        return True
     left, most = check.left(named[-1]), LEFT_SHARE * named[-1].gain
     return left.gain > max(check.gain, most) or (left.worst > check.excess and float(left.chi2.max()) > most)
 

@@ -252,7 +252,7 @@ def _judged(
     """Residuals (W, R) of hypotheses in windows of a recording, and their answers to their own numbers (P, W, R)."""
     interval = float(np.median(np.diff(recording.time)))
     data = prepare([recording], interpolation, sigma, Span(3, 6))
-    k = max(6, round(2 * CONTACT_SPAN / interval))
+    k = max(6, round(CONTACT_SPAN / interval))
     last = len(recording.time) - 1 - k
     if last < 4:
         return None

