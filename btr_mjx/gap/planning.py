@@ -19,8 +19,8 @@ from btr_mjx.gap.tangent import difference
 from btr_mjx.gap.worlds import Counter, Stretch, World, simulate
 
 CONTACT_SPAN = 0.04
-"""Length of a window of a robot that touches the world [s]. At the same cost in simulated steps, true effects gained up to
-2.5 times as much in windows of 40 ms as in twice as many of 20 ms, and no more in windows of 60 ms."""
+"""Length of a window of a robot that touches the world [s]. At the same cost in simulated steps true effects gained up
+to 2.5 times as much in windows of 40 ms as in twice as many of 20 ms, and no more in windows of 60 ms."""
 
 _SHORTEST = 0.02
 """No window of another robot is shorter [s]."""
