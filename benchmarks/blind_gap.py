@@ -166,6 +166,7 @@ def consult(config: Config, files: Files, bench: Bench | None) -> None:
         for one in missing:
             names = [c for c in found if c.split("@")[0] == one["effect"]]
             match = [c for c in names if scores.same_place(model, c.partition("@")[2], one["location"])]
+            match.sort(key=lambda c: c.partition("@")[2] != one["location"])  # a foot's ground is not all of it
             if match:
                 candidate = found[match[0]]
                 values = scores.true_values(model, one, [p.name for p in candidate.parameters])

@@ -35,6 +35,10 @@ CONTACT_THRESHOLD = 40.0
 SECOND_THRESHOLD = 25.0
 """What one more effect needs; what the first one's linearisation leaves must not count as a second one."""
 
+SECOND_SHARE = 0.05
+"""Part of the first one's score that a second effect needs where either moves contacts: a size that is a little off
+leaves as much."""
+
 HELD_OUT = 3.0
 """Gain on held-out recordings that a name needs."""
 
@@ -182,6 +186,8 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None) -> bool:
     held_out = judged.held_out - (given.held_out if given else 0.0)
     expected = gain * len(bench.test.windows) / len(bench.fit.windows)
     needed = SECOND_THRESHOLD if given else THRESHOLD
+    if given and any(candidate.name in bench.delicate for candidate, _ in judged.hypothesis.effects):
+        needed = max(needed, SECOND_SHARE * given.score)
     if judged.hypothesis.effects[-1][0].name in bench.delicate:
         # What moves contacts shows where a foot touches or leaves, and few windows held out need have that.
         needed, expected = max(needed, CONTACT_THRESHOLD), 0.0

@@ -5,13 +5,13 @@ nothing although it is true: a foot touches at another time. Such leaders get di
 their size is walked over, because derivatives through a touchdown lead nowhere.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
-from btr_mjx.gap.refine import refine
+from btr_mjx.gap.refine import Nuisance, refine
 from btr_mjx.gap.score import Fit
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Judged, Side
@@ -78,13 +78,13 @@ class Polisher:
         out = [j for j in judged if j not in chosen]
         references = self._polished(len(chosen) > len(plain))
         for own, hypothesis in tries:
-            anew = own not in plain
-            side = bench.fit.recentred(hypothesis, anew)
+            kinds = (False,) if own in plain else (False, True)
+            side = self._best(bench.fit, hypothesis, kinds, bench.free)
             free = unknowns(hypothesis, bench.joint, bench.delicate)
             start = [hypothesis.values(bench.joint)]
             refined = refine(side.windows, bench.free(side), bench.cut, [(free, start)], 2, references[0])[0]
             hypothesis = hypothesis.replaced(refined.values, bench.joint)
-            sides = side, bench.test.recentred(hypothesis, anew)
+            sides = side, self._best(bench.test, hypothesis, kinds, bench.nuisance)
             out += bench.judge([hypothesis], [refined], sides, references)
         return sorted(out, key=lambda j: -j.score)
 
@@ -124,7 +124,21 @@ class Polisher:
                     break
                 factor *= stride
         there = max(known, key=lambda factor: known[factor])
-        return _scaled(hypothesis, there) if known[there] > _PROMISE * best else None
+        return _scaled(hypothesis, _vertex(known)) if known[there] > _PROMISE * best else None
+
+    def _best(
+        self, side: Side, hypothesis: Hypothesis, kinds: Sequence[bool], free: Callable[[Side], Nuisance]
+    ) -> Side:
+        """A side around a hypothesis: with the directions that it has or with new ones, whichever suits it better.
+
+        Args:
+          side: of the split.
+          hypothesis: what it should suit.
+          kinds: whether directions are found anew, one or both.
+          free: what is fitted along there.
+        """
+        tries = [side.recentred(hypothesis, anew) for anew in kinds]
+        return min(tries, key=lambda s: free(s).profile(s.windows.residual, self.bench.cut).loss)
 
     def _polished(self, anew: bool) -> tuple[Fit, Fit]:
         """Fits of the believed model with starting states polished as those of leaders are.
@@ -144,6 +158,17 @@ class Polisher:
             for sides in zip(*self._polished_sides.values(), strict=True)
         )
         return first, second
+
+
+def _vertex(known: Mapping[float, float]) -> float:
+    """Where a parabola through the best of some points and its neighbours peaks; the best where there are no two."""
+    at = sorted(known)
+    best = max(range(len(at)), key=lambda i: known[at[i]])
+    if best in (0, len(at) - 1):
+        return at[best]
+    near = at[best - 1 : best + 2]
+    a, b, _ = np.polyfit(near, [known[factor] for factor in near], 2)
+    return float(-b / (2 * a)) if a < 0 else at[best]
 
 
 def _scaled(hypothesis: Hypothesis, factor: float) -> Hypothesis:
