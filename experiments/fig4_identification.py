@@ -61,7 +61,7 @@ class Fig4Config(Config):
     """L of the searches of four lengths."""
     search_generations: int = 100
     """Generations of the genetic algorithm there."""
-    cma_generations: int = 50
+    cma_generations: int = 30
     """Generations of CMA-ES there; it stops earlier once it has converged."""
     simulation_p_m: tuple[float, float] = (0.2, 0.02)
     """Probability per bit of the genetic algorithm, in its first and in its last generation."""

@@ -19,9 +19,6 @@ REASONS: dict[str, str] = {
         "m. The paper's robot had another posture. For bl_14 it is 0 % up to 1.0 m and 44 % at 1.6 m: there "
         "the plateau is as in the paper."
     ),
-    "Hypothesis 1: a stronger search": (
-        "Four of five seeds end below the bound; in one the 50 generations end on it, at 0.00504 m."
-    ),
     "Hypothesis 1: the less a length is felt": (
         "The search of twelve by Delta_fitness ends far from the truth in all lengths, felt or not, so that "
         "there is no order to see."
