@@ -166,6 +166,14 @@ def test_what_a_name_may_leave(left, expected):
     assert missing(left_by(left), named, 0.9, 0.0) is expected
 
 
+def test_a_name_must_explain_most_of_a_lack_of_fit():
+    named = [SimpleNamespace(gain=1000.0)]
+    little = left_by({1000.0: 0.0})
+    assert missing(little, named, 0.3, 3.0)
+    assert not missing(little, named, 0.3, 1.0)  # chance
+    assert not missing(little, named, 0.8, 3.0)
+
+
 def test_real_machines_leave_more():
     named = [SimpleNamespace(gain=1000.0)]
     assert not missing(left_by({}, dispersion=50.0), named, 0.7, 30.0)

@@ -1,0 +1,87 @@
+"""Which candidates are looked at closely, and from where."""
+
+import numpy as np
+import pytest
+from gap_arm import arm, dataset
+from hypothesis import given
+from hypothesis import strategies as st
+
+from btr_mjx.gap.effect import candidates
+from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.leaders import contact_scan, pick
+from btr_mjx.gap.polish import _vertex
+from btr_mjx.gap.scales import Scales
+from btr_mjx.gap.scanner import Lead
+from btr_mjx.gap.score import robust_gain
+from btr_mjx.gap.screening import Entry
+from btr_mjx.gap.search import Bench, Options
+from btr_mjx.gap.search_records import Side
+
+OFFSETS = tuple(effect for effect in EFFECTS if effect.name in ("joint_offset", "armature"))
+QUICK = Options(steps=4e4, leaders=2, contact_leaders=0)
+
+
+def raised(model):
+    """Links that hang at another angle than believed: what an encoder's offset looks like, roughly."""
+    model.body_quat[2] = [np.cos(0.01), 0.0, np.sin(0.01), 0.0]
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    return Bench(dataset(raised, seed=4, fit=3, test=1), OFFSETS, QUICK)
+
+
+@pytest.mark.parametrize("every", [1, 2])
+def test_a_scan_of_contacts_is_a_loop_over_candidates(bench: Bench, every: int) -> None:
+    moving = [c for c in bench.candidates if c.effect.name == "joint_offset"]
+    side = Side(bench.fit.windows, bench.free(bench.fit))
+    residual = bench.fit.windows.residual
+    found = contact_scan(side, bench.base, moving, bench.cut, residual, every)
+    assert [gain for gain, _, _ in found] == sorted((gain for gain, _, _ in found), reverse=True)
+
+    def gain(candidate, value, index):
+        some = side.some(index)
+        before = some.nuisance.profile(residual[index], bench.cut)
+        after = some.windows.residuals([bench.base.with_effect(candidate, [value])])[0]
+        return robust_gain(before, some.nuisance.profile(after, bench.cut), bench.cut)
+
+    everywhere = np.arange(len(residual))
+    for best, candidate, values in found:
+        step = candidate.parameters[0].step
+        few = {sign: gain(candidate, sign * step, everywhere[::every]) for sign in (1, -1)}
+        sign = max(few, key=lambda s: few[s])
+        again = {factor: gain(candidate, factor * sign * step, everywhere) for factor in (1.0, 3.0)}
+        factor = max(again, key=lambda f: again[f])
+        assert best == pytest.approx(again[factor], rel=1e-5, abs=1e-3)
+        np.testing.assert_allclose(values, [factor * sign * step])
+    assert found[0][0] > 20  # something is there to be found
+
+
+def test_a_limit_brings_those_of_its_group_along() -> None:
+    known = {c.name: c for c in candidates(arm(), Scales.of(arm()), EFFECTS)}
+    names = [("torque_limit@actuator:elbow", 90.0, True), ("viscous_damping@joint:elbow", 80.0, False)]
+    names += [("armature@joint:elbow", 70.0, False), ("torque_limit@all", 5.0, True)]
+    entries = [Entry(known[name], np.ones(len(known[name].parameters)), probe) for name, _, probe in names]
+    leads = [Lead(i, gain, known[name].null) for i, (name, gain, _) in enumerate(names)]
+    picked = pick(leads, lambda lead: entries[lead.index], Options(leaders=1), 10.0)
+    assert set(picked) == {"torque_limit@actuator:elbow", "torque_limit@all"}
+
+
+def test_single_motors_have_no_clocks_of_their_own() -> None:
+    known = {c.name: c.parameters[0] for c in candidates(arm(), Scales.of(arm()), EFFECTS)}
+    assert known["actuator_delay@actuator:elbow"].low == 0.0
+    assert known["actuator_delay@all"].low < 0.0
+
+
+@given(st.floats(0.7, 1.45), st.floats(0.5, 50.0), st.floats(-100.0, 100.0))
+def test_a_walk_ends_where_a_parabola_peaks(peak: float, steep: float, height: float) -> None:
+    known = {factor: height - steep * (factor - peak) ** 2 for factor in (1 / 1.5, 1.0, 1.5)}
+    if max(known, key=lambda factor: known[factor]) == 1.0:
+        assert _vertex(known) == pytest.approx(peak, abs=1e-6)
+    else:
+        assert _vertex(known) in known
+
+
+def test_a_walk_that_still_climbs_ends_at_its_end() -> None:
+    assert _vertex({1.0: 3.0, 1.5: 7.0, 2.25: 9.0}) == 2.25
+    assert _vertex({1.0: 3.0}) == 1.0
