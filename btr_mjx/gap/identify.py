@@ -35,12 +35,15 @@ CONTACT_THRESHOLD = 40.0
 SECOND_THRESHOLD = 25.0
 """What one more effect needs; what the first one's linearisation leaves must not count as a second one."""
 
+SECOND_CONTACT_THRESHOLD = 100.0
+"""The same of what moves contacts: so much do scores differ between two ways of finding directions."""
+
 SECOND_SHARE = 0.05
 """Part of the first one's score that a second effect needs where either moves contacts: a size that is a little off
 leaves as much."""
 
 HELD_OUT = 3.0
-"""Gain on held-out recordings that a name needs."""
+"""Gain that a name needs on held-out recordings, and on those that were fitted."""
 
 HELD_OUT_SHARE = 0.08
 """Part of the gain per window to fit that held-out windows must show as well, except of what moves contacts."""
@@ -58,7 +61,8 @@ LEFT_SHARE = 0.06
 """Part of its own gain that a name may leave at single joints."""
 
 REST = 2.5
-"""Lack of fit that a name may leave, in standard deviations, unless it explains most of what there was."""
+"""Lack of fit that a name may leave, in standard deviations, unless it explains most of what there was. What moves
+contacts may leave more: a size that is a little off lets feet slip or touch at other times."""
 
 REST_SHARE = 0.5
 """Part of what unknown forces explain that is most of it."""
@@ -134,6 +138,7 @@ def name_missing(
         rounds.append(bench.find(named[-1]))
         if rounds[-1] and accepted(bench, rounds[-1][0], named[-1]):
             rounds[-1] = polish(rounds[-1], most=1)
+            named[-1] = polish.matched(named[-1], rounds[-1][0])
     base = bench.base
     if bench.dispersion > COARSE and not bench.survey.contact:
         note("whole recordings")
@@ -190,10 +195,10 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None) -> bool:
         needed = max(needed, SECOND_SHARE * given.score)
     if judged.hypothesis.effects[-1][0].name in bench.delicate:
         # What moves contacts shows where a foot touches or leaves, and few windows held out need have that.
-        needed, expected = max(needed, CONTACT_THRESHOLD), 0.0
+        needed, expected = max(needed, SECOND_CONTACT_THRESHOLD if given else CONTACT_THRESHOLD), 0.0
     if score < needed:
         return False
-    if held_out < max(HELD_OUT, HELD_OUT_SHARE * expected):
+    if held_out < max(HELD_OUT, HELD_OUT_SHARE * expected) or gain < HELD_OUT:
         return False
     candidate, values = judged.hypothesis.effects[-1]
     tolerance = tolerance_of(candidate, bench.dataset.tolerances)
@@ -216,7 +221,8 @@ def missing(check: Check, named: Sequence[Judged], share: float, surprise: float
         first = check.left(named[0])
         if first.gain > max(check.gain, named[1].gain - named[0].gain):
             return True
-    if surprise > REST and share < REST_SHARE:
+    plain = not any(c.name in check.bench.delicate for c, _ in named[-1].hypothesis.effects)
+    if plain and surprise > REST and share < REST_SHARE:
         return True
     left, most = check.left(named[-1]), LEFT_SHARE * named[-1].gain
     return left.gain > max(check.gain, most) or (left.worst > check.excess and float(left.chi2.max()) > most)

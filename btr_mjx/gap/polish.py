@@ -70,7 +70,8 @@ class Polisher:
         plain = [j for j in close if not self._moves_contacts(j.hypothesis)]
         others = [j for j in judged if j not in close and j.gain > 0 and self._moves_contacts(j.hypothesis)]
         moving = [j for j in close if j not in plain] + others[:_MOVING]
-        walked = [(j, self._walked(j.hypothesis, max(judged[0].gain, _CLOSE))) for j in moving[:_WALKS]]
+        needed = {j.name: -np.inf if j in close else max(judged[0].gain, _CLOSE) for j in moving}
+        walked = [(j, self._walked(j.hypothesis, needed[j.name])) for j in moving[:_WALKS]]
         tries = [(j, j.hypothesis) for j in plain] + [(j, found) for j, found in walked if found is not None]
         if not tries:
             return list(judged)
@@ -88,6 +89,23 @@ class Polisher:
             out += bench.judge([hypothesis], [refined], sides, references)
         return sorted(out, key=lambda j: -j.score)
 
+    def matched(self, given: Judged, other: Judged) -> Judged:
+        """What was named, judged as generously as one that is to be added to it: with new directions if that has them.
+
+        Args:
+          given: what was named.
+          other: the same with one more effect.
+        """
+        bench, hypothesis = self.bench, given.hypothesis
+        if self._moves_contacts(hypothesis) or not self._moves_contacts(other.hypothesis):
+            return given
+        side = self._best(bench.fit, hypothesis, (False, True), bench.free)
+        residual = side.windows.residual
+        refined = replace(given.refined, residual=residual, chi2=bench.free(side).profile(residual, bench.cut).chi2)
+        sides = side, self._best(bench.test, hypothesis, (False, True), bench.nuisance)
+        again = bench.judge([hypothesis], [refined], sides, self._polished(anew=True))[0]
+        return max(again, given, key=lambda judged: judged.score)
+
     def _moves_contacts(self, hypothesis: Hypothesis) -> bool:
         return any(candidate.name in self.bench.delicate for candidate, _ in hypothesis.effects)
 
@@ -98,7 +116,7 @@ class Polisher:
 
         Args:
           hypothesis: one that moves contacts.
-          best: gain that it has to come near to.
+          best: gain that it has to come near to; minus infinity for none.
 
         Returns:
           None for one that does not.

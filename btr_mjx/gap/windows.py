@@ -34,6 +34,9 @@ _STRANGE = 1.0
 _REACH = 2.0
 """How far a starting state may be led away from the smoothed one, in units of the noise; more where smoothing fails."""
 
+_RECENTRE = 3
+"""Gauss-Newton steps of the starting states for another hypothesis; fewer favour the one that they suited before."""
+
 _UNSEEN = 50.0
 """Coordinates that were not measured may be led away further by this factor."""
 
@@ -230,6 +233,8 @@ class Windows:
             start = integrate(model, self.smoothed[0], move[:, : self.nv]), self.smoothed[1] + move[:, self.nv :]
             trial = self.whiten(self.states([make], start=start)[0]) + correction
             better = (trial**2).sum(1) < (raw**2).sum(1)
+            if not better.any():
+                break
             self.qpos[better], self.qvel[better] = start[0][better], start[1][better]
             raw[better] = trial[better]
 
@@ -245,11 +250,11 @@ class Windows:
         other = copy.copy(self)
         other.qpos, other.qvel = self.qpos.copy(), self.qvel.copy()
         raw = self.whiten(self.states([make])[0]) + self.correction
-        other._centre(make, 1 if anew else 2, raw, self.correction)
+        other._centre(make, _RECENTRE, raw, self.correction)
         if anew:
             other._differentiate(make)
             raw = other.whiten(other.states([make])[0]) + self.correction
-            other._centre(make, 1, raw, self.correction)
+            other._centre(make, _RECENTRE, raw, self.correction)
         other.rebase(make)
         return other
 
