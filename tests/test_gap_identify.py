@@ -147,8 +147,12 @@ def test_what_moves_contacts_is_equivalent_further_away():
 def left_by(gains, dispersion=1.0):
     """A check in which hypotheses leave given gains at one joint; 45 may be chance."""
     left = {gain: Leftover(np.array([0.0]), np.array([0.0]), left, None) for gain, left in gains.items()}
-    bench = SimpleNamespace(dispersion=dispersion)
+    bench = SimpleNamespace(dispersion=dispersion, delicate=frozenset())
     return SimpleNamespace(bench=bench, gain=45.0, excess=5.5, left=lambda judged: left[judged.gain])
+
+
+def gained(gain):
+    return SimpleNamespace(gain=gain, hypothesis=SimpleNamespace(effects=()))
 
 
 @pytest.mark.parametrize(
@@ -162,12 +166,12 @@ def left_by(gains, dispersion=1.0):
     ],
 )
 def test_what_a_name_may_leave(left, expected):
-    named = [SimpleNamespace(gain=gain) for gain in left]
+    named = [gained(gain) for gain in left]
     assert missing(left_by(left), named, 0.9, 0.0) is expected
 
 
 def test_a_name_must_explain_most_of_a_lack_of_fit():
-    named = [SimpleNamespace(gain=1000.0)]
+    named = [gained(1000.0)]
     little = left_by({1000.0: 0.0})
     assert missing(little, named, 0.3, 3.0)
     assert not missing(little, named, 0.3, 1.0)  # chance
@@ -175,7 +179,7 @@ def test_a_name_must_explain_most_of_a_lack_of_fit():
 
 
 def test_real_machines_leave_more():
-    named = [SimpleNamespace(gain=1000.0)]
+    named = [gained(1000.0)]
     assert not missing(left_by({}, dispersion=50.0), named, 0.7, 30.0)
     assert missing(left_by({}, dispersion=50.0), named, 0.3, 30.0)
 

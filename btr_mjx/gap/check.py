@@ -25,6 +25,9 @@ _LEAST_EXCESS = 5.5
 _LEAST_GAIN = 45.0
 """Gain by something that no effect follows that may be chance, at least."""
 
+_COARSE = 5.0
+"""Dispersion beyond which what forces leave is not noise."""
+
 _BEYOND = 1.4
 """What may be chance, as a factor on the largest of the simulated nulls."""
 
@@ -35,7 +38,7 @@ class Check:
     Attributes:
       excess: largest excess at one joint that may be chance.
       gain: largest gain by something that no effect follows that may be chance.
-      held_out: (nulls, W) chi^2 of the held-out windows in the simulated nulls, tolerances at their best.
+      floor: chi^2 per degree of freedom of held-out windows with nothing missing, bounded as `outcome.gap_of` does.
     """
 
     def __init__(self, bench: Bench, rng: np.random.Generator) -> None:
@@ -45,9 +48,10 @@ class Check:
         self.fits = [ForceFit(side.windows, around) for side, around in zip(self.sides, self.around, strict=True)]
         known = features(bench.dataset.model, self.fits[0], self.around[0])
         self._joints = Joints(self.fits[0], bench.nuisance(bench.fit), known)
-        self.null, left, self.held_out = self._null(rng)
+        self.null, left, held_out, spared = self._null(rng)
         self.excess = max(_LEAST_EXCESS, _BEYOND * max(one.worst for one in left))
         self.gain = max(_LEAST_GAIN, _BEYOND * max(one.gain for one in left))
+        self.floor = self._floor(held_out, spared)
 
     def _residual(self, i: int, judged: Judged | None) -> np.ndarray:
         if judged is None:
@@ -66,8 +70,30 @@ class Check:
             return self.fits[i]
         return ForceFit(judged.sides[i].windows, self.around[i])
 
-    def _null(self, rng: np.random.Generator) -> tuple[tuple[float, float], list[Leftover], np.ndarray]:
-        """Where nothing is missing: mean and spread of the lack of fit, what is left at single joints, `held_out`.
+    def _floor(self, nulls: np.ndarray, spared: float) -> float:
+        """The noise floor: what simulated nulls leave, scaled to the noise that these data turn out to have.
+
+        The noise is known to a percent or two, which is as much as a weak effect leaves. What unknown forces cannot
+        explain, whatever is missing, tells how far off it is.
+
+        Args:
+          nulls: chi^2 of the held-out windows of simulated nulls, any shape.
+          spared: what unknown forces leave of those, per degree of freedom.
+        """
+        bench = self.bench
+        freedom = bench.test.windows.freedom
+        floor = float(np.minimum(nulls, 6.0 * freedom).mean() / freedom)
+        if bench.dispersion > _COARSE:
+            return floor
+        residual = self._residual(1, None)
+        return floor * _spared((residual**2).sum(1), self.fits[1](residual), freedom) / spared
+
+    def _null(self, rng: np.random.Generator) -> tuple[tuple[float, float], list[Leftover], np.ndarray, float]:
+        """Where nothing is missing.
+
+        Returns:
+          Mean and spread of the lack of fit, what is left at single joints, chi^2 (nulls, W) of held-out windows and
+          what unknown forces leave there per degree of freedom.
 
         Tolerances are drawn and truly simulated, because what they leave beyond the linear picture looks like a lack
         of fit; the sensors' noise is added.
@@ -75,19 +101,21 @@ class Check:
         bench = self.bench
         draws = tolerance_draws(bench.base, bench.candidates, bench.dataset.tolerances, rng, _NULLS)
         found: list[list[Forces]] = [[] for _ in draws]
-        left, held_out = [], []
+        left, held_out, spared = [], [], []
         for i, side in enumerate(self.sides):
             windows, nuisance = side.windows, bench.nuisance(side)
             for own, residual in zip(found, windows.residuals(draws), strict=True):
                 noise = project(rng.standard_normal(residual.shape), windows.basis)
                 there = residual - windows.residual + noise
-                own.append(self.fits[i](nuisance.absorbed(there, bench.cut)))
+                absorbed = nuisance.absorbed(there, bench.cut)
+                own.append(self.fits[i](absorbed))
                 if i == 0:
                     left.append(self._joints(there, bench.cut))
                 else:
-                    held_out.append(nuisance.profile(there, bench.cut).chi2)
+                    held_out.append((absorbed**2).sum(1))
+                    spared.append(_spared(held_out[-1], own[-1], windows.freedom))
         fits = [lack_of_fit(own) for own in found]
-        return (float(np.mean(fits)), float(np.std(fits))), left, np.stack(held_out)
+        return (float(np.mean(fits)), float(np.std(fits))), left, np.stack(held_out), float(np.mean(spared))
 
     def surprise(self, judged: Judged | None) -> float:
         """Lack of fit over both sides, in standard deviations beyond that of a null."""
@@ -129,6 +157,12 @@ class Check:
         left = self.left(judged)
         telling = [] if left.feature is None or left.gain <= self.gain else [telling_sentence(left.feature, names)]
         return (*telling, *(sentence(d, names) for d in found))
+
+
+def _spared(chi2: np.ndarray, forces: Forces, freedom: int) -> float:
+    """What unknown forces leave of windows' chi^2 (W,), per degree of freedom that they leave, but for wild windows."""
+    tame = chi2 <= 3.0 * max(freedom, float(np.median(chi2)))
+    return float((chi2 - forces.explained)[tame].sum() / np.maximum(freedom - forces.rank, 1)[tame].sum())
 
 
 def telling_sentence(feature: Feature, names: Sequence[str]) -> str:

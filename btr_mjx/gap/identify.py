@@ -160,7 +160,7 @@ def name_missing(
         effects=named_effects(bench, said, rounds, rng),
         ranking=ranking_of(rounds),
         equivalent=equivalent(rounds[0], bench.delicate) if rounds[0] and verdict == "effect" else (),
-        gap=gap_of(bench, base, said[-1] if said else None, check.held_out),
+        gap=gap_of(bench, base, said[-1] if said else None, check.floor),
         disagreement=check.map(),
         unexplained=check.words(final) if verdict == "unexplained" or surprised else (),
         believed=refits(bench, base, final),

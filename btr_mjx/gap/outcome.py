@@ -97,14 +97,14 @@ def ranking_of(rounds: Sequence[Sequence[Judged]]) -> tuple[Row, ...]:
     return tuple(rows)
 
 
-def gap_of(bench: Bench, start: Hypothesis, judged: Judged | None, nulls: np.ndarray) -> Gap:
+def gap_of(bench: Bench, start: Hypothesis, judged: Judged | None, floor: float) -> Gap:
     """The gap on held-out recordings.
 
     Args:
       bench: of the search.
       start: the believed model, refitted.
       judged: what was named, all of it; None for nothing.
-      nulls: chi^2 of held-out windows where nothing is missing, any shape; their mean is the noise floor.
+      floor: the noise floor.
     """
     windows, freedom = bench.test.windows, bench.test.windows.freedom
     base = bench.nuisance(bench.test).profile(windows.residual, bench.cut).chi2
@@ -119,7 +119,7 @@ def gap_of(bench: Bench, start: Hypothesis, judged: Judged | None, nulls: np.nda
     return Gap(
         mean(base),
         mean(end),
-        mean(nulls),
+        floor,
         float(np.sqrt((windows.residual**2).mean())),
         float(np.sqrt((residual**2).mean())),
         *loops,
