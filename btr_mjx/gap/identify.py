@@ -70,6 +70,9 @@ REST_SHARE = 0.5
 COARSE = 5.0
 """Dispersion beyond which no model of this kind reaches the noise: real machines have a hundred small effects."""
 
+COARSE_SECOND = 0.1
+"""Part of the first one's score that a second effect needs there."""
+
 COARSE_SHARE = 0.55
 """Part of what unknown forces explain that a name must explain there."""
 
@@ -193,6 +196,8 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None) -> bool:
     needed = SECOND_THRESHOLD if given else THRESHOLD
     if given and any(candidate.name in bench.delicate for candidate, _ in judged.hypothesis.effects):
         needed = max(needed, SECOND_SHARE * given.score)
+    if given and bench.dispersion > COARSE:
+        needed = max(needed, COARSE_SECOND * given.score)
     if judged.hypothesis.effects[-1][0].name in bench.delicate:
         # What moves contacts shows where a foot touches or leaves, and few windows held out need have that.
         needed, expected = max(needed, SECOND_CONTACT_THRESHOLD if given else CONTACT_THRESHOLD), 0.0
