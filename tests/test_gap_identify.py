@@ -89,6 +89,14 @@ def test_nothing_is_named_where_nothing_is_missing():
     assert found.gap.before == found.gap.after
 
 
+@pytest.mark.parametrize("noise", [1.0, 1.2])
+def test_the_noise_floor_is_that_of_the_data(noise):
+    """Whatever noise was declared: with nothing missing, the believed model lies on the floor."""
+    gap = identify(dataset(seed=2, noise=noise), LIBRARY, options=QUICK).gap
+    assert gap.noise_floor == pytest.approx(noise**2, rel=0.15)
+    assert gap.before == pytest.approx(gap.noise_floor, rel=0.1)
+
+
 def test_believed_numbers_are_refitted_before_anything_is_called_missing():
     believed = (Believed("elbow damping", ("joint:elbow/damping",), 0.0, 1.0),)
     found = identify(dataset(damped, seed=1, parameters=believed), LIBRARY, options=QUICK)

@@ -91,12 +91,12 @@ class Check:
     def _null(self, rng: np.random.Generator) -> tuple[tuple[float, float], list[Leftover], np.ndarray, float]:
         """Where nothing is missing.
 
+        Tolerances are drawn and truly simulated, because what they leave beyond the linear picture looks like a lack
+        of fit; the sensors' noise is added.
+
         Returns:
           Mean and spread of the lack of fit, what is left at single joints, chi^2 (nulls, W) of held-out windows and
           what unknown forces leave there per degree of freedom.
-
-        Tolerances are drawn and truly simulated, because what they leave beyond the linear picture looks like a lack
-        of fit; the sensors' noise is added.
         """
         bench = self.bench
         draws = tolerance_draws(bench.base, bench.candidates, bench.dataset.tolerances, rng, _NULLS)
