@@ -147,6 +147,7 @@ def judge(model: mujoco.MjModel, case: Case) -> dict[str, Any]:
         "gap_before": answer["gap"]["before"],
         "gap_after": answer["gap"]["after"],
         "gap_closed": answer["gap"]["closed"],
+        "gap_seen": answer["gap"]["before"] > answer["gap"]["nulls"],
         "steps": answer["steps"],
         "seconds": answer["seconds"],
     }
@@ -179,6 +180,7 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     right = [r for r in seen if r["right"]]
     errors = np.array([r["error"] for r in right])
     explained = [r for r in rows if r["truth"] != "unexplained"]
+    seen_gaps = [r["gap_closed"] for r in right if r["gap_seen"]]
     numbers: dict[str, Any] = {
         "cases": len(rows),
         "effects": len(effects),
@@ -202,6 +204,8 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "false_unexplained": _share(explained, lambda r: r["said"] == "unexplained"),
         "false_names": _share(rows, lambda r: r["said"] == "effect" and not r.get("right", False)),
         "gap_closed_median": float(np.median([r["gap_closed"] for r in right])) if right else None,
+        "gap_seen_share": _share(right, lambda r: r["gap_seen"]),
+        "gap_closed_where_seen": float(np.median(seen_gaps)) if seen_gaps else None,
         "pairs_detectable": sum(r["detectable"] for r in pairs),
         "pairs_both_found": _share([r for r in pairs if r["detectable"]], lambda r: r["right"]),
         "steps_median": float(np.median([r["steps"] for r in rows])) if rows else None,

@@ -47,7 +47,7 @@ def case(hidden: list[dict], named: list[dict], **more: Any) -> dict[str, Any]:
         "noise": 1,
     }
     truth["verdict"] = more.pop("truth", "effect" if hidden else "none")
-    gap = {"before": 3.0, "after": 1.5, "closed": 0.75}
+    gap = {"before": 3.0, "after": 1.5, "nulls": 1.0, "closed": 0.75}
     answer = {
         "verdict": more.pop("said", "effect" if named else "none"),
         "effects": named,
@@ -132,7 +132,8 @@ def test_summary_by_hand(scores: ModuleType) -> None:
     assert numbers["nulls_named"] == 0.5
     assert numbers["strong_outside_flagged"] == 1.0
     assert numbers["false_unexplained"] == pytest.approx(1 / 8)
-    assert numbers["gap_closed_median"] == 0.75
+    assert numbers["gap_closed_median"] == numbers["gap_closed_where_seen"] == 0.75
+    assert numbers["gap_seen_share"] == 1.0
     assert numbers["pairs_both_found"] == 1.0
     assert numbers["false_names"] == pytest.approx(3 / 9)
     met = {name: bar["met"] for name, bar in scores.bars(numbers).items()}

@@ -29,7 +29,7 @@ FOUND = Diagnosis(
         Row("viscous_damping", "joint:servo", 20.0, 60.0, 18.0, 7.0, {"damping": 0.004}),
     ),
     equivalent=("dry_friction@joint:servo",),
-    gap=Gap(3.0, 1.2, 1.0, 2.0, 1.1, 0.05, 0.02),
+    gap=Gap(3.0, 1.2, 1.0, 1.0, 2.0, 1.1, 0.05, 0.02),
     disagreement=DisagreementMap(("joint:servo",), ("all", "fast"), np.array([[3.0, 5.0]]), np.array([[40, 20]])),
     unexplained=(),
     believed=(),

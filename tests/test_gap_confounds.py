@@ -63,13 +63,13 @@ def test_servo_damping_is_mistaken_for_joint_damping() -> None:
         Believed("servo kp", ("actuator:shoulder/kp",), 10.0, 30.0),
     )
     bench, leader = damping_found(believed)
-    found = confounds(bench, [leader])
+    found = confounds(bench, bench.base, [leader])
     alike = {c.other: c for c in found if c.correlation is not None}
     assert alike["servo kv"].correlation > 0.99
     assert alike["servo kv"].effect == "viscous_damping@joint:elbow"
     assert "servo kp" not in alike
     assert not any(name.startswith("viscous_damping") for name in alike)
-    assert confounds(bench, []) == ()
+    assert confounds(bench, bench.base, []) == ()
 
 
 def test_a_believed_number_that_gave_way_is_told() -> None:
@@ -77,7 +77,7 @@ def test_a_believed_number_that_gave_way_is_told() -> None:
     before = bench.base.believed[0]
     for step, told in ((0.0, []), (0.0005, []), (0.01, [moved("elbow inertia", before, before + 0.01)])):
         went = dataclasses.replace(leader.hypothesis, believed=(before + step,))
-        found = confounds(bench, [dataclasses.replace(leader, hypothesis=went)])
+        found = confounds(bench, bench.base, [dataclasses.replace(leader, hypothesis=went)])
         assert [c.text for c in found if c.correlation is None] == told
 
 

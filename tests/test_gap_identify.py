@@ -14,7 +14,8 @@ from btr_mjx.gap.leftover import Leftover
 from btr_mjx.gap.next_experiment import compare, propose, random_commands, recordings_needed
 from btr_mjx.gap.outcome import equivalent
 from btr_mjx.gap.recordings import Believed
-from btr_mjx.gap.search import Bench, Options, luckiest
+from btr_mjx.gap.score import luckiest
+from btr_mjx.gap.search import Bench, Options
 
 LIBRARY = tuple(
     e for e in EFFECTS if e.name in ("viscous_damping", "dry_friction", "armature", "actuator_gain", "actuator_delay")
@@ -61,6 +62,8 @@ def test_the_gap_closes_on_held_out_recordings(found):
     assert found.gap.before > 2 * found.gap.after
     assert found.gap.after == pytest.approx(1.0, abs=0.2)
     assert found.gap.closed > 0.9
+    assert found.gap.noise_floor == min(found.gap.nulls, found.gap.after)
+    assert found.gap.nulls == pytest.approx(1.0, abs=0.2)
     assert found.gap.open_loop_after < 0.3 * found.gap.open_loop_before
 
 

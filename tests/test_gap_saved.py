@@ -38,7 +38,7 @@ def diagnosis() -> Diagnosis:
             Row("payload", "body:torso", 3.0, 297.0, 5.0, 1.0, {"mass": 0.2, "x": 0.0, "y": 0.0, "z": 0.0}),
         ),
         equivalent=("load_friction@joint:knee0", "dry_friction@joint:knee0"),
-        gap=Gap(4.0, 1.2, 1.0, 2.0, 1.1, float("nan"), float("nan")),
+        gap=Gap(4.0, 1.2, 1.0, 1.0, 2.0, 1.1, float("nan"), float("nan")),
         disagreement=disagreement(),
         unexplained=(),
         believed=(Refit("knee damping", 0.2, 0.3, 0.21), Refit("hip gain", 1.0, 1.1, 1.05)),

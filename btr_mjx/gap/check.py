@@ -15,6 +15,7 @@ from btr_mjx.gap.forces import Circumstances, Description, ForceFit, Forces, cir
 from btr_mjx.gap.leftover import Feature, Joints, Leftover, features
 from btr_mjx.gap.score import bounded, project
 from btr_mjx.gap.search import Bench, Judged
+from btr_mjx.gap.windows import Windows
 
 _NULLS = 5
 """Simulated nulls behind the lack of fit."""
@@ -38,7 +39,6 @@ class Check:
     Attributes:
       excess: largest excess at one joint that may be chance.
       gain: largest gain by something that no effect follows that may be chance.
-      floor: chi^2 per degree of freedom of held-out windows with nothing missing, bounded as `outcome.gap_of` does.
     """
 
     def __init__(self, bench: Bench, rng: np.random.Generator) -> None:
@@ -46,12 +46,12 @@ class Check:
         self.sides = (bench.fit, bench.test)
         self.around: list[Circumstances] = [circumstances(side.windows, bench.base) for side in self.sides]
         self.fits = [ForceFit(side.windows, around) for side, around in zip(self.sides, self.around, strict=True)]
+        self._anew: dict[int, tuple[Windows, ForceFit]] = {}
         known = features(bench.dataset.model, self.fits[0], self.around[0])
         self._joints = Joints(self.fits[0], bench.nuisance(bench.fit), known)
-        self.null, left, held_out, spared = self._null(rng)
+        self.null, left, self._held_out, self._spared = self._null(rng)
         self.excess = max(_LEAST_EXCESS, _BEYOND * max(one.worst for one in left))
         self.gain = max(_LEAST_GAIN, _BEYOND * max(one.gain for one in left))
-        self.floor = self._floor(held_out, spared)
 
     def _residual(self, i: int, judged: Judged | None) -> np.ndarray:
         if judged is None:
@@ -68,25 +68,29 @@ class Check:
         """Unknown forces in the windows that a hypothesis was judged with."""
         if judged is None or judged.sides[i].windows.basis is self.sides[i].windows.basis:
             return self.fits[i]
-        return ForceFit(judged.sides[i].windows, self.around[i])
+        windows = judged.sides[i].windows
+        if id(windows) not in self._anew:
+            self._anew[id(windows)] = windows, ForceFit(windows, self.around[i])
+        return self._anew[id(windows)][1]
 
-    def _floor(self, nulls: np.ndarray, spared: float) -> float:
+    def floor(self, judged: Judged | None) -> float:
         """The noise floor: what simulated nulls leave, scaled to the noise that these data turn out to have.
 
         The noise is known to a percent or two, which is as much as a weak effect leaves. What unknown forces cannot
-        explain, whatever is missing, tells how far off it is.
+        explain of what is left tells how far off it is.
 
         Args:
-          nulls: chi^2 of the held-out windows of simulated nulls, any shape.
-          spared: what unknown forces leave of those, per degree of freedom.
+          judged: what was named; None for nothing.
+
+        Returns:
+          chi^2 per degree of freedom of held-out windows with nothing missing, bounded as `outcome.gap_of` does.
         """
-        bench = self.bench
-        freedom = bench.test.windows.freedom
-        floor = float(np.minimum(nulls, 6.0 * freedom).mean() / freedom)
-        if bench.dispersion > _COARSE:
+        freedom = self.bench.test.windows.freedom
+        floor = float(np.minimum(self._held_out, 6.0 * freedom).mean() / freedom)
+        if self.bench.dispersion > _COARSE:
             return floor
-        residual = self._residual(1, None)
-        return floor * _spared((residual**2).sum(1), self.fits[1](residual), freedom) / spared
+        chi2 = (self._residual(1, judged) ** 2).sum(1)
+        return floor * _spared(chi2, self._forces(1, judged), freedom) / self._spared
 
     def _null(self, rng: np.random.Generator) -> tuple[tuple[float, float], list[Leftover], np.ndarray, float]:
         """Where nothing is missing.

@@ -10,6 +10,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from btr_mjx.gap.diagnosis import Confound
+from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.score import weight
 from btr_mjx.gap.search import Bench, Judged
 from btr_mjx.gap.wording import likeness, moved
@@ -22,11 +23,12 @@ MOVED = 0.02
 """Change of a believed number that is worth a word, as a share of the way between its bounds."""
 
 
-def confounds(bench: Bench, named: Sequence[Judged]) -> tuple[Confound, ...]:
+def confounds(bench: Bench, base: Hypothesis, named: Sequence[Judged]) -> tuple[Confound, ...]:
     """What could be mistaken for the named effects, the likeliest first.
 
     Args:
       bench: of the search.
+      base: the believed model as it was refitted without any effect.
       named: what was accepted, one after another; the last one holds all effects. Empty for nothing.
     """
     if not named:
@@ -47,7 +49,7 @@ def confounds(bench: Bench, named: Sequence[Judged]) -> tuple[Confound, ...]:
         for name, correlation, text in found:
             kinds.setdefault(name.partition("@")[0], Confound(candidate.name, name, correlation, text))
         out += list(kinds.values())[:MOST]
-    return (*out, *_moved(bench, final))
+    return (*out, *_moved(base, final))
 
 
 class Rest:
@@ -114,11 +116,11 @@ def _believed(bench: Bench, final: Judged, rest: Rest, signature: np.ndarray) ->
     return out
 
 
-def _moved(bench: Bench, final: Judged) -> list[Confound]:
+def _moved(base: Hypothesis, final: Judged) -> list[Confound]:
     """Believed numbers that moved when the effects entered."""
     out = []
     last = final.hypothesis.believed
-    for parameter, before, after in zip(bench.base.parameters, bench.base.believed, last, strict=True):
+    for parameter, before, after in zip(base.parameters, base.believed, last, strict=True):
         if abs(after - before) > MOVED * (parameter.high - parameter.low):
             out.append(Confound(final.hypothesis.name, parameter.name, None, moved(parameter.name, before, after)))
     return out

@@ -87,7 +87,9 @@ class Gap:
 
     Attributes:
       before, after: chi^2 of a window per degree of freedom, tolerances at their best, bounded per window.
-      noise_floor: what it would be with nothing missing.
+      noise_floor: what it would be with nothing missing: what simulated nulls leave, or what the mended model leaves
+        where that is less. Before and after share one realisation of the noise, of which nulls know the size alone.
+      nulls: what simulated nulls leave.
       error_before, error_after: root mean square error at the end of a window [units of the noise].
       open_loop_before, open_loop_after: mean absolute position error over whole held-out recordings, simulated from
         the first sample [rad or m]; NaN where motion touches the world and is chaotic.
@@ -96,6 +98,7 @@ class Gap:
     before: float
     after: float
     noise_floor: float
+    nulls: float
     error_before: float
     error_after: float
     open_loop_before: float

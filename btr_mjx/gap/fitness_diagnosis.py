@@ -98,7 +98,7 @@ def as_diagnosis(
                 effect.equation,
             ),
         )
-    gap = Gap(believed[1], held_out if named else believed[1], floor, nan, nan, nan, nan)
+    gap = Gap(believed[1], held_out if named else believed[1], floor, floor, nan, nan, nan, nan)
     notes = (
         "Only fitness was known: scores are per cent of Delta_fitness, the gap is Delta_fitness on held-out trials "
         "[m/s], its noise floor what half the time step changes. Fitness alone does not give intervals, and something "

@@ -97,14 +97,14 @@ def ranking_of(rounds: Sequence[Sequence[Judged]]) -> tuple[Row, ...]:
     return tuple(rows)
 
 
-def gap_of(bench: Bench, start: Hypothesis, judged: Judged | None, floor: float) -> Gap:
+def gap_of(bench: Bench, start: Hypothesis, judged: Judged | None, nulls: float) -> Gap:
     """The gap on held-out recordings.
 
     Args:
       bench: of the search.
       start: the believed model, refitted.
       judged: what was named, all of it; None for nothing.
-      floor: the noise floor.
+      nulls: what simulated nulls leave.
     """
     windows, freedom = bench.test.windows, bench.test.windows.freedom
     base = bench.nuisance(bench.test).profile(windows.residual, bench.cut).chi2
@@ -116,10 +116,12 @@ def gap_of(bench: Bench, start: Hypothesis, judged: Judged | None, floor: float)
 
     residual = windows.residual if judged is None else judged.residual
     loops = open_loop(bench, [start, start if judged is None else judged.hypothesis])
+    before, after = mean(base), mean(end)
     return Gap(
-        mean(base),
-        mean(end),
-        floor,
+        before,
+        after,
+        min(nulls, after),
+        nulls,
         float(np.sqrt((windows.residual**2).mean())),
         float(np.sqrt((residual**2).mean())),
         *loops,

@@ -14,8 +14,11 @@ from mujoco.batch import Batch
 from btr_mjx.environment import available_cores
 from btr_mjx.errors import InputError
 from btr_mjx.gap.prepared import Data
+from btr_mjx.gap.search_records import Options
+from btr_mjx.gap.sensitivity import intervals_per_look
 from btr_mjx.gap.smoothing import smooth
 from btr_mjx.gap.tangent import difference
+from btr_mjx.gap.transitions import may_stride
 from btr_mjx.gap.worlds import Counter, Stretch, World, simulate
 
 CONTACT_SPAN = 0.04
@@ -33,6 +36,21 @@ _STRAY = 0.25
 
 _FEWEST = 6
 """Samples of a window after its first, at least."""
+
+_HELD_OUT = 1.0
+"""Windows of held-out recordings per window to fit, at most."""
+
+_AROUND = 24
+"""Simulations of every window beside those of its transitions: fine passes, starting states, draws of tolerances."""
+
+_JUDGED = 14
+"""Hypotheses that are judged on held-out windows, roughly."""
+
+_MANY = 30
+"""Numbers of candidates from which on each is looked at in single steps."""
+
+Chosen = tuple[Data, np.ndarray, np.ndarray, int]
+"""Recordings, and windows of them as `place` returns them."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +118,37 @@ def _smooth_span(data: Data, counter: Counter) -> float:
     good = (typical[:, moving] < _STRAY).all(1)
     count = int(np.argmin(good)) if not good.all() else len(good)
     return float(marks[max(count - 1, 0)])
+
+
+def plan(data: Data, held: Data, span: float, count: int, options: Options) -> tuple[Chosen, Chosen, bool]:
+    """Windows of both sides of the split, as many as may be afforded.
+
+    Args:
+      data: recordings to fit.
+      held: recordings held out.
+      span: length of a window [s].
+      count: numbers of all candidates that are screened.
+      options: how much is spent.
+
+    Returns:
+      Windows to fit, windows held out, and whether candidates are looked at in single steps, see
+      `sensitivity.signatures`.
+    """
+    model = data.recordings[0].model
+    interval = float(np.median(np.concatenate([np.diff(r.time) for r in data.recordings])))
+    steps = max(1, round(interval / float(model.opt.timestep)))
+    single = steps >= 3 and count > _MANY
+    screening = count / steps / intervals_per_look(interval) if single else count
+    state = (2 * model.nv + 1) * (0.5 if may_stride(model, interval) else 1.0) + _AROUND
+    per_step = state + screening + 4.0 * (options.leaders + options.contact_leaders)
+    share = 0.7 if len(data.recordings) >= len(held.recordings) else 0.6
+    budget = options.budget(model.nv)
+    fit = place(data, span, share * budget, per_step)
+    most = max(1, round(_HELD_OUT * len(fit[1]) / len(held.recordings)))
+    test = place(held, span, (1 - share) * budget, state + _JUDGED + screening / 3)
+    if len(test[1]) > most * len(held.recordings):
+        test = place(held, span, 0.0, 1.0, per_recording=most)
+    return (data, *fit), (held, *test), single
 
 
 def place(

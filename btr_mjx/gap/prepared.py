@@ -7,7 +7,8 @@ import numpy as np
 
 from btr_mjx.gap.commands import Command
 from btr_mjx.gap.recording import Recording
-from btr_mjx.gap.smoothing import Span, Track, histories
+from btr_mjx.gap.scales import Scales
+from btr_mjx.gap.smoothing import Span, Track, histories, smooth
 
 
 @dataclass(frozen=True)
@@ -53,3 +54,20 @@ def prepare(recordings: Sequence[Recording], interpolation: str, sigma: np.ndarr
 def track_of(recording: Recording) -> Track:
     """What was measured in a recording."""
     return Track(recording.time, recording.qpos, recording.qvel, recording.qvel_measured)
+
+
+def scales_of(data: Data) -> Scales:
+    """Typical sizes in the data, from a few hundred samples."""
+    model = data.recordings[0].model
+    picks = [
+        np.unique(np.linspace(0, len(r.time) - 1, max(20, 400 // len(data.recordings))).astype(int))
+        for r in data.recordings
+    ]
+    rows = list(zip(data.recordings, data.tracks, data.acts, picks, strict=True))
+    return Scales.measured(
+        model,
+        np.concatenate([track.qpos[i] for _, track, _, i in rows]),
+        np.concatenate([smooth(model, track, i, data.sigma, data.span)[1] for _, track, _, i in rows]),
+        np.concatenate([recording.ctrl[i] for recording, _, _, i in rows]),
+        np.concatenate([act[i] for _, _, act, i in rows]) if model.na else None,
+    )

@@ -44,6 +44,11 @@ class Nuisance:
         columns = np.ascontiguousarray(np.moveaxis(signatures, 0, 1))
         return cls(columns, precision, (columns @ np.swapaxes(columns, 1, 2)).astype(float))
 
+    @classmethod
+    def nothing(cls, windows: int, rows: int) -> "Nuisance":
+        """None at all, for residuals (windows, rows)."""
+        return cls.of(np.zeros((0, windows, rows), np.float32), np.zeros(0))
+
     def against(self, dispersion: float) -> "Nuisance":
         """The same where no model comes nearer to the data than `dispersion` (chi^2 per degree of freedom).
 

@@ -14,6 +14,9 @@ _LEAST_SAY = 15.0
 _SAY = 3.0
 """A window's part in a gain is limited to the first number, plus so many times what most windows say."""
 
+_MANY = 8
+"""Beside so many others, a window's gain may be luck."""
+
 
 def bounded(x: np.ndarray, cut: np.ndarray | float) -> np.ndarray:
     """Loss of windows with chi^2 `x`: x up to the cut, then rising to at most twice the cut."""
@@ -105,6 +108,25 @@ def robust_gain(before: Fit, after: Fit, cut: float) -> float:
         after.loss - float(bounded(after.chi2, cut).sum())
     )
     return float(np.clip(fall, -most, most).sum()) + price
+
+
+def luckiest(fall: np.ndarray) -> float:
+    """What the window that gains most may owe to luck, to be taken off a gain.
+
+    Args:
+      fall: (W,) by how much chi^2 falls in each window.
+
+    Returns:
+      Its fall, within a few times what is usual. Where windows are few, only a part of it: one of one, or of two, is
+      all that there is.
+    """
+    most = float(np.quantile(np.abs(fall), 0.8)) * _SAY + _LEAST_SAY
+    return float(np.clip(fall.max(), 0.0, most)) * min(1.0, (len(fall) - 1) / _MANY)
+
+
+def typical(chi2: np.ndarray, freedom: int) -> float:
+    """A chi^2 that most windows stay below, and never less than noise gives."""
+    return max(float(freedom), float(np.quantile(chi2, 0.8)) / (1.0 + 1.2 / np.sqrt(freedom)))
 
 
 def fit(

@@ -16,13 +16,12 @@ from btr_mjx.gap.effect import Candidate, Effect, candidates
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.leaders import contact_scan, pick, starts
 from btr_mjx.gap.noise import estimate_noise
-from btr_mjx.gap.planning import Survey, place, survey
-from btr_mjx.gap.prepared import Data, prepare, track_of
+from btr_mjx.gap.planning import Survey, plan, survey
+from btr_mjx.gap.prepared import prepare, scales_of, track_of
 from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.refine import Nuisance, Refined, refine
-from btr_mjx.gap.scales import Scales
 from btr_mjx.gap.scanner import Lead, Scanner
-from btr_mjx.gap.score import Fit, bounded, project, robust_gain
+from btr_mjx.gap.score import Fit, bounded, luckiest, project, robust_gain, typical
 from btr_mjx.gap.screening import (
     Entry,
     Screen,
@@ -34,26 +33,12 @@ from btr_mjx.gap.screening import (
     tolerance_of,
 )
 from btr_mjx.gap.search_records import Judged, Options, Side
-from btr_mjx.gap.sensitivity import intervals_per_look
-from btr_mjx.gap.smoothing import best_span, smooth
-from btr_mjx.gap.transitions import may_stride
+from btr_mjx.gap.smoothing import best_span
 from btr_mjx.gap.windows import Windows
 from btr_mjx.gap.worlds import Counter
 
 _CUT = 1.5
 """A window whose chi^2 exceeds its degrees of freedom by this factor begins to count less."""
-
-_HELD_OUT = 1.0
-"""Windows of held-out recordings per window to fit, at most."""
-
-_AROUND = 24
-"""Simulations of every window beside those of its transitions: fine passes, starting states, draws of tolerances."""
-
-_JUDGED = 14
-"""Hypotheses that are judged on held-out windows, roughly."""
-
-_MANY = 8
-"""Beside so many others, a window's gain may be luck."""
 
 _DRAWS = 8
 """Draws of all tolerances that show where these leave the linear picture."""
@@ -100,7 +85,7 @@ class Bench:
         data = prepare(dataset.fit, dataset.interpolation, self.sigma, span)
         held = prepare(dataset.test, dataset.interpolation, self.sigma, span)
         self.survey: Survey = survey(data, self.counter)
-        self.scales = _scales(data)
+        self.scales = scales_of(data)
         self.candidates = candidates(model, self.scales, effects)
         self.before = tuple(parameter.value(dataset.model) for parameter in dataset.parameters)
         self.base = Hypothesis(dataset.parameters, self.before)
@@ -108,7 +93,9 @@ class Bench:
         self.delicate = {name for name in self.fields if self.survey.contact and moves_contact(self.fields[name])}
         entries = entries_of(self.candidates, self.fields, self.delicate)
         note("windows")
-        self.fit, self.test = self._plan(data, held, entries)
+        count = sum(len(entry.steps) for entry in entries)
+        fit, test, self.single = plan(data, held, self.survey.span, count, self.options)
+        self.fit, self.test = (Side(Windows(*own, self.counter), Nuisance.nothing(0, 0)) for own in (fit, test))
         self._start(note)
         note(f"signatures of {len(entries)} candidates")
         windows = self.fit.windows
@@ -126,26 +113,6 @@ class Bench:
         self.cut = _CUT * windows.freedom
         self._settle(None)
 
-    def _plan(self, data: Data, held: Data, entries: Sequence[Entry]) -> tuple[Side, Side]:
-        """Choose the windows of both sides."""
-        model = data.recordings[0].model
-        interval = float(np.median(np.concatenate([np.diff(r.time) for r in data.recordings])))
-        steps = max(1, round(interval / float(model.opt.timestep)))
-        count = sum(len(e.steps) for e in entries)
-        self.single = steps >= 3 and count > 30
-        screening = count / steps / intervals_per_look(interval) if self.single else count
-        state = (2 * model.nv + 1) * (0.5 if may_stride(model, interval) else 1.0) + _AROUND
-        per_step = state + screening + 4.0 * (self.options.leaders + self.options.contact_leaders)
-        share = 0.7 if len(data.recordings) >= len(held.recordings) else 0.6
-        budget = self.options.budget(model.nv)
-        recording, first, k = place(data, self.survey.span, share * budget, per_step)
-        fit = Side(Windows(data, recording, first, k, self.counter), _nothing(0, 0))
-        most = max(1, round(_HELD_OUT * len(first) / len(held.recordings)))
-        recording, first, k = place(held, self.survey.span, (1 - share) * budget, state + _JUDGED + screening / 3)
-        if len(first) > most * len(held.recordings):
-            recording, first, k = place(held, self.survey.span, 0.0, 1.0, per_recording=most)
-        return fit, Side(Windows(held, recording, first, k, self.counter), _nothing(0, 0))
-
     def _start(self, note: Callable[[str], None]) -> None:
         """Linearise around the believed model, refitting what may be refitted first."""
         windows = self.fit.windows
@@ -154,8 +121,8 @@ class Bench:
         if self.base.parameters:
             note("refit of the believed parameters")
             for _ in range(2):
-                nothing = _nothing(len(windows), windows.residual.shape[1])
-                cut = _CUT * _typical((windows.residual**2).sum(1), windows.freedom)
+                nothing = Nuisance.nothing(*windows.residual.shape)
+                cut = _CUT * typical((windows.residual**2).sum(1), windows.freedom)
                 free = unknowns(self.base, True)
                 found = refine(windows, nothing, cut, [(free, [self.base.values(True)])], 6)[0]
                 self.base = self.base.replaced(found.values, True)
@@ -187,11 +154,11 @@ class Bench:
         side = self.fit
         if best is None:
             residual = side.windows.residual
-            cut = _CUT * _typical((residual**2).sum(1), side.windows.freedom)
+            cut = _CUT * typical((residual**2).sum(1), side.windows.freedom)
             dispersion = max(1.0, cut / (_CUT * side.windows.freedom))
             best = side.nuisance.against(dispersion).profile(residual, cut).chi2
-        typical = _typical(best, side.windows.freedom)
-        self.dispersion, self.cut = typical / side.windows.freedom, _CUT * typical
+        usual = typical(best, side.windows.freedom)
+        self.dispersion, self.cut = usual / side.windows.freedom, _CUT * usual
         self.reference = self._reference(side), self._reference(self.test)
 
     def _reference(self, side: Side) -> Fit:
@@ -200,11 +167,6 @@ class Bench:
     def nuisance(self, side: Side) -> Nuisance:
         """The tolerances of a side, as tight as they are beside what no hypothesis explains."""
         return side.nuisance.against(self.dispersion)
-
-    def loss(self, residual: np.ndarray, test: bool = False) -> float:
-        """Loss of a residual, with the tolerances at their best, in units of the dispersion."""
-        side = self.test if test else self.fit
-        return self.nuisance(side).profile(residual, self.cut).loss / self.dispersion
 
     def find(self, given: Judged | None = None) -> list[Judged]:
         """One round: scan, refine, judge.
@@ -332,46 +294,6 @@ class Bench:
                 best = chi2
         assert best is not None
         return best
-
-
-def luckiest(fall: np.ndarray) -> float:
-    """What the window that gains most may owe to luck, to be taken off a gain.
-
-    Args:
-      fall: (W,) by how much chi^2 falls in each window.
-
-    Returns:
-      Its fall, within a few times what is usual. Where windows are few, only a part of it: one of one, or of two, is
-      all that there is.
-    """
-    most = float(np.quantile(np.abs(fall), 0.8)) * 3.0 + 15.0
-    return float(np.clip(fall.max(), 0.0, most)) * min(1.0, (len(fall) - 1) / _MANY)
-
-
-def _typical(chi2: np.ndarray, freedom: int) -> float:
-    """A chi^2 that most windows stay below, and never less than noise gives."""
-    return max(float(freedom), float(np.quantile(chi2, 0.8)) / (1.0 + 1.2 / np.sqrt(freedom)))
-
-
-def _nothing(windows: int, rows: int) -> Nuisance:
-    return Nuisance.of(np.zeros((0, windows, rows), np.float32), np.zeros(0))
-
-
-def _scales(data: Data) -> Scales:
-    """Typical sizes in the data, from a few hundred samples."""
-    model = data.recordings[0].model
-    picks = [
-        np.unique(np.linspace(0, len(r.time) - 1, max(20, 400 // len(data.recordings))).astype(int))
-        for r in data.recordings
-    ]
-    rows = list(zip(data.recordings, data.tracks, data.acts, picks, strict=True))
-    return Scales.measured(
-        model,
-        np.concatenate([track.qpos[i] for _, track, _, i in rows]),
-        np.concatenate([smooth(model, track, i, data.sigma, data.span)[1] for _, track, _, i in rows]),
-        np.concatenate([recording.ctrl[i] for recording, _, _, i in rows]),
-        np.concatenate([act[i] for _, _, act, i in rows]) if model.na else None,
-    )
 
 
 __all__ = ["Bench", "Judged", "Options", "Side"]

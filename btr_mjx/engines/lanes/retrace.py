@@ -23,9 +23,8 @@ to a nested `jit` keep it from being inlined; its body is rewritten all the same
 """
 
 import functools
-import struct
 from collections import Counter
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -35,6 +34,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.extend import core
+
+from btr_mjx.engines.lanes.flatten import Flattener, is_pure, rename
 
 _P = core.primitives
 
@@ -58,13 +59,6 @@ _OPAQUE = _words(
     "cholesky conv_general_dilated cumsum cumprod cummax cummin cumlogsumexp dot_general fft gather "
     "optimization_barrier scatter scatter_add scatter_max scatter_min scatter_mul sort triangular_solve threefry2x32"
 )
-
-# a op b has the bits of b op a. Not so for float max and min, where the order of +0 and -0 decides.
-_COMMUTATIVE = _words("add mul and or xor eq ne")
-_COMMUTATIVE_EXACT = _words("max min")
-
-# Never merged: barriers exist to keep values apart, copies to own their memory, the others may hide state.
-_KEEP_APART = ("optimization_barrier", "copy", "random_", "rng_", "threefry", "pure_callback", "io_callback", "infeed")
 
 # The parameters that hold the bodies of control flow.
 _BODIES = {
@@ -133,7 +127,7 @@ def retrace[**A, R](
     @functools.wraps(fn)
     def retraced(*args: A.args, **kwargs: A.kwargs) -> R:
         jaxpr, consts, tree = _trace(fn, args, kwargs)
-        result = _Rewriter(options, inline_custom=_is_pure(jaxpr)).rewrite(jaxpr)
+        result = _Rewriter(options, inline_custom=is_pure(jaxpr)).rewrite(jaxpr)
         run = core.jaxpr_as_fun(result.jaxpr)
         if result.custom:
             # Inlining forgot the custom rules, so derivatives are taken through the program as it was traced.
@@ -165,7 +159,7 @@ def plan(
     """
     options = _options(threshold, costs)
     jaxpr, _, _ = _trace(fn, args, kwargs)
-    return _Rewriter(options, inline_custom=_is_pure(jaxpr)).rewrite(jaxpr).plan
+    return _Rewriter(options, inline_custom=is_pure(jaxpr)).rewrite(jaxpr).plan
 
 
 class _Options(NamedTuple):
@@ -199,14 +193,6 @@ def _as_array(leaf: Any) -> Any:
     return jnp.asarray(leaf) if isinstance(leaf, (bool, int, float, complex, np.ndarray, np.generic)) else leaf
 
 
-def _is_pure(jaxpr: core.Jaxpr) -> bool:
-    return not jaxpr.effects and not any(eqn.effects for eqn in jaxpr.eqns)
-
-
-class _Unmergeable(Exception):
-    """Raised for an equation whose parameters cannot be compared."""
-
-
 class _Rewriter:
     """Rewrites one traced function. A body that occurs twice (the same object) is rewritten once."""
 
@@ -221,7 +207,7 @@ class _Rewriter:
         return self.done[id(jaxpr)][1]
 
     def _rewrite(self, jaxpr: core.Jaxpr) -> _Result:
-        flat = _Flattener(self.inline_custom)
+        flat = Flattener(self.inline_custom)
         invars = [core.Var(v.aval) for v in jaxpr.invars]
         outvars = flat.add(jaxpr, invars)
         live, readers = _liveness(flat.eqns, outvars)
@@ -234,7 +220,7 @@ class _Rewriter:
             for body in self._bodies(eqn):
                 counts += self.rewrite(body).plan
                 custom |= self.rewrite(body).custom
-            eqns.append(eqn.replace(invars=_rename(barred, eqn.invars), params=self._rewritten_params(eqn)))
+            eqns.append(eqn.replace(invars=rename(barred, eqn.invars), params=self._rewritten_params(eqn)))
             counts += Plan(ops=eqn.primitive is not lax.optimization_barrier_p)
             if eqn.primitive.multiple_results or eqn.primitive.name in _OPAQUE:
                 continue
@@ -250,7 +236,7 @@ class _Rewriter:
         result = core.Jaxpr(
             constvars=list(flat.constvars.values()),
             invars=invars,
-            outvars=_rename(barred, outvars),
+            outvars=rename(barred, outvars),
             eqns=eqns,
             effects=jaxpr.effects,
             debug_info=jaxpr.debug_info,
@@ -263,7 +249,7 @@ class _Rewriter:
         if eqn.effects:
             return []
         values = [eqn.params[name] for name in _BODIES.get(eqn.primitive, ())]
-        return [body for v in values for body in (v if isinstance(v, tuple) else (v,)) if _is_pure(body)]
+        return [body for v in values for body in (v if isinstance(v, tuple) else (v,)) if is_pure(body)]
 
     def _rewritten_params(self, eqn: core.JaxprEqn) -> dict[str, Any]:
         new = {id(body): self.rewrite(body).jaxpr for body in self._bodies(eqn)}
@@ -274,78 +260,6 @@ class _Rewriter:
             old = params[name]
             params[name] = tuple(new.get(id(v), v) for v in old) if isinstance(old, tuple) else new.get(id(old), old)
         return params
-
-
-class _Flattener:
-    """Copies equations into one list, inlining calls and leaving out equations that are there already."""
-
-    def __init__(self, inline_custom: bool):
-        self.inline_custom = inline_custom
-        self.eqns: list[core.JaxprEqn] = []
-        self.constants: list[Any] = []
-        self.constvars: dict[tuple[int, Any], core.Var] = {}
-        self.merged = 0
-        self.custom = False
-        self.known: dict[Hashable, list[core.Var]] = {}
-
-    def add(self, jaxpr: core.Jaxpr, inputs: Sequence[Any]) -> list[Any]:
-        """Adds the equations of `jaxpr` applied to `inputs`; returns the variables or literals of its results."""
-        # One jaxpr may be added many times, and different jaxprs may share variables: the names live in this call.
-        names = dict(zip(jaxpr.invars, inputs, strict=True))
-        names.update((v, self._constant(v, c)) for v, c in zip(jaxpr.constvars, jaxpr.consts, strict=True))
-        for eqn in jaxpr.eqns:
-            operands = _rename(names, eqn.invars)
-            body = self._inlinable(eqn, operands)
-            if body is None:
-                names.update(zip(eqn.outvars, self._append(eqn, operands), strict=True))
-            else:
-                self.custom |= eqn.primitive is _P.custom_jvp_call_p
-                names.update(zip(eqn.outvars, self.add(body, operands), strict=True))
-        return _rename(names, jaxpr.outvars)
-
-    def _constant(self, var: core.Var, value: Any) -> core.Var:
-        key = (id(value), var.aval)
-        if key not in self.constvars:
-            self.constvars[key] = core.Var(var.aval)
-            self.constants.append(value)
-        return self.constvars[key]
-
-    def _inlinable(self, eqn: core.JaxprEqn, operands: Sequence[Any]) -> core.Jaxpr | None:
-        """The jaxpr that `eqn` merely calls, or None."""
-        params = eqn.params
-        if eqn.primitive is _P.jit_p:
-            # Whatever was asked of the nested compilation cannot be asked of a part of the surrounding program.
-            asked = [*params["in_shardings"], *params["out_shardings"], *params["in_layouts"], *params["out_layouts"]]
-            if params["compiler_options_kvs"] or any(a is not None and repr(a) != "UnspecifiedValue" for a in asked):
-                return None
-            body = params["jaxpr"]
-        elif eqn.primitive in (_P.call_p, _P.closed_call_p) or (
-            eqn.primitive is _P.custom_jvp_call_p and self.inline_custom
-        ):
-            body = params["call_jaxpr"]
-        else:
-            return None
-        inner, outer = [*body.invars, *body.outvars], [*operands, *eqn.outvars]
-        same_types = len(inner) == len(outer) and all(a.aval == b.aval for a, b in zip(inner, outer, strict=True))
-        return body if same_types and not eqn.effects and _is_pure(body) else None
-
-    def _append(self, eqn: core.JaxprEqn, operands: list[Any]) -> list[core.Var]:
-        try:
-            key = _key(eqn, operands)
-        except _Unmergeable:
-            key = None
-        if key in self.known:
-            self.merged += 1
-            return self.known[key]
-        outvars = [core.Var(v.aval) for v in eqn.outvars]
-        self.eqns.append(eqn.replace(invars=operands, outvars=outvars))
-        if key is not None:
-            self.known[key] = outvars
-        return outvars
-
-
-def _rename(names: Mapping[Any, Any], atoms: Sequence[Any]) -> list[Any]:
-    return [v if isinstance(v, core.Literal) else names.get(v, v) for v in atoms]
 
 
 def _liveness(eqns: Sequence[core.JaxprEqn], outvars: Sequence[Any]) -> tuple[list[core.JaxprEqn], Counter[core.Var]]:
@@ -366,47 +280,3 @@ def _can_wait(aval: Any) -> bool:
 
 def _barrier(value: core.Var, result: core.Var, like: core.JaxprEqn) -> core.JaxprEqn:
     return core.new_jaxpr_eqn([value], [result], lax.optimization_barrier_p, {}, set(), like.source_info, like.ctx)
-
-
-def _key(eqn: core.JaxprEqn, operands: Sequence[Any]) -> Hashable:
-    """A key that two equations share only if they compute the same bits.
-
-    Raises:
-        _Unmergeable: If the equation must stay, or if that cannot be told.
-    """
-    name = eqn.primitive.name
-    if eqn.effects or name.startswith(_KEEP_APART):
-        raise _Unmergeable
-    inputs: Any = tuple(_literal_key(v) if isinstance(v, core.Literal) else v for v in operands)
-    if name in _COMMUTATIVE or (name in _COMMUTATIVE_EXACT and not jnp.issubdtype(operands[0].aval.dtype, jnp.inexact)):
-        inputs = frozenset(inputs)
-    # Types and contexts are interned by JAX, so they compare by identity. Types include weakness and sharding.
-    return eqn.primitive, inputs, _freeze(eqn.params), tuple(v.aval for v in eqn.outvars), eqn.ctx
-
-
-def _literal_key(literal: core.Literal) -> Hashable:
-    # By bits: 0 and -0 differ, a NaN equals itself, and 1 is not 1.0 nor True, because the types differ.
-    if not isinstance(literal.aval, jax.core.ShapedArray) or not isinstance(literal.aval.dtype, np.dtype):
-        raise _Unmergeable
-    return literal.aval, np.asarray(literal.val, dtype=literal.aval.dtype).tobytes()
-
-
-def _freeze(value: Any) -> Hashable:
-    """A hashable stand-in for a parameter; unlike `==` it tells 1 from True and 1.0, and 0.0 from -0.0."""
-    if isinstance(value, dict):
-        return type(value), frozenset((k, _freeze(v)) for k, v in value.items())
-    if isinstance(value, tuple | list):
-        return type(value), tuple(map(_freeze, value))
-    if isinstance(value, float):
-        return type(value), struct.pack("d", value)
-    if isinstance(value, complex):
-        return type(value), struct.pack("dd", value.real, value.imag)
-    if isinstance(value, np.ndarray | np.generic) and value.dtype != object:
-        return type(value), value.dtype, value.shape, value.tobytes()
-    if isinstance(value, core.Jaxpr):
-        raise _Unmergeable
-    try:
-        hash(value)
-    except TypeError:
-        raise _Unmergeable from None
-    return type(value), value
