@@ -23,7 +23,7 @@ from btr_mjx.model_fields import read_field
 
 __all__ = ["CommandEdit", "Counter", "Job", "Stretch", "World", "fields_of", "simulate"]
 
-_ROWS_PER_THREAD = 16
+_ROWS_PER_THREAD = 4
 """Rows that are worth a thread."""
 
 _ROWS = 8192
