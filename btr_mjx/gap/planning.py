@@ -13,6 +13,7 @@ from mujoco.batch import Batch
 
 from btr_mjx.environment import available_cores
 from btr_mjx.errors import InputError
+from btr_mjx.gap.coverage import bustle, covering, weights
 from btr_mjx.gap.prepared import Data
 from btr_mjx.gap.search_records import Options
 from btr_mjx.gap.sensitivity import intervals_per_look
@@ -120,7 +121,9 @@ def _smooth_span(data: Data, counter: Counter) -> float:
     return float(marks[max(count - 1, 0)])
 
 
-def plan(data: Data, held: Data, span: float, count: int, options: Options) -> tuple[Chosen, Chosen, bool]:
+def plan(
+    data: Data, held: Data, span: float, count: int, options: Options, counter: Counter
+) -> tuple[Chosen, Chosen, bool]:
     """Windows of both sides of the split, as many as may be afforded.
 
     Args:
@@ -129,6 +132,7 @@ def plan(data: Data, held: Data, span: float, count: int, options: Options) -> t
       span: length of a window [s].
       count: numbers of all candidates that are screened.
       options: how much is spent.
+      counter: adds up the simulated steps.
 
     Returns:
       Windows to fit, windows held out, and whether candidates are looked at in single steps, see
@@ -143,25 +147,29 @@ def plan(data: Data, held: Data, span: float, count: int, options: Options) -> t
     per_step = state + screening + 4.0 * (options.leaders + options.contact_leaders)
     share = 0.7 if len(data.recordings) >= len(held.recordings) else 0.6
     budget = options.budget(model.nv)
-    fit = place(data, span, share * budget, per_step)
+    fit = place(data, span, share * budget, per_step, counter=counter)
     most = max(1, round(_HELD_OUT * len(fit[1]) / len(held.recordings)))
-    test = place(held, span, (1 - share) * budget, state + _JUDGED + screening / 3)
-    if len(test[1]) > most * len(held.recordings):
-        test = place(held, span, 0.0, 1.0, per_recording=most)
+    test = place(held, span, (1 - share) * budget, state + _JUDGED + screening / 3, most, counter)
     return (data, *fit), (held, *test), single
 
 
 def place(
-    data: Data, span: float, budget: float, per_step: float, per_recording: int | None = None
+    data: Data,
+    span: float,
+    budget: float,
+    per_step: float,
+    most: int | None = None,
+    counter: Counter | None = None,
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Windows spread evenly over the recordings.
+    """Windows that do not overlap: all there is room for, or those that hold much of everything, see `coverage`.
 
     Args:
       data: the recordings.
       span: length of a window [s].
       budget: simulated steps that may be spent.
       per_step: simulated steps that the analysis costs per step of a window.
-      per_recording: a fixed number instead of a budget.
+      most: windows of a recording, at most, on average.
+      counter: adds up the simulated steps.
 
     Returns:
       Recording (W,), first sample (W,) and samples of a window after its first.
@@ -178,11 +186,16 @@ def place(
         r = data.recordings[int(np.argmin(room))]
         raise InputError(f"recording {r.name!r}: {len(r.time)} samples are too short for a window of {k + 1} samples")
     affordable = budget / (per_step * steps) / len(data.recordings)
+    count = int(np.clip(round(affordable), 1, most)) * len(data.recordings)
     recording, first = [], []
-    for i, (r, most) in enumerate(zip(data.recordings, room, strict=True)):
-        count = int(np.clip(round(per_recording or affordable), 1, most))
+    for i, (r, fits) in enumerate(zip(data.recordings, room, strict=True)):
         last = len(r.time) - 1 - k
-        begin = min(data.span.half, last)
-        first.append(np.unique(np.linspace(begin, last, count).astype(int)))
+        first.append(np.unique(np.linspace(min(data.span.half, last), last, fits).astype(int)))
         recording.append(np.full(len(first[-1]), i))
-    return np.concatenate(recording), np.concatenate(first), k
+    own, start = np.concatenate(recording), np.concatenate(first)
+    if count < len(start):
+        busy = bustle(data, counter or Counter())
+        shares = np.stack([busy[i][a : a + k].mean(0) for i, a in zip(own, start, strict=True)])
+        chosen = np.sort(covering(shares, weights(model.nv), own, count))
+        own, start = own[chosen], start[chosen]
+    return own, start, k

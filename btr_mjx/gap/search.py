@@ -94,7 +94,7 @@ class Bench:
         entries = entries_of(self.candidates, self.fields, self.delicate)
         note("windows")
         count = sum(len(entry.steps) for entry in entries)
-        fit, test, self.single = plan(data, held, self.survey.span, count, self.options)
+        fit, test, self.single = plan(data, held, self.survey.span, count, self.options, self.counter)
         self.fit, self.test = (Side(Windows(*own, self.counter), Nuisance.nothing(0, 0)) for own in (fit, test))
         self._start(note)
         note(f"signatures of {len(entries)} candidates")
