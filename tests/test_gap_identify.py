@@ -9,7 +9,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.commands import Command
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
-from btr_mjx.gap.identify import identify, missing
+from btr_mjx.gap.identify import acceptable, identify, missing
 from btr_mjx.gap.leftover import Leftover
 from btr_mjx.gap.next_experiment import compare, propose, random_commands, recordings_needed
 from btr_mjx.gap.outcome import equivalent
@@ -153,6 +153,20 @@ def test_what_moves_contacts_is_equivalent_further_away():
     assert equivalent(judged) == ("a", "b")
     assert equivalent(judged, {"c"}) == ("a", "b", "c")
     assert equivalent(judged, {"a"}) == ("a", "b", "c")
+
+
+@pytest.mark.parametrize(("rejected", "order"), [("", "abc"), ("a", "bac"), ("ab", "abc")])
+def test_of_what_is_alike_the_best_that_may_be_named_comes_first(monkeypatch, rejected, order):
+    """Beyond the margin, where data tell candidates apart, nothing steps in for a leader that may not be named."""
+    judged = [as_judged("a", 500.0), as_judged("b", 480.0), as_judged("c", 460.0)]
+
+    def accepted(bench, judged, given):
+        return judged.hypothesis.effects[-1][0].name not in rejected
+
+    monkeypatch.setattr("btr_mjx.gap.identify.accepted", accepted)
+    out = acceptable(SimpleNamespace(delicate=frozenset()), judged, None)
+    assert "".join(j.hypothesis.effects[-1][0].name for j in out) == order
+    assert acceptable(SimpleNamespace(delicate=frozenset()), [], None) == []
 
 
 def left_by(gains, dispersion=1.0):

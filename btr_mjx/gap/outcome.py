@@ -20,8 +20,8 @@ CONTACT_MARGIN = 0.1
 """The same where one of them moves contacts, at least, as a part of the best score."""
 
 
-def equivalent(judged: Sequence[Judged], delicate: Collection[str] = ()) -> tuple[str, ...]:
-    """Names that the data cannot tell from the best one, the best one first.
+def alike(judged: Sequence[Judged], delicate: Collection[str] = ()) -> list[Judged]:
+    """Those that the data cannot tell from the first one, which comes first.
 
     Args:
       judged: one round, best first.
@@ -32,8 +32,13 @@ def equivalent(judged: Sequence[Judged], delicate: Collection[str] = ()) -> tupl
         names = [k.hypothesis.effects[-1][0].name for k in (best, j)]
         margin = max(MARGIN, CONTACT_MARGIN * best.score) if any(n in delicate for n in names) else MARGIN
         if best.score - j.score <= margin and j.score > 0.3 * best.score:
-            out.append(names[1])
-    return tuple(out)
+            out.append(j)
+    return out
+
+
+def equivalent(judged: Sequence[Judged], delicate: Collection[str] = ()) -> tuple[str, ...]:
+    """Names of those that are alike, see there."""
+    return tuple(j.hypothesis.effects[-1][0].name for j in alike(judged, delicate))
 
 
 def named_effects(

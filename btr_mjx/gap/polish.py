@@ -22,9 +22,6 @@ _HOPELESS = -5.0
 _CLOSE = 40.0
 """Leaders whose scores differ by less are judged again."""
 
-_MOVING = 3
-"""Candidates that move contacts, beyond the leaders, that are looked at again."""
-
 _WALKS = 4
 """Candidates that move contacts that are looked at again, leaders included."""
 
@@ -69,9 +66,10 @@ class Polisher:
         close = [j for j in judged if best - j.score <= max(_CLOSE, 0.1 * best) and best > _HOPELESS][:most]
         plain = [j for j in close if not self._moves_contacts(j.hypothesis)]
         others = [j for j in judged if j not in close and j.gain > 0 and self._moves_contacts(j.hypothesis)]
-        moving = [j for j in close if j not in plain] + others[:_MOVING]
-        needed = {j.name: -np.inf if j in close else max(judged[0].gain, _CLOSE) for j in moving}
-        walked = [(j, self._walked(j.hypothesis, needed[j.name])) for j in moving[:_WALKS]]
+        moving = [j for j in close if j not in plain] + others[:most]
+        rival = max(judged[0].gain, _CLOSE)
+        needed = {j.name: (-np.inf, _CLOSE) if j in close else (_HOPE * rival, _PROMISE * rival) for j in moving}
+        walked = [(j, self._walked(j.hypothesis, *needed[j.name])) for j in moving[:_WALKS]]
         tries = [(j, j.hypothesis) for j in plain] + [(j, found) for j, found in walked if found is not None]
         if not tries:
             return list(judged)
@@ -109,17 +107,18 @@ class Polisher:
     def _moves_contacts(self, hypothesis: Hypothesis) -> bool:
         return any(candidate.name in self.bench.delicate for candidate, _ in hypothesis.effects)
 
-    def _walked(self, hypothesis: Hypothesis, best: float) -> Hypothesis | None:
+    def _walked(self, hypothesis: Hypothesis, hope: float, promise: float) -> Hypothesis | None:
         """Where a walk over the size of the last effect ends, on a part of the windows, linearised anew at every step.
 
         Directions found at one size mislead at another as soon as a foot touches, so that no derivative leads there.
 
         Args:
           hypothesis: one that moves contacts.
-          best: gain that it has to come near to; minus infinity for none.
+          hope: gain that it needs before the walk.
+          promise: gain that it needs afterwards.
 
         Returns:
-          None for one that does not.
+          None for one that has less.
         """
         bench = self.bench
         index = np.arange(0, len(bench.fit.windows), 3)
@@ -132,7 +131,7 @@ class Polisher:
             return bench.fall(reference, bench.free(side).profile(side.windows.residual, bench.cut)) / share
 
         known = {1.0: gain(1.0)}
-        if known[1.0] < _HOPE * best:
+        if known[1.0] < hope:
             return None
         for stride in (_STRIDE, 1.0 / _STRIDE):
             factor = 1.0
@@ -142,7 +141,7 @@ class Polisher:
                     break
                 factor *= stride
         there = max(known, key=lambda factor: known[factor])
-        return _scaled(hypothesis, _vertex(known)) if known[there] > _PROMISE * best else None
+        return _scaled(hypothesis, _vertex(known)) if known[there] > promise else None
 
     def _best(
         self, side: Side, hypothesis: Hypothesis, kinds: Sequence[bool], free: Callable[[Side], Nuisance]
