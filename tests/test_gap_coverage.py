@@ -10,6 +10,7 @@ from gap_arm import SIGMA, dataset, recording
 from btr_mjx.gap.coverage import bustle, covering, weights
 from btr_mjx.gap.planning import place
 from btr_mjx.gap.prepared import prepare
+from btr_mjx.gap.recording import Recording
 from btr_mjx.gap.smoothing import Span
 from btr_mjx.gap.worlds import Counter
 
@@ -46,8 +47,29 @@ def test_a_rare_thing_is_not_missed_and_every_group_is_heard():
     assert len(covering(shares, np.ones(3), group, 2)) == 4
 
 
-def test_bustle_is_what_native_mujoco_says_sample_by_sample():
-    made = prepare([recording("r", seed=1)], "linear", SIGMA, Span(5, 6))
+BALL = """
+<mujoco>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 1"/>
+    <body pos="0 0 0.1"><joint name="height" type="slide" axis="0 0 1"/><geom size="0.1" mass="1"/></body>
+  </worldbody>
+  <actuator><motor joint="height"/></actuator>
+</mujoco>
+"""
+
+
+def bouncing() -> Recording:
+    """A ball that is on the ground, or in it, half of the time."""
+    time = np.arange(0, 1, 0.005)
+    qpos, qvel = 0.01 * np.sin(20 * time), 0.2 * np.cos(20 * time)
+    model = mujoco.MjModel.from_xml_string(BALL)
+    return Recording("ball", time, np.cos(time)[:, None], qpos[:, None], qvel[:, None], np.ones(1, bool), "fit", model)
+
+
+@pytest.mark.parametrize("touching", [False, True])
+def test_bustle_is_what_native_mujoco_says_sample_by_sample(touching):
+    one = bouncing() if touching else recording("r", seed=1)
+    made = prepare([one], "linear", SIGMA[: 2 * one.model.nv], Span(5, 6))
     counter = Counter()
     (found,) = bustle(made, counter)
     (own,) = made.recordings
@@ -60,6 +82,7 @@ def test_bustle_is_what_native_mujoco_says_sample_by_sample():
         expected = [*data.qvel**2, *data.qfrc_actuator**2, *touch, not touch.any()]
         np.testing.assert_allclose(found[i], np.array(expected, float), rtol=1e-9, atol=1e-12)
     assert weights(nv).shape == (found.shape[1],)
+    assert 0.2 < found[:, -1].mean() < 0.8 if touching else found[:, -1].all()
 
 
 def test_windows_go_where_the_robot_moves():
