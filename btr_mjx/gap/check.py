@@ -13,7 +13,8 @@ from btr_mjx.gap.diagnosis import DisagreementMap
 from btr_mjx.gap.disagreement import disagreement, place_names
 from btr_mjx.gap.forces import Circumstances, Description, ForceFit, Forces, circumstances, describe, lack_of_fit
 from btr_mjx.gap.leftover import Feature, Joints, Leftover, features
-from btr_mjx.gap.score import bounded, project
+from btr_mjx.gap.nulls import null_residual
+from btr_mjx.gap.score import bounded
 from btr_mjx.gap.search import Bench, Judged
 from btr_mjx.gap.windows import Windows
 
@@ -29,8 +30,12 @@ _LEAST_GAIN = 45.0
 _COARSE = 5.0
 """Dispersion beyond which what forces leave is not noise."""
 
-_BEYOND = 1.4
+_BEYOND = 2.0
 """What may be chance, as a factor on the largest of the simulated nulls."""
+
+_TRUST = 0.5
+"""Part of what nulls leave on average by which real data may leave more: where state estimates fail, nulls show it
+roughly."""
 
 
 class Check:
@@ -108,9 +113,8 @@ class Check:
         left, held_out, spared = [], [], []
         for i, side in enumerate(self.sides):
             windows, nuisance = side.windows, bench.nuisance(side)
-            for own, residual in zip(found, windows.residuals(draws), strict=True):
-                noise = project(rng.standard_normal(residual.shape), windows.basis)
-                there = residual - windows.residual + noise
+            for own, draw in zip(found, draws, strict=True):
+                there = null_residual(windows, bench.base, draw, rng)
                 absorbed = nuisance.absorbed(there, bench.cut)
                 own.append(self.fits[i](absorbed))
                 if i == 0:
@@ -124,7 +128,8 @@ class Check:
     def surprise(self, judged: Judged | None) -> float:
         """Lack of fit over both sides, in standard deviations beyond that of a null."""
         value = lack_of_fit([self._forces(i, judged) for i in (0, 1)])
-        return (value - self.null[0]) / float(np.hypot(1.0, 1.5 * self.null[1]))
+        usual, spread = self.null
+        return (value - usual) / float(np.linalg.norm([1.0, 1.5 * spread, _TRUST * max(usual, 0.0)]))
 
     def left(self, judged: Judged | None) -> Leftover:
         """What a hypothesis leaves at single joints, on the recordings to fit."""

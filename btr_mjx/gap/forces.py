@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from btr_mjx.gap.score import without_wildest
 from btr_mjx.gap.sensitivity import force_signatures, parts
 from btr_mjx.gap.windows import MakeWorld, Windows
 
@@ -158,8 +159,11 @@ def excess(forces: Forces) -> np.ndarray:
 
 
 def lack_of_fit(sides: Sequence[Forces]) -> float:
-    """How many standard deviations the windows' excess lies above pure noise, over both sides of the split."""
-    total = sum(float(excess(forces).sum()) for forces in sides)
+    """How many standard deviations the windows' excess lies above pure noise, over both sides of the split.
+
+    The window with the largest excess does not count, on either side.
+    """
+    total = sum(float(without_wildest(excess(forces))) for forces in sides)
     return total / float(np.sqrt(sum(2.0 * float(forces.rank.sum()) for forces in sides)))
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from btr_mjx.gap.forces import Circumstances, ForceFit
 from btr_mjx.gap.refine import Nuisance
-from btr_mjx.gap.score import robust_gain, weight
+from btr_mjx.gap.score import bounded, luckiest, robust_gain, weight, without_wildest
 
 _CAP = 6.0
 """A window's excess counts up to so many standard deviations."""
@@ -159,7 +159,9 @@ class Joints:
             )
             shift = -inverse @ (pull + amplitude * mixed)
             moved = moved + np.einsum("pwr,p->wr", own, shift[:size])
-            fall = robust_gain(reference, self.nuisance.profile(moved, cut), cut)
+            after = self.nuisance.profile(moved, cut)
+            lucky = luckiest(bounded(reference.chi2, cut) - bounded(after.chi2, cut))
+            fall = robust_gain(reference, after, cut) - lucky
             if fall > gain:
                 best, gain = feature, fall
         return Leftover(excess, chi2, gain, best)
@@ -171,5 +173,5 @@ class Joints:
         inner = (np.swapaxes(vector, 2, 3) @ moment[..., None])[..., 0]
         explained = (np.where(keep, inner**2 / np.where(keep, value, 1.0), 0.0)).sum(-1)  # (W, nv)
         rank = keep.sum(-1)
-        beyond = np.minimum(explained - rank, _CAP * np.sqrt(2.0 * rank)).sum(0)
+        beyond = without_wildest(np.minimum(explained - rank, _CAP * np.sqrt(2.0 * rank)))
         return beyond / np.sqrt(np.maximum(2.0 * rank.sum(0), 1.0)), beyond

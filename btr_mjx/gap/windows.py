@@ -193,7 +193,7 @@ class Windows:
         self.transitions = transitions(self, make, base)
         self.jacobians = self.jacobian()
         correction = self._step_error(make, base)
-        self._centre(make, steps, self.whiten(base) + correction, correction)
+        self.centre(make, steps, self.whiten(base) + correction, correction)
         self._differentiate(make)
         self.rebase(make)
 
@@ -218,10 +218,19 @@ class Windows:
         self.basis = np.concatenate([state, self.soft], 2)
         self.residual = project(self.residual, self.soft)
 
-    def _centre(self, make: MakeWorld, steps: int, raw: np.ndarray, correction: np.ndarray) -> None:
+    def centre(self, make: MakeWorld, steps: int, raw: np.ndarray, correction: np.ndarray) -> np.ndarray:
         """Gauss-Newton steps of the starting states; a window keeps a step only if it helps.
 
         A wrong model would drag its starting states along; they stay near the smoothed ones, which know no model.
+
+        Args:
+          make: the hypothesis.
+          steps: at most.
+          raw: (W, R) residual, not projected, from the starting states as they are.
+          correction: (W, R) of the model's time step, part of `raw`.
+
+        Returns:
+          (W, R) residual, not projected, from the starting states as they are now.
         """
         inverse = np.linalg.pinv(self.jacobians, rcond=1e-10)
         model, raw, sigma = self.groups[0][0], raw.copy(), self.data.sigma
@@ -237,6 +246,7 @@ class Windows:
                 break
             self.qpos[better], self.qvel[better] = start[0][better], start[1][better]
             raw[better] = trial[better]
+        return raw
 
     def recentred(self, make: MakeWorld, anew: bool = False) -> "Windows":
         """A copy whose starting states suit another hypothesis, which is its base for residuals.
@@ -250,11 +260,11 @@ class Windows:
         other = copy.copy(self)
         other.qpos, other.qvel = self.qpos.copy(), self.qvel.copy()
         raw = self.whiten(self.states([make])[0]) + self.correction
-        other._centre(make, _RECENTRE, raw, self.correction)
+        other.centre(make, _RECENTRE, raw, self.correction)
         if anew:
             other._differentiate(make)
             raw = other.whiten(other.states([make])[0]) + self.correction
-            other._centre(make, _RECENTRE, raw, self.correction)
+            other.centre(make, _RECENTRE, raw, self.correction)
         other.rebase(make)
         return other
 
