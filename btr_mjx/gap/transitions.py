@@ -17,7 +17,7 @@ from btr_mjx.gap.worlds import Job, simulate
 if TYPE_CHECKING:
     from btr_mjx.gap.windows import Windows
 
-_NUDGE = 1.0
+_NUDGE = 0.5
 """Perturbation of a state, in units of the noise: as far as it is unknown. Where a foot comes down at a time step, sooner
 or later, smaller ones see a staircase; starting states were found a quarter better with this than with 0.2."""
 
