@@ -1,7 +1,8 @@
 """How a small change of the state carries over from one sample to the next, and where that has changed.
 
 Differentiating every interval of every window is the dearest part of a linearisation. Another hypothesis changes few
-intervals, those in which something touches that did not; a single nudge in a random direction tells which.
+intervals, those in which something touches that did not; a single nudge in a random direction tells which. What that
+nudge led to is remembered, because near contacts it leads elsewhere than the derivatives say even where nothing changed.
 """
 
 from collections.abc import Callable
@@ -27,8 +28,8 @@ def transitions(
     make: Callable[[mujoco.MjModel], World],
     states: np.ndarray,
     wanted: np.ndarray | None = None,
-    known: np.ndarray | None = None,
-) -> np.ndarray:
+    known: tuple[np.ndarray, np.ndarray] | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
     """How a small change of the state at each sample carries over to the next sample.
 
     Args:
@@ -36,21 +37,27 @@ def transitions(
       make: the hypothesis.
       states: (W, k + 1, nq + nv) its states.
       wanted: (W, k) bool: intervals to differentiate; None for all.
-      known: transitions of the others.
+      known: what this function returned for the others.
 
     Returns:
-      (W, k, 2 nv, 2 nv).
+      (W, k, 2 nv, 2 nv), and where the nudge of `strangeness` leads, (W, k, 2 nv).
     """
-    size = 2 * windows.nv
-    nudges = np.diag(_NUDGE * windows.data.sigma)
+    size, scale = 2 * windows.nv, _NUDGE * windows.data.sigma
+    nudges = np.concatenate([np.diag(scale), _mixed(windows)[None]])
     if wanted is None or known is None:
         wanted = np.ones((len(windows), windows.k), bool)
-        known = np.zeros((len(windows), windows.k, size, size))
-    out = known.copy()
+        known = np.zeros((len(windows), windows.k, size, size)), np.zeros((len(windows), windows.k, size))
+    matrices, answers = (array.copy() for array in known)
     window, interval = np.nonzero(wanted)
-    moved = _moved(windows, make, states, window, interval, np.broadcast_to(nudges, (len(window), size, size)))
-    out[window, interval] = np.swapaxes(moved / np.diag(nudges)[:, None], 1, 2)
-    return out
+    moved = _moved(windows, make, states, window, interval, np.broadcast_to(nudges, (len(window), size + 1, size)))
+    matrices[window, interval] = np.swapaxes(moved[:, :-1] / scale[:, None], 1, 2)
+    answers[window, interval] = moved[:, -1]
+    return matrices, answers
+
+
+def _mixed(windows: "Windows") -> np.ndarray:
+    """A nudge (2 nv,) of every coordinate at once, with signs of its own."""
+    return np.random.default_rng(0).choice([-1.0, 1.0], 2 * windows.nv) * _NUDGE * windows.data.sigma
 
 
 def strangeness(windows: "Windows", make: Callable[[mujoco.MjModel], World], states: np.ndarray) -> np.ndarray:
@@ -62,15 +69,13 @@ def strangeness(windows: "Windows", make: Callable[[mujoco.MjModel], World], sta
       states: (W, k + 1, nq + nv) its states.
 
     Returns:
-      (W, k) root sum square, in units of the noise, of the error for a nudge by the noise of every coordinate, with
-      signs of its own; its mean square over signs is the squared norm of the difference.
+      (W, k) root sum square, in units of the noise, of the change of where a nudge by the noise of every coordinate
+      leads, with signs of its own; its mean square over signs is the squared norm of the transitions' change.
     """
     window, interval = (i.ravel() for i in np.indices((len(windows), windows.k)))
-    signs = np.random.default_rng(0).choice([-1.0, 1.0], (len(window), 1, 2 * windows.nv))
-    nudges = signs * _NUDGE * windows.data.sigma
+    nudges = np.broadcast_to(_mixed(windows), (len(window), 1, 2 * windows.nv))
     moved = _moved(windows, make, states, window, interval, nudges)[:, 0]
-    expected = (windows.transitions[window, interval] @ nudges[:, 0, :, None])[..., 0]
-    error = (moved - expected) / (_NUDGE * windows.data.sigma)
+    error = (moved - windows.answers[window, interval]) / (_NUDGE * windows.data.sigma)
     return np.sqrt((error**2).sum(-1)).reshape(len(windows), windows.k)
 
 

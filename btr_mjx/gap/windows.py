@@ -28,8 +28,8 @@ _FINE = 1.25e-4
 _LONG = 400
 """Windows of more steps are divided by 4 only; the rest is extrapolated."""
 
-_STRANGE = 1.0
-"""Error of an interval's transition, see `strangeness`, beyond which it is found anew."""
+_STRANGE = 2.0
+"""Change of an interval's transition, see `strangeness`, beyond which it is found anew."""
 
 _REACH = 2.0
 """How far a starting state may be led away from the smoothed one, in units of the noise; more where smoothing fails."""
@@ -42,7 +42,7 @@ _UNSEEN = 50.0
 
 _PER_WINDOW = (
     *("recording", "first", "time", "since", "target_q", "target_v", "act", "qpos", "qvel", "reach"),
-    *("residual", "basis", "soft", "correction", "base", "transitions", "jacobians"),
+    *("residual", "basis", "soft", "correction", "base", "transitions", "answers", "jacobians"),
 )
 """Arrays with a row for every window."""
 
@@ -190,7 +190,7 @@ class Windows:
           steps: Gauss-Newton steps of the starting states; a window keeps a step only if it helps.
         """
         base = self.states([make])[0]
-        self.transitions = transitions(self, make, base)
+        self.transitions, self.answers = transitions(self, make, base)
         self.jacobians = self.jacobian()
         correction = self._step_error(make, base)
         self.centre(make, steps, self.whiten(base) + correction, correction)
@@ -201,7 +201,7 @@ class Windows:
         """Directions of the starting states for another hypothesis or other states: anew where they have changed."""
         states = self.states([make])[0]
         changed = strangeness(self, make, states) > _STRANGE
-        self.transitions = transitions(self, make, states, changed, self.transitions)
+        self.transitions, self.answers = transitions(self, make, states, changed, (self.transitions, self.answers))
         self.jacobians = self.jacobian()
         self.basis = orthonormal(self.jacobians)
         self.soften(self.soft)
