@@ -1,8 +1,8 @@
 """How a small change of the state carries over from one sample to the next, and where that has changed.
 
 Differentiating every interval of every window is the dearest part of a linearisation. Another hypothesis changes few
-intervals, those in which something touches that did not; a single nudge in a random direction tells which. What that
-nudge led to is remembered, because near contacts it leads elsewhere than the derivatives say even where nothing changed.
+intervals, those in which something touches that did not; a single nudge in a random direction tells which. Where that
+nudge led is remembered, because near contacts it leads elsewhere than the derivatives say even where nothing changed.
 """
 
 from collections.abc import Callable
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from btr_mjx.gap.windows import Windows
 
 _NUDGE = 0.5
-"""Perturbation of a state, in units of the noise: as far as it is unknown. Where a foot comes down at a time step, sooner
-or later, smaller ones see a staircase; starting states were found a quarter better with this than with 0.2."""
+"""Perturbation of a state, in units of the noise: as far as it is unknown. A foot comes down at one time step or at the
+next, and smaller nudges see a staircase."""
 
 
 def transitions(

@@ -28,7 +28,7 @@ _FINE = 1.25e-4
 _LONG = 400
 """Windows of more steps are divided by 4 only; the rest is extrapolated."""
 
-_STRANGE = 2.0
+_STRANGE = 1.0
 """Change of an interval's transition, see `strangeness`, beyond which it is found anew."""
 
 _REACH = 2.0
