@@ -286,7 +286,8 @@ def show(numbers: Mapping[str, Any], rows: list[dict[str, Any]]) -> None:
         print(
             f"{name:32}{value:>12}{bar['bar']:>12}  {'' if bar['met'] is None else 'met' if bar['met'] else 'NOT MET'}"
         )
-    for name in ("cases", "detectable", "undetectable_share", "right_of_all_effects", "false_names", "outside_flagged"):
+    shares = ("right_or_lag_for_delay", "right_of_all_effects", "false_names", "outside_flagged")
+    for name in ("cases", "detectable", "undetectable_share", *shares):
         value = numbers[name]
         print(f"{name:32}{'-' if value is None else format(value, '.4g'):>12}")
     print(f"\n{'hidden':24}{'said':24}{'cases':>6}")

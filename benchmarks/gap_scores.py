@@ -91,6 +91,12 @@ def same_effect(model: mujoco.MjModel, one: Mapping[str, Any], other: Mapping[st
     return one["effect"] == other["effect"] and same_place(model, one["location"], other["location"])
 
 
+def _twins(model: mujoco.MjModel, one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Whether one entry is a delay and the other a lag of the same motors: at one frequency these are the same."""
+    kinds = {one["effect"], other["effect"]}
+    return kinds == {"actuator_delay", "actuator_lag"} and same_place(model, one["location"], other["location"])
+
+
 def true_values(model: mujoco.MjModel, missing: Mapping[str, Any], names: Sequence[str]) -> list[float]:
     """The hidden parameters in the words of the library's candidate at that place."""
     parameters = missing["parameters"]
@@ -154,6 +160,7 @@ def judge(model: mujoco.MjModel, case: Case) -> dict[str, Any]:
     if hidden:
         found = [[n for n in named if same_effect(model, h, n)] for h in hidden]
         row["right"] = all(found) if len(hidden) > 1 else bool(named) and same_effect(model, hidden[0], named[0])
+        row["right_or_twin"] = row["right"] or (len(hidden) == 1 and bool(named) and _twins(model, hidden[0], named[0]))
         close = [*named, *answer["equivalent"]]
         row["in_set"] = answer["verdict"] == "effect" and all(
             any(same_effect(model, h, c) for c in close) for h in hidden
@@ -190,6 +197,7 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "detectable": len(seen),
         "undetectable_share": _share(effects, lambda r: not r["detectable"]),
         "right_kind_and_place": _share(seen, lambda r: r["right"]),
+        "right_or_lag_for_delay": _share(seen, lambda r: r["right_or_twin"]),
         "right_of_all_effects": _share(effects, lambda r: r["right"]),
         "truth_in_equivalence_set": _share(seen, lambda r: r["in_set"]),
         "right_limb_or_body": _share(seen, lambda r: r["right_limb"]),

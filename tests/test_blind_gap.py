@@ -147,6 +147,20 @@ def test_summary_by_hand(scores: ModuleType) -> None:
     assert confusion["two effects", "armature"] == 1
 
 
+def test_a_lag_for_a_delay_of_the_same_motor_is_counted_apart(scores: ModuleType) -> None:
+    knee = "actuator:fl_knee"
+    late = [effect("actuator_delay", knee, delay=1e-3)]
+    cases = [
+        case(late, [said("actuator_lag", knee, time_constant=1e-3)]),
+        case(late, [said("actuator_lag", "actuator:fl_swing", time_constant=1e-3)]),
+        case(late, [said("armature", "joint:fl_knee", armature=0.1)]),
+        case(late, [said("actuator_delay", knee, delay=1e-3)]),
+    ]
+    numbers = scores.summary([scores.judge(DOG, c) for c in cases])
+    assert numbers["right_kind_and_place"] == 0.25
+    assert numbers["right_or_lag_for_delay"] == 0.5
+
+
 def test_margins(scores: ModuleType) -> None:
     hidden = [effect("dry_friction", "joint:fl_knee", torque=1.0)]
     rows = [
