@@ -29,9 +29,9 @@ from btr_mjx.gap.worlds import Counter
 THRESHOLD = 15.0
 """Score, beyond the price of its numbers, that a name needs."""
 
-CONTACT_THRESHOLD = 120.0
+CONTACT_THRESHOLD = 100.0
 """The same of what moves contacts, whose directions are found anew: near a touchdown these are a matter of chance. The
-best such candidate of a simulated robot that lacked nothing came to 86."""
+best such candidate of a simulated robot that lacked no such thing came to 70."""
 
 SECOND_THRESHOLD = 25.0
 """What one more effect needs; what the first one's linearisation leaves must not count as a second one."""
