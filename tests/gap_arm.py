@@ -7,8 +7,12 @@ import numpy as np
 
 from btr_mjx.gap.commands import Command
 from btr_mjx.gap.noise import Noise
+from btr_mjx.gap.prepared import prepare
 from btr_mjx.gap.recording import Recording
 from btr_mjx.gap.recordings import Believed, Dataset
+from btr_mjx.gap.smoothing import Span
+from btr_mjx.gap.windows import Windows
+from btr_mjx.gap.worlds import World
 
 XML = """
 <mujoco>
@@ -83,3 +87,11 @@ def dataset(change=None, seed=0, fit=3, test=2, parameters: tuple[Believed, ...]
     )
     known = Noise(SIGMA[:2].copy(), SIGMA[2:].copy())
     return Dataset(Path(), believed, Path("arm.xml"), XML, parameters, recordings, "cubic", {}, known)
+
+
+def arm_windows() -> Windows:
+    """Four windows of two recordings of the arm, linearised around it."""
+    data = prepare([recording(f"r{i}", seed=i) for i in range(2)], "cubic", SIGMA, Span(5, 6))
+    out = Windows(data, np.array([0, 0, 1, 1]), np.array([10, 150, 20, 200]), 30)
+    out.linearise(World.of)
+    return out

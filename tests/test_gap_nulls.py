@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from gap_arm import SIGMA, recording
+from gap_arm import SIGMA, arm_windows
 
 from btr_mjx.gap.forces import ForceFit, Forces, circumstances, lack_of_fit
 from btr_mjx.gap.hidden import make_case
@@ -18,11 +18,7 @@ from btr_mjx.gap.worlds import World
 
 @pytest.fixture(scope="module")
 def windows():
-    recordings = [recording(f"r{i}", seed=i) for i in range(2)]
-    data = prepare(recordings, "cubic", SIGMA, Span(5, 6))
-    out = Windows(data, np.array([0, 0, 1, 1]), np.array([10, 150, 20, 200]), 30)
-    out.linearise(World.of)
-    return out
+    return arm_windows()
 
 
 def test_starting_states_are_drawn_as_far_as_they_are_unknown(windows):

@@ -1,7 +1,7 @@
 import mujoco
 import numpy as np
 import pytest
-from gap_arm import SIGMA, arm, dataset, recording
+from gap_arm import SIGMA, arm, arm_windows, dataset, recording
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.effect import candidates
@@ -23,11 +23,7 @@ from btr_mjx.gap.worlds import World, simulate
 
 @pytest.fixture(scope="module")
 def windows():
-    recordings = [recording(f"r{i}", seed=i) for i in range(2)]
-    data = prepare(recordings, "cubic", SIGMA, Span(5, 6))
-    out = Windows(data, np.array([0, 0, 1, 1]), np.array([10, 150, 20, 200]), 30)
-    out.linearise(World.of)
-    return out
+    return arm_windows()
 
 
 def candidate(name):

@@ -12,10 +12,6 @@ from btr_mjx.gap.score import project
 from btr_mjx.gap.tangent import integrate
 from btr_mjx.gap.windows import MakeWorld, Windows
 
-_DOUBT = 1.0
-"""How far true starting states lie from the estimated ones, in units of what the linear picture says: a search by small
-steps may have missed them."""
-
 _KNOWN = 0.1
 """No direction is less known than this, in units of the noise to the power of -2."""
 
@@ -24,7 +20,7 @@ _STEPS = 3
 
 
 def doubtful(windows: Windows, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Starting states as far from the estimated ones as the true ones may be.
+    """Starting states as far from the estimated ones as the true ones may be by the linear picture.
 
     Args:
       windows: linearised.
@@ -39,7 +35,7 @@ def doubtful(windows: Windows, rng: np.random.Generator) -> tuple[np.ndarray, np
     known[:, axis, axis] += (sigma / windows.reach) ** 2
     size, axes = np.linalg.eigh(known)
     draw = rng.standard_normal((len(windows), 2 * nv)) / np.sqrt(np.maximum(size, _KNOWN))
-    away = _DOUBT * (axes @ draw[..., None])[..., 0] * sigma
+    away = (axes @ draw[..., None])[..., 0] * sigma
     return integrate(windows.models[0], windows.qpos, away[:, :nv]), windows.qvel + away[:, nv:]
 
 
