@@ -192,7 +192,9 @@ def _gain(bench: Bench, added: list[Any]) -> float:
     total = 0.0
     for side, free in ((bench.fit, bench.free), (bench.test, bench.nuisance)):
         anew = any(candidate.name in bench.delicate for candidate, _ in added)
-        around = (side.recentred(world, anew) for world in (bench.base, hypothesis))
+        around = [side.recentred(world) for world in (bench.base, hypothesis)]
+        if anew:
+            around = [own.redirected(world) for own, world in zip(around, (bench.base, hypothesis), strict=True)]
         before, after = (free(own).profile(own.windows.residual, bench.cut).loss for own in around)
         total += float(before - after) / bench.dispersion
     return total

@@ -16,6 +16,7 @@ from btr_mjx.gap.scales import Scales
 from btr_mjx.gap.score import project
 from btr_mjx.gap.sensitivity import force_signatures, signatures
 from btr_mjx.gap.smoothing import Span, Track, best_span, smooth
+from btr_mjx.gap.starting import recentred, redirected
 from btr_mjx.gap.transitions import strangeness, transitions
 from btr_mjx.gap.windows import Windows
 from btr_mjx.gap.worlds import World, simulate
@@ -176,7 +177,7 @@ def test_transitions_are_found_anew_only_where_they_changed(windows):
     inside = states[:, :-1, 1] < -0.1
     assert np.median(error[inside]) < 0.1
     assert np.median(error[touched]) > 2.0
-    anew = windows.recentred(stopped, anew=True)
+    anew = redirected(recentred(windows, stopped), stopped)
     states = anew.states([stopped])[0]
     full = transitions(windows, stopped, states)[0]
     scale = SIGMA / SIGMA[:, None]
@@ -191,7 +192,7 @@ def test_starting_states_of_another_world_are_projected_out_when_found_anew(wind
         world.model.jnt_stiffness[1] = 60.0
         return world
 
-    there = windows.recentred(stiff, anew=True)
+    there = redirected(recentred(windows, stiff), stiff)
     nudge = 0.5 * SIGMA
     start = there.qpos + nudge[:2], there.qvel + nudge[2:]
     raw = there.whiten(there.states([stiff], start=start)[0]) - there.whiten(there.base)

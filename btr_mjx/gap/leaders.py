@@ -8,7 +8,7 @@ from btr_mjx.gap.effect import Candidate
 from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.places import Place
 from btr_mjx.gap.scanner import Lead
-from btr_mjx.gap.score import robust_gain
+from btr_mjx.gap.score import project, robust_gain
 from btr_mjx.gap.screening import Entry
 from btr_mjx.gap.search_records import Options, Side
 
@@ -102,9 +102,12 @@ def contact_scan(
             values = candidate.null
             values[0] = np.clip(value, candidate.parameters[0].low, candidate.parameters[0].high)
             rows.append((candidate, values))
-        found = some.windows.residuals([start.with_effect(candidate, values) for candidate, values in rows])
+        windows = some.windows
+        makes = [start, *(start.with_effect(candidate, values) for candidate, values in rows)]
+        found = [windows.whiten(states) for states in windows.states(makes, timestep=windows.coarse_step)]
         best: dict[str, _Try] = {}
-        for (candidate, values), moved in zip(rows, found, strict=True):
+        for (candidate, values), there in zip(rows, found[1:], strict=True):
+            moved = residual[own] + project(there - found[0], windows.basis)
             gain = robust_gain(reference, some.nuisance.profile(moved, cut), cut)
             if candidate.name not in best or gain > best[candidate.name][0]:
                 best[candidate.name] = gain, candidate, values

@@ -9,6 +9,7 @@ import copy
 import numpy as np
 
 from btr_mjx.gap.score import project
+from btr_mjx.gap.starting import centred
 from btr_mjx.gap.tangent import integrate
 from btr_mjx.gap.windows import MakeWorld, Windows
 
@@ -55,9 +56,8 @@ def null_residual(windows: Windows, base: MakeWorld, truth: MakeWorld, rng: np.r
     states = windows.states([truth], start=doubtful(windows, rng))[0]
     noise = rng.standard_normal((*states.shape[:2], 2 * nv)) * sigma
     other = copy.copy(windows)
-    other.qpos, other.qvel = windows.qpos.copy(), windows.qvel.copy()
     other.target_q = integrate(windows.models[0], states[..., :nq], noise[..., :nv])
     other.target_v = states[..., nq:] + noise[..., nv:]
     # Both worlds take the model's time step here: there is nothing to correct.
-    raw = other.centre(base, _STEPS, other.whiten(windows.base), np.zeros_like(windows.residual))
-    return project(raw, windows.basis)
+    nothing = np.zeros_like(windows.residual)
+    return project(other.whiten(centred(other, base, _STEPS, windows.base, nothing)[2]), windows.basis)

@@ -15,6 +15,7 @@ from btr_mjx.gap.refine import Nuisance, refine
 from btr_mjx.gap.score import Fit
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Judged, Side
+from btr_mjx.gap.windows import MakeWorld
 
 _HOPELESS = -5.0
 """Where the best score is lower, no better starting states will make a name of it."""
@@ -30,6 +31,12 @@ _HOPE = 0.25
 
 _PROMISE = 0.5
 """Part of the best gain that it must have afterwards to be judged again."""
+
+_EVERY = 3
+"""Walks see one of so many windows."""
+
+_LEAST = 5.0
+"""Gain after the walk of a leader, at least, to be judged again."""
 
 _STRIDE = 1.5
 """Factor on the size at every step of the walk."""
@@ -47,7 +54,8 @@ class Polisher:
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
-        self._polished_sides: dict[bool, tuple[Side, Side]] = {}
+        self._polished_sides: dict[bool, tuple[Side, ...]] = {}
+        self._walk: tuple[Side, Fit] | None = None
 
     def __call__(self, judged: Sequence[Judged], most: int = 3) -> list[Judged]:
         """Judge the leaders again, with starting states that suit each of them, and directions where contacts move.
@@ -68,7 +76,7 @@ class Polisher:
         others = [j for j in judged if j not in close and j.gain > 0 and self._moves_contacts(j.hypothesis)]
         moving = [j for j in close if j not in plain] + others[:most]
         rival = max(judged[0].gain, _CLOSE)
-        needed = {j.name: (-np.inf, _CLOSE) if j in close else (_HOPE * rival, _PROMISE * rival) for j in moving}
+        needed = {j.name: (-np.inf, _LEAST) if j in close else (_HOPE * rival, _PROMISE * rival) for j in moving}
         walked = [(j, self._walked(j.hypothesis, *needed[j.name])) for j in moving[:_WALKS]]
         tries = [(j, j.hypothesis) for j in plain] + [(j, found) for j, found in walked if found is not None]
         if not tries:
@@ -77,13 +85,13 @@ class Polisher:
         out = [j for j in judged if j not in chosen]
         references = self._polished(len(chosen) > len(plain))
         for own, hypothesis in tries:
-            kinds = (False,) if own in plain else (False, True)
-            side = self._best(bench.fit, hypothesis, kinds, bench.free)
+            anew = own not in plain
+            side = self._best(bench.fit, hypothesis, anew, bench.free)
             free = unknowns(hypothesis, bench.joint, bench.delicate)
             start = [hypothesis.values(bench.joint)]
             refined = refine(side.windows, bench.free(side), bench.cut, [(free, start)], 2, references[0])[0]
             hypothesis = hypothesis.replaced(refined.values, bench.joint)
-            sides = side, self._best(bench.test, hypothesis, kinds, bench.nuisance)
+            sides = side, self._best(bench.test, hypothesis, anew, bench.nuisance)
             out += bench.judge([hypothesis], [refined], sides, references)
         return sorted(out, key=lambda j: -j.score)
 
@@ -97,10 +105,10 @@ class Polisher:
         bench, hypothesis = self.bench, given.hypothesis
         if self._moves_contacts(hypothesis) or not self._moves_contacts(other.hypothesis):
             return given
-        side = self._best(bench.fit, hypothesis, (False, True), bench.free)
+        side = self._best(bench.fit, hypothesis, True, bench.free)
         residual = side.windows.residual
         refined = replace(given.refined, residual=residual, chi2=bench.free(side).profile(residual, bench.cut).chi2)
-        sides = side, self._best(bench.test, hypothesis, (False, True), bench.nuisance)
+        sides = side, self._best(bench.test, hypothesis, True, bench.nuisance)
         again = bench.judge([hypothesis], [refined], sides, self._polished(anew=True))[0]
         return max(again, given, key=lambda judged: judged.score)
 
@@ -121,13 +129,12 @@ class Polisher:
           None for one that has less.
         """
         bench = self.bench
-        index = np.arange(0, len(bench.fit.windows), 3)
-        few = bench.fit.some(index)
-        share = len(index) / len(bench.fit.windows)
-        reference = bench.free(few).profile(few.windows.residual, bench.cut)
+        few, reference = self._few()
+        share = len(few.windows) / len(bench.fit.windows)
 
         def gain(factor: float) -> float:
-            side = few.recentred(_scaled(hypothesis, factor), anew=True)
+            scaled = _scaled(hypothesis, factor)
+            side = few.recentred(scaled).redirected(scaled)
             return bench.fall(reference, bench.free(side).profile(side.windows.residual, bench.cut)) / share
 
         known = {1.0: gain(1.0)}
@@ -143,18 +150,29 @@ class Polisher:
         there = max(known, key=lambda factor: known[factor])
         return _scaled(hypothesis, _vertex(known)) if known[there] > promise else None
 
+    def _few(self) -> tuple[Side, Fit]:
+        """Some windows to fit, and the fit of the believed model there with starting states found as those of walks."""
+        if self._walk is None:
+            bench = self.bench
+            few = bench.fit.some(np.arange(0, len(bench.fit.windows), _EVERY))
+            side = self._best(few, bench.base, True, bench.nuisance)
+            self._walk = few, bench.nuisance(side).profile(side.windows.residual, bench.cut)
+        return self._walk
+
     def _best(
-        self, side: Side, hypothesis: Hypothesis, kinds: Sequence[bool], free: Callable[[Side], Nuisance]
+        self, side: Side, hypothesis: MakeWorld, anew: bool, free: Callable[[Side], Nuisance]
     ) -> Side:
         """A side around a hypothesis: with the directions that it has or with new ones, whichever suits it better.
 
         Args:
           side: of the split.
           hypothesis: what it should suit.
-          kinds: whether directions are found anew, one or both.
+          anew: whether directions of its own are tried as well.
           free: what is fitted along there.
         """
-        tries = [side.recentred(hypothesis, anew) for anew in kinds]
+        tries = [side.recentred(hypothesis)]
+        if anew:
+            tries.append(tries[0].redirected(hypothesis))
         return min(tries, key=lambda s: free(s).profile(s.windows.residual, self.bench.cut).loss)
 
     def _polished(self, anew: bool) -> tuple[Fit, Fit]:
@@ -163,16 +181,15 @@ class Polisher:
         Args:
           anew: directions as well; the better of both is taken, because near contacts they are a matter of chance.
         """
-        bench = self.bench
-        for kind in (False, True)[: 1 + anew]:
-            if kind not in self._polished_sides:
-                self._polished_sides[kind] = (
-                    bench.fit.recentred(bench.base, kind),
-                    bench.test.recentred(bench.base, kind),
-                )
+        bench, known = self.bench, self._polished_sides
+        pair = bench.fit, bench.test
+        if False not in known:
+            known[False] = tuple(side.recentred(bench.base) for side in pair)
+        if anew and True not in known:
+            known[True] = tuple(side.redirected(bench.base) for side in known[False])
         first, second = (
             min((bench.nuisance(s).profile(s.windows.residual, bench.cut) for s in sides), key=lambda f: f.loss)
-            for sides in zip(*self._polished_sides.values(), strict=True)
+            for sides in zip(*known.values(), strict=True)
         )
         return first, second
 

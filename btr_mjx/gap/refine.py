@@ -19,9 +19,9 @@ _PATIENCE = 3
 _BEHIND = 0.4, 40.0
 """A search whose gain is less than this part of the best one, less this much, is given up."""
 
-
 _STANDSTILL = 0.5
-"""A step that gains less is the last, in units of what a degree of freedom typically contributes to chi^2."""
+"""A step that gains less is the last, and one that promises less is not taken, in units of what a degree of freedom
+typically contributes to chi^2."""
 
 
 @dataclass(frozen=True)
@@ -183,6 +183,7 @@ def _search(
     best = int(np.argmin([loss for loss, _ in scored]))
     values, residual, (loss, chi2) = tries[best], found[best], scored[best]
     columns = np.zeros((len(values), *residual.shape), np.float32)
+    enough = _STANDSTILL * max(1.0, cut / residual.shape[1])
     for _ in range(iterations):
         nudges = _nudges(unknowns, values)
         now = Refined(values, loss, residual, columns, chi2)
@@ -191,15 +192,17 @@ def _search(
         data = nuisance.evidence(residual, columns)
         size = len(values)
         ends = np.full(data.n - size, np.inf)
-        step = fit(
+        ahead = fit(
             data,
             np.concatenate([unknowns.precision, nuisance.precision]),
             cut,
             np.concatenate([unknowns.low - values, -ends]),
             np.concatenate([unknowns.high - values, ends]),
             centre=np.concatenate([unknowns.centre - values, np.zeros(len(ends))]),
-        ).values[:size]
-        if not np.any(np.abs(step) > 1e-3 * unknowns.step):
+        )
+        step = ahead.values[:size]
+        here = nuisance.profile(residual, cut).loss + _prior(unknowns, values)
+        if here - ahead.loss < enough or not np.any(np.abs(step) > 1e-3 * unknowns.step):
             break
         gained = 0.0
         for share in (1.0, 0.4):
@@ -210,7 +213,7 @@ def _search(
                 gained = loss - trial_loss
                 values, residual, loss, chi2 = trial, found[0], trial_loss, trial_chi2
                 break
-        if gained < _STANDSTILL * max(1.0, cut / residual.shape[1]):
+        if gained < enough:
             break
     return Refined(values, loss, residual, columns, chi2)
 
@@ -224,9 +227,12 @@ def _loss(
     reference: Fit | None,
 ) -> tuple[float, np.ndarray]:
     found = nuisance.profile(residual, cut)
-    prior = float((unknowns.precision * (values - unknowns.centre) ** 2).sum())
     loss = found.loss if reference is None else reference.loss - robust_gain(reference, found, cut)
-    return loss + prior, found.chi2
+    return loss + _prior(unknowns, values), found.chi2
+
+
+def _prior(unknowns: Unknowns, values: np.ndarray) -> float:
+    return float((unknowns.precision * (values - unknowns.centre) ** 2).sum())
 
 
 def _nudges(unknowns: Unknowns, values: np.ndarray) -> list[np.ndarray]:

@@ -247,8 +247,14 @@ def project(residual: np.ndarray, basis: np.ndarray) -> np.ndarray:
     return residual - np.einsum("...wd,wrd->...wr", inner, basis, optimize=True)
 
 
-def orthonormal(jacobian: np.ndarray) -> np.ndarray:
-    """Orthonormal bases (W, R, D) of the columns of jacobians (W, R, D); columns without effect become zero."""
-    u, s, _ = np.linalg.svd(jacobian, full_matrices=False)
+def spanned(jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What the columns of jacobians (W, R, D) span, and their pseudo-inverses.
+
+    Returns:
+      Orthonormal bases (W, R, D), in which columns without effect become zero, and the inverses (W, D, R).
+    """
+    u, s, vt = np.linalg.svd(jacobian, full_matrices=False)
     keep = s > 1e-9 * np.maximum(s[:, :1], 1e-300)
-    return u * keep[:, None, :]
+    basis = u * keep[:, None, :]
+    inverse = np.swapaxes(vt, 1, 2) @ (np.swapaxes(basis, 1, 2) / np.where(keep, s, 1.0)[:, :, None])
+    return basis, inverse

@@ -7,6 +7,7 @@ import numpy as np
 from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.refine import Nuisance, Refined
 from btr_mjx.gap.score import Fit
+from btr_mjx.gap.starting import recentred, redirected
 from btr_mjx.gap.windows import MakeWorld, Windows
 
 
@@ -52,10 +53,14 @@ class Side:
     windows: Windows
     nuisance: Nuisance
 
-    def recentred(self, make: MakeWorld, anew: bool = False) -> "Side":
-        """The same around another hypothesis, see `Windows.recentred`."""
-        windows = self.windows.recentred(make, anew)
-        return Side(windows, self.nuisance.projected(windows.basis) if anew else self.nuisance)
+    def recentred(self, make: MakeWorld) -> "Side":
+        """The same with starting states that suit another hypothesis."""
+        return Side(recentred(self.windows, make), self.nuisance)
+
+    def redirected(self, make: MakeWorld) -> "Side":
+        """The same, recentred around a hypothesis before, with what starting states could explain in its own world."""
+        windows = redirected(self.windows, make)
+        return Side(windows, self.nuisance.projected(windows.basis))
 
     def some(self, index: np.ndarray) -> "Side":
         """Some of the windows."""

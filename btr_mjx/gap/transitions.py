@@ -102,8 +102,7 @@ def _moved(
         qvel = start[..., nq:] + both[..., nv:]
         jobs.append((make(model), windows.intervals(window[mine], interval[mine], qpos, qvel)))
         members.append(mine)
-    stride = may_stride(windows.groups[0][0], float(np.median(np.diff(windows.since, axis=1))))
-    found = simulate(jobs, timestep=2 * windows.dt if stride else None, counter=windows.counter)
+    found = simulate(jobs, timestep=windows.coarse_step, counter=windows.counter)
     for mine, ends in zip(members, found, strict=True):
         ends = ends.reshape(len(mine), nudges.shape[1] + 1, -1)
         out[mine] = np.nan_to_num(windows.minus(ends[:, 1:], ends[:, :1]))
@@ -111,7 +110,7 @@ def _moved(
 
 
 def may_stride(model: mujoco.MjModel, interval: float) -> bool:
-    """Whether transitions may take steps of twice the length: they only say which directions are unknown.
+    """Whether steps of twice the length still do for what is not compared with data.
 
     Args:
       model: the believed model.

@@ -13,10 +13,11 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.prepared import Data
-from btr_mjx.gap.score import orthonormal, project
+from btr_mjx.gap.score import project, spanned
 from btr_mjx.gap.smoothing import smooth
-from btr_mjx.gap.tangent import difference, integrate
-from btr_mjx.gap.transitions import strangeness, transitions
+from btr_mjx.gap.starting import centred
+from btr_mjx.gap.tangent import difference
+from btr_mjx.gap.transitions import may_stride, strangeness, transitions
 from btr_mjx.gap.worlds import Counter, Job, Stretch, World, simulate
 
 MakeWorld = Callable[[mujoco.MjModel], World]
@@ -34,15 +35,12 @@ _STRANGE = 1.0
 _REACH = 2.0
 """How far a starting state may be led away from the smoothed one, in units of the noise; more where smoothing fails."""
 
-_RECENTRE = 3
-"""Gauss-Newton steps of the starting states for another hypothesis; fewer favour the one that they suited before."""
-
 _UNSEEN = 50.0
 """Coordinates that were not measured may be led away further by this factor."""
 
 _PER_WINDOW = (
     *("recording", "first", "time", "since", "target_q", "target_v", "act", "qpos", "qvel", "reach"),
-    *("residual", "basis", "soft", "correction", "base", "transitions", "answers", "jacobians"),
+    *("residual", "basis", "soft", "correction", "base", "transitions", "answers", "jacobians", "inverse"),
 )
 """Arrays with a row for every window."""
 
@@ -115,6 +113,12 @@ class Windows:
         return self.dt / float(np.clip(round(self.dt / _FINE), 4, 10))
 
     @property
+    def coarse_step(self) -> float | None:
+        """Time step that does where worlds are only compared with each other [s]; None for the model's."""
+        interval = float(np.median(np.diff(self.since, axis=1)))
+        return 2 * self.dt if may_stride(self.groups[0][0], interval) else None
+
+    @property
     def models(self) -> list[mujoco.MjModel]:
         """Believed models, one per group of recordings that share one."""
         return [model for model, _ in self.groups]
@@ -140,35 +144,44 @@ class Windows:
         )
 
     def states(
-        self, makes: Sequence[MakeWorld], *, fine: bool = False, start: tuple[np.ndarray, np.ndarray] | None = None
+        self,
+        makes: Sequence[MakeWorld],
+        *,
+        timestep: float | None = None,
+        start: tuple[np.ndarray, np.ndarray] | None = None,
+        own: np.ndarray | None = None,
     ) -> list[np.ndarray]:
-        """Simulate hypotheses over all windows.
+        """Simulate hypotheses over windows.
 
         Args:
           makes: one world maker per hypothesis.
-          fine: use the fine time step.
+          timestep: another one than the model's [s].
           start: other starting states qpos (W, nq), qvel (W, nv).
+          own: (N,) some of the windows; None for all.
 
         Returns:
-          For each hypothesis states (W, k + 1, nq + nv).
+          For each hypothesis states (N, k + 1, nq + nv).
         """
         qpos, qvel = start or (self.qpos, self.qvel)
-        stretches = [self.stretch(own, qpos[own], qvel[own], self.since[own]) for _, own in self.groups]
+        wanted = np.ones(len(self), bool) if own is None else np.isin(np.arange(len(self)), own)
+        groups = [(model, mine[wanted[mine]]) for model, mine in self.groups]
+        groups = [(model, mine) for model, mine in groups if len(mine)]
+        stretches = [self.stretch(mine, qpos[mine], qvel[mine], self.since[mine]) for _, mine in groups]
         jobs: list[Job] = []
         for make in makes:
-            jobs += [(make(model), s) for (model, _), s in zip(self.groups, stretches, strict=True)]
-        found = simulate(jobs, timestep=self.fine_step if fine else None, counter=self.counter)
+            jobs += [(make(model), s) for (model, _), s in zip(groups, stretches, strict=True)]
+        found = simulate(jobs, timestep=timestep, counter=self.counter)
         out = []
         for i in range(len(makes)):
             states = np.empty((len(self), self.k + 1, self.nq + self.nv))
-            for j, (_, own) in enumerate(self.groups):
-                states[own] = found[i * len(self.groups) + j]
-            out.append(states)
+            for j, (_, mine) in enumerate(groups):
+                states[mine] = found[i * len(groups) + j]
+            out.append(states if own is None else states[own])
         return out
 
-    def whiten(self, states: np.ndarray) -> np.ndarray:
-        """States minus data in units of the noise, (W, R)."""
-        return self._scale(self.minus(states, np.concatenate([self.target_q, self.target_v], -1)))
+    def whiten(self, states: np.ndarray, own: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """States of windows `own` minus their data in units of the noise, (W, R)."""
+        return self._scale(self.minus(states, np.concatenate([self.target_q[own], self.target_v[own]], -1)))
 
     def minus(self, states: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Difference of states in the tangent space (..., 2 nv)."""
@@ -191,20 +204,26 @@ class Windows:
         """
         base = self.states([make])[0]
         self.transitions, self.answers = transitions(self, make, base)
-        self.jacobians = self.jacobian()
-        correction = self._step_error(make, base)
-        self.centre(make, steps, self.whiten(base) + correction, correction)
-        self._differentiate(make)
-        self.rebase(make)
+        self._directions()
+        self.qpos, self.qvel, self.base = centred(self, make, steps, base, self.step_error(make, base))
+        self.differentiate(make)
+        self.correction = self.step_error(make, self.base)
+        self.residual = project(self.whiten(self.base) + self.correction, self.basis)
 
-    def _differentiate(self, make: MakeWorld) -> None:
-        """Directions of the starting states for another hypothesis or other states: anew where they have changed."""
-        states = self.states([make])[0]
-        changed = strangeness(self, make, states) > _STRANGE
-        self.transitions, self.answers = transitions(self, make, states, changed, (self.transitions, self.answers))
-        self.jacobians = self.jacobian()
-        self.basis = orthonormal(self.jacobians)
+    def differentiate(self, make: MakeWorld) -> None:
+        """Directions of the starting states for another base: anew where they have changed.
+
+        Args:
+          make: the hypothesis that `base` is of.
+        """
+        changed = strangeness(self, make, self.base) > _STRANGE
+        self.transitions, self.answers = transitions(self, make, self.base, changed, (self.transitions, self.answers))
+        self._directions()
         self.soften(self.soft)
+
+    def _directions(self) -> None:
+        self.jacobians = self.jacobian()
+        self.basis, self.inverse = spanned(self.jacobians)
 
     def soften(self, directions: np.ndarray) -> None:
         """Let some directions count less in all residuals from now on.
@@ -218,56 +237,6 @@ class Windows:
         self.basis = np.concatenate([state, self.soft], 2)
         self.residual = project(self.residual, self.soft)
 
-    def centre(self, make: MakeWorld, steps: int, raw: np.ndarray, correction: np.ndarray) -> np.ndarray:
-        """Gauss-Newton steps of the starting states; a window keeps a step only if it helps.
-
-        A wrong model would drag its starting states along; they stay near the smoothed ones, which know no model.
-
-        Args:
-          make: the hypothesis.
-          steps: at most.
-          raw: (W, R) residual, not projected, from the starting states as they are.
-          correction: (W, R) of the model's time step, part of `raw`.
-
-        Returns:
-          (W, R) residual, not projected, from the starting states as they are now.
-        """
-        inverse = np.linalg.pinv(self.jacobians, rcond=1e-10)
-        model, raw, sigma = self.groups[0][0], raw.copy(), self.data.sigma
-        smoothed = np.concatenate(self.smoothed, -1)
-        for _ in range(steps):
-            away = self.minus(np.concatenate([self.qpos, self.qvel], -1), smoothed)
-            move = away - (inverse @ raw[..., None])[..., 0] * sigma
-            move = np.clip(move, -self.reach, self.reach)
-            start = integrate(model, self.smoothed[0], move[:, : self.nv]), self.smoothed[1] + move[:, self.nv :]
-            trial = self.whiten(self.states([make], start=start)[0]) + correction
-            better = (trial**2).sum(1) < (raw**2).sum(1)
-            if not better.any():
-                break
-            self.qpos[better], self.qvel[better] = start[0][better], start[1][better]
-            raw[better] = trial[better]
-        return raw
-
-    def recentred(self, make: MakeWorld, anew: bool = False) -> "Windows":
-        """A copy whose starting states suit another hypothesis, which is its base for residuals.
-
-        Args:
-          make: the hypothesis.
-          anew: what the starting states could explain is found anew as well. Where a hypothesis lets a foot touch at
-            another time, the base world's directions leave the noise of the starting state in the residual, and
-            judge the truth worse than nothing.
-        """
-        other = copy.copy(self)
-        other.qpos, other.qvel = self.qpos.copy(), self.qvel.copy()
-        raw = self.whiten(self.states([make])[0]) + self.correction
-        other.centre(make, _RECENTRE, raw, self.correction)
-        if anew:
-            other._differentiate(make)
-            raw = other.whiten(other.states([make])[0]) + self.correction
-            other.centre(make, _RECENTRE, raw, self.correction)
-        other.rebase(make)
-        return other
-
     def some(self, index: np.ndarray) -> "Windows":
         """Some of the windows."""
         other = copy.copy(self)
@@ -277,13 +246,7 @@ class Windows:
         other.groups = other._by_model()
         return other
 
-    def rebase(self, make: MakeWorld) -> None:
-        """Make another hypothesis the base for residuals; starting states and their directions stay."""
-        self.base = self.states([make])[0]
-        self.correction = self._step_error(make, self.base)
-        self.residual = project(self.whiten(self.base) + self.correction, self.basis)
-
-    def _step_error(self, make: MakeWorld, base: np.ndarray) -> np.ndarray:
+    def step_error(self, make: MakeWorld, base: np.ndarray) -> np.ndarray:
         """What the model's time step does to the states `base` (W, k + 1, nq + nv) of a hypothesis, (W, R).
 
         The error of a step is of first order in its length. What the fine pass leaves of it looks like a delay of half
@@ -291,7 +254,7 @@ class Windows:
         """
         step = self.fine_step
         rest = (self.dt - min(step, _FINE)) / (self.dt - step)
-        return rest * (self.whiten(self.states([make], fine=True)[0]) - self.whiten(base))
+        return rest * (self.whiten(self.states([make], timestep=step)[0]) - self.whiten(base))
 
     def residuals(self, makes: Sequence[MakeWorld]) -> list[np.ndarray]:
         """Projected residuals (W, R) of hypotheses, by true simulation."""

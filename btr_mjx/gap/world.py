@@ -87,8 +87,9 @@ _COMPARED = tuple(
 
 
 def fingerprint(model: mujoco.MjModel) -> Fingerprint:
-    """What `fields_of` compares."""
-    return {name: _comparable(_field(model, name)) for name in _COMPARED}
+    """What `fields_of` compares: what a model has none of cannot differ."""
+    fields = ((name, _field(model, name)) for name in _COMPARED)
+    return {name: _comparable(value) for name, value in fields if np.size(value)}
 
 
 def _field(model: mujoco.MjModel, name: str) -> Any:

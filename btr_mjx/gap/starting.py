@@ -1,0 +1,101 @@
+"""Starting states of windows that suit a hypothesis, and what these could explain in its own world.
+
+The starting states of the believed model would judge another one unfairly. They take a few Gauss-Newton steps towards
+its own samples, and stay near the smoothed states, which know no model: a wrong one would drag them along.
+"""
+
+import copy
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.score import project
+from btr_mjx.gap.tangent import integrate
+from btr_mjx.gap.world import World
+
+if TYPE_CHECKING:
+    from btr_mjx.gap.windows import Windows
+
+_STEPS = 3
+"""Gauss-Newton steps for another hypothesis; fewer favour the one that the states suited before."""
+
+_CONTENT = 0.5
+"""A window whose chi^2 falls by less in a step is left where it is; what it could still gain is projected out."""
+
+
+def centred(
+    windows: "Windows",
+    make: Callable[[mujoco.MjModel], World],
+    steps: int,
+    states: np.ndarray,
+    correction: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Gauss-Newton steps of the starting states; a window keeps a step only if it helps.
+
+    Args:
+      windows: with the directions of their starting states.
+      make: the hypothesis.
+      steps: at most.
+      states: (W, k + 1, nq + nv) of the hypothesis from the starting states of the windows.
+      correction: (W, R) of the model's time step.
+
+    Returns:
+      Starting states qpos (W, nq), qvel (W, nv), and the states from there (W, k + 1, nq + nv).
+    """
+    nv, sigma, model = windows.nv, windows.data.sigma, windows.models[0]
+    qpos, qvel, states = windows.qpos.copy(), windows.qvel.copy(), states.copy()
+    raw = windows.whiten(states) + correction
+    smoothed = np.concatenate(windows.smoothed, -1)
+    own = np.arange(len(windows))
+    for _ in range(steps):
+        away = windows.minus(np.concatenate([qpos[own], qvel[own]], -1), smoothed[own])
+        move = away - (windows.inverse[own] @ raw[own, :, None])[..., 0] * sigma
+        move = np.clip(move, -windows.reach[own], windows.reach[own])
+        start = qpos.copy(), qvel.copy()
+        start[0][own] = integrate(model, windows.smoothed[0][own], move[:, :nv])
+        start[1][own] = windows.smoothed[1][own] + move[:, nv:]
+        moved = windows.states([make], start=start, own=own)[0]
+        trial = windows.whiten(moved, own) + correction[own]
+        gain = (raw[own] ** 2).sum(1) - (trial**2).sum(1)
+        better = own[gain > 0]
+        qpos[better], qvel[better] = start[0][better], start[1][better]
+        states[better], raw[better] = moved[gain > 0], trial[gain > 0]
+        own = own[gain > _CONTENT]
+        if not len(own):
+            break
+    return qpos, qvel, states
+
+
+def recentred(windows: "Windows", make: Callable[[mujoco.MjModel], World]) -> "Windows":
+    """A copy of windows whose starting states suit another hypothesis, which is its base for residuals.
+
+    Args:
+      windows: linearised.
+      make: the hypothesis.
+    """
+    other = copy.copy(windows)
+    states = windows.states([make])[0]
+    other.qpos, other.qvel, other.base = centred(windows, make, _STEPS, states, windows.correction)
+    other.correction = other.step_error(make, other.base)
+    other.residual = project(other.whiten(other.base) + other.correction, other.basis)
+    return other
+
+
+def redirected(windows: "Windows", make: Callable[[mujoco.MjModel], World]) -> "Windows":
+    """The same with what the starting states could explain found anew as well.
+
+    Where a hypothesis lets a foot touch at another time, the directions of the believed model leave the noise of the
+    starting state in the residual, and judge the truth worse than nothing.
+
+    Args:
+      windows: recentred around the hypothesis.
+      make: the hypothesis.
+    """
+    other = copy.copy(windows)
+    other.differentiate(make)
+    other.qpos, other.qvel, other.base = centred(other, make, _STEPS, windows.base, windows.correction)
+    # What the time step does changes little with the starting state; another fine pass would cost as much as the rest.
+    other.residual = project(other.whiten(other.base) + other.correction, other.basis)
+    return other
