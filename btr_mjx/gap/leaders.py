@@ -6,13 +6,15 @@ import numpy as np
 
 from btr_mjx.gap.effect import Candidate
 from btr_mjx.gap.hypotheses import Hypothesis
-from btr_mjx.gap.places import Place
+from btr_mjx.gap.places import WORLD, Place
 from btr_mjx.gap.scanner import Lead
 from btr_mjx.gap.score import project, robust_gain
 from btr_mjx.gap.screening import Entry
 from btr_mjx.gap.search_records import Options, Side
+from btr_mjx.gap.walks import Walks
 
-_Try = tuple[float, Candidate, np.ndarray]
+Try = tuple[float, Candidate, np.ndarray]
+"""Gain, candidate and values (p,)."""
 
 _CLAMP_SHARES = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85)
 """Starts of a limit, as parts of the way from where it does nothing to its tightest."""
@@ -21,14 +23,20 @@ _EITHER_SIDE = (1.0, -1.0)
 """Where candidates that move contacts are tried, in steps of their first number: a small one helps a little wherever
 the truth lies beyond half of it, a large one is worse than nothing where the truth is small."""
 
-_AGAIN = (1.0, 3.0)
-"""Factors on that for the best of them, which are then looked at in all windows."""
+_AGAIN = 3.0
+"""Factor on that for the best of them."""
 
-_BEST = 8
-"""So many of them."""
+_BEST = 6
+"""So many of them, and whatever acts on the world as a whole."""
 
-_WORSE = -5.0
-"""What fits so much worse at a small size is not looked at again."""
+_SHARE = 0.1
+"""Part of the gain of the strongest other candidate that they need, less the following."""
+
+_WORSE = 60.0
+"""By so much the truth may fit worse than nothing with the directions of the believed model."""
+
+_ALL_WORSE = 600.0
+"""The same of what acts on the world: all feet slip or touch at other times."""
 
 
 def pick(
@@ -78,7 +86,7 @@ def starts(leads: Sequence[Lead], entry: Callable[[Lead], Entry]) -> list[np.nda
 
 def contact_scan(
     side: Side, start: Hypothesis, delicate: Sequence[Candidate], cut: float, residual: np.ndarray, every: int
-) -> list[_Try]:
+) -> list[Try]:
     """Scan candidates that move contacts by true simulation, as linear signatures mislead there.
 
     Args:
@@ -87,16 +95,18 @@ def contact_scan(
       delicate: the candidates.
       cut: chi^2 above which a window counts less.
       residual: (W, R) of what is there already.
-      every: all candidates are tried on one of so many windows, the best of them on all.
+      every: candidates are tried on one of so many windows.
 
     Returns:
-      Gain, candidate and its best starting values (p,), best first; the first few gains are of all windows.
+      Gain as if of all windows, candidate and its best starting values (p,), best first.
     """
+    own = np.arange(0, len(side.windows), every)
+    some = side.some(own)
+    reference = some.nuisance.profile(residual[own], cut)
+    share = len(own) / len(side.windows)
 
-    def attempt(own: np.ndarray, tries: Sequence[tuple[Candidate, float]]) -> list[_Try]:
-        """Simulate candidates on some windows, at values of their first number, and keep each one's best."""
-        some = side.some(own)
-        reference = some.nuisance.profile(residual[own], cut)
+    def attempt(tries: Sequence[tuple[Candidate, float]]) -> list[Try]:
+        """Simulate candidates at values of their first number, and keep each one's best."""
         rows = []
         for candidate, value in tries:
             values = candidate.null
@@ -105,23 +115,49 @@ def contact_scan(
         windows = some.windows
         makes = [start, *(start.with_effect(candidate, values) for candidate, values in rows)]
         found = [windows.whiten(states) for states in windows.states(makes, timestep=windows.coarse_step)]
-        best: dict[str, _Try] = {}
+        best: dict[str, Try] = {}
         for (candidate, values), there in zip(rows, found[1:], strict=True):
             moved = residual[own] + project(there - found[0], windows.basis)
-            gain = robust_gain(reference, some.nuisance.profile(moved, cut), cut)
+            gain = robust_gain(reference, some.nuisance.profile(moved, cut), cut) / share
             if candidate.name not in best or gain > best[candidate.name][0]:
                 best[candidate.name] = gain, candidate, values
         return sorted(best.values(), key=lambda row: -row[0])
 
     firsts = {candidate.name: candidate.parameters[0] for candidate in delicate}
     sides = [(c, firsts[c.name].null + sign * firsts[c.name].step) for c in delicate for sign in _EITHER_SIDE]
-    index = np.arange(len(side.windows))
-    few = [row for row in attempt(index[::every], sides) if row[0] > _WORSE]
-    further = []
-    for _, candidate, values in few[:_BEST]:
-        null = firsts[candidate.name].null
-        further += [(candidate, null + factor * (values[0] - null)) for factor in _AGAIN]
-    return [*attempt(index, further), *few[_BEST:]]
+    found = attempt(sides)
+    nulls = {name: first.null for name, first in firsts.items()}
+    further = [(c, nulls[c.name] + _AGAIN * (values[0] - nulls[c.name])) for _, c, values in found[:_BEST]]
+    best = {candidate.name: (gain, candidate, values) for gain, candidate, values in found}
+    for row in attempt(further):
+        best[row[1].name] = max(best[row[1].name], row, key=lambda r: r[0])
+    return sorted(best.values(), key=lambda row: -row[0])
+
+
+def judged_anew(found: Sequence[Try], start: Hypothesis, walks: Walks, strongest: float) -> list[Try]:
+    """The best of a scan of contacts, judged with directions of their own.
+
+    Args:
+      found: of the scan.
+      start: what is there already.
+      walks: of the search.
+      strongest: gain of the best other candidate.
+
+    Returns:
+      The same as `contact_scan`, with the better of both gains.
+    """
+    needed = _SHARE * strongest
+    worth = [row for row in found[:_BEST] if row[0] > needed - _WORSE]
+    worth += [
+        row
+        for row in found
+        if row[1].place == WORLD and row[0] > needed - _ALL_WORSE and all(row is not own for own in worth)
+    ]
+    before = walks.gain(start) if start.effects and worth else 0.0
+    best = {candidate.name: gain for gain, candidate, _ in found}
+    for _, candidate, values in worth:
+        best[candidate.name] = max(best[candidate.name], walks.gain(start.with_effect(candidate, values)) - before)
+    return sorted(((best[c.name], c, values) for _, c, values in found), key=lambda row: -row[0])
 
 
 def _within(a: Place, b: Place) -> bool:

@@ -5,7 +5,7 @@ nothing although it is true: a foot touches at another time. Such leaders get di
 their size is walked over, because derivatives through a touchdown lead nowhere.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -32,17 +32,8 @@ _HOPE = 0.25
 _PROMISE = 0.5
 """Part of the best gain that it must have afterwards to be judged again."""
 
-_EVERY = 3
-"""Walks see one of so many windows."""
-
 _LEAST = 5.0
 """Gain after the walk of a leader, at least, to be judged again."""
-
-_STRIDE = 1.5
-"""Factor on the size at every step of the walk."""
-
-_STRIDES = 3
-"""Steps of the walk in either direction, at most."""
 
 
 class Polisher:
@@ -55,7 +46,6 @@ class Polisher:
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
         self._polished_sides: dict[bool, tuple[Side, ...]] = {}
-        self._walk: tuple[Side, Fit] | None = None
 
     def __call__(self, judged: Sequence[Judged], most: int = 3) -> list[Judged]:
         """Judge the leaders again, with starting states that suit each of them, and directions where contacts move.
@@ -73,11 +63,13 @@ class Polisher:
         best = judged[0].score
         close = [j for j in judged if best - j.score <= max(_CLOSE, 0.1 * best) and best > _HOPELESS][:most]
         plain = [j for j in close if not self._moves_contacts(j.hypothesis)]
-        others = [j for j in judged if j not in close and j.gain > 0 and self._moves_contacts(j.hypothesis)]
-        moving = [j for j in close if j not in plain] + others[:most]
         rival = max(judged[0].gain, _CLOSE)
+        hopes = {j.name: max(j.gain, bench.walks.best(j.name)) for j in judged if self._moves_contacts(j.hypothesis)}
+        others = [j for j in judged if j not in close and hopes.get(j.name, 0.0) > _HOPE * rival]
+        others.sort(key=lambda j: -hopes[j.name])
+        moving = [j for j in close if j not in plain] + others[:most]
         needed = {j.name: (-np.inf, _LEAST) if j in close else (_HOPE * rival, _PROMISE * rival) for j in moving}
-        walked = [(j, self._walked(j.hypothesis, *needed[j.name])) for j in moving[:_WALKS]]
+        walked = [(j, bench.walks(j.hypothesis, *needed[j.name])) for j in moving[:_WALKS]]
         tries = [(j, j.hypothesis) for j in plain] + [(j, found) for j, found in walked if found is not None]
         if not tries:
             return list(judged)
@@ -115,53 +107,7 @@ class Polisher:
     def _moves_contacts(self, hypothesis: Hypothesis) -> bool:
         return any(candidate.name in self.bench.delicate for candidate, _ in hypothesis.effects)
 
-    def _walked(self, hypothesis: Hypothesis, hope: float, promise: float) -> Hypothesis | None:
-        """Where a walk over the size of the last effect ends, on a part of the windows, linearised anew at every step.
-
-        Directions found at one size mislead at another as soon as a foot touches, so that no derivative leads there.
-
-        Args:
-          hypothesis: one that moves contacts.
-          hope: gain that it needs before the walk.
-          promise: gain that it needs afterwards.
-
-        Returns:
-          None for one that has less.
-        """
-        bench = self.bench
-        few, reference = self._few()
-        share = len(few.windows) / len(bench.fit.windows)
-
-        def gain(factor: float) -> float:
-            scaled = _scaled(hypothesis, factor)
-            side = few.recentred(scaled).redirected(scaled)
-            return bench.fall(reference, bench.free(side).profile(side.windows.residual, bench.cut)) / share
-
-        known = {1.0: gain(1.0)}
-        if known[1.0] < hope:
-            return None
-        for stride in (_STRIDE, 1.0 / _STRIDE):
-            factor = 1.0
-            for _ in range(_STRIDES):
-                known[factor * stride] = gain(factor * stride)
-                if known[factor * stride] < known[factor]:
-                    break
-                factor *= stride
-        there = max(known, key=lambda factor: known[factor])
-        return _scaled(hypothesis, _vertex(known)) if known[there] > promise else None
-
-    def _few(self) -> tuple[Side, Fit]:
-        """Some windows to fit, and the fit of the believed model there with starting states found as those of walks."""
-        if self._walk is None:
-            bench = self.bench
-            few = bench.fit.some(np.arange(0, len(bench.fit.windows), _EVERY))
-            side = self._best(few, bench.base, True, bench.nuisance)
-            self._walk = few, bench.nuisance(side).profile(side.windows.residual, bench.cut)
-        return self._walk
-
-    def _best(
-        self, side: Side, hypothesis: MakeWorld, anew: bool, free: Callable[[Side], Nuisance]
-    ) -> Side:
+    def _best(self, side: Side, hypothesis: MakeWorld, anew: bool, free: Callable[[Side], Nuisance]) -> Side:
         """A side around a hypothesis: with the directions that it has or with new ones, whichever suits it better.
 
         Args:
@@ -192,23 +138,3 @@ class Polisher:
             for sides in zip(*known.values(), strict=True)
         )
         return first, second
-
-
-def _vertex(known: Mapping[float, float]) -> float:
-    """Where a parabola through the best of some points and its neighbours peaks; the best where there are no two."""
-    at = sorted(known)
-    best = max(range(len(at)), key=lambda i: known[at[i]])
-    if best in (0, len(at) - 1):
-        return at[best]
-    near = at[best - 1 : best + 2]
-    a, b, _ = np.polyfit(near, [known[factor] for factor in near], 2)
-    return float(-b / (2 * a)) if a < 0 else at[best]
-
-
-def _scaled(hypothesis: Hypothesis, factor: float) -> Hypothesis:
-    """The same with the last effect's first number farther from its null, or nearer."""
-    candidate, values = hypothesis.effects[-1]
-    first = candidate.parameters[0]
-    value = float(np.clip(first.null + factor * (values[0] - first.null), first.low, first.high))
-    effects = (*hypothesis.effects[:-1], (candidate, (value, *values[1:])))
-    return replace(hypothesis, effects=effects)

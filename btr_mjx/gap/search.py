@@ -14,7 +14,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.calibration import stubborn, tolerance_draws
 from btr_mjx.gap.effect import Candidate, Effect, candidates
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
-from btr_mjx.gap.leaders import contact_scan, pick, starts
+from btr_mjx.gap.leaders import contact_scan, judged_anew, pick, starts
 from btr_mjx.gap.noise import estimate_noise
 from btr_mjx.gap.planning import Survey, plan, survey
 from btr_mjx.gap.prepared import prepare, scales_of, track_of
@@ -34,6 +34,7 @@ from btr_mjx.gap.screening import (
 )
 from btr_mjx.gap.search_records import Judged, Options, Side
 from btr_mjx.gap.smoothing import best_span
+from btr_mjx.gap.walks import Walks
 from btr_mjx.gap.windows import Windows
 from btr_mjx.gap.worlds import Counter
 
@@ -56,6 +57,7 @@ class Bench:
       before: the believed values as given.
       fit, test: the two sides of the split.
       scanner: linear scans on the side that is fitted.
+      walks: judge what moves contacts with directions of its own.
       survey: what the recordings go through.
       counter: simulated steps so far.
       cut: chi^2 above which a window counts less.
@@ -112,6 +114,7 @@ class Bench:
         self.dispersion = 1.0
         self.cut = _CUT * windows.freedom
         self._settle(None)
+        self.walks = Walks(self.fit, self.base, self.free, self.fall, lambda: self.cut)
 
     def _start(self, note: Callable[[str], None]) -> None:
         """Linearise around the believed model, refitting what may be refitted first."""
@@ -193,7 +196,8 @@ class Bench:
             leads = [lead for lead in leads if lead.gain > price * len(lead.values)]
         starting = {own[0].index: starts(own, self._entry) for own in pick(leads, self._entry, options, price).values()}
         tries = [(self.scanner.screened.entries[index].candidate, values) for index, values in starting.items()]
-        tries = self._with_contacts(start, sides[0], residual, tries, options)
+        strongest = max((lead.gain for lead in leads), default=0.0)
+        tries = self._with_contacts(start, sides[0], residual, tries, options, strongest)
         if not tries:
             return []
         hypotheses = []
@@ -222,6 +226,7 @@ class Bench:
         residual: np.ndarray,
         tries: Sequence[tuple[Candidate, list[np.ndarray]]],
         options: Options,
+        strongest: float,
     ) -> list[tuple[Candidate, list[np.ndarray]]]:
         """Candidates with their starting values, and those that a scan of contacts adds."""
         taken = {candidate.name for candidate, _ in start.effects}
@@ -230,8 +235,9 @@ class Bench:
         if not moving:
             return list(out.values())
         side = Side(side.windows, self.free(side))
+        found = contact_scan(side, start, moving, self.cut, residual, options.every)
         added = 0
-        for gain, candidate, values in contact_scan(side, start, moving, self.cut, residual, options.every):
+        for gain, candidate, values in judged_anew(found, start, self.walks, strongest):
             known = candidate.name in out
             if gain <= 0 or (added >= options.contact_leaders and not known):
                 continue

@@ -1,0 +1,131 @@
+"""Walks over the size of what moves contacts, on some of the windows, with directions of its own at every step.
+
+Directions of the starting states found at one size mislead at another as soon as a foot touches, so that no derivative
+leads from one to the other, and the believed model's judge the truth worse than nothing.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from btr_mjx.gap.hypotheses import Hypothesis
+from btr_mjx.gap.refine import Nuisance
+from btr_mjx.gap.score import Fit
+from btr_mjx.gap.search_records import Side
+
+_EVERY = 3
+"""Walks see one of so many windows."""
+
+_STRIDE = 1.5
+"""Factor on the size at every step of a walk."""
+
+_STRIDES = 3
+"""Steps of a walk in either direction, at most."""
+
+Profile = Callable[[Side], Fit]
+"""The fit of what goes along with every hypothesis, to the residual of a side."""
+
+
+class Walks:
+    """Judges hypotheses on a part of the windows to fit, and remembers what it saw."""
+
+    def __init__(
+        self,
+        side: Side,
+        base: Hypothesis,
+        free: Callable[[Side], Nuisance],
+        fall: Callable[[Fit, Fit], float],
+        cut: Callable[[], float],
+    ) -> None:
+        """Prepare for walks.
+
+        Args:
+          side: windows to fit.
+          base: the believed model, linearised there.
+          free: what is fitted along with a hypothesis on a side.
+          fall: of the loss, from one fit to another.
+          cut: chi^2 above which a window counts less.
+        """
+        self._side, self._base, self._free, self._fall, self._cut = side, base, free, fall, cut
+        self._start: tuple[Side, Side] | None = None
+        self._tried: dict[str, dict[tuple[float, ...], tuple[float, Hypothesis]]] = {}
+
+    def gain(self, hypothesis: Hypothesis) -> float:
+        """Fall of the loss against the believed model, whose directions are found anew as well; as if of all windows.
+
+        Args:
+          hypothesis: with its values.
+        """
+        known = self._tried.setdefault(hypothesis.name, {})
+        values = tuple(hypothesis.values(True))
+        if values not in known:
+            if self._start is None:
+                few = self._side.some(np.arange(0, len(self._side.windows), _EVERY))
+                self._start = few, few.recentred(self._base).redirected(self._base)
+            few, reference = self._start
+            own = few.recentred(hypothesis).redirected(hypothesis)
+            share = len(few.windows) / len(self._side.windows)
+            known[values] = self._fall(self._profile(reference), self._profile(own)) / share, hypothesis
+        return known[values][0]
+
+    def best(self, name: str) -> float:
+        """Largest gain that was seen of a hypothesis, -inf for one that was never tried.
+
+        Args:
+          name: of the hypothesis.
+        """
+        return max((gain for gain, _ in self._tried.get(name, {}).values()), default=-np.inf)
+
+    def _profile(self, side: Side) -> Fit:
+        return self._free(side).profile(side.windows.residual, self._cut())
+
+    def __call__(self, hypothesis: Hypothesis, hope: float, promise: float) -> Hypothesis | None:
+        """Where a walk over the size of the last effect ends.
+
+        Args:
+          hypothesis: one that moves contacts.
+          hope: gain that it needs before the walk.
+          promise: gain that it needs afterwards.
+
+        Returns:
+          None for one that has less.
+        """
+        self.gain(hypothesis)
+        hypothesis = max(self._tried[hypothesis.name].values(), key=lambda row: row[0])[1]
+        known = {1.0: self.gain(hypothesis)}
+        if known[1.0] < hope:
+            return None
+        for stride in (_STRIDE, 1.0 / _STRIDE):
+            factor = 1.0
+            for _ in range(_STRIDES):
+                known[factor * stride] = self.gain(scaled(hypothesis, factor * stride))
+                if known[factor * stride] < known[factor]:
+                    break
+                factor *= stride
+        there = max(known, key=lambda factor: known[factor])
+        return scaled(hypothesis, vertex(known)) if known[there] > promise else None
+
+
+def vertex(known: Mapping[float, float]) -> float:
+    """Where a parabola through the best of some points and its neighbours peaks; the best where there are no two."""
+    at = sorted(known)
+    best = max(range(len(at)), key=lambda i: known[at[i]])
+    if best in (0, len(at) - 1):
+        return at[best]
+    near = at[best - 1 : best + 2]
+    a, b, _ = np.polyfit(near, [known[factor] for factor in near], 2)
+    return float(-b / (2 * a)) if a < 0 else at[best]
+
+
+def scaled(hypothesis: Hypothesis, factor: float) -> Hypothesis:
+    """The same with the last effect's first number farther from its null, or nearer.
+
+    Args:
+      hypothesis: with an effect.
+      factor: on the distance.
+    """
+    candidate, values = hypothesis.effects[-1]
+    first = candidate.parameters[0]
+    value = float(np.clip(first.null + factor * (values[0] - first.null), first.low, first.high))
+    return replace(hypothesis, effects=(*hypothesis.effects[:-1], (candidate, (value, *values[1:]))))
