@@ -26,6 +26,9 @@ the truth lies beyond half of it, a large one is worse than nothing where the tr
 _AGAIN = 3.0
 """Factor on that for the best of them."""
 
+_LONGEST = 2
+"""Time steps of the model that one step of the scan takes, at most."""
+
 _BEST = 6
 """So many of them, and whatever acts on the world as a whole."""
 
@@ -113,8 +116,9 @@ def contact_scan(
             values[0] = np.clip(value, candidate.parameters[0].low, candidate.parameters[0].high)
             rows.append((candidate, values))
         windows = some.windows
+        step = min(windows.stride, _LONGEST) * windows.dt
         makes = [start, *(start.with_effect(candidate, values) for candidate, values in rows)]
-        found = [windows.whiten(states) for states in windows.states(makes, timestep=windows.coarse_step)]
+        found = [windows.whiten(states) for states in windows.states(makes, timestep=step)]
         best: dict[str, Try] = {}
         for (candidate, values), there in zip(rows, found[1:], strict=True):
             moved = residual[own] + project(there - found[0], windows.basis)
@@ -139,7 +143,7 @@ def judged_anew(found: Sequence[Try], start: Hypothesis, walks: Walks, strongest
 
     Args:
       found: of the scan.
-      start: what is there already.
+      start: the believed model.
       walks: of the search.
       strongest: gain of the best other candidate.
 
@@ -153,10 +157,9 @@ def judged_anew(found: Sequence[Try], start: Hypothesis, walks: Walks, strongest
         for row in found
         if row[1].place == WORLD and row[0] > needed - _ALL_WORSE and all(row is not own for own in worth)
     ]
-    before = walks.gain(start) if start.effects and worth else 0.0
     best = {candidate.name: gain for gain, candidate, _ in found}
     for _, candidate, values in worth:
-        best[candidate.name] = max(best[candidate.name], walks.gain(start.with_effect(candidate, values)) - before)
+        best[candidate.name] = max(best[candidate.name], walks.gain(start.with_effect(candidate, values)))
     return sorted(((best[c.name], c, values) for _, c, values in found), key=lambda row: -row[0])
 
 

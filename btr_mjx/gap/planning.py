@@ -19,7 +19,6 @@ from btr_mjx.gap.search_records import Options
 from btr_mjx.gap.sensitivity import intervals_per_look
 from btr_mjx.gap.smoothing import smooth
 from btr_mjx.gap.tangent import difference
-from btr_mjx.gap.transitions import may_stride
 from btr_mjx.gap.worlds import Counter, Stretch, World, simulate
 
 CONTACT_SPAN = 0.04
@@ -143,7 +142,8 @@ def plan(
     steps = max(1, round(interval / float(model.opt.timestep)))
     single = steps >= 3 and count > _MANY
     screening = count / steps / intervals_per_look(interval) if single else count
-    state = (2 * model.nv + 1) * (0.5 if may_stride(model, interval) else 1.0) + _AROUND
+    # Directions take longer steps where that does, which cannot be known before there are windows.
+    state = (2 * model.nv + 1) * (0.5 if steps >= 4 else 1.0) + _AROUND
     per_step = state + screening + 4.0 * (options.leaders + options.contact_leaders)
     share = 0.7 if len(data.recordings) >= len(held.recordings) else 0.6
     budget = options.budget(model.nv)

@@ -236,8 +236,10 @@ class Bench:
             return list(out.values())
         side = Side(side.windows, self.free(side))
         found = contact_scan(side, start, moving, self.cut, residual, options.every)
+        if not start.effects:
+            found = judged_anew(found, start, self.walks, strongest)
         added = 0
-        for gain, candidate, values in judged_anew(found, start, self.walks, strongest):
+        for gain, candidate, values in found:
             known = candidate.name in out
             if gain <= 0 or (added >= options.contact_leaders and not known):
                 continue

@@ -23,6 +23,38 @@ _NUDGE = 0.5
 next, and smaller nudges see a staircase."""
 
 
+_STRIDES = 4, 2
+"""Time steps of which the longest that does is taken, in units of the model's."""
+
+_ERROR = 0.1
+"""Part of a nudge's answer by which such a step may be off, in the median."""
+
+_SAMPLE = 64
+"""Intervals that this is tried on."""
+
+
+def stride(windows: "Windows", make: Callable[[mujoco.MjModel], World], states: np.ndarray) -> int:
+    """How much longer than the model's a time step may be that only tells which directions are unknown.
+
+    Args:
+      windows: the data.
+      make: the hypothesis.
+      states: (W, k + 1, nq + nv) its states.
+    """
+    interval = float(np.median(np.diff(windows.since, axis=1)))
+    every = np.linspace(0, len(windows) * windows.k - 1, _SAMPLE).astype(int)
+    window, place = np.unravel_index(np.unique(every), (len(windows), windows.k))
+    nudges = np.broadcast_to(_mixed(windows), (len(window), 1, 2 * windows.nv))
+    answers: dict[int, np.ndarray] = {}
+    for times in (1, *_STRIDES):
+        if times == 1 or times * windows.dt <= 1.02 * interval:
+            moved = _moved(windows, make, states, window, place, nudges, times)
+            answers[times] = moved[:, 0] / windows.data.sigma
+    size = np.linalg.norm(answers[1], axis=1)
+    off = {t: np.median(np.linalg.norm(there - answers[1], axis=1) / size) for t, there in answers.items()}
+    return max(times for times, error in off.items() if error <= _ERROR)
+
+
 def transitions(
     windows: "Windows",
     make: Callable[[mujoco.MjModel], World],
@@ -86,8 +118,9 @@ def _moved(
     window: np.ndarray,
     interval: np.ndarray,
     nudges: np.ndarray,
+    times: int | None = None,
 ) -> np.ndarray:
-    """Where nudges (N, n, 2 nv) of the states at N intervals lead to at their ends, (N, n, 2 nv)."""
+    """Where nudges (N, n, 2 nv) of the states at N intervals lead to at their ends, (N, n, 2 nv), in long steps."""
     nq, nv = windows.nq, windows.nv
     out = np.zeros(nudges.shape)
     jobs: list[Job] = []
@@ -102,21 +135,8 @@ def _moved(
         qvel = start[..., nq:] + both[..., nv:]
         jobs.append((make(model), windows.intervals(window[mine], interval[mine], qpos, qvel)))
         members.append(mine)
-    found = simulate(jobs, timestep=windows.coarse_step, counter=windows.counter)
+    found = simulate(jobs, timestep=(times or windows.stride) * windows.dt, counter=windows.counter)
     for mine, ends in zip(members, found, strict=True):
         ends = ends.reshape(len(mine), nudges.shape[1] + 1, -1)
         out[mine] = np.nan_to_num(windows.minus(ends[:, 1:], ends[:, :1]))
     return out
-
-
-def may_stride(model: mujoco.MjModel, interval: float) -> bool:
-    """Whether steps of twice the length still do for what is not compared with data.
-
-    Args:
-      model: the believed model.
-      interval: typical time between two samples [s].
-    """
-    implicit = (mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
-    stiff = model.geom_solref[:, 0].min(initial=1.0)
-    dt = float(model.opt.timestep)
-    return model.opt.integrator in implicit and stiff >= 8 * dt and interval >= 3.9 * dt

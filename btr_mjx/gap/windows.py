@@ -17,7 +17,7 @@ from btr_mjx.gap.score import project, spanned
 from btr_mjx.gap.smoothing import smooth
 from btr_mjx.gap.starting import centred
 from btr_mjx.gap.tangent import difference
-from btr_mjx.gap.transitions import may_stride, strangeness, transitions
+from btr_mjx.gap.transitions import strangeness, stride, transitions
 from btr_mjx.gap.worlds import Counter, Job, Stretch, World, simulate
 
 MakeWorld = Callable[[mujoco.MjModel], World]
@@ -60,6 +60,7 @@ class Windows:
       residual: (W, R) projected residual of the base world in units of the noise; set by `linearise`.
       basis: (W, R, D) orthonormal directions of the starting state, then those of `soften`.
       soft: (W, R, S) the latter.
+      stride: time steps of the model that one step takes where only directions are asked for.
       freedom: residual degrees of freedom of a window.
     """
 
@@ -96,6 +97,7 @@ class Windows:
         self.soft = self.basis
         self.correction = np.zeros_like(self.residual)
         self.base = np.zeros((0, 0, 0))
+        self.stride = 1
 
     def __len__(self) -> int:
         return len(self.first)
@@ -111,12 +113,6 @@ class Windows:
         if self.since[:, -1].max() > _LONG * self.dt:
             return self.dt / 4
         return self.dt / float(np.clip(round(self.dt / _FINE), 4, 10))
-
-    @property
-    def coarse_step(self) -> float | None:
-        """Time step that does where worlds are only compared with each other [s]; None for the model's."""
-        interval = float(np.median(np.diff(self.since, axis=1)))
-        return 2 * self.dt if may_stride(self.groups[0][0], interval) else None
 
     @property
     def models(self) -> list[mujoco.MjModel]:
@@ -203,6 +199,7 @@ class Windows:
           steps: Gauss-Newton steps of the starting states; a window keeps a step only if it helps.
         """
         base = self.states([make])[0]
+        self.stride = stride(self, make, base)
         self.transitions, self.answers = transitions(self, make, base)
         self._directions()
         self.qpos, self.qvel, self.base = centred(self, make, steps, base, self.step_error(make, base))
