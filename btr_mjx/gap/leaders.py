@@ -139,7 +139,7 @@ def contact_scan(
 
 
 def judged_anew(found: Sequence[Try], start: Hypothesis, walks: Walks, strongest: float) -> list[Try]:
-    """The best of a scan of contacts, judged with directions of their own.
+    """The best of a scan of contacts, judged with directions of their own, at two sizes.
 
     Args:
       found: of the scan.
@@ -157,10 +157,15 @@ def judged_anew(found: Sequence[Try], start: Hypothesis, walks: Walks, strongest
         for row in found
         if row[1].place == WORLD and row[0] > needed - _ALL_WORSE and all(row is not own for own in worth)
     ]
-    best = {candidate.name: gain for gain, candidate, _ in found}
+    best = {candidate.name: (gain, candidate, values) for gain, candidate, values in found}
     for _, candidate, values in worth:
-        best[candidate.name] = max(best[candidate.name], walks.gain(start.with_effect(candidate, values)))
-    return sorted(((best[c.name], c, values) for _, c, values in found), key=lambda row: -row[0])
+        first = candidate.parameters[0]
+        further = float(np.clip(first.null + _AGAIN * (values[0] - first.null), first.low, first.high))
+        for value in dict.fromkeys((float(values[0]), further)):
+            tried = np.array([value, *values[1:]])
+            row = walks.gain(start.with_effect(candidate, tried)), candidate, tried
+            best[candidate.name] = max(best[candidate.name], row, key=lambda r: r[0])
+    return sorted(best.values(), key=lambda row: -row[0])
 
 
 def _within(a: Place, b: Place) -> bool:

@@ -52,7 +52,7 @@ class Polisher:
 
         Args:
           judged: best first.
-          most: so many leaders at most, and as many candidates again that move contacts.
+          most: so many leaders at most, beside candidates that move contacts and promise as much.
 
         Returns:
           All of them, best first.
@@ -66,8 +66,8 @@ class Polisher:
         rival = max(judged[0].gain, _CLOSE)
         hopes = {j.name: max(j.gain, bench.walks.best(j.name)) for j in judged if self._moves_contacts(j.hypothesis)}
         others = [j for j in judged if j not in close and hopes.get(j.name, 0.0) > _HOPE * rival]
-        others.sort(key=lambda j: -hopes[j.name])
-        moving = [j for j in close if j not in plain] + others[:most]
+        moving = [j for j in close if j not in plain] + others
+        moving.sort(key=lambda j: -hopes[j.name])
         needed = {j.name: (-np.inf, _LEAST) if j in close else (_HOPE * rival, _PROMISE * rival) for j in moving}
         walked = [(j, bench.walks(j.hypothesis, *needed[j.name])) for j in moving[:_WALKS]]
         tries = [(j, j.hypothesis) for j in plain] + [(j, found) for j, found in walked if found is not None]

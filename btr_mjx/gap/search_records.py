@@ -53,9 +53,9 @@ class Side:
     windows: Windows
     nuisance: Nuisance
 
-    def recentred(self, make: MakeWorld) -> "Side":
-        """The same with starting states that suit another hypothesis."""
-        return Side(recentred(self.windows, make), self.nuisance)
+    def recentred(self, make: MakeWorld, exact: bool = True) -> "Side":
+        """The same with starting states that suit another hypothesis, see `starting.recentred`."""
+        return Side(recentred(self.windows, make, exact), self.nuisance)
 
     def redirected(self, make: MakeWorld) -> "Side":
         """The same, recentred around a hypothesis before, with what starting states could explain in its own world."""

@@ -68,17 +68,19 @@ def centred(
     return qpos, qvel, states
 
 
-def recentred(windows: "Windows", make: Callable[[mujoco.MjModel], World]) -> "Windows":
+def recentred(windows: "Windows", make: Callable[[mujoco.MjModel], World], exact: bool = True) -> "Windows":
     """A copy of windows whose starting states suit another hypothesis, which is its base for residuals.
 
     Args:
       windows: linearised.
       make: the hypothesis.
+      exact: the error of its time step is found anew, which costs as much as the rest; else that of the base is taken.
     """
     other = copy.copy(windows)
     states = windows.states([make])[0]
     other.qpos, other.qvel, other.base = centred(windows, make, _STEPS, states, windows.correction)
-    other.correction = other.step_error(make, other.base)
+    if exact:
+        other.correction = other.step_error(make, other.base)
     other.residual = project(other.whiten(other.base) + other.correction, other.basis)
     return other
 

@@ -1,7 +1,8 @@
 """Walks over the size of what moves contacts, on some of the windows, with directions of its own at every step.
 
 Directions of the starting states found at one size mislead at another as soon as a foot touches, so that no derivative
-leads from one to the other, and the believed model's judge the truth worse than nothing.
+leads from one to the other, and the believed model's judge the truth worse than nothing. What the time step does is
+not found anew: it changes gains less than the choice of windows.
 """
 
 from collections.abc import Callable, Mapping
@@ -62,9 +63,9 @@ class Walks:
         if values not in known:
             if self._start is None:
                 few = self._side.some(np.arange(0, len(self._side.windows), _EVERY))
-                self._start = few, few.recentred(self._base).redirected(self._base)
+                self._start = few, few.recentred(self._base, exact=False).redirected(self._base)
             few, reference = self._start
-            own = few.recentred(hypothesis).redirected(hypothesis)
+            own = few.recentred(hypothesis, exact=False).redirected(hypothesis)
             share = len(few.windows) / len(self._side.windows)
             known[values] = self._fall(self._profile(reference), self._profile(own)) / share, hypothesis
         return known[values][0]
