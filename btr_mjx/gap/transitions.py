@@ -26,7 +26,7 @@ next, and smaller nudges see a staircase."""
 _STRIDES = 4, 2
 """Time steps of which the longest that does is taken, in units of the model's."""
 
-_ERROR = 0.1
+_ERROR = 0.15
 """Part of a nudge's answer by which such a step may be off, in the median."""
 
 _SAMPLE = 64
