@@ -1,0 +1,140 @@
+"""Starting states that suit a hypothesis, steps that directions may take, and walks over sizes."""
+
+import numpy as np
+import pytest
+from gap_arm import SIGMA, arm, arm_windows, dataset, recording
+from scipy.optimize import least_squares
+
+from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.leaders import contact_scan, judged_anew
+from btr_mjx.gap.prepared import prepare
+from btr_mjx.gap.score import spanned
+from btr_mjx.gap.search import Bench, Options
+from btr_mjx.gap.search_records import Side
+from btr_mjx.gap.smoothing import Span
+from btr_mjx.gap.starting import centred, recentred
+from btr_mjx.gap.tangent import integrate
+from btr_mjx.gap.transitions import stride
+from btr_mjx.gap.windows import Windows
+from btr_mjx.gap.worlds import World
+
+
+@pytest.fixture(scope="module")
+def windows() -> Windows:
+    return arm_windows()
+
+
+def damped(model):
+    world = World.of(model)
+    world.model.dof_damping[:] += 0.001
+    return world
+
+
+def test_what_columns_span_and_how_to_go_back() -> None:
+    rng = np.random.default_rng(0)
+    columns = rng.standard_normal((3, 20, 4))
+    columns[1, :, 2] = columns[1, :, 0] - columns[1, :, 1]
+    basis, inverse = spanned(columns)
+    np.testing.assert_allclose(inverse, np.linalg.pinv(columns, rcond=1e-9), atol=1e-9)
+    np.testing.assert_allclose(basis @ np.swapaxes(basis, 1, 2) @ columns, columns, atol=1e-9)
+
+
+def test_starting_states_reach_what_a_solver_finds(windows: Windows) -> None:
+    """Window by window, against nonlinear least squares within the same reach."""
+    states = windows.states([damped])[0]
+    qpos, qvel, there = centred(windows, damped, 4, states, windows.correction)
+    moved = windows.states([damped], start=(qpos, qvel))[0]
+    np.testing.assert_allclose(there, moved, atol=1e-12)
+    left = ((windows.whiten(there) + windows.correction) ** 2).sum(1)
+    before = ((windows.whiten(states) + windows.correction) ** 2).sum(1)
+    assert (before - left).max() > 1
+
+    def residual(w, move):
+        start = windows.qpos.copy(), windows.qvel.copy()
+        start[0][w] = integrate(arm(), windows.smoothed[0][w], (move * SIGMA)[:2])
+        start[1][w] = windows.smoothed[1][w] + (move * SIGMA)[2:]
+        return (windows.whiten(windows.states([damped], start=start)[0]) + windows.correction)[w]
+
+    for w in range(len(windows)):
+        reach = windows.reach[w] / SIGMA
+        found = least_squares(lambda x, w=w: residual(w, x), np.zeros(4), bounds=(-reach, reach), diff_step=0.05)
+        assert left[w] < 2 * found.cost + 1.0
+
+
+def test_windows_that_gain_nothing_are_left_alone(windows: Windows) -> None:
+    own = recentred(windows, World.of)
+    counted = windows.counter.steps
+    again = recentred(own, World.of, exact=False)
+    whole = (len(windows) * (windows.since[:, -1] / windows.dt)).max()
+    assert windows.counter.steps - counted < 2.5 * whole  # once from where they are, and one vain step
+    np.testing.assert_allclose(again.residual, own.residual, atol=0.2)
+
+
+def test_long_steps_are_taken_only_where_they_do() -> None:
+    """Not where a motor is so stiff that they miss its motion, nor where samples come too fast."""
+
+    def of(believed, rate):
+        data = prepare([recording("r", believed=believed)], "cubic", SIGMA, Span(5, 6))
+        out = Windows(data, np.array([0, 0]), np.array([20, 120]), 30)
+        out.since = out.since * (200.0 / rate)
+        return stride(out, World.of, out.states([World.of])[0])
+
+    fine = arm()
+    fine.opt.timestep = 5e-4
+    assert of(fine, 200.0) == 4
+    assert of(fine, 800.0) == 2
+    assert of(fine, 2000.0) == 1
+    stiff = arm()
+    stiff.opt.timestep = 5e-4
+    stiff.actuator_gainprm[:, 0] *= 3000
+    stiff.actuator_biasprm[:, 1] *= 3000
+    assert of(stiff, 200.0) < 4
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    def turned(model):
+        model.body_quat[2] = [np.cos(0.01), 0.0, np.sin(0.01), 0.0]
+
+    offsets = tuple(effect for effect in EFFECTS if effect.name in ("joint_offset", "armature"))
+    return Bench(dataset(turned, seed=4, fit=3, test=1), offsets, Options(steps=4e4, leaders=2, contact_leaders=0))
+
+
+def test_a_walk_sees_what_all_windows_show(bench: Bench) -> None:
+    """Its gain is that of all windows, roughly; it climbs to the best size from a third and asks nothing twice."""
+    elbow = next(c for c in bench.candidates if c.name == "joint_offset@joint:elbow")
+
+    def whole(value):
+        hypothesis = bench.base.with_effect(elbow, [value])
+        sides = [bench.fit.recentred(h).redirected(h) for h in (bench.base, hypothesis)]
+        return bench.fall(*(bench.free(s).profile(s.windows.residual, bench.cut) for s in sides))
+
+    sizes = np.linspace(-0.04, 0.04, 17)
+    gains = [whole(value) for value in sizes]
+    best = sizes[int(np.argmax(gains))]
+    assert abs(best) > 0.01
+    assert bench.walks.gain(bench.base.with_effect(elbow, [best])) == pytest.approx(max(gains), rel=0.5)
+    found = bench.walks(bench.base.with_effect(elbow, [best / 3]), hope=0.0, promise=0.0)
+    assert found is not None
+    assert found.effects[0][1][0] == pytest.approx(best, rel=0.2)
+    assert bench.walks.best(found.name) >= bench.walks.gain(bench.base.with_effect(elbow, [best / 3]))
+    counted = bench.counter.steps
+    bench.walks.gain(bench.base.with_effect(elbow, [best]))
+    assert bench.counter.steps == counted
+    assert bench.walks(bench.base.with_effect(elbow, [-best]), hope=1e9, promise=0.0) is None
+    assert bench.walks.best("nothing that was tried") == -np.inf
+
+
+def test_the_best_of_a_scan_are_looked_at_with_directions_of_their_own(bench: Bench) -> None:
+    moving = [c for c in bench.candidates if c.effect.name == "joint_offset"]
+    side = Side(bench.fit.windows, bench.free(bench.fit))
+    found = contact_scan(side, bench.base, moving, bench.cut, bench.fit.windows.residual, 1)
+    again = judged_anew(found, bench.base, bench.walks, 0.0)
+    assert {c.name for _, c, _ in again} == {c.name for _, c, _ in found}
+    first = {c.name: (gain, values) for gain, c, values in found}
+    for gain, candidate, values in again:
+        known, start = first[candidate.name]
+        tries = [bench.walks.gain(bench.base.with_effect(candidate, factor * start)) for factor in (1.0, 3.0)]
+        assert gain == max(known, *tries)
+        assert values[0] in (start[0], 3.0 * start[0])
+    assert judged_anew(found, bench.base, bench.walks, 1e9) == found  # something else is far stronger
