@@ -24,6 +24,12 @@ _STRIDE = 1.5
 _STRIDES = 3
 """Steps of a walk in either direction, at most."""
 
+_FINER = 2
+"""Steps afterwards to where a parabola peaks, at most."""
+
+_NEAR = 0.04
+"""Part of a size by which such a step must lead away from all sizes that were tried."""
+
 Profile = Callable[[Side], Fit]
 """The fit of what goes along with every hypothesis, to the residual of a side."""
 
@@ -104,8 +110,12 @@ class Walks:
                 if known[factor * stride] < known[factor]:
                     break
                 factor *= stride
-        there = max(known, key=lambda factor: known[factor])
-        return scaled(hypothesis, vertex(known)) if known[there] > promise else None
+        for _ in range(_FINER):
+            there = vertex(known)
+            if min(abs(there / factor - 1.0) for factor in known) < _NEAR:
+                break
+            known[there] = self.gain(scaled(hypothesis, there))
+        return scaled(hypothesis, vertex(known)) if max(known.values()) > promise else None
 
 
 def vertex(known: Mapping[float, float]) -> float:
