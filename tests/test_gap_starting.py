@@ -5,9 +5,13 @@ import pytest
 from gap_arm import SIGMA, arm, arm_windows, dataset, recording
 from scipy.optimize import least_squares
 
+from btr_mjx.gap import transitions
 from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.hidden import make_case
+from btr_mjx.gap.hidden_robots import case_robot
 from btr_mjx.gap.leaders import contact_scan, judged_anew
 from btr_mjx.gap.prepared import prepare
+from btr_mjx.gap.recordings import load
 from btr_mjx.gap.score import spanned
 from btr_mjx.gap.search import Bench, Options
 from btr_mjx.gap.search_records import Side
@@ -89,6 +93,19 @@ def test_long_steps_are_taken_only_where_they_do() -> None:
     stiff.actuator_gainprm[:, 0] *= 3000
     stiff.actuator_biasprm[:, 1] *= 3000
     assert of(stiff, 200.0) < 4
+
+
+def test_long_steps_must_not_throw_light_legs_about(tmp_path, monkeypatch) -> None:
+    """Most of a quadruped's intervals would do with them, but not those in which a foot comes down."""
+    make_case(tmp_path, 912, "quadruped", verdict="none", background=0.0, recordings=(1, 1), duration=1.0, noise=1.0)
+    data = load(tmp_path)
+    sigma = np.concatenate(case_robot("quadruped").sigma(data.fit[0].model))
+    first = np.arange(8, len(data.fit[0].time) - 14, 8)
+    legs = Windows(prepare(data.fit, data.interpolation, sigma, Span(5, 4)), np.zeros(len(first), int), first, 8)
+    states = legs.states([World.of])[0]
+    assert stride(legs, World.of, states) == 1
+    monkeypatch.setattr(transitions, "_JOLT", np.inf)
+    assert stride(legs, World.of, states) == 2
 
 
 @pytest.fixture(scope="module")
