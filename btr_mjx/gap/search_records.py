@@ -33,7 +33,7 @@ class Options:
     def fewer(self) -> "Options":
         """What is spent on one more effect: about half."""
         return replace(
-            self, leaders=max(1, self.leaders // 2), contact_leaders=self.contact_leaders // 2, every=3 * self.every
+            self, leaders=max(1, self.leaders // 2), contact_leaders=self.contact_leaders // 2, every=2 * self.every
         )
 
     def budget(self, nv: int) -> float:

@@ -54,7 +54,7 @@ def stride(windows: "Windows", make: Callable[[mujoco.MjModel], World], states: 
         if times == 1 or times * windows.dt <= 1.02 * interval:
             moved = _moved(windows, make, states, window, place, nudges, times)
             answers[times] = moved[:, 0] / (_NUDGE * windows.data.sigma * np.sqrt(2 * windows.nv))
-    size = np.linalg.norm(answers[1], axis=1)
+    size = np.maximum(np.linalg.norm(answers[1], axis=1), 1e-12)  # zero where a simulation became invalid
     off = {times: np.linalg.norm(there - answers[1], axis=1) for times, there in answers.items()}
     good = (t for t, e in off.items() if np.median(e / size) <= _ERROR and np.quantile(e, 0.75) <= _JOLT)
     return max(good)
