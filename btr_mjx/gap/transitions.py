@@ -26,8 +26,11 @@ next, and smaller nudges see a staircase."""
 _STRIDES = 4, 2
 """Time steps of which the longest that does is taken, in units of the model's."""
 
-_ERROR = 0.15
-"""Part of a nudge's answer by which such a step may be off, in the median."""
+_ERROR = 0.002
+"""Part of a nudge's answer by which such a step may be off, in the median: it adds up over a window."""
+
+_CONTACT_ERROR = 0.15
+"""The same where something can touch: which step a foot comes down at changes directions by more."""
 
 _JOLT = 0.9
 """By so much of the nudge three quarters of the answers may be off, at most: light legs are thrown about by touchdowns
@@ -56,7 +59,9 @@ def stride(windows: "Windows", make: Callable[[mujoco.MjModel], World], states: 
             answers[times] = moved[:, 0] / (_NUDGE * windows.data.sigma * np.sqrt(2 * windows.nv))
     size = np.maximum(np.linalg.norm(answers[1], axis=1), 1e-12)  # zero where a simulation became invalid
     off = {times: np.linalg.norm(there - answers[1], axis=1) for times, there in answers.items()}
-    good = (t for t, e in off.items() if np.median(e / size) <= _ERROR and np.quantile(e, 0.75) <= _JOLT)
+    model = windows.models[0]
+    most = _CONTACT_ERROR if model.geom_contype.any() and model.geom_conaffinity.any() else _ERROR
+    good = (t for t, e in off.items() if np.median(e / size) <= most and np.quantile(e, 0.75) <= _JOLT)
     return max(good)
 
 
