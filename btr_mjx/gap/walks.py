@@ -30,9 +30,6 @@ _FINER = 2
 _NEAR = 0.04
 """Part of a size by which such a step must lead away from all sizes that were tried."""
 
-Profile = Callable[[Side], Fit]
-"""The fit of what goes along with every hypothesis, to the residual of a side."""
-
 
 class Walks:
     """Judges hypotheses on a part of the windows to fit, and remembers what it saw."""
