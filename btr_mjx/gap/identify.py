@@ -43,6 +43,9 @@ SECOND_SHARE = 0.05
 """Part of the first one's score that a second effect needs where either moves contacts: a size that is a little off
 leaves as much."""
 
+_POLISHED = 3
+"""Candidates for one more effect that are judged again, at most."""
+
 HELD_OUT = 3.0
 """Gain that a name needs on held-out recordings, and on those that were fitted."""
 
@@ -139,10 +142,14 @@ def name_missing(
         if len(named) >= max_effects:
             break
         note("one more effect")
-        rounds.append(bench.find(named[-1]))
-        if rounds[-1] and accepted(bench, rounds[-1][0], named[-1]):
-            rounds[-1] = acceptable(bench, polish(rounds[-1], most=1), named[-1])
-            named[-1] = polish.matched(named[-1], rounds[-1][0])
+        rounds.append(acceptable(bench, bench.find(named[-1]), named[-1], share=0.0))
+        again: set[str] = set()
+        # Who was not judged as strictly must not overtake who was.
+        while rounds[-1] and rounds[-1][0].name not in again and len(again) < _POLISHED:
+            if not accepted(bench, rounds[-1][0], named[-1], share=0.0):
+                break
+            again.add(rounds[-1][0].name)
+            rounds[-1] = acceptable(bench, polish(rounds[-1], 1, named[-1]), named[-1])
     base = bench.base
     if bench.dispersion > COARSE and not bench.survey.contact:
         note("whole recordings")
@@ -182,26 +189,36 @@ def name_missing(
     )
 
 
-def acceptable(bench: Bench, judged: Sequence[Judged], given: Judged | None) -> list[Judged]:
+def acceptable(
+    bench: Bench, judged: Sequence[Judged], given: Judged | None, share: float = SECOND_SHARE
+) -> list[Judged]:
     """One round, with what may be called by name in front of what may not, where the data cannot tell the two apart.
+
+    Beside what was found before, what moves contacts and may not be called by name stands in nobody's way either: its
+    score is a matter of chance up to its threshold.
 
     Args:
       bench: of the search.
       judged: best first.
       given: what was found before.
+      share: of the first one's score that a second one needs where contacts move.
     """
     close = alike(judged, bench.delicate) if judged else []
-    first = next((j for j in close if accepted(bench, j, given)), None)
+    if given:
+        moving = (j.hypothesis.effects[-1][0].name in bench.delicate for j in judged)
+        close += list(judged)[: next((i for i, moves in enumerate(moving) if not moves), 0) + 1]
+    first = next((j for j in close if accepted(bench, j, given, share)), None)
     return list(judged) if first is None else [first, *(j for j in judged if j is not first)]
 
 
-def accepted(bench: Bench, judged: Judged, given: Judged | None) -> bool:
+def accepted(bench: Bench, judged: Judged, given: Judged | None, share: float = SECOND_SHARE) -> bool:
     """Whether a candidate may be called by name.
 
     Args:
       bench: of the search.
       judged: the candidate, beside what was found before.
       given: what was found before.
+      share: of the first one's score that a second one needs where contacts move.
     """
     score = judged.score - (given.score if given else 0.0)
     gain = judged.gain - (given.gain if given else 0.0)
@@ -209,7 +226,7 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None) -> bool:
     expected = gain * len(bench.test.windows) / len(bench.fit.windows)
     needed = SECOND_THRESHOLD if given else THRESHOLD
     if given and any(candidate.name in bench.delicate for candidate, _ in judged.hypothesis.effects):
-        needed = max(needed, SECOND_SHARE * given.score)
+        needed = max(needed, share * given.score)
     if given and bench.dispersion > COARSE:
         needed = max(needed, COARSE_SECOND * given.score)
     if judged.hypothesis.effects[-1][0].name in bench.delicate:

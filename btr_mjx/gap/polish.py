@@ -46,13 +46,15 @@ class Polisher:
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
         self._polished_sides: dict[bool, tuple[Side, ...]] = {}
+        self._given: dict[str, Judged] = {}
 
-    def __call__(self, judged: Sequence[Judged], most: int = 3) -> list[Judged]:
+    def __call__(self, judged: Sequence[Judged], most: int = 3, given: Judged | None = None) -> list[Judged]:
         """Judge the leaders again, with starting states that suit each of them, and directions where contacts move.
 
         Args:
           judged: best first.
           most: so many leaders at most, beside candidates that move contacts and promise as much.
+          given: what was found before, beside which they were judged.
 
         Returns:
           All of them, best first.
@@ -60,16 +62,24 @@ class Polisher:
         bench = self.bench
         if not judged:
             return []
-        best = judged[0].score
-        close = [j for j in judged if best - j.score <= max(_CLOSE, 0.1 * best) and best > _HOPELESS][:most]
-        plain = [j for j in close if not self._moves_contacts(j.hypothesis)]
-        rival = max(judged[0].gain, _CLOSE)
-        hopes = {j.name: max(j.gain, bench.walks.best(j.name)) for j in judged if self._moves_contacts(j.hypothesis)}
+        already, known = (0.0, 0.0) if given is None else (given.score, given.gain)
+        best = judged[0].score - already
+        close = [j for j in judged if judged[0].score - j.score <= max(_CLOSE, 0.1 * best) and best > _HOPELESS][:most]
+        plain = [j for j in close if not self._anew(j.hypothesis)]
+        rival = max(judged[0].gain - known, _CLOSE)
+        hopes = {
+            j.name: max(j.gain - known, bench.walks.best(j.name) if given is None else -np.inf)
+            for j in judged
+            if self._anew(j.hypothesis)
+        }
         others = [j for j in judged if j not in close and hopes.get(j.name, 0.0) > _HOPE * rival]
         moving = [j for j in close if j not in plain] + others
         moving.sort(key=lambda j: -hopes[j.name])
-        needed = {j.name: (-np.inf, _LEAST) if j in close else (_HOPE * rival, _PROMISE * rival) for j in moving}
-        walked = [(j, bench.walks(j.hypothesis, *needed[j.name])) for j in moving[:_WALKS]]
+        walked = []
+        for j in moving[:_WALKS]:
+            floor = 0.0 if given is None else bench.walks.gain(given.hypothesis)
+            least = (-np.inf, floor + _LEAST) if j in close else (floor + _HOPE * rival, floor + _PROMISE * rival)
+            walked.append((j, bench.walks(j.hypothesis, *least)))
         tries = [(j, j.hypothesis) for j in plain] + [(j, found) for j, found in walked if found is not None]
         if not tries:
             return list(judged)
@@ -78,34 +88,49 @@ class Polisher:
         references = self._polished(len(chosen) > len(plain))
         for own, hypothesis in tries:
             anew = own not in plain
-            side = self._best(bench.fit, hypothesis, anew, bench.free)
+            side = self._best(own.sides[0], hypothesis, anew, bench.free)
             free = unknowns(hypothesis, bench.joint, bench.delicate)
             start = [hypothesis.values(bench.joint)]
             refined = refine(side.windows, bench.free(side), bench.cut, [(free, start)], 2, references[0])[0]
             hypothesis = hypothesis.replaced(refined.values, bench.joint)
-            sides = side, self._best(bench.test, hypothesis, anew, bench.nuisance)
-            out += bench.judge([hypothesis], [refined], sides, references)
+            sides = side, self._best(own.sides[1], hypothesis, anew, bench.nuisance)
+            again = bench.judge([hypothesis], [refined], sides, references)[0]
+            out.append(again if given is None else self._beside(given, own, again))
         return sorted(out, key=lambda j: -j.score)
 
-    def matched(self, given: Judged, other: Judged) -> Judged:
-        """What was named, judged as generously as one that is to be added to it: with new directions if that has them.
+    def _beside(self, given: Judged, before: Judged, again: Judged) -> Judged:
+        """A candidate beside what was found, which was not judged again with it.
 
         Args:
-          given: what was named.
-          other: the same with one more effect.
+          given: what was found before.
+          before: the same with one more effect.
+          again: that, judged again.
+
+        Returns:
+          What moves contacts with as much off as `given` gains when it gets directions of its own, too. Of any other,
+          the better: both share starting states with `given` to begin with, and new ones move strong scores by more
+          than a weak effect is worth.
         """
         bench, hypothesis = self.bench, given.hypothesis
-        if self._moves_contacts(hypothesis) or not self._moves_contacts(other.hypothesis):
-            return given
-        side = self._best(bench.fit, hypothesis, True, bench.free)
-        residual = side.windows.residual
-        refined = replace(given.refined, residual=residual, chi2=bench.free(side).profile(residual, bench.cut).chi2)
-        sides = side, self._best(bench.test, hypothesis, True, bench.nuisance)
-        again = bench.judge([hypothesis], [refined], sides, self._polished(anew=True))[0]
-        return max(again, given, key=lambda judged: judged.score)
+        if not self._anew(again.hypothesis):
+            return max(before, again, key=lambda judged: judged.score)
+        if self._anew(hypothesis):
+            return again
+        if given.name not in self._given:
+            side = self._best(given.sides[0], hypothesis, True, bench.free)
+            residual = side.windows.residual
+            refined = replace(given.refined, residual=residual, chi2=bench.free(side).profile(residual, bench.cut).chi2)
+            sides = side, self._best(given.sides[1], hypothesis, True, bench.nuisance)
+            self._given[given.name] = bench.judge([hypothesis], [refined], sides, self._polished(anew=True))[0]
+        own = self._given[given.name]
+        if own.score <= given.score:
+            return again
+        gain, held_out, score = own.gain - given.gain, own.held_out - given.held_out, own.score - given.score
+        return replace(again, gain=again.gain - gain, held_out=again.held_out - held_out, score=again.score - score)
 
-    def _moves_contacts(self, hypothesis: Hypothesis) -> bool:
-        return any(candidate.name in self.bench.delicate for candidate, _ in hypothesis.effects)
+    def _anew(self, hypothesis: Hypothesis) -> bool:
+        """Whether the last effect moves contacts; sides on which one is judged suit the effects before it."""
+        return hypothesis.effects[-1][0].name in self.bench.delicate
 
     def _best(self, side: Side, hypothesis: MakeWorld, anew: bool, free: Callable[[Side], Nuisance]) -> Side:
         """A side around a hypothesis: with the directions that it has or with new ones, whichever suits it better.
