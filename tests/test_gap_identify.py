@@ -160,13 +160,32 @@ def test_of_what_is_alike_the_best_that_may_be_named_comes_first(monkeypatch, re
     """Beyond the margin, where data tell candidates apart, nothing steps in for a leader that may not be named."""
     judged = [as_judged("a", 500.0), as_judged("b", 480.0), as_judged("c", 460.0)]
 
-    def accepted(bench, judged, given):
-        return judged.hypothesis.effects[-1][0].name not in rejected
-
-    monkeypatch.setattr("btr_mjx.gap.identify.accepted", accepted)
+    monkeypatch.setattr("btr_mjx.gap.identify.accepted", all_but(rejected))
     out = acceptable(SimpleNamespace(delicate=frozenset()), judged, None)
     assert "".join(j.hypothesis.effects[-1][0].name for j in out) == order
     assert acceptable(SimpleNamespace(delicate=frozenset()), [], None) == []
+
+
+def all_but(rejected):
+    return lambda bench, judged, given, share: judged.hypothesis.effects[-1][0].name not in rejected
+
+
+@pytest.mark.parametrize(
+    ("delicate", "rejected", "order"),
+    [
+        ("a", "a", "bacd"),
+        ("ab", "ab", "cabd"),
+        ("ab", "abc", "abcd"),  # behind a plain one that may not be named nothing steps in
+        ("", "a", "abcd"),
+        ("abcd", "abc", "dabc"),
+        ("a", "", "abcd"),
+    ],
+)
+def test_beside_another_effect_contacts_without_a_name_stand_in_nobodys_way(monkeypatch, delicate, rejected, order):
+    judged = [as_judged("a", 500.0), as_judged("b", 380.0), as_judged("c", 260.0), as_judged("d", 140.0)]
+    monkeypatch.setattr("btr_mjx.gap.identify.accepted", all_but(rejected))
+    out = acceptable(SimpleNamespace(delicate=frozenset(delicate)), judged, as_judged("given", 100.0))
+    assert "".join(j.hypothesis.effects[-1][0].name for j in out) == order
 
 
 def left_by(gains, dispersion=1.0):

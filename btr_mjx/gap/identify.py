@@ -206,7 +206,7 @@ def acceptable(
     close = alike(judged, bench.delicate) if judged else []
     if given:
         moving = (j.hypothesis.effects[-1][0].name in bench.delicate for j in judged)
-        close += list(judged)[: next((i for i, moves in enumerate(moving) if not moves), 0) + 1]
+        close += list(judged)[: next((i for i, moves in enumerate(moving) if not moves), len(judged)) + 1]
     first = next((j for j in close if accepted(bench, j, given, share)), None)
     return list(judged) if first is None else [first, *(j for j in judged if j is not first)]
 
