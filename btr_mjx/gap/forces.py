@@ -129,7 +129,9 @@ class ForceFit:
         self.columns = np.ascontiguousarray(np.moveaxis(columns, 0, 1))  # (W, nv * bins, R)
         stacked = self.columns.astype(float)
         scale = np.sqrt((stacked**2).sum(2)) + 1e-300
-        u, s, vt = np.linalg.svd(stacked / scale[..., None], full_matrices=False)
+        tall, square = np.linalg.qr(np.swapaxes(stacked / scale[..., None], 1, 2))
+        u, s, vt = np.linalg.svd(np.swapaxes(square, 1, 2), full_matrices=False)
+        vt = vt @ np.swapaxes(tall, 1, 2)
         keep = s > 1e-3 * s[:, :1]
         self._rank = keep.sum(1)
         inverse = np.where(keep, 1.0 / np.maximum(s, 1e-300), 0.0)

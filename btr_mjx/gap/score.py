@@ -253,8 +253,9 @@ def spanned(jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Returns:
       Orthonormal bases (W, R, D), in which columns without effect become zero, and the inverses (W, D, R).
     """
-    u, s, vt = np.linalg.svd(jacobian, full_matrices=False)
+    tall, square = np.linalg.qr(jacobian)  # half the time of a decomposition of the whole
+    u, s, vt = np.linalg.svd(square, full_matrices=False)
     keep = s > 1e-9 * np.maximum(s[:, :1], 1e-300)
-    basis = u * keep[:, None, :]
+    basis = tall @ (u * keep[:, None, :])
     inverse = np.swapaxes(vt, 1, 2) @ (np.swapaxes(basis, 1, 2) / np.where(keep, s, 1.0)[:, :, None])
     return basis, inverse

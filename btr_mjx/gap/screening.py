@@ -65,11 +65,11 @@ def changed_fields(
 ) -> dict[str, frozenset[str]]:
     """Fields of the model that a small step of each candidate changes, derived constants included, by name."""
     own = base(model).model
-    known, out = fingerprint(own), {}
+    known, data, out = fingerprint(own), mujoco.MjData(own), {}
     for candidate in candidates:
         values = candidate.null
         values[0] += candidate.parameters[0].step
-        out[candidate.name] = frozenset(fields_of(base.with_effect(candidate, values)(model), own, known))
+        out[candidate.name] = frozenset(fields_of(base.with_effect(candidate, values)(model), own, known, data))
     return out
 
 

@@ -125,7 +125,8 @@ def _run(
     """Simulate one batch and write the states of its pieces."""
     base = copy.copy(jobs[block[0][0]][0].model)
     # The first world may have been edited, and its constants with it.
-    mujoco.mj_setConst(base, mujoco.MjData(base))
+    data = mujoco.MjData(base)
+    mujoco.mj_setConst(base, data)
     if timestep is not None:
         base.opt.timestep = timestep
     # An invalid state must stay visible; MuJoCo's automatic reset would turn it into a new start.
@@ -138,7 +139,7 @@ def _run(
     # Threads that wait for each other at every step cost more than they bring to a few rows.
     most = threads or available_cores()
     batch = Batch(base, nsim=count, nthread=max(1, min(most, count // _ROWS_PER_THREAD)))
-    _write_models(batch, base, pieces, rows)
+    _write_models(batch, base, data, pieces, rows)
     qpos, qvel, time = batch.bind("qpos"), batch.bind("qvel"), batch.bind("time")
     for (world, stretch), own in zip(pieces, rows, strict=True):
         time[own] = stretch.start
@@ -176,13 +177,15 @@ def _run(
     sampler.write(block, out)
 
 
-def _write_models(batch: Batch, base: mujoco.MjModel, pieces: Sequence[Job], rows: Sequence[slice]) -> None:
+def _write_models(
+    batch: Batch, base: mujoco.MjModel, data: mujoco.MjData, pieces: Sequence[Job], rows: Sequence[slice]
+) -> None:
     """Give every row its world's model: only the fields in which a world differs are expanded."""
     known: dict[int, dict[str, np.ndarray]] = {}
     prints = fingerprint(base)
     for (world, _), own in zip(pieces, rows, strict=True):
         if id(world) not in known:
-            known[id(world)] = fields_of(world, base, prints)
+            known[id(world)] = fields_of(world, base, prints, data)
         for name, values in known[id(world)].items():
             batch.expand(name)[own] = values
 
