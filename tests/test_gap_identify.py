@@ -9,7 +9,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.commands import Command
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
-from btr_mjx.gap.identify import acceptable, identify, missing
+from btr_mjx.gap.identify import identify, missing
 from btr_mjx.gap.leftover import Leftover
 from btr_mjx.gap.next_experiment import compare, propose, random_commands, recordings_needed
 from btr_mjx.gap.outcome import equivalent
@@ -142,50 +142,6 @@ def test_two_effects_at_once():
 
     found = identify(dataset(both, seed=4), LIBRARY, max_effects=2, options=QUICK)
     assert {named.name for named in found.effects} == {"viscous_damping@joint:elbow", "armature@joint:shoulder"}
-
-
-def as_judged(name, score):
-    return SimpleNamespace(score=score, hypothesis=SimpleNamespace(effects=[(SimpleNamespace(name=name), (1.0,))]))
-
-
-def test_what_moves_contacts_is_equivalent_further_away():
-    judged = [as_judged("a", 500.0), as_judged("b", 480.0), as_judged("c", 460.0), as_judged("d", 300.0)]
-    assert equivalent(judged) == ("a", "b")
-    assert equivalent(judged, {"c"}) == ("a", "b", "c")
-    assert equivalent(judged, {"a"}) == ("a", "b", "c")
-
-
-@pytest.mark.parametrize(("rejected", "order"), [("", "abc"), ("a", "bac"), ("ab", "abc")])
-def test_of_what_is_alike_the_best_that_may_be_named_comes_first(monkeypatch, rejected, order):
-    """Beyond the margin, where data tell candidates apart, nothing steps in for a leader that may not be named."""
-    judged = [as_judged("a", 500.0), as_judged("b", 480.0), as_judged("c", 460.0)]
-
-    monkeypatch.setattr("btr_mjx.gap.identify.accepted", all_but(rejected))
-    out = acceptable(SimpleNamespace(delicate=frozenset()), judged, None)
-    assert "".join(j.hypothesis.effects[-1][0].name for j in out) == order
-    assert acceptable(SimpleNamespace(delicate=frozenset()), [], None) == []
-
-
-def all_but(rejected):
-    return lambda bench, judged, given, share: judged.hypothesis.effects[-1][0].name not in rejected
-
-
-@pytest.mark.parametrize(
-    ("delicate", "rejected", "order"),
-    [
-        ("a", "a", "bacd"),
-        ("ab", "ab", "cabd"),
-        ("ab", "abc", "abcd"),  # behind a plain one that may not be named nothing steps in
-        ("", "a", "abcd"),
-        ("abcd", "abc", "dabc"),
-        ("a", "", "abcd"),
-    ],
-)
-def test_beside_another_effect_contacts_without_a_name_stand_in_nobodys_way(monkeypatch, delicate, rejected, order):
-    judged = [as_judged("a", 500.0), as_judged("b", 380.0), as_judged("c", 260.0), as_judged("d", 140.0)]
-    monkeypatch.setattr("btr_mjx.gap.identify.accepted", all_but(rejected))
-    out = acceptable(SimpleNamespace(delicate=frozenset(delicate)), judged, as_judged("given", 100.0))
-    assert "".join(j.hypothesis.effects[-1][0].name for j in out) == order
 
 
 def left_by(gains, dispersion=1.0):

@@ -1,45 +1,200 @@
-"""Candidates for one more effect, judged again, are held against what was found on equal terms."""
+"""Leaders judged again: every window with the starting state that suits it, compared on equal terms."""
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from gap_arm import arm_windows, dataset
 
+from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.polish import Polisher
-from btr_mjx.gap.search_records import Judged
+from btr_mjx.gap.refine import Nuisance
+from btr_mjx.gap.score import robust_gain
+from btr_mjx.gap.search import Bench, Options
+from btr_mjx.gap.search_records import Side, nearest
+from btr_mjx.gap.windows import Windows
+from btr_mjx.gap.world import World
+
+LIBRARY = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "armature", "actuator_gain", "joint_offset"))
 
 
-def judged(names, gain, held_out, sides=(None, None)):
-    effects = [(SimpleNamespace(name=name), (1.0,)) for name in names]
-    hypothesis = SimpleNamespace(effects=effects)
-    score = gain + held_out - 10.0 * len(effects)
-    return Judged(hypothesis, None, gain, held_out, score, None, None, sides, None)
+def damped(size):
+    def make(model):
+        world = World.of(model)
+        world.model.dof_damping[:] += size
+        return world
+
+    return make
 
 
-@pytest.fixture
-def polisher(monkeypatch):
-    """One whose bench finds `lag` worth 30 and 20 more as soon as it gets directions of its own."""
-    monkeypatch.setattr(Judged, "name", property(lambda self: " + ".join(c.name for c, _ in self.hypothesis.effects)))
-    own = Polisher(SimpleNamespace(delicate={"offset", "softness"}))
-    own._given["lag"] = judged(["lag"], 530.0, 220.0)
-    return own
+@pytest.fixture(scope="module")
+def windows() -> Windows:
+    return arm_windows()
 
 
-def test_a_plain_candidate_keeps_the_starting_states_it_shares_if_others_judge_it_worse(polisher):
-    given, before = judged(["lag"], 500.0, 200.0), judged(["lag", "gain"], 560.0, 220.0)
-    worse, better = judged(["lag", "gain"], 540.0, 190.0), judged(["lag", "gain"], 600.0, 230.0)
-    assert polisher._beside(given, before, worse) is before
-    assert polisher._beside(given, before, better) is better
+def sides_of(windows: Windows) -> list[Side]:
+    """Starting states that suit three worlds, all with the second one as base; the last has directions of its own."""
+    rng = np.random.default_rng(0)
+    columns = rng.standard_normal((2, *windows.residual.shape)).astype(np.float32)
+    first = Side(windows, Nuisance.of(columns, np.ones(2)))
+    made = [first, first.recentred(damped(0.02)), first.recentred(damped(0.2)).redirected(damped(0.2))]
+    return [side.based(damped(0.02)) for side in made]
 
 
-def test_directions_of_its_own_are_not_counted_as_the_merit_of_what_moves_contacts(polisher):
-    given, before = judged(["lag"], 500.0, 200.0), judged(["lag", "offset"], 560.0, 220.0)
-    again = judged(["lag", "offset"], 700.0, 300.0)
-    beside = polisher._beside(given, before, again)
-    assert (beside.gain, beside.held_out, beside.score) == (700.0 - 30.0, 300.0 - 20.0, again.score - 50.0)
+def test_another_base_from_the_same_starting_states(windows: Windows) -> None:
+    based = windows.based(damped(0.02))
+    np.testing.assert_array_equal(based.residual, windows.residuals([damped(0.02)])[0])
+    np.testing.assert_array_equal(based.base, windows.states([damped(0.02)])[0])
+    assert np.abs(based.residual - windows.residual).max() > 0.1
 
 
-def test_what_has_directions_of_its_own_or_is_no_better_with_them_takes_nothing_off(polisher):
-    again = judged(["softness", "offset"], 700.0, 300.0)
-    assert polisher._beside(judged(["softness"], 500.0, 200.0), again, again) is again
-    again = judged(["lag", "offset"], 700.0, 300.0)
-    assert polisher._beside(judged(["lag"], 540.0, 230.0), again, again) is again
+def test_windows_of_several_sides_are_those_of_each(windows: Windows) -> None:
+    sides = sides_of(windows)
+    chosen = np.array([2, 0, 1, 2])
+    mixed = sides[0].mixed(sides[1:], chosen)
+    for w, k in enumerate(chosen):
+        own = sides[k]
+        for name in ("qpos", "qvel", "base", "residual", "basis", "correction", "inverse", "target_q"):
+            np.testing.assert_array_equal(getattr(mixed.windows, name)[w], getattr(own.windows, name)[w])
+        np.testing.assert_array_equal(mixed.nuisance.columns[w], own.nuisance.columns[w])
+        np.testing.assert_array_equal(mixed.nuisance.gram[w], own.nuisance.gram[w])
+    np.testing.assert_allclose(mixed.windows.residuals([damped(0.02)])[0], mixed.windows.residual, atol=1e-12)
+    plain = sides[0].mixed(sides[1:2], np.array([0, 1, 1, 0]))
+    assert plain.windows.basis is windows.basis  # directions that are shared stay the same array
+    assert plain.nuisance is sides[0].nuisance
+
+
+def test_the_nearest_is_chosen_window_by_window(windows: Windows) -> None:
+    """Against a loop over windows and sides, each window simulated alone."""
+    sides = sides_of(windows)
+    best = nearest(sides)
+    picked = set()
+    for w in range(len(windows)):
+        away = []
+        for side in sides:
+            own = side.windows.some(np.array([w]))
+            there = own.whiten(own.states([damped(0.02)])[0]) + own.correction
+            away.append(float((there**2).sum()))
+        picked.add(int(np.argmin(away)))
+        assert (best.windows.raw[w] ** 2).sum() == pytest.approx(min(away))
+    assert len(picked) > 1
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    def changed(model):
+        model.dof_damping[1] += 0.1
+        model.dof_armature[0] += 0.02
+
+    return Bench(dataset(changed, seed=4, fit=3, test=1), LIBRARY, Options(steps=4e4, leaders=2, contact_leaders=0))
+
+
+def test_leaders_share_their_starting_states(bench: Bench) -> None:
+    """No window of a leader lies nearer with the starting states of the believed model, or of the other leader."""
+    before = bench.find()
+    leaders = Polisher(bench)._again([j.hypothesis for j in before[:2]], None)
+    assert [j.name for j in leaders] == [j.name for j in before[:2]]
+    assert leaders[0].references == leaders[1].references
+    for i, own in enumerate((bench.fit, bench.test)):
+        pool = [own, leaders[0].sides[i], leaders[1].sides[i]]
+        for judged in leaders:
+            raw = [(side.based(judged.hypothesis).windows.raw ** 2).sum(1) for side in pool]
+            mine = (judged.sides[i].based(judged.hypothesis).windows.raw ** 2).sum(1)
+            assert mine.sum() <= min(r.sum() for r in raw) + (0.01 if i else 0.5)  # refined after the choice
+
+
+def test_rivals_differ_by_what_tells_them_apart(bench: Bench) -> None:
+    """Window by window between the two of them; the better one keeps its score."""
+    before = bench.find()
+    polish = Polisher(bench)
+    leaders = polish._again([j.hypothesis for j in before[:2]], None)
+    best, other = sorted(leaders, key=lambda j: -j.score)
+    alone = bench.judge([best.hypothesis], [best.refined], best.sides, best.references)[0]
+    assert best.score == pytest.approx(alone.score)
+    parts = [robust_gain(b, a, bench.cut) / bench.dispersion for a, b in zip(best.fits, other.fits, strict=True)]
+    assert best.gain - other.gain == pytest.approx(parts[0])
+    assert best.held_out - other.held_out == pytest.approx(parts[1])
+    assert best.hypothesis.numbers == other.hypothesis.numbers
+    assert best.score - other.score == pytest.approx(sum(parts))
+
+
+def test_one_more_effect_is_compared_with_what_was_found(bench: Bench) -> None:
+    """Its gains are those of the first, and what falls from there to it on the same windows."""
+    first = Polisher(bench)(bench.find())[0]
+    second = bench.find(first)[0]
+    names = {candidate.name for candidate, _ in second.hypothesis.effects}
+    assert names == {"viscous_damping@joint:elbow", "armature@joint:shoulder"}
+    falls = []
+    for i, free in enumerate((bench.free, bench.nuisance)):
+        windows = first.sides[i].windows
+        fits = [
+            free(first.sides[i]).profile(windows.residuals([h])[0], bench.cut)
+            for h in (first.hypothesis, second.hypothesis)
+        ]
+        falls.append(bench.fall(*fits))
+    assert second.gain == pytest.approx(first.gain + falls[0], rel=1e-6)
+    assert second.held_out == pytest.approx(first.held_out + falls[1], rel=1e-6)
+    price = (first.gain + first.held_out - first.score) / first.hypothesis.numbers
+    assert second.score == pytest.approx(second.gain + second.held_out - 2 * price)
+    assert min(falls) > 10
+
+
+def test_an_effect_beside_another_ends_where_the_search_ends(bench: Bench) -> None:
+    polish = Polisher(bench)
+    first = polish(bench.find())[0]
+    second = polish(bench.find(first), 1, first)[0]
+    candidate, values = second.hypothesis.effects[-1]
+    found = polish.beside(first, candidate, [0.7 * value for value in values])
+    assert found.name == second.name
+    assert found.hypothesis.effects[-1][1] == pytest.approx(values, rel=0.05)
+    assert found.score == pytest.approx(second.score, rel=0.02)
+
+
+def test_all_that_were_judged_come_back_best_first(bench: Bench) -> None:
+    before = bench.find()
+    again = Polisher(bench)(before)
+    assert {j.name for j in again} == {j.name for j in before}
+    assert [j.score for j in again] == sorted((j.score for j in again), reverse=True)
+    assert any(j not in before for j in again)
+    assert Polisher(bench)([]) == []
+
+
+def stand_in(name, score, gain=None):
+    effects = [(SimpleNamespace(name=letter), (1.0,)) for letter in name]
+    hypothesis = SimpleNamespace(effects=effects, name=name)
+    return SimpleNamespace(name=name, score=score, gain=score if gain is None else gain, hypothesis=hypothesis)
+
+
+class Walked(dict):
+    """Gains of single effects with directions of their own; a walk ends where it begins."""
+
+    def best(self, name):
+        return self.get(name, -np.inf)
+
+    def gain(self, hypothesis):
+        return 0.0
+
+    def __call__(self, hypothesis, hope, promise):
+        return hypothesis
+
+
+@pytest.mark.parametrize(
+    ("given", "score", "alone", "tried"),
+    [
+        ("a", {"ab": 505.0}, {}, "ab"),
+        ("a", {"ab": 499.0}, {}, ""),  # worth less than its price
+        ("a", {"ab": 505.0, "ac": 504.0}, {}, "ab"),  # one at a time
+        ("a", {"am": 620.0}, {}, "am"),
+        ("a", {"am": 520.0}, {}, ""),  # contacts cost more to look at
+        ("a", {"am": 520.0}, {"m": 300.0}, "am"),  # the first one hides it as long as directions are not its own
+        ("a", {"ab": 505.0, "am": 400.0}, {"m": 300.0}, "ab am"),
+        ("n", {"nm": 520.0}, {"m": 300.0}, ""),  # a rival of the first one, which explains the same
+    ],
+)
+def test_who_is_worth_another_look_beside_an_effect(given, score, alone, tried) -> None:
+    polish = Polisher(SimpleNamespace(delicate={"m", "n"}, walks=Walked(alone)))
+    judged = [stand_in(name, value) for name, value in score.items()]
+    found = [own.name for own, _ in polish._promising(judged, 1, stand_in(given, 500.0))]
+    assert " ".join(found) == tried
+    polish._done |= set(found)
+    assert polish._promising(judged, 1, stand_in(given, 500.0)) == []

@@ -152,6 +152,6 @@ def test_the_best_of_a_scan_are_looked_at_with_directions_of_their_own(bench: Be
     for gain, candidate, values in again:
         known, start = first[candidate.name]
         tries = [bench.walks.gain(bench.base.with_effect(candidate, factor * start)) for factor in (1.0, 3.0)]
-        assert gain == max(known, *tries)
+        assert gain == max(known, *tries[: 2 if tries[0] >= -60.0 else 1])
         assert values[0] in (start[0], 3.0 * start[0])
     assert judged_anew(found, bench.base, bench.walks, 1e9) == found  # something else is far stronger

@@ -165,6 +165,8 @@ def judged_anew(found: Sequence[Try], start: Hypothesis, walks: Walks, strongest
             tried = np.array([value, *values[1:]])
             row = walks.gain(start.with_effect(candidate, tried)), candidate, tried
             best[candidate.name] = max(best[candidate.name], row, key=lambda r: r[0])
+            if row[0] < -_WORSE:
+                break  # with directions of its own a small part of the truth is no worse than nothing
     return sorted(best.values(), key=lambda row: -row[0])
 
 

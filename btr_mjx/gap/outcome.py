@@ -113,7 +113,7 @@ def gap_of(bench: Bench, start: Hypothesis, judged: Judged | None, nulls: float)
     """
     windows, freedom = bench.test.windows, bench.test.windows.freedom
     base = bench.nuisance(bench.test).profile(windows.residual, bench.cut).chi2
-    end = base if judged is None else judged.chi2
+    end = base if judged is None else judged.fits[1].chi2
     cut = 3.0 * max(freedom, float(np.median(base)))
 
     def mean(chi2: np.ndarray) -> float:

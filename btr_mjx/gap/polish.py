@@ -5,17 +5,17 @@ nothing although it is true: a foot touches at another time. Such leaders get di
 their size is walked over, because derivatives through a touchdown lead nowhere.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from btr_mjx.gap.effect import Candidate
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
-from btr_mjx.gap.refine import Nuisance, refine
-from btr_mjx.gap.score import Fit
+from btr_mjx.gap.refine import Refined, refine
+from btr_mjx.gap.score import Fit, robust_gain
 from btr_mjx.gap.search import Bench
-from btr_mjx.gap.search_records import Judged, Side
-from btr_mjx.gap.windows import MakeWorld
+from btr_mjx.gap.search_records import Judged, Side, nearest
 
 _HOPELESS = -5.0
 """Where the best score is lower, no better starting states will make a name of it."""
@@ -32,6 +32,12 @@ _HOPE = 0.25
 _PROMISE = 0.5
 """Part of the best gain that it must have afterwards to be judged again."""
 
+_WORTH = 0.0
+"""Score, beyond that of what was found, of a candidate for one more effect that is judged again."""
+
+_BESIDE = 100.0
+"""The same of one that moves contacts; or a gain so large that it had alone, beside what moves none."""
+
 _LEAST = 5.0
 """Gain after the walk of a leader, at least, to be judged again."""
 
@@ -45,8 +51,8 @@ class Polisher:
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
-        self._polished_sides: dict[bool, tuple[Side, ...]] = {}
-        self._given: dict[str, Judged] = {}
+        self._centres: dict[tuple[str, bool], tuple[Side, Side]] = {}
+        self._done: set[str] = set()
 
     def __call__(self, judged: Sequence[Judged], most: int = 3, given: Judged | None = None) -> list[Judged]:
         """Judge the leaders again, with starting states that suit each of them, and directions where contacts move.
@@ -57,109 +63,158 @@ class Polisher:
           given: what was found before, beside which they were judged.
 
         Returns:
-          All of them, best first.
+          All of them, best first; just as they were where none is worth it, or those that are have been judged again.
         """
+        tries = self._promising(judged, most, given)
+        if not tries:
+            return list(judged)
+        chosen = [own for own, _ in tries]
+        self._done |= {own.name for own in chosen}
+        out = [j for j in judged if j not in chosen]
+        out += self._again([hypothesis for _, hypothesis in tries], given)
+        return sorted(out, key=lambda j: -j.score)
+
+    def _promising(self, judged: Sequence[Judged], most: int, given: Judged | None) -> list[tuple[Judged, Hypothesis]]:
+        """Those that are judged again, see `__call__`, each with the hypothesis that it becomes before."""
         bench = self.bench
         if not judged:
             return []
         already, known = (0.0, 0.0) if given is None else (given.score, given.gain)
         best = judged[0].score - already
         close = [j for j in judged if judged[0].score - j.score <= max(_CLOSE, 0.1 * best) and best > _HOPELESS][:most]
-        plain = [j for j in close if not self._anew(j.hypothesis)]
         rival = max(judged[0].gain - known, _CLOSE)
-        hopes = {
-            j.name: max(j.gain - known, bench.walks.best(j.name) if given is None else -np.inf)
-            for j in judged
-            if self._anew(j.hypothesis)
-        }
-        others = [j for j in judged if j not in close and hopes.get(j.name, 0.0) > _HOPE * rival]
-        moving = [j for j in close if j not in plain] + others
+        hopes = {j.name: max(j.gain - known, self._alone(j, given)) for j in judged if self._anew(j.hypothesis)}
+        plain = [j for j in close if j.name not in hopes]
+        moving = [j for j in judged if j.name in hopes and (j in close or hopes[j.name] > _HOPE * rival)]
+        if given is not None:
+            plain = [j for j in plain if j.score - already >= _WORTH and j.name not in self._done]
+            moving = [j for j in moving if max(j.score - already, self._alone(j, given)) >= _BESIDE]
+            moving = [j for j in moving if j.name not in self._done]
         moving.sort(key=lambda j: -hopes[j.name])
         walked = []
         for j in moving[:_WALKS]:
             floor = 0.0 if given is None else bench.walks.gain(given.hypothesis)
             least = (-np.inf, floor + _LEAST) if j in close else (floor + _HOPE * rival, floor + _PROMISE * rival)
             walked.append((j, bench.walks(j.hypothesis, *least)))
-        tries = [(j, j.hypothesis) for j in plain] + [(j, found) for j, found in walked if found is not None]
-        if not tries:
-            return list(judged)
-        chosen = [j for j, _ in tries]
-        out = [j for j in judged if j not in chosen]
-        references = self._polished(len(chosen) > len(plain))
-        for own, hypothesis in tries:
-            anew = own not in plain
-            side = self._best(own.sides[0], hypothesis, anew, bench.free)
-            free = unknowns(hypothesis, bench.joint, bench.delicate)
-            start = [hypothesis.values(bench.joint)]
-            refined = refine(side.windows, bench.free(side), bench.cut, [(free, start)], 2, references[0])[0]
-            hypothesis = hypothesis.replaced(refined.values, bench.joint)
-            sides = side, self._best(own.sides[1], hypothesis, anew, bench.nuisance)
-            again = bench.judge([hypothesis], [refined], sides, references)[0]
-            out.append(again if given is None else self._beside(given, own, again))
-        return sorted(out, key=lambda j: -j.score)
+        return [(j, j.hypothesis) for j in plain] + [(j, found) for j, found in walked if found is not None]
 
-    def _beside(self, given: Judged, before: Judged, again: Judged) -> Judged:
-        """A candidate beside what was found, which was not judged again with it.
+    def _alone(self, judged: Judged, given: Judged | None) -> float:
+        """Gain that what moves contacts had with directions of its own alone; -inf beside another that moves some."""
+        if given is not None and self._anew(given.hypothesis):
+            return -np.inf
+        return self.bench.walks.best(judged.hypothesis.effects[-1][0].name)
+
+    def beside(self, given: Judged, candidate: Candidate, values: Sequence[float]) -> Judged:
+        """What was found with one more effect, refined and judged.
 
         Args:
-          given: what was found before.
-          before: the same with one more effect.
-          again: that, judged again.
-
-        Returns:
-          What moves contacts with as much off as `given` gains when it gets directions of its own, too. Of any other,
-          the better: both share starting states with `given` to begin with, and new ones move strong scores by more
-          than a weak effect is worth.
+          given: what was found.
+          candidate: the effect.
+          values: where its numbers start.
         """
-        bench, hypothesis = self.bench, given.hypothesis
-        if not self._anew(again.hypothesis):
-            return max(before, again, key=lambda judged: judged.score)
-        if self._anew(hypothesis):
-            return again
-        if given.name not in self._given:
-            side = self._best(given.sides[0], hypothesis, True, bench.free)
-            residual = side.windows.residual
-            refined = replace(given.refined, residual=residual, chi2=bench.free(side).profile(residual, bench.cut).chi2)
-            sides = side, self._best(given.sides[1], hypothesis, True, bench.nuisance)
-            self._given[given.name] = bench.judge([hypothesis], [refined], sides, self._polished(anew=True))[0]
-        own = self._given[given.name]
-        if own.score <= given.score:
-            return again
-        gain, held_out, score = own.gain - given.gain, own.held_out - given.held_out, own.score - given.score
-        return replace(again, gain=again.gain - gain, held_out=again.held_out - held_out, score=again.score - score)
+        return self._again([given.hypothesis.with_effect(candidate, values)], given)[0]
+
+    def _again(self, hypotheses: Sequence[Hypothesis], given: Judged | None) -> list[Judged]:
+        """Refine and judge hypotheses with the starting states, of all that suit one of them, that suit each best.
+
+        Every window takes those from which the hypothesis comes nearest to it, and so does what they are compared
+        with. Near a touchdown the linear picture of a starting state is a matter of chance, and a single window in
+        which it fails moves a score by more than a weak effect is worth, or than one leg's length differs from an
+        offset of its knee.
+
+        Args:
+          hypotheses: with an effect more than what was found.
+          given: what was found before; None for the believed model.
+        """
+        bench = self.bench
+        before = bench.base if given is None else given.hypothesis
+        anew = any(self._anew(h) for h in hypotheses)
+        known = self._known(given, anew)
+        fits, first, held = [], [], []
+        for i, free in enumerate((bench.free, bench.nuisance)):
+            other = bench.nuisance if given is None else free
+            rival, *sides = self._shared([before, *hypotheses], known[i], anew)
+            fits.append(other(rival).profile(rival.windows.residual, bench.cut))
+            if i == 0:
+                first = [(side, self._refined(h, side, fits[0])) for h, side in zip(hypotheses, sides, strict=True)]
+                hypotheses = [h.replaced(r.values, bench.joint) for h, (_, r) in zip(hypotheses, first, strict=True)]
+            else:
+                held = sides
+        references = fits[0], fits[1]
+        if given is not None:
+            given, references = replace(given, fits=references), given.references
+        out = []
+        for h, (side, refined), far in zip(hypotheses, first, held, strict=True):
+            out += bench.judge([h], [refined], (side, far), references, given)
+        return self._beside_the_best(out)
+
+    def _beside_the_best(self, judged: Sequence[Judged]) -> list[Judged]:
+        """The same with scores that differ by how the best of them and each other one differ window by window.
+
+        Most of what rivals gain they gain together; what tells them apart is lost in how much of that may be luck.
+
+        Args:
+          judged: with starting states that they share.
+        """
+        bench, best = self.bench, max(judged, key=lambda j: j.score)
+        price = (best.gain + best.held_out - best.score) / best.hypothesis.numbers
+        out = []
+        for j in judged:
+            gain, held_out = (
+                now + robust_gain(a, b, bench.cut) / bench.dispersion
+                for now, a, b in zip((best.gain, best.held_out), best.fits, j.fits, strict=True)
+            )
+            score = gain + held_out - price * j.hypothesis.numbers
+            out.append(j if j is best else replace(j, gain=gain, held_out=held_out, score=score))
+        return out
+
+    def _shared(self, hypotheses: Sequence[Hypothesis], known: Side, anew: bool) -> list[Side]:
+        """A side for each of some hypotheses.
+
+        Args:
+          hypotheses: what they are compared with comes first.
+          known: side that suits the first of them.
+          anew: each goes on from what the others have found: what moves contacts needs more than one look.
+        """
+        pool = [known]
+        for h in hypotheses[1:]:
+            start = nearest([side.based(h) for side in pool])
+            own = start.recentred(h)
+            pool.append(nearest([start, own, *([own.redirected(h)] if self._anew(h) else [])]))
+        out = []
+        for i, h in enumerate(hypotheses):
+            # Those before it were looked at already.
+            side = nearest([pool[i], *(later.based(h) for later in pool[i + 1 :])])
+            out.append(nearest([side, side.recentred(h, exact=False)]) if anew else side)
+        return out
+
+    def _refined(self, hypothesis: Hypothesis, side: Side, reference: Fit) -> Refined:
+        bench = self.bench
+        free = unknowns(hypothesis, bench.joint, bench.delicate)
+        start = [hypothesis.values(bench.joint)]
+        return refine(side.windows, bench.free(side), bench.cut, [(free, start)], 2, reference)[0]
 
     def _anew(self, hypothesis: Hypothesis) -> bool:
         """Whether the last effect moves contacts; sides on which one is judged suit the effects before it."""
         return hypothesis.effects[-1][0].name in self.bench.delicate
 
-    def _best(self, side: Side, hypothesis: MakeWorld, anew: bool, free: Callable[[Side], Nuisance]) -> Side:
-        """A side around a hypothesis: with the directions that it has or with new ones, whichever suits it better.
+    def _known(self, given: Judged | None, anew: bool) -> tuple[Side, Side]:
+        """Both sides of the split with the starting states of what hypotheses are compared with.
 
         Args:
-          side: of the split.
-          hypothesis: what it should suit.
-          anew: whether directions of its own are tried as well.
-          free: what is fitted along there.
+          given: what was found before; None for the believed model.
+          anew: with directions of its own as well.
         """
-        tries = [side.recentred(hypothesis)]
-        if anew:
-            tries.append(tries[0].redirected(hypothesis))
-        return min(tries, key=lambda s: free(s).profile(s.windows.residual, self.bench.cut).loss)
-
-    def _polished(self, anew: bool) -> tuple[Fit, Fit]:
-        """Fits of the believed model with starting states polished as those of leaders are.
-
-        Args:
-          anew: directions as well; the better of both is taken, because near contacts they are a matter of chance.
-        """
-        bench, known = self.bench, self._polished_sides
-        pair = bench.fit, bench.test
-        if False not in known:
-            known[False] = tuple(side.recentred(bench.base) for side in pair)
-        if anew and True not in known:
-            known[True] = tuple(side.redirected(bench.base) for side in known[False])
-        first, second = (
-            min((bench.nuisance(s).profile(s.windows.residual, bench.cut) for s in sides), key=lambda f: f.loss)
-            for sides in zip(*known.values(), strict=True)
-        )
-        return first, second
+        name = "" if given is None else given.name
+        if (name, False) not in self._centres:
+            if given is None:
+                base, pair = self.bench.base, (self.bench.fit, self.bench.test)
+                found = [nearest([side, side.recentred(base)]) for side in pair]
+            else:
+                found = [side.based(given.hypothesis) for side in given.sides]
+            self._centres[name, False] = found[0], found[1]
+        if anew and (name, True) not in self._centres:
+            make = self.bench.base if given is None else given.hypothesis
+            found = [nearest([side, side.redirected(make)]) for side in self._centres[name, False]]
+            self._centres[name, True] = found[0], found[1]
+        return self._centres[name, anew]

@@ -211,13 +211,13 @@ class Bench:
             self.cut,
             [(unknowns(own, self.joint, self.delicate), tries) for own, tries in hypotheses],
             self.options.iterations,
-            (self.reference if given is None else given.references)[0],
+            (self.reference if given is None else given.fits)[0],
         )
         refined = [own.replaced(r.values, self.joint) for (own, _), r in zip(hypotheses, found, strict=True)]
         if given is None:
             best = min(found, key=lambda r: r.loss)
             self._settle(best.chi2)
-        return self.judge(refined, found, sides, None if given is None else given.references)
+        return self.judge(refined, found, sides, None if given is None else given.references, given)
 
     def _with_contacts(
         self,
@@ -261,6 +261,7 @@ class Bench:
         found: Sequence[Refined],
         sides: tuple[Side, Side],
         references: tuple[Fit, Fit] | None = None,
+        given: Judged | None = None,
     ) -> list[Judged]:
         """Judge refined hypotheses on both sides of the split, best first.
 
@@ -269,6 +270,9 @@ class Bench:
           found: what the refinement found on the recordings to fit.
           sides: of the split, to judge on.
           references: fits of the believed model on both sides; None for the usual ones.
+          given: what each of them has one more effect than. They are compared with that window by window, and its
+            gains added: in comparison with the believed model, what a weak effect says drowns in what a strong one
+            does to the windows that count less.
         """
         held = sides[1].windows.residuals(list(hypotheses))
         nuisance = self.free(sides[0])
@@ -277,9 +281,12 @@ class Bench:
         out = []
         for hypothesis, refined, residual in zip(hypotheses, found, held, strict=True):
             own = nuisance.profile(refined.residual, self.cut), self.nuisance(sides[1]).profile(residual, self.cut)
-            gain, held_out = (self.fall(a, b) for a, b in zip(reference, own, strict=True))
+            before = reference if given is None else given.fits
+            gain, held_out = (self.fall(a, b) for a, b in zip(before, own, strict=True))
+            if given is not None:
+                gain, held_out = gain + given.gain, held_out + given.held_out
             score = gain + held_out - size * hypothesis.numbers
-            out.append(Judged(hypothesis, refined, gain, held_out, score, residual, own[1].chi2, sides, reference))
+            out.append(Judged(hypothesis, refined, gain, held_out, score, residual, own, sides, reference))
         return sorted(out, key=lambda judged: -judged.score)
 
     def fall(self, before: Fit, after: Fit) -> float:

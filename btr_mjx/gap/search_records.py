@@ -1,5 +1,6 @@
 """Records of the search: what it may cost, the two sides of the split, a judged hypothesis."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -62,9 +63,38 @@ class Side:
         windows = redirected(self.windows, make)
         return Side(windows, self.nuisance.projected(windows.basis))
 
+    def based(self, make: MakeWorld) -> "Side":
+        """The same with another hypothesis as base of its windows, see `Windows.based`."""
+        return Side(self.windows.based(make), self.nuisance)
+
+    def mixed(self, others: Sequence["Side"], chosen: np.ndarray) -> "Side":
+        """The same with some windows as others have them, see `Windows.mixed`."""
+        windows = self.windows.mixed([side.windows for side in others], chosen)
+        if windows.basis is self.windows.basis:
+            return Side(windows, self.nuisance)
+        rows = np.arange(len(windows))
+        columns, grams = (
+            np.stack([getattr(side.nuisance, name) for side in (self, *others)])[chosen, rows]
+            for name in ("columns", "gram")
+        )
+        return Side(windows, Nuisance(columns, self.nuisance.precision, grams))
+
     def some(self, index: np.ndarray) -> "Side":
         """Some of the windows."""
         return Side(self.windows.some(index), self.nuisance.some(index))
+
+
+def nearest(sides: Sequence[Side]) -> Side:
+    """Every window as that side has it from which the simulation comes nearest to the data.
+
+    What the starting state could still explain is left out of this comparison: where a foot touches at another time,
+    the linear picture of it promises what it cannot keep.
+
+    Args:
+      sides: with the same base and the same windows, from different starting states.
+    """
+    raw = [(side.windows.raw**2).sum(1) for side in sides]
+    return sides[0].mixed(sides[1:], np.argmin(raw, 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +108,7 @@ class Judged:
       held_out: fall of the loss on the held-out recordings.
       score: gain on both, less what its numbers cost.
       residual: (W, R) on the held-out windows.
-      chi2: (W,) there, with the tolerances at their best.
+      fits: of both sides, with the tolerances at their best.
       sides: of the split, with the starting states that it was judged with.
       references: fits of the believed model on both sides, with starting states found in the same way.
     """
@@ -89,7 +119,7 @@ class Judged:
     held_out: float
     score: float
     residual: np.ndarray
-    chi2: np.ndarray
+    fits: tuple[Fit, Fit]
     sides: tuple[Side, Side]
     references: tuple[Fit, Fit]
 

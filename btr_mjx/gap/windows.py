@@ -243,6 +243,32 @@ class Windows:
         other.groups = other._by_model()
         return other
 
+    @property
+    def raw(self) -> np.ndarray:
+        """Residual of the base (W, R) from the starting states as they are: nothing is projected out."""
+        return self.whiten(self.base) + self.correction
+
+    def based(self, make: MakeWorld) -> "Windows":
+        """A copy of which another hypothesis is the base, from the same starting states."""
+        other = copy.copy(self)
+        other.base = self.states([make])[0]
+        other.residual = project(other.whiten(other.base) + other.correction, other.basis)
+        return other
+
+    def mixed(self, others: Sequence["Windows"], chosen: np.ndarray) -> "Windows":
+        """The same with some windows as others have them: their starting states, and the directions of these.
+
+        Args:
+          others: of the same data; the first of them is number 1.
+          chosen: (W,) whose each window is, 0 for its own.
+        """
+        other, rows = copy.copy(self), np.arange(len(self))
+        for name in _PER_WINDOW:
+            arrays = [getattr(windows, name) for windows in (self, *others)]
+            if any(array is not arrays[0] for array in arrays):
+                setattr(other, name, np.stack(arrays)[chosen, rows])
+        return other
+
     def step_error(self, make: MakeWorld, base: np.ndarray) -> np.ndarray:
         """What the model's time step does to the states `base` (W, k + 1, nq + nv) of a hypothesis, (W, R).
 
@@ -313,4 +339,4 @@ class Windows:
         for k in range(self.k):
             state = state @ np.swapaxes(self.transitions[:, k], 1, 2) + injected[:, k]
             rows[:, :, k + 1] = np.swapaxes(state, 0, 1)
-        return project(self._scale(rows), self.basis).astype(np.float32)
+        return project(self._scale(rows).astype(np.float32), self.basis.astype(np.float32))

@@ -1,0 +1,181 @@
+"""Rounds of the search: who may be called by name, one more effect beside it, and its rivals beside that.
+
+A name needs a score beyond its price on all data, a gain on held-out recordings, and a size beyond what calibration
+leaves.
+"""
+
+from collections.abc import Callable, Sequence
+
+from btr_mjx.gap.outcome import alike
+from btr_mjx.gap.polish import Polisher
+from btr_mjx.gap.screening import tolerance_of
+from btr_mjx.gap.search import Bench, Judged
+
+THRESHOLD = 15.0
+"""Score, beyond the price of its numbers, that a name needs."""
+
+CONTACT_THRESHOLD = 100.0
+"""The same of what moves contacts, whose directions are found anew: near a touchdown these are a matter of chance. The
+best such candidate of a simulated robot that lacked no such thing came to 70."""
+
+SECOND_THRESHOLD = 25.0
+"""What one more effect needs; what the first one's linearisation leaves must not count as a second one."""
+
+SECOND_CONTACT_THRESHOLD = 120.0
+"""The same of what moves contacts. The best such candidate beside an effect that was all that was missing, seen while
+this was settled, came to 85."""
+
+SECOND_SHARE = 0.02
+"""Part of the first one's score that a second effect needs where either moves contacts: a size that is a little off
+leaves something."""
+
+_POLISHED = 3
+"""Candidates for one more effect that are judged again, at most."""
+
+HELD_OUT = 3.0
+"""Gain that a name needs on held-out recordings, and on those that were fitted."""
+
+HELD_OUT_SHARE = 0.08
+"""Part of the gain per window to fit that held-out windows must show as well, except of what moves contacts."""
+
+HELD_OUT_ENOUGH = 100.0
+"""Gain on held-out recordings that is enough in any case: a limit may be reached in few of them."""
+
+TOLERANCES = 4.0
+"""Size that a name needs, in tolerances of its parameter."""
+
+COARSE = 5.0
+"""Dispersion beyond which no model of this kind reaches the noise: real machines have a hundred small effects."""
+
+COARSE_SECOND = 0.1
+"""Part of the first one's score that a second effect needs there."""
+
+_RIVALS = 2
+"""Rivals of the first effect that are tried again beside the second."""
+
+_RIVALRY = 0.5
+"""Part of the first effect's score that they need."""
+
+
+def search(bench: Bench, most: int, note: Callable[[str], None]) -> tuple[list[list[Judged]], list[Judged]]:
+    """Search for one effect after another.
+
+    Args:
+      bench: as it was made.
+      most: effects that are named.
+      note: called with a word on what is being done.
+
+    Returns:
+      Judged candidates of every round, best first, and those that are named, each beside those before.
+    """
+    note("leaders")
+    polish = Polisher(bench)
+    rounds = [acceptable(bench, polish(bench.find()), None)]
+    named: list[Judged] = []
+    while rounds[-1] and accepted(bench, rounds[-1][0], named[-1] if named else None):
+        named.append(rounds[-1][0])
+        if len(named) == 2:
+            rounds, named = _swapped(bench, polish, rounds, named, note)
+        if len(named) >= most:
+            break
+        note("one more effect")
+        rounds.append(_beside(bench, polish, named[-1]))
+    return rounds, named
+
+
+def _beside(bench: Bench, polish: Polisher, given: Judged) -> list[Judged]:
+    """One more effect beside what was found: judged candidates, best first."""
+    judged = acceptable(bench, bench.find(given), given, share=0.0)
+    # Who was not judged as strictly must not overtake who was.
+    for _ in range(_POLISHED):
+        again = polish(judged, 1, given)
+        if again == judged:
+            break
+        judged = acceptable(bench, again, given)
+    return judged
+
+
+def _swapped(
+    bench: Bench, polish: Polisher, rounds: list[list[Judged]], named: list[Judged], note: Callable[[str], None]
+) -> tuple[list[list[Judged]], list[Judged]]:
+    """Two rounds and what they named, or those with another first effect where the two of these explain more.
+
+    What explains most alone may stand for a part of both effects; the right one then comes close behind.
+
+    Args:
+      bench: of the search.
+      polish: of the search.
+      rounds: two.
+      named: two.
+      note: called with a word on what is being done.
+    """
+    first, both = named
+    candidate, values = both.hypothesis.effects[-1]
+    rivals = [
+        rival
+        for rival in rounds[0][1:]
+        if rival.score > _RIVALRY * first.score and rival.name != candidate.name and accepted(bench, rival, None)
+    ]
+    if not rivals:
+        return rounds, named
+    note("the first effect's rivals")
+    tries = [(polish.beside(rival, candidate, values), rival) for rival in rivals[:_RIVALS]]
+    best, rival = max(tries, key=lambda row: row[0].score)
+    if best.score <= both.score:
+        return rounds, named
+    second = _beside(bench, polish, rival)
+    if not second or not accepted(bench, second[0], rival) or second[0].score <= both.score:
+        return rounds, named
+    return [[rival, *(j for j in rounds[0] if j is not rival)], second], [rival, second[0]]
+
+
+def acceptable(
+    bench: Bench, judged: Sequence[Judged], given: Judged | None, share: float = SECOND_SHARE
+) -> list[Judged]:
+    """One round, with what may be called by name in front of what may not, where the data cannot tell the two apart.
+
+    Beside what was found before, what moves contacts and may not be called by name stands in nobody's way either: its
+    score is a matter of chance up to its threshold.
+
+    Args:
+      bench: of the search.
+      judged: best first.
+      given: what was found before.
+      share: of the first one's score that a second one needs where contacts move.
+    """
+    close = alike(judged, bench.delicate) if judged else []
+    if given:
+        moving = (j.hypothesis.effects[-1][0].name in bench.delicate for j in judged)
+        close += list(judged)[: next((i for i, moves in enumerate(moving) if not moves), len(judged)) + 1]
+    first = next((j for j in close if accepted(bench, j, given, share)), None)
+    return list(judged) if first is None else [first, *(j for j in judged if j is not first)]
+
+
+def accepted(bench: Bench, judged: Judged, given: Judged | None, share: float = SECOND_SHARE) -> bool:
+    """Whether a candidate may be called by name.
+
+    Args:
+      bench: of the search.
+      judged: the candidate, beside what was found before.
+      given: what was found before.
+      share: of the first one's score that a second one needs where contacts move.
+    """
+    score = judged.score - (given.score if given else 0.0)
+    gain = judged.gain - (given.gain if given else 0.0)
+    held_out = judged.held_out - (given.held_out if given else 0.0)
+    expected = gain * len(bench.test.windows) / len(bench.fit.windows)
+    needed = SECOND_THRESHOLD if given else THRESHOLD
+    if given and any(candidate.name in bench.delicate for candidate, _ in judged.hypothesis.effects):
+        needed = max(needed, share * given.score)
+    if given and bench.dispersion > COARSE:
+        needed = max(needed, COARSE_SECOND * given.score)
+    if judged.hypothesis.effects[-1][0].name in bench.delicate:
+        # What moves contacts shows where a foot touches or leaves, and few windows held out need have that.
+        needed, expected = max(needed, SECOND_CONTACT_THRESHOLD if given else CONTACT_THRESHOLD), 0.0
+    if score < needed:
+        return False
+    if held_out < max(HELD_OUT, min(HELD_OUT_SHARE * expected, HELD_OUT_ENOUGH)) or gain < HELD_OUT:
+        return False
+    candidate, values = judged.hypothesis.effects[-1]
+    tolerance = tolerance_of(candidate, bench.dataset.tolerances)
+    return abs(values[0] - candidate.null[0]) > TOLERANCES * tolerance

@@ -1,0 +1,128 @@
+"""Rounds of the search, on stand-ins for judged candidates: who comes first, who is looked at again, who is swapped."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from btr_mjx.gap import rounds
+from btr_mjx.gap.outcome import equivalent
+from btr_mjx.gap.rounds import acceptable
+
+
+def as_judged(name, score):
+    return SimpleNamespace(score=score, hypothesis=SimpleNamespace(effects=[(SimpleNamespace(name=name), (1.0,))]))
+
+
+def test_what_moves_contacts_is_equivalent_further_away():
+    judged = [as_judged("a", 500.0), as_judged("b", 480.0), as_judged("c", 460.0), as_judged("d", 300.0)]
+    assert equivalent(judged) == ("a", "b")
+    assert equivalent(judged, {"c"}) == ("a", "b", "c")
+    assert equivalent(judged, {"a"}) == ("a", "b", "c")
+
+
+@pytest.mark.parametrize(("rejected", "order"), [("", "abc"), ("a", "bac"), ("ab", "abc")])
+def test_of_what_is_alike_the_best_that_may_be_named_comes_first(monkeypatch, rejected, order):
+    """Beyond the margin, where data tell candidates apart, nothing steps in for a leader that may not be named."""
+    judged = [as_judged("a", 500.0), as_judged("b", 480.0), as_judged("c", 460.0)]
+
+    monkeypatch.setattr("btr_mjx.gap.rounds.accepted", all_but(rejected))
+    out = acceptable(SimpleNamespace(delicate=frozenset()), judged, None)
+    assert "".join(j.hypothesis.effects[-1][0].name for j in out) == order
+    assert acceptable(SimpleNamespace(delicate=frozenset()), [], None) == []
+
+
+def all_but(rejected):
+    return lambda bench, judged, given, share: judged.hypothesis.effects[-1][0].name not in rejected
+
+
+@pytest.mark.parametrize(
+    ("delicate", "rejected", "order"),
+    [
+        ("a", "a", "bacd"),
+        ("ab", "ab", "cabd"),
+        ("ab", "abc", "abcd"),  # behind a plain one that may not be named nothing steps in
+        ("", "a", "abcd"),
+        ("abcd", "abc", "dabc"),
+        ("a", "", "abcd"),
+    ],
+)
+def test_beside_another_effect_contacts_without_a_name_stand_in_nobodys_way(monkeypatch, delicate, rejected, order):
+    judged = [as_judged("a", 500.0), as_judged("b", 380.0), as_judged("c", 260.0), as_judged("d", 140.0)]
+    monkeypatch.setattr("btr_mjx.gap.rounds.accepted", all_but(rejected))
+    out = acceptable(SimpleNamespace(delicate=frozenset(delicate)), judged, as_judged("given", 100.0))
+    assert "".join(j.hypothesis.effects[-1][0].name for j in out) == order
+
+
+class Stage:
+    """A bench and a polisher that say what they are told.
+
+    Attributes:
+      scores: of single effects and of pairs.
+      asked: names that were judged again.
+    """
+
+    delicate = frozenset("m")
+
+    def __init__(self, monkeypatch, scores, polished=None):
+        self.scores, self.polished, self.asked = scores, polished or {}, []
+        monkeypatch.setattr(rounds, "Polisher", lambda bench: self)
+        monkeypatch.setattr(rounds, "accepted", self.accepted)
+
+    def accepted(self, bench, judged, given, share=0.0):
+        return judged.score - (given.score if given else 0.0) > 25.0
+
+    def judged(self, name, scores=None):
+        effects = [(SimpleNamespace(name=letter), (1.0,)) for letter in name]
+        return SimpleNamespace(
+            name=name, score=(scores or self.scores)[name], hypothesis=SimpleNamespace(effects=effects)
+        )
+
+    def find(self, given=None):
+        first = "" if given is None else given.name
+        own = [name for name in self.scores if name[:-1] == first]
+        return sorted((self.judged(name) for name in own), key=lambda j: -j.score)
+
+    def __call__(self, judged, most=3, given=None):
+        if given is not None:
+            if judged[0].name in self.asked:
+                return list(judged)
+            self.asked.append(judged[0].name)
+            judged = [self.judged(judged[0].name, self.scores | self.polished), *judged[1:]]
+        return sorted(judged, key=lambda j: -j.score)
+
+    def beside(self, given, candidate, values):
+        return self.judged(given.name + candidate.name)
+
+    def named(self):
+        return [j.name for j in rounds.search(self, 2, lambda word: None)[1]]
+
+
+def test_the_first_effect_gives_way_to_a_rival_with_which_both_explain_more(monkeypatch):
+    """`a` explains a part of what `b` and `c` do together."""
+    scores = {"a": 500.0, "b": 450.0, "c": 100.0, "ac": 560.0, "bc": 700.0}
+    stage = Stage(monkeypatch, scores)
+    found, named = rounds.search(stage, 2, lambda word: None)
+    assert [j.name for j in named] == ["b", "bc"]
+    assert [[j.name for j in one] for one in found] == [["b", "a", "c"], ["bc"]]
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"bc": 560.0},  # no better
+        {"b": 200.0},  # too weak alone
+        {"bd": 470.0, "bc": 0.0},
+    ],
+)
+def test_rivals_that_explain_no_more_change_nothing(monkeypatch, changed):
+    scores = {"a": 500.0, "b": 450.0, "c": 100.0, "ac": 560.0, "bc": 700.0} | changed
+    assert Stage(monkeypatch, scores).named() == ["a", "ac"]
+
+
+def test_whoever_leads_beside_another_effect_has_been_judged_again(monkeypatch):
+    scores = {"a": 500.0, "ab": 560.0, "ac": 550.0, "ad": 490.0}
+    stage = Stage(monkeypatch, scores, {"ab": 540.0, "ac": 570.0})
+    assert stage.named() == ["a", "ac"]
+    assert stage.asked == ["ab", "ac"]
+    stage = Stage(monkeypatch, {"a": 500.0, "ab": 505.0, "ad": 490.0}, {"ab": 540.0})
+    assert stage.named() == ["a", "ab"]  # too weak for a name before
