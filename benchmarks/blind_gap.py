@@ -37,6 +37,7 @@ from btr_mjx.gap.identify import name_missing
 from btr_mjx.gap.recordings import load
 from btr_mjx.gap.saved import as_result
 from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import nearest
 from btr_mjx.progress import note, progress
 
 MIXED = ("hexapod", "hexapod", "hexapod", "quadruped", "arm", "pendulum")
@@ -172,32 +173,34 @@ def consult(config: Config, files: Files, bench: Bench | None) -> None:
                 values = scores.true_values(model, one, [p.name for p in candidate.parameters])
                 added.append((candidate, np.array(values)))
         if len(added) == len(missing):
-            whole = _gain(bench, added)
-            gains = [
-                whole - (_gain(bench, [a for a in added if a is not one]) if len(added) > 1 else 0.0) for one in added
-            ]
+            gains = _gains(bench, added)
     elif missing:
         gains = [float(truth["visible"])]
     write_json(files.oracle, {"gains": gains})
 
 
-def _gain(bench: Bench, added: list[Any]) -> float:
-    """Fall of the loss on both sides of the split with some effects at given values.
+def _gains(bench: Bench, added: list[Any]) -> list[float]:
+    """What each of some effects brings at given values, beside the others: fall of the loss on both sides of the split.
 
-    Starting states suit the hypothesis, and the believed model's suit that.
+    With and without it every window has the starting states, of all that suit one of them, that suit it best.
     """
-    hypothesis = bench.base
-    for candidate, values in added:
-        hypothesis = hypothesis.with_effect(candidate, values)
-    total = 0.0
+    several = [added, *([a for a in added if a is not one] for one in added)]
+    hypotheses = []
+    for some in several:
+        hypothesis = bench.base
+        for candidate, values in some:
+            hypothesis = hypothesis.with_effect(candidate, values)
+        hypotheses.append(hypothesis)
+    anew = any(candidate.name in bench.delicate for candidate, _ in added)
+    losses = np.zeros(len(several))
     for side, free in ((bench.fit, bench.free), (bench.test, bench.nuisance)):
-        anew = any(candidate.name in bench.delicate for candidate, _ in added)
-        around = [side.recentred(world) for world in (bench.base, hypothesis)]
+        centres = [side.recentred(hypothesis) for hypothesis in hypotheses]
         if anew:
-            around = [own.redirected(world) for own, world in zip(around, (bench.base, hypothesis), strict=True)]
-        before, after = (free(own).profile(own.windows.residual, bench.cut).loss for own in around)
-        total += float(before - after) / bench.dispersion
-    return total
+            centres += [own.redirected(h) for own, h in zip(centres, hypotheses, strict=True)]
+        for i, hypothesis in enumerate(hypotheses):
+            own = nearest([centre.based(hypothesis) for centre in centres])
+            losses[i] += free(own).profile(own.windows.residual, bench.cut).loss
+    return [float(without - losses[0]) / bench.dispersion for without in losses[1:]]
 
 
 def work(config: Config, files: Files) -> None:
@@ -289,7 +292,8 @@ def show(numbers: Mapping[str, Any], rows: list[dict[str, Any]]) -> None:
             f"{name:32}{value:>12}{bar['bar']:>12}  {'' if bar['met'] is None else 'met' if bar['met'] else 'NOT MET'}"
         )
     shares = ("right_or_lag_for_delay", "right_of_all_effects", "false_names", "outside_flagged")
-    for name in ("cases", "detectable", "undetectable_share", *shares):
+    pairs = ("pairs_detectable", "pairs_or_lag_for_delay")
+    for name in ("cases", "detectable", "undetectable_share", *shares, *pairs):
         value = numbers[name]
         print(f"{name:32}{'-' if value is None else format(value, '.4g'):>12}")
     print(f"\n{'hidden':24}{'said':24}{'cases':>6}")

@@ -160,7 +160,10 @@ def judge(model: mujoco.MjModel, case: Case) -> dict[str, Any]:
     if hidden:
         found = [[n for n in named if same_effect(model, h, n)] for h in hidden]
         row["right"] = all(found) if len(hidden) > 1 else bool(named) and same_effect(model, hidden[0], named[0])
-        row["right_or_twin"] = row["right"] or (len(hidden) == 1 and bool(named) and _twins(model, hidden[0], named[0]))
+        said_first = named if len(hidden) > 1 else named[:1]
+        row["right_or_twin"] = all(
+            any(same_effect(model, h, n) or _twins(model, h, n) for n in said_first) for h in hidden
+        )
         close = [*named, *answer["equivalent"]]
         row["in_set"] = answer["verdict"] == "effect" and all(
             any(same_effect(model, h, c) for c in close) for h in hidden
@@ -216,6 +219,7 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "gap_closed_where_seen": float(np.median(seen_gaps)) if seen_gaps else None,
         "pairs_detectable": sum(r["detectable"] for r in pairs),
         "pairs_both_found": _share([r for r in pairs if r["detectable"]], lambda r: r["right"]),
+        "pairs_or_lag_for_delay": _share([r for r in pairs if r["detectable"]], lambda r: r["right_or_twin"]),
         "steps_median": float(np.median([r["steps"] for r in rows])) if rows else None,
         "steps_largest": max((r["steps"] for r in rows), default=None),
         "seconds_median": float(np.median([r["seconds"] for r in rows])) if rows else None,

@@ -10,8 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gap_arm import dataset
 
+from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.hidden_robots import case_robot
+from btr_mjx.gap.search import Bench, Options
 
 FOLDER = Path(__file__).parent.parent / "benchmarks"
 DOG, ARM = case_robot("quadruped").model, case_robot("arm").model
@@ -159,6 +162,45 @@ def test_a_lag_for_a_delay_of_the_same_motor_is_counted_apart(scores: ModuleType
     numbers = scores.summary([scores.judge(DOG, c) for c in cases])
     assert numbers["right_kind_and_place"] == 0.25
     assert numbers["right_or_lag_for_delay"] == 0.5
+
+
+def test_in_pairs_a_lag_for_a_delay_is_counted_apart_as_well(scores: ModuleType) -> None:
+    knee = "actuator:fl_knee"
+    two = [effect("actuator_delay", knee, delay=1e-3), effect("armature", "all", armature=1.0)]
+    lag, delay, heavy = (
+        said("actuator_lag", knee, time_constant=1e-3),
+        said("actuator_delay", knee, delay=1e-3),
+        said("armature", "all", armature=1.0),
+    )
+    answers = ([heavy, lag], [heavy, delay], [heavy], [lag, delay])
+    numbers = scores.summary([scores.judge(DOG, case(two, named)) for named in answers])
+    assert numbers["pairs_both_found"] == 0.25
+    assert numbers["pairs_or_lag_for_delay"] == 0.5
+
+
+def test_what_is_hidden_gains_what_it_takes_from_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Against windows judged one hypothesis at a time; what is not there gains nothing beside it."""
+    monkeypatch.syspath_prepend(str(FOLDER))
+    import blind_gap
+
+    def damped(model):
+        model.dof_damping[1] += 0.1
+
+    library = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "armature"))
+    bench = Bench(dataset(damped, seed=4, fit=2, test=1), library, Options(steps=4e4, leaders=2, contact_leaders=0))
+    known = {candidate.name: candidate for candidate in bench.candidates}
+    true = known["viscous_damping@joint:elbow"], np.array([0.1])
+    absent = known["armature@joint:shoulder"], np.array([1e-9])
+    plain = 0.0
+    for side, free in ((bench.fit, bench.free), (bench.test, bench.nuisance)):
+        for sign, hypothesis in ((1.0, bench.base), (-1.0, bench.base.with_effect(*true))):
+            own = side.recentred(hypothesis)
+            plain += sign * free(own).profile(own.windows.residual, bench.cut).loss / bench.dispersion
+    assert plain > 100
+    assert blind_gap._gains(bench, [true])[0] == pytest.approx(plain, rel=0.05)
+    gains = blind_gap._gains(bench, [true, absent])
+    assert gains[0] == pytest.approx(plain, rel=0.05)
+    assert gains[1] == pytest.approx(0.0, abs=0.1)
 
 
 def test_margins(scores: ModuleType) -> None:
