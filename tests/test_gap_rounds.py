@@ -6,7 +6,7 @@ import pytest
 
 from btr_mjx.gap import rounds
 from btr_mjx.gap.outcome import equivalent
-from btr_mjx.gap.rounds import acceptable
+from btr_mjx.gap.rounds import acceptable, accepted
 
 
 def as_judged(name, score):
@@ -126,3 +126,40 @@ def test_whoever_leads_beside_another_effect_has_been_judged_again(monkeypatch):
     assert stage.asked == ["ab", "ac"]
     stage = Stage(monkeypatch, {"a": 500.0, "ab": 505.0, "ad": 490.0}, {"ab": 540.0})
     assert stage.named() == ["a", "ab"]  # too weak for a name before
+
+
+@pytest.mark.parametrize(
+    ("names", "gain", "held_out", "expected"),
+    [
+        ("b", 20.0, 6.0, True),
+        ("b", 20.0, 2.0, False),  # not seen where it was not fitted
+        ("b", 9.0, 4.0, False),  # worth no more than its price
+        ("b", 900.0, 40.0, False),  # too little held out beside what was fitted
+        ("b", 5000.0, 150.0, True),  # little beside that, but certain: a limit that few recordings reach
+        ("m", 80.0, 20.0, False),  # contacts are a matter of chance
+        ("m", 100.0, 20.0, True),
+        ("ab", 30.0, 10.0, True),
+        ("ab", 16.0, 10.0, False),  # enough for a first effect
+        ("am", 100.0, 20.0, False),
+        ("am", 110.0, 40.0, True),
+        ("mb", 60.0, 20.0, False),  # less than 2 % of a first effect that moves contacts
+        ("mb", 80.0, 20.0, True),
+    ],
+)
+def test_what_may_be_called_by_name(names, gain, held_out, expected):
+    """Beside an effect of 4000; a number costs 10."""
+    effects = [
+        (SimpleNamespace(name=name, null=[0.0], parameters=[SimpleNamespace(tolerance=0.1)], place=SimpleNamespace(
+            members=()), effect=SimpleNamespace(name=name)), (1.0,)) for name in names
+    ]  # fmt: skip
+    given = SimpleNamespace(score=4000.0, gain=2500.0, held_out=1510.0) if len(names) > 1 else None
+    first = (given.score, given.gain, given.held_out) if given else (0.0, 0.0, 0.0)
+    judged = SimpleNamespace(
+        score=first[0] + gain + held_out - 10.0,
+        gain=first[1] + gain,
+        held_out=first[2] + held_out,
+        hypothesis=SimpleNamespace(effects=effects),
+    )
+    side = SimpleNamespace(windows=range(20))
+    bench = SimpleNamespace(delicate={"m"}, dispersion=1.0, fit=side, test=side, dataset=SimpleNamespace(tolerances={}))
+    assert accepted(bench, judged, given) is expected

@@ -22,7 +22,7 @@ SECOND_THRESHOLD = 25.0
 """What one more effect needs; what the first one's linearisation leaves must not count as a second one."""
 
 SECOND_CONTACT_THRESHOLD = 120.0
-"""The same of what moves contacts. The best such candidate beside an effect that was all that was missing, seen while
+"""The same of what moves contacts. The best such candidate beside an effect that was all that could be seen, met while
 this was settled, came to 85."""
 
 SECOND_SHARE = 0.02
