@@ -7,7 +7,7 @@ import pytest
 from gap_arm import dataset
 from test_gap_identify import QUICK, damped
 
-from btr_mjx.gap.confounds import Rest, confounds
+from btr_mjx.gap.confounds import Rest, closest, confounds
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.recordings import Believed
 from btr_mjx.gap.search import Bench, Judged
@@ -47,6 +47,23 @@ def test_no_nuisances_leave_the_plain_correlation(rng: np.random.Generator) -> N
     assert rest.alike(a, b[None])[0] == pytest.approx(plain)
     assert rest.alike(a, -3 * a[None])[0] == pytest.approx(1.0)
     assert rest.alike(a, -3 * a[None])[1] == pytest.approx(-1 / 3)
+
+
+def test_all_candidates_at_once_against_each_alone(rng: np.random.Generator) -> None:
+    """What the scanner's inner products say of a signature is what its columns do."""
+    bench, leader = damping_found((Believed("servo kp", ("actuator:shoulder/kp",), 10.0, 30.0),))
+    weights = rng.uniform(0.2, 1.0, len(bench.fit.windows))
+    signature, free = leader.refined.columns[-1], bench.free(bench.fit)
+    gram = bench.scanner.left(signature, weights, free.precision)
+    rest, checked = Rest(free.columns, free.precision, weights), 0
+    for index, span in enumerate(bench.scanner.spans):
+        correlation, factors = rest.alike(signature, bench.scanner.screened.signature(index))
+        own, values = closest(gram[np.ix_([*span, len(gram) - 1], [*span, len(gram) - 1])])
+        assert own == pytest.approx(correlation, abs=1e-3)
+        if correlation > 0.1:
+            np.testing.assert_allclose(values, factors, rtol=0.01, atol=0.01 * np.abs(factors).max())
+            checked += 1
+    assert checked > 2
 
 
 def damping_found(believed: tuple[Believed, ...]) -> tuple[Bench, Judged]:

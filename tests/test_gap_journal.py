@@ -1,5 +1,6 @@
 """The journal: answers go back to the same questions only; a search that was killed ends as one that was not."""
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from gap_arm import arm, command, dataset
 from test_gap_identify import LIBRARY, QUICK, damped
 
 from btr_mjx.errors import Interrupted
+from btr_mjx.gap.abreast import abreast
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
 from btr_mjx.gap.identify import identify
 from btr_mjx.gap.journal import Journal
@@ -65,15 +67,27 @@ def test_answers_of_other_code_are_not_given(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "jobs", [other_model, other_command, lambda: [(World.of(arm()), stretch(1))]], ids=["model", "command", "start"]
 )
-def test_another_question_throws_the_rest_away(tmp_path: Path, jobs) -> None:
-    journal = Journal(tmp_path)
+def test_another_question_is_not_given_the_answer(tmp_path: Path, jobs) -> None:
     same = [(World.of(arm()), stretch())]
-    for _ in range(3):
-        simulate(same, counter=journal)
+    simulate(same, counter=Journal(tmp_path))
     again = Journal(tmp_path)
-    simulate(same, counter=again)
     np.testing.assert_array_equal(simulate(jobs(), counter=again)[0], simulate(jobs())[0])
     assert len(list(tmp_path.glob("*.npz"))) == 2
+
+
+def test_threads_may_ask_in_any_order(tmp_path: Path) -> None:
+    """The same answers and the same count of steps, though those that ask first another time are others."""
+    questions = [[(World.of(arm()), stretch(seed))] for seed in range(6)]
+    first = Journal(tmp_path)
+    states = abreast([partial(simulate, jobs, counter=first) for jobs in questions])
+    again = Journal(tmp_path)
+    back = abreast([partial(simulate, jobs, counter=again) for jobs in reversed(questions)])
+    for ours, theirs in zip(states, reversed(back), strict=True):
+        np.testing.assert_array_equal(ours[0], theirs[0])
+    plain = Counter()
+    for jobs in questions:
+        simulate(jobs, counter=plain)
+    assert first.steps == again.steps == plain.steps
 
 
 def test_a_damaged_answer_is_simulated_again(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Which candidates are looked at closely, and from where."""
 
 import copy
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 
 from btr_mjx.gap.effect import candidates
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.leaders import contact_scan, pick
+from btr_mjx.gap.leaders import contact_scan, pick, with_contacts
 from btr_mjx.gap.scales import Scales
 from btr_mjx.gap.scanner import Lead
 from btr_mjx.gap.score import robust_gain
@@ -96,3 +97,22 @@ def test_a_walk_ends_where_a_parabola_peaks(peak: float, steep: float, height: f
 def test_a_walk_that_still_climbs_ends_at_its_end() -> None:
     assert vertex({1.0: 3.0, 1.5: 7.0, 2.25: 9.0}) == 2.25
     assert vertex({1.0: 3.0}) == 1.0
+
+
+def test_a_scan_of_contacts_adds_the_best_few_and_more_starts() -> None:
+    a, b, c, d = (SimpleNamespace(name=name) for name in "abcd")
+    tries = [(a, [np.array([1.0])])]
+    found = [
+        (9.0, b, np.array([2.0])),
+        (8.0, c, np.array([3.0])),
+        (7.0, a, np.array([4.0])),
+        (-1.0, d, np.array([5.0])),
+    ]
+    out = {one.name: [float(v[0]) for v in values] for one, values in with_contacts(tries, found, 1)}
+    assert out == {"a": [1.0, 4.0], "b": [2.0]}
+    assert [one.name for one, _ in with_contacts(tries, found, 9)] == [
+        "a",
+        "b",
+        "c",
+    ]  # what is worse than nothing never
+    assert [len(values) for _, values in tries] == [1]

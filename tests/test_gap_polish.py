@@ -139,6 +139,35 @@ def test_one_more_effect_is_compared_with_what_was_found(bench: Bench) -> None:
     assert min(falls) > 10
 
 
+def test_a_size_that_is_off_is_mended_on_all_windows() -> None:
+    """From two thirds and from four thirds of it to where a scan of all sizes is best."""
+
+    def turned(model):
+        model.body_quat[2] = [np.cos(0.01), 0.0, np.sin(0.01), 0.0]
+
+    own = Bench(dataset(turned, seed=4, fit=3, test=1), LIBRARY, Options(steps=4e4, leaders=2, contact_leaders=0))
+    elbow = next(c for c in own.candidates if c.name == "joint_offset@joint:elbow")
+    own.delicate = {elbow.name}
+
+    def judged(size):
+        hypothesis = own.base.with_effect(elbow, [size])
+        side = own.fit.recentred(hypothesis)
+        return own.fall(reference, own.free(side).profile(side.windows.residual, own.cut))
+
+    reference = own.free(own.fit).profile(own.fit.windows.residual, own.cut)
+    sizes = np.linspace(-0.04, 0.04, 41)
+    best = sizes[int(np.argmax([judged(size) for size in sizes]))]
+    assert abs(best) > 0.01
+    polish = Polisher(own)
+    for start in (0.67 * best, 1.33 * best):
+        hypothesis = own.base.with_effect(elbow, [start])
+        found, side = polish._sized(hypothesis, own.fit.recentred(hypothesis), reference)
+        assert found.effects[0][1][0] == pytest.approx(best, rel=0.15)  # the time step is not looked at again
+        np.testing.assert_allclose(side.windows.residuals([found])[0], side.windows.residual, atol=1e-9)
+    own.delicate = set()
+    assert polish._sized(hypothesis, own.fit, reference) == (hypothesis, own.fit)
+
+
 def test_an_effect_beside_another_ends_where_the_search_ends(bench: Bench) -> None:
     polish = Polisher(bench)
     first = polish(bench.find())[0]

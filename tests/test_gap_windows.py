@@ -17,6 +17,7 @@ from btr_mjx.gap.score import project
 from btr_mjx.gap.sensitivity import force_signatures, signatures
 from btr_mjx.gap.smoothing import Span, Track, best_span, smooth
 from btr_mjx.gap.starting import recentred, redirected
+from btr_mjx.gap.time_steps import fine_step
 from btr_mjx.gap.transitions import strangeness, transitions
 from btr_mjx.gap.windows import Windows
 from btr_mjx.gap.worlds import World, simulate
@@ -62,7 +63,7 @@ def test_long_windows_hold_no_error_of_the_time_step(windows):
     """The residual belongs to steps of 1.25e-4 s, although nothing finer than 5e-4 s is simulated."""
     long = Windows(windows.data, np.array([0, 1]), np.array([10, 20]), 230)
     long.linearise(World.of)
-    assert long.fine_step == long.dt / 4
+    assert fine_step(long) == long.dt / 4
     start = long.stretch(np.arange(2), long.qpos, long.qvel, long.since)
     exact = simulate([(World.of(long.groups[0][0]), start)], timestep=1.25e-4)[0]
     left = long.residual - project(long.whiten(exact), long.basis)

@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.integrate import solve_ivp
 from btr_mjx.errors import InputError
 from btr_mjx.gap.activation import activations
 from btr_mjx.gap.commands import Command
+from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.laws import Rows
 from btr_mjx.gap.tangent import between, difference, integrate
 from btr_mjx.gap.worlds import Counter, Stretch, World, fields_of, simulate
@@ -221,6 +223,40 @@ def test_derived_constants_follow_an_edit(model: mujoco.MjModel) -> None:
     changed = fields_of(world, model)
     assert {"body_mass", "body_subtreemass", "dof_M0", "body_invweight0", "dof_invweight0"} <= set(changed)
     assert "dof_damping" not in changed
+
+
+def test_a_world_is_settled_whenever_it_may_have_been_edited(model: mujoco.MjModel) -> None:
+    def derived(mass: float) -> np.ndarray:
+        own = copy.copy(model)
+        own.body_mass[3] += mass
+        mujoco.mj_setConst(own, mujoco.MjData(own))
+        return own.dof_M0.copy()
+
+    world = World.of(model)
+    for mass in (1.0, 2.0):
+        world.model.body_mass[3] = model.body_mass[3] + mass
+        np.testing.assert_allclose(world.settle(mujoco.MjData(model)).dof_M0, derived(mass))
+    world.kept = True
+    world.model.body_mass[3] += 1.0
+    np.testing.assert_allclose(world.settle().dof_M0, derived(2.0))  # a promise was broken: nothing is done again
+
+
+def test_an_edit_between_two_simulations_counts(model: mujoco.MjModel) -> None:
+    world, windows = World.of(model), stretch(model, 13)
+    simulate([(world, windows)])
+    world.model.body_mass[3] += 1.0
+    fresh = World.of(model)
+    fresh.model.body_mass[3] += 1.0
+    np.testing.assert_array_equal(simulate([(world, windows)])[0], simulate([(fresh, windows)])[0])
+
+
+def test_a_hypothesis_makes_its_world_once(model: mujoco.MjModel) -> None:
+    hypothesis, other = Hypothesis((), ()), copy.copy(model)
+    assert hypothesis(model) is hypothesis(model)
+    assert hypothesis(model).kept
+    assert hypothesis(other) is not hypothesis(model)
+    assert replace(hypothesis)(model) is not hypothesis(model)
+    assert replace(hypothesis) == hypothesis
 
 
 def test_a_native_delay_is_a_shift_of_the_command() -> None:

@@ -5,13 +5,16 @@ seem to leave is what may be left by chance, for these data and this model.
 """
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
+from btr_mjx.gap.abreast import abreast
 from btr_mjx.gap.calibration import tolerance_draws
 from btr_mjx.gap.diagnosis import DisagreementMap
 from btr_mjx.gap.disagreement import disagreement, place_names
 from btr_mjx.gap.forces import Circumstances, Description, ForceFit, Forces, circumstances, describe, lack_of_fit
+from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.leftover import Feature, Joints, Leftover, features
 from btr_mjx.gap.nulls import null_residual
 from btr_mjx.gap.score import bounded
@@ -49,8 +52,13 @@ class Check:
     def __init__(self, bench: Bench, rng: np.random.Generator) -> None:
         self.bench = bench
         self.sides = (bench.fit, bench.test)
-        self.around: list[Circumstances] = [circumstances(side.windows, bench.base) for side in self.sides]
-        self.fits = [ForceFit(side.windows, around) for side, around in zip(self.sides, self.around, strict=True)]
+
+        def forces(windows: Windows) -> tuple[Circumstances, ForceFit]:
+            around = circumstances(windows, bench.base)
+            return around, ForceFit(windows, around)
+
+        found = abreast([partial(forces, side.windows) for side in self.sides])
+        self.around, self.fits = [around for around, _ in found], [fit for _, fit in found]
         self._anew: dict[int, tuple[Windows, ForceFit]] = {}
         known = features(bench.dataset.model, self.fits[0], self.around[0])
         self._joints = Joints(self.fits[0], bench.nuisance(bench.fit), known)
@@ -109,21 +117,26 @@ class Check:
         """
         bench = self.bench
         draws = tolerance_draws(bench.base, bench.candidates, bench.dataset.tolerances, rng, _NULLS)
-        found: list[list[Forces]] = [[] for _ in draws]
-        left, held_out, spared = [], [], []
-        for i, side in enumerate(self.sides):
-            windows, nuisance = side.windows, bench.nuisance(side)
-            for own, draw in zip(found, draws, strict=True):
-                there = null_residual(windows, bench.base, draw, rng)
-                absorbed = nuisance.absorbed(there, bench.cut)
-                own.append(self.fits[i](absorbed))
-                if i == 0:
-                    left.append(self._joints(there, bench.cut))
-                else:
-                    held_out.append((absorbed**2).sum(1))
-                    spared.append(_spared(held_out[-1], own[-1], windows.freedom))
-        fits = [lack_of_fit(own) for own in found]
-        return (float(np.mean(fits)), float(np.std(fits))), left, np.stack(held_out), float(np.mean(spared))
+        rngs = rng.spawn(len(self.sides))
+        nulls = abreast([partial(self._of_nulls, i, draws, own) for i, own in enumerate(rngs)])
+        left = [found for _, found, _ in nulls[0] if found is not None]
+        held_out = np.stack([chi2 for _, _, chi2 in nulls[1]])
+        spared = [_spared(chi2, own, bench.test.windows.freedom) for own, _, chi2 in nulls[1]]
+        fits = [lack_of_fit([fit[0], test[0]]) for fit, test in zip(*nulls, strict=True)]
+        return (float(np.mean(fits)), float(np.std(fits))), left, held_out, float(np.mean(spared))
+
+    def _of_nulls(
+        self, i: int, draws: Sequence[Hypothesis], rng: np.random.Generator
+    ) -> list[tuple[Forces, Leftover | None, np.ndarray]]:
+        """Unknown forces, what is left at single joints where windows are fitted, and chi^2 (W,) of nulls on a side."""
+        windows, nuisance = self.sides[i].windows, self.bench.nuisance(self.sides[i])
+        out = []
+        for draw in draws:
+            there = null_residual(windows, self.bench.base, draw, rng)
+            absorbed = nuisance.absorbed(there, self.bench.cut)
+            left = self._joints(there, self.bench.cut) if i == 0 else None
+            out.append((self.fits[i](absorbed), left, (absorbed**2).sum(1)))
+        return out
 
     def surprise(self, judged: Judged | None) -> float:
         """Lack of fit over both sides, in standard deviations beyond that of a null."""

@@ -35,7 +35,8 @@ def confounds(bench: Bench, base: Hypothesis, named: Sequence[Judged]) -> tuple[
         return ()
     final = named[-1]
     nuisance = bench.free(bench.fit)
-    rest = Rest(nuisance.columns, nuisance.precision, weight(final.refined.chi2, bench.cut))
+    weights = weight(final.refined.chi2, bench.cut)
+    rest = Rest(nuisance.columns, nuisance.precision, weights)
     taken = {candidate.effect.name for candidate, _ in final.hypothesis.effects}
     first = len(final.refined.values) - final.hypothesis.numbers
     out: list[Confound] = []
@@ -43,7 +44,7 @@ def confounds(bench: Bench, base: Hypothesis, named: Sequence[Judged]) -> tuple[
         # What the effect does as it is: its size times the derivative; shape numbers stay as they were found.
         signature = final.refined.columns[first] * (values[0] - candidate.null[0])
         first += len(values)
-        found = [*_believed(bench, final, rest, signature), *_candidates(bench, rest, signature, taken)]
+        found = [*_believed(bench, final, rest, signature), *_candidates(bench, weights, signature, taken)]
         found = sorted((f for f in found if f[1] >= LEAST), key=lambda f: -f[1])
         kinds: dict[str, Confound] = {}
         for name, correlation, text in found:
@@ -76,29 +77,38 @@ class Rest:
         return flat @ flat.T - across @ np.linalg.solve(self._block, across.T)
 
     def alike(self, signature: np.ndarray, others: np.ndarray) -> tuple[float, np.ndarray]:
-        """How well columns (p, W, R) stand in for a signature (W, R).
+        """How well columns (p, W, R) stand in for a signature (W, R), see `closest`."""
+        return closest(self.gram(np.concatenate([others, signature[None]])))
 
-        Returns:
-          The multiple correlation, in [0, 1], and the factors (p,) of the columns that come closest.
-        """
-        gram = self.gram(np.concatenate([others, signature[None]]))
-        own, moment, energy = gram[:-1, :-1], gram[:-1, -1], gram[-1, -1]
-        scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
-        factors = np.linalg.lstsq(own / np.outer(scale, scale), moment / scale, rcond=1e-8)[0] / scale
-        explained = float(moment @ factors) / energy if energy > 0 else 0.0
-        return float(np.sqrt(np.clip(explained, 0.0, 1.0))), factors
+
+def closest(gram: np.ndarray) -> tuple[float, np.ndarray]:
+    """How well some columns stand in for another one.
+
+    Args:
+      gram: (p + 1, p + 1) inner products, the one that is stood in for last.
+
+    Returns:
+      The multiple correlation, in [0, 1], and the factors (p,) of the columns that come closest.
+    """
+    own, moment, energy = gram[:-1, :-1], gram[:-1, -1], gram[-1, -1]
+    scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
+    factors = np.linalg.lstsq(own / np.outer(scale, scale), moment / scale, rcond=1e-8)[0] / scale
+    explained = float(moment @ factors) / energy if energy > 0 else 0.0
+    return float(np.sqrt(np.clip(explained, 0.0, 1.0))), factors
 
 
 def _candidates(
-    bench: Bench, rest: Rest, signature: np.ndarray, taken: Collection[str]
+    bench: Bench, weights: np.ndarray, signature: np.ndarray, taken: Collection[str]
 ) -> list[tuple[str, float, str]]:
     """Name, correlation and words of candidates of other kinds that may take the size at which they stand in."""
-    screened, out = bench.scanner.screened, []
-    for index, entry in enumerate(screened.entries):
+    scanner, out = bench.scanner, []
+    gram = scanner.left(signature, weights, bench.free(bench.fit).precision)
+    for entry, span in zip(scanner.screened.entries, scanner.spans, strict=True):
         candidate = entry.candidate
         if entry.probe or candidate.effect.name in taken:
             continue
-        correlation, factors = rest.alike(signature, screened.signature(index))
+        columns = np.append(span, len(gram) - 1)
+        correlation, factors = closest(gram[np.ix_(columns, columns)])
         first, change = candidate.parameters[0], float(factors[0] * entry.steps[0])
         if first.low <= first.null + change <= first.high:
             text = likeness(candidate.effect.name, candidate.place.label, change, correlation)

@@ -42,7 +42,7 @@ def bustle(data: Data, counter: Counter) -> list[np.ndarray]:
             batch.bind("act")[:] = act
         motors, constraints = batch.bind("qfrc_actuator"), batch.bind("qfrc_constraint")
         batch.forward()
-        counter.steps += len(track.time)
+        counter.add(len(track.time))
         touch = np.abs(constraints) > 0
         air = ~touch.any(1, keepdims=True)
         parts = np.square(np.nan_to_num(track.qvel)), np.nan_to_num(np.square(motors)), touch, air

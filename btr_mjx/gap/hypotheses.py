@@ -1,7 +1,7 @@
 """Hypotheses: values of what may be refitted and effects that are added, and the worlds they make."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -29,9 +29,17 @@ class Hypothesis:
     parameters: tuple[Believed, ...]
     believed: tuple[float, ...]
     effects: tuple[tuple[Candidate, tuple[float, ...]], ...] = ()
+    _worlds: dict[int, tuple[mujoco.MjModel, World]] = field(
+        default_factory=dict, init=False, repr=False, compare=False, hash=False
+    )
 
     def __call__(self, model: mujoco.MjModel) -> World:
-        """The world of a recording whose believed model is `model`."""
+        """The world of a recording whose believed model is `model`, made once: it must not be edited."""
+        if id(model) not in self._worlds:
+            self._worlds[id(model)] = model, self._world(model)
+        return self._worlds[id(model)][1]
+
+    def _world(self, model: mujoco.MjModel) -> World:
         world = World.of(model)
         for parameter, value in zip(self.parameters, self.believed, strict=True):
             parameter.write(world.model, value)
@@ -39,6 +47,7 @@ class Hypothesis:
             mujoco.mj_setConst(world.model, mujoco.MjData(world.model))
         for candidate, values in self.effects:
             candidate.apply(world, np.array(values))
+        world.kept = True
         return world
 
     def with_effect(self, candidate: Candidate, values: Sequence[float] | np.ndarray) -> "Hypothesis":

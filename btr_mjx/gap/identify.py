@@ -116,7 +116,7 @@ def name_missing(
     said = named if verdict == "effect" else []
     return Diagnosis(
         verdict=verdict,  # type: ignore[arg-type]
-        effects=named_effects(bench, said, rounds, rng),
+        effects=named_effects(bench, said, rounds, rng, settled=bench.dispersion > COARSE),
         ranking=ranking_of(rounds),
         equivalent=equivalent(rounds[0], bench.delicate) if rounds[0] and verdict == "effect" else (),
         gap=gap_of(bench, base, said[-1] if said else None, check.floor(said[-1] if said else None)),

@@ -1,11 +1,11 @@
 """A journal of what was simulated, so that a search that was killed goes on where it was, to the bit.
 
-A search is deterministic: with the same data it asks for the same simulations in the same order, and nearly all of its
-time goes into them. So nothing of the search itself is saved. Each answer of `worlds.simulate` is written to a file of
-its own; a search that begins again is given these answers instead of simulating, until they come to an end.
+A search is deterministic: with the same data it asks for the same simulations, and nearly all of its time goes into
+them. So nothing of the search itself is saved. Each answer of `worlds.simulate` is written to a file of its own; a
+search that begins again is given these answers instead of simulating.
 
-An answer is only given to the question that it was written for: the files carry a digest of worlds, starting states,
-commands and of this package's code. What follows the first one that does not fit is thrown away.
+An answer is only given to the question that it was written for: a file's name is a digest of worlds, starting states,
+commands and of this package's code. Threads may ask in any order.
 """
 
 import hashlib
@@ -40,52 +40,46 @@ class Journal(Counter):
           code: of effects that are not this package's; answers found with other code are not given.
         """
         super().__init__()
-        self._folder, self._report, self._calls, self._before = folder, report, 0, 0
+        self._folder, self._report = folder, report
         self._code = _code() + code
         folder.mkdir(parents=True, exist_ok=True)
+        mark = hashlib.sha256(self._code).hexdigest()
+        if not (folder / mark).is_file():
+            for path in folder.iterdir():
+                path.unlink()
+            (folder / mark).touch()
 
     def recall(self, jobs: Sequence[Job], timestep: float | None) -> list[np.ndarray] | None:
-        """The states that were simulated for this call; None where there are none."""
-        self._before = self.steps
-        path = self._file(self._calls)
+        """The states that were simulated for this question; None where there are none."""
+        path = self._file(jobs, timestep)
         if not path.is_file():
             return None
         try:
             saved = read_arrays(path, require_digest=True)
         except DamagedFile:
-            saved = {}
-        if saved.get("question", np.array("")).item() != _question(self._code, jobs, timestep):
-            self._forget()
             return None
-        self._done(int(saved["steps"]))
+        self.add(int(saved["steps"]))
         return [saved[f"states_{i}"] for i in range(len(jobs))]
 
-    def keep(self, jobs: Sequence[Job], timestep: float | None, states: Sequence[np.ndarray]) -> None:
-        """Write the states of this call."""
-        arrays = {f"states_{i}": own for i, own in enumerate(states)}
-        steps = self.steps - self._before
-        arrays |= {"question": np.array(_question(self._code, jobs, timestep)), "steps": np.array(steps)}
-        write_arrays(self._file(self._calls), arrays)
-        self._done(0)
+    def add(self, steps: int) -> None:
+        """Count steps, and tell of it."""
+        with self.lock:
+            self.steps += steps
+            if self._report is not None:
+                self._report(self.steps)
+
+    def keep(self, jobs: Sequence[Job], timestep: float | None, states: Sequence[np.ndarray], steps: int) -> None:
+        """Write the states of this question."""
+        arrays = {f"states_{i}": own for i, own in enumerate(states)} | {"steps": np.array(steps)}
+        write_arrays(self._file(jobs, timestep), arrays)
+        self.add(steps)
 
     def close(self) -> None:
         """Remove the files: the search has come to its end."""
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    def _done(self, steps: int) -> None:
-        self.steps += steps
-        self._calls += 1
-        if self._report is not None:
-            self._report(self.steps)
-
-    def _file(self, call: int) -> Path:
-        return self._folder / f"{call:06d}.npz"
-
-    def _forget(self) -> None:
-        """Remove the answers from this call on: they belong to another search."""
-        for path in self._folder.glob("*.npz"):
-            if path.name >= self._file(self._calls).name:
-                path.unlink()
+    def _file(self, jobs: Sequence[Job], timestep: float | None) -> Path:
+        return self._folder / f"{_question(self._code, jobs, timestep)}.npz"
 
 
 def _question(code: bytes, jobs: Sequence[Job], timestep: float | None) -> str:

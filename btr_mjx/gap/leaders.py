@@ -1,9 +1,11 @@
 """Which candidates of a linear scan are refined by true simulation, and from where."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
+from btr_mjx.gap.abreast import abreast
 from btr_mjx.gap.effect import Candidate
 from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.places import WORLD, Place
@@ -158,16 +160,42 @@ def judged_anew(found: Sequence[Try], start: Hypothesis, walks: Walks, strongest
         if row[1].place == WORLD and row[0] > needed - _ALL_WORSE and all(row is not own for own in worth)
     ]
     best = {candidate.name: (gain, candidate, values) for gain, candidate, values in found}
-    for _, candidate, values in worth:
-        first = candidate.parameters[0]
+
+    def judged(candidate: Candidate, values: np.ndarray) -> list[Try]:
+        first, rows = candidate.parameters[0], list[Try]()
         further = float(np.clip(first.null + _AGAIN * (values[0] - first.null), first.low, first.high))
         for value in dict.fromkeys((float(values[0]), further)):
             tried = np.array([value, *values[1:]])
-            row = walks.gain(start.with_effect(candidate, tried)), candidate, tried
-            best[candidate.name] = max(best[candidate.name], row, key=lambda r: r[0])
-            if row[0] < -_WORSE:
+            rows.append((walks.gain(start.with_effect(candidate, tried)), candidate, tried))
+            if rows[-1][0] < -_WORSE:
                 break  # with directions of its own a small part of the truth is no worse than nothing
+        return rows
+
+    for rows in abreast([partial(judged, candidate, values) for _, candidate, values in worth]):
+        name = rows[0][1].name
+        best[name] = max(best[name], *rows, key=lambda row: row[0])
     return sorted(best.values(), key=lambda row: -row[0])
+
+
+def with_contacts(
+    tries: Sequence[tuple[Candidate, list[np.ndarray]]], found: Sequence[Try], most: int
+) -> list[tuple[Candidate, list[np.ndarray]]]:
+    """Candidates with their starting values, and those that a scan of contacts adds.
+
+    Args:
+      tries: of the linear scan.
+      found: of the scan of contacts, best first.
+      most: so many more, at most.
+    """
+    out = {candidate.name: (candidate, list(values)) for candidate, values in tries}
+    added = 0
+    for gain, candidate, values in found:
+        known = candidate.name in out
+        if gain <= 0 or (added >= most and not known):
+            continue
+        added += not known
+        out.setdefault(candidate.name, (candidate, []))[1].append(values)
+    return list(out.values())
 
 
 def _within(a: Place, b: Place) -> bool:

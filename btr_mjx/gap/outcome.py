@@ -42,7 +42,11 @@ def equivalent(judged: Sequence[Judged], delicate: Collection[str] = ()) -> tupl
 
 
 def named_effects(
-    bench: Bench, named: Sequence[Judged], rounds: Sequence[Sequence[Judged]], rng: np.random.Generator
+    bench: Bench,
+    named: Sequence[Judged],
+    rounds: Sequence[Sequence[Judged]],
+    rng: np.random.Generator,
+    settled: bool = False,
 ) -> tuple[Named, ...]:
     """What is called by name.
 
@@ -51,11 +55,12 @@ def named_effects(
       named: what was found, each beside those before.
       rounds: judged candidates of every round, best first.
       rng: of the resampling behind intervals.
+      settled: numbers are those that were found, else those that suit what was held out as well.
     """
     if not named:
         return ()
     final = named[-1]
-    numbers = intervals(bench, final, rng)
+    numbers = intervals(bench, final, rng, settled)
     out, first, before = [], 0, None
     for i, (candidate, values) in enumerate(final.hypothesis.effects):
         parameters = {p.name: numbers[first + j] for j, p in enumerate(candidate.parameters)}

@@ -7,15 +7,18 @@ their size is walked over, because derivatives through a touchdown lead nowhere.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
+from btr_mjx.gap.abreast import abreast
 from btr_mjx.gap.effect import Candidate
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.refine import Refined, refine
 from btr_mjx.gap.score import Fit, robust_gain
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Judged, Side, nearest
+from btr_mjx.gap.walks import scaled, vertex
 
 _HOPELESS = -5.0
 """Where the best score is lower, no better starting states will make a name of it."""
@@ -39,7 +42,22 @@ _BESIDE = 100.0
 """The same of one that moves contacts; or a gain so large that it had alone, beside what moves none."""
 
 _LEAST = 5.0
-"""Gain after the walk of a leader, at least, to be judged again."""
+"""Gain after the walk of a leader beside what was found, at least, to be judged again."""
+
+_LIKELY = 25.0
+"""Gain that what moves contacts needs alone before its size is walked over."""
+
+_ENOUGH = 60.0
+"""Gain that it needs afterwards: with much less on the recordings to fit it will not come to the score of a name."""
+
+_SIZES = 0.75, 1.3
+"""Factors on its size at which what moves contacts is tried beside."""
+
+_MORE = 2
+"""Sizes that are tried after these, at most."""
+
+_NEAR = 0.03
+"""Part of a size by which a better one must differ from those that were tried."""
 
 
 class Polisher:
@@ -91,12 +109,20 @@ class Polisher:
             moving = [j for j in moving if max(j.score - already, self._alone(j, given)) >= _BESIDE]
             moving = [j for j in moving if j.name not in self._done]
         moving.sort(key=lambda j: -hopes[j.name])
-        walked = []
-        for j in moving[:_WALKS]:
-            floor = 0.0 if given is None else bench.walks.gain(given.hypothesis)
+        floor = 0.0 if given is None or not moving else bench.walks.gain(given.hypothesis)
+
+        def walked(j: Judged) -> Hypothesis | None:
             least = (-np.inf, floor + _LEAST) if j in close else (floor + _HOPE * rival, floor + _PROMISE * rival)
-            walked.append((j, bench.walks(j.hypothesis, *least)))
-        return [(j, j.hypothesis) for j in plain] + [(j, found) for j, found in walked if found is not None]
+            sure = given is None and j.gain >= _ENOUGH
+            if given is None and not sure:
+                least = max(least[0], _LIKELY), max(least[1], _ENOUGH)
+            found = bench.walks(j.hypothesis, *least)
+            # A walk sees some of the windows: what had enough in all of them is not given up for it.
+            return j.hypothesis if found is None and sure and j in close else found
+
+        tries = moving[:_WALKS]
+        ends = zip(tries, abreast([partial(walked, j) for j in tries]), strict=True)
+        return [(j, j.hypothesis) for j in plain] + [(j, found) for j, found in ends if found is not None]
 
     def _alone(self, judged: Judged, given: Judged | None) -> float:
         """Gain that what moves contacts had with directions of its own alone; -inf beside another that moves some."""
@@ -136,6 +162,8 @@ class Polisher:
             rival, *sides = self._shared([before, *hypotheses], known[i], anew)
             fits.append(other(rival).profile(rival.windows.residual, bench.cut))
             if i == 0:
+                sized = [self._sized(h, side, fits[0]) for h, side in zip(hypotheses, sides, strict=True)]
+                hypotheses, sides = [h for h, _ in sized], [side for _, side in sized]
                 first = [(side, self._refined(h, side, fits[0])) for h, side in zip(hypotheses, sides, strict=True)]
                 hypotheses = [h.replaced(r.values, bench.joint) for h, (_, r) in zip(hypotheses, first, strict=True)]
             else:
@@ -176,17 +204,55 @@ class Polisher:
           known: side that suits the first of them.
           anew: each goes on from what the others have found: what moves contacts needs more than one look.
         """
-        pool = [known]
+        pool, first = [known], True
         for h in hypotheses[1:]:
             start = nearest([side.based(h) for side in pool])
-            own = start.recentred(h)
-            pool.append(nearest([start, own, *([own.redirected(h)] if self._anew(h) else [])]))
+            # Rivals differ little: what the most hopeful one's directions and time step cost once serves the others.
+            moves = self._anew(h)
+            own = start.recentred(h, exact=first or not moves)
+            pool.append(nearest([start, own, *([own.redirected(h)] if moves and first else [])]))
+            first &= not moves
         out = []
         for i, h in enumerate(hypotheses):
             # Those before it were looked at already.
             side = nearest([pool[i], *(later.based(h) for later in pool[i + 1 :])])
             out.append(nearest([side, side.recentred(h, exact=False)]) if anew else side)
         return out
+
+    def _sized(self, hypothesis: Hypothesis, side: Side, reference: Fit) -> tuple[Hypothesis, Side]:
+        """What moves contacts at a better size, where a parabola through three of them peaks, and the side for that.
+
+        Args:
+          hypothesis: any; others stay as they are.
+          side: that suits it.
+          reference: fit of what it is compared with.
+        """
+        if not self._anew(hypothesis):
+            return hypothesis, side
+        bench, tried = self.bench, {1.0: (hypothesis, side)}
+
+        def gains() -> dict[float, float]:
+            fits = {f: bench.free(own).profile(own.windows.residual, bench.cut) for f, (_, own) in tried.items()}
+            return {factor: bench.fall(reference, fit) for factor, fit in fits.items()}
+
+        def attempt(factor: float) -> None:
+            own = scaled(hypothesis, factor)
+            tried[factor] = own, side.based(own).recentred(own, exact=False)
+
+        for factor in _SIZES:
+            attempt(factor)
+        for _ in range(_MORE):
+            found = gains()
+            best = max(found, key=lambda factor: found[factor])
+            # On the way up there is nothing to draw a parabola through yet.
+            there = (
+                best * _SIZES[0] if best == min(found) else best * _SIZES[1] if best == max(found) else vertex(found)
+            )
+            if min(abs(there / factor - 1.0) for factor in found) < _NEAR:
+                break
+            attempt(there)
+        found = gains()
+        return tried[max(found, key=lambda factor: found[factor])]
 
     def _refined(self, hypothesis: Hypothesis, side: Side, reference: Fit) -> Refined:
         bench = self.bench

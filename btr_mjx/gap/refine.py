@@ -185,10 +185,10 @@ def _search(
     columns = np.zeros((len(values), *residual.shape), np.float32)
     enough = _STANDSTILL * max(1.0, cut / residual.shape[1])
     for _ in range(iterations):
-        nudges = _nudges(unknowns, values)
+        steps = nudges(unknowns, values)
         now = Refined(values, loss, residual, columns, chi2)
-        found = yield [values + nudge for nudge in nudges], now
-        columns = np.stack([(e - residual) / nudge.sum() for e, nudge in zip(found, nudges, strict=True)])
+        found = yield [values + step for step in steps], now
+        columns = np.stack([(e - residual) / step.sum() for e, step in zip(found, steps, strict=True)])
         data = nuisance.evidence(residual, columns)
         size = len(values)
         ends = np.full(data.n - size, np.inf)
@@ -235,7 +235,7 @@ def _prior(unknowns: Unknowns, values: np.ndarray) -> float:
     return float((unknowns.precision * (values - unknowns.centre) ** 2).sum())
 
 
-def _nudges(unknowns: Unknowns, values: np.ndarray) -> list[np.ndarray]:
+def nudges(unknowns: Unknowns, values: np.ndarray) -> list[np.ndarray]:
     """One finite-difference step per unknown, away from a bound that is too close."""
     size = unknowns.step * np.clip(0.25 * np.abs(values) / unknowns.step, 0.25, 1.0)
     size = np.where(values + size <= unknowns.high, size, -size)

@@ -28,6 +28,11 @@ class Scanner:
     """Linear scans of all candidates on residuals of one set of windows.
 
     Signatures of groups are formed once; every scan is arithmetic on inner products.
+
+    Attributes:
+      screened: entries and their signatures.
+      nuisance: what is fitted along.
+      spans: per entry the numbers of its columns.
     """
 
     def __init__(self, screened: Screen, nuisance: Nuisance) -> None:
@@ -36,7 +41,7 @@ class Scanner:
         for entry in screened.entries:
             spans.append(np.arange(count, count + len(entry.steps)))
             count += len(entry.steps)
-        self._spans = spans
+        self.spans = spans
         columns = np.concatenate([screened.signature(i) for i in range(len(screened.entries))])
         self._columns = np.ascontiguousarray(np.moveaxis(columns, 0, 1))  # (W, C, R)
         own = self._columns @ np.swapaxes(self._columns, 1, 2)
@@ -50,6 +55,31 @@ class Scanner:
         own = (self._columns @ vector)[..., 0]
         moment = np.concatenate([own, (self.nuisance.columns @ vector)[..., 0]], 1)
         return Evidence((residual**2).sum(1), moment.astype(float), self._gram)
+
+    def left(self, signature: np.ndarray, weights: np.ndarray, precision: np.ndarray) -> np.ndarray:
+        """Inner products of what nuisances leave of all candidates' columns, and of a signature.
+
+        Args:
+          signature: (W, R).
+          weights: (W,) of the windows.
+          precision: (N,) of the nuisances' priors; those beyond are left out.
+
+        Returns:
+          (C + 1, C + 1), the signature last.
+        """
+        data, c = self.evidence(signature), self._count
+        moment = weights @ data.moment
+        gram = np.block(
+            [
+                [np.tensordot(weights, data.gram, 1), moment[:, None]],
+                [moment[None], np.array([[weights @ data.energy]])],
+            ]
+        )
+        own, rest = np.append(np.arange(c), len(gram) - 1), c + np.arange(len(precision))
+        block = gram[np.ix_(rest, rest)] + np.diag(precision)
+        across = gram[np.ix_(rest, own)]
+        block += 1e-12 * np.trace(block) * np.eye(len(block))
+        return gram[np.ix_(own, own)] - across.T @ np.linalg.solve(block, across)
 
     def __call__(
         self,
@@ -79,13 +109,13 @@ class Scanner:
             nuisance = np.arange(self._count, data.n)
             precision = np.concatenate([precision, np.zeros(len(extra))])
         alone = fit(data.take(nuisance), precision, cut)
-        gains, _ = scan(data, self._spans, nuisance, precision, weight(alone.chi2, cut))
-        open_gains, _ = scan(data, self._spans, nuisance, precision, np.sqrt(weight(alone.chi2, cut)))
+        gains, _ = scan(data, self.spans, nuisance, precision, weight(alone.chi2, cut))
+        open_gains, _ = scan(data, self.spans, nuisance, precision, np.sqrt(weight(alone.chi2, cut)))
         half = thorough // 2
         chosen = dict.fromkeys([*np.argsort(-gains)[:half].tolist(), *np.argsort(-open_gains)[:half].tolist()])
         leads = []
         for index in chosen:
-            span = self._spans[index]
+            span = self.spans[index]
             low, high = self._bounds(index)
             ends = np.full(len(nuisance), np.inf)
             own = fit(

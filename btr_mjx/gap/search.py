@@ -7,14 +7,16 @@ searches for one more effect beside those that were found.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from btr_mjx.errors import InputError
+from btr_mjx.gap.abreast import abreast
 from btr_mjx.gap.calibration import stubborn, tolerance_draws
-from btr_mjx.gap.effect import Candidate, Effect, candidates
+from btr_mjx.gap.effect import Effect, candidates
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
-from btr_mjx.gap.leaders import contact_scan, judged_anew, pick, starts
+from btr_mjx.gap.leaders import contact_scan, judged_anew, pick, starts, with_contacts
 from btr_mjx.gap.noise import estimate_noise
 from btr_mjx.gap.planning import Survey, plan, survey
 from btr_mjx.gap.prepared import prepare, scales_of, track_of
@@ -100,28 +102,31 @@ class Bench:
         self.fit, self.test = (Side(Windows(*own, self.counter), Nuisance.nothing(0, 0)) for own in (fit, test))
         self._start(note)
         note(f"signatures of {len(entries)} candidates")
-        windows = self.fit.windows
-        screened = screen(windows, self.base, entries, self.single)
         rng = np.random.default_rng(0)
         draws = tolerance_draws(self.base, self.candidates, dataset.tolerances, rng, _DRAWS)
-        screened, nuisance = self._softened(windows, self.base, screened, draws)
-        self.fit = Side(windows, nuisance)
-        self.scanner = Scanner(screened, nuisance)
         known = [e for e in entries if not e.probe and tolerance_of(e.candidate, dataset.tolerances) > 0]
-        own = screen(self.test.windows, self.base, known, self.single)
         bare = Hypothesis((), ())  # what may be refitted is refitted on the other side only
-        self.test = Side(self.test.windows, self._softened(self.test.windows, bare, own, draws)[1])
+        sides = ((self.fit.windows, entries, self.base), (self.test.windows, known, bare))
+
+        def screened(windows: Windows, own: Sequence[Entry], refitted: Hypothesis) -> tuple[Screen, Nuisance]:
+            return self._softened(windows, refitted, screen(windows, self.base, own, self.single), draws)
+
+        (found, nuisance), (_, other) = abreast([partial(screened, *side) for side in sides])
+        self.fit, self.test = Side(self.fit.windows, nuisance), Side(self.test.windows, other)
+        self.scanner = Scanner(found, nuisance)
         self.dispersion = 1.0
-        self.cut = _CUT * windows.freedom
+        self.cut = _CUT * self.fit.windows.freedom
         self._settle(None)
         self.walks = Walks(self.fit, self.base, self.free, self.fall, lambda: self.cut)
 
     def _start(self, note: Callable[[str], None]) -> None:
         """Linearise around the believed model, refitting what may be refitted first."""
-        windows = self.fit.windows
+        windows, held = self.fit.windows, self.test.windows
         note("linearisation")
-        windows.linearise(self.base)
-        if self.base.parameters:
+        if not self.base.parameters:
+            abreast([partial(side.linearise, self.base) for side in (windows, held)])
+        else:
+            windows.linearise(self.base)
             note("refit of the believed parameters")
             for _ in range(2):
                 nothing = Nuisance.nothing(*windows.residual.shape)
@@ -130,7 +135,7 @@ class Bench:
                 found = refine(windows, nothing, cut, [(free, [self.base.values(True)])], 6)[0]
                 self.base = self.base.replaced(found.values, True)
                 windows.linearise(self.base)
-        self.test.windows.linearise(self.base)
+            held.linearise(self.base)
 
     def _softened(
         self, windows: Windows, base: Hypothesis, screened: Screen, draws: Sequence[Hypothesis]
@@ -197,7 +202,12 @@ class Bench:
         starting = {own[0].index: starts(own, self._entry) for own in pick(leads, self._entry, options, price).values()}
         tries = [(self.scanner.screened.entries[index].candidate, values) for index, values in starting.items()]
         strongest = max((lead.gain for lead in leads), default=0.0)
-        tries = self._with_contacts(start, sides[0], residual, tries, options, strongest)
+        moving = [c for c in self.candidates if c.name in self.delicate and c.name not in taken]
+        if moving:
+            side = Side(sides[0].windows, self.free(sides[0]))
+            scanned = contact_scan(side, start, moving, self.cut, residual, options.every)
+            scanned = scanned if start.effects else judged_anew(scanned, start, self.walks, strongest)
+            tries = with_contacts(tries, scanned, options.contact_leaders)
         if not tries:
             return []
         hypotheses = []
@@ -218,34 +228,6 @@ class Bench:
             best = min(found, key=lambda r: r.loss)
             self._settle(best.chi2)
         return self.judge(refined, found, sides, None if given is None else given.references, given)
-
-    def _with_contacts(
-        self,
-        start: Hypothesis,
-        side: Side,
-        residual: np.ndarray,
-        tries: Sequence[tuple[Candidate, list[np.ndarray]]],
-        options: Options,
-        strongest: float,
-    ) -> list[tuple[Candidate, list[np.ndarray]]]:
-        """Candidates with their starting values, and those that a scan of contacts adds."""
-        taken = {candidate.name for candidate, _ in start.effects}
-        moving = [c for c in self.candidates if c.name in self.delicate and c.name not in taken]
-        out = {candidate.name: (candidate, list(values)) for candidate, values in tries}
-        if not moving:
-            return list(out.values())
-        side = Side(side.windows, self.free(side))
-        found = contact_scan(side, start, moving, self.cut, residual, options.every)
-        if not start.effects:
-            found = judged_anew(found, start, self.walks, strongest)
-        added = 0
-        for gain, candidate, values in found:
-            known = candidate.name in out
-            if gain <= 0 or (added >= options.contact_leaders and not known):
-                continue
-            added += not known
-            out.setdefault(candidate.name, (candidate, []))[1].append(values)
-        return list(out.values())
 
     def free(self, side: Side) -> Nuisance:
         """What is fitted along on the side to fit: without the believed numbers where these move by themselves."""
@@ -289,10 +271,16 @@ class Bench:
             out.append(Judged(hypothesis, refined, gain, held_out, score, residual, own, sides, reference))
         return sorted(out, key=lambda judged: -judged.score)
 
-    def fall(self, before: Fit, after: Fit) -> float:
-        """Robust fall of the loss, without the window that gains most: one touchdown must not make a name."""
+    def fall(self, before: Fit, after: Fit, share: float = 1.0) -> float:
+        """Robust fall of the loss, without the window that gains most: one touchdown must not make a name.
+
+        Args:
+          before: the reference.
+          after: the other fit, of the same windows.
+          share: of all windows that these are; the fall is that of all.
+        """
         best = luckiest(bounded(before.chi2, self.cut) - bounded(after.chi2, self.cut))
-        return (robust_gain(before, after, self.cut) - best) / self.dispersion
+        return (robust_gain(before, after, self.cut) / share - best) / self.dispersion
 
     def _entry(self, lead: Lead) -> Entry:
         return self.scanner.screened.entries[lead.index]

@@ -9,7 +9,7 @@ from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.refine import Nuisance, Refined
 from btr_mjx.gap.score import Fit
 from btr_mjx.gap.starting import recentred, redirected
-from btr_mjx.gap.windows import MakeWorld, Windows
+from btr_mjx.gap.windows import MakeWorld, Windows, picked
 
 
 @dataclass(frozen=True)
@@ -72,12 +72,11 @@ class Side:
         windows = self.windows.mixed([side.windows for side in others], chosen)
         if windows.basis is self.windows.basis:
             return Side(windows, self.nuisance)
-        rows = np.arange(len(windows))
-        columns, grams = (
-            np.stack([getattr(side.nuisance, name) for side in (self, *others)])[chosen, rows]
+        columns, gram = (
+            picked(getattr(self.nuisance, name), [getattr(side.nuisance, name) for side in others], chosen)
             for name in ("columns", "gram")
         )
-        return Side(windows, Nuisance(columns, self.nuisance.precision, grams))
+        return Side(windows, Nuisance(columns, self.nuisance.precision, gram))
 
     def some(self, index: np.ndarray) -> "Side":
         """Some of the windows."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from btr_mjx.gap.score import project
 from btr_mjx.gap.tangent import integrate
+from btr_mjx.gap.time_steps import step_error
 from btr_mjx.gap.world import World
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ def recentred(windows: "Windows", make: Callable[[mujoco.MjModel], World], exact
     states = windows.states([make])[0]
     other.qpos, other.qvel, other.base = centred(windows, make, _STEPS, states, windows.correction)
     if exact:
-        other.correction = other.step_error(make, other.base)
+        other.correction = step_error(other, make, other.base)
     other.residual = project(other.whiten(other.base) + other.correction, other.basis)
     return other
 

@@ -7,13 +7,14 @@ not found anew: it changes gains less than the choice of windows.
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from threading import Lock
 
 import numpy as np
 
 from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.refine import Nuisance
 from btr_mjx.gap.score import Fit
-from btr_mjx.gap.search_records import Side
+from btr_mjx.gap.search_records import Side, nearest
 
 _EVERY = 3
 """Walks see one of so many windows."""
@@ -24,12 +25,6 @@ _STRIDE = 1.5
 _STRIDES = 3
 """Steps of a walk in either direction, at most."""
 
-_FINER = 2
-"""Steps afterwards to where a parabola peaks, at most."""
-
-_NEAR = 0.04
-"""Part of a size by which such a step must lead away from all sizes that were tried."""
-
 
 class Walks:
     """Judges hypotheses on a part of the windows to fit, and remembers what it saw."""
@@ -39,7 +34,7 @@ class Walks:
         side: Side,
         base: Hypothesis,
         free: Callable[[Side], Nuisance],
-        fall: Callable[[Fit, Fit], float],
+        fall: Callable[[Fit, Fit, float], float],
         cut: Callable[[], float],
     ) -> None:
         """Prepare for walks.
@@ -48,11 +43,13 @@ class Walks:
           side: windows to fit.
           base: the believed model, linearised there.
           free: what is fitted along with a hypothesis on a side.
-          fall: of the loss, from one fit to another.
+          fall: of the loss, from one fit to another, given the share of all windows that they see.
           cut: chi^2 above which a window counts less.
         """
         self._side, self._base, self._free, self._fall, self._cut = side, base, free, fall, cut
+        self._lock = Lock()
         self._start: tuple[Side, Side] | None = None
+        self._nearest: dict[str, Side] = {}
         self._tried: dict[str, dict[tuple[float, ...], tuple[float, Hypothesis]]] = {}
 
     def gain(self, hypothesis: Hypothesis) -> float:
@@ -64,14 +61,25 @@ class Walks:
         known = self._tried.setdefault(hypothesis.name, {})
         values = tuple(hypothesis.values(True))
         if values not in known:
+            few, reference = self._started()
+            start = few
+            if hypothesis.name in self._nearest:
+                start = nearest([side.based(hypothesis) for side in (few, self._nearest[hypothesis.name])])
+            own = start.recentred(hypothesis, exact=False).redirected(hypothesis)
+            share = len(few.windows) / len(self._side.windows)
+            gain = self._fall(self._profile(reference), self._profile(own), share)
+            if gain > self.best(hypothesis.name):
+                self._nearest[hypothesis.name] = own
+            known[values] = gain, hypothesis
+        return known[values][0]
+
+    def _started(self) -> tuple[Side, Side]:
+        """Some of the windows, and these as they suit the believed model; hypotheses may be judged in threads."""
+        with self._lock:
             if self._start is None:
                 few = self._side.some(np.arange(0, len(self._side.windows), _EVERY))
                 self._start = few, few.recentred(self._base, exact=False).redirected(self._base)
-            few, reference = self._start
-            own = few.recentred(hypothesis, exact=False).redirected(hypothesis)
-            share = len(few.windows) / len(self._side.windows)
-            known[values] = self._fall(self._profile(reference), self._profile(own)) / share, hypothesis
-        return known[values][0]
+            return self._start
 
     def best(self, name: str) -> float:
         """Largest gain that was seen of a hypothesis, -inf for one that was never tried.
@@ -107,11 +115,6 @@ class Walks:
                 if known[factor * stride] < known[factor]:
                     break
                 factor *= stride
-        for _ in range(_FINER):
-            there = vertex(known)
-            if min(abs(there / factor - 1.0) for factor in known) < _NEAR:
-                break
-            known[there] = self.gain(scaled(hypothesis, there))
         return scaled(hypothesis, vertex(known)) if max(known.values()) > promise else None
 
 
@@ -126,14 +129,19 @@ def vertex(known: Mapping[float, float]) -> float:
     return float(-b / (2 * a)) if a < 0 else at[best]
 
 
-def scaled(hypothesis: Hypothesis, factor: float) -> Hypothesis:
-    """The same with the last effect's first number farther from its null, or nearer.
+def scaled(hypothesis: Hypothesis, factor: float, index: int = -1) -> Hypothesis:
+    """The same with one effect farther from its null, or nearer.
 
     Args:
       hypothesis: with an effect.
-      factor: on the distance.
+      factor: on the distance of its numbers; of those that only say where or how it acts, none.
+      index: of the effect.
     """
-    candidate, values = hypothesis.effects[-1]
-    first = candidate.parameters[0]
-    value = float(np.clip(first.null + factor * (values[0] - first.null), first.low, first.high))
-    return replace(hypothesis, effects=(*hypothesis.effects[:-1], (candidate, (value, *values[1:]))))
+    candidate, values = hypothesis.effects[index]
+    numbers = tuple(
+        value if p.shape else float(np.clip(p.null + factor * (value - p.null), p.low, p.high))
+        for p, value in zip(candidate.parameters, values, strict=True)
+    )
+    effects = list(hypothesis.effects)
+    effects[index] = candidate, numbers
+    return replace(hypothesis, effects=tuple(effects))

@@ -2,8 +2,8 @@
 
 A window begins at a smoothed state that takes one Gauss-Newton step towards its own samples where that helps. What
 the starting state could still explain is projected out of residuals and of signatures, so that neither noise at the
-start nor chaos between windows matters. Residuals come from a simulation with a fine time step (the simulator's own
-error looks like damping); how they answer to parameters comes from the model's time step.
+start nor chaos between windows matters. Residuals belong to a fine time step (the simulator's own error looks like
+damping); how they answer to parameters comes from a longer one, see `time_steps`.
 """
 
 import copy
@@ -17,17 +17,12 @@ from btr_mjx.gap.score import project, spanned
 from btr_mjx.gap.smoothing import smooth
 from btr_mjx.gap.starting import centred
 from btr_mjx.gap.tangent import difference
+from btr_mjx.gap.time_steps import paced, step_error
 from btr_mjx.gap.transitions import strangeness, stride, transitions
 from btr_mjx.gap.worlds import Counter, Job, Stretch, World, simulate
 
 MakeWorld = Callable[[mujoco.MjModel], World]
 """The world of a hypothesis, given the believed model of a recording."""
-
-_FINE = 1.25e-4
-"""Time step that residuals belong to [s]; the fine pass divides the model's by 4 to 10."""
-
-_LONG = 400
-"""Windows of more steps are divided by 4 only; the rest is extrapolated."""
 
 _STRANGE = 1.0
 """Change of an interval's transition, see `strangeness`, beyond which it is found anew."""
@@ -60,6 +55,7 @@ class Windows:
       residual: (W, R) projected residual of the base world in units of the noise; set by `linearise`.
       basis: (W, R, D) orthonormal directions of the starting state, then those of `soften`.
       soft: (W, R, S) the latter.
+      step: time step of residuals [s], the model's or twice that; what it does is corrected.
       stride: time steps of the model that one step takes where only directions are asked for.
       freedom: residual degrees of freedom of a window.
     """
@@ -80,6 +76,7 @@ class Windows:
         model = pick[0].model
         self.nq, self.nv = model.nq, model.nv
         self.dt = float(model.opt.timestep)
+        self.step = self.dt
         self.groups = self._by_model()
         self.qpos, self.qvel = np.empty((len(self), self.nq)), np.empty((len(self), self.nv))
         doubt = np.ones((len(self), self.nv))
@@ -106,13 +103,6 @@ class Windows:
     def freedom(self) -> int:
         """Degrees of freedom of a window's residual."""
         return self.residual.shape[1] - 2 * self.nv
-
-    @property
-    def fine_step(self) -> float:
-        """Time step of the fine pass [s]."""
-        if self.since[:, -1].max() > _LONG * self.dt:
-            return self.dt / 4
-        return self.dt / float(np.clip(round(self.dt / _FINE), 4, 10))
 
     @property
     def models(self) -> list[mujoco.MjModel]:
@@ -151,7 +141,7 @@ class Windows:
 
         Args:
           makes: one world maker per hypothesis.
-          timestep: another one than the model's [s].
+          timestep: another one than `step` [s].
           start: other starting states qpos (W, nq), qvel (W, nv).
           own: (N,) some of the windows; None for all.
 
@@ -166,7 +156,7 @@ class Windows:
         jobs: list[Job] = []
         for make in makes:
             jobs += [(make(model), s) for (model, _), s in zip(groups, stretches, strict=True)]
-        found = simulate(jobs, timestep=timestep, counter=self.counter)
+        found = simulate(jobs, timestep=timestep or self.step, counter=self.counter)
         out = []
         for i in range(len(makes)):
             states = np.empty((len(self), self.k + 1, self.nq + self.nv))
@@ -198,13 +188,13 @@ class Windows:
           make: the hypothesis.
           steps: Gauss-Newton steps of the starting states; a window keeps a step only if it helps.
         """
-        base = self.states([make])[0]
+        base, correction = paced(self, make)
         self.stride = stride(self, make, base)
         self.transitions, self.answers = transitions(self, make, base)
         self._directions()
-        self.qpos, self.qvel, self.base = centred(self, make, steps, base, self.step_error(make, base))
+        self.qpos, self.qvel, self.base = centred(self, make, steps, base, correction)
         self.differentiate(make)
-        self.correction = self.step_error(make, self.base)
+        self.correction = step_error(self, make, self.base)
         self.residual = project(self.whiten(self.base) + self.correction, self.basis)
 
     def differentiate(self, make: MakeWorld) -> None:
@@ -262,22 +252,15 @@ class Windows:
           others: of the same data; the first of them is number 1.
           chosen: (W,) whose each window is, 0 for its own.
         """
-        other, rows = copy.copy(self), np.arange(len(self))
+        other = copy.copy(self)
+        if not chosen.any():
+            return other
         for name in _PER_WINDOW:
-            arrays = [getattr(windows, name) for windows in (self, *others)]
-            if any(array is not arrays[0] for array in arrays):
-                setattr(other, name, np.stack(arrays)[chosen, rows])
+            own = getattr(self, name)
+            arrays = [getattr(windows, name) for windows in others]
+            if any(array is not own for array in arrays):
+                setattr(other, name, picked(own, arrays, chosen))
         return other
-
-    def step_error(self, make: MakeWorld, base: np.ndarray) -> np.ndarray:
-        """What the model's time step does to the states `base` (W, k + 1, nq + nv) of a hypothesis, (W, R).
-
-        The error of a step is of first order in its length. What the fine pass leaves of it looks like a delay of half
-        a fine step; where that is longer than it should be the rest is extrapolated.
-        """
-        step = self.fine_step
-        rest = (self.dt - min(step, _FINE)) / (self.dt - step)
-        return rest * (self.whiten(self.states([make], timestep=step)[0]) - self.whiten(base))
 
     def residuals(self, makes: Sequence[MakeWorld]) -> list[np.ndarray]:
         """Projected residuals (W, R) of hypotheses, by true simulation."""
@@ -340,3 +323,12 @@ class Windows:
             state = state @ np.swapaxes(self.transitions[:, k], 1, 2) + injected[:, k]
             rows[:, :, k + 1] = np.swapaxes(state, 0, 1)
         return project(self._scale(rows).astype(np.float32), self.basis.astype(np.float32))
+
+
+def picked(own: np.ndarray, others: Sequence[np.ndarray], chosen: np.ndarray) -> np.ndarray:
+    """Rows of some arrays (W, ...): those of `others[i - 1]` where `chosen` (W,) is i, own ones where it is 0."""
+    out = own.copy()
+    for i, array in enumerate(others, 1):
+        if array is not own:
+            out[chosen == i] = array[chosen == i]
+    return out

@@ -2,7 +2,8 @@
 
 import copy
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from threading import Lock
 from typing import Any
 
 import mujoco
@@ -25,6 +26,7 @@ class World:
       laws: the state-dependent part, called in order before every step.
       offset: (nv,) what the encoders add to the true configuration, in the tangent space.
       wrench: (nbody, 6) constant force [N] and torque [N m] on bodies, at their centre of mass in the world frame.
+      kept: it is not edited any more, so that derived constants are brought up to date once only.
     """
 
     model: mujoco.MjModel
@@ -32,6 +34,9 @@ class World:
     laws: list[Law]
     offset: np.ndarray
     wrench: np.ndarray
+    kept: bool = False
+    _settled: bool = field(default=False, init=False, repr=False, compare=False)
+    _lock: Lock = field(default_factory=Lock, init=False, repr=False, compare=False)
 
     @classmethod
     def of(cls, model: mujoco.MjModel) -> "World":
@@ -52,6 +57,19 @@ class World:
             command = edit(command)
         return command
 
+    def settle(self, data: mujoco.MjData | None = None) -> mujoco.MjModel:
+        """Bring the constants that MuJoCo derives up to date; returns the model.
+
+        Args:
+          data: of a model of the same structure, for whoever settles many: to make one takes longer than all the rest.
+            It is overwritten.
+        """
+        with self._lock:
+            if not (self.kept and self._settled):
+                mujoco.mj_setConst(self.model, mujoco.MjData(self.model) if data is None else data)
+                self._settled = True
+        return self.model
+
 
 Fingerprint = Mapping[str, object]
 """The fields of a model that are compared, as bytes or numbers."""
@@ -63,16 +81,15 @@ def fields_of(
     """The fields of a world's model that differ from a base model, derived constants included.
 
     Args:
-      world: whose model is compared; its derived constants are recomputed.
+      world: whose model is compared; it is settled where it differs.
       base: a model of the same structure.
       known: `fingerprint(base)`, for whoever compares many worlds with one base.
-      data: of the base, for the same; to make one takes longer than all the rest. It is overwritten.
+      data: of the base, for the same, see `World.settle`.
     """
     known = fingerprint(base) if known is None else known
     changed = _differing(world.model, known)
     if changed:
-        mujoco.mj_setConst(world.model, mujoco.MjData(base) if data is None else data)
-        changed = _differing(world.model, known)
+        changed = _differing(world.settle(data), known)
     return changed
 
 

@@ -7,7 +7,8 @@ sampled in the middle of each step, because a control held from the step's start
 
 import copy
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from threading import Lock
 
 import mujoco
 import numpy as np
@@ -32,16 +33,26 @@ _ROWS = 8192
 
 @dataclass
 class Counter:
-    """Simulated steps, summed over all rows; a `journal.Journal` also keeps what came out of them."""
+    """Simulated steps, summed over all rows; a `journal.Journal` also keeps what came out of them.
+
+    Searches simulate in several threads, which share one counter.
+    """
 
     steps: int = 0
+    lock: Lock = field(default_factory=Lock, repr=False)
 
     def recall(self, jobs: Sequence[Job], timestep: float | None) -> list[np.ndarray] | None:
         """States of these jobs where they are known already."""
         return None
 
-    def keep(self, jobs: Sequence[Job], timestep: float | None, states: Sequence[np.ndarray]) -> None:
-        """Take note of the states of these jobs."""
+    def add(self, steps: int) -> None:
+        """Count steps."""
+        with self.lock:
+            self.steps += steps
+
+    def keep(self, jobs: Sequence[Job], timestep: float | None, states: Sequence[np.ndarray], steps: int) -> None:
+        """Take note of the states of these jobs, and of the steps that they took."""
+        self.add(steps)
 
 
 def simulate(
@@ -68,15 +79,16 @@ def simulate(
     if known is not None:
         return known
     out = [np.empty((*stretch.times.shape, world.model.nq + world.model.nv)) for world, stretch in jobs]
+    steps = 0
     for members in _alike(jobs, timestep):
         for block in _blocks(members, jobs):
-            _run(block, jobs, out, timestep, threads, counter)
+            steps += _run(block, jobs, out, timestep, threads)
     for (world, _), states in zip(jobs, out, strict=True):
         if world.offset.any():
             nq = world.model.nq
             states[..., :nq] = integrate(world.model, states[..., :nq], world.offset)
     if counter is not None:
-        counter.keep(jobs, timestep, out)
+        counter.keep(jobs, timestep, out, steps)
     return out
 
 
@@ -120,13 +132,9 @@ def _run(
     out: list[np.ndarray],
     timestep: float | None,
     threads: int | None,
-    counter: Counter | None,
-) -> None:
-    """Simulate one batch and write the states of its pieces."""
-    base = copy.copy(jobs[block[0][0]][0].model)
-    # The first world may have been edited, and its constants with it.
-    data = mujoco.MjData(base)
-    mujoco.mj_setConst(base, data)
+) -> int:
+    """Simulate one batch and write the states of its pieces; returns the number of steps."""
+    base = copy.copy(jobs[block[0][0]][0].settle())
     if timestep is not None:
         base.opt.timestep = timestep
     # An invalid state must stay visible; MuJoCo's automatic reset would turn it into a new start.
@@ -139,7 +147,7 @@ def _run(
     # Threads that wait for each other at every step cost more than they bring to a few rows.
     most = threads or available_cores()
     batch = Batch(base, nsim=count, nthread=max(1, min(most, count // _ROWS_PER_THREAD)))
-    _write_models(batch, base, data, pieces, rows)
+    _write_models(batch, base, pieces, rows)
     qpos, qvel, time = batch.bind("qpos"), batch.bind("qvel"), batch.bind("time")
     for (world, stretch), own in zip(pieces, rows, strict=True):
         time[own] = stretch.start
@@ -154,7 +162,7 @@ def _run(
     sampler.record(0, qpos, qvel, dead)
     steps, ctrl = sampler.steps, batch.bind("ctrl")
     ids: np.ndarray | None = None
-    running = -1
+    running, total = -1, 0
     for k in range(int(steps.max(initial=0))):
         alive = (steps > k) & ~dead
         if int(alive.sum()) != running:
@@ -171,18 +179,19 @@ def _run(
             batch.step(ids)
         except SimulationError as error:
             dead[error.ids] = True
-        if counter is not None:
-            counter.steps += running
+        total += running
         sampler.record(k + 1, qpos, qvel, dead)
     sampler.write(block, out)
+    return total
 
 
-def _write_models(
-    batch: Batch, base: mujoco.MjModel, data: mujoco.MjData, pieces: Sequence[Job], rows: Sequence[slice]
-) -> None:
+def _write_models(batch: Batch, base: mujoco.MjModel, pieces: Sequence[Job], rows: Sequence[slice]) -> None:
     """Give every row its world's model: only the fields in which a world differs are expanded."""
     known: dict[int, dict[str, np.ndarray]] = {}
-    prints = fingerprint(base)
+    first = pieces[0][0]
+    if all(world is first for world, _ in pieces):
+        return  # the batch was made of it
+    prints, data = fingerprint(base), mujoco.MjData(base)
     for (world, _), own in zip(pieces, rows, strict=True):
         if id(world) not in known:
             known[id(world)] = fields_of(world, base, prints, data)

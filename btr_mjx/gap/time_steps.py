@@ -1,0 +1,77 @@
+"""Time steps of windows: which one residuals are simulated with, and what it does to them.
+
+The simulator's own error looks like damping, so residuals belong to a fine time step. Few simulations take it: what a
+longer one does is found once, around a hypothesis, and taken off. That is why a longer one than the model's will do,
+where its error is small enough to be known. Robots with contacts are given short steps that are not needed for this.
+"""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.world import World
+
+if TYPE_CHECKING:
+    from btr_mjx.gap.windows import Windows
+
+_FINE = 1.25e-4
+"""Time step that residuals belong to [s]; the fine pass divides the model's by 4 to 10."""
+
+_LONG = 400
+"""Windows of more steps are divided by 4 only; the rest is extrapolated."""
+
+_COARSE = 1e-3
+"""Longest time step that is taken instead of a shorter one of the model [s]."""
+
+_ROUGH = 0.7
+"""Root mean square, in units of the noise, of what such a step does, beyond which the model's own is taken."""
+
+
+def fine_step(windows: "Windows") -> float:
+    """Time step of the fine pass [s]."""
+    if windows.since[:, -1].max() > _LONG * windows.dt:
+        return windows.dt / 4
+    return windows.dt / float(np.clip(round(windows.dt / _FINE), 4, 10))
+
+
+def step_error(windows: "Windows", make: Callable[[mujoco.MjModel], World], base: np.ndarray) -> np.ndarray:
+    """What the time step does to states of a hypothesis.
+
+    The error of a step is of first order in its length. What the fine pass leaves of it looks like a delay of half a
+    fine step; where that is longer than it should be the rest is extrapolated.
+
+    Args:
+      windows: with their time step.
+      make: the hypothesis.
+      base: (W, k + 1, nq + nv) its states.
+
+    Returns:
+      (W, R) in units of the noise, to be added to a residual.
+    """
+    fine = fine_step(windows)
+    rest = (windows.step - min(fine, _FINE)) / (windows.step - fine)
+    return rest * (windows.whiten(windows.states([make], timestep=fine)[0]) - windows.whiten(base))
+
+
+def paced(windows: "Windows", make: Callable[[mujoco.MjModel], World]) -> tuple[np.ndarray, np.ndarray]:
+    """Choose the time step of windows: the model's, or twice that where it does little that sensors could see.
+
+    Args:
+      windows: whose `step` is set.
+      make: a hypothesis.
+
+    Returns:
+      Its states (W, k + 1, nq + nv), and what the step does to them, see `step_error`.
+    """
+    interval = float(np.median(np.diff(windows.since, axis=1)))
+    for times in (2, 1):
+        windows.step = times * windows.dt
+        if times > 1 and windows.step > 1.02 * min(_COARSE, interval):
+            continue
+        base = windows.states([make])[0]
+        error = step_error(windows, make, base)
+        if times == 1 or np.median((error**2).mean(1)) <= _ROUGH**2:
+            break
+    return base, error

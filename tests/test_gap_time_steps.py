@@ -1,0 +1,77 @@
+"""The time step of residuals: twice the model's where that costs nothing but time."""
+
+import numpy as np
+import pytest
+from gap_arm import SIGMA, arm, recording
+
+from btr_mjx.gap.prepared import prepare
+from btr_mjx.gap.score import project
+from btr_mjx.gap.smoothing import Span
+from btr_mjx.gap.time_steps import paced
+from btr_mjx.gap.windows import Windows
+from btr_mjx.gap.world import World
+from btr_mjx.gap.worlds import Counter, simulate
+
+
+def short_steps(step=5e-4, sigma=5 * SIGMA, first=(10, 150), k=30):
+    model = arm()
+    model.opt.timestep = step
+    data = prepare([recording("r", seed=3, believed=model)], "cubic", sigma, Span(5, 6))
+    return Windows(data, np.zeros(len(first), int), np.array(first), k, Counter())
+
+
+def test_a_longer_step_leaves_the_same_residual() -> None:
+    """What it does is known and taken off, so that residuals are those of steps of 1.25e-4 s."""
+    windows = short_steps()
+    windows.linearise(World.of)
+    assert windows.step == 2 * windows.dt == 1e-3
+    own = np.arange(len(windows))
+    start = windows.stretch(own, windows.qpos, windows.qvel, windows.since)
+    exact = project(windows.whiten(simulate([(World.of(arm()), start)], timestep=1.25e-4)[0]), windows.basis)
+    plain = project(windows.whiten(windows.base), windows.basis)
+    assert np.linalg.norm(plain - exact) > 1.0  # there is something to take off
+    assert np.linalg.norm(windows.residual - exact) < 0.03 * np.linalg.norm(plain - exact)
+
+
+def test_it_halves_what_a_simulation_costs() -> None:
+    windows = short_steps()
+    windows.linearise(World.of)
+    before = windows.counter.steps
+    windows.states([World.of])
+    coarse = windows.counter.steps - before
+    windows.states([World.of], timestep=windows.dt)
+    assert windows.counter.steps - before - coarse == 2 * coarse
+
+
+def test_what_a_parameter_does_is_the_same_with_either_step() -> None:
+    def damped(model):
+        world = World.of(model)
+        world.model.dof_damping[:] += 0.02
+        return world
+
+    windows = short_steps()
+    windows.linearise(World.of)
+    changes = []
+    for step in (windows.dt, 2 * windows.dt):
+        windows.step = step
+        changes.append(windows.whiten(windows.states([damped])[0]) - windows.whiten(windows.states([World.of])[0]))
+    assert np.linalg.norm(changes[0]) > 1
+    assert np.linalg.norm(changes[1] - changes[0]) < 0.02 * np.linalg.norm(changes[0])
+
+
+@pytest.mark.parametrize(
+    ("step", "sigma", "k"),
+    [(1e-3, 5 * SIGMA, 30), (5e-4, 0.1 * SIGMA, 30)],
+    ids=["long enough", "sensors see what it does"],
+)
+def test_the_models_own_step_where_a_longer_one_would_show(step, sigma, k) -> None:
+    windows = short_steps(step, sigma, k=k)
+    windows.linearise(World.of)
+    assert windows.step == windows.dt == step
+
+
+def test_no_step_is_longer_than_the_time_between_two_samples() -> None:
+    windows = short_steps()
+    windows.since = windows.since / 8  # 1600 Hz
+    paced(windows, World.of)
+    assert windows.step == windows.dt
