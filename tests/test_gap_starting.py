@@ -1,5 +1,7 @@
 """Starting states that suit a hypothesis, steps that directions may take, and walks over sizes."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from gap_arm import SIGMA, arm, arm_windows, dataset, recording
@@ -12,7 +14,7 @@ from btr_mjx.gap.hidden_robots import case_robot
 from btr_mjx.gap.leaders import contact_scan, judged_anew
 from btr_mjx.gap.prepared import prepare
 from btr_mjx.gap.recordings import load
-from btr_mjx.gap.score import spanned
+from btr_mjx.gap.score import Fit, spanned
 from btr_mjx.gap.search import Bench, Options
 from btr_mjx.gap.search_records import Side
 from btr_mjx.gap.smoothing import Span
@@ -155,3 +157,17 @@ def test_the_best_of_a_scan_are_looked_at_with_directions_of_their_own(bench: Be
         assert gain == max(known, *tries[: 2 if tries[0] >= -60.0 else 1])
         assert values[0] in (start[0], 3.0 * start[0])
     assert judged_anew(found, bench.base, bench.walks, 1e9) == found  # something else is far stronger
+
+
+def test_some_windows_speak_for_all_but_their_luckiest_for_itself() -> None:
+    """A third of the windows says what three times as many of the same would, of which one is luckiest."""
+    own = SimpleNamespace(cut=1e3, dispersion=2.0)
+    before, after = np.full(12, 50.0), np.full(12, 46.0)
+    after[3] = 20.0
+
+    def fit_of(chi2: np.ndarray) -> Fit:
+        return Fit(np.zeros(0), float(chi2.sum()), chi2, np.eye(0))
+
+    whole = Bench.fall(own, fit_of(np.tile(before, 3)), fit_of(np.tile(after, 3)))
+    assert Bench.fall(own, fit_of(before), fit_of(after), 1 / 3) == pytest.approx(whole)
+    assert whole == pytest.approx((3 * (11 * 4 + 27) - 27) / 2)  # the 30 count as 27: 15, and three times what is usual
