@@ -23,9 +23,10 @@ from btr_mjx.files import read_json, write_json
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.hidden import Truth, make_case
 from btr_mjx.gap.hypotheses import Hypothesis
-from btr_mjx.gap.next_experiment import MARGIN, random_commands, recordings_needed
+from btr_mjx.gap.next_experiment import MARGIN, recordings_needed
 from btr_mjx.gap.recordings import load
 from btr_mjx.gap.search import Bench, Options
+from btr_mjx.gap.trial_commands import random_commands
 from btr_mjx.progress import note, progress
 
 _QUICK = Options(steps=2e4, leaders=8, contact_leaders=0)
@@ -68,16 +69,28 @@ def run(config: Config) -> dict[str, Any]:
                 bar.update(1)
             seed += 1
     ambiguous = [row for row in rows if row["ambiguous"]]
-    result = {"config": config, "tried": len(rows), "cases": ambiguous, "summary": summary(ambiguous)}
+    result = {"config": config, "tried": len(rows), "cases": ambiguous, "summary": summary(ambiguous, config.most)}
     write_json(config.out / "results.json", {**result, "environment": describe_environment()})
     return result
 
 
-def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Mean numbers of recordings, and in how many cases the choice needed fewer or more than chance did on average."""
+def summary(rows: Sequence[Mapping[str, Any]], most: int) -> dict[str, float]:
+    """Mean numbers of recordings, and in how many cases the choice needed fewer or more than chance did on average.
+
+    Args:
+      rows: ambiguous cases.
+      most: recordings after which an experimenter gives up.
+
+    Returns:
+      The means of all, and of those that the choice or chance told apart at all, and the share of these.
+    """
     chosen = np.array([row["chosen"] for row in rows], float)
     chance = np.array([np.mean(row["random"]) for row in rows])
+    told = (chosen <= most) | (chance <= most)
     return {
+        "told": float(told.mean()),
+        "recordings_chosen_told": float(chosen[told].mean()) if told.any() else float("nan"),
+        "recordings_random_told": float(chance[told].mean()) if told.any() else float("nan"),
         "recordings_chosen": float(chosen.mean()),
         "recordings_random": float(chance.mean()),
         "saved": float(1 - chosen.mean() / chance.mean()),
@@ -109,7 +122,9 @@ def _case(config: Config, seed: int) -> dict[str, Any]:
         chosen = order == 0
         if not chosen:
             commands = [commands[i] for i in rng.permutation(len(commands))]
-        needed.append(recordings_needed(real, rival, dataset, bench.sigma, rng, chosen, config.most, commands))
+        needed.append(
+            recordings_needed(real, rival, dataset, bench.sigma, bench.survey.span, rng, chosen, config.most, commands)
+        )
     return {
         "seed": seed,
         "ambiguous": True,

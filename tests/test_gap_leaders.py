@@ -72,11 +72,17 @@ def test_a_scan_of_contacts_is_a_loop_over_candidates(bench: Bench, every: int) 
 def test_a_limit_brings_those_of_its_group_along() -> None:
     known = {c.name: c for c in candidates(arm(), Scales.of(arm()), EFFECTS)}
     names = [("torque_limit@actuator:elbow", 90.0, True), ("viscous_damping@joint:elbow", 80.0, False)]
-    names += [("armature@joint:elbow", 70.0, False), ("torque_limit@all", 5.0, True)]
+    names += [("armature@joint:elbow", 70.0, False), ("torque_limit@actuator:shoulder", 5.0, True)]
+    names += [("torque_limit@all", -1.0, True)]  # in the linear picture the other motors speak against it
     entries = [Entry(known[name], np.ones(len(known[name].parameters)), probe) for name, _, probe in names]
-    leads = [Lead(i, gain, known[name].null) for i, (name, gain, _) in enumerate(names)]
-    picked = pick(leads, lambda lead: entries[lead.index], Options(leaders=1), 10.0)
+    leads = [Lead(i, gain, known[name].null + 1.0) for i, (name, gain, _) in enumerate(names) if gain > 0]
+    picked = pick(leads, entries, Options(leaders=1), 10.0)
     assert set(picked) == {"torque_limit@actuator:elbow", "torque_limit@all"}
+    (group,) = picked["torque_limit@all"]
+    assert entries[group.index].candidate.name == "torque_limit@all"
+    np.testing.assert_array_equal(group.values, leads[0].values)
+    # One that is not worth its price brings nobody: a robot that never comes near a limit says nothing of groups.
+    assert set(pick(leads, entries, Options(leaders=1), 100.0)) == {"torque_limit@actuator:elbow"}
 
 
 def test_single_motors_have_no_clocks_of_their_own() -> None:

@@ -46,7 +46,7 @@ _ALL_WORSE = 600.0
 
 def pick(
     leads: Sequence[Lead],
-    entry: Callable[[Lead], Entry],
+    entries: Sequence[Entry],
     options: Options,
     price: float,
 ) -> dict[str, list[Lead]]:
@@ -54,10 +54,13 @@ def pick(
 
     Args:
       leads: of a scan.
-      entry: the entry of a lead.
+      entries: of all candidates.
       options: how many.
       price: of one number.
     """
+
+    def entry(lead: Lead) -> Entry:
+        return entries[lead.index]
 
     def merit(lead: Lead) -> float:
         return lead.gain - price * len(lead.values)
@@ -70,12 +73,27 @@ def pick(
     # A limit looks like a weak motor from afar: where a motor leads, its limit is tried as well.
     limits = [name for name in names if any(entry(lead).probe for lead in by_name[name])]
     places = [entry(by_name[name][0]).candidate.place for name in names[:2]]
-    same = [n for n in limits if any(_overlap(entry(by_name[n][0]).candidate.place, p) for p in places)]
-    # The limit of one motor hides that its neighbours have one as well: in the linear picture they cancel.
-    first = entry(by_name[limits[0]][0]).candidate.place if limits else None
-    groups = [n for n in limits if first is not None and _within(first, entry(by_name[n][0]).candidate.place)]
-    picked = dict.fromkeys([*chosen, *limits[:1], *same[:1], *groups[:2]])
+    same = [n for n in limits if any(_overlap(entry(by_name[n][0]).candidate.place, p) for p in places)][:1]
+    if limits and merit(by_name[limits[0]][0]) > 0:
+        # The limit of one motor hides that its neighbours have one as well: in the linear picture they cancel, or
+        # those that never come near it speak against it.
+        groups = _groups(by_name[limits[0]][0], entries)
+        for lead in groups:
+            by_name.setdefault(entry(lead).candidate.name, []).append(lead)
+        same += [entry(lead).candidate.name for lead in groups]
+    picked = dict.fromkeys([*chosen, *limits[:1], *same])
     return {name: sorted(by_name[name], key=lambda lead: -entry(lead).probe)[:3] for name in picked}
+
+
+def _groups(lead: Lead, entries: Sequence[Entry]) -> list[Lead]:
+    """The same limit at groups that its motor belongs to, smaller ones first."""
+    own = entries[lead.index].candidate
+    found: dict[str, int] = {}
+    for i, other in enumerate(entries):
+        if other.probe and other.candidate.effect is own.effect and _within(own.place, other.candidate.place):
+            found.setdefault(other.candidate.name, i)
+    size = {i: len(entries[i].candidate.place.joints) for i in found.values()}
+    return [Lead(i, 0.0, lead.values) for i in sorted(size, key=lambda i: size[i])][:2]
 
 
 def starts(leads: Sequence[Lead], entry: Callable[[Lead], Entry]) -> list[np.ndarray]:

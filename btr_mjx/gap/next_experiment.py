@@ -9,18 +9,17 @@ command would hold against them.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 
 from btr_mjx.gap.commands import Command
 from btr_mjx.gap.diagnosis import Diagnosis
 from btr_mjx.gap.hypotheses import Hypothesis
-from btr_mjx.gap.planning import CONTACT_SPAN
 from btr_mjx.gap.prepared import prepare
 from btr_mjx.gap.recording import Recording
 from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.smoothing import Span
 from btr_mjx.gap.tangent import integrate
+from btr_mjx.gap.trial_commands import random_commands
 from btr_mjx.gap.windows import Windows
 from btr_mjx.gap.worlds import Counter, Stretch, simulate
 
@@ -28,10 +27,7 @@ _TRIES = 10
 """Random commands that are compared where none are given."""
 
 _WINDOWS = 5
-"""Windows along each of them."""
-
-_DURATION = 2.0
-"""Longest command that is tried [s]."""
+"""Windows along each of them, at most."""
 
 MARGIN = 25.0
 """Difference of scores that tells two hypotheses apart."""
@@ -84,7 +80,8 @@ def propose(
         return None
     rng = np.random.default_rng(seed)
     commands = commands or random_commands(dataset, rng, _TRIES)
-    found = [compare(survivors, dataset, command, diagnosis.sigma, counter) for command in commands]
+    span = diagnosis.windows[3]
+    found = [compare(survivors, dataset, command, diagnosis.sigma, span, counter) for command in commands]
     # The pair that is hardest to separate decides.
     values = np.array([min(pairs.values()) for pairs in found])
     best = int(np.argmax(values))
@@ -99,53 +96,6 @@ def propose(
     return NextExperiment(
         command.times, command.values, names, float(values[best]), tuple(map(float, values)), best, reason
     )
-
-
-def random_commands(dataset: Dataset, rng: np.random.Generator, count: int) -> list[Command]:
-    """Variations of the recorded commands: other amplitudes, faster or slower, other channels in step.
-
-    They stay inside the actuators' control ranges, and within twice the recorded range where there is none.
-    """
-    model = dataset.model
-    out = []
-    for _ in range(count):
-        recording = dataset.recordings[int(rng.integers(len(dataset.recordings)))]
-        time, ctrl = recording.time - recording.time[0], recording.ctrl
-        duration = min(float(time[-1]), _DURATION)
-        steps = max(2, int(duration / np.median(np.diff(time))))
-        at = np.linspace(0.0, duration, steps)
-        speed = float(np.exp(rng.uniform(np.log(0.5), np.log(1.8))))
-        centre = 0.5 * (ctrl.min(0) + ctrl.max(0))
-        values = np.empty((steps, model.nu))
-        for channel in range(model.nu):
-            warped = np.abs((at * speed + rng.uniform(0, 0.2) * time[-1]) % (2 * time[-1]))
-            warped = np.where(warped > time[-1], 2 * time[-1] - warped, warped)  # there and back again
-            size = rng.uniform(0.3, 1.6)
-            values[:, channel] = centre[channel] + size * (np.interp(warped, time, ctrl[:, channel]) - centre[channel])
-        reach = np.ptp(ctrl, axis=0)
-        low, high = ctrl.min(0) - 0.5 * reach, ctrl.max(0) + 0.5 * reach
-        limited = _limited(model)
-        low = np.where(limited, np.maximum(low, _range(model)[0]), low)
-        high = np.where(limited, np.minimum(high, _range(model)[1]), high)
-        out.append(Command(at, np.clip(values, low, high), dataset.interpolation))
-    return out
-
-
-def _limited(model: mujoco.MjModel) -> np.ndarray:
-    """(nu,) bool: controls with a range of their own."""
-    out = np.zeros(model.nu, bool)
-    for actuator, first in enumerate(model.actuator_ctrladr):
-        out[first] = bool(model.actuator_ctrllimited[actuator])
-    return out
-
-
-def _range(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """Ranges of the controls (nu,), unlimited where they have none."""
-    low, high = np.full(model.nu, -np.inf), np.full(model.nu, np.inf)
-    for actuator, first in enumerate(model.actuator_ctrladr):
-        if model.actuator_ctrllimited[actuator]:
-            low[first], high[first] = model.actuator_ctrlrange[actuator]
-    return low, high
 
 
 def record(
@@ -189,6 +139,7 @@ def compare(
     dataset: Dataset,
     command: Command,
     sigma: np.ndarray,
+    span: float,
     counter: Counter | None = None,
 ) -> dict[tuple[int, int], float]:
     """Expected differences of scores, for every pair of hypotheses, in one recording of a command.
@@ -198,35 +149,50 @@ def compare(
       dataset: where the robot starts and how often it is sampled.
       command: the command.
       sigma: (2 nv,) noise.
+      span: length of a window [s], as it suits the dataset.
       counter: of simulated steps.
     """
     recording = record(survivors[0], dataset, command, None, counter=counter)
-    found = _judged(survivors, recording, dataset.interpolation, sigma, counter)
+    found = _judged(survivors, recording, dataset.interpolation, sigma, span, counter)
     if found is None:
         return {(i, j): 0.0 for i in range(len(survivors)) for j in range(i + 1, len(survivors))}
     residuals, columns = found
     out = {}
     for i in range(len(survivors)):
         for j in range(i + 1, len(survivors)):
-            out[i, j] = _left(residuals[j] - residuals[i], np.concatenate([columns[i], columns[j]]))
+            # Whichever of the two is true, the other one is refitted to what it does.
+            change = residuals[j] - residuals[i]
+            out[i, j] = min(_left(change, columns[i]), _left(change, columns[j]))
     return out
 
 
 def margin(
-    truth: Hypothesis, rival: Hypothesis, recordings: Sequence[Recording], interpolation: str, sigma: np.ndarray
+    truth: Hypothesis,
+    rival: Hypothesis,
+    recordings: Sequence[Recording],
+    interpolation: str,
+    sigma: np.ndarray,
+    span: float,
 ) -> float:
-    """By how much recordings prefer one hypothesis to another, both refitted in the linear picture."""
-    total = []
-    for recording in recordings:
-        found = _judged([truth, rival], recording, interpolation, sigma)
-        if found is not None:
-            total.append(found)
-    if not total:
-        return 0.0
+    """By how much recordings prefer one hypothesis to another, each from starting states and with numbers of its own.
+
+    Args:
+      truth: the one.
+      rival: the other.
+      recordings: of both or of reality.
+      interpolation: of their commands.
+      sigma: (2 nv,) noise.
+      span: length of a window [s].
+    """
     values = []
-    for i in (0, 1):
-        residual = np.concatenate([residuals[i].ravel() for residuals, _ in total])
-        columns = np.concatenate([columns[i].reshape(len(columns[i]), -1) for _, columns in total], axis=1)
+    for hypothesis in (truth, rival):
+        # Starting states that suit one of them would speak for it.
+        found = [_judged([hypothesis], recording, interpolation, sigma, span) for recording in recordings]
+        parts = [(residuals[0], columns[0]) for residuals, columns in (own for own in found if own is not None)]
+        if not parts:
+            return 0.0
+        residual = np.concatenate([own.ravel() for own, _ in parts])
+        columns = np.concatenate([own.reshape(len(own), -1) for _, own in parts], axis=1)
         values.append(_left(residual, columns))
     return values[1] - values[0]
 
@@ -247,16 +213,18 @@ def _judged(
     recording: Recording,
     interpolation: str,
     sigma: np.ndarray,
+    span: float,
     counter: Counter | None = None,
 ) -> tuple[list[np.ndarray], list[np.ndarray]] | None:
     """Residuals (W, R) of hypotheses in windows of a recording, and their answers to their own numbers (P, W, R)."""
     interval = float(np.median(np.diff(recording.time)))
     data = prepare([recording], interpolation, sigma, Span(3, 6))
-    k = max(6, round(CONTACT_SPAN / interval))
+    k = max(6, min(round(span / interval), len(recording.time) - 6))
     last = len(recording.time) - 1 - k
     if last < 4:
         return None
-    first = np.unique(np.linspace(min(3, last), last, _WINDOWS).astype(int))
+    room = max(1, (len(recording.time) - 4) // k)
+    first = np.unique(np.linspace(min(3, last), last, min(_WINDOWS, room)).astype(int))
     windows = Windows(data, np.zeros(len(first), int), first, k, counter)
     windows.linearise(hypotheses[0], steps=2)
     makes, spans = list(hypotheses), []
@@ -279,6 +247,7 @@ def recordings_needed(
     rival: Hypothesis,
     dataset: Dataset,
     sigma: np.ndarray,
+    span: float,
     rng: np.random.Generator,
     choose: bool,
     most: int = 6,
@@ -291,6 +260,7 @@ def recordings_needed(
       rival: the other hypothesis.
       dataset: where the robot starts, and what commands look like.
       sigma: (2 nv,) noise.
+      span: length of a window [s].
       rng: for commands and noise.
       choose: take the commands with the largest expected disagreement first, instead of any.
       most: give up after so many.
@@ -302,10 +272,10 @@ def recordings_needed(
     commands = commands or random_commands(dataset, rng, _TRIES)
     order = np.arange(len(commands))
     if choose:
-        order = np.argsort([-compare([truth, rival], dataset, c, sigma)[0, 1] for c in commands])
+        order = np.argsort([-compare([truth, rival], dataset, c, sigma, span)[0, 1] for c in commands])
     recordings: list[Recording] = []
     for i in order[:most]:
         recordings.append(record(truth, dataset, commands[i], sigma, rng))
-        if margin(truth, rival, recordings, dataset.interpolation, sigma) > MARGIN:
+        if margin(truth, rival, recordings, dataset.interpolation, sigma, span) > MARGIN:
             return len(recordings)
     return most + 1

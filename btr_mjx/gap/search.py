@@ -199,8 +199,9 @@ class Bench:
         if given is not None:
             # Most robots lack one thing: what is not worth its price in the linear picture is not simulated as well.
             leads = [lead for lead in leads if lead.gain > price * len(lead.values)]
-        starting = {own[0].index: starts(own, self._entry) for own in pick(leads, self._entry, options, price).values()}
-        tries = [(self.scanner.screened.entries[index].candidate, values) for index, values in starting.items()]
+        entries = self.scanner.screened.entries
+        starting = {own[0].index: starts(own, self._entry) for own in pick(leads, entries, options, price).values()}
+        tries = [(entries[index].candidate, values) for index, values in starting.items()]
         strongest = max((lead.gain for lead in leads), default=0.0)
         moving = [c for c in self.candidates if c.name in self.delicate and c.name not in taken]
         if moving:
