@@ -225,8 +225,13 @@ def test_a_still_command_separates_less_than_a_lively_one():
     time = np.arange(0, 1.0, 0.005)
     still = Command(time, np.zeros((len(time), 2)), "linear")
     lively = Command(time, 0.8 * np.sin(time[:, None] * [5.0, 9.0]), "linear")
-    values = [compare([viscous, heavy], bench.dataset, c, SIGMA, bench.survey.span)[0, 1] for c in (still, lively)]
-    assert values[1] > 10 * max(values[0], 1e-9)
+    span = bench.survey.span
+    for pair in ([viscous, heavy], [bench.base, viscous], [viscous, bench.base]):
+        values = [compare(pair, bench.dataset, c, SIGMA, span)[0, 1] for c in (still, lively)]
+        assert values[1] > 10 * max(values[0], 1e-9)
+        assert values[1] > 50.0  # that something is there can be seen as well
+    made = [record(viscous, bench.dataset, lively, SIGMA, np.random.default_rng(0))]
+    assert margin(viscous, bench.base, made, "linear", SIGMA, span) > 50.0
 
 
 def test_recordings_show_the_expected_disagreement():

@@ -2,11 +2,12 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from btr_mjx.gap import rounds
 from btr_mjx.gap.outcome import equivalent
-from btr_mjx.gap.rounds import acceptable, accepted
+from btr_mjx.gap.rounds import acceptable, accepted, vouched
 
 
 def as_judged(name, score):
@@ -159,7 +160,31 @@ def test_what_may_be_called_by_name(names, gain, held_out, expected):
         gain=first[1] + gain,
         held_out=first[2] + held_out,
         hypothesis=SimpleNamespace(effects=effects),
+        before=fits([9.0], [9.0]),
+        fits=fits([9.0], [0.0]),
     )
     side = SimpleNamespace(windows=range(20))
     bench = SimpleNamespace(delicate={"m"}, dispersion=1.0, fit=side, test=side, dataset=SimpleNamespace(tolerances={}))
     assert accepted(bench, judged, given) is expected
+
+
+def fits(*chi2):
+    return tuple(SimpleNamespace(chi2=np.array(side)) for side in chi2)
+
+
+@pytest.mark.parametrize(
+    ("falls", "held", "expected"),
+    [
+        ([300.0, 0.0, 20.0, 10.0], 0.1, True),  # without the first recording 30 are left
+        ([300.0, 30.0, 0.0, 0.0], 0.1, False),  # both of the same recording
+        ([300.0, 0.0, 20.0, 10.0], 4.0, False),  # held-out recordings do have a say
+        ([300.0, 0.0, 20.0, 10.0], -4.0, False),
+        ([300.0, 0.0, 20.0, -10.0], 0.1, False),
+    ],
+)
+def test_several_recordings_vouch_for_what_those_held_out_do_not_know(falls, held, expected):
+    windows = SimpleNamespace(recording=np.array([0, 0, 1, 2]))
+    bench = SimpleNamespace(cut=1e6, fit=SimpleNamespace(windows=windows))
+    before, after = [500.0, 400.0], 500.0 - np.array(falls)
+    judged = SimpleNamespace(before=fits([500.0] * 4, before), fits=fits(after, [500.0, 400.0 - held]))
+    assert vouched(bench, judged) is expected

@@ -160,9 +160,11 @@ def compare(
     out = {}
     for i in range(len(survivors)):
         for j in range(i + 1, len(survivors)):
-            # Whichever of the two is true, the other one is refitted to what it does.
-            change = residuals[j] - residuals[i]
-            out[i, j] = min(_left(change, columns[i]), _left(change, columns[j]))
+            # Whichever of the two is true, the other one is refitted to what it does. One with more numbers can do
+            # what the other does, always: there only the simpler one can be refuted.
+            fewest = min(len(columns[i]), len(columns[j]))
+            refitted = [own for own in (columns[i], columns[j]) if len(own) == fewest]
+            out[i, j] = min(_left(residuals[j] - residuals[i], own) for own in refitted)
     return out
 
 
@@ -192,16 +194,17 @@ def margin(
         if not parts:
             return 0.0
         residual = np.concatenate([own.ravel() for own, _ in parts])
-        columns = np.concatenate([own.reshape(len(own), -1) for _, own in parts], axis=1)
+        columns = np.concatenate([own.reshape(len(own), own[0].size if len(own) else 0) for _, own in parts], axis=1)
         values.append(_left(residual, columns))
     return values[1] - values[0]
 
 
 def _left(residual: np.ndarray, columns: np.ndarray) -> float:
     """Sum of squares of a residual after a free fit of columns (P, ...)."""
-    flat, basis = residual.ravel(), columns.reshape(len(columns), -1).T
-    if not basis.shape[1]:
+    flat = residual.ravel()
+    if not len(columns):
         return float(flat @ flat)
+    basis = columns.reshape(len(columns), -1).T
     scale = np.linalg.norm(basis, axis=0)
     basis = basis[:, scale > 0] / scale[scale > 0]
     left = flat - basis @ np.linalg.lstsq(basis, flat, rcond=1e-6)[0] if basis.shape[1] else flat

@@ -6,8 +6,11 @@ leaves.
 
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 from btr_mjx.gap.outcome import alike
 from btr_mjx.gap.polish import Polisher
+from btr_mjx.gap.score import bounded
 from btr_mjx.gap.screening import tolerance_of
 from btr_mjx.gap.search import Bench, Judged
 
@@ -30,7 +33,10 @@ SECOND_SHARE = 0.02
 leaves something."""
 
 _POLISHED = 3
-"""Candidates for one more effect that are judged again, at most."""
+"""Times that candidates for one more effect are judged again, at most."""
+
+_ABREAST = 2
+"""Such candidates that are judged again at once, where they are close."""
 
 HELD_OUT = 3.0
 """Gain that a name needs on held-out recordings, and on those that were fitted."""
@@ -88,7 +94,7 @@ def _beside(bench: Bench, polish: Polisher, given: Judged) -> list[Judged]:
     judged = acceptable(bench, bench.find(given), given, share=0.0)
     # Who was not judged as strictly must not overtake who was.
     for _ in range(_POLISHED):
-        again = polish(judged, 1, given)
+        again = polish(judged, _ABREAST, given)
         if again == judged:
             break
         judged = acceptable(bench, again, given)
@@ -172,10 +178,30 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None, share: float = 
     if judged.hypothesis.effects[-1][0].name in bench.delicate:
         # What moves contacts shows where a foot touches or leaves, and few windows held out need have that.
         needed, expected = max(needed, SECOND_CONTACT_THRESHOLD if given else CONTACT_THRESHOLD), 0.0
-    if score < needed:
+    if score < needed or gain < HELD_OUT:
         return False
-    if held_out < max(HELD_OUT, min(HELD_OUT_SHARE * expected, HELD_OUT_ENOUGH)) or gain < HELD_OUT:
+    enough = max(HELD_OUT, min(HELD_OUT_SHARE * expected, HELD_OUT_ENOUGH))
+    if held_out < enough and not vouched(bench, judged):
         return False
     candidate, values = judged.hypothesis.effects[-1]
     tolerance = tolerance_of(candidate, bench.dataset.tolerances)
     return abs(values[0] - candidate.null[0]) > TOLERANCES * tolerance
+
+
+def vouched(bench: Bench, judged: Judged) -> bool:
+    """Whether several of the recordings that were fitted vouch for an effect that those held out know nothing about.
+
+    A limit may be reached in few recordings. Where nothing changes in those held out, neither for the better nor for
+    the worse, they say nothing against it; then its gain must be worth a name without the recording that gains most.
+
+    Args:
+      bench: of the search.
+      judged: the candidate, beside what was found before.
+    """
+    before, after = judged.before, judged.fits
+    if np.abs(before[1].chi2 - after[1].chi2).max() >= HELD_OUT:
+        return False
+    fall = bounded(before[0].chi2, bench.cut) - bounded(after[0].chi2, bench.cut)
+    recording = bench.fit.windows.recording
+    each = np.array([fall[recording == r].sum() for r in np.unique(recording)])
+    return bool(each.sum() - each.max() >= THRESHOLD)

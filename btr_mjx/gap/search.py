@@ -261,15 +261,15 @@ class Bench:
         nuisance = self.free(sides[0])
         size = np.log(self.fit.windows.residual.size + self.test.windows.residual.size)
         reference = self.reference if references is None else references
+        before = reference if given is None else given.fits
         out = []
         for hypothesis, refined, residual in zip(hypotheses, found, held, strict=True):
             own = nuisance.profile(refined.residual, self.cut), self.nuisance(sides[1]).profile(residual, self.cut)
-            before = reference if given is None else given.fits
             gain, held_out = (self.fall(a, b) for a, b in zip(before, own, strict=True))
             if given is not None:
                 gain, held_out = gain + given.gain, held_out + given.held_out
             score = gain + held_out - size * hypothesis.numbers
-            out.append(Judged(hypothesis, refined, gain, held_out, score, residual, own, sides, reference))
+            out.append(Judged(hypothesis, refined, gain, held_out, score, residual, own, sides, reference, before))
         return sorted(out, key=lambda judged: -judged.score)
 
     def fall(self, before: Fit, after: Fit, share: float = 1.0) -> float:

@@ -110,6 +110,7 @@ class Judged:
       fits: of both sides, with the tolerances at their best.
       sides: of the split, with the starting states that it was judged with.
       references: fits of the believed model on both sides, with starting states found in the same way.
+      before: the same of what it has one more effect than.
     """
 
     hypothesis: Hypothesis
@@ -121,6 +122,7 @@ class Judged:
     fits: tuple[Fit, Fit]
     sides: tuple[Side, Side]
     references: tuple[Fit, Fit]
+    before: tuple[Fit, Fit]
 
     @property
     def name(self) -> str:
