@@ -21,6 +21,7 @@ a law (`btr_mjx.gap.laws.Law`), whatever concerns the command an edit of it (`Wo
 from btr_mjx.gap.actuator_effects import ACTUATOR_EFFECTS
 from btr_mjx.gap.body_effects import BODY_EFFECTS
 from btr_mjx.gap.effect import Candidate, Effect, Parameter, candidates
+from btr_mjx.gap.friction_effects import FRICTION_EFFECTS
 from btr_mjx.gap.ground_effects import GROUND_EFFECTS
 from btr_mjx.gap.joint_effects import JOINT_EFFECTS
 from btr_mjx.gap.places import Place, actuator_places, joint_places
@@ -29,5 +30,5 @@ from btr_mjx.gap.scales import Scales
 __all__ = ["EFFECTS", "Candidate", "Effect", "Parameter", "Place", "Scales", "actuator_places", "candidates"]
 __all__ += ["joint_places"]
 
-EFFECTS: tuple[Effect, ...] = (*JOINT_EFFECTS, *ACTUATOR_EFFECTS, *BODY_EFFECTS, *GROUND_EFFECTS)
+EFFECTS: tuple[Effect, ...] = (*FRICTION_EFFECTS, *JOINT_EFFECTS, *ACTUATOR_EFFECTS, *BODY_EFFECTS, *GROUND_EFFECTS)
 """Every effect that is tried unless others are given."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.places import actuator_count, ground_geoms, joint_of
+from btr_mjx.gap.places import Place, actuator_count, ground_geoms, joint_of
 
 _TURN = 0.3
 """Amplitude that a joint is believed to have before any data are seen [rad]."""
@@ -147,3 +147,38 @@ def _sizes(model: mujoco.MjModel) -> tuple[float, float]:
     reach = model.geom_rbound[geoms]
     length = max(float(model.stat.extent) / 2, float(reach.max(initial=0)), 1e-6)
     return (min(length, 10 * float(reach.max(initial=length))), max(float(model.body_mass[moving].sum()), 1e-9))
+
+
+def least(model: mujoco.MjModel, field: str, place: Place) -> float:
+    """The smallest believed value of a field among a place's joints: it cannot go below zero.
+
+    Args:
+      model: the believed model.
+      field: of MjModel, with a row for every degree of freedom.
+      place: joints.
+    """
+    return float(np.min(getattr(model, field)[place.dofs(model)]))
+
+
+def typical(values: np.ndarray, place: Place, model: mujoco.MjModel) -> float:
+    """One size for a place: the geometric mean over its joints.
+
+    Args:
+      values: (nv,) sizes, as those of `Scales`.
+      place: joints.
+      model: the believed model.
+    """
+    return float(np.exp(np.mean(np.log(np.maximum(values[place.dofs(model)], 1e-300)))))
+
+
+def unit_of(model: mujoco.MjModel, place: Place, hinge: str, slide: str) -> str:
+    """Which of two units a number at a place has.
+
+    Args:
+      model: the believed model.
+      place: joints.
+      hinge: unit where all of them turn.
+      slide: unit otherwise.
+    """
+    kinds = model.jnt_type[list(place.joints)]
+    return hinge if (kinds == int(mujoco.mjtJoint.mjJNT_HINGE)).all() else slide
