@@ -9,6 +9,7 @@ from btr_mjx.gap.hidden import make_case
 from btr_mjx.gap.hidden_robots import case_robot
 from btr_mjx.gap.nulls import doubtful, null_residual
 from btr_mjx.gap.prepared import prepare
+from btr_mjx.gap.propagation import jacobian
 from btr_mjx.gap.recordings import load
 from btr_mjx.gap.score import project, without_wildest
 from btr_mjx.gap.smoothing import Span
@@ -27,8 +28,8 @@ def test_starting_states_are_drawn_as_far_as_they_are_unknown(windows):
     rng = np.random.default_rng(0)
     draws = np.stack([np.concatenate(doubtful(windows, rng), -1) for _ in range(4000)])
     away = (draws - here) / SIGMA
-    for w, jacobian in enumerate(windows.jacobian()):
-        expected = np.linalg.inv(jacobian.T @ jacobian + np.diag(SIGMA / windows.reach[w]) ** 2)
+    for w, answer in enumerate(jacobian(windows)):
+        expected = np.linalg.inv(answer.T @ answer + np.diag(SIGMA / windows.reach[w]) ** 2)
         found = np.cov(away[:, w].T)
         np.testing.assert_allclose(found, expected, atol=0.08 * np.diag(expected).max())
         np.testing.assert_allclose(away[:, w].mean(0), 0, atol=0.1 * np.sqrt(np.diag(expected)).max())

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from btr_mjx.gap.propagation import carry
 from btr_mjx.gap.windows import MakeWorld, Windows
 from btr_mjx.gap.worlds import Job, Stretch, World, simulate
 
@@ -47,7 +48,7 @@ def signatures(
         if single:
             pushed = np.repeat(change[..., windows.nv :] / windows.dt, hold, axis=2)[:, :, : windows.k]
             change = _spread(windows, pushed)
-        out[first : first + len(chunk)] = windows.carry(change)
+        out[first : first + len(chunk)] = carry(windows, change)
     return out
 
 
@@ -72,7 +73,7 @@ def force_signatures(windows: Windows, inverse: np.ndarray, bins: int) -> np.nda
     flat = change.reshape(nv * bins, len(windows), windows.k, 2 * nv)
     out = np.zeros((len(flat), *windows.residual.shape), np.float32)
     for first in range(0, len(flat), _CHUNK):
-        out[first : first + _CHUNK] = windows.carry(flat[first : first + _CHUNK])
+        out[first : first + _CHUNK] = carry(windows, flat[first : first + _CHUNK])
     return out
 
 
@@ -93,8 +94,10 @@ def _intervals(windows: Windows) -> list[tuple[np.ndarray, Stretch]]:
     """Each group's windows and its sample intervals, from the base states."""
     out = []
     for _, own in windows.groups:
-        states = windows.base[own][:, :-1, None]
-        out.append((own, windows.pieces(own, states[..., : windows.nq], states[..., windows.nq :])))
+        states = windows.base[own][:, :-1].reshape(len(own) * windows.k, 1, -1)
+        window, interval = np.repeat(own, windows.k), np.tile(np.arange(windows.k), len(own))
+        start = states[..., : windows.nq], states[..., windows.nq :]
+        out.append((own, windows.intervals(window, interval, *start)))
     return out
 
 

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.prepared import Data
+from btr_mjx.gap.propagation import jacobian
 from btr_mjx.gap.score import project, spanned
 from btr_mjx.gap.smoothing import smooth
 from btr_mjx.gap.starting import centred
@@ -167,7 +168,7 @@ class Windows:
 
     def whiten(self, states: np.ndarray, own: np.ndarray | slice = slice(None)) -> np.ndarray:
         """States of windows `own` minus their data in units of the noise, (W, R)."""
-        return self._scale(self.minus(states, np.concatenate([self.target_q[own], self.target_v[own]], -1)))
+        return self.scaled(self.minus(states, np.concatenate([self.target_q[own], self.target_v[own]], -1)))
 
     def minus(self, states: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Difference of states in the tangent space (..., 2 nv)."""
@@ -175,7 +176,7 @@ class Windows:
         position = difference(model, other[..., :nq], states[..., :nq])
         return np.concatenate([position, states[..., nq:] - other[..., nq:]], -1)
 
-    def _scale(self, tangent: np.ndarray) -> np.ndarray:
+    def scaled(self, tangent: np.ndarray) -> np.ndarray:
         """Tangent vectors (..., k + 1, 2 nv) as rows (..., R) in units of the noise; what is invalid becomes huge."""
         rows = (tangent / self.data.sigma)[..., self.channels]
         rows = np.clip(np.nan_to_num(rows, nan=_CEILING, posinf=_CEILING, neginf=-_CEILING), -_CEILING, _CEILING)
@@ -209,7 +210,7 @@ class Windows:
         self.soften(self.soft)
 
     def _directions(self) -> None:
-        self.jacobians = self.jacobian()
+        self.jacobians = jacobian(self)
         self.basis, self.inverse = spanned(self.jacobians)
 
     def soften(self, directions: np.ndarray) -> None:
@@ -266,15 +267,6 @@ class Windows:
         """Projected residuals (W, R) of hypotheses, by true simulation."""
         return [project(self.whiten(s) + self.correction, self.basis) for s in self.states(makes)]
 
-    def pieces(self, own: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> Stretch:
-        """Every sample interval of windows `own` as a stretch of its own, from states (w, k, n, ...)."""
-        return self.intervals(
-            np.repeat(own, self.k),
-            np.tile(np.arange(self.k), len(own)),
-            qpos.reshape(-1, *qpos.shape[2:]),
-            qvel.reshape(-1, *qvel.shape[2:]),
-        )
-
     def intervals(self, window: np.ndarray, interval: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> Stretch:
         """Some sample intervals as stretches of their own.
 
@@ -295,34 +287,6 @@ class Windows:
             recording=self.recording[window],
             act=self.act[window, interval] if self.act.shape[2] else None,
         )
-
-    def jacobian(self) -> np.ndarray:
-        """How the residual answers to the starting state in units of the noise, (W, R, 2 nv)."""
-        size = 2 * self.nv
-        carried = np.broadcast_to(np.diag(self.data.sigma), (len(self), size, size))
-        out = [carried]
-        for k in range(self.k):
-            carried = self.transitions[:, k] @ carried
-            out.append(carried)
-        answer = np.stack(out, 1) / self.data.sigma[:, None]  # (W, k + 1, 2 nv, size)
-        return answer[:, :, self.channels].reshape(len(self), -1, size)
-
-    def carry(self, injected: np.ndarray) -> np.ndarray:
-        """Signatures of what is added to the state over every sample interval.
-
-        Args:
-          injected: (C, W, k, 2 nv) additions at the end of each interval.
-
-        Returns:
-          (C, W, R) projected signatures in units of the noise, float32.
-        """
-        injected = np.moveaxis(injected, 0, 2)  # (W, k, C, 2 nv)
-        state = np.zeros((len(self), injected.shape[2], 2 * self.nv))
-        rows = np.zeros((injected.shape[2], len(self), self.k + 1, 2 * self.nv))
-        for k in range(self.k):
-            state = state @ np.swapaxes(self.transitions[:, k], 1, 2) + injected[:, k]
-            rows[:, :, k + 1] = np.swapaxes(state, 0, 1)
-        return project(self._scale(rows).astype(np.float32), self.basis.astype(np.float32))
 
 
 def picked(own: np.ndarray, others: Sequence[np.ndarray], chosen: np.ndarray) -> np.ndarray:
