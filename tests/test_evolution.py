@@ -5,12 +5,13 @@ import io
 
 import numpy as np
 import pytest
+from evolution_checks import KINDS, limbs, run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
 from btr_mjx.evolution import GAConfig, GeneticAlgorithm, state_from_arrays, state_to_arrays
-from btr_mjx.genetic_operators import crossover, mutate
+from btr_mjx.genetic_operators import crossover
 from btr_mjx.optimise import minimize, optimise
 from btr_mjx.spaces import Box
 
@@ -18,182 +19,12 @@ from btr_mjx.spaces import Box
 settings.register_profile("steady", deadline=None, derandomize=True)
 settings.load_profile("steady")
 
-KINDS = ["uniform", "one_point", "two_point"]
-LOW, HIGH = 0.4, 1.6
-
-
-def limbs(n, bits=8, code="gray"):
-    return Box([f"x{i}" for i in range(n)], LOW, HIGH, bits=bits, code=code)
-
-
-def run(ga, state, fitness, generations):
-    """Plain ask / tell loop over a function of genomes."""
-    for _ in range(generations):
-        genomes, state = ga.ask(state)
-        state = ga.tell(state, genomes, fitness(genomes))
-    return state
-
 
 def assert_same(a, b):
     a, b = state_to_arrays(a), state_to_arrays(b)
     assert a.keys() == b.keys()
     for name in a:
         np.testing.assert_array_equal(a[name], b[name], err_msg=name)
-
-
-# ---- mutation and crossover ----
-
-
-@pytest.mark.parametrize("p_m", [0.02, 0.2, 0.5])
-def test_mutation_rate_is_binomial(p_m):
-    genomes = np.random.default_rng(0).random((500, 288)) < 0.5
-    flips = mutate(genomes, p_m, np.random.default_rng(1)) ^ genomes
-    n = flips.size
-    low, high = stats.binom.interval(1 - 1e-6, n, p_m)
-    assert low <= flips.sum() <= high
-    # Every bit position alike, and flips per genome distributed as the binomial.
-    low, high = stats.binom.interval(1 - 1e-6 / 288, 500, p_m)
-    assert ((low <= flips.sum(0)) & (flips.sum(0) <= high)).all()
-    variance = flips.sum(1).var() / (288 * p_m * (1 - p_m))
-    assert 0.7 < variance < 1.35
-
-
-def test_mutation_extremes_and_independence_of_input():
-    genomes = np.random.default_rng(0).random((5, 16)) < 0.5
-    before = genomes.copy()
-    rng = np.random.default_rng(1)
-    np.testing.assert_array_equal(mutate(genomes, 0.0, rng), genomes)
-    np.testing.assert_array_equal(mutate(genomes, 1.0, rng), ~genomes)
-    np.testing.assert_array_equal(genomes, before)
-
-
-@given(st.sampled_from(KINDS), st.integers(1, 12), st.floats(0, 1), st.integers(0, 2**32))
-def test_children_take_every_bit_from_a_parent(kind, n_bits, p_c, seed):
-    rng = np.random.default_rng(seed)
-    first, second = rng.random((2, 20, n_bits)) < 0.5
-    child = crossover(first, second, p_c, kind, rng)
-    assert ((child == first) | (child == second)).all()
-    same = crossover(first, first, p_c, kind, rng)
-    np.testing.assert_array_equal(same, first)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_crossover_structure(kind):
-    zeros, ones = np.zeros((4000, 10), bool), np.ones((4000, 10), bool)
-    child = crossover(zeros, ones, 1.0, kind, np.random.default_rng(0))
-    changes = (child != np.roll(child, 1, axis=1)).sum(1)  # around the ring
-    if kind != "uniform":
-        assert (changes == 2).all()
-    if kind == "one_point":
-        assert not child[:, 0].any()
-        assert child[:, -1].all()
-    else:
-        np.testing.assert_allclose(child.mean(0), 0.5, atol=0.05)
-    assert not crossover(zeros, ones, 0.0, kind, np.random.default_rng(0)).any()
-    half = crossover(zeros, ones, 0.5, "one_point", np.random.default_rng(0)).any(1)
-    assert stats.binom.interval(1 - 1e-6, 4000, 0.5)[0] <= half.sum() <= stats.binom.interval(1 - 1e-6, 4000, 0.5)[1]
-
-
-# ---- known optima ----
-
-
-def test_onemax():
-    ga = GeneticAlgorithm(limbs(8), GAConfig(maximise=True, p_m=1 / 64))
-    state = run(ga, ga.init(0), lambda g: g.sum(1), 60)
-    assert state.best_fitness == 64
-    assert state.best_genome.all()
-
-
-def test_minimising_mirrors_maximising_on_a_deceptive_function():
-    """Trap blocks lead away from their optimum: the path depends on every comparison, alike in both directions."""
-
-    def trap(genomes):
-        blocks = genomes.reshape(len(genomes), -1, 4).sum(-1)
-        return np.where(blocks == 4, 4, 3 - blocks).sum(-1).astype(float)
-
-    states = []
-    for maximise, sign in ((True, 1.0), (False, -1.0)):
-        ga = GeneticAlgorithm(limbs(4), GAConfig(maximise=maximise))
-        states.append(run(ga, ga.init(3), lambda g, sign=sign: sign * trap(g), 30))
-    up, down = states
-    assert up.best_fitness == -down.best_fitness
-    np.testing.assert_array_equal(up.best_genome, down.best_genome)
-    np.testing.assert_array_equal(up.parents, down.parents)
-    np.testing.assert_array_equal(up.fitness, -down.fitness)
-    assert 8 * 3 <= up.best_fitness <= 8 * 4
-
-
-def sphere(target, rng):
-    return lambda x: ((x - target) ** 2).mean(1)
-
-
-def absolute(target, rng):
-    return lambda x: np.abs(x - target).mean(1)
-
-
-def noisy(target, rng):
-    noise = np.random.default_rng(rng.integers(2**32))
-    return lambda x: np.abs(x - target).mean(1) + 0.02 * noise.standard_normal(len(x))
-
-
-def behaviours(target, rng):
-    """Like Delta_fitness: mean |f_k(x) - f_k(target)| over 15 smooth curves in which all parameters interact."""
-    w = rng.standard_normal((15, len(target), 6)) * 1.5
-    phase, height = rng.uniform(0, 6.28, (15, 6)), rng.standard_normal((15, 6))
-
-    def f(x):
-        return (height * np.sin(np.einsum("mn,knj->mkj", x, w) + phase)).sum(-1)
-
-    return lambda x: np.abs(f(x) - f(target[None])).mean(1)
-
-
-def rastrigin(target, rng):
-    return lambda x: (25 * (x - target) ** 2 + 1 - np.cos(10 * np.pi * (x - target))).mean(1)
-
-
-@pytest.mark.parametrize(
-    ("make", "n", "bits", "generations", "bar"),
-    [
-        (sphere, 2, 16, 40, 0.005),
-        (sphere, 4, 8, 40, 0.005),
-        (absolute, 4, 16, 40, 0.005),
-        (noisy, 4, 8, 60, 0.02),
-        (behaviours, 4, 8, 40, 0.02),
-        (sphere, 12, 8, 60, 0.02),
-        (absolute, 12, 12, 60, 0.02),
-    ],
-)
-def test_finds_the_optimum_from_a_start_a_sixth_of_the_range_away(make, n, bits, generations, bar):
-    errors = []
-    for seed in range(5):
-        rng = np.random.default_rng(seed)
-        target = rng.uniform(0.5, 1.5, n)
-        start = np.clip(target + 0.2 * rng.choice([-1, 1], n), LOW, HIGH)
-        found = minimize(make(target, rng), limbs(n, bits), seed=seed, generations=generations, start=start)
-        errors.append(np.abs(found.values - target).mean())
-    assert np.median(errors) <= bar
-    assert max(errors) <= 2 * bar
-
-
-def test_rastrigin_from_random_starts():
-    errors = []
-    for seed in range(5):
-        target = np.random.default_rng(seed).uniform(0.5, 1.5, 4)
-        errors.append(
-            np.abs(minimize(rastrigin(target, None), limbs(4), seed=seed, generations=60).values - target).mean()
-        )
-    assert np.median(errors) <= 0.01
-
-
-def test_gray_beats_binary():
-    errors = {"gray": [], "binary": []}
-    for code, found in errors.items():
-        for seed in range(6):
-            rng = np.random.default_rng(seed)
-            target = rng.uniform(0.5, 1.5, 4)
-            best = minimize(absolute(target, rng), limbs(4, code=code), seed=seed, generations=30).values
-            found.append(np.abs(best - target).mean())
-    assert np.mean(errors["gray"]) < 0.5 * np.mean(errors["binary"])
 
 
 # ---- ask / tell ----
