@@ -4,6 +4,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from gap_arm import SIGMA, dataset, recording
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.commands import Command
@@ -48,6 +49,24 @@ def test_three_recordings_are_enough():
     """One window held out is all that there is to confirm a name, and not a stroke of luck to be left out."""
     few = identify(dataset(damped, seed=1, fit=2, test=1), LIBRARY, max_effects=1, options=QUICK)
     assert [named.name for named in few.effects] == ["viscous_damping@joint:elbow"]
+
+
+def test_linear_algebra_stays_in_the_threads_of_the_search():
+    def threads(*_):
+        return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+
+    during = []
+    with threadpool_limits(2, "blas"):
+        before = threads()
+        identify(
+            dataset(damped, seed=1, fit=1, test=1),
+            LIBRARY[:1],
+            max_effects=1,
+            options=QUICK,
+            progress=lambda word: during.extend(threads()),
+        )
+        assert threads() == before
+    assert set(during) == {1}
 
 
 def test_luck_counts_where_windows_are_many():

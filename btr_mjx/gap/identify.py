@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from btr_mjx.gap.check import Check
 from btr_mjx.gap.confounds import confounds
@@ -72,8 +73,10 @@ def identify(
       InputError: no recordings on one side of the split, recordings too short for a window, no motion.
     """
     begun = time.monotonic()
-    bench = Bench(dataset, effects, options, progress, counter)
-    return name_missing(bench, max_effects, seed, progress, begun)
+    # The search has threads of its own, and matrices that are too small to be shared by more.
+    with threadpool_limits(1, "blas"):
+        bench = Bench(dataset, effects, options, progress, counter)
+        return name_missing(bench, max_effects, seed, progress, begun)
 
 
 def name_missing(
