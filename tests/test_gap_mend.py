@@ -5,7 +5,7 @@ import json
 import mujoco
 import numpy as np
 import pytest
-from test_gap_effects import PENDULUM, QUADRUPED, load, moderate, windows
+from gap_models import PENDULUM, QUADRUPED, load, moderate, windows
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.effects import EFFECTS, Candidate, Scales, candidates

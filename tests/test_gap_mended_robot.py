@@ -1,7 +1,7 @@
 import mujoco
 import numpy as np
 import pytest
-from test_gap_effects import QUADRUPED
+from gap_models import QUADRUPED
 
 from btr_mjx.behaviour import evaluate
 from btr_mjx.errors import InputError

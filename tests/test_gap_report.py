@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_gap_effects import QUADRUPED
+from gap_models import QUADRUPED
 
 from btr_mjx.errors import InputError
 from btr_mjx.files import write_arrays, write_json

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import polars as pl
 import pytest
-from test_gap_effects import QUADRUPED
+from gap_models import QUADRUPED
 
 from btr_mjx.files import read_arrays, read_json
 from btr_mjx.gap.diagnosis import Confound, Diagnosis, DisagreementMap, Estimate, Gap, Named, Overlay, Refit, Row
