@@ -160,8 +160,8 @@ def compare(
     out = {}
     for i in range(len(survivors)):
         for j in range(i + 1, len(survivors)):
-            # Whichever of the two is true, the other one is refitted to what it does. One with more numbers can do
-            # what the other does, always: there only the simpler one can be refuted.
+            # Whichever of the two is true, the other one is refitted to what it does. One with more numbers may do
+            # whatever the other does (nothing, for one): what counts there is whether the simpler one can be refuted.
             fewest = min(len(columns[i]), len(columns[j]))
             refitted = [own for own in (columns[i], columns[j]) if len(own) == fewest]
             out[i, j] = min(_left(residuals[j] - residuals[i], own) for own in refitted)
@@ -181,7 +181,7 @@ def margin(
     Args:
       truth: the one.
       rival: the other.
-      recordings: of both or of reality.
+      recordings: to judge by.
       interpolation: of their commands.
       sigma: (2 nv,) noise.
       span: length of a window [s].
