@@ -93,12 +93,20 @@ def save_checkpoint(
     text = json.dumps(to_plain(header, strict=False)).encode("utf-8")
     path = checkpoint_path(folder, step)
     write_arrays(path, {META_NAME: np.frombuffer(text, np.uint8), **arrays})
-    existing = list_checkpoints(folder)
-    current = [saved for saved, _ in existing if saved <= step][-keep:]
-    for saved, old in existing:
-        if saved not in current:
-            old.unlink(missing_ok=True)
+    for later in [old for saved, old in list_checkpoints(folder) if saved > step]:
+        later.unlink(missing_ok=True)
+    drop_older(folder, step, keep)
     return path
+
+
+def drop_older(folder: str | Path, step: int, keep: int) -> None:
+    """Delete the checkpoints of steps up to `step` but for the last `keep`.
+
+    Raises:
+      OSError: a file cannot be deleted.
+    """
+    for old in [path for saved, path in list_checkpoints(folder) if saved <= step][:-keep]:
+        old.unlink(missing_ok=True)
 
 
 def read_checkpoint(path: str | Path) -> Checkpoint:

@@ -241,8 +241,15 @@ class RunFolder:
         return checkpoints.save_checkpoint(self.path, step, arrays, meta, rows=rows, keep=self.keep)
 
     def load_latest(self) -> Checkpoint | None:
-        """The newest sound checkpoint, None where there is none yet; see `checkpoints.load_latest`."""
-        return checkpoints.load_latest(self.path)
+        """The newest sound checkpoint, None where there is none yet; see `checkpoints.load_latest`.
+
+        Older ones than those to keep are deleted: a kill between a checkpoint and the deletion of the one that it
+        replaces leaves one too many, and after the last step no other save would delete it.
+        """
+        checkpoint = checkpoints.load_latest(self.path)
+        if checkpoint is not None:
+            checkpoints.drop_older(self.path, checkpoint.step, self.keep)
+        return checkpoint
 
     def _record_environment(self, devices: Sequence[Any] | None) -> None:
         path = self.path / ENVIRONMENT_NAME

@@ -7,9 +7,7 @@ import pytest
 from run_configs import Coding, Config, Mutation
 
 from btr_mjx import files
-from btr_mjx.checkpoints import (
-    checkpoint_path,
-)
+from btr_mjx.checkpoints import checkpoint_path, list_checkpoints
 from btr_mjx.configs import config_to_json, read_config
 from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.runs import History, RunFolder
@@ -71,6 +69,24 @@ def test_history_is_cut_to_the_checkpoint(tmp_path):
         (run.path / "history.parquet").unlink()
         with pytest.raises(DamagedFile, match="missing, the checkpoint of step 1 needs it"):
             run.history("history.parquet", checkpoint)
+
+
+def test_a_kill_after_the_last_checkpoint_leaves_no_file_too_many(tmp_path, monkeypatch):
+    with RunFolder.create(tmp_path / "run", Config()) as run:
+        for step in range(2):
+            run.save_checkpoint(step, {})
+
+        def killed(path, missing_ok=False):
+            raise InterruptedError(path.name)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, "unlink", killed)
+            with pytest.raises(InterruptedError, match="checkpoint-000000"):
+                run.save_checkpoint(2, {})
+    assert len(list_checkpoints(run.path)) == 3
+    with RunFolder.create(tmp_path / "run", Config(), resume=True) as run:
+        assert run.load_latest().step == 2
+        assert [step for step, _ in list_checkpoints(run.path)] == [1, 2]
 
 
 def snapshot(folder):
