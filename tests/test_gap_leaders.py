@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from btr_mjx.gap.effect import candidates
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.leaders import contact_scan, pick, with_contacts
+from btr_mjx.gap.leaders import contact_scan, pick, starts, with_contacts
 from btr_mjx.gap.scales import Scales
 from btr_mjx.gap.scanner import Lead
 from btr_mjx.gap.score import robust_gain
@@ -85,10 +85,35 @@ def test_a_limit_brings_those_of_its_group_along() -> None:
     assert set(pick(leads, entries, Options(leaders=1), 100.0)) == {"torque_limit@actuator:elbow"}
 
 
+def test_a_limit_that_the_simulation_never_reaches_is_tried_where_all_is_far_away() -> None:
+    known = {c.name: c for c in candidates(arm(), Scales.of(arm()), EFFECTS)}
+    names = ["load_friction@joint:elbow", "torque_limit@actuator:elbow", "torque_limit@actuator:shoulder"]
+    entries = [Entry(known[name], -0.1 * known[name].null - 0.01, name.startswith("torque")) for name in names]
+    leads = [Lead(0, 90.0, known[names[0]].null + 0.1)]
+    assert set(pick(leads, entries, Options(leaders=2), 10.0)) == {names[0]}
+    picked = pick(leads, entries, Options(leaders=2), 10.0, far=True)
+    assert set(picked) == set(names[:2])
+    tried = starts(picked[names[1]], lambda lead: entries[lead.index])
+    first = known[names[1]].parameters[0]
+    share = (np.concatenate(tried) - first.null) / (first.low - first.null)
+    assert share.max() > 0.95
+    assert np.all((share > 0) & (share < 1))
+
+
 def test_single_motors_have_no_clocks_of_their_own() -> None:
     known = {c.name: c.parameters[0] for c in candidates(arm(), Scales.of(arm()), EFFECTS)}
     assert known["actuator_delay@actuator:elbow"].low == 0.0
     assert known["actuator_delay@all"].low < 0.0
+
+
+@pytest.mark.parametrize("effect", ["actuator_delay", "actuator_lag"])
+def test_late_commands_are_counted_from_a_part_of_a_time_step(effect: str) -> None:
+    model = arm()
+    for step in (1e-3, 4e-3):
+        model.opt.timestep = step
+        found = [c.parameters[0] for c in candidates(model, Scales.of(model), EFFECTS) if c.effect.name == effect]
+        assert len(found) > 1
+        assert {parameter.least for parameter in found} == {step / 4}
 
 
 @given(st.floats(0.7, 1.45), st.floats(0.5, 50.0), st.floats(-100.0, 100.0))

@@ -148,24 +148,38 @@ def test_whoever_leads_beside_another_effect_has_been_judged_again(monkeypatch):
     ],
 )
 def test_what_may_be_called_by_name(names, gain, held_out, expected):
-    """Beside an effect of 4000; a number costs 10."""
+    assert is_accepted(names, gain, held_out) is expected
+
+
+@pytest.mark.parametrize(("least", "expected"), [(0.9, True), (1.1, False)])
+def test_what_is_smaller_than_any_simulation_is_not_called_by_name(least, expected):
+    assert is_accepted("b", 5000.0, 2000.0, least) is expected
+
+
+def is_accepted(names, gain, held_out, least=0.0):
+    """Beside an effect of 4000; a number costs 10, is 1 and has a tolerance of 0.1."""
+    first = [SimpleNamespace(tolerance=0.1, least=least)]
+    place = SimpleNamespace(members=())
     effects = [
-        (SimpleNamespace(name=name, null=[0.0], parameters=[SimpleNamespace(tolerance=0.1)], place=SimpleNamespace(
-            members=()), effect=SimpleNamespace(name=name)), (1.0,)) for name in names
-    ]  # fmt: skip
+        (
+            SimpleNamespace(name=name, null=[0.0], parameters=first, place=place, effect=SimpleNamespace(name=name)),
+            (1.0,),
+        )
+        for name in names
+    ]
     given = SimpleNamespace(score=4000.0, gain=2500.0, held_out=1510.0) if len(names) > 1 else None
-    first = (given.score, given.gain, given.held_out) if given else (0.0, 0.0, 0.0)
+    before = (given.score, given.gain, given.held_out) if given else (0.0, 0.0, 0.0)
     judged = SimpleNamespace(
-        score=first[0] + gain + held_out - 10.0,
-        gain=first[1] + gain,
-        held_out=first[2] + held_out,
+        score=before[0] + gain + held_out - 10.0,
+        gain=before[1] + gain,
+        held_out=before[2] + held_out,
         hypothesis=SimpleNamespace(effects=effects),
         before=fits([9.0], [9.0]),
         fits=fits([9.0], [0.0]),
     )
     side = SimpleNamespace(windows=range(20))
     bench = SimpleNamespace(delicate={"m"}, dispersion=1.0, fit=side, test=side, dataset=SimpleNamespace(tolerances={}))
-    assert accepted(bench, judged, given) is expected
+    return accepted(bench, judged, given)
 
 
 def fits(*chi2):

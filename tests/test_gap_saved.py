@@ -15,7 +15,7 @@ from btr_mjx.gap.diagnosis import Confound, Diagnosis, DisagreementMap, Estimate
 from btr_mjx.gap.next_experiment import NextExperiment
 from btr_mjx.gap.recordings import Believed, Dataset
 from btr_mjx.gap.report import draw
-from btr_mjx.gap.saved import save, where
+from btr_mjx.gap.saved import as_result, save, where
 
 REGIMES = ("all", "slow", "fast", "low load", "high load", "contact", "air", "early", "late")
 
@@ -91,6 +91,17 @@ def test_what_is_saved_says_what_was_found(dataset: Dataset, tmp_path: Path) -> 
     page = draw(out).read_text(encoding="utf-8")
     assert "mended.xml is the believed model" in page
     assert "NaN" not in page
+
+
+@pytest.mark.parametrize(
+    ("joints", "unit"),
+    [("slide", "m"), ("hinge", "rad"), ("ball", "rad"), ("slide hinge", "rad and m"), ("free", "rad and m")],
+)
+def test_the_error_over_whole_recordings_has_the_unit_of_the_joints(tmp_path: Path, joints: str, unit: str) -> None:
+    body = "".join(f'<joint type="{kind}"/>' for kind in joints.split())
+    xml = f'<mujoco><worldbody><body>{body}<geom size="0.1"/></body></worldbody></mujoco>'
+    dataset = Dataset(tmp_path, mujoco.MjModel.from_xml_string(xml), None, xml, (), ())
+    assert as_result(diagnosis(), dataset)["gap"]["open_loop_unit"] == unit
 
 
 def test_the_mended_model_has_what_was_refitted(dataset: Dataset, tmp_path: Path) -> None:

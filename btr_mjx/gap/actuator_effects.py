@@ -9,8 +9,12 @@ import numpy as np
 from btr_mjx.gap.commands import Command
 from btr_mjx.gap.effect import Effect, Parameter
 from btr_mjx.gap.places import Place, actuator_count, actuator_places
-from btr_mjx.gap.scales import Scales
+from btr_mjx.gap.scales import Scales, unit_of
 from btr_mjx.gap.worlds import World
+
+_HELD = 0.25
+"""Part of the model's time step: data in which commands were held through steps of half that length are that late, on
+average, and a simulation that holds them through its own is later still. No robot lacks that."""
 
 _LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE), int(mujoco.mjtGain.mjGAIN_PID))
 _LINEAR_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
@@ -31,7 +35,7 @@ def _delay(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Paramet
     time = scales.time
     # Clocks may differ, but not from one motor to the next.
     low = -0.15 * time if len(place.actuators) == actuator_count(model) else 0.0
-    return (Parameter("delay", "s", low, max(2.0 * time, 0.03), 0.03 * time),)
+    return (Parameter("delay", "s", low, max(2.0 * time, 0.03), 0.03 * time, least=_HELD * model.opt.timestep),)
 
 
 def _shift(delay: np.ndarray) -> Callable[[Command], Command]:
@@ -61,7 +65,8 @@ def _by_id(spec: mujoco.MjSpec) -> dict[int, mujoco.MjsActuator]:
 
 
 def _lag(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("time_constant", "s", 0.0, max(2.0 * scales.time, 0.03), 0.03 * scales.time),)
+    high, least = max(2.0 * scales.time, 0.03), _HELD * model.opt.timestep
+    return (Parameter("time_constant", "s", 0.0, high, 0.03 * scales.time, least=least),)
 
 
 def _filter(constant: np.ndarray) -> Callable[[Command], Command]:
@@ -108,15 +113,15 @@ def _apply_gain(world: World, place: Place, values: np.ndarray) -> None:
 
 
 def _limit(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    actuators = list(place.actuators)
+    actuators, unit = list(place.actuators), unit_of(model, place, "N m", "N")
     peak = float(scales.force[actuators].max())
     limited = model.actuator_forcelimited[actuators].astype(bool)
     if limited.all():
         believed = float(np.abs(model.actuator_forcerange[actuators]).max())
         if believed <= peak * 1.01:  # it binds: it may be larger or smaller
-            return (Parameter("limit", "N m", 0.05 * peak, 3.0 * believed, -0.1 * believed, null=believed),)
+            return (Parameter("limit", unit, 0.05 * peak, 3.0 * believed, -0.1 * believed, null=believed),)
     peak = max(peak, 1e-9)
-    return (Parameter("limit", "N m", 0.05 * peak, 1.1 * peak, -0.3 * peak, null=1.1 * peak),)
+    return (Parameter("limit", unit, 0.05 * peak, 1.1 * peak, -0.3 * peak, null=1.1 * peak),)
 
 
 def _apply_limit(world: World, place: Place, values: np.ndarray) -> None:

@@ -26,6 +26,7 @@ class Parameter:
       null: value at which the effect is absent; sizes and errors are measured from there.
       shape: the parameter only matters while the first one differs from its null (where a mass sits, the speed at
         which friction falls); `null` is then where its search starts.
+      least: difference from `null` that a first number needs to be called by name, however sure it is.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Parameter:
     tolerance: float = 0.0
     null: float = 0.0
     shape: bool = False
+    least: float = 0.0
 
     def __post_init__(self) -> None:
         if not (self.low <= self.null <= self.high and self.step != 0):

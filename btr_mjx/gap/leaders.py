@@ -18,7 +18,7 @@ from btr_mjx.gap.walks import Walks
 Try = tuple[float, Candidate, np.ndarray]
 """Gain, candidate and values (p,)."""
 
-_CLAMP_SHARES = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85)
+_CLAMP_SHARES = (0.1, 0.25, 0.4, 0.55, 0.7, 0.8, 0.87, 0.92, 0.96)
 """Starts of a limit, as parts of the way from where it does nothing to its tightest."""
 
 _EITHER_SIDE = (1.0, -1.0)
@@ -49,6 +49,7 @@ def pick(
     entries: Sequence[Entry],
     options: Options,
     price: float,
+    far: bool = False,
 ) -> dict[str, list[Lead]]:
     """Leaders by name, each with one or more starts.
 
@@ -57,6 +58,7 @@ def pick(
       entries: of all candidates.
       options: how many.
       price: of one number.
+      far: whether all of them leave simulation and data far apart, where the linear picture says little.
     """
 
     def entry(lead: Lead) -> Entry:
@@ -81,6 +83,16 @@ def pick(
         for lead in groups:
             by_name.setdefault(entry(lead).candidate.name, []).append(lead)
         same += [entry(lead).candidate.name for lead in groups]
+    if far:
+        # A simulation that follows its commands where the robot could not never comes near the robot's limit.
+        unseen = [
+            Lead(i, 0.0, own.candidate.null + own.steps)
+            for i, own in enumerate(entries)
+            if own.probe and any(_overlap(own.candidate.place, p) for p in places)
+        ]
+        for lead in unseen:
+            by_name.setdefault(entry(lead).candidate.name, [lead])
+        same += [entry(lead).candidate.name for lead in unseen]
     picked = dict.fromkeys([*chosen, *limits[:1], *same])
     return {name: sorted(by_name[name], key=lambda lead: -entry(lead).probe)[:3] for name in picked}
 

@@ -185,7 +185,7 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None, share: float = 
         return False
     candidate, values = judged.hypothesis.effects[-1]
     tolerance = tolerance_of(candidate, bench.dataset.tolerances)
-    return abs(values[0] - candidate.null[0]) > TOLERANCES * tolerance
+    return abs(values[0] - candidate.null[0]) > max(TOLERANCES * tolerance, candidate.parameters[0].least)
 
 
 def vouched(bench: Bench, judged: Judged) -> bool:

@@ -67,6 +67,14 @@ def save(
     return result
 
 
+def _position_unit(model: mujoco.MjModel) -> str:
+    """Unit of a mean over the positions of all degrees of freedom."""
+    kinds = set(model.jnt_type.tolist())
+    turns = kinds - {int(mujoco.mjtJoint.mjJNT_SLIDE)}
+    shifts = kinds & {int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_FREE)}
+    return " and ".join((["rad"] if turns else []) + (["m"] if shifts else []))
+
+
 def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
     """What result.json says of a diagnosis: SI units, angles in rad."""
     close = set(diagnosis.equivalent)
@@ -104,7 +112,9 @@ def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
         "effects": named,
         "ranking": ranking,
         "equivalent": [_entry(name) for name in diagnosis.equivalent],
-        "gap": asdict(diagnosis.gap) | {"closed": diagnosis.gap.closed, "unit": "χ² per degree of freedom"},
+        "gap": asdict(diagnosis.gap)
+        | {"closed": diagnosis.gap.closed, "unit": "χ² per degree of freedom"}
+        | {"open_loop_unit": _position_unit(dataset.model)},
         "unexplained": list(diagnosis.unexplained),
         "believed": [asdict(refit) for refit in diagnosis.believed],
         "confounds": [asdict(confound) for confound in diagnosis.confounds],

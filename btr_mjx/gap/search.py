@@ -46,6 +46,9 @@ _CUT = 1.5
 _DRAWS = 8
 """Draws of all tolerances that show where these leave the linear picture."""
 
+_FAR = 4.0
+"""Chi^2 per degree of freedom of the best lead above which limits are tried that the linear picture cannot see."""
+
 _FEW = 6
 """Up to so many believed numbers are refitted together with every leader."""
 
@@ -200,7 +203,9 @@ class Bench:
             # Most robots lack one thing: what is not worth its price in the linear picture is not simulated as well.
             leads = [lead for lead in leads if lead.gain > price * len(lead.values)]
         entries = self.scanner.screened.entries
-        starting = {own[0].index: starts(own, self._entry) for own in pick(leads, entries, options, price).values()}
+        far = given is None and self.dispersion > _FAR
+        picked = pick(leads, entries, options, price, far)
+        starting = {own[0].index: starts(own, self._entry) for own in picked.values()}
         tries = [(entries[index].candidate, values) for index, values in starting.items()]
         strongest = max((lead.gain for lead in leads), default=0.0)
         moving = [c for c in self.candidates if c.name in self.delicate and c.name not in taken]
