@@ -14,7 +14,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.files import write_arrays, write_json
 from btr_mjx.gap.mend import Found, mend
 from btr_mjx.gap.report import draw, main
-from btr_mjx.gap.wording import number, verdict_sentence, with_interval
+from btr_mjx.gap.wording import number, verdict_sentence, with_ends, with_interval
 
 RESULT: dict[str, Any] = {
     "verdict": "effect",
@@ -199,6 +199,18 @@ def test_numbers_for_readers() -> None:
     ]
     assert with_interval({"value": 12.34, "low": 11.9, "high": 12.8, "unit": "N m"}) == "12.34 ± 0.45 N m"
     assert with_interval({"value": 1.0, "unit": "kg"}) == "1 kg"
+    assert with_ends({"value": 2.0031, "low": 1.9962, "high": 2.0098}) == {
+        "value": "2.0031",
+        "low": "1.9962",
+        "high": "2.0098",
+    }
+    assert with_ends({"value": -0.31, "low": -0.35, "high": 12.0}) == {
+        "value": "−0.310",
+        "low": "−0.350",
+        "high": "12.000",
+    }
+    assert with_ends({"value": 1.0, "low": None, "high": None}) == {"value": "1", "low": "–", "high": "–"}
+    assert with_ends({"value": 4e7, "low": 3.9e7, "high": 4.1e7})["high"] == "4.10·10^7"
 
 
 def test_a_folder_without_a_diagnosis(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from btr_mjx.files import read_json
-from btr_mjx.gap.wording import named, number, title, verdict_sentence
+from btr_mjx.gap.wording import named, number, title, verdict_sentence, with_ends
 
 _CODE = """import json, mujoco
 from btr_mjx.gap.mend import Callback
@@ -34,7 +34,7 @@ def content(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
             "effect": title(effect["effect"]),
             "location": effect["location"],
             "name": name.replace("_", " "),
-            **{key: number(parameter.get(key)) for key in ("value", "low", "high")},
+            **with_ends(parameter),
             "unit": _unit(parameter.get("unit")),
         }
         for effect in result.get("effects") or []

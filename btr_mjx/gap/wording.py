@@ -120,10 +120,26 @@ def _rounded(value: float, error: float) -> str:
     """Value and error with as many decimals as the error deserves."""
     if not error > 0:
         return number(value)
-    decimals = max(0, 1 - math.floor(math.log10(error)))
+    decimals = _decimals(error)
     if decimals > 8 or abs(value) >= 1e6:
         return f"{number(value)} ± {number(error, 2)}"
     return f"{value:.{decimals}f} ± {error:.{decimals}f}".replace("-", "−")
+
+
+def _decimals(error: float) -> int:
+    """How many show two digits of an error."""
+    return max(0, 1 - math.floor(math.log10(error)))
+
+
+def with_ends(parameter: Mapping[str, Any]) -> dict[str, str]:
+    """Value, low and high of a parameter, each with as many digits as tell them apart."""
+    found = {key: _float(parameter.get(key)) for key in ("value", "low", "high")}
+    known = [v for v in found.values() if v is not None]
+    apart = [abs(v - known[0]) for v in known[1:] if v != known[0]]
+    if len(known) < len(found) or not apart or max(map(abs, known)) >= 1e6 or _decimals(min(apart)) > 8:
+        return {key: number(value) for key, value in found.items()}
+    decimals = _decimals(min(apart))
+    return {key: f"{value:.{decimals}f}".replace("-", "−") for key, value in found.items()}
 
 
 def _float(value: Any) -> float | None:
