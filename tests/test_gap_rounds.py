@@ -54,6 +54,26 @@ def test_beside_another_effect_contacts_without_a_name_stand_in_nobodys_way(monk
     assert "".join(j.hypothesis.effects[-1][0].name for j in out) == order
 
 
+@pytest.mark.parametrize(
+    ("best", "scores", "usual", "first"),
+    [
+        ("m", (130.0, 122.0), "b", "b"),  # a foot that is a little low: no name
+        ("m", (160.0, 122.0), "b", "m"),  # the data tell them apart
+        ("m", (130.0, 122.0), "", "m"),
+        ("a", (130.0, 122.0), "b", "a"),  # plain candidates are judged by their own size
+    ],
+)
+def test_what_moves_contacts_gives_way_to_what_calibration_leaves(monkeypatch, best, scores, usual, first):
+    judged = [as_judged(best, scores[0]), as_judged("b", scores[1])]
+    monkeypatch.setattr("btr_mjx.gap.rounds.accepted", all_but(usual))
+    monkeypatch.setattr(
+        "btr_mjx.gap.rounds.within_calibration", lambda bench, j: j.hypothesis.effects[-1][0].name in usual
+    )
+    out = acceptable(SimpleNamespace(delicate=frozenset("m")), judged, None)
+    assert out[0].hypothesis.effects[-1][0].name == first
+    assert len(out) == 2
+
+
 class Stage:
     """A bench and a polisher that say what they are told.
 
@@ -68,6 +88,7 @@ class Stage:
         self.scores, self.polished, self.asked = scores, polished or {}, []
         monkeypatch.setattr(rounds, "Polisher", lambda bench: self)
         monkeypatch.setattr(rounds, "accepted", self.accepted)
+        monkeypatch.setattr(rounds, "within_calibration", lambda bench, judged: False)
 
     def accepted(self, bench, judged, given, share=0.0):
         return judged.score - (given.score if given else 0.0) > 25.0

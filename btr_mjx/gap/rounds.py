@@ -140,6 +140,9 @@ def acceptable(
 ) -> list[Judged]:
     """One round, with what may be called by name in front of what may not, where the data cannot tell the two apart.
 
+    Where they cannot tell what moves contacts from something that is no larger than calibration leaves, the latter
+    comes first: the feet of a robot that lacks nothing come down a little early or late, too.
+
     Beside what was found before, what moves contacts and may not be called by name stands in nobody's way either: its
     score is a matter of chance up to its threshold.
 
@@ -150,6 +153,10 @@ def acceptable(
       share: of the first one's score that a second one needs where contacts move.
     """
     close = alike(judged, bench.delicate) if judged else []
+    if not given and close and close[0].hypothesis.effects[-1][0].name in bench.delicate:
+        usual = next((j for j in close if within_calibration(bench, j)), None)
+        if usual is not None:
+            return [usual, *(j for j in judged if j is not usual)]
     if given:
         moving = (j.hypothesis.effects[-1][0].name in bench.delicate for j in judged)
         close += list(judged)[: next((i for i, moves in enumerate(moving) if not moves), len(judged)) + 1]
@@ -183,9 +190,14 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None, share: float = 
     enough = max(HELD_OUT, min(HELD_OUT_SHARE * expected, HELD_OUT_ENOUGH))
     if held_out < enough and not vouched(bench, judged):
         return False
+    return not within_calibration(bench, judged)
+
+
+def within_calibration(bench: Bench, judged: Judged) -> bool:
+    """Whether the last effect is no larger than what calibration leaves, or than any simulation of its kind errs."""
     candidate, values = judged.hypothesis.effects[-1]
     tolerance = tolerance_of(candidate, bench.dataset.tolerances)
-    return abs(values[0] - candidate.null[0]) > max(TOLERANCES * tolerance, candidate.parameters[0].least)
+    return abs(values[0] - candidate.null[0]) <= max(TOLERANCES * tolerance, candidate.parameters[0].least)
 
 
 def vouched(bench: Bench, judged: Judged) -> bool:
