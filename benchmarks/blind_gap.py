@@ -199,7 +199,7 @@ def _gains(bench: Bench, added: list[Any]) -> list[float]:
             centres += [own.redirected(h) for own, h in zip(centres, hypotheses, strict=True)]
         for i, hypothesis in enumerate(hypotheses):
             own = nearest([centre.based(hypothesis) for centre in centres])
-            losses[i] += free(own).profile(own.windows.residual, bench.cut).loss
+            losses[i] += free(own, hypothesis).profile(own.windows.residual, bench.cut).loss
     return [float(without - losses[0]) / bench.dispersion for without in losses[1:]]
 
 

@@ -128,7 +128,7 @@ def test_one_more_effect_is_compared_with_what_was_found(bench: Bench) -> None:
     for i, free in enumerate((bench.free, bench.nuisance)):
         windows = first.sides[i].windows
         fits = [
-            free(first.sides[i]).profile(windows.residuals([h])[0], bench.cut)
+            free(first.sides[i], h).profile(windows.residuals([h])[0], bench.cut)
             for h in (first.hypothesis, second.hypothesis)
         ]
         falls.append(bench.fall(*fits))

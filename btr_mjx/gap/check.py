@@ -72,7 +72,8 @@ class Check:
         else:
             residual = (judged.refined.residual, judged.residual)[i]
         side = (self.sides if judged is None else judged.sides)[i]
-        return self.bench.nuisance(side).absorbed(residual, self.bench.cut)
+        hypothesis = None if judged is None else judged.hypothesis
+        return self.bench.nuisance(side, hypothesis).absorbed(residual, self.bench.cut)
 
     def _forces(self, i: int, judged: Judged | None) -> Forces:
         return self._fit(i, judged)(self._residual(i, judged))
@@ -150,8 +151,7 @@ class Check:
         if judged is None:
             return joints(bench.fit.windows.residual, bench.cut)
         fit = self._fit(0, judged)
-        if fit is not self.fits[0] or bench.joint:
-            joints = Joints(fit, bench.free(judged.sides[0]), joints.known)
+        joints = Joints(fit, bench.free(judged.sides[0], judged.hypothesis), joints.known)
         return joints(judged.refined.residual, bench.cut, judged.refined.columns)
 
     def share(self, judged: Judged | None) -> float:

@@ -16,7 +16,9 @@ def _damping(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Param
     size = typical(scales.torque, place, model) / typical(scales.speed, place, model)
     unit = unit_of(model, place, "N m s/rad", "N s/m")
     believed = least(model, "dof_damping", place)
-    return (Parameter("damping", unit, -believed, 3.0 * size, 0.05 * size, 0.01 * believed),)
+    # Nobody knows damping to a percent where motors hardly feel it.
+    tolerance = min(0.1 * believed, max(0.01 * believed, 1e-3 * size))
+    return (Parameter("damping", unit, -believed, 3.0 * size, 0.05 * size, tolerance),)
 
 
 def _apply_damping(world: World, place: Place, values: np.ndarray) -> None:

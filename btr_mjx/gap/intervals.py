@@ -102,13 +102,13 @@ def _evidence(bench: Bench, judged: Judged) -> tuple[Evidence, np.ndarray, np.nd
     found = judged.sides[1].windows.residuals([free.make(values + step) for step in steps])
     columns = np.stack([(there - judged.residual) / step.sum() for there, step in zip(found, steps, strict=True)])
     data = _both(bench, judged, (judged.refined.residual, judged.residual), (judged.refined.columns, columns))
-    precision = np.concatenate([np.zeros(len(values)), bench.free(judged.sides[0]).precision])
+    precision = np.concatenate([np.zeros(len(values)), bench.free(judged.sides[0], judged.hypothesis).precision])
     return data, precision, weight(np.concatenate([judged.refined.chi2, judged.fits[1].chi2]), bench.cut)
 
 
 def _both(bench: Bench, judged: Judged, residuals: Sequence[np.ndarray], columns: Sequence[np.ndarray]) -> Evidence:
     """Evidence of both sides' residuals on columns of theirs, followed by the nuisances, which they share."""
-    nuisances = bench.free(judged.sides[0]), bench.nuisance(judged.sides[1])
+    nuisances = bench.free(judged.sides[0], judged.hypothesis), bench.nuisance(judged.sides[1], judged.hypothesis)
     own, far = (n.evidence(r, c) for n, r, c in zip(nuisances, residuals, columns, strict=True))
     more = own.n - far.n  # what may be refitted is refitted on the one side only
     moment, gram = np.pad(far.moment, ((0, 0), (0, more))), np.pad(far.gram, ((0, 0), (0, more), (0, more)))
@@ -119,7 +119,9 @@ def _both(bench: Bench, judged: Judged, residuals: Sequence[np.ndarray], columns
 def _loss(bench: Bench, judged: Judged, residuals: Sequence[np.ndarray]) -> float:
     """Of both sides' residuals, with what is fitted along."""
     nothing = [np.zeros((0, *residual.shape)) for residual in residuals]
-    return fit(_both(bench, judged, residuals, nothing), bench.free(judged.sides[0]).precision, bench.cut).loss
+    return fit(
+        _both(bench, judged, residuals, nothing), bench.free(judged.sides[0], judged.hypothesis).precision, bench.cut
+    ).loss
 
 
 def _stepped(bench: Bench, judged: Judged, step: np.ndarray) -> Hypothesis:

@@ -81,7 +81,7 @@ def following(bench: Bench, judged: Judged) -> Judged:
     """
     hypothesis = followed(bench, judged.hypothesis)
     residual = judged.sides[0].windows.residuals([hypothesis])[0]
-    own = bench.free(judged.sides[0]).profile(residual, bench.cut)
+    own = bench.free(judged.sides[0], hypothesis).profile(residual, bench.cut)
     values = hypothesis.values(bench.joint)
     refined = replace(judged.refined, values=values, residual=residual, loss=own.loss, chi2=own.chi2)
     return bench.judge([hypothesis], [refined], judged.sides, judged.references)[0]

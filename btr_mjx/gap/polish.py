@@ -160,7 +160,7 @@ class Polisher:
         for i, free in enumerate((bench.free, bench.nuisance)):
             other = bench.nuisance if given is None else free
             rival, *sides = self._shared([before, *hypotheses], known[i], anew)
-            fits.append(other(rival).profile(rival.windows.residual, bench.cut))
+            fits.append(other(rival, before).profile(rival.windows.residual, bench.cut))
             if i == 0:
                 sized = [self._sized(h, side, fits[0]) for h, side in zip(hypotheses, sides, strict=True)]
                 hypotheses, sides = [h for h, _ in sized], [side for _, side in sized]
@@ -232,7 +232,7 @@ class Polisher:
         bench, tried = self.bench, {1.0: (hypothesis, side)}
 
         def gains() -> dict[float, float]:
-            fits = {f: bench.free(own).profile(own.windows.residual, bench.cut) for f, (_, own) in tried.items()}
+            fits = {f: bench.free(own, h).profile(own.windows.residual, bench.cut) for f, (h, own) in tried.items()}
             return {factor: bench.fall(reference, fit) for factor, fit in fits.items()}
 
         def attempt(factor: float) -> None:
@@ -258,7 +258,7 @@ class Polisher:
         bench = self.bench
         free = unknowns(hypothesis, bench.joint, bench.delicate)
         start = [hypothesis.values(bench.joint)]
-        return refine(side.windows, bench.free(side), bench.cut, [(free, start)], 2, reference)[0]
+        return refine(side.windows, bench.free(side, hypothesis), bench.cut, [(free, start)], 2, reference)[0]
 
     def _anew(self, hypothesis: Hypothesis) -> bool:
         """Whether the last effect moves contacts; sides on which one is judged suit the effects before it."""

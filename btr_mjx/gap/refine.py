@@ -24,6 +24,10 @@ _STANDSTILL = 0.5
 typically contributes to chi^2."""
 
 
+_HELD = 1e4
+"""Precision of a tolerance that is not to move; that of others is about 1."""
+
+
 @dataclass(frozen=True)
 class Nuisance:
     """What is fitted along with every hypothesis.
@@ -59,6 +63,17 @@ class Nuisance:
     def projected(self, basis: np.ndarray) -> "Nuisance":
         """The same where other directions (W, R, D) are projected out, see `score.project`."""
         return Nuisance.of(project(np.moveaxis(self.columns, 1, 0), basis).astype(self.columns.dtype), self.precision)
+
+    def without(self, index: Sequence[int]) -> "Nuisance":
+        """The same where some columns may hardly move: a number that is free needs no tolerance beside it.
+
+        The linear picture of a tolerance would vie with true simulation for what a large value explains.
+        """
+        if not len(index):
+            return self
+        precision = self.precision.copy()
+        precision[list(index)] = _HELD
+        return Nuisance(self.columns, precision, self.gram)
 
     def some(self, index: np.ndarray) -> "Nuisance":
         """Those of some windows."""
@@ -123,7 +138,7 @@ class Refined:
 
 def refine(
     windows: Windows,
-    nuisance: Nuisance,
+    nuisance: Nuisance | Sequence[Nuisance],
     cut: float,
     hypotheses: Sequence[tuple[Unknowns, Sequence[np.ndarray]]],
     iterations: int = 3,
@@ -133,7 +148,7 @@ def refine(
 
     Args:
       windows: the data.
-      nuisance: what is fitted along.
+      nuisance: what is fitted along, the same with all or with each of them.
       cut: chi^2 above which a window counts less.
       hypotheses: unknowns and one or more starting values of each; the best start is taken.
       iterations: largest number of Gauss-Newton steps.
@@ -143,7 +158,11 @@ def refine(
     Returns:
       One result per hypothesis.
     """
-    searches = [_search(unknowns, starts, nuisance, cut, iterations, reference) for unknowns, starts in hypotheses]
+    along = [nuisance] * len(hypotheses) if isinstance(nuisance, Nuisance) else nuisance
+    searches = [
+        _search(unknowns, starts, own, cut, iterations, reference)
+        for (unknowns, starts), own in zip(hypotheses, along, strict=True)
+    ]
     out: list[Refined | None] = [None] * len(searches)
     wanted = {i: next(search)[0] for i, search in enumerate(searches)}
     rounds = 0

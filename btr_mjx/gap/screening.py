@@ -10,12 +10,16 @@ from btr_mjx.gap.effect import Candidate
 from btr_mjx.gap.hypotheses import DELICATE, Hypothesis, believed_steps
 from btr_mjx.gap.refine import Nuisance
 from btr_mjx.gap.sensitivity import signatures
+from btr_mjx.gap.time_steps import step_doubt
 from btr_mjx.gap.windows import MakeWorld, Windows
 from btr_mjx.gap.world import fields_of, fingerprint
 
 _SHAPES_CONTACT = frozenset({"geom_pos", "geom_quat", "geom_size", "body_pos", "body_quat", "jnt_pos", "qpos0"})
 _SHAPES_CONTACT |= {"geom_friction", "geom_solref", "geom_solimp", "geom_margin"}
 _CLAMPS = ("actuator_forcerange", "actuator_forcelimited", "actuator_ctrlrange", "jnt_actfrcrange")
+
+FIRST_TOLERANCE = 1
+"""Column of `nuisances` from which on those of single places stand, in the order of their entries."""
 
 _CLAMP_PROBES = (0.15, 0.35, 0.6)
 """Where a limit is tried, as parts of the way from where it does nothing to its tightest."""
@@ -164,7 +168,9 @@ def tolerance_of(candidate: Candidate, given: Mapping[str, float]) -> float:
 def nuisances(
     windows: Windows, base: Hypothesis, screened: Screen, given: Mapping[str, float], single: bool
 ) -> Nuisance:
-    """Tolerances of single places with their Gaussian priors, and what may be refitted with a wide one.
+    """Tolerances with their Gaussian priors, and what may be refitted with a wide one.
+
+    Tolerances are those of single places, and that of the time step that data have of their own.
 
     Args:
       windows: linearised around `base`.
@@ -173,7 +179,7 @@ def nuisances(
       given: tolerances of the dataset by effect.
       single: see `sensitivity.signatures`.
     """
-    columns, precision = [], []
+    columns, precision = [step_doubt(windows).astype(np.float32)], [1.0]
     for index, entry in enumerate(screened.entries):
         tolerance = 0.0 if entry.probe else tolerance_of(entry.candidate, given)
         if tolerance > 0:
@@ -189,5 +195,4 @@ def nuisances(
         for i, (parameter, step) in enumerate(zip(base.parameters, steps, strict=True)):
             columns.append(moved[i])
             precision.append((step / (0.5 * (parameter.high - parameter.low))) ** 2)
-    stacked = np.stack(columns) if columns else np.zeros((0, *windows.residual.shape), np.float32)
-    return Nuisance.of(stacked, np.array(precision))
+    return Nuisance.of(np.stack(columns), np.array(precision))

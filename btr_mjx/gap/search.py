@@ -25,6 +25,7 @@ from btr_mjx.gap.refine import Nuisance, Refined, refine
 from btr_mjx.gap.scanner import Lead, Scanner
 from btr_mjx.gap.score import Fit, bounded, luckiest, project, robust_gain, typical
 from btr_mjx.gap.screening import (
+    FIRST_TOLERANCE,
     Entry,
     Screen,
     changed_fields,
@@ -108,6 +109,7 @@ class Bench:
         rng = np.random.default_rng(0)
         draws = tolerance_draws(self.base, self.candidates, dataset.tolerances, rng, _DRAWS)
         known = [e for e in entries if not e.probe and tolerance_of(e.candidate, dataset.tolerances) > 0]
+        self._loose = {entry.candidate.name: FIRST_TOLERANCE + i for i, entry in enumerate(known)}
         bare = Hypothesis((), ())  # what may be refitted is refitted on the other side only
         sides = ((self.fit.windows, entries, self.base), (self.test.windows, known, bare))
 
@@ -175,9 +177,16 @@ class Bench:
     def _reference(self, side: Side) -> Fit:
         return self.nuisance(side).profile(side.windows.residual, self.cut)
 
-    def nuisance(self, side: Side) -> Nuisance:
-        """The tolerances of a side, as tight as they are beside what no hypothesis explains."""
-        return side.nuisance.against(self.dispersion)
+    def nuisance(self, side: Side, hypothesis: Hypothesis | None = None) -> Nuisance:
+        """The tolerances of a side, as tight as they are beside what no hypothesis explains.
+
+        Args:
+          side: of the split.
+          hypothesis: whose effects need no tolerance beside them; None for the believed model.
+        """
+        added = () if hypothesis is None else hypothesis.effects
+        own = [self._loose[candidate.name] for candidate, _ in added if candidate.name in self._loose]
+        return side.nuisance.against(self.dispersion).without(own)
 
     def find(self, given: Judged | None = None) -> list[Judged]:
         """One round: scan, refine, judge.
@@ -223,7 +232,7 @@ class Bench:
             hypotheses.append((own, [np.concatenate([head, v]) for v in values]))
         found = refine(
             sides[0].windows,
-            self.free(sides[0]),
+            [self.free(sides[0], own) for own, _ in hypotheses],
             self.cut,
             [(unknowns(own, self.joint, self.delicate), tries) for own, tries in hypotheses],
             self.options.iterations,
@@ -235,9 +244,9 @@ class Bench:
             self._settle(best.chi2)
         return self.judge(refined, found, sides, None if given is None else given.references, given)
 
-    def free(self, side: Side) -> Nuisance:
+    def free(self, side: Side, hypothesis: Hypothesis | None = None) -> Nuisance:
         """What is fitted along on the side to fit: without the believed numbers where these move by themselves."""
-        nuisance = self.nuisance(side)
+        nuisance = self.nuisance(side, hypothesis)
         if not self.joint:
             return nuisance
         keep = slice(0, len(nuisance.precision) - len(self.base.parameters))
@@ -263,13 +272,13 @@ class Bench:
             does to the windows that count less.
         """
         held = sides[1].windows.residuals(list(hypotheses))
-        nuisance = self.free(sides[0])
         size = np.log(self.fit.windows.residual.size + self.test.windows.residual.size)
         reference = self.reference if references is None else references
         before = reference if given is None else given.fits
         out = []
         for hypothesis, refined, residual in zip(hypotheses, found, held, strict=True):
-            own = nuisance.profile(refined.residual, self.cut), self.nuisance(sides[1]).profile(residual, self.cut)
+            along = self.free(sides[0], hypothesis), self.nuisance(sides[1], hypothesis)
+            own = along[0].profile(refined.residual, self.cut), along[1].profile(residual, self.cut)
             gain, held_out = (self.fall(a, b) for a, b in zip(before, own, strict=True))
             if given is not None:
                 gain, held_out = gain + given.gain, held_out + given.held_out

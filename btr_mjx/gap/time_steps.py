@@ -3,6 +3,9 @@
 The simulator's own error looks like damping, so residuals belong to a fine time step. Few simulations take it: what a
 longer one does is found once, around a hypothesis, and taken off. That is why a longer one than the model's will do,
 where its error is small enough to be known. Robots with contacts are given short steps that are not needed for this.
+
+Data have a time step of their own: none where a machine was measured, a short one where it was simulated. A stiff servo
+shows tens of microseconds of it, as damping of all joints, so a small change of it is fitted along with all else.
 """
 
 from collections.abc import Callable
@@ -11,13 +14,18 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
+from btr_mjx.gap.score import project
 from btr_mjx.gap.world import World
 
 if TYPE_CHECKING:
     from btr_mjx.gap.windows import Windows
 
 _FINE = 1.25e-4
-"""Time step that residuals belong to [s]; the fine pass divides the model's by 4 to 10."""
+"""Time step of the fine pass, roughly [s]: it divides the model's by 4 to 10."""
+
+_DATA = 1e-4
+_DOUBT = 3e-5
+"""Time step that residuals belong to, and how well that of the data is known (1 sigma) [s]."""
 
 _LONG = 400
 """Windows of more steps are divided by 4 only; the rest is extrapolated."""
@@ -40,7 +48,7 @@ def step_error(windows: "Windows", make: Callable[[mujoco.MjModel], World], base
     """What the time step does to states of a hypothesis.
 
     The error of a step is of first order in its length. What the fine pass leaves of it looks like a delay of half a
-    fine step; where that is longer than it should be the rest is extrapolated.
+    fine step, and is extrapolated to the step that data are taken to have.
 
     Args:
       windows: with their time step.
@@ -51,8 +59,22 @@ def step_error(windows: "Windows", make: Callable[[mujoco.MjModel], World], base
       (W, R) in units of the noise, to be added to a residual.
     """
     fine = fine_step(windows)
-    rest = (windows.step - min(fine, _FINE)) / (windows.step - fine)
+    rest = (windows.step - min(fine, _DATA)) / (windows.step - fine)
     return rest * (windows.whiten(windows.states([make], timestep=fine)[0]) - windows.whiten(base))
+
+
+def step_doubt(windows: "Windows") -> np.ndarray:
+    """What one standard deviation of the data's own time step does to residuals.
+
+    Args:
+      windows: linearised.
+
+    Returns:
+      (W, R) in units of the noise, with directions of the starting state projected out.
+    """
+    fine = fine_step(windows)
+    share = _DOUBT / (windows.step - min(fine, _DATA))
+    return project(share * windows.correction, windows.basis)
 
 
 def paced(windows: "Windows", make: Callable[[mujoco.MjModel], World]) -> tuple[np.ndarray, np.ndarray]:

@@ -33,7 +33,7 @@ class Walks:
         self,
         side: Side,
         base: Hypothesis,
-        free: Callable[[Side], Nuisance],
+        free: Callable[[Side, Hypothesis], Nuisance],
         fall: Callable[[Fit, Fit, float], float],
         cut: Callable[[], float],
     ) -> None:
@@ -67,7 +67,7 @@ class Walks:
                 start = nearest([side.based(hypothesis) for side in (few, self._nearest[hypothesis.name])])
             own = start.recentred(hypothesis, exact=False).redirected(hypothesis)
             share = len(few.windows) / len(self._side.windows)
-            gain = self._fall(self._profile(reference), self._profile(own), share)
+            gain = self._fall(self._profile(reference, self._base), self._profile(own, hypothesis), share)
             if gain > self.best(hypothesis.name):
                 self._nearest[hypothesis.name] = own
             known[values] = gain, hypothesis
@@ -89,8 +89,8 @@ class Walks:
         """
         return max((gain for gain, _ in self._tried.get(name, {}).values()), default=-np.inf)
 
-    def _profile(self, side: Side) -> Fit:
-        return self._free(side).profile(side.windows.residual, self._cut())
+    def _profile(self, side: Side, hypothesis: Hypothesis) -> Fit:
+        return self._free(side, hypothesis).profile(side.windows.residual, self._cut())
 
     def __call__(self, hypothesis: Hypothesis, hope: float, promise: float) -> Hypothesis | None:
         """Where a walk over the size of the last effect ends.
