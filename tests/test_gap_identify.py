@@ -138,14 +138,25 @@ def test_something_outside_the_library_is_called_unexplained():
     assert found.unexplained[0].startswith("joint:shoulder")
 
 
-def test_a_spring_on_one_side_is_not_called_a_spring():
+SPRINGS = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "joint_stiffness", "armature"))
+
+
+def test_a_spring_is_called_a_spring():
+    def spring(model):
+        model.jnt_stiffness[1] += 0.1
+
+    found = identify(dataset(spring, seed=6), SPRINGS, options=QUICK)
+    assert [named.name for named in found.effects] == ["joint_stiffness@joint:elbow"]
+
+
+@pytest.mark.parametrize("stiffness", [0.1, 0.03])
+def test_a_spring_on_one_side_is_not_called_a_spring(stiffness):
     """A cord that pulls in one half of the range: stiffness explains most of it, but not its shape."""
 
     def cord(model):
-        model.tendon_stiffness[0] = 0.1
+        model.tendon_stiffness[0] = stiffness
 
-    library = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "joint_stiffness", "armature"))
-    found = identify(dataset(cord, seed=6), library, options=QUICK)
+    found = identify(dataset(cord, seed=6), SPRINGS, options=QUICK)
     assert (found.ranking[0].effect, found.ranking[0].location) == ("joint_stiffness", "joint:elbow")
     assert found.ranking[0].score > 5 * found.threshold
     assert found.verdict == "unexplained"
@@ -161,11 +172,13 @@ def test_two_effects_at_once():
     assert {named.name for named in found.effects} == {"viscous_damping@joint:elbow", "armature@joint:shoulder"}
 
 
-def left_by(gains, dispersion=1.0):
+def left_by(gains, dispersion=1.0, akin=None):
     """A check in which hypotheses leave given gains at one joint; 45 may be chance."""
     left = {gain: Leftover(np.array([0.0]), np.array([0.0]), left, None) for gain, left in gains.items()}
     bench = SimpleNamespace(dispersion=dispersion, delicate=frozenset())
-    return SimpleNamespace(bench=bench, gain=45.0, excess=5.5, left=lambda judged: left[judged.gain])
+    return SimpleNamespace(
+        bench=bench, gain=45.0, excess=5.5, left=lambda judged: left[judged.gain], akin=lambda _: akin
+    )
 
 
 def gained(gain):
@@ -193,6 +206,11 @@ def test_a_name_must_explain_most_of_a_lack_of_fit():
     assert missing(little, named, 0.3, 3.0)
     assert not missing(little, named, 0.3, 1.0)  # chance
     assert not missing(little, named, 0.8, 3.0)
+
+
+def test_a_name_that_a_force_akin_to_it_fits_better_is_none():
+    named = [gained(1000.0)]
+    assert missing(left_by({1000.0: 0.0}, akin="position cubed"), named, 0.9, 0.0)
 
 
 def test_real_machines_leave_more():

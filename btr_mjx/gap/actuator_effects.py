@@ -159,6 +159,7 @@ ACTUATOR_GAIN = Effect(
     excited_by="loads and accelerations",
     summable=True,
     equation="force → (1 + change) force",
+    akin=("load growing with time",),
 )
 TORQUE_LIMIT = Effect(
     "torque_limit",

@@ -199,6 +199,7 @@ CONSTANT_FORCE = Effect(
     _apply_force,
     excited_by="any motion",
     equation="a constant force at the body's centre of mass, world frame",
+    akin=("position",),
 )
 AIR_DRAG = Effect(
     "air_drag",

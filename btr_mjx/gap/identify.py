@@ -156,6 +156,8 @@ def missing(check: Check, named: Sequence[Judged], share: float, surprise: float
         first = check.left(named[0])
         if first.gain > max(check.gain, named[1].gain - named[0].gain):
             return True
+    if check.akin(named[-1]) is not None:
+        return True
     plain = not any(c.name in check.bench.delicate for c, _ in named[-1].hypothesis.effects)
     if plain and surprise > REST and share < REST_SHARE:
         return True

@@ -135,6 +135,7 @@ JOINT_STIFFNESS = Effect(
     excited_by="large deflections of the joint, slow ones too",
     summable=True,
     equation="τ = −k (q − q_spring)",
+    akin=("absolute position", "position cubed"),
 )
 JOINT_OFFSET = Effect(
     "joint_offset",
