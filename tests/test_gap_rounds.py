@@ -159,7 +159,8 @@ def test_whoever_leads_beside_another_effect_has_been_judged_again(monkeypatch):
         ("b", 900.0, 40.0, False),  # too little held out beside what was fitted
         ("b", 5000.0, 150.0, True),  # little beside that, but certain: a limit that few recordings reach
         ("m", 80.0, 20.0, False),  # contacts are a matter of chance
-        ("m", 100.0, 20.0, True),
+        ("m", 90.0, 40.0, True),
+        ("m", 120.0, 40.0, False),  # and one side has it all
         ("ab", 30.0, 10.0, True),
         ("ab", 16.0, 10.0, False),  # enough for a first effect
         ("am", 100.0, 20.0, False),
