@@ -21,13 +21,13 @@ def short_steps(step=5e-4, sigma=5 * SIGMA, first=(10, 150), k=30):
 
 
 def test_a_longer_step_leaves_the_same_residual() -> None:
-    """What it does is known and taken off, so that residuals are those of steps of 1.25e-4 s."""
+    """What it does is known and taken off, so that residuals are those of steps of 1e-4 s."""
     windows = short_steps()
     windows.linearise(World.of)
     assert windows.step == 2 * windows.dt == 1e-3
     own = np.arange(len(windows))
     start = windows.stretch(own, windows.qpos, windows.qvel, windows.since)
-    exact = project(windows.whiten(simulate([(World.of(arm()), start)], timestep=1.25e-4)[0]), windows.basis)
+    exact = project(windows.whiten(simulate([(World.of(arm()), start)], timestep=1e-4)[0]), windows.basis)
     plain = project(windows.whiten(windows.base), windows.basis)
     assert np.linalg.norm(plain - exact) > 1.0  # there is something to take off
     assert np.linalg.norm(windows.residual - exact) < 0.03 * np.linalg.norm(plain - exact)
