@@ -161,6 +161,7 @@ def test_whoever_leads_beside_another_effect_has_been_judged_again(monkeypatch):
         ("m", 80.0, 20.0, False),  # contacts are a matter of chance
         ("m", 90.0, 40.0, True),
         ("m", 120.0, 40.0, False),  # and one side has it all
+        ("m", 400.0, 50.0, True),  # but this is enough
         ("ab", 30.0, 10.0, True),
         ("ab", 16.0, 10.0, False),  # enough for a first effect
         ("am", 100.0, 20.0, False),

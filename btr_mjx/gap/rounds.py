@@ -48,6 +48,9 @@ CONTACT_SHARE = 0.4
 """The same of what moves contacts, as a first effect. Of what scored 60 to 700 true ones had 0.55 and more of it, three
 false names of four 0.3 and less."""
 
+CONTACT_ENOUGH = 45.0
+"""Gain on held-out recordings that is enough for it."""
+
 HELD_OUT_ENOUGH = 100.0
 """Gain on held-out recordings that is enough in any case: a limit may be reached in few of them."""
 
@@ -181,7 +184,7 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None, share: float = 
     gain = judged.gain - (given.gain if given else 0.0)
     held_out = judged.held_out - (given.held_out if given else 0.0)
     expected = gain * len(bench.test.windows) / len(bench.fit.windows)
-    needed, part = SECOND_THRESHOLD if given else THRESHOLD, HELD_OUT_SHARE
+    needed, part, plenty = SECOND_THRESHOLD if given else THRESHOLD, HELD_OUT_SHARE, HELD_OUT_ENOUGH
     if given and any(candidate.name in bench.delicate for candidate, _ in judged.hypothesis.effects):
         needed = max(needed, share * given.score)
     if given and bench.dispersion > COARSE:
@@ -189,10 +192,10 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None, share: float = 
     if judged.hypothesis.effects[-1][0].name in bench.delicate:
         # Beside another effect few windows held out need have a foot that touches or leaves where it matters.
         needed = max(needed, SECOND_CONTACT_THRESHOLD if given else CONTACT_THRESHOLD)
-        part = 0.0 if given else CONTACT_SHARE
+        part, plenty = 0.0 if given else CONTACT_SHARE, CONTACT_ENOUGH
     if score < needed or gain < HELD_OUT:
         return False
-    enough = max(HELD_OUT, min(part * expected, HELD_OUT_ENOUGH))
+    enough = max(HELD_OUT, min(part * expected, plenty))
     if held_out < enough and not vouched(bench, judged):
         return False
     return not within_calibration(bench, judged)
