@@ -27,6 +27,7 @@ def test_of_what_is_alike_the_best_that_may_be_named_comes_first(monkeypatch, re
     judged = [as_judged("a", 500.0), as_judged("b", 480.0), as_judged("c", 460.0)]
 
     monkeypatch.setattr("btr_mjx.gap.rounds.accepted", all_but(rejected))
+    monkeypatch.setattr("btr_mjx.gap.rounds.within_calibration", lambda bench, j: False)
     out = acceptable(SimpleNamespace(delicate=frozenset()), judged, None)
     assert "".join(j.hypothesis.effects[-1][0].name for j in out) == order
     assert acceptable(SimpleNamespace(delicate=frozenset()), [], None) == []
@@ -60,10 +61,11 @@ def test_beside_another_effect_contacts_without_a_name_stand_in_nobodys_way(monk
         ("m", (130.0, 122.0), "b", "b"),  # a foot that is a little low: no name
         ("m", (160.0, 122.0), "b", "m"),  # the data tell them apart
         ("m", (130.0, 122.0), "", "m"),
-        ("a", (130.0, 122.0), "b", "a"),  # plain candidates are judged by their own size
+        ("a", (30.0, 22.0), "b", "b"),
+        ("a", (60.0, 22.0), "b", "a"),
     ],
 )
-def test_what_moves_contacts_gives_way_to_what_calibration_leaves(monkeypatch, best, scores, usual, first):
+def test_a_name_gives_way_to_what_calibration_leaves(monkeypatch, best, scores, usual, first):
     judged = [as_judged(best, scores[0]), as_judged("b", scores[1])]
     monkeypatch.setattr("btr_mjx.gap.rounds.accepted", all_but(usual))
     monkeypatch.setattr(
@@ -162,7 +164,8 @@ def test_whoever_leads_beside_another_effect_has_been_judged_again(monkeypatch):
         ("m", 90.0, 40.0, True),
         ("m", 120.0, 40.0, False),  # and one side has it all
         ("m", 400.0, 50.0, True),  # but this is enough
-        ("ab", 30.0, 10.0, True),
+        ("ab", 40.0, 20.0, True),
+        ("ab", 30.0, 10.0, False),  # less than 1 % of the first effect
         ("ab", 16.0, 10.0, False),  # enough for a first effect
         ("am", 100.0, 20.0, False),
         ("am", 110.0, 40.0, True),

@@ -16,9 +16,10 @@ def _damping(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Param
     size = typical(scales.torque, place, model) / typical(scales.speed, place, model)
     unit = unit_of(model, place, "N m s/rad", "N s/m")
     believed = least(model, "dof_damping", place)
-    # Nobody knows damping to a percent where motors hardly feel it.
-    tolerance = min(0.1 * believed, max(0.01 * believed, 1e-3 * size))
-    return (Parameter("damping", unit, -believed, 3.0 * size, 0.05 * size, tolerance),)
+    # Nobody knows damping to a percent where motors hardly feel it, and nobody calls that missing. As a tolerance it
+    # would pass for a part of a strong friction.
+    negligible = min(0.4 * believed, max(0.04 * believed, 4e-3 * size))
+    return (Parameter("damping", unit, -believed, 3.0 * size, 0.05 * size, 0.01 * believed, least=negligible),)
 
 
 def _apply_damping(world: World, place: Place, values: np.ndarray) -> None:

@@ -28,9 +28,11 @@ SECOND_CONTACT_THRESHOLD = 120.0
 """The same of what moves contacts. The best such candidate beside an effect that was all that could be seen, met while
 this was settled, came to 85."""
 
+SECOND_PART = 0.01
+"""Part of the first one's score that a second effect needs: a number that is a little off leaves as much."""
+
 SECOND_SHARE = 0.02
-"""Part of the first one's score that a second effect needs where either moves contacts: a size that is a little off
-leaves something."""
+"""The same where either moves contacts."""
 
 _POLISHED = 3
 """Times that candidates for one more effect are judged again, at most."""
@@ -147,8 +149,8 @@ def acceptable(
 ) -> list[Judged]:
     """One round, with what may be called by name in front of what may not, where the data cannot tell the two apart.
 
-    Where they cannot tell what moves contacts from something that is no larger than calibration leaves, the latter
-    comes first: the feet of a robot that lacks nothing come down a little early or late, too.
+    Where they cannot tell a first effect from something that is no larger than calibration leaves, the latter comes
+    first: the feet of a robot that lacks nothing come down a little early or late, too, and its joints rub a little.
 
     Beside what was found before, what moves contacts and may not be called by name stands in nobody's way either: its
     score is a matter of chance up to its threshold.
@@ -160,7 +162,7 @@ def acceptable(
       share: of the first one's score that a second one needs where contacts move.
     """
     close = alike(judged, bench.delicate) if judged else []
-    if not given and close and close[0].hypothesis.effects[-1][0].name in bench.delicate:
+    if not given:
         usual = next((j for j in close if within_calibration(bench, j)), None)
         if usual is not None:
             return [usual, *(j for j in judged if j is not usual)]
@@ -185,6 +187,8 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None, share: float = 
     held_out = judged.held_out - (given.held_out if given else 0.0)
     expected = gain * len(bench.test.windows) / len(bench.fit.windows)
     needed, part, plenty = SECOND_THRESHOLD if given else THRESHOLD, HELD_OUT_SHARE, HELD_OUT_ENOUGH
+    if given:
+        needed = max(needed, SECOND_PART * given.score)
     if given and any(candidate.name in bench.delicate for candidate, _ in judged.hypothesis.effects):
         needed = max(needed, share * given.score)
     if given and bench.dispersion > COARSE:
