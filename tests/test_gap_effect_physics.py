@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from gap_models import QUADRUPED, check_loop, hexapod_xml, inertia, load, loop, one, windows
 
+from btr_mjx.gap.akin_effects import AKIN_EFFECTS
 from btr_mjx.gap.commands import Command
 from btr_mjx.gap.worlds import Stretch, World, fields_of, simulate
 
@@ -67,6 +68,34 @@ def test_a_force_and_a_limit_act_on_their_bodies() -> None:
         data.ctrl[2] = np.clip(data.ctrl[2], -0.1, 0.1)  # a motor of gain 1
 
     check_loop(model, one(model, "torque_limit@actuator:hip1"), [0.1], limit)
+
+
+def test_forces_of_another_shape_follow_their_equations() -> None:
+    model = load("quadruped")
+    knee, hip, torso = model.joint("knee0"), model.joint("hip1"), model.body("torso").id
+
+    def hard(model: mujoco.MjModel, data: mujoco.MjData, t: float) -> None:
+        data.qfrc_applied[knee.dofadr[0]] = (
+            -40.0 * (data.qpos[knee.qposadr[0]] - model.qpos_spring[knee.qposadr[0]]) ** 3
+        )
+
+    def one_sided(model: mujoco.MjModel, data: mujoco.MjData, t: float) -> None:
+        away = data.qpos[knee.qposadr[0]] - model.qpos_spring[knee.qposadr[0]]
+        data.qfrc_applied[knee.dofadr[0]] = -8.0 * abs(away)
+
+    def fading(model: mujoco.MjModel, data: mujoco.MjData, t: float) -> None:
+        data.qfrc_applied[hip.dofadr[0]] = -0.5 * data.time * data.qfrc_actuator[hip.dofadr[0]]
+
+    def cord(model: mujoco.MjModel, data: mujoco.MjData, t: float) -> None:
+        data.xfrc_applied[torso, :3] = -300.0 * (data.qpos[:3] - model.qpos0[:3])
+
+    for name, value, act in (
+        ("hardening_spring@joint:knee0", 40.0, hard),
+        ("one_sided_spring@joint:knee0", 8.0, one_sided),
+        ("fading_motor@actuator:hip1", -0.5, fading),
+        ("elastic_cord@body:torso", 300.0, cord),
+    ):
+        check_loop(model, one(model, name, AKIN_EFFECTS), [value], act)
 
 
 def test_an_encoder_offset_is_seen_by_the_servo() -> None:

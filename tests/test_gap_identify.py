@@ -7,6 +7,7 @@ from gap_arm import dataset, recording
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from btr_mjx.errors import InputError
+from btr_mjx.gap.akin_effects import HARDENING_SPRING
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.identify import identify, missing
@@ -160,7 +161,30 @@ def test_a_spring_on_one_side_is_not_called_a_spring(stiffness):
     assert (found.ranking[0].effect, found.ranking[0].location) == ("joint_stiffness", "joint:elbow")
     assert found.ranking[0].score > 5 * found.threshold
     assert found.verdict == "unexplained"
-    assert found.unexplained[0].startswith("joint:elbow: a force there follows")
+    assert found.unexplained[0].startswith("joint:elbow: one_sided_spring (τ = −k |q − q_spring|, stiffness ")
+    half = float(found.unexplained[0].partition("stiffness ")[2].split()[0])
+    assert abs(half) == pytest.approx(stiffness / 2, rel=0.15)  # as much again is the stiffness beside it
+
+
+def test_a_spring_is_not_mistaken_for_what_it_is_not():
+    def spring(model):
+        model.jnt_stiffness[1] += 0.1
+
+    found = identify(dataset(spring, seed=6), SPRINGS, max_effects=1, options=QUICK)
+    assert [named.name for named in found.effects] == ["joint_stiffness@joint:elbow"]
+    assert found.unexplained == ()
+
+
+def test_who_expects_a_twin_may_name_it():
+    def hard(model):
+        model.jnt_stiffnesspoly[1, 1] += 0.1
+
+    data = dataset(hard, seed=6)
+    unknown = identify(data, SPRINGS, max_effects=1, options=QUICK)
+    assert unknown.verdict == "unexplained"
+    known = identify(data, (*SPRINGS, HARDENING_SPRING), max_effects=1, options=QUICK)
+    assert [named.name for named in known.effects] == ["hardening_spring@joint:elbow"]
+    assert known.effects[0].parameters["cubic"].value == pytest.approx(0.1, rel=0.1)
 
 
 def test_two_effects_at_once():
@@ -172,12 +196,12 @@ def test_two_effects_at_once():
     assert {named.name for named in found.effects} == {"viscous_damping@joint:elbow", "armature@joint:shoulder"}
 
 
-def left_by(gains, dispersion=1.0, akin=None):
+def left_by(gains, dispersion=1.0, told=None):
     """A check in which hypotheses leave given gains at one joint; 45 may be chance."""
     left = {gain: Leftover(np.array([0.0]), np.array([0.0]), left, None) for gain, left in gains.items()}
     bench = SimpleNamespace(dispersion=dispersion, delicate=frozenset())
     return SimpleNamespace(
-        bench=bench, gain=45.0, excess=5.5, left=lambda judged: left[judged.gain], akin=lambda _: akin
+        bench=bench, gain=45.0, excess=5.5, left=lambda judged: left[judged.gain], told=lambda _: told
     )
 
 
@@ -208,9 +232,16 @@ def test_a_name_must_explain_most_of_a_lack_of_fit():
     assert not missing(little, named, 0.8, 3.0)
 
 
-def test_a_name_that_a_force_akin_to_it_fits_better_is_none():
+def test_a_name_is_none_where_held_out_recordings_know_of_something_else():
     named = [gained(1000.0)]
-    assert missing(left_by({1000.0: 0.0}, akin="position cubed"), named, 0.9, 0.0)
+    assert missing(left_by({1000.0: 0.0}, told="position cubed"), named, 0.9, 0.0)
+
+
+@pytest.mark.parametrize(("beside", "expected"), [(10.0, False), (30.0, True)])
+def test_a_name_is_none_where_its_twin_explains_more(beside, expected):
+    named = [SimpleNamespace(gain=1000.0, score=990.0, hypothesis=SimpleNamespace(effects=()))]
+    rival = SimpleNamespace(score=990.0 + beside)
+    assert missing(left_by({1000.0: 0.0}), named, 0.9, 0.0, rival) is expected
 
 
 def test_real_machines_leave_more():

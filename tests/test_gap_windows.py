@@ -152,6 +152,26 @@ def test_a_force_of_an_unknown_shape_is_found_at_its_joint(windows):
     assert quiet.worst < 4 < found.worst
 
 
+def test_what_a_feature_does_is_asked_of_other_windows(windows):
+    """The loss of held-out windows with the force added by hand, against the believed model's."""
+    fit, known, nothing = forces_of(windows)
+    one = next(f for f in known if f.dof == 0 and f.name == "absolute position")
+    pull = np.einsum("wb,wbr->wr", one.values, fit.columns.reshape(len(windows), *fit.shape, -1)[:, 0])
+    pull *= 12.0 / np.linalg.norm(pull)
+    joints = Joints(fit, nothing, known)
+    told = joints(noise_of(windows, 0) + pull, 1e4).told
+    assert known[told[0].index] is one
+    assert [one.gain for one in told] == sorted((one.gain for one in told), reverse=True)
+    other = noise_of(windows, 1)
+    columns = fit.columns.reshape(len(windows), *fit.shape, -1)[:, 0]
+    moved = told[0].amplitude * sum(one.values[:, b, None] * columns[:, b] for b in range(one.values.shape[1]))
+    np.testing.assert_allclose(moved, -pull, atol=0.3 * np.abs(pull).max())
+    expected = (other**2).sum() - ((other + moved) ** 2).sum()
+    assert expected < 0  # there is nothing
+    assert joints.held_out(other, 1e4, told[0]) == pytest.approx(expected, rel=1e-6)
+    assert joints.held_out(other + pull, 1e4, told[0]) > 60
+
+
 def test_what_is_fitted_along_is_not_left_over(windows):
     fit, known, nothing = forces_of(windows)
     one = next(f for f in known if f.dof == 1 and f.name == "position cubed")

@@ -6,6 +6,7 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
+from btr_mjx.gap.akin_effects import FADING_MOTOR
 from btr_mjx.gap.commands import Command
 from btr_mjx.gap.effect import Effect, Parameter
 from btr_mjx.gap.places import Place, actuator_count, actuator_places
@@ -159,7 +160,7 @@ ACTUATOR_GAIN = Effect(
     excited_by="loads and accelerations",
     summable=True,
     equation="force → (1 + change) force",
-    akin=("load growing with time",),
+    akin=(FADING_MOTOR,),
 )
 TORQUE_LIMIT = Effect(
     "torque_limit",

@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 
+from btr_mjx.gap.akin_effects import ELASTIC_CORD
 from btr_mjx.gap.effect import Effect, Parameter
 from btr_mjx.gap.links import lengthen, link_of
 from btr_mjx.gap.mass import MassProperties, forget_frames, point_mass
@@ -199,7 +200,7 @@ CONSTANT_FORCE = Effect(
     _apply_force,
     excited_by="any motion",
     equation="a constant force at the body's centre of mass, world frame",
-    akin=("position",),
+    akin=(ELASTIC_CORD,),
 )
 AIR_DRAG = Effect(
     "air_drag",

@@ -67,7 +67,7 @@ class Effect:
       native: writes the part of it that `apply` does not write into the model's fields (an edit of the command, a
         law, a wrench) into an MjSpec, and returns whether MuJoCo has a term for it.
       equation: the effect in one line, for reports.
-      akin: variables (`leftover.features`) that a force follows which is easily taken for this effect.
+      akin: effects that are easily taken for this one, see `twins`.
     """
 
     name: str
@@ -78,7 +78,7 @@ class Effect:
     summable: bool = False
     native: Native | None = None
     equation: str = ""
-    akin: tuple[str, ...] = ()
+    akin: tuple["Effect", ...] = ()
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from btr_mjx.gap.outcome import equivalent, gap_of, named_effects, overlays, ran
 from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.rounds import COARSE, THRESHOLD, search
 from btr_mjx.gap.search import Bench, Judged, Options
+from btr_mjx.gap.twins import twin
 from btr_mjx.gap.worlds import Counter
 
 SURPRISE = 6.0
@@ -41,6 +42,9 @@ contacts may leave more: a size that is a little off lets feet slip or touch at 
 
 REST_SHARE = 0.5
 """Part of what unknown forces explain that is most of it."""
+
+TWIN = 15.0
+"""Score that a twin may have beside what was named."""
 
 COARSE_SHARE = 0.55
 """Part of what unknown forces explain that a name must explain there."""
@@ -113,7 +117,8 @@ def name_missing(
     before, after = check.surprise(None), check.surprise(final)
     best = rounds[0][0] if rounds[0] else None
     verdict = "effect" if named else "none"
-    surprised = missing(check, named, share, after) if named else strange(check, best)
+    rival = twin(bench, final) if final is not None and bench.dispersion <= COARSE else None
+    surprised = missing(check, named, share, after, rival) if named else strange(check, best)
     if surprised:
         verdict = "unexplained"
     said = named if verdict == "effect" else []
@@ -124,7 +129,7 @@ def name_missing(
         equivalent=equivalent(rounds[0], bench.delicate) if rounds[0] and verdict == "effect" else (),
         gap=gap_of(bench, base, said[-1] if said else None, check.floor(said[-1] if said else None)),
         disagreement=check.map(),
-        unexplained=check.words(final) if verdict == "unexplained" or surprised else (),
+        unexplained=(*twin_words(final, rival), *check.words(final)) if surprised else (),
         believed=refits(bench, base, final),
         confounds=confounds(bench, base, named if verdict == "effect" else []),
         overlays=overlays(bench, final),
@@ -140,7 +145,20 @@ def name_missing(
     )
 
 
-def missing(check: Check, named: Sequence[Judged], share: float, surprise: float) -> bool:
+def twin_words(named: Judged | None, rival: Judged | None) -> tuple[str, ...]:
+    """A twin that explains what was named better, in words."""
+    if named is None or rival is None or rival.score - named.score <= TWIN:
+        return ()
+    candidate, values = rival.hypothesis.effects[-1]
+    number = candidate.parameters[0]
+    size = f"{number.name} {values[0]:.3g}" + ("" if number.unit == "1" else f" {number.unit}")
+    return (
+        f"{candidate.place.label}: {candidate.effect.name} ({candidate.effect.equation}, {size}) explains what "
+        f"{named.hypothesis.effects[-1][0].effect.name} does not",
+    )
+
+
+def missing(check: Check, named: Sequence[Judged], share: float, surprise: float, rival: Judged | None = None) -> bool:
     """Whether what was named leaves so much that something else must be at work.
 
     Args:
@@ -148,6 +166,7 @@ def missing(check: Check, named: Sequence[Judged], share: float, surprise: float
       named: what was named, each beside those before.
       share: part of what unknown forces explain that the last one explains.
       surprise: lack of fit that it leaves, in standard deviations.
+      rival: its best twin, judged beside it.
     """
     if check.bench.dispersion > COARSE:
         return surprise > LEFT_OVER and share < COARSE_SHARE
@@ -156,7 +175,7 @@ def missing(check: Check, named: Sequence[Judged], share: float, surprise: float
         first = check.left(named[0])
         if first.gain > max(check.gain, named[1].gain - named[0].gain):
             return True
-    if check.akin(named[-1]) is not None:
+    if (rival is not None and rival.score - named[-1].score > TWIN) or check.told(named[-1]) is not None:
         return True
     plain = not any(c.name in check.bench.delicate for c, _ in named[-1].hypothesis.effects)
     if plain and surprise > REST and share < REST_SHARE:
@@ -174,4 +193,9 @@ def strange(check: Check, best: Judged | None) -> bool:
     """
     judged = best if best is not None and best.score > 0 else None
     left = check.left(judged)
-    return check.surprise(judged) > SURPRISE or left.gain > check.gain or left.worst > check.excess
+    return (
+        check.surprise(judged) > SURPRISE
+        or left.gain > check.gain
+        or left.worst > check.excess
+        or check.told(judged) is not None
+    )

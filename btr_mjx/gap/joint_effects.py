@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from btr_mjx.gap.akin_effects import HARDENING_SPRING, ONE_SIDED_SPRING
 from btr_mjx.gap.effect import Effect, Parameter
 from btr_mjx.gap.laws import Rows
 from btr_mjx.gap.places import Place, actuator_count, joint_of, joint_places
@@ -135,7 +136,7 @@ JOINT_STIFFNESS = Effect(
     excited_by="large deflections of the joint, slow ones too",
     summable=True,
     equation="τ = −k (q − q_spring)",
-    akin=("absolute position", "position cubed"),
+    akin=(HARDENING_SPRING, ONE_SIDED_SPRING),
 )
 JOINT_OFFSET = Effect(
     "joint_offset",

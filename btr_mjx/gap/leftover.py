@@ -44,6 +44,21 @@ class Feature:
 
 
 @dataclass(frozen=True)
+class Told:
+    """What one feature explains.
+
+    Attributes:
+      index: of the feature.
+      amplitude: of the force, per unit of the feature.
+      gain: fall of the loss, robust.
+    """
+
+    index: int
+    amplitude: float
+    gain: float
+
+
+@dataclass(frozen=True)
 class Leftover:
     """What is left at single joints.
 
@@ -52,12 +67,14 @@ class Leftover:
       chi2: (nv,) the same, in units of chi^2.
       gain: fall of the loss by the most telling feature, robust.
       feature: that feature; None where nothing is left.
+      told: the most telling features, best first.
     """
 
     excess: np.ndarray
     chi2: np.ndarray
     gain: float
     feature: Feature | None
+    told: tuple[Told, ...] = ()
 
     @property
     def worst(self) -> float:
@@ -65,20 +82,50 @@ class Leftover:
         return float(self.excess.max(initial=0.0))
 
 
-def features(model: mujoco.MjModel, fit: ForceFit, around: Circumstances) -> list[Feature]:
+@dataclass(frozen=True)
+class Middle:
+    """Where variables are measured from, the same on both sides of the split.
+
+    Attributes:
+      position: (nv,) median.
+      reach: (nv,) from there to where positions hardly ever are beyond.
+      mean: (nv,) of the position.
+      time: mean [s].
+    """
+
+    position: np.ndarray
+    reach: np.ndarray
+    mean: np.ndarray
+    time: float
+
+    @classmethod
+    def of(cls, fit: ForceFit, around: Circumstances) -> "Middle":
+        """The middle of some windows, see `features`."""
+        position = fit.average(around.position)
+        position = position.reshape(-1, position.shape[-1])
+        middle, far = np.quantile(position, 0.5, axis=0), np.quantile(position, 0.98, axis=0)
+        time = float(fit.average(around.time).mean())
+        return cls(middle, np.maximum(far - middle, 1e-12), position.mean(0), time)
+
+
+def features(
+    model: mujoco.MjModel, fit: ForceFit, around: Circumstances, middle: Middle | None = None
+) -> list[Feature]:
     """Variables that no effect of a usual library follows.
 
     Args:
       model: the believed model.
       fit: unknown forces of some windows.
       around: circumstances of the same windows.
+      middle: where variables are measured from; None for the middle of these windows.
     """
     position, load, time = (fit.average(x) for x in (around.position, around.load, around.time))
+    middle = middle or Middle.of(fit, around)
+    away = (position - middle.position) / middle.reach
     plain = np.flatnonzero(model.jnt_type[model.dof_jntid] >= int(mujoco.mjtJoint.mjJNT_SLIDE))
     out = []
     for dof in range(model.nv):
-        middle, half = (np.quantile(position[..., dof], q) for q in (0.5, 0.98))
-        x = (position[..., dof] - middle) / max(half - middle, 1e-12)
+        x = away[..., dof]
         if dof not in plain:
             out.append(Feature(dof, "position", None, x))
             continue
@@ -86,10 +133,10 @@ def features(model: mujoco.MjModel, fit: ForceFit, around: Circumstances) -> lis
         for count in _RIPPLES:
             phase = count * np.pi * x
             out += [Feature(dof, "ripple", None, wave(phase)) for wave in (np.sin, np.cos)]
-        out.append(Feature(dof, "load growing with time", None, load[..., dof] * (time - time.mean())))
+        out.append(Feature(dof, "load growing with time", None, load[..., dof] * (time - middle.time)))
         for other in plain[plain != dof]:
             out.append(Feature(dof, "load", int(other), load[..., other]))
-            out.append(Feature(dof, "position", int(other), position[..., other] - position[..., other].mean()))
+            out.append(Feature(dof, "position", int(other), position[..., other] - middle.mean[other]))
     return out
 
 
@@ -109,10 +156,10 @@ class Joints:
         self._gram = self._columns @ np.swapaxes(self._columns, 2, 3)  # (W, nv, bins, bins)
         self._roots = np.linalg.eigh(self._gram)
         self._across = self._with(nuisance.columns)
-        self._at: list[tuple[int, list[Feature], np.ndarray, np.ndarray]] = []
+        self._at: list[tuple[int, list[int], np.ndarray, np.ndarray]] = []
         for dof in sorted({feature.dof for feature in known}):
-            here = [feature for feature in known if feature.dof == dof]
-            values = np.stack([feature.values for feature in here], 1)  # (W, features, bins)
+            here = [i for i, feature in enumerate(known) if feature.dof == dof]
+            values = np.stack([known[i].values for i in here], 1)  # (W, features, bins)
             size = ((values @ self._gram[:, dof]) * values).sum(2)
             self._at.append((dof, here, np.swapaxes(values, 0, 1).reshape(len(here), -1), size))
 
@@ -151,20 +198,37 @@ class Joints:
             push = values @ (w[:, None] * moment[:, dof]).ravel() - mixed @ (inverse @ pull)
             for i in np.flatnonzero((size_here > 0) & (rest > 1e-3 * size_here)):
                 found.append((push[i] ** 2 / rest[i], -push[i] / rest[i], mixed[i], here[i]))
-        best, gain = None, 0.0
+        told = []
         reference = self.nuisance.profile(absorbed, cut)
-        for _, amplitude, mixed, feature in sorted(found, key=lambda row: -row[0])[:_LOOK]:
-            moved = absorbed + amplitude * np.einsum(
-                "wb,wbr->wr", feature.values, self._columns[:, feature.dof], optimize=True
-            )
+        for _, amplitude, mixed, index in sorted(found, key=lambda row: -row[0])[:_LOOK]:
+            moved = absorbed + self._moved(index, amplitude)
             shift = -inverse @ (pull + amplitude * mixed)
             moved = moved + np.einsum("pwr,p->wr", own, shift[:size])
             after = self.nuisance.profile(moved, cut)
             lucky = luckiest(bounded(reference.chi2, cut) - bounded(after.chi2, cut))
-            fall = robust_gain(reference, after, cut) - lucky
-            if fall > gain:
-                best, gain = feature, fall
-        return Leftover(excess, chi2, gain, best)
+            told.append(Told(index, float(amplitude), robust_gain(reference, after, cut) - lucky))
+        told.sort(key=lambda one: -one.gain)
+        left = bool(told) and told[0].gain > 0
+        feature = self.known[told[0].index] if left else None
+        return Leftover(excess, chi2, told[0].gain if left else 0.0, feature, tuple(told))
+
+    def held_out(self, residual: np.ndarray, cut: float, told: Told) -> float:
+        """Fall of the loss, robust, by what a feature was told to do on other windows.
+
+        Args:
+          residual: (W, R).
+          cut: chi^2 above which a window counts less.
+          told: of a call with windows of the other side and the same features.
+        """
+        before = self.nuisance.profile(residual, cut)
+        after = self.nuisance.profile(residual + self._moved(told.index, told.amplitude), cut)
+        return robust_gain(before, after, cut)
+
+    def _moved(self, index: int, amplitude: float) -> np.ndarray:
+        """(W, R) by which a force that follows a feature moves residuals."""
+        feature = self.known[index]
+        columns = self._columns[:, feature.dof]
+        return amplitude * np.einsum("wb,wbr->wr", feature.values, columns, optimize=True)
 
     def _excess(self, moment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Excess of unknown forces at each degree of freedom alone, in standard deviations and in chi^2."""

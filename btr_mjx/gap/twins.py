@@ -1,0 +1,110 @@
+"""Twins: whether a force of another shape, at the same place, explains what a name does not.
+
+What is nearly right leaves little, and that where motions are largest: windows that count less because something is
+wrong with them. No linear picture shows it from there. Twins are therefore simulated, beside the name as it was found
+and beside a part of it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from btr_mjx.gap.effect import Candidate
+from btr_mjx.gap.hypotheses import Hypothesis, unknowns
+from btr_mjx.gap.polish import Polisher
+from btr_mjx.gap.refine import refine
+from btr_mjx.gap.search import Bench, Judged
+
+_HANDED = (0.5, 1.0)
+"""Parts of a name that its twin takes over at the start of a refinement."""
+
+_LARGE = 3.0
+"""Size of a twin that is compared with its name, in steps of its number."""
+
+_HOPE = 5.0
+"""Gain on the recordings to fit that is worth a closer look."""
+
+_ITERATIONS = 3
+
+
+def candidates_of(bench: Bench, judged: Judged) -> list[tuple[int, Candidate]]:
+    """Twins of what was named, each with the index of the effect that is taken for it.
+
+    Args:
+      bench: of the search.
+      judged: what was named, all of it.
+    """
+    model, out = bench.dataset.model, []
+    known = {candidate.effect.name for candidate in bench.candidates}
+    for i, (candidate, _) in enumerate(judged.hypothesis.effects):
+        for effect in candidate.effect.akin:
+            there = [p for p in effect.places(model) if p.label == candidate.place.label]
+            if effect.name not in known:
+                out += [(i, Candidate(effect, p, effect.parameters(model, bench.scales, p))) for p in there]
+    return out
+
+
+def twin(bench: Bench, judged: Judged) -> Judged | None:
+    """The best twin of what was named, judged beside it.
+
+    Args:
+      bench: of the search.
+      judged: what was named, all of it.
+
+    Returns:
+      None where none promises anything; its score counts what was named as well.
+    """
+    tries = [h for i, candidate in candidates_of(bench, judged) for h in _starts(bench, judged, i, candidate)]
+    if not tries:
+        return None
+    side = judged.sides[0]
+    reference = bench.free(side, judged.hypothesis).profile(judged.refined.residual, bench.cut)
+    found = refine(
+        side.windows,
+        [bench.free(side, h) for h in tries],
+        bench.cut,
+        [(unknowns(h, bench.joint, bench.delicate), [h.values(bench.joint)]) for h in tries],
+        _ITERATIONS,
+        reference,
+    )
+    best = min(range(len(tries)), key=lambda i: found[i].loss)
+    if (reference.loss - found[best].loss) / bench.dispersion < _HOPE:
+        return None
+    own = tries[best].replaced(found[best].values, bench.joint)
+    candidate, values = own.effects[-1]
+    start = replace(judged, hypothesis=replace(own, effects=own.effects[:-1]))
+    return Polisher(bench).beside(start, candidate, values)
+
+
+def _starts(bench: Bench, judged: Judged, index: int, candidate: Candidate) -> list[Hypothesis]:
+    """A name with its twin: hardly any of it, and as much as explains what is taken off the name."""
+    hypothesis = judged.hypothesis
+    first = [hypothesis.with_effect(candidate, candidate.null)]
+    own, values = hypothesis.effects[index]
+    if len(own.parameters) > 1:
+        return first
+    windows = judged.sides[0].windows
+    without = _with(hypothesis, index, own.null)
+    large = candidate.null
+    large[0] += _LARGE * candidate.parameters[0].step
+    absent, there = windows.residuals([without, without.with_effect(candidate, large)])
+    named, twin = judged.refined.residual - absent, there - absent
+    size = float((twin**2).sum())
+    if size == 0:
+        return first
+    whole = float((named * twin).sum()) / size * (large[0] - candidate.null[0])
+    for part in _HANDED:
+        handed = candidate.null
+        number = candidate.parameters[0]
+        handed[0] = np.clip(number.null + part * whole, number.low, number.high)
+        rest = own.null + (1.0 - part) * (np.array(values) - own.null)
+        first.append(_with(hypothesis, index, rest).with_effect(candidate, handed))
+    return first
+
+
+def _with(hypothesis: Hypothesis, index: int, values: Sequence[float] | np.ndarray) -> Hypothesis:
+    """The same with other numbers of one effect."""
+    effects = list(hypothesis.effects)
+    effects[index] = effects[index][0], tuple(float(value) for value in values)
+    return replace(hypothesis, effects=tuple(effects))
