@@ -148,15 +148,32 @@ def test_the_best_of_a_scan_are_looked_at_with_directions_of_their_own(bench: Be
     moving = [c for c in bench.candidates if c.effect.name == "joint_offset"]
     side = Side(bench.fit.windows, bench.free(bench.fit))
     found = contact_scan(side, bench.base, moving, bench.cut, bench.fit.windows.residual, 1)
-    again = judged_anew(found, bench.base, bench.walks, 0.0)
+    model = bench.dataset.model
+    again = judged_anew(model, found, bench.base, bench.walks, 0.0)
     assert {c.name for _, c, _ in again} == {c.name for _, c, _ in found}
     first = {c.name: (gain, values) for gain, c, values in found}
     for gain, candidate, values in again:
         known, start = first[candidate.name]
         tries = [bench.walks.gain(bench.base.with_effect(candidate, factor * start)) for factor in (1.0, 3.0)]
-        assert gain == max(known, *tries[: 2 if tries[0] >= -60.0 else 1])
+        kin = found[0][0] > 100.0 and candidate is not found[0][1]  # the arm is one limb
+        assert gain == max(known, *tries[: 2 if tries[0] >= -60.0 or kin else 1])
         assert values[0] in (start[0], 3.0 * start[0])
-    assert judged_anew(found, bench.base, bench.walks, 1e9) == found  # something else is far stronger
+    assert judged_anew(model, found, bench.base, bench.walks, 1e9) == found  # something else is far stronger
+
+
+def test_what_leads_has_its_limb_judged_anew(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Others on its limb are looked at, too, at both sizes, however little the scan thinks of them."""
+    moving = [c for c in bench.candidates if c.effect.name == "joint_offset"]
+    others = [c for c in bench.candidates if c.name in bench.delicate and c not in moving][:6]
+    rows = [(300.0, moving[0], moving[0].null + 0.005), *((50.0, c, c.null + 0.01) for c in others)]
+    rows.append((-500.0, moving[1], moving[1].null + 0.005))
+    asked = []
+    monkeypatch.setattr(bench.walks, "gain", lambda h: asked.append(h.name) or -1000.0)
+    judged_anew(bench.dataset.model, rows, bench.base, bench.walks, 0.0)
+    assert asked.count(moving[1].name) == 2
+    asked.clear()
+    judged_anew(bench.dataset.model, [(90.0, *rows[0][1:]), *rows[1:]], bench.base, bench.walks, 0.0)
+    assert asked.count(moving[1].name) == 0
 
 
 def test_some_windows_speak_for_all_but_their_luckiest_for_itself() -> None:

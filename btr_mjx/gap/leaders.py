@@ -3,12 +3,13 @@
 from collections.abc import Callable, Sequence
 from functools import partial
 
+import mujoco
 import numpy as np
 
 from btr_mjx.gap.abreast import abreast
 from btr_mjx.gap.effect import Candidate
 from btr_mjx.gap.hypotheses import Hypothesis
-from btr_mjx.gap.places import WORLD, Place
+from btr_mjx.gap.places import WORLD, Place, one_limb
 from btr_mjx.gap.scanner import Lead
 from btr_mjx.gap.score import project, robust_gain
 from btr_mjx.gap.screening import Entry
@@ -42,6 +43,10 @@ _WORSE = 60.0
 
 _ALL_WORSE = 600.0
 """The same of what acts on the world: all feet slip or touch at other times."""
+
+
+_KIN = 100.0
+"""Gain of the best of a scan from which on all others on its limb are judged anew."""
 
 
 def pick(
@@ -170,10 +175,13 @@ def contact_scan(
     return sorted(best.values(), key=lambda row: -row[0])
 
 
-def judged_anew(found: Sequence[Try], start: Hypothesis, walks: Walks, strongest: float) -> list[Try]:
+def judged_anew(
+    model: mujoco.MjModel, found: Sequence[Try], start: Hypothesis, walks: Walks, strongest: float
+) -> list[Try]:
     """The best of a scan of contacts, judged with directions of their own, at two sizes.
 
     Args:
+      model: the believed model.
       found: of the scan.
       start: the believed model.
       walks: of the search.
@@ -189,6 +197,10 @@ def judged_anew(found: Sequence[Try], start: Hypothesis, walks: Walks, strongest
         for row in found
         if row[1].place == WORLD and row[0] > needed - _ALL_WORSE and all(row is not own for own in worth)
     ]
+    # A strong effect lets a foot touch at another time and hides itself; others on its limb, which do less, show it.
+    leading = found[0][0] > max(_KIN, needed - _WORSE) if found else False
+    kin = [row for row in found[1:] if leading and one_limb(model, found[0][1].place, row[1].place)]
+    worth += [row for row in kin if all(row is not own for own in worth)]
     best = {candidate.name: (gain, candidate, values) for gain, candidate, values in found}
 
     def judged(candidate: Candidate, values: np.ndarray) -> list[Try]:
@@ -197,7 +209,7 @@ def judged_anew(found: Sequence[Try], start: Hypothesis, walks: Walks, strongest
         for value in dict.fromkeys((float(values[0]), further)):
             tried = np.array([value, *values[1:]])
             rows.append((walks.gain(start.with_effect(candidate, tried)), candidate, tried))
-            if rows[-1][0] < -_WORSE:
+            if rows[-1][0] < -_WORSE and all(candidate is not row[1] for row in kin):
                 break  # with directions of its own a small part of the truth is no worse than nothing
         return rows
 

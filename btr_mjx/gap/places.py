@@ -135,6 +135,15 @@ def is_below(model: mujoco.MjModel, body: int, ancestor: int) -> bool:
     return body == ancestor
 
 
+def one_limb(model: mujoco.MjModel, a: Place, b: Place) -> bool:
+    """Whether two places are bodies of which one hangs below the other, or joints of such bodies."""
+    bodies = [p.bodies or tuple(int(model.jnt_bodyid[j]) for j in p.joints) for p in (a, b)]
+    if not all(len(own) == 1 for own in bodies) or any(p.geoms for p in (a, b)):
+        return False
+    (one,), (other,) = bodies
+    return is_below(model, one, other) or is_below(model, other, one)
+
+
 def body_place(model: mujoco.MjModel, body: int) -> Place:
     """One body."""
     return Place(f"body:{part_names(model, 'body')[body]}", bodies=(body,))

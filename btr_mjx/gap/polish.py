@@ -26,6 +26,9 @@ _HOPELESS = -5.0
 _CLOSE = 40.0
 """Leaders whose scores differ by less are judged again."""
 
+_LEADING = 1.5
+"""Gain, less its price and in prices of a number, that what leads the scan needs to be judged again in any case."""
+
 _WALKS = 4
 """Candidates that move contacts that are looked at again, leaders included."""
 
@@ -103,6 +106,11 @@ class Polisher:
         rival = max(judged[0].gain - known, _CLOSE)
         hopes = {j.name: max(j.gain - known, self._alone(j, given)) for j in judged if self._anew(j.hypothesis)}
         plain = [j for j in close if j.name not in hopes]
+        if given is None:
+            # What leads in the linear picture and not in true simulation may lack starting states of its own.
+            first = max(bench.hopes, key=lambda name: bench.hopes[name], default="")
+            sure = bench.hopes.get(first, 0.0) > _LEADING
+            plain += [j for j in judged if j.name == first and sure and j.name not in hopes and j not in close]
         moving = [j for j in judged if j.name in hopes and (j in close or hopes[j.name] > _HOPE * rival)]
         if given is not None:
             plain = [j for j in plain if j.score - already >= _WORTH and j.name not in self._done]

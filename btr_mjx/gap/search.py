@@ -68,6 +68,7 @@ class Bench:
       counter: simulated steps so far.
       cut: chi^2 above which a window counts less.
       dispersion: chi^2 per degree of freedom of the best hypothesis, at least 1.
+      hopes: gain of candidates in the first scan, less their price, in prices of a number, by name.
     """
 
     def __init__(
@@ -122,6 +123,7 @@ class Bench:
         self.dispersion = 1.0
         self.cut = _CUT * self.fit.windows.freedom
         self._settle(None)
+        self.hopes: dict[str, float] = {}
         self.walks = Walks(self.fit, self.base, self.free, self.fall, lambda: self.cut)
 
     def _start(self, note: Callable[[str], None]) -> None:
@@ -208,6 +210,9 @@ class Bench:
         if given is None and leads:
             self._settle(self._linear_best(leads[:5], residual))
         price = np.log(self.fit.windows.residual.size) * self.dispersion
+        if given is None:
+            hopes = ((self._entry(lead), lead.gain / price - len(lead.values)) for lead in leads)
+            self.hopes = {entry.candidate.name: hope for entry, hope in sorted(hopes, key=lambda row: row[1])}
         if given is not None:
             # Most robots lack one thing: what is not worth its price in the linear picture is not simulated as well.
             leads = [lead for lead in leads if lead.gain > price * len(lead.values)]
@@ -221,7 +226,8 @@ class Bench:
         if moving:
             side = Side(sides[0].windows, self.free(sides[0]))
             scanned = contact_scan(side, start, moving, self.cut, residual, options.every)
-            scanned = scanned if start.effects else judged_anew(scanned, start, self.walks, strongest)
+            if not start.effects:
+                scanned = judged_anew(self.dataset.model, scanned, start, self.walks, strongest)
             tries = with_contacts(tries, scanned, options.contact_leaders)
         if not tries:
             return []
