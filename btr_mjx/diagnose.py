@@ -33,7 +33,7 @@ from btr_mjx.errors import InputError, cli_errors, resume_command
 from btr_mjx.files import read_json, write_json, write_table
 from btr_mjx.gap import report, saved
 from btr_mjx.gap.effect import Effect
-from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.effects import EFFECTS, KNOWN
 from btr_mjx.gap.fitness_search import expected_steps, identify_fitness
 from btr_mjx.gap.fitness_table import FitnessTable, load_fitness
 from btr_mjx.gap.hidden import make_case
@@ -158,11 +158,11 @@ def library_of(names: Sequence[str]) -> tuple[Effect, ...]:
     Raises:
       InputError: a name that the library lacks, with the nearest; a file that holds no effect.
     """
-    known = {effect.name: effect for effect in EFFECTS}
+    known = {effect.name: effect for effect in KNOWN}
     chosen: dict[str, Effect] = {}
     for name in names:
         if name == "all":
-            chosen |= known
+            chosen |= {effect.name: effect for effect in EFFECTS}
         elif ".py:" in name:
             own = _own_effect(name)
             chosen[own.name] = own

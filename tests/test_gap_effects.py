@@ -8,8 +8,9 @@ import pytest
 from gap_models import MODELS, inertia, load, moderate, one, windows
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.effects import EFFECTS, Effect, Parameter, Scales, candidates, joint_places
+from btr_mjx.gap.effects import EFFECTS, KNOWN, Effect, Parameter, Scales, candidates, joint_places
 from btr_mjx.gap.laws import Rows
+from btr_mjx.gap.places import one_limb
 from btr_mjx.gap.transcribe import normalised, write_changes
 from btr_mjx.gap.worlds import World, fields_of, simulate
 
@@ -20,7 +21,7 @@ def test_every_native_edit_is_what_the_compiler_makes_of_it(name: str) -> None:
     original = load(name)
     assert set(fields_of(World.of(base), original)) <= {"actuator_acc0"} or _close(base, original)
     seen = set()
-    for candidate in candidates(base, Scales.of(base), EFFECTS):
+    for candidate in candidates(base, Scales.of(base), KNOWN):
         if name == "hexapod" and (candidate.effect.name, len(candidate.place.members)) in seen:
             continue  # one place of a kind: each is compiled
         seen.add((candidate.effect.name, len(candidate.place.members)))
@@ -57,18 +58,18 @@ def _close(a: mujoco.MjModel, b: mujoco.MjModel) -> bool:
 
 def test_every_effect_is_documented_and_has_a_place_on_a_walking_robot() -> None:
     table = (Path(__file__).parent.parent / "docs" / "effects.md").read_text(encoding="utf-8")
-    assert [effect.name for effect in EFFECTS if f"| `{effect.name}` |" not in table] == []
-    assert all(effect.equation and effect.excited_by and effect.apply.__doc__ for effect in EFFECTS)
+    assert [effect.name for effect in KNOWN if f"| `{effect.name}` |" not in table] == []
+    assert all(effect.equation and effect.excited_by and effect.apply.__doc__ for effect in KNOWN)
     model = load("quadruped")
-    found = {c.effect.name for c in candidates(model, Scales.of(model), EFFECTS)}
-    assert found == {effect.name for effect in EFFECTS}
+    found = {c.effect.name for c in candidates(model, Scales.of(model), KNOWN)}
+    assert found == {effect.name for effect in KNOWN}
     assert len(found) >= 19
 
 
 def test_places_make_sense() -> None:
     model = load("quadruped")
     labels: dict[str, list[str]] = {}
-    for candidate in candidates(model, Scales.of(model), EFFECTS):
+    for candidate in candidates(model, Scales.of(model), KNOWN):
         labels.setdefault(candidate.effect.name, []).append(candidate.place.label)
     legs = ["subtree:thigh0", "subtree:thigh1"]
     assert labels["viscous_damping"] == ["joint:hip0", "joint:knee0", "joint:hip1", "joint:knee1", *legs, "all"]
@@ -78,6 +79,11 @@ def test_places_make_sense() -> None:
     assert labels["link_length"] == [f"body:{n}" for n in ("thigh0", "shank0", "thigh1", "shank1")]
     assert labels["constant_force"] == [f"body:{n}" for n in ("torso", "shank0", "shank1")]
     assert {"geom:foot0", "geom:foot1", "world"} <= set(labels["ground_friction"])
+    assert labels["elastic_cord"] == ["body:torso"]
+    for effect in EFFECTS:
+        # A twin sits wherever the effect does that it is taken for: cords only on bodies that are free.
+        here = [label for label in labels[effect.name] if label not in ("body:shank0", "body:shank1")]
+        assert all(set(here) <= set(labels[akin.name]) for akin in effect.akin)
     pendulum = load("pendulum")
     names = {c.name for c in candidates(pendulum, Scales.of(pendulum), EFFECTS)}
     assert not {n for n in names if n.startswith(("ground_friction", "contact_softness", "com_shift"))}
@@ -85,10 +91,25 @@ def test_places_make_sense() -> None:
     assert not {n for n in names if n.endswith("@all")}
 
 
+def test_a_limb_is_what_hangs_together() -> None:
+    model = load("quadruped")
+    place = {c.place.label: c.place for c in candidates(model, Scales.of(model), EFFECTS)}
+    for one_, other, expected in (
+        ("joint:hip0", "joint:knee0", True),
+        ("joint:knee0", "body:thigh0", True),
+        ("joint:hip0", "joint:knee1", False),
+        ("joint:hip0", "all", False),
+        ("joint:hip0", "geom:foot0", False),
+        ("joint:hip0", "world", False),
+    ):
+        assert one_limb(model, place[one_], place[other]) is expected
+        assert one_limb(model, place[other], place[one_]) is expected
+
+
 def test_nothing_changes_at_the_null() -> None:
     for name in MODELS:
         model = load(name)
-        for candidate in candidates(model, Scales.of(model), EFFECTS):
+        for candidate in candidates(model, Scales.of(model), KNOWN):
             world = candidate.apply(World.of(model), candidate.null)
             allowed = (
                 {"actuator_forcerange", "actuator_forcelimited"} if candidate.effect.name == "torque_limit" else set()
@@ -105,7 +126,7 @@ def test_nothing_changes_at_the_null() -> None:
 
 def test_groups_are_their_members() -> None:
     model = load("quadruped")
-    every = {c.name: c for c in candidates(model, Scales.of(model), EFFECTS)}
+    every = {c.name: c for c in candidates(model, Scales.of(model), KNOWN)}
     for candidate in every.values():
         if not candidate.place.members:
             continue

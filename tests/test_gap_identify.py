@@ -8,11 +8,13 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.akin_effects import HARDENING_SPRING
+from btr_mjx.gap.effect import Parameter
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
-from btr_mjx.gap.identify import identify, missing
+from btr_mjx.gap.identify import identify, missing, strange
 from btr_mjx.gap.leftover import Leftover
 from btr_mjx.gap.outcome import equivalent
+from btr_mjx.gap.places import Place
 from btr_mjx.gap.recordings import Believed
 from btr_mjx.gap.score import luckiest
 from btr_mjx.gap.search import Bench, Options
@@ -235,6 +237,40 @@ def test_a_name_must_explain_most_of_a_lack_of_fit():
 def test_a_name_is_none_where_held_out_recordings_know_of_something_else():
     named = [gained(1000.0)]
     assert missing(left_by({1000.0: 0.0}, told="position cubed"), named, 0.9, 0.0)
+
+
+def unnamed(score, offset):
+    """A candidate that may not be named: a spring so far from none."""
+    number = Parameter("stiffness", "N m/rad", -1.0, 1.0, 0.01)
+    effect = SimpleNamespace(name="joint_stiffness")
+    candidate = SimpleNamespace(
+        name="joint_stiffness@elbow", effect=effect, parameters=(number,), null=np.zeros(1), place=Place("joint:elbow")
+    )
+    return SimpleNamespace(score=score, hypothesis=SimpleNamespace(effects=((candidate, (offset,)),)))
+
+
+@pytest.mark.parametrize(
+    ("score", "size", "beside", "expected"),
+    [
+        (None, 0.0, None, False),  # nothing at all
+        (40.0, 0.5, None, False),  # weak, not strange
+        (40.0, 0.5, 10.0, False),
+        (40.0, 0.5, 30.0, True),  # its twin explains more
+        (80.0, 0.5, None, True),  # too much for chance
+        (80.0, 0.02, None, False),  # calibration
+    ],
+)
+def test_what_may_not_be_named_may_still_be_missing(score, size, beside, expected):
+    check = left_by({})
+    check.surprise = lambda _: 0.0
+    check.left = lambda _: Leftover(np.array([0.0]), np.array([0.0]), 0.0, None)
+    check.bench.dataset = SimpleNamespace(tolerances={"joint_stiffness": 0.01})
+    best = None if score is None else unnamed(score, size)
+    rival = None if beside is None else SimpleNamespace(score=score + beside)
+    assert strange(check, best, rival) is expected
+    if not expected:
+        check.told = lambda _: "position cubed"
+        assert strange(check, best, rival)
 
 
 @pytest.mark.parametrize(("beside", "expected"), [(10.0, False), (30.0, True)])

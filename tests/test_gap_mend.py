@@ -8,7 +8,7 @@ import pytest
 from gap_models import PENDULUM, QUADRUPED, load, moderate, windows
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.effects import EFFECTS, Candidate, Scales, candidates
+from btr_mjx.gap.effects import KNOWN, Candidate, Scales, candidates
 from btr_mjx.gap.mend import Callback, Found, Mended, mend
 from btr_mjx.gap.worlds import Stretch, World, simulate
 
@@ -46,7 +46,7 @@ def by_hand(mended: Mended, stretch: Stretch, row: int, steps: int) -> np.ndarra
 def test_the_mended_model_moves_as_the_world_in_which_it_was_found(name: str) -> None:
     model = load(name)
     stretch = windows(model, count=2)
-    every = [c for c in candidates(model, Scales.of(model), EFFECTS) if not c.place.members]
+    every = [c for c in candidates(model, Scales.of(model), KNOWN) if not c.place.members]
     chosen = list({c.effect.name: c for c in every}.values())
     values = {c.name: moderate(c) for c in chosen}
     results = simulate(
@@ -66,7 +66,7 @@ def test_the_mended_model_moves_as_the_world_in_which_it_was_found(name: str) ->
 
 def test_which_terms_are_native() -> None:
     model = load("quadruped")
-    by_name = {c.name: c for c in candidates(model, Scales.of(model), EFFECTS)}
+    by_name = {c.name: c for c in candidates(model, Scales.of(model), KNOWN)}
     for label in ("actuator_delay@all", "actuator_lag@all", "viscous_damping@all", "torque_limit@all"):
         mended = mend(QUADRUPED, [found(by_name[label], moderate(by_name[label]))])
         assert mended.native == (label,)

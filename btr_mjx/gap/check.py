@@ -32,7 +32,7 @@ _LEAST_GAIN = 45.0
 
 _TOLD = 8.0, 25.0
 """Gain that something no effect follows needs on either side of the split, with the size found on one of them, and on
-both together. What told most in simulated robots that lacked nothing had 10 on the one and 2 on the other."""
+both together. The most that 78 simulated robots with nothing missing, or something in the library, had was 7 and 12."""
 
 _COARSE = 5.0
 """Dispersion beyond which what forces leave is not noise."""

@@ -19,6 +19,7 @@ a law (`btr_mjx.gap.laws.Law`), whatever concerns the command an edit of it (`Wo
 """
 
 from btr_mjx.gap.actuator_effects import ACTUATOR_EFFECTS
+from btr_mjx.gap.akin_effects import AKIN_EFFECTS
 from btr_mjx.gap.body_effects import BODY_EFFECTS
 from btr_mjx.gap.effect import Candidate, Effect, Parameter, candidates
 from btr_mjx.gap.friction_effects import FRICTION_EFFECTS
@@ -27,8 +28,11 @@ from btr_mjx.gap.joint_effects import JOINT_EFFECTS
 from btr_mjx.gap.places import Place, actuator_places, joint_places
 from btr_mjx.gap.scales import Scales
 
-__all__ = ["EFFECTS", "Candidate", "Effect", "Parameter", "Place", "Scales", "actuator_places", "candidates"]
+__all__ = ["EFFECTS", "KNOWN", "Candidate", "Effect", "Parameter", "Place", "Scales", "actuator_places", "candidates"]
 __all__ += ["joint_places"]
 
 EFFECTS: tuple[Effect, ...] = (*FRICTION_EFFECTS, *JOINT_EFFECTS, *ACTUATOR_EFFECTS, *BODY_EFFECTS, *GROUND_EFFECTS)
 """Every effect that is tried unless others are given."""
+
+KNOWN: tuple[Effect, ...] = (*EFFECTS, *AKIN_EFFECTS)
+"""Every effect that can be asked for by name: also those that are only beside a name unless they are asked for."""

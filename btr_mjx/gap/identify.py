@@ -207,10 +207,10 @@ def strange(check: Check, best: Judged | None, rival: Judged | None = None) -> b
       rival: its best twin, judged beside it.
     """
     judged = best if best is not None and best.score > 0 else None
-    if judged is not None and mistaken(judged, rival):
-        return True
-    if judged is not None and judged.score > TOO_MUCH and plain(check.bench, judged):
-        return not within_calibration(check.bench, judged)
+    if judged is not None:
+        much = judged.score > TOO_MUCH and plain(check.bench, judged) and not within_calibration(check.bench, judged)
+        if much or mistaken(judged, rival):
+            return True
     left = check.left(judged)
     return (
         check.surprise(judged) > SURPRISE

@@ -26,7 +26,7 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.commands import Command
 from btr_mjx.gap.effect import Effect
-from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.effects import KNOWN
 from btr_mjx.gap.laws import Rows
 from btr_mjx.gap.model_paths import nearest, set_values
 from btr_mjx.gap.places import Place
@@ -92,7 +92,7 @@ def mend(
     found: Sequence[Found],
     *,
     believed: Mapping[str, float] | None = None,
-    effects: Sequence[Effect] = EFFECTS,
+    effects: Sequence[Effect] = KNOWN,
 ) -> Mended:
     """Add effects to a model.
 
@@ -179,7 +179,7 @@ class Callback:
     """
 
     def __init__(
-        self, model: mujoco.MjModel, terms: Sequence[Mapping[str, Any]], effects: Sequence[Effect] = EFFECTS
+        self, model: mujoco.MjModel, terms: Sequence[Mapping[str, Any]], effects: Sequence[Effect] = KNOWN
     ) -> None:
         """A callback for one simulation.
 

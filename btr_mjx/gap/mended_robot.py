@@ -15,7 +15,7 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.effect import Effect
-from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.effects import KNOWN
 from btr_mjx.gap.mend import Found, lookup, mend
 from btr_mjx.gap.scales import Scales
 from btr_mjx.gap.transcribe import normalised
@@ -42,7 +42,7 @@ def mended_robot(
     base_body: str | None = None,
     duration: float = 1.7,
     widen: float = 2.0,
-    effects: Sequence[Effect] = EFFECTS,
+    effects: Sequence[Effect] = KNOWN,
 ) -> Robot:
     """A robot whose space of simulations is spanned by the parameters of the effects that were found.
 

@@ -14,7 +14,7 @@ from btr_mjx.files import atomic_write, write_arrays, write_json, write_table
 from btr_mjx.gap.columns import control_columns
 from btr_mjx.gap.diagnosis import Diagnosis, DisagreementMap
 from btr_mjx.gap.effect import Effect
-from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.effects import KNOWN
 from btr_mjx.gap.mend import Found, Mended, mend
 from btr_mjx.gap.model_paths import parse_path, part_names
 from btr_mjx.gap.next_experiment import NextExperiment
@@ -29,7 +29,7 @@ def save(
     dataset: Dataset,
     folder: str | Path,
     *,
-    effects: Sequence[Effect] = EFFECTS,
+    effects: Sequence[Effect] = KNOWN,
     next_experiment: NextExperiment | None = None,
     more: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
@@ -164,7 +164,7 @@ def where(disagreement: DisagreementMap) -> str:
     return ", ".join([place(disagreement.places[row]), *words[:1]]) + "".join(f" {w}" for w in words[1:3])
 
 
-def mended_model(diagnosis: Diagnosis, dataset: Dataset, effects: Sequence[Effect] = EFFECTS) -> Mended | None:
+def mended_model(diagnosis: Diagnosis, dataset: Dataset, effects: Sequence[Effect] = KNOWN) -> Mended | None:
     """The believed model with what was named and refitted.
 
     Returns:

@@ -25,6 +25,10 @@ TITLES: Mapping[str, str] = {
     "ground_slope": "a slope of the ground",
     "ground_friction": "another friction of the ground",
     "contact_softness": "another softness of contact",
+    "hardening_spring": "a hardening spring",
+    "one_sided_spring": "a spring on one side",
+    "fading_motor": "a motor that loses force over time",
+    "elastic_cord": "an elastic cord",
 }
 """Effects as they appear in sentences; others appear by their names."""
 
