@@ -173,7 +173,7 @@ def test_an_effect_beside_another_ends_where_the_search_ends(bench: Bench) -> No
     first = polish(bench.find())[0]
     second = polish(bench.find(first), 1, first)[0]
     candidate, values = second.hypothesis.effects[-1]
-    found = polish.beside(first, candidate, [0.7 * value for value in values])
+    found = polish.beside(first, first.hypothesis.with_effect(candidate, [0.7 * value for value in values]))
     assert found.name == second.name
     assert found.hypothesis.effects[-1][1] == pytest.approx(values, rel=0.05)
     assert found.score == pytest.approx(second.score, rel=0.02)

@@ -97,9 +97,8 @@ class Stage:
 
     def judged(self, name, scores=None):
         effects = [(SimpleNamespace(name=letter), (1.0,)) for letter in name]
-        return SimpleNamespace(
-            name=name, score=(scores or self.scores)[name], hypothesis=SimpleNamespace(effects=effects)
-        )
+        hypothesis = SimpleNamespace(effects=effects, with_effect=lambda candidate, values: name + candidate.name)
+        return SimpleNamespace(name=name, score=(scores or self.scores)[name], hypothesis=hypothesis)
 
     def find(self, given=None):
         first = "" if given is None else given.name
@@ -114,8 +113,8 @@ class Stage:
             judged = [self.judged(judged[0].name, self.scores | self.polished), *judged[1:]]
         return sorted(judged, key=lambda j: -j.score)
 
-    def beside(self, given, candidate, values):
-        return self.judged(given.name + candidate.name)
+    def beside(self, given, hypothesis):
+        return self.judged(hypothesis)
 
     def named(self):
         return [j.name for j in rounds.search(self, 2, lambda word: None)[1]]

@@ -12,7 +12,6 @@ from functools import partial
 import numpy as np
 
 from btr_mjx.gap.abreast import abreast
-from btr_mjx.gap.effect import Candidate
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.refine import Refined, refine
 from btr_mjx.gap.score import Fit, robust_gain
@@ -138,15 +137,14 @@ class Polisher:
             return -np.inf
         return self.bench.walks.best(judged.hypothesis.effects[-1][0].name)
 
-    def beside(self, given: Judged, candidate: Candidate, values: Sequence[float]) -> Judged:
+    def beside(self, given: Judged, hypothesis: Hypothesis) -> Judged:
         """What was found with one more effect, refined and judged.
 
         Args:
           given: what was found.
-          candidate: the effect.
-          values: where its numbers start.
+          hypothesis: its effects and one more, with the numbers where these start.
         """
-        return self._again([given.hypothesis.with_effect(candidate, values)], given)[0]
+        return self._again([hypothesis], given)[0]
 
     def _again(self, hypotheses: Sequence[Hypothesis], given: Judged | None) -> list[Judged]:
         """Refine and judge hypotheses with the starting states, of all that suit one of them, that suit each best.

@@ -132,7 +132,8 @@ def _swapped(
     if not rivals:
         return rounds, named
     note("the first effect's rivals")
-    tries = [(polish.beside(rival, candidate, values), rival) for rival in rivals[:_RIVALS]]
+    joined = [(rival, rival.hypothesis.with_effect(candidate, values)) for rival in rivals[:_RIVALS]]
+    tries = [(polish.beside(rival, hypothesis), rival) for rival, hypothesis in joined]
     best, rival = max(tries, key=lambda row: row[0].score)
     if best.score <= both.score:
         return rounds, named

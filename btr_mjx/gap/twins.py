@@ -71,10 +71,7 @@ def twin(bench: Bench, judged: Judged) -> Judged | None:
     best = min(range(len(tries)), key=lambda i: found[i].loss)
     if (reference.loss - found[best].loss) / bench.dispersion < _HOPE:
         return None
-    own = tries[best].replaced(found[best].values, bench.joint)
-    candidate, values = own.effects[-1]
-    start = replace(judged, hypothesis=replace(own, effects=own.effects[:-1]))
-    return Polisher(bench).beside(start, candidate, values)
+    return Polisher(bench).beside(judged, tries[best].replaced(found[best].values, bench.joint))
 
 
 def _starts(bench: Bench, judged: Judged, index: int, candidate: Candidate) -> list[Hypothesis]:
