@@ -91,6 +91,8 @@ class Stage:
         monkeypatch.setattr(rounds, "Polisher", lambda bench: self)
         monkeypatch.setattr(rounds, "accepted", self.accepted)
         monkeypatch.setattr(rounds, "within_calibration", lambda bench, judged: False)
+        self.beyond = dict[str, float]()
+        monkeypatch.setattr(rounds, "beyond_calibration", lambda bench, judged: self.beyond.get(judged.name, np.inf))
 
     def accepted(self, bench, judged, given, share=0.0):
         return judged.score - (given.score if given else 0.0) > 25.0
@@ -140,6 +142,20 @@ def test_the_first_effect_gives_way_to_a_rival_with_which_both_explain_more(monk
 def test_rivals_that_explain_no_more_change_nothing(monkeypatch, changed):
     scores = {"a": 500.0, "b": 450.0, "c": 100.0, "ac": 560.0, "bc": 700.0} | changed
     assert Stage(monkeypatch, scores).named() == ["a", "ac"]
+
+
+def test_what_calibration_explains_as_well_is_not_named(monkeypatch):
+    scores = {"a": 500.0, "b": 450.0, "ab": 560.0}
+    stage = Stage(monkeypatch, scores)
+    stage.beyond["a"] = -1.0
+    assert stage.named() == []
+    stage.beyond["a"] = 5.0
+    assert stage.named() == ["a", "ab"]
+    stage.beyond["ab"] = -1.0  # only the first effect is asked
+    assert stage.named() == ["a", "ab"]
+    stage.scores["a"], stage.beyond["a"] = 900.0, -1.0  # far more than calibration ever came to
+    stage.scores["ab"] = 960.0
+    assert stage.named() == ["a", "ab"]
 
 
 def test_whoever_leads_beside_another_effect_has_been_judged_again(monkeypatch):

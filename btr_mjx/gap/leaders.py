@@ -198,7 +198,7 @@ def judged_anew(
         if row[1].place == WORLD and row[0] > needed - _ALL_WORSE and all(row is not own for own in worth)
     ]
     # A strong effect lets a foot touch at another time and hides itself; others on its limb, which do less, show it.
-    leading = found[0][0] > max(_KIN, needed - _WORSE) if found else False
+    leading = found[0][0] > max(_KIN, strongest) if found else False
     kin = [row for row in found[1:] if leading and one_limb(model, found[0][1].place, row[1].place)]
     worth += [row for row in kin if all(row is not own for own in worth)]
     best = {candidate.name: (gain, candidate, values) for gain, candidate, values in found}

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from btr_mjx.gap.calibrated import beyond_calibration
 from btr_mjx.gap.outcome import alike
 from btr_mjx.gap.polish import Polisher
 from btr_mjx.gap.score import bounded
@@ -39,6 +40,10 @@ _POLISHED = 3
 
 _ABREAST = 2
 """Such candidates that are judged again at once, where they are close."""
+
+DOUBTFUL = 600.0
+"""Score of what moves contacts below which calibration of its limb must not explain as much, its prior included: a
+simulated robot that lacked nothing came to 443 where a leg touched early or late all the time."""
 
 HELD_OUT = 3.0
 """Gain that a name needs on held-out recordings, and on those that were fitted."""
@@ -86,6 +91,8 @@ def search(bench: Bench, most: int, note: Callable[[str], None]) -> tuple[list[l
     rounds = [acceptable(bench, polish(bench.find()), None)]
     named: list[Judged] = []
     while rounds[-1] and accepted(bench, rounds[-1][0], named[-1] if named else None):
+        if not named and rounds[0][0].score < DOUBTFUL and beyond_calibration(bench, rounds[0][0]) < 0:
+            break
         named.append(rounds[-1][0])
         if len(named) == 2:
             rounds, named = _swapped(bench, polish, rounds, named, note)

@@ -1,0 +1,57 @@
+"""What moves contacts against what calibration of its limb explains."""
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gap_arm import dataset
+
+from btr_mjx.gap.calibrated import beyond_calibration, limb_of
+from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.polish import Polisher
+from btr_mjx.gap.search import Bench, Options
+from btr_mjx.gap.search_records import Judged
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    """An arm whose elbow is 20 mrad off, as if it touched something."""
+
+    def turned(model):
+        model.body_quat[2] = [np.cos(0.01), 0.0, np.sin(0.01), 0.0]
+
+    offsets = tuple(effect for effect in EFFECTS if effect.name in ("joint_offset", "armature"))
+    return Bench(dataset(turned, seed=4, fit=3, test=1), offsets, Options(steps=4e4, leaders=2, contact_leaders=0))
+
+
+@pytest.fixture(scope="module")
+def leading(bench: Bench) -> Judged:
+    found = next(j for j in Polisher(bench)(bench.find()) if "joint_offset" in j.name)
+    assert found.score > 15
+    return found
+
+
+def touching(bench: Bench, tolerance: float) -> Bench:
+    """The same with offsets that move contacts, known to so many radians."""
+    own = copy.copy(bench)
+    own.delicate = {c.name for c in bench.candidates if c.effect.name == "joint_offset"}
+    own.dataset = replace(bench.dataset, tolerances={"joint_offset": tolerance})
+    return own
+
+
+def test_a_limb_is_asked_for_all_that_moves_its_contacts(bench: Bench, leading: Judged) -> None:
+    names = {c.name for c in limb_of(touching(bench, 1e-3), leading)}
+    assert names == {"joint_offset@joint:shoulder", "joint_offset@joint:elbow"}
+    assert limb_of(bench, leading) == []  # nothing touches
+    assert limb_of(touching(bench, 0.0), leading) == []  # calibration knows it to be right
+
+
+def test_what_calibration_knows_it_cannot_explain(bench: Bench, leading: Judged) -> None:
+    """The looser an offset is known, the less of its gain is beyond calibration."""
+    exact, loose, unknown = (beyond_calibration(touching(bench, sigma), leading) for sigma in (1e-5, 5e-3, 1.0))
+    whole = leading.gain + leading.held_out
+    assert exact == pytest.approx(whole, rel=0.5)
+    assert exact > loose > unknown
+    assert abs(unknown) < 0.1 * whole  # then it is calibration
+    assert beyond_calibration(bench, leading) == np.inf
