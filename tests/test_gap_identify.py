@@ -163,7 +163,8 @@ def test_a_spring_on_one_side_is_not_called_a_spring(stiffness):
     assert (found.ranking[0].effect, found.ranking[0].location) == ("joint_stiffness", "joint:elbow")
     assert found.ranking[0].score > 5 * found.threshold
     assert found.verdict == "unexplained"
-    assert found.unexplained[0].startswith("joint:elbow: one_sided_spring (τ = −k |q − q_spring|, stiffness ")
+    assert found.unexplained[0].startswith("joint:elbow: a spring on one side (τ = −k |q − q_spring|, stiffness ")
+    assert found.unexplained[0].endswith("explains what a spring does not (--effects all one_sided_spring names it)")
     half = float(found.unexplained[0].partition("stiffness ")[2].split()[0])
     assert abs(half) == pytest.approx(stiffness / 2, rel=0.15)  # as much again is the stiffness beside it
 

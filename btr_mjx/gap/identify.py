@@ -25,6 +25,7 @@ from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.rounds import COARSE, THRESHOLD, search, within_calibration
 from btr_mjx.gap.search import Bench, Judged, Options
 from btr_mjx.gap.twins import twin
+from btr_mjx.gap.wording import title
 from btr_mjx.gap.worlds import Counter
 
 SURPRISE = 6.0
@@ -166,10 +167,12 @@ def twin_words(named: Judged | None, rival: Judged | None) -> tuple[str, ...]:
         return ()
     candidate, values = rival.hypothesis.effects[-1]
     number = candidate.parameters[0]
+    here = [c.effect for c, _ in named.hypothesis.effects if any(e is candidate.effect for e in c.effect.akin)]
+    taken = " and ".join(title(effect.name) for effect in here)
     size = f"{number.name} {values[0]:.3g}" + ("" if number.unit == "1" else f" {number.unit}")
     return (
-        f"{candidate.place.label}: {candidate.effect.name} ({candidate.effect.equation}, {size}) explains what "
-        f"{named.hypothesis.effects[-1][0].effect.name} does not",
+        f"{candidate.place.label}: {title(candidate.effect.name)} ({candidate.effect.equation}, {size}) explains what "
+        f"{taken} does not (--effects all {candidate.effect.name} names it)",
     )
 
 
