@@ -53,6 +53,9 @@ def disagreement_map(
     axes[0].set_yticks(range(len(rows)), rows)
     assert image is not None
     bar = figure.colorbar(image, ax=list(axes), shrink=min(1.0, 2.0 / height), pad=0.02)
+    marks = [m * 10**e for e in range(int(np.log10(top)) + 1) for m in (1, 2, 5) if m * 10**e <= top]
+    bar.set_ticks(marks[-6:], labels=[f"{mark:g}" for mark in marks[-6:]])
+    bar.minorticks_off()
     bar.set_label("force² / noise")
     return figure
 
