@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from btr_mjx.gap.refine import Nuisance
-from btr_mjx.gap.score import bounded, evidence, fit, project, scan, spanned, weight
+from btr_mjx.gap.score import bounded, evidence, fit, project, scan, spanned, steadied, weight
 
 
 def problem(seed, windows=6, rows=15, columns=5):
@@ -38,6 +38,25 @@ def test_fit_without_a_bound_is_ridge_regression(seed):
     np.testing.assert_allclose(found.values, values, rtol=1e-6, atol=1e-9)
     left = residual.ravel() + design @ values
     assert found.loss == pytest.approx(left @ left + (precision * values**2).sum())
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 10_000), st.lists(st.floats(-9, 9), min_size=5, max_size=5))
+def test_units_do_not_matter(seed, powers):
+    """A stiffness of half a million and a time of a millisecond are fitted as well as numbers around one."""
+    residual, columns = problem(seed)
+    precision, unit = np.array([0.0, 0.0, 1.0, 4.0, 9.0]), 10.0 ** np.array(powers)
+    plain = fit(evidence(residual, columns), precision, 20.0)
+    scaled = fit(evidence(residual, columns / unit[:, None, None]), precision / unit**2, 20.0)
+    np.testing.assert_allclose(scaled.values / unit, plain.values, rtol=1e-4, atol=1e-5)
+    assert scaled.loss == pytest.approx(plain.loss, rel=1e-6)
+
+
+def test_what_does_nothing_stays_where_it_is():
+    residual, columns = problem(3)
+    columns[1] = 0.0
+    assert fit(evidence(residual, columns), np.zeros(5), 1e12).values[1] == 0.0
+    np.testing.assert_allclose(np.linalg.inv(steadied(np.diag([4.0, 0.0]))), np.diag([0.25, 1.0]), rtol=1e-6)
 
 
 def test_a_broken_window_does_not_move_the_fit():

@@ -13,7 +13,7 @@ import numpy as np
 from btr_mjx.gap.diagnosis import Estimate
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.refine import nudges
-from btr_mjx.gap.score import Evidence, fit, weight
+from btr_mjx.gap.score import Evidence, fit, steadied, weight
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Judged, Side, nearest
 from btr_mjx.gap.walks import scaled
@@ -54,12 +54,10 @@ def intervals(bench: Bench, judged: Judged, rng: np.random.Generator, settled: b
     own, far = (side.windows.recording for side in judged.sides)
     labels = np.concatenate([own, own.max() + 1 + far]) if len(np.unique(own)) >= _MANY else np.arange(count)
     blocks = [np.flatnonzero(labels == label) for label in np.unique(labels)]
-    ridge = 1e-9 * np.eye(data.n)
 
     def solve(share: np.ndarray) -> np.ndarray:
         normal = np.tensordot(share * w, data.gram, 1)
-        normal = normal + np.diag(precision) + ridge * np.trace(normal)
-        return np.linalg.solve(normal, -((share * w) @ data.moment))[:size]
+        return np.linalg.solve(steadied(normal + np.diag(precision)), -((share * w) @ data.moment))[:size]
 
     centre = solve(np.ones(count))
     draws = np.empty((_DRAWS, size))
@@ -70,7 +68,7 @@ def intervals(bench: Bench, judged: Judged, rng: np.random.Generator, settled: b
             share[blocks[block]] += 1.0
         draws[i] = solve(share) - centre
     normal = (np.tensordot(w, data.gram, 1) + np.diag(precision)) / bench.dispersion
-    posterior = np.linalg.inv(normal + ridge * np.trace(normal))[:size, :size]
+    posterior = np.linalg.inv(steadied(normal))[:size, :size]
     extra = np.sqrt(np.maximum(np.diag(posterior), 0.0)) * rng.standard_normal((_DRAWS, size))
     spread = draws + extra
     final = judged.hypothesis

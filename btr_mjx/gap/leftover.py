@@ -14,7 +14,7 @@ import numpy as np
 
 from btr_mjx.gap.forces import Circumstances, ForceFit
 from btr_mjx.gap.refine import Nuisance
-from btr_mjx.gap.score import bounded, luckiest, robust_gain, weight, without_wildest
+from btr_mjx.gap.score import bounded, luckiest, robust_gain, steadied, weight, without_wildest
 
 _CAP = 6.0
 """A window's excess counts up to so many standard deviations."""
@@ -186,7 +186,7 @@ class Joints:
         data, size = self.nuisance.evidence(absorbed, own), len(own)
         prior = np.concatenate([np.zeros(size), self.nuisance.precision])
         normal = np.tensordot(w, data.gram, 1) + np.diag(prior)
-        normal += (1e-9 * np.trace(normal) / max(len(prior), 1) + 1e-12) * np.eye(len(prior))
+        normal = steadied(normal)
         pull = w @ data.moment + prior * np.concatenate([np.zeros(size), before.values])
         inverse = np.linalg.inv(normal)
         across = np.concatenate([self._with(np.moveaxis(own, 0, 1)), self._across], -1) * w[:, None, None, None]

@@ -17,6 +17,9 @@ _SAY = 3.0
 _MANY = 8
 """Beside so many others, a window's gain may be luck."""
 
+_RIDGE = 1e-9
+"""Part of its own size that is added to the diagonal of a normal matrix."""
+
 
 def bounded(x: np.ndarray, cut: np.ndarray | float) -> np.ndarray:
     """Loss of windows with chi^2 `x`: x up to the cut, then rising to at most twice the cut."""
@@ -176,7 +179,7 @@ def fit(
         return best
     for _ in range(iterations):
         normal = np.tensordot(w, data.gram, 1) + np.diag(precision)
-        normal = normal + (1e-10 * np.trace(normal) / count + 1e-12) * np.eye(count)
+        normal = steadied(normal)
         target = precision * centre - w @ data.moment
         values = _box(normal, target, low, high)
         x = np.maximum(data.energy + 2.0 * data.moment @ values + (data.gram @ values) @ values, 0.0)
@@ -188,6 +191,19 @@ def fit(
             break
         w = weight(x, cut)
     return best
+
+
+def steadied(normal: np.ndarray) -> np.ndarray:
+    """A normal matrix that can be solved: a little more on its diagonal, in every column's own units.
+
+    A part of the trace instead would hold numbers that are large in SI units (a stiffness of 500 kN m/rad^3) where
+    they are: their columns, per unit, are the smallest.
+
+    Args:
+      normal: (C, C), with zeros where a column does nothing.
+    """
+    size = np.diag(normal)
+    return normal + np.diag(np.where(size > 0, _RIDGE * size, 1.0))
 
 
 def _box(normal: np.ndarray, target: np.ndarray, low: np.ndarray | None, high: np.ndarray | None) -> np.ndarray:
