@@ -95,3 +95,12 @@ def arm_windows() -> Windows:
     out = Windows(data, np.array([0, 0, 1, 1]), np.array([10, 150, 20, 200]), 30)
     out.linearise(World.of)
     return out
+
+
+def elbow_off() -> Dataset:
+    """Recordings of an arm whose elbow is 20 mrad off."""
+
+    def turned(model):
+        model.body_quat[2] = [np.cos(0.01), 0.0, np.sin(0.01), 0.0]
+
+    return dataset(turned, seed=4, fit=3, test=1)

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from gap_arm import SIGMA, arm, arm_windows, dataset, recording
+from gap_arm import SIGMA, arm, arm_windows, elbow_off, recording
 from scipy.optimize import least_squares
 
 from btr_mjx.gap import transitions
@@ -112,11 +112,8 @@ def test_long_steps_must_not_throw_light_legs_about(tmp_path, monkeypatch) -> No
 
 @pytest.fixture(scope="module")
 def bench() -> Bench:
-    def turned(model):
-        model.body_quat[2] = [np.cos(0.01), 0.0, np.sin(0.01), 0.0]
-
     offsets = tuple(effect for effect in EFFECTS if effect.name in ("joint_offset", "armature"))
-    return Bench(dataset(turned, seed=4, fit=3, test=1), offsets, Options(steps=4e4, leaders=2, contact_leaders=0))
+    return Bench(elbow_off(), offsets, Options(steps=4e4, leaders=2, contact_leaders=0))
 
 
 def test_a_walk_sees_what_all_windows_show(bench: Bench) -> None:
