@@ -1,8 +1,8 @@
 """Twins: whether a force of another shape, at the same place, explains what a name does not.
 
 What is nearly right leaves little, and that where motions are largest: windows that count less because something is
-wrong with them. A linear picture may show nothing from there. Twins are therefore simulated, beside the name as it was found
-and beside a part of it.
+wrong with them. A linear picture may show nothing from there. Twins are therefore simulated, beside the name as it was
+found and beside a part of it.
 """
 
 from collections.abc import Sequence
