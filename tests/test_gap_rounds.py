@@ -82,6 +82,9 @@ class Stage:
     Attributes:
       scores: of single effects and of pairs.
       asked: names that were judged again.
+      beyond: calibration, by name.
+      ran: scores after a run-off.
+      usual: names that are no larger than calibration leaves.
     """
 
     delicate = frozenset("m")
@@ -90,9 +93,14 @@ class Stage:
         self.scores, self.polished, self.asked = scores, polished or {}, []
         monkeypatch.setattr(rounds, "Polisher", lambda bench: self)
         monkeypatch.setattr(rounds, "accepted", self.accepted)
-        monkeypatch.setattr(rounds, "within_calibration", lambda bench, judged: False)
-        self.beyond = dict[str, float]()
+        self.beyond, self.ran, self.usual = dict[str, float](), dict[str, float](), set[str]()
+        monkeypatch.setattr(rounds, "within_calibration", lambda bench, judged: judged.name in self.usual)
+        monkeypatch.setattr(rounds, "runoff", self.runoff)
         monkeypatch.setattr(rounds, "beyond_calibration", lambda bench, judged: self.beyond.get(judged.name, np.inf))
+
+    def runoff(self, bench, judged):
+        again = [self.judged(j.name, self.scores | self.ran) for j in judged]
+        return sorted(again, key=lambda j: -j.score)
 
     def accepted(self, bench, judged, given, share=0.0):
         return judged.score - (given.score if given else 0.0) > 25.0
@@ -158,6 +166,15 @@ def test_what_calibration_explains_as_well_is_not_named(monkeypatch):
     assert stage.named() == ["a", "ab"]
 
 
+def test_a_run_off_decides_the_first_round(monkeypatch):
+    stage = Stage(monkeypatch, {"a": 70.0, "b": 66.0, "ab": 75.0, "ba": 75.0})
+    assert stage.named() == ["a"]
+    stage.ran = {"a": 90.0, "b": 110.0}
+    assert stage.named() == ["b"]
+    stage.usual = {"a"}  # no larger than calibration leaves: there is nothing to decide
+    assert stage.named() == ["a"]
+
+
 def test_whoever_leads_beside_another_effect_has_been_judged_again(monkeypatch):
     scores = {"a": 500.0, "ab": 560.0, "ac": 550.0, "ad": 490.0}
     stage = Stage(monkeypatch, scores, {"ab": 540.0, "ac": 570.0})
@@ -192,12 +209,26 @@ def test_what_may_be_called_by_name(names, gain, held_out, expected):
     assert is_accepted(names, gain, held_out) is expected
 
 
+@pytest.mark.parametrize(
+    ("gain", "held_out", "fresh", "expected"),
+    [
+        (20.0, 1.0, 0.0, False),
+        (20.0, 1.0, 8.0, True),  # seen in fresh windows instead
+        (-8.0, 60.0, 0.0, False),
+        (-8.0, 60.0, 40.0, True),  # those are of the recordings to fit
+        (40.0, 6.0, -5.0, False),
+    ],
+)
+def test_fresh_windows_have_a_say(gain, held_out, fresh, expected):
+    assert is_accepted("b", gain, held_out, fresh=fresh) is expected
+
+
 @pytest.mark.parametrize(("least", "expected"), [(0.9, True), (1.1, False)])
 def test_what_is_smaller_than_any_simulation_is_not_called_by_name(least, expected):
     assert is_accepted("b", 5000.0, 2000.0, least) is expected
 
 
-def is_accepted(names, gain, held_out, least=0.0):
+def is_accepted(names, gain, held_out, least=0.0, fresh=0.0):
     """Beside an effect of 4000; a number costs 10, is 1 and has a tolerance of 0.1."""
     first = [SimpleNamespace(tolerance=0.1, least=least)]
     place = SimpleNamespace(members=())
@@ -211,9 +242,10 @@ def is_accepted(names, gain, held_out, least=0.0):
     given = SimpleNamespace(score=4000.0, gain=2500.0, held_out=1510.0) if len(names) > 1 else None
     before = (given.score, given.gain, given.held_out) if given else (0.0, 0.0, 0.0)
     judged = SimpleNamespace(
-        score=before[0] + gain + held_out - 10.0,
+        score=before[0] + gain + held_out + fresh - 10.0,
         gain=before[1] + gain,
         held_out=before[2] + held_out,
+        fresh=fresh,
         hypothesis=SimpleNamespace(effects=effects),
         before=fits([9.0], [9.0]),
         fits=fits([9.0], [0.0]),

@@ -177,25 +177,42 @@ def place(
     Raises:
       InputError: a recording is too short for a window.
     """
+    own, start, k = grid(data, span)
     model = data.recordings[0].model
     interval = float(np.median(np.concatenate([np.diff(r.time) for r in data.recordings])))
-    k = max(_FEWEST, round(span / interval))
     steps = max(1.0, k * interval / float(model.opt.timestep))
-    room = [(len(r.time) - 1 - data.span.half) // k for r in data.recordings]
-    if min(room) < 1:
-        r = data.recordings[int(np.argmin(room))]
-        raise InputError(f"recording {r.name!r}: {len(r.time)} samples are too short for a window of {k + 1} samples")
     affordable = budget / (per_step * steps) / len(data.recordings)
     count = int(np.clip(round(affordable), 1, most)) * len(data.recordings)
-    recording, first = [], []
-    for i, (r, fits) in enumerate(zip(data.recordings, room, strict=True)):
-        last = len(r.time) - 1 - k
-        first.append(np.unique(np.linspace(min(data.span.half, last), last, fits).astype(int)))
-        recording.append(np.full(len(first[-1]), i))
-    own, start = np.concatenate(recording), np.concatenate(first)
     if count < len(start):
         busy = bustle(data, counter or Counter())
         shares = np.stack([busy[i][a : a + k].mean(0) for i, a in zip(own, start, strict=True)])
         chosen = np.sort(covering(shares, weights(model.nv), own, count))
         own, start = own[chosen], start[chosen]
     return own, start, k
+
+
+def grid(data: Data, span: float) -> tuple[np.ndarray, np.ndarray, int]:
+    """All windows there is room for that do not overlap.
+
+    Args:
+      data: the recordings.
+      span: length of a window [s].
+
+    Returns:
+      Recording (W,), first sample (W,) and samples of a window after its first.
+
+    Raises:
+      InputError: a recording is too short for a window.
+    """
+    interval = float(np.median(np.concatenate([np.diff(r.time) for r in data.recordings])))
+    k = max(_FEWEST, round(span / interval))
+    room = [(len(r.time) - 1 - data.span.half) // k for r in data.recordings]
+    if min(room) < 1:
+        r = data.recordings[int(np.argmin(room))]
+        raise InputError(f"recording {r.name!r}: {len(r.time)} samples are too short for a window of {k + 1} samples")
+    recording, first = [], []
+    for i, (r, fits) in enumerate(zip(data.recordings, room, strict=True)):
+        last = len(r.time) - 1 - k
+        first.append(np.unique(np.linspace(min(data.span.half, last), last, fits).astype(int)))
+        recording.append(np.full(len(first[-1]), i))
+    return np.concatenate(recording), np.concatenate(first), k

@@ -11,6 +11,7 @@ import numpy as np
 from btr_mjx.gap.calibrated import beyond_calibration
 from btr_mjx.gap.outcome import alike
 from btr_mjx.gap.polish import Polisher
+from btr_mjx.gap.runoff import runoff
 from btr_mjx.gap.score import bounded
 from btr_mjx.gap.screening import tolerance_of
 from btr_mjx.gap.search import Bench, Judged
@@ -89,6 +90,9 @@ def search(bench: Bench, most: int, note: Callable[[str], None]) -> tuple[list[l
     note("leaders")
     polish = Polisher(bench)
     rounds = [acceptable(bench, polish(bench.find()), None)]
+    if rounds[0] and not within_calibration(bench, rounds[0][0]):
+        note("run-off")
+        rounds[0] = acceptable(bench, runoff(bench, rounds[0]), None)
     named: list[Judged] = []
     while rounds[-1] and accepted(bench, rounds[-1][0], named[-1] if named else None):
         if not named and rounds[0][0].score < DOUBTFUL and beyond_calibration(bench, rounds[0][0]) < 0:
@@ -190,7 +194,7 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None, share: float = 
     """
     score = judged.score - (given.score if given else 0.0)
     gain = judged.gain - (given.gain if given else 0.0)
-    held_out = judged.held_out - (given.held_out if given else 0.0)
+    held_out = judged.held_out + judged.fresh - (given.held_out if given else 0.0)
     expected = gain * len(bench.test.windows) / len(bench.fit.windows)
     needed, part = SECOND_THRESHOLD if given else THRESHOLD, HELD_OUT_SHARE
     if given:
@@ -203,7 +207,7 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None, share: float = 
         # Beside another effect few windows held out need have a foot that touches or leaves where it matters.
         needed = max(needed, SECOND_CONTACT_THRESHOLD if given else CONTACT_THRESHOLD)
         part = 0.0 if given else CONTACT_SHARE
-    if score < needed or gain < HELD_OUT:
+    if score < needed or gain + judged.fresh < HELD_OUT:
         return False
     enough = max(HELD_OUT, min(part * expected, HELD_OUT_ENOUGH))
     if held_out < enough and not vouched(bench, judged):

@@ -108,8 +108,8 @@ class Bench:
         self._start(note)
         note(f"signatures of {len(entries)} candidates")
         rng = np.random.default_rng(0)
-        draws = tolerance_draws(self.base, self.candidates, dataset.tolerances, rng, _DRAWS)
-        known = [e for e in entries if not e.probe and tolerance_of(e.candidate, dataset.tolerances) > 0]
+        self._draws = draws = tolerance_draws(self.base, self.candidates, dataset.tolerances, rng, _DRAWS)
+        self._known = known = [e for e in entries if not e.probe and tolerance_of(e.candidate, dataset.tolerances) > 0]
         self._loose = {entry.candidate.name: FIRST_TOLERANCE + i for i, entry in enumerate(known)}
         bare = Hypothesis((), ())  # what may be refitted is refitted on the other side only
         sides = ((self.fit.windows, entries, self.base), (self.test.windows, known, bare))
@@ -158,6 +158,17 @@ class Bench:
             columns[i] = project(column, windows.soft)
         screened = replace(screened, columns=columns)
         return screened, nuisances(windows, base, screened, given, self.single)
+
+    def side(self, windows: Windows, around: Hypothesis) -> Side:
+        """More windows to fit, with what is fitted along.
+
+        Args:
+          windows: of the recordings to fit, as they were made.
+          around: the hypothesis that they are linearised around.
+        """
+        windows.linearise(around, step=self.fit.windows.step)
+        screened = screen(windows, around, self._known, self.single)
+        return Side(windows, self._softened(windows, self.base, screened, self._draws)[1])
 
     @property
     def joint(self) -> bool:

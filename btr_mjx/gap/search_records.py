@@ -78,6 +78,12 @@ class Side:
         )
         return Side(windows, Nuisance(columns, self.nuisance.precision, gram))
 
+    def joined(self, other: "Side") -> "Side":
+        """These windows and others with the same tolerances."""
+        own, more = self.nuisance, other.nuisance
+        columns, gram = np.concatenate([own.columns, more.columns]), np.concatenate([own.gram, more.gram])
+        return Side(self.windows.joined(other.windows), Nuisance(columns, own.precision, gram))
+
     def some(self, index: np.ndarray) -> "Side":
         """Some of the windows."""
         return Side(self.windows.some(index), self.nuisance.some(index))
@@ -111,6 +117,7 @@ class Judged:
       sides: of the split, with the starting states that it was judged with.
       references: fits of the believed model on both sides, with starting states found in the same way.
       before: the same of what it has one more effect than.
+      fresh: fall of the loss on windows that nobody had looked at when its numbers were found, see `runoff`.
     """
 
     hypothesis: Hypothesis
@@ -123,6 +130,7 @@ class Judged:
     sides: tuple[Side, Side]
     references: tuple[Fit, Fit]
     before: tuple[Fit, Fit]
+    fresh: float = 0.0
 
     @property
     def name(self) -> str:

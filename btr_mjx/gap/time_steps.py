@@ -77,23 +77,26 @@ def step_doubt(windows: "Windows") -> np.ndarray:
     return project(share * windows.correction, windows.basis)
 
 
-def paced(windows: "Windows", make: Callable[[mujoco.MjModel], World]) -> tuple[np.ndarray, np.ndarray]:
+def paced(
+    windows: "Windows", make: Callable[[mujoco.MjModel], World], step: float | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Choose the time step of windows: the model's, or twice that where it does little that sensors could see.
 
     Args:
       windows: whose `step` is set.
       make: a hypothesis.
+      step: that of windows which these are to be joined to [s]; None to choose one.
 
     Returns:
       Its states (W, k + 1, nq + nv), and what the step does to them, see `step_error`.
     """
     interval = float(np.median(np.diff(windows.since, axis=1)))
-    for times in (2, 1):
+    for times in (2, 1) if step is None else (step / windows.dt,):
         windows.step = times * windows.dt
-        if times > 1 and windows.step > 1.02 * min(_COARSE, interval):
+        if step is None and times > 1 and windows.step > 1.02 * min(_COARSE, interval):
             continue
         base = windows.states([make])[0]
         error = step_error(windows, make, base)
-        if times == 1 or np.median((error**2).mean(1)) <= _ROUGH**2:
+        if step is not None or times == 1 or np.median((error**2).mean(1)) <= _ROUGH**2:
             break
     return base, error

@@ -182,14 +182,15 @@ class Windows:
         rows = np.clip(np.nan_to_num(rows, nan=_CEILING, posinf=_CEILING, neginf=-_CEILING), -_CEILING, _CEILING)
         return rows.reshape(*rows.shape[:-2], -1)
 
-    def linearise(self, make: MakeWorld, steps: int = 5) -> None:
+    def linearise(self, make: MakeWorld, steps: int = 5, step: float | None = None) -> None:
         """Make a hypothesis the base world: improve the starting states, then project them out.
 
         Args:
           make: the hypothesis.
           steps: Gauss-Newton steps of the starting states; a window keeps a step only if it helps.
+          step: time step that is to be taken [s]; None to choose one.
         """
-        base, correction = paced(self, make)
+        base, correction = paced(self, make, step)
         self.stride = stride(self, make, base)
         self.transitions, self.answers = transitions(self, make, base)
         self._directions()
@@ -233,6 +234,16 @@ class Windows:
         other.smoothed = self.smoothed[0][index], self.smoothed[1][index]
         other.groups = other._by_model()
         return other
+
+    def joined(self, other: "Windows") -> "Windows":
+        """These and others of the same recordings and of the same length and time step, all linearised."""
+        both = copy.copy(self)
+        for name in _PER_WINDOW:
+            setattr(both, name, np.concatenate([getattr(self, name), getattr(other, name)]))
+        qpos, qvel = (np.concatenate(pair) for pair in zip(self.smoothed, other.smoothed, strict=True))
+        both.smoothed, both.stride = (qpos, qvel), min(self.stride, other.stride)
+        both.groups = both._by_model()
+        return both
 
     @property
     def raw(self) -> np.ndarray:

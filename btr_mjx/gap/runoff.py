@@ -1,0 +1,187 @@
+"""A run-off between the leader, rivals that come close, and nothing at all, on moments that nobody has looked at yet.
+
+Hundreds of candidates are screened on few windows. A handful of them can be followed on many more, and on those where
+they disagree most: which these are is known before the data are asked. What moves contacts takes no part; in fresh
+windows whoever is looked at first finds the better starting states.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from btr_mjx.gap.abreast import abreast
+from btr_mjx.gap.hypotheses import Hypothesis, unknowns
+from btr_mjx.gap.planning import grid
+from btr_mjx.gap.refine import refine
+from btr_mjx.gap.score import Fit, robust_gain
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Judged, Side, nearest
+from btr_mjx.gap.tangent import integrate
+from btr_mjx.gap.windows import Windows
+
+CLOSE = 25.0
+"""Rivals whose scores are lower by less than this take part: all that would be called equivalent."""
+
+_WEAK = 60.0
+"""A leader with a lower score is held against nothing at all as well, even where no rival comes close."""
+
+_HOPELESS = -5.0
+"""A leader with a lower score is not worth it."""
+
+_RIVALS = 4
+"""Rivals that take part, at most."""
+
+_MOST, _FEWEST = 30, 8
+"""Fresh windows, at most, and how many are worth the trouble. With 20 of them load-dependent and dry friction of one
+joint stayed as close as they were, with 30 and 40 they did not."""
+
+_SPENT = 1.9
+"""Of what goes into a search, `Options.budget`, so many times may be spent when it is over."""
+
+_PASSES = 150
+"""Simulations of a fresh window, roughly: directions of its starting state, a fine pass, tolerances, hypotheses."""
+
+_CALM = 0.5
+"""Part of the windows that is looked at: those in which a nudge of the starting state grows least."""
+
+_TELLING = 6.0
+"""Difference of two hypotheses in all fresh windows, in units of the noise (sum of squares), that could tell which."""
+
+_ITERATIONS = 2
+
+
+def runoff(bench: Bench, judged: Sequence[Judged]) -> list[Judged]:
+    """Judge the best of a first round and those that come close on fresh windows as well.
+
+    Args:
+      bench: of the search.
+      judged: candidates for a first effect, best first.
+
+    Returns:
+      The same, best first. Scores of those that took part are of all windows; their numbers are as they were. Rivals
+      that no fresh window could tell from the best one keep their distance from it.
+    """
+    if not judged or judged[0].name in bench.delicate or judged[0].score < _HOPELESS:
+        return list(judged)
+    best = judged[0]
+    close = [j for j in judged[1:] if best.score - j.score < CLOSE and j.name not in bench.delicate]
+    weak = int(best.score < _WEAK)
+    windows = _unseen(bench) if close or weak else None
+    if windows is None:
+        return list(judged)
+    apart = _differences(windows, [best.hypothesis, *([bench.base] if weak else []), *(j.hypothesis for j in close)])
+    shares = apart / np.maximum(apart.sum(1, keepdims=True), 1e-300)
+    chosen = np.sort(np.argsort(-shares.sum(0))[: _affordable(bench, windows)])
+    told = apart[:, chosen].sum(1) > _TELLING
+    rivals = [j for j, tells in zip(close, told[weak:], strict=True) if tells][:_RIVALS]
+    if len(chosen) < _FEWEST or not (rivals or (weak and told[0])):
+        return list(judged)
+    fresh = Windows(windows.data, windows.recording[chosen], windows.first[chosen], windows.k, bench.counter)
+    again = _again(bench, fresh, [best, *rivals])
+    twins = [j for j, tells in zip(close, told[weak:], strict=True) if not tells]
+    moved = again[0].score - best.score
+    again += [replace(j, score=j.score + moved, fresh=again[0].fresh) for j in twins]
+    rest = [j for j in judged if all(j is not own for own in (best, *rivals, *twins))]
+    return sorted([*again, *rest], key=lambda j: -j.score)
+
+
+def _unseen(bench: Bench) -> Windows | None:
+    """Windows of the recordings to fit that nobody has looked at; None where there are few."""
+    used, data = bench.fit.windows, bench.fit.windows.data
+    recording, first, k = grid(data, bench.survey.span)
+    known = set(zip(used.recording.tolist(), used.first.tolist(), strict=True))
+    left = np.array([(r, a) not in known for r, a in zip(recording.tolist(), first.tolist(), strict=True)])
+    if k != used.k or left.sum() < 2 * _FEWEST:
+        return None
+    windows = Windows(data, recording[left], first[left], k, bench.counter)
+    windows.step = used.step
+    return windows
+
+
+def _affordable(bench: Bench, windows: Windows) -> int:
+    """How many fresh windows may be looked at."""
+    left = _SPENT * bench.options.budget(windows.nv) - bench.counter.steps
+    steps = _PASSES * float(windows.since[:, -1].mean()) / windows.step
+    return int(np.clip(left / steps, 0, _MOST))
+
+
+def _differences(windows: Windows, hypotheses: Sequence[Hypothesis]) -> np.ndarray:
+    """How far hypotheses are from the first one in each window (N - 1, W); zero where starting states decide."""
+    step, nv = 2 * windows.step, windows.nv
+    nudge = np.random.default_rng(0).choice([-1.0, 1.0], (len(windows), 2 * nv)) * windows.data.sigma
+    start = windows.qpos.copy(), windows.qvel + nudge[:, nv:]
+    for model, own in windows.groups:
+        start[0][own] = integrate(model, windows.qpos[own], nudge[own, :nv])
+    states = windows.states(list(hypotheses), timestep=step)
+    jolted = apart(windows, windows.states(hypotheses[:1], timestep=step, start=start)[0], states[0])
+    calm = jolted <= np.quantile(jolted, _CALM)
+    return np.stack([np.where(calm, apart(windows, other, states[0]), 0.0) for other in states[1:]])
+
+
+def apart(windows: Windows, states: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """How far states are from others in every window, beyond what the starting state of a coordinate could explain.
+
+    Args:
+      windows: of the data.
+      states: (W, k + 1, nq + nv).
+      others: the same.
+
+    Returns:
+      (W,) sum of squares in units of the noise of what was measured, without each coordinate's shift and drift.
+    """
+    nv, sigma, seen = windows.nv, windows.data.sigma, windows.data.measured
+    away = np.nan_to_num(windows.minus(states, others)) / sigma * seen
+    shift, drift = np.ones_like(windows.since), windows.since
+    total = np.zeros(len(windows))
+    for i in range(nv):
+        scale = seen[i] / sigma[i], seen[nv + i] / sigma[nv + i]
+        rows = np.concatenate([away[..., i], away[..., nv + i]], 1)
+        still = np.concatenate([shift * scale[0], 0 * shift], 1)
+        moving = np.concatenate([drift * scale[0], shift * scale[1]], 1)
+        basis = np.linalg.qr(np.stack([still, moving], 2))[0]
+        rest = rows - np.einsum("wrd,wd->wr", basis, np.einsum("wrd,wr->wd", basis, rows))
+        total += (rest**2).sum(1)
+    return total
+
+
+def _again(bench: Bench, fresh: Windows, part: Sequence[Judged]) -> list[Judged]:
+    """Those that take part, refined and judged with fresh windows beside those that they were judged on.
+
+    Fresh windows are linearised around the believed model, which favours none of them.
+    """
+    around = bench.side(fresh, bench.base)
+    usual = nearest([bench.fit, part[0].sides[0].based(bench.base)])
+    alone = bench.nuisance(around).profile(around.windows.residual, bench.cut)
+    both = usual.joined(around)
+    reference = bench.nuisance(both).profile(both.windows.residual, bench.cut)
+    return abreast([partial(_one, bench, around, j, part[0], reference, alone) for j in part])
+
+
+def _one(bench: Bench, around: Side, judged: Judged, best: Judged, reference: Fit, alone: Fit) -> Judged:
+    """One of them.
+
+    Args:
+      bench: of the search.
+      around: fresh windows, around the believed model.
+      judged: it.
+      best: the leader.
+      reference: fit of the believed model in all windows to fit.
+      alone: its fit in the fresh ones.
+    """
+    h = judged.hypothesis
+    more = nearest([around.based(h), around.recentred(h, exact=False)])
+    known = [judged.sides[0]] if judged is best else [judged.sides[0], best.sides[0]]
+    side = nearest([own.based(h) for own in known]).joined(more)
+    unseen = bench.free(more, h).profile(more.windows.residual, bench.cut)
+    free = unknowns(h, bench.joint, bench.delicate)
+    start = [h.values(bench.joint)]
+    found = refine(side.windows, bench.free(side, h), bench.cut, [(free, start)], _ITERATIONS, reference)[0]
+    h = h.replaced(found.values, bench.joint)
+    far = judged.sides[1]
+    held = bench.nuisance(far, h).profile(far.windows.residuals([h])[0], bench.cut)
+    gain = bench.fall(reference, bench.free(side, h).profile(found.residual, bench.cut))
+    size = np.log(side.windows.residual.size + far.windows.residual.size)
+    score = gain + bench.fall(judged.before[1], held) - size * h.numbers
+    return replace(judged, score=score, fresh=robust_gain(alone, unseen, bench.cut) / bench.dispersion)
