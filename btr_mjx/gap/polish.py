@@ -14,7 +14,7 @@ import numpy as np
 from btr_mjx.gap.abreast import abreast
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.refine import Refined, refine
-from btr_mjx.gap.score import Fit, robust_gain
+from btr_mjx.gap.score import Fit, robust_gain, trimmed_gain
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Judged, Side, nearest
 from btr_mjx.gap.walks import scaled, vertex
@@ -186,6 +186,7 @@ class Polisher:
         """The same with scores that differ by how the best of them and each other one differ window by window.
 
         Most of what rivals gain they gain together; what tells them apart is lost in how much of that may be luck.
+        Between two that move contacts, what a few windows say is luck as well.
 
         Args:
           judged: with starting states that they share.
@@ -194,8 +195,9 @@ class Polisher:
         price = (best.gain + best.held_out - best.score) / best.hypothesis.numbers
         out = []
         for j in judged:
+            compared = trimmed_gain if self._anew(best.hypothesis) and self._anew(j.hypothesis) else robust_gain
             gain, held_out = (
-                now + robust_gain(a, b, bench.cut) / bench.dispersion
+                now + compared(a, b, bench.cut) / bench.dispersion
                 for now, a, b in zip((best.gain, best.held_out), best.fits, j.fits, strict=True)
             )
             score = gain + held_out - price * j.hypothesis.numbers
