@@ -1,5 +1,6 @@
 """Leaders judged again: every window with the starting state that suits it, compared on equal terms."""
 
+import copy
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +10,7 @@ from gap_arm import arm_windows, dataset
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.polish import Polisher
 from btr_mjx.gap.refine import Nuisance
-from btr_mjx.gap.score import robust_gain
+from btr_mjx.gap.score import robust_gain, trimmed_gain
 from btr_mjx.gap.search import Bench, Options
 from btr_mjx.gap.search_records import Side, nearest
 from btr_mjx.gap.windows import Windows
@@ -115,6 +116,20 @@ def test_rivals_differ_by_what_tells_them_apart(bench: Bench) -> None:
     assert best.gain - other.gain == pytest.approx(parts[0])
     assert best.held_out - other.held_out == pytest.approx(parts[1])
     assert best.hypothesis.numbers == other.hypothesis.numbers
+    assert best.score - other.score == pytest.approx(sum(parts))
+
+
+def test_between_rivals_that_move_contacts_few_windows_say_nothing(bench: Bench) -> None:
+    before = bench.find()
+    leaders = Polisher(bench)._again([j.hypothesis for j in before[:2]], None)
+    touching = copy.copy(bench)
+    touching.delicate = {j.name for j in leaders}
+    best, other = sorted(Polisher(touching)._beside_the_best(leaders), key=lambda j: -j.score)
+    parts = [trimmed_gain(b, a, bench.cut) / bench.dispersion for a, b in zip(best.fits, other.fits, strict=True)]
+    assert best.score - other.score == pytest.approx(sum(parts))
+    touching.delicate = {best.name}
+    best, other = sorted(Polisher(touching)._beside_the_best(leaders), key=lambda j: -j.score)
+    parts = [robust_gain(b, a, bench.cut) / bench.dispersion for a, b in zip(best.fits, other.fits, strict=True)]
     assert best.score - other.score == pytest.approx(sum(parts))
 
 
