@@ -6,13 +6,15 @@ simulated, and the directions in which they leave the linear picture count less,
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from btr_mjx.gap.effect import Candidate
 from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.refine import Nuisance
-from btr_mjx.gap.screening import tolerance_of
+from btr_mjx.gap.score import project
+from btr_mjx.gap.screening import Screen, nuisances, tolerance_of
 from btr_mjx.gap.windows import Windows
 
 
@@ -65,3 +67,37 @@ def stubborn(windows: Windows, nuisance: Nuisance, draws: Sequence[Hypothesis], 
     u, s, _ = np.linalg.svd(spread, full_matrices=False)
     shrink = 1.0 - 1.0 / np.sqrt(1.0 + s**2)
     return u * np.sqrt(shrink)[:, None, :]
+
+
+def softened(
+    windows: Windows,
+    base: Hypothesis,
+    screened: Screen,
+    draws: Sequence[Hypothesis],
+    given: Mapping[str, float],
+    single: bool,
+    cut: float,
+) -> tuple[Screen, Nuisance]:
+    """Tolerances of some windows, after what they do to contacts has been taken into account there.
+
+    Args:
+      windows: linearised; directions that are `stubborn` count less in them afterwards.
+      base: whose believed numbers may be refitted.
+      screened: signatures of the candidates, tolerances among them.
+      draws: worlds of `tolerance_draws`; none where nothing touches.
+      given: tolerances of the dataset by effect.
+      single: see `sensitivity.signatures`.
+      cut: chi^2 above which a window counts less.
+
+    Returns:
+      Signatures without what is stubborn, and the tolerances as nuisances.
+    """
+    nuisance = nuisances(windows, base, screened, given, single)
+    if not draws or not len(nuisance.precision):
+        return screened, nuisance
+    windows.soften(stubborn(windows, nuisance, draws, cut))
+    columns = np.empty_like(screened.columns)
+    for i, column in enumerate(screened.columns):
+        columns[i] = project(column, windows.soft)
+    screened = replace(screened, columns=columns)
+    return screened, nuisances(windows, base, screened, given, single)

@@ -151,7 +151,7 @@ def _again(bench: Bench, fresh: Windows, part: Sequence[Judged]) -> list[Judged]
 
     Fresh windows are linearised around the believed model, which favours none of them.
     """
-    around = bench.side(fresh, bench.base)
+    around = bench.side(fresh)
     usual = nearest([bench.fit, part[0].sides[0].based(bench.base)])
     alone = bench.nuisance(around).profile(around.windows.residual, bench.cut)
     both = usual.joined(around)

@@ -1,5 +1,6 @@
 """Linear scans: which candidates a residual points at, by arithmetic on inner products of their signatures."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -128,6 +129,23 @@ class Scanner:
             values = self._values(index, own.values[: len(span)])
             leads.append(Lead(index, alone.loss - own.loss, values))
         return sorted(leads, key=lambda lead: -lead.gain)
+
+    def best_left(self, leads: Sequence[Lead], residual: np.ndarray, nuisance: Nuisance, cut: float) -> np.ndarray:
+        """Windows' chi^2 (W,) of the lead with the lowest median, in the linear picture.
+
+        Args:
+          leads: at least one.
+          residual: (W, R).
+          nuisance: what is fitted along.
+          cut: chi^2 above which a window counts less.
+        """
+        left = []
+        for lead in leads:
+            entry = self.screened.entries[lead.index]
+            share = (lead.values - entry.candidate.null) / entry.steps
+            moved = residual + np.tensordot(share, self.screened.signature(lead.index), 1)
+            left.append(nuisance.profile(moved, cut).chi2)
+        return min(left, key=np.median)
 
     def _extended(self, data: Evidence, residual: np.ndarray, extra: np.ndarray) -> Evidence:
         """Evidence with more columns at the end."""

@@ -6,14 +6,13 @@ searches for one more effect beside those that were found.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.abreast import abreast
-from btr_mjx.gap.calibration import stubborn, tolerance_draws
+from btr_mjx.gap.calibration import softened, tolerance_draws
 from btr_mjx.gap.effect import Effect, candidates
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.leaders import contact_scan, judged_anew, pick, starts, with_contacts
@@ -23,7 +22,7 @@ from btr_mjx.gap.prepared import prepare, scales_of, track_of
 from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.refine import Nuisance, Refined, refine
 from btr_mjx.gap.scanner import Lead, Scanner
-from btr_mjx.gap.score import Fit, bounded, luckiest, project, robust_gain, typical
+from btr_mjx.gap.score import Fit, bounded, luckiest, robust_gain, typical
 from btr_mjx.gap.screening import (
     FIRST_TOLERANCE,
     Entry,
@@ -31,7 +30,6 @@ from btr_mjx.gap.screening import (
     changed_fields,
     entries_of,
     moves_contact,
-    nuisances,
     screen,
     tolerance_of,
 )
@@ -108,14 +106,14 @@ class Bench:
         self._start(note)
         note(f"signatures of {len(entries)} candidates")
         rng = np.random.default_rng(0)
-        self._draws = draws = tolerance_draws(self.base, self.candidates, dataset.tolerances, rng, _DRAWS)
+        self._draws = tolerance_draws(self.base, self.candidates, dataset.tolerances, rng, _DRAWS)
         self._known = known = [e for e in entries if not e.probe and tolerance_of(e.candidate, dataset.tolerances) > 0]
         self._loose = {entry.candidate.name: FIRST_TOLERANCE + i for i, entry in enumerate(known)}
         bare = Hypothesis((), ())  # what may be refitted is refitted on the other side only
         sides = ((self.fit.windows, entries, self.base), (self.test.windows, known, bare))
 
         def screened(windows: Windows, own: Sequence[Entry], refitted: Hypothesis) -> tuple[Screen, Nuisance]:
-            return self._softened(windows, refitted, screen(windows, self.base, own, self.single), draws)
+            return self._softened(windows, refitted, screen(windows, self.base, own, self.single))
 
         (found, nuisance), (_, other) = abreast([partial(screened, *side) for side in sides])
         self.fit, self.test = Side(self.fit.windows, nuisance), Side(self.test.windows, other)
@@ -144,31 +142,16 @@ class Bench:
                 windows.linearise(self.base)
             held.linearise(self.base)
 
-    def _softened(
-        self, windows: Windows, base: Hypothesis, screened: Screen, draws: Sequence[Hypothesis]
-    ) -> tuple[Screen, Nuisance]:
+    def _softened(self, windows: Windows, base: Hypothesis, screened: Screen) -> tuple[Screen, Nuisance]:
         """Nuisances of one side, after what tolerances do to contacts has been taken into account there."""
-        given = self.dataset.tolerances
-        nuisance = nuisances(windows, base, screened, given, self.single)
-        if not (self.survey.contact and len(nuisance.precision)):
-            return screened, nuisance
-        windows.soften(stubborn(windows, nuisance, draws, _CUT * windows.freedom))
-        columns = np.empty_like(screened.columns)
-        for i, column in enumerate(screened.columns):
-            columns[i] = project(column, windows.soft)
-        screened = replace(screened, columns=columns)
-        return screened, nuisances(windows, base, screened, given, self.single)
+        draws, cut = self._draws if self.survey.contact else [], _CUT * windows.freedom
+        return softened(windows, base, screened, draws, self.dataset.tolerances, self.single, cut)
 
-    def side(self, windows: Windows, around: Hypothesis) -> Side:
-        """More windows to fit, with what is fitted along.
-
-        Args:
-          windows: of the recordings to fit, as they were made.
-          around: the hypothesis that they are linearised around.
-        """
-        windows.linearise(around, step=self.fit.windows.step)
-        screened = screen(windows, around, self._known, self.single)
-        return Side(windows, self._softened(windows, self.base, screened, self._draws)[1])
+    def side(self, windows: Windows) -> Side:
+        """More windows of the recordings to fit, around the believed model, with what is fitted along."""
+        windows.linearise(self.base, step=self.fit.windows.step)
+        screened = screen(windows, self.base, self._known, self.single)
+        return Side(windows, self._softened(windows, self.base, screened)[1])
 
     @property
     def joint(self) -> bool:
@@ -219,7 +202,8 @@ class Bench:
         taken = {candidate.name for candidate, _ in start.effects}
         leads = [lead for lead in leads if self._entry(lead).candidate.name not in taken]
         if given is None and leads:
-            self._settle(self._linear_best(leads[:5], residual))
+            alone = self.nuisance(self.fit)
+            self._settle(self.scanner.best_left(leads[:5], residual, alone, self.cut))
         price = np.log(self.fit.windows.residual.size) * self.dispersion
         if given is None:
             hopes = ((self._entry(lead), lead.gain / price - len(lead.values)) for lead in leads)
@@ -316,19 +300,6 @@ class Bench:
 
     def _entry(self, lead: Lead) -> Entry:
         return self.scanner.screened.entries[lead.index]
-
-    def _linear_best(self, leads: Sequence[Lead], residual: np.ndarray) -> np.ndarray:
-        """Windows' chi^2 (W,) of the lead with the lowest median, in the linear picture."""
-        best = None
-        for lead in leads:
-            entry = self._entry(lead)
-            share = (lead.values - entry.candidate.null) / entry.steps
-            moved = residual + np.tensordot(share, self.scanner.screened.signature(lead.index), 1)
-            chi2 = self.nuisance(self.fit).profile(moved, self.cut).chi2
-            if best is None or np.median(chi2) < np.median(best):
-                best = chi2
-        assert best is not None
-        return best
 
 
 __all__ = ["Bench", "Judged", "Options", "Side"]
