@@ -1,6 +1,7 @@
 """The run-off on fresh windows: an arm of which hardly anything was looked at before."""
 
 import copy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -165,3 +166,13 @@ def test_states_are_apart_beyond_shift_and_drift() -> None:
     shifted[:, :, :2] += 0.3 + 0.2 * windows.since[..., None]
     shifted[:, :, 2:] += 0.2
     np.testing.assert_allclose(apart(windows, shifted, windows.base), expected, rtol=1e-6)
+
+
+def test_one_more_effect_stands_on_what_the_run_off_said(rubbing: tuple[Bench, list[Judged]]) -> None:
+    """What fresh windows add to a name's score they add to that of a pair with it, and not to their difference."""
+    bench, judged = rubbing
+    best, candidate = judged[0], judged[1].hypothesis.effects[0]
+    richer = replace(best, score=best.score + 70.0)
+    pairs = [Polisher(bench).beside(given, best.hypothesis.with_effect(*candidate)) for given in (best, richer)]
+    assert pairs[1].score == pytest.approx(pairs[0].score + 70.0)
+    assert pairs[1].gain == pytest.approx(pairs[0].gain)

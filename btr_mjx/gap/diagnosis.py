@@ -69,6 +69,7 @@ class Row:
       held_out: fall of the loss on those held out.
       parameters: its numbers by name.
       beside: effects that were found before and stay, "effect@location".
+      fresh: fall of the loss on windows that were looked at last; 0 where there was no need.
     """
 
     effect: str
@@ -79,6 +80,7 @@ class Row:
     held_out: float
     parameters: Mapping[str, float]
     beside: tuple[str, ...] = ()
+    fresh: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -102,6 +102,7 @@ def ranking_of(rounds: Sequence[Sequence[Judged]]) -> tuple[Row, ...]:
                     j.held_out,
                     {p.name: float(v) for p, v in zip(candidate.parameters, values, strict=True)},
                     tuple(c.name for c, _ in j.hypothesis.effects[:-1]),
+                    j.fresh,
                 )
             )
     return tuple(rows)

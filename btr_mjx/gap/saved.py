@@ -86,6 +86,7 @@ def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
             "margin": row.margin,
             "gain": row.gain,
             "held_out": row.held_out,
+            "fresh": row.fresh,
             "parameters": dict(row.parameters),
             "equivalent": f"{row.effect}@{row.location}" in close and not row.beside,
             "beside": list(row.beside),
@@ -212,7 +213,7 @@ def _write_text(path: Path, text: str) -> None:
 
 def _write_tables(result: Mapping[str, Any], disagreement: DisagreementMap, folder: Path) -> None:
     rows = [
-        {key: row[key] for key in ("effect", "location", "score", "margin", "gain", "held_out", "equivalent")}
+        {key: row[key] for key in ("effect", "location", "score", "margin", "gain", "held_out", "fresh", "equivalent")}
         | {"parameters": ", ".join(f"{name} = {value:.6g}" for name, value in row["parameters"].items())}
         | {"beside": ", ".join(row["beside"])}
         for row in result["ranking"]

@@ -276,6 +276,9 @@ class Bench:
         size = np.log(self.fit.windows.residual.size + self.test.windows.residual.size)
         reference = self.reference if references is None else references
         before = reference if given is None else given.fits
+        more = 0.0  # what fresh windows added to the score, see `runoff`
+        if given is not None:
+            more = given.score - (given.gain + given.held_out - size * given.hypothesis.numbers)
         out = []
         for hypothesis, refined, residual in zip(hypotheses, found, held, strict=True):
             along = self.free(sides[0], hypothesis), self.nuisance(sides[1], hypothesis)
@@ -283,7 +286,7 @@ class Bench:
             gain, held_out = (self.fall(a, b) for a, b in zip(before, own, strict=True))
             if given is not None:
                 gain, held_out = gain + given.gain, held_out + given.held_out
-            score = gain + held_out - size * hypothesis.numbers
+            score = gain + held_out + more - size * hypothesis.numbers
             out.append(Judged(hypothesis, refined, gain, held_out, score, residual, own, sides, reference, before))
         return sorted(out, key=lambda judged: -judged.score)
 

@@ -117,7 +117,8 @@ class Judged:
       sides: of the split, with the starting states that it was judged with.
       references: fits of the believed model on both sides, with starting states found in the same way.
       before: the same of what it has one more effect than.
-      fresh: fall of the loss on windows that nobody had looked at when its numbers were found, see `runoff`.
+      fresh: fall of the loss on windows that nobody had looked at when its numbers were found, see `runoff`;
+        0 where there was no need for them.
     """
 
     hypothesis: Hypothesis
