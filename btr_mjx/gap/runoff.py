@@ -71,10 +71,11 @@ def runoff(bench: Bench, judged: Sequence[Judged]) -> list[Judged]:
     windows = _unseen(bench) if close or weak else None
     if windows is None:
         return list(judged)
-    apart = _differences(windows, [best.hypothesis, *([bench.base] if weak else []), *(j.hypothesis for j in close)])
-    shares = apart / np.maximum(apart.sum(1, keepdims=True), 1e-300)
+    others = [*([bench.base] if weak else []), *(j.hypothesis for j in close)]
+    differ = _differences(windows, [best.hypothesis, *others])
+    shares = differ / np.maximum(differ.sum(1, keepdims=True), 1e-300)
     chosen = np.sort(np.argsort(-shares.sum(0))[: _affordable(bench, windows)])
-    told = apart[:, chosen].sum(1) > _TELLING
+    told = differ[:, chosen].sum(1) > _TELLING
     rivals = [j for j, tells in zip(close, told[weak:], strict=True) if tells][:_RIVALS]
     if len(chosen) < _FEWEST or not (rivals or (weak and told[0])):
         return list(judged)
