@@ -219,3 +219,17 @@ def test_a_folder_without_a_diagnosis(tmp_path: Path) -> None:
     with pytest.raises(SystemExit) as stopped:
         main([str(tmp_path)])
     assert stopped.value.code == 2
+
+
+def test_a_runner_up_is_compared_on_windows_that_both_were_judged_on() -> None:
+    """Fresh windows add to one of the scores only: 106 and 15, but gains of 63 and 47 on the same windows."""
+    best = {"effect": "load_friction", "location": "joint:knee0", "score": 106.0, "gain": -8.0, "held_out": 71.0}
+    other = {"effect": "payload", "location": "body:torso", "score": 15.0, "gain": 9.0, "held_out": 38.0}
+    for fresh, said in (
+        (23.0, "behind (75 % of the gain on the same windows)"),
+        (0.0, "far behind (14 % of the score)"),
+    ):
+        rows = [best | {"fresh": fresh}, other | {"fresh": 0.0}]
+        sentence = verdict_sentence(RESULT | {"ranking": rows})
+        assert "Runner-up: " in sentence
+        assert f" at body torso, {said}." in sentence

@@ -85,6 +85,8 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
             "Score: how far the misfit falls, beyond what the effect's numbers cost. Black: named. Hatched: cannot be "
             "told apart from it by these data. Grey: other candidates. Dotted line: what a name needs at least."
         )
+        if any(row.get("fresh") for row in ranking):
+            caption += " Those that came first were judged on more windows, which add to their scores."
         out["ranking"].append(_picture(folder, "ranking", figure, "Candidates by score", caption))
     second = [row for row in rows if row.get("beside")]
     if second and len(found) > 1:
