@@ -12,8 +12,9 @@ from btr_mjx.files import to_plain
 from btr_mjx.gap import hidden_physics as physics
 from btr_mjx.gap.commands import Command
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
-from btr_mjx.gap.hidden import SHARES, make_case
-from btr_mjx.gap.hidden_motion import Restart
+from btr_mjx.gap.hidden import SHARES, draw_reality, make_case
+from btr_mjx.gap.hidden_draw import Draw
+from btr_mjx.gap.hidden_motion import Restart, loads
 from btr_mjx.gap.hidden_motion import simulate as move
 from btr_mjx.gap.hidden_outside import OUTSIDE, possible
 from btr_mjx.gap.hidden_physics import Reality
@@ -165,6 +166,19 @@ def test_small_errors_everywhere(tmp_path: Path) -> None:
 def test_two_effects_at_once(tmp_path: Path) -> None:
     truth = make_case(tmp_path, 2, "arm", verdict="effect", effects=2, recordings=(1, 1), duration=0.4)
     assert len({e.effect for e in truth.effects}) == len({e.location for e in truth.effects}) == 2
+
+
+@pytest.mark.parametrize("name", ["ground_friction", "contact_softness"])
+def test_values_of_the_ground_are_those_that_the_robot_has(name: str) -> None:
+    robot = case_robot("quadruped")
+    rng = np.random.default_rng(3)
+    motions = [robot.draw_motion(rng)]
+    draw = Draw(robot, rng, motions, loads(robot, motions))
+    reality, (missing,), _ = draw_reality(draw, "effect", [name], None, background=3.0)
+    built = reality.spec.compile()
+    has = built.geom_friction[:, 0].max() if name == "ground_friction" else built.geom_solref[:, 0].max()
+    (said,) = missing.parameters.values()
+    assert said == pytest.approx(float(has), rel=1e-12)
 
 
 @pytest.mark.parametrize("name", sorted(OUTSIDE))

@@ -122,7 +122,7 @@ def add_effects(draw: Draw, reality: Reality, effects: Sequence[str] | int) -> t
         if name not in known:
             raise InputError(f"effect {name!r}: {draw.robot.name} can have {', '.join(known)}")
         while True:
-            one, apply = _drawn_effect(draw, name)
+            one, apply = _drawn_effect(draw, name, reality)
             if one.location == "world" or one.location not in [other.location for other in missing]:
                 break
             if len(draw.sizes.torque) == 1:
@@ -160,12 +160,12 @@ def _below(model: mujoco.MjModel, body: str, joints: Sequence[str]) -> list[str]
     return chosen
 
 
-def _drawn_effect(draw: Draw, name: str) -> tuple[Missing, Any]:
-    """An effect of a random place and size, and what adds it to a reality."""
+def _drawn_effect(draw: Draw, name: str, reality: Reality) -> tuple[Missing, Any]:
+    """An effect of a random place and size, and what adds it to a reality, which has its small errors already."""
     if name in BODY_EFFECTS:
         return _drawn_body(draw, name)
     if name in WORLD_EFFECTS:
-        return _drawn_world(draw, name)
+        return _drawn_world(draw, name, reality)
     place, joints = _joints_at(draw, name in SINGLE)
     location = place
     if place != "all" and not place.startswith("subtree:"):
@@ -232,16 +232,16 @@ def _drawn_body(draw: Draw, name: str) -> tuple[Missing, Any]:
     return Missing(name, f"body:{body}", size), lambda r: physics.payload(r, body, mass, list(position))
 
 
-def _drawn_world(draw: Draw, name: str) -> tuple[Missing, Any]:
+def _drawn_world(draw: Draw, name: str, reality: Reality) -> tuple[Missing, Any]:
     rng, robot = draw.rng, draw.robot
+    # These two are known by the value that the robot has, small errors included, not by how far that is from anything.
     if name == "ground_friction":
         factor = 1 - rng.uniform(0.15, 0.6)
-        believed = float(robot.model.geom_friction[:, 0].max())
-        return Missing(name, "world", {"coefficient": factor * believed}), lambda r: physics.ground_friction(r, factor)
+        size = {"coefficient": factor * max(float(geom.friction[0]) for geom in reality.spec.geoms)}
+        return Missing(name, "world", size), lambda r: physics.ground_friction(r, factor)
     if name == "contact_softness":
         change = _log(rng, 2e-3, 0.03)
-        believed = float(robot.model.geom_solref[0, 0])
-        size = {"time_constant": believed + change}
+        size = {"time_constant": float(reality.spec.geoms[0].solref[0]) + change}
         return Missing(name, "world", size), lambda r: physics.contact_softness(r, change)
     if name == "ground_slope":
         tilt, angle = _log(rng, 0.04, 0.15), rng.uniform(0, 2 * np.pi)

@@ -1,8 +1,9 @@
 """A run-off between the leader, rivals that come close, and nothing at all, on moments that nobody has looked at yet.
 
 Hundreds of candidates are screened on few windows. A handful of them can be followed on many more, and on those where
-they disagree most: which these are is known before the data are asked. What moves contacts takes no part; in fresh
-windows whoever is looked at first finds the better starting states.
+they disagree most: which these are is known before the data are asked. What moves the contacts of one limb takes no
+part: in fresh windows whoever is looked at first finds the better starting states. What changes all contacts alike, as
+the ground does, stands out from that.
 """
 
 from collections.abc import Sequence
@@ -13,6 +14,7 @@ import numpy as np
 
 from btr_mjx.gap.abreast import abreast
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
+from btr_mjx.gap.places import WORLD
 from btr_mjx.gap.planning import grid
 from btr_mjx.gap.refine import refine
 from btr_mjx.gap.score import Fit, robust_gain
@@ -26,6 +28,9 @@ CLOSE = 25.0
 
 _WEAK = 60.0
 """A leader with a lower score is held against nothing at all as well, even where no rival comes close."""
+
+_WEAK_CONTACTS = 100.0
+"""The same of one that changes contacts."""
 
 _HOPELESS = -5.0
 """A leader with a lower score is not worth it."""
@@ -63,11 +68,11 @@ def runoff(bench: Bench, judged: Sequence[Judged]) -> list[Judged]:
       The same, best first. Scores of those that took part are of all windows; their numbers are as they were. Rivals
       that no fresh window could tell from the best one keep their distance from it.
     """
-    if not judged or judged[0].name in bench.delicate or judged[0].score < _HOPELESS:
+    if not judged or _barred(bench, judged[0]) or judged[0].score < _HOPELESS:
         return list(judged)
     best = judged[0]
-    close = [j for j in judged[1:] if best.score - j.score < CLOSE and j.name not in bench.delicate]
-    weak = int(best.score < _WEAK)
+    close = [j for j in judged[1:] if best.score - j.score < CLOSE and not _barred(bench, j)]
+    weak = int(best.score < (_WEAK_CONTACTS if best.name in bench.delicate else _WEAK))
     windows = _unseen(bench) if close or weak else None
     if windows is None:
         return list(judged)
@@ -86,6 +91,11 @@ def runoff(bench: Bench, judged: Sequence[Judged]) -> list[Judged]:
     again += [replace(j, score=j.score + moved, fresh=again[0].fresh) for j in twins]
     rest = [j for j in judged if all(j is not own for own in (best, *rivals, *twins))]
     return sorted([*again, *rest], key=lambda j: -j.score)
+
+
+def _barred(bench: Bench, judged: Judged) -> bool:
+    """Whether it moves the contacts of one limb."""
+    return judged.name in bench.delicate and judged.hypothesis.effects[-1][0].place != WORLD
 
 
 def _unseen(bench: Bench) -> Windows | None:
