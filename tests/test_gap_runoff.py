@@ -11,6 +11,7 @@ from gap_arm import SIGMA, XML, arm, arm_windows, recording
 from btr_mjx.gap import planning, runoff
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.noise import Noise
+from btr_mjx.gap.outcome import named_effects
 from btr_mjx.gap.polish import Polisher
 from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.runoff import apart
@@ -62,6 +63,34 @@ def test_fresh_windows_tell_what_few_windows_could_not(rubbing: tuple[Bench, lis
     assert {j.name for j in out} == {j.name for j in judged}
     scores = [j.score for j in out]
     assert scores == sorted(scores, reverse=True)
+
+
+def test_numbers_are_those_that_suit_all_windows(rubbing: tuple[Bench, list[Judged]]) -> None:
+    bench, judged = rubbing
+    name = "dry_friction@joint:elbow"
+    before = next(j for j in judged if j.name == name)
+    after = next(j for j in runoff.runoff(bench, judged) if j.name == name)
+    wide = after.widest
+    assert after.hypothesis == before.hypothesis
+    assert before.widest is before
+    assert len(wide.sides[0].windows) > len(bench.fit.windows) + 8
+    own, other = (h.values(bench.joint)[0] for h in (wide.hypothesis, before.hypothesis))
+    losses = [_loss(bench, wide, value) for value in (own, other, 0.9 * own, 1.1 * own)]
+    assert losses[0] < min(losses[1:])
+    assert losses[0] == pytest.approx(wide.fits[0].loss, rel=1e-6)
+    assert abs(own - 3e-3) < 0.6 * abs(other - 3e-3)
+    said, earlier = (
+        named_effects(bench, [j], [[j]], np.random.default_rng(0))[0].parameters["torque"] for j in (after, before)
+    )
+    assert said.value == pytest.approx(own, rel=0.05)
+    assert said.high - said.low < 0.5 * (earlier.high - earlier.low)
+
+
+def _loss(bench: Bench, wide: Judged, value: float) -> float:
+    """Of one number, simulated anew."""
+    side = wide.sides[0]
+    h = wide.hypothesis.replaced(np.array([value]), bench.joint)
+    return bench.free(side, h).profile(side.windows.residuals([h])[0], bench.cut).loss
 
 
 def test_where_nothing_is_missing_fresh_windows_make_no_name(monkeypatch: pytest.MonkeyPatch) -> None:

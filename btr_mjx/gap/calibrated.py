@@ -60,7 +60,7 @@ def beyond_calibration(bench: Bench, judged: Judged) -> float:
     limb = limb_of(bench, judged)
     if len(limb) < 2:
         return np.inf
-    hypothesis = bench.base
+    judged, hypothesis = judged.widest, bench.base
     for candidate in limb:
         hypothesis = hypothesis.with_effect(candidate, candidate.null)
     free = _unknowns(bench, hypothesis, limb)

@@ -60,7 +60,7 @@ def named_effects(
     if not named:
         return ()
     final = named[-1]
-    numbers = intervals(bench, final, rng, settled)
+    numbers = intervals(bench, final.widest, rng, settled)
     out, first, before = [], 0, None
     for i, (candidate, values) in enumerate(final.hypothesis.effects):
         parameters = {p.name: numbers[first + j] for j, p in enumerate(candidate.parameters)}

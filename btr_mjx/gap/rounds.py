@@ -217,7 +217,7 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None, share: float = 
 
 def within_calibration(bench: Bench, judged: Judged) -> bool:
     """Whether the last effect is no larger than what calibration leaves, or than any simulation of its kind errs."""
-    candidate, values = judged.hypothesis.effects[-1]
+    candidate, values = judged.widest.hypothesis.effects[-1]
     tolerance = tolerance_of(candidate, bench.dataset.tolerances)
     return abs(values[0] - candidate.null[0]) <= max(TOLERANCES * tolerance, candidate.parameters[0].least)
 

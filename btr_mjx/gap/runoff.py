@@ -65,13 +65,13 @@ def runoff(bench: Bench, judged: Sequence[Judged]) -> list[Judged]:
       judged: candidates for a first effect, best first.
 
     Returns:
-      The same, best first. Scores of those that took part are of all windows; their numbers are as they were. Rivals
-      that no fresh window could tell from the best one keep their distance from it.
+      The same, best first. Scores of those that took part are of all windows, see `Judged.wide`. Rivals that no fresh
+      window could tell from the best one keep their distance from it.
     """
-    if not judged or _barred(bench, judged[0]) or judged[0].score < _HOPELESS:
+    if not judged or judged[0].score < _HOPELESS or _of_a_limb(bench, judged[0]):
         return list(judged)
     best = judged[0]
-    close = [j for j in judged[1:] if best.score - j.score < CLOSE and not _barred(bench, j)]
+    close = [j for j in judged[1:] if best.score - j.score < CLOSE and not _of_a_limb(bench, j)]
     weak = int(best.score < (_WEAK_CONTACTS if best.name in bench.delicate else _WEAK))
     windows = _unseen(bench) if close or weak else None
     if windows is None:
@@ -93,8 +93,8 @@ def runoff(bench: Bench, judged: Sequence[Judged]) -> list[Judged]:
     return sorted([*again, *rest], key=lambda j: -j.score)
 
 
-def _barred(bench: Bench, judged: Judged) -> bool:
-    """Whether it moves the contacts of one limb."""
+def _of_a_limb(bench: Bench, judged: Judged) -> bool:
+    """Whether it moves contacts, those of one limb: what changes the ground changes all of them alike."""
     return judged.name in bench.delicate and judged.hypothesis.effects[-1][0].place != WORLD
 
 
@@ -160,9 +160,11 @@ def apart(windows: Windows, states: np.ndarray, others: np.ndarray) -> np.ndarra
 def _again(bench: Bench, fresh: Windows, part: Sequence[Judged]) -> list[Judged]:
     """Those that take part, refined and judged with fresh windows beside those that they were judged on.
 
-    Fresh windows are linearised around the believed model, which favours none of them.
+    Fresh windows are linearised around the believed model, which favours none of them, and it has as many looks at its
+    starting states as they have.
     """
     around = bench.side(fresh)
+    around = nearest([around, around.recentred(bench.base, exact=False)])
     usual = nearest([bench.fit, part[0].sides[0].based(bench.base)])
     alone = bench.nuisance(around).profile(around.windows.residual, bench.cut)
     both = usual.joined(around)
@@ -191,8 +193,14 @@ def _one(bench: Bench, around: Side, judged: Judged, best: Judged, reference: Fi
     found = refine(side.windows, bench.free(side, h), bench.cut, [(free, start)], _ITERATIONS, reference)[0]
     h = h.replaced(found.values, bench.joint)
     far = judged.sides[1]
-    held = bench.nuisance(far, h).profile(far.windows.residuals([h])[0], bench.cut)
-    gain = bench.fall(reference, bench.free(side, h).profile(found.residual, bench.cut))
-    size = np.log(side.windows.residual.size + far.windows.residual.size)
-    score = gain + bench.fall(judged.before[1], held) - size * h.numbers
-    return replace(judged, score=score, fresh=robust_gain(alone, unseen, bench.cut) / bench.dispersion)
+    residual = far.windows.residuals([h])[0]
+    fits = (
+        bench.free(side, h).profile(found.residual, bench.cut),
+        bench.nuisance(far, h).profile(residual, bench.cut),
+    )
+    before = reference, judged.before[1]
+    gain, held_out = (bench.fall(a, b) for a, b in zip(before, fits, strict=True))
+    score = gain + held_out - np.log(side.windows.residual.size + far.windows.residual.size) * h.numbers
+    wide = Judged(h, found, gain, held_out, score, residual, fits, (side, far), before, before)
+    fall = robust_gain(alone, unseen, bench.cut) / bench.dispersion
+    return replace(judged, score=score, fresh=fall, wide=wide)

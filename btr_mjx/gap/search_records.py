@@ -119,6 +119,8 @@ class Judged:
       before: the same of what it has one more effect than.
       fresh: fall of the loss on windows that nobody had looked at when its numbers were found, see `runoff`;
         0 where there was no need for them.
+      wide: it on those windows as well as on the others to fit, with numbers that suit all of them; None where there
+        was no need for it.
     """
 
     hypothesis: Hypothesis
@@ -132,8 +134,14 @@ class Judged:
     references: tuple[Fit, Fit]
     before: tuple[Fit, Fit]
     fresh: float = 0.0
+    wide: "Judged | None" = None
 
     @property
     def name(self) -> str:
         """The hypothesis' name."""
         return self.hypothesis.name
+
+    @property
+    def widest(self) -> "Judged":
+        """It on as many windows as it was judged on."""
+        return self.wide or self
