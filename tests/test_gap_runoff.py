@@ -44,6 +44,12 @@ def few_windows(friction: float) -> Bench:
     return bench
 
 
+@pytest.fixture(autouse=True)
+def hopeful(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two windows see so little that the scores of all are negative."""
+    monkeypatch.setattr(runoff, "_HOPELESS", -20.0)
+
+
 @pytest.fixture(scope="module")
 def rubbing() -> tuple[Bench, list[Judged]]:
     bench = few_windows(3e-3)
@@ -94,7 +100,6 @@ def _loss(bench: Bench, wide: Judged, value: float) -> float:
 
 
 def test_where_nothing_is_missing_fresh_windows_make_no_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runoff, "_HOPELESS", -20.0)
     monkeypatch.setattr(runoff, "_TELLING", 0.0)
     bench = few_windows(0.0)
     judged = Polisher(bench)(bench.find())

@@ -32,8 +32,8 @@ _WEAK = 60.0
 _WEAK_CONTACTS = 100.0
 """The same of one that changes contacts."""
 
-_HOPELESS = -5.0
-"""A leader with a lower score is not worth it."""
+_HOPELESS = 0.0
+"""A leader with a lower score is not worth it: half of the robots that lack nothing have -10 to -6."""
 
 _RIVALS = 4
 """Rivals that take part, at most."""
