@@ -25,7 +25,8 @@ from btr_mjx.gap.hidden import Truth, make_case
 from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.next_experiment import MARGIN, recordings_needed
 from btr_mjx.gap.recordings import load
-from btr_mjx.gap.search import Bench, Options
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Options
 from btr_mjx.gap.trial_commands import random_commands
 from btr_mjx.progress import note, progress
 

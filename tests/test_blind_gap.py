@@ -14,7 +14,8 @@ from gap_arm import dataset
 
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.hidden_robots import case_robot
-from btr_mjx.gap.search import Bench, Options
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Options
 
 FOLDER = Path(__file__).parent.parent / "benchmarks"
 DOG, ARM = case_robot("quadruped").model, case_robot("arm").model

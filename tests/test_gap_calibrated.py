@@ -10,8 +10,8 @@ from gap_arm import elbow_off
 from btr_mjx.gap.calibrated import beyond_calibration, limb_of
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.polish import Polisher
-from btr_mjx.gap.search import Bench, Options
-from btr_mjx.gap.search_records import Judged
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Judged, Options
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,8 @@ from test_gap_identify import QUICK, damped
 from btr_mjx.gap.confounds import Rest, closest, confounds
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.recordings import Believed
-from btr_mjx.gap.search import Bench, Judged
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Judged
 from btr_mjx.gap.wording import likeness, moved
 
 

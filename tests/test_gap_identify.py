@@ -17,7 +17,8 @@ from btr_mjx.gap.outcome import equivalent
 from btr_mjx.gap.places import Place
 from btr_mjx.gap.recordings import Believed
 from btr_mjx.gap.score import luckiest
-from btr_mjx.gap.search import Bench, Options
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Options
 
 LIBRARY = tuple(
     e for e in EFFECTS if e.name in ("viscous_damping", "dry_friction", "armature", "actuator_gain", "actuator_delay")
@@ -247,7 +248,9 @@ def unnamed(score, offset):
     candidate = SimpleNamespace(
         name="joint_stiffness@elbow", effect=effect, parameters=(number,), null=np.zeros(1), place=Place("joint:elbow")
     )
-    return SimpleNamespace(score=score, hypothesis=SimpleNamespace(effects=((candidate, (offset,)),)))
+    judged = SimpleNamespace(score=score, hypothesis=SimpleNamespace(effects=((candidate, (offset,)),)))
+    judged.widest = judged
+    return judged
 
 
 @pytest.mark.parametrize(

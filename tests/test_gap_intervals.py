@@ -12,8 +12,8 @@ from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.intervals import _sized, intervals, lowest
 from btr_mjx.gap.polish import Polisher
 from btr_mjx.gap.score import weight
-from btr_mjx.gap.search import Bench, Options
-from btr_mjx.gap.search_records import Judged
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Judged, Options
 from btr_mjx.gap.walks import scaled
 
 LIBRARY = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "armature"))

@@ -17,8 +17,8 @@ from btr_mjx.gap.scales import Scales
 from btr_mjx.gap.scanner import Lead
 from btr_mjx.gap.score import robust_gain
 from btr_mjx.gap.screening import Entry
-from btr_mjx.gap.search import Bench, Options
-from btr_mjx.gap.search_records import Side
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Options, Side
 from btr_mjx.gap.walks import vertex
 
 OFFSETS = tuple(effect for effect in EFFECTS if effect.name in ("joint_offset", "armature"))

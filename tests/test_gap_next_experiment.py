@@ -10,7 +10,8 @@ from btr_mjx.gap.commands import Command
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.identify import identify
 from btr_mjx.gap.next_experiment import compare, margin, propose, record, recordings_needed
-from btr_mjx.gap.search import Bench, Options
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Options
 from btr_mjx.gap.trial_commands import random_commands
 
 LIBRARY = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "armature"))

@@ -7,7 +7,8 @@ from gap_arm import dataset
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.openloop import followed, following, open_loop, recording_errors
-from btr_mjx.gap.search import Bench, Options
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Options
 
 
 def damped(model):

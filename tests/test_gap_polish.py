@@ -11,8 +11,8 @@ from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.polish import Polisher
 from btr_mjx.gap.refine import Nuisance
 from btr_mjx.gap.score import robust_gain, trimmed_gain
-from btr_mjx.gap.search import Bench, Options
-from btr_mjx.gap.search_records import Side, nearest
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Options, Side, nearest
 from btr_mjx.gap.windows import Windows
 from btr_mjx.gap.world import World
 

@@ -228,8 +228,13 @@ def test_what_is_smaller_than_any_simulation_is_not_called_by_name(least, expect
     assert is_accepted("b", 5000.0, 2000.0, least) is expected
 
 
-def is_accepted(names, gain, held_out, least=0.0, fresh=0.0):
-    """Beside an effect of 4000; a number costs 10, is 1 and has a tolerance of 0.1."""
+@pytest.mark.parametrize(("size", "expected"), [(0.3, False), (0.5, True)])
+def test_calibration_is_asked_of_the_numbers_that_suit_all_windows(size, expected):
+    assert is_accepted("b", 5000.0, 2000.0, size=size) is expected
+
+
+def is_accepted(names, gain, held_out, least=0.0, fresh=0.0, size=1.0):
+    """Beside an effect of 4000; a number costs 10, is 1 and has a tolerance of 0.1; `size` is it on more windows."""
     first = [SimpleNamespace(tolerance=0.1, least=least)]
     place = SimpleNamespace(members=())
     effects = [
@@ -250,6 +255,8 @@ def is_accepted(names, gain, held_out, least=0.0, fresh=0.0):
         before=fits([9.0], [9.0]),
         fits=fits([9.0], [0.0]),
     )
+    more = [(candidate, (size,)) for candidate, _ in effects]
+    judged.widest = SimpleNamespace(hypothesis=SimpleNamespace(effects=more))
     side = SimpleNamespace(windows=range(20))
     bench = SimpleNamespace(delicate={"m"}, dispersion=1.0, fit=side, test=side, dataset=SimpleNamespace(tolerances={}))
     return accepted(bench, judged, given)

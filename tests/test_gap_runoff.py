@@ -15,8 +15,8 @@ from btr_mjx.gap.outcome import named_effects
 from btr_mjx.gap.polish import Polisher
 from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.runoff import apart
-from btr_mjx.gap.search import Bench, Options
-from btr_mjx.gap.search_records import Judged, Side
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Judged, Options, Side
 from btr_mjx.gap.windows import Windows
 from btr_mjx.gap.worlds import World
 

@@ -15,8 +15,8 @@ from btr_mjx.gap.leaders import contact_scan, judged_anew
 from btr_mjx.gap.prepared import prepare
 from btr_mjx.gap.recordings import load
 from btr_mjx.gap.score import Fit, spanned
-from btr_mjx.gap.search import Bench, Options
-from btr_mjx.gap.search_records import Side
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Options, Side
 from btr_mjx.gap.smoothing import Span
 from btr_mjx.gap.starting import centred, recentred
 from btr_mjx.gap.tangent import integrate

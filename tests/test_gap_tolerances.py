@@ -7,7 +7,8 @@ from gap_arm import arm_windows, dataset
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.refine import Nuisance
 from btr_mjx.gap.score import project
-from btr_mjx.gap.search import Bench, Options
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Options
 from btr_mjx.gap.time_steps import step_doubt
 from btr_mjx.gap.world import World
 

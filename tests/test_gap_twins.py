@@ -6,8 +6,8 @@ from gap_arm import dataset
 from btr_mjx.gap.effects import EFFECTS, KNOWN
 from btr_mjx.gap.polish import Polisher
 from btr_mjx.gap.rounds import search
-from btr_mjx.gap.search import Bench, Options
-from btr_mjx.gap.search_records import Judged
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Judged, Options
 from btr_mjx.gap.twins import candidates_of, twin
 
 SPRINGS = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "joint_stiffness", "armature"))

@@ -16,8 +16,8 @@ from btr_mjx.gap.places import one_limb
 from btr_mjx.gap.refine import Refined, Unknowns, refine
 from btr_mjx.gap.score import robust_gain
 from btr_mjx.gap.screening import tolerance_of
-from btr_mjx.gap.search import Bench, Judged
-from btr_mjx.gap.search_records import Side, nearest
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Judged, Side, nearest
 
 _OFF = 2.0
 """Where a refinement may start, in tolerances of one number."""

@@ -18,7 +18,8 @@ from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.leftover import Feature, Joints, Leftover, Middle, features
 from btr_mjx.gap.nulls import null_residual
 from btr_mjx.gap.score import bounded
-from btr_mjx.gap.search import Bench, Judged
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Judged
 from btr_mjx.gap.windows import Windows
 
 _NULLS = 5

@@ -12,7 +12,8 @@ import numpy as np
 from btr_mjx.gap.diagnosis import Confound
 from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.score import weight
-from btr_mjx.gap.search import Bench, Judged
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Judged
 from btr_mjx.gap.wording import likeness, moved
 
 LEAST = 0.9

@@ -8,12 +8,16 @@ import numpy as np
 
 from btr_mjx.gap.effect import Candidate
 from btr_mjx.gap.recordings import Believed
-from btr_mjx.gap.refine import Unknowns
-from btr_mjx.gap.windows import MakeWorld
+from btr_mjx.gap.refine import Nuisance, Unknowns, refine
+from btr_mjx.gap.score import typical
+from btr_mjx.gap.windows import MakeWorld, Windows
 from btr_mjx.gap.worlds import World
 
 DELICATE = 0.15
 """Finite-difference steps of candidates that move contacts are smaller by this factor."""
+
+_REFITS = 6
+"""Gauss-Newton steps of a refit of the believed numbers."""
 
 
 @dataclass(frozen=True)
@@ -118,3 +122,17 @@ def unknowns(hypothesis: Hypothesis, with_believed: bool, delicate: Collection[s
 
     size = len(low)
     return Unknowns(np.array(low), np.array(high), np.array(step), make, np.zeros(size), np.zeros(size))
+
+
+def refitted(windows: Windows, base: Hypothesis, cut: float) -> Hypothesis:
+    """The believed model with its numbers at their best, by true simulation.
+
+    Args:
+      windows: linearised around it.
+      base: the believed model.
+      cut: chi^2 above which a window counts less, in units of what is typical.
+    """
+    nothing = Nuisance.nothing(*windows.residual.shape)
+    most = cut * typical((windows.residual**2).sum(1), windows.freedom)
+    found = refine(windows, nothing, most, [(unknowns(base, True), [base.values(True)])], _REFITS)[0]
+    return base.replaced(found.values, True)

@@ -23,7 +23,8 @@ from btr_mjx.gap.openloop import followed, following
 from btr_mjx.gap.outcome import equivalent, gap_of, named_effects, overlays, ranking_of, refits, survivors
 from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.rounds import COARSE, THRESHOLD, search, within_calibration
-from btr_mjx.gap.search import Bench, Judged, Options
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Judged, Options
 from btr_mjx.gap.twins import twin
 from btr_mjx.gap.wording import title
 from btr_mjx.gap.worlds import Counter

@@ -12,7 +12,8 @@ from scipy.optimize import least_squares
 
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.prepared import Data
-from btr_mjx.gap.search import Bench, Judged
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Judged
 from btr_mjx.gap.smoothing import smooth
 from btr_mjx.gap.tangent import difference
 from btr_mjx.gap.windows import MakeWorld

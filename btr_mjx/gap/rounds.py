@@ -14,7 +14,8 @@ from btr_mjx.gap.polish import Polisher
 from btr_mjx.gap.runoff import runoff
 from btr_mjx.gap.score import bounded
 from btr_mjx.gap.screening import tolerance_of
-from btr_mjx.gap.search import Bench, Judged
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Judged
 
 THRESHOLD = 15.0
 """Score, beyond the price of its numbers, that a name needs."""

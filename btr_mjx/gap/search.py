@@ -14,7 +14,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.abreast import abreast
 from btr_mjx.gap.calibration import softened, tolerance_draws
 from btr_mjx.gap.effect import Effect, candidates
-from btr_mjx.gap.hypotheses import Hypothesis, unknowns
+from btr_mjx.gap.hypotheses import Hypothesis, refitted, unknowns
 from btr_mjx.gap.leaders import contact_scan, judged_anew, pick, starts, with_contacts
 from btr_mjx.gap.noise import estimate_noise
 from btr_mjx.gap.planning import Survey, plan, survey
@@ -134,11 +134,7 @@ class Bench:
             windows.linearise(self.base)
             note("refit of the believed parameters")
             for _ in range(2):
-                nothing = Nuisance.nothing(*windows.residual.shape)
-                cut = _CUT * typical((windows.residual**2).sum(1), windows.freedom)
-                free = unknowns(self.base, True)
-                found = refine(windows, nothing, cut, [(free, [self.base.values(True)])], 6)[0]
-                self.base = self.base.replaced(found.values, True)
+                self.base = refitted(windows, self.base, _CUT)
                 windows.linearise(self.base)
             held.linearise(self.base)
 
@@ -198,12 +194,11 @@ class Bench:
         sides = (self.fit, self.test) if given is None else given.sides
         residual = self.fit.windows.residual if given is None else given.refined.residual
         extra = None if given is None else given.refined.columns
-        leads = self.scanner(residual, self.cut, extra, dispersion=self.dispersion)
         taken = {candidate.name for candidate, _ in start.effects}
+        leads = self.scanner(residual, self.cut, extra, dispersion=self.dispersion)
         leads = [lead for lead in leads if self._entry(lead).candidate.name not in taken]
         if given is None and leads:
-            alone = self.nuisance(self.fit)
-            self._settle(self.scanner.best_left(leads[:5], residual, alone, self.cut))
+            self._settle(self.scanner.best_left(leads[:5], residual, self.nuisance(self.fit), self.cut))
         price = np.log(self.fit.windows.residual.size) * self.dispersion
         if given is None:
             hopes = ((self._entry(lead), lead.gain / price - len(lead.values)) for lead in leads)
@@ -303,6 +298,3 @@ class Bench:
 
     def _entry(self, lead: Lead) -> Entry:
         return self.scanner.screened.entries[lead.index]
-
-
-__all__ = ["Bench", "Judged", "Options", "Side"]

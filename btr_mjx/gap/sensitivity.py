@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from btr_mjx.gap.propagation import carry
+from btr_mjx.gap.transitions import intervals
 from btr_mjx.gap.windows import MakeWorld, Windows
 from btr_mjx.gap.worlds import Job, Stretch, World, simulate
 
@@ -97,7 +98,7 @@ def _intervals(windows: Windows) -> list[tuple[np.ndarray, Stretch]]:
         states = windows.base[own][:, :-1].reshape(len(own) * windows.k, 1, -1)
         window, interval = np.repeat(own, windows.k), np.tile(np.arange(windows.k), len(own))
         start = states[..., : windows.nq], states[..., windows.nq :]
-        out.append((own, windows.intervals(window, interval, *start)))
+        out.append((own, intervals(windows, window, interval, *start)))
     return out
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from btr_mjx.gap.tangent import integrate
 from btr_mjx.gap.world import World
-from btr_mjx.gap.worlds import Job, simulate
+from btr_mjx.gap.worlds import Job, Stretch, simulate
 
 if TYPE_CHECKING:
     from btr_mjx.gap.windows import Windows
@@ -97,6 +97,31 @@ def transitions(
     return matrices, answers
 
 
+def intervals(
+    windows: "Windows", window: np.ndarray, interval: np.ndarray, qpos: np.ndarray, qvel: np.ndarray
+) -> Stretch:
+    """Some sample intervals as stretches of their own.
+
+    Args:
+      windows: the data.
+      window: (N,) of each interval.
+      interval: (N,) its number within the window.
+      qpos: (N, n, nq) states that it is started from.
+      qvel: (N, n, nv).
+    """
+    count = qpos.shape[1]
+    window, interval = np.repeat(window, count), np.repeat(interval, count)
+    return Stretch(
+        start=windows.time[window, interval],
+        qpos=qpos.reshape(-1, windows.nq),
+        qvel=qvel.reshape(-1, windows.nv),
+        samples=(windows.since[window, interval + 1] - windows.since[window, interval])[:, None],
+        commands=windows.data.commands,
+        recording=windows.recording[window],
+        act=windows.act[window, interval] if windows.act.shape[2] else None,
+    )
+
+
 def _mixed(windows: "Windows") -> np.ndarray:
     """A nudge (2 nv,) of every coordinate at once, with signs of its own."""
     return np.random.default_rng(0).choice([-1.0, 1.0], 2 * windows.nv) * _NUDGE * windows.data.sigma
@@ -143,7 +168,7 @@ def _moved(
         both = np.concatenate([np.zeros_like(nudges[mine, :1]), nudges[mine]], 1)
         qpos = integrate(model, np.broadcast_to(start[..., :nq], (*both.shape[:2], nq)), both[..., :nv])
         qvel = start[..., nq:] + both[..., nv:]
-        jobs.append((make(model), windows.intervals(window[mine], interval[mine], qpos, qvel)))
+        jobs.append((make(model), intervals(windows, window[mine], interval[mine], qpos, qvel)))
         members.append(mine)
     found = simulate(jobs, timestep=(times or windows.stride) * windows.dt, counter=windows.counter)
     for mine, ends in zip(members, found, strict=True):

@@ -14,7 +14,8 @@ from btr_mjx.gap.effect import Candidate
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.polish import Polisher
 from btr_mjx.gap.refine import refine
-from btr_mjx.gap.search import Bench, Judged
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Judged
 
 _HANDED = (0.5, 1.0)
 """Parts of a name that its twin takes over at the start of a refinement."""

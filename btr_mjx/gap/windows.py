@@ -278,27 +278,6 @@ class Windows:
         """Projected residuals (W, R) of hypotheses, by true simulation."""
         return [project(self.whiten(s) + self.correction, self.basis) for s in self.states(makes)]
 
-    def intervals(self, window: np.ndarray, interval: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> Stretch:
-        """Some sample intervals as stretches of their own.
-
-        Args:
-          window: (N,) of each.
-          interval: (N,) its number within the window.
-          qpos: (N, n, nq) states that it is started from.
-          qvel: (N, n, nv).
-        """
-        count = qpos.shape[1]
-        window, interval = np.repeat(window, count), np.repeat(interval, count)
-        return Stretch(
-            start=self.time[window, interval],
-            qpos=qpos.reshape(-1, self.nq),
-            qvel=qvel.reshape(-1, self.nv),
-            samples=(self.since[window, interval + 1] - self.since[window, interval])[:, None],
-            commands=self.data.commands,
-            recording=self.recording[window],
-            act=self.act[window, interval] if self.act.shape[2] else None,
-        )
-
 
 def picked(own: np.ndarray, others: Sequence[np.ndarray], chosen: np.ndarray) -> np.ndarray:
     """Rows of some arrays (W, ...): those of `others[i - 1]` where `chosen` (W,) is i, own ones where it is 0."""
