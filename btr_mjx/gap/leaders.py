@@ -27,7 +27,7 @@ _EITHER_SIDE = (1.0, -1.0)
 the truth lies beyond half of it, a large one is worse than nothing where the truth is small."""
 
 _AGAIN = 3.0
-"""Factor on that for the best of them."""
+"""Factor on that, on the better side: near a touchdown a third of the truth may look like nothing."""
 
 _FURTHER = 3
 """Times that this is done with those that still gain by it, at most: a length may be off by a tenth."""
@@ -36,7 +36,7 @@ _LONGEST = 2
 """Time steps of the model that one step of the scan takes, at most."""
 
 _BEST = 6
-"""So many of them, and whatever acts on the world as a whole."""
+"""So many of them are judged anew, and whatever acts on the world as a whole."""
 
 _SHARE = 0.1
 """Part of the gain of the strongest other candidate that they need, less the following."""
@@ -171,7 +171,7 @@ def contact_scan(
     sides = [(c, firsts[c.name].null + sign * firsts[c.name].step) for c in delicate for sign in _EITHER_SIDE]
     best = {row[1].name: row for row in attempt(sides)}
     nulls = {name: first.null for name, first in firsts.items()}
-    leading = list(best.values())[:_BEST]
+    leading = list(best.values())
     for _ in range(_FURTHER):
         further = [(c, nulls[c.name] + _AGAIN * (values[0] - nulls[c.name])) for _, c, values in leading]
         leading = []

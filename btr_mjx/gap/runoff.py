@@ -45,8 +45,8 @@ joint stayed as close as they were, with 30 and 40 they did not."""
 _SPENT = 1.9
 """Of what goes into a search, `Options.budget`, so many times may be spent when it is over."""
 
-_PASSES = 150
-"""Simulations of a fresh window, roughly: directions of its starting state, a fine pass, tolerances, hypotheses."""
+_PASSES = 200
+"""Simulations of a fresh window, roughly: directions of its starting state, fine passes, tolerances, hypotheses."""
 
 _CALM = 0.5
 """Part of the windows that is looked at: those in which a nudge of the starting state grows least."""
@@ -161,10 +161,11 @@ def _again(bench: Bench, fresh: Windows, part: Sequence[Judged]) -> list[Judged]
     """Those that take part, refined and judged with fresh windows beside those that they were judged on.
 
     Fresh windows are linearised around the believed model, which favours none of them, and it has as many looks at its
-    starting states as they have.
+    starting states as they have. What the time step does there is found for each of them: it is worth more than a weak
+    effect.
     """
     around = bench.side(fresh)
-    around = nearest([around, around.recentred(bench.base, exact=False)])
+    around = nearest([around, around.recentred(bench.base)])
     usual = nearest([bench.fit, part[0].sides[0].based(bench.base)])
     alone = bench.nuisance(around).profile(around.windows.residual, bench.cut)
     both = usual.joined(around)
@@ -184,7 +185,7 @@ def _one(bench: Bench, around: Side, judged: Judged, best: Judged, reference: Fi
       alone: its fit in the fresh ones.
     """
     h = judged.hypothesis
-    more = nearest([around.based(h), around.recentred(h, exact=False)])
+    more = around.recentred(h)
     known = [judged.sides[0]] if judged is best else [judged.sides[0], best.sides[0]]
     side = nearest([own.based(h) for own in known]).joined(more)
     unseen = bench.free(more, h).profile(more.windows.residual, bench.cut)
