@@ -17,6 +17,7 @@ from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.runoff import apart
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Judged, Options, Side
+from btr_mjx.gap.time_steps import step_error
 from btr_mjx.gap.windows import Windows
 from btr_mjx.gap.worlds import World
 
@@ -90,6 +91,11 @@ def test_numbers_are_those_that_suit_all_windows(rubbing: tuple[Bench, list[Judg
     )
     assert said.value == pytest.approx(own, rel=0.05)
     assert said.high - said.low < 0.5 * (earlier.high - earlier.low)
+    # What the time step does in fresh windows is the hypothesis' own, not the believed model's.
+    windows = wide.sides[0].windows
+    fresh = windows.some(np.arange(len(bench.fit.windows), len(windows)))
+    np.testing.assert_allclose(fresh.correction, step_error(fresh, before.hypothesis, fresh.base), atol=1e-9)
+    assert np.abs(fresh.correction - step_error(fresh, bench.base, fresh.base)).max() > 1e-3
 
 
 def _loss(bench: Bench, wide: Judged, value: float) -> float:
