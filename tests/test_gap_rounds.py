@@ -7,11 +7,13 @@ import pytest
 
 from btr_mjx.gap import rounds
 from btr_mjx.gap.outcome import equivalent
+from btr_mjx.gap.places import WORLD
 from btr_mjx.gap.rounds import acceptable, accepted, vouched
 
 
-def as_judged(name, score):
-    return SimpleNamespace(score=score, hypothesis=SimpleNamespace(effects=[(SimpleNamespace(name=name), (1.0,))]))
+def as_judged(name, score, held_out=0.0):
+    hypothesis = SimpleNamespace(effects=[(SimpleNamespace(name=name), (1.0,))])
+    return SimpleNamespace(score=score, held_out=held_out, hypothesis=hypothesis)
 
 
 def test_what_moves_contacts_is_equivalent_further_away():
@@ -19,6 +21,11 @@ def test_what_moves_contacts_is_equivalent_further_away():
     assert equivalent(judged) == ("a", "b")
     assert equivalent(judged, {"c"}) == ("a", "b", "c")
     assert equivalent(judged, {"a"}) == ("a", "b", "c")
+
+
+def test_what_is_strong_is_equivalent_further_away():
+    judged = [as_judged("a", 6000.0), as_judged("b", 5950.0), as_judged("c", 5930.0)]
+    assert equivalent(judged) == ("a", "b")
 
 
 @pytest.mark.parametrize(("rejected", "order"), [("", "abc"), ("a", "bac"), ("ab", "abc")])
@@ -74,6 +81,29 @@ def test_a_name_gives_way_to_what_calibration_leaves(monkeypatch, best, scores, 
     out = acceptable(SimpleNamespace(delicate=frozenset("m")), judged, None)
     assert out[0].hypothesis.effects[-1][0].name == first
     assert len(out) == 2
+
+
+@pytest.mark.parametrize(
+    ("rejected", "held_out", "order"),
+    [
+        ("mn", (15.0, 3.0, 60.0, 50.0), "bmnc"),
+        ("mn", (70.0, 3.0, 60.0, 50.0), "mnbc"),  # an imitation of what moves contacts
+        ("mn", (15.0, 65.0, 60.0, 50.0), "mnbc"),
+        ("mnb", (15.0, 3.0, 60.0, 50.0), "mnbc"),  # nothing steps in for a plain one
+        ("n", (15.0, 3.0, 60.0, 50.0), "mnbc"),  # that one has its name
+        ("m", (15.0, 3.0, 60.0, 50.0), "bmnc"),
+        ("bc", (15.0, 3.0, 60.0, 50.0), "mnbc"),
+    ],
+)
+def test_contacts_without_a_name_give_way_to_what_held_out_recordings_say_more_of(
+    monkeypatch, rejected, held_out, order
+):
+    scores = 180.0, 120.0, 85.0, 52.0
+    judged = [as_judged(*row) for row in zip("mnbc", scores, held_out, strict=True)]
+    monkeypatch.setattr("btr_mjx.gap.rounds.accepted", all_but(rejected))
+    monkeypatch.setattr("btr_mjx.gap.rounds.within_calibration", lambda bench, j: False)
+    out = acceptable(SimpleNamespace(delicate=frozenset("mn")), judged, None)
+    assert "".join(j.hypothesis.effects[-1][0].name for j in out) == order
 
 
 class Stage:
@@ -233,10 +263,17 @@ def test_calibration_is_asked_of_the_numbers_that_suit_all_windows(size, expecte
     assert is_accepted("b", 5000.0, 2000.0, size=size) is expected
 
 
-def is_accepted(names, gain, held_out, least=0.0, fresh=0.0, size=1.0):
+@pytest.mark.parametrize(("place", "expected"), [(WORLD, True), (None, False)])
+def test_the_ground_needs_less_than_the_contacts_of_a_limb(place, expected):
+    assert is_accepted("m", 40.0, 20.0, place=place) is expected
+    assert is_accepted("m", 30.0, 15.0, place=place) is False
+    assert is_accepted("am", 40.0, 20.0, place=place) is False
+
+
+def is_accepted(names, gain, held_out, least=0.0, fresh=0.0, size=1.0, place=None):
     """Beside an effect of 4000; a number costs 10, is 1 and has a tolerance of 0.1; `size` is it on more windows."""
     first = [SimpleNamespace(tolerance=0.1, least=least)]
-    place = SimpleNamespace(members=())
+    place = place or SimpleNamespace(members=())
     effects = [
         (
             SimpleNamespace(name=name, null=[0.0], parameters=first, place=place, effect=SimpleNamespace(name=name)),

@@ -16,6 +16,9 @@ from btr_mjx.gap.search_records import Judged
 MARGIN = 25.0
 """Candidates whose scores differ by less are called equivalent."""
 
+SHARE = 0.01
+"""The same, as a part of the best score: of a strong effect what calibration leaves decides on more."""
+
 CONTACT_MARGIN = 0.1
 """The same where one of them moves contacts, at least, as a part of the best score."""
 
@@ -30,7 +33,7 @@ def alike(judged: Sequence[Judged], delicate: Collection[str] = ()) -> list[Judg
     best, out = judged[0], []
     for j in judged:
         names = [k.hypothesis.effects[-1][0].name for k in (best, j)]
-        margin = max(MARGIN, CONTACT_MARGIN * best.score) if any(n in delicate for n in names) else MARGIN
+        margin = max(MARGIN, (CONTACT_MARGIN if any(n in delicate for n in names) else SHARE) * best.score)
         if best.score - j.score <= margin and j.score > 0.3 * best.score:
             out.append(j)
     return out
