@@ -13,6 +13,7 @@ import numpy as np
 
 from btr_mjx.gap.abreast import abreast
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
+from btr_mjx.gap.places import WORLD
 from btr_mjx.gap.refine import Refined, refine
 from btr_mjx.gap.score import Fit, robust_gain, trimmed_gain
 from btr_mjx.gap.search import Bench
@@ -51,6 +52,9 @@ _LIKELY = 25.0
 
 _ENOUGH = 60.0
 """Gain that it needs afterwards: with much less on the recordings to fit it will not come to the score of a name."""
+
+_ENOUGH_OF_GROUND = 25.0
+"""The same of what changes the ground for all feet, which needs less."""
 
 _SIZES = 0.75, 1.3
 """Factors on its size at which what moves contacts is tried beside."""
@@ -122,7 +126,8 @@ class Polisher:
             least = (-np.inf, floor + _LEAST) if j in close else (floor + _HOPE * rival, floor + _PROMISE * rival)
             sure = given is None and j.gain >= _ENOUGH
             if given is None and not sure:
-                least = max(least[0], _LIKELY), max(least[1], _ENOUGH)
+                ground = j.hypothesis.effects[-1][0].place == WORLD
+                least = max(least[0], _LIKELY), max(least[1], _ENOUGH_OF_GROUND if ground else _ENOUGH)
             found = bench.walks(j.hypothesis, *least)
             # A walk sees some of the windows: what had enough in all of them is not given up for it.
             return j.hypothesis if found is None and sure and j in close else found
