@@ -8,6 +8,7 @@ import pytest
 from gap_arm import arm_windows, dataset
 
 from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.places import WORLD
 from btr_mjx.gap.polish import Polisher
 from btr_mjx.gap.refine import Nuisance
 from btr_mjx.gap.score import robust_gain, trimmed_gain
@@ -242,3 +243,18 @@ def test_who_is_worth_another_look_beside_an_effect(given, score, alone, tried) 
     assert " ".join(found) == tried
     polish._done |= set(found)
     assert polish._promising(judged, 1, stand_in(given, 500.0)) == []
+
+
+@pytest.mark.parametrize(("place", "walked", "tried"), [(WORLD, 46.0, "m"), (None, 46.0, ""), (None, 70.0, "m")])
+def test_the_ground_is_worth_another_look_for_less_than_a_limb(place, walked, tried) -> None:
+    """It leads the scan of contacts and is worse than nothing with the believed model's directions."""
+
+    class Walking(Walked):
+        def __call__(self, hypothesis, hope, promise):
+            return hypothesis if walked > max(hope, promise) else None
+
+    polish = Polisher(SimpleNamespace(delicate={"m"}, walks=Walking({"m": walked}), hopes={}))
+    judged = [stand_in("a", 12.0), stand_in("m", -139.0, 27.0)]
+    judged[1].hypothesis.effects[-1][0].place = place
+    found = [own.name for own, _ in polish._promising(judged, 0, None)]
+    assert " ".join(found) == tried
