@@ -167,6 +167,15 @@ def test_one_more_effect_has_candidates_of_its_own(folder: Path) -> None:
     assert len(page.images) == 4
 
 
+@pytest.mark.parametrize(("score", "said"), [(900.0, True), (700.0, False)])
+def test_whatever_scores_more_than_the_name_is_accounted_for(folder: Path, score: float, said: bool) -> None:
+    row = {"effect": "link_length", "location": "body:thigh0", "score": score, "margin": 812.0 - score}
+    ranking = [RESULT["ranking"][0], row, *RESULT["ranking"][1:]]
+    write_json(folder / "result.json", RESULT | {"ranking": ranking})
+    text = Page(draw(folder).read_text(encoding="utf-8")).text
+    assert ("What scores more than the name" in text) is said
+
+
 def test_two_effects_and_equivalent_ones_in_the_sentence() -> None:
     second = {
         "effect": "payload",
