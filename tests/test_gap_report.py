@@ -14,6 +14,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.files import write_arrays, write_json
 from btr_mjx.gap.mend import Found, mend
 from btr_mjx.gap.report import draw, main
+from btr_mjx.gap.report_figures import ranking_bars
 from btr_mjx.gap.wording import number, verdict_sentence, with_ends, with_interval
 
 RESULT: dict[str, Any] = {
@@ -242,3 +243,11 @@ def test_a_runner_up_is_compared_on_windows_that_both_were_judged_on() -> None:
         sentence = verdict_sentence(RESULT | {"ranking": rows})
         assert "Runner-up: " in sentence
         assert f" at body torso, {said}." in sentence
+
+
+def test_bars_say_who_is_ahead_of_the_name() -> None:
+    rows = [dict(row) for row in RESULT["ranking"]]
+    rows.insert(1, {"effect": "link_length", "location": "body:thigh0", "score": 900.0, "margin": -88.0})
+    figure = ranking_bars(rows, [("load_friction", "joint:knee0")])
+    notes = [text.get_text() for text in figure.axes[0].texts]
+    assert notes[:4] == ["812", "900  (+88)", "800  (−12)", "402  (−410)"]

@@ -92,7 +92,8 @@ def ranking_bars(
         )
         note = number(float(row.get("score") or 0.0))
         if not best and row.get("margin"):
-            note += f"  (−{number(abs(float(row['margin'])))})"
+            behind = float(row["margin"])
+            note += f"  ({'−' if behind > 0 else '+'}{number(abs(behind))})"
         axes.annotate(note, (score, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=7.5)
     axes.set_yticks(range(len(shown)), [_capital(named(row)) for row in shown])
     axes.invert_yaxis()
@@ -100,7 +101,7 @@ def ranking_bars(
     if threshold is not None:
         axes.axvline(threshold, color="0.4", linewidth=0.8, linestyle=(0, (2, 2)), zorder=0)
     axes.tick_params(axis="y", length=0)
-    axes.set_xlabel("score (in brackets: distance to the best)")
+    axes.set_xlabel("score (in brackets: distance to the first)")
     return figure
 
 
