@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gap_arm import elbow_off
 
-from btr_mjx.gap.calibrated import beyond_calibration, limb_of
+from btr_mjx.gap.calibrated import besides, beyond_calibration, limb_of
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.polish import Polisher
 from btr_mjx.gap.search import Bench
@@ -45,9 +45,22 @@ def test_a_limb_is_asked_for_all_that_moves_its_contacts(bench: Bench, leading: 
 
 def test_what_calibration_knows_it_cannot_explain(bench: Bench, leading: Judged) -> None:
     """The looser an offset is known, the less of its gain is beyond calibration."""
-    exact, loose, unknown = (beyond_calibration(touching(bench, sigma), leading) for sigma in (1e-5, 5e-3, 1.0))
+    exact, loose, unknown = (beyond_calibration(touching(bench, sigma), leading).gain for sigma in (1e-5, 5e-3, 1.0))
     whole = leading.gain + leading.held_out
     assert exact == pytest.approx(whole, rel=0.5)
     assert exact > loose > unknown
     assert abs(unknown) < 0.1 * whole  # then it is calibration
-    assert beyond_calibration(bench, leading) == np.inf
+    assert beyond_calibration(bench, leading).gain == np.inf
+
+
+def test_what_calibration_explains_is_a_believed_model_for_others(bench: Bench, leading: Judged) -> None:
+    """Where an offset is hardly known, calibration takes it over; the same offset beside it has nothing left to say."""
+    own = touching(bench, 1.0)
+    calibrated = beyond_calibration(own, leading).calibrated
+    assert (calibrated.effects, calibrated.numbers, calibrated.name) == ((), 0, "nothing")
+    value = {c.name: v[0] for c, v in calibrated.calibration}["joint_offset@joint:elbow"]
+    assert value == pytest.approx(leading.hypothesis.effects[0][1][0], rel=0.2)
+    (again,) = besides(bench, calibrated, [leading.hypothesis])
+    assert again.hypothesis.calibration == calibrated.calibration
+    assert again.score < 5
+    assert besides(bench, calibrated, []) == []

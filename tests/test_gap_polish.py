@@ -94,7 +94,7 @@ def bench() -> Bench:
 def test_leaders_share_their_starting_states(bench: Bench) -> None:
     """No window of a leader lies nearer with the starting states of the believed model, or of the other leader."""
     before = bench.find()
-    leaders = Polisher(bench)._again([j.hypothesis for j in before[:2]], None)
+    leaders = Polisher(bench).again([j.hypothesis for j in before[:2]], None)
     assert [j.name for j in leaders] == [j.name for j in before[:2]]
     assert leaders[0].references == leaders[1].references
     for i, own in enumerate((bench.fit, bench.test)):
@@ -109,7 +109,7 @@ def test_rivals_differ_by_what_tells_them_apart(bench: Bench) -> None:
     """Window by window between the two of them; the better one keeps its score."""
     before = bench.find()
     polish = Polisher(bench)
-    leaders = polish._again([j.hypothesis for j in before[:2]], None)
+    leaders = polish.again([j.hypothesis for j in before[:2]], None)
     best, other = sorted(leaders, key=lambda j: -j.score)
     alone = bench.judge([best.hypothesis], [best.refined], best.sides, best.references)[0]
     assert best.score == pytest.approx(alone.score)
@@ -122,7 +122,7 @@ def test_rivals_differ_by_what_tells_them_apart(bench: Bench) -> None:
 
 def test_between_rivals_that_move_contacts_few_windows_say_nothing(bench: Bench) -> None:
     before = bench.find()
-    leaders = Polisher(bench)._again([j.hypothesis for j in before[:2]], None)
+    leaders = Polisher(bench).again([j.hypothesis for j in before[:2]], None)
     touching = copy.copy(bench)
     touching.delicate = {j.name for j in leaders}
     best, other = sorted(Polisher(touching)._beside_the_best(leaders), key=lambda j: -j.score)

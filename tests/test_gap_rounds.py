@@ -1,5 +1,6 @@
 """Rounds of the search, on stand-ins for judged candidates: who comes first, who is looked at again, who is swapped."""
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,9 +12,20 @@ from btr_mjx.gap.places import WORLD
 from btr_mjx.gap.rounds import acceptable, accepted, vouched
 
 
-def as_judged(name, score, held_out=0.0):
+@dataclass(frozen=True)
+class Standing:
+    """What rounds look at in a judged candidate."""
+
+    name: str
+    score: float
+    hypothesis: SimpleNamespace
+    held_out: float = 0.0
+    explained: bool = False
+
+
+def as_judged(name, score, held_out=0.0, explained=False):
     hypothesis = SimpleNamespace(effects=[(SimpleNamespace(name=name), (1.0,))])
-    return SimpleNamespace(score=score, held_out=held_out, hypothesis=hypothesis)
+    return Standing(name, score, hypothesis, held_out, explained)
 
 
 def test_what_moves_contacts_is_equivalent_further_away():
@@ -113,6 +125,8 @@ class Stage:
       scores: of single effects and of pairs.
       asked: names that were judged again.
       beyond: calibration, by name.
+      limb: names that move the contacts of a limb.
+      besides: scores beside its calibration.
       ran: scores after a run-off.
       usual: names that are no larger than calibration leaves.
     """
@@ -126,19 +140,30 @@ class Stage:
         self.beyond, self.ran, self.usual = dict[str, float](), dict[str, float](), set[str]()
         monkeypatch.setattr(rounds, "within_calibration", lambda bench, judged: judged.name in self.usual)
         monkeypatch.setattr(rounds, "runoff", self.runoff)
-        monkeypatch.setattr(rounds, "beyond_calibration", lambda bench, judged: self.beyond.get(judged.name, np.inf))
+        monkeypatch.setattr(rounds, "beyond_calibration", self.compared)
+        self.limb, self.besides = "", dict[str, float]()
+        monkeypatch.setattr(rounds, "limb_of", lambda bench, judged: list(self.limb) * (judged.name in self.limb))
+        monkeypatch.setattr(rounds, "besides", self.calibrated)
 
     def runoff(self, bench, judged):
         again = [self.judged(j.name, self.scores | self.ran) for j in judged]
         return sorted(again, key=lambda j: -j.score)
 
+    def compared(self, bench, judged):
+        return SimpleNamespace(gain=self.beyond.get(judged.name, np.inf), calibrated=f"calibrated for {judged.name}")
+
+    def calibrated(self, bench, base, hypotheses):
+        self.asked.append(base)
+        names = ["".join(candidate.name for candidate, _ in h.effects) for h in hypotheses]
+        return sorted((self.judged(n, self.scores | self.besides) for n in names), key=lambda j: -j.score)
+
     def accepted(self, bench, judged, given, share=0.0):
-        return judged.score - (given.score if given else 0.0) > 25.0
+        return not judged.explained and judged.score - (given.score if given else 0.0) > 25.0
 
     def judged(self, name, scores=None):
         effects = [(SimpleNamespace(name=letter), (1.0,)) for letter in name]
         hypothesis = SimpleNamespace(effects=effects, with_effect=lambda candidate, values: name + candidate.name)
-        return SimpleNamespace(name=name, score=(scores or self.scores)[name], hypothesis=hypothesis)
+        return Standing(name, (scores or self.scores)[name], hypothesis)
 
     def find(self, given=None):
         first = "" if given is None else given.name
@@ -185,15 +210,39 @@ def test_rivals_that_explain_no_more_change_nothing(monkeypatch, changed):
 def test_what_calibration_explains_as_well_is_not_named(monkeypatch):
     scores = {"a": 500.0, "b": 450.0, "ab": 560.0}
     stage = Stage(monkeypatch, scores)
-    stage.beyond["a"] = -1.0
+    stage.limb, stage.beyond["a"] = "ab", rounds.BEYOND - 1.0
     assert stage.named() == []
-    stage.beyond["a"] = 5.0
+    assert [j.explained for j in rounds.search(stage, 2, lambda word: None)[0][0]] == [True, False]
+    stage.beyond["a"] = rounds.BEYOND + 1.0
     assert stage.named() == ["a", "ab"]
     stage.beyond["ab"] = -1.0  # only the first effect is asked
     assert stage.named() == ["a", "ab"]
     stage.scores["a"], stage.beyond["a"] = 900.0, -1.0  # far more than calibration ever came to
     stage.scores["ab"] = 960.0
     assert stage.named() == ["a", "ab"]
+
+
+@pytest.mark.parametrize(
+    ("besides", "order", "named"),
+    [
+        ({"b": 90.0, "c": 20.0}, "bcad", ["b"]),  # as it was hidden
+        ({"b": 40.0, "c": 120.0}, "cbad", ["c"]),
+        ({"b": 20.0, "c": 10.0}, "abcd", []),  # it had explained what calibration explains
+    ],
+)
+def test_others_are_held_against_a_calibrated_model(monkeypatch, besides, order, named):
+    stage = Stage(monkeypatch, {"a": 300.0, "d": 250.0, "b": 150.0, "c": 60.0, "e": -9.0})
+    stage.limb, stage.beyond["a"], stage.besides = "ad", 3.0, besides
+    found, names = rounds.search(stage, 1, lambda word: None)
+    assert [j.name for j in names] == named
+    assert "".join(j.name for j in found[0] if j.name in "abc") == order.replace("d", "")
+    assert next(j for j in found[0] if j.name == "a").explained
+    assert stage.asked == ["calibrated for a"]
+
+
+def test_what_calibration_explains_is_nobodys_equal():
+    judged = [as_judged("a", 500.0), as_judged("b", 490.0, explained=True), as_judged("c", 480.0)]
+    assert equivalent(judged) == ("a", "c")
 
 
 def test_a_run_off_decides_the_first_round(monkeypatch):
@@ -270,7 +319,18 @@ def test_the_ground_needs_less_than_the_contacts_of_a_limb(place, expected):
     assert is_accepted("am", 40.0, 20.0, place=place) is False
 
 
-def is_accepted(names, gain, held_out, least=0.0, fresh=0.0, size=1.0, place=None):
+@pytest.mark.parametrize(("limb", "expected"), [("", False), ("m", False), ("mn", True)])
+def test_where_calibration_can_be_asked_a_limb_needs_less(monkeypatch, limb, expected):
+    monkeypatch.setattr("btr_mjx.gap.rounds.limb_of", lambda bench, judged: list(limb))
+    assert is_accepted("m", 40.0, 20.0) is expected
+    assert is_accepted("m", 50.0, 10.0) is expected  # less than contacts need held out
+    assert is_accepted("m", 30.0, 15.0) is False
+    assert is_accepted("m", 50.0, 2.0) is False
+    assert is_accepted("am", 40.0, 20.0) is False
+    assert is_accepted("m", 500.0, 200.0, explained=True) is False
+
+
+def is_accepted(names, gain, held_out, least=0.0, fresh=0.0, size=1.0, place=None, explained=False):
     """Beside an effect of 4000; a number costs 10, is 1 and has a tolerance of 0.1; `size` is it on more windows."""
     first = [SimpleNamespace(tolerance=0.1, least=least)]
     place = place or SimpleNamespace(members=())
@@ -291,11 +351,13 @@ def is_accepted(names, gain, held_out, least=0.0, fresh=0.0, size=1.0, place=Non
         hypothesis=SimpleNamespace(effects=effects),
         before=fits([9.0], [9.0]),
         fits=fits([9.0], [0.0]),
+        explained=explained,
     )
     more = [(candidate, (size,)) for candidate, _ in effects]
     judged.widest = SimpleNamespace(hypothesis=SimpleNamespace(effects=more))
     side = SimpleNamespace(windows=range(20))
-    bench = SimpleNamespace(delicate={"m"}, dispersion=1.0, fit=side, test=side, dataset=SimpleNamespace(tolerances={}))
+    data = SimpleNamespace(tolerances={}, model=None)
+    bench = SimpleNamespace(delicate={"m"}, dispersion=1.0, fit=side, test=side, dataset=data, candidates=())
     return accepted(bench, judged, given)
 
 

@@ -1,7 +1,7 @@
 """Hypotheses: values of what may be refitted and effects that are added, and the worlds they make."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
@@ -28,11 +28,13 @@ class Hypothesis:
       parameters: what may be refitted.
       believed: (P,) their values.
       effects: candidates with their values.
+      calibration: the same of what needs no name: small errors that calibration leaves.
     """
 
     parameters: tuple[Believed, ...]
     believed: tuple[float, ...]
     effects: tuple[tuple[Candidate, tuple[float, ...]], ...] = ()
+    calibration: tuple[tuple[Candidate, tuple[float, ...]], ...] = ()
     _worlds: dict[int, tuple[mujoco.MjModel, World]] = field(
         default_factory=dict, init=False, repr=False, compare=False, hash=False
     )
@@ -49,7 +51,7 @@ class Hypothesis:
             parameter.write(world.model, value)
         if self.parameters:
             mujoco.mj_setConst(world.model, mujoco.MjData(world.model))
-        for candidate, values in self.effects:
+        for candidate, values in (*self.calibration, *self.effects):
             candidate.apply(world, np.array(values))
         world.kept = True
         return world
@@ -57,7 +59,7 @@ class Hypothesis:
     def with_effect(self, candidate: Candidate, values: Sequence[float] | np.ndarray) -> "Hypothesis":
         """The same with one more effect."""
         added = (candidate, tuple(float(value) for value in values))
-        return Hypothesis(self.parameters, self.believed, (*self.effects, added))
+        return replace(self, effects=(*self.effects, added))
 
     @property
     def numbers(self) -> int:
@@ -83,7 +85,7 @@ class Hypothesis:
         for candidate, own in self.effects:
             effects.append((candidate, tuple(rest[first : first + len(own)])))
             first += len(own)
-        return Hypothesis(self.parameters, believed, tuple(effects))
+        return replace(self, believed=believed, effects=tuple(effects))
 
 
 def believed_steps(parameters: Sequence[Believed], values: Sequence[float]) -> np.ndarray:

@@ -31,7 +31,7 @@ def alike(judged: Sequence[Judged], delicate: Collection[str] = ()) -> list[Judg
       delicate: names of candidates that move contacts, whose scores are less certain.
     """
     best, out = judged[0], []
-    for j in judged:
+    for j in (best, *(j for j in judged[1:] if not j.explained)):
         names = [k.hypothesis.effects[-1][0].name for k in (best, j)]
         margin = max(MARGIN, (CONTACT_MARGIN if any(n in delicate for n in names) else SHARE) * best.score)
         if best.score - j.score <= margin and j.score > 0.3 * best.score:

@@ -95,7 +95,7 @@ class Polisher:
         chosen = [own for own, _ in tries]
         self._done |= {own.name for own in chosen}
         out = [j for j in judged if j not in chosen]
-        out += self._again([hypothesis for _, hypothesis in tries], given)
+        out += self.again([hypothesis for _, hypothesis in tries], given)
         return sorted(out, key=lambda j: -j.score)
 
     def _promising(self, judged: Sequence[Judged], most: int, given: Judged | None) -> list[tuple[Judged, Hypothesis]]:
@@ -149,9 +149,9 @@ class Polisher:
           given: what was found.
           hypothesis: its effects and one more, with the numbers where these start.
         """
-        return self._again([hypothesis], given)[0]
+        return self.again([hypothesis], given)[0]
 
-    def _again(self, hypotheses: Sequence[Hypothesis], given: Judged | None) -> list[Judged]:
+    def again(self, hypotheses: Sequence[Hypothesis], given: Judged | None) -> list[Judged]:
         """Refine and judge hypotheses with the starting states, of all that suit one of them, that suit each best.
 
         Every window takes those from which the hypothesis comes nearest to it, and so does what they are compared

@@ -121,6 +121,7 @@ class Judged:
         0 where there was no need for them.
       wide: it on those windows as well as on the others to fit, with numbers that suit all of them; None where there
         was no need for it.
+      explained: whether calibration of its limb explains nearly as much, so that it is no name.
     """
 
     hypothesis: Hypothesis
@@ -135,6 +136,7 @@ class Judged:
     before: tuple[Fit, Fit]
     fresh: float = 0.0
     wide: "Judged | None" = None
+    explained: bool = False
 
     @property
     def name(self) -> str:
