@@ -313,6 +313,12 @@ def test_hypotheses_keep_their_numbers_in_order():
     assert again.believed == (0.1,)
     assert len(unknowns(made, True).low) == 3
     assert made.name == f"{first.name} + {second.name}"
+    calibrated = dataclasses.replace(made, effects=made.effects[1:], calibration=made.effects[:1])
+    np.testing.assert_allclose(calibrated.values(True), [0.2, 0.004])
+    assert (calibrated.numbers, calibrated.name) == (1, second.name)
+    for other in (calibrated, calibrated.replaced(calibrated.values(True), True)):
+        assert other.calibration == made.effects[:1]
+        np.testing.assert_array_equal(*(bench.fit.windows.states([h])[0] for h in (made, other)))
     judged = bench.find()
     assert equivalent(judged)[0] == judged[0].name
 

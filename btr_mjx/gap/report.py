@@ -88,7 +88,10 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
         if any(row.get("fresh") for row in ranking):
             caption += " Those that came first were judged on more windows, which add to their scores."
         if len(found) == 1 and any(row["score"] > ranking[0]["score"] for row in ranking):
-            caption += " What scores more than the name falls short of the rest that a name needs, as on held-out data."
+            caption += (
+                " What scores more than the name falls short of the rest that a name needs: held-out data say too "
+                "little for it, or calibration explains it as well."
+            )
         out["ranking"].append(_picture(folder, "ranking", figure, "Candidates by score", caption))
     second = [row for row in rows if row.get("beside")]
     if second and len(found) > 1:
