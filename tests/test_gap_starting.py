@@ -11,6 +11,7 @@ from btr_mjx.gap import transitions
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.hidden import make_case
 from btr_mjx.gap.hidden_robots import case_robot
+from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.leaders import contact_scan, judged_anew
 from btr_mjx.gap.prepared import prepare
 from btr_mjx.gap.recordings import load
@@ -171,6 +172,27 @@ def test_what_leads_has_its_limb_judged_anew(bench: Bench, monkeypatch: pytest.M
     asked.clear()
     judged_anew(bench.dataset.model, [(90.0, *rows[0][1:]), *rows[1:]], bench.base, bench.walks, 0.0)
     assert asked.count(moving[1].name) == 0
+
+
+@pytest.mark.parametrize(
+    ("gain", "start", "expected"), [(300.0, -0.045, -0.015), (90.0, -0.045, -0.045), (300.0, -0.005, -0.005)]
+)
+def test_a_scan_that_went_too_far_is_taken_back(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, gain: float, start: float, expected: float
+) -> None:
+    """Where it shows much that directions of its own do not confirm, unless that is the smallest size already."""
+    moving = next(c for c in bench.candidates if c.effect.name == "joint_offset")
+    asked = []
+
+    def walked(hypothesis: Hypothesis) -> float:
+        asked.append(hypothesis.effects[-1][1][0])
+        return 500.0 if abs(asked[-1]) < 0.02 else -1000.0
+
+    monkeypatch.setattr(bench.walks, "gain", walked)
+    row = gain, moving, np.array([start])
+    ((found, _, values),) = judged_anew(bench.dataset.model, [row], bench.base, bench.walks, 0.0)
+    assert values[0] == pytest.approx(expected)
+    assert found == (500.0 if abs(expected) < 0.02 else gain)
 
 
 def test_some_windows_speak_for_all_but_their_luckiest_for_itself() -> None:

@@ -49,7 +49,8 @@ _ALL_WORSE = 600.0
 
 
 _KIN = 100.0
-"""Gain of the best of a scan from which on all others on its limb are judged anew."""
+"""Gain of the best of a scan from which on all others on its limb are judged anew, and a smaller size is tried of what
+does not keep what the scan promised."""
 
 
 def pick(
@@ -215,12 +216,18 @@ def judged_anew(
 
     def judged(candidate: Candidate, values: np.ndarray) -> list[Try]:
         first, rows = candidate.parameters[0], list[Try]()
-        further = float(np.clip(first.null + _AGAIN * (values[0] - first.null), first.low, first.high))
-        for value in dict.fromkeys((float(values[0]), further)):
+        related = any(candidate is row[1] for row in kin)
+        for factor in (1.0, _AGAIN, 1.0 / _AGAIN):
+            most = max((row[0] for row in rows), default=-np.inf)
+            if factor > 1.0 and most < -_WORSE and not related:
+                continue  # with directions of its own a small part of the truth is no worse than nothing
+            if factor < 1.0 and not _KIN < best[candidate.name][0] >= most:
+                break  # where it says less than a scan that shows much, that may have gone too far
+            value = float(np.clip(first.null + factor * (values[0] - first.null), first.low, first.high))
+            if abs(value - first.null) < 0.99 * abs(first.step) or any(value == row[2][0] for row in rows):
+                continue
             tried = np.array([value, *values[1:]])
             rows.append((walks.gain(start.with_effect(candidate, tried)), candidate, tried))
-            if rows[-1][0] < -_WORSE and all(candidate is not row[1] for row in kin):
-                break  # with directions of its own a small part of the truth is no worse than nothing
         return rows
 
     for rows in abreast([partial(judged, candidate, values) for _, candidate, values in worth]):
