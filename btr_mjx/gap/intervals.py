@@ -12,12 +12,11 @@ import numpy as np
 
 from btr_mjx.gap.diagnosis import Estimate
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
-from btr_mjx.gap.places import WORLD
 from btr_mjx.gap.refine import nudges
 from btr_mjx.gap.score import Evidence, fit, steadied, weight
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Judged, Side, nearest
-from btr_mjx.gap.walks import scaled, vertex
+from btr_mjx.gap.walks import scaled
 
 _DRAWS = 200
 _QUANTILES = (0.05, 0.95)
@@ -33,12 +32,6 @@ _BEYOND = 0.2
 
 _STRONG = 400.0
 """Gain beyond which these sizes differ by more than chance does."""
-
-_MORE = 2
-"""Sizes that are tried after these of what moves contacts, at most."""
-
-_NEAR = 0.05
-"""Part of a size by which another one must differ from those that were tried."""
 
 _MANY = 6
 """So many recordings to fit are drawn as a whole."""
@@ -81,7 +74,7 @@ def intervals(bench: Bench, judged: Judged, rng: np.random.Generator, settled: b
     final = judged.hypothesis
     if not settled and not bench.joint:  # believed numbers would move along
         final = _stepped(bench, judged, centre)
-        final = _sized(bench, judged, final)
+        final = _sized(bench, judged, final) if judged.gain + judged.held_out > _STRONG else final
     out, first = [], size - final.numbers
     for candidate, values in final.effects:
         for parameter, value in zip(candidate.parameters, values, strict=True):
@@ -142,52 +135,11 @@ def _stepped(bench: Bench, judged: Judged, step: np.ndarray) -> Hypothesis:
 
 
 def _sized(bench: Bench, judged: Judged, hypothesis: Hypothesis) -> Hypothesis:
-    """The hypothesis with each effect at a better size, where there is one."""
-    strong = judged.gain + judged.held_out > _STRONG
-    spent = bench.counter.steps > bench.options.enough(bench.fit.windows.nv)
+    """The hypothesis with each effect at a better size; what moves contacts has been through sizes before."""
     for index, (candidate, _) in enumerate(hypothesis.effects):
         if candidate.name not in bench.delicate:
-            hypothesis = _resized(bench, judged, hypothesis, index) if strong else hypothesis
-        elif candidate.place != WORLD and not spent:
-            hypothesis = _nearest_size(judged, hypothesis, index)
+            hypothesis = _resized(bench, judged, hypothesis, index)
     return hypothesis
-
-
-def _nearest_size(judged: Judged, hypothesis: Hypothesis, index: int) -> Hypothesis:
-    """The hypothesis with the contacts of a limb moved so far that simulations come nearest to all recordings.
-
-    What starting states and tolerances could still explain lets losses jump from size to size where a foot touches. How
-    near simulations come from the best starting state that any of these sizes has found does not jump.
-    """
-    tries: dict[float, tuple[Hypothesis, list[Side]]] = {}
-
-    def attempt(factor: float) -> None:
-        make, found = scaled(hypothesis, factor, index), []
-        for i, side in enumerate(judged.sides):
-            start = nearest([side.based(make), *(other[i].based(make) for _, other in tries.values())])
-            # Those that it was judged with have been looked for as often.
-            found.append(nearest([start, start.recentred(make, exact=False).redirected(make)]) if tries else start)
-        for other, known in tries.values():
-            for i, side in enumerate(found):
-                known[i] = nearest([known[i], side.based(other)])
-        tries[factor] = make, found
-
-    def away() -> dict[float, float]:
-        """What lies between simulations and data, with the sign of a gain."""
-        return {f: -sum(float((side.windows.raw**2).sum()) for side in found) for f, (_, found) in tries.items()}
-
-    for factor in (1.0, *_SIZES):
-        attempt(factor)
-    for _ in range(_MORE):
-        known = away()
-        best = max(known, key=lambda f: known[f])
-        edge = {min(known): _SIZES[0], max(known): _SIZES[1]}
-        there = best * edge[best] if best in edge else vertex(known)
-        if min(abs(there / factor - 1.0) for factor in known) < _NEAR:
-            break
-        attempt(there)
-    known = away()
-    return scaled(hypothesis, vertex(known), index)
 
 
 def _resized(bench: Bench, judged: Judged, hypothesis: Hypothesis, index: int) -> Hypothesis:

@@ -41,10 +41,6 @@ class Options:
         """Simulated steps that may go into a model of `nv` degrees of freedom: small ones step faster."""
         return self.steps * float(np.clip(20.0 / nv, 1.0, 3.2))
 
-    def enough(self, nv: int) -> float:
-        """Simulated steps after which a search leaves out what it can do without."""
-        return 1.9 * self.budget(nv)
-
 
 @dataclass(frozen=True)
 class Side:
