@@ -175,7 +175,8 @@ def test_what_leads_has_its_limb_judged_anew(bench: Bench, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize(
-    ("gain", "start", "expected"), [(300.0, -0.045, -0.015), (90.0, -0.045, -0.045), (300.0, -0.005, -0.005)]
+    ("gain", "start", "expected"),
+    [(300.0, -0.045, -0.015), (90.0, -0.045, -0.045), (300.0, -0.005, -0.005), (300.0, -0.001, -0.001)],
 )
 def test_a_scan_that_went_too_far_is_taken_back(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, gain: float, start: float, expected: float

@@ -224,7 +224,8 @@ def judged_anew(
             if factor < 1.0 and not _KIN < best[candidate.name][0] >= most:
                 break  # where it says less than a scan that shows much, that may have gone too far
             value = float(np.clip(first.null + factor * (values[0] - first.null), first.low, first.high))
-            if abs(value - first.null) < 0.99 * abs(first.step) or any(value == row[2][0] for row in rows):
+            small = factor < 1.0 and abs(value - first.null) < 0.99 * abs(first.step)
+            if small or any(value == row[2][0] for row in rows):
                 continue
             tried = np.array([value, *values[1:]])
             rows.append((walks.gain(start.with_effect(candidate, tried)), candidate, tried))
