@@ -27,7 +27,7 @@ _OFF = 2.0
 _STARTS = 2
 """The best of these starts are refined."""
 
-_ITERATIONS = 3
+_ITERATIONS = 2
 
 _AGAIN = 2
 """Steps of a refinement with other starting states."""

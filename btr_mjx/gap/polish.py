@@ -32,6 +32,9 @@ _LEADING = 1.5
 _WALKS = 4
 """Candidates that move contacts that are looked at again, leaders included."""
 
+_WALKED = 3
+"""The best of them after that are judged again."""
+
 _HOPE = 0.25
 """Part of the best gain that such a candidate must have before its size is walked over."""
 
@@ -134,7 +137,9 @@ class Polisher:
 
         tries = moving[:_WALKS]
         ends = zip(tries, abreast([partial(walked, j) for j in tries]), strict=True)
-        return [(j, j.hypothesis) for j in plain] + [(j, found) for j, found in ends if found is not None]
+        there = [(j, found) for j, found in ends if found is not None]
+        there.sort(key=lambda end: -bench.walks.best(end[1].name))
+        return [(j, j.hypothesis) for j in plain] + there[:_WALKED]
 
     def _alone(self, judged: Judged, given: Judged | None) -> float:
         """Gain that what moves contacts had with directions of its own alone; -inf beside another that moves some."""

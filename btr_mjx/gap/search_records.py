@@ -37,6 +37,11 @@ class Options:
             self, leaders=max(1, self.leaders // 2), contact_leaders=self.contact_leaders // 2, every=2 * self.every
         )
 
+    @property
+    def fewest(self) -> "Options":
+        """What is spent on one more effect where the first one has cost much."""
+        return replace(self, leaders=max(1, self.leaders // 3), contact_leaders=1, every=4 * self.every)
+
     def budget(self, nv: int) -> float:
         """Simulated steps that may go into a model of `nv` degrees of freedom: small ones step faster."""
         return self.steps * float(np.clip(20.0 / nv, 1.0, 3.2))

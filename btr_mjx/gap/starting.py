@@ -22,8 +22,20 @@ if TYPE_CHECKING:
 _STEPS = 3
 """Gauss-Newton steps for another hypothesis; fewer favour the one that the states suited before."""
 
-_CONTENT = 0.5
-"""A window whose chi^2 falls by less in a step is left where it is; what it could still gain is projected out."""
+_MORE = 4
+"""Further rounds for windows that need them."""
+
+_BACK = 0.35
+"""Factor on a step that did not help: where a foot touches at another time, the linear picture holds nearby only."""
+
+_LEAST = 0.03
+"""Part of a Gauss-Newton step below which a window is left where it is."""
+
+_CONTENT = 1.0
+"""A window whose chi^2 promises to fall by less is left where it is; what it could still gain is projected out."""
+
+_UNKEPT = 40.0
+"""The same of a part of a step, after a whole one did not help, as if of the whole."""
 
 
 def centred(
@@ -33,7 +45,7 @@ def centred(
     states: np.ndarray,
     correction: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gauss-Newton steps of the starting states; a window keeps a step only if it helps.
+    """Gauss-Newton steps of the starting states; a window keeps a step only if it helps, and else tries a part of it.
 
     Args:
       windows: with the directions of their starting states.
@@ -49,23 +61,29 @@ def centred(
     qpos, qvel, states = windows.qpos.copy(), windows.qvel.copy(), states.copy()
     raw = windows.whiten(states) + correction
     smoothed = np.concatenate(windows.smoothed, -1)
-    own = np.arange(len(windows))
-    for _ in range(steps):
+    own, share = np.arange(len(windows)), np.ones(len(windows))
+    for _ in range(steps + _MORE):
         away = windows.minus(np.concatenate([qpos[own], qvel[own]], -1), smoothed[own])
-        move = away - (windows.inverse[own] @ raw[own, :, None])[..., 0] * sigma
-        move = np.clip(move, -windows.reach[own], windows.reach[own])
+        pull = (windows.inverse[own] @ raw[own, :, None])[..., 0] * sigma
+        move = np.clip(away - share[own, None] * pull, -windows.reach[own], windows.reach[own])
+        ahead = raw[own] + (windows.jacobians[own] @ ((move - away) / sigma)[..., None])[..., 0]
+        promise = (raw[own] ** 2).sum(1) - (ahead**2).sum(1)
+        worth = promise > np.where(share[own] < 1.0, _UNKEPT * share[own], _CONTENT)
+        own, move = own[worth], move[worth]
+        if not len(own):
+            break
         start = qpos.copy(), qvel.copy()
         start[0][own] = integrate(model, windows.smoothed[0][own], move[:, :nv])
         start[1][own] = windows.smoothed[1][own] + move[:, nv:]
         moved = windows.states([make], start=start, own=own)[0]
         trial = windows.whiten(moved, own) + correction[own]
         gain = (raw[own] ** 2).sum(1) - (trial**2).sum(1)
-        better = own[gain > 0]
+        helps = gain > 0
+        better = own[helps]
         qpos[better], qvel[better] = start[0][better], start[1][better]
-        states[better], raw[better] = moved[gain > 0], trial[gain > 0]
-        own = own[gain > _CONTENT]
-        if not len(own):
-            break
+        states[better], raw[better] = moved[helps], trial[helps]
+        share[own] = np.where(helps, 1.0, _BACK * share[own])
+        own = own[share[own] > _LEAST]
     return qpos, qvel, states
 
 
@@ -78,8 +96,8 @@ def recentred(windows: "Windows", make: Callable[[mujoco.MjModel], World], exact
       exact: the error of its time step is found anew, which costs as much as the rest; else that of the base is taken.
     """
     other = copy.copy(windows)
-    states = windows.states([make])[0]
-    other.qpos, other.qvel, other.base = centred(windows, make, _STEPS, states, windows.correction)
+    other.qpos, other.qvel, other.base = centred(windows, make, _STEPS, windows.at(make), windows.correction)
+    other.maker = make
     if exact:
         other.correction = step_error(other, make, other.base)
     other.residual = project(other.whiten(other.base) + other.correction, other.basis)

@@ -59,6 +59,8 @@ class Windows:
       step: time step of residuals [s], the model's or twice that; what it does is corrected.
       stride: time steps of the model that one step takes where only directions are asked for.
       freedom: residual degrees of freedom of a window.
+      base: (W, k + 1, nq + nv) states of the base world from the starting states.
+      maker: the hypothesis that they are of.
     """
 
     def __init__(
@@ -95,6 +97,7 @@ class Windows:
         self.soft = self.basis
         self.correction = np.zeros_like(self.residual)
         self.base = np.zeros((0, 0, 0))
+        self.maker: MakeWorld | None = None
         self.stride = 1
 
     def __len__(self) -> int:
@@ -195,6 +198,7 @@ class Windows:
         self.transitions, self.answers = transitions(self, make, base)
         self._directions()
         self.qpos, self.qvel, self.base = centred(self, make, steps, base, correction)
+        self.maker = make
         self.differentiate(make)
         self.correction = step_error(self, make, self.base)
         self.residual = project(self.whiten(self.base) + self.correction, self.basis)
@@ -242,6 +246,7 @@ class Windows:
             setattr(both, name, np.concatenate([getattr(self, name), getattr(other, name)]))
         qpos, qvel = (np.concatenate(pair) for pair in zip(self.smoothed, other.smoothed, strict=True))
         both.smoothed, both.stride = (qpos, qvel), min(self.stride, other.stride)
+        both.maker = self.maker if self.maker is other.maker else None
         both.groups = both._by_model()
         return both
 
@@ -253,9 +258,13 @@ class Windows:
     def based(self, make: MakeWorld) -> "Windows":
         """A copy of which another hypothesis is the base, from the same starting states."""
         other = copy.copy(self)
-        other.base = self.states([make])[0]
+        other.base, other.maker = self.at(make), make
         other.residual = project(other.whiten(other.base) + other.correction, other.basis)
         return other
+
+    def at(self, make: MakeWorld) -> np.ndarray:
+        """States (W, k + 1, nq + nv) of a hypothesis from the starting states; those of the base are known."""
+        return self.base if make is self.maker else self.states([make])[0]
 
     def mixed(self, others: Sequence["Windows"], chosen: np.ndarray) -> "Windows":
         """The same with some windows as others have them: their starting states, and the directions of these.
