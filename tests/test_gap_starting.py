@@ -1,5 +1,6 @@
 """Starting states that suit a hypothesis, steps that directions may take, and walks over sizes."""
 
+import copy
 from types import SimpleNamespace
 
 import numpy as np
@@ -66,6 +67,39 @@ def test_starting_states_reach_what_a_solver_finds(windows: Windows) -> None:
         reach = windows.reach[w] / SIGMA
         found = least_squares(lambda x, w=w: residual(w, x), np.zeros(4), bounds=(-reach, reach), diff_step=0.05)
         assert left[w] < 2 * found.cost + 1.0
+
+
+def test_steps_that_go_too_far_are_shortened(windows: Windows) -> None:
+    """Where what happens is three times what the linear picture shows, a whole step makes matters worse."""
+    off = copy.copy(windows)
+    rng = np.random.default_rng(3)
+    nudge = 1.5 * SIGMA * rng.choice([-1.0, 1.0], (len(windows), 4))
+    off.qpos, off.qvel = integrate(arm(), windows.qpos, nudge[:, :2]), windows.qvel + nudge[:, 2:]
+    off.reach = 1e3 * windows.reach
+    states = off.states([World.of])[0]
+
+    def left(some: Windows) -> np.ndarray:
+        there = centred(some, World.of, 4, states, windows.correction)[2]
+        return ((windows.whiten(there) + windows.correction) ** 2).sum(1)
+
+    best, before = left(off), ((windows.whiten(states) + windows.correction) ** 2).sum(1)
+    assert (before - best > 100).sum() > len(windows) / 2
+    off.jacobians, off.inverse = off.jacobians / 3, off.inverse * 3
+    assert ((before - left(off)) > 0.8 * (before - best))[before - best > 100].all()
+
+
+def test_what_is_known_is_not_simulated_again(windows: Windows) -> None:
+    own = recentred(windows, damped)
+    counted = own.counter.steps
+    again = own.based(damped)
+    assert own.counter.steps == counted
+    np.testing.assert_array_equal(again.base, own.base)
+    np.testing.assert_array_equal(again.residual, own.residual)
+    np.testing.assert_allclose(own.states([damped])[0], own.base, atol=1e-12)
+    other = own.based(World.of)
+    assert own.counter.steps > counted
+    np.testing.assert_allclose(other.base, own.states([World.of])[0], atol=1e-12)
+    assert own.joined(other).maker is None
 
 
 def test_windows_that_gain_nothing_are_left_alone(windows: Windows) -> None:
