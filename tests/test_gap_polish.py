@@ -258,3 +258,18 @@ def test_the_ground_is_worth_another_look_for_less_than_a_limb(place, walked, tr
     judged[1].hypothesis.effects[-1][0].place = place
     found = [own.name for own, _ in polish._promising(judged, 0, None)]
     assert " ".join(found) == tried
+
+
+def test_the_best_of_what_was_walked_over_are_judged_again() -> None:
+    gains = {"m": 300.0, "n": 900.0, "o": 500.0, "p": 700.0}
+    polish = Polisher(SimpleNamespace(delicate=set("mnop"), walks=Walked(gains), hopes={}))
+    judged = [stand_in(name, 600.0 - i) for i, name in enumerate("mnop")]
+    assert [own.name for own, _ in polish._promising(judged, 3, None)] == ["n", "p", "o"]
+
+
+def test_one_more_effect_gets_half_and_less_where_the_first_has_cost_much() -> None:
+    options = Options(steps=1e5, leaders=6, contact_leaders=4, every=2)
+    assert options.after(150_000, 20) == Options(steps=1e5, leaders=3, contact_leaders=2, every=4)
+    assert options.after(190_000, 20) == Options(steps=1e5, leaders=2, contact_leaders=1, every=8)
+    assert options.after(190_000, 10) == options.after(0, 20)  # small models step faster
+    assert Options(leaders=1).after(0, 20).leaders == 1

@@ -148,12 +148,7 @@ class Polisher:
         return self.bench.walks.best(judged.hypothesis.effects[-1][0].name)
 
     def beside(self, given: Judged, hypothesis: Hypothesis) -> Judged:
-        """What was found with one more effect, refined and judged.
-
-        Args:
-          given: what was found.
-          hypothesis: its effects and one more, with the numbers where these start.
-        """
+        """What was `given` with one more effect, whose numbers start as the hypothesis has them, refined and judged."""
         return self.again([hypothesis], given)[0]
 
     def again(self, hypotheses: Sequence[Hypothesis], given: Judged | None) -> list[Judged]:

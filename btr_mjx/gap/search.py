@@ -48,10 +48,6 @@ _DRAWS = 8
 _FAR = 4.0
 """Chi^2 per degree of freedom of the best lead above which limits are tried that the linear picture cannot see."""
 
-_MUCH = 1.8
-"""Of what goes into a search, `Options.budget`, so many times are spent on the first effect before less is spent on one
-more."""
-
 _FEW = 6
 """Up to so many believed numbers are refitted together with every leader."""
 
@@ -194,8 +190,7 @@ class Bench:
           Judged leaders, best first, gains measured against the believed model.
         """
         start = self.base if given is None else given.hypothesis
-        costly = self.counter.steps > _MUCH * self.options.budget(self.fit.windows.nv)
-        options = self.options if given is None else self.options.fewest if costly else self.options.fewer
+        options = self.options if given is None else self.options.after(self.counter.steps, self.fit.windows.nv)
         sides = (self.fit, self.test) if given is None else given.sides
         residual = self.fit.windows.residual if given is None else given.refined.residual
         extra = None if given is None else given.refined.columns

@@ -11,6 +11,9 @@ from btr_mjx.gap.score import Fit
 from btr_mjx.gap.starting import recentred, redirected
 from btr_mjx.gap.windows import MakeWorld, Windows, picked
 
+_MUCH = 1.8
+"""Of the budget of a search, so many times may be spent on the first effect before less is spent on one more."""
+
 
 @dataclass(frozen=True)
 class Options:
@@ -30,17 +33,16 @@ class Options:
     iterations: int = 3
     every: int = 2
 
-    @property
-    def fewer(self) -> "Options":
-        """What is spent on one more effect: about half."""
-        return replace(
-            self, leaders=max(1, self.leaders // 2), contact_leaders=self.contact_leaders // 2, every=2 * self.every
-        )
+    def after(self, steps: int, nv: int) -> "Options":
+        """What is spent on one more effect: about half, and less where the first one has cost much.
 
-    @property
-    def fewest(self) -> "Options":
-        """What is spent on one more effect where the first one has cost much."""
-        return replace(self, leaders=max(1, self.leaders // 3), contact_leaders=1, every=4 * self.every)
+        Args:
+          steps: simulated steps so far.
+          nv: degrees of freedom.
+        """
+        plain, contacts = (2, 2) if steps <= _MUCH * self.budget(nv) else (3, 4)
+        leaders, moving = max(1, self.leaders // plain), self.contact_leaders // contacts
+        return replace(self, leaders=leaders, contact_leaders=moving, every=contacts * self.every)
 
     def budget(self, nv: int) -> float:
         """Simulated steps that may go into a model of `nv` degrees of freedom: small ones step faster."""
