@@ -269,7 +269,9 @@ def test_the_best_of_what_was_walked_over_are_judged_again() -> None:
 
 def test_one_more_effect_gets_half_and_less_where_the_first_has_cost_much() -> None:
     options = Options(steps=1e5, leaders=6, contact_leaders=4, every=2)
-    assert options.after(150_000, 20) == Options(steps=1e5, leaders=3, contact_leaders=2, every=4)
-    assert options.after(190_000, 20) == Options(steps=1e5, leaders=2, contact_leaders=1, every=8)
-    assert options.after(190_000, 10) == options.after(0, 20)  # small models step faster
-    assert Options(leaders=1).after(0, 20).leaders == 1
+    assert options.fewer(False) == Options(steps=1e5, leaders=3, contact_leaders=2, every=4)
+    assert options.fewer(True) == Options(steps=1e5, leaders=2, contact_leaders=1, every=8)
+    assert Options(leaders=1).fewer(False).leaders == 1
+    assert not options.much(170_000, 20)
+    assert options.much(180_000, 20)
+    assert not options.much(180_000, 10)  # small models step faster

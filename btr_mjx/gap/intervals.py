@@ -74,7 +74,8 @@ def intervals(bench: Bench, judged: Judged, rng: np.random.Generator, settled: b
     final = judged.hypothesis
     if not settled and not bench.joint:  # believed numbers would move along
         final = _stepped(bench, judged, centre)
-        final = _sized(bench, judged, final) if judged.gain + judged.held_out > _STRONG else final
+        if judged.gain + judged.held_out > _STRONG and not bench.costly():
+            final = _sized(bench, judged, final)
     out, first = [], size - final.numbers
     for candidate, values in final.effects:
         for parameter, value in zip(candidate.parameters, values, strict=True):

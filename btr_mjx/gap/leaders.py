@@ -52,6 +52,9 @@ _KIN = 100.0
 """Gain of the best of a scan from which on all others on its limb are judged anew, and a smaller size is tried of what
 does not keep what the scan promised."""
 
+_SURE = 1000.0
+"""Gain in the scan from which on fewer are judged anew, and no larger size is tried of a candidate."""
+
 
 def pick(
     leads: Sequence[Lead],
@@ -202,7 +205,8 @@ def judged_anew(
       The same as `contact_scan`, with the better of both gains.
     """
     needed = _SHARE * strongest
-    worth = [row for row in found[:_BEST] if row[0] > needed - _WORSE]
+    sure = bool(found) and found[0][0] > _SURE
+    worth = [row for row in found[: _BEST // 2 if sure else _BEST] if row[0] > needed - _WORSE]
     worth += [
         row
         for row in found
@@ -221,6 +225,8 @@ def judged_anew(
             most = max((row[0] for row in rows), default=-np.inf)
             if factor > 1.0 and most < -_WORSE and not related:
                 continue  # with directions of its own a small part of the truth is no worse than nothing
+            if factor > 1.0 and best[candidate.name][0] > _SURE:
+                continue  # the scan has been there
             if factor < 1.0 and not _KIN < best[candidate.name][0] >= most:
                 break  # where it says less than a scan that shows much, that may have gone too far
             value = float(np.clip(first.null + factor * (values[0] - first.null), first.low, first.high))

@@ -228,8 +228,7 @@ class Polisher:
         out = []
         for i, h in enumerate(hypotheses):
             # Those before it were looked at already.
-            side = nearest([pool[i], *(later.based(h) for later in pool[i + 1 :])])
-            out.append(nearest([side, side.recentred(h, exact=False)]) if anew else side)
+            out.append(nearest([pool[i], *(later.based(h) for later in pool[i + 1 :])]))
         return out
 
     def _sized(self, hypothesis: Hypothesis, side: Side, reference: Fit) -> tuple[Hypothesis, Side]:
@@ -271,7 +270,8 @@ class Polisher:
         bench = self.bench
         free = unknowns(hypothesis, bench.joint, bench.delicate)
         start = [hypothesis.values(bench.joint)]
-        return refine(side.windows, bench.free(side, hypothesis), bench.cut, [(free, start)], 2, reference)[0]
+        most = 1 if self._anew(hypothesis) else 2
+        return refine(side.windows, bench.free(side, hypothesis), bench.cut, [(free, start)], most, reference)[0]
 
     def _anew(self, hypothesis: Hypothesis) -> bool:
         """Whether the last effect moves contacts; sides on which one is judged suit the effects before it."""

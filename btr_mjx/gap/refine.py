@@ -141,7 +141,7 @@ def refine(
     nuisance: Nuisance | Sequence[Nuisance],
     cut: float,
     hypotheses: Sequence[tuple[Unknowns, Sequence[np.ndarray]]],
-    iterations: int = 3,
+    iterations: int | Sequence[int] = 3,
     reference: Fit | None = None,
 ) -> list[Refined]:
     """Refine hypotheses side by side.
@@ -151,7 +151,7 @@ def refine(
       nuisance: what is fitted along, the same with all or with each of them.
       cut: chi^2 above which a window counts less.
       hypotheses: unknowns and one or more starting values of each; the best start is taken.
-      iterations: largest number of Gauss-Newton steps.
+      iterations: largest number of Gauss-Newton steps, of all or of each.
       reference: fit without any of them; where given, losses are compared with it window by window, and hypotheses
         that fall far behind the best are given up early.
 
@@ -159,9 +159,10 @@ def refine(
       One result per hypothesis.
     """
     along = [nuisance] * len(hypotheses) if isinstance(nuisance, Nuisance) else nuisance
+    most = [iterations] * len(hypotheses) if isinstance(iterations, int) else iterations
     searches = [
-        _search(unknowns, starts, own, cut, iterations, reference)
-        for (unknowns, starts), own in zip(hypotheses, along, strict=True)
+        _search(unknowns, starts, own, cut, count, reference)
+        for (unknowns, starts), own, count in zip(hypotheses, along, most, strict=True)
     ]
     out: list[Refined | None] = [None] * len(searches)
     wanted = {i: next(search)[0] for i, search in enumerate(searches)}

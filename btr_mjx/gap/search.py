@@ -78,8 +78,7 @@ class Bench:
         counter: Counter | None = None,
     ) -> None:
         self.dataset, self.options = dataset, options or Options()
-        note = note or (lambda _: None)
-        self.counter = counter or Counter()
+        note, self.counter = note or (lambda _: None), counter or Counter()
         for name, side in (("fit", dataset.fit), ("test", dataset.test)):
             if not side:
                 raise InputError(f"{dataset.folder}: no recording is in split {name!r}")
@@ -156,9 +155,8 @@ class Bench:
 
     def _settle(self, best: np.ndarray | None) -> None:
         """Fit the dispersion to the best chi^2 (W,) so far, and the reference losses with it."""
-        side = self.fit
+        side, residual = self.fit, self.fit.windows.residual
         if best is None:
-            residual = side.windows.residual
             cut = _CUT * typical((residual**2).sum(1), side.windows.freedom)
             dispersion = max(1.0, cut / (_CUT * side.windows.freedom))
             best = side.nuisance.against(dispersion).profile(residual, cut).chi2
@@ -190,7 +188,7 @@ class Bench:
           Judged leaders, best first, gains measured against the believed model.
         """
         start = self.base if given is None else given.hypothesis
-        options = self.options if given is None else self.options.after(self.counter.steps, self.fit.windows.nv)
+        options = self.options if given is None else self.options.fewer(self.costly())
         sides = (self.fit, self.test) if given is None else given.sides
         residual = self.fit.windows.residual if given is None else given.refined.residual
         extra = None if given is None else given.refined.columns
@@ -203,7 +201,7 @@ class Bench:
         if given is None:
             hopes = ((self._entry(lead), lead.gain / price - len(lead.values)) for lead in leads)
             self.hopes = {entry.candidate.name: hope for entry, hope in sorted(hopes, key=lambda row: row[1])}
-        if given is not None:
+        else:
             # Most robots lack one thing: what is not worth its price in the linear picture is not simulated as well.
             leads = [lead for lead in leads if lead.gain > price * len(lead.values)]
         entries = self.scanner.screened.entries
@@ -231,7 +229,7 @@ class Bench:
             [self.free(sides[0], own) for own, _ in hypotheses],
             self.cut,
             [(unknowns(own, self.joint, self.delicate), tries) for own, tries in hypotheses],
-            self.options.iterations,
+            [1 if c.name in self.delicate else self.options.iterations for c, _ in tries],
             (self.reference if given is None else given.fits)[0],
         )
         refined = [own.replaced(r.values, self.joint) for (own, _), r in zip(hypotheses, found, strict=True)]
@@ -267,14 +265,13 @@ class Bench:
             gains added: in comparison with the believed model, what a weak effect says drowns in what a strong one
             does to the windows that count less.
         """
-        held = sides[1].windows.residuals(list(hypotheses))
+        held, out = sides[1].windows.residuals(list(hypotheses)), []
         size = np.log(self.fit.windows.residual.size + self.test.windows.residual.size)
         reference = self.reference if references is None else references
         before = reference if given is None else given.fits
         more = 0.0  # what fresh windows added to the score, see `runoff`
         if given is not None:
             more = given.score - (given.gain + given.held_out - size * given.hypothesis.numbers)
-        out = []
         for hypothesis, refined, residual in zip(hypotheses, found, held, strict=True):
             along = self.free(sides[0], hypothesis), self.nuisance(sides[1], hypothesis)
             own = along[0].profile(refined.residual, self.cut), along[1].profile(residual, self.cut)
@@ -295,6 +292,10 @@ class Bench:
         """
         best = luckiest(bounded(before.chi2, self.cut) - bounded(after.chi2, self.cut))
         return (robust_gain(before, after, self.cut) / share - best) / self.dispersion
+
+    def costly(self) -> bool:
+        """Whether so much has been spent that less is to be spent on what follows."""
+        return self.options.much(self.counter.steps, self.fit.windows.nv)
 
     def _entry(self, lead: Lead) -> Entry:
         return self.scanner.screened.entries[lead.index]

@@ -11,8 +11,8 @@ from btr_mjx.gap.score import Fit
 from btr_mjx.gap.starting import recentred, redirected
 from btr_mjx.gap.windows import MakeWorld, Windows, picked
 
-_MUCH = 1.8
-"""Of the budget of a search, so many times may be spent on the first effect before less is spent on one more."""
+_MUCH = 1.75
+"""Of the budget of a search, so many times may be spent before less is spent on what follows."""
 
 
 @dataclass(frozen=True)
@@ -33,16 +33,15 @@ class Options:
     iterations: int = 3
     every: int = 2
 
-    def after(self, steps: int, nv: int) -> "Options":
-        """What is spent on one more effect: about half, and less where the first one has cost much.
-
-        Args:
-          steps: simulated steps so far.
-          nv: degrees of freedom.
-        """
-        plain, contacts = (2, 2) if steps <= _MUCH * self.budget(nv) else (3, 4)
+    def fewer(self, costly: bool) -> "Options":
+        """What is spent on one more effect: about half, and less where the first one was costly."""
+        plain, contacts = (3, 4) if costly else (2, 2)
         leaders, moving = max(1, self.leaders // plain), self.contact_leaders // contacts
         return replace(self, leaders=leaders, contact_leaders=moving, every=contacts * self.every)
+
+    def much(self, steps: int, nv: int) -> bool:
+        """Whether a search has cost so many simulated steps that less is to be spent on what follows."""
+        return steps > _MUCH * self.budget(nv)
 
     def budget(self, nv: int) -> float:
         """Simulated steps that may go into a model of `nv` degrees of freedom: small ones step faster."""

@@ -16,7 +16,7 @@ from btr_mjx.gap.refine import Nuisance
 from btr_mjx.gap.score import Fit
 from btr_mjx.gap.search_records import Side, nearest
 
-_EVERY = 3
+_EVERY = 4
 """Walks see one of so many windows."""
 
 _STRIDE = 1.5
