@@ -208,6 +208,23 @@ def test_what_leads_has_its_limb_judged_anew(bench: Bench, monkeypatch: pytest.M
     assert asked.count(moving[1].name) == 0
 
 
+def test_a_scan_that_is_sure_is_not_repeated(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No larger size of what it shows clearly, and fewer candidates on other limbs."""
+    moving = bench.candidates[:5]
+    asked = []
+    monkeypatch.setattr(bench.walks, "gain", lambda h: asked.append(h.effects[-1][1][0]) or 5000.0)
+    for gain, sizes in ((900.0, 2), (1100.0, 1)):
+        asked.clear()
+        judged_anew(bench.dataset.model, [(gain, moving[0], moving[0].null + 0.005)], bench.base, bench.walks, 0.0)
+        assert len(asked) == sizes
+    monkeypatch.setattr("btr_mjx.gap.leaders.one_limb", lambda *_: False)
+    for gain, count in ((900.0, len(moving)), (1100.0, 3)):
+        asked.clear()
+        rows = [(gain, c, c.null + 0.005) for c in moving]
+        judged_anew(bench.dataset.model, rows, bench.base, bench.walks, 0.0)
+        assert len(asked) == count * (2 if gain < 1000.0 else 1)
+
+
 @pytest.mark.parametrize(
     ("gain", "start", "expected"),
     [(300.0, -0.045, -0.015), (90.0, -0.045, -0.045), (300.0, -0.005, -0.005), (300.0, -0.001, -0.001)],
