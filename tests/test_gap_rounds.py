@@ -269,7 +269,8 @@ def test_whoever_leads_beside_another_effect_has_been_judged_again(monkeypatch):
         ("b", 20.0, 6.0, True),
         ("b", 20.0, 2.0, False),  # not seen where it was not fitted
         ("b", 9.0, 4.0, False),  # worth no more than its price
-        ("b", 900.0, 40.0, False),  # too little held out beside what was fitted
+        ("b", 900.0, 25.0, False),  # too little held out beside what was fitted
+        ("b", 900.0, 40.0, True),
         ("b", 5000.0, 150.0, True),  # little beside that, but certain: a limit that few recordings reach
         ("m", 80.0, 20.0, False),  # contacts are a matter of chance
         ("m", 90.0, 40.0, True),

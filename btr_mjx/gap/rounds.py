@@ -74,9 +74,12 @@ CONTACT_SHARE = 0.4
 """The same of what moves contacts, as a first effect: of what scored 60 to 700 most true ones had 0.55 and more of it,
 three false names of four 0.3 and less."""
 
-HELD_OUT_ENOUGH = 45.0
-"""Gain on held-out recordings that is enough in any case: a limit may be reached in few of them, and few feet may touch
-where it matters. A true limit had 47 beside 1004, a true offset 55 beside 407."""
+HELD_OUT_ENOUGH = 30.0
+"""Gain on held-out recordings that is enough in any case: a limit may be reached in few of them. True ones had 44
+beside 1128 and 47 beside 1004."""
+
+CONTACT_ENOUGH = 45.0
+"""The same of what moves contacts: few feet may touch where it matters. A true offset had 55 beside 407."""
 
 TOLERANCES = 4.0
 """Size that a name needs, in tolerances of its parameter."""
@@ -241,7 +244,7 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None, share: float = 
     gain = judged.gain - (given.gain if given else 0.0)
     held_out = judged.held_out + judged.fresh - (given.held_out if given else 0.0)
     expected = gain * len(bench.test.windows) / len(bench.fit.windows)
-    needed, part = SECOND_THRESHOLD if given else THRESHOLD, HELD_OUT_SHARE
+    needed, part, most = SECOND_THRESHOLD if given else THRESHOLD, HELD_OUT_SHARE, HELD_OUT_ENOUGH
     if given:
         needed = max(needed, SECOND_PART * given.score)
     if given and any(candidate.name in bench.delicate for candidate, _ in judged.hypothesis.effects):
@@ -252,13 +255,13 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None, share: float = 
     if candidate.name in bench.delicate:
         # Beside another effect few windows held out need have a foot that touches or leaves where it matters.
         alone = GROUND_THRESHOLD if candidate.place == WORLD else CONTACT_THRESHOLD
-        part = 0.0 if given else CONTACT_SHARE
+        part, most = 0.0 if given else CONTACT_SHARE, CONTACT_ENOUGH
         if not given and len(limb_of(bench, judged)) > 1:
             alone, part = LIMB_THRESHOLD, HELD_OUT_SHARE
         needed = max(needed, SECOND_CONTACT_THRESHOLD if given else alone)
     if score < needed or gain + judged.fresh < HELD_OUT:
         return False
-    enough = max(HELD_OUT, min(part * expected, HELD_OUT_ENOUGH))
+    enough = max(HELD_OUT, min(part * expected, most))
     if held_out < enough and not vouched(bench, judged):
         return False
     return not within_calibration(bench, judged)
