@@ -38,7 +38,7 @@ LEFT_OVER = 4.0
 LEFT_SHARE = 0.06
 """Part of its own gain that a name may leave at single joints."""
 
-REST = 2.5
+REST = 3.0
 """Lack of fit that a name may leave, in standard deviations, unless it explains most of what there was. What moves
 contacts may leave more: a size that is a little off lets feet slip or touch at other times."""
 
