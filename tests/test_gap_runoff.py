@@ -151,14 +151,19 @@ def test_whom_a_run_off_leaves_alone(
     assert runoff.runoff(own, []) == []
 
 
+@pytest.mark.parametrize("touching", [0, 2])
 def test_rivals_that_no_fresh_window_tells_apart_keep_their_distance(
-    rubbing: tuple[Bench, list[Judged]], monkeypatch: pytest.MonkeyPatch
+    rubbing: tuple[Bench, list[Judged]], monkeypatch: pytest.MonkeyPatch, touching: int
 ) -> None:
-    """Only the difference from nothing at all tells, then all of them rise and fall with the leader."""
+    """Only the difference from nothing at all tells, then all of them rise and fall with the leader.
+
+    One or two windows in which a foot may touch or not tell nothing.
+    """
     bench, judged = rubbing
 
     def differences(windows, hypotheses):
         out = np.zeros((len(hypotheses) - 1, len(windows)))
+        out[:, :touching] = 20.0
         out[0] = 1.0
         return out
 
