@@ -170,7 +170,7 @@ class Polisher:
         fits, first, held = [], [], []
         for i, free in enumerate((bench.free, bench.nuisance)):
             other = bench.nuisance if given is None else free
-            rival, *sides = self._shared([before, *hypotheses], known[i], anew)
+            rival, *sides = self._shared([before, *hypotheses], known[i])
             fits.append(other(rival, before).profile(rival.windows.residual, bench.cut))
             if i == 0:
                 sized = [self._sized(h, side, fits[0]) for h, side in zip(hypotheses, sides, strict=True)]
@@ -209,13 +209,12 @@ class Polisher:
             out.append(j if j is best else replace(j, gain=gain, held_out=held_out, score=score))
         return out
 
-    def _shared(self, hypotheses: Sequence[Hypothesis], known: Side, anew: bool) -> list[Side]:
-        """A side for each of some hypotheses.
+    def _shared(self, hypotheses: Sequence[Hypothesis], known: Side) -> list[Side]:
+        """A side for each of some hypotheses, which go on from what those before them have found.
 
         Args:
           hypotheses: what they are compared with comes first.
           known: side that suits the first of them.
-          anew: each goes on from what the others have found: what moves contacts needs more than one look.
         """
         pool, first = [known], True
         for h in hypotheses[1:]:
@@ -225,11 +224,8 @@ class Polisher:
             own = start.recentred(h, exact=first or not moves)
             pool.append(nearest([start, own, *([own.redirected(h)] if moves and first else [])]))
             first &= not moves
-        out = []
-        for i, h in enumerate(hypotheses):
-            # Those before it were looked at already.
-            out.append(nearest([pool[i], *(later.based(h) for later in pool[i + 1 :])]))
-        return out
+        # Those before each of them were looked at already.
+        return [nearest([pool[i], *(s.based(h) for s in pool[i + 1 :])]) for i, h in enumerate(hypotheses)]
 
     def _sized(self, hypothesis: Hypothesis, side: Side, reference: Fit) -> tuple[Hypothesis, Side]:
         """What moves contacts at a better size, where a parabola through three of them peaks, and the side for that.

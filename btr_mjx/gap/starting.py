@@ -23,7 +23,7 @@ _STEPS = 3
 """Gauss-Newton steps for another hypothesis; fewer favour the one that the states suited before."""
 
 _MORE = 4
-"""Further rounds for windows that need them."""
+"""Further rounds, for windows whose steps are shortened or still help."""
 
 _BACK = 0.35
 """Factor on a step that did not help: where a foot touches at another time, the linear picture holds nearby only."""
@@ -50,7 +50,7 @@ def centred(
     Args:
       windows: with the directions of their starting states.
       make: the hypothesis.
-      steps: at most.
+      steps: so many, and `_MORE` at most.
       states: (W, k + 1, nq + nv) of the hypothesis from the starting states of the windows.
       correction: (W, R) of the model's time step.
 
@@ -117,6 +117,7 @@ def redirected(windows: "Windows", make: Callable[[mujoco.MjModel], World]) -> "
     other = copy.copy(windows)
     other.differentiate(make)
     other.qpos, other.qvel, other.base = centred(other, make, _STEPS, windows.base, windows.correction)
+    other.maker = make
     # What the time step does changes little with the starting state; another fine pass would cost as much as the rest.
     other.residual = project(other.whiten(other.base) + other.correction, other.basis)
     return other
