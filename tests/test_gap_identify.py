@@ -13,7 +13,7 @@ from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.identify import identify, missing, strange
 from btr_mjx.gap.leftover import Leftover
-from btr_mjx.gap.outcome import equivalent
+from btr_mjx.gap.outcome import calibration_of, equivalent
 from btr_mjx.gap.places import Place
 from btr_mjx.gap.recordings import Believed
 from btr_mjx.gap.score import luckiest
@@ -321,6 +321,9 @@ def test_hypotheses_keep_their_numbers_in_order():
         np.testing.assert_array_equal(*(bench.fit.windows.states([h])[0] for h in (made, other)))
     judged = bench.find()
     assert equivalent(judged)[0] == judged[0].name
+    (error,) = calibration_of([judged[0], dataclasses.replace(judged[0], hypothesis=calibrated)])
+    assert (f"{error.effect}@{error.location}", list(error.parameters.values())) == (first.name, [0.3])
+    assert calibration_of(judged[:1]) == calibration_of([]) == ()
 
 
 def test_uneven_samples_without_velocities():

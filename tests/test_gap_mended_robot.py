@@ -59,6 +59,22 @@ def test_back_to_reality_goes_on_with_it(rng: np.random.Generator) -> None:
     assert np.isfinite(result.fitness).all()
 
 
+def test_calibration_is_no_dimension_but_part_of_every_simulation(rng: np.random.Generator) -> None:
+    error = {"effect": "link_length", "location": "body:shank1", "parameters": {"change": 0.005}}
+    both = [
+        mended_robot(QUADRUPED, CASES["damping"], signal=signal, controller_box=CONTROLLERS, calibration=calibration)
+        for calibration in ((), (error,))
+    ]
+    assert both[0].simulation_box.names == both[1].simulation_box.names
+    for values in both[0].simulation_box.sample(rng, 2):
+        plain, ours = (mujoco.MjModel.from_xml_string(robot.render(values)) for robot in both)
+        longer = mend(both[0].render(values), [Found("link_length", "body:shank1", {"change": 0.005})]).xml
+        expected = mujoco.MjModel.from_xml_string(longer)
+        for field in ("dof_damping", "body_mass", "body_pos", "geom_pos", "geom_size"):
+            np.testing.assert_allclose(getattr(ours, field), getattr(expected, field), rtol=1e-4, atol=1e-6)
+        assert np.abs(ours.geom_size - plain.geom_size).max() == pytest.approx(0.0025, rel=0.01)
+
+
 def test_what_cannot_be_a_simulation_is_refused() -> None:
     with pytest.raises(InputError, match="load_friction@all"):
         mended_robot(

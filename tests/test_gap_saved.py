@@ -11,7 +11,18 @@ import pytest
 from gap_models import QUADRUPED
 
 from btr_mjx.files import read_arrays, read_json
-from btr_mjx.gap.diagnosis import Confound, Diagnosis, DisagreementMap, Estimate, Gap, Named, Overlay, Refit, Row
+from btr_mjx.gap.diagnosis import (
+    Calibrated,
+    Confound,
+    Diagnosis,
+    DisagreementMap,
+    Estimate,
+    Gap,
+    Named,
+    Overlay,
+    Refit,
+    Row,
+)
 from btr_mjx.gap.next_experiment import NextExperiment
 from btr_mjx.gap.recordings import Believed, Dataset
 from btr_mjx.gap.report import draw
@@ -112,6 +123,27 @@ def test_the_mended_model_has_what_was_refitted(dataset: Dataset, tmp_path: Path
     assert model.actuator("hip0").biasprm[2] == pytest.approx(-1.575)
     terms = read_json(tmp_path / "run" / "mended.json")["terms"]
     assert [(t["effect"], t["parameters"]) for t in terms] == [("load_friction", {"coefficient": 0.31})]
+
+
+def test_the_mended_model_has_the_calibration_beside_which_something_was_found(
+    dataset: Dataset, tmp_path: Path
+) -> None:
+    errors = (
+        Calibrated("link_length", "body:shank0", {"change": 0.004}),
+        Calibrated("joint_offset", "joint:knee0", {"offset": 0.002}),
+    )
+    folders = tmp_path / "without", tmp_path / "with"
+    for folder, calibration in zip(folders, ((), errors), strict=True):
+        result = save(replace(diagnosis(), calibration=calibration), dataset, folder)
+        assert [row["location"] for row in result["calibration"]] == [error.location for error in calibration]
+    without, mended = (mujoco.MjModel.from_xml_path(str(folder / "mended.xml")) for folder in folders)
+    assert mended.geom("foot0").pos[2] - without.geom("foot0").pos[2] == pytest.approx(-0.004, rel=0.01)
+    address = mended.joint("knee0").qposadr[0]
+    assert mended.qpos0[address] - without.qpos0[address] == pytest.approx(0.002, rel=0.01)
+    assert mended.dof_damping[mended.joint("knee0").dofadr[0]] == pytest.approx(0.21)
+    pages = [draw(folder).read_text(encoding="utf-8") for folder in folders]
+    assert "small errors of calibration" not in pages[0]
+    assert "another length of the link at body shank0 (change 0.004)" in pages[1]
 
 
 def test_meshes_are_found_from_anywhere(dataset: Dataset, tmp_path: Path) -> None:

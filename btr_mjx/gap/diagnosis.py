@@ -58,6 +58,21 @@ class Named:
 
 
 @dataclass(frozen=True)
+class Calibrated:
+    """A small error of calibration beside which an effect was named; by itself it needs no name.
+
+    Attributes:
+      effect: its name.
+      location: where it sits.
+      parameters: its numbers by name.
+    """
+
+    effect: str
+    location: str
+    parameters: Mapping[str, float]
+
+
+@dataclass(frozen=True)
 class Row:
     """A row of the ranking.
 
@@ -197,6 +212,7 @@ class Diagnosis:
       disagreement: the map.
       unexplained: what is left, in words.
       believed: what may be refitted.
+      calibration: small errors beside which the effects were named; the mended model has them, too.
       confounds: what could be mistaken for what was named, and what gave way to it.
       overlays: stretches for figures.
       share: part of what any force could explain that the named effects explain.
@@ -229,5 +245,6 @@ class Diagnosis:
     windows: tuple[int, int, int, float]
     steps: int
     seconds: float
+    calibration: tuple[Calibrated, ...] = ()
     survivors: tuple = field(default=(), repr=False)
     notes: tuple[str, ...] = ()

@@ -20,7 +20,16 @@ from btr_mjx.gap.diagnosis import Diagnosis
 from btr_mjx.gap.effect import Effect
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.openloop import followed, following
-from btr_mjx.gap.outcome import equivalent, gap_of, named_effects, overlays, ranking_of, refits, survivors
+from btr_mjx.gap.outcome import (
+    calibration_of,
+    equivalent,
+    gap_of,
+    named_effects,
+    overlays,
+    ranking_of,
+    refits,
+    survivors,
+)
 from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.rounds import COARSE, THRESHOLD, search, within_calibration
 from btr_mjx.gap.search import Bench
@@ -138,6 +147,7 @@ def name_missing(
         disagreement=check.map(),
         unexplained=(*twin_words(nearly, rival), *check.words(final)) if surprised else (),
         believed=refits(bench, base, final),
+        calibration=calibration_of(said),
         confounds=confounds(bench, base, named if verdict == "effect" else []),
         overlays=overlays(bench, final),
         share=share,

@@ -39,6 +39,7 @@ def mended_robot(
     controller_box: Box,
     name: str = "mended",
     believed: Mapping[str, float] | None = None,
+    calibration: Sequence[Mapping[str, Any]] = (),
     base_body: str | None = None,
     duration: float = 1.7,
     widen: float = 2.0,
@@ -53,6 +54,7 @@ def mended_robot(
       controller_box: space of its controllers.
       name: of the robot.
       believed: path into the model -> refitted value, as for `mend`.
+      calibration: `calibration` of result.json, small errors that the model has everywhere in that space.
       base_body: body whose position is measured, None for a robot that is bolted down.
       duration: time that a controller is tried for [s].
       widen: the box is so many times as wide as the intervals, within the bounds of the effects' parameters.
@@ -65,7 +67,8 @@ def mended_robot(
       InputError: an effect that MJCF cannot say, too many parameters, or numbers that no polynomial follows.
     """
     found = [Found.from_result(entry) for entry in effects_found]
-    mended = mend(source, found, believed=believed, effects=effects)
+    errors = [Found.from_result(entry) for entry in calibration]
+    mended = mend(source, [*errors, *found], believed=believed, effects=effects)
     if mended.terms:
         lacking = ", ".join(f"{term['effect']}@{term['location']}" for term in mended.terms)
         raise InputError(f"{lacking}: MJCF has no such term, so that it cannot be a simulation of Back-to-Reality")
@@ -75,7 +78,7 @@ def mended_robot(
     point = np.array(nominal)
 
     def text(values: np.ndarray) -> str:
-        rest, items = list(values.tolist()), []
+        rest, items = list(values.tolist()), [*errors]
         for item in found:
             items.append(Found(item.effect, item.location, {key: rest.pop(0) for key in item.values}))
         return mend(source, items, believed=believed, effects=effects).xml

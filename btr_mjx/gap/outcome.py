@@ -4,7 +4,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from btr_mjx.gap.diagnosis import Gap, Named, Overlay, Refit, Row
+from btr_mjx.gap.diagnosis import Calibrated, Gap, Named, Overlay, Refit, Row
 from btr_mjx.gap.disagreement import place_names
 from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.intervals import intervals
@@ -87,6 +87,19 @@ def named_effects(
         )
         before = own
     return tuple(out)
+
+
+def calibration_of(named: Sequence[Judged]) -> tuple[Calibrated, ...]:
+    """Small errors of calibration beside which something was named."""
+    errors = named[-1].hypothesis.calibration if named else ()
+    return tuple(
+        Calibrated(
+            candidate.effect.name,
+            candidate.place.label,
+            {p.name: value for p, value in zip(candidate.parameters, values, strict=True)},
+        )
+        for candidate, values in errors
+    )
 
 
 def ranking_of(rounds: Sequence[Sequence[Judged]]) -> tuple[Row, ...]:

@@ -55,7 +55,7 @@ def content(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
         "believed": _table(result.get("believed")),
         "confounds": _lines(result.get("confounds")),
         "next_experiment": _experiment(result.get("next_experiment")),
-        "mended": _mended(folder),
+        "mended": _mended(folder, result.get("calibration") or []),
         "notes": _lines(result.get("notes")),
         "footer": _footer(folder, result),
     }
@@ -147,7 +147,7 @@ def _table(rows: Any) -> dict[str, Any] | None:
     return {"columns": [name.replace("_", " ") for name in columns], "rows": cells}
 
 
-def _mended(folder: Path) -> dict[str, Any] | None:
+def _mended(folder: Path, calibration: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
     if not (folder / "mended.xml").is_file():
         return None
     text = "mended.xml is the believed model with what was found; plain MuJoCo loads it."
@@ -158,14 +158,27 @@ def _mended(folder: Path) -> dict[str, Any] | None:
             {"effect": title(t["effect"]), "location": t["location"], "equation": str(t.get("equation", ""))}
             for t in saved.get("terms", [])
         ]
+        errors = {f"{error['effect']}@{error['location']}" for error in calibration}
         native = [
-            named(dict(zip(("effect", "location"), n.split("@", 1), strict=True))) for n in saved.get("native", [])
+            named(dict(zip(("effect", "location"), name.split("@", 1), strict=True)))
+            for name in saved.get("native", [])
+            if name not in errors
         ]
         text += f" It contains {' and '.join(native)}." if native else ""
+        if calibration:
+            text += f" It has small errors of calibration, too, beside which that was found: {_errors(calibration)}."
         text += " ".join(["", *saved.get("notes", [])])
     if terms:
         text += " What MJCF has no term for is in mended.json; this adds it to a simulation:"
     return {"text": text, "terms": terms, "code": _CODE}
+
+
+def _errors(calibration: Sequence[Mapping[str, Any]]) -> str:
+    """Errors of calibration with their numbers."""
+    return "; ".join(
+        f"{named(error)} ({', '.join(f'{k.replace("_", " ")} {number(v)}' for k, v in error['parameters'].items())})"
+        for error in calibration
+    )
 
 
 def _footer(folder: Path, result: Mapping[str, Any]) -> list[str]:

@@ -118,6 +118,7 @@ def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
         | {"open_loop_unit": _position_unit(dataset.model)},
         "unexplained": list(diagnosis.unexplained),
         "believed": [asdict(refit) for refit in diagnosis.believed],
+        "calibration": [asdict(error) for error in diagnosis.calibration],
         "confounds": [asdict(confound) for confound in diagnosis.confounds],
         "share": diagnosis.share,
         "lack_of_fit": dict(zip(("before", "after"), diagnosis.lack_of_fit, strict=True)),
@@ -166,14 +167,15 @@ def where(disagreement: DisagreementMap) -> str:
 
 
 def mended_model(diagnosis: Diagnosis, dataset: Dataset, effects: Sequence[Effect] = KNOWN) -> Mended | None:
-    """The believed model with what was named and refitted.
+    """The believed model with what was named and refitted, and the calibration that goes with it.
 
     Returns:
       None if nothing was named.
     """
     if not diagnosis.effects:
         return None
-    found = [
+    found = [Found(error.effect, error.location, error.parameters) for error in diagnosis.calibration]
+    found += [
         Found(effect.effect, effect.location, {name: p.value for name, p in effect.parameters.items()})
         for effect in diagnosis.effects
     ]
