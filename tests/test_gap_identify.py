@@ -10,6 +10,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.akin_effects import HARDENING_SPRING
 from btr_mjx.gap.effect import Parameter
 from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.held_out import foreseen
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.identify import identify, missing, strange
 from btr_mjx.gap.leftover import Leftover
@@ -77,6 +78,28 @@ def test_luck_counts_where_windows_are_many():
     assert luckiest(-falls) == 0.0
     assert luckiest(np.array([40.0])) == 0.0
     assert luckiest(np.array([40.0, 40.0])) == pytest.approx(40.0 / 8)
+
+
+def test_a_true_name_gains_what_it_foresees_on_held_out_recordings():
+    """Where its parameter is right, chi^2 falls by the squared distance of both simulations, but for the noise."""
+    gains = []
+    for seed in range(3):
+        bench = Bench(dataset(damped, seed=seed), LIBRARY, QUICK)
+        elbow = next(c for c in bench.candidates if c.name == "viscous_damping@joint:elbow")
+        for size in (0.1, 0.03):
+            hypothesis = bench.base.with_effect(elbow, [size])
+            residuals = [side.windows.residuals([hypothesis])[0] for side in (bench.fit, bench.test)]
+            judged = SimpleNamespace(hypothesis=hypothesis, sides=(bench.fit, bench.test), residual=residuals[1])
+            change = bench.test.windows.residual - residuals[1]
+            along = bench.nuisance(bench.test, hypothesis)
+            left = np.array([(row**2).sum() for row in along.absorbed(change, bench.cut)])
+            assert foreseen(bench, judged) <= left.sum() / bench.dispersion + 1e-6
+            assert foreseen(bench, judged) >= (left.sum() - left.max()) / bench.dispersion - 1e-6
+            gains.append((size, foreseen(bench, judged)))
+            if size == 0.1:
+                before, after = (along.profile(r, bench.cut) for r in (bench.test.windows.residual, residuals[1]))
+                assert bench.fall(before, after) == pytest.approx(foreseen(bench, judged), rel=0.3)
+    assert all(large > 5 * small for (_, large), (_, small) in zip(gains[::2], gains[1::2], strict=True))
 
 
 def test_the_gap_closes_on_held_out_recordings(found):

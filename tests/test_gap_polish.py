@@ -14,6 +14,7 @@ from btr_mjx.gap.refine import Nuisance
 from btr_mjx.gap.score import robust_gain, trimmed_gain
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Options, Side, nearest
+from btr_mjx.gap.sizes import best_size
 from btr_mjx.gap.windows import Windows
 from btr_mjx.gap.world import World
 
@@ -174,14 +175,11 @@ def test_a_size_that_is_off_is_mended_on_all_windows() -> None:
     sizes = np.linspace(-0.04, 0.04, 41)
     best = sizes[int(np.argmax([judged(size) for size in sizes]))]
     assert abs(best) > 0.01
-    polish = Polisher(own)
     for start in (0.67 * best, 1.33 * best):
         hypothesis = own.base.with_effect(elbow, [start])
-        found, side = polish._sized(hypothesis, own.fit.recentred(hypothesis), reference)
+        found, side = best_size(own, hypothesis, own.fit.recentred(hypothesis), reference)
         assert found.effects[0][1][0] == pytest.approx(best, rel=0.15)  # the time step is not looked at again
         np.testing.assert_allclose(side.windows.residuals([found])[0], side.windows.residual, atol=1e-9)
-    own.delicate = set()
-    assert polish._sized(hypothesis, own.fit, reference) == (hypothesis, own.fit)
 
 
 def test_an_effect_beside_another_ends_where_the_search_ends(bench: Bench) -> None:
@@ -265,6 +263,24 @@ def test_the_best_of_what_was_walked_over_are_judged_again() -> None:
     polish = Polisher(SimpleNamespace(delicate=set("mnop"), walks=Walked(gains), hopes={}))
     judged = [stand_in(name, 600.0 - i) for i, name in enumerate("mnop")]
     assert [own.name for own, _ in polish._promising(judged, 3, None)] == ["n", "p", "o"]
+    gains |= {"o": 800.0, "p": 790.0, "m": 780.0}
+    polish.bench.walks = Walked(gains)
+    assert [own.name for own, _ in polish._promising(judged, 3, None)] == ["n", "o", "p", "m"]  # all as good
+
+
+def test_what_gained_before_its_walk_need_not_gain_at_its_first_step() -> None:
+    """With directions of its own two thirds of the truth may say nothing, where all of it says most."""
+
+    class Walking(Walked):
+        def __call__(self, hypothesis, hope, promise):
+            asked[hypothesis.name] = hope
+            return hypothesis
+
+    for gain, free in ((300.0, True), (240.0, False)):
+        asked = dict[str, float]()
+        polish = Polisher(SimpleNamespace(delicate={"m", "n"}, walks=Walking({"m": 900.0, "n": 400.0}), hopes={}))
+        polish._promising([stand_in("m", 1000.0), stand_in("n", 200.0, gain)], 3, None)
+        assert (asked["n"] < 50.0) is free
 
 
 def test_one_more_effect_gets_half_and_less_where_the_first_has_cost_much() -> None:

@@ -2,14 +2,16 @@
 
 from dataclasses import dataclass
 from types import SimpleNamespace
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 
 from btr_mjx.gap import rounds
+from btr_mjx.gap.held_out import vouched
 from btr_mjx.gap.outcome import equivalent
 from btr_mjx.gap.places import WORLD
-from btr_mjx.gap.rounds import acceptable, accepted, vouched
+from btr_mjx.gap.rounds import acceptable, accepted
 
 
 @dataclass(frozen=True)
@@ -303,6 +305,20 @@ def test_fresh_windows_have_a_say(gain, held_out, fresh, expected):
     assert is_accepted("b", gain, held_out, fresh=fresh) is expected
 
 
+@pytest.mark.parametrize(
+    ("name", "held_out", "hopes", "expected"),
+    [
+        ("b", 6.0, 10.0, True),  # held-out recordings hardly see it, and what they see is there
+        ("b", 6.0, 14.0, False),
+        ("b", 2.0, 3.0, False),
+        ("b", 25.0, 1e3, False),
+        ("m", 6.0, 10.0, False),  # contacts are a matter of chance
+    ],
+)
+def test_held_out_recordings_need_not_gain_more_than_a_name_foresees(name, held_out, hopes, expected):
+    assert is_accepted(name, 900.0, held_out, hopes=hopes) is expected
+
+
 @pytest.mark.parametrize(("least", "expected"), [(0.9, True), (1.1, False)])
 def test_what_is_smaller_than_any_simulation_is_not_called_by_name(least, expected):
     assert is_accepted("b", 5000.0, 2000.0, least) is expected
@@ -331,7 +347,7 @@ def test_where_calibration_can_be_asked_a_limb_needs_less(monkeypatch, limb, exp
     assert is_accepted("m", 500.0, 200.0, explained=True) is False
 
 
-def is_accepted(names, gain, held_out, least=0.0, fresh=0.0, size=1.0, place=None, explained=False):
+def is_accepted(names, gain, held_out, least=0.0, fresh=0.0, size=1.0, place=None, explained=False, hopes=np.inf):
     """Beside an effect of 4000; a number costs 10, is 1 and has a tolerance of 0.1; `size` is it on more windows."""
     first = [SimpleNamespace(tolerance=0.1, least=least)]
     place = place or SimpleNamespace(members=())
@@ -359,7 +375,8 @@ def is_accepted(names, gain, held_out, least=0.0, fresh=0.0, size=1.0, place=Non
     side = SimpleNamespace(windows=range(20))
     data = SimpleNamespace(tolerances={}, model=None)
     bench = SimpleNamespace(delicate={"m"}, dispersion=1.0, fit=side, test=side, dataset=data, candidates=())
-    return accepted(bench, judged, given)
+    with patch("btr_mjx.gap.rounds.foreseen", return_value=hopes):
+        return accepted(bench, judged, given)
 
 
 def fits(*chi2):
@@ -381,4 +398,4 @@ def test_several_recordings_vouch_for_what_those_held_out_do_not_know(falls, hel
     bench = SimpleNamespace(cut=1e6, fit=SimpleNamespace(windows=windows))
     before, after = [500.0, 400.0], 500.0 - np.array(falls)
     judged = SimpleNamespace(before=fits([500.0] * 4, before), fits=fits(after, [500.0, 400.0 - held]))
-    assert vouched(bench, judged) is expected
+    assert vouched(bench, judged, 3.0, 15.0) is expected

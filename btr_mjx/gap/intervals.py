@@ -7,9 +7,11 @@ own, which they then share. Intervals are those of the same linearised fit on re
 """
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
+from btr_mjx.gap.abreast import abreast
 from btr_mjx.gap.diagnosis import Estimate
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.refine import nudges
@@ -153,18 +155,23 @@ def _resized(bench: Bench, judged: Judged, hypothesis: Hypothesis, index: int) -
 
     def attempt(factor: float) -> None:
         own = scaled(hypothesis, factor, index)
-        for side, pool in zip(judged.sides, pools, strict=True):
+
+        def suited(side: Side, pool: list[Side]) -> Side:
             start = nearest([other.based(own) for other in pool or [side]])
-            pool.append(nearest([start, start.recentred(own)]))
+            return nearest([start, start.recentred(own)])
+
+        found = abreast([partial(suited, side, pool) for side, pool in zip(judged.sides, pools, strict=True)])
+        for pool, side in zip(pools, found, strict=True):
+            pool.append(side)
         tries.append(own)
 
     def losses() -> list[float]:
-        out = []
-        for i, own in enumerate(tries):
+        def loss(i: int) -> float:
             # Those before it were looked at already.
-            pair = [nearest([pool[i], *(later.based(own) for later in pool[i + 1 :])]) for pool in pools]
-            out.append(_loss(bench, judged, [side.windows.residual for side in pair]))
-        return out
+            pair = [nearest([pool[i], *(later.based(tries[i]) for later in pool[i + 1 :])]) for pool in pools]
+            return _loss(bench, judged, [side.windows.residual for side in pair])
+
+        return abreast([partial(loss, i) for i in range(len(tries))])
 
     for factor in (1.0, *_SIZES):
         attempt(factor)

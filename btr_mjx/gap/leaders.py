@@ -162,11 +162,16 @@ def contact_scan(
         windows = some.windows
         step = min(windows.stride, _LONGEST) * windows.dt
         makes = [start, *(start.with_effect(candidate, values) for candidate, values in rows)]
-        found = [windows.whiten(states) for states in windows.states(makes, timestep=step)]
+        unmoved, *found = windows.states(makes, timestep=step)
+        unmoved = windows.whiten(unmoved)
+
+        def gained(states: np.ndarray) -> float:
+            moved = residual[own] + project(windows.whiten(states) - unmoved, windows.basis)
+            return robust_gain(reference, some.nuisance.profile(moved, cut), cut) / share
+
+        gains = abreast([partial(gained, states) for states in found])
         best: dict[str, Try] = {}
-        for (candidate, values), there in zip(rows, found[1:], strict=True):
-            moved = residual[own] + project(there - found[0], windows.basis)
-            gain = robust_gain(reference, some.nuisance.profile(moved, cut), cut) / share
+        for (candidate, values), gain in zip(rows, gains, strict=True):
             if candidate.name not in best or gain > best[candidate.name][0]:
                 best[candidate.name] = gain, candidate, values
         return sorted(best.values(), key=lambda row: -row[0])

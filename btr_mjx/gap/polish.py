@@ -18,7 +18,7 @@ from btr_mjx.gap.refine import Refined, refine
 from btr_mjx.gap.score import Fit, robust_gain, trimmed_gain
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Judged, Side, nearest
-from btr_mjx.gap.walks import scaled, vertex
+from btr_mjx.gap.sizes import best_size
 
 _HOPELESS = -5.0
 """Where the best score is lower, no better starting states will make a name of it."""
@@ -33,7 +33,10 @@ _WALKS = 4
 """Candidates that move contacts that are looked at again, leaders included."""
 
 _WALKED = 3
-"""The best of them after that are judged again."""
+"""The best of them after that are judged again, and whatever came as near to the best of them as the following part."""
+
+_AS_GOOD = 0.85
+"""A true offset had 684 on a quarter of the windows where three other numbers of its limb had 713 to 770."""
 
 _HOPE = 0.25
 """Part of the best gain that such a candidate must have before its size is walked over."""
@@ -58,15 +61,6 @@ _ENOUGH = 60.0
 
 _ENOUGH_OF_GROUND = 25.0
 """The same of what changes the ground for all feet, which needs less."""
-
-_SIZES = 0.75, 1.3
-"""Factors on its size at which what moves contacts is tried beside."""
-
-_MORE = 2
-"""Sizes that are tried after these, at most."""
-
-_NEAR = 0.03
-"""Part of a size by which a better one must differ from those that were tried."""
 
 
 class Polisher:
@@ -127,6 +121,8 @@ class Polisher:
 
         def walked(j: Judged) -> Hypothesis | None:
             least = (-np.inf, floor + _LEAST) if j in close else (floor + _HOPE * rival, floor + _PROMISE * rival)
+            if given is None and j.gain >= least[0]:
+                least = -np.inf, least[1]  # with directions of its own only a larger size may show what this one has
             sure = given is None and j.gain >= _ENOUGH
             if given is None and not sure:
                 ground = j.hypothesis.effects[-1][0].place == WORLD
@@ -139,7 +135,9 @@ class Polisher:
         ends = zip(tries, abreast([partial(walked, j) for j in tries]), strict=True)
         there = [(j, found) for j, found in ends if found is not None]
         there.sort(key=lambda end: -bench.walks.best(end[1].name))
-        return [(j, j.hypothesis) for j in plain] + there[:_WALKED]
+        best_of = [bench.walks.best(found.name) for _, found in there]
+        most_walked = max(_WALKED, sum(gain >= _AS_GOOD * best_of[0] for gain in best_of))
+        return [(j, j.hypothesis) for j in plain] + there[:most_walked]
 
     def _alone(self, judged: Judged, given: Judged | None) -> float:
         """Gain that what moves contacts had with directions of its own alone; -inf beside another that moves some."""
@@ -173,10 +171,9 @@ class Polisher:
             rival, *sides = self._shared([before, *hypotheses], known[i])
             fits.append(other(rival, before).profile(rival.windows.residual, bench.cut))
             if i == 0:
-                sized = [self._sized(h, side, fits[0]) for h, side in zip(hypotheses, sides, strict=True)]
-                hypotheses, sides = [h for h, _ in sized], [side for _, side in sized]
-                first = [(side, self._refined(h, side, fits[0])) for h, side in zip(hypotheses, sides, strict=True)]
-                hypotheses = [h.replaced(r.values, bench.joint) for h, (_, r) in zip(hypotheses, first, strict=True)]
+                pairs = zip(hypotheses, sides, strict=True)
+                ends = abreast([partial(self._settled, h, side, fits[0]) for h, side in pairs])
+                hypotheses, first = [h for h, _, _ in ends], [(side, refined) for _, side, refined in ends]
             else:
                 held = sides
         references = fits[0], fits[1]
@@ -224,43 +221,19 @@ class Polisher:
             own = start.recentred(h, exact=first or not moves)
             pool.append(nearest([start, own, *([own.redirected(h)] if moves and first else [])]))
             first &= not moves
-        # Those before each of them were looked at already.
-        return [nearest([pool[i], *(s.based(h) for s in pool[i + 1 :])]) for i, h in enumerate(hypotheses)]
 
-    def _sized(self, hypothesis: Hypothesis, side: Side, reference: Fit) -> tuple[Hypothesis, Side]:
-        """What moves contacts at a better size, where a parabola through three of them peaks, and the side for that.
+        def best(i: int) -> Side:
+            # Those before it were looked at already.
+            return nearest([pool[i], *(side.based(hypotheses[i]) for side in pool[i + 1 :])])
 
-        Args:
-          hypothesis: any; others stay as they are.
-          side: that suits it.
-          reference: fit of what it is compared with.
-        """
-        if not self._anew(hypothesis):
-            return hypothesis, side
-        bench, tried = self.bench, {1.0: (hypothesis, side)}
+        return abreast([partial(best, i) for i in range(len(hypotheses))])
 
-        def gains() -> dict[float, float]:
-            fits = {f: bench.free(own, h).profile(own.windows.residual, bench.cut) for f, (h, own) in tried.items()}
-            return {factor: bench.fall(reference, fit) for factor, fit in fits.items()}
-
-        def attempt(factor: float) -> None:
-            own = scaled(hypothesis, factor)
-            tried[factor] = own, side.based(own).recentred(own, exact=False)
-
-        for factor in _SIZES:
-            attempt(factor)
-        for _ in range(_MORE):
-            found = gains()
-            best = max(found, key=lambda factor: found[factor])
-            # On the way up there is nothing to draw a parabola through yet.
-            there = (
-                best * _SIZES[0] if best == min(found) else best * _SIZES[1] if best == max(found) else vertex(found)
-            )
-            if min(abs(there / factor - 1.0) for factor in found) < _NEAR:
-                break
-            attempt(there)
-        found = gains()
-        return tried[max(found, key=lambda factor: found[factor])]
+    def _settled(self, hypothesis: Hypothesis, side: Side, reference: Fit) -> tuple[Hypothesis, Side, Refined]:
+        """A hypothesis with its best numbers on a side to fit, what that became on the way, and how good it is."""
+        if self._anew(hypothesis):
+            hypothesis, side = best_size(self.bench, hypothesis, side, reference)
+        refined = self._refined(hypothesis, side, reference)
+        return hypothesis.replaced(refined.values, self.bench.joint), side, refined
 
     def _refined(self, hypothesis: Hypothesis, side: Side, reference: Fit) -> Refined:
         bench = self.bench

@@ -6,9 +6,11 @@ whole interval between two samples, or by a single step in its middle where an i
 """
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
+from btr_mjx.gap.abreast import abreast
 from btr_mjx.gap.propagation import carry
 from btr_mjx.gap.transitions import intervals
 from btr_mjx.gap.windows import MakeWorld, Windows
@@ -41,7 +43,8 @@ def signatures(
     out = np.zeros((len(makes), *windows.residual.shape), np.float32)
     hold = intervals_per_look(float(np.median(np.diff(windows.since, axis=1)))) if single else 1
     pieces = _middles(windows, base, hold) if single else _intervals(windows)
-    for first in range(0, len(makes), _CHUNK):
+
+    def look(first: int) -> None:
         chunk = list(makes[first : first + _CHUNK])
         worlds = [[make(model) for model in windows.models] for make in [base, *chunk]]
         found = _ends(windows, worlds, pieces)
@@ -50,6 +53,8 @@ def signatures(
             pushed = np.repeat(change[..., windows.nv :] / windows.dt, hold, axis=2)[:, :, : windows.k]
             change = _spread(windows, pushed)
         out[first : first + len(chunk)] = carry(windows, change)
+
+    abreast([partial(look, first) for first in range(0, len(makes), _CHUNK)])
     return out
 
 

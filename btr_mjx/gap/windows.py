@@ -278,9 +278,7 @@ class Windows:
             return other
         for name in _PER_WINDOW:
             own = getattr(self, name)
-            arrays = [getattr(windows, name) for windows in others]
-            if any(array is not own for array in arrays):
-                setattr(other, name, picked(own, arrays, chosen))
+            setattr(other, name, picked(own, [getattr(windows, name) for windows in others], chosen))
         return other
 
     def residuals(self, makes: Sequence[MakeWorld]) -> list[np.ndarray]:
@@ -289,9 +287,15 @@ class Windows:
 
 
 def picked(own: np.ndarray, others: Sequence[np.ndarray], chosen: np.ndarray) -> np.ndarray:
-    """Rows of some arrays (W, ...): those of `others[i - 1]` where `chosen` (W,) is i, own ones where it is 0."""
+    """Rows of some arrays (W, ...): those of `others[i - 1]` where `chosen` (W,) is i, own ones where it is 0.
+
+    Where all are of one array it is that, not a copy of it: some are large.
+    """
+    used = {int(i): (own, *others)[i] for i in np.unique(chosen)}
+    first = next(iter(used.values()))
+    if all(array is first for array in used.values()):
+        return first
     out = own.copy()
-    for i, array in enumerate(others, 1):
-        if array is not own:
-            out[chosen == i] = array[chosen == i]
+    for i, array in used.items():
+        out[chosen == i] = array[chosen == i]
     return out

@@ -1,0 +1,49 @@
+"""The size of what moves contacts, tried with starting states of its own at each: derivatives lead nowhere there."""
+
+from btr_mjx.gap.hypotheses import Hypothesis
+from btr_mjx.gap.score import Fit
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Side
+from btr_mjx.gap.walks import scaled, vertex
+
+_SIZES = 0.75, 1.3
+"""Factors on its size at which what moves contacts is tried beside."""
+
+_MORE = 2
+"""Sizes that are tried after these, at most."""
+
+_NEAR = 0.03
+"""Part of a size by which a better one must differ from those that were tried."""
+
+
+def best_size(bench: Bench, hypothesis: Hypothesis, side: Side, reference: Fit) -> tuple[Hypothesis, Side]:
+    """A hypothesis with its last effect at a better size, where a parabola through three of them peaks, and its side.
+
+    Args:
+      bench: of the search.
+      hypothesis: its last effect moves contacts.
+      side: that suits it.
+      reference: fit of what it is compared with.
+    """
+    tried = {1.0: (hypothesis, side)}
+
+    def gains() -> dict[float, float]:
+        fits = {f: bench.free(own, h).profile(own.windows.residual, bench.cut) for f, (h, own) in tried.items()}
+        return {factor: bench.fall(reference, fit) for factor, fit in fits.items()}
+
+    def attempt(factor: float) -> None:
+        own = scaled(hypothesis, factor)
+        tried[factor] = own, side.based(own).recentred(own, exact=False)
+
+    for factor in _SIZES:
+        attempt(factor)
+    for _ in range(_MORE):
+        found = gains()
+        best = max(found, key=lambda factor: found[factor])
+        # On the way up there is nothing to draw a parabola through yet.
+        there = best * _SIZES[0] if best == min(found) else best * _SIZES[1] if best == max(found) else vertex(found)
+        if min(abs(there / factor - 1.0) for factor in found) < _NEAR:
+            break
+        attempt(there)
+    found = gains()
+    return tried[max(found, key=lambda factor: found[factor])]
