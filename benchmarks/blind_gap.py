@@ -234,9 +234,11 @@ def run(config: Config, folder: Path) -> Iterator[int]:
     for worker in range(config.workers):
         cores.put({usable[worker % len(usable)]} if config.workers > 1 else set(usable))
     with (
-        ProcessPoolExecutor(config.workers, context) as makers,
         ProcessPoolExecutor(config.workers, context, stay_on, (cores,)) as solvers,
+        ProcessPoolExecutor(config.workers, context) as beside,
     ):
+        # One worker is asked for to learn what a case costs: no other is made meanwhile.
+        makers = beside if config.workers > 1 else solvers
         pending: dict[Future[None], tuple[str, Files]] = {}
         queue = iter(left)
 
