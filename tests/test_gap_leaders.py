@@ -110,6 +110,9 @@ def test_a_limit_that_the_simulation_never_reaches_is_tried_where_all_is_far_awa
     share = (np.concatenate(tried) - first.null) / (first.low - first.null)
     assert share.max() > 0.95
     assert np.all((share > 0) & (share < 1))
+    fewer = starts(picked[names[1]], lambda lead: entries[lead.index], every=2)
+    np.testing.assert_array_equal(fewer[0], tried[0])
+    np.testing.assert_array_equal(fewer[1:], tried[1::2])
 
 
 def test_single_motors_have_no_clocks_of_their_own() -> None:

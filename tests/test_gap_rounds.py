@@ -131,8 +131,10 @@ class Stage:
       besides: scores beside its calibration.
       ran: scores after a run-off.
       usual: names that are no larger than calibration leaves.
+      spent: whether much has been spent.
     """
 
+    spent = False
     delicate = frozenset("m")
 
     def __init__(self, monkeypatch, scores, polished=None):
@@ -150,6 +152,9 @@ class Stage:
     def runoff(self, bench, judged):
         again = [self.judged(j.name, self.scores | self.ran) for j in judged]
         return sorted(again, key=lambda j: -j.score)
+
+    def costly(self):
+        return self.spent
 
     def compared(self, bench, judged):
         return SimpleNamespace(gain=self.beyond.get(judged.name, np.inf), calibrated=f"calibrated for {judged.name}")
@@ -207,6 +212,14 @@ def test_the_first_effect_gives_way_to_a_rival_with_which_both_explain_more(monk
 def test_rivals_that_explain_no_more_change_nothing(monkeypatch, changed):
     scores = {"a": 500.0, "b": 450.0, "c": 100.0, "ac": 560.0, "bc": 700.0} | changed
     assert Stage(monkeypatch, scores).named() == ["a", "ac"]
+
+
+def test_one_rival_only_is_tried_again_where_much_has_been_spent(monkeypatch):
+    scores = {"a": 500.0, "d": 460.0, "b": 450.0, "c": 100.0, "ac": 560.0, "dc": 400.0, "bc": 700.0}
+    stage = Stage(monkeypatch, scores)
+    assert stage.named() == ["b", "bc"]
+    stage.spent = True
+    assert stage.named() == ["a", "ac"]
 
 
 def test_what_calibration_explains_as_well_is_not_named(monkeypatch):

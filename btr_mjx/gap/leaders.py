@@ -120,14 +120,20 @@ def _groups(lead: Lead, entries: Sequence[Entry]) -> list[Lead]:
     return [Lead(i, 0.0, lead.values) for i in sorted(size, key=lambda i: size[i])][:2]
 
 
-def starts(leads: Sequence[Lead], entry: Callable[[Lead], Entry]) -> list[np.ndarray]:
-    """Values (p,) from which the refinement of one candidate may start: of a limit, all the way to its tightest."""
+def starts(leads: Sequence[Lead], entry: Callable[[Lead], Entry], every: int = 1) -> list[np.ndarray]:
+    """Values (p,) from which the refinement of one candidate may start: of a limit, all the way to its tightest.
+
+    Args:
+      leads: of the candidate.
+      entry: of a lead.
+      every: one of so many starts of a limit is taken.
+    """
     own = [lead.values for lead in leads]
     if not any(entry(lead).probe for lead in leads):
         return own
     first = entry(leads[0]).candidate.parameters[0]
     tightest = first.low if first.step < 0 else first.high
-    further = [first.null + share * (tightest - first.null) for share in _CLAMP_SHARES]
+    further = [first.null + share * (tightest - first.null) for share in _CLAMP_SHARES[::every]]
     return own + [np.array([value, *leads[0].values[1:]]) for value in further]
 
 

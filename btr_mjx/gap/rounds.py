@@ -92,8 +92,8 @@ COARSE = 5.0
 COARSE_SECOND = 0.1
 """Part of the first one's score that a second effect needs there."""
 
-_RIVALS = 2
-"""Rivals of the first effect that are tried again beside the second."""
+_RIVALS = 2, 1
+"""Rivals of the first effect that are tried again beside the second; where much has been spent already."""
 
 _RIVALRY = 0.5
 """Part of the first effect's score that they need."""
@@ -188,7 +188,7 @@ def _swapped(
     if not rivals:
         return rounds, named
     note("the first effect's rivals")
-    joined = [(rival, rival.hypothesis.with_effect(candidate, values)) for rival in rivals[:_RIVALS]]
+    joined = [(rival, rival.hypothesis.with_effect(candidate, values)) for rival in rivals[: _RIVALS[bench.costly()]]]
     tries = [(polish.beside(rival, hypothesis), rival) for rival, hypothesis in joined]
     best, rival = max(tries, key=lambda row: row[0].score)
     if best.score <= both.score:

@@ -207,7 +207,7 @@ class Bench:
         entries = self.scanner.screened.entries
         far = given is None and self.dispersion > _FAR
         picked = pick(leads, entries, options, price, far)
-        starting = {own[0].index: starts(own, self._entry) for own in picked.values()}
+        starting = {own[0].index: starts(own, self._entry, options.starts) for own in picked.values()}
         tries = [(entries[index].candidate, values) for index, values in starting.items()]
         strongest = max((lead.gain for lead in leads), default=0.0)
         moving = [c for c in self.candidates if c.name in self.delicate and c.name not in taken]

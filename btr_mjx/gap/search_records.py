@@ -11,7 +11,7 @@ from btr_mjx.gap.score import Fit
 from btr_mjx.gap.starting import recentred, redirected
 from btr_mjx.gap.windows import MakeWorld, Windows, picked
 
-_MUCH = 1.75
+_MUCH = 1.6
 """Of the budget of a search, so many times may be spent before less is spent on what follows."""
 
 
@@ -25,6 +25,7 @@ class Options:
       contact_leaders: candidates that move contacts that are refined beyond those, by a scan of true simulations.
       iterations: Gauss-Newton steps of a refinement.
       every: candidates that move contacts are scanned on one of so many windows.
+      starts: limits are tried from one of so many starts.
     """
 
     steps: float = 4.4e5
@@ -32,12 +33,14 @@ class Options:
     contact_leaders: int = 4
     iterations: int = 3
     every: int = 2
+    starts: int = 1
 
     def fewer(self, costly: bool) -> "Options":
         """What is spent on one more effect: about half, and less where the first one was costly."""
         plain, contacts = (3, 4) if costly else (2, 2)
         leaders, moving = max(1, self.leaders // plain), self.contact_leaders // contacts
-        return replace(self, leaders=leaders, contact_leaders=moving, every=contacts * self.every)
+        every, starts = contacts * self.every, 2 * self.starts if costly else self.starts
+        return replace(self, leaders=leaders, contact_leaders=moving, every=every, starts=starts)
 
     def much(self, steps: int, nv: int) -> bool:
         """Whether a search has cost so many simulated steps that less is to be spent on what follows."""

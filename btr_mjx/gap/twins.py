@@ -26,7 +26,11 @@ _LARGE = 3.0
 _HOPE = 5.0
 """Gain on the recordings to fit that is worth a closer look."""
 
-_ITERATIONS = 3
+_FIRST, _REST = 1, 2
+"""Steps of a refinement of every start, and of those that are refined to the end."""
+
+_REFINED = 2
+"""Starts that are, at most: after one step the best of them is hardly ever behind two others."""
 
 
 def candidates_of(bench: Bench, judged: Judged) -> list[tuple[int, Candidate]]:
@@ -61,18 +65,20 @@ def twin(bench: Bench, judged: Judged) -> Judged | None:
         return None
     side = judged.sides[0]
     reference = bench.free(side, judged.hypothesis).profile(judged.refined.residual, bench.cut)
-    found = refine(
-        side.windows,
-        [bench.free(side, h) for h in tries],
-        bench.cut,
-        [(unknowns(h, bench.joint, bench.delicate), [h.values(bench.joint)]) for h in tries],
-        _ITERATIONS,
-        reference,
-    )
-    best = min(range(len(tries)), key=lambda i: found[i].loss)
-    if (reference.loss - found[best].loss) / bench.dispersion < _HOPE:
+    for steps in (_FIRST, _REST):
+        found = refine(
+            side.windows,
+            [bench.free(side, h) for h in tries],
+            bench.cut,
+            [(unknowns(h, bench.joint, bench.delicate), [h.values(bench.joint)]) for h in tries],
+            steps,
+            reference,
+        )
+        best = sorted(range(len(tries)), key=lambda i: found[i].loss)[:_REFINED]
+        tries = [tries[i].replaced(found[i].values, bench.joint) for i in best]
+    if (reference.loss - found[best[0]].loss) / bench.dispersion < _HOPE:
         return None
-    return Polisher(bench).beside(judged, tries[best].replaced(found[best].values, bench.joint))
+    return Polisher(bench).beside(judged, tries[0])
 
 
 def _starts(bench: Bench, judged: Judged, index: int, candidate: Candidate) -> list[Hypothesis]:
