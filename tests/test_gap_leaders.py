@@ -10,10 +10,11 @@ from gap_arm import arm, dataset
 from hypothesis import given
 from hypothesis import strategies as st
 
-from btr_mjx.gap import leaders
+from btr_mjx.gap import contact_leaders
+from btr_mjx.gap.contact_leaders import contact_scan, with_contacts
 from btr_mjx.gap.effect import candidates
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.leaders import contact_scan, pick, starts, with_contacts
+from btr_mjx.gap.leaders import pick, starts
 from btr_mjx.gap.scales import Scales
 from btr_mjx.gap.scanner import Lead
 from btr_mjx.gap.score import robust_gain
@@ -40,7 +41,7 @@ def bench() -> Bench:
 def test_a_scan_of_contacts_is_a_loop_over_candidates(
     bench: Bench, every: int, angle: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(leaders, "_BEST", 1)  # all go further, whoever is judged anew
+    monkeypatch.setattr(contact_leaders, "_BEST", 1)  # all go further, whoever is judged anew
     if angle > 0.02:
         bench = Bench(dataset(partial(raised, angle=angle), seed=4, fit=3, test=1), OFFSETS, QUICK)
     moving = [c for c in bench.candidates if c.effect.name == "joint_offset"]
@@ -95,6 +96,21 @@ def test_a_limit_brings_those_of_its_group_along() -> None:
     np.testing.assert_array_equal(group.values, leads[0].values)
     # One that is not worth its price brings nobody: a robot that never comes near a limit says nothing of groups.
     assert set(pick(leads, entries, Options(leaders=1), 100.0)) == {"torque_limit@actuator:elbow"}
+
+
+def test_an_effect_that_leads_at_several_places_is_tried_at_all_of_them() -> None:
+    known = {c.name: c for c in candidates(arm(), Scales.of(arm()), EFFECTS)}
+    names = [f"dry_friction@{place}" for place in ("joint:elbow", "joint:shoulder", "all")] + ["armature@joint:elbow"]
+    entries = [Entry(known[name], np.ones(1)) for name in names]
+    leads = [Lead(i, gain, np.array([gain])) for i, gain in enumerate([90.0, 70.0, -50.0, 80.0])]
+    picked = pick(leads, entries, Options(leaders=3), 10.0)
+    assert set(picked) == set(names)
+    assert 90.0 in [lead.values[0] for lead in picked["dry_friction@all"]]
+    assert set(pick(leads, entries, Options(leaders=2), 10.0)) == {names[0], names[3]}  # one place says nothing of all
+    assert set(pick(leads, entries, Options(leaders=3), 80.0)) == {names[0], names[1], names[3]}  # the other is chance
+    ahead = [leads[0], leads[1], Lead(2, 100.0, np.ones(1))]
+    assert len(pick(ahead, entries, Options(leaders=3), 10.0)["dry_friction@all"]) == 1  # it leads by itself
+    assert set(pick(leads[:2], entries[:2], Options(), 10.0)) == set(names[:2])  # there is no such group
 
 
 def test_a_limit_that_the_simulation_never_reaches_is_tried_where_all_is_far_away() -> None:

@@ -9,11 +9,11 @@ from gap_arm import SIGMA, arm, arm_windows, elbow_off, recording
 from scipy.optimize import least_squares
 
 from btr_mjx.gap import transitions
+from btr_mjx.gap.contact_leaders import contact_scan, judged_anew
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.hidden import make_case
 from btr_mjx.gap.hidden_robots import case_robot
 from btr_mjx.gap.hypotheses import Hypothesis
-from btr_mjx.gap.leaders import contact_scan, judged_anew
 from btr_mjx.gap.prepared import prepare
 from btr_mjx.gap.recordings import load
 from btr_mjx.gap.score import Fit, spanned
@@ -217,7 +217,7 @@ def test_a_scan_that_is_sure_is_not_repeated(bench: Bench, monkeypatch: pytest.M
         asked.clear()
         judged_anew(bench.dataset.model, [(gain, moving[0], moving[0].null + 0.005)], bench.base, bench.walks, 0.0)
         assert len(asked) == sizes
-    monkeypatch.setattr("btr_mjx.gap.leaders.one_limb", lambda *_: False)
+    monkeypatch.setattr("btr_mjx.gap.contact_leaders.one_limb", lambda *_: False)
     for gain, count in ((900.0, len(moving)), (1100.0, 3)):
         asked.clear()
         rows = [(gain, c, c.null + 0.005) for c in moving]

@@ -1,59 +1,16 @@
 """Which candidates of a linear scan are refined by true simulation, and from where."""
 
 from collections.abc import Callable, Sequence
-from functools import partial
 
-import mujoco
 import numpy as np
 
-from btr_mjx.gap.abreast import abreast
-from btr_mjx.gap.effect import Candidate
-from btr_mjx.gap.hypotheses import Hypothesis
-from btr_mjx.gap.places import WORLD, Place, one_limb
+from btr_mjx.gap.places import Place
 from btr_mjx.gap.scanner import Lead
-from btr_mjx.gap.score import project, robust_gain
 from btr_mjx.gap.screening import Entry
-from btr_mjx.gap.search_records import Options, Side
-from btr_mjx.gap.walks import Walks
-
-Try = tuple[float, Candidate, np.ndarray]
-"""Gain, candidate and values (p,)."""
+from btr_mjx.gap.search_records import Options
 
 _CLAMP_SHARES = (0.1, 0.25, 0.4, 0.55, 0.7, 0.8, 0.87, 0.92, 0.96)
 """Starts of a limit, as parts of the way from where it does nothing to its tightest."""
-
-_EITHER_SIDE = (1.0, -1.0)
-"""Where candidates that move contacts are tried, in steps of their first number: a small one helps a little wherever
-the truth lies beyond half of it, a large one is worse than nothing where the truth is small."""
-
-_AGAIN = 3.0
-"""Factor on that, on the better side: near a touchdown a third of the truth may look like nothing."""
-
-_FURTHER = 3
-"""Times that this is done with those that still gain by it, at most: a length may be off by a tenth."""
-
-_LONGEST = 2
-"""Time steps of the model that one step of the scan takes, at most."""
-
-_BEST = 6
-"""So many of them are judged anew, and whatever acts on the world as a whole."""
-
-_SHARE = 0.1
-"""Part of the gain of the strongest other candidate that they need, less the following."""
-
-_WORSE = 60.0
-"""By so much the truth may fit worse than nothing with the directions of the believed model."""
-
-_ALL_WORSE = 600.0
-"""The same of what acts on the world: all feet slip or touch at other times."""
-
-
-_KIN = 100.0
-"""Gain of the best of a scan from which on all others on its limb are judged anew, and a smaller size is tried of what
-does not keep what the scan promised."""
-
-_SURE = 1000.0
-"""Gain in the scan from which on fewer are judged anew, and no larger size is tried of a candidate."""
 
 
 def pick(
@@ -95,6 +52,12 @@ def pick(
         for lead in groups:
             by_name.setdefault(entry(lead).candidate.name, []).append(lead)
         same += [entry(lead).candidate.name for lead in groups]
+    # Where nearly everything counts less because something is wrong with it, the linear picture sees an effect of all
+    # joints at some of them only.
+    for lead in _common([by_name[name][0] for name in chosen if merit(by_name[name][0]) > 0], entries):
+        name = entry(lead).candidate.name
+        by_name.setdefault(name, []).append(lead)
+        same.append(name)
     if far:
         # A simulation that follows its commands where the robot could not never comes near the robot's limit.
         unseen = [
@@ -120,6 +83,25 @@ def _groups(lead: Lead, entries: Sequence[Entry]) -> list[Lead]:
     return [Lead(i, 0.0, lead.values) for i in sorted(size, key=lambda i: size[i])][:2]
 
 
+def _common(leads: Sequence[Lead], entries: Sequence[Entry]) -> list[Lead]:
+    """The first effect that leads at several places, at the smallest group of all of them; none where that leads."""
+    for lead in leads:
+        own = entries[lead.index].candidate
+        places = [e.candidate.place for e in (entries[o.index] for o in leads) if e.candidate.effect is own.effect]
+        joints = {joint for place in places for joint in place.joints}
+        there = [
+            i
+            for i, other in enumerate(entries)
+            if not other.probe and other.candidate.effect is own.effect and joints <= set(other.candidate.place.joints)
+        ]
+        if len(places) < 2 or not joints or not there:
+            continue
+        smallest = min(there, key=lambda i: len(entries[i].candidate.place.joints))
+        if all(set(entries[smallest].candidate.place.joints) != set(place.joints) for place in places):
+            return [Lead(smallest, 0.0, lead.values)]
+    return []
+
+
 def starts(leads: Sequence[Lead], entry: Callable[[Lead], Entry], every: int = 1) -> list[np.ndarray]:
     """Values (p,) from which the refinement of one candidate may start: of a limit, all the way to its tightest.
 
@@ -135,144 +117,6 @@ def starts(leads: Sequence[Lead], entry: Callable[[Lead], Entry], every: int = 1
     tightest = first.low if first.step < 0 else first.high
     further = [first.null + share * (tightest - first.null) for share in _CLAMP_SHARES[::every]]
     return own + [np.array([value, *leads[0].values[1:]]) for value in further]
-
-
-def contact_scan(
-    side: Side, start: Hypothesis, delicate: Sequence[Candidate], cut: float, residual: np.ndarray, every: int
-) -> list[Try]:
-    """Scan candidates that move contacts by true simulation, as linear signatures mislead there.
-
-    Args:
-      side: windows, and what is fitted along.
-      start: what is there already.
-      delicate: the candidates.
-      cut: chi^2 above which a window counts less.
-      residual: (W, R) of what is there already.
-      every: candidates are tried on one of so many windows.
-
-    Returns:
-      Gain as if of all windows, candidate and its best starting values (p,), best first.
-    """
-    own = np.arange(0, len(side.windows), every)
-    some = side.some(own)
-    reference = some.nuisance.profile(residual[own], cut)
-    share = len(own) / len(side.windows)
-
-    def attempt(tries: Sequence[tuple[Candidate, float]]) -> list[Try]:
-        """Simulate candidates at values of their first number, and keep each one's best."""
-        rows = []
-        for candidate, value in tries:
-            values = candidate.null
-            values[0] = np.clip(value, candidate.parameters[0].low, candidate.parameters[0].high)
-            rows.append((candidate, values))
-        windows = some.windows
-        step = min(windows.stride, _LONGEST) * windows.dt
-        makes = [start, *(start.with_effect(candidate, values) for candidate, values in rows)]
-        unmoved, *found = windows.states(makes, timestep=step)
-        unmoved = windows.whiten(unmoved)
-
-        def gained(states: np.ndarray) -> float:
-            moved = residual[own] + project(windows.whiten(states) - unmoved, windows.basis)
-            return robust_gain(reference, some.nuisance.profile(moved, cut), cut) / share
-
-        gains = abreast([partial(gained, states) for states in found])
-        best: dict[str, Try] = {}
-        for (candidate, values), gain in zip(rows, gains, strict=True):
-            if candidate.name not in best or gain > best[candidate.name][0]:
-                best[candidate.name] = gain, candidate, values
-        return sorted(best.values(), key=lambda row: -row[0])
-
-    firsts = {candidate.name: candidate.parameters[0] for candidate in delicate}
-    sides = [(c, firsts[c.name].null + sign * firsts[c.name].step) for c in delicate for sign in _EITHER_SIDE]
-    best = {row[1].name: row for row in attempt(sides)}
-    nulls = {name: first.null for name, first in firsts.items()}
-    leading = list(best.values())
-    for _ in range(_FURTHER):
-        further = [(c, nulls[c.name] + _AGAIN * (values[0] - nulls[c.name])) for _, c, values in leading]
-        leading = []
-        for row in attempt(further):
-            name, before = row[1].name, best[row[1].name][0]
-            best[name] = max(best[name], row, key=lambda r: r[0])
-            if row[0] > max(before, _KIN):  # a large one gains more the farther it goes
-                leading.append(row)
-        if not leading:
-            break
-    return sorted(best.values(), key=lambda row: -row[0])
-
-
-def judged_anew(
-    model: mujoco.MjModel, found: Sequence[Try], start: Hypothesis, walks: Walks, strongest: float
-) -> list[Try]:
-    """The best of a scan of contacts, judged with directions of their own, at two sizes.
-
-    Args:
-      model: the believed model.
-      found: of the scan.
-      start: the believed model.
-      walks: of the search.
-      strongest: gain of the best other candidate.
-
-    Returns:
-      The same as `contact_scan`, with the better of both gains.
-    """
-    needed = _SHARE * strongest
-    sure = bool(found) and found[0][0] > _SURE
-    worth = [row for row in found[: _BEST // 2 if sure else _BEST] if row[0] > needed - _WORSE]
-    worth += [
-        row
-        for row in found
-        if row[1].place == WORLD and row[0] > needed - _ALL_WORSE and all(row is not own for own in worth)
-    ]
-    # A strong effect lets a foot touch at another time and hides itself; others on its limb, which do less, show it.
-    leading = found[0][0] > max(_KIN, strongest) if found else False
-    kin = [row for row in found[1:] if leading and one_limb(model, found[0][1].place, row[1].place)]
-    worth += [row for row in kin if all(row is not own for own in worth)]
-    best = {candidate.name: (gain, candidate, values) for gain, candidate, values in found}
-
-    def judged(candidate: Candidate, values: np.ndarray) -> list[Try]:
-        first, rows = candidate.parameters[0], list[Try]()
-        related = any(candidate is row[1] for row in kin)
-        for factor in (1.0, _AGAIN, 1.0 / _AGAIN):
-            most = max((row[0] for row in rows), default=-np.inf)
-            if factor > 1.0 and most < -_WORSE and not related:
-                continue  # with directions of its own a small part of the truth is no worse than nothing
-            if factor > 1.0 and best[candidate.name][0] > _SURE:
-                continue  # the scan has been there
-            if factor < 1.0 and not _KIN < best[candidate.name][0] >= most:
-                break  # where it says less than a scan that shows much, that may have gone too far
-            value = float(np.clip(first.null + factor * (values[0] - first.null), first.low, first.high))
-            small = factor < 1.0 and abs(value - first.null) < 0.99 * abs(first.step)
-            if small or any(value == row[2][0] for row in rows):
-                continue
-            tried = np.array([value, *values[1:]])
-            rows.append((walks.gain(start.with_effect(candidate, tried)), candidate, tried))
-        return rows
-
-    for rows in abreast([partial(judged, candidate, values) for _, candidate, values in worth]):
-        name = rows[0][1].name
-        best[name] = max(best[name], *rows, key=lambda row: row[0])
-    return sorted(best.values(), key=lambda row: -row[0])
-
-
-def with_contacts(
-    tries: Sequence[tuple[Candidate, list[np.ndarray]]], found: Sequence[Try], most: int
-) -> list[tuple[Candidate, list[np.ndarray]]]:
-    """Candidates with their starting values, and those that a scan of contacts adds.
-
-    Args:
-      tries: of the linear scan.
-      found: of the scan of contacts, best first.
-      most: so many more, at most.
-    """
-    out = {candidate.name: (candidate, list(values)) for candidate, values in tries}
-    added = 0
-    for gain, candidate, values in found:
-        known = candidate.name in out
-        if gain <= 0 or (added >= most and not known):
-            continue
-        added += not known
-        out.setdefault(candidate.name, (candidate, []))[1].append(values)
-    return list(out.values())
 
 
 def _within(a: Place, b: Place) -> bool:

@@ -13,9 +13,10 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.abreast import abreast
 from btr_mjx.gap.calibration import softened, tolerance_draws
+from btr_mjx.gap.contact_leaders import contact_scan, judged_anew, with_contacts
 from btr_mjx.gap.effect import Effect, candidates
 from btr_mjx.gap.hypotheses import Hypothesis, refitted, unknowns
-from btr_mjx.gap.leaders import contact_scan, judged_anew, pick, starts, with_contacts
+from btr_mjx.gap.leaders import pick, starts
 from btr_mjx.gap.noise import estimate_noise
 from btr_mjx.gap.planning import Survey, plan, survey
 from btr_mjx.gap.prepared import prepare, scales_of, track_of
@@ -104,8 +105,7 @@ class Bench:
         self.fit, self.test = (Side(Windows(*own, self.counter), Nuisance.nothing(0, 0)) for own in (fit, test))
         self._start(note)
         note(f"signatures of {len(entries)} candidates")
-        rng = np.random.default_rng(0)
-        self._draws = tolerance_draws(self.base, self.candidates, dataset.tolerances, rng, _DRAWS)
+        self._draws = tolerance_draws(self.base, self.candidates, dataset.tolerances, np.random.default_rng(0), _DRAWS)
         self._known = known = [e for e in entries if not e.probe and tolerance_of(e.candidate, dataset.tolerances) > 0]
         self._loose = {entry.candidate.name: FIRST_TOLERANCE + i for i, entry in enumerate(known)}
         bare = Hypothesis((), ())  # what may be refitted is refitted on the other side only
