@@ -6,12 +6,16 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
+from gap_arm import arm
 
 from btr_mjx.gap import rounds
+from btr_mjx.gap.effect import Candidate
+from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.held_out import vouched
 from btr_mjx.gap.outcome import equivalent
 from btr_mjx.gap.places import WORLD
 from btr_mjx.gap.rounds import acceptable, accepted
+from btr_mjx.gap.scales import Scales
 
 
 @dataclass(frozen=True)
@@ -337,6 +341,19 @@ def test_what_is_smaller_than_any_simulation_is_not_called_by_name(least, expect
     assert is_accepted("b", 5000.0, 2000.0, least) is expected
 
 
+@pytest.mark.parametrize(
+    ("values", "within"),
+    [([0.003, -0.11], False), ([0.11, 0.0], False), ([0.003, -0.0035], True), ([-0.0045, 0.001], False)],
+)
+def test_a_slope_along_either_axis_is_larger_than_calibration_leaves(values, within):
+    slope = next(effect for effect in EFFECTS if effect.name == "ground_slope")
+    candidate = Candidate(slope, WORLD, slope.parameters(arm(), Scales.of(arm()), WORLD))
+    hypothesis = SimpleNamespace(effects=((candidate, values),))
+    judged = SimpleNamespace(widest=SimpleNamespace(hypothesis=hypothesis))
+    bench = SimpleNamespace(dataset=SimpleNamespace(tolerances={}))
+    assert rounds.within_calibration(bench, judged) is within
+
+
 @pytest.mark.parametrize(("size", "expected"), [(0.3, False), (0.5, True)])
 def test_calibration_is_asked_of_the_numbers_that_suit_all_windows(size, expected):
     assert is_accepted("b", 5000.0, 2000.0, size=size) is expected
@@ -362,7 +379,7 @@ def test_where_calibration_can_be_asked_a_limb_needs_less(monkeypatch, limb, exp
 
 def is_accepted(names, gain, held_out, least=0.0, fresh=0.0, size=1.0, place=None, explained=False, hopes=np.inf):
     """Beside an effect of 4000; a number costs 10, is 1 and has a tolerance of 0.1; `size` is it on more windows."""
-    first = [SimpleNamespace(tolerance=0.1, least=least)]
+    first = [SimpleNamespace(null=0.0, tolerance=0.1, least=least, shape=False)]
     place = place or SimpleNamespace(members=())
     effects = [
         (

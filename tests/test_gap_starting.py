@@ -208,6 +208,19 @@ def test_what_leads_has_its_limb_judged_anew(bench: Bench, monkeypatch: pytest.M
     assert asked.count(moving[1].name) == 0
 
 
+@pytest.mark.parametrize(("hope", "tried"), [(9.9, 2), (0.5, 1)])
+def test_what_the_linear_picture_shows_clearly_is_tried_larger(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, hope: float, tried: int
+) -> None:
+    """Even if a small size is worse than nothing on some windows."""
+    moving = next(c for c in bench.candidates if c.effect.name == "joint_offset")
+    row = 20.0, moving, moving.null + 0.005
+    asked = []
+    monkeypatch.setattr(bench.walks, "gain", lambda h: asked.append(h.effects[-1][1][0]) or -175.0)
+    judged_anew(bench.dataset.model, [row], bench.base, bench.walks, 0.0, {moving.name: hope})
+    np.testing.assert_allclose(asked, [0.005, 0.015][:tried])
+
+
 def test_a_scan_that_is_sure_is_not_repeated(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """No larger size of what it shows clearly, and fewer candidates on other limbs."""
     moving = bench.candidates[:5]

@@ -1,6 +1,6 @@
 """Which candidates that move contacts are refined, found by true simulation: linear pictures mislead there."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import mujoco
@@ -42,6 +42,10 @@ _WORSE = 60.0
 _ALL_WORSE = 600.0
 """The same of what acts on the world: all feet slip or touch at other times."""
 
+
+_HOPEFUL = 3.0
+"""Of `hopes`, beyond which a larger size is tried even where a small one is worse than nothing: a quarter of the
+windows are few, and one foot may touch at another time. A true softness had -175 there, 10 in the linear picture."""
 
 _KIN = 100.0
 """Gain of the best of a scan from which on all others on its limb are judged anew, and a smaller size is tried of what
@@ -115,7 +119,12 @@ def contact_scan(
 
 
 def judged_anew(
-    model: mujoco.MjModel, found: Sequence[Try], start: Hypothesis, walks: Walks, strongest: float
+    model: mujoco.MjModel,
+    found: Sequence[Try],
+    start: Hypothesis,
+    walks: Walks,
+    strongest: float,
+    hopes: Mapping[str, float] | None = None,
 ) -> list[Try]:
     """The best of a scan of contacts, judged with directions of their own, at two sizes.
 
@@ -125,6 +134,7 @@ def judged_anew(
       start: the believed model.
       walks: of the search.
       strongest: gain of the best other candidate.
+      hopes: gain of candidates in a linear scan, less their price, in prices of a number, by name; None for none.
 
     Returns:
       The same as `contact_scan`, with the better of both gains.
@@ -145,7 +155,7 @@ def judged_anew(
 
     def judged(candidate: Candidate, values: np.ndarray) -> list[Try]:
         first, rows = candidate.parameters[0], list[Try]()
-        related = any(candidate is row[1] for row in kin)
+        related = any(candidate is row[1] for row in kin) or (hopes or {}).get(candidate.name, 0.0) > _HOPEFUL
         for factor in (1.0, _AGAIN, 1.0 / _AGAIN):
             most = max((row[0] for row in rows), default=-np.inf)
             if factor > 1.0 and most < -_WORSE and not related:

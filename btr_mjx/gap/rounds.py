@@ -275,5 +275,7 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None, share: float = 
 def within_calibration(bench: Bench, judged: Judged) -> bool:
     """Whether the last effect is no larger than what calibration leaves, or than any simulation of its kind errs."""
     candidate, values = judged.widest.hypothesis.effects[-1]
-    tolerance = tolerance_of(candidate, bench.dataset.tolerances)
-    return abs(values[0] - candidate.null[0]) <= max(TOLERANCES * tolerance, candidate.parameters[0].least)
+    most = TOLERANCES * tolerance_of(candidate, bench.dataset.tolerances)
+    # A slope may be along either axis.
+    sizes = [(abs(value - p.null), p) for value, p in zip(values, candidate.parameters, strict=True) if not p.shape]
+    return all(size <= max(most, p.least) for size, p in sizes)

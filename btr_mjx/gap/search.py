@@ -215,7 +215,7 @@ class Bench:
             side = Side(sides[0].windows, self.free(sides[0]))
             scanned = contact_scan(side, start, moving, self.cut, residual, options.every)
             if not start.effects:
-                scanned = judged_anew(self.dataset.model, scanned, start, self.walks, strongest)
+                scanned = judged_anew(self.dataset.model, scanned, start, self.walks, strongest, self.hopes)
             tries = with_contacts(tries, scanned, options.contact_leaders)
         if not tries:
             return []
