@@ -10,6 +10,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.akin_effects import HARDENING_SPRING
 from btr_mjx.gap.effect import Parameter
 from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.gains import luckiest
 from btr_mjx.gap.held_out import foreseen
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.identify import identify, missing, strange
@@ -17,7 +18,6 @@ from btr_mjx.gap.leftover import Leftover
 from btr_mjx.gap.outcome import calibration_of, equivalent
 from btr_mjx.gap.places import Place
 from btr_mjx.gap.recordings import Believed
-from btr_mjx.gap.score import luckiest
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Options
 

@@ -14,10 +14,10 @@ from btr_mjx.gap import contact_leaders
 from btr_mjx.gap.contact_leaders import contact_scan, with_contacts
 from btr_mjx.gap.effect import candidates
 from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.gains import robust_gain
 from btr_mjx.gap.leaders import pick, starts
 from btr_mjx.gap.scales import Scales
 from btr_mjx.gap.scanner import Lead
-from btr_mjx.gap.score import robust_gain
 from btr_mjx.gap.screening import Entry
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Options, Side

@@ -5,13 +5,14 @@ import pytest
 from gap_arm import SIGMA, arm_windows
 
 from btr_mjx.gap.forces import ForceFit, Forces, circumstances, lack_of_fit
+from btr_mjx.gap.gains import without_wildest
 from btr_mjx.gap.hidden import make_case
 from btr_mjx.gap.hidden_robots import case_robot
 from btr_mjx.gap.nulls import doubtful, null_residual
 from btr_mjx.gap.prepared import prepare
 from btr_mjx.gap.propagation import jacobian
 from btr_mjx.gap.recordings import load
-from btr_mjx.gap.score import project, without_wildest
+from btr_mjx.gap.score import project
 from btr_mjx.gap.smoothing import Span
 from btr_mjx.gap.windows import Windows
 from btr_mjx.gap.worlds import World

@@ -8,10 +8,10 @@ import pytest
 from gap_arm import arm_windows, dataset
 
 from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.gains import robust_gain, trimmed_gain
 from btr_mjx.gap.places import WORLD
 from btr_mjx.gap.polish import Polisher
 from btr_mjx.gap.refine import Nuisance
-from btr_mjx.gap.score import robust_gain, trimmed_gain
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Options, Side, nearest
 from btr_mjx.gap.sizes import best_size
@@ -148,7 +148,7 @@ def test_one_more_effect_is_compared_with_what_was_found(bench: Bench) -> None:
             free(first.sides[i], h).profile(windows.residuals([h])[0], bench.cut)
             for h in (first.hypothesis, second.hypothesis)
         ]
-        falls.append(bench.fall(*fits))
+        falls.append(bench.fall(*fits, even=True))
     assert second.gain == pytest.approx(first.gain + falls[0], rel=1e-6)
     assert second.held_out == pytest.approx(first.held_out + falls[1], rel=1e-6)
     price = (first.gain + first.held_out - first.score) / first.hypothesis.numbers

@@ -4,8 +4,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from btr_mjx.gap.gains import fall, trimmed_gain
 from btr_mjx.gap.refine import Nuisance
-from btr_mjx.gap.score import Fit, bounded, evidence, fit, project, scan, spanned, steadied, trimmed_gain, weight
+from btr_mjx.gap.score import Fit, bounded, evidence, fit, project, scan, spanned, steadied, weight
 
 
 def problem(seed, windows=6, rows=15, columns=5):
@@ -153,3 +154,19 @@ def test_a_trimmed_gain_leaves_out_what_few_windows_say(windows):
         lucky[np.argmax(before - after)] += 500.0  # the luckiest one more so
         other = Fit(np.zeros(0), float(lucky.sum()) + 3.0, lucky, none)
         assert trimmed_gain(other, fits[1], 1e3) == pytest.approx(expected)
+
+
+@settings(max_examples=50)
+@given(st.lists(st.floats(-40.0, 40.0), min_size=9, max_size=30))
+def test_an_even_fall_favours_neither_of_two_fits(changes):
+    """Without the windows that gain and lose most it is the same both ways; a gain alone is never worth more."""
+    change = np.array(changes)
+    before, none = np.full(len(change), 100.0), np.zeros((0, 0))
+    fits = [Fit(np.zeros(0), float(c.sum()) + prior, c, none) for c, prior in ((before, 3.0), (before - change, 1.0))]
+    found = fall(*fits, 1e3, even=True)
+    assert found == pytest.approx(-fall(*fits[::-1], 1e3, even=True))
+    assert found >= fall(*fits, 1e3) - 1e-9
+    most = 15.0 + 3.0 * np.quantile(np.abs(change), 0.8)
+    steady = np.clip(change, -most, most)
+    middle = steady.sum() - max(steady.max(), 0.0) - min(steady.min(), 0.0)
+    assert found == pytest.approx(middle + 2.0)

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from btr_mjx.gap.effect import Candidate
+from btr_mjx.gap.gains import robust_gain
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.places import one_limb
 from btr_mjx.gap.polish import Polisher
 from btr_mjx.gap.refine import Nuisance, Unknowns, refine
-from btr_mjx.gap.score import robust_gain
 from btr_mjx.gap.screening import tolerance_of
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Judged, Side, nearest

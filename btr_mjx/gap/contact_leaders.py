@@ -8,9 +8,10 @@ import numpy as np
 
 from btr_mjx.gap.abreast import abreast
 from btr_mjx.gap.effect import Candidate
+from btr_mjx.gap.gains import robust_gain
 from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.places import WORLD, one_limb
-from btr_mjx.gap.score import project, robust_gain
+from btr_mjx.gap.score import project
 from btr_mjx.gap.search_records import Side
 from btr_mjx.gap.walks import Walks
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.score import without_wildest
+from btr_mjx.gap.gains import without_wildest
 from btr_mjx.gap.sensitivity import force_signatures, parts
 from btr_mjx.gap.windows import MakeWorld, Windows
 

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from btr_mjx.gap.score import bounded, luckiest
+from btr_mjx.gap.gains import luckiest
+from btr_mjx.gap.score import bounded
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Judged
 

@@ -13,8 +13,9 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.forces import Circumstances, ForceFit
+from btr_mjx.gap.gains import luckiest, robust_gain, without_wildest
 from btr_mjx.gap.refine import Nuisance
-from btr_mjx.gap.score import bounded, luckiest, robust_gain, steadied, weight, without_wildest
+from btr_mjx.gap.score import bounded, steadied, weight
 
 _CAP = 6.0
 """A window's excess counts up to so many standard deviations."""

@@ -12,10 +12,11 @@ from functools import partial
 import numpy as np
 
 from btr_mjx.gap.abreast import abreast
+from btr_mjx.gap.gains import robust_gain, trimmed_gain
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.places import WORLD
 from btr_mjx.gap.refine import Refined, refine
-from btr_mjx.gap.score import Fit, robust_gain, trimmed_gain
+from btr_mjx.gap.score import Fit
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Judged, Side, nearest
 from btr_mjx.gap.sizes import best_size

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from btr_mjx.gap.score import Evidence, Fit, fit, project, robust_gain
+from btr_mjx.gap.gains import robust_gain
+from btr_mjx.gap.score import Evidence, Fit, fit, project
 from btr_mjx.gap.windows import MakeWorld, Windows
 
 _PATIENCE = 3

@@ -13,11 +13,12 @@ from functools import partial
 import numpy as np
 
 from btr_mjx.gap.abreast import abreast
+from btr_mjx.gap.gains import robust_gain
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.places import WORLD
 from btr_mjx.gap.planning import grid
 from btr_mjx.gap.refine import refine
-from btr_mjx.gap.score import Fit, robust_gain
+from btr_mjx.gap.score import Fit
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Judged, Side, nearest
 from btr_mjx.gap.tangent import integrate
@@ -32,8 +33,8 @@ _WEAK = 60.0
 _WEAK_CONTACTS = 100.0
 """The same of one that changes contacts."""
 
-_HOPELESS = 0.0
-"""A leader with a lower score is not worth it: half of the robots that lack nothing have -10 to -6."""
+_HOPELESS = 3.0
+"""A leader with a lower score is not worth it: most robots that lack nothing have -11 to 0."""
 
 _RIVALS = 4
 """Rivals that take part, at most."""
@@ -205,7 +206,8 @@ def _one(bench: Bench, around: Side, judged: Judged, best: Judged, reference: Fi
         bench.nuisance(far, h).profile(residual, bench.cut),
     )
     before = reference, judged.before[1]
-    gain, held_out = (bench.fall(a, b) for a, b in zip(before, fits, strict=True))
+    even = judged.name not in bench.delicate
+    gain, held_out = (bench.fall(a, b, even=even) for a, b in zip(before, fits, strict=True))
     score = gain + held_out - np.log(side.windows.residual.size + far.windows.residual.size) * h.numbers
     wide = Judged(h, found, gain, held_out, score, residual, fits, (side, far), before, before)
     fall = robust_gain(alone, unseen, bench.cut) / bench.dispersion

@@ -15,6 +15,7 @@ from btr_mjx.gap.abreast import abreast
 from btr_mjx.gap.calibration import softened, tolerance_draws
 from btr_mjx.gap.contact_leaders import contact_scan, judged_anew, with_contacts
 from btr_mjx.gap.effect import Effect, candidates
+from btr_mjx.gap.gains import fall
 from btr_mjx.gap.hypotheses import Hypothesis, refitted, unknowns
 from btr_mjx.gap.leaders import pick, starts
 from btr_mjx.gap.noise import estimate_noise
@@ -23,7 +24,7 @@ from btr_mjx.gap.prepared import prepare, scales_of, track_of
 from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.refine import Nuisance, Refined, refine
 from btr_mjx.gap.scanner import Lead, Scanner
-from btr_mjx.gap.score import Fit, bounded, luckiest, robust_gain, typical
+from btr_mjx.gap.score import Fit, typical
 from btr_mjx.gap.screening import (
     FIRST_TOLERANCE,
     Entry,
@@ -275,23 +276,17 @@ class Bench:
         for hypothesis, refined, residual in zip(hypotheses, found, held, strict=True):
             along = self.free(sides[0], hypothesis), self.nuisance(sides[1], hypothesis)
             own = along[0].profile(refined.residual, self.cut), along[1].profile(residual, self.cut)
-            gain, held_out = (self.fall(a, b) for a, b in zip(before, own, strict=True))
+            even = hypothesis.effects[-1][0].name not in self.delicate
+            gain, held_out = (self.fall(a, b, even=even) for a, b in zip(before, own, strict=True))
             if given is not None:
                 gain, held_out = gain + given.gain, held_out + given.held_out
             score = gain + held_out + more - size * hypothesis.numbers
             out.append(Judged(hypothesis, refined, gain, held_out, score, residual, own, sides, reference, before))
         return sorted(out, key=lambda judged: -judged.score)
 
-    def fall(self, before: Fit, after: Fit, share: float = 1.0) -> float:
-        """Robust fall of the loss, without the window that gains most: one touchdown must not make a name.
-
-        Args:
-          before: the reference.
-          after: the other fit, of the same windows.
-          share: of all windows that these are; the fall is that of all.
-        """
-        best = luckiest(bounded(before.chi2, self.cut) - bounded(after.chi2, self.cut))
-        return (robust_gain(before, after, self.cut) / share - best) / self.dispersion
+    def fall(self, before: Fit, after: Fit, share: float = 1.0, even: bool = False) -> float:
+        """Robust fall of the loss, see `gains.fall`, in units of the dispersion."""
+        return fall(before, after, self.cut, share, even) / self.dispersion
 
     def costly(self) -> bool:
         """Whether so much has been spent that less is to be spent on what follows."""
