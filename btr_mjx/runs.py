@@ -23,7 +23,6 @@ whatever depends on the clock is kept out of checkpoints and tables:
         write_json(run.path / "result.json", summary(state))
 """
 
-import errno
 import os
 import weakref
 from collections.abc import Collection, Mapping, Sequence
@@ -38,9 +37,9 @@ from btr_mjx.configs import CONFIG_NAME, config_to_json, differences, read_confi
 from btr_mjx.environment import describe_environment, environment_changes
 from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.files import is_temporary, read_json, read_table, sync_folder, to_plain, write_json, write_table
+from btr_mjx.locks import LOCK_NAME, take_lock
 from btr_mjx.progress import note
 
-LOCK_NAME = ".lock"
 ENVIRONMENT_NAME = "environment.json"
 IGNORED_FIELDS = ("out", "resume", "progress")
 """Config fields that say where and how to run, not what comes out."""
@@ -49,40 +48,6 @@ IGNORED_FIELDS = ("out", "resume", "progress")
 def is_unused(folder: Path) -> bool:
     """Whether nothing was ever saved here: absent, empty, or left by a process killed before its first file."""
     return not folder.exists() or all(path.name == LOCK_NAME or is_temporary(path) for path in folder.iterdir())
-
-
-def take_lock(folder: Path) -> int | None:
-    """Lock a folder against other processes.
-
-    The operating system drops the lock with the process that holds it, however that ends. The lock file stays behind
-    and says nothing by its presence.
-
-    Returns:
-      A descriptor to close when done; None on systems without `flock`.
-
-    Raises:
-      InputError: another process (or this one, a second time) is writing to the folder.
-      OSError: the lock file cannot be opened.
-    """
-    try:
-        import fcntl
-    except ImportError:  # Windows
-        return None
-    descriptor = os.open(folder / LOCK_NAME, os.O_RDWR | os.O_CREAT, 0o644)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):  # a network drive that knows no locks
-            note(f"warning: {folder} cannot be locked ({error.strerror}); take care that one process writes to it")
-            return descriptor
-        holder = os.read(descriptor, 32).decode("ascii", "replace").strip() or "unknown"
-        os.close(descriptor)
-        raise InputError(
-            f"{folder} is in use by another run (process {holder}); wait for it, stop it or choose another --out"
-        ) from None
-    os.ftruncate(descriptor, 0)
-    os.write(descriptor, f"{os.getpid()}\n".encode("ascii"))
-    return descriptor
 
 
 class History:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from gap_arm import elbow_off
 
+from btr_mjx.gap import calibrated
 from btr_mjx.gap.calibrated import besides, beyond_calibration, limb_of
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.polish import Polisher
@@ -53,14 +54,34 @@ def test_what_calibration_knows_it_cannot_explain(bench: Bench, leading: Judged)
     assert beyond_calibration(bench, leading).gain == np.inf
 
 
+@pytest.mark.parametrize(
+    ("gains", "expected", "looks"),
+    [
+        ([30.7, 135.0, 101.0], 30.7, 2),  # new starting states happened to suit calibration worse
+        ([84.0, 20.0, 10.0], 10.0, 2),
+        ([300.0, 150.0], 150.0, 1),  # clear
+        ([10.0], 10.0, 0),
+    ],
+)
+def test_a_gain_beyond_calibration_is_there_at_every_look(
+    bench: Bench, leading: Judged, monkeypatch: pytest.MonkeyPatch, gains: list[float], expected: float, looks: int
+) -> None:
+    seen, suited = iter(gains), []
+    monkeypatch.setattr(calibrated._Both, "gain", lambda self: next(seen))
+    monkeypatch.setattr(calibrated._Both, "suit", lambda self, which: suited.append(which))
+    monkeypatch.setattr(calibrated._Both, "refine", lambda self: None)
+    assert beyond_calibration(touching(bench, 5e-3), leading).gain == expected
+    assert suited == [0, 1] * looks
+
+
 def test_what_calibration_explains_is_a_believed_model_for_others(bench: Bench, leading: Judged) -> None:
     """Where an offset is hardly known, calibration takes it over; the same offset beside it has nothing left to say."""
     own = touching(bench, 1.0)
-    calibrated = beyond_calibration(own, leading).calibrated
-    assert (calibrated.effects, calibrated.numbers, calibrated.name) == ((), 0, "nothing")
-    value = {c.name: v[0] for c, v in calibrated.calibration}["joint_offset@joint:elbow"]
+    believed = beyond_calibration(own, leading).calibrated
+    assert (believed.effects, believed.numbers, believed.name) == ((), 0, "nothing")
+    value = {c.name: v[0] for c, v in believed.calibration}["joint_offset@joint:elbow"]
     assert value == pytest.approx(leading.hypothesis.effects[0][1][0], rel=0.2)
-    (again,) = besides(bench, calibrated, [leading.hypothesis])
-    assert again.hypothesis.calibration == calibrated.calibration
+    (again,) = besides(bench, believed, [leading.hypothesis])
+    assert again.hypothesis.calibration == believed.calibration
     assert again.score < 5
-    assert besides(bench, calibrated, []) == []
+    assert besides(bench, believed, []) == []

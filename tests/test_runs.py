@@ -1,5 +1,6 @@
 import math
 import os
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -158,6 +159,17 @@ def test_damaged_config(tmp_path):
         RunFolder.create(tmp_path / "run", Config(), resume=True)
     with pytest.raises(InputError, match="there is no such folder"):
         read_config(tmp_path / "typo", Config)
+
+
+def test_a_lock_that_is_let_go_of_soon_is_waited_for(tmp_path):
+    """A killed run may leave what it was starting with its descriptors for a moment."""
+    run = RunFolder.create(tmp_path / "run", Config())
+    with pytest.raises(InputError, match="in use by another run"):
+        RunFolder.create(tmp_path / "run", Config(), resume=True)
+    timer = threading.Timer(0.2, run.close)
+    timer.start()
+    RunFolder.create(tmp_path / "run", Config(), resume=True).close()
+    timer.join()
 
 
 def test_one_writer_at_a_time(tmp_path):

@@ -48,7 +48,7 @@ class Beyond:
 
     Attributes:
       gain: robust fall of the loss where the number of the name is free, the prior of calibration included, in units of
-        the dispersion; infinity where there is nothing to compare with.
+        the dispersion, at the look where it is least; infinity where there is nothing to compare with.
       calibrated: the believed model with the limb's numbers as calibration lets them.
     """
 
@@ -111,7 +111,7 @@ def beyond_calibration(bench: Bench, judged: Judged) -> Beyond:
         both.suit(0)
         both.refine()
         both.suit(1)
-        looks, gain = looks + 1, both.gain()
+        looks, gain = looks + 1, min(gain, both.gain())
     calibrated = both.at(0)
     return Beyond(gain, replace(calibrated, effects=(), calibration=calibrated.effects))
 
