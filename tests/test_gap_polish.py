@@ -286,7 +286,7 @@ def test_what_gained_before_its_walk_need_not_gain_at_its_first_step() -> None:
 def test_one_more_effect_gets_half_and_less_where_the_first_has_cost_much() -> None:
     options = Options(steps=1e5, leaders=6, contact_leaders=4, every=2)
     assert options.fewer(False) == Options(steps=1e5, leaders=3, contact_leaders=2, every=4)
-    assert options.fewer(True) == Options(steps=1e5, leaders=2, contact_leaders=1, every=8, starts=2)
+    assert options.fewer(True) == Options(steps=1e5, leaders=2, contact_leaders=1, iterations=2, every=8, starts=2)
     assert Options(leaders=1).fewer(False).leaders == 1
     assert not options.much(155_000, 20)
     assert options.much(165_000, 20)

@@ -38,8 +38,9 @@ _PROMISING = 15.0
 _CLEAR = 100.0
 """Gain in windows that suit both beyond which nobody looks again."""
 
-_LOOKS = 2
-"""Times that starting states are found which suit both: with their first ones a name is ahead by up to 50."""
+_LOOKS = 2, 1
+"""Times that starting states are found which suit both: with their first ones a name is ahead by up to 50. And where
+much has been spent already."""
 
 
 @dataclass(frozen=True)
@@ -106,8 +107,8 @@ def beyond_calibration(bench: Bench, judged: Judged) -> Beyond:
         (tied, free),
         [end, _at_best(judged.sides[0], along, bench.cut, free, [*starts, end], _ITERATIONS)],
     )
-    looks, gain = 0, both.gain()
-    while looks < _LOOKS and gain >= _PROMISING and not (looks and gain > _CLEAR):
+    looks, gain, most = 0, both.gain(), _LOOKS[bench.costly()]
+    while looks < most and gain >= _PROMISING and not (looks and gain > _CLEAR):
         both.suit(0)
         both.refine()
         both.suit(1)

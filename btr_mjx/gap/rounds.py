@@ -59,8 +59,9 @@ DOUBTFUL = 600.0
 """Score of what moves contacts below which calibration of its limb must not explain as much: a simulated robot that
 lacked nothing came to 443 where a leg touched early or late all the time."""
 
-_BESIDES = 3
-"""Candidates that are judged again beside calibration that explains the leader, at most."""
+_BESIDES = 3, 1
+"""Candidates that are judged again beside calibration that explains the leader, at most; and where much has been spent
+already."""
 
 HELD_OUT = 3.0
 """Gain that a name needs on held-out recordings, and on those that were fitted."""
@@ -144,7 +145,7 @@ def _calibrated(bench: Bench, judged: list[Judged]) -> list[Judged]:
     if beyond.gain >= BEYOND:
         return judged
     leader = replace(judged[0], explained=True)
-    others = [j for j in judged[1:] if j.score > 0 and not limb_of(bench, j)][:_BESIDES]
+    others = [j for j in judged[1:] if j.score > 0 and not limb_of(bench, j)][: _BESIDES[bench.costly()]]
     again = acceptable(bench, besides(bench, beyond.calibrated, [j.hypothesis for j in others]), None)
     if not again or not accepted(bench, again[0], None):
         return [leader, *judged[1:]]

@@ -230,7 +230,7 @@ class Bench:
             [self.free(sides[0], own) for own, _ in hypotheses],
             self.cut,
             [(unknowns(own, self.joint, self.delicate), tries) for own, tries in hypotheses],
-            [1 if c.name in self.delicate else self.options.iterations for c, _ in tries],
+            [1 if c.name in self.delicate else options.iterations for c, _ in tries],
             (self.reference if given is None else given.fits)[0],
         )
         refined = [own.replaced(r.values, self.joint) for (own, _), r in zip(hypotheses, found, strict=True)]

@@ -1,7 +1,7 @@
 """Records of the search: what it may cost, the two sides of the split, a judged hypothesis."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -38,9 +38,10 @@ class Options:
     def fewer(self, costly: bool) -> "Options":
         """What is spent on one more effect: about half, and less where the first one was costly."""
         plain, contacts = (3, 4) if costly else (2, 2)
+        iterations = max(1, self.iterations - 1) if costly else self.iterations
         leaders, moving = max(1, self.leaders // plain), self.contact_leaders // contacts
         every, starts = contacts * self.every, 2 * self.starts if costly else self.starts
-        return replace(self, leaders=leaders, contact_leaders=moving, every=every, starts=starts)
+        return Options(self.steps, leaders, moving, iterations, every, starts)
 
     def much(self, steps: int, nv: int) -> bool:
         """Whether a search has cost so many simulated steps that less is to be spent on what follows."""

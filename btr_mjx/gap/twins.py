@@ -27,7 +27,8 @@ _HOPE = 5.0
 """Gain on the recordings to fit that is worth a closer look."""
 
 _FIRST, _REST = 1, 2
-"""Steps of a refinement of every start, and of those that are refined to the end."""
+"""Steps of a refinement of every start, and of those that are refined to the end, unless much has been spent already:
+the best of them is refined once more when it is judged."""
 
 _REFINED = 2
 """Starts that are, at most: after one step the best of them is hardly ever behind two others."""
@@ -65,7 +66,7 @@ def twin(bench: Bench, judged: Judged) -> Judged | None:
         return None
     side = judged.sides[0]
     reference = bench.free(side, judged.hypothesis).profile(judged.refined.residual, bench.cut)
-    for steps in (_FIRST, _REST):
+    for steps in (_FIRST,) if bench.costly() else (_FIRST, _REST):
         found = refine(
             side.windows,
             [bench.free(side, h) for h in tries],
