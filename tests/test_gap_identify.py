@@ -8,6 +8,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.akin_effects import HARDENING_SPRING
+from btr_mjx.gap.bodies import AtBody
 from btr_mjx.gap.effect import Parameter
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.gains import luckiest
@@ -223,17 +224,23 @@ def test_two_effects_at_once():
     assert {named.name for named in found.effects} == {"viscous_damping@joint:elbow", "armature@joint:shoulder"}
 
 
-def left_by(gains, dispersion=1.0, told=None):
-    """A check in which hypotheses leave given gains at one joint; 45 may be chance."""
+def left_by(gains, dispersion=1.0, told=None, body=None):
+    """A check in which hypotheses leave given gains at one joint, of which 45 may be chance, and this at a body."""
     left = {gain: Leftover(np.array([0.0]), np.array([0.0]), left, None) for gain, left in gains.items()}
     bench = SimpleNamespace(dispersion=dispersion, delicate=frozenset())
     return SimpleNamespace(
-        bench=bench, gain=45.0, excess=5.5, left=lambda judged: left[judged.gain], told=lambda _: told
+        bench=bench,
+        gain=45.0,
+        excess=5.5,
+        excess_at_body=4.0,
+        left=lambda judged: left[judged.gain],
+        at_body=lambda _: body or AtBody(),
+        told=lambda _: told,
     )
 
 
 def gained(gain):
-    return SimpleNamespace(gain=gain, hypothesis=SimpleNamespace(effects=()))
+    return SimpleNamespace(gain=gain, held_out=0.5 * gain, hypothesis=SimpleNamespace(effects=()))
 
 
 @pytest.mark.parametrize(
@@ -262,6 +269,14 @@ def test_a_name_must_explain_most_of_a_lack_of_fit():
 def test_a_name_is_none_where_held_out_recordings_know_of_something_else():
     named = [gained(1000.0)]
     assert missing(left_by({1000.0: 0.0}, told="position cubed"), named, 0.9, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("excess", "chi2", "expected"), [(3.9, 500.0, False), (4.1, 500.0, True), (4.1, 89.0, False), (4.1, 91.0, True)]
+)
+def test_what_a_name_may_leave_at_a_body_that_floats(excess, chi2, expected):
+    check = left_by({1000.0: 0.0}, body=AtBody(1, excess, chi2))
+    assert missing(check, [gained(1000.0)], 0.9, 0.0) is expected
 
 
 def unnamed(score, offset):
@@ -296,7 +311,9 @@ def test_what_may_not_be_named_may_still_be_missing(score, size, beside, expecte
     rival = None if beside is None else SimpleNamespace(score=score + beside)
     assert strange(check, best, rival) is expected
     if not expected:
-        check.told = lambda _: "position cubed"
+        check.at_body = lambda _: AtBody(1, 4.1, 50.0)
+        assert strange(check, best, rival)
+        check.at_body, check.told = lambda _: AtBody(), lambda _: "position cubed"
         assert strange(check, best, rival)
 
 

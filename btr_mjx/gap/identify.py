@@ -208,6 +208,9 @@ def missing(check: Check, named: Sequence[Judged], share: float, surprise: float
         return True
     if plain(check.bench, named[-1]) and surprise > REST and share < REST_SHARE:
         return True
+    there = check.at_body(named[-1])
+    if there.excess > check.excess_at_body and there.chi2 > LEFT_SHARE * (named[-1].gain + named[-1].held_out):
+        return True
     left, most = check.left(named[-1]), LEFT_SHARE * named[-1].gain
     return left.gain > max(check.gain, most) or (left.worst > check.excess and float(left.chi2.max()) > most)
 
@@ -230,5 +233,6 @@ def strange(check: Check, best: Judged | None, rival: Judged | None = None) -> b
         check.surprise(judged) > SURPRISE
         or left.gain > check.gain
         or left.worst > check.excess
+        or check.at_body(judged).excess > check.excess_at_body
         or check.told(judged) is not None
     )

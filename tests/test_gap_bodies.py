@@ -1,0 +1,76 @@
+import mujoco
+import numpy as np
+import pytest
+from gap_arm import arm_windows
+
+from btr_mjx.gap.bodies import Bodies, floating
+from btr_mjx.gap.forces import ForceFit, circumstances, lack_of_fit
+from btr_mjx.gap.hidden import make_case
+from btr_mjx.gap.hidden_robots import case_robot
+from btr_mjx.gap.prepared import prepare
+from btr_mjx.gap.recordings import load
+from btr_mjx.gap.score import project
+from btr_mjx.gap.smoothing import Span
+from btr_mjx.gap.windows import Windows
+from btr_mjx.gap.world import World
+
+
+def noise_of(windows: Windows, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return project(rng.standard_normal(windows.residual.shape), windows.basis)
+
+
+def test_bodies_with_a_free_joint_float() -> None:
+    quadruped = case_robot("quadruped").model
+    assert floating(quadruped) == {quadruped.body("trunk").id: [0, 1, 2, 3, 4, 5]}
+    assert floating(case_robot("pendulum").model) == {}
+    two = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><joint type='hinge'/><geom size='.1'/></body><body><freejoint/><geom size='.1'/>"
+        "</body></worldbody></mujoco>"
+    )
+    assert floating(two) == {2: [1, 2, 3, 4, 5, 6]}
+
+
+def test_forces_at_some_degrees_of_freedom_explain_what_least_squares_do() -> None:
+    windows = arm_windows()
+    fit = ForceFit(windows, circumstances(windows, World.of))
+    residual = noise_of(windows, 3)
+    own = fit.at([1])
+    found = own(residual)
+    assert found.value.shape == (len(windows), fit.bins, 1)
+    for w, columns in enumerate(fit.columns.reshape(len(windows), *fit.shape, -1)[:, 1].astype(float)):
+        best = np.linalg.lstsq(columns.T, residual[w], rcond=1e-3)[0]
+        left = residual[w] - columns.T @ best
+        assert found.explained[w] == pytest.approx((residual[w] ** 2).sum() - (left**2).sum(), rel=1e-3)
+    assert fit.shape == (2, fit.bins)  # as it was
+
+
+def test_what_is_left_along_three_axes_shows_on_all_of_them_together(tmp_path) -> None:
+    """A little of a force along x and z and of a torque about y, in every window, as the signatures have it."""
+    make_case(tmp_path, 906, "quadruped", verdict="none", background=0.0, recordings=(1, 1), duration=1.0)
+    data = load(tmp_path)
+    sigma = np.concatenate(case_robot("quadruped").sigma(data.fit[0].model))
+    prepared = prepare(data.fit, data.interpolation, sigma, Span(5, 4))
+    k = round(0.04 / float(np.median(np.diff(data.fit[0].time))))
+    first = np.arange(k, len(data.fit[0].time) - k - 6, k)
+    windows = Windows(prepared, np.zeros(len(first), int), first, k)
+    windows.linearise(World.of)
+    fit = ForceFit(windows, circumstances(windows, World.of))
+    bodies = Bodies(data.model, [fit, fit])
+    noise = [noise_of(windows, seed) for seed in (1, 2)]
+    assert abs(bodies(noise).excess) < 3.0
+
+    columns = fit.columns.reshape(len(windows), *fit.shape, -1)
+    rng, some = np.random.default_rng(4), np.zeros_like(noise[0])
+    for dof in (0, 2, 4):
+        push = np.einsum("wb,wbr->wr", rng.standard_normal((len(windows), fit.bins)), columns[:, dof])
+        some += 4.0 * push / np.linalg.norm(push, axis=1, keepdims=True)
+    pushed = [project(one + some, windows.basis) for one in noise]
+    found = bodies(pushed)
+    assert found.body == data.model.body("trunk").id
+    single = [lack_of_fit([fit.at([dof])(residual) for residual in pushed]) for dof in range(6)]
+    assert found.excess > max(6.0, *single)
+    assert found.chi2 > 0.5 * sum(((p**2).sum() - (n**2).sum()) for p, n in zip(pushed, noise, strict=True))
+    arm = arm_windows()
+    alone = Bodies(case_robot("arm").model, [ForceFit(arm, circumstances(arm, World.of))])
+    assert alone([noise_of(arm, 1)]).body is None
