@@ -32,7 +32,7 @@ _LEAST_EXCESS = 5.5
 """Excess at one joint that may be chance, at least, in standard deviations."""
 
 _LEAST_AT_BODY = 4.0
-"""Excess at a body that floats that may be chance, at least. Of 20 simulated robots with nothing missing, or something
+"""Excess at a body that floats that may be chance, at least. Of 19 simulated robots with nothing missing, or something
 in the library that was named, the most was 1.5; of three with a load that swings the least was 4.5."""
 
 _LEAST_GAIN = 45.0
