@@ -1,12 +1,16 @@
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
 from gap_arm import arm_windows
 
-from btr_mjx.gap.bodies import Bodies, floating
+from btr_mjx.gap import check
+from btr_mjx.gap.bodies import AtBody, Bodies, floating
 from btr_mjx.gap.forces import ForceFit, circumstances, lack_of_fit
 from btr_mjx.gap.hidden import make_case
 from btr_mjx.gap.hidden_robots import case_robot
+from btr_mjx.gap.leftover import Feature, Leftover
 from btr_mjx.gap.prepared import prepare
 from btr_mjx.gap.recordings import load
 from btr_mjx.gap.score import project
@@ -74,3 +78,30 @@ def test_what_is_left_along_three_axes_shows_on_all_of_them_together(tmp_path) -
     arm = arm_windows()
     alone = Bodies(case_robot("arm").model, [ForceFit(arm, circumstances(arm, World.of))])
     assert alone([noise_of(arm, 1)]).body is None
+
+
+@pytest.mark.parametrize(
+    ("excess", "joint", "expected"), [(4.1, 0.0, "body:trunk"), (3.9, 0.0, None), (9.0, 50.0, "fl_")]
+)
+def test_what_acts_at_a_joint_is_told_there(monkeypatch, excess, joint, expected) -> None:
+    """A force at a joint pulls at the trunk as well; the trunk is told where no joint is."""
+    monkeypatch.setattr(check, "describe", lambda *_: [])
+    model = case_robot("quadruped").model
+    feature = Feature(6, "ripple", None, np.zeros((1, 1)))
+    stub = SimpleNamespace(
+        bench=SimpleNamespace(dataset=SimpleNamespace(model=model)),
+        around=[None],
+        gain=45.0,
+        excess_at_body=4.0,
+        left=lambda _: Leftover(np.zeros(1), np.zeros(1), joint, feature),
+        told=lambda _: None,
+        at_body=lambda _: AtBody(model.body("trunk").id, excess, 90.0),
+        _fit=lambda *_: None,
+        _forces=lambda *_: None,
+    )
+    said = check.Check.words(stub, None)  # type: ignore[arg-type]
+    assert len(said) == (expected is not None)
+    if expected == "body:trunk":
+        assert said[0].startswith(f"body:trunk: forces and torques on the body explain {excess} standard deviations")
+    elif expected:
+        assert said[0].endswith("a force there follows ripple, as no effect that was tried does")

@@ -233,8 +233,9 @@ class Check:
         feature = left.feature if left.gain > self.gain else self.told(judged)
         telling = [] if feature is None else [telling_sentence(feature, names)]
         there = self.at_body(judged)
-        if there.body is not None and there.excess > self.excess_at_body:
-            telling.append(body_sentence(there, self.bench.dataset.model))
+        if not telling and there.body is not None and there.excess > self.excess_at_body:
+            # What acts at a joint acts on the trunk as well, and is told there.
+            telling = [body_sentence(there, self.bench.dataset.model)]
         return (*telling, *(sentence(d, names) for d in found))
 
 
