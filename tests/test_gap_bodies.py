@@ -105,3 +105,20 @@ def test_what_acts_at_a_joint_is_told_there(monkeypatch, excess, joint, expected
         assert said[0].startswith(f"body:trunk: forces and torques on the body explain {excess} standard deviations")
     elif expected:
         assert said[0].endswith("a force there follows ripple, as no effect that was tried does")
+
+
+def test_a_trunk_is_asked_beside_a_name_that_moves_no_contacts() -> None:
+    def at_body(name: str | None) -> AtBody:
+        effect = SimpleNamespace(name=name)
+        judged = None if name is None else SimpleNamespace(hypothesis=SimpleNamespace(effects=((effect, ()),)))
+        stub = SimpleNamespace(
+            bench=SimpleNamespace(delicate={"joint_offset@joint:fl_knee"}),
+            fits=[1, 2],
+            _fit=lambda i, _: i + 1,
+            _bodies=lambda residuals: AtBody(1, 5.0, 90.0),
+            _residual=lambda *_: np.zeros((1, 1)),
+        )
+        return check.Check.at_body(stub, judged)  # type: ignore[arg-type]
+
+    assert at_body("payload@body:trunk") == AtBody(1, 5.0, 90.0)
+    assert at_body("joint_offset@joint:fl_knee") == at_body(None) == AtBody()

@@ -311,9 +311,7 @@ def test_what_may_not_be_named_may_still_be_missing(score, size, beside, expecte
     rival = None if beside is None else SimpleNamespace(score=score + beside)
     assert strange(check, best, rival) is expected
     if not expected:
-        check.at_body = lambda _: AtBody(1, 4.1, 50.0)
-        assert strange(check, best, rival)
-        check.at_body, check.told = lambda _: AtBody(), lambda _: "position cubed"
+        check.told = lambda _: "position cubed"
         assert strange(check, best, rival)
 
 

@@ -233,6 +233,5 @@ def strange(check: Check, best: Judged | None, rival: Judged | None = None) -> b
         check.surprise(judged) > SURPRISE
         or left.gain > check.gain
         or left.worst > check.excess
-        or check.at_body(judged).excess > check.excess_at_body
         or check.told(judged) is not None
     )
