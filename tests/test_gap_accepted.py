@@ -1,0 +1,165 @@
+"""Who may be called by name, on stand-ins for judged candidates."""
+
+from types import SimpleNamespace
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+from gap_arm import arm
+
+from btr_mjx.gap import rounds
+from btr_mjx.gap.effect import Candidate
+from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.held_out import vouched
+from btr_mjx.gap.places import WORLD
+from btr_mjx.gap.rounds import accepted
+from btr_mjx.gap.scales import Scales
+
+
+@pytest.mark.parametrize(
+    ("names", "gain", "held_out", "expected"),
+    [
+        ("b", 20.0, 6.0, True),
+        ("b", 20.0, 2.0, False),  # not seen where it was not fitted
+        ("b", 9.0, 4.0, False),  # worth no more than its price
+        ("b", 900.0, 25.0, False),  # too little held out beside what was fitted
+        ("b", 900.0, 40.0, True),
+        ("b", 5000.0, 150.0, True),  # little beside that, but certain: a limit that few recordings reach
+        ("m", 80.0, 20.0, False),  # contacts are a matter of chance
+        ("m", 90.0, 40.0, True),
+        ("m", 120.0, 40.0, False),  # and one side has it all
+        ("m", 400.0, 50.0, True),  # but this is enough
+        ("ab", 40.0, 20.0, True),
+        ("ab", 30.0, 10.0, False),  # less than 1 % of the first effect
+        ("ab", 16.0, 10.0, False),  # enough for a first effect
+        ("am", 100.0, 20.0, False),
+        ("am", 110.0, 40.0, True),
+        ("mb", 60.0, 20.0, False),  # less than 2 % of a first effect that moves contacts
+        ("mb", 80.0, 20.0, True),
+    ],
+)
+def test_what_may_be_called_by_name(names, gain, held_out, expected):
+    assert is_accepted(names, gain, held_out) is expected
+
+
+@pytest.mark.parametrize(
+    ("gain", "held_out", "fresh", "expected"),
+    [
+        (20.0, 1.0, 0.0, False),
+        (20.0, 1.0, 8.0, True),  # seen in fresh windows instead
+        (-8.0, 60.0, 0.0, False),
+        (-8.0, 60.0, 40.0, True),  # those are of the recordings to fit
+        (40.0, 6.0, -5.0, False),
+    ],
+)
+def test_fresh_windows_have_a_say(gain, held_out, fresh, expected):
+    assert is_accepted("b", gain, held_out, fresh=fresh) is expected
+
+
+@pytest.mark.parametrize(
+    ("name", "held_out", "hopes", "expected"),
+    [
+        ("b", 6.0, 10.0, True),  # held-out recordings hardly see it, and what they see is there
+        ("b", 6.0, 14.0, False),
+        ("b", 2.0, 3.0, False),
+        ("b", 25.0, 1e3, False),
+        ("m", 6.0, 10.0, False),  # contacts are a matter of chance
+    ],
+)
+def test_held_out_recordings_need_not_gain_more_than_a_name_foresees(name, held_out, hopes, expected):
+    assert is_accepted(name, 900.0, held_out, hopes=hopes) is expected
+
+
+@pytest.mark.parametrize(("least", "expected"), [(0.9, True), (1.1, False)])
+def test_what_is_smaller_than_any_simulation_is_not_called_by_name(least, expected):
+    assert is_accepted("b", 5000.0, 2000.0, least) is expected
+
+
+@pytest.mark.parametrize(
+    ("values", "within"),
+    [([0.003, -0.11], False), ([0.11, 0.0], False), ([0.003, -0.0035], True), ([-0.0045, 0.001], False)],
+)
+def test_a_slope_along_either_axis_is_larger_than_calibration_leaves(values, within):
+    slope = next(effect for effect in EFFECTS if effect.name == "ground_slope")
+    candidate = Candidate(slope, WORLD, slope.parameters(arm(), Scales.of(arm()), WORLD))
+    hypothesis = SimpleNamespace(effects=((candidate, values),))
+    judged = SimpleNamespace(widest=SimpleNamespace(hypothesis=hypothesis))
+    bench = SimpleNamespace(dataset=SimpleNamespace(tolerances={}))
+    assert rounds.within_calibration(bench, judged) is within
+
+
+@pytest.mark.parametrize(("size", "expected"), [(0.3, False), (0.5, True)])
+def test_calibration_is_asked_of_the_numbers_that_suit_all_windows(size, expected):
+    assert is_accepted("b", 5000.0, 2000.0, size=size) is expected
+
+
+@pytest.mark.parametrize(("place", "expected"), [(WORLD, True), (None, False)])
+def test_the_ground_needs_less_than_the_contacts_of_a_limb(place, expected):
+    assert is_accepted("m", 40.0, 20.0, place=place) is expected
+    assert is_accepted("m", 30.0, 15.0, place=place) is False
+    assert is_accepted("am", 40.0, 20.0, place=place) is False
+
+
+@pytest.mark.parametrize(("limb", "expected"), [("", False), ("m", False), ("mn", True)])
+def test_where_calibration_can_be_asked_a_limb_needs_less(monkeypatch, limb, expected):
+    monkeypatch.setattr("btr_mjx.gap.rounds.limb_of", lambda bench, judged: list(limb))
+    assert is_accepted("m", 40.0, 20.0) is expected
+    assert is_accepted("m", 50.0, 10.0) is expected  # less than contacts need held out
+    assert is_accepted("m", 30.0, 15.0) is False
+    assert is_accepted("m", 50.0, 2.0) is False
+    assert is_accepted("am", 40.0, 20.0) is False
+    assert is_accepted("m", 500.0, 200.0, explained=True) is False
+
+
+def is_accepted(names, gain, held_out, least=0.0, fresh=0.0, size=1.0, place=None, explained=False, hopes=np.inf):
+    """Beside an effect of 4000; a number costs 10, is 1 and has a tolerance of 0.1; `size` is it on more windows."""
+    first = [SimpleNamespace(null=0.0, tolerance=0.1, least=least, shape=False)]
+    place = place or SimpleNamespace(members=())
+    effects = [
+        (
+            SimpleNamespace(name=name, null=[0.0], parameters=first, place=place, effect=SimpleNamespace(name=name)),
+            (1.0,),
+        )
+        for name in names
+    ]
+    given = SimpleNamespace(score=4000.0, gain=2500.0, held_out=1510.0) if len(names) > 1 else None
+    before = (given.score, given.gain, given.held_out) if given else (0.0, 0.0, 0.0)
+    judged = SimpleNamespace(
+        score=before[0] + gain + held_out + fresh - 10.0,
+        gain=before[1] + gain,
+        held_out=before[2] + held_out,
+        fresh=fresh,
+        hypothesis=SimpleNamespace(effects=effects),
+        before=fits([9.0], [9.0]),
+        fits=fits([9.0], [0.0]),
+        explained=explained,
+    )
+    more = [(candidate, (size,)) for candidate, _ in effects]
+    judged.widest = SimpleNamespace(hypothesis=SimpleNamespace(effects=more))
+    side = SimpleNamespace(windows=range(20))
+    data = SimpleNamespace(tolerances={}, model=None)
+    bench = SimpleNamespace(delicate={"m"}, dispersion=1.0, fit=side, test=side, dataset=data, candidates=())
+    with patch("btr_mjx.gap.rounds.foreseen", return_value=hopes):
+        return accepted(bench, judged, given)
+
+
+def fits(*chi2):
+    return tuple(SimpleNamespace(chi2=np.array(side)) for side in chi2)
+
+
+@pytest.mark.parametrize(
+    ("falls", "held", "expected"),
+    [
+        ([300.0, 0.0, 20.0, 10.0], 0.1, True),  # without the first recording 30 are left
+        ([300.0, 30.0, 0.0, 0.0], 0.1, False),  # both of the same recording
+        ([300.0, 0.0, 20.0, 10.0], 4.0, False),  # held-out recordings do have a say
+        ([300.0, 0.0, 20.0, 10.0], -4.0, False),
+        ([300.0, 0.0, 20.0, -10.0], 0.1, False),
+    ],
+)
+def test_several_recordings_vouch_for_what_those_held_out_do_not_know(falls, held, expected):
+    windows = SimpleNamespace(recording=np.array([0, 0, 1, 2]))
+    bench = SimpleNamespace(cut=1e6, fit=SimpleNamespace(windows=windows))
+    before, after = [500.0, 400.0], 500.0 - np.array(falls)
+    judged = SimpleNamespace(before=fits([500.0] * 4, before), fits=fits(after, [500.0, 400.0 - held]))
+    assert vouched(bench, judged, 3.0, 15.0) is expected
