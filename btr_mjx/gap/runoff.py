@@ -119,7 +119,7 @@ def _unseen(bench: Bench) -> Windows | None:
 
 def _affordable(bench: Bench, windows: Windows) -> int:
     """How many fresh windows may be looked at."""
-    left = _SPENT * bench.options.budget(windows.nv) - bench.counter.steps
+    left = _SPENT * bench.options.budget(windows.nv) - bench.counter.asked
     steps = _PASSES * float(windows.since[:, -1].mean()) / windows.step
     return int(np.clip(left / steps, 0, _MOST))
 

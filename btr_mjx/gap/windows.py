@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 import mujoco
 import numpy as np
 
+from btr_mjx.gap.memory import Memory, remembered
 from btr_mjx.gap.prepared import Data
 from btr_mjx.gap.propagation import jacobian
 from btr_mjx.gap.score import project, spanned
@@ -20,7 +21,7 @@ from btr_mjx.gap.starting import centred
 from btr_mjx.gap.tangent import difference
 from btr_mjx.gap.time_steps import paced, step_error
 from btr_mjx.gap.transitions import strangeness, stride, transitions
-from btr_mjx.gap.worlds import Counter, Job, Stretch, World, simulate
+from btr_mjx.gap.worlds import Counter, Stretch, World
 
 MakeWorld = Callable[[mujoco.MjModel], World]
 """The world of a hypothesis, given the believed model of a recording."""
@@ -61,13 +62,14 @@ class Windows:
       freedom: residual degrees of freedom of a window.
       base: (W, k + 1, nq + nv) states of the base world from the starting states.
       maker: the hypothesis that they are of.
+      memory: what was simulated in them and their copies.
     """
 
     def __init__(
         self, data: Data, recording: np.ndarray, first: np.ndarray, k: int, counter: Counter | None = None
     ) -> None:
         self.data, self.recording, self.first, self.k = data, np.asarray(recording), np.asarray(first), k
-        self.counter = counter or Counter()
+        self.counter, self.memory = counter or Counter(), Memory()
         index = self.first[:, None] + np.arange(k + 1)
         pick = [data.recordings[r] for r in self.recording]
         self.time = np.stack([r.time[i] for r, i in zip(pick, index, strict=True)])
@@ -152,22 +154,8 @@ class Windows:
         Returns:
           For each hypothesis states (N, k + 1, nq + nv).
         """
-        qpos, qvel = start or (self.qpos, self.qvel)
-        wanted = np.ones(len(self), bool) if own is None else np.isin(np.arange(len(self)), own)
-        groups = [(model, mine[wanted[mine]]) for model, mine in self.groups]
-        groups = [(model, mine) for model, mine in groups if len(mine)]
-        stretches = [self.stretch(mine, qpos[mine], qvel[mine], self.since[mine]) for _, mine in groups]
-        jobs: list[Job] = []
-        for make in makes:
-            jobs += [(make(model), s) for (model, _), s in zip(groups, stretches, strict=True)]
-        found = simulate(jobs, timestep=timestep or self.step, counter=self.counter)
-        out = []
-        for i in range(len(makes)):
-            states = np.empty((len(self), self.k + 1, self.nq + self.nv))
-            for j, (_, mine) in enumerate(groups):
-                states[mine] = found[i * len(groups) + j]
-            out.append(states if own is None else states[own])
-        return out
+        rows = np.arange(len(self)) if own is None else own
+        return remembered(self, makes, rows, start or (self.qpos, self.qvel), timestep or self.step)
 
     def whiten(self, states: np.ndarray, own: np.ndarray | slice = slice(None)) -> np.ndarray:
         """States of windows `own` minus their data in units of the noise, (W, R)."""
