@@ -51,14 +51,11 @@ def test_answers_are_those_of_the_question_and_none_is_found_twice(asked, most: 
 
         if not rows:
             continue
-        before = set(simulated)
-        for question, (states, known) in zip(
-            questions, memory(questions, [bytes([r]) for r in rows], find), strict=True
-        ):
+        before, so_far = set(simulated), len(simulated)
+        for question, states in zip(questions, memory(questions, [bytes([r]) for r in rows], find), strict=True):
             np.testing.assert_array_equal(states, [[question, row] for row in rows])
-            assert all((question, row) in before for row, there in zip(rows, known, strict=True) if there)
-            if most > 1000:
-                assert list(known) == [(question, row) in before for row in rows]
+        if most > 1000:
+            assert not before & set(simulated[so_far:])
         assert memory.bytes <= most
 
 
@@ -67,16 +64,14 @@ def test_only_windows_that_start_elsewhere_are_simulated_again(windows: Windows)
     start = windows.qpos.copy(), windows.qvel.copy()
     start[1][::2] += SIGMA[2:]
     moved = len(start[1][::2])
-    counted, spared = windows.counter.steps, windows.counter.spared
+    assert 0 < moved < len(windows)
+    counted = windows.counter.steps
     states = windows.states([damped], start=start)[0]
-    each = round(windows.since[0, -1] / windows.step)
-    assert windows.counter.steps - counted == moved * each
-    assert windows.counter.spared - spared == (len(windows) - moved) * each
+    assert windows.counter.steps - counted == moved * round(windows.since[0, -1] / windows.step)
     np.testing.assert_array_equal(states, forgetful(windows, [damped], start=start)[0])
-    asked = windows.counter.asked
+    counted = windows.counter.steps
     np.testing.assert_array_equal(windows.states([damped], start=start)[0], states)
-    assert windows.counter.steps - counted == moved * each + len(windows) * each  # the forgetful ones' beside its own
-    assert windows.counter.asked == asked + len(windows) * each
+    assert windows.counter.steps == counted
 
 
 def test_another_hypothesis_or_time_step_is_another_question(windows: Windows) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.stretches import Job, Stretch, stages
+from btr_mjx.gap.stretches import Job, Stretch
 from btr_mjx.gap.worlds import World, simulate
 
 if TYPE_CHECKING:
@@ -37,9 +37,7 @@ class Memory:
         self._known: dict[Hashable, dict[bytes, np.ndarray]] = {}
         self._lock = Lock()
 
-    def __call__(
-        self, questions: Sequence[Hashable], keys: Sequence[bytes], find: Find
-    ) -> list[tuple[np.ndarray, np.ndarray]]:
+    def __call__(self, questions: Sequence[Hashable], keys: Sequence[bytes], find: Find) -> list[np.ndarray]:
         """Answers to some questions, of which only those are simulated that are not known.
 
         Args:
@@ -48,7 +46,7 @@ class Memory:
           find: simulates what is not known.
 
         Returns:
-          For each question states (N, ...), and (N,) which of them were known.
+          For each question states (N, ...).
         """
         tables = [self._known.setdefault(question, {}) for question in questions]
         known = [np.array([key in table for key in keys], bool) for table in tables]
@@ -58,7 +56,7 @@ class Memory:
         for i, (table, own) in enumerate(zip(tables, known, strict=True)):
             rows = iter(found.get(i, ()))
             states = [table[key] if there else next(rows) for key, there in zip(keys, own, strict=True)]
-            out.append((np.stack(states), own))
+            out.append(np.stack(states))
             if i in found:
                 self._keep(table, [key for key, there in zip(keys, own, strict=True) if not there], found[i])
         return out
@@ -116,7 +114,4 @@ def remembered(
 
     names = np.stack([windows.recording[rows], windows.first[rows]], 1)
     keys = [b"".join(a.tobytes() for a in row) for row in zip(names, qpos[rows], qvel[rows], strict=True)]
-    answers = windows.memory([(make, timestep) for make in makes], keys, find)
-    steps = stages(windows.since[rows, -1], timestep)[0]
-    windows.counter.spare(sum(int(steps[known].sum()) for _, known in answers))
-    return [states for states, _ in answers]
+    return windows.memory([(make, timestep) for make in makes], keys, find)

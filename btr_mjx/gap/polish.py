@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 
 from btr_mjx.gap.abreast import abreast
+from btr_mjx.gap.exchange import exchanged
 from btr_mjx.gap.gains import robust_gain, trimmed_gain
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.places import WORLD
@@ -62,6 +63,9 @@ _ENOUGH = 60.0
 
 _ENOUGH_OF_GROUND = 25.0
 """The same of what changes the ground for all feet, which needs less."""
+
+Settled = tuple[Hypothesis, Side, Refined]
+"""A hypothesis with its best numbers, the side that suits it, and what the refinement found there."""
 
 
 class Polisher:
@@ -164,24 +168,27 @@ class Polisher:
         """
         bench = self.bench
         before = bench.base if given is None else given.hypothesis
-        anew = any(self._anew(h) for h in hypotheses)
-        known = self._known(given, anew)
-        fits, first, held = [], [], []
-        for i, free in enumerate((bench.free, bench.nuisance)):
-            other = bench.nuisance if given is None else free
-            rival, *sides = self._shared([before, *hypotheses], known[i])
-            fits.append(other(rival, before).profile(rival.windows.residual, bench.cut))
-            if i == 0:
-                pairs = zip(hypotheses, sides, strict=True)
-                ends = abreast([partial(self._settled, h, side, fits[0]) for h, side in pairs])
-                hypotheses, first = [h for h, _, _ in ends], [(side, refined) for _, side, refined in ends]
-            else:
-                held = sides
-        references = fits[0], fits[1]
+        moving = [k for k, h in enumerate(hypotheses, 1) if self._anew(h)]
+        known = self._known(given, bool(moving))
+        along = bench.nuisance if given is None else bench.free
+
+        fit = self._shared([before, *hypotheses], known[0])
+        reference = along(fit[0], before).profile(fit[0].windows.residual, bench.cut)
+        pairs = zip(hypotheses, fit[1:], strict=True)
+        ends = abreast([partial(self._settled, h, side, reference) for h, side in pairs])
+        if len(moving) > 1:
+            fit = exchanged([before, *(h for h, _, _ in ends)], [fit[0], *(side for _, side, _ in ends)], moving)
+            reference = along(fit[0], before).profile(fit[0].windows.residual, bench.cut)
+            pairs = zip((h for h, _, _ in ends), fit[1:], strict=True)
+            ends = abreast([partial(self._refined, h, side, reference) for h, side in pairs])
+        hypotheses = [h for h, _, _ in ends]
+
+        test = exchanged([before, *hypotheses], self._shared([before, *hypotheses], known[1]), moving)
+        references = reference, bench.nuisance(test[0], before).profile(test[0].windows.residual, bench.cut)
         if given is not None:
             given, references = replace(given, fits=references), given.references
         out = []
-        for h, (side, refined), far in zip(hypotheses, first, held, strict=True):
+        for (h, side, refined), far in zip(ends, test[1:], strict=True):
             out += bench.judge([h], [refined], (side, far), references, given)
         return self._beside_the_best(out)
 
@@ -229,19 +236,20 @@ class Polisher:
 
         return abreast([partial(best, i) for i in range(len(hypotheses))])
 
-    def _settled(self, hypothesis: Hypothesis, side: Side, reference: Fit) -> tuple[Hypothesis, Side, Refined]:
+    def _settled(self, hypothesis: Hypothesis, side: Side, reference: Fit) -> Settled:
         """A hypothesis with its best numbers on a side to fit, what that became on the way, and how good it is."""
         if self._anew(hypothesis):
             hypothesis, side = best_size(self.bench, hypothesis, side, reference)
-        refined = self._refined(hypothesis, side, reference)
-        return hypothesis.replaced(refined.values, self.bench.joint), side, refined
+        return self._refined(hypothesis, side, reference)
 
-    def _refined(self, hypothesis: Hypothesis, side: Side, reference: Fit) -> Refined:
+    def _refined(self, hypothesis: Hypothesis, side: Side, reference: Fit) -> Settled:
+        """The same without a look at other sizes."""
         bench = self.bench
         free = unknowns(hypothesis, bench.joint, bench.delicate)
         start = [hypothesis.values(bench.joint)]
         most = 1 if self._anew(hypothesis) else 2
-        return refine(side.windows, bench.free(side, hypothesis), bench.cut, [(free, start)], most, reference)[0]
+        found = refine(side.windows, bench.free(side, hypothesis), bench.cut, [(free, start)], most, reference)[0]
+        return hypothesis.replaced(found.values, bench.joint), side, found
 
     def _anew(self, hypothesis: Hypothesis) -> bool:
         """Whether the last effect moves contacts; sides on which one is judged suit the effects before it."""

@@ -43,7 +43,7 @@ _MOST, _FEWEST = 30, 8
 """Fresh windows, at most, and how many are worth the trouble. With 20 of them load-dependent and dry friction of one
 joint stayed as close as they were, with 30 and 40 they did not."""
 
-_SPENT = 1.75
+_SPENT = 1.65
 """Of what goes into a search, `Options.budget`, so many times may be spent when it is over."""
 
 _PASSES = 200
@@ -119,7 +119,7 @@ def _unseen(bench: Bench) -> Windows | None:
 
 def _affordable(bench: Bench, windows: Windows) -> int:
     """How many fresh windows may be looked at."""
-    left = _SPENT * bench.options.budget(windows.nv) - bench.counter.asked
+    left = _SPENT * bench.options.budget(windows.nv) - bench.counter.steps
     steps = _PASSES * float(windows.since[:, -1].mean()) / windows.step
     return int(np.clip(left / steps, 0, _MOST))
 

@@ -290,7 +290,7 @@ class Bench:
 
     def costly(self) -> bool:
         """Whether so much has been spent that less is to be spent on what follows."""
-        return self.options.much(self.counter.asked, self.fit.windows.nv)
+        return self.options.much(self.counter.steps, self.fit.windows.nv)
 
     def _entry(self, lead: Lead) -> Entry:
         return self.scanner.screened.entries[lead.index]

@@ -11,7 +11,7 @@ from btr_mjx.gap.score import Fit
 from btr_mjx.gap.starting import recentred, redirected
 from btr_mjx.gap.windows import MakeWorld, Windows, picked
 
-_MUCH = 1.6
+_MUCH = 1.5
 """Of the budget of a search, so many times may be spent before less is spent on what follows."""
 
 

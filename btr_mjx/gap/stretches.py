@@ -67,23 +67,6 @@ Piece = tuple[int, int, int]
 """A job's index and the range of its windows."""
 
 
-def stages(times: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """When states at some times are known.
-
-    Args:
-      times: since the start [s].
-      dt: time step [s].
-
-    Returns:
-      The number of steps after which each is known, and how far it lies inside the last of them, 0 at its end.
-    """
-    at = times / dt
-    whole = np.floor(at + 1e-6)
-    part = np.where(at - whole < 1e-6, 0.0, at - whole)
-    # A state between two steps is known once the later one is.
-    return (whole + (part > 0)).astype(int), part
-
-
 class Sampler:
     """Picks the states at the sample times while a batch runs."""
 
@@ -96,12 +79,17 @@ class Sampler:
                 for t, first in zip(times, np.cumsum([0, *map(len, times[:-1])]), strict=True)
             ]
         )
-        stage, self._part = stages(np.concatenate([t.reshape(-1) for t in times]), dt)
+        at = np.concatenate([t.reshape(-1) for t in times]) / dt
+        whole = np.floor(at + 1e-6)
+        part = np.where(at - whole < 1e-6, 0.0, at - whole)
+        self._part = part
+        # A state between two steps is known once the later one is.
+        stage = (whole + (part > 0)).astype(int)
         self.steps = np.zeros(sum(map(len, times)), int)
         np.maximum.at(self.steps, self._row, stage)
         self._order = np.argsort(stage, kind="stable")
         self._bounds = np.searchsorted(stage[self._order], np.arange(int(stage.max(initial=0)) + 2))
-        self._states = np.full((len(stage), model.nq + model.nv), np.nan)
+        self._states = np.full((len(at), model.nq + model.nv), np.nan)
         self._earlier = np.full_like(self._states, np.nan)
 
     def _due(self, stage: int) -> np.ndarray:

@@ -36,34 +36,19 @@ class Counter:
     """Simulated steps, summed over all rows; a `journal.Journal` also keeps what came out of them.
 
     Searches simulate in several threads, which share one counter.
-
-    Attributes:
-      steps: simulated so far.
-      spared: that would have been simulated if nothing were remembered, see `memory`.
     """
 
     steps: int = 0
-    spared: int = 0
     lock: Lock = field(default_factory=Lock, repr=False)
 
     def recall(self, jobs: Sequence[Job], timestep: float | None) -> list[np.ndarray] | None:
         """States of these jobs where they are known already."""
         return None
 
-    @property
-    def asked(self) -> int:
-        """Steps that were asked for. What a search does hangs on these: not on what happens to be remembered."""
-        return self.steps + self.spared
-
     def add(self, steps: int) -> None:
         """Count steps."""
         with self.lock:
             self.steps += steps
-
-    def spare(self, steps: int) -> None:
-        """Count steps that need not be simulated."""
-        with self.lock:
-            self.spared += steps
 
     def keep(self, jobs: Sequence[Job], timestep: float | None, states: Sequence[np.ndarray], steps: int) -> None:
         """Take note of the states of these jobs, and of the steps that they took."""
