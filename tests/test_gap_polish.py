@@ -258,6 +258,18 @@ def test_the_ground_is_worth_another_look_for_less_than_a_limb(place, walked, tr
     assert " ".join(found) == tried
 
 
+def test_the_best_change_of_the_ground_is_judged_with_care_once(monkeypatch) -> None:
+    """Not what moves one limb, nor what moves no contacts, nor what was judged before."""
+    polish = Polisher(SimpleNamespace(delicate={"m", "g", "h"}))
+    judged = [stand_in("a", 12.0), stand_in("m", 5.0), stand_in("g", -20.0), stand_in("h", -30.0)]
+    for j in judged:
+        j.hypothesis.effects[-1][0].place = WORLD if j.name in "agh" else None
+    monkeypatch.setattr(polish, "again", lambda tried, given: [stand_in(h.name, 50.0) for h in tried])
+    assert [(j.name, j.score) for j in polish.ground(judged)] == [("g", 50.0), ("a", 12.0), ("m", 5.0), ("h", -30.0)]
+    polish._done.add("h")
+    assert polish.ground(judged) == judged
+
+
 def test_the_best_of_what_was_walked_over_are_judged_again() -> None:
     gains = {"m": 300.0, "n": 900.0, "o": 500.0, "p": 700.0}
     polish = Polisher(SimpleNamespace(delicate=set("mnop"), walks=Walked(gains), hopes={}))

@@ -127,6 +127,7 @@ class Stage:
       limb: names that move the contacts of a limb.
       besides: scores beside its calibration.
       ran: scores after a run-off.
+      underfoot: scores after a look at what changes the ground.
       usual: names that are no larger than calibration leaves.
       spent: whether much has been spent.
     """
@@ -142,7 +143,7 @@ class Stage:
         monkeypatch.setattr(rounds, "within_calibration", lambda bench, judged: judged.name in self.usual)
         monkeypatch.setattr(rounds, "runoff", self.runoff)
         monkeypatch.setattr(rounds, "beyond_calibration", self.compared)
-        self.limb, self.besides = "", dict[str, float]()
+        self.limb, self.besides, self.underfoot = "", dict[str, float](), dict[str, float]()
         monkeypatch.setattr(rounds, "limb_of", lambda bench, judged: list(self.limb) * (judged.name in self.limb))
         monkeypatch.setattr(rounds, "besides", self.calibrated)
 
@@ -184,6 +185,11 @@ class Stage:
 
     def beside(self, given, hypothesis):
         return self.judged(hypothesis)
+
+    def ground(self, judged):
+        self.asked.append("ground")
+        again = [self.judged(j.name, self.scores | self.underfoot) for j in judged]
+        return sorted(again, key=lambda j: -j.score)
 
     def named(self):
         return [j.name for j in rounds.search(self, 2, lambda word: None)[1]]
@@ -264,6 +270,21 @@ def test_a_run_off_decides_the_first_round(monkeypatch):
     assert stage.named() == ["b"]
     stage.usual = {"a"}  # no larger than calibration leaves: there is nothing to decide
     assert stage.named() == ["a"]
+
+
+@pytest.mark.parametrize(
+    ("scores", "spent", "named", "asked"),
+    [
+        ({"a": 20.0, "g": -5.0, "gb": 81.0}, False, ["g"], True),
+        ({"a": 20.0, "g": -5.0}, True, [], False),  # costs too much
+        ({"a": 40.0, "g": -5.0, "ab": 41.0}, False, ["a"], False),  # there is a name already
+    ],
+)
+def test_the_ground_is_looked_at_before_anything_is_called_nothing(monkeypatch, scores, spent, named, asked):
+    stage = Stage(monkeypatch, scores)
+    stage.spent, stage.underfoot, stage.ran = spent, {"g": 80.0}, {"g": 80.0} if asked else {}
+    assert stage.named() == named
+    assert ("ground" in stage.asked) == asked
 
 
 def test_whoever_leads_beside_another_effect_has_been_judged_again(monkeypatch):

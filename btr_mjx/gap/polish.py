@@ -150,6 +150,27 @@ class Polisher:
             return -np.inf
         return self.bench.walks.best(judged.hypothesis.effects[-1][0].name)
 
+    def ground(self, judged: Sequence[Judged]) -> list[Judged]:
+        """Judge with care the best of what changes the ground for all feet, where that has not been done.
+
+        A quarter of the windows and a size that is off say little of it: of a softness that was worth 265 they said 19,
+        of a friction worth 53 less than nothing. It costs as much as a run-off, and of twenty simulated robots that
+        lacked nothing a scan led to it in one.
+
+        Args:
+          judged: a first round, best first.
+
+        Returns:
+          The same, best first.
+        """
+        worlds = [j for j in judged if self._anew(j.hypothesis) and j.hypothesis.effects[-1][0].place == WORLD]
+        best = next((j for j in worlds if j.name not in self._done), None)
+        if best is None:
+            return list(judged)
+        self._done.add(best.name)
+        again = self.again([best.hypothesis], None)
+        return sorted([*again, *(j for j in judged if j is not best)], key=lambda j: -j.score)
+
     def beside(self, given: Judged, hypothesis: Hypothesis) -> Judged:
         """What was `given` with one more effect, whose numbers start as the hypothesis has them, refined and judged."""
         return self.again([hypothesis], given)[0]

@@ -114,6 +114,8 @@ def search(bench: Bench, most: int, note: Callable[[str], None]) -> tuple[list[l
     note("leaders")
     polish = Polisher(bench)
     rounds = [acceptable(bench, polish(bench.find()), None)]
+    if rounds[0] and not bench.costly() and not accepted(bench, rounds[0][0], None):
+        rounds[0] = acceptable(bench, polish.ground(rounds[0]), None)
     if rounds[0] and not within_calibration(bench, rounds[0][0]):
         note("run-off")
         rounds[0] = acceptable(bench, runoff(bench, rounds[0]), None)
