@@ -32,6 +32,8 @@ def exchanged(hypotheses: Sequence[Hypothesis], sides: Sequence[Side], moving: S
         pool.append(nearest([start, start.recentred(hypotheses[i], exact=False)]))
 
     def best(i: int) -> Side:
-        return nearest([side.based(hypotheses[i]) for side in (sides[i], *pool)])
+        # Its own comes first: it keeps what others have as well.
+        others = (side for side in pool if side is not sides[i])
+        return nearest([side.based(hypotheses[i]) for side in (sides[i], *others)])
 
     return abreast([partial(best, i) for i in range(len(sides))])

@@ -1,4 +1,4 @@
-"""What was simulated before: nothing is simulated twice.
+"""What was simulated before: no window is simulated twice from the same state.
 
 Hypotheses are compared from starting states that they share, and in most windows two sets of starting states are the
 same: of all that a search asks for, a tenth has been answered before. A row of a batch knows nothing of the others, so
