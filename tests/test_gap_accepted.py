@@ -1,7 +1,7 @@
 """Who may be called by name, on stand-ins for judged candidates."""
 
 from types import SimpleNamespace
-from unittest.mock import patch
+from unittest.mock import MagicMock, patch
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from gap_arm import arm
 from btr_mjx.gap import rounds
 from btr_mjx.gap.effect import Candidate
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.held_out import vouched
+from btr_mjx.gap.held_out import unmoved, vouched
 from btr_mjx.gap.places import WORLD
 from btr_mjx.gap.rounds import accepted
 from btr_mjx.gap.scales import Scales
@@ -111,8 +111,28 @@ def test_where_calibration_can_be_asked_a_limb_needs_less(monkeypatch, limb, exp
     assert is_accepted("m", 500.0, 200.0, explained=True) is False
 
 
-def is_accepted(names, gain, held_out, least=0.0, fresh=0.0, size=1.0, place=None, explained=False, hopes=np.inf):
-    """Beside an effect of 4000; a number costs 10, is 1 and has a tolerance of 0.1; `size` is it on more windows."""
+@pytest.mark.parametrize(
+    ("names", "falls", "held_out", "hopes", "expected"),
+    [
+        ("a", [100.0, 40.0], 1.0, 0.1, True),  # little was to be expected of held-out recordings
+        ("a", [100.0, 40.0], -1.0, 0.1, False),  # they speak against it
+        ("a", [100.0, 40.0], 1.0, 10.0, False),  # more was to be expected
+        ("a", [140.0, 4.0], 1.0, 0.1, False),  # only one of those that were fitted knows of it
+        ("m", [100.0, 40.0], 1.0, 0.1, False),
+        ("ba", [100.0, 40.0], 1.0, 0.1, True),
+    ],
+)
+def test_where_held_out_recordings_can_say_little_they_need_not(names, falls, held_out, hopes, expected):
+    assert is_accepted(names, sum(falls), held_out, hopes=hopes, falls=falls) is expected
+
+
+def is_accepted(
+    names, gain, held_out, least=0.0, fresh=0.0, size=1.0, place=None, explained=False, hopes=np.inf, falls=()
+):
+    """Beside an effect of 4000; a number costs 10, is 1 and has a tolerance of 0.1; `size` is it on more windows.
+
+    Chi^2 falls by `falls` in a window of each recording to fit.
+    """
     first = [SimpleNamespace(null=0.0, tolerance=0.1, least=least, shape=False)]
     place = place or SimpleNamespace(members=())
     effects = [
@@ -130,15 +150,16 @@ def is_accepted(names, gain, held_out, least=0.0, fresh=0.0, size=1.0, place=Non
         held_out=before[2] + held_out,
         fresh=fresh,
         hypothesis=SimpleNamespace(effects=effects),
-        before=fits([9.0], [9.0]),
-        fits=fits([9.0], [0.0]),
+        before=fits([300.0] * 20, [9.0]),
+        fits=fits(300.0 - np.array([*falls, *[0.0] * (20 - len(falls))]), [0.0]),
         explained=explained,
     )
     more = [(candidate, (size,)) for candidate, _ in effects]
     judged.widest = SimpleNamespace(hypothesis=SimpleNamespace(effects=more))
-    side = SimpleNamespace(windows=range(20))
-    data = SimpleNamespace(tolerances={}, model=None)
-    bench = SimpleNamespace(delicate={"m"}, dispersion=1.0, fit=side, test=side, dataset=data, candidates=())
+    windows = MagicMock(recording=np.arange(20))
+    windows.__len__.return_value = 20
+    side, data = SimpleNamespace(windows=windows), SimpleNamespace(tolerances={}, model=None)
+    bench = SimpleNamespace(delicate={"m"}, dispersion=1.0, fit=side, test=side, dataset=data, candidates=(), cut=1e6)
     with patch("btr_mjx.gap.rounds.foreseen", return_value=hopes):
         return accepted(bench, judged, given)
 
@@ -162,4 +183,4 @@ def test_several_recordings_vouch_for_what_those_held_out_do_not_know(falls, hel
     bench = SimpleNamespace(cut=1e6, fit=SimpleNamespace(windows=windows))
     before, after = [500.0, 400.0], 500.0 - np.array(falls)
     judged = SimpleNamespace(before=fits([500.0] * 4, before), fits=fits(after, [500.0, 400.0 - held]))
-    assert vouched(bench, judged, 3.0, 15.0) is expected
+    assert (unmoved(judged, 3.0) and vouched(bench, judged, 15.0)) is expected

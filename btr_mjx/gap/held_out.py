@@ -10,22 +10,28 @@ from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Judged
 
 
-def vouched(bench: Bench, judged: Judged, least: float, needed: float) -> bool:
-    """Whether several of the recordings that were fitted vouch for an effect that those held out know nothing about.
+def unmoved(judged: Judged, least: float) -> bool:
+    """Whether a candidate changes nothing in the held-out recordings, neither for the better nor for the worse.
 
-    A limit may be reached in few recordings. Where nothing changes in those held out, neither for the better nor for
-    the worse, they say nothing against it; then its gain must be worth a name without the recording that gains most.
+    Args:
+      judged: the candidate, beside what was found before.
+      least: change of a window's chi^2 that is one.
+    """
+    return bool(np.abs(judged.before[1].chi2 - judged.fits[1].chi2).max() < least)
+
+
+def vouched(bench: Bench, judged: Judged, needed: float) -> bool:
+    """Whether several of the recordings that were fitted vouch for an effect that those held out know little about.
+
+    A limit may be reached in few recordings. Its gain must be worth a name without the recording that gains most.
 
     Args:
       bench: of the search.
       judged: the candidate, beside what was found before.
-      least: change of chi^2 of a held-out window that is one.
       needed: gain that is worth a name.
     """
-    before, after = judged.before, judged.fits
-    if np.abs(before[1].chi2 - after[1].chi2).max() >= least:
-        return False
-    fall = bounded(before[0].chi2, bench.cut) - bounded(after[0].chi2, bench.cut)
+    before, after = judged.before[0], judged.fits[0]
+    fall = bounded(before.chi2, bench.cut) - bounded(after.chi2, bench.cut)
     recording = bench.fit.windows.recording
     each = np.array([fall[recording == r].sum() for r in np.unique(recording)])
     return bool(each.sum() - each.max() >= needed)

@@ -8,8 +8,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from btr_mjx.gap.calibrated import besides, beyond_calibration, limb_of
-from btr_mjx.gap.held_out import foreseen, vouched
+from btr_mjx.gap.held_out import foreseen, unmoved, vouched
 from btr_mjx.gap.outcome import alike
+from btr_mjx.gap.pairs import told_apart
 from btr_mjx.gap.places import WORLD
 from btr_mjx.gap.polish import Polisher
 from btr_mjx.gap.runoff import runoff
@@ -119,6 +120,8 @@ def search(bench: Bench, most: int, note: Callable[[str], None]) -> tuple[list[l
     if rounds[0] and not within_calibration(bench, rounds[0][0]):
         note("run-off")
         rounds[0] = acceptable(bench, runoff(bench, rounds[0]), None)
+    if rounds[0] and accepted(bench, rounds[0][0], None):
+        rounds[0] = told_apart(bench, rounds[0])
     if rounds[0] and rounds[0][0].score < DOUBTFUL and accepted(bench, rounds[0][0], None):
         note("calibration")
         rounds[0] = _calibrated(bench, rounds[0])
@@ -267,10 +270,13 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None, share: float = 
     if score < needed or gain + judged.fresh < HELD_OUT:
         return False
     enough = max(HELD_OUT, min(part * expected, most))
-    if held_out < enough and not vouched(bench, judged, HELD_OUT, THRESHOLD):
+    if held_out < enough and not (unmoved(judged, HELD_OUT) and vouched(bench, judged, THRESHOLD)):
         if candidate.name in bench.delicate:
             return False
-        if held_out < max(HELD_OUT, min(enough, FORESEEN * foreseen(bench, judged))):
+        hope = foreseen(bench, judged)
+        # Where hardly anything is to be expected of them it is enough that they do not speak against it.
+        agreed = hope < HELD_OUT and held_out >= 0 and vouched(bench, judged, THRESHOLD)
+        if held_out < max(HELD_OUT, min(enough, FORESEEN * hope)) and not agreed:
             return False
     return not within_calibration(bench, judged)
 

@@ -4,14 +4,12 @@ The starting states of the believed model would judge another one unfairly. They
 its own samples, and stay near the smoothed states, which know no model: a wrong one would drag them along.
 """
 
-import copy
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.score import project
 from btr_mjx.gap.tangent import integrate
 from btr_mjx.gap.time_steps import step_error
 from btr_mjx.gap.world import World
@@ -95,12 +93,11 @@ def recentred(windows: "Windows", make: Callable[[mujoco.MjModel], World], exact
       make: the hypothesis.
       exact: the error of its time step is found anew, which costs as much as the rest; else that of the base is taken.
     """
-    other = copy.copy(windows)
+    other = windows.copied()
     other.qpos, other.qvel, other.base = centred(windows, make, _STEPS, windows.at(make), windows.correction)
     other.maker = make
     if exact:
         other.correction = step_error(other, make, other.base)
-    other.residual = project(other.whiten(other.base) + other.correction, other.basis)
     return other
 
 
@@ -114,10 +111,9 @@ def redirected(windows: "Windows", make: Callable[[mujoco.MjModel], World]) -> "
       windows: recentred around the hypothesis.
       make: the hypothesis.
     """
-    other = copy.copy(windows)
+    other = windows.copied()
     other.differentiate(make)
     other.qpos, other.qvel, other.base = centred(other, make, _STEPS, windows.base, windows.correction)
     other.maker = make
     # What the time step does changes little with the starting state; another fine pass would cost as much as the rest.
-    other.residual = project(other.whiten(other.base) + other.correction, other.basis)
     return other

@@ -37,7 +37,7 @@ _UNSEEN = 50.0
 
 _PER_WINDOW = (
     *("recording", "first", "time", "since", "target_q", "target_v", "act", "qpos", "qvel", "reach"),
-    *("residual", "basis", "soft", "correction", "base", "transitions", "answers", "jacobians", "inverse"),
+    *("basis", "soft", "correction", "base", "transitions", "answers", "jacobians", "inverse"),
 )
 """Arrays with a row for every window."""
 
@@ -54,7 +54,6 @@ class Windows:
       first: (W,) its first sample.
       k: samples of a window after the first.
       qpos, qvel: (W, nq), (W, nv) starting states, measured coordinates.
-      residual: (W, R) projected residual of the base world in units of the noise; set by `linearise`.
       basis: (W, R, D) orthonormal directions of the starting state, then those of `soften`.
       soft: (W, R, S) the latter.
       step: time step of residuals [s], the model's or twice that; what it does is corrected.
@@ -94,10 +93,11 @@ class Windows:
         self.reach = _REACH * data.sigma * free * np.concatenate([doubt, doubt], -1)
         self.smoothed = self.qpos.copy(), self.qvel.copy()
         self.channels = np.flatnonzero(data.measured)
-        self.residual = np.zeros((len(self), (k + 1) * len(self.channels)))
-        self.basis = np.zeros((len(self), self.residual.shape[1], 0))
+        self.correction = np.zeros((len(self), (k + 1) * len(self.channels)))
+        self.basis = np.zeros((*self.correction.shape, 0))
         self.soft = self.basis
-        self.correction = np.zeros_like(self.residual)
+        self._raw: np.ndarray | None = None
+        self._residual: np.ndarray | None = None
         self.base = np.zeros((0, 0, 0))
         self.maker: MakeWorld | None = None
         self.stride = 1
@@ -108,7 +108,7 @@ class Windows:
     @property
     def freedom(self) -> int:
         """Degrees of freedom of a window's residual."""
-        return self.residual.shape[1] - 2 * self.nv
+        return self.correction.shape[1] - 2 * self.nv
 
     @property
     def models(self) -> list[mujoco.MjModel]:
@@ -189,7 +189,7 @@ class Windows:
         self.maker = make
         self.differentiate(make)
         self.correction = step_error(self, make, self.base)
-        self.residual = project(self.whiten(self.base) + self.correction, self.basis)
+        self._raw = self._residual = None
 
     def differentiate(self, make: MakeWorld) -> None:
         """Directions of the starting states for another base: anew where they have changed.
@@ -216,11 +216,17 @@ class Windows:
         off = project(np.moveaxis(directions, 2, 0), state)
         self.soft = np.moveaxis(off, 0, 2)
         self.basis = np.concatenate([state, self.soft], 2)
-        self.residual = project(self.residual, self.soft)
+        self._residual = None
+
+    def copied(self) -> "Windows":
+        """A copy that is about to be changed."""
+        other = copy.copy(self)
+        other._raw = other._residual = None
+        return other
 
     def some(self, index: np.ndarray) -> "Windows":
         """Some of the windows."""
-        other = copy.copy(self)
+        other = self.copied()
         for name in _PER_WINDOW:
             setattr(other, name, getattr(self, name)[index])
         other.smoothed = self.smoothed[0][index], self.smoothed[1][index]
@@ -229,7 +235,7 @@ class Windows:
 
     def joined(self, other: "Windows") -> "Windows":
         """These and others of the same recordings and of the same length and time step, all linearised."""
-        both = copy.copy(self)
+        both = self.copied()
         for name in _PER_WINDOW:
             setattr(both, name, np.concatenate([getattr(self, name), getattr(other, name)]))
         qpos, qvel = (np.concatenate(pair) for pair in zip(self.smoothed, other.smoothed, strict=True))
@@ -241,13 +247,21 @@ class Windows:
     @property
     def raw(self) -> np.ndarray:
         """Residual of the base (W, R) from the starting states as they are: nothing is projected out."""
-        return self.whiten(self.base) + self.correction
+        if self._raw is None:
+            self._raw = self.whiten(self.base) + self.correction
+        return self._raw
+
+    @property
+    def residual(self) -> np.ndarray:
+        """Projected residual of the base (W, R) in units of the noise, found when it is first asked for."""
+        if self._residual is None:
+            self._residual = project(self.raw, self.basis)
+        return self._residual
 
     def based(self, make: MakeWorld) -> "Windows":
         """A copy of which another hypothesis is the base, from the same starting states."""
-        other = copy.copy(self)
+        other = self.copied()
         other.base, other.maker = self.at(make), make
-        other.residual = project(other.whiten(other.base) + other.correction, other.basis)
         return other
 
     def at(self, make: MakeWorld) -> np.ndarray:
@@ -261,9 +275,9 @@ class Windows:
           others: of the same data; the first of them is number 1.
           chosen: (W,) whose each window is, 0 for its own.
         """
-        other = copy.copy(self)
         if not chosen.any():
-            return other
+            return self
+        other = self.copied()
         for name in _PER_WINDOW:
             own = getattr(self, name)
             setattr(other, name, picked(own, [getattr(windows, name) for windows in others], chosen))
