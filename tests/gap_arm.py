@@ -51,8 +51,13 @@ def command(rng, duration=0.7, rate=200.0):
     return Command(time, rng.uniform(0.4, 0.9, 2) * np.sin(time[:, None] * speed + phase), "cubic")
 
 
-def recording(name, change=None, seed=0, split="fit", noise=1.0, believed=None, uneven=False, duration=1.5):
-    """A recording of the arm after `change(model)`, simulated with steps of 1e-4 s."""
+def recording(
+    name, change=None, seed=0, split="fit", noise=1.0, believed=None, uneven=False, duration=1.5, arrive=None
+):
+    """A recording of the arm after `change(model)`, simulated with steps of 1e-4 s.
+
+    `arrive(sent, time)` gives the commands that come to the motors (T, nu); None for those that were sent.
+    """
     rng = np.random.default_rng(seed)
     sent = command(rng, duration)
     model = arm()
@@ -63,7 +68,8 @@ def recording(name, change=None, seed=0, split="fit", noise=1.0, believed=None, 
     mujoco.mj_setConst(model, mujoco.MjData(model))
     data = mujoco.MjData(model)
     steps = round(sent.times[-1] / 1e-4)
-    controls = sent.at((np.arange(steps) + 0.5) * 1e-4)
+    middle = (np.arange(steps) + 0.5) * 1e-4
+    controls = sent.at(middle) if arrive is None else arrive(sent, middle)
     states = np.empty((steps + 1, 4))
     states[0] = 0.0
     for i in range(steps):
