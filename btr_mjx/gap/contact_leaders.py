@@ -149,14 +149,13 @@ def judged_anew(
         if row[1].place == WORLD and row[0] > needed - _ALL_WORSE and all(row is not own for own in worth)
     ]
     # A strong effect lets a foot touch at another time and hides itself; others on its limb, which do less, show it.
-    leading = found[0][0] > max(_KIN, strongest) if found else False
-    kin = [row for row in found[1:] if leading and one_limb(model, found[0][1].place, row[1].place)]
+    kin = _kin(model, found, found[:1], strongest)
     worth += [row for row in kin if all(row is not own for own in worth)]
     best = {candidate.name: (gain, candidate, values) for gain, candidate, values in found}
 
-    def judged(candidate: Candidate, values: np.ndarray) -> list[Try]:
+    def judged(candidate: Candidate, values: np.ndarray, near: bool) -> list[Try]:
         first, rows = candidate.parameters[0], list[Try]()
-        related = any(candidate is row[1] for row in kin) or (hopes or {}).get(candidate.name, 0.0) > _HOPEFUL
+        related = near or (hopes or {}).get(candidate.name, 0.0) > _HOPEFUL
         for factor in (1.0, _AGAIN, 1.0 / _AGAIN):
             most = max((row[0] for row in rows), default=-np.inf)
             if factor > 1.0 and most < -_WORSE and not related:
@@ -173,10 +172,27 @@ def judged_anew(
             rows.append((walks.gain(start.with_effect(candidate, tried)), candidate, tried))
         return rows
 
-    for rows in abreast([partial(judged, candidate, values) for _, candidate, values in worth]):
-        name = rows[0][1].name
-        best[name] = max(best[name], *rows, key=lambda row: row[0])
+    def judge(tries: Sequence[Try]) -> None:
+        for rows in abreast([partial(judged, c, values, any(c is row[1] for row in kin)) for _, c, values in tries]):
+            name = rows[0][1].name
+            best[name] = max(best[name], *rows, key=lambda row: row[0])
+
+    judge(worth)
+    # What leads now may not have led the scan.
+    first = sorted((best[row[1].name] for row in worth), key=lambda row: -row[0])[:1]
+    kin = [row for row in _kin(model, found, first, strongest) if all(row is not own for own in worth)]
+    judge(kin)
     return sorted(best.values(), key=lambda row: -row[0])
+
+
+def _kin(model: mujoco.MjModel, found: Sequence[Try], leads: Sequence[Try], strongest: float) -> list[Try]:
+    """All others of a scan on the limb of what leads, where that leads by much."""
+    return [
+        row
+        for gain, leader, _ in leads
+        for row in found
+        if gain > max(_KIN, strongest) and row[1] is not leader and one_limb(model, leader.place, row[1].place)
+    ]
 
 
 def with_contacts(
