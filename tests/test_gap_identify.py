@@ -14,7 +14,7 @@ from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.gains import luckiest
 from btr_mjx.gap.held_out import foreseen
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
-from btr_mjx.gap.identify import identify, missing, strange
+from btr_mjx.gap.identify import identify, missing, strange, undecided
 from btr_mjx.gap.leftover import Leftover
 from btr_mjx.gap.outcome import calibration_of, equivalent
 from btr_mjx.gap.places import Place
@@ -326,6 +326,20 @@ def test_real_machines_leave_more():
     named = [gained(1000.0)]
     assert not missing(left_by({}, dispersion=50.0), named, 0.7, 30.0)
     assert missing(left_by({}, dispersion=50.0), named, 0.3, 30.0)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "explained", "expected"),
+    [("effect", False, ("a", "b")), ("none", True, ("a", "b")), ("none", False, ()), ("unexplained", True, ())],
+)
+def test_what_calibration_explains_nearly_as_well_is_not_ruled_out(verdict, explained, expected):
+    def one(name, score, explained=False):
+        hypothesis = SimpleNamespace(effects=[(SimpleNamespace(name=name), (1.0,))])
+        return SimpleNamespace(hypothesis=hypothesis, score=score, explained=explained)
+
+    first = [one("a", 100.0, explained), one("b", 90.0), one("c", 20.0)]
+    assert undecided(SimpleNamespace(delicate=()), first, verdict) == expected
+    assert undecided(SimpleNamespace(delicate=()), [], verdict) == ()
 
 
 def test_results_are_bit_identical():

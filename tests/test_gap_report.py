@@ -189,6 +189,21 @@ def test_two_effects_and_equivalent_ones_in_the_sentence() -> None:
     assert "cannot tell it apart from load-dependent gear friction at every joint from body thigh0 down: run" in text
 
 
+def test_what_calibration_explains_nearly_as_well_is_not_ruled_out(folder: Path) -> None:
+    none = RESULT | {
+        "verdict": "none",
+        "effects": [],
+        "equivalent": [{"effect": "link_length", "location": "body:shin2"}],
+    }
+    text = verdict_sentence(none)
+    assert text.startswith("Nothing is missing")
+    assert "Nor is another length of the link at body shin2 ruled out, but small errors of calibration explain" in text
+    write_json(folder / "result.json", none)
+    page = Page(draw(folder).read_text(encoding="utf-8")).text
+    assert "Not ruled out, though small errors of calibration explain nearly as much:" in page
+    assert "These data cannot tell apart" not in page
+
+
 def test_whole_recordings_come_first_in_the_sentence() -> None:
     gap = {"before": 9.0, "after": 2.0, "noise_floor": 1.0, "open_loop_before": 0.054, "open_loop_after": 0.027}
     text = verdict_sentence(RESULT | {"gap": gap})

@@ -142,7 +142,7 @@ def name_missing(
         verdict=verdict,  # type: ignore[arg-type]
         effects=named_effects(bench, said, rounds, rng, settled=bench.dispersion > COARSE),
         ranking=ranking_of(rounds),
-        equivalent=equivalent(rounds[0], bench.delicate) if rounds[0] and verdict == "effect" else (),
+        equivalent=undecided(bench, rounds[0], verdict),
         gap=gap_of(bench, base, said[-1] if said else None, check.floor(said[-1] if said else None)),
         disagreement=check.map(),
         unexplained=(*twin_words(nearly, rival), *check.words(final)) if surprised else (),
@@ -160,6 +160,23 @@ def name_missing(
         seconds=time.monotonic() - begun,
         survivors=survivors(bench, rounds, named),
     )
+
+
+def undecided(bench: Bench, first: Sequence[Judged], verdict: str) -> tuple[str, ...]:
+    """Names of candidates of a first round that these data cannot tell apart.
+
+    Args:
+      bench: of the search.
+      first: the round, best first.
+      verdict: what was decided.
+
+    Returns:
+      Of "effect" the one that is named and those like it. Of "none" those that would have been named if calibration of
+      their limb did not explain nearly as much: neither is ruled out.
+    """
+    if first and (verdict == "effect" or (verdict == "none" and first[0].explained)):
+        return equivalent(first, bench.delicate)
+    return ()
 
 
 def plain(bench: Bench, judged: Judged) -> bool:

@@ -248,8 +248,10 @@ def _equivalent(result: Mapping[str, Any]) -> str:
         others += [m for m in members if isinstance(m, Mapping) and "effect" in m and _key(m) not in same]
     if not others:
         return ""
-    text = f"These data cannot tell it apart from {' or '.join(named(m) for m in others[:4])}"
-    text += f" (and {len(others) - 4} more)" if len(others) > 4 else ""
+    which = " or ".join(named(m) for m in others[:4]) + (f" (and {len(others) - 4} more)" if len(others) > 4 else "")
+    text = f"These data cannot tell it apart from {which}"
+    if result.get("verdict") == "none":
+        text = f"Nor is {which} ruled out, but small errors of calibration explain nearly as much"
     return text + (": run the experiment below next." if result.get("next_experiment") else ".")
 
 
