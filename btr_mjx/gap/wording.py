@@ -172,7 +172,8 @@ def verdict_sentence(result: Mapping[str, Any]) -> str:
         parts.append(_gap(result))
         parts.append(_runner_up(result))
     elif verdict == "none":
-        parts = ["Nothing is missing: simulation and data agree within the noise and the usual tolerances."]
+        nothing = "Nothing need be missing" if result.get("equivalent") else "Nothing is missing"
+        parts = [f"{nothing}: simulation and data agree within the noise and the usual tolerances."]
         parts.append(_noise_floor(result))
     else:
         parts.append("Something is missing that none of the known effects explains.")
