@@ -139,7 +139,7 @@ def test_the_same_files_draw_the_same_page(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        ({"verdict": "none", "effects": []}, "Nothing is missing"),
+        ({"verdict": "none", "effects": [], "equivalent": []}, "Nothing is missing"),
         (
             {"verdict": "unexplained", "effects": [], "unexplained": "joint knee0, a force that follows its angle"},
             "follows",
