@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from btr_mjx.errors import InputError
+from btr_mjx.gap import freewheel
 from btr_mjx.gap.activation import activations
 from btr_mjx.gap.commands import Command
 from btr_mjx.gap.hypotheses import Hypothesis
@@ -214,6 +215,39 @@ def test_invalid_rows_are_nan_and_stay_alone(model: mujoco.MjModel) -> None:
     results = simulate([(bad, windows), (good, windows)])
     assert np.isnan(results[0][:, -1]).all()
     np.testing.assert_array_equal(results[1], simulate([(good, windows)])[0])
+
+
+class Still:
+    """A law that does nothing: it asks for single steps."""
+
+    fields = ()
+
+    def __call__(self, rows: Rows) -> None:
+        return None
+
+
+@pytest.mark.parametrize("samples", [None, "uneven", "long"])
+@pytest.mark.parametrize("wild", [False, True])
+def test_many_steps_at_once_are_the_same_as_one_by_one(model: mujoco.MjModel, samples, wild, monkeypatch) -> None:
+    rng = np.random.default_rng(2)
+    uneven = np.sort(rng.uniform(0, 0.03, (5, 4)), axis=1)
+    uneven[::2] += 0.01  # rows that fly off would go on longest
+    times = {None: None, "uneven": uneven, "long": np.array([0.0, 0.07, 0.1505])}
+    plain, still = World.of(model), World.of(model)
+    still.laws.append(Still())
+    windows = stretch(model, 12, samples=times[samples])
+    if wild:  # some of the windows fly off on their way
+        windows.qvel[::2] *= 1e4
+        for world in (plain, still):
+            world.model.dof_damping[:] = -50.0
+    expected, found = Counter(), Counter()
+    slow = simulate([(still, windows)], counter=expected)[0]
+    for most in (2**22, 5 * 100):  # 5 rows in blocks of many steps, and of few
+        monkeypatch.setattr(freewheel, "_NUMBERS", most)
+        found.steps = 0
+        np.testing.assert_array_equal(simulate([(plain, windows)], counter=found)[0], slow)
+        assert found.steps == expected.steps
+    assert np.isnan(slow).any() == wild
 
 
 def test_derived_constants_follow_an_edit(model: mujoco.MjModel) -> None:

@@ -10,7 +10,7 @@ from btr_mjx.gap.commands import Command
 from btr_mjx.gap.tangent import between
 from btr_mjx.gap.world import World
 
-_BLOCK = 64
+BLOCK = 64
 """Steps for which controls are laid out at once."""
 
 _HUGE = 1e10
@@ -87,7 +87,7 @@ class Sampler:
         stage = (whole + (part > 0)).astype(int)
         self.steps = np.zeros(sum(map(len, times)), int)
         np.maximum.at(self.steps, self._row, stage)
-        self._order = np.argsort(stage, kind="stable")
+        self._stage, self._order = stage, np.argsort(stage, kind="stable")
         self._bounds = np.searchsorted(stage[self._order], np.arange(int(stage.max(initial=0)) + 2))
         self._states = np.full((len(at), model.nq + model.nv), np.nan)
         self._earlier = np.full_like(self._states, np.nan)
@@ -95,18 +95,30 @@ class Sampler:
     def _due(self, stage: int) -> np.ndarray:
         return self._order[self._bounds[stage] : self._bounds[stage + 1]]
 
-    def before(self, stage: int, qpos: np.ndarray, qvel: np.ndarray) -> None:
-        """Keep the states before the step to `stage` of the samples that lie inside it."""
-        self._keep(self._earlier, self._due(stage), qpos, qvel)
+    def before(self, stage: int, qpos: np.ndarray, qvel: np.ndarray, alive: np.ndarray) -> None:
+        """Keep the states before the step to `stage` of the samples that lie inside it, of rows that take it."""
+        self._keep(self._earlier, self._due(stage), qpos, qvel, alive)
 
-    def record(self, stage: int, qpos: np.ndarray, qvel: np.ndarray, dead: np.ndarray) -> None:
-        """Keep the states of the samples at `stage`, or of the step that they lie inside of."""
-        due = self._due(stage)
-        self._keep(self._states, due, qpos, qvel)
-        if dead.any():
-            self._states[due[dead[self._row[due]]]] = np.nan
+    def record(self, stage: int, qpos: np.ndarray, qvel: np.ndarray, alive: np.ndarray) -> None:
+        """Keep the states of the samples at `stage`, or of the step that they lie inside of, of rows that took it."""
+        self._keep(self._states, self._due(stage), qpos, qvel, alive)
 
-    def _keep(self, states: np.ndarray, due: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> None:
+    def take(self, done: int, own: np.ndarray, states: np.ndarray) -> None:
+        """Pick samples from the states of many steps.
+
+        Args:
+          done: steps before them.
+          own: (N,) rows that ran.
+          states: (N, T + 1, nq + nv) before the first of these steps and after each of them.
+        """
+        due = self._order[self._bounds[done + 1] : self._bounds[done + states.shape[1]]]
+        due = due[np.isin(self._row[due], own)]
+        if len(due):
+            row, at = np.searchsorted(own, self._row[due]), self._stage[due] - done
+            self._states[due], self._earlier[due] = states[row, at], states[row, at - 1]
+
+    def _keep(self, states: np.ndarray, due: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, alive: np.ndarray) -> None:
+        due = due[alive[self._row[due]]]
         if len(due):
             own, nq = self._row[due], self._model.nq
             states[due, :nq] = qpos[own]
@@ -152,20 +164,31 @@ class Controls:
         ]
         self._edited: dict[tuple, Command] = {}
         self._laid: dict[tuple, np.ndarray] = {}
+        self._from = -BLOCK
 
     def write(self, step: int, ctrl: np.ndarray) -> None:
         """Controls of one step, sampled in its middle."""
         if not self._nu:
             return
-        if step % _BLOCK == 0:
+        if not 0 <= step - self._from < BLOCK:
             self._lay(step)
         for key, own in zip(self._keys, self._rows, strict=True):
-            ctrl[own] = self._laid[key][step % _BLOCK]
+            ctrl[own] = self._laid[key][step - self._from]
+
+    def block(self, first: int, count: int) -> np.ndarray | None:
+        """Controls (rows, count, nu) of some steps, at most `BLOCK`; None for a model without motors."""
+        if not self._nu:
+            return None
+        self._lay(first)
+        out = np.empty((self._rows[-1].stop, count, self._nu))
+        for key, own in zip(self._keys, self._rows, strict=True):
+            out[own] = np.swapaxes(self._laid[key][:count], 0, 1)
+        return out
 
     def _lay(self, first: int) -> None:
-        self._laid = {}
+        self._laid, self._from = {}, first
         longest = max(float(stretch.times.max(initial=0)) for _, stretch in self._pieces)
-        count = min(_BLOCK, int(longest / self._dt) + 2 - first)
+        count = min(BLOCK, int(longest / self._dt) + 2 - first)
         since = (first + np.arange(count) + 0.5) * self._dt
         for key, (world, stretch) in zip(self._keys, self._pieces, strict=True):
             if key in self._laid:

@@ -16,6 +16,7 @@ from mujoco.batch import Batch, SimulationError
 
 from btr_mjx.environment import available_cores
 from btr_mjx.errors import InputError
+from btr_mjx.gap.freewheel import freewheel
 from btr_mjx.gap.laws import Rows
 from btr_mjx.gap.stretches import Controls, Job, Piece, Sampler, Stretch
 from btr_mjx.gap.tangent import integrate
@@ -103,7 +104,7 @@ def _alike(jobs: Sequence[Job], timestep: float | None) -> list[list[int]]:
                 f"({len(stretch)}, {model.nq}) and ({len(stretch)}, {model.nv}) for this model"
             )
         sizes = tuple(getattr(model, name) for name in _SIZES)
-        key = (*sizes, timestep or model.opt.timestep, model.opt.integrator)
+        key = (*sizes, timestep or model.opt.timestep, model.opt.integrator, bool(world.laws))
         groups.setdefault(key, []).append(index)
     return list(groups.values())
 
@@ -158,29 +159,30 @@ def _run(
     sampler = Sampler(base, pieces, dt)
     controls = Controls(pieces, rows, dt, base.nu)
     forces = _Forces(batch, pieces, rows)
-    dead = np.zeros(count, bool)
-    sampler.record(0, qpos, qvel, dead)
-    steps, ctrl = sampler.steps, batch.bind("ctrl")
+    steps, everyone = sampler.steps, np.ones(count, bool)
+    sampler.record(0, qpos, qvel, everyone)
+    free = not any(world.laws for world, _ in pieces)
+    done = freewheel(batch, sampler, controls) if free else np.zeros(count, int)
+    dead, before = np.zeros(count, bool), ~everyone
+    ctrl, total = batch.bind("ctrl"), int(done.sum())
     ids: np.ndarray | None = None
-    running, total = -1, 0
-    for k in range(int(steps.max(initial=0))):
-        alive = (steps > k) & ~dead
-        if int(alive.sum()) != running:
-            running = int(alive.sum())
-            ids = None if running == count else np.flatnonzero(alive).astype(np.int32)
-        if not running:
-            break
+    for k in range(int(done.min(initial=0)), int(steps.max(initial=0))):
+        alive = (steps > k) & (done <= k) & ~dead
+        if not np.array_equal(alive, before):
+            before, ids = alive, None if alive.all() else np.flatnonzero(alive).astype(np.int32)
+        if not alive.any():
+            continue
         controls.write(k, ctrl)
         if k == 0:
             forces.start()
         forces.apply()
-        sampler.before(k + 1, qpos, qvel)
+        sampler.before(k + 1, qpos, qvel, alive)
         try:
             batch.step(ids)
         except SimulationError as error:
             dead[error.ids] = True
-        total += running
-        sampler.record(k + 1, qpos, qvel, dead)
+        total += int(alive.sum())
+        sampler.record(k + 1, qpos, qvel, alive & ~dead)
     sampler.write(block, out)
     return total
 
