@@ -1,7 +1,6 @@
 """Steps that ask nothing of Python: worlds without laws run through many of them in one call.
 
-Batches are small, two dozen windows in the mean, and what Python does between two steps costs a fifth of what the step
-itself does.
+Batches are small, two dozen windows in the mean, and what Python does between two steps costs a tenth of a search.
 """
 
 import numpy as np
