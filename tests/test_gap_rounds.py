@@ -127,6 +127,7 @@ class Stage:
       limb: names that move the contacts of a limb.
       besides: scores beside its calibration.
       ran: scores after a run-off.
+      apart: scores where what hardly differs is told apart.
       underfoot: scores after a look at what changes the ground.
       usual: names that are no larger than calibration leaves.
       spent: whether much has been spent.
@@ -142,13 +143,19 @@ class Stage:
         self.beyond, self.ran, self.usual = dict[str, float](), dict[str, float](), set[str]()
         monkeypatch.setattr(rounds, "within_calibration", lambda bench, judged: judged.name in self.usual)
         monkeypatch.setattr(rounds, "runoff", self.runoff)
+        monkeypatch.setattr(rounds, "told_apart", self.told)
         monkeypatch.setattr(rounds, "beyond_calibration", self.compared)
+        self.apart = dict[str, float]()
         self.limb, self.besides, self.underfoot = "", dict[str, float](), dict[str, float]()
         monkeypatch.setattr(rounds, "limb_of", lambda bench, judged: list(self.limb) * (judged.name in self.limb))
         monkeypatch.setattr(rounds, "besides", self.calibrated)
 
     def runoff(self, bench, judged):
         again = [self.judged(j.name, self.scores | self.ran) for j in judged]
+        return sorted(again, key=lambda j: -j.score)
+
+    def told(self, bench, judged):
+        again = [self.judged(j.name, self.scores | self.ran | self.apart) for j in judged]
         return sorted(again, key=lambda j: -j.score)
 
     def costly(self):
@@ -270,6 +277,15 @@ def test_a_run_off_decides_the_first_round(monkeypatch):
     assert stage.named() == ["b"]
     stage.usual = {"a"}  # no larger than calibration leaves: there is nothing to decide
     assert stage.named() == ["a"]
+
+
+def test_what_hardly_differs_from_a_name_may_take_its_place(monkeypatch):
+    stage = Stage(monkeypatch, {"a": 70.0, "b": 66.0, "ab": 75.0, "ba": 75.0})
+    stage.apart = {"b": 71.0}
+    assert stage.named() == ["b"]
+    stage = Stage(monkeypatch, {"a": 10.0, "b": 9.0})  # there is no name
+    stage.apart = {"b": 71.0}
+    assert stage.named() == []
 
 
 @pytest.mark.parametrize(
