@@ -155,6 +155,8 @@ class Stage:
         return sorted(again, key=lambda j: -j.score)
 
     def told(self, bench, judged):
+        if not self.apart:
+            return judged
         again = [self.judged(j.name, self.scores | self.ran | self.apart) for j in judged]
         return sorted(again, key=lambda j: -j.score)
 
