@@ -202,6 +202,7 @@ def test_what_calibration_explains_nearly_as_well_is_not_ruled_out(folder: Path)
     page = Page(draw(folder).read_text(encoding="utf-8")).text
     assert "Not ruled out, though small errors of calibration explain nearly as much:" in page
     assert "These data cannot tell apart" not in page
+    assert "Hatched: calibration explains nearly as much." in page
 
 
 def test_whole_recordings_come_first_in_the_sentence() -> None:

@@ -285,6 +285,9 @@ def test_what_hardly_differs_from_a_name_may_take_its_place(monkeypatch):
     stage = Stage(monkeypatch, {"a": 70.0, "b": 66.0, "ab": 75.0, "ba": 75.0})
     stage.apart = {"b": 71.0}
     assert stage.named() == ["b"]
+    allowed = stage.accepted
+    monkeypatch.setattr(rounds, "accepted", lambda b, j, *rest, **more: j.name != "b" and allowed(b, j, *rest, **more))
+    assert stage.named() == ["a"]  # what may not be named does not
     stage = Stage(monkeypatch, {"a": 10.0, "b": 9.0})  # there is no name
     stage.apart = {"b": 71.0}
     assert stage.named() == []

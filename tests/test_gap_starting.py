@@ -204,7 +204,15 @@ def test_what_leads_has_its_limb_judged_anew(bench: Bench, monkeypatch: pytest.M
     judged_anew(bench.dataset.model, rows, bench.base, bench.walks, 0.0)
     assert asked.count(moving[1].name) == 2
     asked.clear()
-    judged_anew(bench.dataset.model, [(90.0, *rows[0][1:]), *rows[1:]], bench.base, bench.walks, 0.0)
+    weak = [(90.0, *rows[0][1:]), *rows[1:]]
+    judged_anew(bench.dataset.model, weak, bench.base, bench.walks, 0.0)
+    assert asked.count(moving[1].name) == 0
+    # What leads by as much only when it is looked at has its limb judged anew as well.
+    monkeypatch.setattr(bench.walks, "gain", lambda h: asked.append(h.name) or 150.0 * (h.name == moving[0].name))
+    judged_anew(bench.dataset.model, weak, bench.base, bench.walks, 0.0)
+    assert asked.count(moving[1].name) == 2
+    asked.clear()
+    judged_anew(bench.dataset.model, weak, bench.base, bench.walks, 900.0)  # something else is far stronger
     assert asked.count(moving[1].name) == 0
 
 

@@ -81,9 +81,10 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
     if ranking:
         threshold = result["threshold"] if is_number(result.get("threshold")) else None
         figure = figures.ranking_bars(ranking, found, threshold)
+        hatched = "cannot be told apart from it by these data" if found else "calibration explains nearly as much"
         caption = (
-            "Score: how far the misfit falls, beyond what the effect's numbers cost. Black: named. Hatched: cannot be "
-            "told apart from it by these data. Grey: other candidates. Dotted line: what a name needs at least."
+            "Score: how far the misfit falls, beyond what the effect's numbers cost. Black: named. "
+            f"Hatched: {hatched}. Grey: other candidates. Dotted line: what a name needs at least."
         )
         if any(row.get("fresh") for row in ranking):
             caption += " Those that came first were judged on more windows, which add to their scores."

@@ -121,7 +121,7 @@ def search(bench: Bench, most: int, note: Callable[[str], None]) -> tuple[list[l
         note("run-off")
         rounds[0] = acceptable(bench, runoff(bench, rounds[0]), None)
     if rounds[0] and accepted(bench, rounds[0][0], None):
-        rounds[0] = told_apart(bench, rounds[0])
+        rounds[0] = acceptable(bench, told_apart(bench, rounds[0]), None)
     if rounds[0] and rounds[0][0].score < DOUBTFUL and accepted(bench, rounds[0][0], None):
         note("calibration")
         rounds[0] = _calibrated(bench, rounds[0])
