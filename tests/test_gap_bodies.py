@@ -88,14 +88,15 @@ def test_what_acts_at_a_joint_is_told_there(monkeypatch, excess, joint, expected
     monkeypatch.setattr(check, "describe", lambda *_: [])
     model = case_robot("quadruped").model
     feature = Feature(6, "ripple", None, np.zeros((1, 1)))
+    chance = SimpleNamespace(excess_at_body=4.0, usual_at_body=0.5)
     stub = SimpleNamespace(
         bench=SimpleNamespace(dataset=SimpleNamespace(model=model)),
         around=[None],
         gain=45.0,
-        excess_at_body=4.0,
+        thrown=lambda there: check.Check.thrown(chance, there),  # type: ignore[arg-type]
         left=lambda _: Leftover(np.zeros(1), np.zeros(1), joint, feature),
         told=lambda _: None,
-        at_body=lambda _: AtBody(model.body("trunk").id, excess, 90.0),
+        at_body=lambda _: AtBody(model.body("trunk").id, excess, 90.0, 1.0),
         _fit=lambda *_: None,
         _forces=lambda *_: None,
     )

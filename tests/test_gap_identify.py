@@ -9,6 +9,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from btr_mjx.errors import InputError
 from btr_mjx.gap.akin_effects import HARDENING_SPRING
 from btr_mjx.gap.bodies import AtBody
+from btr_mjx.gap.check import Check
 from btr_mjx.gap.effect import Parameter
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.gains import luckiest
@@ -228,13 +229,14 @@ def left_by(gains, dispersion=1.0, told=None, body=None):
     """A check in which hypotheses leave given gains at one joint, of which 45 may be chance, and this at a body."""
     left = {gain: Leftover(np.array([0.0]), np.array([0.0]), left, None) for gain, left in gains.items()}
     bench = SimpleNamespace(dispersion=dispersion, delicate=frozenset())
+    chance = SimpleNamespace(excess_at_body=4.0, usual_at_body=0.5)
     return SimpleNamespace(
         bench=bench,
         gain=45.0,
         excess=5.5,
-        excess_at_body=4.0,
         left=lambda judged: left[judged.gain],
         at_body=lambda _: body or AtBody(),
+        thrown=lambda there: Check.thrown(chance, there),  # type: ignore[arg-type]
         told=lambda _: told,
     )
 
@@ -272,10 +274,17 @@ def test_a_name_is_none_where_held_out_recordings_know_of_something_else():
 
 
 @pytest.mark.parametrize(
-    ("excess", "chi2", "expected"), [(3.9, 500.0, False), (4.1, 500.0, True), (4.1, 89.0, False), (4.1, 91.0, True)]
+    ("excess", "chi2", "usual", "expected"),
+    [
+        (3.9, 500.0, 0.6, False),
+        (4.1, 500.0, 0.6, True),
+        (4.1, 89.0, 0.6, False),
+        (4.1, 91.0, 0.6, True),
+        (40.0, 5000.0, 0.4, False),  # much in a few windows: feet that come down at another time
+    ],
 )
-def test_what_a_name_may_leave_at_a_body_that_floats(excess, chi2, expected):
-    check = left_by({1000.0: 0.0}, body=AtBody(1, excess, chi2))
+def test_what_a_name_may_leave_at_a_body_that_floats(excess, chi2, usual, expected):
+    check = left_by({1000.0: 0.0}, body=AtBody(1, excess, chi2, usual))
     assert missing(check, [gained(1000.0)], 0.9, 0.0) is expected
 
 

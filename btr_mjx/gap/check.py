@@ -63,6 +63,7 @@ class Check:
     Attributes:
       excess: largest excess at one joint that may be chance.
       excess_at_body: largest excess at a body that floats that may be chance.
+      usual_at_body: the same of what half of the windows stay below.
       gain: largest gain by something that no effect follows that may be chance.
     """
 
@@ -83,6 +84,7 @@ class Check:
         self._bodies = Bodies(model, self.fits)
         self.null, left, bodies, self._held_out, self._spared = self._null(rng)
         self.excess_at_body = max(_LEAST_AT_BODY, _BEYOND * max(one.excess for one in bodies))
+        self.usual_at_body = max(one.usual for one in bodies)
         self.excess = max(_LEAST_EXCESS, _BEYOND * max(one.worst for one in left))
         self.gain = max(_LEAST_GAIN, _BEYOND * max(one.gain for one in left))
 
@@ -189,6 +191,10 @@ class Check:
         bodies = self._bodies if fits == self.fits else Bodies(self.bench.dataset.model, fits)
         return bodies([self._residual(i, judged) for i in (0, 1)])
 
+    def thrown(self, there: AtBody) -> bool:
+        """Whether forces and torques on a body explain more than chance, and do so in most windows."""
+        return there.excess > self.excess_at_body and there.usual > self.usual_at_body
+
     def told(self, judged: Judged | None) -> Feature | None:
         """Something that no effect follows and that held-out recordings know of as well.
 
@@ -240,7 +246,7 @@ class Check:
         feature = left.feature if left.gain > self.gain else self.told(judged)
         telling = [] if feature is None else [telling_sentence(feature, names)]
         there = self.at_body(judged)
-        if not telling and there.body is not None and there.excess > self.excess_at_body:
+        if not telling and there.body is not None and self.thrown(there):
             # What acts at a joint acts on the trunk as well, and is told there.
             telling = [body_sentence(there, self.bench.dataset.model)]
         return (*telling, *(sentence(d, names) for d in found))

@@ -30,6 +30,7 @@ from btr_mjx.gap.outcome import (
     refits,
     survivors,
 )
+from btr_mjx.gap.pacing import pace_notes
 from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.rounds import COARSE, THRESHOLD, search, within_calibration
 from btr_mjx.gap.search import Bench
@@ -159,6 +160,7 @@ def name_missing(
         steps=bench.counter.steps,
         seconds=time.monotonic() - begun,
         survivors=survivors(bench, rounds, named),
+        notes=pace_notes(bench.fit.windows),
     )
 
 
@@ -226,7 +228,7 @@ def missing(check: Check, named: Sequence[Judged], share: float, surprise: float
     if plain(check.bench, named[-1]) and surprise > REST and share < REST_SHARE:
         return True
     there = check.at_body(named[-1])
-    if there.excess > check.excess_at_body and there.chi2 > LEFT_SHARE * (named[-1].gain + named[-1].held_out):
+    if check.thrown(there) and there.chi2 > LEFT_SHARE * (named[-1].gain + named[-1].held_out):
         return True
     left, most = check.left(named[-1]), LEFT_SHARE * named[-1].gain
     return left.gain > max(check.gain, most) or (left.worst > check.excess and float(left.chi2.max()) > most)

@@ -11,6 +11,7 @@ import numpy as np
 from btr_mjx.gap.score import project
 from btr_mjx.gap.starting import centred
 from btr_mjx.gap.tangent import integrate
+from btr_mjx.gap.time_steps import fine_step
 from btr_mjx.gap.windows import MakeWorld, Windows
 
 _KNOWN = 0.1
@@ -53,11 +54,14 @@ def null_residual(windows: Windows, base: MakeWorld, truth: MakeWorld, rng: np.r
       (W, R) residual in units of the noise, as `Windows.residual`.
     """
     nq, nv, sigma = windows.nq, windows.nv, windows.data.sigma
-    states = windows.states([truth], start=doubtful(windows, rng))[0]
+    # Where steps had to be divided, what is left of their error is part of what a null leaves.
+    shows = windows.data.finer > 1
+    own = fine_step(windows) if shows else windows.step
+    states = windows.states([truth], timestep=own, start=doubtful(windows, rng))[0]
     noise = rng.standard_normal((*states.shape[:2], 2 * nv)) * sigma
     other = copy.copy(windows)
     other.target_q = integrate(windows.models[0], states[..., :nq], noise[..., :nv])
     other.target_v = states[..., nq:] + noise[..., nv:]
-    # Both worlds take the model's time step here: there is nothing to correct.
-    nothing = np.zeros_like(windows.residual)
-    return project(other.whiten(centred(other, base, _STEPS, windows.base, nothing)[2]), windows.basis)
+    correction = windows.correction if shows else np.zeros_like(windows.correction)
+    found = other.whiten(centred(other, base, _STEPS, windows.base, correction)[2])
+    return project(found + correction, windows.basis)

@@ -139,7 +139,7 @@ def plan(
     """
     model = data.recordings[0].model
     interval = float(np.median(np.concatenate([np.diff(r.time) for r in data.recordings])))
-    steps = max(1, round(interval / float(model.opt.timestep)))
+    steps = max(1, round(interval / step_of(data)))
     single = steps >= 3 and count > _MANY
     screening = count / steps / intervals_per_look(interval) if single else count
     # Directions take longer steps where that does, which cannot be known before there are windows.
@@ -151,6 +151,11 @@ def plan(
     most = max(1, round(_HELD_OUT * len(fit[1]) / len(held.recordings)))
     test = place(held, span, (1 - share) * budget, state + _JUDGED + screening / 3, most, counter)
     return (data, *fit), (held, *test), single
+
+
+def step_of(data: Data) -> float:
+    """Time step that simulations take [s]."""
+    return float(data.recordings[0].model.opt.timestep) / data.finer
 
 
 def place(
@@ -180,7 +185,7 @@ def place(
     own, start, k = grid(data, span)
     model = data.recordings[0].model
     interval = float(np.median(np.concatenate([np.diff(r.time) for r in data.recordings])))
-    steps = max(1.0, k * interval / float(model.opt.timestep))
+    steps = max(1.0, k * interval / step_of(data))
     affordable = budget / (per_step * steps) / len(data.recordings)
     count = int(np.clip(round(affordable), 1, most)) * len(data.recordings)
     if count < len(start):

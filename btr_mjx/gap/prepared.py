@@ -23,6 +23,7 @@ class Data:
       sigma: (2 nv,) noise of positions and velocities.
       measured: (2 nv,) bool: which coordinates were measured.
       span: samples that a state estimate uses.
+      finer: simulations take the models' time step divided by this.
     """
 
     recordings: tuple[Recording, ...]
@@ -32,6 +33,7 @@ class Data:
     sigma: np.ndarray
     measured: np.ndarray
     span: Span
+    finer: int = 1
 
 
 def prepare(recordings: Sequence[Recording], interpolation: str, sigma: np.ndarray, span: Span) -> Data:

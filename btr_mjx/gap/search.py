@@ -19,7 +19,8 @@ from btr_mjx.gap.gains import fall
 from btr_mjx.gap.hypotheses import Hypothesis, refitted, unknowns
 from btr_mjx.gap.leaders import pick, starts
 from btr_mjx.gap.noise import estimate_noise
-from btr_mjx.gap.planning import Survey, plan, survey
+from btr_mjx.gap.pacing import chosen_windows
+from btr_mjx.gap.planning import Survey, survey
 from btr_mjx.gap.prepared import prepare, scales_of, track_of
 from btr_mjx.gap.recordings import Dataset
 from btr_mjx.gap.refine import Nuisance, Refined, refine
@@ -102,8 +103,9 @@ class Bench:
         entries = entries_of(self.candidates, self.fields, self.delicate)
         note("windows")
         count = sum(len(entry.steps) for entry in entries)
-        fit, test, self.single = plan(data, held, self.survey.span, count, self.options, self.counter)
-        self.fit, self.test = (Side(Windows(*own, self.counter), Nuisance.nothing(0, 0)) for own in (fit, test))
+        chosen = chosen_windows(data, held, self.base, self.survey, count, self.options, self.counter)
+        self.fit, self.test = (Side(own, Nuisance.nothing(0, 0)) for own in chosen.windows)
+        self.single, self.options = chosen.single, chosen.options
         self._start(note)
         note(f"signatures of {len(entries)} candidates")
         self._draws = tolerance_draws(self.base, self.candidates, dataset.tolerances, np.random.default_rng(0), _DRAWS)

@@ -38,9 +38,9 @@ def signatures(
       single: one step in the middle of each interval, or of a few short ones, instead of all steps.
 
     Returns:
-      (C, W, R) projected signatures in units of the noise, float32.
+      (C, W, R) projected signatures in units of the noise, float32; zero where windows are not tame.
     """
-    out = np.zeros((len(makes), *windows.residual.shape), np.float32)
+    out, telling = np.zeros((len(makes), *windows.residual.shape), np.float32), windows.tame[:, None]
     hold = intervals_per_look(float(np.median(np.diff(windows.since, axis=1)))) if single else 1
     pieces = _middles(windows, base, hold) if single else _intervals(windows)
 
@@ -52,7 +52,7 @@ def signatures(
         if single:
             pushed = np.repeat(change[..., windows.nv :] / windows.dt, hold, axis=2)[:, :, : windows.k]
             change = _spread(windows, pushed)
-        out[first : first + len(chunk)] = carry(windows, change)
+        out[first : first + len(chunk)] = telling * carry(windows, change)
 
     abreast([partial(look, first) for first in range(0, len(makes), _CHUNK)])
     return out
@@ -121,7 +121,7 @@ def _middles(windows: Windows, base: MakeWorld, hold: int) -> list[tuple[np.ndar
     middle = np.maximum(middle, 0.0)
     for model, own in windows.groups:
         stretch = windows.stretch(own, windows.qpos[own], windows.qvel[own], middle[own])
-        states = simulate([(base(model), stretch)], counter=windows.counter)[0]
+        states = simulate([(base(model), stretch)], timestep=windows.dt, counter=windows.counter)[0]
         act = 0.5 * (windows.act[own][:, first] + windows.act[own][:, last])
         count = len(own) * len(first)
         out.append(
@@ -148,7 +148,7 @@ def _ends(
     jobs: list[Job] = []
     for own_worlds in worlds:
         jobs += [(world, stretch) for world, (_, stretch) in zip(own_worlds, pieces, strict=True)]
-    found = simulate(jobs, counter=windows.counter)
+    found = simulate(jobs, timestep=windows.dt, counter=windows.counter)
     each = len(pieces[0][1]) // len(pieces[0][0])
     out = np.empty((len(worlds), len(windows), each, windows.nq + windows.nv))
     for i in range(len(worlds)):

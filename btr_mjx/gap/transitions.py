@@ -97,6 +97,39 @@ def transitions(
     return matrices, answers
 
 
+def secants(windows: "Windows", make: Callable[[mujoco.MjModel], World], own: np.ndarray) -> np.ndarray:
+    """How residuals answer to the starting state, by nudging it and simulating whole windows.
+
+    As dear as the transitions. What is off at a touchdown does not grow from each to the next as in their product, for
+    a foot that touches touches.
+
+    Args:
+      windows: the data.
+      make: the hypothesis.
+      own: (N,) which windows.
+
+    Returns:
+      (N, R, 2 nv), scaled by the noise of the starting state.
+    """
+    nq, nv, size = windows.nq, windows.nv, 2 * windows.nv
+    nudges = np.concatenate([np.zeros((1, size)), _NUDGE * np.diag(windows.data.sigma)])
+    out = np.zeros((len(own), windows.correction.shape[1], size))
+    for model, members in windows.groups:
+        mine = np.flatnonzero(np.isin(own, members))
+        if not len(mine):
+            continue
+        there = np.repeat(own[mine], len(nudges))
+        away = np.tile(nudges, (len(mine), 1))
+        qpos = integrate(model, windows.qpos[there], away[:, :nv])
+        stretch = windows.stretch(there, qpos, windows.qvel[there] + away[:, nv:], windows.since[there])
+        step = windows.stride * windows.dt
+        states = simulate([(make(model), stretch)], timestep=step, counter=windows.counter)[0]
+        states = states.reshape(len(mine), len(nudges), windows.k + 1, nq + nv)
+        moved = windows.scaled(windows.minus(states[:, 1:], states[:, :1]))
+        out[mine] = np.swapaxes(moved, 1, 2) / _NUDGE
+    return out
+
+
 def intervals(
     windows: "Windows", window: np.ndarray, interval: np.ndarray, qpos: np.ndarray, qvel: np.ndarray
 ) -> Stretch:

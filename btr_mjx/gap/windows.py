@@ -14,13 +14,13 @@ import numpy as np
 
 from btr_mjx.gap.memory import Memory, remembered
 from btr_mjx.gap.prepared import Data
-from btr_mjx.gap.propagation import jacobian
+from btr_mjx.gap.propagation import jacobian, tame
 from btr_mjx.gap.score import project, spanned
 from btr_mjx.gap.smoothing import smooth
 from btr_mjx.gap.starting import centred
 from btr_mjx.gap.tangent import difference
 from btr_mjx.gap.time_steps import paced, step_error
-from btr_mjx.gap.transitions import strangeness, stride, transitions
+from btr_mjx.gap.transitions import secants, strangeness, stride, transitions
 from btr_mjx.gap.worlds import Counter, Stretch, World
 
 MakeWorld = Callable[[mujoco.MjModel], World]
@@ -38,6 +38,7 @@ _UNSEEN = 50.0
 _PER_WINDOW = (
     *("recording", "first", "time", "since", "target_q", "target_v", "act", "qpos", "qvel", "reach"),
     *("basis", "soft", "correction", "base", "transitions", "answers", "jacobians", "inverse"),
+    "tame",
 )
 """Arrays with a row for every window."""
 
@@ -59,6 +60,7 @@ class Windows:
       step: time step of residuals [s], the model's or twice that; what it does is corrected.
       stride: time steps of the model that one step takes where only directions are asked for.
       freedom: residual degrees of freedom of a window.
+      tame: (W,) bool: where transitions may be multiplied, see `propagation.tame`.
       base: (W, k + 1, nq + nv) states of the base world from the starting states.
       maker: the hypothesis that they are of.
       memory: what was simulated in them and their copies.
@@ -79,7 +81,7 @@ class Windows:
         self.act = np.stack([data.acts[r][i] for r, i in zip(self.recording, index, strict=True)])
         model = pick[0].model
         self.nq, self.nv = model.nq, model.nv
-        self.dt = float(model.opt.timestep)
+        self.dt = float(model.opt.timestep) / data.finer
         self.step = self.dt
         self.groups = self._by_model()
         self.qpos, self.qvel = np.empty((len(self), self.nq)), np.empty((len(self), self.nv))
@@ -184,7 +186,7 @@ class Windows:
         base, correction = paced(self, make, step)
         self.stride = stride(self, make, base)
         self.transitions, self.answers = transitions(self, make, base)
-        self._directions()
+        self._directions(make)
         self.qpos, self.qvel, self.base = centred(self, make, steps, base, correction)
         self.maker = make
         self.differentiate(make)
@@ -199,11 +201,15 @@ class Windows:
         """
         changed = strangeness(self, make, self.base) > _STRANGE
         self.transitions, self.answers = transitions(self, make, self.base, changed, (self.transitions, self.answers))
-        self._directions()
+        self._directions(make)
         self.soften(self.soft)
 
-    def _directions(self) -> None:
+    def _directions(self, make: MakeWorld) -> None:
         self.jacobians = jacobian(self)
+        self.tame = tame(self.jacobians)
+        wild = np.flatnonzero(~self.tame)
+        if len(wild):
+            self.jacobians[wild] = secants(self, make, wild)
         self.basis, self.inverse = spanned(self.jacobians)
 
     def soften(self, directions: np.ndarray) -> None:
