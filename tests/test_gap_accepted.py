@@ -98,6 +98,8 @@ def test_the_ground_needs_less_than_the_contacts_of_a_limb(place, expected):
     assert is_accepted("m", 40.0, 20.0, place=place) is expected
     assert is_accepted("m", 30.0, 15.0, place=place) is False
     assert is_accepted("am", 40.0, 20.0, place=place) is False
+    assert is_accepted("m", 100.0, 30.0, place=place) is expected  # 30 % of what the others gain
+    assert is_accepted("m", 100.0, 20.0, place=place) is False
 
 
 @pytest.mark.parametrize(("limb", "expected"), [("", False), ("m", False), ("mn", True)])

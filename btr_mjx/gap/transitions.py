@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
+from btr_mjx.gap.propagation import jacobian, tame
 from btr_mjx.gap.tangent import integrate
 from btr_mjx.gap.world import World
 from btr_mjx.gap.worlds import Job, Stretch, simulate
@@ -95,6 +96,24 @@ def transitions(
     matrices[window, interval] = np.swapaxes(moved[:, :-1] / scale[:, None], 1, 2)
     answers[window, interval] = moved[:, -1]
     return matrices, answers
+
+
+def directions(windows: "Windows", make: Callable[[mujoco.MjModel], World]) -> tuple[np.ndarray, np.ndarray]:
+    """How residuals answer to the starting states: products of transitions, and secants where these would grow wild.
+
+    Args:
+      windows: with their transitions.
+      make: the hypothesis.
+
+    Returns:
+      (W, R, 2 nv), scaled by the noise of the starting state, and which windows are tame (W,).
+    """
+    found = jacobian(windows)
+    calm = tame(found)
+    wild = np.flatnonzero(~calm)
+    if len(wild):
+        found[wild] = secants(windows, make, wild)
+    return found, calm
 
 
 def secants(windows: "Windows", make: Callable[[mujoco.MjModel], World], own: np.ndarray) -> np.ndarray:

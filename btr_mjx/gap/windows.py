@@ -14,13 +14,12 @@ import numpy as np
 
 from btr_mjx.gap.memory import Memory, remembered
 from btr_mjx.gap.prepared import Data
-from btr_mjx.gap.propagation import jacobian, tame
 from btr_mjx.gap.score import project, spanned
 from btr_mjx.gap.smoothing import smooth
 from btr_mjx.gap.starting import centred
 from btr_mjx.gap.tangent import difference
 from btr_mjx.gap.time_steps import paced, step_error
-from btr_mjx.gap.transitions import secants, strangeness, stride, transitions
+from btr_mjx.gap.transitions import directions, strangeness, stride, transitions
 from btr_mjx.gap.worlds import Counter, Stretch, World
 
 MakeWorld = Callable[[mujoco.MjModel], World]
@@ -91,8 +90,7 @@ class Windows:
             q, v, chi2 = smooth(model, data.tracks[r], self.first[own], data.sigma, data.span)
             self.qpos[own], self.qvel[own] = q, v
             doubt[own] = np.maximum(chi2, 1.0)
-        free = np.where(data.measured, 1.0, _UNSEEN)
-        self.reach = _REACH * data.sigma * free * np.concatenate([doubt, doubt], -1)
+        self.reach = _REACH * data.sigma * np.where(data.measured, 1.0, _UNSEEN) * np.tile(doubt, 2)
         self.smoothed = self.qpos.copy(), self.qvel.copy()
         self.channels = np.flatnonzero(data.measured)
         self.correction = np.zeros((len(self), (k + 1) * len(self.channels)))
@@ -205,11 +203,7 @@ class Windows:
         self.soften(self.soft)
 
     def _directions(self, make: MakeWorld) -> None:
-        self.jacobians = jacobian(self)
-        self.tame = tame(self.jacobians)
-        wild = np.flatnonzero(~self.tame)
-        if len(wild):
-            self.jacobians[wild] = secants(self, make, wild)
+        self.jacobians, self.tame = directions(self, make)
         self.basis, self.inverse = spanned(self.jacobians)
 
     def soften(self, directions: np.ndarray) -> None:
@@ -285,8 +279,7 @@ class Windows:
             return self
         other = self.copied()
         for name in _PER_WINDOW:
-            own = getattr(self, name)
-            setattr(other, name, picked(own, [getattr(windows, name) for windows in others], chosen))
+            setattr(other, name, picked(getattr(self, name), [getattr(w, name) for w in others], chosen))
         return other
 
     def residuals(self, makes: Sequence[MakeWorld]) -> list[np.ndarray]:
