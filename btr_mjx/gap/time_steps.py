@@ -37,10 +37,13 @@ _COARSE = 1e-3
 _ROUGH = 0.7
 """Root mean square, in units of the noise, of what such a step does, beyond which the model's own is taken."""
 
-_FINER = 4
-"""By so much the model's time step is divided where feet need it. Half of it was not enough: with 0.5 instead of 1 ms
-what is left of its error still looked like damping of all joints of a quadruped (a score of 152 where nothing was
-missing)."""
+_FINER = 4, 16
+"""By so much the model's time step is divided where feet need it, at least and at most. Half of it was not enough: with
+0.5 instead of 1 ms what is left of its error still looked like damping of all joints of a quadruped (a score of 152
+where nothing was missing)."""
+
+_LEFT = 1.4
+"""Root mean square, as above, of what such a divided step may do: errors are of first order."""
 
 
 def fine_step(windows: "Windows") -> float:
@@ -120,8 +123,8 @@ def refinement(windows: "Windows", make: Callable[[mujoco.MjModel], World]) -> i
       make: a hypothesis.
 
     Returns:
-      1 where it does little enough, else `_FINER`.
+      1 where it does little enough, else a power of two.
     """
     _, error = paced(windows, make)
-    rough = float(np.median((error**2).mean(1))) > _ROUGH**2
-    return _FINER if rough else 1
+    rough = float(np.sqrt(np.median((error**2).mean(1))))
+    return 1 if rough <= _ROUGH else int(np.clip(2 ** np.ceil(np.log2(rough / _LEFT)), *_FINER))
