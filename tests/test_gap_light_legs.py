@@ -53,7 +53,7 @@ def fine(quadruped):
 
 @pytest.mark.parametrize(
     ("noise", "expected"),
-    [(100.0, [1]), (1.0, [4]), (0.3, [8, 16]), (0.01, [16])],
+    [(100.0, [1]), (1.0, [4]), (0.15, [8]), (0.01, [16])],
     ids=["unseen", "seen", "more", "most"],
 )
 def test_the_step_is_divided_where_sensors_see_what_it_does(quadruped, noise, expected) -> None:
