@@ -10,7 +10,7 @@ from btr_mjx.gap.bodies import AtBody, Bodies, floating
 from btr_mjx.gap.forces import ForceFit, circumstances, lack_of_fit
 from btr_mjx.gap.hidden import make_case
 from btr_mjx.gap.hidden_robots import case_robot
-from btr_mjx.gap.leftover import Feature, Leftover
+from btr_mjx.gap.leftover import Feature, Leftover, Told
 from btr_mjx.gap.prepared import prepare
 from btr_mjx.gap.recordings import load
 from btr_mjx.gap.score import project
@@ -94,7 +94,9 @@ def test_what_acts_at_a_joint_is_told_there(monkeypatch, excess, joint, expected
         around=[None],
         gain=45.0,
         thrown=lambda there: check.Check.thrown(chance, there),  # type: ignore[arg-type]
+        _known=[[feature]],
         left=lambda _: Leftover(np.zeros(1), np.zeros(1), joint, feature),
+        follows=lambda _: Told(0, 1.0, joint) if joint > 45.0 else None,
         told=lambda _: None,
         at_body=lambda _: AtBody(model.body("trunk").id, excess, 90.0, 1.0),
         _fit=lambda *_: None,

@@ -16,7 +16,7 @@ from btr_mjx.gap.gains import luckiest
 from btr_mjx.gap.held_out import foreseen
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.identify import identify, missing, strange, undecided
-from btr_mjx.gap.leftover import Leftover
+from btr_mjx.gap.leftover import Leftover, Told
 from btr_mjx.gap.outcome import calibration_of, equivalent
 from btr_mjx.gap.places import Place
 from btr_mjx.gap.recordings import Believed
@@ -238,6 +238,7 @@ def left_by(gains, dispersion=1.0, told=None, body=None):
         at_body=lambda _: body or AtBody(),
         thrown=lambda there: Check.thrown(chance, there),  # type: ignore[arg-type]
         told=lambda _: told,
+        follows=lambda judged: Told(0, 1.0, left[judged.gain].gain) if left[judged.gain].gain > 45.0 else None,
     )
 
 
@@ -315,6 +316,7 @@ def test_what_may_not_be_named_may_still_be_missing(score, size, beside, expecte
     check = left_by({})
     check.surprise = lambda _: 0.0
     check.left = lambda _: Leftover(np.array([0.0]), np.array([0.0]), 0.0, None)
+    check.follows = lambda _: None
     check.bench.dataset = SimpleNamespace(tolerances={"joint_stiffness": 0.01})
     best = None if score is None else unnamed(score, size)
     rival = None if beside is None else SimpleNamespace(score=score + beside)
@@ -322,6 +324,22 @@ def test_what_may_not_be_named_may_still_be_missing(score, size, beside, expecte
     if not expected:
         check.told = lambda _: "position cubed"
         assert strange(check, best, rival)
+        check.told, check.follows = (lambda _: None), (lambda _: Told(0, 1.0, 50.0))
+        assert strange(check, best, rival)
+
+
+@pytest.mark.parametrize(
+    ("held_out", "expected"),
+    [([10.0, 9.0], 0), ([-20.0, -9.0], 0), ([-40.0, -9.0], 1), ([-40.0, -30.0], None)],
+    ids=["known", "hardly known", "denied", "both denied"],
+)
+def test_what_held_out_recordings_speak_against_is_not_strange(held_out, expected):
+    """Gains of 60 and 50 on the recordings to fit, of which 45 may be chance."""
+    told = (Told(0, 1.0, 60.0), Told(1, 1.0, 50.0), Told(2, 1.0, 40.0))
+    asked = list(zip(told, held_out, strict=False))
+    stub = SimpleNamespace(gain=45.0, _asked=lambda judged, least: asked)
+    found = Check.follows(stub, None)  # type: ignore[arg-type]
+    assert (found and found.index) == expected
 
 
 @pytest.mark.parametrize(("beside", "expected"), [(10.0, False), (30.0, True)])

@@ -7,7 +7,6 @@ seem to leave is what may be left by chance, for these data and this model.
 from collections.abc import Sequence
 from functools import partial
 
-import mujoco
 import numpy as np
 
 from btr_mjx.gap.abreast import abreast
@@ -15,11 +14,11 @@ from btr_mjx.gap.bodies import AtBody, Bodies
 from btr_mjx.gap.calibration import tolerance_draws
 from btr_mjx.gap.diagnosis import DisagreementMap
 from btr_mjx.gap.disagreement import disagreement, place_names
-from btr_mjx.gap.forces import Circumstances, Description, ForceFit, Forces, circumstances, describe, lack_of_fit
+from btr_mjx.gap.forces import Circumstances, ForceFit, Forces, circumstances, describe, lack_of_fit
 from btr_mjx.gap.hypotheses import Hypothesis
-from btr_mjx.gap.leftover import Feature, Joints, Leftover, Middle, features
+from btr_mjx.gap.leftover import Feature, Joints, Leftover, Middle, Told, features
+from btr_mjx.gap.leftover_words import body_sentence, sentence, telling_sentence
 from btr_mjx.gap.nulls import null_residual
-from btr_mjx.gap.places import body_place
 from btr_mjx.gap.score import bounded
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Judged
@@ -45,6 +44,9 @@ both together. The most that 78 simulated robots with nothing missing, or someth
 
 _TOLD_PART = 0.01
 """Part of what a name gains on both sides that is added to that: a number that is a little off leaves as much."""
+
+_DENIED = 0.5
+"""Part of what something gains on the recordings to fit by which those held out speak against it if they lose it."""
 
 _COARSE = 5.0
 """Dispersion beyond which what forces leave is not noise."""
@@ -205,20 +207,36 @@ class Check:
           None where there is no such thing.
         """
         bench = self.bench
+        each, both = (least * bench.dispersion for least in _TOLD)
+        both += 0.0 if judged is None else _TOLD_PART * bench.dispersion * (judged.gain + judged.held_out)
+        best, most = None, both
+        for one, held_out in self._asked(judged, each):
+            if held_out >= each and one.gain + held_out > most:
+                best, most = self._known[0][one.index], one.gain + held_out
+        return best
+
+    def follows(self, judged: Judged | None) -> Told | None:
+        """The most telling thing that no effect follows and that held-out recordings do not speak against.
+
+        Args:
+          judged: a hypothesis; None for the believed model.
+
+        Returns:
+          None where nothing gains more than may be chance.
+        """
+        agreed = (one for one, held_out in self._asked(judged, self.gain) if held_out > -_DENIED * one.gain)
+        return next(agreed, None)
+
+    def _asked(self, judged: Judged | None, least: float) -> list[tuple[Told, float]]:
+        """What gains at least so much on the recordings to fit, best first, and what it gains on those held out."""
+        bench, told = self.bench, [one for one in self.left(judged).told if one.gain > least]
+        if not told:
+            return []
         side = bench.test if judged is None else judged.sides[1]
         residual = side.windows.residual if judged is None else judged.residual
         nuisance = bench.nuisance(side, None if judged is None else judged.hypothesis)
         joints = Joints(self._fit(1, judged), nuisance, self._known[1])
-        each, both = (least * bench.dispersion for least in _TOLD)
-        both += 0.0 if judged is None else _TOLD_PART * bench.dispersion * (judged.gain + judged.held_out)
-        best, most = None, both
-        for one in self.left(judged).told:
-            if one.gain < each:
-                break
-            held_out = joints.held_out(residual, bench.cut, one)
-            if held_out >= each and one.gain + held_out > most:
-                best, most = self._known[0][one.index], one.gain + held_out
-        return best
+        return [(one, joints.held_out(residual, bench.cut, one)) for one in told]
 
     def share(self, judged: Judged | None) -> float:
         """Part of what unknown forces explain that a hypothesis explains, over both sides of the split."""
@@ -242,8 +260,8 @@ class Check:
         names = place_names(self.bench.dataset.model)
         fit = self._fit(0, judged)
         found = describe(fit, self._forces(0, judged), self.around[0])
-        left = self.left(judged)
-        feature = left.feature if left.gain > self.gain else self.told(judged)
+        follows = self.follows(judged)
+        feature = self.told(judged) if follows is None else self._known[0][follows.index]
         telling = [] if feature is None else [telling_sentence(feature, names)]
         there = self.at_body(judged)
         if not telling and there.body is not None and self.thrown(there):
@@ -256,31 +274,3 @@ def _spared(chi2: np.ndarray, forces: Forces, freedom: int) -> float:
     """What unknown forces leave of windows' chi^2 (W,), per degree of freedom that they leave, but for wild windows."""
     tame = chi2 <= 3.0 * max(freedom, float(np.median(chi2)))
     return float((chi2 - forces.explained)[tame].sum() / np.maximum(freedom - forces.rank, 1)[tame].sum())
-
-
-def telling_sentence(feature: Feature, names: Sequence[str]) -> str:
-    """A feature in words."""
-    where = "" if feature.other is None else f" of {names[feature.other]}"
-    return f"{names[feature.dof]}: a force there follows {feature.name}{where}, as no effect that was tried does"
-
-
-def body_sentence(there: AtBody, model: mujoco.MjModel) -> str:
-    """What is left at a body in words."""
-    assert there.body is not None
-    return (
-        f"{body_place(model, there.body).label}: forces and torques on the body explain {there.excess:.1f} standard "
-        "deviations more than chance, as no effect that was tried does"
-    )
-
-
-def sentence(description: Description, names: Sequence[str]) -> str:
-    """A description in words."""
-    text = f"{names[description.dof]}: {100 * description.share:.0f} % of the unexplained force"
-    text += f", root mean square {description.size:.3g} (SI)"
-    if description.follows:
-        parts = []
-        for name, dof, correlation in description.follows:
-            where = "" if dof is None or dof == description.dof else f" of {names[dof]}"
-            parts.append(f"{name}{where} (correlation {correlation:+.2f})")
-        text += ", follows " + " and ".join(parts)
-    return text

@@ -230,8 +230,10 @@ def missing(check: Check, named: Sequence[Judged], share: float, surprise: float
     there = check.at_body(named[-1])
     if check.thrown(there) and there.chi2 > LEFT_SHARE * (named[-1].gain + named[-1].held_out):
         return True
-    left, most = check.left(named[-1]), LEFT_SHARE * named[-1].gain
-    return left.gain > max(check.gain, most) or (left.worst > check.excess and float(left.chi2.max()) > most)
+    left, most, follows = check.left(named[-1]), LEFT_SHARE * named[-1].gain, check.follows(named[-1])
+    if follows is not None and follows.gain > most:
+        return True
+    return left.worst > check.excess and float(left.chi2.max()) > most
 
 
 def strange(check: Check, best: Judged | None, rival: Judged | None = None) -> bool:
@@ -250,7 +252,7 @@ def strange(check: Check, best: Judged | None, rival: Judged | None = None) -> b
     left = check.left(judged)
     return (
         check.surprise(judged) > SURPRISE
-        or left.gain > check.gain
+        or check.follows(judged) is not None
         or left.worst > check.excess
         or check.told(judged) is not None
     )

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from btr_mjx.gap.windows import Windows
 
 
-_WILD = 3e4
+_WILD = 3e3
 """Growth of the starting states' noise from which on transitions of a window may not be multiplied. Of signatures of a
 quadruped's joints and motors half agreed with true simulation by 0.98 or better (correlation) in windows in which it
 grows less than a thousandfold, by 0.65 from thirty thousandfold on and by 0.2 beyond a millionfold, where they were up

@@ -6,6 +6,7 @@ searches for one more effect beside those that were found.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -139,6 +140,7 @@ class Bench:
                 self.base = refitted(windows, self.base, _CUT)
                 windows.linearise(self.base)
             held.linearise(self.base)
+        self.fit, self.test = (replace(side, windows=side.windows.calm()) for side in (self.fit, self.test))
 
     def _softened(self, windows: Windows, base: Hypothesis, screened: Screen) -> tuple[Screen, Nuisance]:
         """Nuisances of one side, after what tolerances do to contacts has been taken into account there."""
@@ -148,6 +150,7 @@ class Bench:
     def side(self, windows: Windows) -> Side:
         """More windows of the recordings to fit, around the believed model, with what is fitted along."""
         windows.linearise(self.base, step=self.fit.windows.step)
+        windows = windows.calm()
         screened = screen(windows, self.base, self._known, self.single)
         return Side(windows, self._softened(windows, self.base, screened)[1])
 

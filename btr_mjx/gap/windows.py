@@ -233,6 +233,10 @@ class Windows:
         other.groups = other._by_model()
         return other
 
+    def calm(self) -> "Windows":
+        """Those in which the linear picture holds: a small error of any number is a large one in the others."""
+        return self if self.tame.all() else self.some(np.flatnonzero(self.tame))
+
     def joined(self, other: "Windows") -> "Windows":
         """These and others of the same recordings and of the same length and time step, all linearised."""
         both = self.copied()
