@@ -74,6 +74,11 @@ def test_what_is_left_along_three_axes_shows_on_all_of_them_together(tmp_path) -
     assert found.body == data.model.body("trunk").id
     single = [lack_of_fit([fit.at([dof])(residual) for residual in pushed]) for dof in range(6)]
     assert found.excess > max(6.0, *single)
+    assert found.usual > 1.0
+    few = 3.0 * (np.arange(len(windows)) % 4 == 0)[:, None]
+    thrown = bodies([project(one + few * some, windows.basis) for one in noise])
+    assert thrown.excess > 6.0
+    assert thrown.usual < 0.5
     assert found.chi2 > 0.5 * sum(((p**2).sum() - (n**2).sum()) for p, n in zip(pushed, noise, strict=True))
     arm = arm_windows()
     alone = Bodies(case_robot("arm").model, [ForceFit(arm, circumstances(arm, World.of))])
@@ -95,7 +100,7 @@ def test_what_acts_at_a_joint_is_told_there(monkeypatch, excess, joint, expected
         gain=45.0,
         thrown=lambda there: check.Check.thrown(chance, there),  # type: ignore[arg-type]
         _known=[[feature]],
-        left=lambda _: Leftover(np.zeros(1), np.zeros(1), joint, feature),
+        left=lambda _: Leftover(np.zeros(1), np.zeros(1), np.zeros(1), joint, feature),
         follows=lambda _: Told(0, 1.0, joint) if joint > 45.0 else None,
         told=lambda _: None,
         at_body=lambda _: AtBody(model.body("trunk").id, excess, 90.0, 1.0),

@@ -150,6 +150,7 @@ def test_a_force_of_an_unknown_shape_is_found_at_its_joint(windows):
     quiet = joints(noise, 1e4)
     assert quiet.gain < 25
     assert quiet.worst < 4 < found.worst
+    assert quiet.usual[0] < 1 < found.usual[0]
 
 
 def test_what_a_feature_does_is_asked_of_other_windows(windows):

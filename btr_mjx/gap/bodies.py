@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.forces import ForceFit, excess, lack_of_fit
+from btr_mjx.gap.forces import ForceFit, excess, lack_of_fit, usual_excess
 from btr_mjx.gap.gains import without_wildest
 
 
@@ -57,9 +57,6 @@ class Bodies:
             forces = [fit(residual) for fit, residual in zip(fits, residuals, strict=True)]
             own = lack_of_fit(forces)
             if worst.body is None or own > worst.excess:
-                each = np.concatenate(
-                    [(one.explained - one.rank) / np.sqrt(2.0 * np.maximum(one.rank, 1)) for one in forces]
-                )
                 chi2 = sum(float(without_wildest(excess(one))) for one in forces)
-                worst = AtBody(body, own, chi2, float(np.median(each)))
+                worst = AtBody(body, own, chi2, usual_excess(forces))
         return worst

@@ -225,7 +225,7 @@ def missing(check: Check, named: Sequence[Judged], share: float, surprise: float
             return True
     if mistaken(named[-1], rival) or check.told(named[-1]) is not None:
         return True
-    if plain(check.bench, named[-1]) and surprise > REST and share < REST_SHARE:
+    if plain(check.bench, named[-1]) and surprise > REST and share < REST_SHARE and check.spread(named[-1]):
         return True
     there = check.at_body(named[-1])
     if check.thrown(there) and there.chi2 > LEFT_SHARE * (named[-1].gain + named[-1].held_out):
@@ -233,7 +233,7 @@ def missing(check: Check, named: Sequence[Judged], share: float, surprise: float
     left, most, follows = check.left(named[-1]), LEFT_SHARE * named[-1].gain, check.follows(named[-1])
     if follows is not None and follows.gain > most:
         return True
-    return left.worst > check.excess and float(left.chi2.max()) > most
+    return check.beyond(left) > most
 
 
 def strange(check: Check, best: Judged | None, rival: Judged | None = None) -> bool:
@@ -249,10 +249,9 @@ def strange(check: Check, best: Judged | None, rival: Judged | None = None) -> b
         much = judged.score > TOO_MUCH and plain(check.bench, judged) and not within_calibration(check.bench, judged)
         if much or mistaken(judged, rival):
             return True
-    left = check.left(judged)
     return (
-        check.surprise(judged) > SURPRISE
+        (check.surprise(judged) > SURPRISE and check.spread(judged))
         or check.follows(judged) is not None
-        or left.worst > check.excess
+        or check.beyond(check.left(judged)) > 0
         or check.told(judged) is not None
     )

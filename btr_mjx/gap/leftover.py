@@ -66,6 +66,7 @@ class Leftover:
     Attributes:
       excess: (nv,) standard deviations by which forces at each degree of freedom alone explain more than noise.
       chi2: (nv,) the same, in units of chi^2.
+      usual: (nv,) the excess of a window, in its own standard deviations, that half of them stay below.
       gain: fall of the loss by the most telling feature, robust.
       feature: that feature; None where nothing is left.
       told: the most telling features, best first.
@@ -73,6 +74,7 @@ class Leftover:
 
     excess: np.ndarray
     chi2: np.ndarray
+    usual: np.ndarray
     gain: float
     feature: Feature | None
     told: tuple[Told, ...] = ()
@@ -181,7 +183,7 @@ class Joints:
         before = self.nuisance.profile(residual, cut)
         absorbed = residual + np.einsum("wnr,n->wr", self.nuisance.columns, before.values)
         moment = (self._columns @ absorbed[:, None, :, None])[..., 0]  # (W, nv, bins)
-        excess, chi2 = self._excess(moment)
+        excess, chi2, usual = self._excess(moment)
         w = weight(before.chi2, cut)
         own = np.zeros((0, *residual.shape), np.float32) if free is None else free.astype(np.float32)
         data, size = self.nuisance.evidence(absorbed, own), len(own)
@@ -211,7 +213,7 @@ class Joints:
         told.sort(key=lambda one: -one.gain)
         left = bool(told) and told[0].gain > 0
         feature = self.known[told[0].index] if left else None
-        return Leftover(excess, chi2, told[0].gain if left else 0.0, feature, tuple(told))
+        return Leftover(excess, chi2, usual, told[0].gain if left else 0.0, feature, tuple(told))
 
     def held_out(self, residual: np.ndarray, cut: float, told: Told) -> float:
         """Fall of the loss, robust, by what a feature was told to do on other windows.
@@ -231,12 +233,13 @@ class Joints:
         columns = self._columns[:, feature.dof]
         return amplitude * np.einsum("wb,wbr->wr", feature.values, columns, optimize=True)
 
-    def _excess(self, moment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Excess of unknown forces at each degree of freedom alone, in standard deviations and in chi^2."""
+    def _excess(self, moment: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Excess of unknown forces at each degree of freedom alone, as `Leftover` has it: (nv,) each."""
         value, vector = self._roots
         keep = value > 1e-6 * value[..., -1:]
         inner = (np.swapaxes(vector, 2, 3) @ moment[..., None])[..., 0]
         explained = (np.where(keep, inner**2 / np.where(keep, value, 1.0), 0.0)).sum(-1)  # (W, nv)
         rank = keep.sum(-1)
+        usual = np.median((explained - rank) / np.sqrt(2.0 * np.maximum(rank, 1)), axis=0)
         beyond = without_wildest(np.minimum(explained - rank, _CAP * np.sqrt(2.0 * rank)))
-        return beyond / np.sqrt(np.maximum(2.0 * rank.sum(0), 1.0)), beyond
+        return beyond / np.sqrt(np.maximum(2.0 * rank.sum(0), 1.0)), beyond, usual
