@@ -121,8 +121,7 @@ class Bench:
         (found, nuisance), (_, other) = abreast([partial(screened, *side) for side in sides])
         self.fit, self.test = Side(self.fit.windows, nuisance), Side(self.test.windows, other)
         self.scanner = Scanner(found, nuisance)
-        self.dispersion = 1.0
-        self.cut = _CUT * self.fit.windows.freedom
+        self.dispersion, self.cut = 1.0, _CUT * self.fit.windows.freedom
         self._settle(None)
         self.hopes: dict[str, float] = {}
         self.walks = Walks(self.fit, self.base, self.free, self.fall, lambda: self.cut)

@@ -7,9 +7,10 @@ import numpy as np
 
 from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.refine import Nuisance, Refined
+from btr_mjx.gap.rows import picked
 from btr_mjx.gap.score import Fit
 from btr_mjx.gap.starting import recentred, redirected
-from btr_mjx.gap.windows import MakeWorld, Windows, picked
+from btr_mjx.gap.windows import MakeWorld, Windows
 
 _MUCH = 1.5
 """Of the budget of a search, so many times may be spent before less is spent on what follows."""

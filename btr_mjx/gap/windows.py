@@ -14,6 +14,7 @@ import numpy as np
 
 from btr_mjx.gap.memory import Memory, remembered
 from btr_mjx.gap.prepared import Data
+from btr_mjx.gap.rows import picked
 from btr_mjx.gap.score import project, spanned
 from btr_mjx.gap.smoothing import smooth
 from btr_mjx.gap.starting import centred
@@ -289,18 +290,3 @@ class Windows:
     def residuals(self, makes: Sequence[MakeWorld]) -> list[np.ndarray]:
         """Projected residuals (W, R) of hypotheses, by true simulation."""
         return [project(self.whiten(s) + self.correction, self.basis) for s in self.states(makes)]
-
-
-def picked(own: np.ndarray, others: Sequence[np.ndarray], chosen: np.ndarray) -> np.ndarray:
-    """Rows of some arrays (W, ...): those of `others[i - 1]` where `chosen` (W,) is i, own ones where it is 0.
-
-    Where all are of one array it is that, not a copy of it: some are large.
-    """
-    used = {int(i): (own, *others)[i] for i in np.unique(chosen)}
-    first = next(iter(used.values()))
-    if all(array is first for array in used.values()):
-        return first
-    out = own.copy()
-    for i, array in used.items():
-        out[chosen == i] = array[chosen == i]
-    return out
