@@ -56,7 +56,7 @@ _BEYOND = 2.0
 
 _USUAL = 1.0
 """Excess, in a window's own standard deviations, that half of them have where touchdowns are rough. Of six quadrupeds
-whose missing effect had been found the most was 0.7, of seven with something outside the library the least was 1.9."""
+whose missing effect had been found the most was 0.7, of seven that were rightly "unexplained" the least was 1.9."""
 
 _TRUST = 0.5
 """Part of what nulls leave on average by which real data may leave more: where state estimates fail, nulls show it
