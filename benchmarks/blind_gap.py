@@ -294,8 +294,9 @@ def show(numbers: Mapping[str, Any], rows: list[dict[str, Any]]) -> None:
             f"{name:32}{value:>12}{bar['bar']:>12}  {'' if bar['met'] is None else 'met' if bar['met'] else 'NOT MET'}"
         )
     shares = ("right_or_lag_for_delay", "right_of_all_effects", "false_names", "outside_flagged")
+    sets = ("truth_named_or_not_ruled_out", "nulls_with_something_listed", "set_size_mean")
     pairs = ("pairs_detectable", "pairs_or_lag_for_delay")
-    for name in ("cases", "detectable", "undetectable_share", *shares, *pairs):
+    for name in ("cases", "detectable", "undetectable_share", *shares, *sets, *pairs):
         value = numbers[name]
         print(f"{name:32}{'-' if value is None else format(value, '.4g'):>12}")
     print(f"\n{'hidden':24}{'said':24}{'cases':>6}")

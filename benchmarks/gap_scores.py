@@ -154,6 +154,7 @@ def judge(model: mujoco.MjModel, case: Case) -> dict[str, Any]:
         "gap_after": answer["gap"]["after"],
         "gap_closed": answer["gap"]["closed"],
         "gap_seen": answer["gap"]["before"] > answer["gap"]["nulls"],
+        "set_size": len(answer["equivalent"]),
         "steps": answer["steps"],
         "seconds": answer["seconds"],
     }
@@ -165,9 +166,8 @@ def judge(model: mujoco.MjModel, case: Case) -> dict[str, Any]:
             any(same_effect(model, h, n) or _twins(model, h, n) for n in said_first) for h in hidden
         )
         close = [*named, *answer["equivalent"]]
-        row["in_set"] = answer["verdict"] == "effect" and all(
-            any(same_effect(model, h, c) for c in close) for h in hidden
-        )
+        row["listed"] = all(any(same_effect(model, h, c) for c in close) for h in hidden)
+        row["in_set"] = answer["verdict"] == "effect" and row["listed"]
         limbs = [limbs_of(model, h["location"]) for h in hidden]
         said = [limbs_of(model, n["location"]) for n in named]
         row["right_limb"] = all(limb in said for limb in limbs)
@@ -203,6 +203,9 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "right_or_lag_for_delay": _share(seen, lambda r: r["right_or_twin"]),
         "right_of_all_effects": _share(effects, lambda r: r["right"]),
         "truth_in_equivalence_set": _share(seen, lambda r: r["in_set"]),
+        "truth_named_or_not_ruled_out": _share(seen, lambda r: r["listed"]),
+        "nulls_with_something_listed": _share(nulls, lambda r: r["set_size"] > 0),
+        "set_size_mean": float(np.mean([r["set_size"] for r in seen])) if seen else None,
         "right_limb_or_body": _share(seen, lambda r: r["right_limb"]),
         "named_beside_the_truth": _share(seen, lambda r: r["extra"]),
         "parameter_error_median": float(np.median(errors)) if len(errors) else None,

@@ -380,14 +380,23 @@ def test_real_machines_leave_more():
 
 @pytest.mark.parametrize(
     ("verdict", "explained", "expected"),
-    [("effect", False, ("a", "b")), ("none", True, ("a", "b")), ("none", False, ()), ("unexplained", True, ())],
+    [
+        ("effect", False, ("a", "b")),
+        ("none", True, ("a", "b")),
+        ("none", False, ("a", "b", "d")),
+        ("unexplained", True, ()),
+    ],
 )
-def test_what_calibration_explains_nearly_as_well_is_not_ruled_out(verdict, explained, expected):
+def test_what_may_not_be_named_need_not_be_ruled_out(monkeypatch, verdict, explained, expected):
     def one(name, score, explained=False):
         hypothesis = SimpleNamespace(effects=[(SimpleNamespace(name=name), (1.0,))])
         return SimpleNamespace(hypothesis=hypothesis, score=score, explained=explained)
 
-    first = [one("a", 100.0, explained), one("b", 90.0), one("c", 20.0)]
+    def small(bench, judged):
+        return judged.hypothesis.effects[0][0].name == "c"
+
+    monkeypatch.setattr("btr_mjx.gap.identify.within_calibration", small)
+    first = [one("a", 100.0, explained), one("b", 90.0), one("c", 20.0), one("d", 16.0), one("e", 14.0)]
     assert undecided(SimpleNamespace(delicate=()), first, verdict) == expected
     assert undecided(SimpleNamespace(delicate=()), [], verdict) == ()
 

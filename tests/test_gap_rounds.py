@@ -126,14 +126,16 @@ class Stage:
       beyond: calibration, by name.
       limb: names that move the contacts of a limb.
       besides: scores beside its calibration.
+      near: scores after a closer look.
       ran: scores after a run-off.
       apart: scores where what hardly differs is told apart.
       underfoot: scores after a look at what changes the ground.
       usual: names that are no larger than calibration leaves.
       spent: whether much has been spent.
+      worn: whether so much that hardly anything may follow.
     """
 
-    spent = False
+    spent = worn = False
     delicate = frozenset("m")
 
     def __init__(self, monkeypatch, scores, polished=None):
@@ -142,6 +144,8 @@ class Stage:
         monkeypatch.setattr(rounds, "accepted", self.accepted)
         self.beyond, self.ran, self.usual = dict[str, float](), dict[str, float](), set[str]()
         monkeypatch.setattr(rounds, "within_calibration", lambda bench, judged: judged.name in self.usual)
+        self.near = dict[str, float]()
+        monkeypatch.setattr(rounds, "closer", self.closer)
         monkeypatch.setattr(rounds, "runoff", self.runoff)
         monkeypatch.setattr(rounds, "told_apart", self.told)
         monkeypatch.setattr(rounds, "beyond_calibration", self.compared)
@@ -150,8 +154,13 @@ class Stage:
         monkeypatch.setattr(rounds, "limb_of", lambda bench, judged: list(self.limb) * (judged.name in self.limb))
         monkeypatch.setattr(rounds, "besides", self.calibrated)
 
+    def closer(self, bench, judged):
+        self.asked += ["closer"] if self.near else []
+        again = [self.judged(j.name, {j.name: j.score} | self.near) for j in judged]
+        return sorted(again, key=lambda j: -j.score)
+
     def runoff(self, bench, judged):
-        again = [self.judged(j.name, self.scores | self.ran) for j in judged]
+        again = [self.judged(j.name, {j.name: j.score} | self.ran) for j in judged]
         return sorted(again, key=lambda j: -j.score)
 
     def told(self, bench, judged):
@@ -162,6 +171,9 @@ class Stage:
 
     def costly(self):
         return self.spent
+
+    def exhausted(self):
+        return self.worn
 
     def compared(self, bench, judged):
         return SimpleNamespace(gain=self.beyond.get(judged.name, np.inf), calibrated=f"calibrated for {judged.name}")
@@ -175,9 +187,10 @@ class Stage:
         return not judged.explained and judged.score - (given.score if given else 0.0) > 25.0
 
     def judged(self, name, scores=None):
+        scores = scores or self.scores
         effects = [(SimpleNamespace(name=letter), (1.0,)) for letter in name]
         hypothesis = SimpleNamespace(effects=effects, with_effect=lambda candidate, values: name + candidate.name)
-        return Standing(name, (scores or self.scores)[name], hypothesis)
+        return Standing(name, scores[name], hypothesis)
 
     def find(self, given=None):
         first = "" if given is None else given.name
@@ -279,6 +292,43 @@ def test_a_run_off_decides_the_first_round(monkeypatch):
     assert stage.named() == ["b"]
     stage.usual = {"a"}  # no larger than calibration leaves: there is nothing to decide
     assert stage.named() == ["a"]
+
+
+@pytest.mark.parametrize(
+    ("scores", "near", "named", "asked"),
+    [
+        ({"a": 20.0, "b": 10.0}, {"a": 40.0}, ["a"], True),
+        ({"a": 30.0, "b": 10.0}, {"a": 10.0, "b": 4.0}, [], True),
+        ({"m": 20.0, "b": 10.0}, {"b": 40.0}, ["b"], True),  # what moves contacts and may not be named hides nobody
+        ({"m": 30.0, "b": 10.0}, {"b": 40.0}, ["m"], False),
+    ],
+)
+def test_what_moves_no_contacts_is_looked_at_closer(monkeypatch, scores, near, named, asked):
+    stage = Stage(monkeypatch, scores)
+    stage.near = near
+    assert [j.name for j in rounds.search(stage, 1, lambda word: None)[1]] == named
+    assert ("closer" in stage.asked) == asked
+
+
+def test_beside_what_is_barely_seen_no_second_effect_is_sought(monkeypatch):
+    scores = {"a": 50.0, "ab": 90.0}
+    stage = Stage(monkeypatch, scores)
+    assert stage.named() == ["a", "ab"]
+    stage.spent = True  # where much has been spent
+    assert stage.named() == ["a"]
+    stage.scores = {"a": 70.0, "ab": 110.0}
+    assert stage.named() == ["a", "ab"]
+
+
+def test_where_too_much_has_been_spent_only_what_is_a_name_already_is_judged_again(monkeypatch):
+    stage = Stage(monkeypatch, {"a": 500.0, "ab": 505.0, "ad": 490.0}, {"ab": 540.0})
+    stage.worn = True
+    assert stage.named() == ["a"]
+    assert stage.asked == []
+    stage = Stage(monkeypatch, {"a": 500.0, "ab": 530.0, "ad": 490.0}, {"ab": 510.0})
+    stage.worn = True
+    assert stage.named() == ["a"]
+    assert stage.asked == ["ab"]
 
 
 def test_what_hardly_differs_from_a_name_may_take_its_place(monkeypatch):

@@ -207,8 +207,8 @@ class Diagnosis:
       verdict: "effect", "none" or "unexplained".
       effects: what was named, the largest first; for "unexplained" empty.
       ranking: candidates, best first.
-      equivalent: names that these data cannot tell from the winner, the winner included; of "none" what calibration of
-        a limb explains nearly as well.
+      equivalent: names that these data cannot tell from the winner, the winner included; of "none" what is not ruled
+        out either.
       gap: on the held-out recordings.
       disagreement: the map.
       unexplained: what is left, in words.

@@ -1,4 +1,4 @@
-"""What rivals found while their sizes were tried, handed on to all of them before they are compared.
+"""What rivals found while their sizes were tried, handed on to all of them before they are compared window by window.
 
 Each hypothesis that moves contacts looks for starting states at every size that it is tried at, and its rivals do not
 know what it finds. What a few of these states are worth is more than what tells an offset of the hip from a longer
@@ -6,11 +6,14 @@ thigh.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 from btr_mjx.gap.abreast import abreast
+from btr_mjx.gap.gains import robust_gain, trimmed_gain
 from btr_mjx.gap.hypotheses import Hypothesis
-from btr_mjx.gap.search_records import Side, nearest
+from btr_mjx.gap.search import Bench
+from btr_mjx.gap.search_records import Judged, Side, nearest
 
 
 def exchanged(hypotheses: Sequence[Hypothesis], sides: Sequence[Side], moving: Sequence[int]) -> list[Side]:
@@ -37,3 +40,28 @@ def exchanged(hypotheses: Sequence[Hypothesis], sides: Sequence[Side], moving: S
         return nearest([side.based(hypotheses[i]) for side in (sides[i], *others)])
 
     return abreast([partial(best, i) for i in range(len(sides))])
+
+
+def beside_the_best(bench: Bench, judged: Sequence[Judged]) -> list[Judged]:
+    """The same with scores that differ by how the best of them and each other one differ window by window.
+
+    Most of what rivals gain they gain together; what tells them apart is lost in how much of that may be luck.
+    Between two that move contacts, what a few windows say is luck as well.
+
+    Args:
+      bench: of the search.
+      judged: with starting states that they share.
+    """
+    best = max(judged, key=lambda j: j.score)
+    price = (best.gain + best.held_out - best.score) / best.hypothesis.numbers
+    moving = {j.name for j in judged if j.hypothesis.effects[-1][0].name in bench.delicate}
+    out = []
+    for j in judged:
+        compared = trimmed_gain if {best.name, j.name} <= moving else robust_gain
+        gain, held_out = (
+            now + compared(a, b, bench.cut) / bench.dispersion
+            for now, a, b in zip((best.gain, best.held_out), best.fits, j.fits, strict=True)
+        )
+        score = gain + held_out - price * j.hypothesis.numbers
+        out.append(j if j is best else replace(j, gain=gain, held_out=held_out, score=score))
+    return out

@@ -173,11 +173,15 @@ def undecided(bench: Bench, first: Sequence[Judged], verdict: str) -> tuple[str,
       verdict: what was decided.
 
     Returns:
-      Of "effect" the one that is named and those like it. Of "none" those that would have been named if calibration of
-      their limb did not explain nearly as much: neither is ruled out.
+      Of "effect" the one that is named and those like it. Of "none" what is not ruled out either: those that would have
+      been named if calibration of their limb did not explain nearly as much, or what explains more than chance and may
+      not be named for another reason, as held-out recordings that do not bear it out.
     """
     if first and (verdict == "effect" or (verdict == "none" and first[0].explained)):
         return equivalent(first, bench.delicate)
+    if verdict == "none":
+        more = (j for j in first if j.score > THRESHOLD and not within_calibration(bench, j))
+        return tuple(j.hypothesis.effects[-1][0].name for j in more)
     return ()
 
 

@@ -12,8 +12,7 @@ from functools import partial
 import numpy as np
 
 from btr_mjx.gap.abreast import abreast
-from btr_mjx.gap.exchange import exchanged
-from btr_mjx.gap.gains import robust_gain, trimmed_gain
+from btr_mjx.gap.exchange import beside_the_best, exchanged
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.places import WORLD
 from btr_mjx.gap.refine import Refined, refine
@@ -30,6 +29,9 @@ _CLOSE = 40.0
 
 _LEADING = 1.5
 """Gain, less its price and in prices of a number, that what leads the scan needs to be judged again in any case."""
+
+_STRONG = 1000.0
+"""Score beside which the part of it below must be there already."""
 
 _WALKS = 4
 """Candidates that move contacts that are looked at again, leaders included."""
@@ -115,6 +117,8 @@ class Polisher:
             # What leads in the linear picture and not in true simulation may lack starting states of its own.
             first = max(bench.hopes, key=lambda name: bench.hopes[name], default="")
             sure = bench.hopes.get(first, 0.0) > _LEADING
+            if best > _STRONG:
+                sure &= next((j.score for j in judged if j.name == first), 0.0) > _HOPE * best
             plain += [j for j in judged if j.name == first and sure and j.name not in hopes and j not in close]
         moving = [j for j in judged if j.name in hopes and (j in close or hopes[j.name] > _HOPE * rival)]
         if given is not None:
@@ -196,7 +200,8 @@ class Polisher:
         fit = self._shared([before, *hypotheses], known[0])
         reference = along(fit[0], before).profile(fit[0].windows.residual, bench.cut)
         pairs = zip(hypotheses, fit[1:], strict=True)
-        ends = abreast([partial(self._settled, h, side, reference) for h, side in pairs])
+        few = len(moving) > _WALKED
+        ends = abreast([partial(self._settled, h, side, reference, few) for h, side in pairs])
         if len(moving) > 1:
             fit = exchanged([before, *(h for h, _, _ in ends)], [fit[0], *(side for _, side, _ in ends)], moving)
             reference = along(fit[0], before).profile(fit[0].windows.residual, bench.cut)
@@ -211,29 +216,7 @@ class Polisher:
         out = []
         for (h, side, refined), far in zip(ends, test[1:], strict=True):
             out += bench.judge([h], [refined], (side, far), references, given)
-        return self._beside_the_best(out)
-
-    def _beside_the_best(self, judged: Sequence[Judged]) -> list[Judged]:
-        """The same with scores that differ by how the best of them and each other one differ window by window.
-
-        Most of what rivals gain they gain together; what tells them apart is lost in how much of that may be luck.
-        Between two that move contacts, what a few windows say is luck as well.
-
-        Args:
-          judged: with starting states that they share.
-        """
-        bench, best = self.bench, max(judged, key=lambda j: j.score)
-        price = (best.gain + best.held_out - best.score) / best.hypothesis.numbers
-        out = []
-        for j in judged:
-            compared = trimmed_gain if self._anew(best.hypothesis) and self._anew(j.hypothesis) else robust_gain
-            gain, held_out = (
-                now + compared(a, b, bench.cut) / bench.dispersion
-                for now, a, b in zip((best.gain, best.held_out), best.fits, j.fits, strict=True)
-            )
-            score = gain + held_out - price * j.hypothesis.numbers
-            out.append(j if j is best else replace(j, gain=gain, held_out=held_out, score=score))
-        return out
+        return beside_the_best(bench, out)
 
     def _shared(self, hypotheses: Sequence[Hypothesis], known: Side) -> list[Side]:
         """A side for each of some hypotheses, which go on from what those before them have found.
@@ -257,10 +240,10 @@ class Polisher:
 
         return abreast([partial(best, i) for i in range(len(hypotheses))])
 
-    def _settled(self, hypothesis: Hypothesis, side: Side, reference: Fit) -> Settled:
+    def _settled(self, hypothesis: Hypothesis, side: Side, reference: Fit, few: bool) -> Settled:
         """A hypothesis with its best numbers on a side to fit, what that became on the way, and how good it is."""
         if self._anew(hypothesis):
-            hypothesis, side = best_size(self.bench, hypothesis, side, reference)
+            hypothesis, side = best_size(self.bench, hypothesis, side, reference, few)
         return self._refined(hypothesis, side, reference)
 
     def _refined(self, hypothesis: Hypothesis, side: Side, reference: Fit) -> Settled:

@@ -23,7 +23,7 @@ from jinja2 import Environment, StrictUndefined
 from btr_mjx.errors import InputError, cli_errors
 from btr_mjx.files import atomic_write, read_arrays, read_json, read_table, write_figure
 from btr_mjx.gap.report_content import content, is_number
-from btr_mjx.gap.wording import named
+from btr_mjx.gap.wording import NOT_NAMED, named
 from btr_mjx.plots import style
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
     if ranking:
         threshold = result["threshold"] if is_number(result.get("threshold")) else None
         figure = figures.ranking_bars(ranking, found, threshold)
-        hatched = "cannot be told apart from it by these data" if found else "calibration explains nearly as much"
+        hatched = "cannot be told apart from it by these data" if found else NOT_NAMED
         caption = (
             "Score: how far the misfit falls, beyond what the effect's numbers cost. Black: named. "
             f"Hatched: {hatched}. Grey: other candidates. Dotted line: what a name needs at least."

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from btr_mjx.gap.calibrated import besides, beyond_calibration, limb_of
+from btr_mjx.gap.closer import closer
 from btr_mjx.gap.held_out import foreseen, unmoved, vouched
 from btr_mjx.gap.outcome import alike
 from btr_mjx.gap.pairs import told_apart
@@ -39,6 +40,10 @@ to more than 15, and its ground was 13 % more slippery, as calibration had left 
 
 SECOND_THRESHOLD = 25.0
 """What one more effect needs; what the first one's linearisation leaves must not count as a second one."""
+
+_HARDLY = 60.0
+"""Score of a first effect below which a search that has cost much looks for no second one: what explains most of all
+alone would have to hide one that is worth half of it."""
 
 SECOND_CONTACT_THRESHOLD = 120.0
 """The same of what moves contacts. The best such candidate beside an effect that was all that could be seen, met while
@@ -121,6 +126,9 @@ def search(bench: Bench, most: int, note: Callable[[str], None]) -> tuple[list[l
     rounds = [acceptable(bench, polish(bench.find()), None)]
     if rounds[0] and not bench.costly() and not accepted(bench, rounds[0][0], None):
         rounds[0] = acceptable(bench, polish.ground(rounds[0]), None)
+    if rounds[0] and (rounds[0][0].name not in bench.delicate or not accepted(bench, rounds[0][0], None)):
+        note("a closer look")
+        rounds[0] = acceptable(bench, closer(bench, rounds[0]), None)
     if rounds[0] and not within_calibration(bench, rounds[0][0]):
         note("run-off")
         rounds[0] = acceptable(bench, runoff(bench, rounds[0]), None)
@@ -134,7 +142,7 @@ def search(bench: Bench, most: int, note: Callable[[str], None]) -> tuple[list[l
         named.append(rounds[-1][0])
         if len(named) == 2:
             rounds, named = _swapped(bench, polish, rounds, named, note)
-        if len(named) >= most:
+        if len(named) >= most or named[-1].score < (_HARDLY if bench.costly() else SECOND_THRESHOLD):
             break
         note("one more effect")
         rounds.append(_beside(bench, polish, named[-1]))
@@ -167,6 +175,8 @@ def _beside(bench: Bench, polish: Polisher, given: Judged) -> list[Judged]:
     judged = acceptable(bench, bench.find(given), given, share=0.0)
     # Who was not judged as strictly must not overtake who was.
     for _ in range(_POLISHED):
+        if bench.exhausted() and judged and judged[0].score - given.score < SECOND_THRESHOLD:
+            break
         again = polish(judged, _ABREAST, given)
         if again == judged:
             break

@@ -80,15 +80,16 @@ def runoff(bench: Bench, judged: Sequence[Judged]) -> list[Judged]:
     close = [j for j in judged[1:] if best.score - j.score < CLOSE and not _of_a_limb(bench, j)]
     weak = int(best.score < (_WEAK_CONTACTS if best.name in bench.delicate else _WEAK))
     windows = _unseen(bench) if close or weak else None
-    if windows is None:
+    most = 0 if windows is None else _affordable(bench, windows)
+    if windows is None or most < _FEWEST:
         return list(judged)
     others = [*([bench.base] if weak else []), *(j.hypothesis for j in close)]
     differ = _differences(windows, [best.hypothesis, *others])
     shares = differ / np.maximum(differ.sum(1, keepdims=True), 1e-300)
-    chosen = np.sort(np.argsort(-shares.sum(0))[: _affordable(bench, windows)])
-    told = np.sort(differ[:, chosen], 1)[:, : max(len(chosen) - _CHANCE, 0)].sum(1) > _TELLING
+    chosen = np.sort(np.argsort(-shares.sum(0))[:most])
+    told = telling(differ[:, chosen])
     rivals = [j for j, tells in zip(close, told[weak:], strict=True) if tells][:_RIVALS]
-    if len(chosen) < _FEWEST or not (rivals or (weak and told[0])):
+    if not rivals and not (weak and told[0]):
         return list(judged)
     fresh = Windows(windows.data, windows.recording[chosen], windows.first[chosen], windows.k, bench.counter)
     again = _again(bench, fresh, [best, *rivals])
@@ -97,6 +98,11 @@ def runoff(bench: Bench, judged: Sequence[Judged]) -> list[Judged]:
     again += [replace(j, score=j.score + moved, fresh=again[0].fresh) for j in twins]
     rest = [j for j in judged if all(j is not own for own in (best, *rivals, *twins))]
     return sorted([*again, *rest], key=lambda j: -j.score)
+
+
+def telling(differ: np.ndarray) -> np.ndarray:
+    """Whether windows can tell hypotheses from another one (N,), given how far they are from it in each (N, W)."""
+    return np.sort(differ, 1)[:, : max(differ.shape[1] - _CHANCE, 0)].sum(1) > _TELLING
 
 
 def _of_a_limb(bench: Bench, judged: Judged) -> bool:
@@ -191,7 +197,7 @@ def _one(bench: Bench, around: Side, judged: Judged, best: Judged, reference: Fi
       alone: its fit in the fresh ones.
     """
     h = judged.hypothesis
-    more = around.recentred(h)
+    more = nearest([around.exactly(h), around.recentred(h)])
     known = [judged.sides[0]] if judged is best else [judged.sides[0], best.sides[0]]
     side = nearest([own.based(h) for own in known]).joined(more)
     unseen = bench.free(more, h).profile(more.windows.residual, bench.cut)

@@ -296,5 +296,9 @@ class Bench:
         """Whether so much has been spent that less is to be spent on what follows."""
         return self.options.much(self.counter.steps, self.fit.windows.nv)
 
+    def exhausted(self) -> bool:
+        """Whether so much has been spent that hardly anything may follow."""
+        return self.options.too_much(self.counter.steps, self.fit.windows.nv)
+
     def _entry(self, lead: Lead) -> Entry:
         return self.scanner.screened.entries[lead.index]

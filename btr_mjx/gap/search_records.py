@@ -9,11 +9,15 @@ from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.refine import Nuisance, Refined
 from btr_mjx.gap.rows import picked
 from btr_mjx.gap.score import Fit
-from btr_mjx.gap.starting import recentred, redirected
+from btr_mjx.gap.starting import exactly, recentred, redirected
 from btr_mjx.gap.windows import MakeWorld, Windows
 
 _MUCH = 1.5
 """Of the budget of a search, so many times may be spent before less is spent on what follows."""
+
+
+_TOO_MUCH = 1.7
+"""The same after which only what is likely to change the answer is done."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,10 @@ class Options:
         """Whether a search has cost so many simulated steps that less is to be spent on what follows."""
         return steps > _MUCH * self.budget(nv)
 
+    def too_much(self, steps: int, nv: int) -> bool:
+        """Whether it has cost so many that hardly anything may follow."""
+        return steps > _TOO_MUCH * self.budget(nv)
+
     def budget(self, nv: int) -> float:
         """Simulated steps that may go into a model of `nv` degrees of freedom: small ones step faster."""
         return self.steps * float(np.clip(20.0 / nv, 1.0, 3.2))
@@ -77,6 +85,10 @@ class Side:
     def based(self, make: MakeWorld) -> "Side":
         """The same with another hypothesis as base of its windows, see `Windows.based`."""
         return Side(self.windows.based(make), self.nuisance)
+
+    def exactly(self, make: MakeWorld) -> "Side":
+        """The same with what the time step does in the other hypothesis' own world, see `starting.exactly`."""
+        return Side(exactly(self.windows, make), self.nuisance)
 
     def mixed(self, others: Sequence["Side"], chosen: np.ndarray) -> "Side":
         """The same with some windows as others have them, see `Windows.mixed`."""

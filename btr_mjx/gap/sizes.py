@@ -9,14 +9,16 @@ from btr_mjx.gap.walks import scaled, vertex
 _SIZES = 0.75, 1.3
 """Factors on its size at which what moves contacts is tried beside."""
 
-_MORE = 2
-"""Sizes that are tried after these, at most."""
+_MORE = 2, 1
+"""Sizes that are tried after these, at most; and where many rivals are tried."""
 
 _NEAR = 0.03
 """Part of a size by which a better one must differ from those that were tried."""
 
 
-def best_size(bench: Bench, hypothesis: Hypothesis, side: Side, reference: Fit) -> tuple[Hypothesis, Side]:
+def best_size(
+    bench: Bench, hypothesis: Hypothesis, side: Side, reference: Fit, few: bool = False
+) -> tuple[Hypothesis, Side]:
     """A hypothesis with its last effect at a better size, where a parabola through three of them peaks, and its side.
 
     Args:
@@ -24,6 +26,7 @@ def best_size(bench: Bench, hypothesis: Hypothesis, side: Side, reference: Fit) 
       hypothesis: its last effect moves contacts.
       side: that suits it.
       reference: fit of what it is compared with.
+      few: whether many others are tried as well.
     """
     tried = {1.0: (hypothesis, side)}
 
@@ -37,7 +40,7 @@ def best_size(bench: Bench, hypothesis: Hypothesis, side: Side, reference: Fit) 
 
     for factor in _SIZES:
         attempt(factor)
-    for _ in range(_MORE):
+    for _ in range(_MORE[few]):
         found = gains()
         best = max(found, key=lambda factor: found[factor])
         # On the way up there is nothing to draw a parabola through yet.

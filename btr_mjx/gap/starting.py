@@ -101,6 +101,18 @@ def recentred(windows: "Windows", make: Callable[[mujoco.MjModel], World], exact
     return other
 
 
+def exactly(windows: "Windows", make: Callable[[mujoco.MjModel], World]) -> "Windows":
+    """A copy of windows with another hypothesis as base, from the same starting states, with its time step's error.
+
+    Args:
+      windows: linearised.
+      make: the hypothesis.
+    """
+    other = windows.based(make)
+    other.correction = step_error(other, make, other.base)
+    return other
+
+
 def redirected(windows: "Windows", make: Callable[[mujoco.MjModel], World]) -> "Windows":
     """The same with what the starting states could explain found anew as well.
 

@@ -46,6 +46,9 @@ _MORE: Mapping[str, tuple[str, str]] = {
 }
 """Effects that may go both ways: how an increase and a decrease of their first number are called."""
 
+NOT_NAMED = "small errors of calibration explain nearly as much, or held-out recordings do not bear it out"
+"""Why what is not ruled out is not named."""
+
 
 def title(effect: str) -> str:
     """An effect in words."""
@@ -252,7 +255,7 @@ def _equivalent(result: Mapping[str, Any]) -> str:
     which = " or ".join(named(m) for m in others[:4]) + (f" (and {len(others) - 4} more)" if len(others) > 4 else "")
     text = f"These data cannot tell it apart from {which}"
     if result.get("verdict") == "none":
-        text = f"Nor is {which} ruled out, but small errors of calibration explain nearly as much"
+        text = f"Nor is {which} ruled out, but {NOT_NAMED}"
     return text + (": run the experiment below next." if result.get("next_experiment") else ".")
 
 
