@@ -130,7 +130,12 @@ def test_who_is_looked_at(weak: tuple[Bench, list[Judged]], monkeypatch) -> None
     assert chosen(300.0, 230.0, 200.0) == [a.name, b.name]  # within a part of the best score
     assert chosen(500.0, 490.0) == []  # strong
     assert chosen(50.0, 40.0, 39.0, 38.0) == [a.name, b.name, c.name]
-    assert chosen(90.0, 50.0, 40.0, delicate=(a.name,)) == [b.name, c.name]
+    moving = (a.name,)
+    assert chosen(90.0, 50.0, 40.0, delicate=moving) == [a.name, b.name, c.name]
+    assert chosen(900.0, 500.0, 40.0, delicate=moving) == [a.name]
+    assert chosen(90.0, 50.0, 40.0, 39.0, delicate=moving) == [a.name, b.name, c.name]
+    assert chosen(30.0, 20.0, -20.0, delicate=moving) == [b.name]
+    assert chosen(90.0, 80.0, -20.0, delicate=(a.name, b.name)) == [a.name]
     differ[b.name] = 0.5  # as a lag and a delay of a millisecond
     assert chosen(70.0, 60.0) == []
     assert chosen(70.0, 60.0, 55.0) == [a.name, c.name]

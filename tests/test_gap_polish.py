@@ -8,6 +8,7 @@ import pytest
 from gap_arm import arm_windows, dataset
 
 from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.exchange import beside_the_best
 from btr_mjx.gap.gains import robust_gain, trimmed_gain
 from btr_mjx.gap.places import WORLD
 from btr_mjx.gap.polish import Polisher
@@ -126,11 +127,11 @@ def test_between_rivals_that_move_contacts_few_windows_say_nothing(bench: Bench)
     leaders = Polisher(bench).again([j.hypothesis for j in before[:2]], None)
     touching = copy.copy(bench)
     touching.delicate = {j.name for j in leaders}
-    best, other = sorted(Polisher(touching)._beside_the_best(leaders), key=lambda j: -j.score)
+    best, other = sorted(beside_the_best(touching, leaders), key=lambda j: -j.score)
     parts = [trimmed_gain(b, a, bench.cut) / bench.dispersion for a, b in zip(best.fits, other.fits, strict=True)]
     assert best.score - other.score == pytest.approx(sum(parts))
     touching.delicate = {best.name}
-    best, other = sorted(Polisher(touching)._beside_the_best(leaders), key=lambda j: -j.score)
+    best, other = sorted(beside_the_best(touching, leaders), key=lambda j: -j.score)
     parts = [robust_gain(b, a, bench.cut) / bench.dispersion for a, b in zip(best.fits, other.fits, strict=True)]
     assert best.score - other.score == pytest.approx(sum(parts))
 
