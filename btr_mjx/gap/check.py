@@ -69,7 +69,8 @@ class Check:
     Attributes:
       excess: largest excess at one joint that may be chance.
       excess_at_body: largest excess at a body that floats that may be chance.
-      usual_at_body: the same of what half of the windows stay below.
+      usual_at_body: what half of the windows must have there where touchdowns are rough. Elsewhere few of them may show
+        it: a load that swings in the trunk of a heavy robot does so as the trunk does.
       gain: largest gain by something that no effect follows that may be chance.
       usual: the excess that half of the windows must have, in a window's own standard deviations. Where steps had to be
         divided because touchdowns are rough, a number that is a little off leaves much in a few windows.
@@ -92,8 +93,9 @@ class Check:
         self._bodies = Bodies(model, self.fits)
         self.null, left, bodies, self._held_out, self._spared = self._null(rng)
         self.excess_at_body = max(_LEAST_AT_BODY, _BEYOND * max(one.excess for one in bodies))
-        self.usual = _USUAL if bench.fit.windows.data.finer > 1 else -np.inf
-        self.usual_at_body = max(self.usual, *(one.usual for one in bodies))
+        self.usual = self.usual_at_body = -np.inf
+        if bench.fit.windows.data.finer > 1:
+            self.usual, self.usual_at_body = _USUAL, max(_USUAL, *(one.usual for one in bodies))
         self.excess = max(_LEAST_EXCESS, _BEYOND * max(one.worst for one in left))
         self.gain = max(_LEAST_GAIN, _BEYOND * max(one.gain for one in left))
 
