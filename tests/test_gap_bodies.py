@@ -86,6 +86,18 @@ def test_what_is_left_along_three_axes_shows_on_all_of_them_together(tmp_path) -
 
 
 @pytest.mark.parametrize(
+    ("finer", "usual", "expected"), [(1, 0.1, True), (4, 0.1, False), (4, 1.2, False), (4, 1.6, True)]
+)
+def test_few_windows_may_show_a_load_that_swings_where_touchdowns_are_not_rough(finer, usual, expected) -> None:
+    """A battery in the trunk of a heavy hexapod had 7.6 standard deviations and 0.13 in half of the windows."""
+    nulls = [AtBody(1, 0.5, 9.0, 0.2), AtBody(1, 1.0, 9.0, 1.5)]
+    needed = check.usual_needed(finer, nulls)
+    chance = SimpleNamespace(excess_at_body=4.0, usual_at_body=needed[1])
+    assert check.Check.thrown(chance, AtBody(1, 7.6, 380.0, usual)) is expected  # type: ignore[arg-type]
+    assert needed[0] == (1.0 if finer > 1 else -np.inf)
+
+
+@pytest.mark.parametrize(
     ("excess", "joint", "expected"), [(4.1, 0.0, "body:trunk"), (3.9, 0.0, None), (9.0, 50.0, "fl_")]
 )
 def test_what_acts_at_a_joint_is_told_there(monkeypatch, excess, joint, expected) -> None:

@@ -93,9 +93,7 @@ class Check:
         self._bodies = Bodies(model, self.fits)
         self.null, left, bodies, self._held_out, self._spared = self._null(rng)
         self.excess_at_body = max(_LEAST_AT_BODY, _BEYOND * max(one.excess for one in bodies))
-        self.usual = self.usual_at_body = -np.inf
-        if bench.fit.windows.data.finer > 1:
-            self.usual, self.usual_at_body = _USUAL, max(_USUAL, *(one.usual for one in bodies))
+        self.usual, self.usual_at_body = usual_needed(bench.fit.windows.data.finer, bodies)
         self.excess = max(_LEAST_EXCESS, _BEYOND * max(one.worst for one in left))
         self.gain = max(_LEAST_GAIN, _BEYOND * max(one.gain for one in left))
 
@@ -286,6 +284,16 @@ class Check:
             # What acts at a joint acts on the trunk as well, and is told there.
             telling = [body_sentence(there, self.bench.dataset.model)]
         return (*telling, *(sentence(d, names) for d in found))
+
+
+def usual_needed(finer: int, nulls: Sequence[AtBody]) -> tuple[float, float]:
+    """What half of the windows must show of a lack of fit at a joint, and at a body that floats.
+
+    Args:
+      finer: by what the model's time step was divided; 1 where touchdowns are not rough, and nothing is needed.
+      nulls: what simulated nulls leave at bodies.
+    """
+    return (_USUAL, max(_USUAL, *(one.usual for one in nulls))) if finer > 1 else (-np.inf, -np.inf)
 
 
 def _spared(chi2: np.ndarray, forces: Forces, freedom: int) -> float:
