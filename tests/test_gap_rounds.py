@@ -245,6 +245,10 @@ def test_one_rival_only_is_tried_again_where_much_has_been_spent(monkeypatch):
     assert stage.named() == ["b", "bc"]
     stage.spent = True
     assert stage.named() == ["a", "ac"]
+    stage.scores |= {"d": 430.0}
+    assert stage.named() == ["b", "bc"]
+    stage.worn = True  # none at all
+    assert stage.named() == ["a", "ac"]
 
 
 def test_what_calibration_explains_as_well_is_not_named(monkeypatch):

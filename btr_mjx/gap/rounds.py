@@ -205,7 +205,7 @@ def _swapped(
         for rival in rounds[0][1:]
         if rival.score > _RIVALRY * first.score and rival.name != candidate.name and accepted(bench, rival, None)
     ]
-    if not rivals:
+    if not rivals or bench.exhausted():
         return rounds, named
     note("the first effect's rivals")
     joined = [(rival, rival.hypothesis.with_effect(candidate, values)) for rival in rivals[: _RIVALS[bench.costly()]]]

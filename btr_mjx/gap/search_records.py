@@ -15,8 +15,7 @@ from btr_mjx.gap.windows import MakeWorld, Windows
 _MUCH = 1.5
 """Of the budget of a search, so many times may be spent before less is spent on what follows."""
 
-
-_TOO_MUCH = 1.7
+_TOO_MUCH = 1.6
 """The same after which only what is likely to change the answer is done."""
 
 
