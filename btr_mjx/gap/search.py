@@ -49,8 +49,9 @@ _CUT = 1.5
 _DRAWS = 8
 """Draws of all tolerances that show where these leave the linear picture."""
 
-_FAR = 4.0
-"""Chi^2 per degree of freedom of the best lead above which limits are tried that the linear picture cannot see."""
+_FAR = 3.0
+"""Chi^2 per degree of freedom of the best lead above which limits are tried that the linear picture cannot see: a limit
+of a third of what is asked for looked like a motor that is weak by two thirds, which left 3.3."""
 
 _FEW = 6
 """Up to so many believed numbers are refitted together with every leader."""
