@@ -63,6 +63,10 @@ _LIKELY = 25.0
 _ENOUGH = 60.0
 """Gain that it needs afterwards: with much less on the recordings to fit it will not come to the score of a name."""
 
+_SURE = 50.0
+"""Score of a leader that is not given up for what a walk sees: a quarter of the windows to fit said nothing of three
+true offsets that had 61 to 101 in all windows, at sizes that were half of the true ones, and 120 to 300 with care."""
+
 _ENOUGH_OF_GROUND = 25.0
 """The same of what changes the ground for all feet, which needs less."""
 
@@ -132,7 +136,7 @@ class Polisher:
             least = (-np.inf, floor + _LEAST) if j in close else (floor + _HOPE * rival, floor + _PROMISE * rival)
             if given is None and j.gain >= least[0]:
                 least = -np.inf, least[1]  # with directions of its own only a larger size may show what this one has
-            sure = given is None and j.gain >= _ENOUGH
+            sure = given is None and (j.gain >= _ENOUGH or j.score >= _SURE)
             if given is None and not sure:
                 ground = j.hypothesis.effects[-1][0].place == WORLD
                 least = max(least[0], _LIKELY), max(least[1], _ENOUGH_OF_GROUND if ground else _ENOUGH)
