@@ -178,7 +178,7 @@ def test_a_size_that_is_off_is_mended_on_all_windows() -> None:
     assert abs(best) > 0.01
     for start in (0.67 * best, 1.33 * best):
         hypothesis = own.base.with_effect(elbow, [start])
-        found, side = best_size(own, hypothesis, own.fit.recentred(hypothesis), reference)
+        found, (side,) = best_size(own, hypothesis, [own.fit.recentred(hypothesis)], [reference])
         assert found.effects[0][1][0] == pytest.approx(best, rel=0.15)  # the time step is not looked at again
         np.testing.assert_allclose(side.windows.residuals([found])[0], side.windows.residual, atol=1e-9)
 
@@ -204,7 +204,7 @@ def test_all_that_were_judged_come_back_best_first(bench: Bench) -> None:
 
 
 def stand_in(name, score, gain=None):
-    effects = [(SimpleNamespace(name=letter), (1.0,)) for letter in name]
+    effects = [(SimpleNamespace(name=letter, place=None), (1.0,)) for letter in name]
     hypothesis = SimpleNamespace(effects=effects, name=name)
     return SimpleNamespace(name=name, score=score, gain=score if gain is None else gain, hypothesis=hypothesis)
 
@@ -222,6 +222,11 @@ class Walked(dict):
         return hypothesis
 
 
+def bench_of(delicate: str, **more) -> SimpleNamespace:
+    """A bench on which little has been spent, as far as a choice of candidates needs one."""
+    return SimpleNamespace(delicate=set(delicate), costly=lambda: False, **more)
+
+
 @pytest.mark.parametrize(
     ("given", "score", "alone", "tried"),
     [
@@ -236,7 +241,7 @@ class Walked(dict):
     ],
 )
 def test_who_is_worth_another_look_beside_an_effect(given, score, alone, tried) -> None:
-    polish = Polisher(SimpleNamespace(delicate={"m", "n"}, walks=Walked(alone)))
+    polish = Polisher(bench_of("mn", walks=Walked(alone)))
     judged = [stand_in(name, value) for name, value in score.items()]
     found = [own.name for own, _ in polish._promising(judged, 1, stand_in(given, 500.0))]
     assert " ".join(found) == tried
@@ -252,7 +257,7 @@ def test_the_ground_is_worth_another_look_for_less_than_a_limb(place, walked, tr
         def __call__(self, hypothesis, hope, promise):
             return hypothesis if walked > max(hope, promise) else None
 
-    polish = Polisher(SimpleNamespace(delicate={"m"}, walks=Walking({"m": walked}), hopes={}))
+    polish = Polisher(bench_of("m", walks=Walking({"m": walked}), hopes={}))
     judged = [stand_in("a", 12.0), stand_in("m", -139.0, 27.0)]
     judged[1].hypothesis.effects[-1][0].place = place
     found = [own.name for own, _ in polish._promising(judged, 0, None)]
@@ -261,7 +266,7 @@ def test_the_ground_is_worth_another_look_for_less_than_a_limb(place, walked, tr
 
 def test_the_best_change_of_the_ground_is_judged_with_care_once(monkeypatch) -> None:
     """Not what moves one limb, nor what moves no contacts, nor what was judged before."""
-    polish = Polisher(SimpleNamespace(delicate={"m", "g", "h"}))
+    polish = Polisher(bench_of("mgh"))
     judged = [stand_in("a", 12.0), stand_in("m", 5.0), stand_in("g", -20.0), stand_in("h", -30.0)]
     for j in judged:
         j.hypothesis.effects[-1][0].place = WORLD if j.name in "agh" else None
@@ -273,12 +278,27 @@ def test_the_best_change_of_the_ground_is_judged_with_care_once(monkeypatch) -> 
 
 def test_the_best_of_what_was_walked_over_are_judged_again() -> None:
     gains = {"m": 300.0, "n": 900.0, "o": 500.0, "p": 700.0}
-    polish = Polisher(SimpleNamespace(delicate=set("mnop"), walks=Walked(gains), hopes={}))
+    polish = Polisher(bench_of("mnop", walks=Walked(gains), hopes={}))
     judged = [stand_in(name, 600.0 - i) for i, name in enumerate("mnop")]
     assert [own.name for own, _ in polish._promising(judged, 3, None)] == ["n", "p", "o"]
     gains |= {"o": 800.0, "p": 790.0, "m": 780.0}
     polish.bench.walks = Walked(gains)
     assert [own.name for own, _ in polish._promising(judged, 3, None)] == ["n", "o", "p", "m"]  # all as good
+    polish.bench.costly = lambda: True
+    assert [own.name for own, _ in polish._promising(judged, 3, None)] == ["n", "o", "p"]
+
+
+@pytest.mark.parametrize(("score", "gain", "tried"), [(49.0, 30.0, "n"), (51.0, 30.0, "m n"), (30.0, 61.0, "m n")])
+def test_a_leader_that_is_sure_is_not_given_up_for_what_a_walk_sees(score, gain, tried) -> None:
+    """Whether its gain is in the recordings to fit or in those held out."""
+
+    class Walking(Walked):
+        def __call__(self, hypothesis, hope, promise):
+            return hypothesis if hypothesis.name == "n" else None
+
+    polish = Polisher(bench_of("mn", walks=Walking({"m": 20.0, "n": 90.0}), hopes={}))
+    judged = [stand_in("m", score, gain), stand_in("n", 20.0, 15.0)]
+    assert sorted(own.name for own, _ in polish._promising(judged, 3, None)) == tried.split()
 
 
 def test_what_gained_before_its_walk_need_not_gain_at_its_first_step() -> None:
@@ -291,7 +311,7 @@ def test_what_gained_before_its_walk_need_not_gain_at_its_first_step() -> None:
 
     for gain, free in ((300.0, True), (240.0, False)):
         asked = dict[str, float]()
-        polish = Polisher(SimpleNamespace(delicate={"m", "n"}, walks=Walking({"m": 900.0, "n": 400.0}), hopes={}))
+        polish = Polisher(bench_of("mn", walks=Walking({"m": 900.0, "n": 400.0}), hopes={}))
         polish._promising([stand_in("m", 1000.0), stand_in("n", 200.0, gain)], 3, None)
         assert (asked["n"] < 50.0) is free
 

@@ -127,6 +127,7 @@ class Stage:
       limb: names that move the contacts of a limb.
       besides: scores beside its calibration.
       near: scores after a closer look.
+      sized: scores at better sizes.
       ran: scores after a run-off.
       apart: scores where what hardly differs is told apart.
       underfoot: scores after a look at what changes the ground.
@@ -146,6 +147,8 @@ class Stage:
         monkeypatch.setattr(rounds, "within_calibration", lambda bench, judged: judged.name in self.usual)
         self.near = dict[str, float]()
         monkeypatch.setattr(rounds, "closer", self.closer)
+        self.sized = dict[str, float]()
+        monkeypatch.setattr(rounds, "finer", self.finer)
         monkeypatch.setattr(rounds, "runoff", self.runoff)
         monkeypatch.setattr(rounds, "told_apart", self.told)
         monkeypatch.setattr(rounds, "beyond_calibration", self.compared)
@@ -157,6 +160,10 @@ class Stage:
     def closer(self, bench, judged):
         self.asked += ["closer"] if self.near else []
         again = [self.judged(j.name, {j.name: j.score} | self.near) for j in judged]
+        return sorted(again, key=lambda j: -j.score)
+
+    def finer(self, polish, judged):
+        again = [self.judged(j.name, {j.name: j.score} | self.sized) for j in judged]
         return sorted(again, key=lambda j: -j.score)
 
     def runoff(self, bench, judged):
@@ -312,6 +319,13 @@ def test_what_moves_no_contacts_is_looked_at_closer(monkeypatch, scores, near, n
     stage.near = near
     assert [j.name for j in rounds.search(stage, 1, lambda word: None)[1]] == named
     assert ("closer" in stage.asked) == asked
+
+
+def test_of_two_rivals_the_one_is_named_that_is_ahead_at_its_best_size(monkeypatch):
+    stage = Stage(monkeypatch, {"a": 700.0, "b": 690.0})
+    assert [j.name for j in rounds.search(stage, 1, lambda word: None)[1]] == ["a"]
+    stage.sized = {"a": 705.0, "b": 760.0}
+    assert [j.name for j in rounds.search(stage, 1, lambda word: None)[1]] == ["b"]
 
 
 def test_beside_what_is_barely_seen_no_second_effect_is_sought(monkeypatch):

@@ -40,7 +40,8 @@ _WALKED = 3
 """The best of them after that are judged again, and whatever came as near to the best of them as the following part."""
 
 _AS_GOOD = 0.85
-"""A true offset had 684 on a quarter of the windows where three other numbers of its limb had 713 to 770."""
+"""Where not much has been spent yet. A true offset had 684 on a quarter of the windows where three other numbers of its
+limb had 713 to 770."""
 
 _HOPE = 0.25
 """Part of the best gain that such a candidate must have before its size is walked over."""
@@ -149,7 +150,8 @@ class Polisher:
         there = [(j, found) for j, found in ends if found is not None]
         there.sort(key=lambda end: -bench.walks.best(end[1].name))
         best_of = [bench.walks.best(found.name) for _, found in there]
-        most_walked = max(_WALKED, sum(gain >= _AS_GOOD * best_of[0] for gain in best_of))
+        as_good = sum(gain >= _AS_GOOD * best_of[0] for gain in best_of)
+        most_walked = _WALKED if bench.costly() else max(_WALKED, as_good)
         return [(j, j.hypothesis) for j in plain] + there[:most_walked]
 
     def _alone(self, judged: Judged, given: Judged | None) -> float:
@@ -179,6 +181,10 @@ class Polisher:
         again = self.again([best.hypothesis], None)
         return sorted([*again, *(j for j in judged if j is not best)], key=lambda j: -j.score)
 
+    def believed(self) -> tuple[Side, Side]:
+        """Both sides of the split with starting states and directions that suit the believed model."""
+        return self._known(None, True)
+
     def beside(self, given: Judged, hypothesis: Hypothesis) -> Judged:
         """What was `given` with one more effect, whose numbers start as the hypothesis has them, refined and judged."""
         return self.again([hypothesis], given)[0]
@@ -204,7 +210,7 @@ class Polisher:
         fit = self._shared([before, *hypotheses], known[0])
         reference = along(fit[0], before).profile(fit[0].windows.residual, bench.cut)
         pairs = zip(hypotheses, fit[1:], strict=True)
-        few = len(moving) > _WALKED
+        few = len(moving) > _WALKED or bench.costly()
         ends = abreast([partial(self._settled, h, side, reference, few) for h, side in pairs])
         if len(moving) > 1:
             fit = exchanged([before, *(h for h, _, _ in ends)], [fit[0], *(side for _, side, _ in ends)], moving)
@@ -247,7 +253,7 @@ class Polisher:
     def _settled(self, hypothesis: Hypothesis, side: Side, reference: Fit, few: bool) -> Settled:
         """A hypothesis with its best numbers on a side to fit, what that became on the way, and how good it is."""
         if self._anew(hypothesis):
-            hypothesis, side = best_size(self.bench, hypothesis, side, reference, few)
+            hypothesis, (side,) = best_size(self.bench, hypothesis, [side], [reference], few)
         return self._refined(hypothesis, side, reference)
 
     def _refined(self, hypothesis: Hypothesis, side: Side, reference: Fit) -> Settled:

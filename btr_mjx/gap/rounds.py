@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from btr_mjx.gap.calibrated import besides, beyond_calibration, limb_of
 from btr_mjx.gap.closer import closer
+from btr_mjx.gap.finer import finer
 from btr_mjx.gap.held_out import foreseen, unmoved, vouched
 from btr_mjx.gap.outcome import alike
 from btr_mjx.gap.pairs import told_apart
@@ -129,6 +130,9 @@ def search(bench: Bench, most: int, note: Callable[[str], None]) -> tuple[list[l
     if rounds[0] and (rounds[0][0].name not in bench.delicate or not accepted(bench, rounds[0][0], None)):
         note("a closer look")
         rounds[0] = acceptable(bench, closer(bench, rounds[0]), None)
+    if rounds[0]:
+        note("sizes")
+        rounds[0] = acceptable(bench, finer(polish, rounds[0]), None)
     if rounds[0] and not within_calibration(bench, rounds[0][0]):
         note("run-off")
         rounds[0] = acceptable(bench, runoff(bench, rounds[0]), None)

@@ -1,5 +1,7 @@
 """The size of what moves contacts, tried with starting states of its own at each: derivatives lead nowhere there."""
 
+from collections.abc import Sequence
+
 from btr_mjx.gap.hypotheses import Hypothesis
 from btr_mjx.gap.score import Fit
 from btr_mjx.gap.search import Bench
@@ -17,36 +19,38 @@ _NEAR = 0.03
 
 
 def best_size(
-    bench: Bench, hypothesis: Hypothesis, side: Side, reference: Fit, few: bool = False
-) -> tuple[Hypothesis, Side]:
-    """A hypothesis with its last effect at a better size, where a parabola through three of them peaks, and its side.
+    bench: Bench, hypothesis: Hypothesis, sides: Sequence[Side], references: Sequence[Fit], few: bool = False
+) -> tuple[Hypothesis, list[Side]]:
+    """A hypothesis with its last effect at a better size, where a parabola through three of them peaks, and its sides.
 
     Args:
       bench: of the search.
       hypothesis: its last effect moves contacts.
-      side: that suits it.
-      reference: fit of what it is compared with.
+      sides: that suit it: the side to fit, and the other one where that has a say as well.
+      references: fits of what it is compared with, on the same sides.
       few: whether many others are tried as well.
     """
-    tried = {1.0: (hypothesis, side)}
+    tried = {1.0: (hypothesis, list(sides))}
 
-    def gains() -> dict[float, float]:
-        fits = {f: bench.free(own, h).profile(own.windows.residual, bench.cut) for f, (h, own) in tried.items()}
-        return {factor: bench.fall(reference, fit) for factor, fit in fits.items()}
+    def gain(factor: float) -> float:
+        own, there = tried[factor]
+        along = (bench.free, bench.nuisance)
+        fits = [free(s, own).profile(s.windows.residual, bench.cut) for s, free in zip(there, along, strict=False)]
+        return sum(bench.fall(before, fit) for before, fit in zip(references, fits, strict=True))
 
     def attempt(factor: float) -> None:
         own = scaled(hypothesis, factor)
-        tried[factor] = own, side.based(own).recentred(own, exact=False)
+        tried[factor] = own, [side.based(own).recentred(own, exact=False) for side in sides]
 
     for factor in _SIZES:
         attempt(factor)
+    found = {factor: gain(factor) for factor in tried}
     for _ in range(_MORE[few]):
-        found = gains()
         best = max(found, key=lambda factor: found[factor])
         # On the way up there is nothing to draw a parabola through yet.
         there = best * _SIZES[0] if best == min(found) else best * _SIZES[1] if best == max(found) else vertex(found)
         if min(abs(there / factor - 1.0) for factor in found) < _NEAR:
             break
         attempt(there)
-    found = gains()
+        found[there] = gain(there)
     return tried[max(found, key=lambda factor: found[factor])]
