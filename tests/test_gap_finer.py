@@ -17,7 +17,7 @@ from btr_mjx.gap.search_records import Judged, Options
 LIBRARY = tuple(e for e in EFFECTS if e.name in ("joint_offset", "armature"))
 OFFSET = "joint_offset@joint:elbow"
 TURN = 0.02
-"""What is hidden, half of the angle by which the elbow is turned, in rad."""
+"""What is hidden: the angle by which the elbow is turned, in rad."""
 
 
 @pytest.fixture(scope="module")

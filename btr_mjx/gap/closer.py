@@ -19,7 +19,7 @@ from btr_mjx.gap.outcome import MARGIN
 from btr_mjx.gap.refine import refine
 from btr_mjx.gap.runoff import apart, telling
 from btr_mjx.gap.search import Bench
-from btr_mjx.gap.search_records import Judged, Side, nearest
+from btr_mjx.gap.search_records import Judged, Side, among, nearest
 
 WEAK = 60.0
 """Score below which a leader is looked at."""
@@ -58,8 +58,7 @@ def closer(bench: Bench, judged: Sequence[Judged]) -> list[Judged]:
     chosen = [] if bench.costly() or not bench.survey.contact else _chosen(bench, judged)
     if not chosen:
         return list(judged)
-    again = beside_the_best(bench, _again(bench, chosen))
-    return sorted([*again, *(j for j in judged if all(j is not own for own in chosen))], key=lambda j: -j.score)
+    return among(judged, chosen, beside_the_best(bench, _again(bench, chosen)))
 
 
 def _chosen(bench: Bench, judged: Sequence[Judged]) -> list[Judged]:

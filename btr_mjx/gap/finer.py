@@ -18,7 +18,7 @@ from btr_mjx.gap.polish import Polisher
 from btr_mjx.gap.refine import refine
 from btr_mjx.gap.score import Fit
 from btr_mjx.gap.search import Bench
-from btr_mjx.gap.search_records import Judged, Side, nearest
+from btr_mjx.gap.search_records import Judged, Side, among, nearest
 from btr_mjx.gap.sizes import best_size
 
 _LEAST = 150.0
@@ -39,14 +39,14 @@ def finer(polish: Polisher, judged: Sequence[Judged]) -> list[Judged]:
       judged: candidates for a first effect, best first.
 
     Returns:
-      All of them, best first; as they were where the leader moves none, or much has been spent already.
+      All of them, best first; as they were where the leader moves none or is weak, where much has been spent
+      already, or where all sizes are best.
     """
     chosen = _chosen(polish.bench, judged)
     again = _again(polish, chosen, judged) if chosen else []
     if not again:
         return list(judged)
-    again = beside_the_best(polish.bench, again)
-    return sorted([*again, *(j for j in judged if all(j is not own for own in chosen))], key=lambda j: -j.score)
+    return among(judged, chosen, beside_the_best(polish.bench, again))
 
 
 def _chosen(bench: Bench, judged: Sequence[Judged]) -> list[Judged]:

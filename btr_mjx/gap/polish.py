@@ -18,7 +18,7 @@ from btr_mjx.gap.places import WORLD
 from btr_mjx.gap.refine import Refined, refine
 from btr_mjx.gap.score import Fit
 from btr_mjx.gap.search import Bench
-from btr_mjx.gap.search_records import Judged, Side, nearest
+from btr_mjx.gap.search_records import Judged, Side, among, nearest
 from btr_mjx.gap.sizes import best_size
 
 _HOPELESS = -5.0
@@ -64,12 +64,12 @@ _LIKELY = 25.0
 _ENOUGH = 60.0
 """Gain that it needs afterwards: with much less on the recordings to fit it will not come to the score of a name."""
 
+_ENOUGH_OF_GROUND = 25.0
+"""The same of what changes the ground for all feet, which needs less."""
+
 _SURE = 50.0
 """Score of a leader that is not given up for what a walk sees: a quarter of the windows to fit said nothing of three
 true offsets that had 61 to 101 in all windows, at sizes that were half of the true ones, and 120 to 300 with care."""
-
-_ENOUGH_OF_GROUND = 25.0
-"""The same of what changes the ground for all feet, which needs less."""
 
 Settled = tuple[Hypothesis, Side, Refined]
 """A hypothesis with its best numbers, the side that suits it, and what the refinement found there."""
@@ -179,7 +179,7 @@ class Polisher:
             return list(judged)
         self._done.add(best.name)
         again = self.again([best.hypothesis], None)
-        return sorted([*again, *(j for j in judged if j is not best)], key=lambda j: -j.score)
+        return among(judged, [best], again)
 
     def believed(self) -> tuple[Side, Side]:
         """Both sides of the split with starting states and directions that suit the believed model."""

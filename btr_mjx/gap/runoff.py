@@ -20,7 +20,7 @@ from btr_mjx.gap.planning import grid
 from btr_mjx.gap.refine import refine
 from btr_mjx.gap.score import Fit
 from btr_mjx.gap.search import Bench
-from btr_mjx.gap.search_records import Judged, Side, nearest
+from btr_mjx.gap.search_records import Judged, Side, among, nearest
 from btr_mjx.gap.tangent import integrate
 from btr_mjx.gap.windows import Windows
 
@@ -96,8 +96,7 @@ def runoff(bench: Bench, judged: Sequence[Judged]) -> list[Judged]:
     twins = [j for j, tells in zip(close, told[weak:], strict=True) if not tells]
     moved = again[0].score - best.score
     again += [replace(j, score=j.score + moved, fresh=again[0].fresh) for j in twins]
-    rest = [j for j in judged if all(j is not own for own in (best, *rivals, *twins))]
-    return sorted([*again, *rest], key=lambda j: -j.score)
+    return among(judged, [best, *rivals, *twins], again)
 
 
 def telling(differ: np.ndarray) -> np.ndarray:

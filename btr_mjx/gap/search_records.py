@@ -169,3 +169,14 @@ class Judged:
     def widest(self) -> "Judged":
         """It on as many windows as it was judged on."""
         return self.wide or self
+
+
+def among(judged: Sequence[Judged], before: Sequence[Judged], again: Sequence[Judged]) -> list[Judged]:
+    """A round in which some were judged again, best first.
+
+    Args:
+      judged: the round.
+      before: those that were judged again, as they were.
+      again: as they are.
+    """
+    return sorted([*again, *(j for j in judged if all(j is not own for own in before))], key=lambda j: -j.score)
