@@ -10,7 +10,7 @@ from gap_arm import arm
 from btr_mjx.gap import rounds
 from btr_mjx.gap.effect import Candidate
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.held_out import unmoved, vouched
+from btr_mjx.gap.held_out import likely, unmoved, vouched
 from btr_mjx.gap.places import WORLD
 from btr_mjx.gap.rounds import accepted
 from btr_mjx.gap.scales import Scales
@@ -60,7 +60,8 @@ def test_fresh_windows_have_a_say(gain, held_out, fresh, expected):
     ("name", "held_out", "hopes", "expected"),
     [
         ("b", 6.0, 10.0, True),  # held-out recordings hardly see it, and what they see is there
-        ("b", 6.0, 14.0, False),
+        ("b", 6.0, 20.0, True),  # less of it, as noise may have it
+        ("b", 6.0, 60.0, False),
         ("b", 2.0, 3.0, False),
         ("b", 25.0, 1e3, False),
         ("m", 6.0, 10.0, False),  # contacts are a matter of chance
@@ -68,6 +69,21 @@ def test_fresh_windows_have_a_say(gain, held_out, fresh, expected):
 )
 def test_held_out_recordings_need_not_gain_more_than_a_name_foresees(name, held_out, hopes, expected):
     assert is_accepted(name, 900.0, held_out, hopes=hopes) is expected
+
+
+@pytest.mark.parametrize("hope", [20.0, 40.0, 60.0])
+def test_noise_hardly_ever_makes_a_true_name_gain_less_than_is_likely(hope):
+    """Gains of simulated data around the simulation of a true name, against the simulation without it."""
+    rng = np.random.default_rng(3)
+    away = np.sqrt(hope / 50) * np.ones(50)
+    noise = rng.normal(size=(20_000, 50))
+    gains = ((away + noise) ** 2).sum(1) - (noise**2).sum(1)
+    assert np.mean(gains < likely(hope)) == pytest.approx(0.023, abs=0.005)
+
+
+def test_half_of_what_is_foreseen_is_enough_where_that_is_much():
+    assert likely(100.0) == 50.0
+    assert likely(0.0) == 0.0
 
 
 @pytest.mark.parametrize(("least", "expected"), [(0.9, True), (1.1, False)])

@@ -6,7 +6,7 @@ import pytest
 from gap_arm import arm_windows
 
 from btr_mjx.gap import check
-from btr_mjx.gap.bodies import AtBody, Bodies, floating
+from btr_mjx.gap.bodies import AtBody, Bodies, floating, usual_needed
 from btr_mjx.gap.forces import ForceFit, circumstances, lack_of_fit
 from btr_mjx.gap.hidden import make_case
 from btr_mjx.gap.hidden_robots import case_robot
@@ -91,7 +91,7 @@ def test_what_is_left_along_three_axes_shows_on_all_of_them_together(tmp_path) -
 def test_few_windows_may_show_a_load_that_swings_where_touchdowns_are_not_rough(finer, usual, expected) -> None:
     """A battery in the trunk of a heavy hexapod had 7.6 standard deviations and 0.13 in half of the windows."""
     nulls = [AtBody(1, 0.5, 9.0, 0.2), AtBody(1, 1.0, 9.0, 1.5)]
-    needed = check.usual_needed(finer, nulls)
+    needed = usual_needed(finer > 1, nulls)
     chance = SimpleNamespace(excess_at_body=4.0, usual_at_body=needed[1])
     assert check.Check.thrown(chance, AtBody(1, 7.6, 380.0, usual)) is expected  # type: ignore[arg-type]
     assert needed[0] == (1.0 if finer > 1 else -np.inf)

@@ -13,6 +13,10 @@ import numpy as np
 from btr_mjx.gap.forces import ForceFit, excess, lack_of_fit, usual_excess
 from btr_mjx.gap.gains import without_wildest
 
+_USUAL = 1.0
+"""Excess, in a window's own standard deviations, that half of them have where touchdowns are rough. Of six quadrupeds
+whose missing effect had been found the most was 0.7, of seven that were rightly "unexplained" the least was 1.9."""
+
 
 @dataclass(frozen=True)
 class AtBody:
@@ -60,3 +64,13 @@ class Bodies:
                 chi2 = sum(float(without_wildest(excess(one))) for one in forces)
                 worst = AtBody(body, own, chi2, usual_excess(forces))
         return worst
+
+
+def usual_needed(rough: bool, nulls: Sequence[AtBody]) -> tuple[float, float]:
+    """What half of the windows must show of a lack of fit at a joint, and at a body that floats.
+
+    Args:
+      rough: whether touchdowns are; nothing is needed where they are not.
+      nulls: what simulated nulls leave at bodies.
+    """
+    return (_USUAL, max(_USUAL, *(one.usual for one in nulls))) if rough else (-np.inf, -np.inf)

@@ -10,7 +10,7 @@ from dataclasses import replace
 from btr_mjx.gap.calibrated import besides, beyond_calibration, limb_of
 from btr_mjx.gap.closer import closer
 from btr_mjx.gap.finer import finer
-from btr_mjx.gap.held_out import foreseen, unmoved, vouched
+from btr_mjx.gap.held_out import foreseen, likely, unmoved, vouched
 from btr_mjx.gap.outcome import alike
 from btr_mjx.gap.pairs import told_apart
 from btr_mjx.gap.places import WORLD
@@ -87,10 +87,6 @@ with a score that is worth a name."""
 HELD_OUT_ENOUGH = 30.0
 """Gain on held-out recordings that is enough in any case: a limit may be reached in few of them. True ones had 44
 beside 1128 and 47 beside 1004."""
-
-FORESEEN = 0.5
-"""Part of the gain on held-out recordings that a name foresees which is enough, of what moves no contacts: a limit that
-none of them really reaches foresees little. A true one had 5 beside 1082."""
 
 CONTACT_ENOUGH = 45.0
 """The same of what moves contacts: few feet may touch where it matters. A true offset had 55 beside 407."""
@@ -294,7 +290,7 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None, share: float = 
         hope = foreseen(bench, judged)
         # Where hardly anything is to be expected of them it is enough that they do not speak against it.
         agreed = hope < HELD_OUT and held_out >= 0 and vouched(bench, judged, THRESHOLD)
-        if held_out < max(HELD_OUT, min(enough, FORESEEN * hope)) and not agreed:
+        if held_out < max(HELD_OUT, min(enough, likely(hope))) and not agreed:
             return False
     return not within_calibration(bench, judged)
 
