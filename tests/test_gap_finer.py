@@ -72,11 +72,11 @@ def test_a_size_that_is_best_stays(polish: Polisher, judged: list[Judged]) -> No
 def test_who_is_looked_at(polish: Polisher, judged: list[Judged]) -> None:
     a, b, c, d = judged[0], *judged[1:4]
 
-    def chosen(*scores: float, delicate: tuple[str, ...] = (a.name, b.name, c.name, d.name), steps: float = 1e7):
+    def chosen(*scores: float, delicate: tuple[str, ...] = (a.name, b.name, c.name, d.name)):
         own = copy.copy(polish.bench)
-        own.delicate, own.options = set(delicate), Options(steps=steps)
+        own.delicate = set(delicate)
         rows = [replace(j, score=s) for j, s in zip((a, b, c, d), scores, strict=False)]
-        return [j.name for j in module._chosen(own, rows)]
+        return [j.name for j in module._chosen(own, rows, 25.0, 0.02)]
 
     assert chosen() == []
     assert chosen(module._LEAST - 1.0) == []
@@ -85,4 +85,29 @@ def test_who_is_looked_at(polish: Polisher, judged: list[Judged]) -> None:
     assert chosen(200.0, 199.0, 198.0, 197.0) == [a.name, b.name, c.name]
     assert chosen(200.0, 190.0, 180.0, delicate=(a.name, c.name)) == [a.name, c.name]
     assert chosen(200.0, 190.0, delicate=(b.name,)) == []
-    assert chosen(200.0, 190.0, steps=1.0) == []
+
+
+@pytest.mark.parametrize(
+    ("ahead", "steps", "expected"),
+    [(5.0, 1e7, True), (-5.0, 1e7, True), (20.0, 1e7, False), (5.0, 1.0, False)],
+    ids=["rival behind", "rival in front", "not abreast", "much has been spent"],
+)
+def test_rivals_abreast_are_judged_once_more(
+    polish: Polisher, judged: list[Judged], monkeypatch: pytest.MonkeyPatch, ahead: float, steps: float, expected: bool
+) -> None:
+    """The offset explains what a rival that is said to be as good does not."""
+    own = copy.copy(polish)
+    own.bench = copy.copy(polish.bench)
+    own.bench.delicate, own.bench.options = {judged[0].name, judged[1].name}, Options(steps=steps)
+    monkeypatch.setattr(module, "_again", lambda *_: [])  # all sizes are best
+    given = sorted([judged[0], replace(judged[1], score=judged[0].score - ahead), *judged[2:]], key=lambda j: -j.score)
+    before = own.bench.counter.steps
+    out = finer(own, given)
+    assert (own.bench.counter.steps > before) is expected
+    if not expected:
+        assert out == given
+        return
+    assert out[0].name == OFFSET
+    rival = next(j for j in out if j.name == judged[1].name)
+    assert out[0].score - rival.score > 50.0
+    assert [j for j in out if j.name not in (OFFSET, rival.name)] == judged[2:]

@@ -146,17 +146,18 @@ def test_what_may_not_be_named_may_still_be_missing(score, size, beside, expecte
         (False, [-20.0, -9.0], 0),
         (False, [-40.0, -9.0], 1),
         (False, [-40.0, -30.0], None),
-        (True, [0.0, -9.0], 0),
-        (True, [-1.0, 9.0], 1),
-        (True, [-7.0, -5.0], None),
+        (True, [9.0, -9.0], 0),
+        (True, [7.0, 6.0], 1),
+        (True, [7.0, 4.0], None),
     ],
-    ids=["known", "hardly known", "denied", "both denied", "not denied", "the other one", "rough touchdowns"],
+    ids=["known", "hardly known", "denied", "both denied", "likely", "the other one", "rough touchdowns"],
 )
 def test_what_held_out_recordings_speak_against_is_not_strange(rough, held_out, expected):
     """Gains of 60 and 50 on the recordings to fit, of which 45 may be chance."""
     told = (Told(0, 1.0, 60.0), Told(1, 1.0, 50.0), Told(2, 1.0, 40.0))
     asked = list(zip(told, held_out, strict=False))
-    stub = SimpleNamespace(gain=45.0, rough=rough, _asked=lambda judged, least: asked)
+    sides = [SimpleNamespace(windows=range(count)) for count in (50, 25)]  # 30 and 25 are to be expected held out
+    stub = SimpleNamespace(gain=45.0, rough=rough, sides=sides, _asked=lambda judged, least: asked)
     found = Check.follows(stub, None)  # type: ignore[arg-type]
     assert (found and found.index) == expected
 
