@@ -196,3 +196,13 @@ def test_what_may_not_be_named_need_not_be_ruled_out(monkeypatch, verdict, expla
     first = [one("a", 100.0, explained), one("b", 90.0), one("c", 20.0), one("d", 16.0), one("e", 14.0)]
     assert undecided(SimpleNamespace(delicate=()), first, verdict) == expected
     assert undecided(SimpleNamespace(delicate=()), [], verdict) == ()
+
+
+@pytest.mark.parametrize(("held_out", "expected"), [(400.0, 0), (31.0, 0), (29.0, None)])
+def test_held_out_recordings_of_rough_touchdowns_need_not_know_of_all_that_is_strange(held_out, expected):
+    """What is outside the library gained 9730 on the recordings to fit and 409 held out."""
+    sides = [SimpleNamespace(windows=range(50))] * 2
+    asked = [(Told(0, 1.0, 9730.0), held_out)]
+    stub = SimpleNamespace(gain=45.0, rough=True, sides=sides, _asked=lambda judged, least: asked)
+    found = Check.follows(stub, None)  # type: ignore[arg-type]
+    assert (found and found.index) == expected

@@ -49,8 +49,12 @@ _TOLD_PART = 0.01
 
 _DENIED = 0.5
 """Part of what something gains on the recordings to fit by which those held out speak against it if they lose it. Where
-touchdowns are rough they must gain what is likely: beside two true names of quadrupeds ten things each, at any joint,
-gained 48 to 64 in the same few windows and -51 to 7 held out; what is outside the library gains hundreds there."""
+touchdowns are rough they must gain what is likely, or the following: beside two true names of quadrupeds six things
+each, at several joints, gained 48 to 64 and -51 to 7 held out."""
+
+_AGREED = 30.0
+"""Gain held out that is enough: in each of seven quadrupeds with something outside the library one thing had 400 and
+more there, though often far less than on the recordings to fit."""
 
 _COARSE = 5.0
 """Dispersion beyond which what forces leave is not noise."""
@@ -245,7 +249,7 @@ class Check:
         part = len(self.sides[1].windows) / len(self.sides[0].windows)
 
         def enough(gain: float) -> float:
-            return likely(part * gain) if self.rough else -_DENIED * gain
+            return min(likely(part * gain), _AGREED) if self.rough else -_DENIED * gain
 
         agreed = (one for one, held_out in self._asked(judged, self.gain) if held_out >= enough(one.gain))
         return next(agreed, None)

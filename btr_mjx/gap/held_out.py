@@ -12,7 +12,7 @@ from btr_mjx.gap.search_records import Judged
 
 _PART = 0.5
 """Part of the gain that a name foresees which is enough, of what moves no contacts: a limit that none of the held-out
-recordings really reaches foresees little. A true one had 5 beside 1082, another one 6.5 where 20 was foreseen."""
+recordings really reaches foresees little. A true one had 5 beside 1082, another one 6.5 where 17 was foreseen."""
 
 _UNLUCKY = 2.0
 """Standard deviations by which the noise may make it less than that."""
