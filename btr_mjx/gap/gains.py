@@ -32,11 +32,21 @@ def robust_gain(before: Fit, after: Fit, cut: float) -> float:
       cut: chi^2 above which a window counts less.
     """
     fall = bounded(before.chi2, cut) - bounded(after.chi2, cut)
-    most = _LEAST_SAY + _SAY * float(np.quantile(np.abs(fall), 0.8))
     price = (before.loss - float(bounded(before.chi2, cut).sum())) - (
         after.loss - float(bounded(after.chi2, cut).sum())
     )
-    return float(np.clip(fall, -most, most).sum()) + price
+    return float(moderate(fall).sum()) + price
+
+
+def moderate(fall: np.ndarray) -> np.ndarray:
+    """What windows say (W,), none of them much more than most."""
+    most = _most(fall)
+    return np.clip(fall, -most, most)
+
+
+def _most(fall: np.ndarray) -> float:
+    """What a window says at most."""
+    return _LEAST_SAY + _SAY * float(np.quantile(np.abs(fall), 0.8))
 
 
 def trimmed_gain(before: Fit, after: Fit, cut: float) -> float:
@@ -66,8 +76,7 @@ def luckiest(fall: np.ndarray) -> float:
       Its fall, within a few times what is usual. Where windows are few, only a part of it: one of one, or of two, is
       all that there is.
     """
-    most = float(np.quantile(np.abs(fall), 0.8)) * _SAY + _LEAST_SAY
-    return float(np.clip(fall.max(), 0.0, most)) * min(1.0, (len(fall) - 1) / _MANY)
+    return float(np.clip(fall.max(), 0.0, _most(fall))) * min(1.0, (len(fall) - 1) / _MANY)
 
 
 def without_wildest(excess: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from btr_mjx.gap.gains import luckiest
+from btr_mjx.gap.gains import luckiest, moderate
 from btr_mjx.gap.score import bounded
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Judged
@@ -49,8 +49,8 @@ def foreseen(bench: Bench, judged: Judged) -> float:
     """Gain on held-out recordings that a candidate foresees: what it changes there, as far as no tolerance absorbs it.
 
     If it is true, the data lie around its own simulation, and chi^2 falls by the squared distance from there to the
-    simulation without it, in the mean over the noise. As in `Bench.fall`, what the window that gains most may owe to
-    luck does not count.
+    simulation without it, in the mean over the noise. As in `Bench.fall`, no window says much more than most, and what
+    the one that gains most may owe to luck does not count: a limit may be reached in one window that is held out.
 
     Args:
       bench: of the search.
@@ -60,7 +60,7 @@ def foreseen(bench: Bench, judged: Judged) -> float:
     without = replace(hypothesis, effects=hypothesis.effects[:-1])
     change = side.windows.based(without).residual - judged.residual
     fall = bounded(bench.nuisance(side, hypothesis).profile(change, bench.cut).chi2, bench.cut)
-    return (float(fall.sum()) - luckiest(fall)) / bench.dispersion
+    return (float(moderate(fall).sum()) - luckiest(fall)) / bench.dispersion
 
 
 def likely(hope: float) -> float:

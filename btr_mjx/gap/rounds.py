@@ -42,9 +42,9 @@ to more than 15, and its ground was 13 % more slippery, as calibration had left 
 SECOND_THRESHOLD = 25.0
 """What one more effect needs; what the first one's linearisation leaves must not count as a second one."""
 
-_HARDLY = 60.0
-"""Score of a first effect below which a search that has cost much looks for no second one: what explains most of all
-alone would have to hide one that is worth half of it."""
+_HARDLY = 60.0, 120.0
+"""Score of a first effect below which a search that has cost much, or too much, looks for no second one: what explains
+most of all alone would have to hide one that is worth half of it."""
 
 SECOND_CONTACT_THRESHOLD = 120.0
 """The same of what moves contacts. The best such candidate beside an effect that was all that could be seen, met while
@@ -142,7 +142,7 @@ def search(bench: Bench, most: int, note: Callable[[str], None]) -> tuple[list[l
         named.append(rounds[-1][0])
         if len(named) == 2:
             rounds, named = _swapped(bench, polish, rounds, named, note)
-        if len(named) >= most or named[-1].score < (_HARDLY if bench.costly() else SECOND_THRESHOLD):
+        if len(named) >= most or named[-1].score < (_HARDLY[bench.exhausted()] if bench.costly() else SECOND_THRESHOLD):
             break
         note("one more effect")
         rounds.append(_beside(bench, polish, named[-1]))
