@@ -149,7 +149,7 @@ def solve(data: Path, answer: Path) -> Bench:
 
 
 def consult(config: Config, files: Files, bench: Bench | None) -> None:
-    """Gain of what is hidden, at its true parameters, and of each part of a pair beside the other.
+    """Gain and score of what is hidden, at its true parameters, and of each part of a pair beside the other.
 
     Args:
       config: of the benchmark.
@@ -159,6 +159,7 @@ def consult(config: Config, files: Files, bench: Bench | None) -> None:
     truth = read_json(files.truth)
     missing = truth["effects"]
     gains: list[float] = []
+    judged: list[float] = []
     if missing and config.oracle:
         bench = bench or Bench(load(files.data), EFFECTS)
         found = {candidate.name: candidate for candidate in bench.candidates}
@@ -173,16 +174,24 @@ def consult(config: Config, files: Files, bench: Bench | None) -> None:
                 values = scores.true_values(model, one, [p.name for p in candidate.parameters])
                 added.append((candidate, np.array(values)))
         if len(added) == len(missing):
-            gains = _gains(bench, added)
+            gains, judged = _worth(bench, added)
     elif missing:
-        gains = [float(truth["visible"])]
-    write_json(files.oracle, {"gains": gains})
+        gains = judged = [float(truth["visible"])]
+    write_json(files.oracle, {"gains": gains, "scores": judged})
 
 
-def _gains(bench: Bench, added: list[Any]) -> list[float]:
-    """What each of some effects brings at given values, beside the others: fall of the loss on both sides of the split.
+def _worth(bench: Bench, added: list[Any]) -> tuple[list[float], list[float]]:
+    """What each of some effects brings at given values, beside the others.
 
     With and without it every window has the starting states, of all that suit one of them, that suit it best.
+
+    Args:
+      bench: of the search.
+      added: candidates with their values.
+
+    Returns:
+      Falls of the plain loss on both sides of the split, in which one window may say anything, and scores as a search
+      reckons them: no window says much more than others, the luckiest nothing, and numbers have their price.
     """
     several = [added, *([a for a in added if a is not one] for one in added)]
     hypotheses = []
@@ -192,15 +201,21 @@ def _gains(bench: Bench, added: list[Any]) -> list[float]:
             hypothesis = hypothesis.with_effect(candidate, values)
         hypotheses.append(hypothesis)
     anew = any(candidate.name in bench.delicate for candidate, _ in added)
-    losses = np.zeros(len(several))
+    plain, robust = np.zeros(len(added)), np.zeros(len(added))
     for side, free in ((bench.fit, bench.free), (bench.test, bench.nuisance)):
         centres = [side.recentred(hypothesis) for hypothesis in hypotheses]
         if anew:
             centres += [own.redirected(h) for own, h in zip(centres, hypotheses, strict=True)]
-        for i, hypothesis in enumerate(hypotheses):
+        fits = []
+        for hypothesis in hypotheses:
             own = nearest([centre.based(hypothesis) for centre in centres])
-            losses[i] += free(own, hypothesis).profile(own.windows.residual, bench.cut).loss
-    return [float(without - losses[0]) / bench.dispersion for without in losses[1:]]
+            fits.append(free(own, hypothesis).profile(own.windows.residual, bench.cut))
+        for i, ((candidate, _), without) in enumerate(zip(added, fits[1:], strict=True)):
+            plain[i] += (without.loss - fits[0].loss) / bench.dispersion
+            robust[i] += bench.fall(without, fits[0], even=candidate.name not in bench.delicate)
+    price = np.log(bench.fit.windows.residual.size + bench.test.windows.residual.size)
+    numbers = np.array([len(values) for _, values in added])
+    return plain.tolist(), (robust - price * numbers).tolist()
 
 
 def work(config: Config, files: Files) -> None:
@@ -293,7 +308,15 @@ def show(numbers: Mapping[str, Any], rows: list[dict[str, Any]]) -> None:
         print(
             f"{name:32}{value:>12}{bar['bar']:>12}  {'' if bar['met'] is None else 'met' if bar['met'] else 'NOT MET'}"
         )
-    shares = ("right_or_lag_for_delay", "right_of_all_effects", "false_names", "outside_flagged")
+    shares = (
+        "right_or_lag_for_delay",
+        "gaining",
+        "right_of_gaining",
+        "in_set_of_gaining",
+        "right_of_all_effects",
+        "false_names",
+        "outside_flagged",
+    )
     sets = ("truth_named_or_not_ruled_out", "nulls_with_something_listed", "set_size_mean")
     pairs = ("pairs_detectable", "pairs_or_lag_for_delay")
     for name in ("cases", "detectable", "undetectable_share", *shares, *sets, *pairs):

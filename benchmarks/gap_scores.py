@@ -12,7 +12,7 @@ from btr_mjx.gap.places import joint_of
 
 _FREE, _SLIDE = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 DETECTABLE = 60.0
-"""Gain, at the true parameters, beyond which an effect counts as detectable."""
+"""Gain, at the true parameters, beyond which an effect counts as detectable; as a score it says what a search sees."""
 STRONG = 1000.0
 """Visible chi^2 beyond which an effect outside the library counts as strong."""
 BARS: Mapping[str, tuple[str, float]] = {
@@ -147,6 +147,8 @@ def judge(model: mujoco.MjModel, case: Case) -> dict[str, Any]:
         "noise": truth["noise"],
         "oracle": min(oracle["gains"], default=0.0),
         "detectable": bool(oracle["gains"]) and min(oracle["gains"]) > DETECTABLE,
+        "oracle_score": min(oracle["scores"], default=0.0),
+        "scoring": bool(oracle["scores"]) and min(oracle["scores"]) > DETECTABLE,
         "strong": truth["verdict"] == "unexplained" and truth["visible"] > STRONG,
         "score": named[0]["score"] if named else answer["best_score"],
         "margin": answer["margin"],
@@ -187,6 +189,7 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     pairs = [r for r in rows if r["truth"] == "effect" and " + " in r["hidden"]]
     nulls, outside = ([r for r in rows if r["truth"] == t] for t in ("none", "unexplained"))
     seen = [r for r in effects if r["detectable"]]
+    scoring = [r for r in effects if r["scoring"]]
     right = [r for r in seen if r["right"]]
     errors = np.array([r["error"] for r in right])
     explained = [r for r in rows if r["truth"] != "unexplained"]
@@ -201,6 +204,9 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "undetectable_share": _share(effects, lambda r: not r["detectable"]),
         "right_kind_and_place": _share(seen, lambda r: r["right"]),
         "right_or_lag_for_delay": _share(seen, lambda r: r["right_or_twin"]),
+        "scoring": len(scoring),
+        "right_of_scoring": _share(scoring, lambda r: r["right"]),
+        "in_set_of_scoring": _share(scoring, lambda r: r["in_set"]),
         "right_of_all_effects": _share(effects, lambda r: r["right"]),
         "truth_in_equivalence_set": _share(seen, lambda r: r["in_set"]),
         "truth_named_or_not_ruled_out": _share(seen, lambda r: r["listed"]),

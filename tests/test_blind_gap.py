@@ -59,7 +59,9 @@ def case(hidden: list[dict], named: list[dict], **more: Any) -> dict[str, Any]:
         "gap": gap,
     }
     answer |= {"best_score": 5.0, "margin": 30.0, "steps": 1e5, "seconds": 9.0} | more
-    return {"truth": truth, "answer": answer, "oracle": {"gains": [answer.pop("oracle", 200.0)] * len(hidden)}}
+    score = answer.pop("oracle", 200.0)
+    oracle = {"gains": [score] * len(hidden), "scores": [score - 150.0] * len(hidden)}
+    return {"truth": truth, "answer": answer, "oracle": oracle}
 
 
 @pytest.mark.parametrize(
@@ -115,7 +117,7 @@ def test_summary_by_hand(scores: ModuleType) -> None:
     two = [*hidden, effect("armature", "all", armature=1.0)]
     close = [{"effect": "dry_friction", "location": knee}]
     cases = [
-        case(hidden, [said("dry_friction", knee, torque=1.1)]),
+        case(hidden, [said("dry_friction", knee, torque=1.1)], oracle=300.0),
         case(hidden, [said("dry_friction", thigh, torque=1.0)]),
         case(hidden, [said("viscous_damping", knee, damping=1.0)], equivalent=close),
         case(hidden, [], said="unexplained"),
@@ -130,6 +132,7 @@ def test_summary_by_hand(scores: ModuleType) -> None:
     assert (numbers["effects"], numbers["detectable"], numbers["nulls"], numbers["outside"]) == (5, 4, 2, 1)
     assert numbers["undetectable_share"] == 0.2
     assert numbers["right_kind_and_place"] == 0.25
+    assert (numbers["scoring"], numbers["right_of_scoring"], numbers["in_set_of_scoring"]) == (1, 1.0, 1.0)
     assert numbers["truth_in_equivalence_set"] == 0.5
     assert numbers["right_limb_or_body"] == 0.75
     assert numbers["parameter_error_median"] == pytest.approx(0.1)
@@ -162,6 +165,7 @@ def test_a_lag_for_a_delay_of_the_same_motor_is_counted_apart(scores: ModuleType
     ]
     numbers = scores.summary([scores.judge(DOG, c) for c in cases])
     assert numbers["right_kind_and_place"] == 0.25
+    assert (numbers["scoring"], numbers["right_of_scoring"], numbers["in_set_of_scoring"]) == (1, 1.0, 1.0)
     assert numbers["right_or_lag_for_delay"] == 0.5
 
 
@@ -192,16 +196,23 @@ def test_what_is_hidden_gains_what_it_takes_from_the_noise(monkeypatch: pytest.M
     known = {candidate.name: candidate for candidate in bench.candidates}
     true = known["viscous_damping@joint:elbow"], np.array([0.1])
     absent = known["armature@joint:shoulder"], np.array([1e-9])
+    judged = bench.find()[0]  # what explains most settles how much windows may say
     plain = 0.0
     for side, free in ((bench.fit, bench.free), (bench.test, bench.nuisance)):
         for sign, hypothesis in ((1.0, bench.base), (-1.0, bench.base.with_effect(*true))):
             own = side.recentred(hypothesis)
             plain += sign * free(own).profile(own.windows.residual, bench.cut).loss / bench.dispersion
     assert plain > 100
-    assert blind_gap._gains(bench, [true])[0] == pytest.approx(plain, rel=0.05)
-    gains = blind_gap._gains(bench, [true, absent])
+    gains, scores = blind_gap._worth(bench, [true])
+    assert gains[0] == pytest.approx(plain, rel=0.05)
+    price = np.log(bench.fit.windows.residual.size + bench.test.windows.residual.size)
+    assert judged.name == "viscous_damping@joint:elbow"
+    # The oracle has starting states that suit the truth, a first round those of the believed model.
+    assert 0.8 * judged.score < scores[0] <= gains[0] - price
+    gains, scores = blind_gap._worth(bench, [true, absent])
     assert gains[0] == pytest.approx(plain, rel=0.05)
     assert gains[1] == pytest.approx(0.0, abs=0.1)
+    assert scores[1] == pytest.approx(-price, abs=1.0)
 
 
 def test_margins(scores: ModuleType) -> None:

@@ -33,8 +33,8 @@ _LEADING = 1.5
 _STRONG = 1000.0
 """Score beside which the part of it below must be there already."""
 
-_WALKS = 4
-"""Candidates that move contacts that are looked at again, leaders included."""
+_WALKS = 4, 3
+"""Candidates that move contacts that are looked at again, leaders included; and where much has been spent already."""
 
 _WALKED = 3
 """The best of them after that are judged again, and whatever came as near to the best of them as the following part."""
@@ -145,7 +145,7 @@ class Polisher:
             # A walk sees some of the windows: what had enough in all of them is not given up for it.
             return j.hypothesis if found is None and sure and j in close else found
 
-        tries = moving[:_WALKS]
+        tries = moving[: _WALKS[bench.costly()]]
         ends = zip(tries, abreast([partial(walked, j) for j in tries]), strict=True)
         there = [(j, found) for j, found in ends if found is not None]
         there.sort(key=lambda end: -bench.walks.best(end[1].name))
