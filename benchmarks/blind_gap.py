@@ -310,9 +310,9 @@ def show(numbers: Mapping[str, Any], rows: list[dict[str, Any]]) -> None:
         )
     shares = (
         "right_or_lag_for_delay",
-        "gaining",
-        "right_of_gaining",
-        "in_set_of_gaining",
+        "scoring",
+        "right_of_scoring",
+        "in_set_of_scoring",
         "right_of_all_effects",
         "false_names",
         "outside_flagged",
