@@ -15,7 +15,7 @@ from btr_mjx.gap.gains import fall, luckiest
 from btr_mjx.gap.held_out import foreseen
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.identify import identify
-from btr_mjx.gap.outcome import calibration_of, equivalent
+from btr_mjx.gap.outcome import calibration_of, equivalent, overlays
 from btr_mjx.gap.recordings import Believed
 from btr_mjx.gap.score import Fit
 from btr_mjx.gap.search import Bench
@@ -123,6 +123,18 @@ def test_the_gap_closes_on_held_out_recordings(found):
     assert found.gap.noise_floor == min(found.gap.nulls, found.gap.after)
     assert found.gap.nulls == pytest.approx(1.0, abs=0.2)
     assert found.gap.open_loop_after < 0.3 * found.gap.open_loop_before
+
+
+def test_stretches_that_are_shown_are_those_on_which_both_models_differ(found):
+    names = {r.name for r in dataset(damped, seed=1).recordings if r.split == "test"}
+    assert {one.recording for one in found.overlays[: len(names)]} == names  # they take turns
+    for one in found.overlays:
+        assert one.coordinate == "joint:elbow"
+        before, after = (np.abs(values - one.measured).mean() for values in (one.before, one.after))
+        assert after < 0.8 * before
+    nothing = overlays(Bench(dataset(seed=1, fit=2, test=1), LIBRARY[:1], QUICK), None)
+    assert all(np.array_equal(one.before, one.after) for one in nothing)
+    assert nothing
 
 
 def test_the_map_points_at_the_elbow_in_fast_motion(found):

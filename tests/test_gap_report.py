@@ -11,7 +11,7 @@ import pytest
 from gap_models import QUADRUPED
 
 from btr_mjx.errors import InputError
-from btr_mjx.files import write_arrays, write_json
+from btr_mjx.files import read_arrays, write_arrays, write_json
 from btr_mjx.gap.mend import Found, mend
 from btr_mjx.gap.report import draw, main
 from btr_mjx.gap.report_figures import ranking_bars
@@ -156,6 +156,15 @@ def test_other_verdicts(folder: Path, change: dict[str, Any], expected: str) -> 
         (folder / name).unlink()
     shutil.rmtree(folder / "figures", ignore_errors=True)
     assert expected in Page(draw(folder).read_text(encoding="utf-8")).text
+
+
+def test_a_model_that_was_not_mended_is_drawn_once(folder: Path) -> None:
+    assert "the two models differ most" in Page(draw(folder).read_text(encoding="utf-8")).text
+    arrays = dict(read_arrays(folder / "overlays.npz"))
+    write_arrays(folder / "overlays.npz", arrays | {f"after_{n}": arrays[f"before_{n}"] for n in range(2)})
+    write_json(folder / "result.json", RESULT | {"verdict": "unexplained", "unexplained": "a force"})
+    page = Page(draw(folder).read_text(encoding="utf-8"))
+    assert "the believed model is worst" in page.text
 
 
 def test_one_more_effect_has_candidates_of_its_own(folder: Path) -> None:

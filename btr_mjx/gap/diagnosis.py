@@ -168,7 +168,7 @@ class Overlay:
 
     Attributes:
       recording: its name.
-      coordinate: name of the joint that disagrees most.
+      coordinate: name of the joint at which the two models differ most, or the data from the only one.
       time: (K,) [s].
       measured, before, after: (K,) position [rad or m].
     """

@@ -163,26 +163,37 @@ def refits(bench: Bench, base: Hypothesis, final: Judged | None) -> tuple[Refit,
 
 
 def overlays(bench: Bench, final: Judged | None, count: int = 3) -> tuple[Overlay, ...]:
-    """Held-out windows in which the believed model is worst, at their worst joint."""
-    windows = bench.test.windows
-    makes: list[Hypothesis] = [bench.base, bench.base if final is None else final.hypothesis]
-    before, after = windows.states(makes)
-    model = bench.dataset.model
-    names = place_names(model)
-    sigma = bench.sigma[: windows.nv]
-    away = windows.minus(before, np.concatenate([windows.target_q, windows.target_v], -1))[..., : windows.nv] / sigma
+    """Held-out stretches in which two models differ most, each from starting states of its own.
+
+    Which stretches these are depends on the models alone, not on how well either follows the data there. Recordings
+    take turns. Where there is one model only, its worst stretches are taken, without the worst tenth.
+
+    Args:
+      bench: of the search.
+      final: what the second model has that the believed one lacks; None for no second model.
+      count: number of stretches.
+    """
+    side = bench.test
+    windows, model = side.windows, bench.dataset.model
+    before = windows.at(bench.base)
+    after = before if final is None else side.recentred(final.hypothesis, exact=False).windows.base
+    other = np.concatenate([windows.target_q, windows.target_v], -1) if final is None else after
+    away = windows.minus(before, other)[..., : windows.nv] / bench.sigma[: windows.nv]
     plain = np.flatnonzero(model.jnt_type[model.dof_jntid] >= 2)
-    out = []
-    order = np.argsort(-np.nan_to_num((windows.residual**2).sum(1)))
-    for w in order[len(order) // 10 :][:count]:
-        if not len(plain):
-            break
-        dof = int(plain[np.argmax(np.nan_to_num(np.abs(away[w][:, plain]).max(0)))])
+    if not len(plain):
+        return ()
+    far = np.nan_to_num((away[..., plain] ** 2).sum(1), posinf=0.0)  # (W, joints)
+    order = np.argsort(-far.max(1), kind="stable")
+    if final is None:
+        order = order[len(order) // 10 :]
+    turn = [int((windows.recording[order[:i]] == windows.recording[w]).sum()) for i, w in enumerate(order)]
+    names, out = place_names(model), []
+    for w in order[np.argsort(turn, kind="stable")][:count]:
+        dof = int(plain[np.argmax(far[w])])
         address = int(model.jnt_qposadr[model.dof_jntid[dof]])
-        recording = bench.dataset.test[windows.recording[w]]
         out.append(
             Overlay(
-                recording.name,
+                bench.dataset.test[windows.recording[w]].name,
                 names[dof],
                 windows.time[w],
                 windows.target_q[w, :, address],

@@ -112,8 +112,11 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
             )
         ]
         if stretches:
-            caption = "Held-out stretches in which the believed model is worst, with what is left of the difference."
             after = {"effect": "mended model", "unexplained": "best candidate"}.get(str(result.get("verdict")))
+            if all(np.array_equal(one.before, one.after) for one in stretches):
+                after = None  # nothing stood out
+            where = "the believed model is worst" if after is None else "the two models differ most"
+            caption = f"Held-out stretches in which {where}, with what is left of the difference to the data."
             figure = figures.overlays(stretches[:_OVERLAYS], after)
             out["overlays"].append(_picture(folder, "overlays", figure, "Before and after", caption))
     if (folder / "next_command.csv").is_file():
