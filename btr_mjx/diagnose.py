@@ -27,6 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import mujoco
 import tyro
 
 from btr_mjx.errors import InputError, cli_errors, resume_command
@@ -284,6 +285,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
     argv = sys.argv[1:] if argv is None else list(argv)
     config = tyro.cli(DiagnoseConfig, args=list(argv), description=__doc__, prog="btr_mjx.diagnose")
+    mujoco.set_mju_user_warning(lambda _: None)  # candidates may become unstable, which the search sees and says
     with cli_errors():
         config = resolve_folder(config)
         with cli_errors(resume_command("btr_mjx.diagnose", argv, config.out)):

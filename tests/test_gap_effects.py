@@ -1,5 +1,6 @@
 """The library of effects as a whole: places, nulls, groups, native edits as the compiler makes them, own effects."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -9,6 +10,7 @@ from gap_models import MODELS, inertia, load, moderate, one, windows
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.effects import EFFECTS, KNOWN, Effect, Parameter, Scales, candidates, joint_places
+from btr_mjx.gap.joint_effects import ARMATURE
 from btr_mjx.gap.laws import Rows
 from btr_mjx.gap.places import one_limb
 from btr_mjx.gap.transcribe import normalised, write_changes
@@ -168,6 +170,31 @@ class Gust:
 
     def __call__(self, rows: Rows) -> None:
         rows.qfrc_applied[:, self.dofs] -= self.size * (rows.qvel * np.abs(rows.qvel))[:, self.dofs]
+
+
+def test_a_rotor_may_weigh_more_than_its_link() -> None:
+    model = load("quadruped")
+    place, scales = one(model, "armature@joint:knee0").place, Scales.of(model)
+    dof = place.dofs(model)[0]
+
+    def most(torque: float) -> float:
+        given = replace(scales, torque=np.full(model.nv, torque))
+        (parameter,) = ARMATURE.parameters(model, given, place)
+        assert parameter.step == pytest.approx(0.05 * scales.inertia[dof])
+        return parameter.high
+
+    acceleration = scales.speed[dof] ** 2 / scales.amplitude[dof]
+    assert most(0.0) == pytest.approx(5 * scales.inertia[dof])
+    assert most(100.0) == pytest.approx(3 * 100.0 / acceleration)
+
+
+def test_the_edge_of_what_is_tried_is_no_end_of_what_is_possible() -> None:
+    friction = Parameter("torque", "N m", -0.1, 0.8, 0.02)
+    assert [friction.at_edge(value) for value in (-0.1, 0.0, 0.79, 0.8)] == [False, False, False, True]
+    offset, limit = Parameter("offset", "rad", -0.3, 0.3, 0.005), Parameter("limit", "N m", 1.0, 9.0, -0.1, null=9.0)
+    assert [offset.at_edge(value) for value in (-0.3, 0.0, 0.3)] == [True, False, True]
+    assert [limit.at_edge(value) for value in (1.0, 5.0, 9.0)] == [True, False, False]
+    assert not Parameter("along", "m", 0.0, 0.2, 0.01, shape=True).at_edge(0.2)
 
 
 def test_an_effect_of_ones_own() -> None:

@@ -141,3 +141,21 @@ def test_one_frequency_hides_a_lag() -> None:
 
     notes = " | ".join(of_level(preflight(changed(change)), "note"))
     assert "cannot show actuator_lag: every command is one sine" in notes
+
+
+def restless(servo: int, share: float = 1.0) -> Dataset:
+    """A servo whose damping is far too stiff for an explicit step, in some of the recordings."""
+    model = mujoco.MjModel.from_xml_string(ROBOT.xml)
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    model.actuator_biasprm[servo, 2] = -1e4 * model.dof_M0[servo]
+    some = round(share * len(SOUND.recordings))
+    recordings = [dataclasses.replace(r, model=model) if i < some else r for i, r in enumerate(SOUND.recordings)]
+    return dataclasses.replace(SOUND, recordings=tuple(recordings))
+
+
+def test_a_model_that_blows_up_is_refused() -> None:
+    findings = preflight(restless(0))
+    with pytest.raises(InputError, match=r"arm.xml: the believed model is unstable at its time step of .* integrator"):
+        refuse_errors(findings)
+    assert any("unstable" in text for text in of_level(preflight(restless(0, 1 / 3)), "warning"))
+    assert not any("unstable" in finding.message for finding in preflight(SOUND))

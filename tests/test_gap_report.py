@@ -223,6 +223,15 @@ def test_whole_recordings_come_first_in_the_sentence() -> None:
     )
 
 
+def test_a_motion_that_no_model_follows_for_long_is_not_called_closer() -> None:
+    gap = {"before": 203.0, "after": 0.99, "open_loop_before": 0.125, "open_loop_after": 0.147, "open_loop_unit": "rad"}
+    text = verdict_sentence(RESULT | {"gap": gap})
+    assert "shrinks the gap over short held-out stretches from 203 to 0.99, but not the position error" in text
+    assert "which is 0.125 rad without and 0.147 rad with it" in text
+    text = verdict_sentence(RESULT | {"gap": gap | {"open_loop_after": 0.01}})
+    assert "shrinks the position error over whole held-out recordings, simulated from their first sample, from" in text
+
+
 def test_numbers_for_readers() -> None:
     assert [number(x) for x in (0.0, 1234.5, 0.31234, -2.0, 1e-7, None)] == [
         "0",
@@ -234,6 +243,8 @@ def test_numbers_for_readers() -> None:
     ]
     assert with_interval({"value": 12.34, "low": 11.9, "high": 12.8, "unit": "N m"}) == "12.34 ± 0.45 N m"
     assert with_interval({"value": 1.0, "unit": "kg"}) == "1 kg"
+    edge = {"value": 0.9, "low": 0.9, "high": 0.9, "unit": "1", "edge": True}
+    assert with_interval(edge) == "0.9 (the edge of what is tried; the true one may be beyond)"
     assert with_ends({"value": 2.0031, "low": 1.9962, "high": 2.0098}) == {
         "value": "2.0031",
         "low": "1.9962",

@@ -18,6 +18,7 @@ class Estimate:
       low, high: 90 % interval, from resampled windows; it does not assume that the fit is good.
       unit: SI.
       null: value at which the effect is absent.
+      edge: whether it is the largest or smallest value that is tried: the true one may be beyond.
     """
 
     value: float
@@ -25,6 +26,7 @@ class Estimate:
     high: float
     unit: str
     null: float = 0.0
+    edge: bool = False
 
 
 @dataclass(frozen=True)

@@ -46,6 +46,18 @@ class Parameter:
                 "expected low <= null <= high and a step other than 0"
             )
 
+    def at_edge(self, value: float) -> bool:
+        """Whether a value is the end of what is tried though more of the effect is possible.
+
+        Less than none of something that is believed to be there is not: where the range below the null is the shorter
+        one, it ends where nothing is left.
+        """
+        room = 1e-3 * (self.high - self.low)
+        above, below = self.high - self.null, self.null - self.low
+        high = above > 0 and value > self.high - room
+        low = below > 0 and below >= above and value < self.low + room
+        return not self.shape and (high or low)
+
 
 Places = Callable[[mujoco.MjModel], list[Place]]
 Parameters = Callable[[mujoco.MjModel, Scales, Place], tuple[Parameter, ...]]

@@ -89,6 +89,7 @@ def intervals(bench: Bench, judged: Judged, rng: np.random.Generator, settled: b
                     float(np.clip(value + high, parameter.low, parameter.high)),
                     parameter.unit,
                     float(parameter.null),
+                    parameter.at_edge(float(value)),
                 )
             )
             first += 1

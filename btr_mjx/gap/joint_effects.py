@@ -18,7 +18,10 @@ AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 def _armature(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
     size, believed = typical(scales.inertia, place, model), least(model, "dof_armature", place)
     unit = unit_of(model, place, "kg m^2", "kg")
-    return (Parameter("armature", unit, -believed, 5.0 * size, 0.05 * size, 0.01 * believed),)
+    # A rotor behind a high gear weighs more than a light link: by as much as motors could turn the way they do.
+    torque, amplitude, speed = (typical(x, place, model) for x in (scales.torque, scales.amplitude, scales.speed))
+    most = max(5.0 * size, 3.0 * torque * amplitude / speed**2)
+    return (Parameter("armature", unit, -believed, most, 0.05 * size, 0.01 * believed),)
 
 
 def _apply_armature(world: World, place: Place, values: np.ndarray) -> None:

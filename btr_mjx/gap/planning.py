@@ -15,6 +15,7 @@ from btr_mjx.environment import available_cores
 from btr_mjx.errors import InputError
 from btr_mjx.gap.coverage import bustle, covering, weights
 from btr_mjx.gap.prepared import Data
+from btr_mjx.gap.scales import closes_loops
 from btr_mjx.gap.search_records import Options
 from btr_mjx.gap.sensitivity import intervals_per_look
 from btr_mjx.gap.smoothing import smooth
@@ -140,7 +141,7 @@ def plan(
     model = data.recordings[0].model
     interval = float(np.median(np.concatenate([np.diff(r.time) for r in data.recordings])))
     steps = max(1, round(interval / step_of(data)))
-    single = steps >= 3 and count > _MANY
+    single = steps >= 3 and count > _MANY and not closes_loops(model)
     screening = count / steps / intervals_per_look(interval) if single else count
     # Directions take longer steps where that does, which cannot be known before there are windows.
     state = (2 * model.nv + 1) * (0.5 if steps >= 4 else 1.0) + _AROUND

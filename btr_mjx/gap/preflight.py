@@ -18,6 +18,7 @@ from btr_mjx.gap.fitness_table import FitnessTable
 from btr_mjx.gap.model_paths import part_names
 from btr_mjx.gap.noise import Noise
 from btr_mjx.gap.recordings import Dataset, noise_of
+from btr_mjx.gap.stability import stability
 
 
 def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Finding]:
@@ -43,6 +44,8 @@ def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Fi
     findings += clocks(dataset, joints)
     findings += _starts(dataset)
     findings += _excitation(dataset, joints, effects)
+    if all(finding.level != "error" for finding in findings):
+        findings += stability(dataset)
     order = {"error": 0, "warning": 1, "note": 2}
     return sorted(findings, key=lambda finding: order[finding.level])
 

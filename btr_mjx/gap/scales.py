@@ -115,6 +115,8 @@ class Scales:
         mean_inertia = np.maximum(np.mean(inertia, axis=0) if inertia else diagonal, 1e-12)
         driven = np.percentile(torque, 99.5, axis=0)
         passive = mean_inertia * speed**2 / np.maximum(amplitude, 1e-9)
+        if closes_loops(model) and driven.any():
+            passive = np.maximum(passive, float((driven * speed).max()) / speed)
         hinges = driven > 0
         ratio = (amplitude / speed)[hinges if hinges.any() else slice(None)]
         time = float(np.median(ratio)) if ratio.size else guess.time
@@ -129,6 +131,11 @@ class Scales:
             guess.mass,
             touching,
         )
+
+
+def closes_loops(model: mujoco.MjModel) -> bool:
+    """Whether equality constraints hand on the power of motors to joints that have none."""
+    return bool(model.neq) and bool(model.eq_active0.any())
 
 
 def _amplitude(model: mujoco.MjModel, qpos: np.ndarray, guess: np.ndarray) -> np.ndarray:

@@ -115,6 +115,8 @@ def with_interval(parameter: Mapping[str, Any]) -> str:
     unit = "" if unit in ("1", "") else f" {unit}"
     if value is None:
         return "–"
+    if parameter.get("edge"):
+        return f"{number(value)}{unit} (the edge of what is tried; the true one may be beyond)"
     if low is None or high is None:
         return f"{number(value)}{unit}"
     above, below = high - value, value - low
@@ -204,10 +206,15 @@ def _gap(result: Mapping[str, Any]) -> str:
     start, end = _float(gap.get("open_loop_before")), _float(gap.get("open_loop_after"))
     if start is None or end is None:
         return f"Adding {many} shrinks the held-out gap {fall}."
-    path = f"from {number(start)} to {number(end)} {gap.get('open_loop_unit', 'rad')}"
+    unit = gap.get("open_loop_unit", "rad")
+    whole = "the position error over whole held-out recordings, simulated from their first sample,"
+    if end < start:
+        path = f"from {number(start)} to {number(end)} {unit}"
+        return f"Adding {many} shrinks {whole} {path}, and the gap over short stretches {fall}."
     return (
-        f"Adding {many} shrinks the position error over whole held-out recordings, simulated from their first sample, "
-        f"{path}, and the gap over short stretches {fall}."
+        f"Adding {many} shrinks the gap over short held-out stretches {fall}, but not {whole} which is {number(start)} "
+        f"{unit} without and {number(end)} {unit} with {many}: where small differences grow, a motion can be followed "
+        "over short stretches only."
     )
 
 
