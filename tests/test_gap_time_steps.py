@@ -1,10 +1,13 @@
 """The time step of residuals: twice the model's where that costs nothing but time."""
 
+import mujoco
 import numpy as np
 import pytest
 from gap_arm import SIGMA, arm, recording
 
+from btr_mjx.gap.places import joint_places
 from btr_mjx.gap.prepared import prepare
+from btr_mjx.gap.scales import integrated
 from btr_mjx.gap.score import project
 from btr_mjx.gap.smoothing import Span
 from btr_mjx.gap.time_steps import paced
@@ -75,3 +78,36 @@ def test_no_step_is_longer_than_the_time_between_two_samples() -> None:
     windows.since = windows.since / 8  # 1600 Hz
     paced(windows, World.of)
     assert windows.step == windows.dt
+
+
+@pytest.mark.parametrize("joint", ["shoulder", "elbow"])
+def test_another_integrator_acts_like_an_inertia(joint) -> None:
+    """Of implicit against explicit steps h most is h times what forces fall with velocity: damping and the servo's."""
+    windows = short_steps()
+    windows.linearise(World.of)
+    h, believed = 1.5e-4, arm()
+    place = next(p for p in joint_places(believed) if p.label == f"joint:{joint}")
+    size = integrated(believed, place)
+    servo = {"shoulder": 0.5, "elbow": 0.2}[joint]
+    assert size == pytest.approx(h * (0.05 + servo))
+
+    def make(implicit, armature=0.0):
+        def world(model):
+            own = World.of(model)
+            own.model.opt.integrator = (
+                mujoco.mjtIntegrator.mjINT_IMPLICIT if implicit else mujoco.mjtIntegrator.mjINT_EULER
+            )
+            own.model.dof_damping[:], own.model.dof_armature[:] = 0.0, 0.0  # Euler takes the joints' own implicitly
+            own.model.actuator_biasprm[1 - place.dofs(model)[0], 2] = 0.0
+            own.model.dof_armature[place.dofs(model)] += armature
+            return own
+
+        return world
+
+    def states(*given):
+        return project(windows.whiten(windows.states([make(*given)], timestep=h)[0]), windows.basis)
+
+    implicit, explicit = states(True), states(False)
+    heavier = states(False, size - h * 0.05)
+    assert np.linalg.norm(implicit - explicit) > 0.05
+    assert np.linalg.norm(implicit - heavier) < 0.4 * np.linalg.norm(implicit - explicit)

@@ -9,7 +9,7 @@ from btr_mjx.gap.akin_effects import HARDENING_SPRING, ONE_SIDED_SPRING
 from btr_mjx.gap.effect import Effect, Parameter
 from btr_mjx.gap.laws import Rows
 from btr_mjx.gap.places import Place, actuator_count, joint_of, joint_places
-from btr_mjx.gap.scales import Scales, least, typical, unit_of
+from btr_mjx.gap.scales import Scales, integrated, least, typical, unit_of
 from btr_mjx.gap.worlds import World
 
 AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
@@ -21,7 +21,7 @@ def _armature(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Para
     # A rotor behind a high gear weighs more than a light link: by as much as motors could turn the way they do.
     torque, amplitude, speed = (typical(x, place, model) for x in (scales.torque, scales.amplitude, scales.speed))
     most = max(5.0 * size, 3.0 * torque * amplitude / speed**2)
-    return (Parameter("armature", unit, -believed, most, 0.05 * size, 0.01 * believed),)
+    return (Parameter("armature", unit, -believed, most, 0.05 * size, 0.01 * believed, least=integrated(model, place)),)
 
 
 def _apply_armature(world: World, place: Place, values: np.ndarray) -> None:
@@ -30,8 +30,11 @@ def _apply_armature(world: World, place: Place, values: np.ndarray) -> None:
 
 
 def _stiffness(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    size = typical(scales.torque, place, model) / typical(scales.amplitude, place, model)
-    return (Parameter("stiffness", unit_of(model, place, "N m/rad", "N/m"), -1.0 * size, 3.0 * size, 0.02 * size),)
+    amplitude, speed = typical(scales.amplitude, place, model), typical(scales.speed, place, model)
+    size = typical(scales.torque, place, model) / amplitude
+    unit = unit_of(model, place, "N m/rad", "N/m")
+    smallest = integrated(model, place) * (speed / amplitude) ** 2  # at one frequency a spring is a negative inertia
+    return (Parameter("stiffness", unit, -1.0 * size, 3.0 * size, 0.02 * size, least=smallest),)
 
 
 def _apply_stiffness(world: World, place: Place, values: np.ndarray) -> None:
