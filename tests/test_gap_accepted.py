@@ -174,7 +174,7 @@ def is_accepted(
     )
     more = [(candidate, (size,)) for candidate, _ in effects]
     judged.widest = SimpleNamespace(hypothesis=SimpleNamespace(effects=more))
-    windows = MagicMock(recording=np.arange(20))
+    windows = MagicMock(recording=np.arange(20), freedom=300.0)
     windows.__len__.return_value = 20
     side, data = SimpleNamespace(windows=windows), SimpleNamespace(tolerances={}, model=None)
     bench = SimpleNamespace(delicate={"m"}, dispersion=1.0, fit=side, test=side, dataset=data, candidates=(), cut=1e6)
@@ -197,8 +197,24 @@ def fits(*chi2):
     ],
 )
 def test_several_recordings_vouch_for_what_those_held_out_do_not_know(falls, held, expected):
-    windows = SimpleNamespace(recording=np.array([0, 0, 1, 2]))
-    bench = SimpleNamespace(cut=1e6, fit=SimpleNamespace(windows=windows))
+    windows = SimpleNamespace(recording=np.array([0, 0, 1, 2]), freedom=400.0)
+    bench = SimpleNamespace(cut=1e6, dispersion=1.0, fit=SimpleNamespace(windows=windows))
     before, after = [500.0, 400.0], 500.0 - np.array(falls)
     judged = SimpleNamespace(before=fits([500.0] * 4, before), fits=fits(after, [500.0, 400.0 - held]))
     assert (unmoved(judged, 3.0) and vouched(bench, judged, 15.0)) is expected
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "dispersion", "expected"),
+    [
+        (40000.0, 450.0, 1.0, True),
+        (3900.0, 450.0, 1.0, False),  # not so far from anything
+        (40000.0, 700.0, 1.0, False),  # not explained
+        (40000.0, 450.0, 20.0, False),  # beside what nothing explains
+    ],
+)
+def test_one_recording_vouches_for_what_it_cannot_do_without(before, after, dispersion, expected):
+    windows = SimpleNamespace(recording=np.array([0, 0, 1, 2]), freedom=400.0)
+    bench = SimpleNamespace(cut=600.0, dispersion=dispersion, fit=SimpleNamespace(windows=windows))
+    judged = SimpleNamespace(before=fits([before, 400.0, 400.0, 400.0]), fits=fits([after, 410.0, 400.0, 400.0]))
+    assert vouched(bench, judged, 15.0) is expected

@@ -15,7 +15,7 @@ from btr_mjx.files import write_arrays
 from btr_mjx.gap.columns import control_columns, state_columns
 from btr_mjx.gap.dataset_files import Format, recording_columns, save_dataset
 from btr_mjx.gap.model_paths import parse_path, part_names, set_values
-from btr_mjx.gap.noise import Noise, estimate_noise
+from btr_mjx.gap.noise import Noise, estimate_noise, quieter
 from btr_mjx.gap.recording import Recording
 from btr_mjx.gap.recordings import Believed, load, noise_of
 from btr_mjx.gap.samples import estimate_velocity
@@ -387,3 +387,16 @@ def test_ways_to_write_a_path() -> None:
         "dof_damping[6]",
     )
     assert {parse_path(MODEL, text).read(MODEL) for text in texts} == {0.3}
+
+
+def test_noise_is_no_more_than_what_a_model_leaves(rng: np.random.Generator) -> None:
+    """One channel is ten times quieter than it was said to be; another leaves more, which may be a missing effect."""
+    sigma, channels = np.array([1.0, 2.0, 3.0, 4.0]), np.array([0, 2, 3])
+    left = np.array([1.0, 0.1, 5.0]) * rng.standard_normal((30, 50, 3))
+    found = quieter(sigma, channels, left.reshape(30, -1), 150.0)
+    assert found is not None
+    np.testing.assert_allclose(found, [1.0, 2.0, 0.3, 4.0], rtol=0.05)
+    again = quieter(found, channels, (left * (sigma / found)[channels]).reshape(30, -1), 150.0)
+    assert again is None
+    projected = np.sqrt(0.4) * rng.standard_normal((30, 150))  # less is left where much was fitted, which is no noise
+    assert quieter(sigma, channels, projected, 60.0) is None

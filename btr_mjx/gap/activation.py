@@ -56,7 +56,7 @@ def activations(
             fractions,
             length,
         )
-        controls = sent.at(time[k - 1] + (fractions + 0.5 / steps) * length)
+        controls = sent.over(time[k - 1] + fractions * length, length / steps)
         for q, v, u in zip(path_q, path_v, controls, strict=True):
             data.qpos[:], data.qvel[:], data.ctrl[:] = q, v, u
             mujoco.mj_step(model, data)

@@ -83,6 +83,42 @@ class Command:
             out += self.added
         return out.reshape(*times.shape, self.n)
 
+    def over(self, times: ArrayLike, length: float) -> np.ndarray:
+        """What a step of a simulation is given: values (..., nu) over `length` from `times` (...) on [s].
+
+        A command that is held jumps, and a simulation whose steps saw their middle would be late by up to half of one,
+        however little the command is late: there it is the mean over the step, else the value in the middle.
+        """
+        times = np.asarray(times, float)
+        if self.interpolation != "hold":
+            return self.at(times + 0.5 * length)
+        flat = times.reshape(-1)
+        out = np.empty((flat.size, self.n))
+        delays = self._delay
+        for delay in np.unique(delays):
+            columns = np.flatnonzero(delays == delay)
+            ends = [self._integral(flat - delay + extra, columns) for extra in (0.0, length)]
+            out[:, columns] = (ends[1] - ends[0]) / length
+        if self.added is not None:
+            out += self.added
+        return out.reshape(*times.shape, self.n)
+
+    def _integral(self, times: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Integral of columns of the undelayed command from its first sample to times (N,)."""
+        polynomial, exponentials = self._solution
+        piece = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 1)
+        since = times - self.times[piece]
+        found = self._whole[piece] + _piecewise(polynomial, exponentials, piece, np.maximum(since, 0.0)[:, None])
+        early = np.minimum(since, 0.0)[:, None]  # before the first sample it keeps its value
+        return (found + early * self._evaluate(self.times[:1], np.arange(self.n)))[:, columns]
+
+    @cached_property
+    def _whole(self) -> np.ndarray:
+        """(K, nu) integral up to the start of each piece."""
+        polynomial, exponentials = self._solution
+        each = _piecewise(polynomial, exponentials, np.arange(len(self.times) - 1), np.diff(self.times)[:, None])
+        return np.concatenate([np.zeros((1, self.n)), np.cumsum(each, axis=0)])
+
     def _with(self, **changes: Any) -> "Command":
         """A changed copy, which shares what is already known of the polynomial."""
         other = replace(self, **changes)
@@ -181,6 +217,18 @@ def _lagged(
     decay[1:] = np.exp(-length / np.where(slow, constant, 1.0))
     weight = np.where(slow, _recurrence(decay, drive), 0.0)
     return response, [*carried, (weight, constant)]
+
+
+def _piecewise(
+    polynomial: np.ndarray, exponentials: list[tuple[np.ndarray, np.ndarray]], piece: np.ndarray, since: np.ndarray
+) -> np.ndarray:
+    """Integrals (N, nu) over pieces (N,) from their starts to times (N, 1) after these."""
+    powers = np.arange(1, len(polynomial) + 1)[:, None, None]
+    out = since * _horner((polynomial / powers)[:, piece], since)
+    for weight, constant in exponentials:
+        slow = np.where(constant > 0, constant, 1.0)
+        out = out + np.where(constant > 0, weight[piece] * slow * -np.expm1(-since / slow), 0.0)
+    return out
 
 
 def _horner(coefficients: np.ndarray, x: np.ndarray) -> np.ndarray:

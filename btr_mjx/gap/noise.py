@@ -62,6 +62,12 @@ def read_noise(table: Any, model: mujoco.MjModel, where: str, notes: list[str]) 
     return None if np.isnan(sigma).any() else Noise(sigma[0], sigma[1])
 
 
+_TOO_LOUD = 0.5
+"""Part of a channel's estimated variance that a model leaves, below which the estimate was wrong."""
+
+_AT_ONCE = 1e-4
+"""The smallest such part that is believed at once: states from which windows start follow the estimate, too."""
+
 Track = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """time (K,), qpos (K, nq), qvel (K, nv) and (nv,) bool: which velocities were measured."""
 
@@ -98,6 +104,31 @@ def estimate_noise(model: mujoco.MjModel, tracks: Sequence[Track]) -> Noise:
     left = np.abs(np.concatenate(qvel))[:, ever]
     sigma_v[ever] = np.maximum(np.nanmedian(left, axis=0) / 0.6745, floor[1, ever])
     return Noise(sigma_q, sigma_v)
+
+
+def quieter(sigma: np.ndarray, channels: np.ndarray, residual: np.ndarray, freedom: float) -> np.ndarray | None:
+    """Noise that is less than what a model leaves of the data, where the estimate from the signals was more.
+
+    Motors that are told something else at every sample move a joint in ways that no smooth curve follows, and such an
+    estimate takes that for noise. A model that is given the same commands knows better: whatever it lacks, what it
+    leaves can only be more than the noise.
+
+    Args:
+      sigma: (2 nv,) the estimate.
+      channels: (c,) indices of what was measured.
+      residual: (W, R) of a model, in units of the estimate, all channels of a sample after each other.
+      freedom: degrees of freedom of a window.
+
+    Returns:
+      A better estimate, or None where this one may be right.
+    """
+    share = (residual.reshape(len(residual), -1, len(channels)) ** 2).mean(1) * (residual.shape[1] / freedom)
+    part = np.median(share, axis=0)
+    if (part >= _TOO_LOUD).all():
+        return None
+    out = sigma.copy()
+    out[channels] *= np.sqrt(np.where(part < _TOO_LOUD, np.maximum(part, _AT_ONCE), 1.0))
+    return out
 
 
 def _annihilator(time: np.ndarray) -> np.ndarray:

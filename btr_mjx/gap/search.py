@@ -19,7 +19,7 @@ from btr_mjx.gap.effect import Effect, candidates
 from btr_mjx.gap.gains import fall
 from btr_mjx.gap.hypotheses import Hypothesis, refitted, unknowns
 from btr_mjx.gap.leaders import pick, starts
-from btr_mjx.gap.noise import estimate_noise
+from btr_mjx.gap.noise import estimate_noise, quieter
 from btr_mjx.gap.pacing import chosen_windows
 from btr_mjx.gap.planning import Survey, survey
 from btr_mjx.gap.prepared import prepare, scales_of, track_of
@@ -38,7 +38,7 @@ from btr_mjx.gap.screening import (
     tolerance_of,
 )
 from btr_mjx.gap.search_records import Judged, Options, Side
-from btr_mjx.gap.smoothing import best_span
+from btr_mjx.gap.smoothing import Track, best_span
 from btr_mjx.gap.walks import Walks
 from btr_mjx.gap.windows import Windows
 from btr_mjx.gap.worlds import Counter
@@ -52,6 +52,9 @@ _DRAWS = 8
 _FAR = 3.0
 """Chi^2 per degree of freedom of the best lead above which limits are tried that the linear picture cannot see: a limit
 of a third of what is asked for looked like a motor that is weak by two thirds, which left 3.3."""
+
+_QUIETER = 4
+"""Times that noise is estimated again from what the believed model leaves."""
 
 _FEW = 6
 """Up to so many believed numbers are refitted together with every leader."""
@@ -74,6 +77,10 @@ class Bench:
       hopes: gain of candidates in the first scan, less their price, in prices of a number, by name.
     """
 
+    fit: Side
+    test: Side
+    base: Hypothesis
+
     def __init__(
         self,
         dataset: Dataset,
@@ -92,23 +99,14 @@ class Bench:
         tracks = [track_of(r) for r in dataset.recordings]
         noise = dataset.noise or estimate_noise(model, [(t.time, t.qpos, t.qvel, t.measured) for t in tracks])
         self.sigma = np.concatenate([noise.qpos, noise.qvel])
-        span = best_span(model, tracks, self.sigma)
-        data = prepare(dataset.fit, dataset.interpolation, self.sigma, span)
-        held = prepare(dataset.test, dataset.interpolation, self.sigma, span)
-        self.survey: Survey = survey(data, self.counter)
-        self.scales = scales_of(data)
-        self.candidates = candidates(model, self.scales, effects)
-        self.before = tuple(parameter.value(dataset.model) for parameter in dataset.parameters)
-        self.base = Hypothesis(dataset.parameters, self.before)
-        self.fields = changed_fields(self.candidates, model, self.base)
-        self.delicate = {name for name in self.fields if self.survey.contact and moves_contact(self.fields[name])}
-        entries = entries_of(self.candidates, self.fields, self.delicate)
-        note("windows")
-        count = sum(len(entry.steps) for entry in entries)
-        chosen = chosen_windows(data, held, self.base, self.survey, count, self.options, self.counter)
-        self.fit, self.test = (Side(own, Nuisance.nothing(0, 0)) for own in chosen.windows)
-        self.single, self.options = chosen.single, chosen.options
-        self._start(note)
+        entries = self._prepared(effects, tracks, note)
+        for _ in range(_QUIETER if dataset.noise is None else 0):
+            windows = self.fit.windows
+            less = quieter(self.sigma, windows.channels, windows.residual, windows.freedom)
+            if less is None:
+                break
+            self.sigma, self.options = less, options or Options()
+            entries = self._prepared(effects, tracks, note)
         note(f"signatures of {len(entries)} candidates")
         self._draws = tolerance_draws(self.base, self.candidates, dataset.tolerances, np.random.default_rng(0), _DRAWS)
         self._known = known = [e for e in entries if not e.probe and tolerance_of(e.candidate, dataset.tolerances) > 0]
@@ -126,6 +124,28 @@ class Bench:
         self._settle(None)
         self.hopes: dict[str, float] = {}
         self.walks = Walks(self.fit, self.base, self.free, self.fall, lambda: self.cut)
+
+    def _prepared(self, effects: Sequence[Effect], tracks: Sequence[Track], note: Callable[[str], None]) -> list[Entry]:
+        """Windows of both sides, linearised around the believed model, and what is to be tried there."""
+        dataset, model = self.dataset, self.dataset.fit[0].model
+        span = best_span(model, list(tracks), self.sigma)
+        data = prepare(dataset.fit, dataset.interpolation, self.sigma, span)
+        held = prepare(dataset.test, dataset.interpolation, self.sigma, span)
+        self.survey: Survey = survey(data, self.counter)
+        self.scales = scales_of(data)
+        self.candidates = candidates(model, self.scales, effects)
+        self.before = tuple(parameter.value(dataset.model) for parameter in dataset.parameters)
+        self.base = Hypothesis(dataset.parameters, self.before)
+        self.fields = changed_fields(self.candidates, model, self.base)
+        self.delicate = {name for name in self.fields if self.survey.contact and moves_contact(self.fields[name])}
+        entries = entries_of(self.candidates, self.fields, self.delicate)
+        note("windows")
+        count = sum(len(entry.steps) for entry in entries)
+        chosen = chosen_windows(data, held, self.base, self.survey, count, self.options, self.counter)
+        self.fit, self.test = (Side(own, Nuisance.nothing(0, 0)) for own in chosen.windows)
+        self.single, self.options = chosen.single, chosen.options
+        self._start(note)
+        return entries
 
     def _start(self, note: Callable[[str], None]) -> None:
         """Linearise around the believed model, refitting what may be refitted first."""

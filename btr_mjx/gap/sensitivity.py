@@ -40,6 +40,25 @@ def signatures(
     Returns:
       (C, W, R) projected signatures in units of the noise, float32; zero where windows are not tame.
     """
+    if single:
+        # A held command changes at samples only: the middle of an interval sees nothing of a delay.
+        late = [i for i, make in enumerate(makes) if _delays_what_is_held(windows, make)]
+        if late:
+            rest = [i for i in range(len(makes)) if i not in set(late)]
+            out = np.zeros((len(makes), *windows.residual.shape), np.float32)
+            for chosen, own in ((late, False), (rest, True)):
+                if chosen:
+                    out[chosen] = _signatures(windows, base, [makes[i] for i in chosen], own)
+            return out
+    return _signatures(windows, base, makes, single)
+
+
+def _delays_what_is_held(windows: Windows, make: MakeWorld) -> bool:
+    held = any(command.interpolation == "hold" for command in windows.data.commands)
+    return held and bool(make(windows.models[0]).command_edits)
+
+
+def _signatures(windows: Windows, base: MakeWorld, makes: Sequence[MakeWorld], single: bool) -> np.ndarray:
     out, telling = np.zeros((len(makes), *windows.residual.shape), np.float32), windows.tame[:, None]
     hold = intervals_per_look(float(np.median(np.diff(windows.since, axis=1)))) if single else 1
     pieces = _middles(windows, base, hold) if single else _intervals(windows)

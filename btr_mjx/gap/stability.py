@@ -71,7 +71,7 @@ def blows_up(recording: Recording, row: int, command: Command) -> float | None:
     step = model.opt.timestep
     last = min(data.time + _SECONDS, recording.time[-1])
     for _ in range(min(_STEPS, int((last - data.time) / step))):
-        data.ctrl[:] = command.at(data.time + 0.5 * step)
+        data.ctrl[:] = command.over(data.time, step)
         mujoco.mj_step(model, data)
         if any(data.warning[int(kind)].number for kind in _BAD):
             return float(data.time)

@@ -167,7 +167,7 @@ class Controls:
         self._from = -BLOCK
 
     def write(self, step: int, ctrl: np.ndarray) -> None:
-        """Controls of one step, sampled in its middle."""
+        """Controls of one step, see `Command.over`."""
         if not self._nu:
             return
         if not 0 <= step - self._from < BLOCK:
@@ -189,7 +189,7 @@ class Controls:
         self._laid, self._from = {}, first
         longest = max(float(stretch.times.max(initial=0)) for _, stretch in self._pieces)
         count = min(BLOCK, int(longest / self._dt) + 2 - first)
-        since = (first + np.arange(count) + 0.5) * self._dt
+        since = (first + np.arange(count)) * self._dt
         for key, (world, stretch) in zip(self._keys, self._pieces, strict=True):
             if key in self._laid:
                 continue
@@ -199,5 +199,5 @@ class Controls:
                 name = (id(stretch.commands), int(recording), *key[3:])
                 if name not in self._edited:
                     self._edited[name] = world.command(stretch.commands[recording])
-                values[:, own] = self._edited[name].at(since[:, None] + stretch.start[own])
+                values[:, own] = self._edited[name].over(since[:, None] + stretch.start[own], self._dt)
             self._laid[key] = values
