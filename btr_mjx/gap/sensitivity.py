@@ -2,7 +2,8 @@
 
 A candidate is not simulated over whole windows. Between two samples it adds a little to the state; the base world's
 transitions, which the windows know already, carry that on to the window's end. The addition is measured over the
-whole interval between two samples, or by a single step in its middle where an interval has many steps.
+whole interval between two samples, or by a single step in its middle where an interval has many steps. That misses what
+is late of a command that is held, and in closed loops, whose forces follow a step later.
 """
 
 from collections.abc import Sequence
