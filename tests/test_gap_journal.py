@@ -55,6 +55,69 @@ def other_command() -> list:
     return [(delay.apply(World.of(arm()), [1e-3]), stretch())]
 
 
+def rubbing(coefficient: float) -> list:
+    friction = {c.name: c for c in candidates(arm(), Scales.of(arm()), EFFECTS)}["load_friction@joint:elbow"]
+    return [(friction.apply(World.of(arm()), [coefficient]), stretch())]
+
+
+def pushed(law) -> list:
+    world = World.of(arm())
+    world.laws.append(law)
+    return [(world, stretch())]
+
+
+class Push:
+    fields = ()
+
+    def __init__(self, size: float, how: str = "object") -> None:
+        self.size, self.how = np.array([size, 0.0]), how
+
+    def __call__(self, rows) -> None:
+        rows.qfrc_applied[:] += self.size
+
+
+def closed_over(size: float):
+    push = Push(size)
+
+    def law(rows) -> None:
+        push(rows)
+
+    vars(law)["fields"] = ()
+    return law
+
+
+class Slotted:
+    __slots__ = ("size",)
+    fields = ()
+
+    def __init__(self, size: float) -> None:
+        self.size = size
+
+    def __call__(self, rows) -> None:
+        rows.qfrc_applied[:] += self.size
+
+
+@pytest.mark.parametrize(
+    ("law", "known"),
+    [
+        (rubbing, True),
+        (lambda size: pushed(Push(size)), True),
+        (lambda size: pushed(closed_over(size)), True),
+        (lambda size: pushed(Slotted(size)), False),
+    ],
+    ids=["friction", "object", "closure", "whatever"],
+)
+def test_a_law_of_another_size_is_another_question(tmp_path: Path, law, known: bool) -> None:
+    """Or else every number of a friction that grows with the load would have the motion of the first one tried."""
+    first = simulate(law(0.2), counter=Journal(tmp_path))[0]
+    again = Journal(tmp_path)
+    other = simulate(law(0.3), counter=again)[0]
+    np.testing.assert_array_equal(other, simulate(law(0.3))[0])
+    assert np.abs(other - first).max() > 1e-6
+    assert (again.recall(law(0.2), None) is not None) is known
+    np.testing.assert_array_equal(simulate(law(0.2), counter=again)[0], first)
+
+
 def test_answers_of_other_code_are_not_given(tmp_path: Path) -> None:
     """An effect of one's own that was edited between a kill and a resume must not be answered by its former self."""
     jobs = [(World.of(arm()), stretch())]

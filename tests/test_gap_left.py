@@ -8,9 +8,15 @@ import pytest
 from btr_mjx.gap.bodies import AtBody
 from btr_mjx.gap.check import Check
 from btr_mjx.gap.effect import Parameter
-from btr_mjx.gap.identify import missing, strange, undecided
+from btr_mjx.gap.identify import dwarfed, missing, strange, undecided
 from btr_mjx.gap.leftover import Leftover, Told
 from btr_mjx.gap.places import Place
+
+
+@pytest.fixture(autouse=True)
+def comparable(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is left is not small beside what was explained."""
+    monkeypatch.setattr("btr_mjx.gap.identify.dwarfed", lambda *_: False)
 
 
 def left_by(gains, dispersion=1.0, told=None, body=None):
@@ -48,6 +54,21 @@ def gained(gain):
 def test_what_a_name_may_leave(left, expected):
     named = [gained(gain) for gain in left]
     assert missing(left_by(left), named, 0.9, 0.0) is expected
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "expected"),
+    [
+        ([9e5, 7e5], [900.0, 1200.0], True),
+        ([9e5, 7e5], [9000.0, 9000.0], False),  # more than half a percent
+        ([9e5, 1500.0], [900.0, 300.0], False),  # one side was not far away
+    ],
+)
+def test_beside_a_name_that_explains_nearly_all_the_rest_is_small(before, after, expected):
+    side = SimpleNamespace(windows=SimpleNamespace(freedom=100.0))
+    fits = [[SimpleNamespace(chi2=np.full(5, chi2)) for chi2 in sides] for sides in (before, after)]
+    bench = SimpleNamespace(reference=fits[0], fit=side, test=side)
+    assert dwarfed(bench, SimpleNamespace(fits=fits[1])) is expected
 
 
 def test_a_name_must_explain_most_of_a_lack_of_fit():

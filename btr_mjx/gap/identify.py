@@ -62,6 +62,10 @@ simulated robots that lacked nothing or little was 35."""
 TWIN = 15.0
 """Score that a twin may have beside what was named."""
 
+DWARFED = 20.0, 5e-3
+"""Chi^2 per degree of freedom beyond noise, in the median, from which on a name may leave this part of it whatever that
+is: a friction of a gear took it from 11331 to 10, and at another integrator's sticking something was left."""
+
 COARSE_SHARE = 0.55
 """Part of what unknown forces explain that a name must explain there."""
 
@@ -222,6 +226,8 @@ def missing(check: Check, named: Sequence[Judged], share: float, surprise: float
     """
     if check.bench.dispersion > COARSE:
         return surprise > LEFT_OVER and share < COARSE_SHARE
+    if dwarfed(check.bench, named[-1]):
+        return False
     if len(named) > 1:
         # What a force of another shape explains better than the second name was never two effects.
         first = check.left(named[0])
@@ -238,6 +244,21 @@ def missing(check: Check, named: Sequence[Judged], share: float, surprise: float
     if follows is not None and follows.gain > most:
         return True
     return check.beyond(left) > most
+
+
+def dwarfed(bench: Bench, judged: Judged) -> bool:
+    """Whether a name explains so much that whatever it leaves is small beside it, on either side of the split.
+
+    Args:
+      bench: of the search.
+      judged: what was named, all of it.
+    """
+    for reference, fit, side in zip(bench.reference, judged.fits, (bench.fit, bench.test), strict=True):
+        noise = side.windows.freedom
+        before, after = reference.chi2 - noise, fit.chi2 - noise
+        if np.median(before) < DWARFED[0] * noise or after.sum() > DWARFED[1] * before.sum():
+            return False
+    return True
 
 
 def strange(check: Check, best: Judged | None, rival: Judged | None = None) -> bool:

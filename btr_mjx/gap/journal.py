@@ -9,10 +9,14 @@ commands and of this package's code. Threads may ask in any order.
 """
 
 import hashlib
+import os
 import shutil
-from collections.abc import Callable, Sequence
-from functools import cache
+from collections.abc import Callable, Mapping, Sequence
+from enum import Enum
+from functools import cache, partial
 from pathlib import Path
+from types import FunctionType, MethodType
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -83,7 +87,7 @@ class Journal(Counter):
 
 
 def _question(code: bytes, jobs: Sequence[Job], timestep: float | None) -> str:
-    """Digest of what is asked for. The state-dependent laws of worlds are code, which counts as a whole."""
+    """Digest of what is asked for."""
     digest = hashlib.sha256(code)
     digest.update(repr(timestep).encode())
     commands: dict[int, tuple] = {}
@@ -102,9 +106,50 @@ def _add_stretch(digest: "hashlib._Hash", stretch: Stretch) -> None:
 
 
 def _add_world(digest: "hashlib._Hash", world: World) -> None:
-    binary = np.empty(mujoco.mj_sizeModel(world.model), np.uint8)
-    mujoco.mj_saveModel(world.model, None, binary)
-    _add(digest, binary, world.offset, world.wrench, np.array([len(world.laws), len(world.command_edits)]))
+    _add(
+        digest, _binary(world.model), world.offset, world.wrench, np.array([len(world.laws), len(world.command_edits)])
+    )
+    for law in world.laws:
+        try:
+            _add_value(digest, law)
+        except RecursionError:  # it holds itself
+            digest.update(os.urandom(16))
+
+
+def _binary(model: mujoco.MjModel) -> np.ndarray:
+    binary = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, binary)
+    return binary
+
+
+def _add_value(digest: "hashlib._Hash", value: Any) -> None:
+    """Add a law, with all the numbers that it holds: one of another size is another question."""
+    digest.update(f"{type(value).__module__}.{type(value).__qualname__}".encode())
+    if isinstance(value, (str, bytes, bool, int, float, complex, type(None), Enum)):
+        digest.update(repr(value).encode())
+    elif isinstance(value, (np.ndarray, np.generic)):
+        _add(digest, np.asarray(value))
+    elif isinstance(value, mujoco.MjModel):
+        _add(digest, _binary(value))
+    elif isinstance(value, Mapping):
+        _add_value(digest, [part for pair in value.items() for part in pair])
+    elif isinstance(value, (list, tuple)):
+        digest.update(str(len(value)).encode())
+        for part in value:
+            _add_value(digest, part)
+    elif isinstance(value, (set, frozenset)):
+        _add_value(digest, sorted(value, key=repr))
+    elif isinstance(value, FunctionType):
+        cells = [cell.cell_contents for cell in value.__closure__ or ()]
+        _add_value(digest, [value.__code__.co_code, value.__defaults__, value.__kwdefaults__, cells])
+    elif isinstance(value, MethodType):
+        _add_value(digest, [value.__func__, value.__self__])
+    elif isinstance(value, partial):
+        _add_value(digest, [value.func, value.args, value.keywords])
+    elif hasattr(value, "__dict__") and not isinstance(value, type):
+        _add_value(digest, vars(value))
+    else:
+        digest.update(os.urandom(16))  # nobody knows what it holds: a question that is never answered twice
 
 
 def _add(digest: "hashlib._Hash", *arrays: np.ndarray | None) -> None:

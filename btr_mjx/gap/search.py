@@ -20,6 +20,7 @@ from btr_mjx.gap.gains import fall
 from btr_mjx.gap.hypotheses import Hypothesis, refitted, unknowns
 from btr_mjx.gap.leaders import pick, starts
 from btr_mjx.gap.noise import estimate_noise, quieter
+from btr_mjx.gap.onwards import FAR, onwards
 from btr_mjx.gap.pacing import chosen_windows
 from btr_mjx.gap.planning import Survey, survey
 from btr_mjx.gap.prepared import prepare, scales_of, track_of
@@ -48,10 +49,6 @@ _CUT = 1.5
 
 _DRAWS = 8
 """Draws of all tolerances that show where these leave the linear picture."""
-
-_FAR = 3.0
-"""Chi^2 per degree of freedom of the best lead above which limits are tried that the linear picture cannot see: a limit
-of a third of what is asked for looked like a motor that is weak by two thirds, which left 3.3."""
 
 _QUIETER = 4
 """Times that noise is estimated again from what the believed model leaves."""
@@ -121,7 +118,7 @@ class Bench:
         self.fit, self.test = Side(self.fit.windows, nuisance), Side(self.test.windows, other)
         self.scanner = Scanner(found, nuisance)
         self.dispersion, self.cut = 1.0, _CUT * self.fit.windows.freedom
-        self._settle(None)
+        self.settle(None)
         self.hopes: dict[str, float] = {}
         self.walks = Walks(self.fit, self.base, self.free, self.fall, lambda: self.cut)
 
@@ -179,7 +176,7 @@ class Bench:
         """Whether the believed numbers are refitted together with every leader."""
         return 0 < len(self.base.parameters) <= _FEW
 
-    def _settle(self, best: np.ndarray | None) -> None:
+    def settle(self, best: np.ndarray | None) -> None:
         """Fit the dispersion to the best chi^2 (W,) so far, and the reference losses with it."""
         side, residual = self.fit, self.fit.windows.residual
         if best is None:
@@ -222,7 +219,7 @@ class Bench:
         leads = self.scanner(residual, self.cut, extra, dispersion=self.dispersion)
         leads = [lead for lead in leads if self._entry(lead).candidate.name not in taken]
         if given is None and leads:
-            self._settle(self.scanner.best_left(leads[:5], residual, self.nuisance(self.fit), self.cut))
+            self.settle(self.scanner.best_left(leads[:5], residual, self.nuisance(self.fit), self.cut))
         price = np.log(self.fit.windows.residual.size) * self.dispersion
         if given is None:
             hopes = ((self._entry(lead), lead.gain / price - len(lead.values)) for lead in leads)
@@ -231,7 +228,7 @@ class Bench:
             # Most robots lack one thing: what is not worth its price in the linear picture is not simulated as well.
             leads = [lead for lead in leads if lead.gain > price * len(lead.values)]
         entries = self.scanner.screened.entries
-        far = given is None and self.dispersion > _FAR
+        far = given is None and self.dispersion > FAR
         picked = pick(leads, entries, options, price, far)
         starting = {own[0].index: starts(own, self._entry, options.starts) for own in picked.values()}
         tries = [(entries[index].candidate, values) for index, values in starting.items()]
@@ -250,19 +247,27 @@ class Bench:
             own = start.with_effect(candidate, values[0])
             head = own.values(self.joint)[: -len(values[0])]
             hypotheses.append((own, [np.concatenate([head, v]) for v in values]))
-        found = refine(
-            sides[0].windows,
-            [self.free(sides[0], own) for own, _ in hypotheses],
+        count = [1 if c.name in self.delicate else options.iterations for c, _ in tries]
+        found = self.refined(sides[0], hypotheses, count, (self.reference if given is None else given.fits)[0])
+        if given is None:
+            self.settle(min(found, key=lambda r: r.loss).chi2)
+            if not self.survey.contact:
+                found = onwards(self, hypotheses, count, found)
+        refined = [own.replaced(r.values, self.joint) for (own, _), r in zip(hypotheses, found, strict=True)]
+        return self.judge(refined, found, sides, None if given is None else given.references, given)
+
+    def refined(
+        self, side: Side, hypotheses: Sequence[tuple[Hypothesis, list[np.ndarray]]], count: list[int], reference: Fit
+    ) -> list[Refined]:
+        """Hypotheses refined on one side, each from the best of its starts."""
+        return refine(
+            side.windows,
+            [self.free(side, own) for own, _ in hypotheses],
             self.cut,
             [(unknowns(own, self.joint, self.delicate), tries) for own, tries in hypotheses],
-            [1 if c.name in self.delicate else options.iterations for c, _ in tries],
-            (self.reference if given is None else given.fits)[0],
+            count,
+            reference,
         )
-        refined = [own.replaced(r.values, self.joint) for (own, _), r in zip(hypotheses, found, strict=True)]
-        if given is None:
-            best = min(found, key=lambda r: r.loss)
-            self._settle(best.chi2)
-        return self.judge(refined, found, sides, None if given is None else given.references, given)
 
     def free(self, side: Side, hypothesis: Hypothesis | None = None) -> Nuisance:
         """What is fitted along on the side to fit: without the believed numbers where these move by themselves."""
