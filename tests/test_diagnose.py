@@ -98,6 +98,7 @@ def test_a_run_folder(folder: Path, searches: list, capsys: pytest.CaptureFixtur
         "high": 0.034,
         "unit": "N m",
         "null": 0,
+        "edge": False,
     }
     assert {"before", "after", "noise_floor"} <= set(result["gap"])
     assert {"ranking", "equivalent", "next_experiment"} <= set(result)

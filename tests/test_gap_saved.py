@@ -89,6 +89,7 @@ def test_what_is_saved_says_what_was_found(dataset: Dataset, tmp_path: Path) -> 
         "high": 0.34,
         "unit": "1",
         "null": 0.0,
+        "edge": False,
     }
     assert [row["equivalent"] for row in result["ranking"]] == [True, True, False]
     assert result["equivalent"][1] == {"effect": "dry_friction", "location": "joint:knee0"}
