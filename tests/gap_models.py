@@ -132,3 +132,10 @@ def check_loop(model: mujoco.MjModel, candidate: Candidate, values: list[float],
     assert np.abs(states - plain).max() > 1e-4
     for row in range(len(stretch)):
         np.testing.assert_allclose(states[row, -1], loop(model, stretch, row, act, 60), rtol=0, atol=1e-7)
+
+
+def command(seed: int, interpolation: str = "linear") -> Command:
+    """Two controls, noise at uneven times."""
+    rng = np.random.default_rng(seed)
+    times = np.cumsum(rng.uniform(0.003, 0.02, 40))
+    return Command(times, rng.normal(size=(40, 2)), interpolation)  # type: ignore[arg-type]

@@ -7,15 +7,13 @@ import mujoco
 import numpy as np
 import polars as pl
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from btr_mjx.errors import InputError
 from btr_mjx.files import write_arrays
 from btr_mjx.gap.columns import control_columns, state_columns
 from btr_mjx.gap.dataset_files import Format, recording_columns, save_dataset
 from btr_mjx.gap.model_paths import parse_path, part_names, set_values
-from btr_mjx.gap.noise import Noise, estimate_noise, quieter
+from btr_mjx.gap.noise import Noise
 from btr_mjx.gap.recording import Recording
 from btr_mjx.gap.recordings import Believed, load, noise_of
 from btr_mjx.gap.samples import estimate_velocity
@@ -164,27 +162,6 @@ def test_estimated_velocities_of_every_kind_of_joint(rng: np.random.Generator) -
     recording = smooth_recording("one", rng)
     estimate = estimate_velocity(MODEL, recording.time, recording.qpos)
     np.testing.assert_allclose(estimate, recording.qvel, atol=2e-3)
-
-
-@settings(max_examples=8, deadline=None)
-@given(st.floats(1e-4, 1e-2), st.floats(1e-3, 0.1), st.integers(0, 1000))
-def test_noise_is_estimated_whatever_the_motion(sigma_q: float, sigma_v: float, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    clean = smooth_recording("one", rng, count=300)
-    qpos = integrate(MODEL, clean.qpos, sigma_q * rng.normal(size=clean.qvel.shape))
-    qvel = clean.qvel + sigma_v * rng.normal(size=clean.qvel.shape)
-    noise = estimate_noise(MODEL, [(clean.time, qpos, qvel, clean.qvel_measured)])
-    np.testing.assert_allclose(np.median(noise.qpos), sigma_q, rtol=0.2)
-    np.testing.assert_allclose(np.median(noise.qvel), sigma_v, rtol=0.2)
-
-
-def test_noise_of_a_coarse_encoder_is_its_step(rng: np.random.Generator) -> None:
-    clean = smooth_recording("one", rng, count=400)
-    qpos = clean.qpos.copy()
-    step = 0.02
-    qpos[:, 7] = np.round(qpos[:, 7] / step) * step
-    noise = estimate_noise(MODEL, [(clean.time, qpos, clean.qvel, clean.qvel_measured)])
-    assert 0.5 * step / np.sqrt(12) < noise.qpos[6] < 2 * step / np.sqrt(12)
 
 
 def test_splits(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -387,16 +364,3 @@ def test_ways_to_write_a_path() -> None:
         "dof_damping[6]",
     )
     assert {parse_path(MODEL, text).read(MODEL) for text in texts} == {0.3}
-
-
-def test_noise_is_no_more_than_what_a_model_leaves(rng: np.random.Generator) -> None:
-    """One channel is ten times quieter than it was said to be; another leaves more, which may be a missing effect."""
-    sigma, channels = np.array([1.0, 2.0, 3.0, 4.0]), np.array([0, 2, 3])
-    left = np.array([1.0, 0.1, 5.0]) * rng.standard_normal((30, 50, 3))
-    found = quieter(sigma, channels, left.reshape(30, -1), 150.0)
-    assert found is not None
-    np.testing.assert_allclose(found, [1.0, 2.0, 0.3, 4.0], rtol=0.05)
-    again = quieter(found, channels, (left * (sigma / found)[channels]).reshape(30, -1), 150.0)
-    assert again is None
-    projected = np.sqrt(0.4) * rng.standard_normal((30, 150))  # less is left where much was fitted, which is no noise
-    assert quieter(sigma, channels, projected, 60.0) is None

@@ -64,7 +64,7 @@ TWIN = 15.0
 
 DWARFED = 20.0, 5e-3
 """Chi^2 per degree of freedom beyond noise, in the median, from which on a name may leave this part of it whatever that
-is: a friction of a gear took it from 11331 to 10, and at another integrator's sticking something was left."""
+is: a friction of a gear took it from 11331 to 2, and at another integrator's sticking something was left."""
 
 COARSE_SHARE = 0.55
 """Part of what unknown forces explain that a name must explain there."""
@@ -226,6 +226,8 @@ def missing(check: Check, named: Sequence[Judged], share: float, surprise: float
     """
     if check.bench.dispersion > COARSE:
         return surprise > LEFT_OVER and share < COARSE_SHARE
+    if mistaken(named[-1], rival):
+        return True
     if dwarfed(check.bench, named[-1]):
         return False
     if len(named) > 1:
@@ -233,7 +235,7 @@ def missing(check: Check, named: Sequence[Judged], share: float, surprise: float
         first = check.left(named[0])
         if first.gain > max(check.gain, named[1].gain - named[0].gain):
             return True
-    if mistaken(named[-1], rival) or check.told(named[-1]) is not None:
+    if check.told(named[-1]) is not None:
         return True
     if plain(check.bench, named[-1]) and surprise > REST and share < REST_SHARE and check.spread(named[-1]):
         return True

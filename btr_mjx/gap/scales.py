@@ -196,10 +196,9 @@ def integrated(model: mujoco.MjModel, place: Place) -> float:
     slope = model.dof_damping.copy()
     for a in range(actuator_count(model)):
         joint = joint_of(model, a)
-        if joint is not None:
-            slope[model.jnt_dofadr[joint]] += max(0.0, -float(model.actuator_biasprm[a, 2])) * (
-                float(model.actuator_gear[a, 0]) ** 2
-            )
+        if joint is not None and int(model.actuator_biastype[a]) == int(mujoco.mjtBias.mjBIAS_AFFINE):
+            gain, gear = float(model.actuator_biasprm[a, 2]), float(model.actuator_gear[a, 0])
+            slope[model.jnt_dofadr[joint]] += max(0.0, -gain) * gear**2
     return _INTEGRATED * typical(slope, place, model)
 
 
