@@ -41,7 +41,8 @@ def quadruped(tmp_path_factory):
 
 def windows_of(quadruped, finer=1, noise=1.0):
     data, first, k = quadruped
-    return Windows(replace(data, finer=finer, sigma=noise * data.sigma), np.zeros(len(first), int), first, k)
+    data = replace(data, finer=finer, rough=finer > 1, sigma=noise * data.sigma)
+    return Windows(data, np.zeros(len(first), int), first, k)
 
 
 @pytest.fixture(scope="module")
@@ -167,7 +168,7 @@ def test_at_least_half_of_the_windows_are_tame(sizes) -> None:
 def test_nulls_know_what_is_left_of_the_step(quadruped, fine) -> None:
     """Data of a null take fine steps where the model's is divided; of an arm they leave noise and nothing else."""
     arm = arm_windows()
-    data = replace(arm.data, finer=4)
+    data = replace(arm.data, finer=4, rough=True)
     windows = Windows(data, arm.recording, arm.first, arm.k)
     windows.linearise(World.of)
     rng = np.random.default_rng(1)

@@ -25,13 +25,13 @@ def _group_mass(model: mujoco.MjModel, body: int) -> float:
 
 
 def _payload_places(model: mujoco.MjModel) -> list[Place]:
-    # A single body with a diagonal mass matrix keeps it: its centre cannot move without compiling it anew.
+    # A single body that was compiled with a diagonal mass matrix keeps it: its centre cannot move (loaders avoid it).
     free = [b for b in [*trunks(model), *links(model), *welded(model)] if model.body_mass[b] > 0]
     return [body_place(model, b) for b in sorted(free) if not _fixed_centre(model, b)]
 
 
 def _fixed_centre(model: mujoco.MjModel, body: int) -> bool:
-    return bool(model.body_simple[body] == 1)
+    return bool(model.body_simple[body])
 
 
 def _payload(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:

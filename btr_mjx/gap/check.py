@@ -98,7 +98,7 @@ class Check:
         self._bodies = Bodies(model, self.fits)
         self.null, left, bodies, self._held_out, self._spared = self._null(rng)
         self.excess_at_body = max(_LEAST_AT_BODY, _BEYOND * max(one.excess for one in bodies))
-        self.rough = bench.fit.windows.data.finer > 1
+        self.rough = bench.fit.windows.data.rough
         self.usual, self.usual_at_body = usual_needed(self.rough, bodies)
         self.excess = max(_LEAST_EXCESS, _BEYOND * max(one.worst for one in left))
         self.gain = max(_LEAST_GAIN, _BEYOND * max(one.gain for one in left))

@@ -55,7 +55,7 @@ def null_residual(windows: Windows, base: MakeWorld, truth: MakeWorld, rng: np.r
     """
     nq, nv, sigma = windows.nq, windows.nv, windows.data.sigma
     # Where steps had to be divided, what is left of their error is part of what a null leaves.
-    shows = windows.data.finer > 1
+    shows = windows.data.rough
     own = fine_step(windows) if shows else windows.step
     states = windows.states([truth], timestep=own, start=doubtful(windows, rng))[0]
     noise = rng.standard_normal((*states.shape[:2], 2 * nv)) * sigma

@@ -5,28 +5,28 @@ picture; a smooth one for as long as the believed model stays near the data, bec
 show in long windows only.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
 
-from btr_mjx.environment import available_cores
 from btr_mjx.errors import InputError
 from btr_mjx.gap.coverage import bustle, covering, weights
+from btr_mjx.gap.impacts import contacts, quiet_windows
 from btr_mjx.gap.prepared import Data
 from btr_mjx.gap.scales import closes_loops
 from btr_mjx.gap.search_records import Options
 from btr_mjx.gap.sensitivity import intervals_per_look
 from btr_mjx.gap.smoothing import smooth
-from btr_mjx.gap.tangent import difference
+from btr_mjx.gap.tangent import difference, integrate
 from btr_mjx.gap.worlds import Counter, Stretch, World, simulate
 
 CONTACT_SPAN = 0.04
 """Length of a window of a robot that touches the world [s]. At the same cost in simulated steps true effects gained up
 to 2.5 times as much in windows of 40 ms as in twice as many of 20 ms, and no more in windows of 60 ms."""
 
-_SHORTEST = 0.02
+SHORTEST = 0.02
 """No window of another robot is shorter [s]."""
 
 _LONGEST = 1.0
@@ -34,6 +34,13 @@ _LONGEST = 1.0
 
 _STRAY = 0.25
 """A window may be so long that the believed model strays by this part of the motion's own spread."""
+
+_BENT = 1.0, 0.8
+"""A window may be so long that the curvature of what a small error of the starting state does stays below this many
+standard deviations of the noise, in this part of all windows: starting states are projected out as if it were none."""
+
+_NUDGE = 0.5
+"""Such an error, in units of the noise: a state estimate uses several samples."""
 
 _FEWEST = 6
 """Samples of a window after its first, at least."""
@@ -76,27 +83,25 @@ def survey(data: Data, counter: Counter) -> Survey:
       data: recordings to fit.
       counter: adds up the simulated steps.
     """
-    touching = []
-    for recording, track in zip(data.recordings, data.tracks, strict=True):
-        world = World.of(recording.model)
-        batch = Batch(world.model, nsim=len(track.time), nthread=available_cores())
-        batch.bind("qpos")[:] = track.qpos
-        contacts = batch.bind("ncon")
-        batch.forward(stage=int(mujoco.mjtStage.mjSTAGE_POS))
-        counter.steps += len(track.time)
-        touching.append(np.array(contacts).reshape(-1) > 0)
+    touching = contacts(data, counter)
     contact = float(np.concatenate(touching).mean()) > 0.01
     span = CONTACT_SPAN if contact else _smooth_span(data, counter)
-    return Survey(tuple(touching), contact, span)
+    return Survey(touching, contact, span)
 
 
 def _smooth_span(data: Data, counter: Counter) -> float:
-    """The longest window over which the believed model stays near the data."""
+    """The longest window over which the believed model stays near the data, and follows its starting state evenly.
+
+    A double pendulum that turns over multiplies what is off at the start, so that windows of a second, in which the
+    believed model has hardly strayed, left a thousand times the noise with the true model.
+    """
     model = data.recordings[0].model
     shortest = min(float(r.time[-1] - r.time[0]) for r in data.recordings)
     longest = min(_LONGEST, 0.48 * shortest)
-    marks = np.geomspace(_SHORTEST, max(longest, 2 * _SHORTEST), 12)
+    marks = np.geomspace(SHORTEST, max(longest, 2 * SHORTEST), 12)
     stray: list[np.ndarray] = []
+    bent: list[np.ndarray] = []
+    rng = np.random.default_rng(0)
     spread = np.zeros(model.nv)
     for i, (recording, track) in enumerate(zip(data.recordings, data.tracks, strict=True)):
         spread = np.maximum(spread, difference(model, track.qpos[:1], track.qpos).std(0))
@@ -105,8 +110,14 @@ def _smooth_span(data: Data, counter: Counter) -> float:
         qpos, qvel, _ = smooth(model, track, first, data.sigma, data.span)
         own = np.full(len(first), i)
         act = data.acts[i][first] if model.na else None
-        stretch = Stretch(track.time[first], qpos, qvel, marks, data.commands, own, act)
-        states = simulate([(World.of(recording.model), stretch)], counter=counter)[0]
+        nudge = _NUDGE * rng.choice([-1.0, 1.0], (len(first), 2 * model.nv)) * data.sigma
+        starts = [
+            (integrate(model, qpos, s * nudge[:, : model.nv]), qvel + s * nudge[:, model.nv :]) for s in (0, 1, -1)
+        ]
+        stretches = [Stretch(track.time[first], *start, marks, data.commands, own, act) for start in starts]
+        world = World.of(recording.model)
+        states, *nudged = simulate([(world, stretch) for stretch in stretches], counter=counter)
+        bent.append(_curvature(model, states, nudged) / data.sigma[: model.nv])
         there = track.time[first][:, None] + marks
         nearest = np.clip(np.searchsorted(track.time, there), 0, len(track.time) - 1)
         at = np.minimum(nearest, len(track.time) - 1)
@@ -116,9 +127,16 @@ def _smooth_span(data: Data, counter: Counter) -> float:
     moving = spread > 10 * data.sigma[: model.nv]
     if not moving.any():
         raise InputError("the recordings hold no motion beyond the noise; nothing can be told from them")
-    good = (typical[:, moving] < _STRAY).all(1)
+    curved = np.quantile(np.nan_to_num(np.concatenate(bent), nan=np.inf).max(2), _BENT[1], axis=0, method="lower")
+    good = (typical[:, moving] < _STRAY).all(1) & (curved < _BENT[0])
     count = int(np.argmin(good)) if not good.all() else len(good)
     return float(marks[max(count - 1, 0)])
+
+
+def _curvature(model: mujoco.MjModel, states: np.ndarray, nudged: Sequence[np.ndarray]) -> np.ndarray:
+    """Half of what two opposite nudges do together to positions (W, K, nv)."""
+    there, back = (difference(model, states[..., : model.nq], other[..., : model.nq]) for other in nudged)
+    return 0.5 * np.abs(there + back)
 
 
 def plan(
@@ -198,7 +216,7 @@ def place(
 
 
 def grid(data: Data, span: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """All windows there is room for that do not overlap.
+    """All windows there is room for that do not overlap, and hold no blow where these are known.
 
     Args:
       data: the recordings.
@@ -219,6 +237,10 @@ def grid(data: Data, span: float) -> tuple[np.ndarray, np.ndarray, int]:
     recording, first = [], []
     for i, (r, fits) in enumerate(zip(data.recordings, room, strict=True)):
         last = len(r.time) - 1 - k
-        first.append(np.unique(np.linspace(min(data.span.half, last), last, fits).astype(int)))
+        earliest = min(data.span.half, last)
+        if data.blows is None:
+            first.append(np.unique(np.linspace(earliest, last, fits).astype(int)))
+        else:
+            first.append(quiet_windows(data.blows[i], earliest, last, k))
         recording.append(np.full(len(first[-1]), i))
     return np.concatenate(recording), np.concatenate(first), k

@@ -24,6 +24,8 @@ class Data:
       measured: (2 nv,) bool: which coordinates were measured.
       span: samples that a state estimate uses.
       finer: simulations take the models' time step divided by this.
+      rough: whether that is for feet, which steps of the models' own would move by more than sensors miss.
+      blows: (K,) bool per recording, samples that no window may hold, see `impacts`; None where any may.
     """
 
     recordings: tuple[Recording, ...]
@@ -34,6 +36,8 @@ class Data:
     measured: np.ndarray
     span: Span
     finer: int = 1
+    rough: bool = False
+    blows: tuple[np.ndarray, ...] | None = None
 
 
 def prepare(recordings: Sequence[Recording], interpolation: str, sigma: np.ndarray, span: Span) -> Data:

@@ -77,12 +77,23 @@ def load_model(path: Path) -> tuple[mujoco.MjModel, str]:
     if not path.is_file():
         raise InputError(f"{path}: there is no such model file")
     try:
-        model = mujoco.MjModel.from_xml_path(str(path))
+        model = _compiled(path)
     except ValueError as error:
         raise InputError(f"{path}: MuJoCo does not load this model: {one_line(error)}") from None
     if model.nu == 0 or model.njnt == 0:
         raise InputError(f"{path}: the model has {model.njnt} joints and {model.nu} actuators; expected some of both")
     return model, path.read_text(encoding="utf-8")
+
+
+def _compiled(path: Path) -> mujoco.MjModel:
+    """Without MuJoCo's short cuts for single bodies: they hold for this inertia only, and effects change it."""
+    model = mujoco.MjModel.from_xml_path(str(path))
+    if not model.body_simple[1:].any():
+        return model
+    spec = mujoco.MjSpec.from_file(str(path))
+    for body in spec.bodies:
+        body.simple = 0
+    return spec.compile()
 
 
 def read_recording(
@@ -113,7 +124,7 @@ def read_recording(
         overrides = row["overrides"]
         if not isinstance(overrides, Mapping) or not all(is_number(v) for v in overrides.values()):
             raise InputError(f'{where}: overrides: expected {{"body:arm/mass" = 0.5, ...}}, got {overrides!r}')
-        model = mujoco.MjModel.from_xml_path(str(folder / row["model"])) if "model" in row else copy.deepcopy(base)
+        model = copy.deepcopy(model)
         try:
             set_values(model, overrides)
         except InputError as error:

@@ -179,7 +179,7 @@ def nuisances(
       given: tolerances of the dataset by effect.
       single: see `sensitivity.signatures`.
     """
-    columns, precision = [step_doubt(windows).astype(np.float32)], [1.0]
+    columns, precision = [step_doubt(windows, base).astype(np.float32)], [1.0]
     for index, entry in enumerate(screened.entries):
         tolerance = 0.0 if entry.probe else tolerance_of(entry.candidate, given)
         if tolerance > 0:

@@ -40,6 +40,7 @@ from btr_mjx.gap.screening import (
 )
 from btr_mjx.gap.search_records import Judged, Options, Side
 from btr_mjx.gap.smoothing import Track, best_span
+from btr_mjx.gap.time_steps import kept
 from btr_mjx.gap.walks import Walks
 from btr_mjx.gap.windows import Windows
 from btr_mjx.gap.worlds import Counter
@@ -140,7 +141,7 @@ class Bench:
         count = sum(len(entry.steps) for entry in entries)
         chosen = chosen_windows(data, held, self.base, self.survey, count, self.options, self.counter)
         self.fit, self.test = (Side(own, Nuisance.nothing(0, 0)) for own in chosen.windows)
-        self.single, self.options = chosen.single, chosen.options
+        self.single, self.options, self.survey = chosen.single, chosen.options, chosen.survey
         self._start(note)
         return entries
 
@@ -157,7 +158,8 @@ class Bench:
                 self.base = refitted(windows, self.base, _CUT)
                 windows.linearise(self.base)
             held.linearise(self.base)
-        self.fit, self.test = (replace(side, windows=side.windows.calm()) for side in (self.fit, self.test))
+        contact, sides = self.survey.contact, (self.fit, self.test)
+        self.fit, self.test = (replace(side, windows=kept(side.windows, self.base, contact)) for side in sides)
 
     def _softened(self, windows: Windows, base: Hypothesis, screened: Screen) -> tuple[Screen, Nuisance]:
         """Nuisances of one side, after what tolerances do to contacts has been taken into account there."""
