@@ -13,6 +13,10 @@ from btr_mjx.gap.places import Place, actuator_count, actuator_places
 from btr_mjx.gap.scales import Scales, unit_of
 from btr_mjx.gap.worlds import World
 
+_LEAST_LIMIT = 0.01
+"""Smallest limit, beside the largest force that is asked for. That force may be of a moment: a stiff servo that starts
+half a radian away asked for thirty times what its motor had."""
+
 _HELD = 0.25
 """Part of the model's time step: data in which commands were held through steps of half that length are that late, on
 average, and a simulation that holds them through its own is later still. No robot lacks that."""
@@ -120,9 +124,9 @@ def _limit(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Paramet
     if limited.all():
         believed = float(np.abs(model.actuator_forcerange[actuators]).max())
         if believed <= peak * 1.01:  # it binds: it may be larger or smaller
-            return (Parameter("limit", unit, 0.05 * peak, 3.0 * believed, -0.1 * believed, null=believed),)
+            return (Parameter("limit", unit, _LEAST_LIMIT * peak, 3.0 * believed, -0.1 * believed, null=believed),)
     peak = max(peak, 1e-9)
-    return (Parameter("limit", unit, 0.05 * peak, 1.1 * peak, -0.3 * peak, null=1.1 * peak),)
+    return (Parameter("limit", unit, _LEAST_LIMIT * peak, 1.1 * peak, -0.3 * peak, null=1.1 * peak),)
 
 
 def _apply_limit(world: World, place: Place, values: np.ndarray) -> None:
