@@ -8,8 +8,10 @@ from gap_arm import dataset
 from hypothesis import given
 from hypothesis import strategies as st
 
+from btr_mjx.gap.effect import Parameter
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.intervals import _sized, intervals, lowest
+from btr_mjx.gap.mass import forget_frames
 from btr_mjx.gap.polish import Polisher
 from btr_mjx.gap.score import weight
 from btr_mjx.gap.search import Bench
@@ -93,3 +95,28 @@ def test_a_parabola_is_found_from_three_points(bottom: float, steep: float, heig
     assert lowest(at, [height + steep * (x - bottom) ** 2 for x in at]) == pytest.approx(bottom, abs=1e-5)
     assert lowest(at, [-steep * (x - 1.0) ** 2 for x in at]) == 1.25
     assert lowest(at, [height - steep * x + 1e-3 * x * x for x in at]) == pytest.approx(1.25 + 0.2 * 0.45)
+
+
+def test_what_does_not_show_stays_where_it_is() -> None:
+    """How far to the side the mass of a planar arm sits: rounding is all that its recordings have of it."""
+    damping = LIBRARY[0]
+    assert damping.name == "viscous_damping"
+
+    def parameters(model, scales, place):
+        return (*damping.parameters(model, scales, place), Parameter("side", "m", -0.3, 0.3, 0.05, shape=True))
+
+    def apply(world, place, values):
+        damping.apply(world, place, values[:1])
+        world.model.body_ipos[1:, 1] = values[1]
+        forget_frames(world.model, 1)
+        forget_frames(world.model, 2)
+
+    lopsided = replace(damping, parameters=parameters, apply=apply)
+    bench = Bench(dataset(damped, seed=4, fit=2, test=2), (lopsided,), QUICK)
+    judged = found(bench)
+    columns = judged.refined.columns
+    assert np.linalg.norm(columns[0]) > 1.0
+    assert not columns[1].any()
+    size, side = intervals(bench, judged, np.random.default_rng(0))
+    assert size.value == pytest.approx(0.1, rel=0.1)
+    assert (side.low, side.value, side.high) == (-0.3, 0.0, 0.3)

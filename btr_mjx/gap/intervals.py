@@ -14,7 +14,7 @@ import numpy as np
 from btr_mjx.gap.abreast import abreast
 from btr_mjx.gap.diagnosis import Estimate
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
-from btr_mjx.gap.refine import nudges
+from btr_mjx.gap.refine import answers, nudges
 from btr_mjx.gap.score import Evidence, fit, steadied, weight
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Judged, Side, nearest
@@ -70,6 +70,7 @@ def intervals(bench: Bench, judged: Judged, rng: np.random.Generator, settled: b
             share[blocks[block]] += 1.0
         draws[i] = solve(share) - centre
     normal = (np.tensordot(w, data.gram, 1) + np.diag(precision)) / bench.dispersion
+    shown = np.diag(normal)[:size] > 0
     posterior = np.linalg.inv(steadied(normal))[:size, :size]
     extra = np.sqrt(np.maximum(np.diag(posterior), 0.0)) * rng.standard_normal((_DRAWS, size))
     spread = draws + extra
@@ -81,7 +82,7 @@ def intervals(bench: Bench, judged: Judged, rng: np.random.Generator, settled: b
     out, first = [], size - final.numbers
     for candidate, values in final.effects:
         for parameter, value in zip(candidate.parameters, values, strict=True):
-            low, high = np.quantile(spread[:, first], _QUANTILES)
+            low, high = np.quantile(spread[:, first], _QUANTILES) if shown[first] else (-np.inf, np.inf)
             out.append(
                 Estimate(
                     float(value),
@@ -102,7 +103,7 @@ def _evidence(bench: Bench, judged: Judged) -> tuple[Evidence, np.ndarray, np.nd
     values = judged.hypothesis.values(bench.joint)
     steps = nudges(free, values)
     found = judged.sides[1].windows.residuals([free.make(values + step) for step in steps])
-    columns = np.stack([(there - judged.residual) / step.sum() for there, step in zip(found, steps, strict=True)])
+    columns = answers(free, judged.residual, found, steps)
     data = _both(bench, judged, (judged.refined.residual, judged.residual), (judged.refined.columns, columns))
     precision = np.concatenate([np.zeros(len(values)), bench.free(judged.sides[0], judged.hypothesis).precision])
     return data, precision, weight(np.concatenate([judged.refined.chi2, judged.fits[1].chi2]), bench.cut)

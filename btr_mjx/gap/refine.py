@@ -20,6 +20,9 @@ _PATIENCE = 3
 _BEHIND = 0.4, 40.0
 """A search whose gain is less than this part of the best one, less this much, is given up."""
 
+_SHOWN = 0.1
+"""What a number does to a residual over all its range, in units of the noise, at least: chi^2 of a hundredth."""
+
 _STANDSTILL = 0.5
 """A step that gains less is the last, and one that promises less is not taken, in units of what a degree of freedom
 typically contributes to chi^2."""
@@ -209,7 +212,7 @@ def _search(
         steps = nudges(unknowns, values)
         now = Refined(values, loss, residual, columns, chi2)
         found = yield [values + step for step in steps], now
-        columns = np.stack([(e - residual) / step.sum() for e, step in zip(found, steps, strict=True)])
+        columns = answers(unknowns, residual, found, steps)
         data = nuisance.evidence(residual, columns)
         size = len(values)
         ends = np.full(data.n - size, np.inf)
@@ -254,6 +257,20 @@ def _loss(
 
 def _prior(unknowns: Unknowns, values: np.ndarray) -> float:
     return float((unknowns.precision * (values - unknowns.centre) ** 2).sum())
+
+
+def answers(
+    unknowns: Unknowns, residual: np.ndarray, nudged: Sequence[np.ndarray], steps: Sequence[np.ndarray]
+) -> np.ndarray:
+    """What each number does to a residual, per unit (n, W, R); nothing where all its range does not show.
+
+    A planar robot does not tell where across its plane a payload sits. What rounding makes of that would drive the
+    number to a bound.
+    """
+    columns = np.stack([(e - residual) / step.sum() for e, step in zip(nudged, steps, strict=True)])
+    shown = np.linalg.norm(columns, axis=(1, 2)) * (unknowns.high - unknowns.low)
+    columns[shown < _SHOWN] = 0.0
+    return columns
 
 
 def nudges(unknowns: Unknowns, values: np.ndarray) -> list[np.ndarray]:
