@@ -20,7 +20,7 @@ _PATIENCE = 3
 _BEHIND = 0.4, 40.0
 """A search whose gain is less than this part of the best one, less this much, is given up."""
 
-_SHOWN = 0.1
+SHOWN = 0.1
 """What a number does to a residual over all its range, in units of the noise, at least: chi^2 of a hundredth."""
 
 _STANDSTILL = 0.5
@@ -269,7 +269,7 @@ def answers(
     """
     columns = np.stack([(e - residual) / step.sum() for e, step in zip(nudged, steps, strict=True)])
     shown = np.linalg.norm(columns, axis=(1, 2)) * (unknowns.high - unknowns.low)
-    columns[shown < _SHOWN] = 0.0
+    columns[shown < SHOWN] = 0.0
     return columns
 
 

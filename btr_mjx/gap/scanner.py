@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from btr_mjx.gap.refine import Nuisance
+from btr_mjx.gap.refine import SHOWN, Nuisance
 from btr_mjx.gap.score import Evidence, fit, scan, weight
 from btr_mjx.gap.screening import Screen
 
@@ -126,7 +126,8 @@ class Scanner:
                 np.concatenate([low, -ends]),
                 np.concatenate([high, ends]),
             )
-            values = self._values(index, own.values[: len(span)])
+            size = np.sqrt(np.maximum(data.gram[:, span, span].sum(0), 0.0))
+            values = self._values(index, own.values[: len(span)], size)
             leads.append(Lead(index, alone.loss - own.loss, values))
         return sorted(leads, key=lambda lead: -lead.gain)
 
@@ -170,8 +171,14 @@ class Scanner:
             low[0], high[0] = 0.0, 1.5
         return low, high
 
-    def _values(self, index: int, coefficients: np.ndarray) -> np.ndarray:
-        """Coefficients in steps as numbers: that of a shape stands for its product with the first number."""
+    def _values(self, index: int, coefficients: np.ndarray, size: np.ndarray) -> np.ndarray:
+        """Coefficients in steps as numbers: that of a shape stands for its product with the first number.
+
+        Args:
+          index: of the entry.
+          coefficients: (n,).
+          size: (n,) of what a step does; numbers whose whole range does not show stay where they are.
+        """
         entry = self.screened.entries[index]
         values = entry.candidate.null
         for i, parameter in enumerate(entry.candidate.parameters):
@@ -181,5 +188,8 @@ class Scanner:
                 share = coefficients[i] / amplitude
             elif entry.probe and i == 0:
                 share = 1.0
+            whole = size[i] * (parameter.high - parameter.low) / abs(entry.steps[i])
+            if i and whole * max(1.0, abs(coefficients[0])) < SHOWN:
+                continue
             values[i] = np.clip(values[i] + share * entry.steps[i], parameter.low, parameter.high)
         return values
