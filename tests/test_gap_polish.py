@@ -241,12 +241,28 @@ def bench_of(delicate: str, **more) -> SimpleNamespace:
     ],
 )
 def test_who_is_worth_another_look_beside_an_effect(given, score, alone, tried) -> None:
-    polish = Polisher(bench_of("mn", walks=Walked(alone)))
+    polish = Polisher(bench_of("mn", walks=Walked(alone), hopes_beside={}))
     judged = [stand_in(name, value) for name, value in score.items()]
     found = [own.name for own, _ in polish._promising(judged, 1, stand_in(given, 500.0))]
     assert " ".join(found) == tried
     polish._done |= set(found)
     assert polish._promising(judged, 1, stand_in(given, 500.0)) == []
+
+
+@pytest.mark.parametrize(
+    ("hopes", "tried"),
+    [
+        ({"c": 1.0, "b": 4.9}, "ab"),  # worse than nothing from starting states that suit the first effect alone
+        ({"c": 1.0, "b": 1.4}, ""),  # not worth much in the linear picture either
+        ({"c": 5.0, "b": 4.9}, "ac"),
+        ({"m": 5.0, "b": 4.9}, ""),  # of what moves contacts the linear picture says little
+    ],
+)
+def test_what_leads_the_scan_beside_an_effect_is_looked_at_with_starting_states_of_its_own(hopes, tried) -> None:
+    polish = Polisher(bench_of("mn", walks=Walked({}), hopes_beside=hopes))
+    judged = [stand_in(name, score) for name, score in (("am", 480.0), ("ab", 471.0), ("ac", 420.0))]
+    found = [own.name for own, _ in polish._promising(judged, 1, stand_in("a", 500.0))]
+    assert " ".join(found) == tried
 
 
 @pytest.mark.parametrize(("place", "walked", "tried"), [(WORLD, 46.0, "m"), (None, 46.0, ""), (None, 70.0, "m")])

@@ -118,16 +118,19 @@ class Polisher:
         rival = max(judged[0].gain - known, _CLOSE)
         hopes = {j.name: max(j.gain - known, self._alone(j, given)) for j in judged if self._anew(j.hypothesis)}
         plain = [j for j in close if j.name not in hopes]
-        if given is None:
-            # What leads in the linear picture and not in true simulation may lack starting states of its own.
-            first = max(bench.hopes, key=lambda name: bench.hopes[name], default="")
-            sure = bench.hopes.get(first, 0.0) > _LEADING
-            if best > _STRONG:
-                sure &= next((j.score for j in judged if j.name == first), 0.0) > _HOPE * best
-            plain += [j for j in judged if j.name == first and sure and j.name not in hopes and j not in close]
+        # What leads in the linear picture and not in true simulation may lack starting states of its own.
+        scan = bench.hopes if given is None else bench.hopes_beside
+        first = max(scan, key=lambda name: scan[name], default="")
+        leading = [j for j in judged if j.hypothesis.effects[-1][0].name == first and j.name not in hopes]
+        sure = scan.get(first, 0.0) > _LEADING
+        if given is None and best > _STRONG:
+            sure &= next((j.score for j in judged if j.name == first), 0.0) > _HOPE * best
+        leading = leading if sure else []
+        plain += [j for j in leading if j not in close]
         moving = [j for j in judged if j.name in hopes and (j in close or hopes[j.name] > _HOPE * rival)]
         if given is not None:
-            plain = [j for j in plain if j.score - already >= _WORTH and j.name not in self._done]
+            plain = [j for j in plain if j.score - already >= _WORTH or j in leading]
+            plain = [j for j in plain if j.name not in self._done]
             moving = [j for j in moving if max(j.score - already, self._alone(j, given)) >= _BESIDE]
             moving = [j for j in moving if j.name not in self._done]
         moving.sort(key=lambda j: -hopes[j.name])

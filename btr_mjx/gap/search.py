@@ -73,6 +73,7 @@ class Bench:
       cut: chi^2 above which a window counts less.
       dispersion: chi^2 per degree of freedom of the best hypothesis, at least 1.
       hopes: gain of candidates in the first scan, less their price, in prices of a number, by name.
+      hopes_beside: the same of the last scan for one more effect.
     """
 
     fit: Side
@@ -121,6 +122,7 @@ class Bench:
         self.dispersion, self.cut = 1.0, _CUT * self.fit.windows.freedom
         self.settle(None)
         self.hopes: dict[str, float] = {}
+        self.hopes_beside: dict[str, float] = {}
         self.walks = Walks(self.fit, self.base, self.free, self.fall, lambda: self.cut)
 
     def _prepared(self, effects: Sequence[Effect], tracks: Sequence[Track], note: Callable[[str], None]) -> list[Entry]:
@@ -223,10 +225,12 @@ class Bench:
         if given is None and leads:
             self.settle(self.scanner.best_left(leads[:5], residual, self.nuisance(self.fit), self.cut))
         price = np.log(self.fit.windows.residual.size) * self.dispersion
+        rows = ((self._entry(lead), lead.gain / price - len(lead.values)) for lead in leads)
+        hopes = {entry.candidate.name: hope for entry, hope in sorted(rows, key=lambda row: row[1])}
         if given is None:
-            hopes = ((self._entry(lead), lead.gain / price - len(lead.values)) for lead in leads)
-            self.hopes = {entry.candidate.name: hope for entry, hope in sorted(hopes, key=lambda row: row[1])}
+            self.hopes = hopes
         else:
+            self.hopes_beside = hopes
             # Most robots lack one thing: what is not worth its price in the linear picture is not simulated as well.
             leads = [lead for lead in leads if lead.gain > price * len(lead.values)]
         entries = self.scanner.screened.entries

@@ -140,6 +140,9 @@ def _run(
         base.opt.timestep = timestep
     # An invalid state must stay visible; MuJoCo's automatic reset would turn it into a new start.
     base.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    if base.ntree == 1:
+        # One tree is one island: to look for others takes a twentieth of a step.
+        base.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
     dt = float(base.opt.timestep)
     pieces = [(jobs[i][0], jobs[i][1].take(slice(a, b))) for i, a, b in block]
     ends = np.cumsum([len(stretch) for _, stretch in pieces])
