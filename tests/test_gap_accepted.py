@@ -34,12 +34,18 @@ from btr_mjx.gap.scales import Scales
         ("ab", 16.0, 10.0, False),  # enough for a first effect
         ("am", 100.0, 20.0, False),
         ("am", 110.0, 40.0, True),
-        ("mb", 60.0, 20.0, False),  # less than 2 % of a first effect that moves contacts
-        ("mb", 80.0, 20.0, True),
+        ("mb", 45.0, 20.0, False),  # less than 2 % of a first effect that moves contacts
+        ("mb", 60.0, 20.0, True),  # but this is enough of what moves none
     ],
 )
 def test_what_may_be_called_by_name(names, gain, held_out, expected):
     assert is_accepted(names, gain, held_out) is expected
+
+
+@pytest.mark.parametrize(("names", "expected"), [("ab", True), ("mb", True), ("am", False), ("mn", False)])
+def test_beside_a_very_strong_effect_so_much_is_enough_of_what_moves_no_contacts(names, expected):
+    assert is_accepted(names, 200.0, 80.0, strength=10.0) is expected
+    assert is_accepted(names, 50.0, 18.0, strength=10.0) is False
 
 
 @pytest.mark.parametrize(
@@ -145,11 +151,21 @@ def test_where_held_out_recordings_can_say_little_they_need_not(names, falls, he
 
 
 def is_accepted(
-    names, gain, held_out, least=0.0, fresh=0.0, size=1.0, place=None, explained=False, hopes=np.inf, falls=()
+    names,
+    gain,
+    held_out,
+    least=0.0,
+    fresh=0.0,
+    size=1.0,
+    place=None,
+    explained=False,
+    hopes=np.inf,
+    falls=(),
+    strength=1.0,
 ):
-    """Beside an effect of 4000; a number costs 10, is 1 and has a tolerance of 0.1; `size` is it on more windows.
+    """Beside an effect of 4000 times `strength`; a number costs 10, is 1 and has a tolerance of 0.1.
 
-    Chi^2 falls by `falls` in a window of each recording to fit.
+    On more windows it is `size`. Chi^2 falls by `falls` in a window of each recording to fit.
     """
     first = [SimpleNamespace(null=0.0, tolerance=0.1, least=least, shape=False)]
     place = place or SimpleNamespace(members=())
@@ -160,7 +176,8 @@ def is_accepted(
         )
         for name in names
     ]
-    given = SimpleNamespace(score=4000.0, gain=2500.0, held_out=1510.0) if len(names) > 1 else None
+    given = SimpleNamespace(score=4000.0 * strength, gain=2500.0 * strength, held_out=1510.0 * strength)
+    given = given if len(names) > 1 else None
     before = (given.score, given.gain, given.held_out) if given else (0.0, 0.0, 0.0)
     judged = SimpleNamespace(
         score=before[0] + gain + held_out + fresh - 10.0,
@@ -177,7 +194,9 @@ def is_accepted(
     windows = MagicMock(recording=np.arange(20), freedom=300.0)
     windows.__len__.return_value = 20
     side, data = SimpleNamespace(windows=windows), SimpleNamespace(tolerances={}, model=None)
-    bench = SimpleNamespace(delicate={"m"}, dispersion=1.0, fit=side, test=side, dataset=data, candidates=(), cut=1e6)
+    bench = SimpleNamespace(
+        delicate={"m", "n"}, dispersion=1.0, fit=side, test=side, dataset=data, candidates=(), cut=1e6
+    )
     with patch("btr_mjx.gap.rounds.foreseen", return_value=hopes):
         return accepted(bench, judged, given)
 
