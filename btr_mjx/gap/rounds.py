@@ -7,6 +7,7 @@ leaves.
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from btr_mjx.gap.alone import alone
 from btr_mjx.gap.calibrated import besides, beyond_calibration, limb_of
 from btr_mjx.gap.closer import closer
 from btr_mjx.gap.finer import finer
@@ -142,10 +143,18 @@ def search(bench: Bench, most: int, note: Callable[[str], None]) -> tuple[list[l
         note("calibration")
         rounds[0] = _calibrated(bench, rounds[0])
     named: list[Judged] = []
+    again = False
     while rounds[-1] and accepted(bench, rounds[-1][0], named[-1] if named else None):
         named.append(rounds[-1][0])
         if len(named) == 2:
             rounds, named = _swapped(bench, polish, rounds, named, note)
+            first = _enough(bench, *named)
+            if first is not None:
+                rounds, named = [[first, *rounds[0][1:]], rounds[1]], [first]
+                if again or bench.exhausted():
+                    break
+                again = True
+                rounds.pop()
         if len(named) >= most or named[-1].score < (_HARDLY[bench.exhausted()] if bench.costly() else SECOND_THRESHOLD):
             break
         note("one more effect")
@@ -221,6 +230,18 @@ def _swapped(
     if not second or not accepted(bench, second[0], rival) or second[0].score <= both.score:
         return rounds, named
     return [[rival, *(j for j in rounds[0] if j is not rival)], second], [rival, second[0]]
+
+
+def _enough(bench: Bench, first: Judged, both: Judged) -> Judged | None:
+    """The first of two effects alone, where with a better number it leaves the second nothing to say; None otherwise.
+
+    Args:
+      bench: of the search.
+      first: as it was named.
+      both: named as well.
+    """
+    better, beside = alone(bench, both)
+    return better if better.score > first.score and not accepted(bench, beside, better) else None
 
 
 def acceptable(
