@@ -156,6 +156,8 @@ class Stage:
         self.limb, self.besides, self.underfoot = "", dict[str, float](), dict[str, float]()
         monkeypatch.setattr(rounds, "limb_of", lambda bench, judged: list(self.limb) * (judged.name in self.limb))
         monkeypatch.setattr(rounds, "besides", self.calibrated)
+        self.better = dict[str, float]()
+        monkeypatch.setattr(rounds, "alone", self.alone)
 
     def closer(self, bench, judged):
         self.asked += ["closer"] if self.near else []
@@ -215,6 +217,9 @@ class Stage:
     def beside(self, given, hypothesis):
         return self.judged(hypothesis)
 
+    def alone(self, bench, both):
+        return self.judged(both.name[:-1], self.scores | self.better), both
+
     def ground(self, judged):
         self.asked.append("ground")
         again = [self.judged(j.name, self.scores | self.underfoot) for j in judged]
@@ -244,6 +249,36 @@ def test_the_first_effect_gives_way_to_a_rival_with_which_both_explain_more(monk
 def test_rivals_that_explain_no_more_change_nothing(monkeypatch, changed):
     scores = {"a": 500.0, "b": 450.0, "c": 100.0, "ac": 560.0, "bc": 700.0} | changed
     assert Stage(monkeypatch, scores).named() == ["a", "ac"]
+
+
+@pytest.mark.parametrize(
+    ("better", "named", "sought"),
+    [
+        ({"a": 690.0}, ["a"], 2),  # with a better number the first explains what both did, and one more is sought once
+        ({"a": 690.0, "ab": 720.0}, ["a", "ab"], 2),
+        ({"a": 640.0}, ["a", "ac"], 1),
+        ({}, ["a", "ac"], 1),
+    ],
+)
+def test_a_second_effect_that_says_what_a_better_number_says_is_not_named(monkeypatch, better, named, sought):
+    scores = {"a": 500.0, "b": 100.0, "ac": 700.0, "ab": 400.0}
+    stage, rounds_of = Stage(monkeypatch, scores), []
+    stage.better = {name: score for name, score in better.items() if len(name) == 1}
+
+    def find(given=None):
+        if given is not None:
+            rounds_of.append(given.score)
+            stage.scores = scores | better if given.score > 500.0 else scores
+        return Stage.find(stage, given)
+
+    stage.find = find
+    found, best = rounds.search(stage, 2, lambda word: None)
+    assert [j.name for j in best] == named
+    assert len(rounds_of) == sought
+    assert len(found) == 2
+    assert found[0][0].score == (690.0 if sought == 2 else 500.0)
+    stage.worn = True
+    assert len(rounds.search(stage, 2, lambda word: None)[0]) == 2
 
 
 def test_one_rival_only_is_tried_again_where_much_has_been_spent(monkeypatch):
