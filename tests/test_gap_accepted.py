@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from gap_arm import arm
 
-from btr_mjx.gap import rounds
+from btr_mjx.gap import naming
 from btr_mjx.gap.effect import Candidate
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.held_out import likely, unmoved, vouched
+from btr_mjx.gap.naming import accepted
 from btr_mjx.gap.places import WORLD
-from btr_mjx.gap.rounds import accepted
 from btr_mjx.gap.scales import Scales
 
 
@@ -107,7 +107,7 @@ def test_a_slope_along_either_axis_is_larger_than_calibration_leaves(values, wit
     hypothesis = SimpleNamespace(effects=((candidate, values),))
     judged = SimpleNamespace(widest=SimpleNamespace(hypothesis=hypothesis))
     bench = SimpleNamespace(dataset=SimpleNamespace(tolerances={}))
-    assert rounds.within_calibration(bench, judged) is within
+    assert naming.within_calibration(bench, judged) is within
 
 
 @pytest.mark.parametrize(("size", "expected"), [(0.3, False), (0.5, True)])
@@ -126,7 +126,7 @@ def test_the_ground_needs_less_than_the_contacts_of_a_limb(place, expected):
 
 @pytest.mark.parametrize(("limb", "expected"), [("", False), ("m", False), ("mn", True)])
 def test_where_calibration_can_be_asked_a_limb_needs_less(monkeypatch, limb, expected):
-    monkeypatch.setattr("btr_mjx.gap.rounds.limb_of", lambda bench, judged: list(limb))
+    monkeypatch.setattr("btr_mjx.gap.naming.limb_of", lambda bench, judged: list(limb))
     assert is_accepted("m", 40.0, 20.0) is expected
     assert is_accepted("m", 50.0, 10.0) is expected  # less than contacts need held out
     assert is_accepted("m", 30.0, 15.0) is False
@@ -197,7 +197,7 @@ def is_accepted(
     bench = SimpleNamespace(
         delicate={"m", "n"}, dispersion=1.0, fit=side, test=side, dataset=data, candidates=(), cut=1e6
     )
-    with patch("btr_mjx.gap.rounds.foreseen", return_value=hopes):
+    with patch("btr_mjx.gap.naming.foreseen", return_value=hopes):
         return accepted(bench, judged, given)
 
 

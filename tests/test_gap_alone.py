@@ -6,7 +6,7 @@ from gap_arm import dataset
 
 from btr_mjx.gap.alone import alone
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.rounds import SECOND_THRESHOLD, accepted
+from btr_mjx.gap.naming import SECOND_THRESHOLD, accepted
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Judged, Options
 

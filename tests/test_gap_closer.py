@@ -12,9 +12,9 @@ from btr_mjx.gap.closer import closer, shared
 from btr_mjx.gap.effect import candidates
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.hypotheses import Hypothesis
+from btr_mjx.gap.naming import THRESHOLD
 from btr_mjx.gap.polish import Polisher
 from btr_mjx.gap.refine import Nuisance
-from btr_mjx.gap.rounds import THRESHOLD
 from btr_mjx.gap.scales import Scales
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Judged, Options, Side

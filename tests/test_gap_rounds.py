@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from btr_mjx.gap import rounds
+from btr_mjx.gap import naming, rounds
+from btr_mjx.gap.naming import acceptable
 from btr_mjx.gap.outcome import equivalent
-from btr_mjx.gap.rounds import acceptable
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ def test_of_what_is_alike_the_best_that_may_be_named_comes_first(monkeypatch, re
     """Beyond the margin, where data tell candidates apart, nothing steps in for a leader that may not be named."""
     judged = [as_judged("a", 500.0), as_judged("b", 480.0), as_judged("c", 460.0)]
 
-    monkeypatch.setattr("btr_mjx.gap.rounds.accepted", all_but(rejected))
-    monkeypatch.setattr("btr_mjx.gap.rounds.within_calibration", lambda bench, j: False)
+    monkeypatch.setattr("btr_mjx.gap.naming.accepted", all_but(rejected))
+    monkeypatch.setattr("btr_mjx.gap.naming.within_calibration", lambda bench, j: False)
     out = acceptable(SimpleNamespace(delicate=frozenset()), judged, None)
     assert "".join(j.hypothesis.effects[-1][0].name for j in out) == order
     assert acceptable(SimpleNamespace(delicate=frozenset()), [], None) == []
@@ -68,7 +68,7 @@ def all_but(rejected):
 )
 def test_beside_another_effect_contacts_without_a_name_stand_in_nobodys_way(monkeypatch, delicate, rejected, order):
     judged = [as_judged("a", 500.0), as_judged("b", 380.0), as_judged("c", 260.0), as_judged("d", 140.0)]
-    monkeypatch.setattr("btr_mjx.gap.rounds.accepted", all_but(rejected))
+    monkeypatch.setattr("btr_mjx.gap.naming.accepted", all_but(rejected))
     out = acceptable(SimpleNamespace(delicate=frozenset(delicate)), judged, as_judged("given", 100.0))
     assert "".join(j.hypothesis.effects[-1][0].name for j in out) == order
 
@@ -85,9 +85,9 @@ def test_beside_another_effect_contacts_without_a_name_stand_in_nobodys_way(monk
 )
 def test_a_name_gives_way_to_what_calibration_leaves(monkeypatch, best, scores, usual, first):
     judged = [as_judged(best, scores[0]), as_judged("b", scores[1])]
-    monkeypatch.setattr("btr_mjx.gap.rounds.accepted", all_but(usual))
+    monkeypatch.setattr("btr_mjx.gap.naming.accepted", all_but(usual))
     monkeypatch.setattr(
-        "btr_mjx.gap.rounds.within_calibration", lambda bench, j: j.hypothesis.effects[-1][0].name in usual
+        "btr_mjx.gap.naming.within_calibration", lambda bench, j: j.hypothesis.effects[-1][0].name in usual
     )
     out = acceptable(SimpleNamespace(delicate=frozenset("m")), judged, None)
     assert out[0].hypothesis.effects[-1][0].name == first
@@ -111,8 +111,8 @@ def test_contacts_without_a_name_give_way_to_what_held_out_recordings_say_more_o
 ):
     scores = 180.0, 120.0, 85.0, 52.0
     judged = [as_judged(*row) for row in zip("mnbc", scores, held_out, strict=True)]
-    monkeypatch.setattr("btr_mjx.gap.rounds.accepted", all_but(rejected))
-    monkeypatch.setattr("btr_mjx.gap.rounds.within_calibration", lambda bench, j: False)
+    monkeypatch.setattr("btr_mjx.gap.naming.accepted", all_but(rejected))
+    monkeypatch.setattr("btr_mjx.gap.naming.within_calibration", lambda bench, j: False)
     out = acceptable(SimpleNamespace(delicate=frozenset("mn")), judged, None)
     assert "".join(j.hypothesis.effects[-1][0].name for j in out) == order
 
@@ -142,9 +142,10 @@ class Stage:
     def __init__(self, monkeypatch, scores, polished=None):
         self.scores, self.polished, self.asked = scores, polished or {}, []
         monkeypatch.setattr(rounds, "Polisher", lambda bench: self)
-        monkeypatch.setattr(rounds, "accepted", self.accepted)
         self.beyond, self.ran, self.usual = dict[str, float](), dict[str, float](), set[str]()
-        monkeypatch.setattr(rounds, "within_calibration", lambda bench, judged: judged.name in self.usual)
+        for module in (rounds, naming):
+            monkeypatch.setattr(module, "accepted", self.accepted)
+            monkeypatch.setattr(module, "within_calibration", lambda bench, judged: judged.name in self.usual)
         self.near = dict[str, float]()
         monkeypatch.setattr(rounds, "closer", self.closer)
         self.sized = dict[str, float]()
@@ -389,7 +390,10 @@ def test_what_hardly_differs_from_a_name_may_take_its_place(monkeypatch):
     stage.apart = {"b": 71.0}
     assert stage.named() == ["b"]
     allowed = stage.accepted
-    monkeypatch.setattr(rounds, "accepted", lambda b, j, *rest, **more: j.name != "b" and allowed(b, j, *rest, **more))
+    for module in (rounds, naming):
+        monkeypatch.setattr(
+            module, "accepted", lambda b, j, *rest, **more: j.name != "b" and allowed(b, j, *rest, **more)
+        )
     assert stage.named() == ["a"]  # what may not be named does not
     stage = Stage(monkeypatch, {"a": 10.0, "b": 9.0})  # there is no name
     stage.apart = {"b": 71.0}

@@ -19,6 +19,7 @@ from btr_mjx.gap.confounds import confounds
 from btr_mjx.gap.diagnosis import Diagnosis
 from btr_mjx.gap.effect import Effect
 from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.naming import COARSE, THRESHOLD, within_calibration
 from btr_mjx.gap.openloop import followed, following
 from btr_mjx.gap.outcome import (
     calibration_of,
@@ -32,7 +33,7 @@ from btr_mjx.gap.outcome import (
 )
 from btr_mjx.gap.pacing import pace_notes
 from btr_mjx.gap.recordings import Dataset
-from btr_mjx.gap.rounds import COARSE, THRESHOLD, search, within_calibration
+from btr_mjx.gap.rounds import search
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Judged, Options
 from btr_mjx.gap.twins import twin
