@@ -43,7 +43,7 @@ SECOND_SHARE = 0.02
 
 SECOND_ENOUGH = 60.0
 """What is enough of these two for what moves no contacts: beside thirty first effects that were all there was, with
-scores of 2,000 to 67,000, the best of it came to -7."""
+scores of 1,600 to 67,000, the best of it came to -7."""
 
 HELD_OUT = 3.0
 """Gain that a name needs on held-out recordings, and on those that were fitted."""
