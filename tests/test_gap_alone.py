@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from gap_arm import dataset
+from gap_judged import falls
 
 from btr_mjx.gap.alone import alone
 from btr_mjx.gap.effects import EFFECTS
@@ -58,14 +59,7 @@ def test_what_is_there_remains_so_beside_the_best_number_of_the_first() -> None:
     better, beside = alone(bench, both)
     assert better.score > first.score
     assert accepted(bench, beside, better)
-    falls = []
-    for i, free in enumerate((bench.free, bench.nuisance)):
-        windows = both.sides[i].windows
-        fits = [
-            free(both.sides[i], h).profile(windows.residuals([h])[0], bench.cut)
-            for h in (better.hypothesis, both.hypothesis)
-        ]
-        falls.append(bench.fall(*fits, even=True))
-    assert beside.gain - better.gain == pytest.approx(falls[0], rel=1e-6)
-    assert beside.held_out - better.held_out == pytest.approx(falls[1], rel=1e-6)
+    fit, test = falls(bench, both.sides, better.hypothesis, both.hypothesis)
+    assert beside.gain - better.gain == pytest.approx(fit, rel=1e-6)
+    assert beside.held_out - better.held_out == pytest.approx(test, rel=1e-6)
     assert beside.score - better.score > SECOND_THRESHOLD

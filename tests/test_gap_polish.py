@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from gap_arm import arm_windows, dataset
+from gap_judged import falls
 
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.exchange import beside_the_best
@@ -142,19 +143,12 @@ def test_one_more_effect_is_compared_with_what_was_found(bench: Bench) -> None:
     second = bench.find(first)[0]
     names = {candidate.name for candidate, _ in second.hypothesis.effects}
     assert names == {"viscous_damping@joint:elbow", "armature@joint:shoulder"}
-    falls = []
-    for i, free in enumerate((bench.free, bench.nuisance)):
-        windows = first.sides[i].windows
-        fits = [
-            free(first.sides[i], h).profile(windows.residuals([h])[0], bench.cut)
-            for h in (first.hypothesis, second.hypothesis)
-        ]
-        falls.append(bench.fall(*fits, even=True))
-    assert second.gain == pytest.approx(first.gain + falls[0], rel=1e-6)
-    assert second.held_out == pytest.approx(first.held_out + falls[1], rel=1e-6)
+    fit, test = falls(bench, first.sides, first.hypothesis, second.hypothesis)
+    assert second.gain == pytest.approx(first.gain + fit, rel=1e-6)
+    assert second.held_out == pytest.approx(first.held_out + test, rel=1e-6)
     price = (first.gain + first.held_out - first.score) / first.hypothesis.numbers
     assert second.score == pytest.approx(second.gain + second.held_out - 2 * price)
-    assert min(falls) > 10
+    assert min(fit, test) > 10
 
 
 def test_a_size_that_is_off_is_mended_on_all_windows() -> None:

@@ -7,11 +7,9 @@ second limit at one of them.
 
 from dataclasses import replace
 
+from btr_mjx.gap.refine import AGAIN
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Judged
-
-_ITERATIONS = 2, 1
-"""Steps of a refinement; of what moves contacts, where derivatives lead nowhere."""
 
 
 def alone(bench: Bench, both: Judged) -> tuple[Judged, Judged]:
@@ -27,7 +25,7 @@ def alone(bench: Bench, both: Judged) -> tuple[Judged, Judged]:
     """
     fewer = replace(both.hypothesis, effects=both.hypothesis.effects[:-1])
     fit, test = (side.based(fewer) for side in both.sides)
-    count = _ITERATIONS[fewer.effects[-1][0].name in bench.delicate]
+    count = AGAIN[fewer.effects[-1][0].name in bench.delicate]
     found = bench.refined(fit, [(fewer, [fewer.values(bench.joint)])], [count], both.references[0])
     fewer = fewer.replaced(found[0].values, bench.joint)
     first = bench.judge([fewer], found, (fit, test), both.references)[0]

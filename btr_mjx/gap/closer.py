@@ -16,7 +16,7 @@ from btr_mjx.gap.abreast import abreast
 from btr_mjx.gap.exchange import beside_the_best
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.outcome import MARGIN
-from btr_mjx.gap.refine import refine
+from btr_mjx.gap.refine import AGAIN, refine
 from btr_mjx.gap.runoff import apart, telling
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Judged, Side, among, nearest
@@ -40,9 +40,6 @@ held-out recordings, and 100 from starting states that were found for the believ
 
 _MOST = 3
 """Candidates that are looked at, at most."""
-
-_ITERATIONS = 2, 1
-"""Steps of a refinement; of what moves contacts, where derivatives lead nowhere."""
 
 
 def closer(bench: Bench, judged: Sequence[Judged]) -> list[Judged]:
@@ -90,7 +87,7 @@ def _again(bench: Bench, chosen: Sequence[Judged]) -> list[Judged]:
     found = []
     for h, side in zip(hypotheses, fit[1:], strict=True):
         free, start = unknowns(h, bench.joint, bench.delicate), [h.values(bench.joint)]
-        most = _ITERATIONS[h.effects[-1][0].name in bench.delicate]
+        most = AGAIN[h.effects[-1][0].name in bench.delicate]
         found += refine(side.windows, bench.free(side, h), bench.cut, [(free, start)], most, reference)
     hypotheses = [h.replaced(f.values, bench.joint) for h, f in zip(hypotheses, found, strict=True)]
     test = shared([base, *hypotheses], [bench.test, *(j.sides[1] for j in chosen)])

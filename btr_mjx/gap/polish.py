@@ -15,7 +15,7 @@ from btr_mjx.gap.abreast import abreast
 from btr_mjx.gap.exchange import beside_the_best, exchanged
 from btr_mjx.gap.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.places import WORLD
-from btr_mjx.gap.refine import Refined, refine
+from btr_mjx.gap.refine import AGAIN, Refined, refine
 from btr_mjx.gap.score import Fit
 from btr_mjx.gap.search import Bench
 from btr_mjx.gap.search_records import Judged, Side, among, nearest
@@ -121,11 +121,11 @@ class Polisher:
         # What leads in the linear picture and not in true simulation may lack starting states of its own.
         scan = bench.hopes if given is None else bench.hopes_beside
         first = max(scan, key=lambda name: scan[name], default="")
-        leading = [j for j in judged if j.hypothesis.effects[-1][0].name == first and j.name not in hopes]
         sure = scan.get(first, 0.0) > _LEADING
         if given is None and best > _STRONG:
             sure &= next((j.score for j in judged if j.name == first), 0.0) > _HOPE * best
-        leading = leading if sure else []
+        leads = [j for j in judged if sure and j.hypothesis.effects[-1][0].name == first]
+        leading = [j for j in leads if j.name not in hopes]
         plain += [j for j in leading if j not in close]
         moving = [j for j in judged if j.name in hopes and (j in close or hopes[j.name] > _HOPE * rival)]
         if given is not None:
@@ -264,7 +264,7 @@ class Polisher:
         bench = self.bench
         free = unknowns(hypothesis, bench.joint, bench.delicate)
         start = [hypothesis.values(bench.joint)]
-        most = 1 if self._anew(hypothesis) else 2
+        most = AGAIN[self._anew(hypothesis)]
         found = refine(side.windows, bench.free(side, hypothesis), bench.cut, [(free, start)], most, reference)[0]
         return hypothesis.replaced(found.values, bench.joint), side, found
 

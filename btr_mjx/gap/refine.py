@@ -20,6 +20,9 @@ _PATIENCE = 3
 _BEHIND = 0.4, 40.0
 """A search whose gain is less than this part of the best one, less this much, is given up."""
 
+AGAIN = 2, 1
+"""Steps from numbers that were refined before; of what moves contacts, where derivatives lead nowhere."""
+
 SHOWN = 0.1
 """What a number does to a residual over all its range, in units of the noise, at least: chi^2 of a hundredth."""
 
