@@ -3,6 +3,7 @@
 Batches are small, two dozen windows in the mean, and what Python does between two steps costs a tenth of a search.
 """
 
+import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 
@@ -10,6 +11,9 @@ from btr_mjx.gap.stretches import BLOCK, Controls, Sampler
 
 _NUMBERS = 2**22
 """Numbers of all rows and steps that are recorded at once, roughly."""
+
+_MOTION = int(mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL)
+"""What is recorded, both in one array: to join them afterwards costs as much as a few steps."""
 
 
 def freewheel(batch: Batch, sampler: Sampler, controls: Controls) -> np.ndarray:
@@ -34,21 +38,23 @@ def freewheel(batch: Batch, sampler: Sampler, controls: Controls) -> np.ndarray:
             if not len(own):
                 break
             length = int(min(most, end - first))
-            state, warned = batch.state[own].copy(), batch.warning[own].copy()
+            state, warned = batch.state[own], batch.warning[own]
             before = np.concatenate([qpos[own], qvel[own]], 1)
-            out = {"qpos": np.empty((len(own), length, qpos.shape[1]))}
-            out["qvel"] = np.empty((len(own), length, qvel.shape[1]))
+            states = np.empty((len(own), length, before.shape[1]))
             given = controls.block(first, length)
+            if given is not None and len(own) < len(given):
+                given = given[own]
             stopped = np.zeros(len(own), bool)
             try:
-                batch.rollout(length, None if given is None else given[own], record=tuple(out), ids=own, out=out)
+                batch.rollout(length, given, record=(_MOTION,), ids=own, out={_MOTION: states})
             except SimulationError as error:
                 stopped |= np.isin(own, error.ids)
             stopped |= (batch.warning[own] != warned).reshape(len(own), -1).any(1)
-            batch.state[own[stopped]] = state[stopped]
-            held[own[stopped]] = True
-            states = np.concatenate([before[:, None], np.concatenate([out["qpos"], out["qvel"]], 2)], 1)
-            sampler.take(first, own[~stopped], states[~stopped])
+            if stopped.any():
+                batch.state[own[stopped]] = state[stopped]
+                held[own[stopped]] = True
+                own, before, states = own[~stopped], before[~stopped], states[~stopped]
+            sampler.take(first, own, before, states)
             first += length
-            done[own[~stopped]] = first
+            done[own] = first
     return done

@@ -10,11 +10,14 @@ def picked(own: np.ndarray, others: Sequence[np.ndarray], chosen: np.ndarray) ->
 
     Where all are of one array it is that, not a copy of it: some are large.
     """
-    used = {int(i): (own, *others)[i] for i in np.unique(chosen)}
-    first = next(iter(used.values()))
-    if all(array is first for array in used.values()):
-        return first
-    out = own.copy()
-    for i, array in used.items():
-        out[chosen == i] = array[chosen == i]
+    arrays = (own, *others)
+    shares = np.bincount(chosen, minlength=len(arrays))
+    most = arrays[int(np.argmax(shares))]
+    rest = [i for i in np.flatnonzero(shares) if arrays[i] is not most]
+    if not rest:
+        return most
+    out = most.copy()
+    for i in rest:
+        rows = np.flatnonzero(chosen == i)
+        out[rows] = arrays[i][rows]
     return out

@@ -103,19 +103,24 @@ class Sampler:
         """Keep the states of the samples at `stage`, or of the step that they lie inside of, of rows that took it."""
         self._keep(self._states, self._due(stage), qpos, qvel, alive)
 
-    def take(self, done: int, own: np.ndarray, states: np.ndarray) -> None:
+    def take(self, done: int, own: np.ndarray, before: np.ndarray, states: np.ndarray) -> None:
         """Pick samples from the states of many steps.
 
         Args:
           done: steps before them.
           own: (N,) rows that ran.
-          states: (N, T + 1, nq + nv) before the first of these steps and after each of them.
+          before: (N, nq + nv) their states before the first of these steps.
+          states: (N, T, nq + nv) after each of them.
         """
-        due = self._order[self._bounds[done + 1] : self._bounds[done + states.shape[1]]]
+        due = self._order[self._bounds[done + 1] : self._bounds[done + 1 + states.shape[1]]]
         due = due[np.isin(self._row[due], own)]
-        if len(due):
-            row, at = np.searchsorted(own, self._row[due]), self._stage[due] - done
-            self._states[due], self._earlier[due] = states[row, at], states[row, at - 1]
+        if not len(due):
+            return
+        row, at = np.searchsorted(own, self._row[due]), self._stage[due] - done - 1
+        self._states[due] = states[row, at]
+        inside = self._part[due] > 0
+        due, row, at = due[inside], row[inside], at[inside]
+        self._earlier[due] = np.where((at > 0)[:, None], states[row, at - 1], before[row])
 
     def _keep(self, states: np.ndarray, due: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, alive: np.ndarray) -> None:
         due = due[alive[self._row[due]]]

@@ -31,6 +31,12 @@ _ROWS_PER_THREAD = 4
 _ROWS = 8192
 """Rows of one batch: bounds the memory that many jobs take."""
 
+_FEW_GEOMS = 8
+"""Geoms of a body up to which MuJoCo's middle phase of collision detection costs more than it brings."""
+
+_ENOUGH = 20
+"""Iterations in which Newton's method converges wherever it begins."""
+
 
 @dataclass
 class Counter:
@@ -138,11 +144,7 @@ def _run(
     base = copy.copy(jobs[block[0][0]][0].settle())
     if timestep is not None:
         base.opt.timestep = timestep
-    # An invalid state must stay visible; MuJoCo's automatic reset would turn it into a new start.
-    base.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    if base.ntree == 1:
-        # One tree is one island: to look for others takes a twentieth of a step.
-        base.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
+    base.opt.disableflags |= _needless(base)
     dt = float(base.opt.timestep)
     pieces = [(jobs[i][0], jobs[i][1].take(slice(a, b))) for i, a, b in block]
     ends = np.cumsum([len(stretch) for _, stretch in pieces])
@@ -188,6 +190,24 @@ def _run(
         sampler.record(k + 1, qpos, qvel, alive & ~dead)
     sampler.write(block, out)
     return total
+
+
+def _needless(model: mujoco.MjModel) -> int:
+    """Disable flags of what windows of a model do without."""
+    bits = mujoco.mjtDisableBit
+    # An invalid state must stay visible; MuJoCo's automatic reset would turn it into a new start.
+    flags = int(bits.mjDSBL_AUTORESET)
+    if model.ntree == 1:
+        # One tree is one island: to look for others takes a twentieth of a step.
+        flags |= int(bits.mjDSBL_ISLAND)
+    if model.body_geomnum.max(initial=0) <= _FEW_GEOMS:
+        # The pairs that a tree of bounding volumes would leave out are dismissed sooner than it is walked through.
+        flags |= int(bits.mjDSBL_MIDPHASE)
+    if model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON and model.opt.iterations >= _ENOUGH:
+        # Windows are short, and the first of their steps has no step before it: Newton's method is there sooner from
+        # the acceleration without constraints. Where iterations are few, what it ends with depends on where it began.
+        flags |= int(bits.mjDSBL_WARMSTART)
+    return flags
 
 
 def _write_models(batch: Batch, base: mujoco.MjModel, pieces: Sequence[Job], rows: Sequence[slice]) -> None:
