@@ -61,3 +61,15 @@ def test_accuracy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert narrow["fine"]
     assert narrow["diverged"] == 0
     assert max(narrow["position_error_p90"]) < 1e-4
+
+
+def test_window_lanes(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = load("window_lanes", monkeypatch)
+    with jax.enable_x64(True):
+        numbers = module.measure(module.Config(rows=16, chunk=8, steps=(1, 5), warm_up=50, rounds=1))
+        with pytest.raises(ValueError, match="multiple of the chunk, 7"):
+            module.measure(module.Config(rows=16, chunk=7))
+    assert [row["steps"] for row in numbers["windows"]] == [1, 5]
+    assert all(row["apart"] < 1e-9 for row in numbers["windows"])
+    assert all(row["ratio"] > 0 for row in numbers["windows"])
+    assert numbers["compile_s"] > 0
