@@ -108,7 +108,7 @@ def in_lanes(model: mujoco.MjModel, rows: Rows, chunk: int) -> tuple[Callable[[i
     """The same in lanes on one device, models laid out before; and the seconds of what is done once."""
     started = time.perf_counter()
     stepper = LanesStepper(model, CHANGED, dtype=np.float64)
-    chunks = lambda x: x.reshape(-1, chunk, *x.shape[1:])  # noqa: E731
+    chunks = lambda x: x.reshape(len(x) // chunk, chunk, *x.shape[1:])  # noqa: E731
     packed = stepper.pack({name: chunks(values) for name, values in rows.fields.items()})
     laid_out = time.perf_counter()
     states = [np.swapaxes(chunks(x), 1, 2) for x in (rows.qpos, rows.qvel, rows.act, rows.ctrl)]
