@@ -106,8 +106,8 @@ def in_native(model: mujoco.MjModel, rows: Rows) -> Callable[[int], np.ndarray]:
 
 def in_lanes(model: mujoco.MjModel, rows: Rows, chunk: int) -> tuple[Callable[[int], np.ndarray], dict[str, float]]:
     """The same in lanes on one device, models laid out before; and the seconds of what is done once."""
-    started = time.perf_counter()
     stepper = LanesStepper(model, CHANGED, dtype=np.float64)
+    started = time.perf_counter()
     chunks = lambda x: x.reshape(len(x) // chunk, chunk, *x.shape[1:])  # noqa: E731
     packed = stepper.pack({name: chunks(values) for name, values in rows.fields.items()})
     laid_out = time.perf_counter()
