@@ -17,7 +17,7 @@ import numpy as np
 import tyro
 from scipy import stats
 
-from btr_mjx.behaviour import Evaluation, evaluate
+from btr_mjx.evaluation import Evaluation, evaluate
 from btr_mjx.models import base_model
 from btr_mjx.robots import Robot, hexapod
 

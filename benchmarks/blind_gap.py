@@ -27,18 +27,13 @@ import mujoco
 import numpy as np
 import tyro
 
-from btr_mjx.environment import describe_environment
 from btr_mjx.errors import cli_errors
-from btr_mjx.files import read_json, to_plain, write_json, write_table
+from btr_mjx.gap.data import load
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.hidden import Truth, make_case
-from btr_mjx.gap.hidden_robots import case_robot
-from btr_mjx.gap.identify import name_missing
-from btr_mjx.gap.recordings import load
-from btr_mjx.gap.saved import as_result
-from btr_mjx.gap.search import Bench
-from btr_mjx.gap.search_records import nearest
-from btr_mjx.progress import note, progress
+from btr_mjx.gap.inference import Bench, name_missing, nearest
+from btr_mjx.gap.results import as_result
+from btr_mjx.runs import describe_environment, note, progress, read_json, to_plain, write_json, write_table
+from btr_mjx.testing import Truth, case_robot, make_case
 
 MIXED = ("hexapod", "hexapod", "hexapod", "quadruped", "arm", "pendulum")
 """Robots of a mixed benchmark, by turns."""

@@ -18,20 +18,21 @@ from typing import Any
 import numpy as np
 from summary_command import command
 
-from btr_mjx.environment import describe_environment
-from btr_mjx.files import read_arrays, read_json, write_arrays, write_json
-from btr_mjx.gap.effect import Candidate, candidates
-from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.fitness_screen import COARSER, Answers, answers
-from btr_mjx.gap.fitness_search import SCREENED, identify_fitness
-from btr_mjx.gap.fitness_table import FitnessTable, load_fitness
-from btr_mjx.gap.fitness_trials import Trials
-from btr_mjx.gap.hidden import Verdict, draw_reality
-from btr_mjx.gap.hidden_draw import Missing
-from btr_mjx.gap.hidden_fitness import case_draw, make_fitness_case
-from btr_mjx.gap.saved import as_result
-from btr_mjx.gap.world import World
-from btr_mjx.progress import note, progress
+from btr_mjx.gap.effects import EFFECTS, Candidate, candidates
+from btr_mjx.gap.fitness_only import (
+    COARSER,
+    SCREENED,
+    Answers,
+    FitnessTable,
+    Trials,
+    answers,
+    identify_fitness,
+    load_fitness,
+)
+from btr_mjx.gap.results import as_result
+from btr_mjx.gap.simulate import World
+from btr_mjx.runs import describe_environment, note, progress, read_arrays, read_json, write_arrays, write_json
+from btr_mjx.testing import Missing, Verdict, case_draw, draw_reality, make_fitness_case
 
 STRONG = 3.0
 """Change of the fitness by a strong effect, in units of what calibration's leftovers change."""

@@ -7,8 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.links import link_of
-from btr_mjx.gap.places import joint_of
+from btr_mjx.gap.effects import joint_of, link_of
 
 _FREE, _SLIDE = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 DETECTABLE = 60.0

@@ -15,11 +15,11 @@ import mujoco
 import numpy as np
 import tyro
 
-from btr_mjx.behaviour import _essence, _program
-from btr_mjx.devices import use_all_cores
-from btr_mjx.environment import available_cores
+from btr_mjx.engines import use_all_cores
+from btr_mjx.evaluation.evaluation import _essence, _program
 from btr_mjx.models import compile_models, why_compiled
 from btr_mjx.robots import hexapod
+from btr_mjx.runs import available_cores
 
 
 @dataclass(frozen=True)

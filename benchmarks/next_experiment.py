@@ -18,17 +18,12 @@ from typing import Any
 import numpy as np
 from summary_command import command
 
-from btr_mjx.environment import describe_environment
-from btr_mjx.files import read_json, write_json
+from btr_mjx.gap.data import load
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.hidden import Truth, make_case
-from btr_mjx.gap.hypotheses import Hypothesis
-from btr_mjx.gap.next_experiment import MARGIN, recordings_needed
-from btr_mjx.gap.recordings import load
-from btr_mjx.gap.search import Bench
-from btr_mjx.gap.search_records import Options
-from btr_mjx.gap.trial_commands import random_commands
-from btr_mjx.progress import note, progress
+from btr_mjx.gap.experiments import MARGIN, random_commands, recordings_needed
+from btr_mjx.gap.inference import Bench, Hypothesis, Options
+from btr_mjx.runs import describe_environment, note, progress, read_json, write_json
+from btr_mjx.testing import Truth, make_case
 
 _QUICK = Options(steps=2e4, leaders=8, contact_leaders=0)
 

@@ -21,10 +21,10 @@ import jax
 import numpy as np
 import tyro
 
-from btr_mjx.behaviour import evaluate
-from btr_mjx.environment import available_cores
+from btr_mjx.evaluation import evaluate
 from btr_mjx.models import base_model, compile_models
 from btr_mjx.robots import hexapod
+from btr_mjx.runs import available_cores
 
 SIZES = (64, 256, 1024, 4096, 16_384, 100_000)
 FLAT_FROM = 1024

@@ -22,14 +22,12 @@ from jax import lax
 from mujoco import rollout
 from mujoco.batch import Batch
 
-from btr_mjx.behaviour import _essence, _program, _stepper, base_address
-from btr_mjx.devices import use_all_cores
-from btr_mjx.engines import native
-from btr_mjx.engines.mjx import MjxStepper
-from btr_mjx.engines.program import Program
-from btr_mjx.environment import available_cores
+from btr_mjx.engines import MjxStepper, Program, native, use_all_cores
+from btr_mjx.evaluation import base_address
+from btr_mjx.evaluation.evaluation import _essence, _program, _stepper
 from btr_mjx.models import Models, compile_models
 from btr_mjx.robots import Robot, hexapod
+from btr_mjx.runs import available_cores
 
 
 @dataclass(frozen=True)

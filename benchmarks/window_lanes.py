@@ -20,10 +20,8 @@ import tyro
 from jax import lax
 from mujoco.batch import Batch
 
-from btr_mjx.devices import use_all_cores
-from btr_mjx.engines.lanes import LanesStepper
-from btr_mjx.engines.lanes.parameters import base_field
-from btr_mjx.gap.worlds import _needless
+from btr_mjx.engines import LanesStepper, base_field, use_all_cores
+from btr_mjx.gap.simulate.batch import _needless
 from btr_mjx.models import compile_models
 from btr_mjx.robots import Robot, hexapod
 

@@ -12,33 +12,44 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from btr_mjx import coevolve, metrics, scan
-    from btr_mjx.behaviour import EngineSettings, Evaluation, evaluate
+    from btr_mjx import coevolve, scan
+    from btr_mjx.backtoreality import Reality, SimulatedReality
     from btr_mjx.errors import InputError
-    from btr_mjx.fitness import FitnessFunction, Outcome
-    from btr_mjx.pairs import Trajectory, model_leaves, pair_fitness, pair_trajectory
-    from btr_mjx.reality import Reality, SimulatedReality
-    from btr_mjx.robots import Robot, hexapod
-    from btr_mjx.spaces import Box
+    from btr_mjx.evaluation import (
+        EngineSettings,
+        Evaluation,
+        FitnessFunction,
+        Outcome,
+        Trajectory,
+        evaluate,
+        metrics,
+        model_leaves,
+        pair_fitness,
+        pair_trajectory,
+    )
+    from btr_mjx.robots import Box, Robot, hexapod
 
 _HOME = {
-    "Box": "spaces",
-    "EngineSettings": "behaviour",
-    "Evaluation": "behaviour",
-    "FitnessFunction": "fitness",
+    "Box": "robots",
+    "EngineSettings": "evaluation",
+    "Evaluation": "evaluation",
+    "FitnessFunction": "evaluation",
     "InputError": "errors",
-    "Outcome": "fitness",
-    "Reality": "reality",
+    "Outcome": "evaluation",
+    "Reality": "backtoreality",
     "Robot": "robots",
-    "SimulatedReality": "reality",
-    "Trajectory": "pairs",
-    "evaluate": "behaviour",
+    "SimulatedReality": "backtoreality",
+    "Trajectory": "evaluation",
+    "evaluate": "evaluation",
     "hexapod": "robots",
-    "model_leaves": "pairs",
-    "pair_fitness": "pairs",
-    "pair_trajectory": "pairs",
+    "model_leaves": "evaluation",
+    "pair_fitness": "evaluation",
+    "pair_trajectory": "evaluation",
 }
-_MODULES = ("coevolve", "metrics", "scan")
+"""Doors that public names come from."""
+
+_MODULES = {"coevolve": "coevolve", "metrics": "evaluation.metrics", "scan": "scan"}
+"""Public modules."""
 
 __all__ = [
     "Box",
@@ -65,7 +76,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """Load a public name on first use: importing the package costs nothing, and `python -m` runs each module once."""
     if name in _MODULES:
-        return importlib.import_module(f"{__name__}.{name}")
+        return importlib.import_module(f"{__name__}.{_MODULES[name]}")
     if name in _HOME:
         return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -23,19 +23,33 @@ from typing import Any, Literal
 import numpy as np
 import tyro
 
-from btr_mjx import backtoreality, plots
-from btr_mjx.behaviour import EngineSettings
-from btr_mjx.btr_state import BTRSettings, Problem, SearchSettings, State, state_from_arrays, state_to_arrays
-from btr_mjx.distances import MARKS
+from btr_mjx.backtoreality import (
+    BTRSettings,
+    Problem,
+    SearchSettings,
+    SimulatedReality,
+    State,
+    state_from_arrays,
+    state_to_arrays,
+    summarise,
+    summary_table,
+)
+from btr_mjx.backtoreality import algorithm as backtoreality
 from btr_mjx.errors import InputError, cli_errors, resume_command
-from btr_mjx.files import write_arrays, write_json
-from btr_mjx.fitness import fitness_function
+from btr_mjx.evaluation import MARKS, EngineSettings, fitness_function
 from btr_mjx.models import base_model
-from btr_mjx.progress import StopRequest, graceful_interrupt, progress
-from btr_mjx.reality import SimulatedReality
+from btr_mjx.plotting import draw as plots
 from btr_mjx.robots import Robot, robot_of
-from btr_mjx.runs import IGNORED_FIELDS, RunFolder, chosen_folder
-from btr_mjx.summary import summarise, summary_table
+from btr_mjx.runs import (
+    IGNORED_FIELDS,
+    RunFolder,
+    StopRequest,
+    chosen_folder,
+    graceful_interrupt,
+    progress,
+    write_arrays,
+    write_json,
+)
 
 
 @dataclass(frozen=True)
@@ -165,7 +179,7 @@ def parse_values(robot: Robot, settings: Sequence[str]) -> dict[str, float]:
 
 
 def build_problem(config: CoevolveConfig) -> Problem:
-    """Turn a config into the problem that `backtoreality` solves.
+    """Turn a config into the problem that `algorithm` solves.
 
     Raises:
       InputError: any setting that is out of its range; nothing has been written by then.

@@ -1,6 +1,6 @@
 """Name the effect that a simulation lacks: `python -m btr_mjx.diagnose DATASET --out RUN`.
 
-DATASET is a folder with dataset.toml (see btr_mjx/gap/recordings.py), with BAM's JSON beside a servo.toml, or of
+DATASET is a folder with dataset.toml (see btr_mjx/gap/data/dataset.py), with BAM's JSON beside a servo.toml, or of
 LeRobot's form beside a dataset.toml. `python -m btr_mjx.diagnose --demo` makes a hidden case from a seed and solves it.
 
 The run folder holds:
@@ -31,26 +31,27 @@ import mujoco
 import tyro
 
 from btr_mjx.errors import InputError, cli_errors, resume_command
-from btr_mjx.files import read_json, write_json, write_table
-from btr_mjx.gap import report, saved
-from btr_mjx.gap.effect import Effect
-from btr_mjx.gap.effects import EFFECTS, KNOWN
-from btr_mjx.gap.fitness_search import expected_steps, identify_fitness
-from btr_mjx.gap.fitness_table import FitnessTable, load_fitness
-from btr_mjx.gap.hidden import make_case
-from btr_mjx.gap.hidden_fitness import make_fitness_case
-from btr_mjx.gap.identify import identify
-from btr_mjx.gap.journal import Journal
-from btr_mjx.gap.model_paths import nearest
-from btr_mjx.gap.next_experiment import propose
+from btr_mjx.gap.data import Dataset, open_dataset
+from btr_mjx.gap.effects import EFFECTS, KNOWN, Effect
+from btr_mjx.gap.experiments import propose
+from btr_mjx.gap.fitness_only import FitnessTable, expected_steps, identify_fitness, load_fitness
+from btr_mjx.gap.inference import Options, identify
 from btr_mjx.gap.preflight import Finding, preflight, preflight_fitness, refuse_errors
-from btr_mjx.gap.recordings import Dataset
-from btr_mjx.gap.saved import as_result
-from btr_mjx.gap.search_records import Options
-from btr_mjx.gap.sources import open_dataset
-from btr_mjx.gap.wording import named, place, title
-from btr_mjx.progress import graceful_interrupt, progress
-from btr_mjx.runs import IGNORED_FIELDS, RunFolder, chosen_folder
+from btr_mjx.gap.report import page as report
+from btr_mjx.gap.results import as_result, named, place, saved, title
+from btr_mjx.gap.simulate import Journal
+from btr_mjx.models import nearest
+from btr_mjx.runs import (
+    IGNORED_FIELDS,
+    RunFolder,
+    chosen_folder,
+    graceful_interrupt,
+    progress,
+    read_json,
+    write_json,
+    write_table,
+)
+from btr_mjx.testing import make_case, make_fitness_case
 
 JOURNAL = "search"
 """Folder of what was simulated, in a run folder."""
@@ -80,7 +81,7 @@ class DiagnoseConfig:
     """Name at most so many effects."""
     signal: Literal["trajectory", "fitness"] = "trajectory"
     """trajectory: recordings of the motion. fitness: a table of controllers and measured fitness, see
-    btr_mjx/gap/fitness_table.py."""
+    btr_mjx/gap/fitness_only/table.py."""
 
     demo: bool = False
     """Make a hidden case from the seed and solve it; the last lines say what was hidden."""

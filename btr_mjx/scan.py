@@ -23,19 +23,16 @@ import numpy as np
 import tyro
 from numpy.typing import ArrayLike
 
-from btr_mjx import fitness as fitness_room
-from btr_mjx import metrics, plots
-from btr_mjx.backtoreality import evolve_controllers, select_transferable
-from btr_mjx.behaviour import Engine, EngineSettings, evaluate
-from btr_mjx.btr_state import Progress, SearchSettings
+from btr_mjx.backtoreality import Progress, SearchSettings, evolve_controllers, select_transferable
 from btr_mjx.errors import InputError, cli_errors
-from btr_mjx.files import write_arrays, write_json
-from btr_mjx.fitness import DISTANCE, FitnessFunction, fitness_function
-from btr_mjx.genetic_operators import mutate
+from btr_mjx.evaluation import DISTANCE, Engine, EngineSettings, FitnessFunction, evaluate, fitness_function, metrics
+from btr_mjx.evaluation import fitness as fitness_room
 from btr_mjx.models import base_model
-from btr_mjx.progress import progress as progress_bar
+from btr_mjx.optimise import mutate
+from btr_mjx.plotting import draw as plots
 from btr_mjx.robots import Robot, robot_of
-from btr_mjx.runs import RunFolder
+from btr_mjx.runs import RunFolder, write_arrays, write_json
+from btr_mjx.runs import progress as progress_bar
 
 
 def delta(
@@ -56,9 +53,9 @@ def delta(
       simulations: (L, n_s).
       controllers: (m, n_c).
       f_real: (m,) fitness of the controllers in reality.
-      engine: see `behaviour.evaluate`.
+      engine: see `evaluate`.
       fitness: the fitness function.
-      settings: see `behaviour.EngineSettings`.
+      settings: see `EngineSettings`.
       progress: called with the number of pairs done since the last call.
 
     Returns:

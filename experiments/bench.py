@@ -8,9 +8,7 @@ import numpy as np
 from common import Config
 from units import Step
 
-from btr_mjx.behaviour import EngineSettings, evaluate
-from btr_mjx.distances import fitness_at_marks
-from btr_mjx.fitness import DISTANCE
+from btr_mjx.evaluation import DISTANCE, EngineSettings, evaluate, fitness_at_marks
 from btr_mjx.robots import Robot, robot_of
 
 

@@ -20,13 +20,12 @@ from curves import interval
 from drawing import figure_of, letter, save
 from fig4_identification import OTHER_PHYSICS
 
-from btr_mjx.behaviour import evaluate
 from btr_mjx.coevolve import PRESETS as COEVOLVE
 from btr_mjx.coevolve import CoevolveConfig, coevolve
 from btr_mjx.errors import InputError, cli_errors
-from btr_mjx.files import read_json, write_json
+from btr_mjx.evaluation import evaluate
 from btr_mjx.robots import robot_of
-from btr_mjx.runs import is_unused
+from btr_mjx.runs import is_unused, read_json, write_json
 
 BY_FITNESS = replace(
     COEVOLVE["quick"],

@@ -18,15 +18,22 @@ import tyro
 from matplotlib.figure import Figure
 
 from btr_mjx import scan
-from btr_mjx.backtoreality import evolve_controllers, select_transferable
-from btr_mjx.behaviour import evaluate
-from btr_mjx.btr_state import Progress, SearchSettings
+from btr_mjx.backtoreality import Progress, SearchSettings, evolve_controllers, select_transferable
 from btr_mjx.errors import InputError, cli_errors, resume_command
-from btr_mjx.files import atomic_write, read_arrays, read_table, write_arrays, write_figure, write_json
-from btr_mjx.genetic_operators import mutate
-from btr_mjx.progress import graceful_interrupt, progress
+from btr_mjx.evaluation import evaluate
+from btr_mjx.optimise import mutate
 from btr_mjx.robots import Robot, hexapod
-from btr_mjx.runs import RunFolder
+from btr_mjx.runs import (
+    RunFolder,
+    atomic_write,
+    graceful_interrupt,
+    progress,
+    read_arrays,
+    read_table,
+    write_arrays,
+    write_figure,
+    write_json,
+)
 
 CANDIDATES: dict[str, dict[str, float]] = {
     "chosen": {},
@@ -44,7 +51,7 @@ CANDIDATES: dict[str, dict[str, float]] = {
     "friction 1.2": {"friction": 1.2},
     "soft contact": {"contact_time_constant": 0.05},
 }
-"""Candidates by name: what differs from the constants in `btr_mjx.robots.HEXAPOD`."""
+"""Candidates by name: what differs from the constants in `btr_mjx.robots.robot.HEXAPOD`."""
 
 SCANS = (("bl_14", 1.6, "evolved", 0.0), ("bl_5", 0.88, "mutants", 0.02), ("bl_5", 0.88, "mutants", 0.2))
 """(parameter, truth, behaviours, p_m)."""

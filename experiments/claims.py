@@ -13,7 +13,7 @@ lies. The verdict follows from the interval alone:
 "Grows with m" and "grows with p_m" are paired: differences, or trends, are formed within a seed, and the interval is
 that of their mean over seeds; their p-values are Wilcoxon's signed-rank test. They are taken over the parameter's range
 of influence, where behaviours feel it at least a quarter as much as where they feel it most: plateaus are left out.
-Intervals from few seeds are too narrow, see `btr_mjx.metrics.bootstrap_interval`.
+Intervals from few seeds are too narrow, see `btr_mjx.evaluation.metrics.bootstrap_interval`.
 """
 
 import dataclasses
@@ -38,9 +38,7 @@ from units import estimate, missing
 from verdicts import Claim
 
 from btr_mjx.errors import InputError, cli_errors
-from btr_mjx.files import atomic_write, read_json, write_json
-from btr_mjx.progress import note
-from btr_mjx.runs import is_unused
+from btr_mjx.runs import atomic_write, is_unused, note, read_json, write_json
 
 FIGURES: dict[str, Any] = {
     "fig2_scans": fig2_scans,

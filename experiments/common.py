@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 import tyro
 
-from btr_mjx.btr_state import SearchSettings
+from btr_mjx.backtoreality import SearchSettings
 from btr_mjx.errors import InputError, cli_errors
 
 TINY: dict[str, Any] = {

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from btr_mjx import metrics
-from btr_mjx.distances import multiscale_fitness
+from btr_mjx.evaluation import metrics, multiscale_fitness
 
 
 def curve_numbers(

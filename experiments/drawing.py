@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from btr_mjx.files import write_figure
-from btr_mjx.plots import style
+from btr_mjx.plotting import style
+from btr_mjx.runs import write_figure
 
 
 @contextmanager

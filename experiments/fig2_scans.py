@@ -26,8 +26,8 @@ from units import Arrays, Journal, Step, Unit, load, run_units
 
 from btr_mjx import scan
 from btr_mjx.backtoreality import evolve_controllers, select_transferable
-from btr_mjx.files import write_json
-from btr_mjx.fitness import delta
+from btr_mjx.evaluation import delta
+from btr_mjx.runs import write_json
 
 TRUTHS = {"bl_14": 1.6, "bl_5": 0.88}
 """The paper's realities [m]."""

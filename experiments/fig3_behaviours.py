@@ -29,11 +29,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from units import Arrays, Journal, Step, Unit, load, run_units
 
-from btr_mjx import metrics, scan
+from btr_mjx import scan
 from btr_mjx.errors import InputError
-from btr_mjx.files import write_json
-from btr_mjx.fitness import delta
-from btr_mjx.genetic_operators import mutate
+from btr_mjx.evaluation import delta, metrics
+from btr_mjx.optimise import mutate
+from btr_mjx.runs import write_json
 
 PARAMETER = "bl_5"
 TRUTH = TRUTHS[PARAMETER]

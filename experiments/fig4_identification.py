@@ -31,12 +31,10 @@ from fig4_drawing import draw_searches
 from identification import Distance, Search, adam, away_from, cma_es, genetic
 from units import Arrays, Journal, Step, Unit, load, run_units
 
-from btr_mjx.behaviour import EngineSettings
-from btr_mjx.distances import multiscale_fitness
 from btr_mjx.errors import InputError
-from btr_mjx.files import read_arrays, write_json
-from btr_mjx.fitness import delta_fitness
-from btr_mjx.genetic_operators import mutate
+from btr_mjx.evaluation import EngineSettings, delta_fitness, multiscale_fitness
+from btr_mjx.optimise import mutate
+from btr_mjx.runs import read_arrays, write_json
 
 TRUTH = {"bl_3": 0.54, "bl_5": 0.54, "bl_6": 0.74, "bl_8": 0.74}
 """The paper's hidden lengths [m]."""

@@ -30,15 +30,22 @@ from fig2_scans import START, TRUTHS, evolve, line_of
 from matplotlib.axes import Axes
 from units import Arrays, Journal, Step, Unit, load, run_units
 
-from btr_mjx import metrics, scan
-from btr_mjx.behaviour import base_address, evaluate
-from btr_mjx.distances import fitness_at_marks
+from btr_mjx import scan
 from btr_mjx.errors import InputError
-from btr_mjx.files import write_json
-from btr_mjx.fitness import DISTANCE, Outcome, delta
-from btr_mjx.foot_forces import foot_bodies, foot_forces
+from btr_mjx.evaluation import (
+    DISTANCE,
+    Outcome,
+    base_address,
+    delta,
+    evaluate,
+    fitness_at_marks,
+    foot_bodies,
+    foot_forces,
+    metrics,
+)
 from btr_mjx.models import base_model
 from btr_mjx.robots import Robot
+from btr_mjx.runs import write_json
 
 PARAMETER = "bl_5"
 TRUTH = TRUTHS[PARAMETER]

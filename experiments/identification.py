@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 import optax
 
-from btr_mjx import cma
-from btr_mjx.evolution import GAConfig, GeneticAlgorithm
-from btr_mjx.spaces import Box
+from btr_mjx.optimise import GAConfig, GeneticAlgorithm
+from btr_mjx.optimise import cma_es as cma
+from btr_mjx.robots import Box
 
 Distance = Callable[[np.ndarray], np.ndarray]
 """(L, n) values of the unknown parameters -> (L,) distances, NaN where a simulation failed."""

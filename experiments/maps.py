@@ -29,7 +29,7 @@ from maps_tasks import ROUND, Choice, MapsConfig, Point, choose, other_truth, se
 from units import Unit, load, run_units
 
 from btr_mjx.errors import InputError
-from btr_mjx.files import write_json
+from btr_mjx.runs import write_json
 
 PRESETS = {
     "quick": MapsConfig(

@@ -11,10 +11,9 @@ from fig4_identification import Fig4Config, hidden, mutants_of_best
 from identification import Search, away_from, cma_es
 from units import Arrays, Journal, Step
 
-from btr_mjx import cma
-from btr_mjx.behaviour import EngineSettings
-from btr_mjx.distances import multiscale_fitness
 from btr_mjx.errors import InputError
+from btr_mjx.evaluation import EngineSettings, multiscale_fitness
+from btr_mjx.optimise import cma_es as cma
 
 Part = Literal["behaviours", "horizon", "marks", "diversity", "choice", "truth"]
 """The maps (a) to (f)."""

@@ -10,7 +10,7 @@ import fig5_metrics
 import numpy as np
 from verdicts import Claim, Sense, claimed, tested
 
-from btr_mjx import metrics
+from btr_mjx.evaluation import metrics
 
 REASONS: dict[str, str] = {
     "Plateau: bl_5 >= 1.3": (

@@ -7,10 +7,9 @@ with its components delta_k. What is drawn is saved beside the picture.
 from pathlib import Path
 
 import btr_mjx as btr
-from btr_mjx.backtoreality import evolve_controllers, select_transferable
-from btr_mjx.btr_state import SearchSettings
-from btr_mjx.files import write_arrays, write_json
-from btr_mjx.plots import draw_scan
+from btr_mjx.backtoreality import SearchSettings, evolve_controllers, select_transferable
+from btr_mjx.plotting import draw_scan
+from btr_mjx.runs import write_arrays, write_json
 
 
 def main(out: Path = Path("runs/fig2b")) -> None:

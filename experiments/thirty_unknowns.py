@@ -22,11 +22,10 @@ from drawing import figure_of, save
 from identification import Search, away_from, cma_es
 from units import Arrays, Journal, Step, Unit, load, run_units
 
-from btr_mjx.distances import multiscale_fitness
 from btr_mjx.errors import InputError
-from btr_mjx.files import write_json
-from btr_mjx.robots import HEXAPOD, Robot, hexapod
-from btr_mjx.spaces import Box
+from btr_mjx.evaluation import multiscale_fitness
+from btr_mjx.robots import HEXAPOD, Box, Robot, hexapod
+from btr_mjx.runs import write_json
 
 LEGS = range(6)
 

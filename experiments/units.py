@@ -18,11 +18,21 @@ from pathlib import Path
 import numpy as np
 from common import Config
 
-from btr_mjx.configs import config_to_json, differences, read_config_json
 from btr_mjx.errors import DamagedFile, InputError
-from btr_mjx.files import read_arrays, write_arrays
-from btr_mjx.progress import StopRequest, graceful_interrupt, note, progress
-from btr_mjx.runs import IGNORED_FIELDS, RunFolder, is_unused
+from btr_mjx.runs import (
+    IGNORED_FIELDS,
+    RunFolder,
+    StopRequest,
+    config_to_json,
+    differences,
+    graceful_interrupt,
+    is_unused,
+    note,
+    progress,
+    read_arrays,
+    read_config_json,
+    write_arrays,
+)
 
 Arrays = dict[str, np.ndarray]
 Step = Callable[[float], object]

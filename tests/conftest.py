@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from btr_mjx.devices import use_all_cores
+from btr_mjx.engines import use_all_cores
 from btr_mjx.robots import Robot, hexapod
 
 use_all_cores()  # before any test touches JAX: what is compiled directly gets the same options as what users compile
@@ -20,18 +20,3 @@ def robot() -> Robot:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20240607)
-
-
-SMALL_RUN = (
-    "--engine=native",
-    "--duration=0.05",
-    "--controllers=8",
-    "--controller-generations=2",
-    "--trials=3",
-    "--simulations=6",
-    "--simulation-generations=2",
-    "--iterations=2",
-    "--no-figures",
-    "--no-progress",
-)
-"""Flags of a co-evolution that takes a few seconds."""

@@ -13,8 +13,8 @@ from mujoco.batch import Batch
 
 from btr_mjx.engines.base import Leaves
 from btr_mjx.engines.program import Record
-from btr_mjx.environment import available_cores
 from btr_mjx.robots import Signal
+from btr_mjx.runs import available_cores
 
 _SEGMENT = 100
 """Steps between two returns to Python: what is recorded of a segment stays small."""

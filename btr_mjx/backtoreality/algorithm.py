@@ -1,0 +1,301 @@
+"""The Back-to-Reality algorithm: co-evolve a robot's controller and its simulation.
+
+Iteration i:
+  1. Controller search: a population of M controllers is made from c_(i-1) by bit flips and evolved for a few
+     generations in the best simulation s_(i-1).
+  2. Selection, transfer, test: the m best are tried in reality; the best of them there becomes c_i.
+  3. Simulation search: a population of L simulations around s_(i-1) is evolved to minimise Delta_fitness; see
+     `simulation_search`.
+
+`advance(problem, state)` does the next smallest piece of work (one generation, or one visit to reality) and returns the
+state after it. Whatever runs it can save the state between pieces and go on later with the same result, to the bit.
+"""
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any, Protocol
+
+import numpy as np
+
+from btr_mjx.backtoreality import simulation_search
+from btr_mjx.backtoreality.simulation_search import delta_of_simulations, genetic_algorithm
+from btr_mjx.backtoreality.state import Problem, Progress, SearchSettings, State, Trials
+from btr_mjx.errors import InputError
+from btr_mjx.evaluation import DISTANCE, Engine, FitnessFunction, evaluate
+from btr_mjx.optimise import GAState
+from btr_mjx.robots import Robot
+
+
+class Report(Protocol):
+    """Receives what happened.
+
+    `kind` is "generation" or "iteration", where `row` is a row of a table, or "archive" at the end of a search, where
+    it holds iteration, phase and all generations' genomes (g, population, bits) and scores (g, population).
+    """
+
+    def __call__(self, kind: str, row: dict[str, Any]) -> None:
+        """Take one row."""
+
+
+def begin(problem: Problem, genome: np.ndarray | None = None) -> State:
+    """The state before the first piece of work.
+
+    Args:
+      problem: the problem.
+      genome: (bits,) of c_0; None for a random controller.
+
+    Raises:
+      InputError: bad start or unknown names.
+    """
+    start = problem.robot.simulation_box.validate(problem.start, "start simulation")
+    problem.simulation_box.encode(start[problem.robot.simulation_box.indices(problem.unknown)])
+    box = problem.controller_box
+    first = box.random_genomes(problem.rng(0, 0)) if genome is None else box.validate_genomes(genome)
+    _check_marks(problem)
+    marks = np.zeros((0, len(problem.times) - 1))
+    trials = Trials(np.zeros((0, box.n)), np.zeros(0), marks, np.zeros(0), np.zeros(0, int))
+    return State("baseline", 1, start, first, trials)
+
+
+def advance(problem: Problem, state: State, report: Report | None = None) -> State:
+    """Do the next piece of work.
+
+    Args:
+      problem: the problem.
+      state: where the algorithm stands.
+      report: receives a row per generation and per iteration.
+
+    Returns:
+      The state after it; with phase "done" once a stop criterion is met.
+    """
+    report = report or (lambda kind, row: None)
+    if state.phase == "baseline":
+        return try_first_controller(problem, state)
+    if state.phase == "controllers":
+        return search_controllers(problem, state, report)
+    if state.phase == "transfer":
+        return test_in_reality(problem, state)
+    if state.phase == "simulations":
+        return search_simulations(problem, state, report)
+    return state
+
+
+def coevolve(problem: Problem, report: Report | None = None) -> State:
+    """Run the whole algorithm in memory; see `advance`."""
+    state = begin(problem)
+    while state.phase != "done":
+        state = advance(problem, state, report)
+    return state
+
+
+def try_first_controller(problem: Problem, state: State) -> State:
+    """Try c_0 in reality: the fitness before learning, f_0 of the learning performance."""
+    controllers = problem.controller_box.decode(state.genome)[None]
+    f_s = problem.simulate(state.simulation[None], controllers)[0]
+    measured = problem.reality.measure(controllers, len(state.trials), problem.times)
+    return replace(state, phase="controllers", trials=state.trials.add(controllers, measured, f_s, 0))
+
+
+def search_controllers(problem: Problem, state: State, report: Report) -> State:
+    """Step 1, one generation: evolve controllers in s_(i-1) for the best fitness."""
+    settings, box = problem.settings.controllers, problem.controller_box
+    algorithm = genetic_algorithm(box, settings, maximise=problem.fitness.maximise)
+    search = state.search or algorithm.init(problem.rng(state.iteration, 1), genome=state.genome)
+    genomes, search = algorithm.ask(search)
+    scores = problem.simulate(state.simulation[None], box.decode(genomes))[0]
+    state = _after_generation(state, algorithm.tell(search, genomes, scores), genomes, scores)
+    report("generation", _generation_row(state, "controllers", scores, problem.fitness.maximise))
+    if len(state.scores) == settings.generations:
+        report("archive", _archive(state, "controllers"))
+    return state if len(state.scores) < settings.generations else replace(state, phase="transfer", search=None)
+
+
+def evolve_controllers(
+    robot: Robot,
+    simulation: np.ndarray,
+    settings: SearchSettings,
+    *,
+    seed: int,
+    genome: np.ndarray | None = None,
+    fitness: FitnessFunction = DISTANCE,
+    engine: Engine | None = None,
+    progress: Progress | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Step 1 on its own: evolve controllers in one simulation.
+
+    Args:
+      robot: the robot.
+      simulation: (n_s,).
+      settings: of the search.
+      seed: of everything random.
+      genome: (bits,) to start from; None for a random one.
+      fitness: the fitness function.
+      engine: see `evaluate`.
+      progress: called with the number of pairs simulated since the last call.
+
+    Returns:
+      (g, M, bits) all generations in order and (g, M) their fitness; see `select_transferable`.
+    """
+    box = robot.controller_box.with_bits(settings.bits)
+    algorithm = genetic_algorithm(box, settings, fitness.maximise)
+    rng = np.random.default_rng([seed, 0, 1])
+    search = algorithm.init(rng, genome=genome)
+    genomes, scores = [], []
+    for _ in range(settings.generations):
+        asked, search = algorithm.ask(search)
+        evaluation = evaluate(robot, simulation, box.decode(asked), engine=engine, fitness=fitness, progress=progress)
+        search = algorithm.tell(search, asked, evaluation.fitness[0])
+        genomes.append(asked)
+        scores.append(evaluation.fitness[0])
+    return np.array(genomes), np.array(scores)
+
+
+def select_transferable(
+    genomes: np.ndarray, scores: np.ndarray, trials: int, maximise: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Step 2, selection: the best controllers of the last generation that can be tried.
+
+    A controller is transferable if its fitness in simulation is finite (its parameters are within bounds by the way
+    genomes are decoded). Equal genomes count once. Where the last generation has too few, the rest come in descending
+    order from the generation before, and so on.
+
+    Args:
+      genomes: (g, M, bits) generations in order.
+      scores: (g, M) fitness in simulation.
+      trials: m.
+      maximise: whether larger is better.
+
+    Returns:
+      (m', bits) genomes and (m',) scores with m' <= m, best first within each generation.
+    """
+    chosen: dict[bytes, tuple[np.ndarray, float]] = {}
+    for generation, values in zip(genomes[::-1], scores[::-1], strict=True):
+        order = np.argsort(-values if maximise else values, kind="stable")
+        for genome, value in zip(generation[order], values[order], strict=True):
+            if len(chosen) < trials and np.isfinite(value):
+                chosen.setdefault(genome.tobytes(), (genome, float(value)))
+    if not chosen:
+        return genomes[0, :0], scores[0, :0]
+    picked, values = zip(*chosen.values(), strict=True)
+    return np.array(picked), np.array(values)
+
+
+def test_in_reality(problem: Problem, state: State) -> State:
+    """Step 2: try the m best controllers in reality and begin the simulation search.
+
+    Raises:
+      InputError: no controller is transferable, or none of the trials gave a finite fitness.
+    """
+    settings = problem.settings
+    genomes, f_s = select_transferable(state.genomes, state.scores, settings.trials, problem.fitness.maximise)
+    if not len(genomes):
+        raise InputError(
+            f"iteration {state.iteration}: every controller diverged in the simulation, none can be tried in reality; "
+            "start from another simulation or lower the motor gains"
+        )
+    controllers = problem.controller_box.decode(genomes)
+    measured = problem.reality.measure(controllers, len(state.trials), problem.times)
+    f_r = measured[:, -1]
+    if not np.isfinite(f_r).any():
+        raise InputError(f"iteration {state.iteration}: all {len(f_r)} trials in reality failed (fitness is NaN)")
+    trials = state.trials.add(controllers, measured, f_s, state.iteration)
+    winner = genomes[best(f_r, problem.fitness.maximise)]
+    before = delta_of_simulations(problem, state.simulation[None], trials, state.iteration)[0]
+    return State("simulations", state.iteration, state.simulation, winner, trials, delta_before=float(before))
+
+
+def search_simulations(problem: Problem, state: State, report: Report) -> State:
+    """Step 3, one generation: search simulations for the least distance from reality."""
+    genomes, search = simulation_search.ask(problem, state)
+    simulations = problem.embed(problem.simulation_box.decode(genomes))
+    scores = delta_of_simulations(problem, simulations, state.trials, state.iteration)
+    state = _after_generation(state, simulation_search.tell(problem, search, genomes, scores), genomes, scores)
+    report("generation", _generation_row(state, "simulations", scores, False))
+    if not simulation_search.finished(problem, state):
+        return state
+    report("archive", _archive(state, "simulations"))
+    return _finish_iteration(problem, state, report)
+
+
+def _check_marks(problem: Problem) -> None:
+    """Marks must lie within the trial, in order."""
+    times = problem.times
+    if times[0] <= 0 or any(later <= earlier for earlier, later in pairwise(times)):
+        raise InputError(
+            f"marks: got {list(times[:-1])}, expected ascending times within the trial of {times[-1]} s; "
+            "lengthen the trial or give earlier marks"
+        )
+
+
+def _finish_iteration(problem: Problem, state: State, report: Report) -> State:
+    settings, box = problem.settings, problem.simulation_box
+    finite = np.where(np.isnan(state.scores), np.inf, state.scores)
+    generation, member = np.unravel_index(np.argmin(finite), finite.shape)
+    after = float(finite[generation, member])
+    simulation = problem.embed(box.decode(state.genomes[generation, member]))
+    if after >= state.delta_before:  # s_(i-1) may be finer than the grid of genomes, or every simulation diverged
+        simulation, after = state.simulation, state.delta_before
+    latest = state.trials.iteration == state.iteration
+    chosen = best(np.where(latest, state.trials.f_r, np.nan), problem.fitness.maximise)
+    report(
+        "iteration",
+        {
+            "iteration": state.iteration,
+            "delta_before": state.delta_before,
+            "delta_after": after,
+            "f_s_best": float(state.trials.f_s[chosen]),
+            "f_r_best": float(state.trials.f_r[chosen]),
+            "f_s_mean": float(state.trials.f_s[latest].mean()),
+            "f_r_mean": float(np.nanmean(state.trials.f_r[latest])),
+            "evaluations": len(state.trials),
+            "simulation": simulation,
+        },
+    )
+    stop = ""
+    if settings.target_delta is not None and after <= settings.target_delta:
+        stop = "target_delta"
+    elif state.iteration >= settings.iterations:
+        stop = "iterations"
+    elif settings.max_evaluations is not None and len(state.trials) + settings.trials > settings.max_evaluations:
+        stop = "max_evaluations"
+    return State(
+        "done" if stop else "controllers",
+        state.iteration + (0 if stop else 1),
+        simulation,
+        state.genome,
+        state.trials,
+        stop=stop,
+    )
+
+
+def _after_generation(state: State, search: GAState | None, genomes: np.ndarray, scores: np.ndarray) -> State:
+    first = not len(state.scores)
+    return replace(
+        state,
+        search=search,
+        genomes=genomes[None] if first else np.concatenate([state.genomes, genomes[None]]),
+        scores=scores[None] if first else np.concatenate([state.scores, scores[None]]),
+    )
+
+
+def _generation_row(state: State, phase: str, scores: np.ndarray, maximise: bool) -> dict[str, Any]:
+    finite = scores[np.isfinite(scores)]
+    top, bottom = (np.max, np.min) if maximise else (np.min, np.max)
+    return {
+        "iteration": state.iteration,
+        "phase": phase,
+        "generation": len(state.scores),
+        "best": float(top(finite)) if len(finite) else np.nan,
+        "mean": float(finite.mean()) if len(finite) else np.nan,
+        "worst": float(bottom(finite)) if len(finite) else np.nan,
+        "diverged": int(len(scores) - len(finite)),
+    }
+
+
+def _archive(state: State, phase: str) -> dict[str, Any]:
+    return {"iteration": state.iteration, "phase": phase, "genomes": state.genomes, "scores": state.scores}
+
+
+def best(values: np.ndarray, maximise: bool) -> int:
+    """Index of the best finite value."""
+    return int(np.nanargmax(values) if maximise else np.nanargmin(values))

@@ -1,0 +1,1 @@
+"""Where measured fitness comes from."""

@@ -1,0 +1,115 @@
+"""Step 3 of Back-to-Reality: the distance of simulations from reality, and the next generation of them.
+
+Two optimisers are at hand. The genetic algorithm is the paper's. CMA-ES learns the directions of the valleys that many
+unknown parameters make together. Its members are kept as genomes too, on a grid far finer than matters, so that
+records, checkpoints and figures know one form only.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from btr_mjx.backtoreality.state import Problem, SearchSettings, State, Trials
+from btr_mjx.evaluation import delta_fitness, evaluate, fitness_at_marks, multiscale_fitness
+from btr_mjx.optimise import GAConfig, GAState, GeneticAlgorithm
+from btr_mjx.optimise import cma_es as cma
+from btr_mjx.robots import Box
+
+
+def genetic_algorithm(box: Box, settings: SearchSettings, maximise: bool) -> GeneticAlgorithm:
+    """The genetic algorithm of either search."""
+    elites = min(2, settings.population - 1)
+    return GeneticAlgorithm(
+        box, GAConfig(population=settings.population, p_m=settings.p_m, elites=elites, maximise=maximise)
+    )
+
+
+def ask(problem: Problem, state: State) -> tuple[np.ndarray, GAState | None]:
+    """The next generation of simulations.
+
+    Args:
+      problem: the problem.
+      state: in phase "simulations".
+
+    Returns:
+      (L, bits) genomes, and the genetic algorithm's state to give to `tell`.
+    """
+    box, settings = problem.simulation_box, problem.settings.simulations
+    known = state.simulation[problem.robot.simulation_box.indices(problem.unknown)]
+    if problem.settings.optimiser == "cma":
+        told = _in_cube(box, state.genomes) if len(state.scores) else np.zeros((0, settings.population, box.n))
+        start = (known - box.low) / box.span
+        strategy = cma.restored(start, told, state.scores.reshape(told.shape[:2]), population=settings.population)
+        asked = cma.ask(strategy, [problem.seed, state.iteration, 3, len(told)])
+        return box.encode(np.clip(box.low + box.span * asked, box.low, box.high)), None
+    algorithm = genetic_algorithm(box, settings, maximise=False)
+    search = state.search
+    if search is None:
+        search = algorithm.init(problem.rng(state.iteration, 3), genome=box.encode(known))
+        if state.iteration == 1:
+            # Nothing has been measured before: the population is random, with s_0 as one of its members.
+            drawn = box.random_genomes(problem.rng(0, 3), settings.population)
+            search = replace(search, parents=np.concatenate([box.encode(known)[None], drawn[1:]]))
+    return algorithm.ask(search)
+
+
+def tell(problem: Problem, search: GAState | None, genomes: np.ndarray, scores: np.ndarray) -> GAState | None:
+    """The genetic algorithm's state with what a generation scored; None for CMA-ES, which needs the record only."""
+    if search is None:
+        return None
+    algorithm = genetic_algorithm(problem.simulation_box, problem.settings.simulations, maximise=False)
+    return algorithm.tell(search, genomes, scores)
+
+
+def finished(problem: Problem, state: State) -> bool:
+    """Whether the search under way has had all its generations, or has converged."""
+    if len(state.scores) >= problem.settings.simulations.generations:
+        return True
+    return problem.settings.optimiser == "cma" and cma.converged(_in_cube(problem.simulation_box, state.genomes[-1]))
+
+
+def _in_cube(box: Box, genomes: np.ndarray) -> np.ndarray:
+    return (box.decode(genomes) - box.low) / box.span
+
+
+def delta_of_simulations(problem: Problem, simulations: np.ndarray, trials: Trials, iteration: int) -> np.ndarray:
+    """Distance of simulations from reality over the behaviours that count in an iteration.
+
+    Delta_fitness (eq. 4), or `distances.multiscale_fitness`: for the latter trials are simulated up to the last mark.
+
+    Args:
+      problem: the problem; its settings say which behaviours count.
+      simulations: (L, n_s).
+      trials: evaluations in reality; failed ones are left out.
+      iteration: only trials up to this one are used.
+
+    Returns:
+      (L,).
+    """
+    if problem.settings.distance == "fitness":
+        return whole_trial_delta(problem, simulations, trials, iteration)
+    use = _counting(problem, trials, iteration)
+    evaluation = evaluate(
+        problem.robot,
+        simulations,
+        trials.controllers[use],
+        engine=problem.engine,
+        fitness=problem.fitness,
+        times=problem.settings.marks,
+        progress=problem.progress,
+    )
+    at_marks = fitness_at_marks(evaluation.outcome, problem.fitness)
+    f_s = np.where(evaluation.diverged[..., None], np.nan, at_marks)
+    return multiscale_fitness(f_s, trials.f_marks[use])
+
+
+def whole_trial_delta(problem: Problem, simulations: np.ndarray, trials: Trials, iteration: int) -> np.ndarray:
+    """Delta_fitness (eq. 4), whatever distance step 3 minimises; arguments as of `delta_of_simulations`."""
+    use = _counting(problem, trials, iteration)
+    return delta_fitness(problem.simulate(simulations, trials.controllers[use]), trials.f_r[use])
+
+
+def _counting(problem: Problem, trials: Trials, iteration: int) -> np.ndarray:
+    """Which trials count in an iteration, bool (n,)."""
+    first = iteration if problem.settings.behaviours == "latest" else 1
+    return (trials.iteration >= first) & (trials.iteration <= iteration) & np.isfinite(trials.f_r)

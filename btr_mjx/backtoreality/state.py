@@ -1,0 +1,254 @@
+"""What Back-to-Reality works on: its settings, the problem and the state between two pieces of work."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from btr_mjx.backtoreality.reality.simulated import Reality
+from btr_mjx.errors import InputError
+from btr_mjx.evaluation import DISTANCE, MARKS, Engine, FitnessFunction, evaluate
+from btr_mjx.optimise import GAState
+from btr_mjx.optimise import genetic_algorithm as evolution
+from btr_mjx.robots import Box, Robot
+
+Phase = Literal["baseline", "controllers", "transfer", "simulations", "done"]
+Distance = Literal["fitness", "multiscale"]
+Optimiser = Literal["ga", "cma"]
+Progress = Callable[[int], object]
+
+CMA_BITS = 30
+"""Bits per parameter in which members of CMA-ES are kept: a grid of a billionth of the range."""
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """One of the two evolutionary searches.
+
+    Attributes:
+      population: M controllers or L simulations.
+      generations: generations per iteration.
+      p_m: probability per bit of flipping a genotype's bit.
+      bits: bits per parameter.
+    """
+
+    population: int
+    generations: int
+    p_m: float = 0.02
+    bits: int = 8
+
+    def __post_init__(self) -> None:
+        if self.population < 2 or self.generations < 1:
+            raise InputError(
+                f"population {self.population} and generations {self.generations}: expected at least 2 and 1"
+            )
+        if not 0 <= self.p_m <= 1:
+            raise InputError(f"p_m: got {self.p_m}, expected a probability per bit within [0, 1]")
+
+
+@dataclass(frozen=True)
+class BTRSettings:
+    """Settings of the algorithm.
+
+    Attributes:
+      controllers: step 1.
+      trials: m, controllers tried in reality per iteration.
+      simulations: step 3.
+      iterations: at most so many iterations.
+      max_evaluations: stop before exceeding so many evaluations in reality; None for no limit.
+      target_delta: stop once Delta_fitness is at most this; None for no target.
+      behaviours: whether the distance compares the behaviours of the latest iteration (the paper) or all so far.
+      distance: what step 3 minimises: "fitness" is Delta_fitness (the paper), "multiscale" is
+        `distances.multiscale_fitness` at `marks`.
+      marks: ascending times [s], before the end of the trial.
+      optimiser: of step 3: "ga" is the genetic algorithm (the paper), "cma" is CMA-ES, which ignores p_m and bits and
+        ends a search early once it has converged.
+    """
+
+    controllers: SearchSettings
+    trials: int
+    simulations: SearchSettings
+    iterations: int
+    max_evaluations: int | None = None
+    target_delta: float | None = None
+    behaviours: Literal["latest", "all"] = "latest"
+    distance: Distance = "fitness"
+    marks: tuple[float, ...] = MARKS
+    optimiser: Optimiser = "ga"
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.trials < self.controllers.population:
+            raise InputError(
+                f"trials m = {self.trials}: expected 1 <= m < M, the controller population of "
+                f"{self.controllers.population}; lower m or raise the population"
+            )
+        if self.iterations < 1:
+            raise InputError(f"iterations: got {self.iterations}, expected at least 1")
+        if self.max_evaluations is not None and self.max_evaluations < self.trials + 1:
+            raise InputError(
+                f"max_evaluations: got {self.max_evaluations}, expected at least {self.trials + 1}: the first "
+                "controller and one iteration's trials"
+            )
+        if self.optimiser == "cma" and self.simulations.population < 4:
+            raise InputError(
+                f"simulations L = {self.simulations.population}: CMA-ES needs at least 4; raise L or take the genetic "
+                "algorithm"
+            )
+        if self.distance == "multiscale" and self.trials < 2:
+            raise InputError("trials m = 1: the multiscale distance needs at least 2, to know the spread at each mark")
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What is co-evolved.
+
+    Attributes:
+      robot: the robot.
+      reality: where controllers are tried.
+      unknown: names of the parameters of S that are searched; the others keep their value of `start`.
+      start: (n_s,) s_0.
+      settings: the algorithm's settings.
+      fitness: the fitness function.
+      engine: the engine of the searches; None for the fastest.
+      seed: of everything random.
+      progress: called with the number of pairs simulated since the last call.
+    """
+
+    robot: Robot
+    reality: Reality
+    unknown: tuple[str, ...]
+    start: np.ndarray
+    settings: BTRSettings
+    fitness: FitnessFunction = DISTANCE
+    engine: Engine | None = None
+    seed: int = 0
+    progress: Progress | None = None
+
+    @property
+    def simulation_box(self) -> Box:
+        """Box of the unknown parameters, with the bits of step 3."""
+        bits = CMA_BITS if self.settings.optimiser == "cma" else self.settings.simulations.bits
+        return self.robot.simulation_box.subspace(self.unknown).with_bits(bits)
+
+    @property
+    def controller_box(self) -> Box:
+        """Box of the controllers, with the bits of step 1."""
+        return self.robot.controller_box.with_bits(self.settings.controllers.bits)
+
+    @property
+    def times(self) -> tuple[float, ...]:
+        """Times [s] at which a trial in reality is measured: the marks, where the distance needs them, and T_e."""
+        marks = self.settings.marks if self.settings.distance == "multiscale" else ()
+        return (*marks, self.robot.duration)
+
+    def embed(self, unknown_values: np.ndarray) -> np.ndarray:
+        """(..., n_s) simulations with these values (..., n_unknown) of the unknown parameters."""
+        return self.robot.simulation_box.embed(self.start, self.unknown, unknown_values)
+
+    def simulate(self, simulations: np.ndarray, controllers: np.ndarray) -> np.ndarray:
+        """Fitness (L, M) of controllers (M, n_c) in simulations (L, n_s)."""
+        evaluation = evaluate(
+            self.robot, simulations, controllers, engine=self.engine, fitness=self.fitness, progress=self.progress
+        )
+        return evaluation.fitness
+
+    def rng(self, iteration: int, step: int) -> np.random.Generator:
+        """Independent streams for each step of each iteration, whatever was drawn before."""
+        return np.random.default_rng([self.seed, iteration, step])
+
+
+@dataclass(frozen=True, eq=False)
+class Trials:
+    """Every evaluation in reality so far, one row each.
+
+    Attributes:
+      controllers: (n, n_c).
+      f_r: (n,) fitness in reality.
+      f_marks: (n, K) fitness in reality as if the trial had ended at each mark; K is 0 for Delta_fitness.
+      f_s: (n,) fitness in the simulation in which the controller was found.
+      iteration: (n,) iteration that tried it, 0 for the first controller c_0.
+    """
+
+    controllers: np.ndarray
+    f_r: np.ndarray
+    f_marks: np.ndarray
+    f_s: np.ndarray
+    iteration: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.f_r)
+
+    def add(self, controllers: np.ndarray, measured: np.ndarray, f_s: np.ndarray, iteration: int) -> "Trials":
+        """With further trials: controllers (m, n_c) and what `Reality.measure` gave for them (m, K + 1)."""
+        return Trials(
+            np.concatenate([self.controllers, controllers]),
+            np.concatenate([self.f_r, measured[:, -1]]),
+            np.concatenate([self.f_marks, measured[:, :-1]]),
+            np.concatenate([self.f_s, f_s]),
+            np.concatenate([self.iteration, np.full(len(f_s), iteration)]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Where the algorithm stands. Arrays and plain values only, so that it can be saved.
+
+    Attributes:
+      phase: the piece of work that comes next.
+      iteration: 1, 2, ...
+      simulation: (n_s,) best simulation so far, s_(i-1) until step 3 of iteration i ends.
+      genome: (bits,) of c_(i-1), from which step 1 starts.
+      trials: all evaluations in reality.
+      search: state of the search under way, None between searches.
+      genomes: (g, population, bits) all generations of the search under way.
+      scores: (g, population) their fitness or distance.
+      delta_before: the distance of s_(i-1) over the behaviours of iteration i.
+      stop: why the algorithm ended, "" before.
+    """
+
+    phase: Phase
+    iteration: int
+    simulation: np.ndarray
+    genome: np.ndarray
+    trials: Trials
+    search: GAState | None = None
+    genomes: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0), bool))
+    scores: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    delta_before: float = np.nan
+    stop: str = ""
+
+
+def state_to_arrays(state: State) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Write a state as named arrays and JSON-able values; the inverse of `state_from_arrays`."""
+    arrays = {
+        "simulation": state.simulation,
+        "genome": state.genome,
+        "genomes": state.genomes,
+        "scores": state.scores,
+        "delta_before": np.array(state.delta_before),
+        **{f"trials/{name}": value for name, value in vars(state.trials).items()},
+    }
+    if state.search is not None:
+        arrays |= {f"search/{name}": value for name, value in evolution.state_to_arrays(state.search).items()}
+    return arrays, {"phase": state.phase, "iteration": state.iteration, "stop": state.stop}
+
+
+def state_from_arrays(arrays: Mapping[str, np.ndarray], values: Mapping[str, Any]) -> State:
+    """Read a state written by `state_to_arrays`."""
+    part = lambda prefix: {  # noqa: E731
+        name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)
+    }
+    search = part("search/")
+    return State(
+        phase=values["phase"],
+        iteration=values["iteration"],
+        simulation=arrays["simulation"],
+        genome=arrays["genome"],
+        trials=Trials(**part("trials/")),
+        search=evolution.state_from_arrays(search) if search else None,
+        genomes=arrays["genomes"],
+        scores=arrays["scores"],
+        delta_before=float(arrays["delta_before"]),
+        stop=values["stop"],
+    )

@@ -1,0 +1,283 @@
+"""Pairs (s, c) -> behaviour -> fitness: the one function that everything else is built on.
+
+    evaluation = evaluate(hexapod(), simulations, controllers)      # fitness (L, M)
+
+Pairs are cut into blocks of one fixed shape, so that a single compiled program serves any number of them and memory
+does not grow. Within one chunk size, results are bit-identical wherever a pair stands and whoever its neighbours are.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Literal, get_args
+
+import jax
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from btr_mjx.engines import (
+    Layout,
+    Program,
+    Record,
+    Stepper,
+    UnsupportedModel,
+    native,
+    use_all_cores,
+    use_compilation_cache,
+)
+from btr_mjx.errors import InputError
+from btr_mjx.evaluation.fitness import DISTANCE, FitnessFunction, Outcome
+from btr_mjx.models import Models, base_model, compile_models, varying_fields
+from btr_mjx.robots import Robot
+
+Engine = Literal["lanes", "mjx", "native"]
+"""How pairs are stepped; see `btr_mjx.engines`."""
+
+_CAPACITY = 16
+"""Chunks per device and block."""
+
+_TRACE_BYTES = 2**26
+"""Blocks get smaller where the recorded states of one would be larger than this."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Fitness of a batch of pairs, of shape (L, M), or (B,) where evaluated pairwise.
+
+    Attributes:
+      fitness: f_E of each pair; NaN where it diverged.
+      diverged: pairs whose state became invalid, or whose base passed the robot's speed limit.
+      solver_capped: number of steps in which the constraint solver stopped at its iteration cap.
+      peak_speed: highest speed of the base [m/s].
+      outcome: what the fitness was computed from.
+      engine: the engine that ran.
+    """
+
+    fitness: np.ndarray
+    diverged: np.ndarray
+    solver_capped: np.ndarray
+    peak_speed: np.ndarray
+    outcome: Outcome
+    engine: Engine
+
+
+@dataclass(frozen=True)
+class EngineSettings:
+    """How an engine runs.
+
+    Attributes:
+      chunk: pairs per chunk; None for the engine's default. Bits are promised within one chunk size.
+      timestep: native only: another time step than the model's [s].
+      integrator: native only: another integrator, see `native.INTEGRATORS`.
+      threads: native only: number of threads; None for all cores.
+    """
+
+    chunk: int | None = None
+    timestep: float | None = None
+    integrator: str | None = None
+    threads: int | None = None
+
+
+def evaluate(
+    robot: Robot,
+    simulations: ArrayLike,
+    controllers: ArrayLike,
+    *,
+    pairwise: bool = False,
+    engine: Engine | None = None,
+    fitness: FitnessFunction = DISTANCE,
+    times: ArrayLike | None = None,
+    states: bool = False,
+    settings: EngineSettings = EngineSettings(),
+    progress: Callable[[int], object] | None = None,
+) -> Evaluation:
+    """Try controllers in simulations.
+
+    Args:
+      robot: the robot.
+      simulations: (L, n_s) parameters inside the robot's simulation box.
+      controllers: (M, n_c) parameters inside the robot's controller box.
+      pairwise: evaluate row i with row i (L = M = B) rather than every simulation with every controller.
+      engine: "lanes", "mjx" or "native"; None for the fastest one that can run this robot.
+      fitness: the fitness function.
+      times: (K,) sample times in (0, T_e] [s] for the outcome, rounded to steps; None for the end alone. The last one
+        ends the trial.
+      states: whether the outcome holds qpos, qvel and act at the sample times.
+      settings: how the engine runs.
+      progress: called with the number of pairs done since the last call.
+
+    Returns:
+      The evaluation.
+
+    Raises:
+      InputError: parameters out of bounds, of a wrong shape or not finite, unequal rows where pairwise, bad times.
+      UnsupportedModel: the engine asked for cannot run this robot.
+    """
+    s = np.atleast_2d(robot.simulation_box.validate(simulations, "simulations"))
+    c = np.atleast_2d(robot.controller_box.validate(controllers, "controllers"))
+    if s.ndim != 2 or c.ndim != 2 or not len(s) or not len(c):
+        raise InputError(
+            f"got simulations {s.shape} and controllers {c.shape}, expected non-empty (L, n_s) and (M, n_c)"
+        )
+    if pairwise and len(s) != len(c):
+        raise InputError(f"pairwise: got {len(s)} simulations and {len(c)} controllers, expected as many of each")
+    shape = (len(s),) if pairwise else (len(s), len(c))
+    chosen = engine or fastest_engine(robot)
+    dt = settings.timestep if chosen == "native" and settings.timestep else float(base_model(robot).opt.timestep)
+    samples = _sample_steps(robot, times, dt)
+    runner = _runner(robot, chosen, samples, states, settings)
+    records = []
+    for rows, columns in _blocks(shape, runner.block):
+        used, index = np.unique(rows, return_inverse=True)
+        models = compile_models(robot, s[used])
+        records.append(runner.run(models, index, c[columns]))
+        if progress is not None:
+            progress(len(rows))
+    record = Record(*(np.concatenate(column) for column in zip(*records, strict=True)))
+    return _evaluation(robot, chosen, record, samples * dt, shape, fitness, states)
+
+
+def fastest_engine(robot: Robot) -> Engine:
+    """The fastest engine that can run a robot: lanes; failing that MJX on an accelerator and native on a CPU."""
+    try:
+        _stepper(_essence(robot), "lanes", bool(jax.config.read("jax_enable_x64")))
+        return "lanes"
+    except UnsupportedModel:
+        return "native" if jax.default_backend() == "cpu" else "mjx"
+
+
+def _evaluation(
+    robot: Robot,
+    engine: Engine,
+    record: Record,
+    times: np.ndarray,
+    shape: tuple[int, ...],
+    fitness: FitnessFunction,
+    states: bool,
+) -> Evaluation:
+    whole = {name: np.asarray(value, np.float64) for name, value in record._asdict().items()}
+    whole = {name: value.reshape(*shape, *value.shape[1:]) for name, value in whole.items()}
+    outcome = Outcome(
+        times,
+        whole["start"],
+        whole["position"],
+        whole["energy"],
+        *(whole[name] if states else None for name in ("qpos", "qvel", "act")),
+    )
+    finite = np.isfinite(outcome.position).all((-2, -1)) & np.isfinite(outcome.energy).all(-1)
+    # A comparison that NaN fails: an invalid speed counts as too fast.
+    diverged = ~(finite & (whole["peak_speed"] <= robot.speed_limit))
+    with np.errstate(invalid="ignore", over="ignore"):
+        values = np.where(diverged, np.nan, fitness(outcome))
+    return Evaluation(values, diverged, whole["capped"].astype(int), whole["peak_speed"], outcome, engine)
+
+
+def _sample_steps(robot: Robot, times: ArrayLike | None, timestep: float) -> np.ndarray:
+    wanted = np.atleast_1d(np.asarray(robot.duration if times is None else times, np.float64))
+    steps = np.round(wanted / timestep)
+    if wanted.ndim != 1 or not wanted.size or not np.all(np.isfinite(steps)) or np.any(np.diff(steps, prepend=0) < 1):
+        raise InputError(
+            f"times: got {wanted.tolist()}, expected ascending times at least one step of {timestep} s apart"
+        )
+    if wanted[-1] > robot.duration * (1 + 1e-9):
+        raise InputError(f"times: got {wanted[-1]} s, expected at most the trial's duration of {robot.duration} s")
+    return steps.astype(int)
+
+
+def _blocks(shape: tuple[int, ...], size: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Row and column indices of the pairs, in C order, `size` at a time."""
+    count = int(np.prod(shape))
+    for first in range(0, count, size):
+        flat = np.arange(first, min(first + size, count))
+        yield (flat, flat) if len(shape) == 1 else (flat // shape[1], flat % shape[1])
+
+
+@dataclass(frozen=True)
+class _Runner:
+    """A way to run one block: `run(models, index of each pair's model, controllers (B, n_c))`."""
+
+    block: int
+    run: Callable[[Models, np.ndarray, np.ndarray], Record]
+
+
+def _runner(robot: Robot, engine: Engine, samples: np.ndarray, states: bool, settings: EngineSettings) -> _Runner:
+    if engine not in get_args(Engine):
+        raise InputError(f"engine: got {engine!r}, expected one of: {', '.join(get_args(Engine))}")
+    if engine != "native" and (settings.timestep or settings.integrator or settings.threads):
+        raise InputError(f"engine {engine!r}: another timestep, integrator or thread count needs engine='native'")
+    address = base_address(robot)
+    if engine == "native":
+        run_native = lambda models, index, controllers: native.rollout(  # noqa: E731
+            models.base,
+            {name: values[index] for name, values in models.leaves.items()},
+            controllers,
+            samples,
+            signal=robot.signal,
+            base_address=address,
+            record_states=states,
+            timestep=settings.timestep,
+            integrator=settings.integrator,
+            threads=settings.threads,
+        )
+        return _Runner(settings.chunk or 256, run_native)
+    program = _program(
+        _essence(robot), engine, len(samples), states, settings.chunk, bool(jax.config.read("jax_enable_x64"))
+    )
+    run = lambda models, index, controllers: program(  # noqa: E731
+        {name: values[index] for name, values in models.leaves.items()}, controllers, samples
+    )
+    return _Runner(program.layout.pairs, run)
+
+
+def base_address(robot: Robot) -> tuple[int, int] | None:
+    """Where the base's free joint begins in qpos and in qvel; None for a robot without one.
+
+    Raises:
+      InputError: the robot's base body does not exist or has no free joint.
+    """
+    if robot.base_body is None:
+        return None
+    model = base_model(robot)
+    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, robot.base_body)
+    if body < 0:
+        names = ", ".join(model.body(i).name for i in range(1, model.nbody))
+        raise InputError(f"base_body: got {robot.base_body!r}, expected one of the model's bodies: {names}")
+    joint = model.body_jntadr[body]
+    if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
+        raise InputError(f"base_body: {robot.base_body!r} has no free joint; name the body that moves freely, or None")
+    return int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+
+
+def _essence(robot: Robot) -> Robot:
+    """The robot without what no program depends on, so that it does not cause another compilation."""
+    return replace(robot, name="", duration=1.0, speed_limit=1.0)
+
+
+@lru_cache(maxsize=16)
+def _stepper(robot: Robot, engine: Engine, x64: bool) -> Stepper:
+    model, varying = base_model(robot), frozenset(varying_fields(robot))
+    # Imported here: either takes a second, and a command needs one of them.
+    if engine == "lanes":
+        from btr_mjx.engines import LanesStepper
+
+        return LanesStepper(model, varying)
+    from btr_mjx.engines import MjxStepper
+
+    return MjxStepper(model, varying)
+
+
+@lru_cache(maxsize=16)
+def _program(robot: Robot, engine: Engine, samples: int, states: bool, chunk: int | None, x64: bool) -> Program:
+    use_all_cores()
+    use_compilation_cache()
+    devices = jax.devices()
+    on_cpu = devices[0].platform == "cpu"
+    stepper = _stepper(robot, engine, x64)
+    width = chunk or (64 if on_cpu else 4096)
+    record_bytes = (
+        samples * (stepper.nq + stepper.nv + stepper.nu if states else 4) * width * len(devices) * (8 if x64 else 4)
+    )
+    capacity = int(np.clip(_TRACE_BYTES // record_bytes, 1, _CAPACITY if on_cpu else 4))
+    layout = Layout(len(devices), capacity, width)
+    return Program(stepper, robot.signal, base_address(robot), layout, states, devices)

@@ -1,0 +1,244 @@
+"""One pair (s, c) as a function of JAX: to be mapped, compiled and differentiated inside the user's own program.
+
+    robot = hexapod()
+    fitness = pair_fitness(robot)
+    leaves = model_leaves(robot, simulations)                        # every array (L, ...)
+    all_pairs = jax.vmap(jax.vmap(fitness, (None, 0)), (0, None))    # (leaves, (M, n_c)) -> (L, M)
+    f = jax.jit(all_pairs)(leaves, controllers)
+    slope = jax.jacfwd(fitness, argnums=1)(one_row_of_leaves, controller)    # (n_c,)
+
+`jax.vmap` does not vectorise the rollout once more: it hands whole chunks of pairs to the engine, which keeps them in
+its SIMD lanes (see `btr_mjx.evaluation.rowwise`). Results are `evaluate`'s: the model fields are double precision in
+either, and the numbers that the engine steps with are derived from them in double precision before they are rounded.
+
+Derivatives are of the motion that was computed: within a step the active set of the contact solver is what it is, and
+over many contacts a gait's derivatives grow as chaos does. They are forward mode (`jax.jvp`, `jax.jacfwd`); the
+solver's loop runs until it has converged, which reverse mode cannot undo.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from numpy.typing import ArrayLike
+
+from btr_mjx.engines import Record, Stepper, rollout, use_all_cores, use_compilation_cache
+from btr_mjx.errors import InputError
+from btr_mjx.evaluation import evaluation as behaviour
+from btr_mjx.evaluation.evaluation import Engine
+from btr_mjx.evaluation.fitness import DISTANCE, FitnessFunction, Outcome
+from btr_mjx.evaluation.rowwise import rowwise
+from btr_mjx.evaluation.traced import TracedArray, in_double
+from btr_mjx.models import base_model, compile_models
+from btr_mjx.robots import Robot
+
+Leaves = dict[str, Any]
+"""MjModel field -> array of the field's shape: the numbers that make one simulation."""
+
+
+class Trajectory(NamedTuple):
+    """One behaviour at K sample times.
+
+    Attributes:
+      position: (K, 3) base position [m].
+      energy: (K,) mechanical work of the motors so far [J].
+      qpos: (K, nq) generalised positions.
+      qvel: (K, nv) generalised velocities.
+    """
+
+    position: jax.Array
+    energy: jax.Array
+    qpos: jax.Array
+    qvel: jax.Array
+
+
+def model_leaves(robot: Robot, simulations: ArrayLike) -> Leaves:
+    """Compile simulations and stack the model fields in which they can differ.
+
+    Args:
+      robot: the robot.
+      simulations: (L, n_s) parameters inside the robot's simulation box.
+
+    Returns:
+      MjModel field -> (L, *field shape), the fields that can influence the motion. Double precision in any mode of
+      JAX, so that what is derived from them is rounded once only. Arithmetic on them belongs into `jax.enable_x64`;
+      elsewhere JAX makes it single precision, which is accepted too.
+
+    Raises:
+      InputError: bad parameters, or a model that MuJoCo does not accept.
+    """
+    with jax.enable_x64(True):
+        models = compile_models(robot, simulations)
+        return {name: jnp.asarray(models.leaves[name]) for name in _influential(models.leaves)}
+
+
+def pair_fitness(
+    robot: Robot,
+    engine: Engine | None = None,
+    *,
+    fitness: FitnessFunction = DISTANCE,
+    steps: int | None = None,
+    chunk: int | None = None,
+    devices: Sequence[jax.Device] | None = None,
+) -> Callable[[Leaves, Any], jax.Array]:
+    """The fitness of one pair, as a function to be mapped with `jax.vmap`.
+
+    Args:
+      robot: the robot.
+      engine: "lanes" or "mjx"; None for lanes where it can run this robot, else mjx.
+      fitness: the fitness function; its NumPy or `jax.numpy` code is traced.
+      steps: length of the trial in steps; None for the robot's duration.
+      chunk: pairs that are stepped together; None for 64 on a CPU, more on an accelerator. Bits are promised within
+        one chunk size.
+      devices: devices over which chunks are shared out; None for all. Arguments that are committed to one device need
+        that device here.
+
+    Returns:
+      fitness(leaves, controller) -> scalar in JAX's default precision, NaN where the pair diverged. `leaves` is one
+      row of `model_leaves` (or of `Models.leaves`; other fields are ignored), `controller` is (n_c,). A chunk is
+      computed even for a single pair, so map over as many as there are.
+
+    Raises:
+      InputError: the native engine, an unknown one, or a number of steps below 1.
+      UnsupportedModel: the engine asked for cannot run this robot.
+    """
+    samples = _samples(robot, robot.duration if steps is None else steps * _timestep(robot))
+
+    def kernel(leaves: Leaves, controllers: jax.Array, *, roll: Callable[..., Record]) -> jax.Array:
+        record, dtype = roll(leaves, controllers), jnp.result_type(float)
+
+        def value(*numbers: jax.Array) -> jax.Array:
+            start, position, energy, peak = (_batch_first(x).astype(np.float64) for x in numbers)
+            traced: Any = map(TracedArray, (start, position, energy))
+            outcome = Outcome(samples * _timestep(robot), *traced)
+            finite = jnp.isfinite(position).all((-2, -1)) & jnp.isfinite(energy).all(-1)
+            fine = finite & (peak <= robot.speed_limit)  # a comparison that NaN fails
+            return jnp.where(fine, jnp.asarray(fitness(outcome)), jnp.nan).astype(dtype)
+
+        return in_double(value)(record.start, record.position, record.energy, lax.stop_gradient(record.peak_speed))
+
+    return _one_pair(robot, engine, samples, False, chunk, devices, kernel)
+
+
+def pair_trajectory(
+    robot: Robot,
+    engine: Engine | None = None,
+    *,
+    times: ArrayLike | None = None,
+    chunk: int | None = None,
+    devices: Sequence[jax.Device] | None = None,
+) -> Callable[[Leaves, Any], Trajectory]:
+    """The states that one pair goes through, as a function to be mapped with `jax.vmap`.
+
+    Args:
+      robot: the robot.
+      engine: as of `pair_fitness`.
+      times: (K,) ascending sample times in (0, T_e] [s], rounded to steps; None for the end alone.
+      chunk: as of `pair_fitness`.
+      devices: as of `pair_fitness`.
+
+    Returns:
+      trajectory(leaves, controller) -> Trajectory; arguments as those of `pair_fitness`.
+
+    Raises:
+      InputError: the native engine, an unknown one, or bad times.
+      UnsupportedModel: the engine asked for cannot run this robot.
+    """
+
+    def kernel(leaves: Leaves, controllers: jax.Array, *, roll: Callable[..., Record]) -> Trajectory:
+        record = roll(leaves, controllers)
+        return Trajectory(*map(_batch_first, (record.position, record.energy, record.qpos, record.qvel)))
+
+    return _one_pair(robot, engine, _samples(robot, times), True, chunk, devices, kernel)
+
+
+def _one_pair(
+    robot: Robot,
+    engine: Engine | None,
+    samples: np.ndarray,
+    states: bool,
+    chunk: int | None,
+    devices: Sequence[jax.Device] | None,
+    kernel: Callable[..., Any],
+) -> Callable[[Leaves, Any], Any]:
+    use_all_cores()
+    use_compilation_cache()
+    chosen = engine or _engine(robot)
+    if chosen == "native":
+        raise InputError("engine: got 'native', which runs outside JAX; expected 'lanes' or 'mjx', or use evaluate()")
+    on_cpu = (devices[0] if devices else jax.devices()[0]).platform == "cpu"
+    width = chunk or (64 if on_cpu else 4096)
+    address = behaviour.base_address(robot)
+    nominal = compile_models(robot, robot.nominal_simulation).leaves
+    needed = _influential(nominal)
+    _stepper(robot, chosen)  # a robot that the engine does not support is refused here
+
+    def roll(leaves: Leaves, controllers: jax.Array) -> Record:
+        stepper = _stepper(robot, chosen)
+        # Behind a barrier the number of steps stays unknown to the compiler, which would unroll short loops otherwise
+        # and compute other bits.
+        marks = lax.optimization_barrier(jnp.asarray(samples, jnp.int32))
+        # An engine may hold fields that do not influence the motion: they get the nominal model's values.
+        params = _packed(stepper, leaves, {name: x[0] for name, x in nominal.items() if name not in needed})
+        wanted = controllers.T.astype(jnp.result_type(float))
+        return rollout(stepper, robot.signal, address, states, params, wanted, marks)
+
+    one = rowwise(partial(kernel, roll=roll), width, devices)
+
+    def function(leaves: Leaves, controller: Any) -> Any:
+        missing = [name for name in needed if name not in leaves]
+        if missing:
+            raise InputError(f"leaves: got {sorted(leaves)}, expected those of model_leaves(): without {missing}")
+        return one({name: leaves[name] for name in needed}, controller)
+
+    return function
+
+
+def _engine(robot: Robot) -> Engine:
+    return "lanes" if behaviour.fastest_engine(robot) == "lanes" else "mjx"
+
+
+def _stepper(robot: Robot, engine: Engine) -> Stepper:
+    return behaviour._stepper(behaviour._essence(robot), engine, bool(jax.config.read("jax_enable_x64")))
+
+
+def _timestep(robot: Robot) -> float:
+    return float(base_model(robot).opt.timestep)
+
+
+def _samples(robot: Robot, times: ArrayLike | None) -> np.ndarray:
+    return behaviour._sample_steps(robot, times, _timestep(robot))
+
+
+def _influential(names: Any) -> list[str]:
+    """The fields that can influence a motion, in order; statistics of a model and its pictures cannot."""
+    from btr_mjx.engines import matters
+
+    return sorted(name for name in names if matters(name))
+
+
+def _packed(stepper: Stepper, leaves: Leaves, others: dict[str, np.ndarray]) -> Any:
+    """The engine's parameters of one chunk, derived in double precision as on the host.
+
+    Args:
+      stepper: the engine.
+      leaves: traced fields (C, *field shape).
+      others: fields (*field shape) that are equal for all pairs.
+    """
+    (chunk,) = {len(value) for value in leaves.values()}
+
+    def derived(leaves: Leaves) -> Any:
+        wide: dict[str, Any] = {name: TracedArray(value.astype(np.float64)[None]) for name, value in leaves.items()}
+        same = {name: np.broadcast_to(value, (1, chunk, *value.shape)) for name, value in others.items()}
+        packed = stepper.pack(same | wide)
+        return jax.tree.map(lambda x: jnp.asarray(x)[0], packed, is_leaf=lambda x: isinstance(x, TracedArray))
+
+    return in_double(derived)(leaves)
+
+
+def _batch_first(x: jax.Array) -> jax.Array:
+    return jnp.moveaxis(x, -1, 0)

@@ -1,0 +1,194 @@
+"""Tables of measurements: which column of a file is which coordinate of a model.
+
+    time                                                     [s], increasing, not necessarily even
+    ctrl/<actuator>                                          command, in the actuator's own unit
+    qpos/<joint>, qvel/<joint>                               hinge [rad], [rad/s] or slide [m], [m/s]
+    qpos/<joint>/x y z qw qx qy qz                           free joint: position [m] and orientation in the world
+    qvel/<joint>/vx vy vz wx wy wz                           free joint: velocity in the world [m/s], angular velocity
+                                                             in the body's frame [rad/s], as MuJoCo has them
+    qpos/<joint>/qw qx qy qz, qvel/<joint>/wx wy wz          ball joint
+    force/<actuator>, sensor/<name>                          optional
+
+CSV, Parquet and NPZ files hold these columns. In NPZ, arrays `qpos` (K, nq), `qvel` (K, nv) and `ctrl` (K, nu) may
+stand for all columns of their kind, and `qpos/<joint>` (K, 7) for those of a free joint.
+"""
+
+import csv
+from collections.abc import Mapping
+from io import StringIO
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import polars as pl
+
+from btr_mjx.errors import DamagedFile, InputError
+from btr_mjx.models import nearest, part_names
+from btr_mjx.runs import read_arrays, read_table
+
+FORMATS = (".csv", ".parquet", ".npz")
+_QUAT, _SPIN = ("qw", "qx", "qy", "qz"), ("wx", "wy", "wz")
+_FREE, _BALL = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL
+SUFFIXES: Mapping[int, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    int(_FREE): (("x", "y", "z", *_QUAT), ("vx", "vy", "vz", *_SPIN)),
+    int(_BALL): (_QUAT, _SPIN),
+}
+"""Parts of the position and velocity columns by type of joint; hinges and slides have one column."""
+
+
+def state_columns(model: mujoco.MjModel) -> tuple[list[str], list[str]]:
+    """Names of the columns of qpos (nq of them) and qvel (nv), in the model's order."""
+    positions, velocities = [], []
+    for name, kind in zip(part_names(model, "joint"), model.jnt_type, strict=True):
+        q, v = SUFFIXES.get(int(kind), ((), ()))
+        positions += [f"qpos/{name}/{part}" for part in q] or [f"qpos/{name}"]
+        velocities += [f"qvel/{name}/{part}" for part in v] or [f"qvel/{name}"]
+    return positions, velocities
+
+
+def control_columns(model: mujoco.MjModel) -> list[str]:
+    """Names of the columns of ctrl (nu of them), in the model's order."""
+    return [f"ctrl/{name}" for name in part_names(model, "actuator")]
+
+
+def read_columns(path: str | Path) -> dict[str, np.ndarray]:
+    """Read a table of measurements.
+
+    Args:
+      path: a .csv, .parquet or .npz file.
+
+    Returns:
+      Arrays by column name, (K,) float64 each, or (K, n) for the grouped columns of an NPZ file. Empty fields are NaN.
+
+    Raises:
+      InputError: another suffix, no rows, a duplicate column, text where numbers are expected, columns of different
+        lengths.
+      DamagedFile: the content does not parse.
+      OSError: the file cannot be read.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        raise InputError(f"{path}: a recording is a {', '.join(FORMATS)} file, got {path.suffix or 'no suffix'!r}")
+    if path.is_file() and path.stat().st_size == 0:
+        raise DamagedFile(f"{path}: the file is empty")
+    if suffix == ".npz":
+        columns = {name: _numbers(path, name, array) for name, array in read_arrays(path).items()}
+    else:
+        if suffix == ".csv":
+            _check_header(path)
+        frame = read_table(path.with_suffix(suffix) if path.suffix == suffix else path)
+        columns = {name.strip(): _series(path, frame[name]) for name in frame.columns}
+    lengths = {name: len(array) for name, array in columns.items()}
+    if not lengths or max(lengths.values()) == 0:
+        raise InputError(f"{path}: it holds no rows")
+    if len(set(lengths.values())) > 1:
+        short, long = min(lengths, key=lengths.__getitem__), max(lengths, key=lengths.__getitem__)
+        raise InputError(
+            f"{path}: columns differ in length ({short!r} has {lengths[short]} rows, {long!r} {lengths[long]}); "
+            "sample all of them at the same times"
+        )
+    return columns
+
+
+def _numbers(path: Path, name: str, array: np.ndarray) -> np.ndarray:
+    if array.dtype.kind not in "biuf" or array.ndim not in (1, 2):
+        raise InputError(
+            f"{path}: array {name!r} has type {array.dtype} and shape {array.shape}; expected numbers, one row a sample"
+        )
+    return array.astype(np.float64)
+
+
+def _series(path: Path, series: pl.Series) -> np.ndarray:
+    if series.dtype.is_numeric() or series.dtype in (pl.Boolean, pl.Null):
+        return series.cast(pl.Float64).fill_null(np.nan).to_numpy()
+    if series.dtype != pl.String:
+        raise InputError(f"{path}: column {series.name!r} holds {series.dtype}, expected numbers")
+    values = series.str.strip_chars().cast(pl.Float64, strict=False)
+    bad = values.is_null() & series.is_not_null() & (series.str.strip_chars() != "")
+    if bad.any():
+        row = int(bad.arg_true()[0])
+        raise InputError(
+            f"{path}: column {series.name!r} holds {series[row]!r} in row {row + 1} of the data; expected a number "
+            "(units belong into the documentation, not into a row)"
+        )
+    return values.fill_null(np.nan).to_numpy()
+
+
+def _check_header(path: Path) -> None:
+    with path.open(encoding="utf-8", errors="replace", newline="") as file:
+        names = [name.strip() for name in next(csv.reader(StringIO(file.readline())), [])]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{path}: column {name!r} occurs {names.count(name)} times; keep one of them")
+
+
+def spread(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, where: str) -> dict[str, np.ndarray]:
+    """Split grouped arrays (K, n) into the columns that they stand for.
+
+    Args:
+      columns: as of `read_columns`.
+      model: the model.
+      where: file, for messages.
+
+    Returns:
+      Arrays (K,) by column name.
+
+    Raises:
+      InputError: a group of another width than the model has coordinates.
+    """
+    positions, velocities = state_columns(model)
+    groups = {"qpos": positions, "qvel": velocities, "ctrl": control_columns(model)}
+    flat: dict[str, np.ndarray] = {}
+    for name, array in columns.items():
+        if array.ndim == 1 and name not in groups:
+            flat[name] = array
+            continue
+        members = groups.get(name) or [c for c in positions + velocities if c.startswith(f"{name}/")] or [name]
+        array = array.reshape(len(array), -1)
+        if array.shape[1] != len(members):
+            if name.startswith("sensor/"):
+                members = [f"{name}/{i}" for i in range(array.shape[1])]
+            else:
+                raise InputError(
+                    f"{where}: array {name!r} has {array.shape[1]} columns, the model needs {len(members)}: "
+                    f"{', '.join(members[:8])}{', ...' if len(members) > 8 else ''}"
+                )
+        flat |= dict(zip(members, array.T, strict=True))
+    return flat
+
+
+def check_names(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, where: str) -> list[str]:
+    """Compare the columns of a file with what a model needs.
+
+    Returns:
+      Names of columns that are of no use here.
+
+    Raises:
+      InputError: a joint or actuator that the model lacks, or a needed column that is absent, with the nearest names.
+    """
+    positions, velocities = state_columns(model)
+    controls = control_columns(model)
+    forces = [c.replace("ctrl/", "force/", 1) for c in controls]
+    known = {"qpos": positions, "qvel": velocities, "ctrl": controls, "force": forces}
+    for column in columns:
+        kind, _, name = column.partition("/")
+        if kind in known and column not in known[kind]:
+            what = "actuator" if kind in ("ctrl", "force") else "joint"
+            raise InputError(
+                f"{where}: column {column!r} names no {what} of the model; nearest: {nearest(column, known[kind])}"
+            )
+    for column in ["time", *positions, *controls]:
+        if column not in columns:
+            raise InputError(f"{where}: there is no column {column!r}; nearest in the file: {_near(column, columns)}")
+    for name in part_names(model, "joint"):
+        of_joint = [c for c in velocities if c == f"qvel/{name}" or c.startswith(f"qvel/{name}/")]
+        missing = [c for c in of_joint if c not in columns]
+        if 0 < len(missing) < len(of_joint):
+            raise InputError(f"{where}: there is no column {missing[0]!r}; give all of a joint's velocities or none")
+    useful = {"time", *positions, *velocities, *controls, *forces}
+    return [c for c in columns if c not in useful and not c.startswith("sensor/")]
+
+
+def _near(column: str, columns: Mapping[str, np.ndarray]) -> str:
+    return nearest(column, list(columns))

@@ -1,0 +1,182 @@
+"""Measured data: a dataset is a folder with `dataset.toml`, the model that is believed, and recordings.
+
+    [model]
+    file = "robot.xml"                  # MJCF that is believed
+
+    [[parameter]]                       # may be refitted before anything is called missing (any number, or none)
+    name = "knee damping"
+    path = "joint:knee/damping"         # see `paths`; a list of paths changes together
+    bounds = [0.0, 2.0]                 # SI units, angles in rad
+    relative = false                    # true: the value is a factor on every recording's own number
+
+    [[recording]]
+    file = "walk_1.csv"                 # .csv, .parquet or .npz, columns as in `columns`
+    split = "fit"                       # or "test"; without any split the last third is held out
+    model = "heavy.xml"                 # optional: a model of its own, of the same joints and actuators
+    overrides = {"body:arm/mass" = 0.5} # optional: numbers that differ in this recording
+
+    [control]
+    interpolation = "linear"            # what the command does between samples: "hold", "linear" or "cubic"
+
+    [tolerances]                        # optional: what calibration always leaves, 1 sigma, by effect
+    viscous_damping = 0.1
+
+    [noise]                             # optional: 1 sigma of the sensors; estimated from the data where not given
+    qpos = 0.001                        # hinges [rad] and slides [m]
+    qvel = 0.05                         # [rad/s], [m/s]
+    position = 0.001                    # free joints [m]
+    rotation = 0.002                    # free and ball joints [rad]
+    velocity = 0.02                     # free joints [m/s]
+    angular_velocity = 0.03             # free and ball joints [rad/s]
+    "qpos/knee" = 0.002                 # one joint's own; also "qvel/knee", and any single column
+
+Velocities that were not measured are estimated by local cubics, and the recording says so.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import mujoco
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.data.believed import Believed, read_believed
+from btr_mjx.gap.data.noise import Noise, estimate_noise, read_noise
+from btr_mjx.gap.data.recording import Recording, load_model, read_recording, split
+from btr_mjx.gap.data.toml_tables import check_keys, file_name, is_number, read_toml, toml_rows, toml_section
+
+FILE_NAME = "dataset.toml"
+TABLES = ("model", "parameter", "recording", "control", "tolerances", "noise")
+"""Tables of dataset.toml."""
+
+Interpolation = Literal["hold", "linear", "cubic"]
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """Recordings of one robot and the model that is believed of it.
+
+    Attributes:
+      folder: where it came from.
+      model: the believed model.
+      model_file: its MJCF file.
+      spec_xml: its MJCF text.
+      parameters: what may be refitted.
+      recordings: all of them, in the order of the file.
+      interpolation: what the command does between samples.
+      tolerances: 1 sigma of what calibration always leaves, by effect.
+      noise: as given; None where it has to be estimated.
+      notes: what the loader found odd, for preflight.
+    """
+
+    folder: Path
+    model: mujoco.MjModel
+    model_file: Path
+    spec_xml: str
+    parameters: tuple[Believed, ...]
+    recordings: tuple[Recording, ...]
+    interpolation: Interpolation = "linear"
+    tolerances: Mapping[str, float] = field(default_factory=dict)
+    noise: Noise | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def fit(self) -> tuple[Recording, ...]:
+        """Recordings to fit."""
+        return tuple(r for r in self.recordings if r.split == "fit")
+
+    @property
+    def test(self) -> tuple[Recording, ...]:
+        """Recordings held out."""
+        return tuple(r for r in self.recordings if r.split == "test")
+
+
+def load(folder: str | Path) -> Dataset:
+    """Read a dataset.
+
+    Args:
+      folder: the folder, or its dataset.toml.
+
+    Raises:
+      InputError: anything wrong with it, in one line: the value, its place, the remedy.
+      DamagedFile: a file that does not parse.
+      OSError: a file that cannot be read.
+    """
+    head, table = read_head(folder)
+    path, notes = head.folder / FILE_NAME, list(head.notes)
+    listed = toml_rows(table, "recording", path)
+    if not listed:
+        raise InputError(f'{path}: there is no [[recording]]; add one with file = "..."')
+    recordings = [
+        read_recording(head.folder, row, head.model, f"{path}: [[recording]] {i + 1}", notes)
+        for i, row in enumerate(listed)
+    ]
+    parts = split(recordings, [row.get("split") for row in listed], str(path))
+    return replace(head, recordings=tuple(parts), notes=tuple(notes))
+
+
+def read_head(folder: str | Path, more: Sequence[str] = ()) -> tuple[Dataset, dict[str, Any]]:
+    """Read what dataset.toml says beside its recordings.
+
+    Args:
+      folder: the folder, or its dataset.toml.
+      more: further tables that it may hold.
+
+    Returns:
+      A dataset without recordings, and the file's tables.
+
+    Raises:
+      InputError, DamagedFile, OSError: see `load`.
+    """
+    folder = Path(folder)
+    folder = folder.parent if folder.name == FILE_NAME and folder.is_file() else folder
+    if not folder.is_dir():
+        raise InputError(f"{folder}: there is no such folder; give a folder that holds {FILE_NAME}")
+    path = folder / FILE_NAME
+    if not path.is_file():
+        raise InputError(f"{folder}: it holds no {FILE_NAME}; see btr_mjx/gap/data/dataset.py for its form")
+    table = read_toml(path)
+    notes: list[str] = []
+    check_keys(table, (*TABLES, *more), f"{path}", notes)
+    about = toml_section(table, "model", path)
+    check_keys(about, ("file",), f"{path}: [model]", notes)
+    model_file = folder / file_name(about, "file", f"{path}: [model]")
+    model, spec_xml = load_model(model_file)
+    control = table.get("control", {})
+    check_keys(control, ("interpolation",), f"{path}: [control]", notes)
+    interpolation = control.get("interpolation", "linear")
+    if interpolation not in ("hold", "linear", "cubic"):
+        raise InputError(f"{path}: interpolation {interpolation!r}: expected 'hold', 'linear' or 'cubic'")
+    head = Dataset(
+        folder=folder,
+        model=model,
+        model_file=model_file,
+        spec_xml=spec_xml,
+        parameters=tuple(
+            read_believed(row, model, f"{path}: [[parameter]] {i + 1}", notes)
+            for i, row in enumerate(toml_rows(table, "parameter", path))
+        ),
+        recordings=(),
+        interpolation=interpolation,
+        tolerances=_tolerances(table.get("tolerances", {}), path),
+        noise=read_noise(table.get("noise", {}), model, f"{path}: [noise]", notes),
+        notes=tuple(notes),
+    )
+    return head, table
+
+
+def noise_of(dataset: Dataset) -> Noise:
+    """The sensors' noise: as given, else estimated from all recordings."""
+    if dataset.noise is not None:
+        return dataset.noise
+    return estimate_noise(dataset.model, [(r.time, r.qpos, r.qvel, r.qvel_measured) for r in dataset.recordings])
+
+
+def _tolerances(table: Any, path: Path) -> dict[str, float]:
+    if not isinstance(table, Mapping):
+        raise InputError(f"{path}: [tolerances]: expected a table, got {table!r}")
+    for key, value in table.items():
+        if not is_number(value) or value < 0:
+            raise InputError(f"{path}: [tolerances] {key} = {value!r}: expected a standard deviation of 0 or more")
+    return {key: float(value) for key, value in table.items()}

@@ -1,0 +1,1 @@
+"""Forms that recordings come in, one file a form."""

@@ -1,0 +1,238 @@
+"""Recordings of a servo that swings a pendulum, in the JSON form of Rhoban's BAM, beside a `servo.toml`.
+
+The servo is voltage-controlled: duty = clip(kp g (goal - q), -max_duty, max_duty),
+torque = kt / R (duty vin - kt dq/dt). In MuJoCo's words, exactly:
+
+    position actuator   gain kp g kt vin / R, force range +- max_duty kt vin / R
+    joint damping       kt^2 / R + viscous friction
+    armature            the rotor's inertia at the output
+    friction            none yet; what is added holds a load still, where MuJoCo's default creeps
+
+vin is the supply's nominal voltage: `input_volts` is sampled within the PWM's period and scatters by volts, and with
+it the model follows the recordings no better. Mass, length, kp and vin belong to a recording, so each has a model of
+its own; what may be refitted is common to all. Zero angle: the arm hangs straight down.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from btr_mjx.errors import DamagedFile, InputError
+from btr_mjx.gap.data.believed import Believed
+from btr_mjx.gap.data.dataset import Dataset
+from btr_mjx.gap.data.recording import Recording, Split, assemble, split
+from btr_mjx.gap.data.toml_tables import check_keys, is_number, read_toml, toml_section
+
+FILE_NAME = "servo.toml"
+TIMESTEP = 0.002
+"""[s]; the gap workflow corrects what is left of the step's error."""
+HOLD = 'solreffriction="0.004 1" solimpfriction="0.9999 0.9999 0.001"'
+"""MuJoCo's friction is soft by default: a joint that should stick gives way at about 1e-3 s times the acceleration
+that it withstands, which is 20 mrad a second under this pendulum. A gear holds for as long as one looks."""
+SETTINGS = ("mass", "length", "kp", "vin")
+"""What a recording states of itself."""
+COLUMNS: Mapping[str, str] = {
+    "timestamp": "time",
+    "goal_position": "ctrl/servo",
+    "position": "qpos/servo",
+    "speed": "qvel/servo",
+}
+"""Column of a recording by entry of the JSON."""
+PARAMETERS = (
+    Believed(
+        "motor strength (torque per volt)",
+        ("actuator:servo/kp", "actuator:servo/forcerange[0]", "actuator:servo/forcerange[1]"),
+        0.5,
+        2.0,
+        relative=True,
+    ),
+    Believed("back-EMF and viscous friction", ("joint:servo/damping",), 0.25, 4.0, relative=True),
+    Believed("rotor inertia", ("joint:servo/armature",), 0.25, 4.0, relative=True),
+)
+"""What may be refitted: factors on the nominal values."""
+
+
+@dataclass(frozen=True)
+class Servo:
+    """Nominal values, SI units, at the output shaft.
+
+    Attributes:
+      kt: torque constant [N m/A], equal to the back-EMF constant [V s/rad].
+      resistance: of the winding [ohm].
+      error_gain: duty per rad of error and unit of the firmware's gain kp.
+      max_duty: largest duty.
+      armature: rotor inertia [kg m^2].
+      viscous_friction: [N m s/rad].
+      arm_mass: uniform rod between the axis and the mass [kg].
+      gravity: [m/s^2].
+    """
+
+    kt: float
+    resistance: float
+    error_gain: float
+    max_duty: float = 1.0
+    armature: float = 0.0
+    viscous_friction: float = 0.0
+    arm_mass: float = 0.0
+    gravity: float = 9.81
+
+
+def is_servo_folder(folder: str | Path) -> bool:
+    """Whether a folder holds such recordings."""
+    return (Path(folder) / FILE_NAME).is_file()
+
+
+def servo_xml(servo: Servo, mass: float, length: float, kp: float, vin: float) -> str:
+    """MJCF of the believed servo with a mass at the end of its arm.
+
+    Args:
+      servo: nominal values.
+      mass: [kg].
+      length: from the axis to the mass [m].
+      kp: the firmware's gain.
+      vin: supply [V].
+    """
+    volts_to_torque = servo.kt / servo.resistance * vin
+    gain, limit = kp * servo.error_gain * volts_to_torque, servo.max_duty * volts_to_torque
+    damping = servo.kt**2 / servo.resistance + servo.viscous_friction
+    rod = servo.arm_mass * length**2 / 12
+    arm = (
+        f'<inertial pos="0 0 {-length / 2!r}" mass="{servo.arm_mass!r}" diaginertia="{rod!r} {rod!r} {1e-3 * rod!r}"/>'
+        if servo.arm_mass > 0
+        else ""
+    )
+    point = 1e-6 * mass * length**2
+    return f"""<mujoco model="servo_pendulum">
+  <compiler angle="radian"/>
+  <option timestep="{TIMESTEP!r}" integrator="implicitfast" gravity="0 0 {-servo.gravity!r}"/>
+  <worldbody>
+    <body name="arm">
+      {arm}
+      <joint name="servo" type="hinge" axis="0 -1 0" damping="{damping!r}" armature="{servo.armature!r}" {HOLD}/>
+      <geom name="arm" type="capsule" fromto="0 0 0 0 0 {-length!r}" size="0.005" mass="0" contype="0" conaffinity="0"/>
+      <body name="load" pos="0 0 {-length!r}">
+        <inertial pos="0 0 0" mass="{mass!r}" diaginertia="{point!r} {point!r} {point!r}"/>
+        <geom name="load" type="sphere" size="0.02" mass="0" contype="0" conaffinity="0"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position name="servo" joint="servo" kp="{gain!r}" forcerange="{-limit!r} {limit!r}"/>
+  </actuator>
+</mujoco>
+"""
+
+
+def load_servo(folder: str | Path) -> Dataset:
+    """Read a folder of recordings beside its servo.toml.
+
+    Within each group of equal mass, length, kp and vin about a third is held out, another kind of motion in each group.
+
+    Raises:
+      InputError: no recordings, a value that is missing or no number, or what `recording.assemble` refuses.
+      DamagedFile: a file that does not parse.
+    """
+    folder = Path(folder)
+    notes: list[str] = []
+    servo = read_servo(folder / FILE_NAME, notes)
+    files = sorted(folder.glob("*.json"))
+    if not files:
+        raise InputError(f"{folder}: there is no .json recording beside {FILE_NAME}")
+    recordings, settings = [], []
+    for file in files:
+        entries, setting = _read_json(file)
+        model = _compile(servo, setting, file)
+        recordings.append(assemble(entries, model, str(file), file.stem))
+        settings.append(setting)
+    nominal = servo_xml(servo, *settings[0])
+    return Dataset(
+        folder=folder,
+        model=recordings[0].model,
+        model_file=folder / FILE_NAME,
+        spec_xml=nominal,
+        parameters=_parameters(recordings),
+        recordings=tuple(_held_out(recordings, settings, folder)),
+        interpolation="linear",
+        notes=tuple(notes),
+    )
+
+
+def read_servo(path: Path, notes: list[str]) -> Servo:
+    """Nominal values from the table [servo].
+
+    Raises:
+      InputError: a value that is missing, no number or negative.
+    """
+    table = toml_section(read_toml(path), "servo", path)
+    names = [f.name for f in fields(Servo)]
+    check_keys({k: v for k, v in table.items() if k != "motor"}, names, f"{path}: [servo]", notes)
+    for name in ("kt", "resistance", "error_gain"):
+        if name not in table:
+            raise InputError(f"{path}: [servo] has no {name}; add it in SI units")
+    values = {name: table[name] for name in names if name in table}
+    for name, value in values.items():
+        if not is_number(value) or value < 0 or (value == 0 and name in ("kt", "resistance", "error_gain", "max_duty")):
+            raise InputError(f"{path}: [servo] {name} = {value!r}: expected a positive number in SI units")
+    return Servo(**{name: float(value) for name, value in values.items()})
+
+
+def _read_json(file: Path) -> tuple[dict[str, np.ndarray], tuple[float, ...]]:
+    """Columns of a recording and its mass, length, kp and vin."""
+    try:
+        content: Any = json.loads(file.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise DamagedFile(f"{file}: not valid JSON ({error})") from None
+    if not isinstance(content, Mapping) or not isinstance(content.get("entries"), list) or not content["entries"]:
+        raise InputError(f'{file}: expected an object with a list "entries" of samples')
+    for name in SETTINGS:
+        if not is_number(content.get(name)) or content[name] <= 0:
+            raise InputError(f"{file}: {name} = {content.get(name)!r}: expected a positive number")
+    columns = {}
+    for entry, column in COLUMNS.items():
+        values = [sample.get(entry) if isinstance(sample, Mapping) else None for sample in content["entries"]]
+        if all(value is None for value in values):
+            if entry == "speed":
+                continue
+            raise InputError(f"{file}: no entry has {entry!r}; an entry needs {', '.join(COLUMNS)}")
+        columns[column] = np.array([value if is_number(value) else np.nan for value in values], float)
+    for entry in ("input_volts", "load", "temp"):
+        values = [sample.get(entry) for sample in content["entries"]]
+        if all(is_number(value) for value in values):
+            columns[f"sensor/{entry}"] = np.array(values, float)
+    off = [sample.get("torque_enable") is False for sample in content["entries"]]
+    if any(off):
+        raise InputError(f"{file}: the motor was off in sample {off.index(True) + 1}; cut the recording before")
+    return columns, tuple(float(content[name]) for name in SETTINGS)
+
+
+def _compile(servo: Servo, setting: Sequence[float], file: Path) -> mujoco.MjModel:
+    try:
+        return mujoco.MjModel.from_xml_string(servo_xml(servo, *setting))
+    except ValueError as error:
+        raise InputError(f"{file}: MuJoCo does not accept the servo that follows from its values: {error}") from None
+
+
+def _parameters(recordings: Sequence[Recording]) -> tuple[Believed, ...]:
+    """The parameters of which every recording's model has numbers other than zero."""
+    fitted = []
+    for believed in PARAMETERS:
+        if all(replace(believed, relative=False).value(recording.model) != 0 for recording in recordings):
+            fitted.append(believed)
+    return tuple(fitted)
+
+
+def _held_out(
+    recordings: Sequence[Recording], settings: Sequence[tuple[float, ...]], folder: Path
+) -> Sequence[Recording]:
+    words: list[Split] = ["fit"] * len(recordings)
+    for number, setting in enumerate(sorted(set(settings))):
+        members = [i for i, other in enumerate(settings) if other == setting]
+        for place, i in enumerate(members):
+            if (place + number) % 3 == 2:
+                words[i] = "test"
+    return split(recordings, words if len(set(words)) > 1 else [None] * len(words), str(folder))

@@ -1,0 +1,163 @@
+"""Noise of the sensors: as a dataset states it, or as its recordings show it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.data.columns import SUFFIXES, state_columns
+from btr_mjx.gap.data.toml_tables import check_keys, is_number
+from btr_mjx.models import difference, part_names
+
+KEYS = ("qpos", "qvel", "position", "rotation", "velocity", "angular_velocity")
+ORDER = 6
+"""Order of the differences that remove the motion from a signal."""
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Standard deviation of the sensors' noise.
+
+    Attributes:
+      qpos: (nv,) of the configuration, per tangent coordinate [rad or m].
+      qvel: (nv,) of the velocity [rad/s or m/s].
+    """
+
+    qpos: np.ndarray
+    qvel: np.ndarray
+
+
+def read_noise(table: Any, model: mujoco.MjModel, where: str, notes: list[str]) -> Noise | None:
+    """Noise of each tangent coordinate from a [noise] table; None where it does not cover all of them.
+
+    Raises:
+      InputError: a value that is no positive number, a key that looks like a misspelt one.
+    """
+    names = part_names(model, "joint")
+    columns = [f"{kind}/{name}" for name in names for kind in ("qpos", "qvel")]
+    positions, velocities = state_columns(model)
+    check_keys(table, [*KEYS, *columns, *positions, *velocities], where, notes, strict=False)
+    for key, value in table.items():
+        if not is_number(value) or value <= 0:
+            raise InputError(f"{where}: {key} = {value!r}: expected a positive standard deviation")
+    sigma = np.full((2, model.nv), np.nan)
+    for name, kind, first in zip(names, model.jnt_type, model.jnt_dofadr, strict=True):
+        for i, part in enumerate(SUFFIXES.get(int(kind), ((), ("",)))[1]):
+            turning = part.startswith("w")
+            position = ["rotation" if turning else "position"] if part else []
+            velocity = ["angular_velocity" if turning else "velocity"] if part else []
+            single = "" if turning else f"qpos/{name}/{part[1:]}"  # a rotation has no column of its own in qpos
+            keys = (
+                [single, f"qpos/{name}", *position, "qpos"],
+                [f"qvel/{name}/{part}", f"qvel/{name}", *velocity, "qvel"],
+            )
+            for row in (0, 1):
+                sigma[row, first + i] = next((float(table[key]) for key in keys[row] if key in table), np.nan)
+    if table and np.isnan(sigma).any():
+        notes.append(f"{where}: does not cover all coordinates; the noise is estimated from the data instead")
+    return None if np.isnan(sigma).any() else Noise(sigma[0], sigma[1])
+
+
+_TOO_LOUD = 0.5
+"""Part of a channel's estimated variance that a model leaves, below which the estimate was wrong."""
+
+_AT_ONCE = 1e-4
+"""The smallest such part that is believed at once: states from which windows start follow the estimate, too."""
+
+Track = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""time (K,), qpos (K, nq), qvel (K, nv) and (nv,) bool: which velocities were measured."""
+
+
+def estimate_noise(model: mujoco.MjModel, tracks: Sequence[Track]) -> Noise:
+    """Noise from the part of the signals that no smooth motion explains.
+
+    Six neighbouring samples predict the seventh; what is left over is noise, or the step of a quantised encoder.
+
+    Args:
+      model: the model.
+      tracks: the recordings.
+
+    Returns:
+      The noise, never below that of quantisation. Where a velocity was nowhere measured, it is that of the position
+      over the sampling interval.
+    """
+    interval = float(np.median(np.concatenate([np.diff(track[0]) for track in tracks])))
+    qpos: list[np.ndarray] = []
+    qvel: list[np.ndarray] = []
+    floor = np.full((2, model.nv), 1e-12)
+    for time, q, v, measured in tracks:
+        index = np.arange(len(time) - ORDER)[:, None] + np.arange(ORDER + 1)
+        weights = _annihilator(time[index])
+        moves = difference(model, q[index[:, ORDER // 2]][:, None], q[index])  # (N, ORDER + 1, nv)
+        qpos.append(np.einsum("ni,niv->nv", weights, moves))
+        qvel.append(np.where(measured, np.einsum("ni,niv->nv", weights, v[index]), np.nan))
+        for row, signal in enumerate((difference(model, q[:1], q), np.where(measured, v, 0.0))):
+            step = np.array([_quantum(column) for column in signal.T])
+            floor[row] = np.maximum(floor[row], np.maximum(step / np.sqrt(12), 1e-9 * np.ptp(signal, axis=0)))
+    ever = np.logical_or.reduce([track[3] for track in tracks])
+    sigma_q = np.maximum(np.median(np.abs(np.concatenate(qpos)), axis=0) / 0.6745, floor[0])
+    sigma_v = sigma_q / interval
+    left = np.abs(np.concatenate(qvel))[:, ever]
+    sigma_v[ever] = np.maximum(np.nanmedian(left, axis=0) / 0.6745, floor[1, ever])
+    return Noise(sigma_q, sigma_v)
+
+
+def quieter(sigma: np.ndarray, channels: np.ndarray, residual: np.ndarray, freedom: float) -> np.ndarray | None:
+    """Noise that is less than what a model leaves of the data, where the estimate from the signals was more.
+
+    Motors that are told something else at every sample move a joint in ways that no smooth curve follows, and such an
+    estimate takes that for noise. A model that is given the same commands knows better: whatever it lacks, what it
+    leaves can only be more than the noise.
+
+    Args:
+      sigma: (2 nv,) the estimate.
+      channels: (c,) indices of what was measured.
+      residual: (W, R) of a model, in units of the estimate, all channels of a sample after each other.
+      freedom: degrees of freedom of a window.
+
+    Returns:
+      A better estimate, or None where this one may be right.
+    """
+    share = (residual.reshape(len(residual), -1, len(channels)) ** 2).mean(1) * (residual.shape[1] / freedom)
+    part = np.median(share, axis=0)
+    if (part >= _TOO_LOUD).all():
+        return None
+    out = sigma.copy()
+    out[channels] *= np.sqrt(np.where(part < _TOO_LOUD, np.maximum(part, _AT_ONCE), 1.0))
+    return out
+
+
+def _annihilator(time: np.ndarray) -> np.ndarray:
+    """Weights (N, n) of unit length that remove every polynomial below degree n - 1 at times (N, n)."""
+    span = np.ptp(time, axis=1)[:, None, None]
+    gaps = (time[:, :, None] - time[:, None, :]) / span
+    gaps[:, np.arange(time.shape[1]), np.arange(time.shape[1])] = 1.0
+    weights = 1.0 / np.prod(gaps, axis=2)
+    return weights / np.linalg.norm(weights, axis=1, keepdims=True)
+
+
+def _quantum(signal: np.ndarray) -> float:
+    """Step of a quantised signal; 0 where its values are not on a grid."""
+    steps = np.diff(np.unique(signal))
+    steps = steps[steps > 1e-9 * max(float(np.ptp(signal)), 1e-300)]
+    if len(steps) < 2 or len(steps) > 0.8 * len(signal):
+        return 0.0
+    quantum = float(steps.min())
+    return quantum if bool(np.all(np.abs(steps / quantum - np.round(steps / quantum)) < 0.01)) else 0.0
+
+
+def as_table(noise: Noise, model: mujoco.MjModel) -> Mapping[str, float]:
+    """The [noise] table that says the same, one key per coordinate; rotations take their joint's first value."""
+    table: dict[str, float] = {}
+    for name, kind, first in zip(part_names(model, "joint"), model.jnt_type, model.jnt_dofadr, strict=True):
+        parts = SUFFIXES.get(int(kind), ((), ("",)))[1]
+        for i, part in enumerate(parts):
+            table[f"qvel/{name}/{part}" if part else f"qvel/{name}"] = float(noise.qvel[first + i])
+            if not part or not part.startswith("w"):
+                table[f"qpos/{name}/{part[1:]}" if part else f"qpos/{name}"] = float(noise.qpos[first + i])
+            elif f"qpos/{name}" not in table:
+                table[f"qpos/{name}"] = float(noise.qpos[first + i])
+    return table

@@ -1,0 +1,120 @@
+"""Writing datasets: the folder that `dataset.load` reads."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.data.believed import Believed
+from btr_mjx.gap.data.columns import control_columns, state_columns
+from btr_mjx.gap.data.dataset import FILE_NAME, Interpolation
+from btr_mjx.gap.data.noise import Noise, as_table
+from btr_mjx.gap.data.recording import Recording
+from btr_mjx.runs import atomic_write, write_arrays, write_table
+
+Format = Literal["npz", "csv", "parquet"]
+
+
+def recording_columns(recording: Recording) -> dict[str, np.ndarray]:
+    """The columns (K,) of a recording's table; velocities only where they were measured."""
+    positions, velocities = state_columns(recording.model)
+    columns = {"time": recording.time}
+    columns |= dict(zip(control_columns(recording.model), recording.ctrl.T, strict=True))
+    columns |= dict(zip(positions, recording.qpos.T, strict=True))
+    velocity = zip(velocities, recording.qvel.T, recording.qvel_measured, strict=True)
+    columns |= {name: values for name, values, measured in velocity if measured}
+    columns |= {f"force/{name}": values for name, values in recording.force.items()}
+    columns |= {f"sensor/{name}": values for name, values in recording.sensor.items()}
+    return columns
+
+
+def save_dataset(
+    folder: str | Path,
+    xml: str,
+    recordings: Sequence[Recording],
+    *,
+    parameters: Sequence[Believed] = (),
+    interpolation: Interpolation = "linear",
+    tolerances: Mapping[str, float] | None = None,
+    noise: Noise | None = None,
+    models: Mapping[str, str] | None = None,
+    overrides: Mapping[str, Mapping[str, float]] | None = None,
+    file_format: Format = "npz",
+) -> Path:
+    """Write a dataset folder; `dataset.load` gives it back.
+
+    Args:
+      folder: made if absent.
+      xml: MJCF text of the believed model.
+      recordings: with different names. Their models only name the columns.
+      parameters: what may be refitted.
+      interpolation: what the command does between samples.
+      tolerances: 1 sigma of what calibration leaves, by effect.
+      noise: of the sensors; None lets the reader estimate it.
+      models: MJCF texts of recordings that have a model of their own, by recording.
+      overrides: numbers that differ in a recording, by recording and path.
+      file_format: of the recordings.
+
+    Returns:
+      The path of dataset.toml.
+
+    Raises:
+      InputError: two recordings of one name.
+      OSError: the folder cannot be written to.
+    """
+    folder, models, overrides = Path(folder), models or {}, overrides or {}
+    names = [recording.name for recording in recordings]
+    if len(set(names)) < len(names):
+        raise InputError(f"recordings: got the names {', '.join(names)}, expected different ones")
+    _write_text(folder / "model.xml", xml)
+    lines = ["[model]", 'file = "model.xml"', "", "[control]", f"interpolation = {json.dumps(interpolation)}"]
+    for title, table in (("tolerances", tolerances), ("noise", None if noise is None else _noise(noise, recordings))):
+        if table:
+            lines += ["", f"[{title}]", *_pairs(table)]
+    for believed in parameters:
+        entry: dict[str, Any] = {
+            "name": believed.name,
+            "path": list(believed.paths),
+            "bounds": [believed.low, believed.high],
+        }
+        lines += ["", "[[parameter]]", *_pairs(entry | ({"relative": True} if believed.relative else {}))]
+    for recording in recordings:
+        file = f"{recording.name}.{file_format}"
+        columns = recording_columns(recording)
+        if file_format == "npz":
+            write_arrays(folder / file, columns)
+        else:
+            write_table(folder / file, columns)
+        row: dict[str, Any] = {"file": file, "split": recording.split}
+        if recording.name in models:
+            row["model"] = own = f"{recording.name}.xml"
+            _write_text(folder / own, models[recording.name])
+        lines += ["", "[[recording]]", *_pairs(row)]
+        if overrides.get(recording.name):
+            lines += [f"overrides = {{ {', '.join(_pairs(overrides[recording.name]))} }}"]
+    _write_text(folder / FILE_NAME, "\n".join(lines) + "\n")
+    return folder / FILE_NAME
+
+
+def _noise(noise: Noise, recordings: Sequence[Recording]) -> Mapping[str, float]:
+    model: mujoco.MjModel = recordings[0].model
+    return as_table(noise, model)
+
+
+def _pairs(table: Mapping[str, Any]) -> list[str]:
+    return [f"{key if key.isidentifier() else json.dumps(key)} = {_value(value)}" for key, value in table.items()]
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(_value(item) for item in value)}]"
+    return json.dumps(value if isinstance(value, str | bool) else float(value), ensure_ascii=False)
+
+
+def _write_text(path: Path, text: str) -> None:
+    with atomic_write(path) as file:
+        file.write(text.encode("utf-8"))

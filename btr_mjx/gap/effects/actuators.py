@@ -1,0 +1,178 @@
+"""Effects of actuators: late or smoothed commands, weak motors, limits."""
+
+import math
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.effects.effect import Effect, Parameter
+from btr_mjx.gap.effects.places import Place, actuator_count, actuator_places
+from btr_mjx.gap.effects.ranges import Scales, unit_of
+from btr_mjx.gap.effects.similar import FADING_MOTOR
+from btr_mjx.gap.simulate import Command, World
+
+_LEAST_LIMIT = 0.01
+"""Smallest limit, beside the largest force that is asked for. That force may be of a moment: a stiff servo that starts
+half a radian away asked for thirty times what its motor had."""
+
+_HELD = 0.25
+"""Part of the model's time step: data in which commands were held through steps of half that length are that late, on
+average, and a simulation that holds them through its own is later still. No robot lacks that."""
+
+_LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE), int(mujoco.mjtGain.mjGAIN_PID))
+_LINEAR_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
+
+
+def _controlled(model: mujoco.MjModel) -> list[Place]:
+    return actuator_places(model, [a for a in range(actuator_count(model)) if model.actuator_ctrlnum[a] > 0])
+
+
+def _per_control(model: mujoco.MjModel, place: Place, value: float) -> np.ndarray:
+    """(nu,) with a value at the place's controls and zero elsewhere."""
+    out = np.zeros(model.nu)
+    out[place.controls(model)] = value
+    return out
+
+
+def _delay(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    time = scales.time
+    # Clocks may differ, but not from one motor to the next.
+    low = -0.15 * time if len(place.actuators) == actuator_count(model) else 0.0
+    return (Parameter("delay", "s", low, max(2.0 * time, 0.03), 0.03 * time, least=_HELD * model.opt.timestep),)
+
+
+def _shift(delay: np.ndarray) -> Callable[[Command], Command]:
+    return lambda command: command.shifted(delay)
+
+
+def _apply_delay(world: World, place: Place, values: np.ndarray) -> None:
+    """u(t) = command(t - delay): bus and controller latency; negative, for all only: commands were logged late."""
+    world.command_edits.append(_shift(_per_control(world.model, place, float(values[0]))))
+
+
+def _native_delay(spec: mujoco.MjSpec, model: mujoco.MjModel, place: Place, values: np.ndarray) -> bool:
+    """MuJoCo's own delay of actuators, with a history long enough for it."""
+    if values[0] < 0:
+        return False
+    actuators = _by_id(spec)
+    for a in place.actuators:
+        actuator = actuators[a]
+        actuator.delay = actuator.delay + float(values[0])
+        actuator.nsample = max(int(actuator.nsample), math.ceil(actuator.delay / model.opt.timestep) + 2)
+        actuator.interp = 1
+    return True
+
+
+def _by_id(spec: mujoco.MjSpec) -> dict[int, mujoco.MjsActuator]:
+    return {int(actuator.id): actuator for actuator in spec.actuators}
+
+
+def _lag(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    high, least = max(2.0 * scales.time, 0.03), _HELD * model.opt.timestep
+    return (Parameter("time_constant", "s", 0.0, high, 0.03 * scales.time, least=least),)
+
+
+def _filter(constant: np.ndarray) -> Callable[[Command], Command]:
+    return lambda command: command.filtered(constant)
+
+
+def _apply_lag(world: World, place: Place, values: np.ndarray) -> None:
+    """T du/dt = command - u: a first-order lag of what the actuator is told."""
+    world.command_edits.append(_filter(_per_control(world.model, place, float(values[0]))))
+
+
+def _native_lag(spec: mujoco.MjSpec, model: mujoco.MjModel, place: Place, values: np.ndarray) -> bool:
+    """An exact filter as the actuator's state, where it has no state yet."""
+    actuators = [_by_id(spec)[a] for a in place.actuators]
+    free = all(a.dyntype == mujoco.mjtDyn.mjDYN_NONE for a in actuators)
+    if not free or any(model.actuator_ctrllimited[a] or model.actuator_ctrlnum[a] != 1 for a in place.actuators):
+        return False
+    for actuator in actuators:
+        actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
+        actuator.dynprm[0] = float(values[0])
+    return True
+
+
+def _linear(model: mujoco.MjModel) -> list[Place]:
+    return actuator_places(
+        model,
+        [
+            a
+            for a in range(actuator_count(model))
+            if int(model.actuator_gaintype[a]) in _LINEAR_GAINS and int(model.actuator_biastype[a]) in _LINEAR_BIASES
+        ],
+    )
+
+
+def _gain(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    return (Parameter("change", "1", -0.9, 1.0, -0.03, 0.003),)
+
+
+def _apply_gain(world: World, place: Place, values: np.ndarray) -> None:
+    """Force -> (1 + change) force: a motor that is weaker or stronger than believed, its feedback included."""
+    actuators = list(place.actuators)
+    world.model.actuator_gainprm[actuators] *= 1 + values[0]
+    world.model.actuator_biasprm[actuators] *= 1 + values[0]
+
+
+def _limit(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    actuators, unit = list(place.actuators), unit_of(model, place, "N m", "N")
+    peak = float(scales.force[actuators].max())
+    limited = model.actuator_forcelimited[actuators].astype(bool)
+    if limited.all():
+        believed = float(np.abs(model.actuator_forcerange[actuators]).max())
+        if believed <= peak * 1.01:  # it binds: it may be larger or smaller
+            return (Parameter("limit", unit, _LEAST_LIMIT * peak, 3.0 * believed, -0.1 * believed, null=believed),)
+    peak = max(peak, 1e-9)
+    return (Parameter("limit", unit, _LEAST_LIMIT * peak, 1.1 * peak, -0.3 * peak, null=1.1 * peak),)
+
+
+def _apply_limit(world: World, place: Place, values: np.ndarray) -> None:
+    """|force| <= limit at the actuator, as a driver's current limit [N m before the gear, N for slides]."""
+    actuators = list(place.actuators)
+    world.model.actuator_forcelimited[actuators] = 1
+    world.model.actuator_forcerange[actuators] = (-values[0], values[0])
+
+
+ACTUATOR_DELAY = Effect(
+    "actuator_delay",
+    _controlled,
+    _delay,
+    _apply_delay,
+    excited_by="commands of several frequencies",
+    summable=True,
+    native=_native_delay,
+    equation="u(t) = command(t − delay)",
+)
+ACTUATOR_LAG = Effect(
+    "actuator_lag",
+    _controlled,
+    _lag,
+    _apply_lag,
+    excited_by="commands of several frequencies",
+    summable=True,
+    native=_native_lag,
+    equation="T u̇ = command − u",
+)
+ACTUATOR_GAIN = Effect(
+    "actuator_gain",
+    _linear,
+    _gain,
+    _apply_gain,
+    excited_by="loads and accelerations",
+    summable=True,
+    equation="force → (1 + change) force",
+    akin=(FADING_MOTOR,),
+)
+TORQUE_LIMIT = Effect(
+    "torque_limit",
+    actuator_places,
+    _limit,
+    _apply_limit,
+    excited_by="the largest forces that the actuator is asked for",
+    summable=True,
+    equation="|force| ≤ limit",
+)
+
+ACTUATOR_EFFECTS = (ACTUATOR_DELAY, ACTUATOR_LAG, ACTUATOR_GAIN, TORQUE_LIMIT)

@@ -1,0 +1,222 @@
+"""Effects of bodies and of the world around them: masses, lengths, forces, air."""
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.effects.effect import Effect, Parameter
+from btr_mjx.gap.effects.links import lengthen, link_of
+from btr_mjx.gap.effects.mass import MassProperties, forget_frames, point_mass
+from btr_mjx.gap.effects.places import WORLD, Place, body_place, ends, links, trunks, welded
+from btr_mjx.gap.effects.ranges import Scales
+from btr_mjx.gap.effects.similar import ELASTIC_CORD
+from btr_mjx.gap.simulate import World
+
+
+def _extent(model: mujoco.MjModel, body: int) -> float:
+    """How far the geoms of a body, and of those welded to it, reach from the body's frame [m]."""
+    own = model.body_weldid[model.geom_bodyid] == model.body_weldid[body]
+    solid = own & (model.geom_rbound > 0)
+    reach = np.linalg.norm(model.geom_pos[solid], axis=1) + model.geom_rbound[solid]
+    return float(reach.max(initial=0.0)) or 0.1
+
+
+def _group_mass(model: mujoco.MjModel, body: int) -> float:
+    return float(model.body_mass[model.body_weldid == model.body_weldid[body]].sum())
+
+
+def _payload_places(model: mujoco.MjModel) -> list[Place]:
+    # A single body that was compiled with a diagonal mass matrix keeps it: its centre cannot move (loaders avoid it).
+    free = [b for b in [*trunks(model), *links(model), *welded(model)] if model.body_mass[b] > 0]
+    return [body_place(model, b) for b in sorted(free) if not _fixed_centre(model, b)]
+
+
+def _fixed_centre(model: mujoco.MjModel, body: int) -> bool:
+    return bool(model.body_simple[body])
+
+
+def _payload(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    (body,) = place.bodies
+    own = _group_mass(model, body)
+    mass = Parameter(
+        "mass",
+        "kg",
+        -0.9 * float(model.body_mass[body]),
+        0.5 * scales.mass + own,
+        min(0.1 * own, 0.02 * scales.mass),
+        0.005 * own,
+    )
+    if body in welded(model):
+        return (mass,)
+    link = link_of(model, body)
+    if body in trunks(model) or link is None:
+        reach = _extent(model, body)
+        centre = model.body_ipos[body]
+        where = tuple(
+            Parameter(axis, "m", float(c) - reach, float(c) + reach, 0.2 * reach, null=float(c), shape=True)
+            for axis, c in zip("xyz", centre, strict=True)
+        )
+        return (mass, *where)
+    length = link.length
+    return (mass, Parameter("along", "m", -0.2 * length, 1.2 * length, -0.2 * length, null=length, shape=True))
+
+
+def _apply_payload(world: World, place: Place, values: np.ndarray) -> None:
+    """A point mass m fixed to the body.
+
+    It sits at (x, y, z) in the frame of a trunk, at the distance `along` from the joint of a link towards the link's
+    far end, in the centre of mass of a body that is welded to another.
+    """
+    (body,) = place.bodies
+    model = world.model
+    if len(values) == 4:
+        position = values[1:]
+    elif len(values) == 2:
+        link = link_of(model, body)
+        assert link is not None
+        position = link.point(values[1])
+    else:
+        position = model.body_ipos[body]
+    MassProperties.of(model, body).plus(point_mass(float(values[0]), position)).write(model, body)
+
+
+def _link_places(model: mujoco.MjModel) -> list[Place]:
+    return [body_place(model, b) for b in links(model) if link_of(model, b) is not None and not _fixed_centre(model, b)]
+
+
+def _length(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    link = link_of(model, place.bodies[0])
+    assert link is not None
+    size = link.length
+    return (Parameter("change", "m", -0.5 * size, 1.0 * size, 0.005 * size, 5e-4 * size),)
+
+
+def _apply_length(world: World, place: Place, values: np.ndarray) -> None:
+    """The body's far end lies `change` further from its joint; mass grows with the length, see `links.lengthen`."""
+    link = link_of(world.model, place.bodies[0])
+    assert link is not None
+    lengthen(world.model, link, float(values[0]))
+
+
+def _shift_places(model: mujoco.MjModel) -> list[Place]:
+    return [body_place(model, b) for b in trunks(model) if model.body_mass[b] > 0 and not _fixed_centre(model, b)]
+
+
+def _shift(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    reach = _extent(model, place.bodies[0])
+    return tuple(Parameter(axis, "m", -0.5 * reach, 0.5 * reach, 0.02 * reach, 0.002 * reach) for axis in "xyz")
+
+
+def _apply_shift(world: World, place: Place, values: np.ndarray) -> None:
+    """The centre of mass of a trunk lies elsewhere; mass and inertia about it stay."""
+    (body,) = place.bodies
+    world.model.body_ipos[body] += values
+    forget_frames(world.model, body)
+
+
+def _force_places(model: mujoco.MjModel) -> list[Place]:
+    return [body_place(model, b) for b in sorted({*trunks(model), *ends(model)})]
+
+
+def _force(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    (body,) = place.bodies
+    weight = 9.81 * float(model.body_subtreemass[body])
+    most = 3.0 * weight + 9.81 * scales.mass
+    return tuple(Parameter(axis, "N", -most, most, 0.02 * weight) for axis in "xyz")
+
+
+def _apply_force(world: World, place: Place, values: np.ndarray) -> None:
+    """A constant force (x, y, z) in the world's frame at the body's centre of mass: a cable, wind, a lean."""
+    world.wrench[place.bodies[0], :3] += values
+
+
+def _world(model: mujoco.MjModel) -> list[Place]:
+    return [WORLD] if (model.body_weldid != 0).any() else []
+
+
+def _drag(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    solid = (model.body_weldid != 0) & (model.body_mass > 0)
+    mass, inertia = model.body_mass[solid], model.body_inertia[solid]
+    if not len(mass):
+        return (Parameter("density", "kg/m^3", 0.0, 100.0, 1.0),)
+    # MuJoCo's model of a fluid sees every body as the box that has its inertia.
+    sides = np.sqrt(np.maximum(6 * (inertia.sum(1, keepdims=True) - 2 * inertia) / mass[:, None], 1e-12))
+    size = float(np.median(mass / np.maximum(sides.prod(1), 1e-12)))
+    believed = float(model.opt.density)
+    return (Parameter("density", "kg/m^3", 0.0, believed + 2.0 * size, 0.01 * size, null=believed),)
+
+
+def _apply_drag(world: World, place: Place, values: np.ndarray) -> None:
+    """Drag -1/2 rho A v |v| on every body, as on the box that has its inertia (MuJoCo's inertia-based fluid)."""
+    world.model.opt.density = max(float(values[0]), 0.0)
+
+
+def _slope_places(model: mujoco.MjModel) -> list[Place]:
+    return _world(model) if np.linalg.norm(model.opt.gravity) > 0 else []
+
+
+def _slope(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    return (Parameter("x", "rad", -0.6, 0.6, 0.02, 1e-3), Parameter("y", "rad", -0.6, 0.6, 0.02, 1e-3))
+
+
+def _apply_slope(world: World, place: Place, values: np.ndarray) -> None:
+    """The ground, or what a fixed robot stands on, is turned by x about the x axis, then by y about the y axis.
+
+    Seen from the ground, gravity turns the other way: g' = R^T g with R = R_y(y) R_x(x).
+    """
+    cx, sx, cy, sy = np.cos(values[0]), np.sin(values[0]), np.cos(values[1]), np.sin(values[1])
+    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    world.model.opt.gravity[:] = (about_y @ about_x).T @ world.model.opt.gravity
+
+
+PAYLOAD = Effect(
+    "payload",
+    _payload_places,
+    _payload,
+    _apply_payload,
+    excited_by="accelerations of the body, weight on its joints",
+    equation="a point mass fixed to the body",
+)
+LINK_LENGTH = Effect(
+    "link_length",
+    _link_places,
+    _length,
+    _apply_length,
+    excited_by="contact of the limb's end, accelerations",
+    equation="the body's far end lies further from its joint",
+)
+COM_SHIFT = Effect(
+    "com_shift",
+    _shift_places,
+    _shift,
+    _apply_shift,
+    excited_by="accelerations and tilts of the trunk",
+    equation="the centre of mass lies elsewhere",
+)
+CONSTANT_FORCE = Effect(
+    "constant_force",
+    _force_places,
+    _force,
+    _apply_force,
+    excited_by="any motion",
+    equation="a constant force at the body's centre of mass, world frame",
+    akin=(ELASTIC_CORD,),
+)
+AIR_DRAG = Effect(
+    "air_drag",
+    _world,
+    _drag,
+    _apply_drag,
+    excited_by="fast motion through the air",
+    equation="drag ½ ρ A v² on every body",
+)
+GROUND_SLOPE = Effect(
+    "ground_slope",
+    _slope_places,
+    _slope,
+    _apply_slope,
+    excited_by="free motion, standing",
+    equation="gravity turned by the slope of the ground",
+)
+
+BODY_EFFECTS = (PAYLOAD, LINK_LENGTH, COM_SHIFT, CONSTANT_FORCE, AIR_DRAG, GROUND_SLOPE)

@@ -1,0 +1,152 @@
+"""Friction at joints: viscous, dry, growing with the load, breaking away."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.effects.effect import Effect, Parameter
+from btr_mjx.gap.effects.places import Place, actuator_count, joint_of, joint_places
+from btr_mjx.gap.effects.ranges import Scales, least, typical, unit_of
+from btr_mjx.gap.simulate import Rows, World
+
+
+def _damping(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    size = typical(scales.torque, place, model) / typical(scales.speed, place, model)
+    unit = unit_of(model, place, "N m s/rad", "N s/m")
+    believed = least(model, "dof_damping", place)
+    # Nobody knows damping to a percent where motors hardly feel it, and nobody calls that missing. As a tolerance it
+    # would pass for a part of a strong friction.
+    negligible = min(0.4 * believed, max(0.04 * believed, 4e-3 * size))
+    return (Parameter("damping", unit, -believed, 3.0 * size, 0.05 * size, 0.01 * believed, least=negligible),)
+
+
+def _apply_damping(world: World, place: Place, values: np.ndarray) -> None:
+    """Tau = -d qvel; d is added to the believed damping."""
+    world.model.dof_damping[place.dofs(world.model)] += values[0]
+
+
+def _friction(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    size = typical(scales.torque, place, model)
+    unit = unit_of(model, place, "N m", "N")
+    return (Parameter("torque", unit, -least(model, "dof_frictionloss", place), 0.8 * size, 0.02 * size),)
+
+
+def _apply_friction(world: World, place: Place, values: np.ndarray) -> None:
+    """|tau| <= f, against the motion (Coulomb); f is added to the believed frictionloss."""
+    world.model.dof_frictionloss[place.dofs(world.model)] += values[0]
+
+
+@dataclass(frozen=True)
+class LoadFriction:
+    """Friction loss f = mu |tau|, tau the actuators' generalised force in the last step.
+
+    Attributes:
+      dofs: degrees of freedom.
+      coefficient: mu [1].
+    """
+
+    dofs: np.ndarray
+    coefficient: float
+    fields: tuple[str, ...] = ("dof_frictionloss",)
+
+    def __call__(self, rows: Rows) -> None:
+        """Add to the friction loss of the coming step."""
+        rows.field("dof_frictionloss")[:, self.dofs] += self.coefficient * np.abs(rows.qfrc_actuator[:, self.dofs])
+
+
+def _load(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    return (Parameter("coefficient", "1", 0.0, 0.9, 0.02),)
+
+
+def _apply_load(world: World, place: Place, values: np.ndarray) -> None:
+    """|tau_f| <= f0 + mu |tau_motor|: the more a gear carries, the more it rubs."""
+    world.laws.append(LoadFriction(place.dofs(world.model), float(values[0])))
+
+
+@dataclass(frozen=True)
+class StribeckFriction:
+    """Friction loss f = F exp(-(qvel / v)^2): what a joint needs to break away.
+
+    Attributes:
+      dofs: degrees of freedom.
+      torque: F [N m or N].
+      speed: v [rad/s or m/s].
+    """
+
+    dofs: np.ndarray
+    torque: float
+    speed: float
+    fields: tuple[str, ...] = ("dof_frictionloss",)
+
+    def __call__(self, rows: Rows) -> None:
+        """Add to the friction loss of the coming step."""
+        fall = np.exp(-((rows.qvel[:, self.dofs] / self.speed) ** 2))
+        rows.field("dof_frictionloss")[:, self.dofs] += self.torque * fall
+
+
+def _stribeck(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    torque, speed = typical(scales.torque, place, model), typical(scales.speed, place, model)
+    return (
+        Parameter("torque", unit_of(model, place, "N m", "N"), 0.0, 0.8 * torque, 0.02 * torque),
+        Parameter(
+            "speed",
+            unit_of(model, place, "rad/s", "m/s"),
+            0.01 * speed,
+            0.5 * speed,
+            0.02 * speed,
+            null=0.1 * speed,
+            shape=True,
+        ),
+    )
+
+
+def _apply_stribeck(world: World, place: Place, values: np.ndarray) -> None:
+    """|tau| <= f0 + F exp(-(qvel / v)^2): a joint that must break away before it glides."""
+    world.laws.append(StribeckFriction(place.dofs(world.model), float(values[0]), float(values[1])))
+
+
+def _driven(model: mujoco.MjModel) -> list[Place]:
+    """Joints with an actuator."""
+    joints = {joint_of(model, a) for a in range(actuator_count(model))} - {None}
+    return joint_places(model, [j for j in joints if j is not None])
+
+
+VISCOUS_DAMPING = Effect(
+    "viscous_damping",
+    joint_places,
+    _damping,
+    _apply_damping,
+    excited_by="fast motion of the joint, at several speeds",
+    summable=True,
+    equation="τ = −d q̇",
+)
+DRY_FRICTION = Effect(
+    "dry_friction",
+    joint_places,
+    _friction,
+    _apply_friction,
+    excited_by="reversals of the joint's motion",
+    summable=True,
+    equation="|τ| ≤ f, against the motion",
+)
+LOAD_FRICTION = Effect(
+    "load_friction",
+    _driven,
+    _load,
+    _apply_load,
+    excited_by="motion under loads of several sizes",
+    summable=True,
+    equation="|τ| ≤ μ |τ_motor|, against the motion",
+)
+STRIBECK_FRICTION = Effect(
+    "stribeck_friction",
+    joint_places,
+    _stribeck,
+    _apply_stribeck,
+    excited_by="slow motion and standstill next to fast motion",
+    summable=True,
+    equation="|τ| ≤ F exp(−(q̇/v)²), against the motion",
+)
+
+FRICTION_EFFECTS = (VISCOUS_DAMPING, DRY_FRICTION, LOAD_FRICTION, STRIBECK_FRICTION)

@@ -1,0 +1,132 @@
+"""Effects of contact with the ground: friction and softness, for one foot or for all."""
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.effects.effect import Effect, Parameter
+from btr_mjx.gap.effects.places import WORLD, Place, geom_place, ground_geoms
+from btr_mjx.gap.effects.ranges import Scales
+from btr_mjx.gap.simulate import World
+
+
+def _ground_places(model: mujoco.MjModel) -> list[Place]:
+    touching, _ = ground_geoms(model)
+    if not touching:
+        return []
+    return [geom_place(model, g) for g in touching] * (len(touching) > 1) + [WORLD]
+
+
+def _softness_places(model: mujoco.MjModel) -> list[Place]:
+    touching, ground = ground_geoms(model)
+    regular = all(model.geom_solref[g, 0] > 0 for g in touching + ground)
+    return [WORLD] if touching and regular else []
+
+
+def believed_friction(model: mujoco.MjModel, place: Place) -> float:
+    """Sliding coefficient between the place's geoms and the ground: the larger of both, or that of higher priority."""
+    touching, ground = ground_geoms(model)
+    chosen = place.geoms or touching
+    return float(np.mean([_combined(model, g, ground) for g in chosen]))
+
+
+def _combined(model: mujoco.MjModel, geom: int, ground: list[int]) -> float:
+    values = []
+    for other in ground:
+        ours, theirs = model.geom_priority[geom], model.geom_priority[other]
+        pair = (model.geom_friction[geom, 0], model.geom_friction[other, 0])
+        values.append(max(pair) if ours == theirs else pair[0] if ours > theirs else pair[1])
+    return max(values) if values else float(model.geom_friction[geom, 0])
+
+
+def _friction(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    believed = max(believed_friction(model, place), 1e-3)
+    return (
+        Parameter("coefficient", "1", 0.05 * believed, 3.0 * believed, -0.1 * believed, 0.03 * believed, null=believed),
+    )
+
+
+def _apply_friction(world: World, place: Place, values: np.ndarray) -> None:
+    """|f_t| <= mu f_n with the given sliding coefficient mu.
+
+    In the world as a whole the coefficients of all geoms that meet the ground are scaled together. A single foot gets
+    contact parameters of its own: those that it has with the ground now, at a higher priority.
+    """
+    model = world.model
+    believed = believed_friction(model, place)
+    ratio = values[0] / believed if believed > 0 else 1.0
+    touching, ground = ground_geoms(model)
+    if not place.geoms:
+        model.geom_friction[[*touching, *ground], 0] *= ratio
+        pairs = [p for p in range(model.npair) if {int(model.pair_geom1[p]), int(model.pair_geom2[p])} & set(ground)]
+        model.pair_friction[pairs, :2] *= ratio
+        return
+    for geom in place.geoms:
+        _own_contact(model, geom, ground)
+        model.geom_friction[geom, 0] = values[0]
+        for p in range(model.npair):
+            if geom in (model.pair_geom1[p], model.pair_geom2[p]):
+                model.pair_friction[p, :2] *= ratio
+
+
+def _own_contact(model: mujoco.MjModel, geom: int, ground: list[int]) -> None:
+    """Give a geom the contact parameters that it has with the ground, at a higher priority than the ground's."""
+    if not ground:
+        return
+    other = ground[0]
+    ours, theirs = int(model.geom_priority[geom]), int(model.geom_priority[other])
+    if ours > theirs:
+        return
+    if ours < theirs:
+        model.geom_solref[geom] = model.geom_solref[other]
+        model.geom_solimp[geom] = model.geom_solimp[other]
+        model.geom_friction[geom] = model.geom_friction[other]
+        model.geom_condim[geom] = model.geom_condim[other]
+    else:
+        a, b = float(model.geom_solmix[geom]), float(model.geom_solmix[other])
+        share = a / (a + b) if a + b > 0 else 0.5
+        model.geom_solref[geom] = share * model.geom_solref[geom] + (1 - share) * model.geom_solref[other]
+        model.geom_solimp[geom] = share * model.geom_solimp[geom] + (1 - share) * model.geom_solimp[other]
+        model.geom_friction[geom] = np.maximum(model.geom_friction[geom], model.geom_friction[other])
+        model.geom_condim[geom] = max(int(model.geom_condim[geom]), int(model.geom_condim[other]))
+    model.geom_priority[geom] = theirs + 1
+
+
+def _softness(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    believed = _time_constant(model)
+    low = min(max(0.1 * believed, 2 * float(model.opt.timestep)), believed)
+    return (Parameter("time_constant", "s", low, 10 * believed, 0.1 * believed, 0.02 * believed, null=believed),)
+
+
+def _time_constant(model: mujoco.MjModel) -> float:
+    touching, ground = ground_geoms(model)
+    return float(np.mean(model.geom_solref[touching, 0]) + np.mean(model.geom_solref[ground, 0])) / 2
+
+
+def _apply_softness(world: World, place: Place, values: np.ndarray) -> None:
+    """Contacts with the ground give way with the time constant of `solref` [s]; larger is softer."""
+    model = world.model
+    touching, ground = ground_geoms(model)
+    geoms = [*touching, *ground]
+    model.geom_solref[geoms, 0] = np.maximum(
+        model.geom_solref[geoms, 0] + values[0] - _time_constant(model), 1e-2 * values[0]
+    )
+
+
+GROUND_FRICTION = Effect(
+    "ground_friction",
+    _ground_places,
+    _friction,
+    _apply_friction,
+    excited_by="feet that slip",
+    equation="|f_t| ≤ μ f_n",
+)
+CONTACT_SOFTNESS = Effect(
+    "contact_softness",
+    _softness_places,
+    _softness,
+    _apply_softness,
+    excited_by="touchdowns and stance",
+    equation="contacts give way with time constant solref",
+)
+
+GROUND_EFFECTS = (GROUND_FRICTION, CONTACT_SOFTNESS)

@@ -1,0 +1,169 @@
+"""Effects at joints that are no friction: inertia, springs, encoder offsets, backlash."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.effects.effect import Effect, Parameter
+from btr_mjx.gap.effects.places import Place, actuator_count, joint_of, joint_places
+from btr_mjx.gap.effects.ranges import Scales, integrated, least, typical, unit_of
+from btr_mjx.gap.effects.similar import HARDENING_SPRING, ONE_SIDED_SPRING
+from btr_mjx.gap.simulate import Rows, World
+
+AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
+
+
+def _armature(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    size, believed = typical(scales.inertia, place, model), least(model, "dof_armature", place)
+    unit = unit_of(model, place, "kg m^2", "kg")
+    # A rotor behind a high gear weighs more than a light link: by as much as motors could turn the way they do.
+    torque, amplitude, speed = (typical(x, place, model) for x in (scales.torque, scales.amplitude, scales.speed))
+    most = max(5.0 * size, 3.0 * torque * amplitude / speed**2)
+    return (Parameter("armature", unit, -believed, most, 0.05 * size, 0.01 * believed, least=integrated(model, place)),)
+
+
+def _apply_armature(world: World, place: Place, values: np.ndarray) -> None:
+    """Tau = -I qacc: inertia of rotor and gear, added to the believed armature."""
+    world.model.dof_armature[place.dofs(world.model)] += values[0]
+
+
+def _stiffness(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    amplitude, speed = typical(scales.amplitude, place, model), typical(scales.speed, place, model)
+    size = typical(scales.torque, place, model) / amplitude
+    unit = unit_of(model, place, "N m/rad", "N/m")
+    smallest = integrated(model, place) * (speed / amplitude) ** 2  # at one frequency a spring is a negative inertia
+    return (Parameter("stiffness", unit, -1.0 * size, 3.0 * size, 0.02 * size, least=smallest),)
+
+
+def _apply_stiffness(world: World, place: Place, values: np.ndarray) -> None:
+    """Tau = -k (q - q_spring): cables, seals; k is added to the believed stiffness, negative values push outwards."""
+    model, joints = world.model, list(place.joints)
+    model.jnt_stiffness[joints] += values[0]
+
+
+def _offset(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    hinge = unit_of(model, place, "rad", "m") == "rad"
+    reach = 0.3 if hinge else 0.3 * scales.length
+    return (Parameter("offset", "rad" if hinge else "m", -reach, reach, reach / 60, reach / 600),)
+
+
+def _apply_offset(world: World, place: Place, values: np.ndarray) -> None:
+    """q_measured = q_true + offset: the encoder's zero is wrong, and the servo tracks what the encoder says.
+
+    Seen from the encoder the robot is assembled differently: the joint's reference position moves, and with it the
+    spring's and the limits', which belong to the true angle.
+    """
+    model = world.model
+    for j in place.joints:
+        address = model.jnt_qposadr[j]
+        model.qpos0[address] += values[0]
+        model.qpos_spring[address] += values[0]
+        if model.jnt_limited[j]:
+            model.jnt_range[j] += values[0]
+
+
+@dataclass(frozen=True)
+class Backlash:
+    """A dead zone in the error of position servos: e -> e - clip(e, -b, b), e = r - gear q.
+
+    Attributes:
+      controls: indices of the servos' position references.
+      positions: addresses of the joints in qpos.
+      gear: (n,) gears.
+      play: b [rad or m at the joint].
+    """
+
+    controls: np.ndarray
+    positions: np.ndarray
+    gear: np.ndarray
+    play: float
+    fields: tuple[str, ...] = ()
+
+    def __call__(self, rows: Rows) -> None:
+        """Shift the reference of the coming step."""
+        reach = np.abs(self.gear) * self.play
+        error = rows.ctrl[:, self.controls] - self.gear * rows.qpos[:, self.positions]
+        rows.ctrl[:, self.controls] -= np.clip(error, -reach, reach)
+
+
+def position_servos(model: mujoco.MjModel) -> list[int]:
+    """Actuators that pull a hinge or slide towards a reference position."""
+    return [
+        a
+        for a in range(actuator_count(model))
+        if joint_of(model, a) is not None
+        and int(model.actuator_biastype[a]) == AFFINE
+        and model.actuator_biasprm[a, 1] < 0
+    ]
+
+
+def _servo_joints(model: mujoco.MjModel) -> list[Place]:
+    servos = set(position_servos(model))
+    places = joint_places(model, [j for a in servos if (j := joint_of(model, a)) is not None])
+    return [place for place in places if servos.intersection(place.actuators)]
+
+
+def _backlash(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    size = typical(scales.amplitude, place, model)
+    return (Parameter("play", unit_of(model, place, "rad", "m"), 0.0, 0.7 * size, 0.02 * size),)
+
+
+def _apply_backlash(world: World, place: Place, values: np.ndarray) -> None:
+    """The servo only feels the part of its error beyond a dead zone of half width b (the gear's play)."""
+    model = world.model
+    servos = [a for a in place.actuators if a in set(position_servos(model))]
+    joints = model.actuator_trnid[servos, 0]
+    world.laws.append(
+        Backlash(
+            model.actuator_ctrladr[servos].astype(int),
+            model.jnt_qposadr[joints].astype(int),
+            model.actuator_gear[servos, 0].copy(),
+            float(values[0]),
+        )
+    )
+
+
+ARMATURE = Effect(
+    "armature",
+    joint_places,
+    _armature,
+    _apply_armature,
+    excited_by="strong accelerations of the joint",
+    summable=True,
+    equation="τ = −I q̈",
+)
+JOINT_STIFFNESS = Effect(
+    "joint_stiffness",
+    joint_places,
+    _stiffness,
+    _apply_stiffness,
+    excited_by="large deflections of the joint, slow ones too",
+    summable=True,
+    equation="τ = −k (q − q_spring)",
+    akin=(HARDENING_SPRING, ONE_SIDED_SPRING),
+)
+JOINT_OFFSET = Effect(
+    "joint_offset",
+    lambda model: [place for place in joint_places(model) if not place.members],
+    _offset,
+    _apply_offset,
+    excited_by="loads that depend on the true angle: weight, contact",
+    equation="q_measured = q_true + offset",
+)
+BACKLASH = Effect(
+    "backlash",
+    _servo_joints,
+    _backlash,
+    _apply_backlash,
+    excited_by="reversals of the load and small motions",
+    summable=True,
+    equation="servo error e → e − clip(e, −b, b)",
+)
+
+JOINT_EFFECTS = (
+    ARMATURE,
+    JOINT_STIFFNESS,
+    JOINT_OFFSET,
+    BACKLASH,
+)

@@ -1,0 +1,211 @@
+"""Where an effect may sit in a model: joints, actuators, branches, bodies, geoms that touch the ground, the world.
+
+A place is named as in the results: `joint:<name>`, `actuator:<name>`, `body:<name>`, `geom:<name>`,
+`subtree:<body>` (every joint of that body and of the bodies below it), `all`, `world`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from btr_mjx.models import part_names
+
+_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+
+
+@dataclass(frozen=True)
+class Place:
+    """A place in a model.
+
+    Attributes:
+      label: its name in results.
+      joints: ids of the joints that belong to it.
+      actuators: ids of the actuators that belong to it.
+      bodies: ids of its bodies.
+      geoms: ids of its geoms.
+      members: for a group, the labels of the single places that it consists of.
+    """
+
+    label: str
+    joints: tuple[int, ...] = ()
+    actuators: tuple[int, ...] = ()
+    bodies: tuple[int, ...] = ()
+    geoms: tuple[int, ...] = ()
+    members: tuple[str, ...] = ()
+
+    def dofs(self, model: mujoco.MjModel) -> np.ndarray:
+        """Addresses of the joints' velocities."""
+        return model.jnt_dofadr[list(self.joints)].astype(int)
+
+    def controls(self, model: mujoco.MjModel) -> np.ndarray:
+        """Indices of the actuators' controls."""
+        return np.array(
+            [model.actuator_ctrladr[a] + k for a in self.actuators for k in range(int(model.actuator_ctrlnum[a]))],
+            int,
+        )
+
+
+WORLD = Place("world")
+
+
+def joint_of(model: mujoco.MjModel, actuator: int) -> int | None:
+    """The hinge or slide that an actuator drives; None for other transmissions."""
+    if int(model.actuator_trntype[actuator]) not in _JOINT_TRANSMISSIONS:
+        return None
+    joint = int(model.actuator_trnid[actuator, 0])
+    return joint if int(model.jnt_type[joint]) in _SCALAR else None
+
+
+def actuator_count(model: mujoco.MjModel) -> int:
+    """Number of actuators; there may be more controls than actuators."""
+    return len(model.actuator_trntype)
+
+
+def joint_places(model: mujoco.MjModel, joints: Sequence[int] | None = None) -> list[Place]:
+    """Each hinge and slide, each branch, all of them.
+
+    Args:
+      model: the model.
+      joints: ids of the joints that come into question; None for every hinge and slide.
+    """
+    names = part_names(model, "joint")
+    scalar = [j for j in range(model.njnt) if int(model.jnt_type[j]) in _SCALAR]
+    chosen = scalar if joints is None else [j for j in scalar if j in set(joints)]
+    driven: dict[int, list[int]] = {j: [] for j in chosen}
+    for a in range(actuator_count(model)):
+        j = joint_of(model, a)
+        if j in driven:
+            driven[j].append(a)
+    singles = [Place(f"joint:{names[j]}", joints=(j,), actuators=tuple(driven[j])) for j in chosen]
+    return singles + _groups(model, singles)
+
+
+def actuator_places(model: mujoco.MjModel, actuators: Sequence[int] | None = None) -> list[Place]:
+    """Each actuator, each branch, all of them.
+
+    Args:
+      model: the model.
+      actuators: ids of the actuators that come into question; None for every one.
+    """
+    names = part_names(model, "actuator")
+    singles = []
+    for a in range(actuator_count(model)) if actuators is None else actuators:
+        joint = joint_of(model, a)
+        singles.append(Place(f"actuator:{names[a]}", joints=() if joint is None else (joint,), actuators=(a,)))
+    return singles + _groups(model, singles)
+
+
+def _groups(model: mujoco.MjModel, singles: Sequence[Place]) -> list[Place]:
+    """Branches with at least two actuated joints, and everything; each set of members once."""
+    if len(singles) < 2:
+        return []
+    everything = _union("all", singles)
+    groups, seen = [], {everything.members}
+    bodies = part_names(model, "body")
+    for body in range(1, model.nbody):
+        below = [
+            place
+            for place in singles
+            if place.joints and all(is_below(model, int(model.jnt_bodyid[j]), body) for j in place.joints)
+        ]
+        actuated = {j for place in below if place.actuators for j in place.joints}
+        group = _union(f"subtree:{bodies[body]}", below)
+        if len(actuated) >= 2 and group.members not in seen:
+            seen.add(group.members)
+            groups.append(group)
+    return [*groups, everything]
+
+
+def _union(label: str, places: Sequence[Place]) -> Place:
+    return Place(
+        label,
+        joints=tuple(dict.fromkeys(j for place in places for j in place.joints)),
+        actuators=tuple(dict.fromkeys(a for place in places for a in place.actuators)),
+        members=tuple(place.label for place in places),
+    )
+
+
+def is_below(model: mujoco.MjModel, body: int, ancestor: int) -> bool:
+    """Whether `body` is `ancestor` or hangs below it."""
+    while body > ancestor:
+        body = int(model.body_parentid[body])
+    return body == ancestor
+
+
+def one_limb(model: mujoco.MjModel, a: Place, b: Place) -> bool:
+    """Whether two places are bodies of which one hangs below the other, or joints of such bodies."""
+    bodies = [p.bodies or tuple(int(model.jnt_bodyid[j]) for j in p.joints) for p in (a, b)]
+    if not all(len(own) == 1 for own in bodies) or any(p.geoms for p in (a, b)):
+        return False
+    (one,), (other,) = bodies
+    return is_below(model, one, other) or is_below(model, other, one)
+
+
+def body_place(model: mujoco.MjModel, body: int) -> Place:
+    """One body."""
+    return Place(f"body:{part_names(model, 'body')[body]}", bodies=(body,))
+
+
+def trunks(model: mujoco.MjModel) -> list[int]:
+    """Bodies that float or carry at least two branches."""
+    return [b for b in _jointed(model) if _floats(model, b) or len(_branches(model, b)) >= 2]
+
+
+def links(model: mujoco.MjModel) -> list[int]:
+    """Bodies with a joint of their own that are no trunks."""
+    others = set(trunks(model))
+    return [b for b in _jointed(model) if b not in others]
+
+
+def ends(model: mujoco.MjModel) -> list[int]:
+    """Links that carry no further branch."""
+    return [b for b in links(model) if not _branches(model, b)]
+
+
+def welded(model: mujoco.MjModel) -> list[int]:
+    """Bodies with mass that are welded to a moving one."""
+    return [b for b in range(1, model.nbody) if model.body_weldid[b] not in (0, b) and model.body_mass[b] > 0]
+
+
+def _jointed(model: mujoco.MjModel) -> list[int]:
+    return [b for b in range(1, model.nbody) if model.body_weldid[b] == b and model.body_jntnum[b]]
+
+
+def _floats(model: mujoco.MjModel, body: int) -> bool:
+    first = int(model.body_jntadr[body])
+    kinds = model.jnt_type[first : first + int(model.body_jntnum[body])]
+    return bool((kinds == int(mujoco.mjtJoint.mjJNT_FREE)).any() or (kinds == int(mujoco.mjtJoint.mjJNT_BALL)).any())
+
+
+def _branches(model: mujoco.MjModel, body: int) -> list[int]:
+    """Jointed bodies whose parent is welded to `body`."""
+    return [
+        b
+        for b in range(1, model.nbody)
+        if model.body_jntnum[b] and model.body_weldid[int(model.body_parentid[b])] == body
+    ]
+
+
+def ground_geoms(model: mujoco.MjModel) -> tuple[list[int], list[int]]:
+    """Geoms of moving bodies that can touch geoms that stand still, and those that stand still."""
+    still = model.body_weldid[model.geom_bodyid] == 0
+    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    ground, feet = np.flatnonzero(still & solid), np.flatnonzero(~still & solid)
+    paired = {frozenset(pair) for pair in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)}
+
+    def meet(a: int, b: int) -> bool:
+        filters = (model.geom_contype[a] & model.geom_conaffinity[b]) | (
+            model.geom_contype[b] & model.geom_conaffinity[a]
+        )
+        return bool(filters) or frozenset((a, b)) in paired
+
+    touching = [g for g in feet.tolist() if any(meet(g, other) for other in ground.tolist())]
+    return touching, [g for g in ground.tolist() if any(meet(g, other) for other in touching)]
+
+
+def geom_place(model: mujoco.MjModel, geom: int) -> Place:
+    """One geom."""
+    return Place(f"geom:{part_names(model, 'geom')[geom]}", bodies=(int(model.geom_bodyid[geom]),), geoms=(geom,))

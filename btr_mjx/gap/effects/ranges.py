@@ -1,0 +1,215 @@
+"""How large things are in a model or in data: what steps, bounds and tolerances of effects are made of."""
+
+import copy
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.effects.places import Place, actuator_count, ground_geoms, joint_of
+
+_TURN = 0.3
+"""Amplitude that a joint is believed to have before any data are seen [rad]."""
+
+_INTEGRATED = 1.5e-4
+"""Time that velocities are off by where a simulation and the recordings were integrated in other ways [s]. Of three
+hexapods that lack nothing, recorded with explicit steps of 0.1 ms, one was said to have springs."""
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Typical sizes of what happens in a robot.
+
+    Attributes:
+      torque: (nv,) peak of the actuators' generalised force at each degree of freedom [N or N m].
+      speed: (nv,) peak speed [m/s or rad/s].
+      amplitude: (nv,) half the range of motion [m or rad].
+      inertia: (nv,) inertia at each degree of freedom [kg or kg m^2].
+      force: (n_actuators,) peak force of each actuator [N or N m].
+      time: typical amplitude over speed [s]; the inverse of the angular frequency for a sine.
+      length: half the model's extent [m].
+      mass: of everything that moves [kg].
+      touching: (ngeom,) whether a geom touches the ground, or could.
+    """
+
+    torque: np.ndarray
+    speed: np.ndarray
+    amplitude: np.ndarray
+    inertia: np.ndarray
+    force: np.ndarray
+    time: float
+    length: float
+    mass: float
+    touching: np.ndarray
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel) -> "Scales":
+        """Scales guessed from the model alone."""
+        data = mujoco.MjData(model)
+        mujoco.mj_resetData(model, data)
+        mujoco.mj_forward(model, data)
+        amplitude = np.full(model.nv, _TURN)
+        for j in np.flatnonzero(model.jnt_limited):
+            if model.jnt_type[j] >= int(mujoco.mjtJoint.mjJNT_SLIDE):
+                amplitude[model.jnt_dofadr[j]] = min(_TURN, 0.5 * float(np.ptp(model.jnt_range[j])))
+        inertia = np.maximum(model.dof_M0, 1e-12)
+        speed = amplitude / 0.1
+        force = np.zeros(actuator_count(model))
+        torque = np.maximum(np.abs(data.qfrc_bias), inertia * speed / 0.1)
+        for a in range(len(force)):
+            joint = joint_of(model, a)
+            dof = None if joint is None else int(model.jnt_dofadr[joint])
+            reach = _TURN if dof is None else amplitude[dof]
+            gear = float(np.linalg.norm(model.actuator_gear[a])) or 1.0
+            stiffness = abs(float(model.actuator_biasprm[a, 1])) or abs(float(model.actuator_gainprm[a, 0]))
+            force[a] = 0.2 * stiffness * reach * gear
+            if model.actuator_forcelimited[a]:
+                force[a] = min(force[a], float(np.abs(model.actuator_forcerange[a]).max())) or force[a]
+            if dof is not None:
+                torque[dof] = max(torque[dof], force[a] * gear)
+        touching = np.zeros(model.ngeom, bool)
+        touching[ground_geoms(model)[0]] = True
+        return cls(torque, speed, amplitude, inertia, force, 0.1, *_sizes(model), touching)
+
+    @classmethod
+    def measured(
+        cls,
+        model: mujoco.MjModel,
+        qpos: np.ndarray,
+        qvel: np.ndarray,
+        ctrl: np.ndarray,
+        act: np.ndarray | None = None,
+    ) -> "Scales":
+        """Scales of measured states, with forces as the believed model would exert them there.
+
+        Args:
+          model: the believed model.
+          qpos: (N, nq) configurations; a few hundred rows are enough.
+          qvel: (N, nv) velocities.
+          ctrl: (N, nu) controls at the same times.
+          act: (N, na) states of actuators; None for zeros.
+        """
+        guess = cls.of(model)
+        model = copy.copy(model)
+        data = mujoco.MjData(model)
+        torque, inertia, force = [], [], []
+        touching = np.zeros(model.ngeom, bool)
+        ground = np.zeros(model.ngeom, bool)
+        ground[ground_geoms(model)[1]] = True
+        model.geom_margin[:] = np.maximum(model.geom_margin, 0.01 * guess.length)
+        model.geom_gap[:] = model.geom_margin  # seen, but without force
+        diagonal = np.zeros(model.nv)
+        for k in range(len(qpos)):
+            data.qpos[:], data.qvel[:], data.ctrl[:] = qpos[k], qvel[k], ctrl[k]
+            if act is not None:
+                data.act[:] = act[k]
+            mujoco.mj_forward(model, data)
+            torque.append(np.abs(data.qfrc_actuator))
+            force.append(np.abs(data.actuator_force[: len(guess.force)]))
+            if k % 16 == 0:
+                full = np.zeros((model.nv, model.nv))
+                mujoco.mj_fullM(model, data, full)
+                inertia.append(np.diag(full).copy())
+            pairs = data.contact.geom[: data.ncon]
+            for pair in pairs[ground[pairs].any(axis=1)] if data.ncon else []:
+                touching[pair] = True
+        touching &= ~ground
+        speed = np.maximum(np.percentile(np.abs(qvel), 99, axis=0), 1e-3 * guess.speed)
+        amplitude = _amplitude(model, qpos, guess.amplitude)
+        mean_inertia = np.maximum(np.mean(inertia, axis=0) if inertia else diagonal, 1e-12)
+        driven = np.percentile(torque, 99.5, axis=0)
+        passive = mean_inertia * speed**2 / np.maximum(amplitude, 1e-9)
+        if closes_loops(model) and driven.any():
+            passive = np.maximum(passive, float((driven * speed).max()) / speed)
+        hinges = driven > 0
+        ratio = (amplitude / speed)[hinges if hinges.any() else slice(None)]
+        time = float(np.median(ratio)) if ratio.size else guess.time
+        return cls(
+            np.where(hinges, driven, np.maximum(passive, 1e-9)),
+            speed,
+            amplitude,
+            mean_inertia,
+            np.maximum(np.percentile(force, 99.5, axis=0), 1e-6 * guess.force),
+            time,
+            guess.length,
+            guess.mass,
+            touching,
+        )
+
+
+def closes_loops(model: mujoco.MjModel) -> bool:
+    """Whether equality constraints hand on the power of motors to joints that have none."""
+    return bool(model.neq) and bool(model.eq_active0.any())
+
+
+def _amplitude(model: mujoco.MjModel, qpos: np.ndarray, guess: np.ndarray) -> np.ndarray:
+    """(nv,) half the range of motion of hinges and slides; the guess for free and ball joints."""
+    out = guess.copy()
+    for j in np.flatnonzero(model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)):
+        low, high = np.percentile(qpos[:, model.jnt_qposadr[j]], [1, 99])
+        dof = model.jnt_dofadr[j]
+        out[dof] = max(0.5 * (high - low), 1e-3 * guess[dof])
+    return out
+
+
+def _sizes(model: mujoco.MjModel) -> tuple[float, float]:
+    moving = model.body_weldid != 0
+    geoms = moving[model.geom_bodyid]
+    reach = model.geom_rbound[geoms]
+    length = max(float(model.stat.extent) / 2, float(reach.max(initial=0)), 1e-6)
+    return (min(length, 10 * float(reach.max(initial=length))), max(float(model.body_mass[moving].sum()), 1e-9))
+
+
+def least(model: mujoco.MjModel, field: str, place: Place) -> float:
+    """The smallest believed value of a field among a place's joints: it cannot go below zero.
+
+    Args:
+      model: the believed model.
+      field: of MjModel, with a row for every degree of freedom.
+      place: joints.
+    """
+    return float(np.min(getattr(model, field)[place.dofs(model)]))
+
+
+def typical(values: np.ndarray, place: Place, model: mujoco.MjModel) -> float:
+    """One size for a place: the geometric mean over its joints.
+
+    Args:
+      values: (nv,) sizes, as those of `Scales`.
+      place: joints.
+      model: the believed model.
+    """
+    return float(np.exp(np.mean(np.log(np.maximum(values[place.dofs(model)], 1e-300)))))
+
+
+def integrated(model: mujoco.MjModel, place: Place) -> float:
+    """Inertia that a way of integrating adds or takes away [kg m^2 or kg].
+
+    A step h of an implicit integrator acts like an inertia of h d / 2 that an explicit one lacks, and the other way
+    round, d being what forces fall with velocity: damping and the servos' own. Recordings that were simulated have
+    steps of some tenths of a millisecond; what is smaller than that is nothing that a robot lacks.
+
+    Args:
+      model: the believed model.
+      place: joints.
+    """
+    slope = model.dof_damping.copy()
+    for a in range(actuator_count(model)):
+        joint = joint_of(model, a)
+        if joint is not None and int(model.actuator_biastype[a]) == int(mujoco.mjtBias.mjBIAS_AFFINE):
+            gain, gear = float(model.actuator_biasprm[a, 2]), float(model.actuator_gear[a, 0])
+            slope[model.jnt_dofadr[joint]] += max(0.0, -gain) * gear**2
+    return _INTEGRATED * typical(slope, place, model)
+
+
+def unit_of(model: mujoco.MjModel, place: Place, hinge: str, slide: str) -> str:
+    """Which of two units a number at a place has.
+
+    Args:
+      model: the believed model.
+      place: joints.
+      hinge: unit where all of them turn.
+      slide: unit otherwise.
+    """
+    kinds = model.jnt_type[list(place.joints)]
+    return hinge if (kinds == int(mujoco.mjtJoint.mjJNT_HINGE)).all() else slide

@@ -1,0 +1,170 @@
+"""What effects of the library are easily taken for: forces of another shape at the same place.
+
+A hardening spring is a stiffness at first sight, a motor that grows hot a weak one, a cord a constant force. These are
+effects like any other, and who expects them adds them to the library; else `twins` asks whether one of them explains
+more than the name does.
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.effects.effect import Effect, Parameter
+from btr_mjx.gap.effects.places import Place, actuator_places, body_place, joint_places
+from btr_mjx.gap.effects.ranges import Scales, typical, unit_of
+from btr_mjx.gap.simulate import Rows, World
+
+
+def _cubic(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    size = typical(scales.torque, place, model) / typical(scales.amplitude, place, model) ** 3
+    unit = unit_of(model, place, "N m/rad^3", "N/m^3")
+    return (Parameter("cubic", unit, -3.0 * size, 9.0 * size, 0.06 * size),)
+
+
+def _apply_cubic(world: World, place: Place, values: np.ndarray) -> None:
+    """Tau = -k3 (q - q_spring)^3, the cubic term of MuJoCo's springs."""
+    world.model.jnt_stiffnesspoly[list(place.joints), 1] += values[0]
+
+
+@dataclass(frozen=True)
+class OneSidedSpring:
+    """Forces -k |q - q_spring|.
+
+    Attributes:
+      dofs: degrees of freedom.
+      positions: their addresses in qpos.
+      stiffness: k [N m/rad or N/m].
+    """
+
+    dofs: np.ndarray
+    positions: np.ndarray
+    stiffness: float
+    fields: tuple[str, ...] = ()
+
+    def __call__(self, rows: Rows) -> None:
+        """Add to the force of the coming step."""
+        away = rows.qpos[:, self.positions] - rows.model.qpos_spring[self.positions]
+        rows.qfrc_applied[:, self.dofs] -= self.stiffness * np.abs(away)
+
+
+def _one_sided(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    size = typical(scales.torque, place, model) / typical(scales.amplitude, place, model)
+    return (Parameter("stiffness", unit_of(model, place, "N m/rad", "N/m"), -3.0 * size, 3.0 * size, 0.02 * size),)
+
+
+def _apply_one_sided(world: World, place: Place, values: np.ndarray) -> None:
+    """Tau = -k |q - q_spring|: with a stiffness of k beside it, a cable that hangs loose on one side."""
+    model = world.model
+    positions = model.jnt_qposadr[list(place.joints)].astype(int)
+    world.laws.append(OneSidedSpring(place.dofs(model), positions, float(values[0])))
+
+
+@dataclass(frozen=True)
+class Fading:
+    """Forces of actuators that change with the time since the recording's start.
+
+    Attributes:
+      dofs: degrees of freedom that the actuators drive.
+      rate: of the change [1/s].
+    """
+
+    dofs: np.ndarray
+    rate: float
+    fields: tuple[str, ...] = ()
+
+    def __call__(self, rows: Rows) -> None:
+        """Add to the force of the coming step."""
+        rows.qfrc_applied[:, self.dofs] += self.rate * rows.time[:, None] * rows.qfrc_actuator[:, self.dofs]
+
+
+def _rate(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    most = 0.1 / scales.time
+    return (Parameter("rate", "1/s", -most, most, -0.02 * most),)
+
+
+def _apply_rate(world: World, place: Place, values: np.ndarray) -> None:
+    """Force -> (1 + rate t) force, t since the recording's start: a motor that grows hot, a battery that runs down."""
+    world.laws.append(Fading(place.dofs(world.model), float(values[0])))
+
+
+@dataclass(frozen=True)
+class Cord:
+    """A force -k (x - x0) on a free body.
+
+    Attributes:
+      body: the body.
+      position: address of its position in qpos.
+      stiffness: k [N/m].
+    """
+
+    body: int
+    position: int
+    stiffness: float
+    fields: tuple[str, ...] = ()
+
+    def __call__(self, rows: Rows) -> None:
+        """Add to the force of the coming step."""
+        here = slice(self.position, self.position + 3)
+        rows.xfrc_applied[:, self.body, :3] -= self.stiffness * (rows.qpos[:, here] - rows.model.qpos0[here])
+
+
+def _free_joint(model: mujoco.MjModel, body: int) -> int | None:
+    first = int(model.body_jntadr[body])
+    return first if first >= 0 and int(model.jnt_type[first]) == int(mujoco.mjtJoint.mjJNT_FREE) else None
+
+
+def _free_bodies(model: mujoco.MjModel) -> list[Place]:
+    return [body_place(model, b) for b in range(1, model.nbody) if _free_joint(model, b) is not None]
+
+
+def _cord(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    size = 9.81 * float(model.body_subtreemass[place.bodies[0]]) / scales.length
+    return (Parameter("stiffness", "N/m", -3.0 * size, 3.0 * size, 0.02 * size),)
+
+
+def _apply_cord(world: World, place: Place, values: np.ndarray) -> None:
+    """F = -k (x - x0), x0 where the model starts: with a constant force beside it, a cord to any fixed point."""
+    (body,) = place.bodies
+    joint = _free_joint(world.model, body)
+    assert joint is not None
+    world.laws.append(Cord(body, int(world.model.jnt_qposadr[joint]), float(values[0])))
+
+
+HARDENING_SPRING = Effect(
+    "hardening_spring",
+    joint_places,
+    _cubic,
+    _apply_cubic,
+    excited_by="deflections of several sizes",
+    summable=True,
+    equation="τ = −k₃ (q − q_spring)³",
+)
+ONE_SIDED_SPRING = Effect(
+    "one_sided_spring",
+    joint_places,
+    _one_sided,
+    _apply_one_sided,
+    excited_by="deflections to both sides",
+    summable=True,
+    equation="τ = −k |q − q_spring|",
+)
+FADING_MOTOR = Effect(
+    "fading_motor",
+    lambda model: [place for place in actuator_places(model) if place.joints],
+    _rate,
+    _apply_rate,
+    excited_by="loads, early and late in long recordings",
+    summable=True,
+    equation="force → (1 + rate t) force",
+)
+ELASTIC_CORD = Effect(
+    "elastic_cord",
+    _free_bodies,
+    _cord,
+    _apply_cord,
+    excited_by="travel of the body",
+    equation="a force −k (x − x₀) on the body",
+)
+
+AKIN_EFFECTS = (HARDENING_SPRING, ONE_SIDED_SPRING, FADING_MOTOR, ELASTIC_CORD)

@@ -1,0 +1,23 @@
+"""The missing effect from fitness alone: one number a trial, no recordings.
+
+A `FitnessTable` holds controllers and measured fitness; `identify_fitness` ranks effects by how far Delta_fitness falls
+on trials that were held out.
+"""
+
+from btr_mjx.gap.fitness_only.screen import COARSER, Answers, answers
+from btr_mjx.gap.fitness_only.search import SCREENED, expected_steps, identify_fitness
+from btr_mjx.gap.fitness_only.table import FitnessTable, load_fitness, save_fitness
+from btr_mjx.gap.fitness_only.trials import Trials
+
+__all__ = [
+    "COARSER",
+    "SCREENED",
+    "Answers",
+    "FitnessTable",
+    "Trials",
+    "answers",
+    "expected_steps",
+    "identify_fitness",
+    "load_fitness",
+    "save_fitness",
+]

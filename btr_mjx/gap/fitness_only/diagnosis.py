@@ -1,0 +1,132 @@
+"""What a search by fitness alone may say: a ranking, and a name where Delta_fitness falls on both sides."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from btr_mjx.gap.effects import Candidate
+from btr_mjx.gap.fitness_only.trials import Trials
+from btr_mjx.gap.results import Diagnosis, DisagreementMap, Estimate, Gap, Named, Row
+from btr_mjx.gap.simulate import World
+
+FALL = 0.25
+"""Share by which Delta_fitness has to fall, on both sides of the split, for a name."""
+CLOSE = 0.25
+"""Candidates that fall short of the best one's fall by less than this share of it are called equivalent."""
+
+
+@dataclass(frozen=True)
+class Try:
+    """A candidate at some values.
+
+    Attributes:
+      candidate: the candidate.
+      values: (p,) of its numbers.
+      delta: the Delta_fitness that it leaves on the trials to fit [m/s]; NaN before it was simulated.
+    """
+
+    candidate: Candidate
+    values: tuple[float, ...]
+    delta: float = float("nan")
+
+    def judged(self, delta: float) -> "Try":
+        """The same with its Delta_fitness."""
+        return replace(self, delta=delta)
+
+    def apply(self, trials: Trials) -> World:
+        """The world that it makes."""
+        return self.candidate.apply(World.of(trials.table.head.model), self.values)
+
+
+def as_diagnosis(
+    refined: Sequence[Try],
+    ends: Sequence[float],
+    rest: Sequence[Try],
+    believed: Sequence[float],
+    floor: float,
+    trials: Trials,
+    seconds: float,
+) -> Diagnosis:
+    """What a search by fitness found.
+
+    Args:
+      refined: leaders that were simulated as the model says, best first.
+      ends: their Delta_fitness on the held-out trials [m/s].
+      rest: other candidates, with what is expected of them.
+      believed: Delta_fitness of the believed model on the trials to fit and on those held out [m/s].
+      floor: what half the time step changes [m/s].
+      trials: of the table.
+      seconds: time it took.
+    """
+    nan = float("nan")
+    rows = []
+    for t, held_out in zip((*refined, *rest), (*ends, *[nan] * len(rest)), strict=True):
+        parameters = {p.name: v for p, v in zip(t.candidate.parameters, t.values, strict=True)}
+        gain, gain_held_out = believed[0] - t.delta, believed[1] - held_out
+        rows.append(
+            Row(
+                t.candidate.effect.name,
+                t.candidate.place.label,
+                100 * gain / believed[0],
+                100 * (t.delta - refined[0].delta) / believed[0],
+                gain,
+                gain_held_out,
+                parameters,
+            )
+        )
+    first, held_out = refined[0], ends[0]
+    named = min(1 - first.delta / believed[0], 1 - held_out / believed[1]) >= FALL
+    close = tuple(t.candidate.name for t in refined if t.delta <= first.delta + CLOSE * (believed[0] - first.delta))
+    effects: tuple[Named, ...] = ()
+    if named:
+        numbers = {
+            p.name: Estimate(v, nan, nan, p.unit, p.null)
+            for p, v in zip(first.candidate.parameters, first.values, strict=True)
+        }
+        effect = first.candidate.effect
+        same = tuple(name for name in close if name != first.candidate.name)
+        effects = (
+            Named(
+                effect.name,
+                first.candidate.place.label,
+                numbers,
+                rows[0].score,
+                rows[0].held_out,
+                same,
+                effect.excited_by,
+                effect.equation,
+            ),
+        )
+    gap = Gap(believed[1], held_out if named else believed[1], floor, floor, nan, nan, nan, nan)
+    notes = (
+        "Only fitness was known: scores are per cent of Delta_fitness, the gap is Delta_fitness on held-out trials "
+        "[m/s], its noise floor what half the time step changes. Fitness alone does not give intervals, and something "
+        "outside the library looks like nothing.",
+    )
+    return Diagnosis(
+        verdict="effect" if named else "none",
+        effects=effects,
+        ranking=tuple(rows),
+        equivalent=close if named else (),
+        gap=gap,
+        disagreement=DisagreementMap((), (), np.zeros((0, 0)), np.zeros((0, 0), int)),
+        unexplained=(),
+        believed=(),
+        confounds=(),
+        overlays=(),
+        share=float("nan"),
+        lack_of_fit=(float("nan"), float("nan")),
+        threshold=100 * FALL,
+        dispersion=1.0,
+        sigma=np.zeros(0),
+        windows=(
+            len(trials.table.fitness) - int(trials.table.test.sum()),
+            int(trials.table.test.sum()),
+            1,
+            trials.table.duration,
+        ),
+        steps=trials.counter.steps,
+        seconds=seconds,
+        notes=notes,
+    )

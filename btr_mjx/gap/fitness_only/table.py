@@ -1,0 +1,173 @@
+"""Fitness-only data: which controllers were tried and how far the robot came, one number a trial.
+
+A folder with dataset.toml ([model] as always) and a table of trials:
+
+    [fitness]
+    file = "trials.csv"         # or .parquet
+    body = "b0"                 # whose displacement counts
+    function = "distance"       # or "forward_speed", see btr_mjx.evaluation.fitness
+    duration = 1.7              # of a trial [s]
+    omega = 60.0                # angular frequency of the controllers [rad/s]
+
+Columns of the table, one row a trial: `fitness` [m/s]; the controller r_i = offset_i + a_i sin(omega t + phi_i) as
+`amplitude/<actuator>`, `phase/<actuator>` and, optionally, `offset/<actuator>`, or as `a_<i>` and `phi_<i>` for the
+i-th actuator, from 1; optionally `split`, "fit" or "test". Without it the last quarter of the trials is held out.
+Trials without a finite fitness are left out. Every trial starts in the model's initial state.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from btr_mjx.errors import InputError
+from btr_mjx.evaluation import fitness_function
+from btr_mjx.gap.data import FILE_NAME, Dataset, check_keys, file_name, is_number, read_head, toml_section
+from btr_mjx.models import nearest, part_names
+from btr_mjx.runs import atomic_write, read_table, write_table
+
+FUNCTIONS = ("distance", "forward_speed")
+"""Fitness functions that need the body's position only."""
+LEAST = 4
+"""Trials on either side of the split."""
+
+
+@dataclass(frozen=True, eq=False)
+class FitnessTable:
+    """Trials of which only the fitness is known.
+
+    Attributes:
+      head: the dataset's model and parameters, without recordings.
+      amplitude, phase, offset: (M, nu) of the controllers [rad].
+      omega: their angular frequency [rad/s].
+      duration: of a trial [s].
+      body: whose displacement counts.
+      function: name of the fitness function.
+      fitness: (M,) measured.
+      test: (M,) bool, the trials that are held out.
+    """
+
+    head: Dataset
+    amplitude: np.ndarray
+    phase: np.ndarray
+    offset: np.ndarray
+    omega: float
+    duration: float
+    body: str
+    function: str
+    fitness: np.ndarray
+    test: np.ndarray
+
+    def commands(self, times: np.ndarray) -> np.ndarray:
+        """What is commanded (M, K, nu) at times (K,) [s]."""
+        wave = np.sin(self.omega * times[:, None] + self.phase[:, None])
+        return self.offset[:, None] + self.amplitude[:, None] * wave
+
+
+def load_fitness(folder: str | Path) -> FitnessTable:
+    """Read a folder of fitness-only data.
+
+    Raises:
+      InputError: anything wrong with it, in one line.
+      DamagedFile: a file that does not parse.
+      OSError: a file that cannot be read.
+    """
+    head, tables = read_head(folder, more=("fitness",))
+    path = head.folder / FILE_NAME
+    about, where = toml_section(tables, "fitness", path), f"{path}: [fitness]"
+    check_keys(about, ("file", "body", "function", "duration", "omega"), where, [])
+    function = str(about.get("function", "distance"))
+    fitness_function(function)
+    if function not in FUNCTIONS:
+        raise InputError(f"{where}: function {function!r}: expected one of {', '.join(FUNCTIONS)}")
+    for key in ("duration", "omega"):
+        if not is_number(about.get(key)) or about[key] <= 0:
+            raise InputError(f"{where}: {key} = {about.get(key)!r}: expected a positive number")
+    bodies = part_names(head.model, "body")
+    body = str(about.get("body"))
+    if body not in bodies:
+        raise InputError(f"{where}: the model has no body {body!r}; nearest: {nearest(body, bodies)}")
+    file = head.folder / file_name(about, "file", where)
+    if not file.is_file():
+        raise InputError(f"{where}: there is no file {file}")
+    table = read_table(file)
+    fitness = _column(table, "fitness", file)
+    controller = _controllers(table, part_names(head.model, "actuator"), file)
+    kept = np.isfinite(fitness) & np.isfinite(np.concatenate(list(controller.values()), axis=1)).all(axis=1)
+    test = _split(table, kept, file)
+    return FitnessTable(
+        head=head,
+        **{name: values[kept] for name, values in controller.items()},
+        omega=float(about["omega"]),
+        duration=float(about["duration"]),
+        body=body,
+        function=function,
+        fitness=fitness[kept],
+        test=test,
+    )
+
+
+def _column(table: pl.DataFrame, name: str, file: Path) -> np.ndarray:
+    if name not in table.columns:
+        raise InputError(f"{file}: there is no column {name!r}; nearest: {nearest(name, table.columns)}")
+    series = table[name]
+    if not (series.dtype.is_numeric() or series.dtype == pl.Null):
+        raise InputError(f"{file}: column {name!r} holds {series.dtype}, expected numbers")
+    return series.cast(pl.Float64).fill_null(np.nan).to_numpy()
+
+
+def _controllers(table: pl.DataFrame, actuators: Sequence[str], file: Path) -> dict[str, np.ndarray]:
+    """Amplitudes, phases and offsets (rows, nu)."""
+    numbered = "a_1" in table.columns
+    out = {}
+    for name, short in (("amplitude", "a"), ("phase", "phi")):
+        columns = [f"{short}_{i + 1}" if numbered else f"{name}/{a}" for i, a in enumerate(actuators)]
+        out[name] = np.stack([_column(table, column, file) for column in columns], axis=1)
+    offsets = [f"offset/{a}" for a in actuators]
+    out["offset"] = np.stack(
+        [_column(table, c, file) if c in table.columns else np.zeros(len(table)) for c in offsets], axis=1
+    )
+    return out
+
+
+def _split(table: pl.DataFrame, kept: np.ndarray, file: Path) -> np.ndarray:
+    """(M,) bool of the kept trials: which are held out."""
+    if "split" in table.columns:
+        words = [word for word, keep in zip(table["split"].to_list(), kept, strict=True) if keep]
+        for word in words:
+            if word not in ("fit", "test"):
+                raise InputError(f"{file}: split {word!r}: expected 'fit' or 'test'")
+        test = np.array([word == "test" for word in words], bool)
+    else:
+        test = np.zeros(int(kept.sum()), bool)
+        test[len(test) - len(test) // 4 :] = True
+    if min(test.sum(), (~test).sum()) < LEAST:
+        raise InputError(
+            f"{file}: {int((~test).sum())} trials to fit and {int(test.sum())} held out; expected at least {LEAST} of "
+            "each"
+        )
+    return test
+
+
+def save_fitness(folder: str | Path, xml: str, about: Mapping[str, Any], columns: Mapping[str, Any]) -> None:
+    """Write a folder that `load_fitness` reads.
+
+    Args:
+      folder: made if absent.
+      xml: MJCF text of the believed model.
+      about: body, function, duration and omega.
+      columns: of the table of trials.
+
+    Raises:
+      OSError: the folder cannot be written to.
+    """
+    folder = Path(folder)
+    lines = ["[model]", 'file = "model.xml"', "", "[fitness]", 'file = "trials.csv"']
+    lines += [f'{k} = "{v}"' if isinstance(v, str) else f"{k} = {float(v)!r}" for k, v in about.items()]
+    for name, text in (("model.xml", xml), (FILE_NAME, "\n".join(lines) + "\n")):
+        with atomic_write(folder / name) as file:
+            file.write(text.encode("utf-8"))
+    write_table(folder / "trials.csv", columns)

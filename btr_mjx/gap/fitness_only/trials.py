@@ -1,0 +1,91 @@
+"""Trials of a fitness table, simulated: what each controller would come to in a world."""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from btr_mjx.evaluation import Outcome, fitness_function
+from btr_mjx.gap.effects import Scales
+from btr_mjx.gap.fitness_only.table import FitnessTable
+from btr_mjx.gap.simulate import Command, Counter, Stretch, World, simulate
+
+_AT_ONCE = 1024
+"""Trials of one batch: progress is told and saved between two of them."""
+
+
+class Trials:
+    """Simulates the trials of a table in worlds.
+
+    Attributes:
+      table: the data.
+      counter: simulated steps so far.
+    """
+
+    def __init__(self, table: FitnessTable, counter: Counter | None = None) -> None:
+        self.table, self.counter = table, counter or Counter()
+        model = table.head.model
+        times = np.arange(0.0, table.duration + 0.002, min(0.05 / table.omega, 0.01))
+        self._commands = tuple(Command(times, values, "cubic") for values in table.commands(times))
+        self._start = np.array(model.qpos0), np.zeros(model.nv)
+        joint = int(model.body_jntadr[model.body(table.body).id])
+        free = joint >= 0 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
+        self._address = int(model.jnt_qposadr[joint]) if free else None
+        self._function = fitness_function(table.function)
+
+    def fitness(self, worlds: Sequence[World], rows: np.ndarray, timestep: float | None = None) -> np.ndarray:
+        """Fitness of some trials in some worlds.
+
+        Args:
+          worlds: (C,) worlds.
+          rows: (M,) of the table.
+          timestep: another than the model's own [s].
+
+        Returns:
+          (C, M) [m/s]; NaN where a simulation diverged.
+        """
+        count = len(rows)
+        stretch = Stretch(
+            np.zeros(count),
+            np.tile(self._start[0], (count, 1)),
+            np.tile(self._start[1], (count, 1)),
+            np.array([self.table.duration]),
+            tuple(self._commands[i] for i in rows),
+            np.arange(count),
+        )
+        model = self.table.head.model
+        start = self._positions(self._start[0][None], model)[0]
+        times = np.array([self.table.duration])
+        out, together = [], max(1, _AT_ONCE // count)
+        for first in range(0, len(worlds), together):
+            jobs = [(world, stretch) for world in worlds[first : first + together]]
+            for found in simulate(jobs, timestep=timestep, counter=self.counter):
+                position = self._positions(found[:, 0, : model.nq], model)
+                out.append(self._function(Outcome(times, start, position[:, None], np.zeros((count, 1)))))
+        return np.array(out)
+
+    def _positions(self, qpos: np.ndarray, model: mujoco.MjModel) -> np.ndarray:
+        """Positions (N, 3) of the body in configurations (N, nq)."""
+        if self._address is not None:
+            return qpos[:, self._address : self._address + 3]
+        data, body, out = mujoco.MjData(model), model.body(self.table.body).id, np.full((len(qpos), 3), np.nan)
+        for k in np.flatnonzero(np.isfinite(qpos).all(axis=1)):
+            data.qpos[:] = qpos[k]
+            mujoco.mj_kinematics(model, data)
+            out[k] = data.xpos[body]
+        return out
+
+    def scales(self, rows: np.ndarray) -> Scales:
+        """How large things are in some trials of the believed model."""
+        model, states = self.table.head.model, []
+        steps = round(self.table.duration / model.opt.timestep)
+        for row in rows:
+            data = mujoco.MjData(model)
+            controls = self._commands[row].at((np.arange(steps) + 0.5) * model.opt.timestep)
+            for k in range(steps):
+                data.ctrl[:] = controls[k]
+                if k % max(1, steps // 100) == 0:
+                    states.append((data.qpos.copy(), data.qvel.copy(), data.ctrl.copy(), data.act.copy()))
+                mujoco.mj_step(model, data)
+        qpos, qvel, ctrl, act = (np.array(column) for column in zip(*states, strict=True))
+        return Scales.measured(model, qpos, qvel, ctrl, act if model.na else None)

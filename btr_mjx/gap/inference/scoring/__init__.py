@@ -1,0 +1,1 @@
+"""Hypotheses against windows: screening, linear scans, refinement, and what a hypothesis leaves."""

@@ -1,0 +1,139 @@
+"""Hypotheses: values of what may be refitted and effects that are added, and the worlds they make."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field, replace
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.data import Believed
+from btr_mjx.gap.effects import Candidate
+from btr_mjx.gap.inference.scoring.refine import Nuisance, Unknowns, refine
+from btr_mjx.gap.simulate import World
+from btr_mjx.gap.windows import MakeWorld, Windows, typical
+
+DELICATE = 0.15
+"""Finite-difference steps of candidates that move contacts are smaller by this factor."""
+
+_REFITS = 6
+"""Gauss-Newton steps of a refit of the believed numbers."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """What the robot could be.
+
+    Attributes:
+      parameters: what may be refitted.
+      believed: (P,) their values.
+      effects: candidates with their values.
+      calibration: the same of what needs no name: small errors that calibration leaves.
+    """
+
+    parameters: tuple[Believed, ...]
+    believed: tuple[float, ...]
+    effects: tuple[tuple[Candidate, tuple[float, ...]], ...] = ()
+    calibration: tuple[tuple[Candidate, tuple[float, ...]], ...] = ()
+    _worlds: dict[int, tuple[mujoco.MjModel, World]] = field(
+        default_factory=dict, init=False, repr=False, compare=False, hash=False
+    )
+
+    def __call__(self, model: mujoco.MjModel) -> World:
+        """The world of a recording whose believed model is `model`, made once: it must not be edited."""
+        if id(model) not in self._worlds:
+            self._worlds[id(model)] = model, self._world(model)
+        return self._worlds[id(model)][1]
+
+    def _world(self, model: mujoco.MjModel) -> World:
+        world = World.of(model)
+        for parameter, value in zip(self.parameters, self.believed, strict=True):
+            parameter.write(world.model, value)
+        if self.parameters:
+            mujoco.mj_setConst(world.model, mujoco.MjData(world.model))
+        for candidate, values in (*self.calibration, *self.effects):
+            candidate.apply(world, np.array(values))
+        world.kept = True
+        return world
+
+    def with_effect(self, candidate: Candidate, values: Sequence[float] | np.ndarray) -> "Hypothesis":
+        """The same with one more effect."""
+        added = (candidate, tuple(float(value) for value in values))
+        return replace(self, effects=(*self.effects, added))
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers its effects have."""
+        return sum(len(values) for _, values in self.effects)
+
+    @property
+    def name(self) -> str:
+        """Its effects' names."""
+        return " + ".join(candidate.name for candidate, _ in self.effects) or "nothing"
+
+    def values(self, with_believed: bool) -> np.ndarray:
+        """Its free numbers: believed ones if wanted, then those of its effects."""
+        own = [value for _, values in self.effects for value in values]
+        return np.array([*(self.believed if with_believed else ()), *own], float)
+
+    def replaced(self, values: np.ndarray, with_believed: bool) -> "Hypothesis":
+        """The same with other free numbers, in the order of `values`."""
+        numbers = [float(value) for value in values]
+        believed = tuple(numbers[: len(self.believed)]) if with_believed else self.believed
+        rest = numbers[len(self.believed) :] if with_believed else numbers
+        effects, first = [], 0
+        for candidate, own in self.effects:
+            effects.append((candidate, tuple(rest[first : first + len(own)])))
+            first += len(own)
+        return replace(self, believed=believed, effects=tuple(effects))
+
+
+def believed_steps(parameters: Sequence[Believed], values: Sequence[float]) -> np.ndarray:
+    """Finite-difference steps of what may be refitted (P,)."""
+    steps = []
+    for parameter, value in zip(parameters, values, strict=True):
+        size = min(
+            0.02 * max(abs(value), 1e-3 * (parameter.high - parameter.low)), 0.1 * (parameter.high - parameter.low)
+        )
+        steps.append(size if value + size <= parameter.high else -size)
+    return np.array(steps)
+
+
+def unknowns(hypothesis: Hypothesis, with_believed: bool, delicate: Collection[str] = ()) -> Unknowns:
+    """The free numbers of a hypothesis with their bounds.
+
+    Args:
+      hypothesis: its values are where a search starts.
+      with_believed: whether the believed numbers move along.
+      delicate: names of candidates that need smaller finite differences.
+    """
+    low, high, step = [], [], []
+    if with_believed:
+        for parameter in hypothesis.parameters:
+            low.append(parameter.low)
+            high.append(parameter.high)
+        step += list(np.abs(believed_steps(hypothesis.parameters, hypothesis.believed)))
+    for candidate, _ in hypothesis.effects:
+        for own in candidate.parameters:
+            low.append(own.low)
+            high.append(own.high)
+            step.append(abs(own.step) * (DELICATE if candidate.name in delicate else 1.0))
+
+    def make(values: np.ndarray) -> MakeWorld:
+        return hypothesis.replaced(values, with_believed)
+
+    size = len(low)
+    return Unknowns(np.array(low), np.array(high), np.array(step), make, np.zeros(size), np.zeros(size))
+
+
+def refitted(windows: Windows, base: Hypothesis, cut: float) -> Hypothesis:
+    """The believed model with its numbers at their best, by true simulation.
+
+    Args:
+      windows: linearised around it.
+      base: the believed model.
+      cut: chi^2 above which a window counts less, in units of what is typical.
+    """
+    nothing = Nuisance.nothing(*windows.residual.shape)
+    most = cut * typical((windows.residual**2).sum(1), windows.freedom)
+    found = refine(windows, nothing, most, [(unknowns(base, True), [base.values(True)])], _REFITS)[0]
+    return base.replaced(found.values, True)

@@ -1,0 +1,1 @@
+"""The search: candidates are scanned, leaders refined by true simulation, rivals compared."""

@@ -1,0 +1,179 @@
+"""Records of the search: what it may cost, the two sides of the split, a judged hypothesis."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
+from btr_mjx.gap.inference.scoring.refine import Nuisance, Refined
+from btr_mjx.gap.windows import Fit, MakeWorld, Windows, exactly, picked, recentred, redirected
+
+_MUCH = 1.5
+"""Of the budget of a search, so many times may be spent before less is spent on what follows."""
+
+_TOO_MUCH = 1.6
+"""The same after which only what is likely to change the answer is done."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """How much is spent.
+
+    Attributes:
+      steps: simulated steps that one search may cost, roughly.
+      leaders: candidates that are refined by true simulation.
+      contact_leaders: candidates that move contacts that are refined beyond those, by a scan of true simulations.
+      iterations: Gauss-Newton steps of a refinement.
+      every: candidates that move contacts are scanned on one of so many windows.
+      starts: limits are tried from one of so many starts.
+    """
+
+    steps: float = 4.4e5
+    leaders: int = 6
+    contact_leaders: int = 4
+    iterations: int = 3
+    every: int = 2
+    starts: int = 1
+
+    def fewer(self, costly: bool) -> "Options":
+        """What is spent on one more effect: about half, and less where the first one was costly."""
+        plain, contacts = (3, 4) if costly else (2, 2)
+        iterations = max(1, self.iterations - 1) if costly else self.iterations
+        leaders, moving = max(1, self.leaders // plain), self.contact_leaders // contacts
+        every, starts = contacts * self.every, 2 * self.starts if costly else self.starts
+        return Options(self.steps, leaders, moving, iterations, every, starts)
+
+    def much(self, steps: int, nv: int) -> bool:
+        """Whether a search has cost so many simulated steps that less is to be spent on what follows."""
+        return steps > _MUCH * self.budget(nv)
+
+    def too_much(self, steps: int, nv: int) -> bool:
+        """Whether it has cost so many that hardly anything may follow."""
+        return steps > _TOO_MUCH * self.budget(nv)
+
+    def budget(self, nv: int) -> float:
+        """Simulated steps that may go into a model of `nv` degrees of freedom: small ones step faster."""
+        return self.steps * float(np.clip(20.0 / nv, 1.0, 3.2))
+
+
+@dataclass(frozen=True)
+class Side:
+    """Windows on one side of the split, with what is fitted along.
+
+    Attributes:
+      windows: linearised around the base.
+      nuisance: tolerances, and on the side that is fitted what may be refitted.
+    """
+
+    windows: Windows
+    nuisance: Nuisance
+
+    def recentred(self, make: MakeWorld, exact: bool = True) -> "Side":
+        """The same with starting states that suit another hypothesis, see `starting_states.recentred`."""
+        return Side(recentred(self.windows, make, exact), self.nuisance)
+
+    def redirected(self, make: MakeWorld) -> "Side":
+        """The same, recentred around a hypothesis before, with what starting states could explain in its own world."""
+        windows = redirected(self.windows, make)
+        return Side(windows, self.nuisance.projected(windows.basis))
+
+    def based(self, make: MakeWorld) -> "Side":
+        """The same with another hypothesis as base of its windows, see `Windows.based`."""
+        return Side(self.windows.based(make), self.nuisance)
+
+    def exactly(self, make: MakeWorld) -> "Side":
+        """The same with what the time step does in the other hypothesis' own world, see `starting_states.exactly`."""
+        return Side(exactly(self.windows, make), self.nuisance)
+
+    def mixed(self, others: Sequence["Side"], chosen: np.ndarray) -> "Side":
+        """The same with some windows as others have them, see `Windows.mixed`."""
+        windows = self.windows.mixed([side.windows for side in others], chosen)
+        if windows.basis is self.windows.basis:
+            return Side(windows, self.nuisance)
+        columns, gram = (
+            picked(getattr(self.nuisance, name), [getattr(side.nuisance, name) for side in others], chosen)
+            for name in ("columns", "gram")
+        )
+        return Side(windows, Nuisance(columns, self.nuisance.precision, gram))
+
+    def joined(self, other: "Side") -> "Side":
+        """These windows and others with the same tolerances."""
+        own, more = self.nuisance, other.nuisance
+        columns, gram = np.concatenate([own.columns, more.columns]), np.concatenate([own.gram, more.gram])
+        return Side(self.windows.joined(other.windows), Nuisance(columns, own.precision, gram))
+
+    def some(self, index: np.ndarray) -> "Side":
+        """Some of the windows."""
+        return Side(self.windows.some(index), self.nuisance.some(index))
+
+
+def nearest(sides: Sequence[Side]) -> Side:
+    """Every window as that side has it from which the simulation comes nearest to the data.
+
+    What the starting state could still explain is left out of this comparison: where a foot touches at another time,
+    the linear picture of it promises what it cannot keep.
+
+    Args:
+      sides: with the same base and the same windows, from different starting states.
+    """
+    raw = [(side.windows.raw**2).sum(1) for side in sides]
+    return sides[0].mixed(sides[1:], np.argmin(raw, 0))
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A refined hypothesis and what the data say of it.
+
+    Attributes:
+      hypothesis: with its refined values.
+      refined: on the recordings to fit.
+      gain: fall of the loss there against the reference, in units of the dispersion.
+      held_out: fall of the loss on the held-out recordings.
+      score: gain on both, less what its numbers cost.
+      residual: (W, R) on the held-out windows.
+      fits: of both sides, with the tolerances at their best.
+      sides: of the split, with the starting states that it was judged with.
+      references: fits of the believed model on both sides, with starting states found in the same way.
+      before: the same of what it has one more effect than.
+      fresh: fall of the loss on windows that nobody had looked at when its numbers were found, see `runoff`;
+        0 where there was no need for them.
+      wide: it on those windows as well as on the others to fit, with numbers that suit all of them; None where there
+        was no need for it.
+      explained: whether calibration of its limb explains nearly as much, so that it is no name.
+    """
+
+    hypothesis: Hypothesis
+    refined: Refined
+    gain: float
+    held_out: float
+    score: float
+    residual: np.ndarray
+    fits: tuple[Fit, Fit]
+    sides: tuple[Side, Side]
+    references: tuple[Fit, Fit]
+    before: tuple[Fit, Fit]
+    fresh: float = 0.0
+    wide: "Judged | None" = None
+    explained: bool = False
+
+    @property
+    def name(self) -> str:
+        """The hypothesis' name."""
+        return self.hypothesis.name
+
+    @property
+    def widest(self) -> "Judged":
+        """It on as many windows as it was judged on."""
+        return self.wide or self
+
+
+def among(judged: Sequence[Judged], before: Sequence[Judged], again: Sequence[Judged]) -> list[Judged]:
+    """A round in which some were judged again, best first.
+
+    Args:
+      judged: the round.
+      before: those that were judged again, as they were.
+      again: as they are.
+    """
+    return sorted([*again, *(j for j in judged if all(j is not own for own in before))], key=lambda j: -j.score)

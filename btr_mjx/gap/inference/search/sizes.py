@@ -1,0 +1,56 @@
+"""The size of what moves contacts, tried with starting states of its own at each: derivatives lead nowhere there."""
+
+from collections.abc import Sequence
+
+from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
+from btr_mjx.gap.inference.search.search import Bench
+from btr_mjx.gap.inference.search.search_records import Side
+from btr_mjx.gap.inference.search.walks import scaled, vertex
+from btr_mjx.gap.windows import Fit
+
+_SIZES = 0.75, 1.3
+"""Factors on its size at which what moves contacts is tried beside."""
+
+_MORE = 2, 1
+"""Sizes that are tried after these, at most; and where many rivals are tried."""
+
+_NEAR = 0.03
+"""Part of a size by which a better one must differ from those that were tried."""
+
+
+def best_size(
+    bench: Bench, hypothesis: Hypothesis, sides: Sequence[Side], references: Sequence[Fit], few: bool = False
+) -> tuple[Hypothesis, list[Side]]:
+    """A hypothesis with its last effect at a better size, where a parabola through three of them peaks, and its sides.
+
+    Args:
+      bench: of the search.
+      hypothesis: its last effect moves contacts.
+      sides: that suit it: the side to fit, and the other one where that has a say as well.
+      references: fits of what it is compared with, on the same sides.
+      few: whether many others are tried as well.
+    """
+    tried = {1.0: (hypothesis, list(sides))}
+
+    def gain(factor: float) -> float:
+        own, there = tried[factor]
+        along = (bench.free, bench.nuisance)
+        fits = [free(s, own).profile(s.windows.residual, bench.cut) for s, free in zip(there, along, strict=False)]
+        return sum(bench.fall(before, fit) for before, fit in zip(references, fits, strict=True))
+
+    def attempt(factor: float) -> None:
+        own = scaled(hypothesis, factor)
+        tried[factor] = own, [side.based(own).recentred(own, exact=False) for side in sides]
+
+    for factor in _SIZES:
+        attempt(factor)
+    found = {factor: gain(factor) for factor in tried}
+    for _ in range(_MORE[few]):
+        best = max(found, key=lambda factor: found[factor])
+        # On the way up there is nothing to draw a parabola through yet.
+        there = best * _SIZES[0] if best == min(found) else best * _SIZES[1] if best == max(found) else vertex(found)
+        if min(abs(there / factor - 1.0) for factor in found) < _NEAR:
+            break
+        attempt(there)
+        found[there] = gain(there)
+    return tried[max(found, key=lambda factor: found[factor])]

@@ -1,0 +1,283 @@
+"""NAME: find the effect that a believed model lacks, or say honestly that none, or none of the library, is missing.
+
+    diagnosis = identify(load("my_dataset"))
+    diagnosis.verdict, diagnosis.effects
+
+Candidates are searched by `search.Bench`; here it is decided what may be called by name. A name needs a score beyond
+its price on all data, a gain on held-out recordings, and a size beyond what calibration leaves. What a name leaves
+unexplained is measured against unknown generalised forces, which stand for everything that could be missing.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from btr_mjx.gap.data import Dataset
+from btr_mjx.gap.effects import EFFECTS, Effect
+from btr_mjx.gap.inference.search.naming import COARSE, THRESHOLD, within_calibration
+from btr_mjx.gap.inference.search.rounds import search
+from btr_mjx.gap.inference.search.search import Bench
+from btr_mjx.gap.inference.search.search_records import Judged, Options
+from btr_mjx.gap.inference.verdict.check import Check
+from btr_mjx.gap.inference.verdict.confounds import confounds
+from btr_mjx.gap.inference.verdict.openloop import followed, following
+from btr_mjx.gap.inference.verdict.outcome import (
+    calibration_of,
+    equivalent,
+    gap_of,
+    named_effects,
+    overlays,
+    ranking_of,
+    refits,
+    survivors,
+)
+from btr_mjx.gap.inference.verdict.twins import twin
+from btr_mjx.gap.results import Diagnosis, title
+from btr_mjx.gap.simulate import Counter
+from btr_mjx.gap.windows import pace_notes
+
+SURPRISE = 6.0
+"""Lack of fit over everything that cannot be noise where nothing was named, in standard deviations."""
+
+LEFT_OVER = 4.0
+"""The same where something was named."""
+
+LEFT_SHARE = 0.06
+"""Part of its own gain that a name may leave at single joints."""
+
+REST = 3.0
+"""Lack of fit that a name may leave, in standard deviations, unless it explains most of what there was. What moves
+contacts may leave more: a size that is a little off lets feet slip or touch at other times."""
+
+REST_SHARE = 0.5
+"""Part of what unknown forces explain that is most of it."""
+
+TOO_MUCH = 60.0
+"""Score, of what moves no contacts, that is not chance though held-out recordings know nothing of it. The best of
+simulated robots that lacked nothing or little was 35."""
+
+TWIN = 15.0
+"""Score that a twin may have beside what was named."""
+
+DWARFED = 20.0, 5e-3
+"""Chi^2 per degree of freedom beyond noise, in the median, from which on a name may leave this part of it whatever that
+is: a friction of a gear took it from 11331 to 2, and at another integrator's sticking something was left."""
+
+COARSE_SHARE = 0.55
+"""Part of what unknown forces explain that a name must explain there."""
+
+
+def identify(
+    dataset: Dataset,
+    effects: Sequence[Effect] = EFFECTS,
+    max_effects: int = 2,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+    options: Options | None = None,
+    counter: Counter | None = None,
+) -> Diagnosis:
+    """Find what is missing.
+
+    Args:
+      dataset: recordings on both sides of the split, and the believed model.
+      effects: the library of effects.
+      max_effects: largest number of effects that are named.
+      seed: of the resampling behind intervals.
+      progress: called with a word on what is being done.
+      options: how much is spent.
+      counter: adds up the simulated steps; a `journal.Journal` remembers them for a search that goes on.
+
+    Returns:
+      The diagnosis.
+
+    Raises:
+      InputError: no recordings on one side of the split, recordings too short for a window, no motion.
+    """
+    begun = time.monotonic()
+    # The search has threads of its own, and matrices that are too small to be shared by more.
+    with threadpool_limits(1, "blas"):
+        bench = Bench(dataset, effects, options, progress, counter)
+        return name_missing(bench, max_effects, seed, progress, begun)
+
+
+def name_missing(
+    bench: Bench,
+    max_effects: int = 2,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+    begun: float | None = None,
+) -> Diagnosis:
+    """The part of `identify` that follows when a bench is ready.
+
+    Args:
+      bench: as it was made.
+      max_effects: largest number of effects that are named.
+      seed: of the resampling behind intervals.
+      progress: called with a word on what is being done.
+      begun: time at which the work began, of `time.monotonic`; None for now.
+
+    Returns:
+      The diagnosis.
+    """
+    begun = time.monotonic() if begun is None else begun
+    note = progress or (lambda _: None)
+    rounds, named = search(bench, max_effects, note)
+    base = bench.base
+    if bench.dispersion > COARSE and not bench.survey.contact:
+        note("whole recordings")
+        base, named[-1:] = followed(bench, base), [following(bench, judged) for judged in named[-1:]]
+    note("lack of fit")
+    rng = np.random.default_rng([seed, 1])
+    check = Check(bench, rng)
+    final = named[-1] if named else None
+    share = check.share(final)
+    before, after = check.surprise(None), check.surprise(final)
+    best = rounds[0][0] if rounds[0] else None
+    verdict = "effect" if named else "none"
+    nearly = final or (best if best is not None and best.score > THRESHOLD and plain(bench, best) else None)
+    rival = twin(bench, nearly) if nearly is not None and bench.dispersion <= COARSE else None
+    surprised = missing(check, named, share, after, rival) if named else strange(check, best, rival)
+    if surprised:
+        verdict = "unexplained"
+    said = named if verdict == "effect" else []
+    return Diagnosis(
+        verdict=verdict,  # type: ignore[arg-type]
+        effects=named_effects(bench, said, rounds, rng, settled=bench.dispersion > COARSE),
+        ranking=ranking_of(rounds),
+        equivalent=undecided(bench, rounds[0], verdict),
+        gap=gap_of(bench, base, said[-1] if said else None, check.floor(said[-1] if said else None)),
+        disagreement=check.map(),
+        unexplained=(*twin_words(nearly, rival), *check.words(final)) if surprised else (),
+        believed=refits(bench, base, final),
+        calibration=calibration_of(said),
+        confounds=confounds(bench, base, named if verdict == "effect" else []),
+        overlays=overlays(bench, final),
+        share=share,
+        lack_of_fit=(before, after),
+        threshold=THRESHOLD,
+        dispersion=bench.dispersion,
+        sigma=bench.sigma,
+        windows=(len(bench.fit.windows), len(bench.test.windows), bench.fit.windows.k, bench.survey.span),
+        steps=bench.counter.steps,
+        seconds=time.monotonic() - begun,
+        survivors=survivors(bench, rounds, named),
+        notes=pace_notes(bench.fit.windows),
+    )
+
+
+def undecided(bench: Bench, first: Sequence[Judged], verdict: str) -> tuple[str, ...]:
+    """Names of candidates of a first round that these data cannot tell apart.
+
+    Args:
+      bench: of the search.
+      first: the round, best first.
+      verdict: what was decided.
+
+    Returns:
+      Of "effect" the one that is named and those like it. Of "none" what is not ruled out either: those that would have
+      been named if calibration of their limb did not explain nearly as much, or what explains more than chance and may
+      not be named for another reason, as held-out recordings that do not bear it out.
+    """
+    if first and (verdict == "effect" or (verdict == "none" and first[0].explained)):
+        return equivalent(first, bench.delicate)
+    if verdict == "none":
+        more = (j for j in first if j.score > THRESHOLD and not within_calibration(bench, j))
+        return tuple(j.hypothesis.effects[-1][0].name for j in more)
+    return ()
+
+
+def plain(bench: Bench, judged: Judged) -> bool:
+    """Whether none of a hypothesis' effects moves contacts."""
+    return not any(candidate.name in bench.delicate for candidate, _ in judged.hypothesis.effects)
+
+
+def mistaken(judged: Judged, rival: Judged | None) -> bool:
+    """Whether the best twin of a hypothesis, judged beside it, explains what it does not."""
+    return rival is not None and rival.score - judged.score > TWIN
+
+
+def twin_words(named: Judged | None, rival: Judged | None) -> tuple[str, ...]:
+    """A twin that explains what was named better, in words."""
+    if named is None or rival is None or not mistaken(named, rival):
+        return ()
+    candidate, values = rival.hypothesis.effects[-1]
+    number = candidate.parameters[0]
+    here = [c.effect for c, _ in named.hypothesis.effects if any(e is candidate.effect for e in c.effect.akin)]
+    taken = " and ".join(title(effect.name) for effect in here)
+    size = f"{number.name} {values[0]:.3g}" + ("" if number.unit == "1" else f" {number.unit}")
+    return (
+        f"{candidate.place.label}: {title(candidate.effect.name)} ({candidate.effect.equation}, {size}) explains what "
+        f"{taken} does not (--effects all {candidate.effect.name} names it)",
+    )
+
+
+def missing(check: Check, named: Sequence[Judged], share: float, surprise: float, rival: Judged | None = None) -> bool:
+    """Whether what was named leaves so much that something else must be at work.
+
+    Args:
+      check: of the lack of fit.
+      named: what was named, each beside those before.
+      share: part of what unknown forces explain that the last one explains.
+      surprise: lack of fit that it leaves, in standard deviations.
+      rival: its best twin, judged beside it.
+    """
+    if check.bench.dispersion > COARSE:
+        return surprise > LEFT_OVER and share < COARSE_SHARE
+    if mistaken(named[-1], rival):
+        return True
+    if dwarfed(check.bench, named[-1]):
+        return False
+    if len(named) > 1:
+        # What a force of another shape explains better than the second name was never two effects.
+        first = check.left(named[0])
+        if first.gain > max(check.gain, named[1].gain - named[0].gain):
+            return True
+    if check.told(named[-1]) is not None:
+        return True
+    if plain(check.bench, named[-1]) and surprise > REST and share < REST_SHARE and check.spread(named[-1]):
+        return True
+    there = check.at_body(named[-1])
+    if check.thrown(there) and there.chi2 > LEFT_SHARE * (named[-1].gain + named[-1].held_out):
+        return True
+    left, most, follows = check.left(named[-1]), LEFT_SHARE * named[-1].gain, check.follows(named[-1])
+    if follows is not None and follows.gain > most:
+        return True
+    return check.beyond(left) > most
+
+
+def dwarfed(bench: Bench, judged: Judged) -> bool:
+    """Whether a name explains so much that whatever it leaves is small beside it, on either side of the split.
+
+    Args:
+      bench: of the search.
+      judged: what was named, all of it.
+    """
+    for reference, fit, side in zip(bench.reference, judged.fits, (bench.fit, bench.test), strict=True):
+        noise = side.windows.freedom
+        before, after = reference.chi2 - noise, fit.chi2 - noise
+        if np.median(before) < DWARFED[0] * noise or after.sum() > DWARFED[1] * before.sum():
+            return False
+    return True
+
+
+def strange(check: Check, best: Judged | None, rival: Judged | None = None) -> bool:
+    """Whether something is missing though nothing may be named; what the best candidate explains is weak, not strange.
+
+    Args:
+      check: of the lack of fit.
+      best: candidate of the first round.
+      rival: its best twin, judged beside it.
+    """
+    judged = best if best is not None and best.score > 0 else None
+    if judged is not None:
+        much = judged.score > TOO_MUCH and plain(check.bench, judged) and not within_calibration(check.bench, judged)
+        if much or mistaken(judged, rival):
+            return True
+    return (
+        (check.surprise(judged) > SURPRISE and check.spread(judged))
+        or check.follows(judged) is not None
+        or check.beyond(check.left(judged)) > 0
+        or check.told(judged) is not None
+    )

@@ -1,0 +1,213 @@
+"""From a finished search to the records of a `Diagnosis`: names, ranking, the gap before and after, what else fits."""
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
+from btr_mjx.gap.inference.search.search import Bench
+from btr_mjx.gap.inference.search.search_records import Judged
+from btr_mjx.gap.inference.verdict.disagreement import place_names
+from btr_mjx.gap.inference.verdict.intervals import intervals
+from btr_mjx.gap.inference.verdict.openloop import open_loop
+from btr_mjx.gap.results import Calibrated, Gap, Named, Overlay, Refit, Row
+from btr_mjx.gap.windows import bounded
+
+MARGIN = 25.0
+"""Candidates whose scores differ by less are called equivalent."""
+
+SHARE = 0.01
+"""The same, as a part of the best score: of a strong effect what calibration leaves decides on more."""
+
+CONTACT_MARGIN = 0.1
+"""The same where one of them moves contacts, at least, as a part of the best score."""
+
+
+def alike(judged: Sequence[Judged], delicate: Collection[str] = ()) -> list[Judged]:
+    """Those that the data cannot tell from the first one, which comes first.
+
+    Args:
+      judged: one round, best first.
+      delicate: names of candidates that move contacts, whose scores are less certain.
+    """
+    best, out = judged[0], []
+    for j in (best, *(j for j in judged[1:] if not j.explained)):
+        names = [k.hypothesis.effects[-1][0].name for k in (best, j)]
+        margin = max(MARGIN, (CONTACT_MARGIN if any(n in delicate for n in names) else SHARE) * best.score)
+        if best.score - j.score <= margin and j.score > 0.3 * best.score:
+            out.append(j)
+    return out
+
+
+def equivalent(judged: Sequence[Judged], delicate: Collection[str] = ()) -> tuple[str, ...]:
+    """Names of those that are alike, see there."""
+    return tuple(j.hypothesis.effects[-1][0].name for j in alike(judged, delicate))
+
+
+def named_effects(
+    bench: Bench,
+    named: Sequence[Judged],
+    rounds: Sequence[Sequence[Judged]],
+    rng: np.random.Generator,
+    settled: bool = False,
+) -> tuple[Named, ...]:
+    """What is called by name.
+
+    Args:
+      bench: of the search.
+      named: what was found, each beside those before.
+      rounds: judged candidates of every round, best first.
+      rng: of the resampling behind intervals.
+      settled: numbers are those that were found, else those that suit what was held out as well.
+    """
+    if not named:
+        return ()
+    final = named[-1]
+    numbers = intervals(bench, final.widest, rng, settled)
+    out, first, before = [], 0, None
+    for i, (candidate, values) in enumerate(final.hypothesis.effects):
+        parameters = {p.name: numbers[first + j] for j, p in enumerate(candidate.parameters)}
+        first += len(values)
+        own = named[i]
+        score = own.score - (before.score if before else 0.0)
+        held_out = own.held_out - (before.held_out if before else 0.0)
+        others = tuple(name for name in equivalent(rounds[i], bench.delicate) if name != candidate.name)
+        effect = candidate.effect
+        out.append(
+            Named(
+                effect.name,
+                candidate.place.label,
+                parameters,
+                score,
+                held_out,
+                others,
+                effect.excited_by,
+                effect.equation,
+            )
+        )
+        before = own
+    return tuple(out)
+
+
+def calibration_of(named: Sequence[Judged]) -> tuple[Calibrated, ...]:
+    """Small errors of calibration beside which something was named."""
+    errors = named[-1].hypothesis.calibration if named else ()
+    return tuple(
+        Calibrated(
+            candidate.effect.name,
+            candidate.place.label,
+            {p.name: value for p, value in zip(candidate.parameters, values, strict=True)},
+        )
+        for candidate, values in errors
+    )
+
+
+def ranking_of(rounds: Sequence[Sequence[Judged]]) -> tuple[Row, ...]:
+    """Rows of all rounds, best first in each."""
+    rows = []
+    for judged in rounds:
+        for j in judged:
+            candidate, values = j.hypothesis.effects[-1]
+            rows.append(
+                Row(
+                    candidate.effect.name,
+                    candidate.place.label,
+                    j.score,
+                    judged[0].score - j.score,
+                    j.gain,
+                    j.held_out,
+                    {p.name: float(v) for p, v in zip(candidate.parameters, values, strict=True)},
+                    tuple(c.name for c, _ in j.hypothesis.effects[:-1]),
+                    j.fresh,
+                )
+            )
+    return tuple(rows)
+
+
+def gap_of(bench: Bench, start: Hypothesis, judged: Judged | None, nulls: float) -> Gap:
+    """The gap on held-out recordings.
+
+    Args:
+      bench: of the search.
+      start: the believed model, refitted.
+      judged: what was named, all of it; None for nothing.
+      nulls: what simulated nulls leave.
+    """
+    windows, freedom = bench.test.windows, bench.test.windows.freedom
+    base = bench.nuisance(bench.test).profile(windows.residual, bench.cut).chi2
+    end = base if judged is None else judged.fits[1].chi2
+    cut = 3.0 * max(freedom, float(np.median(base)))
+
+    def mean(chi2: np.ndarray) -> float:
+        return float(bounded(chi2, cut).mean() / freedom)
+
+    residual = windows.residual if judged is None else judged.residual
+    loops = open_loop(bench, [start, start if judged is None else judged.hypothesis])
+    before, after = mean(base), mean(end)
+    return Gap(
+        before,
+        after,
+        min(nulls, after),
+        nulls,
+        float(np.sqrt((windows.residual**2).mean())),
+        float(np.sqrt((residual**2).mean())),
+        *loops,
+    )
+
+
+def refits(bench: Bench, base: Hypothesis, final: Judged | None) -> tuple[Refit, ...]:
+    """Where the believed numbers went, without and with what was named."""
+    last = base if final is None else final.hypothesis
+    rows = zip(bench.dataset.parameters, bench.before, base.believed, last.believed, strict=True)
+    return tuple(Refit(p.name, a, b, c) for p, a, b, c in rows)
+
+
+def overlays(bench: Bench, final: Judged | None, count: int = 3) -> tuple[Overlay, ...]:
+    """Held-out stretches in which two models differ most, each from starting states of its own.
+
+    Which stretches these are depends on the models alone, not on how well either follows the data there. Recordings
+    take turns. Where there is one model only, its worst stretches are taken, without the worst tenth.
+
+    Args:
+      bench: of the search.
+      final: what the second model has that the believed one lacks; None for no second model.
+      count: number of stretches.
+    """
+    side = bench.test
+    windows, model = side.windows, bench.dataset.model
+    before = windows.at(bench.base)
+    after = before if final is None else side.recentred(final.hypothesis, exact=False).windows.base
+    other = np.concatenate([windows.target_q, windows.target_v], -1) if final is None else after
+    away = windows.minus(before, other)[..., : windows.nv] / bench.sigma[: windows.nv]
+    plain = np.flatnonzero(model.jnt_type[model.dof_jntid] >= 2)
+    if not len(plain):
+        return ()
+    far = np.nan_to_num((away[..., plain] ** 2).sum(1), posinf=0.0)  # (W, joints)
+    order = np.argsort(-far.max(1), kind="stable")
+    if final is None:
+        order = order[len(order) // 10 :]
+    turn = [int((windows.recording[order[:i]] == windows.recording[w]).sum()) for i, w in enumerate(order)]
+    names, out = place_names(model), []
+    for w in order[np.argsort(turn, kind="stable")][:count]:
+        dof = int(plain[np.argmax(far[w])])
+        address = int(model.jnt_qposadr[model.dof_jntid[dof]])
+        out.append(
+            Overlay(
+                bench.dataset.test[windows.recording[w]].name,
+                names[dof],
+                windows.time[w],
+                windows.target_q[w, :, address],
+                before[w, :, address],
+                after[w, :, address],
+            )
+        )
+    return tuple(out)
+
+
+def survivors(bench: Bench, rounds: Sequence[Sequence[Judged]], named: Sequence[Judged]) -> tuple[Hypothesis, ...]:
+    """Hypotheses that are still possible: those near the best, and nothing where no name was found."""
+    last = rounds[min(len(named), len(rounds)) - 1] if named else rounds[0]
+    if not last:
+        return (bench.base,)
+    close = [j.hypothesis for j in last if last[0].score - j.score <= 2 * MARGIN]
+    return tuple(close if named else [bench.base, *close[:2]])

@@ -1,0 +1,219 @@
+"""Before any fit: is this a dataset that an effect could be named from?
+
+    findings = preflight(dataset)
+
+Findings of level "error" say what makes the data unusable (wrong units, no excitation), "warning" what spoils results,
+"note" what is good to know: rates, delays, which effects these data can show and which they cannot.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.data import Dataset, Noise, noise_of
+from btr_mjx.gap.fitness_only import FitnessTable
+from btr_mjx.gap.preflight.clocks import clocks, sampling
+from btr_mjx.gap.preflight.excitation import JointTrack, blind_effects, joint_tracks
+from btr_mjx.gap.preflight.findings import Finding, listed
+from btr_mjx.gap.preflight.stability import stability
+from btr_mjx.models import part_names
+
+
+def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Finding]:
+    """Look at a dataset.
+
+    Args:
+      dataset: the dataset.
+      effects: names of the effects to say something about; None for all that are known here.
+
+    Returns:
+      Findings, errors first.
+    """
+    noise = noise_of(dataset)
+    joints = joint_tracks(dataset)
+    findings = [Finding("note", "data", line) for line in _summary(dataset)]
+    findings += [Finding("warning" if "unknown key" in line else "note", "loading", line) for line in dataset.notes]
+    for line in dict.fromkeys(note for recording in dataset.recordings for note in recording.notes):
+        names = [r.name for r in dataset.recordings if line in r.notes]
+        findings.append(Finding("note", "loading", f"{line} ({listed(names)})"))
+    findings += sampling(dataset)
+    findings += _units(joints)
+    findings += _channels(dataset, joints, noise)
+    findings += clocks(dataset, joints)
+    findings += _starts(dataset)
+    findings += _excitation(dataset, joints, effects)
+    if all(finding.level != "error" for finding in findings):
+        findings += stability(dataset)
+    order = {"error": 0, "warning": 1, "note": 2}
+    return sorted(findings, key=lambda finding: order[finding.level])
+
+
+def preflight_fitness(table: FitnessTable) -> list[Finding]:
+    """Look at a table of trials.
+
+    Args:
+      table: the trials.
+
+    Returns:
+      Findings, errors first.
+    """
+    fit, test = int((~table.test).sum()), int(table.test.sum())
+    low, high = float(table.fitness.min()), float(table.fitness.max())
+    said = f"{fit} trials to fit and {test} held out of {table.duration:g} s, fitness {low:.3g} to {high:.3g}"
+    findings = [Finding("note", "data", said)]
+    controllers = np.concatenate([table.amplitude, table.phase, table.offset], axis=1)
+    if np.ptp(controllers, axis=0).max() == 0:
+        findings.append(Finding("error", "excitation", "every trial has the same controller; try different ones"))
+    elif high - low < 1e-6 * max(abs(high), 1.0):
+        findings.append(
+            Finding("error", "excitation", f"every trial has the same fitness ({low:.6g}); nothing can be told")
+        )
+    if fit < 20:
+        findings.append(Finding("warning", "data", f"{fit} trials to fit are few; the ranking will be a guess"))
+    return sorted(findings, key=lambda finding: finding.level != "error")
+
+
+def refuse_errors(findings: Sequence[Finding]) -> None:
+    """Stop where a dataset is unusable.
+
+    Raises:
+      InputError: the first error.
+    """
+    for finding in findings:
+        if finding.level == "error":
+            raise InputError(finding.message)
+
+
+def _summary(dataset: Dataset) -> list[str]:
+    model, times = dataset.model, [r.time for r in dataset.recordings]
+    seconds = sum(float(t[-1] - t[0]) for t in times)
+    return [
+        f"{len(dataset.fit)} recordings to fit and {len(dataset.test)} held out, {seconds:.1f} s, "
+        f"{sum(map(len, times))} samples of {model.njnt} joints and {model.nu} commands",
+        "held out: " + listed([r.name for r in dataset.test]),
+    ]
+
+
+def _units(joints: Sequence[JointTrack]) -> list[Finding]:
+    findings: list[Finding] = []
+    remedy = "angles are in rad: divide by 57.3"
+    for joint in joints:
+        if not joint.hinge:
+            continue
+        peak = float(np.percentile(np.abs(joint.qpos), 98))
+        if joint.measured:
+            ours, theirs = (float(np.percentile(np.abs(x), 90)) for x in (joint.qvel, joint.slope))
+            ratio = ours / theirs if theirs > 0 else 1.0
+            moving = theirs > 0.1 and abs(float(np.corrcoef(joint.qvel, joint.slope)[0, 1])) > 0.8
+            if moving and (40 < ratio < 80 or 1 / 80 < ratio < 1 / 40):
+                which = f"qvel/{joint.name}" if ratio > 1 else f"qpos/{joint.name}"
+                findings.append(
+                    Finding(
+                        "error",
+                        "units",
+                        f"column {which!r} looks like degrees: qvel is {ratio:.3g} times the slope of qpos; {remedy}",
+                    )
+                )
+                continue
+        limit = None if joint.limits is None else float(np.abs(joint.limits).max())
+        if limit is not None and peak > 5 * limit + 1:
+            text = f"reaches {peak:.4g}, its limit in the model is {limit:.4g} rad"
+        elif joint.servo and peak > 15:
+            text = f"reaches {peak:.4g}, more than two turns of a position servo"
+        elif joint.servo and np.ptp(joint.ctrl) > 30 * max(np.ptp(joint.qpos), 1e-9) and np.abs(joint.ctrl).max() > 6:
+            text = (
+                f"has a command that reaches {np.abs(joint.ctrl).max():.4g} while it moves by {np.ptp(joint.qpos):.3g}"
+            )
+        else:
+            continue
+        findings.append(Finding("error", "units", f"joint {joint.name!r} {text}; this looks like degrees, {remedy}"))
+    return findings
+
+
+def _channels(dataset: Dataset, joints: Sequence[JointTrack], noise: Noise) -> list[Finding]:
+    findings, model = [], dataset.model
+    actuators = part_names(model, "actuator")
+    ctrl = np.concatenate([r.ctrl for r in dataset.recordings])
+    still = [name for name, column in zip(actuators, ctrl.T, strict=False) if np.ptp(column) == 0]
+    frozen = [j.name for j in joints if np.ptp(j.qpos) == 0]
+    sigma = dict(zip(part_names(model, "joint"), noise.qpos[model.jnt_dofadr], strict=True))
+    quiet = [j.name for j in joints if 0 < np.ptp(j.qpos) < 8 * sigma[j.name]]
+    if still and len(still) == len(actuators) and len(frozen) + len(quiet) == len(joints):
+        findings.append(
+            Finding(
+                "error",
+                "excitation",
+                "no excitation: every command is constant and no joint moves beyond its noise; record motions",
+            )
+        )
+    for names, text in (
+        (still, "commands that never change"),
+        (frozen, "joints whose position never changes; is the sensor connected?"),
+        (quiet, "joints that move no further than their noise"),
+    ):
+        if names:
+            findings.append(Finding("warning", "channels", f"{text}: {listed(names)}"))
+    for joint in joints:
+        stuck = _stuck_at_peak(joint.qpos)
+        if stuck > 0.05 and np.ptp(joint.qpos) > 0 and len(np.unique(joint.qpos)) > 20:
+            findings.append(
+                Finding("warning", "channels", f"qpos/{joint.name} stays at its extreme for {stuck:.0%} of the samples")
+            )
+    for a, name in enumerate(actuators):
+        if a < ctrl.shape[1] and model.actuator_ctrllimited[a]:
+            low, high = model.actuator_ctrlrange[a]
+            beyond = float(np.mean((ctrl[:, a] <= low) | (ctrl[:, a] >= high)))
+            if beyond > 0.02:
+                findings.append(
+                    Finding(
+                        "warning",
+                        "channels",
+                        f"ctrl/{name} is at or beyond its ctrlrange in {beyond:.0%} of the samples",
+                    )
+                )
+    for joint in joints:
+        if joint.measured and np.ptp(joint.slope) > 0 and np.ptp(joint.qvel) > 0 and joint.name not in quiet:
+            correlation = float(np.corrcoef(joint.qvel, joint.slope)[0, 1])
+            if correlation < 0.5:
+                findings.append(
+                    Finding(
+                        "warning",
+                        "channels",
+                        f"qvel/{joint.name} does not follow the slope of qpos/{joint.name} (correlation "
+                        f"{correlation:.2f}); check its sign and clock, or leave it out",
+                    )
+                )
+    return findings
+
+
+def _stuck_at_peak(signal: np.ndarray) -> float:
+    """Share of the samples at the largest or at the smallest value, whichever is more."""
+    return float(max(np.mean(signal == signal.max()), np.mean(signal == signal.min())))
+
+
+def _starts(dataset: Dataset) -> list[Finding]:
+    findings = []
+    for believed in dataset.parameters:
+        value = believed.value(dataset.model)
+        room = 0.01 * (believed.high - believed.low)
+        if value < believed.low + room or value > believed.high - room:
+            findings.append(
+                Finding(
+                    "warning",
+                    "parameters",
+                    f"parameter {believed.name!r} starts at its bound: {value:.6g} of "
+                    f"[{believed.low}, {believed.high}]",
+                )
+            )
+    return findings
+
+
+def _excitation(dataset: Dataset, joints: Sequence[JointTrack], effects: Sequence[str] | None) -> list[Finding]:
+    """Which effects these data can show."""
+    blind = blind_effects(dataset, joints)
+    return [
+        Finding("note", "excitation", f"these data cannot show {name}: {reason}")
+        for name, reason in blind.items()
+        if reason and (effects is None or name in effects)
+    ]

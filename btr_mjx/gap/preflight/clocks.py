@@ -1,0 +1,127 @@
+"""What preflight says of time: rates, gaps, and by how much positions follow commands."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.signal import correlate
+
+from btr_mjx.gap.data import Dataset, Recording
+from btr_mjx.gap.preflight.excitation import JointTrack
+from btr_mjx.gap.preflight.findings import Finding, listed
+from btr_mjx.models import part_names
+
+
+def sampling(dataset: Dataset) -> list[Finding]:
+    """How often was sampled, where samples are missing, and whether that is enough for these commands."""
+    findings = []
+    steps = np.concatenate([np.diff(r.time) for r in dataset.recordings])
+    usual = float(np.median(steps))
+    if usual >= 0.5 or usual < 1e-6:
+        what = "milliseconds" if usual >= 0.5 else "another unit"
+        return [
+            Finding(
+                "error",
+                "units",
+                f"time: samples are {usual:.6g} s apart, which looks like {what}; the column time is in seconds",
+            )
+        ]
+    findings.append(
+        Finding(
+            "note",
+            "sampling",
+            f"{1 / usual:.1f} samples per second; the middle 98 % of intervals is "
+            f"{1e3 * np.percentile(steps, 1):.3g} to {1e3 * np.percentile(steps, 99):.3g} ms",
+        )
+    )
+    for recording in dataset.recordings:
+        gaps = np.flatnonzero(np.diff(recording.time) > 3 * usual)
+        if len(gaps):
+            k = int(gaps[np.argmax(np.diff(recording.time)[gaps])])
+            findings.append(
+                Finding(
+                    "warning",
+                    "gaps",
+                    f"{recording.name}: {len(gaps)} gaps of more than three intervals, the longest from "
+                    f"{recording.time[k]:.6g} to {recording.time[k + 1]:.6g} s",
+                )
+            )
+    tempo = max((_tempo(r) for r in dataset.recordings), default=0.0)
+    if tempo > 0 and 1 / (tempo * usual) < 10:
+        findings.append(
+            Finding(
+                "warning",
+                "sampling",
+                f"commands turn over at {tempo:.3g} Hz, {1 / (tempo * usual):.1f} samples a period; delays and "
+                "velocities are hard to see below ten",
+            )
+        )
+    if dataset.model.opt.timestep > usual:
+        findings.append(
+            Finding(
+                "warning",
+                "sampling",
+                f"the model's time step of {dataset.model.opt.timestep:g} s is longer than a sampling interval",
+            )
+        )
+    return findings
+
+
+def _tempo(recording: Recording) -> float:
+    """Mean rate of zero crossings of the commands' changes, as a frequency [Hz]; 0 for constant commands."""
+    rates = []
+    for column in recording.ctrl.T:
+        if np.ptp(column) > 0:
+            wave = np.sign(column - np.mean(column))
+            rates.append(0.5 * np.count_nonzero(np.diff(wave)) / (recording.time[-1] - recording.time[0]))
+    return float(np.median(rates)) if rates else 0.0
+
+
+def clocks(dataset: Dataset, joints: Sequence[JointTrack]) -> list[Finding]:
+    """A hint only: by how much responses follow commands, servo dynamics included."""
+    model, shifts = dataset.model, []
+    usual = float(np.median(np.concatenate([np.diff(r.time) for r in dataset.recordings])))
+    for joint in joints:
+        if not joint.servo or joint.actuator is None or np.ptp(joint.ctrl) == 0:
+            continue
+        q = int(model.jnt_qposadr[part_names(model, "joint").index(joint.name)])
+        own = [_shift(r.time, r.ctrl[:, joint.actuator], r.qpos[:, q], usual) for r in dataset.recordings]
+        found = [s for s in own if s is not None]
+        if found:
+            shifts.append((joint.name, float(np.median(found))))
+    if not shifts:
+        return []
+    values = np.array([shift for _, shift in shifts])
+    findings = [
+        Finding(
+            "note",
+            "clocks",
+            f"positions follow commands by {1e3 * np.median(values):.3g} ms ({1e3 * values.min():.3g} to "
+            f"{1e3 * values.max():.3g} ms), the servo's own dynamics included",
+        )
+    ]
+    early = [name for name, shift in shifts if shift < -1.5 * usual]
+    if early:
+        findings.append(
+            Finding(
+                "warning",
+                "clocks",
+                f"positions come before their commands at {listed(early)}; do both share one clock?",
+            )
+        )
+    return findings
+
+
+def _shift(time: np.ndarray, command: np.ndarray, response: np.ndarray, step: float) -> float | None:
+    """Delay [s] of the best correlation within a quarter of a second; None where nothing correlates."""
+    even = np.arange(time[0], time[-1], step)
+    if len(even) < 40 or np.ptp(command) == 0 or np.ptp(response) == 0:
+        return None
+    a, b = (np.interp(even, time, x) for x in (command, response))
+    a, b = (np.gradient(x) - np.mean(np.gradient(x)) for x in (a, b))
+    size = float(np.linalg.norm(a) * np.linalg.norm(b))
+    if size == 0:
+        return None
+    reach = min(int(0.25 / step), len(even) // 4)
+    scores = correlate(b, a)[len(a) - 1 - reach : len(a) + reach] / size
+    best = int(np.argmax(scores))
+    return (best - reach) * step if scores[best] > 0.7 else None

@@ -1,0 +1,141 @@
+"""What the recordings of a dataset excite, joint by joint, and which effects they therefore cannot show."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.data import Dataset, Recording
+from btr_mjx.gap.effects import ground_geoms, joint_of
+from btr_mjx.models import difference, part_names
+
+_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+
+
+@dataclass(frozen=True, eq=False)
+class JointTrack:
+    """A hinge or slide over all recordings, one after another.
+
+    Attributes:
+      name: of the joint.
+      hinge: whether it is a hinge.
+      actuator: the actuator that drives it.
+      servo: whether that is a position servo.
+      limits: (2,) range in the model; None where it has none.
+      qpos, qvel: (N,) measured.
+      measured: whether the velocity was measured everywhere.
+      slope: (N,) central differences of the positions.
+      ctrl: (N,) commands, () without an actuator.
+    """
+
+    name: str
+    hinge: bool
+    actuator: int | None
+    servo: bool
+    limits: np.ndarray | None
+    qpos: np.ndarray
+    qvel: np.ndarray
+    measured: bool
+    slope: np.ndarray
+    ctrl: np.ndarray
+
+
+def joint_tracks(dataset: Dataset) -> list[JointTrack]:
+    """Every hinge and slide of a dataset."""
+    model = dataset.model
+    driven = {joint_of(model, a): a for a in range(model.nu)}
+    slopes = [_slopes(r) for r in dataset.recordings]
+    out = []
+    for j, name in enumerate(part_names(model, "joint")):
+        kind = int(model.jnt_type[j])
+        if kind not in (_HINGE, _SLIDE):
+            continue
+        q, v = int(model.jnt_qposadr[j]), int(model.jnt_dofadr[j])
+        a = driven.get(j)
+        servo = a is not None and float(model.actuator_biasprm[a, 1]) < 0
+        out.append(
+            JointTrack(
+                name,
+                kind == _HINGE,
+                a,
+                servo,
+                model.jnt_range[j] if model.jnt_limited[j] else None,
+                np.concatenate([r.qpos[:, q] for r in dataset.recordings]),
+                np.concatenate([r.qvel[:, v] for r in dataset.recordings]),
+                all(bool(r.qvel_measured[v]) for r in dataset.recordings),
+                np.concatenate([s[:, v] for s in slopes]),
+                np.concatenate([r.ctrl[:, a] for r in dataset.recordings]) if a is not None else np.zeros(0),
+            )
+        )
+    return out
+
+
+def _slopes(recording: Recording) -> np.ndarray:
+    """(K, nv) velocities from central differences of the positions."""
+    span = (recording.time[2:] - recording.time[:-2])[:, None]
+    inner = difference(recording.model, recording.qpos[:-2], recording.qpos[2:]) / span
+    return np.concatenate([inner[:1], inner, inner[-1:]])
+
+
+def blind_effects(dataset: Dataset, joints: Sequence[JointTrack] | None = None) -> dict[str, str]:
+    """Effects and the reason why these data do not show them, "" where they do.
+
+    Args:
+      dataset: the dataset.
+      joints: what `checks` already computed.
+    """
+    joints = joint_tracks(dataset) if joints is None else joints
+    model = dataset.model
+    moving = [j for j in joints if np.ptp(j.qpos) > 1e-4]
+    driven = [j for j in moving if j.actuator is not None]
+    reversals = [int(np.count_nonzero(np.diff(np.sign(j.slope)))) for j in moving]
+    feet, _ = ground_geoms(model)
+    nothing = "" if moving else "no joint moves"
+    undriven = "" if driven else "no driven joint moves"
+    turns = "" if max(reversals, default=0) >= 4 else "no joint reverses its motion more than a few times"
+    ground = "" if feet else "nothing can touch the ground"
+    constant = "" if any(np.ptp(r.ctrl, axis=0).any() for r in dataset.recordings) else "every command is constant"
+    fixed = "" if (model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).any() else "the robot is bolted down"
+    one_tone = _one_tone(dataset)
+    return {
+        "viscous_damping": nothing,
+        "dry_friction": nothing or turns,
+        "load_friction": undriven or turns,
+        "stribeck_friction": nothing or turns,
+        "armature": nothing,
+        "joint_stiffness": nothing,
+        "joint_offset": "" if feet or not fixed or np.linalg.norm(model.opt.gravity) > 0 else "no weight, no contact",
+        "backlash": undriven or turns,
+        "actuator_delay": constant or undriven,
+        "actuator_lag": constant or undriven or one_tone,
+        "actuator_gain": undriven,
+        "torque_limit": undriven,
+        "ground_friction": ground,
+        "ground_slope": "" if np.linalg.norm(model.opt.gravity) > 0 else "there is no gravity",
+        "contact_softness": ground,
+        "air_drag": nothing if fixed else "",
+    }
+
+
+def _one_tone(dataset: Dataset) -> str:
+    """Why a lag cannot be told from a delay: every command holds one frequency only."""
+    peaks = []
+    for recording in dataset.recordings:
+        even = np.linspace(recording.time[0], recording.time[-1], len(recording.time))
+        for column in recording.ctrl.T:
+            wave = np.interp(even, recording.time, column)
+            wave = (wave - wave.mean()) * np.hanning(len(wave))
+            power = np.abs(np.fft.rfft(wave)) ** 2
+            if power.sum() == 0:
+                continue
+            top = int(np.argmax(power))
+            if power[max(0, top - 2) : top + 3].sum() < 0.95 * power.sum():
+                return ""
+            peaks.append(top / (even[-1] - even[0]))
+    if peaks and np.ptp(peaks) <= 0.1 * np.median(peaks):
+        return (
+            f"every command is one sine of {np.median(peaks):.3g} Hz, where a lag is the same as a delay with less "
+            "amplitude; record a second frequency"
+        )
+    return ""

@@ -1,0 +1,77 @@
+"""Does the believed model follow anything at its own time step, or does it blow up?
+
+A servo that is stiff for its link needs a short time step, or an integrator that knows its damping. A model that blows
+up within a few steps says nothing of the robot, and no verdict about it means anything.
+"""
+
+import copy
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.data import Dataset, Recording
+from btr_mjx.gap.preflight.findings import Finding
+from btr_mjx.gap.simulate import Command
+from btr_mjx.models import difference
+
+_STRETCHES = 8
+"""Stretches that are simulated, spread over the recordings."""
+
+_SECONDS = 0.25
+_STEPS = 500
+"""How long a stretch is [s], and how many steps at most."""
+
+_BAD = mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC
+
+
+def stability(dataset: Dataset) -> list[Finding]:
+    """Simulate short stretches from measured states, as plain MuJoCo does it.
+
+    Args:
+      dataset: the dataset.
+
+    Returns:
+      An error where half of the stretches or more become unstable, a warning where some do, else nothing.
+    """
+    ends: list[tuple[Recording, float | None]] = []
+    for i in range(_STRETCHES):
+        which, share = divmod(i * len(dataset.recordings) / _STRETCHES, 1.0)
+        recording = dataset.recordings[int(which)]
+        command = Command(recording.time, recording.ctrl, dataset.interpolation)
+        ends.append((recording, blows_up(recording, int(share * (len(recording.time) - 2)), command)))
+    bad = [(recording, time) for recording, time in ends if time is not None]
+    if not bad:
+        return []
+    recording, time = bad[0]
+    step = recording.model.opt.timestep
+    text = (
+        f"{dataset.model_file.name}: the believed model is unstable at its time step of {step:g} s: {len(bad)} of "
+        f"{len(ends)} stretches simulated from measured states blow up, the first in {recording.name!r} at {time:.4g} s"
+    )
+    remedy = 'choose a smaller timestep in <option>, or integrator="implicitfast"'
+    return [Finding("error" if 2 * len(bad) >= len(ends) else "warning", "stability", f"{text}; {remedy}")]
+
+
+def blows_up(recording: Recording, row: int, command: Command) -> float | None:
+    """Time at which MuJoCo calls the believed model unstable [s], or None.
+
+    Args:
+      recording: what is followed.
+      row: sample whose measured state the simulation starts from.
+      command: what was commanded.
+    """
+    model = copy.copy(recording.model)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    data = mujoco.MjData(model)
+    data.time = recording.time[row]
+    data.qpos[:] = recording.qpos[row]
+    slope = difference(model, recording.qpos[row], recording.qpos[row + 1]) / np.diff(recording.time[row : row + 2])
+    data.qvel[:] = np.where(np.isfinite(recording.qvel[row]), recording.qvel[row], slope)
+    step = model.opt.timestep
+    last = min(data.time + _SECONDS, recording.time[-1])
+    for _ in range(min(_STEPS, int((last - data.time) / step))):
+        data.ctrl[:] = command.over(data.time, step)
+        mujoco.mj_step(model, data)
+        if any(data.warning[int(kind)].number for kind in _BAD):
+            return float(data.time)
+    return None

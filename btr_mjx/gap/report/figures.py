@@ -1,0 +1,184 @@
+"""Figures of a diagnosis: each function makes one matplotlib Figure out of what was saved, and touches no file."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from btr_mjx.gap.results import named, number
+
+MEASURED, BEFORE, AFTER = "#000000", "#c8641e", "#1f5fa8"
+"""Data, the believed model, the mended model; dots, dashes and a solid line say the same in grey."""
+
+
+def disagreement_map(
+    rows: Sequence[str], columns: Sequence[str], before: np.ndarray, after: np.ndarray | None = None
+) -> Figure:
+    """Heat map of the disagreement in units of the noise.
+
+    Args:
+      rows: names of joints or bodies.
+      columns: names of regimes.
+      before: (R, C) disagreement of the believed model, 1 is the noise; NaN where there are no data.
+      after: the same of the mended model, or None.
+    """
+    panels = [("believed model", before)] + ([("mended model", after)] if after is not None else [])
+    height = 1.3 + 0.21 * len(rows)
+    figure = Figure(figsize=(2.2 + len(panels) * max(2.2, 0.55 * len(columns)), height))
+    axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    known = before[np.isfinite(before)]
+    top = max(4.0, float(known.max(initial=1.0)))
+    grey = matplotlib.colormaps["Greys"].with_extremes(bad="#ffffff")
+    norm = LogNorm(1.0, top, clip=True)
+    image = None
+    for panel, (name, values) in zip(axes, panels, strict=True):
+        shown = np.ma.masked_invalid(np.asarray(values, float))
+        image = panel.imshow(shown, cmap=grey, norm=norm, aspect="auto")
+        for i in range(len(rows)):
+            for j in range(len(columns)):
+                value = float(np.asarray(values, float)[i, j])
+                dark = np.isfinite(value) and norm(value) > 0.55
+                text = number(value, 2) if np.isfinite(value) else "·"
+                panel.text(j, i, text, ha="center", va="center", fontsize=7, color="white" if dark else "black")
+        panel.set_title(name)
+        panel.set_xticks(range(len(columns)), columns, rotation=40, ha="right")
+        panel.tick_params(length=0)
+        for spine in panel.spines.values():
+            spine.set_visible(False)
+    axes[0].set_yticks(range(len(rows)), rows)
+    assert image is not None
+    bar = figure.colorbar(image, ax=list(axes), shrink=min(1.0, 2.0 / height), pad=0.02)
+    marks = [m * 10**e for e in range(int(np.log10(top)) + 1) for m in (1, 2, 5) if m * 10**e <= top]
+    bar.set_ticks(marks[-6:], labels=[f"{mark:g}" for mark in marks[-6:]])
+    bar.minorticks_off()
+    bar.set_label("force² / noise")
+    return figure
+
+
+def ranking_bars(
+    rows: Sequence[Mapping[str, Any]],
+    found: Sequence[tuple[str, str]],
+    threshold: float | None = None,
+    most: int = 14,
+) -> Figure:
+    """Candidates by score, with the best black, what cannot be told from it hatched, the others grey.
+
+    Args:
+      rows: entries of `ranking` in result.json, best first.
+      found: (effect, location) of the effects that were named.
+      threshold: score that a name needs; None if it is not shown.
+      most: how many are shown.
+    """
+    shown = list(rows)[:most]
+    figure = Figure(figsize=(7.2, 0.7 + 0.25 * max(len(shown), 1)))
+    axes = figure.subplots()
+    scores = [max(float(row.get("score") or 0.0), 0.0) for row in shown]
+    for i, (row, score) in enumerate(zip(shown, scores, strict=True)):
+        best = (row["effect"], row["location"]) in set(found)
+        same = bool(row.get("equivalent")) and not best
+        axes.barh(
+            i,
+            score,
+            height=0.62,
+            color="#000000" if best else "#ffffff" if same else "#c4c4c4",
+            edgecolor="#000000" if best or same else "#c4c4c4",
+            hatch="/////" if same else None,
+            linewidth=0.7,
+        )
+        note = number(float(row.get("score") or 0.0))
+        if not best and row.get("margin"):
+            behind = float(row["margin"])
+            note += f"  ({'−' if behind > 0 else '+'}{number(abs(behind))})"
+        axes.annotate(note, (score, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=7.5)
+    axes.set_yticks(range(len(shown)), [_capital(named(row)) for row in shown])
+    axes.invert_yaxis()
+    axes.set_xlim(0, 1.18 * max([*scores, threshold or 1e-9]))
+    if threshold is not None:
+        axes.axvline(threshold, color="0.4", linewidth=0.8, linestyle=(0, (2, 2)), zorder=0)
+    axes.tick_params(axis="y", length=0)
+    axes.set_xlabel("score (in brackets: distance to the first)")
+    return figure
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A held-out stretch of one coordinate.
+
+    Attributes:
+      recording: where it is from.
+      name: of the coordinate.
+      unit: of the coordinate.
+      time: (K,) [s].
+      measured, before, after: (K,) data, believed model, mended model.
+    """
+
+    recording: str
+    name: str
+    unit: str
+    time: np.ndarray
+    measured: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+
+
+def overlays(stretches: Sequence[Stretch], after: str | None = "mended model") -> Figure:
+    """Measured, before and after, with what is left of the difference beside it; one row a stretch.
+
+    Args:
+      stretches: what is shown.
+      after: what the second model is called; None leaves it out.
+    """
+    figure = Figure(figsize=(7.4, 0.6 + 1.6 * len(stretches)))
+    axes = figure.subplots(len(stretches), 2, squeeze=False, width_ratios=[1.25, 1])
+    for (left, right), one in zip(axes, stretches, strict=True):
+        every = max(1, len(one.time) // 250)
+        left.plot(one.time[::every], one.measured[::every], ".", color=MEASURED, markersize=2.6, label="measured")
+        right.axhline(0.0, color="0.7", linewidth=0.6)
+        for label, values, look in (
+            ("believed model", one.before, {"color": BEFORE, "linestyle": (0, (4, 2))}),
+            (after, one.after, {"color": AFTER, "linestyle": "-"}),
+        ):
+            if label is None:
+                continue
+            style: dict[str, Any] = dict(look)
+            left.plot(one.time, values, linewidth=1.1, label=label, **style)
+            right.plot(one.time, values - one.measured, linewidth=0.9, **style)
+        left.set_ylabel(f"{one.name} [{one.unit}]")
+        left.set_title(f"recording {one.recording}", loc="left", fontsize=8)
+        right.set_title(f"model − measured [{one.unit}]", loc="left", fontsize=8)
+        for panel in (left, right):
+            panel.xaxis.set_major_locator(MaxNLocator(4))
+    for panel in axes[-1]:
+        panel.set_xlabel("time [s]")
+    handles, labels = axes[0][0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=3)
+    return figure
+
+
+def commands(time: np.ndarray, values: np.ndarray, names: Sequence[str], most: int = 5) -> Figure:
+    """A proposed command, the channels that move most.
+
+    Args:
+      time: (K,) [s].
+      values: (K, n) commands.
+      names: of the channels.
+      most: how many are shown.
+    """
+    chosen = np.argsort(-np.ptp(values, axis=0), kind="stable")[:most]
+    figure = Figure(figsize=(7.2, 2.2))
+    axes = figure.subplots()
+    for k, style in zip(chosen, ("-", "--", ":", "-.", (0, (6, 2, 1, 2, 1, 2))), strict=False):
+        axes.plot(time, values[:, k], linestyle=style, linewidth=1.1, label=names[k])
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel("command")
+    figure.legend(loc="outside upper left", ncols=5)
+    return figure

@@ -1,0 +1,165 @@
+"""SHOW: one self-contained HTML page about a diagnosis, drawn from its saved files only.
+
+    python -m btr_mjx.gap.report.page runs/diagnosis-0
+
+Files of a diagnosis folder, of which all but the first may be missing:
+
+- result.json: verdict, effects, ranking, equivalent, gap, next_experiment and what else the page shows;
+- disagreement.npz: `rows` (R,), `columns` (C,), `before` (R, C) and optionally `after` (R, C) in units of the noise;
+- overlays.npz: `recordings`, `names`, `units` (N,), for each n `time_n`, `measured_n`, `before_n`, `after_n` (K,);
+- next_command.csv: `time` and the proposed command;
+- mended.json beside mended.xml; environment.json.
+"""
+
+import base64
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from jinja2 import Environment, StrictUndefined
+
+from btr_mjx.errors import InputError, cli_errors
+from btr_mjx.gap.report.content import content, is_number
+from btr_mjx.gap.results import NOT_NAMED, named
+from btr_mjx.plotting import style
+from btr_mjx.runs import atomic_write, read_arrays, read_json, read_table, write_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PAGE = "report.html"
+_TEMPLATE = Path(__file__).with_name("report.html.j2")
+_OVERLAYS = 6
+
+
+def draw(folder: str | Path) -> Path:
+    """Draw the page and its figures from a diagnosis folder.
+
+    Args:
+      folder: where the diagnosis saved its files; report.html and figures/*.png are written there.
+
+    Returns:
+      The page.
+
+    Raises:
+      InputError: the folder holds no diagnosis.
+      OSError: it cannot be written to.
+    """
+    folder = Path(folder)
+    if not (folder / "result.json").is_file():
+        raise InputError(f"{folder}: no result.json there; expected the folder of a diagnosis")
+    result = read_json(folder / "result.json")
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    with style():
+        pictures = _pictures(folder, result)
+    html = environment.from_string(_TEMPLATE.read_text(encoding="utf-8")).render(content(folder, result) | pictures)
+    with atomic_write(folder / PAGE) as file:
+        file.write(html.encode("utf-8"))
+    return folder / PAGE
+
+
+def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
+    """The figures, each saved beside the page and inside it."""
+    from btr_mjx.gap.report import figures
+
+    out: dict[str, Any] = {"map": None, "ranking": [], "overlays": [], "command": None}
+    if (folder / "disagreement.npz").is_file():
+        data = read_arrays(folder / "disagreement.npz")
+        figure = figures.disagreement_map(
+            _texts(data["rows"]), _texts(data["columns"]), data["before"], data.get("after")
+        )
+        caption = (
+            "Mean square of the force that would make the believed model follow the data, in units of what noise alone "
+            "would give: 1 is the noise floor, a dot a regime without data."
+        )
+        out["map"] = _picture(folder, "disagreement", figure, "Disagreement by part and regime", caption)
+    found = [(e["effect"], e["location"]) for e in result.get("effects") or []]
+    rows = list(result.get("ranking") or [])
+    ranking = [row for row in rows if not row.get("beside")]
+    if ranking:
+        threshold = result["threshold"] if is_number(result.get("threshold")) else None
+        figure = figures.ranking_bars(ranking, found, threshold)
+        hatched = "cannot be told apart from it by these data" if found else NOT_NAMED
+        caption = (
+            "Score: how far the misfit falls, beyond what the effect's numbers cost. Black: named. "
+            f"Hatched: {hatched}. Grey: other candidates. Dotted line: what a name needs at least."
+        )
+        if any(row.get("fresh") for row in ranking):
+            caption += " Those that came first were judged on more windows, which add to their scores."
+        if len(found) == 1 and any(row["score"] > ranking[0]["score"] for row in ranking):
+            caption += (
+                " What scores more than the name falls short of the rest that a name needs: held-out data say too "
+                "little for it, or calibration explains it as well."
+            )
+        out["ranking"].append(_picture(folder, "ranking", figure, "Candidates by score", caption))
+    second = [row for row in rows if row.get("beside")]
+    if second and len(found) > 1:
+        figure = figures.ranking_bars(second, found)
+        caption = (
+            f"The same for one more effect beside {' and '.join(_beside(second[0]))}; scores are of both together."
+        )
+        out["ranking"].append(_picture(folder, "ranking-second", figure, "Candidates for one more effect", caption))
+    if (folder / "overlays.npz").is_file():
+        data = read_arrays(folder / "overlays.npz")
+        stretches = [
+            figures.Stretch(
+                recording, name, unit, *(data[f"{key}_{n}"] for key in ("time", "measured", "before", "after"))
+            )
+            for n, (recording, name, unit) in enumerate(
+                zip(*(_texts(data[key]) for key in ("recordings", "names", "units")), strict=True)
+            )
+        ]
+        if stretches:
+            after = {"effect": "mended model", "unexplained": "best candidate"}.get(str(result.get("verdict")))
+            if all(np.array_equal(one.before, one.after) for one in stretches):
+                after = None  # nothing stood out
+            where = "the believed model is worst" if after is None else "the two models differ most"
+            caption = f"Held-out stretches in which {where}, with what is left of the difference to the data."
+            figure = figures.overlays(stretches[:_OVERLAYS], after)
+            out["overlays"].append(_picture(folder, "overlays", figure, "Before and after", caption))
+    if (folder / "next_command.csv").is_file():
+        table = read_table(folder / "next_command.csv")
+        names = [name for name in table.columns if name != "time"]
+        figure = figures.commands(table["time"].to_numpy(), table.select(names).to_numpy(), names)
+        more = len(names) - 5
+        caption = "The proposed command" + (f"; {more} further channels are in next_command.csv." if more > 0 else ".")
+        out["command"] = _picture(folder, "next-command", figure, "The proposed command", caption)
+    return out
+
+
+def _beside(row: Mapping[str, Any]) -> list[str]:
+    return [named(dict(zip(("effect", "location"), name.split("@", 1), strict=True))) for name in row["beside"]]
+
+
+def _picture(folder: Path, name: str, figure: "Figure", alt: str, caption: str) -> dict[str, str]:
+    file = folder / "figures" / f"{name}.png"
+    write_figure(file, figure, dpi=160)
+    return {"data": base64.b64encode(file.read_bytes()).decode("ascii"), "alt": alt, "caption": caption}
+
+
+def _texts(values: np.ndarray) -> list[str]:
+    return [str(value) for value in values]
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Entry point of the command."""
+    import tyro
+
+    def command(folders: Annotated[tuple[Path, ...], tyro.conf.Positional]) -> tuple[Path, ...]:
+        """Draw the pages of diagnoses again.
+
+        Args:
+          folders: folders of btr_mjx.diagnose.
+        """
+        return folders
+
+    folders = tyro.cli(command, args=sys.argv[1:] if argv is None else list(argv), prog="btr_mjx.gap.report.page")
+    with cli_errors():
+        for folder in folders:
+            print(draw(folder))
+
+
+if __name__ == "__main__":
+    main()

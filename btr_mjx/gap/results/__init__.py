@@ -1,0 +1,55 @@
+"""What a diagnosis is: its records, its words, its files, and the mended model.
+
+`Diagnosis` holds everything that a report or result.json needs; `saved` writes and reads its files; `wording` puts it
+into sentences; `mend` adds what was found to the MJCF.
+"""
+
+from btr_mjx.gap.results.mend import Callback
+from btr_mjx.gap.results.records import (
+    Calibrated,
+    Confound,
+    Diagnosis,
+    DisagreementMap,
+    Estimate,
+    Gap,
+    Named,
+    Overlay,
+    Refit,
+    Row,
+)
+from btr_mjx.gap.results.saved import as_result
+from btr_mjx.gap.results.wording import (
+    NOT_NAMED,
+    likeness,
+    moved,
+    named,
+    number,
+    place,
+    title,
+    verdict_sentence,
+    with_ends,
+)
+
+__all__ = [
+    "NOT_NAMED",
+    "Calibrated",
+    "Callback",
+    "Confound",
+    "Diagnosis",
+    "DisagreementMap",
+    "Estimate",
+    "Gap",
+    "Named",
+    "Overlay",
+    "Refit",
+    "Row",
+    "as_result",
+    "likeness",
+    "moved",
+    "named",
+    "number",
+    "place",
+    "title",
+    "verdict_sentence",
+    "with_ends",
+]

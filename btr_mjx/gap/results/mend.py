@@ -1,0 +1,239 @@
+"""ADD: the model with what was found missing, as MJCF that plain MuJoCo loads, and a callback for what MJCF cannot say.
+
+    mended = mend(xml, [Found("viscous_damping", "joint:knee", {"damping": 0.8})])
+    Path("mended.xml").write_text(mended.xml)
+
+Effects that depend on the state or on the command (load-dependent friction, backlash, ...) have no MJCF. They are
+listed in `mended.terms`, and a `Callback` adds them to any simulation:
+
+    model = mujoco.MjModel.from_xml_path("mended.xml")
+    data = mujoco.MjData(model)
+    missing = Callback(model, json.loads(Path("mended.json").read_text())["terms"])
+    while data.time < 1.0:
+        data.ctrl[:] = controller(data.time)
+        missing(model, data)  # before every step, after the control was set
+        mujoco.mj_step(model, data)
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.effects import KNOWN, Effect, Place, Scales
+from btr_mjx.gap.results.transcribe import normalised, write_changes
+from btr_mjx.gap.simulate import Command, Rows, World
+from btr_mjx.models import nearest, read_field, set_values
+
+_MEMORY = 2.0
+"""How much of the past command a callback remembers [s]; lags are far shorter."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """An effect that was found missing.
+
+    Attributes:
+      effect: its name.
+      location: label of its place.
+      values: parameter name -> value.
+    """
+
+    effect: str
+    location: str
+    values: Mapping[str, float]
+
+    @classmethod
+    def from_result(cls, entry: Mapping[str, Any]) -> "Found":
+        """An entry of `effects` in result.json."""
+        values = {name: float(p["value"] if isinstance(p, Mapping) else p) for name, p in entry["parameters"].items()}
+        return cls(str(entry["effect"]), str(entry["location"]), values)
+
+
+@dataclass(frozen=True)
+class Mended:
+    """A model with the missing effects added.
+
+    Attributes:
+      xml: MJCF that plain MuJoCo loads, with every effect that MJCF can say.
+      terms: the other effects, for JSON: effect, location, parameters, equation, and why they are not native.
+      native: "effect@location" of those inside `xml`.
+      notes: what a reader should know, such as fields that could not be written.
+    """
+
+    xml: str
+    terms: list[dict[str, Any]] = field(default_factory=list)
+    native: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """What is written beside the MJCF."""
+        return {"terms": self.terms, "native": list(self.native), "notes": list(self.notes), "use": _USE}
+
+
+_USE = (
+    "from btr_mjx.gap.results import Callback; missing = Callback(model, terms); before every mj_step set data.ctrl, "
+    "then call missing(model, data)"
+)
+
+
+def mend(
+    source: str | Path,
+    found: Sequence[Found],
+    *,
+    believed: Mapping[str, float] | None = None,
+    effects: Sequence[Effect] = KNOWN,
+) -> Mended:
+    """Add effects to a model.
+
+    Args:
+      source: MJCF of the believed model, text or a file.
+      found: the missing effects, in the order in which they apply.
+      believed: path into the model -> refitted value of believed parameters, see `paths`.
+      effects: the library that `found` refers to.
+
+    Returns:
+      The mended model. Its numbers have the six digits of MuJoCo's XML.
+
+    Raises:
+      InputError: an effect, place or parameter that the library or the model does not have.
+    """
+    spec = normalised(source)
+    base = spec.compile()
+    world = World.of(base)
+    if believed:
+        set_values(world.model, believed)
+    terms, native = [], []
+    for item in found:
+        effect, place, values = lookup(base, item, effects)
+        before = (len(world.command_edits), len(world.laws), world.wrench.copy())
+        effect.apply(world, place, values)
+        extra = before[:2] != (len(world.command_edits), len(world.laws)) or not np.array_equal(before[2], world.wrench)
+        if not extra or (effect.native is not None and effect.native(spec, base, place, values)):
+            native.append(f"{item.effect}@{item.location}")
+            continue
+        terms.append(
+            {
+                "effect": item.effect,
+                "location": item.location,
+                "parameters": dict(zip(_names(base, effect, place), values.tolist(), strict=True)),
+                "equation": effect.equation,
+                "why": "MJCF has no such term",
+            }
+        )
+    left = write_changes(spec, world, base)
+    notes = tuple(f"{name} differs from the believed model and cannot be written as MJCF" for name in left)
+    spec.compile()
+    return Mended(spec.to_xml(), terms, tuple(native), notes)
+
+
+def lookup(model: mujoco.MjModel, found: Found, effects: Sequence[Effect]) -> tuple[Effect, Place, np.ndarray]:
+    """The effect, the place and the (p,) values that a finding names.
+
+    Raises:
+      InputError: a name that the library or the model does not have; the message lists the nearest.
+    """
+    library = {effect.name: effect for effect in effects}
+    if found.effect not in library:
+        raise InputError(f"effect {found.effect!r} is not in the library; nearest: {nearest(found.effect, [*library])}")
+    effect = library[found.effect]
+    places = {place.label: place for place in effect.places(model)}
+    if found.location not in places:
+        raise InputError(
+            f"{found.effect} has no place {found.location!r} in this model; "
+            f"nearest: {nearest(found.location, [*places])}"
+        )
+    place = places[found.location]
+    names = _names(model, effect, place)
+    if set(names) != set(found.values):
+        raise InputError(
+            f"{found.effect}@{found.location}: got parameters {sorted(found.values)}, expected {sorted(names)}"
+        )
+    return effect, place, np.array([float(found.values[name]) for name in names])
+
+
+def _names(model: mujoco.MjModel, effect: Effect, place: Place) -> list[str]:
+    return [parameter.name for parameter in effect.parameters(model, Scales.of(model), place)]
+
+
+class Callback:
+    """The terms that MJCF cannot say, for a simulation of the mended model step by step.
+
+    Call it before every `mujoco.mj_step`, after the control was set: it changes the control, the applied forces and
+    fields of the model for the coming step, and takes its own changes back at the next call. As MuJoCo's control
+    callback it acts one stage later in the step, so that friction comes one step late:
+
+        mujoco.set_mjcb_control(lambda model, data: (control(model, data), missing(model, data)))
+
+    A negative delay cannot act on a command that is not known yet; the command then stays as it is.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, terms: Sequence[Mapping[str, Any]], effects: Sequence[Effect] = KNOWN
+    ) -> None:
+        """A callback for one simulation.
+
+        Args:
+          model: the mended model; fields such as dof_frictionloss are written while it runs.
+          terms: entries of `Mended.terms`.
+          effects: the library that they refer to.
+        """
+        world = World.of(model)
+        inherent = len(world.command_edits)  # the model's own delays, which MuJoCo simulates
+        for term in terms:
+            effect, place, values = lookup(model, Found.from_result(term), effects)
+            effect.apply(world, place, values)
+        self._world = world
+        self._edits = world.command_edits[inherent:]
+        self._baseline = {name: read_field(model, name) for law in world.laws for name in law.fields}
+        self._sent: list[tuple[float, np.ndarray]] = []
+        self._force, self._wrench = np.zeros(model.nv), np.zeros((model.nbody, 6))
+        self._fresh = True
+
+    def __call__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Act on the coming step of `data`, whose control is the command."""
+        data.qfrc_applied -= self._force
+        data.xfrc_applied -= self._wrench
+        for name, values in self._baseline.items():
+            getattr(model, name)[...] = values
+        if self._edits:
+            data.ctrl[:] = self._command(model, data)
+        if self._fresh and self._world.laws and mujoco.get_mjcb_control() is None:
+            mujoco.mj_forward(model, data)  # laws may read the actuators' forces
+        self._fresh = False
+        force, wrench = data.qfrc_applied.copy(), data.xfrc_applied.copy()
+        data.xfrc_applied += self._world.wrench
+        rows = Rows(
+            self._world.model,
+            time=np.array([data.time]),
+            qpos=data.qpos[None],
+            qvel=data.qvel[None],
+            act=data.act[None],
+            ctrl=data.ctrl[None],
+            qfrc_applied=data.qfrc_applied[None],
+            xfrc_applied=data.xfrc_applied[None],
+            actuator_force=data.actuator_force[None],
+            qfrc_actuator=data.qfrc_actuator[None],
+            fields={name: getattr(model, name)[None] for name in self._baseline},
+        )
+        for law in self._world.laws:
+            law(rows)
+        self._force, self._wrench = data.qfrc_applied - force, data.xfrc_applied - wrench
+
+    def _command(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+        """What arrives of the commands so far, each of which is meant for the middle of its step."""
+        middle = data.time + 0.5 * model.opt.timestep
+        if self._sent and middle <= self._sent[-1][0]:  # a new start
+            self._sent.clear()
+        self._sent.append((middle, data.ctrl.copy()))
+        while self._sent[0][0] < middle - _MEMORY:
+            self._sent.pop(0)
+        times, values = zip(*self._sent, strict=True)
+        command = Command(np.array(times), np.array(values), "linear")
+        for edit in self._edits:
+            command = edit(command)
+        return command.at(middle)

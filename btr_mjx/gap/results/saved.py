@@ -1,0 +1,258 @@
+"""The files of a diagnosis: result.json, tables, arrays and the mended model, all that the page is drawn from."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.data import Dataset, control_columns
+from btr_mjx.gap.effects import KNOWN, Effect
+from btr_mjx.gap.experiments import NextExperiment
+from btr_mjx.gap.results.mend import Found, Mended, mend
+from btr_mjx.gap.results.records import Diagnosis, DisagreementMap
+from btr_mjx.gap.results.wording import place, verdict_sentence
+from btr_mjx.models import parse_path, part_names
+from btr_mjx.runs import atomic_write, write_arrays, write_json, write_table
+
+RESULT = "result.json"
+
+
+def save(
+    diagnosis: Diagnosis,
+    dataset: Dataset,
+    folder: str | Path,
+    *,
+    effects: Sequence[Effect] = KNOWN,
+    next_experiment: NextExperiment | None = None,
+    more: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Write a diagnosis.
+
+    Args:
+      diagnosis: what was found.
+      dataset: in what.
+      folder: where result.json, ranking.csv, disagreement.csv, disagreement.npz, overlays.npz, believed.csv and, where
+        an effect was named or something refitted, mended.xml and mended.json go.
+      effects: the library that was searched.
+      next_experiment: what tells the survivors apart, for next_command.csv; None if there is none.
+      more: further entries of result.json.
+
+    Returns:
+      What result.json says.
+
+    Raises:
+      OSError: the folder cannot be written to.
+    """
+    folder = Path(folder)
+    result = as_result(diagnosis, dataset) | {"next_experiment": None} | dict(more or {})
+    if next_experiment is not None:
+        result["next_experiment"] = _write_command(next_experiment, dataset.model, folder)
+    mended = mended_model(diagnosis, dataset, effects)
+    if mended is not None:
+        _write_text(folder / "mended.xml", mended.xml)
+        write_json(folder / "mended.json", mended.as_json())
+        result["mended"] = "mended.xml"
+    result["sentence"] = verdict_sentence(result)
+    _write_tables(result, diagnosis.disagreement, folder)
+    write_arrays(folder / "disagreement.npz", _map_arrays(diagnosis.disagreement))
+    write_arrays(folder / "overlays.npz", _overlay_arrays(diagnosis, dataset.model))
+    write_json(folder / RESULT, result)
+    return result
+
+
+def _position_unit(model: mujoco.MjModel) -> str:
+    """Unit of a mean over the positions of all degrees of freedom."""
+    kinds = set(model.jnt_type.tolist())
+    turns = kinds - {int(mujoco.mjtJoint.mjJNT_SLIDE)}
+    shifts = kinds & {int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_FREE)}
+    return " and ".join((["rad"] if turns else []) + (["m"] if shifts else []))
+
+
+def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
+    """What result.json says of a diagnosis: SI units, angles in rad."""
+    close = set(diagnosis.equivalent)
+    ranking = [
+        {
+            "effect": row.effect,
+            "location": row.location,
+            "score": row.score,
+            "margin": row.margin,
+            "gain": row.gain,
+            "held_out": row.held_out,
+            "fresh": row.fresh,
+            "parameters": dict(row.parameters),
+            "equivalent": f"{row.effect}@{row.location}" in close and not row.beside,
+            "beside": list(row.beside),
+        }
+        for row in diagnosis.ranking
+    ]
+    named = [
+        {
+            "effect": effect.effect,
+            "location": effect.location,
+            "parameters": {name: asdict(estimate) for name, estimate in effect.parameters.items()},
+            "score": effect.score,
+            "held_out": effect.held_out,
+            "equivalent": [_entry(name) for name in effect.equivalent],
+            "equation": effect.equation,
+            "excited_by": effect.excited_by,
+        }
+        for effect in diagnosis.effects
+    ]
+    return {
+        "verdict": diagnosis.verdict,
+        "dataset": dataset.folder.name or str(dataset.folder),
+        "where": where(diagnosis.disagreement),
+        "effects": named,
+        "ranking": ranking,
+        "equivalent": [_entry(name) for name in diagnosis.equivalent],
+        "gap": asdict(diagnosis.gap)
+        | {"closed": diagnosis.gap.closed, "unit": "χ² per degree of freedom"}
+        | {"open_loop_unit": _position_unit(dataset.model)},
+        "unexplained": list(diagnosis.unexplained),
+        "believed": [asdict(refit) for refit in diagnosis.believed],
+        "calibration": [asdict(error) for error in diagnosis.calibration],
+        "confounds": [asdict(confound) for confound in diagnosis.confounds],
+        "share": diagnosis.share,
+        "lack_of_fit": dict(zip(("before", "after"), diagnosis.lack_of_fit, strict=True)),
+        "threshold": diagnosis.threshold,
+        "dispersion": diagnosis.dispersion,
+        "noise": diagnosis.sigma,
+        "windows": dict(zip(("fit", "held_out", "samples", "length"), diagnosis.windows, strict=True)),
+        "steps": diagnosis.steps,
+        "seconds": diagnosis.seconds,
+        "notes": [*dataset.notes, *diagnosis.notes],
+    }
+
+
+def _entry(name: str) -> dict[str, str]:
+    effect, _, location = name.partition("@")
+    return {"effect": effect, "location": location}
+
+
+_CONTRASTS = (
+    ("fast", "slow", "when it moves fast", "when it moves slowly"),
+    ("high load", "low load", "under high load", "under low load"),
+    ("contact", "air", "in contact", "in the air"),
+    ("late", "early", "late in the recordings", "early in the recordings"),
+)
+
+
+def where(disagreement: DisagreementMap) -> str:
+    """The place that disagrees most, and in which regimes, in words; empty where the map has no numbers."""
+    value = np.asarray(disagreement.value, float)
+    column = {name: i for i, name in enumerate(disagreement.regimes)}
+    overall = value[:, column["all"]] if "all" in column else np.nanmean(value, axis=1) if value.size else value
+    if not np.isfinite(overall).any() or np.nanmax(overall) < 1.5:
+        return ""
+    row = int(np.nanargmax(overall))
+    words = []
+    for more, less, told, told_less in _CONTRASTS:
+        if more not in column or less not in column:
+            continue
+        # Only the excess over the noise floor, which is 1, says where.
+        a, b = (max(float(value[row, column[name]]) - 1.0, 0.0) for name in (more, less))
+        if a > 2.0 * b + 0.2:
+            words.append(told)
+        elif b > 2.0 * a + 0.2:
+            words.append(told_less)
+    return ", ".join([place(disagreement.places[row]), *words[:1]]) + "".join(f" {w}" for w in words[1:3])
+
+
+def mended_model(diagnosis: Diagnosis, dataset: Dataset, effects: Sequence[Effect] = KNOWN) -> Mended | None:
+    """The believed model with what was named and refitted, and the calibration that goes with it.
+
+    Returns:
+      None if nothing was named.
+    """
+    if not diagnosis.effects:
+        return None
+    found = [Found(error.effect, error.location, error.parameters) for error in diagnosis.calibration]
+    found += [
+        Found(effect.effect, effect.location, {name: p.value for name, p in effect.parameters.items()})
+        for effect in diagnosis.effects
+    ]
+    final = {refit.name: refit.final for refit in diagnosis.believed if refit.final != refit.believed}
+    values: dict[str, float] = {}
+    for parameter in dataset.parameters:
+        if parameter.name in final:
+            for path in parameter.paths:
+                factor = parse_path(dataset.model, path).read(dataset.model) if parameter.relative else 1.0
+                values[path] = final[parameter.name] * factor
+    is_mjcf = dataset.model_file.suffix == ".xml" and dataset.model_file.is_file()
+    source = dataset.model_file if is_mjcf else dataset.spec_xml
+    try:
+        return mend(source, found, believed=values, effects=effects)
+    except (InputError, ValueError) as error:
+        return Mended(dataset.spec_xml, notes=(f"the model could not be mended: {error}",))
+
+
+def _write_command(proposal: NextExperiment, model: mujoco.MjModel, folder: Path) -> dict[str, Any]:
+    """Write the proposed command as a table, columns as of a recording, and say what it is for."""
+    columns = {name: proposal.values[:, k] for k, name in enumerate(control_columns(model))}
+    write_table(folder / "next_command.csv", {"time": proposal.time} | columns)
+    others = np.delete(np.asarray(proposal.others, float), proposal.chosen)
+    return {
+        "text": f"Send the command in next_command.csv: {proposal.reason}.",
+        "file": "next_command.csv",
+        "between": [_entry(name) if "@" in name else {"name": name} for name in proposal.between],
+        "disagreement": proposal.disagreement,
+        "others": {"median": float(np.median(others)) if len(others) else None, "count": len(others)},
+    }
+
+
+def _write_text(path: Path, text: str) -> None:
+    with atomic_write(path) as file:
+        file.write(text.encode("utf-8"))
+
+
+def _write_tables(result: Mapping[str, Any], disagreement: DisagreementMap, folder: Path) -> None:
+    rows = [
+        {key: row[key] for key in ("effect", "location", "score", "margin", "gain", "held_out", "fresh", "equivalent")}
+        | {"parameters": ", ".join(f"{name} = {value:.6g}" for name, value in row["parameters"].items())}
+        | {"beside": ", ".join(row["beside"])}
+        for row in result["ranking"]
+    ]
+    if rows:
+        write_table(folder / "ranking.csv", rows)
+    if result["believed"]:
+        write_table(folder / "believed.csv", result["believed"])
+    if disagreement.places:
+        table: dict[str, Any] = {"place": list(disagreement.places)}
+        for j, regime in enumerate(disagreement.regimes):
+            table[regime] = np.asarray(disagreement.value, float)[:, j]
+            table[f"{regime}: count"] = np.asarray(disagreement.count)[:, j]
+        write_table(folder / "disagreement.csv", table)
+
+
+def _map_arrays(disagreement: DisagreementMap) -> dict[str, np.ndarray]:
+    rows = [re.sub(r"^(\w+):", r"\1 ", name) for name in disagreement.places]
+    return {
+        "rows": np.array(rows, dtype=str),
+        "columns": np.array(disagreement.regimes, dtype=str),
+        "before": np.asarray(disagreement.value, float),
+        "count": np.asarray(disagreement.count),
+    }
+
+
+def _overlay_arrays(diagnosis: Diagnosis, model: mujoco.MjModel) -> dict[str, np.ndarray]:
+    slides = {
+        f"joint:{name}"
+        for name, kind in zip(part_names(model, "joint"), model.jnt_type, strict=True)
+        if kind == mujoco.mjtJoint.mjJNT_SLIDE
+    }
+    shown = diagnosis.overlays
+    arrays = {
+        "recordings": np.array([one.recording for one in shown], dtype=str),
+        "names": np.array([place(one.coordinate) for one in shown], dtype=str),
+        "units": np.array(["m" if one.coordinate in slides else "rad" for one in shown], dtype=str),
+    }
+    for n, one in enumerate(shown):
+        for key in ("time", "measured", "before", "after"):
+            arrays[f"{key}_{n}"] = np.asarray(getattr(one, key), float)
+    return arrays

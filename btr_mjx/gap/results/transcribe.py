@@ -1,0 +1,199 @@
+"""Write what was edited in a compiled model back into its specification, so that the edit becomes an MJCF file."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.simulate import World, fields_of
+
+_UNSET = float("nan")
+
+_DERIVED = (
+    "actuator_delay",  # an edit of the command in a world; see `Effect.native`
+    "actuator_acc0",
+    "actuator_length0",
+    "body_invweight0",
+    "body_subtreemass",
+    "body_sameframe",
+    "dof_M0",
+    "dof_invweight0",
+    "dof_length",
+    "geom_aabb",
+    "geom_rbound",
+    "geom_sameframe",
+    "jnt_actgravcomp",
+    "site_sameframe",
+    "tendon_invweight0",
+    "tendon_length0",
+    "ten_J",
+)
+"""Fields that the compiler derives from the others, or that are written by other means."""
+
+_GEOM = {
+    "geom_friction": "friction",
+    "geom_solref": "solref",
+    "geom_solimp": "solimp",
+    "geom_condim": "condim",
+    "geom_priority": "priority",
+    "geom_solmix": "solmix",
+    "geom_margin": "margin",
+    "geom_gap": "gap",
+}
+_JOINT = {"dof_frictionloss": "frictionloss", "dof_armature": "armature"}
+_OPTION = ("gravity", "wind", "density", "viscosity", "impratio")
+_BODY_INERTIA = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
+_PAIR = {"pair_friction": "friction", "pair_solref": "solref", "pair_solimp": "solimp"}
+_ACTUATOR = ("gainprm", "biasprm", "forcerange", "forcelimited", "gear", "ctrlrange")
+
+
+def normalised(source: str | Path) -> mujoco.MjSpec:
+    """A specification in MuJoCo's own form: radians, poses and inertias as the compiler found them.
+
+    What the compiler would compute again from an edited model is made explicit: velocity gains that follow from a
+    damping ratio, masses that are scaled to a total.
+
+    Args:
+      source: MJCF text, or a file; the meshes and textures of a file are referred to by absolute paths from then on.
+    """
+    if isinstance(source, Path):
+        spec = mujoco.MjSpec.from_file(str(source))
+        folder = source.resolve().parent
+        spec.meshdir, spec.texturedir = str(folder / spec.meshdir), str(folder / spec.texturedir)
+    else:
+        spec = mujoco.MjSpec.from_string(source)
+    model = spec.compile()
+    spec = mujoco.MjSpec.from_string(spec.to_xml())
+    again = spec.compile()
+    if (
+        spec.compiler.settotalmass > 0
+        or spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    ):
+        spec.compiler.settotalmass = -1
+        spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+        for body in spec.bodies:
+            if body.id > 0:
+                _write_inertia(body, model)
+    for actuator in spec.actuators:
+        if actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE:
+            actuator.gainprm = again.actuator_gainprm[actuator.id]
+            actuator.biasprm = again.actuator_biasprm[actuator.id]
+    spec.compile()
+    return spec
+
+
+def write_changes(spec: mujoco.MjSpec, world: World, base: mujoco.MjModel) -> list[str]:
+    """Write every field in which a world's model differs from the base model into a compiled specification.
+
+    Args:
+      spec: the base model's specification from `normalised`; edited in place, to be compiled by the caller.
+      world: whose model is written.
+      base: the model that `spec` compiles to.
+
+    Returns:
+      Names of fields that differ and that a specification cannot say.
+    """
+    changed = fields_of(world, base)
+    model = world.model
+    left = []
+    for name in changed:
+        if name.startswith(_DERIVED) or name in _BODY_INERTIA:
+            continue
+        rows = _rows(getattr(model, name), getattr(base, name)) if "." not in name else []
+        if not _write(spec, name, rows, model, base):
+            left.append(name)
+    if not set(changed).isdisjoint(_BODY_INERTIA):
+        for body in spec.bodies:
+            if any(not np.array_equal(getattr(model, f)[body.id], getattr(base, f)[body.id]) for f in _BODY_INERTIA):
+                _write_inertia(body, model)
+    return left
+
+
+def _rows(ours: np.ndarray, theirs: np.ndarray) -> list[int]:
+    """Rows of a field in which two models differ."""
+    different = ours != theirs
+    return np.flatnonzero(different.reshape(len(different), -1).any(axis=1)).tolist()
+
+
+def _write(spec: mujoco.MjSpec, name: str, rows: list[int], model: mujoco.MjModel, base: mujoco.MjModel) -> bool:
+    """Write the changed rows of one field; False if there is no way to say it."""
+    kind, _, attribute = name.partition("_")
+    if name.startswith("opt."):
+        attribute = name[4:]
+        if attribute in _OPTION:
+            setattr(spec.option, attribute, getattr(model.opt, attribute))
+        return attribute in _OPTION
+    if kind in ("dof", "jnt", "qpos0", "qpos"):
+        return _write_joints(spec, name, rows, model)
+    if kind == "actuator" and attribute in _ACTUATOR:
+        for actuator in _chosen(spec.actuators, rows):
+            value = getattr(model, name)[actuator.id]
+            setattr(actuator, attribute, int(value) if attribute == "forcelimited" else value)
+        return True
+    if name == "body_pos":
+        for body in _chosen(spec.bodies, rows):
+            body.pos = body.pos + model.body_pos[body.id] - base.body_pos[body.id]
+        return True
+    if name in ("geom_pos", "geom_quat", "geom_size") or name in _GEOM:
+        return _write_geoms(spec, name, rows, model, base)
+    if name == "site_pos":
+        for site in _chosen(spec.sites, rows):
+            site.pos = site.pos + model.site_pos[site.id] - base.site_pos[site.id]
+        return True
+    if name in _PAIR:
+        for pair in _chosen(spec.pairs, rows):
+            setattr(pair, _PAIR[name], getattr(model, name)[pair.id])
+        return True
+    return False
+
+
+def _write_joints(spec: mujoco.MjSpec, name: str, rows: list[int], model: mujoco.MjModel) -> bool:
+    of_dof = [int(j) for j in model.dof_jntid[rows]] if name.startswith("dof_") else None
+    joints = {int(joint.id): joint for joint in spec.joints}
+    if name in ("qpos0", "qpos_spring"):
+        of = {int(a): j for j, a in enumerate(model.jnt_qposadr)}
+        scalar = [of[r] for r in rows if r in of and model.jnt_type[of[r]] >= int(mujoco.mjtJoint.mjJNT_SLIDE)]
+        for j in scalar:
+            value = float(getattr(model, name)[model.jnt_qposadr[j]])
+            setattr(joints[j], "ref" if name == "qpos0" else "springref", value)
+        return len(scalar) == len(rows)
+    for j in sorted(set(of_dof if of_dof is not None else rows)):
+        joint, dof = joints[j], int(model.jnt_dofadr[j])
+        if name in ("dof_damping", "dof_dampingpoly"):
+            joint.damping = np.r_[model.dof_damping[dof], model.dof_dampingpoly[dof]]
+        elif name in ("jnt_stiffness", "jnt_stiffnesspoly"):
+            joint.stiffness = np.r_[model.jnt_stiffness[j], model.jnt_stiffnesspoly[j]]
+        elif name in _JOINT:
+            setattr(joint, _JOINT[name], float(getattr(model, name)[dof]))
+        elif name == "jnt_range":
+            joint.range = model.jnt_range[j]
+        elif name == "jnt_axis":
+            joint.axis = model.jnt_axis[j]
+        else:
+            return False
+    return True
+
+
+def _write_geoms(spec: mujoco.MjSpec, name: str, rows: list[int], model: mujoco.MjModel, base: mujoco.MjModel) -> bool:
+    for geom in _chosen(spec.geoms, rows):
+        if name == "geom_pos":
+            geom.pos = geom.pos + model.geom_pos[geom.id] - base.geom_pos[geom.id]
+        elif name in ("geom_quat", "geom_size"):
+            geom.quat = model.geom_quat[geom.id]
+            geom.size = model.geom_size[geom.id]
+        else:
+            setattr(geom, _GEOM[name], getattr(model, name)[geom.id])
+    return True
+
+
+def _chosen(elements: list, rows: list[int]) -> list:
+    return [element for element in elements if int(element.id) in rows]
+
+
+def _write_inertia(body: mujoco.MjsBody, model: mujoco.MjModel) -> None:
+    body.explicitinertial = True
+    body.mass = float(model.body_mass[body.id])
+    body.ipos = model.body_ipos[body.id]
+    body.iquat = model.body_iquat[body.id]
+    body.inertia = model.body_inertia[body.id]
+    body.fullinertia = [_UNSET, 0, 0, 0, 0, 0]

@@ -1,0 +1,208 @@
+"""Windows of recordings that are simulated together: their commands, and their states picked while a batch runs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.simulate.commands import Command
+from btr_mjx.gap.simulate.world import World
+from btr_mjx.models import between
+
+BLOCK = 64
+"""Steps for which controls are laid out at once."""
+
+_HUGE = 1e10
+"""A state beyond this is a numerical accident, as in MuJoCo's own check."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Windows of recordings that are simulated together.
+
+    Attributes:
+      start: (W,) time at which each window starts [s].
+      qpos: (W, nq) measured configuration at the start.
+      qvel: (W, nv) velocity at the start.
+      samples: (K,) or (W, K) ascending times since the start at which states are wanted [s].
+      commands: the commands of the recordings.
+      recording: (W,) which of `commands` each window belongs to.
+      act: (W, na) activation of actuators with a state at the start; None for zeros.
+    """
+
+    start: np.ndarray
+    qpos: np.ndarray
+    qvel: np.ndarray
+    samples: np.ndarray
+    commands: tuple[Command, ...]
+    recording: np.ndarray
+    act: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    @property
+    def times(self) -> np.ndarray:
+        """(W, K) times since the start [s]."""
+        return np.broadcast_to(self.samples, (len(self), np.shape(self.samples)[-1]))
+
+    def take(self, rows: np.ndarray | slice) -> "Stretch":
+        """Some of the windows."""
+        return Stretch(
+            self.start[rows],
+            self.qpos[rows],
+            self.qvel[rows],
+            self.times[rows],
+            self.commands,
+            np.asarray(self.recording)[rows],
+            None if self.act is None else self.act[rows],
+        )
+
+
+Job = tuple[World, Stretch]
+"""A world over windows."""
+
+Piece = tuple[int, int, int]
+"""A job's index and the range of its windows."""
+
+
+class Sampler:
+    """Picks the states at the sample times while a batch runs."""
+
+    def __init__(self, model: mujoco.MjModel, pieces: Sequence[Job], dt: float) -> None:
+        self._model, self._dt = model, dt
+        times = [stretch.times for _, stretch in pieces]
+        self._row = np.concatenate(
+            [
+                np.repeat(first + np.arange(len(t)), t.shape[1])
+                for t, first in zip(times, np.cumsum([0, *map(len, times[:-1])]), strict=True)
+            ]
+        )
+        at = np.concatenate([t.reshape(-1) for t in times]) / dt
+        whole = np.floor(at + 1e-6)
+        part = np.where(at - whole < 1e-6, 0.0, at - whole)
+        self._part = part
+        # A state between two steps is known once the later one is.
+        stage = (whole + (part > 0)).astype(int)
+        self.steps = np.zeros(sum(map(len, times)), int)
+        np.maximum.at(self.steps, self._row, stage)
+        self._stage, self._order = stage, np.argsort(stage, kind="stable")
+        self._bounds = np.searchsorted(stage[self._order], np.arange(int(stage.max(initial=0)) + 2))
+        self._states = np.full((len(at), model.nq + model.nv), np.nan)
+        self._earlier = np.full_like(self._states, np.nan)
+
+    def _due(self, stage: int) -> np.ndarray:
+        return self._order[self._bounds[stage] : self._bounds[stage + 1]]
+
+    def before(self, stage: int, qpos: np.ndarray, qvel: np.ndarray, alive: np.ndarray) -> None:
+        """Keep the states before the step to `stage` of the samples that lie inside it, of rows that take it."""
+        self._keep(self._earlier, self._due(stage), qpos, qvel, alive)
+
+    def record(self, stage: int, qpos: np.ndarray, qvel: np.ndarray, alive: np.ndarray) -> None:
+        """Keep the states of the samples at `stage`, or of the step that they lie inside of, of rows that took it."""
+        self._keep(self._states, self._due(stage), qpos, qvel, alive)
+
+    def take(self, done: int, own: np.ndarray, before: np.ndarray, states: np.ndarray) -> None:
+        """Pick samples from the states of many steps.
+
+        Args:
+          done: steps before them.
+          own: (N,) rows that ran.
+          before: (N, nq + nv) their states before the first of these steps.
+          states: (N, T, nq + nv) after each of them.
+        """
+        due = self._order[self._bounds[done + 1] : self._bounds[done + 1 + states.shape[1]]]
+        due = due[np.isin(self._row[due], own)]
+        if not len(due):
+            return
+        row, at = np.searchsorted(own, self._row[due]), self._stage[due] - done - 1
+        self._states[due] = states[row, at]
+        inside = self._part[due] > 0
+        due, row, at = due[inside], row[inside], at[inside]
+        self._earlier[due] = np.where((at > 0)[:, None], states[row, at - 1], before[row])
+
+    def _keep(self, states: np.ndarray, due: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, alive: np.ndarray) -> None:
+        due = due[alive[self._row[due]]]
+        if len(due):
+            own, nq = self._row[due], self._model.nq
+            states[due, :nq] = qpos[own]
+            states[due, nq:] = qvel[own]
+
+    def write(self, block: list[Piece], out: list[np.ndarray]) -> None:
+        """Hand the states to their jobs; invalid rows are NaN from the first invalid sample on."""
+        self._interpolate()
+        first = 0
+        for index, a, b in block:
+            shape = out[index][a:b].shape
+            states = self._states[first : first + shape[0] * shape[1]].reshape(shape)
+            bad = ~(np.abs(states) < _HUGE).all(-1)
+            states[np.logical_or.accumulate(bad, axis=1)] = np.nan
+            out[index][a:b] = states
+            first += shape[0] * shape[1]
+
+    def _interpolate(self) -> None:
+        """Samples inside a step, all at once: one by one they would cost more than the simulation."""
+        inside = np.flatnonzero(self._part > 0)
+        if not len(inside):
+            return
+        nq = self._model.nq
+        earlier, later = self._earlier[inside], self._states[inside]
+        states = (earlier[:, :nq], earlier[:, nq:]), (later[:, :nq], later[:, nq:])
+        found = between(self._model, *states, self._part[inside], self._dt)
+        self._states[inside] = np.concatenate(found, axis=1)
+
+
+class Controls:
+    """Controls of all rows, evaluated once for each (stretch, edits) and laid out for a block of steps at a time."""
+
+    def __init__(self, pieces: Sequence[Job], rows: Sequence[slice], dt: float, nu: int) -> None:
+        self._pieces, self._rows, self._dt, self._nu = pieces, rows, dt, nu
+        self._keys = [
+            (
+                id(stretch.commands),
+                stretch.start.tobytes(),
+                np.asarray(stretch.recording).tobytes(),
+                *map(id, world.command_edits),
+            )
+            for world, stretch in pieces
+        ]
+        self._edited: dict[tuple, Command] = {}
+        self._laid: dict[tuple, np.ndarray] = {}
+        self._from = -BLOCK
+
+    def write(self, step: int, ctrl: np.ndarray) -> None:
+        """Controls of one step, see `Command.over`."""
+        if not self._nu:
+            return
+        if not 0 <= step - self._from < BLOCK:
+            self._lay(step)
+        for key, own in zip(self._keys, self._rows, strict=True):
+            ctrl[own] = self._laid[key][step - self._from]
+
+    def block(self, first: int, count: int) -> np.ndarray | None:
+        """Controls (rows, count, nu) of some steps, at most `BLOCK`; None for a model without motors."""
+        if not self._nu:
+            return None
+        self._lay(first)
+        out = np.empty((self._rows[-1].stop, count, self._nu))
+        for key, own in zip(self._keys, self._rows, strict=True):
+            out[own] = np.swapaxes(self._laid[key][:count], 0, 1)
+        return out
+
+    def _lay(self, first: int) -> None:
+        self._laid, self._from = {}, first
+        longest = max(float(stretch.times.max(initial=0)) for _, stretch in self._pieces)
+        count = min(BLOCK, int(longest / self._dt) + 2 - first)
+        since = (first + np.arange(count)) * self._dt
+        for key, (world, stretch) in zip(self._keys, self._pieces, strict=True):
+            if key in self._laid:
+                continue
+            values = np.empty((count, len(stretch), self._nu))
+            for recording in np.unique(stretch.recording):
+                own = np.flatnonzero(np.asarray(stretch.recording) == recording)
+                name = (id(stretch.commands), int(recording), *key[3:])
+                if name not in self._edited:
+                    self._edited[name] = world.command(stretch.commands[recording])
+                values[:, own] = self._edited[name].over(since[:, None] + stretch.start[own], self._dt)
+            self._laid[key] = values

@@ -1,0 +1,63 @@
+"""The hidden states of actuators (an integral, a filter) along a recording of which motion and command are known.
+
+A window of a recording starts with actuators that have a history. It is found by leading the model along the measured
+motion: positions and velocities are prescribed at every step, and MuJoCo's step integrates the actuators' states.
+"""
+
+import copy
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.simulate import Command, World
+from btr_mjx.models import between, integrate
+
+
+def activations(
+    world: World,
+    command: Command,
+    time: np.ndarray,
+    qpos: np.ndarray,
+    qvel: np.ndarray,
+    start: np.ndarray | None = None,
+) -> np.ndarray:
+    """States of a world's actuators along a recording.
+
+    Args:
+      world: its command edits and encoder offsets count, its laws do not.
+      command: what was commanded.
+      time: (K,) ascending [s].
+      qpos: (K, nq) measured configurations.
+      qvel: (K, nv) measured velocities.
+      start: (na,) states at the first sample; None for zeros.
+
+    Returns:
+      (K, na), empty for actuators without states.
+    """
+    model = copy.copy(world.model)
+    out = np.zeros((len(time), model.na))
+    if start is not None:
+        out[0] = start
+    if not model.na:
+        return out
+    true = integrate(model, qpos, -world.offset) if world.offset.any() else qpos
+    sent, data = world.command(command), mujoco.MjData(model)
+    data.act[:] = out[0]
+    for k in range(1, len(time)):
+        length = time[k] - time[k - 1]
+        steps = max(1, round(length / world.model.opt.timestep))
+        model.opt.timestep = length / steps
+        fractions = np.arange(steps) / steps
+        path_q, path_v = between(
+            model,
+            (np.tile(true[k - 1], (steps, 1)), np.tile(qvel[k - 1], (steps, 1))),
+            (np.tile(true[k], (steps, 1)), np.tile(qvel[k], (steps, 1))),
+            fractions,
+            length,
+        )
+        controls = sent.over(time[k - 1] + fractions * length, length / steps)
+        for q, v, u in zip(path_q, path_v, controls, strict=True):
+            data.qpos[:], data.qvel[:], data.ctrl[:] = q, v, u
+            mujoco.mj_step(model, data)
+        out[k] = data.act
+    return out

@@ -1,0 +1,151 @@
+"""Estimates of a robot's state from noisy samples at uneven times.
+
+A polynomial in time is fitted to the samples around each chosen one, to positions and, where they were measured, to
+velocities, each in units of its noise. Positions are tangent vectors from the chosen sample, so any joint will do.
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from btr_mjx.gap.simulate import Command, World
+from btr_mjx.gap.windows.activation import activations
+from btr_mjx.models import difference, integrate
+from btr_mjx.runs import available_cores
+
+_WIDTHS = (3, 4, 5, 6, 8, 10, 13, 16, 20)
+"""Half widths of the fit that are tried, in samples."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """What a state estimate uses.
+
+    Attributes:
+      half: samples on either side.
+      order: coefficients of the polynomial.
+    """
+
+    half: int
+    order: int = 4
+
+
+@dataclass(frozen=True)
+class Track:
+    """What was measured in one recording.
+
+    Attributes:
+      time: (K,) [s].
+      qpos: (K, nq).
+      qvel: (K, nv), ignored where `measured` is false.
+      measured: (nv,) bool: which velocities were measured.
+    """
+
+    time: np.ndarray
+    qpos: np.ndarray
+    qvel: np.ndarray
+    measured: np.ndarray
+
+
+def smooth(
+    model: mujoco.MjModel,
+    track: Track,
+    samples: np.ndarray,
+    sigma: np.ndarray,
+    span: Span,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Smoothed states at some samples of a recording.
+
+    Args:
+      model: whose joints are meant.
+      track: the recording.
+      samples: (N,) indices of samples.
+      sigma: (2 nv,) noise of positions and velocities.
+      span: samples that are used; at the ends of the recording they are shifted inwards.
+
+    Returns:
+      qpos (N, nq), qvel (N, nv) and the fit's chi^2 per degree of freedom (N, nv).
+    """
+    count, nv = len(track.time), model.nv
+    width = min(2 * span.half + 1, count)
+    first = np.clip(samples - span.half, 0, count - width)
+    index = first[:, None] + np.arange(width)
+    tau = track.time[index] - track.time[samples][:, None]
+    scale = np.maximum(np.abs(tau).max(1), 1e-9)
+    u = tau / scale[:, None]
+    centre = track.qpos[samples]
+    position = difference(model, centre[:, None], track.qpos[index])  # (N, width, nv)
+    velocity = np.where(track.measured, track.qvel[index], 0.0) * scale[:, None, None]
+    order = min(span.order, width)
+    basis = np.stack([u**p for p in range(order)], -1)  # (N, width, order)
+    slope = np.stack([p * u ** max(p - 1, 0) for p in range(order)], -1)
+    weight_v = np.where(track.measured, 1.0 / sigma[nv:], 0.0) / scale[:, None]  # (N, nv)
+    weight_q = np.broadcast_to(1.0 / sigma[:nv], weight_v.shape)
+    gram_q = np.einsum("nkp,nkr->npr", basis, basis)[:, None] * (weight_q**2)[..., None, None]
+    gram_v = np.einsum("nkp,nkr->npr", slope, slope)[:, None] * (weight_v**2)[..., None, None]
+    moment = np.einsum("nkp,nkj->njp", basis, position) * (weight_q**2)[..., None]
+    moment = moment + np.einsum("nkp,nkj->njp", slope, velocity) * (weight_v**2)[..., None]
+    gram = gram_q + gram_v
+    gram = gram + 1e-9 * np.trace(gram, axis1=-2, axis2=-1)[..., None, None] * np.eye(order)
+    fitted = np.linalg.solve(gram, moment[..., None])[..., 0]  # (N, nv, order)
+    left_q = (position - np.einsum("nkp,njp->nkj", basis, fitted)) * weight_q[:, None]
+    left_v = (velocity - np.einsum("nkp,njp->nkj", slope, fitted)) * weight_v[:, None]
+    freedom = width * (1 + track.measured) - order
+    chi2 = ((left_q**2).sum(1) + (left_v**2).sum(1)) / np.maximum(freedom, 1)
+    return integrate(model, centre, fitted[..., 0]), fitted[..., 1] / scale[:, None], chi2
+
+
+def best_span(model: mujoco.MjModel, tracks: list[Track], sigma: np.ndarray, limit: float = 1.2) -> Span:
+    """The fit with the smallest error that the motion still allows: its residuals must look like noise.
+
+    Args:
+      model: whose joints are meant.
+      tracks: recordings.
+      sigma: (2 nv,) noise.
+      limit: largest median chi^2 per degree of freedom in the worst coordinate.
+    """
+    found = [Span(_WIDTHS[0], 6)]
+    for order in (4, 6):
+        for half in _WIDTHS:
+            chi2 = []
+            for track in tracks:
+                if len(track.time) < 2 * half + 1:
+                    continue
+                picks = np.unique(np.linspace(half, len(track.time) - 1 - half, 40).astype(int))
+                chi2.append(smooth(model, track, picks, sigma, Span(half, order))[2])
+            if not chi2 or np.median(np.concatenate(chi2), axis=0).max() > limit:
+                break
+            found.append(Span(half, order))
+    # A longer fit knows more; two more coefficients cost about a factor of two in samples.
+    return max(found, key=lambda span: span.half * (1.0 if span.order == 4 else 0.5))
+
+
+def histories(model: mujoco.MjModel, track: Track, command: Command) -> np.ndarray:
+    """Activation states along a recording, driven by what was measured and commanded, from zero at its start.
+
+    Args:
+      model: with `na` activations.
+      track: the recording.
+      command: what was commanded.
+
+    Returns:
+      (K, na) activations at the samples.
+    """
+    if not model.na:
+        return np.zeros((len(track.time), 0))
+    world = World.of(model)
+    plain = (mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtDyn.mjDYN_INTEGRATOR, mujoco.mjtDyn.mjDYN_PID)
+    if not np.isin(model.actuator_dyntype, [int(kind) for kind in plain]).all() or model.actuator_actlimited.any():
+        return activations(world, command, track.time, track.qpos, np.where(track.measured, track.qvel, 0.0))
+    # Integrals: the rate does not depend on the activation, so that every sample is evaluated at once.
+    batch = Batch(world.model, nsim=len(track.time), nthread=available_cores())
+    batch.bind("qpos")[:], batch.bind("qvel")[:] = track.qpos, np.where(track.measured, track.qvel, 0.0)
+    batch.bind("ctrl")[:] = world.command(command).at(track.time)
+    rate = batch.bind("act_dot")
+    batch.forward()
+    step = np.diff(track.time)[:, None]
+    out = np.zeros((len(track.time), model.na))
+    out[1:] = np.cumsum(0.5 * step * (rate[1:] + rate[:-1]), axis=0)
+    return out

@@ -1,0 +1,172 @@
+"""Simulations s -> models in one batch that stacks only the fields that differ.
+
+Every row is the model that `mujoco.MjModel.from_xml_string` makes of its rendered MJCF, derived fields
+(body_invweight0, dof_M0, stat.meaninertia, ...) included. What a batch stores is one base model and, for each field in
+which models of this robot can differ, a stacked float64 array.
+
+Templates that only do arithmetic are prepared together, without compiling, by `template_route`; all others are rendered
+and compiled one by one. Which way a simulation goes depends on the robot and on that simulation alone.
+"""
+
+import copy
+import re
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from btr_mjx.errors import InputError
+from btr_mjx.models.fields import PHYSICS, field_names, read_field, write_field
+from btr_mjx.models.geom_route import Unable
+from btr_mjx.models.template_route import Route, build
+from btr_mjx.robots import Robot
+
+_PROBES = 12
+"""Random simulations that are compiled once per robot to learn which fields depend on s, besides the box's corners."""
+
+
+@dataclass(frozen=True, eq=False)
+class Models:
+    """L compiled simulations.
+
+    Attributes:
+      base: the model of the nominal simulation; it holds every field that does not depend on s.
+      leaves: MjModel field -> (L, *field shape) float64, for each field that can depend on s. Always the same names
+        for one robot, so that a program compiled for one batch serves all.
+    """
+
+    base: mujoco.MjModel
+    leaves: dict[str, np.ndarray]
+
+    def __len__(self) -> int:
+        return len(next(iter(self.leaves.values())))
+
+    def row(self, index: int) -> mujoco.MjModel:
+        """A model of its own for one row: a copy of the base model with that row's values filled in."""
+        model = copy.copy(self.base)
+        for name, values in self.leaves.items():
+            write_field(model, name, values[index])
+        return model
+
+
+def compile_models(robot: Robot, simulations: ArrayLike) -> Models:
+    """The model of each simulation, with what differs stacked.
+
+    Args:
+      robot: the robot whose template is rendered.
+      simulations: (L, n_s) parameters inside the robot's simulation box.
+
+    Returns:
+      The batch. Equal simulations are prepared once. A row depends on its own simulation only, to the bit.
+
+    Raises:
+      InputError: bad parameters, a template that does not render, or MJCF that MuJoCo does not accept (the message
+        names the file and the line).
+    """
+    values = np.atleast_2d(robot.simulation_box.validate(simulations, "simulations"))
+    place: dict[bytes, int] = {}
+    index = np.array([place.setdefault(row.tobytes(), len(place)) for row in values])
+    distinct = np.frombuffer(b"".join(place)).reshape(len(place), -1)
+    route, fields = _route(_essence(robot)), varying_fields(robot)
+    if isinstance(route, Route):
+        leaves, done = route.prepare(distinct)
+        for i in np.flatnonzero(~done):
+            for name, value in _compiled_row(robot, distinct[i].tobytes()).items():
+                leaves[name][i] = value
+    else:
+        rows = [_compiled_row(robot, simulation) for simulation in place]
+        leaves = {name: np.stack([row[name] for row in rows]) for name in fields}
+    if len(place) < len(values):
+        leaves = {name: leaf[index] for name, leaf in leaves.items()}
+    return Models(base_model(robot), leaves)
+
+
+def why_compiled(robot: Robot) -> str:
+    """Why the models of a robot have to be compiled one by one, which is slow; empty where they do not have to be."""
+    route = _route(_essence(robot))
+    return "" if isinstance(route, Route) else route
+
+
+@lru_cache(maxsize=16)
+def _route(robot: Robot) -> Route | str:
+    try:
+        return build(robot, base_model(robot), varying_fields(robot))
+    except Unable as reason:
+        return str(reason)
+
+
+def _essence(robot: Robot) -> Robot:
+    """The robot without what its models do not depend on."""
+    return replace(robot, name="", duration=1.0, speed_limit=1.0, base_body=None)
+
+
+@lru_cache(maxsize=16)
+def base_model(robot: Robot) -> mujoco.MjModel:
+    """The compiled model of the nominal simulation (shared: do not edit it)."""
+    return compile_mjcf(robot, robot.render(robot.nominal))
+
+
+@lru_cache(maxsize=16)
+def varying_fields(robot: Robot) -> tuple[str, ...]:
+    """Names of the MjModel fields that depend on s, found by compiling probes across the box.
+
+    Raises:
+      InputError: the models differ in structure (number of bodies, joint types, ...), which one batch cannot hold.
+    """
+    box = robot.simulation_box
+    rng = np.random.default_rng(0)
+    probes = [box.low, box.high, *box.sample(rng, _PROBES)]
+    base = base_model(robot)
+    models = [compile_mjcf(robot, robot.render(probe)) for probe in probes]
+    return tuple(name for name in field_names(base) if any(_differ(base, model, name) for model in models))
+
+
+def compile_mjcf(robot: Robot, xml: str) -> mujoco.MjModel:
+    """Compile rendered MJCF.
+
+    Raises:
+      InputError: MuJoCo refuses it; the message has the template's name, the line and the line's text.
+    """
+    try:
+        return mujoco.MjModel.from_xml_string(xml)
+    except ValueError as error:
+        message = " ".join(str(error).split())
+        found = re.search(r"[Ll]ine (?:number=)?(\d+)", message)  # two forms: MuJoCo's own and its XML parser's
+        shown = ""
+        if found and 0 < int(found[1]) <= len(xml.splitlines()):
+            shown = f"; line {found[1]} of the rendered MJCF reads: {xml.splitlines()[int(found[1]) - 1].strip()}"
+        raise InputError(f"{robot.template_path}: MuJoCo does not accept the model: {message}{shown}") from None
+
+
+@lru_cache(maxsize=20_000)
+def _compiled_row(robot: Robot, simulation: bytes) -> dict[str, np.ndarray]:
+    values = np.frombuffer(simulation)
+    model = compile_mjcf(robot, robot.render(values))
+    for name, expected in _constant_fields(robot).items():
+        if not np.array_equal(read_field(model, name), expected):
+            where = dict(zip(robot.simulation_box.names, values.tolist(), strict=True))
+            raise InputError(
+                f"{robot.template_path}: {name} changes at {where} "
+                "but not at the probes across the box; a batch needs fields that depend smoothly on the parameters"
+            )
+    return {name: read_field(model, name).astype(np.float64) for name in varying_fields(robot)}
+
+
+@lru_cache(maxsize=16)
+def _constant_fields(robot: Robot) -> dict[str, np.ndarray]:
+    """The base model's physics fields that must not depend on s (pictures and names are not checked)."""
+    base, varying = base_model(robot), varying_fields(robot)
+    names = (name for name in field_names(base) if name.startswith(PHYSICS) and name not in varying)
+    return {name: read_field(base, name) for name in names}
+
+
+def _differ(a: mujoco.MjModel, b: mujoco.MjModel, name: str) -> bool:
+    x, y = read_field(a, name), read_field(b, name)
+    if x.shape != y.shape:
+        raise InputError(
+            f"{name} has shape {x.shape} for one simulation and {y.shape} for another: "
+            "all simulations of a robot must have the same bodies, joints, geoms and motors"
+        )
+    return not np.array_equal(x, y)

@@ -1,0 +1,73 @@
+"""The robot in its default posture, in the morphologies of a run side by side; Fig. 1 of the paper."""
+
+import math
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from matplotlib.figure import Figure
+
+from btr_mjx.models import compile_mjcf
+from btr_mjx.plotting import pictures
+from btr_mjx.plotting.run_data import RunData
+from btr_mjx.robots import Robot
+
+WIDTH, HEIGHT = 640, 560
+UNKNOWN = (0.97, 0.80, 0.30, 1.0)
+"""Colour of the parts whose size is searched: lighter than the rest, in black and white too."""
+
+
+def morphologies(robot: Robot, run: RunData) -> Figure:
+    """Pictures of the nominal, the identified and (where it is known) the true morphology, to one scale.
+
+    Args:
+      robot: the robot.
+      run: the run, for the values of the unknown parameters.
+
+    Returns:
+      The figure; sketches take the place of rendered pictures on a machine without OpenGL.
+    """
+    nominal = robot.nominal_simulation
+    indices = robot.simulation_box.indices(run.box.names)
+    shown = {"nominal": nominal[indices], "identified": run.identified, "reality": run.truth}
+    cases = {title: values for title, values in shown.items() if values is not None}
+    models = []
+    for values in cases.values():
+        simulation = nominal.copy()
+        simulation[indices] = values
+        models.append(compile_mjcf(robot, robot.render(simulation)))
+    searched = _searched_geoms(robot, indices)
+    for model in models:
+        model.geom_rgba[searched] = UNKNOWN
+        model.geom_matid[searched] = -1
+    columns, size = (2, 8.5) if run.box.n <= 4 else (3, 7.5)
+    figure = Figure(figsize=(3.3 * len(cases), 3.2 + 0.18 * math.ceil(run.box.n / columns)))
+    panels = figure.subplots(1, len(cases), squeeze=False)[0]
+    draw(panels, models)
+    for axes, title, values in zip(panels, cases, cases.values(), strict=True):
+        axes.set_title(title, fontsize=11)
+        units = [f" {unit}" if unit else "" for unit in run.box.units]
+        lengths = [f"{n}: {v:.2f}{unit}" for n, v, unit in zip(run.box.names, values, units, strict=True)]
+        lines = [",  ".join(lengths[i : i + columns]) for i in range(0, len(lengths), columns)]
+        axes.text(0.5, -0.03, "\n".join(lines), transform=axes.transAxes, ha="center", va="top", fontsize=size)
+    return figure
+
+
+def draw(panels: Sequence, models: Sequence[mujoco.MjModel]) -> None:
+    """Draw one model in each panel, from one camera that shows all of them."""
+    camera = pictures.camera_for(models, WIDTH / HEIGHT)
+    rendered = pictures.render_all(models, WIDTH, HEIGHT, camera)
+    for i, (axes, model) in enumerate(zip(panels, models, strict=True)):
+        if rendered is None:
+            pictures.sketch(axes, model, camera, WIDTH / HEIGHT)
+        else:
+            axes.imshow(rendered[i], interpolation="antialiased")
+            axes.set_axis_off()
+
+
+def _searched_geoms(robot: Robot, indices: np.ndarray) -> np.ndarray:
+    """Which geoms change their size with the unknown parameters."""
+    low, high = robot.nominal_simulation, robot.nominal_simulation
+    low[indices], high[indices] = robot.simulation_box.low[indices], robot.simulation_box.high[indices]
+    sizes = [compile_mjcf(robot, robot.render(values)).geom_size for values in (low, high)]
+    return np.flatnonzero((sizes[0] != sizes[1]).any(axis=1))

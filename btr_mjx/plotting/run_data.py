@@ -1,0 +1,188 @@
+"""What the figures show, read back from the files of a run folder and from nothing else."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from btr_mjx.errors import InputError
+from btr_mjx.evaluation import DISTANCE, FITNESS_FUNCTIONS
+from btr_mjx.robots import Box, Robot, hexapod, robot_of
+from btr_mjx.runs import CONFIG_NAME, read_arrays, read_config_json, read_json, read_table
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """All members of one evolutionary search.
+
+    Attributes:
+      iteration: 1, 2, ...
+      parameters: (g, population, n) of every generation.
+      scores: (g, population) their fitness or Delta_fitness; NaN for members that diverged.
+    """
+
+    iteration: int
+    parameters: np.ndarray
+    scores: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class RunData:
+    """A finished run of Back-to-Reality.
+
+    Attributes:
+      fitness: name of the fitness function.
+      unit: its unit, "" where it is not known.
+      maximise: whether larger is better.
+      box: the unknown parameters with their bounds and units.
+      start: (n,) their values in s_0.
+      identified: (n,) in the last simulation.
+      truth: (n,) in reality; None where nobody knows.
+      iterations: one row per iteration, see `algorithm`.
+      trials: controllers, f_r, f_s and iteration of every evaluation in reality; iteration 0 is the first controller.
+      controllers: step 1 of every iteration.
+      simulations: step 3 of every iteration.
+      result: result.json.
+      distance: what step 3 minimised, "fitness" (Delta_fitness) or "multiscale".
+    """
+
+    fitness: str
+    unit: str
+    maximise: bool
+    box: Box
+    start: np.ndarray
+    identified: np.ndarray
+    truth: np.ndarray | None
+    iterations: pl.DataFrame
+    trials: dict[str, np.ndarray]
+    controllers: list[Search]
+    simulations: list[Search]
+    result: dict[str, Any]
+    distance: str = "fitness"
+
+    @property
+    def distance_symbol(self) -> str:
+        """How figures call what step 3 minimised."""
+        return r"$\Delta_{fitness}$" if self.distance == "fitness" else "multiscale distance"
+
+    @property
+    def distance_label(self) -> str:
+        """For axes: the same with its unit; the multiscale distance has none."""
+        return with_unit(self.distance_symbol, self.unit if self.distance == "fitness" else "")
+
+    @property
+    def fitness_label(self) -> str:
+        """For axes: the fitness in words, with its unit."""
+        return fitness_label(self.fitness, self.unit)
+
+
+@dataclass(frozen=True, eq=False)
+class ScanData:
+    """A scan of one parameter.
+
+    Attributes:
+      parameter: its name.
+      parameter_unit: its unit.
+      unit: of the fitness.
+      grid: (G,) its values.
+      truth: its value in reality, NaN where nobody knows.
+      delta: (G, m) delta_k.
+      delta_fitness: (G,) their mean.
+      result: result.json.
+    """
+
+    parameter: str
+    parameter_unit: str
+    unit: str
+    grid: np.ndarray
+    truth: float
+    delta: np.ndarray
+    delta_fitness: np.ndarray
+    result: dict[str, Any]
+
+
+def fitness_label(name: str, unit: str) -> str:
+    """The fitness in words, with its unit."""
+    words = {"distance": "distance / duration"}.get(name, name.replace("_", " "))
+    return with_unit(f"fitness ({words})", unit)
+
+
+def with_unit(text: str, unit: str) -> str:
+    """`text [unit]`, or the text alone."""
+    return f"{text} [{unit}]" if unit else text
+
+
+def read_run(folder: Path) -> RunData:
+    """Read a run folder of `python -m btr_mjx.coevolve`.
+
+    Raises:
+      InputError: no run folder, one whose run has not ended, or a damaged file.
+    """
+    config = read_config_json(folder)
+    result = _result(folder)
+    names = list(result["simulation"])
+    function = FITNESS_FUNCTIONS.get(result["fitness"])
+    values = lambda key: np.array([float(result[key][name]) for name in names])  # noqa: E731
+    count = int(result["iterations"])
+    return RunData(
+        fitness=result["fitness"],
+        unit=function.unit if function else "",
+        maximise=function.maximise if function else True,
+        # Another template of the hexapod has the same parameters, and need not be at hand to draw curves.
+        box=hexapod().simulation_box.subspace(names).with_bits(config.get("simulation_bits", 8)),
+        start=values("start"),
+        identified=values("simulation"),
+        truth=None if result["truth"] is None else values("truth"),
+        iterations=read_table(folder / "iterations.parquet"),
+        trials=read_arrays(folder / "trials.npz"),
+        controllers=[_search(folder, "controllers", "fitness", i) for i in range(1, count + 1)],
+        simulations=[_search(folder, "simulations", "delta_fitness", i) for i in range(1, count + 1)],
+        result=result,
+        distance=config.get("distance", "fitness"),
+    )
+
+
+def read_robot(folder: Path) -> Robot:
+    """The robot of a run folder.
+
+    Raises:
+      InputError: no run folder, or the template that its config names cannot be read any more.
+    """
+    config = read_config_json(folder)
+    return robot_of(config.get("template"), config.get("duration", hexapod().duration))
+
+
+def read_scan(folder: Path) -> ScanData:
+    """Read a run folder of `python -m btr_mjx.scan`, or the scan.npz and result.json that a script of one's own saved.
+
+    Raises:
+      InputError: no scan, one that has not ended, or a damaged file.
+    """
+    config = read_config_json(folder) if (folder / CONFIG_NAME).exists() else {"fitness": DISTANCE.name}
+    result = _result(folder)
+    arrays = read_arrays(folder / "scan.npz")
+    function, box = FITNESS_FUNCTIONS.get(config.get("fitness", "")), hexapod().simulation_box
+    parameter = str(arrays["parameter"])
+    return ScanData(
+        parameter=parameter,
+        parameter_unit=box.units[box.index(parameter)] if parameter in box.names else "",
+        unit=function.unit if function else "",
+        grid=arrays["grid"],
+        truth=float(arrays["truth"]),
+        delta=arrays["delta"],
+        delta_fitness=arrays["delta_fitness"],
+        result=result,
+    )
+
+
+def _result(folder: Path) -> dict[str, Any]:
+    if not (folder / "result.json").is_file():
+        raise InputError(f"{folder} holds no result.json: its run has not ended; continue it with --resume")
+    return read_json(folder / "result.json")
+
+
+def _search(folder: Path, kind: str, score: str, iteration: int) -> Search:
+    arrays = read_arrays(folder / f"{kind}-{iteration:03d}.npz")
+    return Search(iteration, arrays["parameters"], arrays[score])

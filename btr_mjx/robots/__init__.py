@@ -1,0 +1,18 @@
+"""What a robot is: an MJCF template, the space S of simulations, the space C of controllers, a reference signal.
+
+`Robot` holds them, `Box` is a bounded space with a bit-string code, `hexapod` is the robot of the paper. A robot of
+one's own is one more `Robot`: nothing outside `robots.hexapod` knows the hexapod.
+"""
+
+from btr_mjx.robots.robot import HEXAPOD, Robot, Signal, compiled_template, hexapod, robot_of
+from btr_mjx.robots.spaces import Box
+
+__all__ = [
+    "HEXAPOD",
+    "Box",
+    "Robot",
+    "Signal",
+    "compiled_template",
+    "hexapod",
+    "robot_of",
+]

@@ -1,0 +1,261 @@
+"""Run folders: everything a run needs to be read, repeated and continued.
+
+    runs/demo/
+      config.json               the command's config, field by field
+      environment.json          versions, machine and git commit at the start, and again for each resume
+      history.parquet           tables that grow row by row
+      checkpoint-000012.npz     the state after step 12; the last few are kept
+      result.json, *.npz, *.png what the command adds at its end
+      .lock                     held, not present, means that a process is writing here
+
+A run that is killed at any moment and resumed gives the same files as one that was not, environment.json apart, if
+whatever depends on the clock is kept out of checkpoints and tables:
+
+    with RunFolder.create(config.out, config, resume=config.resume) as run, graceful_interrupt() as stop:
+        checkpoint = run.load_latest()
+        history = run.history("history.parquet", checkpoint)
+        state = begin(config) if checkpoint is None else restore(checkpoint)
+        for step in range(0 if checkpoint is None else checkpoint.step + 1, config.steps):
+            state, row = advance(state)
+            history.append(row)
+            run.save_checkpoint(step, state.arrays, state.meta)  # writes the tables first
+            stop.checkpoint()
+        write_json(run.path / "result.json", summary(state))
+"""
+
+import os
+import weakref
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Self
+
+import polars as pl
+
+from btr_mjx.runs import checkpoints
+from btr_mjx.runs.checkpoints import Checkpoint
+from btr_mjx.runs.configs import CONFIG_NAME, config_to_json, differences, read_config_json
+from btr_mjx.runs.environment import describe_environment, environment_changes
+from btr_mjx.errors import DamagedFile, InputError
+from btr_mjx.runs.files import is_temporary, read_json, read_table, sync_folder, to_plain, write_json, write_table
+from btr_mjx.runs.locks import LOCK_NAME, take_lock
+from btr_mjx.runs.progress import note
+
+ENVIRONMENT_NAME = "environment.json"
+IGNORED_FIELDS = ("out", "resume", "progress")
+"""Config fields that say where and how to run, not what comes out."""
+
+
+def is_unused(folder: Path) -> bool:
+    """Whether nothing was ever saved here: absent, empty, or left by a process killed before its first file."""
+    return not folder.exists() or all(path.name == LOCK_NAME or is_temporary(path) for path in folder.iterdir())
+
+
+class History:
+    """A table that grows row by row, rewritten whole and atomically by `write`.
+
+    All rows have the same columns; values are None, bool, int, float, str, or lists of one of them. Keep times and
+    other things that differ from run to run out of it.
+    """
+
+    def __init__(self, path: str | Path, rows: Sequence[Mapping[str, Any]] = ()) -> None:
+        self.path = Path(path)
+        if self.path.suffix != ".parquet":  # CSV would not bring types and absent values back
+            raise ValueError(f"a history's name ends in .parquet, got {self.path.name}")
+        self._rows: list[dict[str, Any]] = [dict(row) for row in rows]
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """A copy of the rows."""
+        return [dict(row) for row in self._rows]
+
+    def append(self, row: Mapping[str, Any]) -> None:
+        """Add a row in memory; numpy scalars and arrays become plain numbers and lists.
+
+        Raises:
+          ValueError: other columns than those of the rows before.
+          TypeError: a value that a table cannot hold.
+        """
+        plain = to_plain(row, strict=False)
+        if self._rows and set(plain) != set(self._rows[0]):
+            raise ValueError(f"{self.path.name}: expected the columns {list(self._rows[0])}, got {list(plain)}")
+        self._rows.append(plain)
+
+    def table(self) -> pl.DataFrame:
+        """The rows as a frame; a column of integers and floats is one of floats.
+
+        Raises:
+          TypeError: a column that mixes other types.
+        """
+        return pl.DataFrame([_column(name, [row[name] for row in self._rows]) for name in (self._rows or [{}])[0]])
+
+    def write(self) -> None:
+        """Replace the file by all rows so far."""
+        write_table(self.path, self.table())
+
+
+def _column(name: str, values: list[Any]) -> pl.Series:
+    kinds = {type(value) for value in values if value is not None}
+    if kinds == {int, float}:
+        kinds = {float}
+        values = [None if value is None else float(value) for value in values]
+    if len(kinds) > 1:
+        raise TypeError(f"column {name!r} mixes {', '.join(sorted(kind.__name__ for kind in kinds))}")
+    dtypes = {bool: pl.Boolean, int: pl.Int64, float: pl.Float64, str: pl.String}
+    kind = next(iter(kinds), None)
+    return pl.Series(name, values, dtype=pl.Null if kind is None else dtypes.get(kind))
+
+
+class RunFolder:
+    """A folder that this process alone writes to, until it is closed; a context manager."""
+
+    def __init__(self, path: Path, resumed: bool, lock: int | None, keep: int) -> None:
+        self.path = path
+        self.resumed = resumed
+        """True where config.json was there before."""
+        self.keep = keep
+        self._histories: dict[str, History] = {}
+        self._release = (lambda: None) if lock is None else weakref.finalize(self, os.close, lock)
+
+    @classmethod
+    def create(
+        cls,
+        path: str | Path,
+        config: Any,
+        resume: bool = False,
+        *,
+        ignore: Collection[str] = IGNORED_FIELDS,
+        devices: Sequence[Any] | None = None,
+        keep: int = 2,
+    ) -> Self:
+        """Begin a run in a new folder, or take up one that was interrupted.
+
+        Nothing in the folder is changed when this raises. A folder whose first `create` was killed counts as new, with
+        or without `resume`.
+
+        Args:
+          path: the folder; missing ones above it are made.
+          config: a dataclass, written to config.json; see `btr_mjx.runs.configs`.
+          resume: continue the run in the folder, which must have been started with an equal config.
+          ignore: dotted names of config fields that may differ on resume since they do not affect results.
+          devices: jax devices to record; None records them only if jax is running already.
+          keep: number of checkpoints to keep, at least 2.
+
+        Raises:
+          InputError: the folder is not empty (without `resume`), is no run folder, was begun with another config (every
+            field that differs is named with both values), or is in use by another process.
+          TypeError: the config cannot be saved as JSON.
+          OSError: the folder cannot be made or written to.
+        """
+        path = Path(path)
+        data = config_to_json(config)
+        _check(path, data, resume, ignore)
+        path.mkdir(parents=True, exist_ok=True)
+        lock = take_lock(path)
+        run = cls(path, (path / CONFIG_NAME).exists(), lock, keep)
+        try:
+            _check(path, data, resume, ignore)  # again: another process may have been here before the lock
+            for leftover in [file for file in path.rglob("*") if is_temporary(file)]:
+                leftover.unlink(missing_ok=True)
+            if not run.resumed:
+                write_json(path / CONFIG_NAME, data)
+                sync_folder(path.parent)
+            run._record_environment(devices)
+        except BaseException:
+            run.close()
+            raise
+        return run
+
+    def close(self) -> None:
+        """Let other processes write to the folder."""
+        self._release()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def history(self, name: str, checkpoint: Checkpoint | None = None) -> History:
+        """A table of this folder as it was at `checkpoint`, empty where that is None.
+
+        Rows that were written after the checkpoint are dropped. `save_checkpoint` writes the table.
+
+        Raises:
+          DamagedFile: rows that the checkpoint counts on are missing.
+        """
+        path = self.path / name
+        rows: list[dict[str, Any]] = []
+        if checkpoint is not None and (count := checkpoint.rows.get(name, 0)):
+            if not path.exists():
+                raise DamagedFile(f"{path}: missing, the checkpoint of step {checkpoint.step} needs it")
+            rows = read_table(path).head(count).to_dicts()
+            if len(rows) < count:
+                raise DamagedFile(f"{path}: holds {len(rows)} rows, the checkpoint counts on {count}")
+        self._histories[name] = History(path, rows)
+        return self._histories[name]
+
+    def save_checkpoint(self, step: int, arrays: Mapping[str, Any], meta: Mapping[str, Any] | None = None) -> Path:
+        """Write the tables of `history`, then the state after `step`; see `checkpoints.save_checkpoint`."""
+        for table in self._histories.values():
+            # In this order: a kill in between leaves rows too many, which the resume drops, never too few.
+            table.write()
+        rows = {name: len(table) for name, table in self._histories.items()}
+        return checkpoints.save_checkpoint(self.path, step, arrays, meta, rows=rows, keep=self.keep)
+
+    def load_latest(self) -> Checkpoint | None:
+        """The newest sound checkpoint, None where there is none yet; see `checkpoints.load_latest`.
+
+        Older ones than those to keep are deleted: a kill between a checkpoint and the deletion of the one that it
+        replaces leaves one too many, and after the last step no other save would delete it.
+        """
+        checkpoint = checkpoints.load_latest(self.path)
+        if checkpoint is not None:
+            checkpoints.drop_older(self.path, checkpoint.step, self.keep)
+        return checkpoint
+
+    def _record_environment(self, devices: Sequence[Any] | None) -> None:
+        path = self.path / ENVIRONMENT_NAME
+        now = describe_environment(devices)
+        if not path.exists():
+            write_json(path, {**now, "resumed": []})
+            return
+        first = read_json(path)
+        for change in environment_changes(first, now):
+            note(f"warning: {change} since {self.path} was started; results may differ in the last bits")
+        write_json(path, {**first, "resumed": [*first.get("resumed", []), now]})
+
+
+def _check(path: Path, data: Mapping[str, Any], resume: bool, ignore: Collection[str]) -> None:
+    """Refuse a folder that cannot take this run, without touching it."""
+    if path.exists() and not path.is_dir():
+        raise InputError(f"{path} is a file, not a run folder; choose another --out")
+    if resume and not path.exists():
+        raise InputError(f"nothing to resume: there is no folder {path}; check --out or leave out --resume")
+    if is_unused(path):
+        return
+    if not resume:
+        raise InputError(f"{path} exists and is not empty; continue it with --resume or choose another --out")
+    changed = differences(read_config_json(path), data, ignore)
+    if changed:
+        raise InputError(
+            f"{path} was started with another config ({'; '.join(changed)}); give the saved values or another --out"
+        )
+
+
+def chosen_folder(out: Path | None, resume: bool, base: str) -> Path:
+    """The run folder of a command: the one that is named, or the first unused one of runs/BASE, runs/BASE-2, ...
+
+    Raises:
+      InputError: a resume that does not say of what.
+    """
+    if out is not None:
+        return out
+    if resume:
+        raise InputError("--resume: say which run to continue with --out FOLDER")
+    found, number = Path("runs") / base, 2
+    while not is_unused(found):
+        found, number = Path("runs") / f"{base}-{number}", number + 1
+    return found

@@ -1,0 +1,21 @@
+"""Hidden cases with a sealed truth, for tests, benchmarks and `diagnose --demo`.
+
+`make_case` writes recordings of a robot that lacks something in its believed model, drawn from a seed; its simulator
+shares no code with the search. No other room imports this one.
+"""
+
+from btr_mjx.testing.cases import Truth, Verdict, draw_reality, make_case
+from btr_mjx.testing.draw import Missing
+from btr_mjx.testing.fitness_cases import case_draw, make_fitness_case
+from btr_mjx.testing.robots import case_robot
+
+__all__ = [
+    "Missing",
+    "Truth",
+    "Verdict",
+    "case_draw",
+    "case_robot",
+    "draw_reality",
+    "make_case",
+    "make_fitness_case",
+]

@@ -1,0 +1,207 @@
+"""Hidden cases: recordings of a robot that lacks something in its believed model, drawn from a seed.
+
+A case draws what is missing (one effect, two, none, or one outside the library), where, how large, how noisy the
+sensors are and how often they sample; and, in every case, nulls included, small errors everywhere, as calibration
+leaves them. Reality runs in native MuJoCo, float64, with a time step of 1e-4 s and the implicit integrator.
+
+    truth = make_case("folder", seed=7)         # writes a dataset; what it returns is the answer
+
+The folder says nothing about the answer.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import mujoco
+import numpy as np
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.data import Format, Recording, save_dataset
+from btr_mjx.testing.draw import Draw, Missing, add_effects, background_of
+from btr_mjx.testing.motion import Restart, loads, simulate
+from btr_mjx.testing.outside import OUTSIDE, possible
+from btr_mjx.testing.physics import Reality
+from btr_mjx.testing.robots import case_robot
+
+Verdict = Literal["effect", "none", "unexplained"]
+RATES = (200, 250, 400, 500)
+"""Samples per second."""
+SHARES: Mapping[Verdict, float] = {"none": 0.22, "unexplained": 0.18, "effect": 0.60}
+"""Shares of the verdicts that would be right."""
+FIT, TEST = 8, 4
+"""Behaviours to fit and held out."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The answer of a case.
+
+    Attributes:
+      robot: name of the case robot.
+      seed: of the case.
+      verdict: what a perfect reader of the data would say.
+      effects: what is missing, in the library.
+      outside: name and place of what is missing outside the library, "" for nothing.
+      rate: samples per second.
+      noise: factor on the sensors' noise.
+      visible: how far what is missing moves the robot within 40 ms, as chi^2 of the noise, summed over all windows of
+        the recordings to fit; 0 for nothing. A rough measure of what could be seen.
+    """
+
+    robot: str
+    seed: int
+    verdict: Verdict
+    effects: tuple[Missing, ...]
+    outside: str
+    rate: int
+    noise: float
+    visible: float = 0.0
+
+
+def make_case(
+    folder: str | Path,
+    seed: int,
+    robot: str = "hexapod",
+    *,
+    verdict: Verdict | None = None,
+    effects: Sequence[str] | int = 1,
+    outside: str | None = None,
+    rate: int | None = None,
+    noise: float | None = None,
+    recordings: tuple[int, int] = (FIT, TEST),
+    duration: float | None = None,
+    background: float = 1.0,
+    file_format: Format = "npz",
+) -> Truth:
+    """Draw a case and write its dataset.
+
+    Args:
+      folder: the dataset's folder.
+      seed: of everything that is drawn.
+      robot: name of a case robot.
+      verdict: kind of case; None draws it.
+      effects: number of missing effects, or their names.
+      outside: name of the effect outside the library; None draws it.
+      rate: samples per second; None draws one of `RATES`.
+      noise: factor on the robot's noise; None draws it from 1 to 3.
+      recordings: numbers of behaviours to fit and held out.
+      duration: of a recording [s]; None for the robot's own.
+      background: factor on the small errors everywhere.
+      file_format: of the recordings.
+
+    Returns:
+      The answer.
+
+    Raises:
+      InputError: a robot, an effect or a verdict that does not exist, or an effect that the robot cannot have.
+    """
+    machine = case_robot(robot) if duration is None else replace(case_robot(robot), duration=duration)
+    rng = np.random.default_rng([seed, 17])
+    chosen: Verdict = _drawn_verdict(rng) if verdict is None else verdict
+    drawn_rate, drawn_noise = int(rng.choice(RATES)), float(np.exp(rng.uniform(0, np.log(3))))
+    rate, noise = rate or drawn_rate, drawn_noise if noise is None else noise
+    motions = [machine.draw_motion(rng) for _ in range(sum(recordings))]
+    draw = Draw(machine, rng, motions, loads(machine, motions[:3]))
+    reality, missing, where = draw_reality(draw, chosen, effects, outside, background)
+    rows = [simulate(reality, motion, machine.duration, rate) for motion in motions]
+    visible = 0.0 if chosen == "none" else _visible(draw, rows[: recordings[0]], rate, noise)
+    _write(folder, draw, rows, rate, noise, recordings[0], file_format)
+    return Truth(robot, seed, chosen, missing, where, rate, noise, visible)
+
+
+def draw_reality(
+    draw: Draw, verdict: Verdict, effects: Sequence[str] | int, outside: str | None, background: float
+) -> tuple[Reality, tuple[Missing, ...], str]:
+    """A reality with small errors and with what is missing.
+
+    Args:
+      draw: the case; its background is filled in.
+      verdict: kind of case.
+      effects: number of missing effects, or their names.
+      outside: name of the effect outside the library; None draws it.
+      background: factor on the small errors.
+
+    Returns:
+      The reality, what is missing of the library, and what is missing outside it.
+
+    Raises:
+      InputError: see `make_case`.
+    """
+    disturb = background_of(draw, background)
+    disturb(draw.background)
+    reality = Reality.of(draw.robot)
+    disturb(reality)
+    if verdict == "effect":
+        return reality, add_effects(draw, reality, effects), ""
+    if verdict == "none":
+        return reality, (), ""
+    if verdict != "unexplained":
+        raise InputError(f"verdict {verdict!r}: expected 'effect', 'none' or 'unexplained'")
+    names = possible(reality)
+    name = str(draw.rng.choice(names)) if outside is None else outside
+    if name not in names:
+        raise InputError(f"effect outside the library {name!r}: {draw.robot.name} can have {', '.join(names)}")
+    place = OUTSIDE[name](reality, list(draw.sizes.torque), draw.sizes, draw.rng)
+    return reality, (), f"{name} at {place}"
+
+
+def _drawn_verdict(rng: np.random.Generator) -> Verdict:
+    names: list[Verdict] = list(SHARES)
+    return names[int(rng.choice(len(names), p=list(SHARES.values())))]
+
+
+def _visible(draw: Draw, rows: Sequence[Mapping[str, np.ndarray]], rate: int, noise: float) -> float:
+    """See `Truth.visible`: reality against the background alone, both from the same states every 40 ms."""
+    model = draw.robot.model
+    sigma_q, sigma_v = (noise * s for s in draw.robot.sigma(model))
+    samples, total = max(4, round(0.04 * rate)), 0.0
+    used = min(2, len(rows))
+    for motion, row in zip(draw.motions[:used], rows, strict=False):
+        without = simulate(draw.background, motion, draw.robot.duration, rate, restart=Restart(row, samples))
+        count = len(row["time"]) // samples * samples
+        moves = np.zeros((count, model.nv))
+        for k in range(count):
+            mujoco.mj_differentiatePos(model, moves[k], 1.0, without["qpos"][k], row["qpos"][k])
+        speeds = (row["qvel"] - without["qvel"])[:count]
+        both = np.stack([moves / sigma_q, speeds / sigma_v], 1).reshape(-1, samples, 2, model.nv)
+        time = np.arange(samples) / rate
+        shift = np.stack([np.ones(samples) / sigma_q[:, None], np.zeros((model.nv, samples))], 1)
+        drift = np.stack([time / sigma_q[:, None], np.ones(samples) / sigma_v[:, None]], 1)
+        for joint in range(model.nv):
+            basis = np.linalg.qr(np.stack([shift[joint].ravel(), drift[joint].ravel()], 1))[0]
+            signal = both[:, :, :, joint].transpose(0, 2, 1).reshape(len(both), -1)
+            total += float(np.sum((signal - signal @ basis @ basis.T) ** 2))
+    return total * len(rows) / used
+
+
+def _write(
+    folder: str | Path,
+    draw: Draw,
+    rows: Sequence[Mapping[str, np.ndarray]],
+    rate: int,
+    noise: float,
+    fit: int,
+    file_format: Format,
+) -> None:
+    model, rng = draw.robot.model, draw.rng
+    sigma_q, sigma_v = (noise * s for s in draw.robot.sigma(model))
+    recordings = []
+    for i, (motion, row) in enumerate(zip(draw.motions, rows, strict=True)):
+        qpos = row["qpos"].copy()
+        for k, error in enumerate(rng.normal(size=row["qvel"].shape) * sigma_q):
+            mujoco.mj_integratePos(model, qpos[k], error, 1.0)
+        recordings.append(
+            Recording(
+                name=f"behaviour_{i + 1:02d}",
+                time=row["time"],
+                ctrl=motion(row["time"]),
+                qpos=qpos,
+                qvel=row["qvel"] + rng.normal(size=row["qvel"].shape) * sigma_v,
+                qvel_measured=np.ones(model.nv, bool),
+                split="fit" if i < fit else "test",
+                model=model,
+            )
+        )
+    save_dataset(folder, draw.robot.xml, recordings, interpolation="cubic", file_format=file_format)

@@ -1,0 +1,257 @@
+"""What is drawn of a hidden case: effects with place and size, and the small errors that are everywhere."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from btr_mjx.errors import InputError
+from btr_mjx.testing import physics
+from btr_mjx.testing.motion import Loads
+from btr_mjx.testing.physics import Reality
+from btr_mjx.testing.robots import CaseRobot, Motion
+
+JOINT_EFFECTS = (
+    "viscous_damping",
+    "dry_friction",
+    "load_friction",
+    "stribeck_friction",
+    "armature",
+    "joint_stiffness",
+    "joint_offset",
+    "backlash",
+)
+ACTUATOR_EFFECTS = ("actuator_delay", "actuator_lag", "actuator_gain", "torque_limit")
+BODY_EFFECTS = ("payload", "link_length")
+WORLD_EFFECTS = ("ground_friction", "ground_slope", "contact_softness", "air_drag", "constant_force")
+SINGLE = ("joint_stiffness", "joint_offset")
+"""Effects that sit on one joint only."""
+
+
+@dataclass(frozen=True)
+class Missing:
+    """Something that the believed model lacks.
+
+    Attributes:
+      effect: its name.
+      location: where it sits.
+      parameters: its size.
+    """
+
+    effect: str
+    location: str
+    parameters: Mapping[str, float]
+
+
+@dataclass
+class Draw:
+    """A case while it is drawn.
+
+    Attributes:
+      robot: the believed robot.
+      rng: of everything that is drawn.
+      motions: what the robot does.
+      sizes: how hard it works then.
+      background: a reality with the small errors alone.
+    """
+
+    robot: CaseRobot
+    rng: np.random.Generator
+    motions: Sequence[Motion]
+    sizes: Loads
+    background: Reality = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.background = Reality.of(self.robot)
+
+
+def background_of(draw: Draw, scale: float) -> Any:
+    """Small errors everywhere, drawn once; returns what adds them to a reality."""
+    rng, robot, sizes = draw.rng, draw.robot, draw.sizes
+    joints = list(sizes.torque)
+    n = len(joints)
+    model = robot.model
+    heavy = [model.body(b).name for b in range(1, model.nbody) if model.body_mass[b] > 0]
+    gain, offset, damping = (scale * s * rng.normal(size=n) for s in (3e-3, 5e-4, 4e-4))
+    mass, length = scale * 4e-3 * rng.normal(size=len(heavy)), scale * 4e-4 * rng.normal(size=len(robot.links))
+    friction, softness = scale * np.array([0.03, 2e-4]) * rng.normal(size=2)
+
+    def add(reality: Reality) -> None:
+        for i, name in enumerate(joints):
+            physics.actuator_gain(reality, [name], gain[i])
+            physics.joint_offset(reality, [name], offset[i])
+            believed = float(np.array(reality.spec.joint(name).damping)[0])
+            physics.viscous_damping(
+                reality, [name], max(damping[i] * sizes.torque[name] / sizes.speed[name], -0.9 * believed)
+            )
+        for body, share in zip(heavy, mass, strict=True):
+            physics.scale_mass(reality, body, 1 + share)
+        for body, share in zip(robot.links, length, strict=True):
+            physics.link_length(reality, body, share * _length(robot, body))
+        if robot.floor is not None:
+            physics.ground_friction(reality, 1 + friction)
+            physics.contact_softness(reality, softness)
+
+    return add
+
+
+def _length(robot: CaseRobot, body: str) -> float:
+    """Length of a link [m]."""
+    model = robot.model
+    geom = int(model.body(body).geomadr[0])
+    return 2 * float(model.geom_size[geom, 1])
+
+
+def _possible_effects(draw: Draw) -> list[str]:
+    floor = draw.robot.floor is not None
+    names = [*JOINT_EFFECTS, *ACTUATOR_EFFECTS, *BODY_EFFECTS]
+    return names + [name for name in WORLD_EFFECTS if floor or name == "air_drag"]
+
+
+def add_effects(draw: Draw, reality: Reality, effects: Sequence[str] | int) -> tuple[Missing, ...]:
+    """Draw what is missing, each effect of another kind and at another place."""
+    known = _possible_effects(draw)
+    count = effects if isinstance(effects, int) else len(effects)
+    if not 1 <= count <= len(known):
+        raise InputError(f"effects: got {effects!r}, expected names or a number of at least 1")
+    names = [str(n) for n in draw.rng.choice(known, count, replace=False)] if isinstance(effects, int) else effects
+    missing: list[Missing] = []
+    for name in names:
+        if name not in known:
+            raise InputError(f"effect {name!r}: {draw.robot.name} can have {', '.join(known)}")
+        while True:
+            one, apply = _drawn_effect(draw, name, reality)
+            if one.location == "world" or one.location not in [other.location for other in missing]:
+                break
+            if len(draw.sizes.torque) == 1:
+                break
+        apply(reality)
+        missing.append(one)
+    return tuple(missing)
+
+
+def _log(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def _joints_at(draw: Draw, single: bool, group: bool = True) -> tuple[str, list[str]]:
+    """A joint, a leg or all joints: the name after the kind and the joints."""
+    rng, joints = draw.rng, list(draw.sizes.torque)
+    kind = rng.choice(3, p=[0.5, 0.3, 0.2])
+    if single or len(joints) == 1 or kind == 0 or not group:
+        name = str(rng.choice(joints))
+        return name, [name]
+    if kind == 1 and draw.robot.legs:
+        leg = str(rng.choice(draw.robot.legs))
+        return f"subtree:{leg}", _below(draw.robot.model, leg, joints)
+    return "all", joints
+
+
+def _below(model: mujoco.MjModel, body: str, joints: Sequence[str]) -> list[str]:
+    root, chosen = model.body(body).id, []
+    for name in joints:
+        at = int(model.joint(name).bodyid[0])
+        while at > root:
+            at = int(model.body_parentid[at])
+        if at == root:
+            chosen.append(name)
+    return chosen
+
+
+def _drawn_effect(draw: Draw, name: str, reality: Reality) -> tuple[Missing, Any]:
+    """An effect of a random place and size, and what adds it to a reality, which has its small errors already."""
+    if name in BODY_EFFECTS:
+        return _drawn_body(draw, name)
+    if name in WORLD_EFFECTS:
+        return _drawn_world(draw, name, reality)
+    place, joints = _joints_at(draw, name in SINGLE)
+    location = place
+    if place != "all" and not place.startswith("subtree:"):
+        location = f"{'joint' if name in JOINT_EFFECTS else 'actuator'}:{place}"
+    parameters = _joint_sizes(draw, name, joints)
+    function = getattr(physics, name)
+    return Missing(name, location, parameters), lambda r: function(r, joints, **parameters)
+
+
+def _joint_sizes(draw: Draw, name: str, joints: Sequence[str]) -> dict[str, float]:
+    """Sizes of an effect on joints, from the loads there: the same for all of them."""
+    rng, s = draw.rng, draw.sizes
+    torque, speed, travel = (float(np.mean([v[j] for j in joints])) for v in (s.torque, s.speed, s.travel))
+    acceleration = float(np.mean([s.acceleration[j] for j in joints]))
+    pace = 60.0 / draw.robot.tempo
+    if name == "viscous_damping":
+        return {"damping": _log(rng, 3e-3, 0.1) * torque / speed}
+    if name == "dry_friction":
+        return {"torque": _log(rng, 3e-3, 0.06) * torque}
+    if name == "load_friction":
+        return {"coefficient": _log(rng, 0.02, 0.3)}
+    if name == "stribeck_friction":
+        return {"torque": _log(rng, 0.01, 0.1) * torque, "speed": rng.uniform(0.05, 0.3) * speed}
+    if name == "armature":
+        return {"armature": _log(rng, 4e-3, 0.12) * torque / acceleration}
+    if name == "joint_stiffness":
+        return {"stiffness": _log(rng, 4e-3, 0.06) * torque / travel}
+    if name == "joint_offset":
+        return {"offset": float(rng.choice([-1, 1])) * _log(rng, 4e-3, 0.03)}
+    if name == "backlash":
+        return {"play": _log(rng, 1e-3, 0.015)}
+    if name == "actuator_delay":
+        return {"delay": pace * _log(rng, 1.5e-4, 3e-3)}
+    if name == "actuator_lag":
+        return {"time_constant": pace * _log(rng, 1.5e-4, 3e-3)}
+    if name == "actuator_gain":
+        return {"change": -_log(rng, 0.01, 0.15)}
+    assert name == "torque_limit"
+    return {"limit": (1 - rng.uniform(0.15, 0.5)) * max(s.torque[j] for j in joints)}
+
+
+def _drawn_body(draw: Draw, name: str) -> tuple[Missing, Any]:
+    rng, robot = draw.rng, draw.robot
+    model = robot.model
+    if name == "link_length":
+        body = str(rng.choice(robot.links))
+        change = float(rng.choice([-1, 1])) * _log(rng, 6e-3, 0.08) * _length(robot, body)
+        return Missing(name, f"body:{body}", {"change": change}), lambda r: physics.link_length(r, body, change)
+    if robot.base is not None and rng.random() < 0.4:
+        body = robot.base
+        mass = _log(rng, 0.015, 0.1) * float(model.body_subtreemass[0])
+        half = float(model.geom_rbound[int(model.body(body).geomadr[0])])
+        position = half * rng.uniform([-0.6, -0.2, 0.0], [0.6, 0.2, 0.2])
+    else:
+        body = str(rng.choice(robot.links))
+        mass = _log(rng, 0.03, 0.2) * float(model.body(body).mass[0])
+        geom = int(model.body(body).geomadr[0])
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
+        tip = rotation.reshape(3, 3)[:, 2] * model.geom_size[geom, 1]  # from the capsule's centre to one end
+        ends = [model.geom_pos[geom] + tip, model.geom_pos[geom] - tip]
+        position = max(ends, key=np.linalg.norm) * rng.uniform(0.6, 1.0)
+    size = {"mass": mass, **dict(zip(("x", "y", "z"), map(float, position), strict=True))}
+    return Missing(name, f"body:{body}", size), lambda r: physics.payload(r, body, mass, list(position))
+
+
+def _drawn_world(draw: Draw, name: str, reality: Reality) -> tuple[Missing, Any]:
+    rng, robot = draw.rng, draw.robot
+    # These two are known by the value that the robot has, small errors included, not by how far that is from anything.
+    if name == "ground_friction":
+        factor = 1 - rng.uniform(0.15, 0.6)
+        size = {"coefficient": factor * max(float(geom.friction[0]) for geom in reality.spec.geoms)}
+        return Missing(name, "world", size), lambda r: physics.ground_friction(r, factor)
+    if name == "contact_softness":
+        change = _log(rng, 2e-3, 0.03)
+        size = {"time_constant": float(reality.spec.geoms[0].solref[0]) + change}
+        return Missing(name, "world", size), lambda r: physics.contact_softness(r, change)
+    if name == "ground_slope":
+        tilt, angle = _log(rng, 0.04, 0.15), rng.uniform(0, 2 * np.pi)
+        x, y = float(tilt * np.cos(angle)), float(tilt * np.sin(angle))
+        return Missing(name, "world", {"x": x, "y": y}), lambda r: physics.ground_slope(r, x, y)
+    if name == "air_drag":
+        density = _log(rng, *robot.drag)
+        return Missing(name, "world", {"density": density}), lambda r: physics.air_drag(r, density)
+    body = str(robot.base)
+    force = rng.normal(size=3)
+    force *= _log(rng, 0.045, 0.22) * float(robot.model.body_subtreemass[0]) * 9.81 / np.linalg.norm(force)
+    pull = dict(zip(("x", "y", "z"), map(float, force), strict=True))
+    return Missing(name, f"body:{body}", pull), lambda r: physics.constant_force(r, body, list(force))

@@ -1,0 +1,165 @@
+"""How a hidden reality moves: a loop over `mj_step` with a time step of 1e-4 s, and how hard the robot works in it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from btr_mjx.testing.physics import Reality
+from btr_mjx.testing.robots import CaseRobot, Motion
+
+TIMESTEP = 1e-4
+"""[s]"""
+
+
+@dataclass(frozen=True)
+class Loads:
+    """How hard a robot works, by joint: what sizes are drawn from.
+
+    Attributes:
+      torque, speed, acceleration, travel: peaks (the 98th percentile of the absolute value) of the motor's torque
+        [N m], the joint's speed [rad/s], acceleration [rad/s^2] and excursion from its mean [rad], by joint.
+    """
+
+    torque: Mapping[str, float]
+    speed: Mapping[str, float]
+    acceleration: Mapping[str, float]
+    travel: Mapping[str, float]
+
+
+def loads(robot: CaseRobot, motions: Sequence[Motion]) -> Loads:
+    """Peaks over some motions of the believed robot."""
+    model = robot.model
+    rows = [simulate(Reality.of(robot), motion, robot.duration, 500.0, 5e-4) for motion in motions]
+    qvel = np.concatenate([row["qvel"] for row in rows])
+    force = np.concatenate([row["force"] for row in rows])
+    rate = np.concatenate([np.gradient(row["qvel"], row["time"], axis=0) for row in rows])
+
+    def peak(values: np.ndarray) -> float:
+        return float(np.percentile(np.abs(values), 98)) + 1e-9
+
+    torque, speed, acceleration, travel = {}, {}, {}, {}
+    for i in range(model.nu):
+        joint = model.joint(int(model.actuator_trnid[i, 0]))
+        dof, adr = int(joint.dofadr[0]), int(joint.qposadr[0])
+        angle = np.concatenate([row["qpos"][:, adr] - row["qpos"][:, adr].mean() for row in rows])
+        torque[joint.name], speed[joint.name] = peak(force[:, i]), peak(qvel[:, dof])
+        acceleration[joint.name], travel[joint.name] = peak(rate[:, dof]), peak(angle)
+    return Loads(torque, speed, acceleration, travel)
+
+
+@dataclass(frozen=True)
+class Restart:
+    """States that a simulation is put back to every so many samples.
+
+    Attributes:
+      rows: what `simulate` returned for another reality.
+      samples: number of samples between two restarts.
+    """
+
+    rows: Mapping[str, np.ndarray]
+    samples: int
+
+
+def simulate(
+    r: Reality, motion: Motion, duration: float, rate: float, timestep: float = TIMESTEP, restart: Restart | None = None
+) -> dict[str, np.ndarray]:
+    """Run a reality and sample it.
+
+    Args:
+      r: the reality.
+      motion: what is commanded.
+      duration: [s].
+      rate: samples per second.
+      timestep: of the simulation [s]; the integrator is `implicit`.
+      restart: states to start anew from along the way; None for none.
+
+    Returns:
+      time (K,), qpos (K, nq), qvel (K, nv) as its encoders would show them without noise, by the believed robot's
+      joints; force (K, nu) and act (K, na) of the actuators.
+    """
+    spec = r.spec.copy()
+    spec.option.timestep, spec.option.integrator = timestep, mujoco.mjtIntegrator.mjINT_IMPLICIT
+    model, believed = spec.compile(), r.robot.model
+    data = mujoco.MjData(model)
+    places = _places(model, believed)
+    if r.robot.base is not None:
+        _set_down(model, data, believed)
+    steps, every = round(duration / timestep), max(1, round(1 / rate / timestep))
+    commands = _arriving(r, motion, steps, timestep)
+    commands -= np.array([r.offset.get(a.target, 0.0) for a in r.spec.actuators])
+    rows: dict[str, list[np.ndarray]] = {"time": [], "qpos": [], "qvel": [], "force": [], "act": []}
+    frictionloss = model.dof_frictionloss.copy()
+    mujoco.mj_forward(model, data)
+    for k in range(steps + 1):
+        if restart is not None and k % (every * restart.samples) == 0:
+            row = k // every
+            data.qpos[places[0]], data.qvel[places[1]] = restart.rows["qpos"][row], restart.rows["qvel"][row]
+            data.act[:] = restart.rows["act"][row]
+            for name, angle in r.offset.items():
+                data.joint(name).qpos[0] -= angle
+        if k % every == 0:
+            rows["time"].append(np.array(k * timestep))
+            rows["qpos"].append(data.qpos[places[0]])
+            rows["qvel"].append(data.qvel[places[1]])
+            rows["force"].append(data.actuator_force.copy())
+            rows["act"].append(data.act.copy())
+        if k == steps:
+            break
+        data.ctrl[:] = commands[k]
+        data.qfrc_applied[:], data.xfrc_applied[:], model.dof_frictionloss[:] = 0.0, 0.0, frictionloss
+        for hook in r.hooks:
+            hook(model, data)
+        mujoco.mj_step(model, data)
+    out = {name: np.array(values) for name, values in rows.items()}
+    for name, angle in r.offset.items():
+        out["qpos"][:, believed.joint(name).qposadr[0]] += angle
+    return out
+
+
+def _places(model: mujoco.MjModel, believed: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """Addresses of the believed robot's coordinates in a model that may have more joints."""
+    positions: list[int] = []
+    velocities: list[int] = []
+    width = {mujoco.mjtJoint.mjJNT_FREE: (7, 6), mujoco.mjtJoint.mjJNT_BALL: (4, 3)}
+    for i in range(believed.njnt):
+        joint = model.joint(believed.joint(i).name)
+        nq, nv = width.get(mujoco.mjtJoint(int(joint.type[0])), (1, 1))
+        positions += range(joint.qposadr[0], joint.qposadr[0] + nq)
+        velocities += range(joint.dofadr[0], joint.dofadr[0] + nv)
+    return np.array(positions), np.array(velocities)
+
+
+def _lowest(model: mujoco.MjModel, data: mujoco.MjData) -> float:
+    """Height of the lowest colliding sphere."""
+    mujoco.mj_kinematics(model, data)
+    heights = [
+        data.geom_xpos[i, 2] - model.geom_size[i, 0]
+        for i in range(model.ngeom)
+        if model.geom_type[i] == mujoco.mjtGeom.mjGEOM_SPHERE and model.geom_conaffinity[i]
+    ]
+    return float(min(heights))
+
+
+def _set_down(model: mujoco.MjModel, data: mujoco.MjData, believed: mujoco.MjModel) -> None:
+    """Start as high above the ground as the believed robot does."""
+    clearance = _lowest(believed, mujoco.MjData(believed))
+    data.qpos[2] -= _lowest(model, data) - clearance
+
+
+def _arriving(r: Reality, motion: Motion, steps: int, timestep: float) -> np.ndarray:
+    """Commands (steps, nu) in the middle of each step, after delay and lag; before the start the first one holds."""
+    times = (np.arange(steps) + 0.5) * timestep
+    commands = motion(times)
+    for i in np.flatnonzero(r.delay):
+        commands[:, i] = motion(np.maximum(times - r.delay[i], 0.0))[:, i]
+    for i in np.flatnonzero(r.lag):
+        # Exact for a command that is linear between the middles of two steps; at rest on its first value.
+        constant, last, state = float(r.lag[i]), float(motion(np.zeros(1))[0, i]), float(motion(np.zeros(1))[0, i])
+        for k in range(steps):
+            span, command = (timestep if k else timestep / 2), float(commands[k, i])
+            ramp = constant * (command - last) / span
+            state = command - ramp + (state - last + ramp) * np.exp(-span / constant)
+            last, commands[k, i] = command, state
+    return commands

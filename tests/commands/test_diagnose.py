@@ -1,0 +1,263 @@
+"""The command: settings, errors in one line, the run folder, the demo. The search itself is a stand-in here."""
+
+import dataclasses
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from btr_mjx import diagnose
+from btr_mjx.diagnose import DiagnoseConfig
+from btr_mjx.errors import InputError
+from btr_mjx.gap.data import Dataset
+from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.results import Confound, Diagnosis, DisagreementMap, Estimate, Gap, Named, Overlay, Row
+from btr_mjx.gap.simulate import Journal
+from btr_mjx.testing import make_case
+
+TIME = np.linspace(0, 1, 20)
+NAMED = Named("dry_friction", "joint:servo", {"torque": Estimate(0.031, 0.028, 0.034, "N m")}, 80.0, 30.0)
+FOUND = Diagnosis(
+    verdict="effect",
+    effects=(NAMED,),
+    ranking=(
+        Row("dry_friction", "joint:servo", 80.0, 0.0, 55.0, 30.0, {"torque": 0.031}),
+        Row("viscous_damping", "joint:servo", 20.0, 60.0, 18.0, 7.0, {"damping": 0.004}),
+    ),
+    equivalent=("dry_friction@joint:servo",),
+    gap=Gap(3.0, 1.2, 1.0, 1.0, 2.0, 1.1, 0.05, 0.02),
+    disagreement=DisagreementMap(("joint:servo",), ("all", "fast"), np.array([[3.0, 5.0]]), np.array([[40, 20]])),
+    unexplained=(),
+    believed=(),
+    confounds=(Confound("dry_friction@joint:servo", "viscous_damping@joint:servo", 0.93, "More viscous damping."),),
+    overlays=(Overlay("behaviour_09", "joint:servo", TIME, np.sin(TIME), np.cos(TIME), np.sin(TIME) + 0.01),),
+    share=0.9,
+    lack_of_fit=(12.0, 0.5),
+    threshold=15.0,
+    dispersion=1.0,
+    sigma=np.ones(2),
+    windows=(40, 20, 10, 0.04),
+    steps=1000,
+    seconds=1.0,
+)
+NOTHING = dataclasses.replace(FOUND, verdict="none", effects=(), equivalent=())
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A sound dataset."""
+    make_case(tmp_path / "data", 4, "pendulum", verdict="none", recordings=(2, 1), duration=0.8)
+    return tmp_path / "data"
+
+
+@pytest.fixture
+def searches(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+    """Arguments of each search; its answer is `FOUND`."""
+    calls: list[dict[str, Any]] = []
+
+    def stand_in(
+        dataset: Dataset,
+        effects: Any,
+        max_effects: int,
+        seed: int,
+        progress: Callable[[str], None],
+        counter: Journal,
+    ) -> Any:
+        progress("windows")
+        calls.append(
+            {"dataset": dataset, "effects": [e.name for e in effects], "max_effects": max_effects, "seed": seed}
+        )
+        return FOUND
+
+    monkeypatch.setattr(diagnose, "identify", stand_in)
+    return calls
+
+
+def test_a_run_folder(folder: Path, searches: list, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    diagnose.main([str(folder), "--out", str(run), "--no-progress", "--max-effects", "1", "--seed", "3"])
+    out = capsys.readouterr().out
+    assert out.startswith("preflight\n")
+    assert "2 recordings to fit and 1 held out" in out
+    assert "dry friction" in out
+    assert str(run) in out
+    assert searches[0]["max_effects"] == 1
+    assert searches[0]["seed"] == 3
+    assert searches[0]["effects"] == [effect.name for effect in EFFECTS]
+    result = json.loads((run / "result.json").read_text())
+    assert result["verdict"] == "effect"
+    (effect,) = result["effects"]
+    assert (effect["effect"], effect["location"]) == ("dry_friction", "joint:servo")
+    assert effect["parameters"]["torque"] | {"null": 0} == {
+        "value": 0.031,
+        "low": 0.028,
+        "high": 0.034,
+        "unit": "N m",
+        "null": 0,
+        "edge": False,
+    }
+    assert {"before", "after", "noise_floor"} <= set(result["gap"])
+    assert {"ranking", "equivalent", "next_experiment"} <= set(result)
+    assert result["confounds"] == [dataclasses.asdict(FOUND.confounds[0])]
+    assert "<li>More viscous damping.</li>" in (run / "report.html").read_text()
+    names = {path.name for path in run.iterdir()}
+    assert {"config.json", "environment.json", "preflight.csv", "ranking.csv", "report.html", "mended.xml"} <= names
+
+
+def test_a_finished_run_is_only_drawn_again(folder: Path, searches: list, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    diagnose.diagnose(dataset=folder, out=run, progress=False)
+    before = (run / "result.json").read_bytes()
+    (run / "report.html").unlink()
+    diagnose.diagnose(dataset=folder, out=run, progress=False, resume=True)
+    assert len(searches) == 1
+    assert (run / "result.json").read_bytes() == before
+    assert (run / "report.html").is_file()
+    with pytest.raises(InputError, match="not empty"):
+        diagnose.diagnose(dataset=folder, out=run, progress=False)
+    with pytest.raises(InputError, match="another config"):
+        diagnose.diagnose(dataset=folder, out=run, progress=False, resume=True, seed=5)
+
+
+def test_an_interrupted_demo_goes_on(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The case is made once; the command that goes on is printed; the answer comes last."""
+    run = tmp_path / "run"
+    monkeypatch.setattr(diagnose, "make_case", lambda *a: make_case(*a, recordings=(2, 1), duration=0.8))
+
+    def interrupted(*args: Any, **more: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(diagnose, "identify", interrupted)
+    argv = ["--demo", "--robot", "pendulum", "--seed", "6", "--out", str(run), "--no-progress", "--no-figures"]
+    with pytest.raises(SystemExit) as stop:
+        diagnose.main(argv)
+    assert stop.value.code == 130
+    assert f"--out {run} --no-progress --no-figures --resume" in capsys.readouterr().err
+    truth = (run / "truth.json").read_bytes()
+    monkeypatch.setattr(diagnose, "identify", lambda *a, **k: NOTHING)
+    diagnose.main([*argv, "--resume"])
+    assert (run / "truth.json").read_bytes() == truth
+    last = capsys.readouterr().out.strip().splitlines()[-1]
+    assert last.startswith("hidden was: ")
+    hidden = json.loads(truth)
+    assert (last == "hidden was: nothing") == (hidden["verdict"] == "none")
+    assert json.loads((run / "result.json").read_text())["verdict"] == "none"
+
+
+def test_a_killed_search_goes_on(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Stopped in the middle of the search and resumed: what was simulated is read back, and the result is the same."""
+    argv = [str(folder), "--effects", "dry_friction", "viscous_damping", "--max-effects", "1", "--no-figures"]
+    diagnose.main([*argv, "--out", str(tmp_path / "whole"), "--no-progress"])
+    steps = json.loads((tmp_path / "whole" / "result.json").read_text())["steps"]
+    run, journal = tmp_path / "run", Journal
+
+    def killed(path: Path, report: Callable[[int], None], code: bytes) -> Journal:
+        def count(done: int) -> None:
+            report(done)
+            if done > 0.6 * steps:
+                raise KeyboardInterrupt
+
+        return journal(path, count, code)
+
+    monkeypatch.setattr(diagnose, "Journal", killed)
+    with pytest.raises(SystemExit):
+        diagnose.main([*argv, "--out", str(run)])
+    saved = {path: path.stat().st_mtime_ns for path in (run / "search").iterdir()}
+    assert len(saved) > 5
+    err = capsys.readouterr().err
+    assert re.search(r"\d+%.*steps/s", err)
+    kept: list[int] = []
+
+    def watched(path: Path, report: Callable[[int], None], code: bytes) -> Journal:
+        def count(done: int) -> None:
+            report(done)
+            kept.append(sum(p.stat().st_mtime_ns == t for p, t in saved.items()))
+
+        return journal(path, count, code)
+
+    monkeypatch.setattr(diagnose, "Journal", watched)
+    diagnose.main([*argv, "--out", str(run), "--no-progress", "--resume"])
+    assert set(kept) == {len(saved)}  # no answer was written again
+    assert len(kept) > len(saved)
+    assert not (run / "search").exists()
+    results = [json.loads((tmp_path / name / "result.json").read_text()) for name in ("whole", "run")]
+    for result in results:
+        del result["seconds"]
+    assert results[0] == results[1]
+    assert (run / "ranking.csv").read_bytes() == (tmp_path / "whole" / "ranking.csv").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        ([], "got no dataset"),
+        (["DATA", "--demo"], "and --demo"),
+        (["DATA", "--max-effects", "0"], "max_effects: got 0"),
+        (["DATA", "--effects", "dry_frictoin"], "'dry_frictoin' is not in the library; nearest: 'dry_friction'"),
+        (["DATA", "--effects", "nowhere.py:MINE"], "there is no file nowhere.py"),
+        (["nowhere"], "there is no such folder"),
+        (["DATA", "--resume"], "say which run to continue"),
+    ],
+)
+def test_bad_settings_are_one_line(
+    folder: Path, searches: list, capsys: pytest.CaptureFixture[str], flags: list[str], message: str, tmp_path: Path
+) -> None:
+    flags = [str(folder) if flag == "DATA" else flag for flag in flags]
+    if "--resume" not in flags:
+        flags += ["--out", str(tmp_path / "run")]
+    with pytest.raises(SystemExit) as stop:
+        diagnose.main(flags)
+    error = capsys.readouterr().err
+    assert stop.value.code == 2
+    assert message in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+    assert not searches
+
+
+def test_unusable_data_are_one_line(folder: Path, searches: list, capsys: pytest.CaptureFixture[str]) -> None:
+    with np.load(folder / "behaviour_01.npz") as archive:
+        columns = dict(archive)
+    columns["time"] = columns["time"] * 1000
+    for name in ("behaviour_01", "behaviour_02", "behaviour_03"):
+        np.savez(folder / f"{name}.npz", **columns)
+    with pytest.raises(SystemExit) as stop:
+        diagnose.main([str(folder), "--out", str(folder.parent / "run")])
+    assert stop.value.code == 2
+    assert "looks like milliseconds" in capsys.readouterr().err
+
+
+def test_effects_of_ones_own(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from btr_mjx.gap.effects.library import Effect, Parameter, joint_places\n"
+        "def ranges(model, scales, place):\n"
+        "    return (Parameter('coefficient', 'N m s^2/rad^2', 0.0, 3.0, 0.05),)\n"
+        "def edit(world, place, values):\n"
+        "    world.model.dof_dampingpoly[place.dofs(world.model), 0] += values[0]\n"
+        "MINE = Effect('quadratic_damping', joint_places, ranges, edit, summable=True)\n"
+        "NUMBER = 3\n"
+    )
+    library = diagnose.library_of(["all", f"{file}:MINE"])
+    assert [e.name for e in library] == [*(e.name for e in EFFECTS), "quadratic_damping"]
+    assert [e.name for e in diagnose.library_of(["backlash", f"{file}:MINE"])] == ["backlash", "quadratic_damping"]
+    with pytest.raises(InputError, match=r"NUMBER in .* is int, expected an Effect"):
+        diagnose.library_of([f"{file}:NUMBER"])
+
+
+def test_a_run_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    config = DiagnoseConfig(demo=True, seed=4)
+    assert diagnose.resolve_folder(config).out == Path("runs/demo-4")
+    (tmp_path / "runs" / "demo-4").mkdir(parents=True)
+    (tmp_path / "runs" / "demo-4" / "x").touch()
+    assert diagnose.resolve_folder(config).out == Path("runs/demo-4-2")
+    assert diagnose.resolve_folder(DiagnoseConfig(dataset=Path("a"))).out == Path("runs/diagnosis-0")

@@ -1,0 +1,43 @@
+"""Noise of the sensors, as recordings show it and as a model corrects it."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_gap_recordings import MODEL, smooth_recording
+
+from btr_mjx.gap.data import estimate_noise, quieter
+from btr_mjx.models import integrate
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.floats(1e-4, 1e-2), st.floats(1e-3, 0.1), st.integers(0, 1000))
+def test_noise_is_estimated_whatever_the_motion(sigma_q: float, sigma_v: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    clean = smooth_recording("one", rng, count=300)
+    qpos = integrate(MODEL, clean.qpos, sigma_q * rng.normal(size=clean.qvel.shape))
+    qvel = clean.qvel + sigma_v * rng.normal(size=clean.qvel.shape)
+    noise = estimate_noise(MODEL, [(clean.time, qpos, qvel, clean.qvel_measured)])
+    np.testing.assert_allclose(np.median(noise.qpos), sigma_q, rtol=0.2)
+    np.testing.assert_allclose(np.median(noise.qvel), sigma_v, rtol=0.2)
+
+
+def test_noise_of_a_coarse_encoder_is_its_step(rng: np.random.Generator) -> None:
+    clean = smooth_recording("one", rng, count=400)
+    qpos = clean.qpos.copy()
+    step = 0.02
+    qpos[:, 7] = np.round(qpos[:, 7] / step) * step
+    noise = estimate_noise(MODEL, [(clean.time, qpos, clean.qvel, clean.qvel_measured)])
+    assert 0.5 * step / np.sqrt(12) < noise.qpos[6] < 2 * step / np.sqrt(12)
+
+
+def test_noise_is_no_more_than_what_a_model_leaves(rng: np.random.Generator) -> None:
+    """One channel is ten times quieter than it was said to be; another leaves more, which may be a missing effect."""
+    sigma, channels = np.array([1.0, 2.0, 3.0, 4.0]), np.array([0, 2, 3])
+    left = np.array([1.0, 0.1, 5.0]) * rng.standard_normal((30, 50, 3))
+    found = quieter(sigma, channels, left.reshape(30, -1), 150.0)
+    assert found is not None
+    np.testing.assert_allclose(found, [1.0, 2.0, 0.3, 4.0], rtol=0.05)
+    again = quieter(found, channels, (left * (sigma / found)[channels]).reshape(30, -1), 150.0)
+    assert again is None
+    projected = np.sqrt(0.4) * rng.standard_normal((30, 150))  # less is left where much was fitted, which is no noise
+    assert quieter(sigma, channels, projected, 60.0) is None

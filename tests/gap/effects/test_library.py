@@ -1,0 +1,224 @@
+"""The library of effects as a whole: places, nulls, groups, native edits as the compiler makes them, own effects."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from gap_models import MODELS, inertia, load, moderate, one, windows
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.effects import EFFECTS, KNOWN, Effect, Scales, candidates, one_limb
+from btr_mjx.gap.effects.effect import Parameter
+from btr_mjx.gap.effects.joints import ARMATURE
+from btr_mjx.gap.effects.places import joint_places
+from btr_mjx.gap.results.transcribe import normalised, write_changes
+from btr_mjx.gap.simulate import Rows, World, fields_of, simulate
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_every_native_edit_is_what_the_compiler_makes_of_it(name: str) -> None:
+    base = normalised(MODELS[name]).compile()
+    original = load(name)
+    assert set(fields_of(World.of(base), original)) <= {"actuator_acc0"} or _close(base, original)
+    seen = set()
+    for candidate in candidates(base, Scales.of(base), KNOWN):
+        if name == "hexapod" and (candidate.effect.name, len(candidate.place.members)) in seen:
+            continue  # one place of a kind: each is compiled
+        seen.add((candidate.effect.name, len(candidate.place.members)))
+        world = candidate.apply(World.of(base), moderate(candidate))
+        spec = normalised(MODELS[name])
+        assert write_changes(spec, world, base) == [], candidate.name
+        compiled = mujoco.MjModel.from_xml_string(_saved(spec))
+        for field, ours in fields_of(World.of(compiled), world.model).items():
+            if field.endswith("sameframe"):
+                continue
+            theirs = np.asarray(
+                getattr(world.model, field) if "." not in field else getattr(world.model.opt, field[4:])
+            )
+            if field in ("body_inertia", "body_iquat"):
+                continue  # the principal axes may come in another order
+            np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-7, err_msg=f"{candidate.name}: {field}")
+        for body in range(base.nbody):
+            np.testing.assert_allclose(
+                inertia(compiled, body), inertia(world.model, body), rtol=1e-4, atol=1e-7, err_msg=candidate.name
+            )
+
+
+def _saved(spec: mujoco.MjSpec) -> str:
+    spec.compile()
+    return spec.to_xml()
+
+
+def _close(a: mujoco.MjModel, b: mujoco.MjModel) -> bool:
+    return all(
+        np.allclose(value, getattr(b, field), rtol=1e-5, atol=1e-8)
+        for field, value in fields_of(World.of(a), b).items()
+    )
+
+
+def test_every_effect_is_documented_and_has_a_place_on_a_walking_robot() -> None:
+    table = (Path(__file__).parents[3] / "docs" / "effects.md").read_text(encoding="utf-8")
+    assert [effect.name for effect in KNOWN if f"| `{effect.name}` |" not in table] == []
+    assert all(effect.equation and effect.excited_by and effect.apply.__doc__ for effect in KNOWN)
+    model = load("quadruped")
+    found = {c.effect.name for c in candidates(model, Scales.of(model), KNOWN)}
+    assert found == {effect.name for effect in KNOWN}
+    assert len(found) >= 19
+
+
+def test_places_make_sense() -> None:
+    model = load("quadruped")
+    labels: dict[str, list[str]] = {}
+    for candidate in candidates(model, Scales.of(model), KNOWN):
+        labels.setdefault(candidate.effect.name, []).append(candidate.place.label)
+    legs = ["subtree:thigh0", "subtree:thigh1"]
+    assert labels["viscous_damping"] == ["joint:hip0", "joint:knee0", "joint:hip1", "joint:knee1", *legs, "all"]
+    assert labels["actuator_delay"] == [f"actuator:{n}" for n in ("hip0", "knee0", "hip1", "knee1")] + [*legs, "all"]
+    assert labels["backlash"] == ["joint:hip0", "joint:knee0", "joint:knee1", "subtree:thigh0", "all"]
+    assert labels["payload"] == [f"body:{n}" for n in ("torso", "head", "thigh0", "shank0", "thigh1", "shank1")]
+    assert labels["link_length"] == [f"body:{n}" for n in ("thigh0", "shank0", "thigh1", "shank1")]
+    assert labels["constant_force"] == [f"body:{n}" for n in ("torso", "shank0", "shank1")]
+    assert {"geom:foot0", "geom:foot1", "world"} <= set(labels["ground_friction"])
+    assert labels["elastic_cord"] == ["body:torso"]
+    for effect in EFFECTS:
+        # A twin sits wherever the effect does that it is taken for: cords only on bodies that are free.
+        here = [label for label in labels[effect.name] if label not in ("body:shank0", "body:shank1")]
+        assert all(set(here) <= set(labels[akin.name]) for akin in effect.akin)
+    pendulum = load("pendulum")
+    names = {c.name for c in candidates(pendulum, Scales.of(pendulum), EFFECTS)}
+    assert not {n for n in names if n.startswith(("ground_friction", "contact_softness", "com_shift"))}
+    assert {"load_friction@joint:servo", "ground_slope@world", "link_length@body:arm", "payload@body:arm"} <= names
+    assert not {n for n in names if n.endswith("@all")}
+
+
+def test_a_limb_is_what_hangs_together() -> None:
+    model = load("quadruped")
+    place = {c.place.label: c.place for c in candidates(model, Scales.of(model), EFFECTS)}
+    for one_, other, expected in (
+        ("joint:hip0", "joint:knee0", True),
+        ("joint:knee0", "body:thigh0", True),
+        ("joint:hip0", "joint:knee1", False),
+        ("joint:hip0", "all", False),
+        ("joint:hip0", "geom:foot0", False),
+        ("joint:hip0", "world", False),
+    ):
+        assert one_limb(model, place[one_], place[other]) is expected
+        assert one_limb(model, place[other], place[one_]) is expected
+
+
+def test_nothing_changes_at_the_null() -> None:
+    for name in MODELS:
+        model = load(name)
+        for candidate in candidates(model, Scales.of(model), KNOWN):
+            world = candidate.apply(World.of(model), candidate.null)
+            allowed = (
+                {"actuator_forcerange", "actuator_forcelimited"} if candidate.effect.name == "torque_limit" else set()
+            )
+            for field, values in fields_of(world, model).items():
+                if field in allowed | {"geom_priority", "geom_solref", "geom_solimp", "geom_friction", "geom_condim"}:
+                    continue
+                if field.endswith("sameframe") or field in ("body_iquat", "body_inertia"):
+                    continue
+                np.testing.assert_allclose(values, getattr(model, field), rtol=1e-7, atol=1e-9, err_msg=candidate.name)
+            for body in range(model.nbody):
+                np.testing.assert_allclose(inertia(world.model, body), inertia(model, body), rtol=1e-5, atol=1e-9)
+
+
+def test_groups_are_their_members() -> None:
+    model = load("quadruped")
+    every = {c.name: c for c in candidates(model, Scales.of(model), KNOWN)}
+    for candidate in every.values():
+        if not candidate.place.members:
+            continue
+        assert candidate.effect.summable
+        together = candidate.apply(World.of(model), moderate(candidate))
+        one_by_one = World.of(model)
+        for member in candidate.place.members:
+            every[f"{candidate.effect.name}@{member}"].apply(one_by_one, moderate(candidate))
+        assert set(fields_of(together, model)) == set(fields_of(one_by_one, model))
+        for field, values in fields_of(together, model).items():
+            np.testing.assert_allclose(values, getattr(one_by_one.model, field), err_msg=candidate.name)
+        stretch = windows(model, count=2)
+        a, b = simulate([(together, stretch), (one_by_one, stretch)])
+        np.testing.assert_allclose(a, b, atol=1e-9, err_msg=candidate.name)
+
+
+def test_scales_of_data_are_those_of_the_data() -> None:
+    model = load("quadruped")
+    data, rows = mujoco.MjData(model), []
+    for k in range(600):
+        data.ctrl[:] = 0.3 * np.sin(0.012 * k + np.arange(4))
+        mujoco.mj_step(model, data)
+        rows.append((data.qpos.copy(), data.qvel.copy(), data.ctrl.copy(), np.abs(data.actuator_force).copy()))
+    qpos, qvel, ctrl, force = (np.array(column) for column in zip(*rows, strict=True))
+    scales = Scales.measured(model, qpos, qvel, ctrl)
+    np.testing.assert_allclose(scales.force, np.percentile(force, 99.5, axis=0), rtol=0.3)
+    np.testing.assert_allclose(scales.torque[8], 5 * scales.force[2])
+    assert 0.02 < scales.time < 0.5
+    floor, feet = model.geom("floor").id, [model.geom(n).id for n in ("foot0", "foot1")]
+    assert scales.touching[feet].all()
+    assert not scales.touching[floor]
+
+
+class Gust:
+    fields = ()
+
+    def __init__(self, dofs: np.ndarray, size: float) -> None:
+        self.dofs, self.size = dofs, size
+
+    def __call__(self, rows: Rows) -> None:
+        rows.qfrc_applied[:, self.dofs] -= self.size * (rows.qvel * np.abs(rows.qvel))[:, self.dofs]
+
+
+def test_a_rotor_may_weigh_more_than_its_link() -> None:
+    model = load("quadruped")
+    place, scales = one(model, "armature@joint:knee0").place, Scales.of(model)
+    dof = place.dofs(model)[0]
+
+    def most(torque: float) -> float:
+        given = replace(scales, torque=np.full(model.nv, torque))
+        (parameter,) = ARMATURE.parameters(model, given, place)
+        assert parameter.step == pytest.approx(0.05 * scales.inertia[dof])
+        return parameter.high
+
+    acceleration = scales.speed[dof] ** 2 / scales.amplitude[dof]
+    assert most(0.0) == pytest.approx(5 * scales.inertia[dof])
+    assert most(100.0) == pytest.approx(3 * 100.0 / acceleration)
+
+
+def test_the_edge_of_what_is_tried_is_no_end_of_what_is_possible() -> None:
+    friction = Parameter("torque", "N m", -0.1, 0.8, 0.02)
+    assert [friction.at_edge(value) for value in (-0.1, 0.0, 0.79, 0.8)] == [False, False, False, True]
+    offset, limit = Parameter("offset", "rad", -0.3, 0.3, 0.005), Parameter("limit", "N m", 1.0, 9.0, -0.1, null=9.0)
+    assert [offset.at_edge(value) for value in (-0.3, 0.0, 0.3)] == [True, False, True]
+    assert [limit.at_edge(value) for value in (1.0, 5.0, 9.0)] == [True, False, False]
+    assert not Parameter("along", "m", 0.0, 0.2, 0.01, shape=True).at_edge(0.2)
+
+
+def test_an_effect_of_ones_own() -> None:
+    def ranges(model: mujoco.MjModel, scales: Scales, place: object) -> tuple[Parameter, ...]:
+        return (Parameter("coefficient", "N m s^2", 0.0, 1.0, 0.01),)
+
+    def edit(world: World, place, values: np.ndarray) -> None:
+        world.model.dof_dampingpoly[place.dofs(world.model), 0] += values[0]
+
+    def by_law(world: World, place, values: np.ndarray) -> None:
+        world.laws.append(Gust(place.dofs(world.model), values[0]))
+
+    native = Effect("quadratic_damping", joint_places, ranges, edit, summable=True)
+    law = Effect("gust", joint_places, ranges, by_law, summable=True)
+    model = load("quadruped")
+    stretch = windows(model)
+    effects = (*EFFECTS, native, law)
+    worlds = [one(model, f"{n}@all", effects).apply(World.of(model), [0.001]) for n in ("quadratic_damping", "gust")]
+    a, b, plain = simulate([*((world, stretch) for world in worlds), (World.of(model), stretch)])
+    assert np.abs(a - plain).max() > 1e-3
+    np.testing.assert_allclose(a, b, atol=0.05 * np.abs(a - plain).max())
+    with pytest.raises(InputError, match="same name"):
+        candidates(model, Scales.of(model), (native, native))
+    with pytest.raises(InputError, match="values"):
+        one(model, "gust@all", effects).apply(World.of(model), [0.1, 0.2])
+    with pytest.raises(InputError, match="null"):
+        Parameter("coefficient", "1", 1.0, 2.0, 0.1)

@@ -1,0 +1,181 @@
+"""Light legs on the ground: shorter time steps where feet need them, and no products of wild transitions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gap_arm import SIGMA, arm_windows, recording
+from hypothesis import given
+from hypothesis import strategies as st
+
+from btr_mjx.gap.data import load
+from btr_mjx.gap.inference import Hypothesis, Options
+from btr_mjx.gap.inference.scoring.nulls import null_residual
+from btr_mjx.gap.simulate import Counter, World, simulate
+from btr_mjx.gap.windows import Span, Windows, chosen_windows, fine_step, pace_notes, prepare, signatures, survey
+from btr_mjx.gap.windows.propagation import jacobian, tame
+from btr_mjx.gap.windows.time_steps import refinement, step_error
+from btr_mjx.gap.windows.transitions import secants
+from btr_mjx.models import integrate
+from btr_mjx.testing import case_robot, make_case
+
+
+@pytest.fixture(scope="module")
+def quadruped(tmp_path_factory):
+    """A quadruped as it is believed to be, with the noise of its sensors: data, and windows that do not overlap."""
+    folder = tmp_path_factory.mktemp("quadruped")
+    make_case(folder, 906, "quadruped", verdict="none", background=0.0, recordings=(1, 1), duration=1.0)
+    data = load(folder)
+    sigma = np.concatenate(case_robot("quadruped").sigma(data.fit[0].model))
+    k = round(0.04 / float(np.median(np.diff(data.fit[0].time))))
+    first = np.arange(k, len(data.fit[0].time) - k - 6, k)
+    return prepare(data.fit, data.interpolation, sigma, Span(5, 4)), first, k
+
+
+def windows_of(quadruped, finer=1, noise=1.0):
+    data, first, k = quadruped
+    data = replace(data, finer=finer, rough=finer > 1, sigma=noise * data.sigma)
+    return Windows(data, np.zeros(len(first), int), first, k)
+
+
+@pytest.fixture(scope="module")
+def fine(quadruped):
+    windows = windows_of(quadruped, 4)
+    windows.linearise(World.of)
+    return windows
+
+
+@pytest.mark.parametrize(
+    ("noise", "expected"),
+    [(100.0, [1]), (1.0, [4]), (0.15, [8]), (0.01, [16])],
+    ids=["unseen", "seen", "more", "most"],
+)
+def test_the_step_is_divided_where_sensors_see_what_it_does(quadruped, noise, expected) -> None:
+    assert refinement(windows_of(quadruped, noise=noise), World.of) in expected
+
+
+def test_what_a_shorter_step_leaves_is_nearer_to_a_fine_one(quadruped) -> None:
+    """What steps do is found around one starting state; from half a standard deviation away something is left of it."""
+    off = []
+    for finer in (1, 4):
+        windows = windows_of(quadruped, finer)
+        taken = step_error(windows, World.of, windows.states([World.of])[0])
+        sign = np.random.default_rng(0).choice([-1.0, 1.0], windows.qvel.shape)
+        start = windows.qpos, windows.qvel + 0.5 * sign * windows.data.sigma[windows.nv :]
+        near, exact = (windows.whiten(windows.states([World.of], start=start, timestep=t)[0]) for t in (None, 2e-5))
+        off.append(np.linalg.norm(near + taken - exact))
+    assert off[1] < 0.75 * off[0]
+
+
+def test_windows_are_chosen_for_the_step_that_they_take(quadruped) -> None:
+    data = quadruped[0]
+    found, base = survey(data, Counter()), Hypothesis((), ())
+    assert found.contact
+    few = Options(steps=2e4)
+    chosen = chosen_windows(data, data, base, found, 100, few, Counter())
+    fit, test = chosen.windows
+    own = float(fit.models[0].opt.timestep)
+    assert fit.dt == test.dt == own / 4 == fit.step
+    assert chosen.options.steps == 4 * few.steps
+    assert "steps of 0.25 ms: steps of 1 ms" in pace_notes(fit)[0]
+    noisy = replace(data, sigma=100 * data.sigma)
+    rough = chosen_windows(noisy, noisy, base, found, 100, few, Counter())
+    assert rough.windows[0].dt == own
+    assert rough.options is few
+    assert pace_notes(rough.windows[0]) == ()
+    assert len(fit) >= len(rough.windows[0])
+
+
+def test_what_touches_nothing_keeps_its_step() -> None:
+    """However much sensors see of it: where nothing touches it is known well and taken off."""
+    data = prepare([recording("r", seed=3)], "cubic", 0.01 * SIGMA, Span(5, 6))
+    windows = Windows(data, np.zeros(2, int), np.array([10, 150]), 30)
+    assert refinement(windows, World.of) >= 4
+    found = survey(data, Counter())
+    assert not found.contact
+    chosen = chosen_windows(data, data, Hypothesis((), ()), found, 100, Options(), Counter())
+    assert chosen.windows[0].dt == windows.dt
+
+
+def test_secants_are_differences_of_whole_simulations(fine) -> None:
+    own = np.array([0, 3])
+    found = secants(fine, World.of, own)
+    nv, sigma = fine.nv, fine.data.sigma
+
+    def end(w, away):
+        start = fine.stretch(
+            np.array([w]),
+            integrate(fine.models[0], fine.qpos[[w]], away[None, :nv]),
+            fine.qvel[[w]] + away[nv:],
+            fine.since[[w]],
+        )
+        return simulate([(World.of(fine.models[0]), start)], timestep=fine.stride * fine.dt)[0]
+
+    for i, w in enumerate(own):
+        unmoved = end(w, np.zeros(2 * nv))
+        for j in range(2 * nv):
+            moved = end(w, np.where(np.arange(2 * nv) == j, 0.5 * sigma, 0.0))
+            np.testing.assert_allclose(found[i, :, j], 2.0 * fine.scaled(fine.minus(moved, unmoved))[0], atol=1e-6)
+
+
+def test_secants_are_the_product_of_transitions_where_nothing_touches() -> None:
+    windows = arm_windows()
+    found, product = secants(windows, World.of, np.arange(len(windows))), jacobian(windows)
+    assert np.linalg.norm(found - product) < 0.02 * np.linalg.norm(product)
+
+
+def test_wild_windows_have_secants_and_no_signatures(fine) -> None:
+    """Touchdowns one after another: a product of transitions that no simulation knows."""
+    product = jacobian(fine)
+    wild = np.flatnonzero(~fine.tame)
+    assert 0 < len(wild) <= len(fine) // 2
+    size = np.linalg.norm(product, axis=(1, 2))
+    secant = np.linalg.norm(fine.jacobians, axis=(1, 2))
+    assert secant[wild].max() < 0.2 * size[wild].min()
+    np.testing.assert_array_equal(fine.jacobians[fine.tame], product[fine.tame])
+
+    def damped(model):
+        world = World.of(model)
+        world.model.dof_damping[8] += 0.02
+        return world
+
+    for single in (False, True):
+        (found,) = signatures(fine, World.of, [damped], single)
+        true = fine.residuals([damped])[0] - fine.residual
+        assert not found[wild].any()
+        calm = np.flatnonzero(size < 300.0)
+        assert len(calm) > 3
+        off = np.linalg.norm(found[calm] - true[calm], axis=1) / np.linalg.norm(true[calm], axis=1)
+        assert np.median(off) < 0.2
+
+
+@given(st.lists(st.floats(0.0, 1e12), min_size=1, max_size=30))
+def test_at_least_half_of_the_windows_are_tame(sizes) -> None:
+    found = tame(np.array(sizes)[:, None, None])
+    assert 2 * found.sum() >= len(sizes)
+    assert found[np.array(sizes) <= 3e4].all()
+    order = np.argsort(sizes)
+    assert (np.diff(found[order].astype(int)) <= 0).all()  # none is wilder than one that is wild
+
+
+def test_nulls_know_what_is_left_of_the_step(quadruped, fine) -> None:
+    """Data of a null take fine steps where the model's is divided; of an arm they leave noise and nothing else."""
+    arm = arm_windows()
+    data = replace(arm.data, finer=4, rough=True)
+    windows = Windows(data, arm.recording, arm.first, arm.k)
+    windows.linearise(World.of)
+    rng = np.random.default_rng(1)
+    chi2 = np.stack([(null_residual(windows, World.of, World.of, rng) ** 2).sum(1) for _ in range(20)])
+    assert chi2.mean() / windows.freedom == pytest.approx(1.0, abs=0.03)
+    asked = []
+    states = fine.states
+
+    class Spied(type(fine)):
+        def states(self, makes, *, timestep=None, **kwargs):
+            asked.append(timestep)
+            return states(makes, timestep=timestep, **kwargs)
+
+    spied = fine.copied()
+    spied.__class__ = Spied
+    assert np.isfinite(null_residual(spied, World.of, World.of, rng)).all()
+    assert asked[0] == fine_step(fine) < fine.step

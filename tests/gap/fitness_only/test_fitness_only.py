@@ -1,0 +1,231 @@
+"""Fitness alone: what a table of trials says, its bad input, and a search that finds a large effect."""
+
+import dataclasses
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import polars as pl
+import pytest
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.effects import EFFECTS, Scales, candidates
+from btr_mjx.gap.fitness_only import (
+    Answers,
+    Trials,
+    answers,
+    expected_steps,
+    identify_fitness,
+    load_fitness,
+    save_fitness,
+)
+from btr_mjx.gap.fitness_only.screen import coarse_step, leads
+from btr_mjx.gap.preflight import preflight_fitness, refuse_errors
+from btr_mjx.gap.simulate import World
+from btr_mjx.testing import make_fitness_case
+
+XML = """<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.002"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="9 9 1" friction="0.6"/>
+    <body name="cart" pos="0 0 0.1">
+      <freejoint name="root"/>
+      <geom name="cart" type="box" size="0.2 0.1 0.05" mass="2" friction="0.6"/>
+      <body name="tail" pos="-0.2 0 0">
+        <joint name="tail" axis="0 0 1" damping="0.02"/>
+        <geom name="tail" type="capsule" fromto="0 0 0 -0.3 0 0" size="0.02" mass="0.3" contype="0" conaffinity="0"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><position name="tail" joint="tail" kp="8" kv="0.1"/></actuator>
+</mujoco>"""
+MODEL = mujoco.MjModel.from_xml_string(XML)
+OMEGA, SPAN = 25.0, 0.4
+ABOUT = {"body": "cart", "function": "distance", "duration": SPAN, "omega": OMEGA}
+
+
+def plain(model: mujoco.MjModel, amplitude: float, phase: float) -> float:
+    """Fitness of one controller by the plainest of loops."""
+    data = mujoco.MjData(model)
+    for k in range(round(SPAN / model.opt.timestep)):
+        data.ctrl[0] = amplitude * np.sin(OMEGA * (k + 0.5) * model.opt.timestep + phase)
+        mujoco.mj_step(model, data)
+    return float(np.hypot(*(data.qpos[:2] - model.qpos0[:2]))) / SPAN
+
+
+@pytest.fixture
+def folder(tmp_path: Path, rng: np.random.Generator) -> Path:
+    """Trials of a cart whose ground is more slippery than believed."""
+    amplitude, phase = rng.uniform(0.3, 1.2, 24), rng.uniform(0, 3, 24)
+    real = mujoco.MjModel.from_xml_string(XML.replace('friction="0.6"', 'friction="0.25"'))
+    fitness = [plain(real, a, p) for a, p in zip(amplitude, phase, strict=True)]
+    columns = {"amplitude/tail": amplitude, "phase/tail": phase, "fitness": fitness}
+    save_fitness(tmp_path, XML, ABOUT, columns)
+    return tmp_path
+
+
+def test_a_table_of_trials(folder: Path) -> None:
+    table = load_fitness(folder)
+    raw = pl.read_csv(folder / "trials.csv")
+    np.testing.assert_array_equal(table.amplitude[:, 0], raw["amplitude/tail"])
+    np.testing.assert_array_equal(table.fitness, raw["fitness"])
+    assert table.test.tolist() == [False] * 18 + [True] * 6
+    assert table.commands(np.array([0.1])).shape == (24, 1, 1)
+    refuse_errors(preflight_fitness(table))
+    renamed = raw.rename({"amplitude/tail": "a_1", "phase/tail": "phi_1"})
+    renamed.with_columns(pl.lit(0.1).alias("offset/tail")).write_csv(folder / "trials.csv")
+    again = load_fitness(folder)
+    np.testing.assert_array_equal(again.amplitude, table.amplitude)
+    np.testing.assert_allclose(again.commands(np.array([0.1])), table.commands(np.array([0.1])) + 0.1)
+
+
+def test_failed_trials_are_left_out(folder: Path) -> None:
+    raw = pl.read_csv(folder / "trials.csv")
+    fitness = raw["fitness"].to_list()
+    fitness[3] = None
+    raw.with_columns(pl.Series("fitness", fitness)).write_csv(folder / "trials.csv")
+    assert len(load_fitness(folder).fitness) == 23
+
+
+def test_fitness_against_a_loop(folder: Path) -> None:
+    trials, table = Trials(load_fitness(folder)), load_fitness(folder)
+    rows = np.arange(5)
+    model = mujoco.MjModel.from_xml_string(XML)
+    expected = [plain(model, table.amplitude[k, 0], table.phase[k, 0]) for k in rows]
+    np.testing.assert_allclose(trials.fitness([World.of(model)], rows)[0], expected, atol=1e-6)
+    slippery = {c.name: c for c in candidates(MODEL, Scales.of(MODEL), EFFECTS)}["ground_friction@world"]
+    world = slippery.apply(World.of(MODEL), [0.25])
+    np.testing.assert_allclose(trials.fitness([world], rows)[0], table.fitness[:5], atol=1e-6)
+
+
+CHOSEN = [e for e in EFFECTS if e.name in ("ground_friction", "viscous_damping", "payload", "actuator_gain")]
+
+
+def test_a_large_effect_is_found(folder: Path) -> None:
+    table = load_fitness(folder)
+    diagnosis = identify_fitness(table, CHOSEN)
+    assert diagnosis.verdict == "effect"
+    assert diagnosis.effects[0].effect == "ground_friction"
+    assert diagnosis.effects[0].parameters["coefficient"].value == pytest.approx(0.25, rel=0.25)
+    assert diagnosis.gap.after < 0.5 * diagnosis.gap.before
+    assert diagnosis.ranking[0].margin == 0
+    assert len(diagnosis.ranking) == len(candidates(MODEL, Trials(table).scales(np.arange(3)), CHOSEN))
+    assert expected_steps(table, CHOSEN) == pytest.approx(diagnosis.steps, rel=0.5)
+
+
+def test_answers_serve_another_reality(folder: Path) -> None:
+    """What candidates do does not depend on what was measured: with it at hand the search is the same, and cheaper."""
+    table = load_fitness(folder)
+    trials = Trials(table)
+    rows = np.arange(16)
+    own = trials.fitness([World.of(MODEL)], rows)[0]
+    step = coarse_step(trials, rows, own, table.fitness[rows] - own)
+    known = answers(trials, candidates(MODEL, trials.scales(np.arange(3)), CHOSEN), rows, step)
+    again, whole = identify_fitness(table, CHOSEN, known=known), identify_fitness(table, CHOSEN)
+    np.testing.assert_equal(*([dataclasses.asdict(row) for row in d.ranking] for d in (again, whole)))
+    assert again.steps < 0.9 * whole.steps
+
+
+def test_answers_against_single_simulations(folder: Path) -> None:
+    trials = Trials(load_fitness(folder))
+    rows = np.arange(3)
+    slippery = {c.name: c for c in candidates(MODEL, Scales.of(MODEL), EFFECTS)}["ground_friction@world"]
+    known = answers(trials, [slippery], rows, 0.002)
+    world = slippery.apply(World.of(MODEL), slippery.null + known.tried[0][0])
+    expected = trials.fitness([world], rows)[0] - trials.fitness([World.of(MODEL)], rows)[0]
+    np.testing.assert_array_equal(known.change[0][0], expected)
+    assert known.tried[0].shape == (1, 1)
+    assert known.tried[0][0, 0] == pytest.approx(8 * slippery.parameters[0].step)
+
+
+def test_leads_are_a_fit_within_bounds(rng: np.random.Generator) -> None:
+    both = [c for c in candidates(MODEL, Scales.of(MODEL), EFFECTS) if c.effect.name in ("dry_friction", "payload")]
+    friction = next(c for c in both if c.effect.name == "dry_friction")
+    other = next(c for c in both if c.effect.name == "payload")
+    step = friction.parameters[0].step
+    change = rng.normal(size=(2, 12))
+    tried = (0.1 * np.eye(len(other.parameters))[:1], np.array([[step]]))
+    known = Answers((other, friction), np.arange(12), 0.002, np.zeros(12), tried, (change[:1], change[1:]))
+    first, second = leads(known, 3.0 * change[1])
+    assert (first.candidate, first.explained) == (friction, pytest.approx(1.0))
+    assert first.values[0] == pytest.approx(3.0 * step)
+    assert second.explained < 0.6
+    against = next(lead for lead in leads(known, -3.0 * change[1]) if lead.candidate is friction)
+    assert against.values[0] == friction.parameters[0].low  # there is no friction below none
+    assert against.explained <= 0
+
+
+def test_directions_are_tried_both_ways(folder: Path, rng: np.random.Generator) -> None:
+    """Pushed either way the robot goes further: the fit takes the side that was seen, not the opposite of the other."""
+    slope = {c.name: c for c in candidates(MODEL, Scales.of(MODEL), EFFECTS)}["ground_slope@world"]
+    rows = np.arange(2)
+    known = answers(Trials(load_fitness(folder)), [slope], rows, 0.002)
+    step = 4 * slope.parameters[0].step
+    np.testing.assert_allclose(known.tried[0], step * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))
+    ahead, behind, left, right = change = rng.uniform(0.0, 1.0, (4, 12))
+    known = Answers((slope,), np.arange(12), 0.002, np.zeros(12), known.tried, (change,))
+    (lead,) = leads(known, 1.5 * behind + 0.5 * left)
+    np.testing.assert_allclose(lead.values, [-1.5 * step, 0.5 * step])
+    assert lead.explained == pytest.approx(1.0)
+    assert leads(known, -ahead - right)[0].explained <= 0
+
+
+def test_a_coarse_step_must_not_hide_what_is_sought(folder: Path) -> None:
+    trials = Trials(load_fitness(folder))
+    rows = np.arange(6)
+    own = trials.fitness([World.of(MODEL)], rows)[0]
+    error = np.abs(trials.fitness([World.of(MODEL)], rows, 0.008)[0] - own).mean()
+    assert coarse_step(trials, rows, own, np.full(6, 2.1 * error)) == pytest.approx(0.008)
+    assert coarse_step(trials, rows, own, np.full(6, 1.9 * error)) < 0.008
+    assert coarse_step(trials, rows, own, np.zeros(6)) == pytest.approx(0.002)
+
+
+def test_nothing_is_named_where_nothing_is_missing(folder: Path) -> None:
+    table = load_fitness(folder)
+    fitness = [plain(MODEL, a, p) for a, p in zip(table.amplitude[:, 0], table.phase[:, 0], strict=True)]
+    noise = np.random.default_rng(1).normal(0, 0.02 * np.std(fitness), 24)
+    columns = {"amplitude/tail": table.amplitude[:, 0], "phase/tail": table.phase[:, 0], "fitness": fitness + noise}
+    save_fitness(folder, XML, ABOUT, columns)
+    chosen = [e for e in EFFECTS if e.name in ("ground_friction", "viscous_damping")]
+    assert identify_fitness(load_fitness(folder), chosen).verdict == "none"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('body = "cart"', 'body = "card"', r"no body 'card'; nearest: 'cart'"),
+        ('"distance"', '"energy_per_metre"', r"expected one of distance, forward_speed"),
+        ("omega = 25.0", "omega = 0.0", r"omega = 0\.0: expected a positive number"),
+        ("trials.csv", "trial.csv", r"there is no file .*trial\.csv"),
+        ("[fitness]", "[fitnes]", r"'fitnes'; did you mean 'fitness'"),
+    ],
+)
+def test_bad_settings(folder: Path, old: str, new: str, message: str) -> None:
+    file = folder / "dataset.toml"
+    file.write_text(file.read_text().replace(old, new))
+    with pytest.raises(InputError, match=message):
+        load_fitness(folder)
+
+
+def test_bad_tables(folder: Path) -> None:
+    raw = pl.read_csv(folder / "trials.csv")
+    raw.drop("phase/tail").write_csv(folder / "trials.csv")
+    with pytest.raises(InputError, match=r"no column 'phase/tail'"):
+        load_fitness(folder)
+    raw.head(8).write_csv(folder / "trials.csv")
+    with pytest.raises(InputError, match=r"6 trials to fit and 2 held out; expected at least 4"):
+        load_fitness(folder)
+    raw.with_columns(pl.lit(0.5).alias("fitness")).write_csv(folder / "trials.csv")
+    with pytest.raises(InputError, match=r"every trial has the same fitness"):
+        refuse_errors(preflight_fitness(load_fitness(folder)))
+
+
+def test_hidden_trials(tmp_path: Path) -> None:
+    truth = make_fitness_case(tmp_path, 3, "quadruped", effects=["ground_slope"], trials=(5, 4), duration=0.1)
+    table = load_fitness(tmp_path)
+    assert truth.effects[0].effect == "ground_slope"
+    assert (table.test.sum(), len(table.fitness)) == (4, 9)
+    assert (table.fitness > 0).all()
+    with pytest.raises(InputError, match="bolted down"):
+        make_fitness_case(tmp_path, 3, "arm")

@@ -1,0 +1,298 @@
+"""Naming the missing effect of an arm: from recordings to a verdict."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from gap_arm import dataset, recording
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.data import Believed
+from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.effects.similar import HARDENING_SPRING
+from btr_mjx.gap.inference import Bench, Hypothesis, Options, identify
+from btr_mjx.gap.inference.scoring.gains import fall, luckiest
+from btr_mjx.gap.inference.scoring.hypotheses import unknowns
+from btr_mjx.gap.inference.search.held_out import foreseen
+from btr_mjx.gap.inference.verdict.outcome import calibration_of, equivalent, overlays
+from btr_mjx.gap.windows import Fit
+
+LIBRARY = tuple(
+    e for e in EFFECTS if e.name in ("viscous_damping", "dry_friction", "armature", "actuator_gain", "actuator_delay")
+)
+QUICK = Options(steps=6e4, leaders=4, contact_leaders=0)
+
+
+def damped(model):
+    model.dof_damping[1] += 0.1
+
+
+@pytest.fixture(scope="module")
+def found():
+    return identify(dataset(damped, seed=1), LIBRARY, max_effects=1, options=QUICK)
+
+
+def test_damping_at_the_elbow_is_named(found):
+    assert found.verdict == "effect"
+    (named,) = found.effects
+    assert named.name == "viscous_damping@joint:elbow"
+    estimate = named.parameters["damping"]
+    assert estimate.value == pytest.approx(0.1, rel=0.1)
+    assert estimate.low < estimate.value < estimate.high
+    assert estimate.unit == "N m s/rad"
+    assert found.equivalent[0] == named.name
+
+
+def test_three_recordings_are_enough():
+    """One window held out is all that there is to confirm a name, and not a stroke of luck to be left out."""
+    few = identify(dataset(damped, seed=1, fit=2, test=1), LIBRARY, max_effects=1, options=QUICK)
+    assert [named.name for named in few.effects] == ["viscous_damping@joint:elbow"]
+
+
+def test_linear_algebra_stays_in_the_threads_of_the_search():
+    def threads(*_):
+        return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+
+    during = []
+    with threadpool_limits(2, "blas"):
+        before = threads()
+        identify(
+            dataset(damped, seed=1, fit=1, test=1),
+            LIBRARY[:1],
+            max_effects=1,
+            options=QUICK,
+            progress=lambda word: during.extend(threads()),
+        )
+        assert threads() == before
+    assert set(during) == {1}
+
+
+def test_luck_counts_where_windows_are_many():
+    falls = np.full(20, 2.0)
+    falls[3] = 500.0
+    assert luckiest(falls) == pytest.approx(3 * 2 + 15)  # the outlier, within what is usual
+    assert luckiest(-falls) == 0.0
+    assert luckiest(np.array([40.0])) == 0.0
+    assert luckiest(np.array([40.0, 40.0])) == pytest.approx(40.0 / 8)
+
+
+def test_what_one_window_alone_foresees_is_left_out_as_a_gain_there_would_be():
+    chi2 = np.full(20, 2.0)
+    chi2[3] = 500.0  # a limit that is reached once
+    before, after = (Fit(np.zeros(0), float(c.sum()), c, np.zeros((0, 0))) for c in (chi2, np.zeros(20)))
+    windows = SimpleNamespace(residual=np.zeros((20, 4)), based=lambda make: windows)
+    profiled = SimpleNamespace(profile=lambda change, cut: before)
+    bench = SimpleNamespace(nuisance=lambda side, hypothesis: profiled, cut=1e4, dispersion=1.0)
+    side = SimpleNamespace(windows=windows)
+    judged = SimpleNamespace(hypothesis=Hypothesis((), ()), sides=(side, side), residual=np.zeros((20, 4)))
+    assert foreseen(bench, judged) == pytest.approx(19 * 2.0)
+    assert foreseen(bench, judged) == pytest.approx(fall(before, after, 1e4))
+
+
+def test_a_true_name_gains_what_it_foresees_on_held_out_recordings():
+    """Where its parameter is right, chi^2 falls by the squared distance of both simulations, but for the noise."""
+    gains = []
+    for seed in range(3):
+        bench = Bench(dataset(damped, seed=seed), LIBRARY, QUICK)
+        elbow = next(c for c in bench.candidates if c.name == "viscous_damping@joint:elbow")
+        for size in (0.1, 0.03):
+            hypothesis = bench.base.with_effect(elbow, [size])
+            residuals = [side.windows.residuals([hypothesis])[0] for side in (bench.fit, bench.test)]
+            judged = SimpleNamespace(hypothesis=hypothesis, sides=(bench.fit, bench.test), residual=residuals[1])
+            change = bench.test.windows.residual - residuals[1]
+            along = bench.nuisance(bench.test, hypothesis)
+            left = np.array([(row**2).sum() for row in along.absorbed(change, bench.cut)])
+            usual = 15.0 + 3.0 * np.quantile(left, 0.8)
+            least = np.minimum(left, usual).sum() - min(left.max(), usual)
+            assert least / bench.dispersion - 1e-6 <= foreseen(bench, judged) <= left.sum() / bench.dispersion + 1e-6
+            gains.append((size, foreseen(bench, judged)))
+            if size == 0.1:
+                before, after = (along.profile(r, bench.cut) for r in (bench.test.windows.residual, residuals[1]))
+                assert bench.fall(before, after) == pytest.approx(foreseen(bench, judged), rel=0.3)
+    assert all(large > 5 * small for (_, large), (_, small) in zip(gains[::2], gains[1::2], strict=True))
+
+
+def test_the_gap_closes_on_held_out_recordings(found):
+    assert found.gap.before > 2 * found.gap.after
+    assert found.gap.after == pytest.approx(1.0, abs=0.2)
+    assert found.gap.closed > 0.9
+    assert found.gap.noise_floor == min(found.gap.nulls, found.gap.after)
+    assert found.gap.nulls == pytest.approx(1.0, abs=0.2)
+    assert found.gap.open_loop_after < 0.3 * found.gap.open_loop_before
+
+
+def test_stretches_that_are_shown_are_those_on_which_both_models_differ(found):
+    names = {r.name for r in dataset(damped, seed=1).recordings if r.split == "test"}
+    assert {one.recording for one in found.overlays[: len(names)]} == names  # they take turns
+    for one in found.overlays:
+        assert one.coordinate == "joint:elbow"
+        before, after = (np.abs(values - one.measured).mean() for values in (one.before, one.after))
+        assert after < 0.8 * before
+    nothing = overlays(Bench(dataset(seed=1, fit=2, test=1), LIBRARY[:1], QUICK), None)
+    assert all(np.array_equal(one.before, one.after) for one in nothing)
+    assert nothing
+
+
+def test_the_map_points_at_the_elbow_in_fast_motion(found):
+    table = found.disagreement
+    assert table.places == ("joint:shoulder", "joint:elbow")
+    value = dict(zip(table.regimes, table.value[1], strict=True))
+    assert value["all"] > 3
+    assert value["fast"] > value["slow"]
+    assert table.value[1, 0] > 2 * table.value[0, 0]
+    assert np.isnan(value["contact"])
+
+
+def test_the_ranking_is_ordered_and_complete(found):
+    scores = [row.score for row in found.ranking]
+    assert scores == sorted(scores, reverse=True)
+    assert found.ranking[0].margin == 0
+    assert found.ranking[0].score > found.threshold
+    assert found.steps > 0
+
+
+def test_nothing_is_named_where_nothing_is_missing():
+    found = identify(dataset(seed=2), LIBRARY, options=QUICK)
+    assert found.verdict == "none"
+    assert not found.effects
+    assert found.gap.before == found.gap.after
+
+
+@pytest.mark.parametrize("noise", [1.0, 1.2])
+def test_the_noise_floor_is_that_of_the_data(noise):
+    """Whatever noise was declared: with nothing missing, the believed model lies on the floor."""
+    gap = identify(dataset(seed=2, noise=noise), LIBRARY, options=QUICK).gap
+    assert gap.noise_floor == pytest.approx(noise**2, rel=0.15)
+    assert gap.before == pytest.approx(gap.noise_floor, rel=0.1)
+
+
+def test_believed_numbers_are_refitted_before_anything_is_called_missing():
+    believed = (Believed("elbow damping", ("joint:elbow/damping",), 0.0, 1.0),)
+    found = identify(dataset(damped, seed=1, parameters=believed), LIBRARY, options=QUICK)
+    assert found.verdict == "none"
+    (row,) = found.believed
+    assert row.believed == pytest.approx(0.05)
+    assert row.refitted == pytest.approx(0.15, rel=0.1)
+
+
+def test_something_outside_the_library_is_called_unexplained():
+    def spring(model):
+        model.jnt_stiffness[0] = 4.0
+        model.qpos_spring[0] = 0.5
+
+    only = tuple(e for e in LIBRARY if e.name in ("viscous_damping", "armature"))
+    found = identify(dataset(spring, seed=3), only, options=QUICK)
+    assert found.verdict == "unexplained"
+    assert not found.effects
+    assert found.unexplained[0].startswith("joint:shoulder")
+
+
+SPRINGS = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "joint_stiffness", "armature"))
+
+
+def test_a_spring_is_called_a_spring():
+    def spring(model):
+        model.jnt_stiffness[1] += 0.1
+
+    found = identify(dataset(spring, seed=6), SPRINGS, options=QUICK)
+    assert [named.name for named in found.effects] == ["joint_stiffness@joint:elbow"]
+
+
+@pytest.mark.parametrize("stiffness", [0.1, 0.03])
+def test_a_spring_on_one_side_is_not_called_a_spring(stiffness):
+    """A cord that pulls in one half of the range: stiffness explains most of it, but not its shape."""
+
+    def cord(model):
+        model.tendon_stiffness[0] = stiffness
+
+    found = identify(dataset(cord, seed=6), SPRINGS, options=QUICK)
+    assert (found.ranking[0].effect, found.ranking[0].location) == ("joint_stiffness", "joint:elbow")
+    assert found.ranking[0].score > 5 * found.threshold
+    assert found.verdict == "unexplained"
+    assert found.unexplained[0].startswith("joint:elbow: a spring on one side (τ = −k |q − q_spring|, stiffness ")
+    assert found.unexplained[0].endswith("explains what a spring does not (--effects all one_sided_spring names it)")
+    half = float(found.unexplained[0].partition("stiffness ")[2].split()[0])
+    assert abs(half) == pytest.approx(stiffness / 2, rel=0.15)  # as much again is the stiffness beside it
+
+
+def test_a_spring_is_not_mistaken_for_what_it_is_not():
+    def spring(model):
+        model.jnt_stiffness[1] += 0.1
+
+    found = identify(dataset(spring, seed=6), SPRINGS, max_effects=1, options=QUICK)
+    assert [named.name for named in found.effects] == ["joint_stiffness@joint:elbow"]
+    assert found.unexplained == ()
+
+
+def test_who_expects_a_twin_may_name_it():
+    def hard(model):
+        model.jnt_stiffnesspoly[1, 1] += 0.1
+
+    data = dataset(hard, seed=6)
+    unknown = identify(data, SPRINGS, max_effects=1, options=QUICK)
+    assert unknown.verdict == "unexplained"
+    known = identify(data, (*SPRINGS, HARDENING_SPRING), max_effects=1, options=QUICK)
+    assert [named.name for named in known.effects] == ["hardening_spring@joint:elbow"]
+    assert known.effects[0].parameters["cubic"].value == pytest.approx(0.1, rel=0.1)
+
+
+def test_two_effects_at_once():
+    def both(model):
+        damped(model)
+        model.dof_armature[0] += 0.03
+
+    found = identify(dataset(both, seed=4), LIBRARY, max_effects=2, options=QUICK)
+    assert {named.name for named in found.effects} == {"viscous_damping@joint:elbow", "armature@joint:shoulder"}
+
+
+def test_results_are_bit_identical():
+    made = dataset(damped, seed=5, fit=2, test=1)
+    benches = [Bench(made, LIBRARY[:1], QUICK) for _ in range(2)]
+    first, second = (bench.find() for bench in benches)
+    assert [(j.name, j.score) for j in first] == [(j.name, j.score) for j in second]
+
+
+def test_both_sides_of_the_split_are_needed():
+    with pytest.raises(InputError, match="split 'test'"):
+        identify(dataset(fit=2, test=0), LIBRARY, options=QUICK)
+
+
+def test_hypotheses_keep_their_numbers_in_order():
+    bench = Bench(dataset(damped, seed=1, fit=2, test=1), LIBRARY, QUICK)
+    first, second = bench.candidates[0], bench.candidates[-1]
+    believed = (Believed("elbow damping", ("joint:elbow/damping",), 0.0, 1.0),)
+    made = Hypothesis(believed, (0.2,)).with_effect(first, [0.3]).with_effect(second, [0.004])
+    np.testing.assert_allclose(made.values(True), [0.2, 0.3, 0.004])
+    again = made.replaced(np.array([0.1, 0.2, 0.3]), True)
+    np.testing.assert_allclose(again.values(False), [0.2, 0.3])
+    assert again.believed == (0.1,)
+    assert len(unknowns(made, True).low) == 3
+    assert made.name == f"{first.name} + {second.name}"
+    calibrated = dataclasses.replace(made, effects=made.effects[1:], calibration=made.effects[:1])
+    np.testing.assert_allclose(calibrated.values(True), [0.2, 0.004])
+    assert (calibrated.numbers, calibrated.name) == (1, second.name)
+    for other in (calibrated, calibrated.replaced(calibrated.values(True), True)):
+        assert other.calibration == made.effects[:1]
+        np.testing.assert_array_equal(*(bench.fit.windows.states([h])[0] for h in (made, other)))
+    judged = bench.find()
+    assert equivalent(judged)[0] == judged[0].name
+    (error,) = calibration_of([judged[0], dataclasses.replace(judged[0], hypothesis=calibrated)])
+    assert (f"{error.effect}@{error.location}", list(error.parameters.values())) == (first.name, [0.3])
+    assert calibration_of(judged[:1]) == calibration_of([]) == ()
+
+
+def test_uneven_samples_without_velocities():
+    believed = dataset(fit=1, test=1).model
+    recordings = tuple(
+        recording(f"u{i}", damped, 50 + i, "fit" if i < 3 else "test", believed=believed, uneven=True, duration=0.7)
+        for i in range(5)
+    )
+    blind = tuple(
+        dataclasses.replace(r, qvel=np.full_like(r.qvel, np.nan), qvel_measured=np.zeros(2, bool)) for r in recordings
+    )
+    made = dataclasses.replace(dataset(fit=1, test=1), recordings=blind)
+    found = identify(made, LIBRARY[:2], max_effects=1, options=QUICK)
+    assert found.verdict == "effect"
+    assert found.effects[0].location == "joint:elbow"

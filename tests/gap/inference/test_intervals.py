@@ -1,0 +1,119 @@
+"""Numbers of what was named, from all recordings, against plain least squares and against the truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gap_arm import dataset
+from hypothesis import given
+from hypothesis import strategies as st
+
+from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.effects.effect import Parameter
+from btr_mjx.gap.inference import Bench, Options
+from btr_mjx.gap.inference.search.polish import Polisher
+from btr_mjx.gap.inference.search.search_records import Judged
+from btr_mjx.gap.inference.search.walks import scaled
+from btr_mjx.gap.inference.verdict.intervals import _sized, intervals, lowest
+from btr_mjx.gap.windows import weight
+
+LIBRARY = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "armature"))
+QUICK = Options(steps=4e4, leaders=2, contact_leaders=0)
+
+
+def damped(model):
+    model.dof_damping[1] += 0.1
+
+
+def found(bench: Bench) -> Judged:
+    return next(j for j in Polisher(bench)(bench.find()) if j.name == "viscous_damping@joint:elbow")
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    return Bench(dataset(damped, seed=4, fit=2, test=2), LIBRARY, QUICK)
+
+
+def least_squares(bench: Bench, judged: Judged) -> float:
+    """Where a fit of all windows on both sides ends, one row after another; what is fitted along is shared."""
+    step, hypothesis = 1e-3, judged.hypothesis
+    rows, target = [], []
+    for i, (side, residual) in enumerate(zip(judged.sides, (judged.refined.residual, judged.residual), strict=True)):
+        more = hypothesis.replaced(hypothesis.values(False) + step, False)
+        column = judged.refined.columns[0] if i == 0 else (side.windows.residuals([more])[0] - residual) / step
+        nuisance = bench.nuisance(side, hypothesis)
+        root = np.sqrt(weight(judged.fits[i].chi2, bench.cut))
+        for w in range(len(residual)):
+            for r in range(residual.shape[1]):
+                rows.append(root[w] * np.array([column[w, r], *nuisance.columns[w, :, r]]))
+                target.append(-root[w] * residual[w, r])
+    for i, precision in enumerate(nuisance.precision):
+        rows.append(np.sqrt(precision) * (np.arange(len(nuisance.precision) + 1) == i + 1))
+        target.append(0.0)
+    return float(np.linalg.lstsq(np.array(rows), np.array(target), rcond=None)[0][0])
+
+
+def test_numbers_come_from_all_recordings(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("btr_mjx.gap.inference.verdict.intervals._STRONG", np.inf)
+    judged = found(bench)
+    before = judged.hypothesis.effects[0][1][0]
+    (after,) = intervals(bench, judged, np.random.default_rng(0))
+    step = least_squares(bench, judged)
+    assert abs(step) > 1e-5
+    assert after.value - before == pytest.approx(step, rel=0.08)
+    assert after.low < 0.1 < after.high
+    assert after.low < after.value < after.high
+    (kept,) = intervals(bench, judged, np.random.default_rng(0), settled=True)
+    assert kept.value == before
+    assert kept.high - kept.low == pytest.approx(after.high - after.low)
+
+
+def test_a_step_that_true_simulation_refuses_is_not_taken(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    judged = found(bench)
+    monkeypatch.setattr("btr_mjx.gap.inference.verdict.intervals._SHARES", (-1.0, -0.4))
+    monkeypatch.setattr("btr_mjx.gap.inference.verdict.intervals._STRONG", np.inf)
+    (same,) = intervals(bench, judged, np.random.default_rng(0))
+    assert same.value == judged.hypothesis.effects[0][1][0]
+
+
+@pytest.mark.parametrize("factor", [0.85, 1.2])
+def test_a_size_that_starting_states_hold_back_is_mended(bench: Bench, factor: float) -> None:
+    """From a size that is off, with starting states that suit it, to that which all recordings say most of."""
+    judged = found(bench)
+    off = scaled(judged.hypothesis, factor)
+    sides = tuple(side.recentred(off) for side in judged.sides)
+    there = replace(judged, hypothesis=off, sides=sides)
+    mended = _sized(bench, there, off).effects[0][1][0]
+    assert mended == pytest.approx(0.1, rel=0.07)
+    assert abs(mended - 0.1) < 0.5 * abs(off.effects[0][1][0] - 0.1)
+
+
+@given(bottom=st.floats(0.75, 1.3), steep=st.floats(0.1, 1e4), height=st.floats(-100, 100))
+def test_a_parabola_is_found_from_three_points(bottom: float, steep: float, height: float) -> None:
+    at = (1.0, 0.8, 1.25)
+    assert lowest(at, [height + steep * (x - bottom) ** 2 for x in at]) == pytest.approx(bottom, abs=1e-5)
+    assert lowest(at, [-steep * (x - 1.0) ** 2 for x in at]) == 1.25
+    assert lowest(at, [height - steep * x + 1e-3 * x * x for x in at]) == pytest.approx(1.25 + 0.2 * 0.45)
+
+
+def test_what_does_not_show_stays_where_it_is() -> None:
+    """Its hundredth of a millionth of a spring would be driven to a bound otherwise, as rounding can be."""
+    damping = LIBRARY[0]
+    assert damping.name == "viscous_damping"
+
+    def parameters(model, scales, place):
+        return (*damping.parameters(model, scales, place), Parameter("side", "1", -0.3, 0.3, 0.05, shape=True))
+
+    def apply(world, place, values):
+        damping.apply(world, place, values[:1])
+        world.model.jnt_stiffness[0] = 1e-8 * values[1]
+
+    with_spring = replace(damping, parameters=parameters, apply=apply)
+    bench = Bench(dataset(damped, seed=4, fit=2, test=2), (with_spring,), QUICK)
+    judged = found(bench)
+    columns = judged.refined.columns
+    assert np.linalg.norm(columns[0]) > 1.0
+    assert not columns[1].any()
+    size, side = intervals(bench, judged, np.random.default_rng(0))
+    assert size.value == pytest.approx(0.1, rel=0.1)
+    assert (side.low, side.value, side.high) == (-0.3, 0.0, 0.3)

@@ -1,0 +1,229 @@
+"""What a name may leave, and what is missing, or not ruled out, though nothing may be named."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from btr_mjx.gap.effects import Place
+from btr_mjx.gap.effects.effect import Parameter
+from btr_mjx.gap.inference.scoring.bodies import AtBody
+from btr_mjx.gap.inference.scoring.leftover import Leftover, Told
+from btr_mjx.gap.inference.verdict.check import Check
+from btr_mjx.gap.inference.verdict.identify import dwarfed, missing, strange, undecided
+
+
+@pytest.fixture(autouse=True)
+def comparable(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is left is not small beside what was explained."""
+    monkeypatch.setattr("btr_mjx.gap.inference.verdict.identify.dwarfed", lambda *_: False)
+
+
+def left_by(gains, dispersion=1.0, told=None, body=None):
+    """A check in which hypotheses leave given gains at one joint, of which 45 may be chance, and this at a body."""
+    left = {gain: Leftover(*np.zeros((3, 1)), left, None) for gain, left in gains.items()}
+    bench = SimpleNamespace(dispersion=dispersion, delicate=frozenset())
+    chance = SimpleNamespace(excess_at_body=4.0, usual_at_body=0.5, excess=5.5, usual=-np.inf)
+    return SimpleNamespace(
+        bench=bench,
+        gain=45.0,
+        spread=lambda _: True,
+        beyond=lambda there: Check.beyond(chance, there),  # type: ignore[arg-type]
+        left=lambda judged: left[judged.gain],
+        at_body=lambda _: body or AtBody(),
+        thrown=lambda there: Check.thrown(chance, there),  # type: ignore[arg-type]
+        told=lambda _: told,
+        follows=lambda judged: Told(0, 1.0, left[judged.gain].gain) if left[judged.gain].gain > 45.0 else None,
+    )
+
+
+def gained(gain):
+    return SimpleNamespace(gain=gain, held_out=0.5 * gain, hypothesis=SimpleNamespace(effects=()))
+
+
+@pytest.mark.parametrize(
+    ("left", "expected"),
+    [
+        ({1000.0: 40.0}, False),  # chance
+        ({1000.0: 100.0}, True),
+        ({5000.0: 100.0}, False),  # little beside what the name explains
+        ({1000.0: 300.0, 1200.0: 40.0}, True),  # a second name explains less than a force of another shape
+        ({1000.0: 300.0, 1500.0: 40.0}, False),  # two effects
+    ],
+)
+def test_what_a_name_may_leave(left, expected):
+    named = [gained(gain) for gain in left]
+    assert missing(left_by(left), named, 0.9, 0.0) is expected
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "expected"),
+    [
+        ([9e5, 7e5], [900.0, 1200.0], True),
+        ([9e5, 7e5], [9000.0, 9000.0], False),  # more than half a percent
+        ([9e5, 1500.0], [900.0, 300.0], False),  # one side was not far away
+    ],
+)
+def test_beside_a_name_that_explains_nearly_all_the_rest_is_small(before, after, expected):
+    side = SimpleNamespace(windows=SimpleNamespace(freedom=100.0))
+    fits = [[SimpleNamespace(chi2=np.full(5, chi2)) for chi2 in sides] for sides in (before, after)]
+    bench = SimpleNamespace(reference=fits[0], fit=side, test=side)
+    assert dwarfed(bench, SimpleNamespace(fits=fits[1])) is expected
+
+
+def test_a_name_must_explain_most_of_a_lack_of_fit():
+    named = [gained(1000.0)]
+    little = left_by({1000.0: 0.0})
+    assert missing(little, named, 0.3, 3.5)
+    assert not missing(little, named, 0.3, 1.0)  # chance
+    assert not missing(little, named, 0.8, 3.5)
+    little.spread = lambda _: False  # in a few windows
+    assert not missing(little, named, 0.3, 3.5)
+
+
+@pytest.mark.parametrize(
+    ("excess", "chi2", "usual", "rough", "expected"),
+    [
+        (5.4, 500.0, 2.0, False, False),
+        (5.6, 59.0, 2.0, False, False),
+        (5.6, 61.0, 2.0, False, True),
+        (5.6, 61.0, 0.0, False, True),
+        (5.6, 61.0, 0.9, True, False),  # touchdowns at another time throw a few windows
+        (5.6, 61.0, 1.1, True, True),
+    ],
+)
+def test_what_a_name_may_leave_at_a_joint(excess, chi2, usual, rough, expected):
+    left = Leftover(np.array([excess, 0.0]), np.array([chi2, 900.0]), np.array([usual, 9.0]), 0.0, None)
+    check, named = left_by({}), gained(1000.0)
+    chance = SimpleNamespace(excess=5.5, usual=1.0 if rough else -np.inf)
+    check.left, check.follows = (lambda _: left), (lambda _: None)
+    check.beyond = lambda there: Check.beyond(chance, there)  # type: ignore[arg-type]
+    assert missing(check, [named], 0.9, 0.0) is expected
+
+
+def test_a_name_is_none_where_held_out_recordings_know_of_something_else():
+    named = [gained(1000.0)]
+    assert missing(left_by({1000.0: 0.0}, told="position cubed"), named, 0.9, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("excess", "chi2", "usual", "expected"),
+    [
+        (3.9, 500.0, 0.6, False),
+        (4.1, 500.0, 0.6, True),
+        (4.1, 89.0, 0.6, False),
+        (4.1, 91.0, 0.6, True),
+        (40.0, 5000.0, 0.4, False),  # much in a few windows: feet that come down at another time
+    ],
+)
+def test_what_a_name_may_leave_at_a_body_that_floats(excess, chi2, usual, expected):
+    check = left_by({1000.0: 0.0}, body=AtBody(1, excess, chi2, usual))
+    assert missing(check, [gained(1000.0)], 0.9, 0.0) is expected
+
+
+def unnamed(score, offset):
+    """A candidate that may not be named: a spring so far from none."""
+    number = Parameter("stiffness", "N m/rad", -1.0, 1.0, 0.01)
+    effect = SimpleNamespace(name="joint_stiffness")
+    candidate = SimpleNamespace(
+        name="joint_stiffness@elbow", effect=effect, parameters=(number,), null=np.zeros(1), place=Place("joint:elbow")
+    )
+    judged = SimpleNamespace(score=score, hypothesis=SimpleNamespace(effects=((candidate, (offset,)),)))
+    judged.widest = judged
+    return judged
+
+
+@pytest.mark.parametrize(
+    ("score", "size", "beside", "expected"),
+    [
+        (None, 0.0, None, False),  # nothing at all
+        (40.0, 0.5, None, False),  # weak, not strange
+        (40.0, 0.5, 10.0, False),
+        (40.0, 0.5, 30.0, True),  # its twin explains more
+        (80.0, 0.5, None, True),  # too much for chance
+        (80.0, 0.02, None, False),  # calibration
+    ],
+)
+def test_what_may_not_be_named_may_still_be_missing(score, size, beside, expected):
+    check = left_by({})
+    check.surprise = lambda _: 0.0
+    check.left = lambda _: Leftover(*np.zeros((3, 1)), 0.0, None)
+    check.follows = lambda _: None
+    check.bench.dataset = SimpleNamespace(tolerances={"joint_stiffness": 0.01})
+    best = None if score is None else unnamed(score, size)
+    rival = None if beside is None else SimpleNamespace(score=score + beside)
+    assert strange(check, best, rival) is expected
+    if not expected:
+        check.told = lambda _: "position cubed"
+        assert strange(check, best, rival)
+        check.told, check.follows = (lambda _: None), (lambda _: Told(0, 1.0, 50.0))
+        assert strange(check, best, rival)
+
+
+@pytest.mark.parametrize(
+    ("rough", "held_out", "expected"),
+    [
+        (False, [10.0, 9.0], 0),
+        (False, [-20.0, -9.0], 0),
+        (False, [-40.0, -9.0], 1),
+        (False, [-40.0, -30.0], None),
+        (True, [9.0, -9.0], 0),
+        (True, [7.0, 6.0], 1),
+        (True, [7.0, 4.0], None),
+    ],
+    ids=["known", "hardly known", "denied", "both denied", "likely", "the other one", "rough touchdowns"],
+)
+def test_what_held_out_recordings_speak_against_is_not_strange(rough, held_out, expected):
+    """Gains of 60 and 50 on the recordings to fit, of which 45 may be chance."""
+    told = (Told(0, 1.0, 60.0), Told(1, 1.0, 50.0), Told(2, 1.0, 40.0))
+    asked = list(zip(told, held_out, strict=False))
+    sides = [SimpleNamespace(windows=range(count)) for count in (50, 25)]  # 30 and 25 are to be expected held out
+    stub = SimpleNamespace(gain=45.0, rough=rough, sides=sides, _asked=lambda judged, least: asked)
+    found = Check.follows(stub, None)  # type: ignore[arg-type]
+    assert (found and found.index) == expected
+
+
+@pytest.mark.parametrize(("beside", "expected"), [(10.0, False), (30.0, True)])
+def test_a_name_is_none_where_its_twin_explains_more(beside, expected):
+    named = [SimpleNamespace(gain=1000.0, score=990.0, hypothesis=SimpleNamespace(effects=()))]
+    rival = SimpleNamespace(score=990.0 + beside)
+    assert missing(left_by({1000.0: 0.0}), named, 0.9, 0.0, rival) is expected
+
+
+def test_real_machines_leave_more():
+    named = [gained(1000.0)]
+    assert not missing(left_by({}, dispersion=50.0), named, 0.7, 30.0)
+    assert missing(left_by({}, dispersion=50.0), named, 0.3, 30.0)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "explained", "expected"),
+    [
+        ("effect", False, ("a", "b")),
+        ("none", True, ("a", "b")),
+        ("none", False, ("a", "b", "d")),
+        ("unexplained", True, ()),
+    ],
+)
+def test_what_may_not_be_named_need_not_be_ruled_out(monkeypatch, verdict, explained, expected):
+    def one(name, score, explained=False):
+        hypothesis = SimpleNamespace(effects=[(SimpleNamespace(name=name), (1.0,))])
+        return SimpleNamespace(hypothesis=hypothesis, score=score, explained=explained)
+
+    def small(bench, judged):
+        return judged.hypothesis.effects[0][0].name == "c"
+
+    monkeypatch.setattr("btr_mjx.gap.inference.verdict.identify.within_calibration", small)
+    first = [one("a", 100.0, explained), one("b", 90.0), one("c", 20.0), one("d", 16.0), one("e", 14.0)]
+    assert undecided(SimpleNamespace(delicate=()), first, verdict) == expected
+    assert undecided(SimpleNamespace(delicate=()), [], verdict) == ()
+
+
+@pytest.mark.parametrize(("held_out", "expected"), [(400.0, 0), (31.0, 0), (29.0, None)])
+def test_held_out_recordings_of_rough_touchdowns_need_not_know_of_all_that_is_strange(held_out, expected):
+    """What is outside the library gained 9730 on the recordings to fit and 409 held out."""
+    sides = [SimpleNamespace(windows=range(50))] * 2
+    asked = [(Told(0, 1.0, 9730.0), held_out)]
+    stub = SimpleNamespace(gain=45.0, rough=True, sides=sides, _asked=lambda judged, least: asked)
+    found = Check.follows(stub, None)  # type: ignore[arg-type]
+    assert (found and found.index) == expected

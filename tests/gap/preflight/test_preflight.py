@@ -1,0 +1,160 @@
+"""Preflight: what is wrong with data is said before any fit, and sound data raise no alarm."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.data import Believed, Dataset, Recording
+from btr_mjx.gap.preflight import Finding, preflight, refuse_errors
+from btr_mjx.testing import case_robot
+
+ROBOT = case_robot("arm")
+
+
+def simulated(seed: int, still: bool = False) -> Recording:
+    """The arm as believed, with noise, at 250 Hz."""
+    rng, model = np.random.default_rng(seed), ROBOT.model
+    data, motion = mujoco.MjData(model), ROBOT.draw_motion(rng)
+    time = np.arange(0, 1.5, 0.004)
+    ctrl = np.zeros((len(time), model.nu)) if still else motion(time)
+    qpos, qvel = np.empty((2, len(time), model.nv))
+    if still:
+        data.qpos[:] = 0.1
+    for k in range(len(time)):
+        qpos[k], qvel[k] = data.qpos, data.qvel
+        data.ctrl[:] = ctrl[k]
+        if not still:
+            mujoco.mj_step(model, data, 4)
+    sigma = ROBOT.sigma(model)
+    qpos += sigma[0] * rng.normal(size=qpos.shape)
+    qvel += sigma[1] * rng.normal(size=qvel.shape)
+    split = "test" if seed == 2 else "fit"
+    return Recording(f"r{seed}", time, ctrl, qpos, qvel, np.ones(model.nv, bool), split, model)
+
+
+SOUND = Dataset(Path("arm"), ROBOT.model, Path("arm.xml"), ROBOT.xml, (), tuple(simulated(i) for i in range(3)))
+
+
+def changed(change: Callable[[Recording], Recording]) -> Dataset:
+    return dataclasses.replace(SOUND, recordings=tuple(change(r) for r in SOUND.recordings))
+
+
+def scaled(name: str, joint: int, factor: float) -> Callable[[Recording], Recording]:
+    def change(recording: Recording) -> Recording:
+        values = getattr(recording, name).copy()
+        values[:, joint] *= factor
+        return dataclasses.replace(recording, **{name: values})
+
+    return change
+
+
+def of_level(findings: list[Finding], level: str) -> list[str]:
+    return [finding.message for finding in findings if finding.level == level]
+
+
+def test_sound_data_raise_no_alarm() -> None:
+    findings = preflight(SOUND)
+    assert not of_level(findings, "error") + of_level(findings, "warning")
+    refuse_errors(findings)
+    assert any("250.0 samples per second" in message for message in of_level(findings, "note"))
+    assert any("cannot show ground_friction" in message for message in of_level(findings, "note"))
+    assert not any("actuator_delay" in message for message in of_level(findings, "note"))
+
+
+DEGREES = 180 / np.pi
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (scaled("qpos", 2, DEGREES), r"'qpos/elbow' looks like degrees"),
+        (scaled("qvel", 2, DEGREES), r"'qvel/elbow' looks like degrees"),
+        (scaled("ctrl", 2, DEGREES), r"joint 'elbow' has a command.*degrees"),
+        (lambda r: scaled("qvel", 2, DEGREES)(scaled("qpos", 2, DEGREES)(r)), r"joint 'elbow' reaches .*degrees"),
+        (lambda r: dataclasses.replace(r, time=1000 * r.time), r"4 s apart, which looks like milliseconds"),
+    ],
+)
+def test_units(change: Callable[[Recording], Recording], message: str) -> None:
+    findings = preflight(changed(change))
+    with pytest.raises(InputError, match=message):
+        refuse_errors(findings)
+
+
+def test_degrees_against_a_limit() -> None:
+    model = ROBOT.model
+    model.jnt_limited[:], model.jnt_range[:] = 1, (-1.5, 1.5)
+    data = dataclasses.replace(
+        changed(lambda r: scaled("qvel", 1, DEGREES)(scaled("qpos", 1, DEGREES)(r))), model=model
+    )
+    assert any("its limit in the model is 1.5 rad" in message for message in of_level(preflight(data), "error"))
+
+
+def test_no_excitation() -> None:
+    data = dataclasses.replace(SOUND, recordings=tuple(simulated(i, still=True) for i in range(3)))
+    with pytest.raises(InputError, match="no excitation"):
+        refuse_errors(preflight(data))
+
+
+def test_gaps_and_dead_channels() -> None:
+    def change(recording: Recording) -> Recording:
+        time, ctrl, qpos = recording.time.copy(), recording.ctrl.copy(), recording.qpos.copy()
+        time[100:] += 0.1
+        ctrl[:, 0], qpos[:, 4] = 0.3, 0.0
+        qpos[:, 1] = np.minimum(qpos[:, 1], np.percentile(qpos[:, 1], 70))
+        return dataclasses.replace(recording, time=time, ctrl=ctrl, qpos=qpos)
+
+    warnings = " | ".join(of_level(preflight(changed(change)), "warning"))
+    assert "1 gaps of more than three intervals" in warnings
+    assert "commands that never change: yaw" in warnings
+    assert "position never changes; is the sensor connected?: roll" in warnings
+    assert "qpos/shoulder stays at its extreme for" in warnings
+
+
+def test_clocks() -> None:
+    """Commands logged 60 ms too late come after the response; a flipped velocity does not fit its position."""
+
+    def change(recording: Recording) -> Recording:
+        late = np.stack([np.interp(recording.time - 0.12, recording.time, c) for c in recording.ctrl.T], 1)
+        qvel = recording.qvel * [1, 1, -1, 1, 1]
+        return dataclasses.replace(recording, ctrl=late, qvel=qvel)
+
+    warnings = " | ".join(of_level(preflight(changed(change)), "warning"))
+    assert "positions come before their commands" in warnings
+    assert "qvel/elbow does not follow the slope" in warnings
+
+
+def test_parameters_at_their_bounds() -> None:
+    data = dataclasses.replace(SOUND, parameters=(Believed("elbow damping", ("joint:elbow/damping",), 0.3, 2.0),))
+    assert any("'elbow damping' starts at its bound" in message for message in of_level(preflight(data), "warning"))
+
+
+def test_one_frequency_hides_a_lag() -> None:
+    def change(recording: Recording) -> Recording:
+        sine = np.sin(20 * recording.time[:, None] + np.arange(5))
+        return dataclasses.replace(recording, ctrl=sine)
+
+    notes = " | ".join(of_level(preflight(changed(change)), "note"))
+    assert "cannot show actuator_lag: every command is one sine" in notes
+
+
+def restless(servo: int, share: float = 1.0) -> Dataset:
+    """A servo whose damping is far too stiff for an explicit step, in some of the recordings."""
+    model = mujoco.MjModel.from_xml_string(ROBOT.xml)
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    model.actuator_biasprm[servo, 2] = -1e4 * model.dof_M0[servo]
+    some = round(share * len(SOUND.recordings))
+    recordings = [dataclasses.replace(r, model=model) if i < some else r for i, r in enumerate(SOUND.recordings)]
+    return dataclasses.replace(SOUND, recordings=tuple(recordings))
+
+
+def test_a_model_that_blows_up_is_refused() -> None:
+    findings = preflight(restless(0))
+    with pytest.raises(InputError, match=r"arm.xml: the believed model is unstable at its time step of .* integrator"):
+        refuse_errors(findings)
+    assert any("unstable" in text for text in of_level(preflight(restless(0, 1 / 3)), "warning"))
+    assert not any("unstable" in finding.message for finding in preflight(SOUND))

@@ -1,0 +1,290 @@
+"""The page of a diagnosis, from files that a test can write by hand."""
+
+import html.parser
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from gap_models import QUADRUPED
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.report.figures import ranking_bars
+from btr_mjx.gap.report.page import draw, main
+from btr_mjx.gap.results import NOT_NAMED, number, verdict_sentence, with_ends
+from btr_mjx.gap.results.mend import Found, mend
+from btr_mjx.gap.results.wording import with_interval
+from btr_mjx.runs import read_arrays, write_arrays, write_json
+
+RESULT: dict[str, Any] = {
+    "verdict": "effect",
+    "dataset": "quadruped <left>",
+    "where": "joint knee0, when it moves fast under load",
+    "effects": [
+        {
+            "effect": "load_friction",
+            "location": "joint:knee0",
+            "parameters": {"coefficient": {"value": 0.312, "low": 0.283, "high": 0.343, "unit": "1"}},
+        }
+    ],
+    "ranking": [
+        {"effect": "load_friction", "location": "joint:knee0", "score": 812.0, "margin": 0.0},
+        {"effect": "load_friction", "location": "subtree:thigh0", "score": 800.0, "margin": 12.0, "equivalent": True},
+        {"effect": "dry_friction", "location": "joint:knee0", "score": 402.0, "margin": 410.0},
+        {"effect": "payload", "location": "body:torso", "score": -3.0, "margin": 815.0},
+    ],
+    "equivalent": [
+        {"effect": "load_friction", "location": "joint:knee0"},
+        {"effect": "load_friction", "location": "subtree:thigh0"},
+    ],
+    "gap": {"before": 0.054, "after": 0.027, "noise_floor": 0.02, "unit": "rad"},
+    "believed": [
+        {"name": "knee damping", "path": "joint:knee0/damping", "before": 0.2, "after": 0.21, "unit": "N m s/rad"}
+    ],
+    "confounds": [
+        {
+            "effect": "load_friction@joint:knee",
+            "other": "dry_friction@joint:knee",
+            "correlation": 0.93,
+            "text": "dry friction of the same joint explains half of it",
+        }
+    ],
+    "next_experiment": {"text": "Drive knee0 at twice the speed under the same load."},
+    "steps": 712000,
+    "seconds": 9.4,
+    "seed": 0,
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, rng: np.random.Generator) -> Path:
+    write_json(tmp_path / "result.json", RESULT)
+    rows = [f"joint {name}" for name in ("hip0", "knee0", "hip1", "knee1")]
+    columns = ["slow", "fast", "small load", "large load", "contact", "air"]
+    before = rng.uniform(0.9, 1.6, (4, 6))
+    before[1, [1, 3]] = [21.0, 34.0]
+    before[2, 4] = np.nan
+    write_arrays(
+        tmp_path / "disagreement.npz",
+        {"rows": np.array(rows), "columns": np.array(columns), "before": before, "after": np.minimum(before, 1.3)},
+    )
+    arrays: dict[str, Any] = {key: np.array([v, v]) for key, v in (("names", "knee0"), ("units", "rad"))}
+    arrays["recordings"] = np.array(["trot-07", "trot-08"])
+    for n, length in enumerate((0.08, 2.0)):
+        time = np.linspace(1, 1 + length, 400)
+        truth = 0.4 * np.sin(6 * time + n)
+        arrays |= {f"time_{n}": time, f"measured_{n}": truth + 0.003 * rng.normal(size=400)}
+        arrays |= {f"before_{n}": truth + 0.1 * np.sin(5 * time), f"after_{n}": truth}
+    write_arrays(tmp_path / "overlays.npz", arrays)
+    mended = mend(QUADRUPED, [Found("load_friction", "joint:knee0", {"coefficient": 0.312})])
+    (tmp_path / "mended.xml").write_text(mended.xml)
+    write_json(tmp_path / "mended.json", mended.as_json())
+    write_json(tmp_path / "environment.json", {"mujoco": "3.17.0", "python": "3.12.1"})
+    return tmp_path
+
+
+class Page(html.parser.HTMLParser):
+    """Collects what a test asks about: text, images, addresses."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.words: list[str] = []
+        self.images: list[dict[str, str | None]] = []
+        self.addresses: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        if tag == "img":
+            self.images.append(given)
+        self.addresses += [v or "" for k, v in attrs if k in ("src", "href")]
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return re.sub(r"\s+", " ", " ".join(self.words))
+
+
+def test_the_page_says_it_all_and_needs_nothing_else(folder: Path) -> None:
+    page = Page(draw(folder).read_text(encoding="utf-8"))
+    assert "Simulation and data disagree most at joint knee0, when it moves fast under load." in page.text
+    assert (
+        "The missing effect is load-dependent gear friction at joint knee0 (0.312 ± 0.030 of the motor torque)."
+        in page.text
+    )
+    assert "shrinks the held-out gap from 0.054 to 0.027 (noise floor 0.02; rad)." in page.text
+    assert "Runner-up: dry friction at joint knee0, far behind" in page.text
+    assert "quadruped <left>" in page.text  # escaped in the source
+    for heading in ("What is missing", "Where simulation", "Candidates", "Before and after", "Believed", "mistaken"):
+        assert heading in page.text
+    assert "Drive knee0 at twice the speed" in page.text
+    assert "712 000 simulated steps" in page.text
+    assert len(page.images) == 3
+    assert all(image["alt"] for image in page.images)
+    assert all(address.startswith("data:") for address in page.addresses)
+    assert sorted(p.name for p in (folder / "figures").iterdir()) == [
+        "disagreement.png",
+        "overlays.png",
+        "ranking.png",
+    ]
+
+
+def test_the_same_files_draw_the_same_page(folder: Path) -> None:
+    assert draw(folder).read_bytes() == draw(folder).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"verdict": "none", "effects": [], "equivalent": []}, "Nothing is missing"),
+        (
+            {"verdict": "unexplained", "effects": [], "unexplained": "joint knee0, a force that follows its angle"},
+            "follows",
+        ),
+        (
+            {"verdict": "unexplained", "effects": [], "unexplained": [{"text": "a"}, {"text": "b"}]},
+            "It looks like this: a; b.",
+        ),
+    ],
+)
+def test_other_verdicts(folder: Path, change: dict[str, Any], expected: str) -> None:
+    write_json(folder / "result.json", RESULT | change)
+    for name in ("disagreement.npz", "overlays.npz", "mended.xml", "environment.json"):
+        (folder / name).unlink()
+    shutil.rmtree(folder / "figures", ignore_errors=True)
+    assert expected in Page(draw(folder).read_text(encoding="utf-8")).text
+
+
+def test_a_model_that_was_not_mended_is_drawn_once(folder: Path) -> None:
+    assert "the two models differ most" in Page(draw(folder).read_text(encoding="utf-8")).text
+    arrays = dict(read_arrays(folder / "overlays.npz"))
+    write_arrays(folder / "overlays.npz", arrays | {f"after_{n}": arrays[f"before_{n}"] for n in range(2)})
+    write_json(folder / "result.json", RESULT | {"verdict": "unexplained", "unexplained": "a force"})
+    page = Page(draw(folder).read_text(encoding="utf-8"))
+    assert "the believed model is worst" in page.text
+
+
+def test_one_more_effect_has_candidates_of_its_own(folder: Path) -> None:
+    second = {"effect": "payload", "location": "body:torso", "parameters": {"mass": {"value": 2.0, "unit": "kg"}}}
+    row = {"effect": "payload", "location": "body:torso", "score": 900.0, "beside": ["load_friction@joint:knee0"]}
+    changed = {"effects": [*RESULT["effects"], second], "ranking": [*RESULT["ranking"], row]}
+    write_json(folder / "result.json", RESULT | changed)
+    page = Page(draw(folder).read_text(encoding="utf-8"))
+    assert "one more effect beside load-dependent gear friction at joint knee0" in page.text
+    assert len(page.images) == 4
+
+
+@pytest.mark.parametrize(("score", "said"), [(900.0, True), (700.0, False)])
+def test_whatever_scores_more_than_the_name_is_accounted_for(folder: Path, score: float, said: bool) -> None:
+    row = {"effect": "link_length", "location": "body:thigh0", "score": score, "margin": 812.0 - score}
+    ranking = [RESULT["ranking"][0], row, *RESULT["ranking"][1:]]
+    write_json(folder / "result.json", RESULT | {"ranking": ranking})
+    text = Page(draw(folder).read_text(encoding="utf-8")).text
+    assert ("What scores more than the name" in text) is said
+
+
+def test_two_effects_and_equivalent_ones_in_the_sentence() -> None:
+    second = {
+        "effect": "payload",
+        "location": "body:torso",
+        "parameters": {"mass": {"value": 2.0, "low": 1.0, "high": 4.0, "unit": "kg"}},
+    }
+    text = verdict_sentence(RESULT | {"effects": [*RESULT["effects"], second]})
+    assert "The missing effects are load-dependent" in text
+    assert "a payload at body torso (mass 2 [1, 4] kg)" in text
+    assert "cannot tell it apart from load-dependent gear friction at every joint from body thigh0 down: run" in text
+
+
+def test_what_is_not_named_and_not_ruled_out_is_said(folder: Path) -> None:
+    none = RESULT | {
+        "verdict": "none",
+        "effects": [],
+        "equivalent": [{"effect": "link_length", "location": "body:shin2"}],
+    }
+    text = verdict_sentence(none)
+    assert text.startswith("Nothing need be missing")
+    assert "Nor is another length of the link at body shin2 ruled out, but small errors of calibration explain" in text
+    write_json(folder / "result.json", none)
+    page = Page(draw(folder).read_text(encoding="utf-8")).text
+    assert f"Not ruled out, though {NOT_NAMED}:" in page
+    assert "These data cannot tell apart" not in page
+    assert f"Hatched: {NOT_NAMED}." in page
+
+
+def test_whole_recordings_come_first_in_the_sentence() -> None:
+    gap = {"before": 9.0, "after": 2.0, "noise_floor": 1.0, "open_loop_before": 0.054, "open_loop_after": 0.027}
+    text = verdict_sentence(RESULT | {"gap": gap})
+    assert (
+        "simulated from their first sample, from 0.054 to 0.027 rad, and the gap over short stretches from 9 to 2"
+        in text
+    )
+
+
+def test_a_motion_that_no_model_follows_for_long_is_not_called_closer() -> None:
+    gap = {"before": 203.0, "after": 0.99, "open_loop_before": 0.125, "open_loop_after": 0.147, "open_loop_unit": "rad"}
+    text = verdict_sentence(RESULT | {"gap": gap})
+    assert "shrinks the gap over short held-out stretches from 203 to 0.99, but not the position error" in text
+    assert "which is 0.125 rad without and 0.147 rad with it" in text
+    text = verdict_sentence(RESULT | {"gap": gap | {"open_loop_after": 0.01}})
+    assert "shrinks the position error over whole held-out recordings, simulated from their first sample, from" in text
+
+
+def test_numbers_for_readers() -> None:
+    assert [number(x) for x in (0.0, 1234.5, 0.31234, -2.0, 1e-7, None)] == [
+        "0",
+        "1234",
+        "0.312",
+        "−2",
+        "1.00·10^−7",
+        "–",
+    ]
+    assert with_interval({"value": 12.34, "low": 11.9, "high": 12.8, "unit": "N m"}) == "12.34 ± 0.45 N m"
+    assert with_interval({"value": 1.0, "unit": "kg"}) == "1 kg"
+    edge = {"value": 0.9, "low": 0.9, "high": 0.9, "unit": "1", "edge": True}
+    assert with_interval(edge) == "0.9 (the edge of what is tried; the true one may be beyond)"
+    assert with_ends({"value": 2.0031, "low": 1.9962, "high": 2.0098}) == {
+        "value": "2.0031",
+        "low": "1.9962",
+        "high": "2.0098",
+    }
+    assert with_ends({"value": -0.31, "low": -0.35, "high": 12.0}) == {
+        "value": "−0.310",
+        "low": "−0.350",
+        "high": "12.000",
+    }
+    assert with_ends({"value": 1.0, "low": None, "high": None}) == {"value": "1", "low": "–", "high": "–"}
+    assert with_ends({"value": 4e7, "low": 3.9e7, "high": 4.1e7})["high"] == "4.10·10^7"
+
+
+def test_a_folder_without_a_diagnosis(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"result\.json"):
+        draw(tmp_path)
+    with pytest.raises(SystemExit) as stopped:
+        main([str(tmp_path)])
+    assert stopped.value.code == 2
+
+
+def test_a_runner_up_is_compared_on_windows_that_both_were_judged_on() -> None:
+    """Fresh windows add to one of the scores only: 106 and 15, but gains of 63 and 47 on the same windows."""
+    best = {"effect": "load_friction", "location": "joint:knee0", "score": 106.0, "gain": -8.0, "held_out": 71.0}
+    other = {"effect": "payload", "location": "body:torso", "score": 15.0, "gain": 9.0, "held_out": 38.0}
+    for fresh, said in (
+        (23.0, "behind (75 % of the gain on the same windows)"),
+        (0.0, "far behind (14 % of the score)"),
+    ):
+        rows = [best | {"fresh": fresh}, other | {"fresh": 0.0}]
+        sentence = verdict_sentence(RESULT | {"ranking": rows})
+        assert "Runner-up: " in sentence
+        assert f" at body torso, {said}." in sentence
+
+
+def test_bars_say_who_is_ahead_of_the_name() -> None:
+    rows = [dict(row) for row in RESULT["ranking"]]
+    rows.insert(1, {"effect": "link_length", "location": "body:thigh0", "score": 900.0, "margin": -88.0})
+    figure = ranking_bars(rows, [("load_friction", "joint:knee0")])
+    notes = [text.get_text() for text in figure.axes[0].texts]
+    assert notes[:4] == ["812", "900  (+88)", "800  (−12)", "402  (−410)"]

@@ -1,0 +1,87 @@
+import mujoco
+import numpy as np
+import pytest
+from gap_models import QUADRUPED
+
+from btr_mjx.errors import InputError
+from btr_mjx.evaluation import evaluate
+from btr_mjx.gap.results.mend import Found, mend
+from btr_mjx.gap.results.mended_robot import mended_robot
+from btr_mjx.models import compile_models
+from btr_mjx.robots import Box
+
+
+def signal(controller, time, xp):
+    return controller[0:1] * xp.sin(10.0 * time + controller[1:2]) * np.ones((4, *([1] * (controller.ndim - 1))))
+
+
+CONTROLLERS = Box(["amplitude", "phase"], [0.1, 0.0], [0.4, 3.0])
+
+
+def entry(effect: str, location: str, **values: tuple[float, float]) -> dict:
+    parameters = {name: {"value": v, "low": v - d, "high": v + d, "unit": "1"} for name, (v, d) in values.items()}
+    return {"effect": effect, "location": location, "parameters": parameters}
+
+
+CASES = {
+    "damping": [entry("viscous_damping", "joint:knee0", damping=(0.6, 0.1))],
+    "two": [
+        entry("actuator_gain", "actuator:hip0", change=(-0.2, 0.05)),
+        entry("ground_slope", "world", x=(0.1, 0.03), y=(-0.05, 0.03)),
+    ],
+    "length": [entry("link_length", "body:shank0", change=(0.02, 0.004))],
+    "payload": [entry("payload", "body:head", mass=(0.5, 0.1))],
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_template_is_the_mended_model_at_every_point_of_its_box(case: str, rng: np.random.Generator) -> None:
+    robot = mended_robot(QUADRUPED, CASES[case], signal=signal, controller_box=CONTROLLERS, base_body="torso")
+    found = [Found.from_result(e) for e in CASES[case]]
+    for values in [robot.nominal_simulation, *robot.simulation_box.sample(rng, 3)]:
+        rest = list(values)
+        items = [Found(f.effect, f.location, {name: rest.pop(0) for name in f.values}) for f in found]
+        expected = mujoco.MjModel.from_xml_string(mend(QUADRUPED, items).xml)
+        ours = mujoco.MjModel.from_xml_string(robot.render(values))
+        for field in ("dof_damping", "body_mass", "body_pos", "body_ipos", "geom_pos", "geom_size", "actuator_gainprm"):
+            np.testing.assert_allclose(getattr(ours, field), getattr(expected, field), rtol=1e-4, atol=1e-6)
+        np.testing.assert_allclose(ours.opt.gravity, expected.opt.gravity, rtol=1e-4, atol=1e-6)
+        np.testing.assert_allclose(ours.dof_M0, expected.dof_M0, rtol=1e-4)
+
+
+def test_back_to_reality_goes_on_with_it(rng: np.random.Generator) -> None:
+    robot = mended_robot(
+        QUADRUPED, CASES["damping"], signal=signal, controller_box=CONTROLLERS, base_body="torso", duration=0.05
+    )
+    assert robot.simulation_box.names == ("viscous_damping_joint_knee0_damping",)
+    assert len(compile_models(robot, robot.simulation_box.sample(rng, 3))) == 3
+    result = evaluate(robot, robot.simulation_box.sample(rng, 2), CONTROLLERS.sample(rng, 2), engine="native")
+    assert np.isfinite(result.fitness).all()
+
+
+def test_calibration_is_no_dimension_but_part_of_every_simulation(rng: np.random.Generator) -> None:
+    error = {"effect": "link_length", "location": "body:shank1", "parameters": {"change": 0.005}}
+    both = [
+        mended_robot(QUADRUPED, CASES["damping"], signal=signal, controller_box=CONTROLLERS, calibration=calibration)
+        for calibration in ((), (error,))
+    ]
+    assert both[0].simulation_box.names == both[1].simulation_box.names
+    for values in both[0].simulation_box.sample(rng, 2):
+        plain, ours = (mujoco.MjModel.from_xml_string(robot.render(values)) for robot in both)
+        longer = mend(both[0].render(values), [Found("link_length", "body:shank1", {"change": 0.005})]).xml
+        expected = mujoco.MjModel.from_xml_string(longer)
+        for field in ("dof_damping", "body_mass", "body_pos", "geom_pos", "geom_size"):
+            np.testing.assert_allclose(getattr(ours, field), getattr(expected, field), rtol=1e-4, atol=1e-6)
+        assert np.abs(ours.geom_size - plain.geom_size).max() == pytest.approx(0.0025, rel=0.01)
+
+
+def test_what_cannot_be_a_simulation_is_refused() -> None:
+    with pytest.raises(InputError, match="load_friction@all"):
+        mended_robot(
+            QUADRUPED,
+            [entry("load_friction", "all", coefficient=(0.2, 0.1))],
+            signal=signal,
+            controller_box=CONTROLLERS,
+        )
+    with pytest.raises(InputError, match="parameters"):
+        mended_robot(QUADRUPED, [], signal=signal, controller_box=CONTROLLERS)

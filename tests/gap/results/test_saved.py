@@ -1,0 +1,191 @@
+"""Files of a diagnosis, read back."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import polars as pl
+import pytest
+from gap_models import QUADRUPED
+
+from btr_mjx.gap.data import Believed, Dataset
+from btr_mjx.gap.experiments import NextExperiment
+from btr_mjx.gap.report.page import draw
+from btr_mjx.gap.results import (
+    Calibrated,
+    Confound,
+    Diagnosis,
+    DisagreementMap,
+    Estimate,
+    Gap,
+    Named,
+    Overlay,
+    Refit,
+    Row,
+    as_result,
+)
+from btr_mjx.gap.results.saved import save, where
+from btr_mjx.runs import read_arrays, read_json
+
+REGIMES = ("all", "slow", "fast", "low load", "high load", "contact", "air", "early", "late")
+
+
+def disagreement() -> DisagreementMap:
+    value = np.full((2, len(REGIMES)), 1.02)
+    value[1] = [6.0, 1.5, 10.0, 1.1, 12.0, np.nan, 6.0, 6.1, 6.0]
+    return DisagreementMap(("body:torso", "joint:knee0"), REGIMES, value, np.ones((2, len(REGIMES)), int))
+
+
+def diagnosis() -> Diagnosis:
+    time = np.linspace(0.4, 0.48, 9)
+    friction = {"coefficient": Estimate(0.31, 0.28, 0.34, "1")}
+    return Diagnosis(
+        verdict="effect",
+        effects=(Named("load_friction", "joint:knee0", friction, 300.0, 90.0, ("dry_friction@joint:knee0",)),),
+        ranking=(
+            Row("load_friction", "joint:knee0", 300.0, 0.0, 220.0, 90.0, {"coefficient": 0.31}),
+            Row("dry_friction", "joint:knee0", 290.0, 10.0, 210.0, 85.0, {"torque": 1.3}),
+            Row("payload", "body:torso", 3.0, 297.0, 5.0, 1.0, {"mass": 0.2, "x": 0.0, "y": 0.0, "z": 0.0}),
+        ),
+        equivalent=("load_friction@joint:knee0", "dry_friction@joint:knee0"),
+        gap=Gap(4.0, 1.2, 1.0, 1.0, 2.0, 1.1, float("nan"), float("nan")),
+        disagreement=disagreement(),
+        unexplained=(),
+        believed=(Refit("knee damping", 0.2, 0.3, 0.21), Refit("hip gain", 1.0, 1.1, 1.05)),
+        confounds=(Confound("payload@body:a", "armature@joint:b", 0.96, "a careful word"),),
+        overlays=(Overlay("trot", "joint:knee0", time, time, time + 0.1, time + 0.01),),
+        share=0.9,
+        lack_of_fit=(9.0, 0.4),
+        threshold=15.0,
+        dispersion=1.03,
+        sigma=np.full(20, 0.001),
+        windows=(96, 48, 11, 0.02),
+        steps=700_000,
+        seconds=9.1,
+    )
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Dataset:
+    file = tmp_path / "robot.xml"
+    file.write_text(QUADRUPED)
+    parameters = (
+        Believed("knee damping", ("joint:knee0/damping",), 0.0, 2.0),
+        Believed("hip gain", ("actuator:hip0/kp", "actuator:hip0/kv"), 0.5, 2.0, relative=True),
+    )
+    return Dataset(tmp_path, mujoco.MjModel.from_xml_string(QUADRUPED), file, QUADRUPED, parameters, ())
+
+
+def test_what_is_saved_says_what_was_found(dataset: Dataset, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    save(diagnosis(), dataset, out, more={"seed": 3})
+    result = read_json(out / "result.json")
+    assert json.loads((out / "result.json").read_text()) == result
+    assert result["verdict"] == "effect"
+    assert result["effects"][0]["parameters"]["coefficient"] == {
+        "value": 0.31,
+        "low": 0.28,
+        "high": 0.34,
+        "unit": "1",
+        "null": 0.0,
+        "edge": False,
+    }
+    assert [row["equivalent"] for row in result["ranking"]] == [True, True, False]
+    assert result["equivalent"][1] == {"effect": "dry_friction", "location": "joint:knee0"}
+    assert result["gap"]["before"] == 4.0
+    assert result["seed"] == 3
+    assert result["where"] == "joint knee0, when it moves fast under high load"
+    assert "load-dependent gear friction at joint knee0 (0.310 ± 0.030 of the motor torque)" in result["sentence"]
+    assert pl.read_csv(out / "ranking.csv")["effect"].to_list() == ["load_friction", "dry_friction", "payload"]
+    assert pl.read_csv(out / "disagreement.csv")["fast"].to_list() == [1.02, 10.0]
+    assert read_arrays(out / "overlays.npz")["units"].tolist() == ["rad"]
+    page = draw(out).read_text(encoding="utf-8")
+    assert "mended.xml is the believed model" in page
+    assert "NaN" not in page
+
+
+@pytest.mark.parametrize(
+    ("joints", "unit"),
+    [("slide", "m"), ("hinge", "rad"), ("ball", "rad"), ("slide hinge", "rad and m"), ("free", "rad and m")],
+)
+def test_the_error_over_whole_recordings_has_the_unit_of_the_joints(tmp_path: Path, joints: str, unit: str) -> None:
+    body = "".join(f'<joint type="{kind}"/>' for kind in joints.split())
+    xml = f'<mujoco><worldbody><body>{body}<geom size="0.1"/></body></worldbody></mujoco>'
+    dataset = Dataset(tmp_path, mujoco.MjModel.from_xml_string(xml), None, xml, (), ())
+    assert as_result(diagnosis(), dataset)["gap"]["open_loop_unit"] == unit
+
+
+def test_the_mended_model_has_what_was_refitted(dataset: Dataset, tmp_path: Path) -> None:
+    save(diagnosis(), dataset, tmp_path / "run")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "run" / "mended.xml"))
+    assert model.dof_damping[model.joint("knee0").dofadr[0]] == pytest.approx(0.21)
+    assert model.actuator("hip0").gainprm[0] == pytest.approx(63.0)
+    assert model.actuator("hip0").biasprm[2] == pytest.approx(-1.575)
+    terms = read_json(tmp_path / "run" / "mended.json")["terms"]
+    assert [(t["effect"], t["parameters"]) for t in terms] == [("load_friction", {"coefficient": 0.31})]
+
+
+def test_the_mended_model_has_the_calibration_beside_which_something_was_found(
+    dataset: Dataset, tmp_path: Path
+) -> None:
+    errors = (
+        Calibrated("link_length", "body:shank0", {"change": 0.004}),
+        Calibrated("joint_offset", "joint:knee0", {"offset": 0.002}),
+    )
+    folders = tmp_path / "without", tmp_path / "with"
+    for folder, calibration in zip(folders, ((), errors), strict=True):
+        result = save(replace(diagnosis(), calibration=calibration), dataset, folder)
+        assert [row["location"] for row in result["calibration"]] == [error.location for error in calibration]
+    without, mended = (mujoco.MjModel.from_xml_path(str(folder / "mended.xml")) for folder in folders)
+    assert mended.geom("foot0").pos[2] - without.geom("foot0").pos[2] == pytest.approx(-0.004, rel=0.01)
+    address = mended.joint("knee0").qposadr[0]
+    assert mended.qpos0[address] - without.qpos0[address] == pytest.approx(0.002, rel=0.01)
+    assert mended.dof_damping[mended.joint("knee0").dofadr[0]] == pytest.approx(0.21)
+    pages = [draw(folder).read_text(encoding="utf-8") for folder in folders]
+    assert "small errors of calibration" not in pages[0]
+    assert "another length of the link at body shank0 (change 0.004)" in pages[1]
+
+
+def test_meshes_are_found_from_anywhere(dataset: Dataset, tmp_path: Path) -> None:
+    points = [(0, 0, 0), (0.1, 0, 0), (0, 0.1, 0), (0, 0, 0.1)]
+    lines = [f"v {x} {y} {z}" for x, y, z in points] + ["f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4"]
+    (tmp_path / "shapes").mkdir()
+    (tmp_path / "shapes" / "wedge.obj").write_text("\n".join(lines))
+    text = QUADRUPED.replace(
+        "<mujoco>", '<mujoco><compiler meshdir="shapes"/><asset><mesh file="wedge.obj"/></asset>', 1
+    )
+    text = text.replace('<geom type="sphere" size="0.05"/>', '<geom type="mesh" mesh="wedge" density="300"/>')
+    dataset.model_file.write_text(text)
+    dataset = replace(dataset, model=mujoco.MjModel.from_xml_path(str(dataset.model_file)), spec_xml=text)
+    save(diagnosis(), dataset, tmp_path / "elsewhere" / "run")
+    assert mujoco.MjModel.from_xml_path(str(tmp_path / "elsewhere" / "run" / "mended.xml")).nmesh == 1
+
+
+@pytest.mark.parametrize("verdict", ["none", "unexplained"])
+def test_without_a_name(dataset: Dataset, tmp_path: Path, verdict: str) -> None:
+    nothing = replace(
+        diagnosis(), verdict=verdict, effects=(), equivalent=(), unexplained=("joint:knee0: all of it",), overlays=()
+    )
+    time = np.linspace(0, 1, 30)
+    values = np.sin(np.outer(time, [3, 4, 5, 6]))
+    names = ("load_friction@joint:knee0", "nothing missing")
+    proposal = NextExperiment(time, values, names, 40.0, (3.0, 40.0, 5.0), 1, "it tells them apart")
+    result = save(nothing, dataset, tmp_path / "run", next_experiment=proposal)
+    assert not (tmp_path / "run" / "mended.xml").exists()
+    page = draw(tmp_path / "run").read_text(encoding="utf-8")
+    assert ("Nothing is missing" in page) == (verdict == "none")
+    assert "Send the command in next_command.csv: it tells them apart." in page
+    assert "It decides between load-dependent gear friction at joint knee0 and nothing missing." in page
+    assert result["next_experiment"]["others"] == {"median": 4.0, "count": 2}
+    saved = pl.read_csv(tmp_path / "run" / "next_command.csv")
+    assert saved.columns == ["time", *(f"ctrl/{name}" for name in ("hip0", "knee0", "hip1", "knee1"))]
+    assert (tmp_path / "run" / "figures" / "next-command.png").is_file()
+
+
+def test_where_says_nothing_about_noise() -> None:
+    quiet = disagreement()
+    quiet.value[1] = 1.1
+    assert where(quiet) == ""
+    assert where(DisagreementMap((), REGIMES, np.zeros((0, len(REGIMES))), np.zeros((0, len(REGIMES)), int))) == ""

@@ -1,0 +1,75 @@
+"""Commands as functions of time, against sums and a solver of differential equations."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from gap_models import command
+from scipy.integrate import solve_ivp
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.simulate import Command
+
+
+def lag_by_integration(sent: Command, constants: Sequence[float], times: np.ndarray) -> np.ndarray:
+    """T dy/dt = u - y solved numerically, one constant after the other, for every control."""
+    y0 = np.concatenate([sent.at(sent.times[0])] * len(constants))
+
+    def slope(t: float, y: np.ndarray) -> np.ndarray:
+        stages = y.reshape(len(constants), -1)
+        inputs = np.concatenate([sent.at(t)[None], stages[:-1]])
+        return ((inputs - stages) / np.array(constants)[:, None]).ravel()
+
+    out = solve_ivp(slope, (sent.times[0], times[-1]), y0, t_eval=times, max_step=2e-3, rtol=1e-8, atol=1e-10)
+    return out.y.T.reshape(len(times), len(constants), -1)[:, -1]
+
+
+@pytest.mark.parametrize(
+    ("interpolation", "constants"),
+    [("hold", (0.01,)), ("linear", (0.02, 0.02)), ("cubic", (0.01, 0.03)), ("cubic", (0.02, 0.02))],
+)
+def test_lags_are_exact(interpolation: str, constants: tuple[float, ...]) -> None:
+    sent = command(3, interpolation)
+    times = np.linspace(sent.times[0], sent.times[-1] + 0.1, 50)
+    lagged = sent
+    for constant in constants:
+        lagged = lagged.filtered(constant)
+    tolerance = 2e-2 if interpolation == "hold" else 1e-4  # the solver steps over the jumps
+    np.testing.assert_allclose(lagged.at(times), lag_by_integration(sent, constants, times), atol=tolerance)
+    np.testing.assert_allclose(lagged.shifted(0.02).at(times + 0.02), lagged.at(times), atol=1e-9)
+
+
+@pytest.mark.parametrize("lags", [(), ([0.004, 0.0],), ([0.004, 0.0], [0.003, 0.02])])
+@pytest.mark.parametrize("delay", [0.0, 0.0033])
+def test_a_step_is_given_the_mean_of_a_held_command(lags: Sequence[list[float]], delay: float) -> None:
+    sent, length, parts = command(5, "hold"), 0.0017, 2000
+    for constants in lags:
+        sent = sent.filtered(constants)
+    sent = sent.shifted([delay, 0.0]).plus([1.0, 2.0])
+    starts = np.linspace(sent.times[0] - 0.02, sent.times[-1] + 0.02, 37)
+    fine = np.stack([sent.at(starts + (k + 0.5) * length / parts) for k in range(parts)]).mean(0)
+    np.testing.assert_allclose(sent.over(starts, length), fine, atol=2 * np.ptp(sent.values) / parts)
+    smooth = command(5, "cubic").shifted(delay)
+    np.testing.assert_array_equal(smooth.over(starts, length), smooth.at(starts + 0.5 * length))
+
+
+def test_commands_between_and_beyond_their_samples() -> None:
+    sent = command(4, "hold")
+    np.testing.assert_array_equal(sent.at(sent.times + 1e-9), sent.values)
+    for interpolation in ("hold", "linear", "cubic"):
+        sent = command(4, interpolation)
+        np.testing.assert_allclose(sent.at(sent.times), sent.values, atol=1e-12)
+        np.testing.assert_array_equal(sent.at([-1.0, 9.0]), sent.values[[0, -1]])
+        late = sent.shifted([0.0, 0.005])
+        np.testing.assert_allclose(late.at(sent.times + 0.005 + 1e-12)[:, 1], sent.values[:, 1], atol=1e-8)
+        np.testing.assert_allclose(late.at(sent.times)[:, 0], sent.values[:, 0], atol=1e-12)
+        only = sent.filtered([0.0, 0.01])
+        np.testing.assert_allclose(only.at(sent.times)[:, 0], sent.values[:, 0], atol=1e-12)
+        np.testing.assert_allclose(sent.plus([1.0, 0.0]).at(0.1), sent.at(0.1) + np.array([1.0, 0.0]))
+    linear = command(4, "linear")
+    middle = 0.5 * (linear.times[1:] + linear.times[:-1])
+    np.testing.assert_allclose(linear.at(middle), 0.5 * (linear.values[1:] + linear.values[:-1]), atol=1e-12)
+    with pytest.raises(InputError, match="interpolation"):
+        Command(np.zeros(1), np.zeros((1, 1)), "steps")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="lag"):
+        linear.filtered(-0.1)

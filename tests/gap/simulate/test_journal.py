@@ -1,0 +1,192 @@
+"""The journal: answers go back to the same questions only; a search that was killed ends as one that was not."""
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gap_arm import arm, command, dataset
+from test_gap_identify import LIBRARY, QUICK, damped
+
+from btr_mjx.errors import Interrupted
+from btr_mjx.gap.effects import EFFECTS, Scales, candidates
+from btr_mjx.gap.inference import identify
+from btr_mjx.gap.results import as_result
+from btr_mjx.gap.simulate import Counter, Journal, Stretch, World, abreast, simulate
+
+
+def stretch(seed: int = 0) -> Stretch:
+    rng = np.random.default_rng(seed)
+    sent = command(rng)
+    start = rng.normal(size=(3, 2))
+    return Stretch(np.zeros(3), start, np.zeros((3, 2)), np.array([0.0, 0.02, 0.05]), (sent,), np.zeros(3, int))
+
+
+def test_what_was_simulated_is_not_simulated_again(tmp_path: Path) -> None:
+    jobs = [(World.of(arm()), stretch())]
+    first = Journal(tmp_path)
+    states = simulate(jobs, counter=first)
+    simulate(jobs, timestep=1e-3, counter=first)
+    plain = Counter()
+    np.testing.assert_array_equal(simulate(jobs, counter=plain)[0], states[0])
+    assert first.steps == 3 * plain.steps  # 2 ms steps, then twice as many
+
+    marked = sorted(tmp_path.glob("*.npz"))
+    assert len(marked) == 2
+    before = marked[0].stat().st_mtime_ns
+    again = Journal(tmp_path)
+    np.testing.assert_array_equal(simulate(jobs, counter=again)[0], states[0])
+    assert again.steps == plain.steps
+    assert marked[0].stat().st_mtime_ns == before
+    again.close()
+    assert not tmp_path.exists()
+
+
+def other_model() -> list:
+    model = arm()
+    model.dof_damping[0] += 1e-9
+    return [(World.of(model), stretch())]
+
+
+def other_command() -> list:
+    delay = {c.name: c for c in candidates(arm(), Scales.of(arm()), EFFECTS)}["actuator_delay@all"]
+    return [(delay.apply(World.of(arm()), [1e-3]), stretch())]
+
+
+def rubbing(coefficient: float) -> list:
+    friction = {c.name: c for c in candidates(arm(), Scales.of(arm()), EFFECTS)}["load_friction@joint:elbow"]
+    return [(friction.apply(World.of(arm()), [coefficient]), stretch())]
+
+
+def pushed(law) -> list:
+    world = World.of(arm())
+    world.laws.append(law)
+    return [(world, stretch())]
+
+
+class Push:
+    fields = ()
+
+    def __init__(self, size: float, how: str = "object") -> None:
+        self.size, self.how = np.array([size, 0.0]), how
+
+    def __call__(self, rows) -> None:
+        rows.qfrc_applied[:] += self.size
+
+
+def closed_over(size: float):
+    push = Push(size)
+
+    def law(rows) -> None:
+        push(rows)
+
+    vars(law)["fields"] = ()
+    return law
+
+
+class Slotted:
+    __slots__ = ("size",)
+    fields = ()
+
+    def __init__(self, size: float) -> None:
+        self.size = size
+
+    def __call__(self, rows) -> None:
+        rows.qfrc_applied[:] += self.size
+
+
+@pytest.mark.parametrize(
+    ("law", "known"),
+    [
+        (rubbing, True),
+        (lambda size: pushed(Push(size)), True),
+        (lambda size: pushed(closed_over(size)), True),
+        (lambda size: pushed(Slotted(size)), False),
+    ],
+    ids=["friction", "object", "closure", "whatever"],
+)
+def test_a_law_of_another_size_is_another_question(tmp_path: Path, law, known: bool) -> None:
+    """Or else every number of a friction that grows with the load would have the motion of the first one tried."""
+    first = simulate(law(0.2), counter=Journal(tmp_path))[0]
+    again = Journal(tmp_path)
+    other = simulate(law(0.3), counter=again)[0]
+    np.testing.assert_array_equal(other, simulate(law(0.3))[0])
+    assert np.abs(other - first).max() > 1e-6
+    assert (again.recall(law(0.2), None) is not None) is known
+    np.testing.assert_array_equal(simulate(law(0.2), counter=again)[0], first)
+
+
+def test_answers_of_other_code_are_not_given(tmp_path: Path) -> None:
+    """An effect of one's own that was edited between a kill and a resume must not be answered by its former self."""
+    jobs = [(World.of(arm()), stretch())]
+    simulate(jobs, counter=Journal(tmp_path, code=b"before"))
+    assert Journal(tmp_path, code=b"before").recall(jobs, None) is not None
+    assert Journal(tmp_path, code=b"after").recall(jobs, None) is None
+    assert not list(tmp_path.glob("*.npz"))
+
+
+@pytest.mark.parametrize(
+    "jobs", [other_model, other_command, lambda: [(World.of(arm()), stretch(1))]], ids=["model", "command", "start"]
+)
+def test_another_question_is_not_given_the_answer(tmp_path: Path, jobs) -> None:
+    same = [(World.of(arm()), stretch())]
+    simulate(same, counter=Journal(tmp_path))
+    again = Journal(tmp_path)
+    np.testing.assert_array_equal(simulate(jobs(), counter=again)[0], simulate(jobs())[0])
+    assert len(list(tmp_path.glob("*.npz"))) == 2
+
+
+def test_threads_may_ask_in_any_order(tmp_path: Path) -> None:
+    """The same answers and the same count of steps, though those that ask first another time are others."""
+    questions = [[(World.of(arm()), stretch(seed))] for seed in range(6)]
+    first = Journal(tmp_path)
+    states = abreast([partial(simulate, jobs, counter=first) for jobs in questions])
+    again = Journal(tmp_path)
+    back = abreast([partial(simulate, jobs, counter=again) for jobs in reversed(questions)])
+    for ours, theirs in zip(states, reversed(back), strict=True):
+        np.testing.assert_array_equal(ours[0], theirs[0])
+    plain = Counter()
+    for jobs in questions:
+        simulate(jobs, counter=plain)
+    assert first.steps == again.steps == plain.steps
+
+
+def test_a_damaged_answer_is_simulated_again(tmp_path: Path) -> None:
+    jobs = [(World.of(arm()), stretch())]
+    states = simulate(jobs, counter=Journal(tmp_path))[0]
+    (file,) = tmp_path.glob("*.npz")
+    file.write_bytes(file.read_bytes()[:-100])
+    np.testing.assert_array_equal(simulate(jobs, counter=Journal(tmp_path))[0], states)
+
+
+def test_a_killed_search_ends_as_one_that_was_not(tmp_path: Path) -> None:
+    """Killed twice, in the first round and late, and resumed: the same result to the bit."""
+    made = dataset(damped, seed=1, fit=2, test=1)
+
+    def search(journal: Journal | None, note=lambda word: None):
+        return identify(made, LIBRARY, max_effects=2, options=QUICK, progress=note, counter=journal)
+
+    def killed(limit: float):
+        def kill(steps: int) -> None:
+            if steps > limit:
+                raise Interrupted("stop", 15)
+
+        return kill
+
+    whole = search(None)
+    simulated = []
+    for share in (0.3, 0.8):
+        with pytest.raises(Interrupted):
+            search(Journal(tmp_path, killed(share * whole.steps)))
+        simulated.append(len(list(tmp_path.glob("*.npz"))))
+    assert 0 < simulated[0] < simulated[1]
+    journal = Journal(tmp_path)
+    resumed = search(journal)
+    assert len(list(tmp_path.glob("*.npz"))) > simulated[1]
+    assert journal.steps >= resumed.steps
+    results = [as_result(d, made) for d in (whole, resumed)]
+    for result in results:
+        del result["seconds"]
+    np.testing.assert_equal(results[0], results[1])
+    np.testing.assert_array_equal(whole.disagreement.value, resumed.disagreement.value)
+    assert [s.values(True).tolist() for s in whole.survivors] == [s.values(True).tolist() for s in resumed.survivors]

@@ -1,0 +1,276 @@
+"""Starting states that suit a hypothesis, steps that directions may take, and walks over sizes."""
+
+import copy
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from gap_arm import SIGMA, arm, arm_windows, elbow_off, recording
+from scipy.optimize import least_squares
+
+from btr_mjx.gap.data import load
+from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.inference import Bench, Hypothesis, Options
+from btr_mjx.gap.inference.search.contact_leaders import contact_scan, judged_anew
+from btr_mjx.gap.inference.search.search_records import Side
+from btr_mjx.gap.simulate import World
+from btr_mjx.gap.windows import Fit, Span, Windows, centred, prepare, recentred, transitions
+from btr_mjx.gap.windows.likelihood import spanned
+from btr_mjx.gap.windows.transitions import stride
+from btr_mjx.models import integrate
+from btr_mjx.testing import case_robot, make_case
+
+
+@pytest.fixture(scope="module")
+def windows() -> Windows:
+    return arm_windows()
+
+
+def damped(model):
+    world = World.of(model)
+    world.model.dof_damping[:] += 0.001
+    return world
+
+
+def test_what_columns_span_and_how_to_go_back() -> None:
+    rng = np.random.default_rng(0)
+    columns = rng.standard_normal((3, 20, 4))
+    columns[1, :, 2] = columns[1, :, 0] - columns[1, :, 1]
+    basis, inverse = spanned(columns)
+    np.testing.assert_allclose(inverse, np.linalg.pinv(columns, rcond=1e-9), atol=1e-9)
+    np.testing.assert_allclose(basis @ np.swapaxes(basis, 1, 2) @ columns, columns, atol=1e-9)
+
+
+def test_starting_states_reach_what_a_solver_finds(windows: Windows) -> None:
+    """Window by window, against nonlinear least squares within the same reach."""
+    states = windows.states([damped])[0]
+    qpos, qvel, there = centred(windows, damped, 4, states, windows.correction)
+    moved = windows.states([damped], start=(qpos, qvel))[0]
+    np.testing.assert_allclose(there, moved, atol=1e-12)
+    left = ((windows.whiten(there) + windows.correction) ** 2).sum(1)
+    before = ((windows.whiten(states) + windows.correction) ** 2).sum(1)
+    assert (before - left).max() > 1
+
+    def residual(w, move):
+        start = windows.qpos.copy(), windows.qvel.copy()
+        start[0][w] = integrate(arm(), windows.smoothed[0][w], (move * SIGMA)[:2])
+        start[1][w] = windows.smoothed[1][w] + (move * SIGMA)[2:]
+        return (windows.whiten(windows.states([damped], start=start)[0]) + windows.correction)[w]
+
+    for w in range(len(windows)):
+        reach = windows.reach[w] / SIGMA
+        found = least_squares(lambda x, w=w: residual(w, x), np.zeros(4), bounds=(-reach, reach), diff_step=0.05)
+        assert left[w] < 2 * found.cost + 1.0
+
+
+def test_steps_that_go_too_far_are_shortened(windows: Windows) -> None:
+    """Where what happens is three times what the linear picture shows, a whole step makes matters worse."""
+    off = copy.copy(windows)
+    rng = np.random.default_rng(3)
+    nudge = 1.5 * SIGMA * rng.choice([-1.0, 1.0], (len(windows), 4))
+    off.qpos, off.qvel = integrate(arm(), windows.qpos, nudge[:, :2]), windows.qvel + nudge[:, 2:]
+    off.reach = 1e3 * windows.reach
+    states = off.states([World.of])[0]
+
+    def left(some: Windows) -> np.ndarray:
+        there = centred(some, World.of, 4, states, windows.correction)[2]
+        return ((windows.whiten(there) + windows.correction) ** 2).sum(1)
+
+    best, before = left(off), ((windows.whiten(states) + windows.correction) ** 2).sum(1)
+    assert (before - best > 100).sum() > len(windows) / 2
+    off.jacobians, off.inverse = off.jacobians / 3, off.inverse * 3
+    assert ((before - left(off)) > 0.8 * (before - best))[before - best > 100].all()
+
+
+def test_what_is_known_is_not_simulated_again(windows: Windows) -> None:
+    own = recentred(windows, damped)
+    counted = own.counter.steps
+    again = own.based(damped)
+    assert own.counter.steps == counted
+    np.testing.assert_array_equal(again.base, own.base)
+    np.testing.assert_array_equal(again.residual, own.residual)
+    np.testing.assert_allclose(own.states([damped])[0], own.base, atol=1e-12)
+    other = own.based(World.of)
+    assert own.counter.steps > counted
+    np.testing.assert_allclose(other.base, own.states([World.of])[0], atol=1e-12)
+    assert own.joined(other).maker is None
+
+
+def test_windows_that_gain_nothing_are_left_alone(windows: Windows) -> None:
+    own = recentred(windows, World.of)
+    counted = windows.counter.steps
+    again = recentred(own, World.of, exact=False)
+    whole = (len(windows) * (windows.since[:, -1] / windows.dt)).max()
+    assert windows.counter.steps - counted < 2.5 * whole  # once from where they are, and one vain step
+    np.testing.assert_allclose(again.residual, own.residual, atol=0.2)
+
+
+def test_long_steps_are_taken_only_where_they_do() -> None:
+    """Not where a motor is so stiff that they miss its motion, nor where samples come too fast."""
+
+    def of(believed, rate):
+        data = prepare([recording("r", believed=believed)], "cubic", SIGMA, Span(5, 6))
+        out = Windows(data, np.array([0, 0]), np.array([20, 120]), 30)
+        out.since = out.since * (200.0 / rate)
+        return stride(out, World.of, out.states([World.of])[0])
+
+    fine = arm()
+    fine.opt.timestep = 5e-4
+    assert of(fine, 200.0) == 2
+    assert of(fine, 800.0) == 2
+    assert of(fine, 2000.0) == 1
+    stiff = arm()
+    stiff.opt.timestep = 5e-4
+    stiff.actuator_gainprm[:, 0] *= 3000
+    stiff.actuator_biasprm[:, 1] *= 3000
+    assert of(stiff, 200.0) == 1
+
+
+def test_long_steps_must_not_throw_light_legs_about(tmp_path, monkeypatch) -> None:
+    """Most of a quadruped's intervals would do with them, but not those in which a foot comes down."""
+    make_case(tmp_path, 912, "quadruped", verdict="none", background=0.0, recordings=(1, 1), duration=1.0, noise=1.0)
+    data = load(tmp_path)
+    sigma = np.concatenate(case_robot("quadruped").sigma(data.fit[0].model))
+    first = np.arange(8, len(data.fit[0].time) - 14, 8)
+    legs = Windows(prepare(data.fit, data.interpolation, sigma, Span(5, 4)), np.zeros(len(first), int), first, 8)
+    states = legs.states([World.of])[0]
+    assert stride(legs, World.of, states) == 1
+    monkeypatch.setattr(transitions, "_JOLT", np.inf)
+    assert stride(legs, World.of, states) == 2
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    offsets = tuple(effect for effect in EFFECTS if effect.name in ("joint_offset", "armature"))
+    return Bench(elbow_off(), offsets, Options(steps=4e4, leaders=2, contact_leaders=0))
+
+
+def test_a_walk_sees_what_all_windows_show(bench: Bench) -> None:
+    """Its gain is that of all windows, roughly; it climbs to the best size from a third and asks nothing twice."""
+    elbow = next(c for c in bench.candidates if c.name == "joint_offset@joint:elbow")
+
+    def whole(value):
+        hypothesis = bench.base.with_effect(elbow, [value])
+        sides = [bench.fit.recentred(h).redirected(h) for h in (bench.base, hypothesis)]
+        return bench.fall(*(bench.free(s).profile(s.windows.residual, bench.cut) for s in sides))
+
+    sizes = np.linspace(-0.04, 0.04, 17)
+    gains = [whole(value) for value in sizes]
+    best = sizes[int(np.argmax(gains))]
+    assert abs(best) > 0.01
+    assert bench.walks.gain(bench.base.with_effect(elbow, [best])) == pytest.approx(max(gains), rel=0.5)
+    found = bench.walks(bench.base.with_effect(elbow, [best / 3]), hope=0.0, promise=0.0)
+    assert found is not None
+    assert found.effects[0][1][0] == pytest.approx(best, rel=0.2)
+    assert bench.walks.best(found.name) >= bench.walks.gain(bench.base.with_effect(elbow, [best / 3]))
+    counted = bench.counter.steps
+    bench.walks.gain(bench.base.with_effect(elbow, [best]))
+    assert bench.counter.steps == counted
+    assert bench.walks(bench.base.with_effect(elbow, [-best]), hope=1e9, promise=0.0) is None
+    assert bench.walks.best("nothing that was tried") == -np.inf
+
+
+def test_the_best_of_a_scan_are_looked_at_with_directions_of_their_own(bench: Bench) -> None:
+    moving = [c for c in bench.candidates if c.effect.name == "joint_offset"]
+    side = Side(bench.fit.windows, bench.free(bench.fit))
+    found = contact_scan(side, bench.base, moving, bench.cut, bench.fit.windows.residual, 1)
+    model = bench.dataset.model
+    again = judged_anew(model, found, bench.base, bench.walks, 0.0)
+    assert {c.name for _, c, _ in again} == {c.name for _, c, _ in found}
+    first = {c.name: (gain, values) for gain, c, values in found}
+    for gain, candidate, values in again:
+        known, start = first[candidate.name]
+        tries = [bench.walks.gain(bench.base.with_effect(candidate, factor * start)) for factor in (1.0, 3.0)]
+        kin = found[0][0] > 100.0 and candidate is not found[0][1]  # the arm is one limb
+        assert gain == max(known, *tries[: 2 if tries[0] >= -60.0 or kin else 1])
+        assert values[0] in (start[0], 3.0 * start[0])
+    assert judged_anew(model, found, bench.base, bench.walks, 1e9) == found  # something else is far stronger
+
+
+def test_what_leads_has_its_limb_judged_anew(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Others on its limb are looked at, too, at both sizes, however little the scan thinks of them."""
+    moving = [c for c in bench.candidates if c.effect.name == "joint_offset"]
+    others = [c for c in bench.candidates if c.name in bench.delicate and c not in moving][:6]
+    rows = [(300.0, moving[0], moving[0].null + 0.005), *((50.0, c, c.null + 0.01) for c in others)]
+    rows.append((-500.0, moving[1], moving[1].null + 0.005))
+    asked = []
+    monkeypatch.setattr(bench.walks, "gain", lambda h: asked.append(h.name) or -1000.0)
+    judged_anew(bench.dataset.model, rows, bench.base, bench.walks, 0.0)
+    assert asked.count(moving[1].name) == 2
+    asked.clear()
+    weak = [(90.0, *rows[0][1:]), *rows[1:]]
+    judged_anew(bench.dataset.model, weak, bench.base, bench.walks, 0.0)
+    assert asked.count(moving[1].name) == 0
+    # What leads by as much only when it is looked at has its limb judged anew as well.
+    monkeypatch.setattr(bench.walks, "gain", lambda h: asked.append(h.name) or 150.0 * (h.name == moving[0].name))
+    judged_anew(bench.dataset.model, weak, bench.base, bench.walks, 0.0)
+    assert asked.count(moving[1].name) == 2
+    asked.clear()
+    judged_anew(bench.dataset.model, weak, bench.base, bench.walks, 900.0)  # something else is far stronger
+    assert asked.count(moving[1].name) == 0
+
+
+@pytest.mark.parametrize(("hope", "tried"), [(9.9, 2), (0.5, 1)])
+def test_what_the_linear_picture_shows_clearly_is_tried_larger(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, hope: float, tried: int
+) -> None:
+    """Even if a small size is worse than nothing on some windows."""
+    moving = next(c for c in bench.candidates if c.effect.name == "joint_offset")
+    row = 20.0, moving, moving.null + 0.005
+    asked = []
+    monkeypatch.setattr(bench.walks, "gain", lambda h: asked.append(h.effects[-1][1][0]) or -175.0)
+    judged_anew(bench.dataset.model, [row], bench.base, bench.walks, 0.0, {moving.name: hope})
+    np.testing.assert_allclose(asked, [0.005, 0.015][:tried])
+
+
+def test_a_scan_that_is_sure_is_not_repeated(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No larger size of what it shows clearly, and fewer candidates on other limbs."""
+    moving = bench.candidates[:5]
+    asked = []
+    monkeypatch.setattr(bench.walks, "gain", lambda h: asked.append(h.effects[-1][1][0]) or 5000.0)
+    for gain, sizes in ((900.0, 2), (1100.0, 1)):
+        asked.clear()
+        judged_anew(bench.dataset.model, [(gain, moving[0], moving[0].null + 0.005)], bench.base, bench.walks, 0.0)
+        assert len(asked) == sizes
+    monkeypatch.setattr("btr_mjx.gap.inference.search.contact_leaders.one_limb", lambda *_: False)
+    for gain, count in ((900.0, len(moving)), (1100.0, 3)):
+        asked.clear()
+        rows = [(gain, c, c.null + 0.005) for c in moving]
+        judged_anew(bench.dataset.model, rows, bench.base, bench.walks, 0.0)
+        assert len(asked) == count * (2 if gain < 1000.0 else 1)
+
+
+@pytest.mark.parametrize(
+    ("gain", "start", "expected"),
+    [(300.0, -0.045, -0.015), (90.0, -0.045, -0.045), (300.0, -0.005, -0.005), (300.0, -0.001, -0.001)],
+)
+def test_a_scan_that_went_too_far_is_taken_back(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, gain: float, start: float, expected: float
+) -> None:
+    """Where it shows much that directions of its own do not confirm, unless that is the smallest size already."""
+    moving = next(c for c in bench.candidates if c.effect.name == "joint_offset")
+    asked = []
+
+    def walked(hypothesis: Hypothesis) -> float:
+        asked.append(hypothesis.effects[-1][1][0])
+        return 500.0 if abs(asked[-1]) < 0.02 else -1000.0
+
+    monkeypatch.setattr(bench.walks, "gain", walked)
+    row = gain, moving, np.array([start])
+    ((found, _, values),) = judged_anew(bench.dataset.model, [row], bench.base, bench.walks, 0.0)
+    assert values[0] == pytest.approx(expected)
+    assert found == (500.0 if abs(expected) < 0.02 else gain)
+
+
+def test_some_windows_speak_for_all_but_their_luckiest_for_itself() -> None:
+    """A third of the windows says what three times as many of the same would, of which one is luckiest."""
+    own = SimpleNamespace(cut=1e3, dispersion=2.0)
+    before, after = np.full(12, 50.0), np.full(12, 46.0)
+    after[3] = 20.0
+
+    def fit_of(chi2: np.ndarray) -> Fit:
+        return Fit(np.zeros(0), float(chi2.sum()), chi2, np.eye(0))
+
+    whole = Bench.fall(own, fit_of(np.tile(before, 3)), fit_of(np.tile(after, 3)))
+    assert Bench.fall(own, fit_of(before), fit_of(after), 1 / 3) == pytest.approx(whole)
+    assert whole == pytest.approx((3 * (11 * 4 + 27) - 27) / 2)  # the 30 count as 27: 15, and three times what is usual

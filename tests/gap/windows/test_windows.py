@@ -1,0 +1,297 @@
+import mujoco
+import numpy as np
+import pytest
+from gap_arm import SIGMA, arm, arm_windows, dataset, recording
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.effects import EFFECTS, Scales, candidates
+from btr_mjx.gap.inference import Hypothesis
+from btr_mjx.gap.inference.scoring.forces import ForceFit, circumstances, describe, lack_of_fit
+from btr_mjx.gap.inference.scoring.leftover import Joints, features
+from btr_mjx.gap.inference.scoring.refine import Nuisance
+from btr_mjx.gap.simulate import World, simulate
+from btr_mjx.gap.windows import (
+    Span,
+    Track,
+    Windows,
+    best_span,
+    fine_step,
+    force_signatures,
+    prepare,
+    project,
+    recentred,
+    redirected,
+    signatures,
+    smooth,
+)
+from btr_mjx.gap.windows.placement import place
+from btr_mjx.gap.windows.propagation import jacobian
+from btr_mjx.gap.windows.transitions import strangeness, transitions
+
+
+@pytest.fixture(scope="module")
+def windows():
+    return arm_windows()
+
+
+def candidate(name):
+    model = arm()
+    found = candidates(model, Scales.of(model), EFFECTS)
+    return next(c for c in found if c.name == name)
+
+
+def test_jacobian_agrees_with_whole_window_differences(windows):
+    found = jacobian(windows)
+    for j in range(4):
+        nudge = np.zeros(4)
+        nudge[j] = 0.2 * SIGMA[j]
+        start = windows.qpos + nudge[:2], windows.qvel + nudge[2:]
+        moved = windows.whiten(windows.states([World.of], start=start)[0]) - windows.whiten(windows.base)
+        np.testing.assert_allclose(moved / 0.2, found[:, :, j], atol=0.02 * np.abs(found[:, :, j]).max())
+
+
+def test_starting_states_are_projected_out(windows):
+    nudge = 0.5 * SIGMA
+    start = windows.qpos + nudge[:2], windows.qvel + nudge[2:]
+    there = windows.states([World.of], start=start)[0]
+    raw = windows.whiten(there) - windows.whiten(windows.base)
+    inner = np.einsum("wr,wrd->wd", raw, windows.basis)
+    left = raw - np.einsum("wd,wrd->wr", inner, windows.basis)
+    assert np.abs(left).max() < 0.02 * np.abs(raw).max()
+
+
+def test_residual_of_the_true_model_is_noise(windows):
+    chi2 = (windows.residual**2).sum(1) / windows.freedom
+    assert np.all((chi2 > 0.6) & (chi2 < 1.5))
+
+
+def test_long_windows_hold_no_error_of_the_time_step(windows):
+    """The residual belongs to steps of 1.25e-4 s, although nothing finer than 5e-4 s is simulated."""
+    long = Windows(windows.data, np.array([0, 1]), np.array([10, 20]), 230)
+    long.linearise(World.of)
+    assert fine_step(long) == long.dt / 4
+    start = long.stretch(np.arange(2), long.qpos, long.qvel, long.since)
+    exact = simulate([(World.of(long.groups[0][0]), start)], timestep=1.25e-4)[0]
+    left = long.residual - project(long.whiten(exact), long.basis)
+    coarse = project(long.whiten(long.base) - long.whiten(exact), long.basis)
+    assert np.linalg.norm(left, axis=1).max() < 0.02 * np.linalg.norm(coarse, axis=1).min()
+
+
+@pytest.mark.parametrize("single", [False, True])
+@pytest.mark.parametrize("name", ["viscous_damping@joint:elbow", "actuator_delay@actuator:shoulder", "armature@all"])
+def test_signatures_agree_with_true_simulation(windows, name, single):
+    chosen = candidate(name)
+    base = Hypothesis((), ())
+    make = base.with_effect(chosen, [0.2 * p.step for p in chosen.parameters])
+    true = windows.residuals([make])[0] - windows.residual
+    found = signatures(windows, base, [make], single)[0]
+    assert np.linalg.norm(found - true) < (0.35 if single else 0.12) * np.linalg.norm(true)
+
+
+def test_force_signatures_agree_with_an_applied_force(windows):
+    around = circumstances(windows, World.of)
+    found = force_signatures(windows, around.inverse, 1)
+
+    class Push:
+        fields = ()
+
+        def __call__(self, rows):
+            rows.qfrc_applied[:, 1] += 0.01
+
+    def make(model):
+        world = World.of(model)
+        world.laws.append(Push())
+        return world
+
+    true = (windows.residuals([make])[0] - windows.residual) / 0.01
+    assert np.linalg.norm(found[1] - true) < 0.25 * np.linalg.norm(true)
+
+
+def test_unknown_forces_find_joint_and_variable():
+    def spring(model):
+        model.jnt_stiffness[1] = 2.0
+
+    data = prepare([recording("r", spring, seed=5)], "cubic", SIGMA, Span(5, 6))
+    out = Windows(data, np.zeros(8, int), np.linspace(10, 250, 8).astype(int), 20)
+    out.linearise(World.of)
+    around = circumstances(out, World.of)
+    fit = ForceFit(out, around)
+    forces = fit(out.residual)
+    assert lack_of_fit([forces]) > 6
+    best = describe(fit, forces, around)[0]
+    assert best.dof == 1
+    assert best.follows[0][0].startswith("position")
+    assert best.follows[0][2] < 0  # a spring pulls back
+
+
+def noise_of(windows, seed):
+    rng = np.random.default_rng(seed)
+    return project(rng.standard_normal(windows.residual.shape), windows.basis)
+
+
+def forces_of(windows):
+    """Unknown forces of the windows, features that they may follow, and nothing that is fitted along."""
+    around = circumstances(windows, World.of)
+    fit = ForceFit(windows, around)
+    return (
+        fit,
+        features(arm(), fit, around),
+        Nuisance.of(np.zeros((0, *windows.residual.shape), np.float32), np.zeros(0)),
+    )
+
+
+def test_a_force_of_an_unknown_shape_is_found_at_its_joint(windows):
+    """A cable that pulls in one half plane, as the signatures have it, on top of noise; and noise alone."""
+    fit, known, nothing = forces_of(windows)
+    one = next(f for f in known if f.dof == 0 and f.name == "absolute position")
+    pull = np.einsum("wb,wbr->wr", one.values, fit.columns.reshape(len(windows), *fit.shape, -1)[:, 0])
+    noise = noise_of(windows, 0)
+    size = 12.0 / np.linalg.norm(pull)
+    joints = Joints(fit, nothing, known)
+    found = joints(noise + size * pull, 1e4)
+    assert found.feature is not None
+    assert (found.feature.dof, found.feature.name) == (0, "absolute position")
+    assert found.gain > 60
+    quiet = joints(noise, 1e4)
+    assert quiet.gain < 25
+    assert quiet.worst < 4 < found.worst
+    assert quiet.usual[0] < 1 < found.usual[0]
+
+
+def test_what_a_feature_does_is_asked_of_other_windows(windows):
+    """The loss of held-out windows with the force added by hand, against the believed model's."""
+    fit, known, nothing = forces_of(windows)
+    one = next(f for f in known if f.dof == 0 and f.name == "absolute position")
+    pull = np.einsum("wb,wbr->wr", one.values, fit.columns.reshape(len(windows), *fit.shape, -1)[:, 0])
+    pull *= 12.0 / np.linalg.norm(pull)
+    joints = Joints(fit, nothing, known)
+    told = joints(noise_of(windows, 0) + pull, 1e4).told
+    assert known[told[0].index] is one
+    assert [one.gain for one in told] == sorted((one.gain for one in told), reverse=True)
+    other = noise_of(windows, 1)
+    columns = fit.columns.reshape(len(windows), *fit.shape, -1)[:, 0]
+    moved = told[0].amplitude * sum(one.values[:, b, None] * columns[:, b] for b in range(one.values.shape[1]))
+    np.testing.assert_allclose(moved, -pull, atol=0.3 * np.abs(pull).max())
+    expected = (other**2).sum() - ((other + moved) ** 2).sum()
+    assert expected < 0  # there is nothing
+    assert joints.held_out(other, 1e4, told[0]) == pytest.approx(expected, rel=1e-6)
+    assert joints.held_out(other + pull, 1e4, told[0]) > 60
+
+
+def test_what_is_fitted_along_is_not_left_over(windows):
+    fit, known, nothing = forces_of(windows)
+    one = next(f for f in known if f.dof == 1 and f.name == "position cubed")
+    pull = np.einsum("wb,wbr->wr", one.values, fit.columns.reshape(len(windows), *fit.shape, -1)[:, 1])
+    residual = noise_of(windows, 1) + 10.0 / np.linalg.norm(pull) * pull
+    joints = Joints(fit, nothing, [one])
+    blind = joints(residual, 1e4, pull[None].astype(np.float32))
+    assert blind.gain == 0
+    assert joints(residual, 1e4).gain > 40
+
+
+def test_transitions_are_found_anew_only_where_they_changed(windows):
+    """A stop at the elbow that the believed arm does not have changes the intervals in which it is touched."""
+
+    def stopped(model):
+        world = World.of(model)
+        world.model.jnt_limited[1], world.model.jnt_range[1] = 1, (-3.0, 0.0)
+        world.model.jnt_solref[1] = -10000.0, -10.0
+        return world
+
+    states = windows.states([stopped])[0]
+    touched = states[:, :-1, 1] > 0.0
+    assert 0.1 < touched.mean() < 0.9
+    error = strangeness(windows, stopped, states)
+    inside = states[:, :-1, 1] < -0.1
+    assert np.median(error[inside]) < 0.1
+    assert np.median(error[touched]) > 2.0
+    anew = redirected(recentred(windows, stopped), stopped)
+    states = anew.states([stopped])[0]
+    full = transitions(windows, stopped, states)[0]
+    scale = SIGMA / SIGMA[:, None]
+    error = np.abs((anew.transitions - full) * scale).max((2, 3))
+    assert np.quantile(error, 0.9) < 0.5
+    assert np.quantile(np.abs((windows.transitions - full) * scale).max((2, 3)), 0.8) > 2.0
+
+
+def test_starting_states_of_another_world_are_projected_out_when_found_anew(windows):
+    def stiff(model):
+        world = World.of(model)
+        world.model.jnt_stiffness[1] = 60.0
+        return world
+
+    there = redirected(recentred(windows, stiff), stiff)
+    nudge = 0.5 * SIGMA
+    start = there.qpos + nudge[:2], there.qvel + nudge[2:]
+    raw = there.whiten(there.states([stiff], start=start)[0]) - there.whiten(there.base)
+    left = [np.abs(project(raw, w.basis)).max() / np.abs(raw).max() for w in (windows, there)]
+    assert left[1] < 0.05 < left[0]
+
+
+def test_some_windows_are_windows(windows):
+    part = windows.some(np.array([3, 1]))
+    make = World.of
+    np.testing.assert_allclose(part.residuals([make])[0], windows.residuals([make])[0][[3, 1]], atol=1e-9)
+    assert part.recording.tolist() == windows.recording[[3, 1]].tolist()
+
+
+def test_smoothing_is_exact_for_polynomials_at_uneven_times():
+    rng = np.random.default_rng(3)
+    time = np.cumsum(rng.uniform(0.002, 0.008, 60))
+    shape = np.array([[0.1, 2.0, -3.0, 4.0], [0.3, -1.0, 5.0, 2.0]])
+    qpos = sum(shape[:, p] * time[:, None] ** p for p in range(4))
+    qvel = sum(p * shape[:, p] * time[:, None] ** (p - 1) for p in range(1, 4))
+    for measured in ([True, True], [False, True]):
+        track = Track(time, qpos, np.where(measured, qvel, np.nan), np.array(measured))
+        q, v, chi2 = smooth(arm(), track, np.array([0, 7, 30, 59]), SIGMA, Span(4, 4))
+        np.testing.assert_allclose(q, qpos[[0, 7, 30, 59]], atol=1e-7)
+        np.testing.assert_allclose(v, qvel[[0, 7, 30, 59]], atol=1e-5)
+        assert chi2.max() < 1e-3
+
+
+def test_smoothing_of_a_free_body_follows_its_rotation():
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><freejoint/><geom size="0.1"/></body></worldbody></mujoco>'
+    )
+    time, spin = np.arange(30) * 0.01, np.array([0.5, -2.0, 1.0])
+    qpos, qvel = np.zeros((30, 7)), np.zeros((30, 6))
+    quat = np.array([1.0, 0, 0, 0])
+    for k in range(30):
+        qpos[k, 3:] = quat
+        qpos[k, 0], qvel[k, 0], qvel[k, 3:] = time[k] ** 2, 2 * time[k], spin
+        mujoco.mju_quatIntegrate(quat, spin, 0.01)
+    track = Track(time, qpos, qvel, np.array([True] * 3 + [False] * 3))
+    q, v, _ = smooth(model, track, np.array([12]), np.full(12, 1e-3), Span(4, 4))
+    np.testing.assert_allclose(q[0], qpos[12], atol=1e-5)
+    np.testing.assert_allclose(v[0], qvel[12], atol=2e-3)
+
+
+def test_longer_fits_for_slower_motion():
+    tracks = []
+    for speed in (2.0, 60.0):
+        time = np.arange(300) * 0.002
+        rng = np.random.default_rng(1)
+        qpos = 0.3 * np.sin(speed * time)[:, None] + 1e-3 * rng.standard_normal((300, 2))
+        qvel = 0.3 * speed * np.cos(speed * time)[:, None] + 0.01 * rng.standard_normal((300, 2))
+        tracks.append(Track(time, qpos, qvel, np.ones(2, bool)))
+    slow, fast = (best_span(arm(), [track], SIGMA) for track in tracks)
+    assert slow.half > fast.half
+
+
+def test_windows_of_uneven_samples():
+    data = prepare([recording("r", seed=4, uneven=True)], "cubic", SIGMA, Span(5, 6))
+    out = Windows(data, np.zeros(4, int), np.array([10, 80, 150, 220]), 25)
+    out.linearise(World.of)
+    chi2 = (out.residual**2).sum(1) / out.freedom
+    assert np.all((chi2 > 0.5) & (chi2 < 1.6))
+
+
+def test_windows_stay_inside_recordings_and_short_ones_are_refused():
+    made = dataset(fit=2, test=1)
+    data = prepare(made.fit, "cubic", SIGMA, Span(5, 6))
+    recording_of, first, k = place(data, 0.1, 1e6, 10.0)
+    for r, f in zip(recording_of, first, strict=True):
+        assert f >= 0
+        assert f + k < len(made.fit[r].time)
+    with pytest.raises(InputError, match="too short for a window"):
+        place(data, 5.0, 1e6, 10.0)

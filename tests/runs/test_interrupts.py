@@ -1,0 +1,206 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from btr_mjx.errors import Interrupted
+from btr_mjx.runs import RunFolder, progress
+from btr_mjx.runs.configs import read_config
+
+ROOT = Path(__file__).parents[1]
+
+WORKER = """
+import os, random, shutil, signal, sys, time
+from dataclasses import dataclass
+from pathlib import Path
+import numpy as np
+from btr_mjx.checkpoints import generator_from_json, generator_to_json, list_checkpoints
+from btr_mjx.errors import cli_errors
+from btr_mjx.files import write_json
+from btr_mjx.progress import graceful_interrupt
+from btr_mjx.runs import RunFolder
+
+os.fsync = lambda descriptor: None  # slow, and against power cuts, not kills
+
+@dataclass(frozen=True)
+class Config:
+    seed: int = 0
+    steps: int = 80
+
+@cli_errors(resume="again")
+def work(folder, resume, pause=0.002):
+    config = Config()
+    with RunFolder.create(folder, config, resume=resume) as run, graceful_interrupt() as stop:
+        checkpoint = run.load_latest()
+        history = run.history("history.parquet", checkpoint)
+        if checkpoint is None:
+            rng, state, first = np.random.default_rng(config.seed), np.zeros(2000), 0
+        else:
+            rng, state = generator_from_json(checkpoint.meta["rng"]), checkpoint.arrays["state"]
+            first = checkpoint.step + 1
+        print(f"first {first}\\n", end="", flush=True)  # in one piece, whenever the kill comes
+        for step in range(first, config.steps):
+            state = np.sin(state + rng.standard_normal(2000))
+            history.append({"step": step, "mean": float(state.mean()), "bad": np.nan if step % 3 else None})
+            run.save_checkpoint(step, {"state": state}, {"rng": generator_to_json(rng)})
+            stop.checkpoint()
+            time.sleep(pause)
+        write_json(run.path / "result.json", {"mean": state.mean(), "draw": rng.random(), "rows": len(history)})
+
+def fork(folder, kill_after=None):
+    # A fresh process without the second that imports take. Returns whether it came to its end.
+    pid = os.fork()
+    if pid == 0:
+        code = 1
+        try:
+            work(folder, Path(folder).exists())
+            code = 0
+        finally:
+            sys.stdout.flush()
+            os._exit(code)
+    if kill_after is not None:
+        time.sleep(kill_after)
+        os.kill(pid, signal.SIGKILL)
+    status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    assert status in (0, -signal.SIGKILL), status
+    return status == 0
+
+def kill_often(whole, killed):
+    start = time.monotonic()
+    assert fork(whole)
+    duration = time.monotonic() - start  # on this machine, under its present load
+    rng, kills = random.Random(3), 0
+    while kills < 10:
+        if Path(killed).exists():  # the machine has less to do than it had: kill sooner
+            shutil.rmtree(killed)
+            duration /= 2
+        print("killed", flush=True)
+        kills = 0
+        while not fork(killed, rng.choice([0.02, 0.1, 0.4]) * rng.random() * duration if kills < 24 else None):
+            kills += 1
+            if kills % 4 == 0 and len(found := list_checkpoints(killed)) == 2:
+                # a disk that loses the end of the newest file
+                found[-1][1].write_bytes(found[-1][1].read_bytes()[:200])
+                print("damaged", flush=True)
+    print("kills", kills, flush=True)
+
+if sys.argv[1] == "kill":
+    kill_often(*sys.argv[2:])
+else:
+    work(sys.argv[2], sys.argv[1] == "resume", pause=0.2)
+"""
+
+
+@pytest.fixture(scope="module")
+def worker(tmp_path_factory):
+    script = tmp_path_factory.mktemp("worker") / "worker.py"
+    script.write_text(WORKER)
+    # Without git, whose three calls would take most of the time and of the kills
+    settings = {"PYTHONPATH": str(ROOT), "PATH": "", "POLARS_MAX_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+    def start(*arguments):
+        command = [sys.executable, str(script), *map(str, arguments)]
+        return subprocess.Popen(
+            command,
+            env=os.environ | settings,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=script.parent,
+        )
+
+    return start
+
+
+def outcome(folder):
+    """All files that two equal runs have in common."""
+    names = [path.name for path in folder.iterdir() if path.name not in (".lock", "environment.json")]
+    return {name: (folder / name).read_bytes() for name in sorted(names)}
+
+
+def test_killed_runs_resume_to_the_same_bytes(worker, tmp_path):
+    process = worker("kill", tmp_path / "whole", tmp_path / "killed")
+    output, problems = process.communicate(timeout=120)
+    assert process.returncode == 0, problems
+    lines = output.split("killed\n")[-1].splitlines()
+    starts = [int(line.split()[1]) for line in lines if line.startswith("first")]
+    assert int(lines[-1].removeprefix("kills ")) >= 10
+    assert len(set(starts)) >= 4, starts
+    assert "damaged" in lines
+    assert problems.count("trying the checkpoint before it") >= 1
+    assert "Traceback" not in problems
+    expected = outcome(tmp_path / "whole")
+    assert list(expected) == [
+        "checkpoint-000078.npz",
+        "checkpoint-000079.npz",
+        "config.json",
+        "history.parquet",
+        "result.json",
+    ]
+    assert outcome(tmp_path / "killed") == expected
+
+
+@dataclass(frozen=True)
+class WorkerConfig:
+    seed: int = 0
+    steps: int = 0
+
+
+def test_the_first_signal_stops_at_a_safe_point_and_the_lock_keeps_others_out(worker, tmp_path):
+    folder = tmp_path / "run"
+    process = worker("fresh", folder)
+    assert process.stdout.readline() == "first 0\n"
+    while not (folder / "checkpoint-000001.npz").exists():
+        time.sleep(0.01)
+    second = worker("resume", folder)
+    _, problems = second.communicate(timeout=60)
+    assert second.returncode == 2
+    assert problems.startswith(f"error: {folder} is in use by another run (process {process.pid})")
+    assert problems.count("\n") == 1
+    process.send_signal(signal.SIGTERM)
+    _, problems = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "stopping at the next safe point" in problems
+    assert problems.endswith("stopped at a safe point (SIGTERM)\nresume with: again\n")
+    assert "Traceback" not in problems
+    RunFolder.create(folder, read_config(folder, WorkerConfig), resume=True).close()
+
+
+def test_graceful_interrupt():
+    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    with progress.graceful_interrupt() as stop:
+        stop.checkpoint()
+        assert not stop.requested
+        with progress.graceful_interrupt() as inner:
+            assert inner is stop
+        assert signal.getsignal(signal.SIGINT) == stop._handle
+        signal.raise_signal(signal.SIGTERM)
+        assert stop.requested
+        with pytest.raises(Interrupted, match=r"safe point \(SIGTERM\)") as caught:
+            stop.checkpoint()
+        assert caught.value.signum == signal.SIGTERM
+        with pytest.raises(Interrupted, match=r"at once \(SIGINT\)"):
+            signal.raise_signal(signal.SIGINT)
+    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
+    assert not issubclass(Interrupted, Exception)
+
+
+def test_graceful_interrupt_in_a_thread():
+    import threading
+
+    seen = []
+
+    def work():
+        with progress.graceful_interrupt() as stop:
+            stop.checkpoint()
+            seen.append(stop.requested)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert seen == [False]

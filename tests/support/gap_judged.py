@@ -1,0 +1,33 @@
+"""Judged candidates: stand-ins for them, and what one more effect brings, reckoned apart from the search."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+from btr_mjx.gap.inference import Bench, Hypothesis
+from btr_mjx.gap.inference.search.search_records import Side
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What rounds look at in a judged candidate."""
+
+    name: str
+    score: float
+    hypothesis: SimpleNamespace
+    held_out: float = 0.0
+    explained: bool = False
+
+
+def as_judged(name, score, held_out=0.0, explained=False):
+    hypothesis = SimpleNamespace(effects=[(SimpleNamespace(name=name), (1.0,))])
+    return Standing(name, score, hypothesis, held_out, explained)
+
+
+def falls(bench: Bench, sides: Sequence[Side], before: Hypothesis, after: Hypothesis) -> list[float]:
+    """Falls of the loss from one hypothesis to another on the same windows, of both sides of the split."""
+    out = []
+    for side, free in zip(sides, (bench.free, bench.nuisance), strict=True):
+        fits = [free(side, h).profile(side.windows.residuals([h])[0], bench.cut) for h in (before, after)]
+        out.append(bench.fall(*fits, even=True))
+    return out
