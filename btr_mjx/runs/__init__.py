@@ -1,0 +1,38 @@
+"""Run folders: everything a run needs to be read, repeated, killed and resumed.
+
+A `RunFolder` holds config.json, environment.json and checkpoints under a lock. Files are written to a temporary name,
+flushed and renamed, so that they are whole or absent. Long work reports through `progress` and stops through
+`graceful_interrupt`.
+"""
+
+from btr_mjx.runs.configs import CONFIG_NAME, config_to_json, differences, read_config_json
+from btr_mjx.runs.environment import available_cores, describe_environment
+from btr_mjx.runs.files import atomic_write, read_arrays, read_json, read_table, to_plain, write_arrays, write_figure, write_json, write_table
+from btr_mjx.runs.folder import IGNORED_FIELDS, RunFolder, chosen_folder, is_unused
+from btr_mjx.runs.progress import StopRequest, graceful_interrupt, note, progress
+
+__all__ = [
+    "CONFIG_NAME",
+    "IGNORED_FIELDS",
+    "RunFolder",
+    "StopRequest",
+    "atomic_write",
+    "available_cores",
+    "chosen_folder",
+    "config_to_json",
+    "describe_environment",
+    "differences",
+    "graceful_interrupt",
+    "is_unused",
+    "note",
+    "progress",
+    "read_arrays",
+    "read_config_json",
+    "read_json",
+    "read_table",
+    "to_plain",
+    "write_arrays",
+    "write_figure",
+    "write_json",
+    "write_table",
+]
