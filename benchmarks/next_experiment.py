@@ -21,7 +21,8 @@ from summary_command import command
 from btr_mjx.gap.data import load
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.experiments import MARGIN, random_commands, recordings_needed
-from btr_mjx.gap.inference import Bench, Hypothesis, Options
+from btr_mjx.gap.inference import Bench, Hypothesis
+from btr_mjx.gap.windows import Options
 from btr_mjx.runs import describe_environment, note, progress, read_json, write_json
 from btr_mjx.testing import Truth, make_case
 

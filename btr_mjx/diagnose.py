@@ -34,12 +34,13 @@ from btr_mjx.errors import InputError, cli_errors, resume_command
 from btr_mjx.gap.data import Dataset, open_dataset
 from btr_mjx.gap.effects import EFFECTS, KNOWN, Effect
 from btr_mjx.gap.experiments import propose
-from btr_mjx.gap.fitness_only import FitnessTable, expected_steps, identify_fitness, load_fitness
-from btr_mjx.gap.inference import Options, identify
-from btr_mjx.gap.preflight import Finding, preflight, preflight_fitness, refuse_errors
+from btr_mjx.gap.fitness_only import FitnessTable, expected_steps, identify_fitness, load_fitness, preflight_fitness
+from btr_mjx.gap.inference import identify
+from btr_mjx.gap.preflight import Finding, preflight, refuse_errors
 from btr_mjx.gap.report import page as report
 from btr_mjx.gap.results import as_result, named, place, saved, title
 from btr_mjx.gap.simulate import Journal
+from btr_mjx.gap.windows import Options
 from btr_mjx.models import nearest
 from btr_mjx.runs import (
     IGNORED_FIELDS,

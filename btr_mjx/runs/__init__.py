@@ -7,7 +7,17 @@ flushed and renamed, so that they are whole or absent. Long work reports through
 
 from btr_mjx.runs.configs import CONFIG_NAME, config_to_json, differences, read_config_json
 from btr_mjx.runs.environment import available_cores, describe_environment
-from btr_mjx.runs.files import atomic_write, read_arrays, read_json, read_table, to_plain, write_arrays, write_figure, write_json, write_table
+from btr_mjx.runs.files import (
+    atomic_write,
+    read_arrays,
+    read_json,
+    read_table,
+    to_plain,
+    write_arrays,
+    write_figure,
+    write_json,
+    write_table,
+)
 from btr_mjx.runs.folder import IGNORED_FIELDS, RunFolder, chosen_folder, is_unused
 from btr_mjx.runs.progress import StopRequest, graceful_interrupt, note, progress
 

@@ -31,11 +31,11 @@ from typing import Any, Self
 
 import polars as pl
 
+from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.runs import checkpoints
 from btr_mjx.runs.checkpoints import Checkpoint
 from btr_mjx.runs.configs import CONFIG_NAME, config_to_json, differences, read_config_json
 from btr_mjx.runs.environment import describe_environment, environment_changes
-from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.runs.files import is_temporary, read_json, read_table, sync_folder, to_plain, write_json, write_table
 from btr_mjx.runs.locks import LOCK_NAME, take_lock
 from btr_mjx.runs.progress import note

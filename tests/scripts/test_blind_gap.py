@@ -13,7 +13,8 @@ import pytest
 from gap_arm import dataset
 
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.inference import Bench, Options
+from btr_mjx.gap.inference import Bench
+from btr_mjx.gap.windows import Options
 from btr_mjx.testing import case_robot
 
 FOLDER = Path(__file__).parents[2] / "benchmarks"

@@ -6,8 +6,9 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.data import Believed, Dataset, Noise, Recording
+from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.simulate import Command, World
-from btr_mjx.gap.windows import Span, Windows, prepare
+from btr_mjx.gap.windows import Options, Span, Windows, linearise, prepare
 
 XML = """
 <mujoco>
@@ -94,7 +95,7 @@ def arm_windows() -> Windows:
     """Four windows of two recordings of the arm, linearised around it."""
     data = prepare([recording(f"r{i}", seed=i) for i in range(2)], "cubic", SIGMA, Span(5, 6))
     out = Windows(data, np.array([0, 0, 1, 1]), np.array([10, 150, 20, 200]), 30)
-    out.linearise(World.of)
+    linearise(out, World.of)
     return out
 
 
@@ -105,3 +106,13 @@ def elbow_off() -> Dataset:
         model.body_quat[2] = [np.cos(0.01), 0.0, np.sin(0.01), 0.0]
 
     return dataset(turned, seed=4, fit=3, test=1)
+
+
+LIBRARY = tuple(
+    e for e in EFFECTS if e.name in ("viscous_damping", "dry_friction", "armature", "actuator_gain", "actuator_delay")
+)
+QUICK = Options(steps=6e4, leaders=4, contact_leaders=0)
+
+
+def damped(model):
+    model.dof_damping[1] += 0.1

@@ -1,14 +1,13 @@
 """Which experiment to run next: the command on which the surviving hypotheses disagree most.
 
-`propose` returns a `NextExperiment` for a diagnosis.
+`propose` returns a `results.NextExperiment` for a diagnosis.
 """
 
-from btr_mjx.gap.experiments.next_experiment import MARGIN, NextExperiment, propose, recordings_needed
+from btr_mjx.gap.experiments.next_experiment import MARGIN, propose, recordings_needed
 from btr_mjx.gap.experiments.trial_commands import random_commands
 
 __all__ = [
     "MARGIN",
-    "NextExperiment",
     "propose",
     "random_commands",
     "recordings_needed",

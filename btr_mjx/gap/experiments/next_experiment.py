@@ -7,16 +7,15 @@ command would hold against them.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from btr_mjx.gap.data import Dataset, Recording
 from btr_mjx.gap.experiments.trial_commands import random_commands
 from btr_mjx.gap.inference import Hypothesis
-from btr_mjx.gap.results import Diagnosis
+from btr_mjx.gap.results import Diagnosis, NextExperiment
 from btr_mjx.gap.simulate import Command, Counter, Stretch, simulate
-from btr_mjx.gap.windows import Span, Windows, prepare
+from btr_mjx.gap.windows import Span, Windows, linearise, prepare
 from btr_mjx.models import integrate
 
 _TRIES = 10
@@ -27,29 +26,6 @@ _WINDOWS = 5
 
 MARGIN = 25.0
 """Difference of scores that tells two hypotheses apart."""
-
-
-@dataclass(frozen=True)
-class NextExperiment:
-    """A proposal.
-
-    Attributes:
-      time: (K,) [s].
-      values: (K, nu) command.
-      between: the two names that it is expected to separate.
-      disagreement: expected difference of their scores in one recording.
-      others: the same for every command that was compared, in their order.
-      chosen: which of these it is.
-      reason: in words.
-    """
-
-    time: np.ndarray
-    values: np.ndarray
-    between: tuple[str, str]
-    disagreement: float
-    others: tuple[float, ...]
-    chosen: int
-    reason: str
 
 
 def propose(
@@ -225,7 +201,7 @@ def _judged(
     room = max(1, (len(recording.time) - 4) // k)
     first = np.unique(np.linspace(min(3, last), last, min(_WINDOWS, room)).astype(int))
     windows = Windows(data, np.zeros(len(first), int), first, k, counter)
-    windows.linearise(hypotheses[0], steps=2)
+    linearise(windows, hypotheses[0], steps=2)
     makes, spans = list(hypotheses), []
     for hypothesis in hypotheses:
         values = hypothesis.values(False)

@@ -4,6 +4,7 @@ A `FitnessTable` holds controllers and measured fitness; `identify_fitness` rank
 on trials that were held out.
 """
 
+from btr_mjx.gap.fitness_only.preflight import preflight_fitness
 from btr_mjx.gap.fitness_only.screen import COARSER, Answers, answers
 from btr_mjx.gap.fitness_only.search import SCREENED, expected_steps, identify_fitness
 from btr_mjx.gap.fitness_only.table import FitnessTable, load_fitness, save_fitness
@@ -19,5 +20,6 @@ __all__ = [
     "expected_steps",
     "identify_fitness",
     "load_fitness",
+    "preflight_fitness",
     "save_fitness",
 ]

@@ -6,13 +6,12 @@ candidates, `verdict` decides what is named, what is left unexplained, and how s
 
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
 from btr_mjx.gap.inference.search.search import Bench
-from btr_mjx.gap.inference.search.search_records import Options, nearest
+from btr_mjx.gap.inference.search.search_records import nearest
 from btr_mjx.gap.inference.verdict.identify import identify, name_missing
 
 __all__ = [
     "Bench",
     "Hypothesis",
-    "Options",
     "identify",
     "name_missing",
     "nearest",

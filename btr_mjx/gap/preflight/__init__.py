@@ -4,12 +4,11 @@
 one of them is an error.
 """
 
-from btr_mjx.gap.preflight.checks import preflight, preflight_fitness, refuse_errors
+from btr_mjx.gap.preflight.checks import preflight, refuse_errors
 from btr_mjx.gap.preflight.findings import Finding
 
 __all__ = [
     "Finding",
     "preflight",
-    "preflight_fitness",
     "refuse_errors",
 ]

@@ -12,7 +12,6 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, Noise, noise_of
-from btr_mjx.gap.fitness_only import FitnessTable
 from btr_mjx.gap.preflight.clocks import clocks, sampling
 from btr_mjx.gap.preflight.excitation import JointTrack, blind_effects, joint_tracks
 from btr_mjx.gap.preflight.findings import Finding, listed
@@ -47,31 +46,6 @@ def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Fi
         findings += stability(dataset)
     order = {"error": 0, "warning": 1, "note": 2}
     return sorted(findings, key=lambda finding: order[finding.level])
-
-
-def preflight_fitness(table: FitnessTable) -> list[Finding]:
-    """Look at a table of trials.
-
-    Args:
-      table: the trials.
-
-    Returns:
-      Findings, errors first.
-    """
-    fit, test = int((~table.test).sum()), int(table.test.sum())
-    low, high = float(table.fitness.min()), float(table.fitness.max())
-    said = f"{fit} trials to fit and {test} held out of {table.duration:g} s, fitness {low:.3g} to {high:.3g}"
-    findings = [Finding("note", "data", said)]
-    controllers = np.concatenate([table.amplitude, table.phase, table.offset], axis=1)
-    if np.ptp(controllers, axis=0).max() == 0:
-        findings.append(Finding("error", "excitation", "every trial has the same controller; try different ones"))
-    elif high - low < 1e-6 * max(abs(high), 1.0):
-        findings.append(
-            Finding("error", "excitation", f"every trial has the same fitness ({low:.6g}); nothing can be told")
-        )
-    if fit < 20:
-        findings.append(Finding("warning", "data", f"{fit} trials to fit are few; the ranking will be a guess"))
-    return sorted(findings, key=lambda finding: finding.level != "error")
 
 
 def refuse_errors(findings: Sequence[Finding]) -> None:

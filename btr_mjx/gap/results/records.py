@@ -251,3 +251,26 @@ class Diagnosis:
     calibration: tuple[Calibrated, ...] = ()
     survivors: tuple = field(default=(), repr=False)
     notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class NextExperiment:
+    """A command that is proposed to be recorded next.
+
+    Attributes:
+      time: (K,) [s].
+      values: (K, nu) command.
+      between: the two names that it is expected to separate.
+      disagreement: expected difference of their scores in one recording.
+      others: the same for every command that was compared, in their order.
+      chosen: which of these it is.
+      reason: in words.
+    """
+
+    time: np.ndarray
+    values: np.ndarray
+    between: tuple[str, str]
+    disagreement: float
+    others: tuple[float, ...]
+    chosen: int
+    reason: str

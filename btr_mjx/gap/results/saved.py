@@ -12,9 +12,8 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, control_columns
 from btr_mjx.gap.effects import KNOWN, Effect
-from btr_mjx.gap.experiments import NextExperiment
 from btr_mjx.gap.results.mend import Found, Mended, mend
-from btr_mjx.gap.results.records import Diagnosis, DisagreementMap
+from btr_mjx.gap.results.records import Diagnosis, DisagreementMap, NextExperiment
 from btr_mjx.gap.results.wording import place, verdict_sentence
 from btr_mjx.models import parse_path, part_names
 from btr_mjx.runs import atomic_write, write_arrays, write_json, write_table

@@ -5,12 +5,14 @@ step, `Windows` simulates hypotheses over them, `signatures` tells how residuals
 """
 
 from btr_mjx.gap.windows.likelihood import Evidence, Fit, bounded, fit, project, scan, steadied, typical, weight
+from btr_mjx.gap.windows.linearisation import linearise, redirected
+from btr_mjx.gap.windows.options import Options
 from btr_mjx.gap.windows.pacing import chosen_windows, pace_notes
 from btr_mjx.gap.windows.placement import Survey, grid, survey
 from btr_mjx.gap.windows.prepared import Data, prepare, scales_of, track_of
 from btr_mjx.gap.windows.rows import picked
 from btr_mjx.gap.windows.sensitivity import force_signatures, parts, signatures
-from btr_mjx.gap.windows.starting_states import centred, exactly, recentred, redirected
+from btr_mjx.gap.windows.starting_states import centred, exactly, recentred
 from btr_mjx.gap.windows.state_estimate import Span, Track, best_span, smooth
 from btr_mjx.gap.windows.time_steps import fine_step, kept, step_doubt
 from btr_mjx.gap.windows.windows import MakeWorld, Windows
@@ -20,6 +22,7 @@ __all__ = [
     "Evidence",
     "Fit",
     "MakeWorld",
+    "Options",
     "Span",
     "Survey",
     "Track",
@@ -34,6 +37,7 @@ __all__ = [
     "force_signatures",
     "grid",
     "kept",
+    "linearise",
     "pace_notes",
     "parts",
     "picked",

@@ -7,15 +7,8 @@ that an answer that is remembered is the one that would be found again, to the b
 
 from collections.abc import Callable, Hashable, Sequence
 from threading import Lock
-from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
-
-from btr_mjx.gap.simulate import Job, Stretch, World, simulate
-
-if TYPE_CHECKING:
-    from btr_mjx.gap.windows.windows import Windows
 
 _MOST = 2**29
 """Bytes of states that are remembered; what comes later is simulated whenever it is asked for."""
@@ -66,51 +59,3 @@ class Memory:
                 return
             self.bytes += states.nbytes
         table.update(zip(keys, states, strict=True))
-
-
-def remembered(
-    windows: "Windows",
-    makes: Sequence[Callable[[mujoco.MjModel], World]],
-    rows: np.ndarray,
-    start: tuple[np.ndarray, np.ndarray],
-    timestep: float,
-) -> list[np.ndarray]:
-    """States of hypotheses over some of the windows; only what was never asked before is simulated.
-
-    Args:
-      windows: the data, with their memory.
-      makes: one world maker per hypothesis.
-      rows: (N,) which windows.
-      start: states qpos (W, nq), qvel (W, nv) of all windows that they start from.
-      timestep: of the simulation [s].
-
-    Returns:
-      For each hypothesis states (N, k + 1, nq + nv).
-    """
-    qpos, qvel = start
-    stretches: dict[tuple[int, bytes], Stretch] = {}
-
-    def find(wanted: Sequence[tuple[int, np.ndarray]]) -> list[np.ndarray]:
-        out = [np.empty((len(asked), windows.k + 1, windows.nq + windows.nv)) for _, asked in wanted]
-        jobs: list[Job] = []
-        places = []
-        for states, (i, asked) in zip(out, wanted, strict=True):
-            for j, (model, mine) in enumerate(windows.groups):
-                part = np.flatnonzero(np.isin(rows[asked], mine))
-                own = rows[asked[part]]
-                if not len(own):
-                    continue
-                key = j, own.tobytes()
-                if key not in stretches:  # what hypotheses share is laid out once
-                    stretches[key] = windows.stretch(own, qpos[own], qvel[own], windows.since[own])
-                jobs.append((makes[i](model), stretches[key]))
-                places.append((states, part))
-        for (states, part), found in zip(
-            places, simulate(jobs, timestep=timestep, counter=windows.counter), strict=True
-        ):
-            states[part] = found
-        return out
-
-    names = np.stack([windows.recording[rows], windows.first[rows]], 1)
-    keys = [b"".join(a.tobytes() for a in row) for row in zip(names, qpos[rows], qvel[rows], strict=True)]
-    return windows.memory([(make, timestep) for make in makes], keys, find)

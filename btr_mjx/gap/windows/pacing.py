@@ -8,13 +8,13 @@ may do for what is believed and not for what is missing, a friction that sticks 
 import math
 from dataclasses import dataclass, replace
 
-from btr_mjx.gap.inference import Hypothesis, Options
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.gap.windows.impacts import blows
+from btr_mjx.gap.windows.options import Options
 from btr_mjx.gap.windows.placement import SHORTEST, Survey, grid, plan
 from btr_mjx.gap.windows.prepared import Data
 from btr_mjx.gap.windows.time_steps import refinement
-from btr_mjx.gap.windows.windows import Windows
+from btr_mjx.gap.windows.windows import MakeWorld, Windows
 
 _LONGEST = 2.5e-3
 """Steps of a model are divided down to this [s]. A dry friction in steps of 10 ms was a tenth too large."""
@@ -41,7 +41,7 @@ class Chosen:
 
 
 def chosen_windows(
-    data: Data, held: Data, base: Hypothesis, survey: Survey, count: int, options: Options, counter: Counter
+    data: Data, held: Data, base: MakeWorld, survey: Survey, count: int, options: Options, counter: Counter
 ) -> Chosen:
     """Choose windows, and the time step in which they are simulated.
 

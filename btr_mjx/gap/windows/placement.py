@@ -13,10 +13,10 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.effects import closes_loops
-from btr_mjx.gap.inference import Options
 from btr_mjx.gap.simulate import Counter, Stretch, World, simulate
 from btr_mjx.gap.windows.coverage import bustle, covering, weights
 from btr_mjx.gap.windows.impacts import contacts, quiet_windows
+from btr_mjx.gap.windows.options import Options
 from btr_mjx.gap.windows.prepared import Data
 from btr_mjx.gap.windows.sensitivity import intervals_per_look
 from btr_mjx.gap.windows.state_estimate import smooth

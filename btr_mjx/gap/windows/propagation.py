@@ -1,14 +1,9 @@
 """How what happens in one sample interval carries on to the end of its window, by the windows' transitions."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from btr_mjx.gap.windows.likelihood import project
-
-if TYPE_CHECKING:
-    from btr_mjx.gap.windows.windows import Windows
-
+from btr_mjx.gap.windows.windows import Windows
 
 _WILD = 3e3
 """Growth of the starting states' noise from which on transitions of a window may not be multiplied. Of signatures of a
@@ -30,7 +25,7 @@ def tame(jacobians: np.ndarray) -> np.ndarray:
     return growth <= max(_WILD, float(np.median(growth)))
 
 
-def jacobian(windows: "Windows") -> np.ndarray:
+def jacobian(windows: Windows) -> np.ndarray:
     """How the residual answers to the starting state in units of the noise.
 
     Args:
@@ -49,7 +44,7 @@ def jacobian(windows: "Windows") -> np.ndarray:
     return answer[:, :, windows.channels].reshape(len(windows), -1, size)
 
 
-def carry(windows: "Windows", injected: np.ndarray) -> np.ndarray:
+def carry(windows: Windows, injected: np.ndarray) -> np.ndarray:
     """Signatures of what is added to the state over every sample interval.
 
     Args:

@@ -5,19 +5,16 @@ its own samples, and stay near the smoothed states, which know no model: a wrong
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
 from btr_mjx.gap.simulate import World
 from btr_mjx.gap.windows.time_steps import step_error
+from btr_mjx.gap.windows.windows import Windows
 from btr_mjx.models import integrate
 
-if TYPE_CHECKING:
-    from btr_mjx.gap.windows.windows import Windows
-
-_STEPS = 3
+STEPS = 3
 """Gauss-Newton steps for another hypothesis; fewer favour the one that the states suited before."""
 
 _MORE = 4
@@ -37,7 +34,7 @@ _UNKEPT = 40.0
 
 
 def centred(
-    windows: "Windows",
+    windows: Windows,
     make: Callable[[mujoco.MjModel], World],
     steps: int,
     states: np.ndarray,
@@ -85,7 +82,7 @@ def centred(
     return qpos, qvel, states
 
 
-def recentred(windows: "Windows", make: Callable[[mujoco.MjModel], World], exact: bool = True) -> "Windows":
+def recentred(windows: Windows, make: Callable[[mujoco.MjModel], World], exact: bool = True) -> Windows:
     """A copy of windows whose starting states suit another hypothesis, which is its base for residuals.
 
     Args:
@@ -94,14 +91,14 @@ def recentred(windows: "Windows", make: Callable[[mujoco.MjModel], World], exact
       exact: the error of its time step is found anew, which costs as much as the rest; else that of the base is taken.
     """
     other = windows.copied()
-    other.qpos, other.qvel, other.base = centred(windows, make, _STEPS, windows.at(make), windows.correction)
+    other.qpos, other.qvel, other.base = centred(windows, make, STEPS, windows.at(make), windows.correction)
     other.maker = make
     if exact:
         other.correction = step_error(other, make, other.base)
     return other
 
 
-def exactly(windows: "Windows", make: Callable[[mujoco.MjModel], World]) -> "Windows":
+def exactly(windows: Windows, make: Callable[[mujoco.MjModel], World]) -> Windows:
     """A copy of windows with another hypothesis as base, from the same starting states, with its time step's error.
 
     Args:
@@ -110,22 +107,4 @@ def exactly(windows: "Windows", make: Callable[[mujoco.MjModel], World]) -> "Win
     """
     other = windows.based(make)
     other.correction = step_error(other, make, other.base)
-    return other
-
-
-def redirected(windows: "Windows", make: Callable[[mujoco.MjModel], World]) -> "Windows":
-    """The same with what the starting states could explain found anew as well.
-
-    Where a hypothesis lets a foot touch at another time, the directions of the believed model leave the noise of the
-    starting state in the residual, and judge the truth worse than nothing.
-
-    Args:
-      windows: recentred around the hypothesis.
-      make: the hypothesis.
-    """
-    other = windows.copied()
-    other.differentiate(make)
-    other.qpos, other.qvel, other.base = centred(other, make, _STEPS, windows.base, windows.correction)
-    other.maker = make
-    # What the time step does changes little with the starting state; another fine pass would cost as much as the rest.
     return other

@@ -12,16 +12,13 @@ shows tens of microseconds of it, as damping of all joints, so a small change of
 import copy
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
 from btr_mjx.gap.simulate import World
 from btr_mjx.gap.windows.likelihood import project
-
-if TYPE_CHECKING:
-    from btr_mjx.gap.windows.windows import Windows
+from btr_mjx.gap.windows.windows import Windows
 
 _FINE = 1.25e-4
 """Time step of the fine pass, roughly [s]: it divides the model's by 4 to 10."""
@@ -52,14 +49,14 @@ _LEFT = 1.4
 """Root mean square, as above, of what such a divided step may do: errors are of first order."""
 
 
-def fine_step(windows: "Windows") -> float:
+def fine_step(windows: Windows) -> float:
     """Time step of the fine pass [s]."""
     if windows.since[:, -1].max() > _LONG * windows.dt:
         return windows.dt / 4
     return windows.dt / float(np.clip(round(windows.dt / _FINE), 4, 10))
 
 
-def step_error(windows: "Windows", make: Callable[[mujoco.MjModel], World], base: np.ndarray) -> np.ndarray:
+def step_error(windows: Windows, make: Callable[[mujoco.MjModel], World], base: np.ndarray) -> np.ndarray:
     """What the time step does to states of a hypothesis.
 
     The error of a step is of first order in its length. What the fine pass leaves of it looks like a delay of half a
@@ -78,7 +75,7 @@ def step_error(windows: "Windows", make: Callable[[mujoco.MjModel], World], base
     return rest * (windows.whiten(windows.states([make], timestep=fine)[0]) - windows.whiten(base))
 
 
-def step_doubt(windows: "Windows", make: Callable[[mujoco.MjModel], World] = World.of) -> np.ndarray:
+def step_doubt(windows: Windows, make: Callable[[mujoco.MjModel], World] = World.of) -> np.ndarray:
     """What one standard deviation of the data's own time step does to residuals.
 
     A Runge-Kutta scheme errs in another direction, next to nowhere, than the schemes of first order do that most data
@@ -94,7 +91,7 @@ def step_doubt(windows: "Windows", make: Callable[[mujoco.MjModel], World] = Wor
     return project(_doubt(windows, make), windows.basis)
 
 
-def kept(windows: "Windows", make: Callable[[mujoco.MjModel], World], contact: bool) -> "Windows":
+def kept(windows: Windows, make: Callable[[mujoco.MjModel], World], contact: bool) -> Windows:
     """Windows in which the linear picture holds, see `Windows.calm`; without contacts, in which a step does little.
 
     What turns over near an unstable balance multiplies all that is off before, a tenth of a millisecond to twenty
@@ -113,7 +110,7 @@ def kept(windows: "Windows", make: Callable[[mujoco.MjModel], World], contact: b
     return windows if even.all() else windows.some(np.flatnonzero(even))
 
 
-def _doubt(windows: "Windows", make: Callable[[mujoco.MjModel], World]) -> np.ndarray:
+def _doubt(windows: Windows, make: Callable[[mujoco.MjModel], World]) -> np.ndarray:
     fine = fine_step(windows)
     if windows.models[0].opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         simple, own = (windows.whiten(windows.states([one], timestep=fine)[0]) for one in (_FirstOrder(make), make))
@@ -135,7 +132,7 @@ class _FirstOrder:
 
 
 def paced(
-    windows: "Windows", make: Callable[[mujoco.MjModel], World], step: float | None = None
+    windows: Windows, make: Callable[[mujoco.MjModel], World], step: float | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Choose the time step of windows: the model's, or twice that where it does little that sensors could see.
 
@@ -159,7 +156,7 @@ def paced(
     return base, error
 
 
-def refinement(windows: "Windows", make: Callable[[mujoco.MjModel], World]) -> int:
+def refinement(windows: Windows, make: Callable[[mujoco.MjModel], World]) -> int:
     """By what the model's time step is to be divided.
 
     What a step does is taken off as far as the fine pass knows it from one starting state. Where a foot comes down on

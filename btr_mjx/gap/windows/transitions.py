@@ -6,17 +6,14 @@ nudge led is remembered, because near contacts it leads elsewhere than the deriv
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
 from btr_mjx.gap.simulate import Job, Stretch, World, simulate
 from btr_mjx.gap.windows.propagation import jacobian, tame
+from btr_mjx.gap.windows.windows import Windows
 from btr_mjx.models import integrate
-
-if TYPE_CHECKING:
-    from btr_mjx.gap.windows.windows import Windows
 
 _NUDGE = 0.5
 """Perturbation of a state, in units of the noise: as far as it is unknown. A foot comes down at one time step or at the
@@ -40,7 +37,7 @@ _SAMPLE = 64
 """Intervals that this is tried on."""
 
 
-def stride(windows: "Windows", make: Callable[[mujoco.MjModel], World], states: np.ndarray) -> int:
+def stride(windows: Windows, make: Callable[[mujoco.MjModel], World], states: np.ndarray) -> int:
     """How much longer than the model's a time step may be that only tells which directions are unknown.
 
     Args:
@@ -66,7 +63,7 @@ def stride(windows: "Windows", make: Callable[[mujoco.MjModel], World], states: 
 
 
 def transitions(
-    windows: "Windows",
+    windows: Windows,
     make: Callable[[mujoco.MjModel], World],
     states: np.ndarray,
     wanted: np.ndarray | None = None,
@@ -97,7 +94,7 @@ def transitions(
     return matrices, answers
 
 
-def directions(windows: "Windows", make: Callable[[mujoco.MjModel], World]) -> tuple[np.ndarray, np.ndarray]:
+def directions(windows: Windows, make: Callable[[mujoco.MjModel], World]) -> tuple[np.ndarray, np.ndarray]:
     """How residuals answer to the starting states: products of transitions, and secants where these would grow wild.
 
     Args:
@@ -115,7 +112,7 @@ def directions(windows: "Windows", make: Callable[[mujoco.MjModel], World]) -> t
     return found, calm
 
 
-def secants(windows: "Windows", make: Callable[[mujoco.MjModel], World], own: np.ndarray) -> np.ndarray:
+def secants(windows: Windows, make: Callable[[mujoco.MjModel], World], own: np.ndarray) -> np.ndarray:
     """How residuals answer to the starting state, by nudging it and simulating whole windows.
 
     As dear as the transitions. What is off at a touchdown does not grow from each to the next as in their product, for
@@ -149,7 +146,7 @@ def secants(windows: "Windows", make: Callable[[mujoco.MjModel], World], own: np
 
 
 def intervals(
-    windows: "Windows", window: np.ndarray, interval: np.ndarray, qpos: np.ndarray, qvel: np.ndarray
+    windows: Windows, window: np.ndarray, interval: np.ndarray, qpos: np.ndarray, qvel: np.ndarray
 ) -> Stretch:
     """Some sample intervals as stretches of their own.
 
@@ -173,12 +170,12 @@ def intervals(
     )
 
 
-def _mixed(windows: "Windows") -> np.ndarray:
+def _mixed(windows: Windows) -> np.ndarray:
     """A nudge (2 nv,) of every coordinate at once, with signs of its own."""
     return np.random.default_rng(0).choice([-1.0, 1.0], 2 * windows.nv) * _NUDGE * windows.data.sigma
 
 
-def strangeness(windows: "Windows", make: Callable[[mujoco.MjModel], World], states: np.ndarray) -> np.ndarray:
+def strangeness(windows: Windows, make: Callable[[mujoco.MjModel], World], states: np.ndarray) -> np.ndarray:
     """By how much a hypothesis' transitions differ from those that the windows know.
 
     Args:
@@ -198,7 +195,7 @@ def strangeness(windows: "Windows", make: Callable[[mujoco.MjModel], World], sta
 
 
 def _moved(
-    windows: "Windows",
+    windows: Windows,
     make: Callable[[mujoco.MjModel], World],
     states: np.ndarray,
     window: np.ndarray,

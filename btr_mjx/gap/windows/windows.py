@@ -8,26 +8,21 @@ damping); how they answer to parameters comes from a longer one, see `time_steps
 
 import copy
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.simulate import Counter, Stretch, World
-from btr_mjx.gap.windows.likelihood import project, spanned
-from btr_mjx.gap.windows.memory import Memory, remembered
+from btr_mjx.gap.simulate import Counter, Job, Stretch, World, simulate
+from btr_mjx.gap.windows.likelihood import project
+from btr_mjx.gap.windows.memory import Memory
 from btr_mjx.gap.windows.prepared import Data
 from btr_mjx.gap.windows.rows import picked
-from btr_mjx.gap.windows.starting_states import centred
 from btr_mjx.gap.windows.state_estimate import smooth
-from btr_mjx.gap.windows.time_steps import paced, step_error
-from btr_mjx.gap.windows.transitions import directions, strangeness, stride, transitions
 from btr_mjx.models import difference
 
 MakeWorld = Callable[[mujoco.MjModel], World]
 """The world of a hypothesis, given the believed model of a recording."""
-
-_STRANGE = 1.0
-"""Change of an interval's transition, see `strangeness`, beyond which it is found anew."""
 
 _REACH = 2.0
 """How far a starting state may be led away from the smoothed one, in units of the noise; more where smoothing fails."""
@@ -64,7 +59,17 @@ class Windows:
       base: (W, k + 1, nq + nv) states of the base world from the starting states.
       maker: the hypothesis that they are of.
       memory: what was simulated in them and their copies.
+      transitions: (W, k, 2 nv, 2 nv) from one sample to the next; this and what follows is set by `linearise`.
+      answers: (W, k, 2 nv) where the nudge of `transitions.strangeness` leads.
+      jacobians: (W, R, 2 nv) how residuals answer to the starting state, in units of the noise.
+      inverse: (W, 2 nv, R) pseudo-inverse of these.
     """
+
+    transitions: np.ndarray
+    answers: np.ndarray
+    jacobians: np.ndarray
+    inverse: np.ndarray
+    tame: np.ndarray
 
     def __init__(
         self, data: Data, recording: np.ndarray, first: np.ndarray, k: int, counter: Counter | None = None
@@ -156,7 +161,42 @@ class Windows:
           For each hypothesis states (N, k + 1, nq + nv).
         """
         rows = np.arange(len(self)) if own is None else own
-        return remembered(self, makes, rows, start or (self.qpos, self.qvel), timestep or self.step)
+        qpos, qvel = start or (self.qpos, self.qvel)
+        step = timestep or self.step
+        find = partial(self._simulated, makes, rows, qpos, qvel, step)
+        names = np.stack([self.recording[rows], self.first[rows]], 1)
+        keys = [b"".join(a.tobytes() for a in row) for row in zip(names, qpos[rows], qvel[rows], strict=True)]
+        return self.memory([(make, step) for make in makes], keys, find)
+
+    def _simulated(
+        self,
+        makes: Sequence[MakeWorld],
+        rows: np.ndarray,
+        qpos: np.ndarray,
+        qvel: np.ndarray,
+        timestep: float,
+        wanted: Sequence[tuple[int, np.ndarray]],
+    ) -> list[np.ndarray]:
+        """Simulate what the memory does not hold: for each (i, places in `rows`) the states of hypothesis i there."""
+        stretches: dict[tuple[int, bytes], Stretch] = {}
+        out = [np.empty((len(asked), self.k + 1, self.nq + self.nv)) for _, asked in wanted]
+        jobs: list[Job] = []
+        places = []
+        for states, (i, asked) in zip(out, wanted, strict=True):
+            for j, (model, mine) in enumerate(self.groups):
+                part = np.flatnonzero(np.isin(rows[asked], mine))
+                own = rows[asked[part]]
+                if not len(own):
+                    continue
+                key = j, own.tobytes()
+                if key not in stretches:  # what hypotheses share is laid out once
+                    stretches[key] = self.stretch(own, qpos[own], qvel[own], self.since[own])
+                jobs.append((makes[i](model), stretches[key]))
+                places.append((states, part))
+        found = simulate(jobs, timestep=timestep, counter=self.counter)
+        for (states, part), of_job in zip(places, found, strict=True):
+            states[part] = of_job
+        return out
 
     def whiten(self, states: np.ndarray, own: np.ndarray | slice = slice(None)) -> np.ndarray:
         """States of windows `own` minus their data in units of the noise, (W, R)."""
@@ -174,39 +214,6 @@ class Windows:
         rows = np.clip(np.nan_to_num(rows, nan=_CEILING, posinf=_CEILING, neginf=-_CEILING), -_CEILING, _CEILING)
         return rows.reshape(*rows.shape[:-2], -1)
 
-    def linearise(self, make: MakeWorld, steps: int = 5, step: float | None = None) -> None:
-        """Make a hypothesis the base world: improve the starting states, then project them out.
-
-        Args:
-          make: the hypothesis.
-          steps: Gauss-Newton steps of the starting states; a window keeps a step only if it helps.
-          step: time step that is to be taken [s]; None to choose one.
-        """
-        base, correction = paced(self, make, step)
-        self.stride = stride(self, make, base)
-        self.transitions, self.answers = transitions(self, make, base)
-        self._directions(make)
-        self.qpos, self.qvel, self.base = centred(self, make, steps, base, correction)
-        self.maker = make
-        self.differentiate(make)
-        self.correction = step_error(self, make, self.base)
-        self._raw = self._residual = None
-
-    def differentiate(self, make: MakeWorld) -> None:
-        """Directions of the starting states for another base: anew where they have changed.
-
-        Args:
-          make: the hypothesis that `base` is of.
-        """
-        changed = strangeness(self, make, self.base) > _STRANGE
-        self.transitions, self.answers = transitions(self, make, self.base, changed, (self.transitions, self.answers))
-        self._directions(make)
-        self.soften(self.soft)
-
-    def _directions(self, make: MakeWorld) -> None:
-        self.jacobians, self.tame = directions(self, make)
-        self.basis, self.inverse = spanned(self.jacobians)
-
     def soften(self, directions: np.ndarray) -> None:
         """Let some directions count less in all residuals from now on.
 
@@ -222,8 +229,12 @@ class Windows:
     def copied(self) -> "Windows":
         """A copy that is about to be changed."""
         other = copy.copy(self)
-        other._raw = other._residual = None
+        other.forget_residuals()
         return other
+
+    def forget_residuals(self) -> None:
+        """Residuals are found again when they are next asked for; call it after a change of what they depend on."""
+        self._raw = self._residual = None
 
     def some(self, index: np.ndarray) -> "Windows":
         """Some of the windows."""

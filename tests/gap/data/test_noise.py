@@ -1,9 +1,9 @@
 """Noise of the sensors, as recordings show it and as a model corrects it."""
 
 import numpy as np
+from gap_recordings import MODEL, smooth_recording
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_gap_recordings import MODEL, smooth_recording
 
 from btr_mjx.gap.data import estimate_noise, quieter
 from btr_mjx.models import integrate

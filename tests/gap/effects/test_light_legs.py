@@ -9,10 +9,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from btr_mjx.gap.data import load
-from btr_mjx.gap.inference import Hypothesis, Options
+from btr_mjx.gap.inference import Hypothesis
 from btr_mjx.gap.inference.scoring.nulls import null_residual
 from btr_mjx.gap.simulate import Counter, World, simulate
-from btr_mjx.gap.windows import Span, Windows, chosen_windows, fine_step, pace_notes, prepare, signatures, survey
+from btr_mjx.gap.windows import (
+    Options,
+    Span,
+    Windows,
+    chosen_windows,
+    fine_step,
+    linearise,
+    pace_notes,
+    prepare,
+    signatures,
+    survey,
+)
 from btr_mjx.gap.windows.propagation import jacobian, tame
 from btr_mjx.gap.windows.time_steps import refinement, step_error
 from btr_mjx.gap.windows.transitions import secants
@@ -41,7 +52,7 @@ def windows_of(quadruped, finer=1, noise=1.0):
 @pytest.fixture(scope="module")
 def fine(quadruped):
     windows = windows_of(quadruped, 4)
-    windows.linearise(World.of)
+    linearise(windows, World.of)
     return windows
 
 
@@ -163,7 +174,7 @@ def test_nulls_know_what_is_left_of_the_step(quadruped, fine) -> None:
     arm = arm_windows()
     data = replace(arm.data, finer=4, rough=True)
     windows = Windows(data, arm.recording, arm.first, arm.k)
-    windows.linearise(World.of)
+    linearise(windows, World.of)
     rng = np.random.default_rng(1)
     chi2 = np.stack([(null_residual(windows, World.of, World.of, rng) ** 2).sum(1) for _ in range(20)])
     assert chi2.mean() / windows.freedom == pytest.approx(1.0, abs=0.03)

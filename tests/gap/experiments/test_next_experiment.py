@@ -9,8 +9,9 @@ from gap_arm import SIGMA, dataset
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.experiments import propose, random_commands, recordings_needed
 from btr_mjx.gap.experiments.next_experiment import compare, margin, record
-from btr_mjx.gap.inference import Bench, Options, identify
+from btr_mjx.gap.inference import Bench, identify
 from btr_mjx.gap.simulate import Command
+from btr_mjx.gap.windows import Options
 
 LIBRARY = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "armature"))
 QUICK = Options(steps=6e4, leaders=4, contact_leaders=0)

@@ -17,10 +17,11 @@ from btr_mjx.gap.fitness_only import (
     expected_steps,
     identify_fitness,
     load_fitness,
+    preflight_fitness,
     save_fitness,
 )
 from btr_mjx.gap.fitness_only.screen import coarse_step, leads
-from btr_mjx.gap.preflight import preflight_fitness, refuse_errors
+from btr_mjx.gap.preflight import refuse_errors
 from btr_mjx.gap.simulate import World
 from btr_mjx.testing import make_fitness_case
 

@@ -6,10 +6,11 @@ from gap_arm import dataset
 from gap_judged import falls
 
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.inference import Bench, Options
+from btr_mjx.gap.inference import Bench
 from btr_mjx.gap.inference.search.alone import alone
 from btr_mjx.gap.inference.search.naming import SECOND_THRESHOLD, accepted
 from btr_mjx.gap.inference.search.search_records import Judged
+from btr_mjx.gap.windows import Options
 
 LIBRARY = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "armature"))
 

@@ -11,7 +11,7 @@ from btr_mjx.gap.inference.scoring.forces import ForceFit, circumstances, lack_o
 from btr_mjx.gap.inference.scoring.leftover import Feature, Leftover, Told
 from btr_mjx.gap.inference.verdict import check
 from btr_mjx.gap.simulate import World
-from btr_mjx.gap.windows import Span, Windows, prepare, project
+from btr_mjx.gap.windows import Span, Windows, linearise, prepare, project
 from btr_mjx.testing import case_robot, make_case
 
 
@@ -54,7 +54,7 @@ def test_what_is_left_along_three_axes_shows_on_all_of_them_together(tmp_path) -
     k = round(0.04 / float(np.median(np.diff(data.fit[0].time))))
     first = np.arange(k, len(data.fit[0].time) - k - 6, k)
     windows = Windows(prepared, np.zeros(len(first), int), first, k)
-    windows.linearise(World.of)
+    linearise(windows, World.of)
     fit = ForceFit(windows, circumstances(windows, World.of))
     bodies = Bodies(data.model, [fit, fit])
     noise = [noise_of(windows, seed) for seed in (1, 2)]

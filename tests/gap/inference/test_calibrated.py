@@ -8,11 +8,12 @@ import pytest
 from gap_arm import elbow_off
 
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.inference import Bench, Options
+from btr_mjx.gap.inference import Bench
 from btr_mjx.gap.inference.search import calibrated
 from btr_mjx.gap.inference.search.calibrated import besides, beyond_calibration, limb_of
 from btr_mjx.gap.inference.search.polish import Polisher
 from btr_mjx.gap.inference.search.search_records import Judged
+from btr_mjx.gap.windows import Options
 
 
 @pytest.fixture(scope="module")

@@ -8,13 +8,15 @@ import pytest
 from gap_arm import arm_windows, dataset
 
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
-from btr_mjx.gap.inference import Bench, Hypothesis, Options
+from btr_mjx.gap.inference import Bench, Hypothesis
 from btr_mjx.gap.inference.scoring.refine import Nuisance
 from btr_mjx.gap.inference.search import closer as module
 from btr_mjx.gap.inference.search.closer import closer, shared
 from btr_mjx.gap.inference.search.naming import THRESHOLD
 from btr_mjx.gap.inference.search.polish import Polisher
 from btr_mjx.gap.inference.search.search_records import Judged, Side
+from btr_mjx.gap.windows import Options
+from btr_mjx.gap.windows.linearisation import differentiate
 
 LIBRARY = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "dry_friction", "armature", "actuator_delay"))
 
@@ -38,7 +40,7 @@ def test_every_window_is_as_near_to_the_data_as_from_any_known_state() -> None:
     # Directions are those of the world that found the state: of the damped arm those of differences.
     own = shared([damping], [side])[0].windows
     again = own.copied()
-    again.differentiate(damping)
+    differentiate(again, damping)
     for w in np.flatnonzero(np.abs(own.qvel - windows.qvel).max(1) > 0):
         lost = again.basis[w] - own.basis[w] @ (own.basis[w].T @ again.basis[w])
         assert np.linalg.norm(lost) < 0.1

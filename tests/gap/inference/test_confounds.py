@@ -4,8 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from gap_arm import dataset
-from test_gap_identify import QUICK, damped
+from gap_arm import QUICK, damped, dataset
 
 from btr_mjx.gap.data import Believed
 from btr_mjx.gap.effects import EFFECTS

@@ -8,11 +8,12 @@ import pytest
 from gap_arm import dataset
 
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.inference import Bench, Options
+from btr_mjx.gap.inference import Bench
 from btr_mjx.gap.inference.search import finer as module
 from btr_mjx.gap.inference.search.finer import finer
 from btr_mjx.gap.inference.search.polish import Polisher
 from btr_mjx.gap.inference.search.search_records import Judged
+from btr_mjx.gap.windows import Options
 
 LIBRARY = tuple(e for e in EFFECTS if e.name in ("joint_offset", "armature"))
 OFFSET = "joint_offset@joint:elbow"

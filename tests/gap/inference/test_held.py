@@ -8,9 +8,9 @@ import pytest
 
 from btr_mjx.gap.data import Dataset, Recording
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.inference import Bench, Options, identify
+from btr_mjx.gap.inference import Bench, identify
 from btr_mjx.gap.simulate import Command
-from btr_mjx.gap.windows import signatures
+from btr_mjx.gap.windows import Options, signatures
 
 XML = """
 <mujoco>

@@ -5,28 +5,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from gap_arm import dataset, recording
+from gap_arm import LIBRARY, QUICK, damped, dataset, recording
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Believed
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.effects.similar import HARDENING_SPRING
-from btr_mjx.gap.inference import Bench, Hypothesis, Options, identify
+from btr_mjx.gap.inference import Bench, Hypothesis, identify
 from btr_mjx.gap.inference.scoring.gains import fall, luckiest
 from btr_mjx.gap.inference.scoring.hypotheses import unknowns
 from btr_mjx.gap.inference.search.held_out import foreseen
 from btr_mjx.gap.inference.verdict.outcome import calibration_of, equivalent, overlays
 from btr_mjx.gap.windows import Fit
-
-LIBRARY = tuple(
-    e for e in EFFECTS if e.name in ("viscous_damping", "dry_friction", "armature", "actuator_gain", "actuator_delay")
-)
-QUICK = Options(steps=6e4, leaders=4, contact_leaders=0)
-
-
-def damped(model):
-    model.dof_damping[1] += 0.1
 
 
 @pytest.fixture(scope="module")

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.effects.effect import Parameter
-from btr_mjx.gap.inference import Bench, Options
+from btr_mjx.gap.inference import Bench
 from btr_mjx.gap.inference.search.polish import Polisher
 from btr_mjx.gap.inference.search.search_records import Judged
 from btr_mjx.gap.inference.search.walks import scaled
 from btr_mjx.gap.inference.verdict.intervals import _sized, intervals, lowest
-from btr_mjx.gap.windows import weight
+from btr_mjx.gap.windows import Options, weight
 
 LIBRARY = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "armature"))
 QUICK = Options(steps=4e4, leaders=2, contact_leaders=0)

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
-from btr_mjx.gap.inference import Bench, Options
+from btr_mjx.gap.inference import Bench
 from btr_mjx.gap.inference.scoring.gains import robust_gain
 from btr_mjx.gap.inference.scoring.scanner import Lead
 from btr_mjx.gap.inference.scoring.screening import Entry
@@ -20,6 +20,7 @@ from btr_mjx.gap.inference.search.contact_leaders import contact_scan, with_cont
 from btr_mjx.gap.inference.search.leaders import pick, starts
 from btr_mjx.gap.inference.search.search_records import Side
 from btr_mjx.gap.inference.search.walks import vertex
+from btr_mjx.gap.windows import Options
 
 OFFSETS = tuple(effect for effect in EFFECTS if effect.name in ("joint_offset", "armature"))
 QUICK = Options(steps=4e4, leaders=2, contact_leaders=0)

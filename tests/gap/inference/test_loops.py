@@ -8,8 +8,9 @@ import pytest
 
 from btr_mjx.gap.data import Dataset, Noise, Recording
 from btr_mjx.gap.effects import EFFECTS, Scales
-from btr_mjx.gap.inference import Bench, Options, identify
+from btr_mjx.gap.inference import Bench, identify
 from btr_mjx.gap.simulate import Command
+from btr_mjx.gap.windows import Options
 
 XML = """
 <mujoco>

@@ -9,7 +9,7 @@ from btr_mjx.gap.inference.scoring.forces import ForceFit, Forces, circumstances
 from btr_mjx.gap.inference.scoring.gains import without_wildest
 from btr_mjx.gap.inference.scoring.nulls import doubtful, null_residual
 from btr_mjx.gap.simulate import World
-from btr_mjx.gap.windows import Span, Windows, prepare, project
+from btr_mjx.gap.windows import Span, Windows, linearise, prepare, project
 from btr_mjx.gap.windows.propagation import jacobian
 from btr_mjx.testing import case_robot, make_case
 
@@ -62,7 +62,7 @@ def test_touchdowns_that_small_steps_miss_show_in_nulls(tmp_path):
     k = round(0.04 / float(np.median(np.diff(data.fit[0].time))))
     first = np.arange(k, len(data.fit[0].time) - k - 6, k)
     windows = Windows(prepared, np.zeros(len(first), int), first, k)
-    windows.linearise(World.of)
+    linearise(windows, World.of)
     rng = np.random.default_rng(0)
     nulls = np.stack([(null_residual(windows, World.of, World.of, rng) ** 2).sum(1) for _ in range(2)])
     share = nulls / windows.freedom  # of noise alone 1 +- 0.05

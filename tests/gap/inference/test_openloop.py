@@ -5,8 +5,9 @@ import pytest
 from gap_arm import dataset
 
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.inference import Bench, Hypothesis, Options
+from btr_mjx.gap.inference import Bench, Hypothesis
 from btr_mjx.gap.inference.verdict.openloop import followed, following, open_loop, recording_errors
+from btr_mjx.gap.windows import Options
 
 
 def damped(model):

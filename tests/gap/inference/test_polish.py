@@ -9,7 +9,7 @@ from gap_arm import arm_windows, dataset
 from gap_judged import falls
 
 from btr_mjx.gap.effects import EFFECTS, WORLD
-from btr_mjx.gap.inference import Bench, Options, nearest
+from btr_mjx.gap.inference import Bench, nearest
 from btr_mjx.gap.inference.scoring.gains import robust_gain, trimmed_gain
 from btr_mjx.gap.inference.scoring.refine import Nuisance
 from btr_mjx.gap.inference.search.exchange import beside_the_best
@@ -17,7 +17,7 @@ from btr_mjx.gap.inference.search.polish import Polisher
 from btr_mjx.gap.inference.search.search_records import Side
 from btr_mjx.gap.inference.search.sizes import best_size
 from btr_mjx.gap.simulate import World
-from btr_mjx.gap.windows import Windows
+from btr_mjx.gap.windows import Options, Windows
 
 LIBRARY = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "armature", "actuator_gain", "joint_offset"))
 

@@ -10,14 +10,14 @@ from gap_arm import SIGMA, XML, arm, arm_windows, recording
 
 from btr_mjx.gap.data import Dataset, Noise
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.inference import Bench, Options
+from btr_mjx.gap.inference import Bench
 from btr_mjx.gap.inference.search import runoff
 from btr_mjx.gap.inference.search.polish import Polisher
 from btr_mjx.gap.inference.search.runoff import apart
 from btr_mjx.gap.inference.search.search_records import Judged, Side
 from btr_mjx.gap.inference.verdict.outcome import named_effects
 from btr_mjx.gap.simulate import World
-from btr_mjx.gap.windows import Windows
+from btr_mjx.gap.windows import Options, Windows, linearise
 from btr_mjx.gap.windows import placement as planning
 from btr_mjx.gap.windows.time_steps import step_error
 
@@ -182,7 +182,7 @@ def test_windows_joined_are_those_linearised_together() -> None:
         Windows(both.data, both.recording[own], both.first[own], both.k) for own in (slice(0, 3), slice(3, 4))
     )
     for windows in (first, second):
-        windows.linearise(World.of, step=both.step)
+        linearise(windows, World.of, step=both.step)
     joined = first.joined(second)
     assert joined.stride == both.stride
     assert len(joined) == 4

@@ -5,10 +5,10 @@ import pytest
 from gap_arm import arm_windows, dataset
 
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.inference import Bench, Options
+from btr_mjx.gap.inference import Bench
 from btr_mjx.gap.inference.scoring.refine import Nuisance
 from btr_mjx.gap.simulate import World
-from btr_mjx.gap.windows import project, step_doubt
+from btr_mjx.gap.windows import Options, project, step_doubt
 
 LIBRARY = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "joint_offset", "actuator_gain"))
 

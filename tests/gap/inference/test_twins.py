@@ -4,11 +4,12 @@ import pytest
 from gap_arm import dataset
 
 from btr_mjx.gap.effects import EFFECTS, KNOWN
-from btr_mjx.gap.inference import Bench, Options
+from btr_mjx.gap.inference import Bench
 from btr_mjx.gap.inference.search.polish import Polisher
 from btr_mjx.gap.inference.search.rounds import search
 from btr_mjx.gap.inference.search.search_records import Judged
 from btr_mjx.gap.inference.verdict.twins import candidates_of, twin
+from btr_mjx.gap.windows import Options
 
 SPRINGS = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "joint_stiffness", "armature"))
 QUICK = Options(steps=6e4, leaders=4, contact_leaders=0)

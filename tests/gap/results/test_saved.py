@@ -11,7 +11,6 @@ import pytest
 from gap_models import QUADRUPED
 
 from btr_mjx.gap.data import Believed, Dataset
-from btr_mjx.gap.experiments import NextExperiment
 from btr_mjx.gap.report.page import draw
 from btr_mjx.gap.results import (
     Calibrated,
@@ -21,6 +20,7 @@ from btr_mjx.gap.results import (
     Estimate,
     Gap,
     Named,
+    NextExperiment,
     Overlay,
     Refit,
     Row,

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gap_arm import arm, command, dataset
-from test_gap_identify import LIBRARY, QUICK, damped
+from gap_arm import LIBRARY, QUICK, arm, command, damped, dataset
 
 from btr_mjx.errors import Interrupted
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates

@@ -13,15 +13,17 @@ from hypothesis import strategies as st
 from btr_mjx.gap.data import Recording
 from btr_mjx.gap.data.recording import load_model
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
-from btr_mjx.gap.inference import Hypothesis, Options
+from btr_mjx.gap.inference import Hypothesis
 from btr_mjx.gap.simulate import Command, Counter, World
 from btr_mjx.gap.windows import (
     Data,
+    Options,
     Span,
     Windows,
     chosen_windows,
     grid,
     kept,
+    linearise,
     pace_notes,
     prepare,
     project,
@@ -175,7 +177,7 @@ def test_doubt_about_the_time_step_whatever_the_model_is_integrated_with(integra
     """What 0.1 ms of a step of first order do, as simulated in such steps."""
     data = prepared(driven(cart(integrator=integrator, gear=1.0), 0, start=(0.0, 1.0)))
     windows = Windows(data, np.zeros(2, int), np.array([20, 300]), 100, Counter())
-    windows.linearise(World.of)
+    linearise(windows, World.of)
 
     def first_order(model):
         world = World.of(model)
@@ -193,7 +195,7 @@ def test_doubt_about_the_time_step_whatever_the_model_is_integrated_with(integra
 def test_windows_in_which_a_step_does_much_are_left_out() -> None:
     data = prepare([recording("r", seed=3)], "cubic", SIGMA, Span(5, 6))
     windows = Windows(data, np.zeros(4, int), np.array([10, 60, 110, 160]), 30)
-    windows.linearise(World.of)
+    linearise(windows, World.of)
     assert len(kept(windows, World.of, contact=False)) == 4
     windows.correction[2] *= 4.0 / np.sqrt((windows.correction[2] ** 2).mean()) * windows.step / 1e-4
     found = kept(windows, World.of, contact=False)

@@ -10,11 +10,11 @@ from scipy.optimize import least_squares
 
 from btr_mjx.gap.data import load
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.inference import Bench, Hypothesis, Options
+from btr_mjx.gap.inference import Bench, Hypothesis
 from btr_mjx.gap.inference.search.contact_leaders import contact_scan, judged_anew
 from btr_mjx.gap.inference.search.search_records import Side
 from btr_mjx.gap.simulate import World
-from btr_mjx.gap.windows import Fit, Span, Windows, centred, prepare, recentred, transitions
+from btr_mjx.gap.windows import Fit, Options, Span, Windows, centred, prepare, recentred, transitions
 from btr_mjx.gap.windows.likelihood import spanned
 from btr_mjx.gap.windows.transitions import stride
 from btr_mjx.models import integrate

@@ -8,7 +8,7 @@ from gap_arm import SIGMA, arm, recording
 from btr_mjx.gap.effects.places import joint_places
 from btr_mjx.gap.effects.ranges import integrated
 from btr_mjx.gap.simulate import Counter, World, simulate
-from btr_mjx.gap.windows import Span, Windows, prepare, project
+from btr_mjx.gap.windows import Span, Windows, linearise, prepare, project
 from btr_mjx.gap.windows.time_steps import paced
 
 
@@ -22,7 +22,7 @@ def short_steps(step=5e-4, sigma=5 * SIGMA, first=(10, 150), k=30):
 def test_a_longer_step_leaves_the_same_residual() -> None:
     """What it does is known and taken off, so that residuals are those of steps of 1e-4 s."""
     windows = short_steps()
-    windows.linearise(World.of)
+    linearise(windows, World.of)
     assert windows.step == 2 * windows.dt == 1e-3
     own = np.arange(len(windows))
     start = windows.stretch(own, windows.qpos, windows.qvel, windows.since)
@@ -34,7 +34,7 @@ def test_a_longer_step_leaves_the_same_residual() -> None:
 
 def test_it_halves_what_a_simulation_costs() -> None:
     windows = short_steps()
-    windows.linearise(World.of)
+    linearise(windows, World.of)
     before = windows.counter.steps
     windows.states([lambda model: World.of(model)])  # one that was not asked for before
     coarse = windows.counter.steps - before
@@ -49,7 +49,7 @@ def test_what_a_parameter_does_is_the_same_with_either_step() -> None:
         return world
 
     windows = short_steps()
-    windows.linearise(World.of)
+    linearise(windows, World.of)
     changes = []
     for step in (windows.dt, 2 * windows.dt):
         windows.step = step
@@ -65,7 +65,7 @@ def test_what_a_parameter_does_is_the_same_with_either_step() -> None:
 )
 def test_the_models_own_step_where_a_longer_one_would_show(step, sigma, k) -> None:
     windows = short_steps(step, sigma, k=k)
-    windows.linearise(World.of)
+    linearise(windows, World.of)
     assert windows.step == windows.dt == step
 
 
@@ -80,7 +80,7 @@ def test_no_step_is_longer_than_the_time_between_two_samples() -> None:
 def test_another_integrator_acts_like_an_inertia(joint) -> None:
     """Of implicit against explicit steps h most is h times what forces fall with velocity: damping and the servo's."""
     windows = short_steps()
-    windows.linearise(World.of)
+    linearise(windows, World.of)
     h, believed = 1.5e-4, arm()
     place = next(p for p in joint_places(believed) if p.label == f"joint:{joint}")
     size = integrated(believed, place)

@@ -17,6 +17,7 @@ from btr_mjx.gap.windows import (
     best_span,
     fine_step,
     force_signatures,
+    linearise,
     prepare,
     project,
     recentred,
@@ -68,7 +69,7 @@ def test_residual_of_the_true_model_is_noise(windows):
 def test_long_windows_hold_no_error_of_the_time_step(windows):
     """The residual belongs to steps of 1.25e-4 s, although nothing finer than 5e-4 s is simulated."""
     long = Windows(windows.data, np.array([0, 1]), np.array([10, 20]), 230)
-    long.linearise(World.of)
+    linearise(long, World.of)
     assert fine_step(long) == long.dt / 4
     start = long.stretch(np.arange(2), long.qpos, long.qvel, long.since)
     exact = simulate([(World.of(long.groups[0][0]), start)], timestep=1.25e-4)[0]
@@ -113,7 +114,7 @@ def test_unknown_forces_find_joint_and_variable():
 
     data = prepare([recording("r", spring, seed=5)], "cubic", SIGMA, Span(5, 6))
     out = Windows(data, np.zeros(8, int), np.linspace(10, 250, 8).astype(int), 20)
-    out.linearise(World.of)
+    linearise(out, World.of)
     around = circumstances(out, World.of)
     fit = ForceFit(out, around)
     forces = fit(out.residual)
@@ -281,7 +282,7 @@ def test_longer_fits_for_slower_motion():
 def test_windows_of_uneven_samples():
     data = prepare([recording("r", seed=4, uneven=True)], "cubic", SIGMA, Span(5, 6))
     out = Windows(data, np.zeros(4, int), np.array([10, 80, 150, 220]), 25)
-    out.linearise(World.of)
+    linearise(out, World.of)
     chi2 = (out.residual**2).sum(1) / out.freedom
     assert np.all((chi2 > 0.5) & (chi2 < 1.6))
 

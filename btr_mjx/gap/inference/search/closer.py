@@ -17,8 +17,7 @@ from btr_mjx.gap.inference.scoring.refine import AGAIN, refine
 from btr_mjx.gap.inference.search.exchange import beside_the_best
 from btr_mjx.gap.inference.search.runoff import apart, telling
 from btr_mjx.gap.inference.search.search import Bench
-from btr_mjx.gap.inference.search.search_records import Judged, Side, among, nearest
-from btr_mjx.gap.inference.verdict.outcome import MARGIN
+from btr_mjx.gap.inference.search.search_records import MARGIN, Judged, Side, among, nearest
 from btr_mjx.gap.simulate import abreast
 
 WEAK = 60.0

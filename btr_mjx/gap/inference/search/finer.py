@@ -15,9 +15,8 @@ from btr_mjx.gap.inference.scoring.refine import refine
 from btr_mjx.gap.inference.search.exchange import beside_the_best
 from btr_mjx.gap.inference.search.polish import Polisher
 from btr_mjx.gap.inference.search.search import Bench
-from btr_mjx.gap.inference.search.search_records import Judged, Side, among, nearest
+from btr_mjx.gap.inference.search.search_records import MARGIN, Judged, Side, among, nearest
 from btr_mjx.gap.inference.search.sizes import best_size
-from btr_mjx.gap.inference.verdict.outcome import MARGIN
 from btr_mjx.gap.simulate import abreast
 from btr_mjx.gap.windows import Fit
 

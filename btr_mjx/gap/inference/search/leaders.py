@@ -7,7 +7,7 @@ import numpy as np
 from btr_mjx.gap.effects import Place
 from btr_mjx.gap.inference.scoring.scanner import Lead
 from btr_mjx.gap.inference.scoring.screening import Entry
-from btr_mjx.gap.inference.search.search_records import Options
+from btr_mjx.gap.windows import Options
 
 _CLAMP_SHARES = (0.1, 0.25, 0.4, 0.55, 0.7, 0.8, 0.87, 0.92, 0.96)
 """Starts of a limit, as parts of the way from where it does nothing to its tightest."""

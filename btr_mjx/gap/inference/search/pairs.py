@@ -14,9 +14,8 @@ import numpy as np
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.inference.scoring.refine import refine
 from btr_mjx.gap.inference.search.search import Bench
-from btr_mjx.gap.inference.search.search_records import Judged, Side
+from btr_mjx.gap.inference.search.search_records import MARGIN, Judged, Side
 from btr_mjx.gap.inference.search.walks import scaled
-from btr_mjx.gap.inference.verdict.outcome import MARGIN
 from btr_mjx.gap.windows import bounded
 
 _HARDLY = 20.0

@@ -19,7 +19,7 @@ from btr_mjx.gap.effects import EFFECTS, Effect
 from btr_mjx.gap.inference.search.naming import COARSE, THRESHOLD, within_calibration
 from btr_mjx.gap.inference.search.rounds import search
 from btr_mjx.gap.inference.search.search import Bench
-from btr_mjx.gap.inference.search.search_records import Judged, Options
+from btr_mjx.gap.inference.search.search_records import Judged
 from btr_mjx.gap.inference.verdict.check import Check
 from btr_mjx.gap.inference.verdict.confounds import confounds
 from btr_mjx.gap.inference.verdict.openloop import followed, following
@@ -36,7 +36,7 @@ from btr_mjx.gap.inference.verdict.outcome import (
 from btr_mjx.gap.inference.verdict.twins import twin
 from btr_mjx.gap.results import Diagnosis, title
 from btr_mjx.gap.simulate import Counter
-from btr_mjx.gap.windows import pace_notes
+from btr_mjx.gap.windows import Options, pace_notes
 
 SURPRISE = 6.0
 """Lack of fit over everything that cannot be noise where nothing was named, in standard deviations."""

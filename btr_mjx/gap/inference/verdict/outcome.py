@@ -6,15 +6,12 @@ import numpy as np
 
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
 from btr_mjx.gap.inference.search.search import Bench
-from btr_mjx.gap.inference.search.search_records import Judged
+from btr_mjx.gap.inference.search.search_records import MARGIN, Judged
 from btr_mjx.gap.inference.verdict.disagreement import place_names
 from btr_mjx.gap.inference.verdict.intervals import intervals
 from btr_mjx.gap.inference.verdict.openloop import open_loop
 from btr_mjx.gap.results import Calibrated, Gap, Named, Overlay, Refit, Row
 from btr_mjx.gap.windows import bounded
-
-MARGIN = 25.0
-"""Candidates whose scores differ by less are called equivalent."""
 
 SHARE = 0.01
 """The same, as a part of the best score: of a strong effect what calibration leaves decides on more."""
