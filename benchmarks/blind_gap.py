@@ -14,9 +14,10 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -33,7 +34,7 @@ from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.inference import Bench, name_missing, nearest
 from btr_mjx.gap.results import as_result
 from btr_mjx.runs import describe_environment, note, progress, read_json, to_plain, write_json, write_table
-from btr_mjx.testing import Truth, case_robot, make_case
+from btr_mjx.testing import CaseSettings, Truth, case_robot, make_case
 
 MIXED = ("hexapod", "hexapod", "hexapod", "quadruped", "arm", "pendulum")
 """Robots of a mixed benchmark, by turns."""
@@ -107,9 +108,9 @@ def make(config: Config, files: Files) -> None:
         temporary,
         seed,
         robot,
-        verdict="effect" if config.only_effects else None,
-        effects=config.effects,
-        duration=config.duration,
+        CaseSettings(
+            verdict="effect" if config.only_effects else None, effects=config.effects, duration=config.duration
+        ),
     )
     shutil.rmtree(files.data, ignore_errors=True)
     temporary.rename(files.data)
@@ -121,8 +122,8 @@ def _made(folder: Path) -> Path:
     return folder
 
 
-def solve(data: Path, answer: Path) -> Bench:
-    """Solve a case; nothing here knows where the truth is. Returns the bench, for the oracle."""
+def solve(data: Path) -> tuple[Bench, dict[str, Any]]:
+    """Solve a case; nothing here knows where the truth is. Returns the bench, for the oracle, and the answer."""
     begun, dataset = time.monotonic(), load(data)
     bench = Bench(dataset, EFFECTS)
     diagnosis = name_missing(bench, begun=begun)
@@ -134,13 +135,8 @@ def solve(data: Path, answer: Path) -> Bench:
     ]
     best = result["ranking"][0]["score"] if result["ranking"] else 0.0
     keys = ("verdict", "effects", "equivalent", "gap", "unexplained", "share", "lack_of_fit", "steps", "seconds")
-    write_json(
-        answer,
-        {key: result[key] for key in keys}
-        | {"ranking": result["ranking"][:10], "best_score": best}
-        | {"margin": best - others[0]["score"] if others and result["ranking"] else None},
-    )
-    return bench
+    answer = {key: result[key] for key in keys} | {"ranking": result["ranking"][:10], "best_score": best}
+    return bench, answer | {"margin": best - others[0]["score"] if others and result["ranking"] else None}
 
 
 def consult(config: Config, files: Files, bench: Bench | None) -> None:
@@ -215,7 +211,10 @@ def _worth(bench: Bench, added: list[Any]) -> tuple[list[float], list[float]]:
 
 def work(config: Config, files: Files) -> None:
     """Solve a case, then ask the oracle."""
-    bench = None if files.answer.is_file() else solve(files.data, files.answer)
+    bench = None
+    if not files.answer.is_file():
+        bench, answer = solve(files.data)
+        write_json(files.answer, answer)
     consult(config, files, bench)
     shutil.rmtree(files.data, ignore_errors=True)
 
@@ -232,34 +231,49 @@ def stay_on(cores: Any) -> None:
 
 def run(config: Config, folder: Path) -> Iterator[int]:
     """Make and solve all cases that are not done; yields the index of each case that is."""
-    context = multiprocessing.get_context("spawn")
     left = []
     for index in range(config.cases):
         if Files(folder, index).oracle.is_file():
             yield index
         else:
             left.append(Files(folder, index))
+    yield from scheduled(left, partial(make, config), partial(work, config), config.workers, folder / "failed")
+
+
+def scheduled[F: Files](
+    left: Sequence[F], make: Callable[[F], None], work: Callable[[F], None], workers: int, failed: Path
+) -> Iterator[int]:
+    """Make cases and solve them in processes of their own; yields the index of each case when it is solved.
+
+    Args:
+      left: files of the cases. A case whose truth and data are there is not made again.
+      make: makes a case.
+      work: solves a case.
+      workers: processes that make cases, and as many that solve them; several solvers get a core each.
+      failed: folder for the errors of cases that fail, which are not yielded.
+    """
+    context = multiprocessing.get_context("spawn")
     cores = context.Queue()
     usable = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [0]
-    for worker in range(config.workers):
-        cores.put({usable[worker % len(usable)]} if config.workers > 1 else set(usable))
+    for worker in range(workers):
+        cores.put({usable[worker % len(usable)]} if workers > 1 else set(usable))
     with (
-        ProcessPoolExecutor(config.workers, context, stay_on, (cores,)) as solvers,
-        ProcessPoolExecutor(config.workers, context) as beside,
+        ProcessPoolExecutor(workers, context, stay_on, (cores,)) as solvers,
+        ProcessPoolExecutor(workers, context) as beside,
     ):
         # One worker is asked for to learn what a case costs: no other is made meanwhile.
-        makers = beside if config.workers > 1 else solvers
-        pending: dict[Future[None], tuple[str, Files]] = {}
+        makers = beside if workers > 1 else solvers
+        pending: dict[Future[None], tuple[str, F]] = {}
         queue = iter(left)
 
         def feed() -> None:
             files = next(queue, None)
             if files is not None:
                 ready = files.truth.is_file() and files.data.is_dir()
-                task = solvers.submit(work, config, files) if ready else makers.submit(make, config, files)
+                task = solvers.submit(work, files) if ready else makers.submit(make, files)
                 pending[task] = ("solved" if ready else "made", files)
 
-        for _ in range(2 * config.workers):
+        for _ in range(2 * workers):
             feed()
         while pending:
             done, _ = wait(pending, return_when=FIRST_COMPLETED)
@@ -268,12 +282,10 @@ def run(config: Config, folder: Path) -> Iterator[int]:
                 failure = task.exception()
                 if failure is not None:
                     note(f"case {files.name} failed: {type(failure).__name__}: {failure}")
-                    write_json(
-                        folder / "failed" / f"{files.name}.json", {"error": f"{type(failure).__name__}: {failure}"}
-                    )
+                    write_json(failed / f"{files.name}.json", {"error": f"{type(failure).__name__}: {failure}"})
                     feed()
                 elif stage == "made":
-                    pending[solvers.submit(work, config, files)] = ("solved", files)
+                    pending[solvers.submit(work, files)] = ("solved", files)
                 else:
                     yield files.index
                     feed()

@@ -24,15 +24,15 @@ from btr_mjx.gap.fitness_only import (
     SCREENED,
     Answers,
     FitnessTable,
-    Trials,
-    answers,
+    TrialSimulator,
     identify_fitness,
     load_fitness,
+    simulate_candidates,
 )
-from btr_mjx.gap.results import as_result
+from btr_mjx.gap.results import Verdict, as_result
 from btr_mjx.gap.simulate import World
 from btr_mjx.runs import describe_environment, note, progress, read_arrays, read_json, write_arrays, write_json
-from btr_mjx.testing import Missing, Verdict, case_draw, draw_reality, make_fitness_case
+from btr_mjx.testing import FitnessCaseSettings, Missing, case_draw, draw_reality, make_fitness_case
 
 STRONG = 3.0
 """Change of the fitness by a strong effect, in units of what calibration's leftovers change."""
@@ -61,7 +61,7 @@ class Config:
 def run(config: Config) -> dict[str, Any]:
     """Make and solve the cases; results.json holds what is returned."""
     null = load_fitness(_case(config, config.seed, None))
-    trials = Trials(null)
+    trials = TrialSimulator(null)
     fit = np.flatnonzero(~null.test)
     floor = _delta(trials, null, fit)
     note(f"calibration's leftovers alone: Delta_fitness {floor:.4f} m/s")
@@ -96,19 +96,22 @@ def _case(config: Config, seed: int, effects: int | None) -> Path:
     if not truths.is_file():
         verdict: Verdict = "none" if effects is None else "effect"
         truth = make_fitness_case(
-            folder, seed, config.robot, verdict=verdict, effects=effects or 1, controllers=config.controllers
+            folder,
+            seed,
+            config.robot,
+            FitnessCaseSettings(verdict=verdict, effects=effects or 1, controllers=config.controllers),
         )
         write_json(truths, truth)
     return folder
 
 
-def _answers(config: Config, trials: Trials, rows: np.ndarray) -> Answers:
+def _answers(config: Config, trials: TrialSimulator, rows: np.ndarray) -> Answers:
     """What candidates do, simulated once."""
     model = trials.table.head.model
     library = candidates(model, trials.scales(np.flatnonzero(~trials.table.test)[:3]), EFFECTS)
     path, step = config.out / "answers.npz", COARSER[0] * float(model.opt.timestep)
     if not path.is_file():
-        found = answers(trials, library, rows, step, note)
+        found = simulate_candidates(trials, library, rows, step, note)
         arrays = {f"tried_{i}": own for i, own in enumerate(found.tried)}
         arrays |= {f"change_{i}": own for i, own in enumerate(found.change)}
         write_arrays(path, arrays | {"rows": rows, "believed": found.believed})
@@ -124,7 +127,7 @@ def _answers(config: Config, trials: Trials, rows: np.ndarray) -> Answers:
     )
 
 
-def _strong(config: Config, trials: Trials, known: Answers, floor: float) -> dict[str, Any]:
+def _strong(config: Config, trials: TrialSimulator, known: Answers, floor: float) -> dict[str, Any]:
     """Seeds of strong cases, and how many were drawn by kind."""
     path = config.out / "strong.json"
     if not path.is_file():
@@ -154,7 +157,7 @@ def values_of(candidate: Candidate, missing: Missing) -> np.ndarray:
     return np.array([missing.parameters.get(p.name, p.null) for p in candidate.parameters])
 
 
-def _delta(trials: Trials, table: FitnessTable, rows: np.ndarray) -> float:
+def _delta(trials: TrialSimulator, table: FitnessTable, rows: np.ndarray) -> float:
     found = trials.fitness([World.of(table.head.model)], rows)[0]
     return float(np.nanmean(np.abs(found - table.fitness[rows])))
 

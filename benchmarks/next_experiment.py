@@ -1,10 +1,10 @@
 """Whether a chosen experiment saves recordings: `uv run python benchmarks/next_experiment.py --out FOLDER`.
 
 Each case is a robot that lacks one effect, and one short recording of it that does not say which: the true effect and
-its closest rival have scores within `MARGIN` of each other. Both may be recorded again with any of ten variations of
-the recorded commands. One experimenter takes those first on which the two are expected to disagree most, the other
-takes them as they come. What is counted is how many recordings each needs until truth and rival are told apart, in a
-simulated reality with the sensors' noise.
+its closest rival have scores within `DECISIVE_MARGIN` of each other. Both may be recorded again with any of ten
+variations of the recorded commands. One experimenter takes those first on which the two are expected to disagree most,
+the other takes them as they come. What is counted is how many recordings each needs until truth and rival are told
+apart, in a simulated reality with the sensors' noise.
 
 Every case is a file in the folder, written when it is done: a killed benchmark goes on where it was with the same
 command.
@@ -20,11 +20,11 @@ from summary_command import command
 
 from btr_mjx.gap.data import load
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.experiments import MARGIN, random_commands, recordings_needed
+from btr_mjx.gap.experiments import DECISIVE_MARGIN, Measurement, random_commands, recordings_needed
 from btr_mjx.gap.inference import Bench, Hypothesis
 from btr_mjx.gap.windows import Options
 from btr_mjx.runs import describe_environment, note, progress, read_json, write_json
-from btr_mjx.testing import Truth, make_case
+from btr_mjx.testing import CaseSettings, Truth, make_case
 
 _QUICK = Options(steps=2e4, leaders=8, contact_leaders=0)
 
@@ -100,7 +100,10 @@ def _case(config: Config, seed: int) -> dict[str, Any]:
     """One seed: whether it is ambiguous, and how many recordings are needed then."""
     folder = config.out / f"data-{seed}"
     truth = make_case(
-        folder, seed, config.robot, verdict="effect", recordings=(1, 1), duration=config.duration, noise=2.0
+        folder,
+        seed,
+        config.robot,
+        CaseSettings(verdict="effect", recordings=(1, 1), duration=config.duration, noise=2.0),
     )
     dataset = load(folder)
     bench = Bench(dataset, EFFECTS, _QUICK)
@@ -108,9 +111,10 @@ def _case(config: Config, seed: int) -> dict[str, Any]:
     (missing,) = truth.effects
     own = next((j for j in judged if j.name == f"{missing.effect}@{missing.location}"), None)
     rivals = [j for j in judged if j is not own]
-    if own is None or not rivals or own.score - rivals[0].score > MARGIN:
+    if own is None or not rivals or own.score - rivals[0].score > DECISIVE_MARGIN:
         return {"seed": seed, "ambiguous": False, "missing": missing}
     real, rival = _at_truth(bench, own.hypothesis, truth), rivals[0].hypothesis
+    measurement = Measurement(bench.sigma, bench.survey.span)
     needed = []
     for order in range(config.orders + 1):
         # The same commands for all; chance differs in their order, and in the noise.
@@ -119,9 +123,7 @@ def _case(config: Config, seed: int) -> dict[str, Any]:
         chosen = order == 0
         if not chosen:
             commands = [commands[i] for i in rng.permutation(len(commands))]
-        needed.append(
-            recordings_needed(real, rival, dataset, bench.sigma, bench.survey.span, rng, chosen, config.most, commands)
-        )
+        needed.append(recordings_needed(real, rival, dataset, measurement, rng, chosen, config.most, commands))
     return {
         "seed": seed,
         "ambiguous": True,

@@ -115,7 +115,7 @@ def contestants(config: Config, robot: Robot) -> list[Contestant]:
             "engine native",
             n * config.steps,
             0.0,
-            lambda: native.rollout(
+            lambda: native.rollout_native(
                 models.base,
                 leaves,
                 controllers[:n],

@@ -19,10 +19,8 @@ The exit code is 0 for every verdict.
 """
 
 import dataclasses
-import importlib.util
 import sys
-import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -32,23 +30,22 @@ import tyro
 
 from btr_mjx.errors import InputError, cli_errors, resume_command
 from btr_mjx.gap.data import Dataset, open_dataset
-from btr_mjx.gap.effects import EFFECTS, KNOWN, Effect
+from btr_mjx.gap.effects import Effect, own_code, selected_effects
 from btr_mjx.gap.experiments import propose
 from btr_mjx.gap.fitness_only import FitnessTable, expected_steps, identify_fitness, load_fitness, preflight_fitness
 from btr_mjx.gap.inference import identify
 from btr_mjx.gap.preflight import Finding, preflight, refuse_errors
-from btr_mjx.gap.report import page as report
-from btr_mjx.gap.results import as_result, named, place, saved, title
+from btr_mjx.gap.report import draw_report, print_findings, print_result, print_truth
+from btr_mjx.gap.results import RESULT, as_result, save_diagnosis
 from btr_mjx.gap.simulate import Journal
 from btr_mjx.gap.windows import Options
-from btr_mjx.models import nearest
 from btr_mjx.runs import (
     IGNORED_FIELDS,
     RunFolder,
-    chosen_folder,
     graceful_interrupt,
     progress,
     read_json,
+    with_folder,
     write_json,
     write_table,
 )
@@ -56,6 +53,10 @@ from btr_mjx.testing import make_case, make_fitness_case
 
 JOURNAL = "search"
 """Folder of what was simulated, in a run folder."""
+
+
+DEMO_SEEDS = {"hexapod": 27, "quadruped": 7, "arm": 6, "pendulum": 2}
+"""Hidden cases that show what the command is for: an effect of the library, large enough to be named and mended."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +69,8 @@ class DiagnoseConfig:
     """Run folder; by default the first unused one of runs/diagnosis-<seed>, runs/diagnosis-<seed>-2, ..."""
     resume: bool = False
     """Continue the run in --out."""
-    seed: int = 0
-    """Seed of everything random; of the hidden case with --demo."""
+    seed: int | None = None
+    """Seed of everything random, 0 unless given; with --demo that of the hidden case, by default one that is named."""
     progress: bool = True
     """Show a progress bar (lines now and then where there is no terminal)."""
     figures: bool = True
@@ -89,6 +90,13 @@ class DiagnoseConfig:
     robot: Literal["hexapod", "pendulum", "quadruped", "arm"] = "hexapod"
     """Robot of the hidden case."""
 
+    @property
+    def chosen_seed(self) -> int:
+        """The seed that is used: the given one, or the default."""
+        if self.seed is not None:
+            return self.seed
+        return DEMO_SEEDS[self.robot] if self.demo else 0
+
 
 def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, Any]:
     """Diagnose a dataset in a run folder.
@@ -104,9 +112,9 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
       InputError: bad settings or data, or a folder that cannot take this run.
       Interrupted: a signal asked to stop; the run can be resumed.
     """
-    config = resolve_folder(dataclasses.replace(config or DiagnoseConfig(), **changes))
-    check(config)
-    library = library_of(config.effects)
+    config = resolved(dataclasses.replace(config or DiagnoseConfig(), **changes))
+    check_diagnosis(config)
+    library = selected_effects(config.effects)
     dataset: Dataset | FitnessTable | None = None
     if not config.demo:
         assert config.dataset is not None
@@ -121,15 +129,15 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
             stop.checkpoint()
         print_findings(findings)
         write_table(run.path / "preflight.csv", [dataclasses.asdict(f) for f in findings])
-        if not (run.path / saved.RESULT).is_file():
-            solve(dataset, library, config, run.path, stop.checkpoint)
+        if not (run.path / RESULT).is_file():
+            search_missing(dataset, library, config, run.path, stop.checkpoint)
             stop.checkpoint()
         if config.figures:
-            report.draw(run.path)
-        return read_json(run.path / saved.RESULT)
+            draw_report(run.path)
+        return read_json(run.path / RESULT)
 
 
-def check(config: DiagnoseConfig) -> None:
+def check_diagnosis(config: DiagnoseConfig) -> None:
     """Refuse settings that cannot work.
 
     Raises:
@@ -142,58 +150,15 @@ def check(config: DiagnoseConfig) -> None:
         raise InputError(f"max_effects: got {config.max_effects}, expected at least 1")
 
 
-def resolve_folder(config: DiagnoseConfig) -> DiagnoseConfig:
-    """Choose a run folder where none is named.
+def resolved(config: DiagnoseConfig) -> DiagnoseConfig:
+    """The config with its seed and its run folder chosen.
 
     Raises:
       InputError: a resume that does not say of what.
     """
-    out = chosen_folder(config.out, config.resume, f"{'demo' if config.demo else 'diagnosis'}-{config.seed}")
-    return dataclasses.replace(config, out=out)
-
-
-def library_of(names: Sequence[str]) -> tuple[Effect, ...]:
-    """The effects that may be named.
-
-    Args:
-      names: "all", names of the library, FILE.py:NAME.
-
-    Raises:
-      InputError: a name that the library lacks, with the nearest; a file that holds no effect.
-    """
-    known = {effect.name: effect for effect in KNOWN}
-    chosen: dict[str, Effect] = {}
-    for name in names:
-        if name == "all":
-            chosen |= {effect.name: effect for effect in EFFECTS}
-        elif ".py:" in name:
-            own = _own_effect(name)
-            chosen[own.name] = own
-        elif name in known:
-            chosen[name] = known[name]
-        else:
-            raise InputError(f"effect {name!r} is not in the library; nearest: {nearest(name, list(known), 5)}")
-    if not chosen:
-        raise InputError("effects: got none, expected names of the library or all")
-    return tuple(chosen.values())
-
-
-def own_code(names: Sequence[str]) -> bytes:
-    """The files of effects of one's own, for `journal.Journal`: what an earlier version of them gave is not theirs."""
-    return b"".join(Path(name.rpartition(":")[0]).read_bytes() for name in names if ".py:" in name)
-
-
-def _own_effect(name: str) -> Effect:
-    file, _, attribute = name.rpartition(":")
-    spec = importlib.util.spec_from_file_location(Path(file).stem, file)
-    if spec is None or spec.loader is None or not Path(file).is_file():
-        raise InputError(f"effect {name!r}: there is no file {file}")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    effect = getattr(module, attribute, None)
-    if not isinstance(effect, Effect):
-        raise InputError(f"effect {name!r}: {attribute} in {file} is {type(effect).__name__}, expected an Effect")
-    return effect
+    if config.seed is None:
+        config = dataclasses.replace(config, seed=config.chosen_seed)
+    return with_folder(config, f"{'demo' if config.demo else 'diagnosis'}-{config.seed}")
 
 
 def examine(folder: Path, library: Sequence[Effect], signal: str) -> tuple[Dataset | FitnessTable, list[Finding]]:
@@ -205,7 +170,7 @@ def examine(folder: Path, library: Sequence[Effect], signal: str) -> tuple[Datas
     return dataset, preflight(dataset, [effect.name for effect in library])
 
 
-def solve(
+def search_missing(
     dataset: Dataset | FitnessTable,
     library: Sequence[Effect],
     config: DiagnoseConfig,
@@ -231,15 +196,15 @@ def solve(
             checkpoint()
 
         journal = Journal(folder / JOURNAL, count, own_code(config.effects))
-        more: dict[str, Any] = {"seed": config.seed, "signal": config.signal}
+        more: dict[str, Any] = {"seed": config.chosen_seed, "signal": config.signal}
         if isinstance(dataset, FitnessTable):
             diagnosis, data, proposal = identify_fitness(dataset, library, note, counter=journal), dataset.head, None
             more["gap"] = as_result(diagnosis, data)["gap"] | {"unit": "m/s of Delta_fitness"}
         else:
-            diagnosis = identify(dataset, library, config.max_effects, config.seed, note, counter=journal)
+            diagnosis = identify(dataset, library, config.max_effects, config.chosen_seed, note, counter=journal)
             note("next experiment")
-            data, proposal = dataset, propose(diagnosis, dataset, config.seed, counter=journal)
-    saved.save(diagnosis, data, folder, effects=library, next_experiment=proposal, more=more)
+            data, proposal = dataset, propose(diagnosis, dataset, config.chosen_seed, counter=journal)
+    save_diagnosis(diagnosis, data, folder, effects=library, next_experiment=proposal, more=more)
     journal.close()
 
 
@@ -247,40 +212,8 @@ def _make_demo(folder: Path, config: DiagnoseConfig) -> None:
     """Make the hidden case, once."""
     if not (folder / "truth.json").is_file():
         case = make_fitness_case if config.signal == "fitness" else make_case
-        truth = case(folder / "demo", config.seed, config.robot)
+        truth = case(folder / "demo", config.chosen_seed, config.robot)
         write_json(folder / "truth.json", truth)
-
-
-def print_findings(findings: Sequence[Finding]) -> None:
-    """Print what preflight found."""
-    print("preflight")
-    for finding in findings:
-        mark = "" if finding.level == "note" else f"{finding.level}: "
-        print(textwrap.fill(f"{mark}{finding.message}", 110, initial_indent="  - ", subsequent_indent="    "))
-    print(flush=True)
-
-
-def print_result(result: Mapping[str, Any], folder: Path) -> None:
-    """Print the verdict, the effects and the ranking."""
-    print(textwrap.fill(str(result["sentence"]), 110))
-    rows = [row for row in result["ranking"] if not row["beside"]][:6]
-    if rows:
-        print(f"\n{'candidate':60}{'score':>12}{'held-out gain':>16}")
-    for row in rows:
-        print(f"{named(row):60}{row['score']:12.1f}{row['held_out']:16.1f}")
-    print(f"\nall files in {folder}")
-
-
-def print_truth(truth: Mapping[str, Any]) -> None:
-    """Print what was hidden, last."""
-    hidden = [
-        f"{title(e['effect'])} at {place(e['location'])} "
-        f"({', '.join(f'{name} {value:.4g}' for name, value in e['parameters'].items())})"
-        for e in truth["effects"]
-    ]
-    if truth["outside"]:
-        hidden.append(f"something outside the library: {truth['outside'].replace('_', ' ')}")
-    print(f"hidden was: {' and '.join(hidden) or 'nothing'}")
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -289,7 +222,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     config = tyro.cli(DiagnoseConfig, args=list(argv), description=__doc__, prog="btr_mjx.diagnose")
     mujoco.set_mju_user_warning(lambda _: None)  # candidates may become unstable, which the search sees and says
     with cli_errors():
-        config = resolve_folder(config)
+        config = resolved(config)
         with cli_errors(resume_command("btr_mjx.diagnose", argv, config.out)):
             result = diagnose(config)
         assert config.out is not None

@@ -58,7 +58,8 @@ def one_line(error: BaseException) -> str:
 def resume_command(module: str, argv: Sequence[str] | None = None, out: str | Path | None = None) -> str:
     """The shell command that continues an interrupted run.
 
-    A resumed run needs the config it began with, so every argument is repeated.
+    A resumed run needs the config it began with, so every argument is repeated. Under `uv run` the command begins with
+    it, since Python alone would not find this package.
 
     Args:
       module: name of the command's module, e.g. "btr_mjx.coevolve".
@@ -71,7 +72,8 @@ def resume_command(module: str, argv: Sequence[str] | None = None, out: str | Pa
     words = [word for word in (sys.argv[1:] if argv is None else argv) if word not in ("--resume", "--no-resume")]
     if out is not None and not any(word == "--out" or word.startswith("--out=") for word in words):
         words += ["--out", str(out)]
-    return shlex.join(["python", "-m", module, *words, "--resume"])
+    launcher = ["uv", "run"] if "UV_RUN_RECURSION_DEPTH" in os.environ else []
+    return shlex.join([*launcher, "python", "-m", module, *words, "--resume"])
 
 
 @contextmanager

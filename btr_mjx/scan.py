@@ -15,252 +15,25 @@ result.json (the statistics) and scan.png.
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import tyro
-from numpy.typing import ArrayLike
 
-from btr_mjx.backtoreality import Progress, SearchSettings, evolve_controllers, select_transferable
-from btr_mjx.errors import InputError, cli_errors
-from btr_mjx.evaluation import DISTANCE, Engine, EngineSettings, FitnessFunction, evaluate, fitness_function, metrics
-from btr_mjx.evaluation import fitness as fitness_room
-from btr_mjx.models import base_model
-from btr_mjx.optimise import mutate
-from btr_mjx.plotting import draw as plots
-from btr_mjx.robots import Robot, robot_of
-from btr_mjx.runs import RunFolder, write_arrays, write_json
-from btr_mjx.runs import progress as progress_bar
+from btr_mjx.backtoreality import (
+    ScanConfig,
+    along,
+    check_scan,
+    curve_statistics,
+    delta,
+    delta_fitness,
+    run_scan,
+)
+from btr_mjx.errors import cli_errors
+from btr_mjx.plotting import draw_scan
+from btr_mjx.runs import RunFolder, progress, write_arrays, write_json
 
-
-def delta(
-    robot: Robot,
-    simulations: ArrayLike,
-    controllers: ArrayLike,
-    f_real: ArrayLike,
-    *,
-    engine: Engine | None = None,
-    fitness: FitnessFunction = DISTANCE,
-    settings: EngineSettings | None = None,
-    progress: Progress | None = None,
-) -> np.ndarray:
-    """delta_k = |f_sk - f_rk| (eq. 3) of every simulation and behaviour.
-
-    Args:
-      robot: the robot.
-      simulations: (L, n_s).
-      controllers: (m, n_c).
-      f_real: (m,) fitness of the controllers in reality.
-      engine: see `evaluate`.
-      fitness: the fitness function.
-      settings: see `EngineSettings`.
-      progress: called with the number of pairs done since the last call.
-
-    Returns:
-      (L, m); NaN where a pair diverged.
-
-    Raises:
-      InputError: bad parameters, or as many fitnesses as there are controllers are not given.
-    """
-    how = settings or EngineSettings()
-    evaluation = evaluate(
-        robot, simulations, controllers, engine=engine, fitness=fitness, settings=how, progress=progress
-    )
-    return fitness_room.delta(evaluation.fitness, f_real)
-
-
-def delta_fitness(
-    robot: Robot, simulations: ArrayLike, controllers: ArrayLike, f_real: ArrayLike, **options: Any
-) -> np.ndarray:
-    """Delta_fitness (eq. 4) of every simulation, (L,); arguments as of `delta`."""
-    return delta(robot, simulations, controllers, f_real, **options).mean(axis=1)
-
-
-def along(robot: Robot, parameter: str, grid: int | ArrayLike, base: ArrayLike | None = None) -> np.ndarray:
-    """Simulations that differ in one parameter.
-
-    Args:
-      robot: the robot.
-      parameter: its name.
-      grid: number of points over the parameter's whole range, or (G,) its values.
-      base: (n_s,) values of the other parameters; None for the nominal ones.
-
-    Returns:
-      (G, n_s).
-
-    Raises:
-      InputError: unknown parameter, values out of bounds, fewer than two points.
-    """
-    box = robot.simulation_box
-    index = box.index(parameter)
-    values = np.asarray(grid)
-    if values.ndim == 0:
-        if values < 2:
-            raise InputError(f"grid: got {values}, expected at least 2 points")
-        values = np.linspace(box.low[index], box.high[index], int(values))
-    base = robot.nominal_simulation if base is None else box.validate(base, "base")
-    return box.embed(base, [parameter], values[:, None])
-
-
-def statistics(grid: ArrayLike, curve: ArrayLike, truth: float) -> dict[str, float]:
-    """How well a distance curve over one parameter orders simulations by their error.
-
-    Args:
-      grid: (G,) values of the parameter.
-      curve: (G,) distance, for instance Delta_fitness.
-      truth: the parameter's value in reality.
-
-    Returns:
-      spearman: rho between the curve and |grid - truth|; spearman_left and _right: on either side of the truth, NaN
-      where it has fewer than three points; monotonicity: share of neighbouring pairs ordered as their errors are;
-      roughness: total variation over range; at_minimum: the parameter's value where the curve is least.
-    """
-    x, y = np.asarray(grid, float), np.asarray(curve, float)
-    left, right = np.moveaxis(np.asarray(metrics.side_spearman(y, x, truth)), -1, 0)
-    error = np.abs(x - truth)
-    return {
-        "spearman": float(metrics.spearman(y, error)),
-        "spearman_left": float(left),
-        "spearman_right": float(right),
-        "monotonicity": float(metrics.monotonicity(y, error)),
-        "roughness": float(metrics.roughness(y)),
-        "at_minimum": float(x[np.nanargmin(y)]) if np.isfinite(y).any() else float("nan"),
-    }
-
-
-@dataclass(frozen=True)
-class ScanConfig:
-    """Settings of a scan; every field is a flag."""
-
-    parameter: str = "bl_14"
-    """Parameter of the simulation that is scanned."""
-    grid: int = 49
-    """Points over its whole range."""
-    truth: float | None = None
-    """Its value in reality; by default the paper's for bl_14 (1.6) and bl_5 (0.88), else the nominal value."""
-    out: Path | None = None
-    """Run folder; without it the statistics are printed and nothing is saved."""
-    seed: int = 0
-    """Seed of everything random."""
-    engine: Literal["auto", "lanes", "mjx", "native"] = "auto"
-    """How simulations are computed; auto takes the fastest that can."""
-    progress: bool = True
-    """Show a progress bar."""
-    figures: bool = True
-    """Draw the figure."""
-
-    trials: int = 15
-    """m, number of behaviours."""
-    behaviours: Literal["evolved", "mutants", "random"] = "evolved"
-    """evolved: the m best that evolution finds where the parameter has its lowest value (Fig. 2); mutants: m mutants of
-    the best of them, with --p-m (Fig. 3); random: drawn from the controller box."""
-    p_m: float = 0.02
-    """Probability per bit of flipping a controller's bit."""
-    controllers: int = 60
-    """M, population of controllers."""
-    generations: int = 10
-    """Generations of the controllers' evolution."""
-    fitness: str = "distance"
-    """Fitness function: distance, forward_speed or energy_per_metre."""
-    duration: float = 1.7
-    """T_e, duration of a trial [s]."""
-    template: Path | None = None
-    """Another MJCF template of the hexapod, with the same parameters and motors."""
-
-
-PAPER_TRUTH = {"bl_14": 1.6, "bl_5": 0.88}
-"""Realities of the paper's Fig. 2."""
-
-
-def behaviours_of(config: ScanConfig, robot: Robot, simulation: np.ndarray, step: Progress | None) -> np.ndarray:
-    """The m controllers (m, n_c) of a scan, see `ScanConfig.behaviours`."""
-    rng = np.random.default_rng([config.seed, 2])
-    if config.behaviours == "random":
-        return robot.controller_box.sample(rng, config.trials)
-    settings = SearchSettings(config.controllers, config.generations, config.p_m)
-    box = robot.controller_box.with_bits(settings.bits)
-    function = fitness_function(config.fitness)
-    genomes, scores = evolve_controllers(
-        robot, simulation, settings, seed=config.seed, fitness=function, engine=_engine(config), progress=step
-    )
-    chosen, _ = select_transferable(genomes, scores, config.trials, function.maximise)
-    if not len(chosen):
-        raise InputError("every controller diverged in the starting simulation; change the robot or the fitness")
-    if config.behaviours == "mutants":
-        chosen = mutate(np.tile(chosen[0], (config.trials, 1)), config.p_m, rng)
-    return box.decode(chosen)
-
-
-def run_scan(config: ScanConfig, step: Progress | None = None) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Compute a scan.
-
-    Args:
-      config: the settings.
-      step: called with the number of pairs simulated since the last call.
-
-    Returns:
-      The arrays of scan.npz and the numbers of result.json.
-
-    Raises:
-      InputError: bad settings.
-    """
-    robot, truth = check(config)
-    function = fitness_function(config.fitness)
-    line = along(robot, config.parameter, config.grid)
-    controllers = behaviours_of(config, robot, line[0], step)
-    reality = along(robot, config.parameter, [truth])
-    engine = _engine(config)
-    f_r = evaluate(robot, reality, controllers, engine=engine, fitness=function, progress=step).fitness[0]
-    evaluation = evaluate(robot, line, controllers, engine=engine, fitness=function, progress=step)
-    deltas = fitness_room.delta(evaluation.fitness, f_r)
-    grid = line[:, robot.simulation_box.index(config.parameter)]
-    arrays = {
-        "parameter": np.array(config.parameter),
-        "grid": grid,
-        "truth": np.array(truth),
-        "controllers": controllers,
-        "fitness": evaluation.fitness,
-        "f_r": f_r,
-        "delta": deltas,
-        "delta_fitness": deltas.mean(axis=1),
-    }
-    result = {
-        **statistics(grid, arrays["delta_fitness"], truth),
-        "pairs": int(deltas.size),
-        "diverged": int(evaluation.diverged.sum()),
-        "solver_capped_steps": int(evaluation.solver_capped.sum()),
-        "engine": evaluation.engine,
-    }
-    return arrays, result
-
-
-def check(config: ScanConfig) -> tuple[Robot, float]:
-    """The robot and the truth of a scan, after checking all settings that can be checked without simulating.
-
-    Raises:
-      InputError: bad settings.
-    """
-    robot = robot_of(config.template, config.duration)
-    index = robot.simulation_box.index(config.parameter)
-    truth = PAPER_TRUTH.get(config.parameter, robot.nominal[index]) if config.truth is None else config.truth
-    along(robot, config.parameter, [truth])
-    if config.grid < 2 or config.trials < 1:
-        raise InputError(f"grid {config.grid} and trials {config.trials}: expected at least 2 and 1")
-    if config.behaviours != "random":
-        settings = SearchSettings(config.controllers, config.generations, config.p_m)
-        if config.trials >= settings.population and config.behaviours == "evolved":
-            raise InputError(
-                f"trials m = {config.trials}: expected fewer than the controller population M = {config.controllers}"
-            )
-    fitness_function(config.fitness)
-    base_model(robot)
-    return robot, float(truth)
-
-
-def _engine(config: ScanConfig) -> Engine | None:
-    return None if config.engine == "auto" else config.engine
+__all__ = ["ScanConfig", "along", "curve_statistics", "delta", "delta_fitness", "main", "run_scan"]
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -268,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     argv = sys.argv[1:] if argv is None else list(argv)
     config = tyro.cli(ScanConfig, args=list(argv), description=__doc__, prog="btr_mjx.scan")
     with cli_errors():
-        check(config)
+        check_scan(config)
         evolved = 0 if config.behaviours == "random" else config.controllers * config.generations
         total = evolved + config.trials * (config.grid + 1)
         if config.out is None:
@@ -279,7 +52,7 @@ def main(argv: Sequence[str] | None = None) -> None:
                 write_arrays(run.path / "scan.npz", arrays)
                 write_json(run.path / "result.json", result)
                 if config.figures:
-                    plots.draw_scan(run.path)
+                    draw_scan(run.path)
         print(f"{config.parameter}: {arrays['delta'].shape[1]} behaviours, {config.grid} simulations")
         for name, value in result.items():
             print(f"  {name:20} {value if isinstance(value, int | str) else format(value, '.4f')}")
@@ -288,7 +61,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 def _with_bar(config: ScanConfig, total: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    with progress_bar(total=total, description="scan", unit="pairs", show=config.progress) as bar:
+    with progress(total=total, description="scan", unit="pairs", show=config.progress) as bar:
         return run_scan(config, bar.update)
 
 

@@ -20,8 +20,9 @@ from curves import interval
 from drawing import figure_of, letter, save
 from fig4_identification import OTHER_PHYSICS
 
-from btr_mjx.coevolve import PRESETS as COEVOLVE
-from btr_mjx.coevolve import CoevolveConfig, coevolve
+from btr_mjx.backtoreality import PRESETS as COEVOLVE
+from btr_mjx.backtoreality import CoevolveConfig
+from btr_mjx.coevolve import coevolve
 from btr_mjx.errors import InputError, cli_errors
 from btr_mjx.evaluation import evaluate
 from btr_mjx.robots import robot_of

@@ -99,7 +99,7 @@ def study(config: Config, robot: Robot, seed: int, step: Progress) -> tuple[dict
         delta = scan.delta(robot, line, controllers, f_r, progress=step)
         label = parameter if behaviours == "evolved" else f"{parameter} p_m {p_m}"
         x = line[:, robot.simulation_box.index(parameter)]
-        numbers = scan.statistics(x, delta.mean(axis=1), truth)
+        numbers = scan.curve_statistics(x, delta.mean(axis=1), truth)
         row |= {f"{label} rho": numbers["spearman"], f"{label} roughness": numbers["roughness"]}
         curves |= {f"{label}/grid": x, f"{label}/delta": delta, f"{label}/truth": np.array(truth)}
     s = robot.simulation_box.sample(rng, config.random_controllers)

@@ -5,6 +5,7 @@ All functions take saved fitness or distances and simulate nothing.
 
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -136,14 +137,26 @@ def influence(grid: np.ndarray, fitness: Sequence[np.ndarray], truth: float, sha
     return (grid > left) & (grid < right)
 
 
+@dataclass(frozen=True)
+class Draws:
+    """Random choices of behaviours.
+
+    Attributes:
+      count: number of choices.
+      seed: of the choices, and of noise where there is any.
+    """
+
+    count: int = 64
+    seed: int = 0
+
+
 def subset_numbers(
     grid: np.ndarray,
     delta: np.ndarray,
     truth: float,
     sizes: Sequence[int],
     keep: np.ndarray | None = None,
-    draws: int = 64,
-    seed: int = 0,
+    draws: Draws = Draws(),
 ) -> dict[int, dict[str, float]]:
     """Numbers of Delta_fitness of m behaviours, averaged over random choices of them.
 
@@ -153,14 +166,13 @@ def subset_numbers(
       truth: the parameter's value in reality.
       sizes: values of m, at most M.
       keep: as for `curve_numbers`.
-      draws: number of random choices.
-      seed: of the choices.
+      draws: the random choices.
 
     Returns:
       By m.
     """
-    rng = np.random.default_rng([seed, 31])
-    choices = [rng.permutation(delta.shape[1]) for _ in range(draws)]
+    rng = np.random.default_rng([draws.seed, 31])
+    choices = [rng.permutation(delta.shape[1]) for _ in range(draws.count)]
     numbers = {}
     for m in sizes:
         curves = np.stack([delta[:, choice[:m]].mean(axis=1) for choice in choices])
@@ -176,8 +188,7 @@ def noise_numbers(
     sizes: Sequence[int],
     noise: float,
     keep: np.ndarray | None = None,
-    draws: int = 64,
-    seed: int = 0,
+    draws: Draws = Draws(),
 ) -> dict[int, dict[str, float]]:
     """As `subset_numbers`, where every measured f_r has a relative error of standard deviation `noise`.
 
@@ -189,15 +200,14 @@ def noise_numbers(
       sizes: values of m, at most M.
       noise: 0.05 = 5 %.
       keep: as for `curve_numbers`.
-      draws: number of random choices and of noises.
-      seed: of both.
+      draws: the random choices and noises.
 
     Returns:
       By m.
     """
-    rng = np.random.default_rng([seed, 32])
-    choices = [rng.permutation(len(f_r)) for _ in range(draws)]
-    measured = f_r * (1 + noise * rng.standard_normal((draws, len(f_r))))
+    rng = np.random.default_rng([draws.seed, 32])
+    choices = [rng.permutation(len(f_r)) for _ in range(draws.count)]
+    measured = f_r * (1 + noise * rng.standard_normal((draws.count, len(f_r))))
     numbers = {}
     for m in sizes:
         pairs = zip(choices, measured, strict=True)

@@ -26,7 +26,7 @@ from units import Arrays, Journal, Step, Unit, load, run_units
 
 from btr_mjx import scan
 from btr_mjx.backtoreality import evolve_controllers, select_transferable
-from btr_mjx.evaluation import delta
+from btr_mjx.evaluation import delta_of
 from btr_mjx.runs import write_json
 
 TRUTHS = {"bl_14": 1.6, "bl_5": 0.88}
@@ -109,7 +109,7 @@ def compute(config: Fig2Config) -> int:
 
 def deltas(arrays: Arrays, parameter: str) -> np.ndarray:
     """delta_k along the grid (G, m)."""
-    return delta(arrays[f"{parameter}/fitness"][..., -1], arrays[f"{parameter}/real"][..., -1])
+    return delta_of(arrays[f"{parameter}/fitness"][..., -1], arrays[f"{parameter}/real"][..., -1])
 
 
 def summarise(seeds: Sequence[Arrays]) -> dict[str, Any]:

@@ -22,7 +22,7 @@ import numpy as np
 import scipy.stats
 from bench import Bench
 from common import TINY, Config, command
-from curves import curve_numbers, influence, interval, multiscale_curve, noise_numbers, subset_numbers
+from curves import Draws, curve_numbers, influence, interval, multiscale_curve, noise_numbers, subset_numbers
 from drawing import delta_panel, figure_of, letter, save, shades, truth_line, white_legend
 from fig2_scans import START, TRUTHS, evolve, line_of
 from matplotlib.axes import Axes
@@ -31,7 +31,7 @@ from units import Arrays, Journal, Step, Unit, load, run_units
 
 from btr_mjx import scan
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation import delta, metrics
+from btr_mjx.evaluation import delta_of, metrics
 from btr_mjx.optimise import mutate
 from btr_mjx.runs import write_json
 
@@ -123,7 +123,7 @@ def compute(config: Fig3Config) -> int:
 
 def deltas(arrays: Arrays) -> np.ndarray:
     """delta_k of the mutants (G, M)."""
-    return delta(arrays["fitness"][..., -1], arrays["real"][:, -1])
+    return delta_of(arrays["fitness"][..., -1], arrays["real"][:, -1])
 
 
 def every_behaviour(arrays: Arrays) -> np.ndarray:
@@ -155,7 +155,7 @@ def summarise(seeds: Sequence[Arrays]) -> dict[str, Any]:
     grid = seeds[0]["grid"]
     keep = influence(grid, [every_behaviour(arrays) for arrays in seeds], TRUTH)
     sizes = sizes_of(seeds[0]["fitness"].shape[1])
-    by_m = [subset_numbers(grid, deltas(a), TRUTH, sizes, keep, seed=i) for i, a in enumerate(seeds)]
+    by_m = [subset_numbers(grid, deltas(a), TRUTH, sizes, keep, Draws(seed=i)) for i, a in enumerate(seeds)]
     by_p_m = [[curve_numbers(grid, row, TRUTH, keep=keep) for row in diverse_curves(arrays)] for arrays in seeds]
     p_m = seeds[0]["p_m"]
     names = list(by_m[0][1])
@@ -173,7 +173,7 @@ def summarise(seeds: Sequence[Arrays]) -> dict[str, Any]:
         for level in NOISES
         for rows in [
             [
-                noise_numbers(grid, a["fitness"][..., -1], a["real"][:, -1], TRUTH, sizes, level, keep, seed=i)
+                noise_numbers(grid, a["fitness"][..., -1], a["real"][:, -1], TRUTH, sizes, level, keep, Draws(seed=i))
                 for i, a in enumerate(seeds)
             ]
         ]

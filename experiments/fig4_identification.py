@@ -32,7 +32,7 @@ from identification import Distance, Search, adam, away_from, cma_es, genetic
 from units import Arrays, Journal, Step, Unit, load, run_units
 
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation import EngineSettings, delta_fitness, multiscale_fitness
+from btr_mjx.evaluation import EngineSettings, delta_fitness_of, multiscale_fitness
 from btr_mjx.optimise import mutate
 from btr_mjx.runs import read_arrays, write_json
 
@@ -171,7 +171,7 @@ def four(config: Fig4Config, method: str, seed: int, step: Step, journal: Journa
 
     def distance(values: np.ndarray) -> np.ndarray:
         cost = len(values) * config.trials
-        return journal(lambda: delta_fitness(bench.whole(embed(values), controllers)[..., -1], f_r), cost)
+        return journal(lambda: delta_fitness_of(bench.whole(embed(values), controllers)[..., -1], f_r), cost)
 
     if method == "ga":
         schedule = config.members, config.search_generations, config.simulation_p_m
@@ -200,7 +200,7 @@ def twelve(config: Fig4Config, name: str, seed: int, step: Step, journal: Journa
         controllers = mutants_of_best(config, bench, start, seed, journal)
         share = 1.0
         f_r = journal(lambda: bench.whole(reality[None], controllers)[0, :, -1], config.trials)
-        measure = lambda s: delta_fitness(bench.whole(s, controllers)[..., -1], f_r)  # noqa: E731
+        measure = lambda s: delta_fitness_of(bench.whole(s, controllers)[..., -1], f_r)  # noqa: E731
     else:
         count = config.noisy_trials if name == "noisy-12" else config.trials
         controllers = bench.robot.controller_box.sample(np.random.default_rng([seed, 5]), count)
@@ -234,7 +234,7 @@ def sensitivity(config: Fig4Config, seed: int, step: Step, journal: Journal) -> 
     fitness = fitness.reshape(*line.shape[:2], *fitness.shape[1:])
     return {
         "offsets": np.array(OFFSETS),
-        "delta": delta_fitness(fitness[..., -1], real[:, -1]),
+        "delta": delta_fitness_of(fitness[..., -1], real[:, -1]),
         "multiscale": multiscale_fitness(fitness[..., :-1], real[:, :-1]),
     }
 

@@ -36,7 +36,7 @@ from btr_mjx.evaluation import (
     DISTANCE,
     Outcome,
     base_address,
-    delta,
+    delta_of,
     evaluate,
     fitness_at_marks,
     foot_bodies,
@@ -168,7 +168,7 @@ def curves_of(arrays: Arrays) -> dict[str, np.ndarray]:
 def single_curves(arrays: Arrays) -> dict[str, np.ndarray]:
     """The same of every behaviour (m, G); of Delta_fitness that is delta_k. The multiscale distance needs several."""
     rolling = {percent(share): curves.T for share, curves in zip(arrays["headers"], arrays["rolling"], strict=True)}
-    delta_k = delta(arrays["fitness"][..., -1], arrays["real"][:, -1])
+    delta_k = delta_of(arrays["fitness"][..., -1], arrays["real"][:, -1])
     return {**rolling, "euclidean": arrays["euclidean"].T, "delta_fitness": delta_k.T}
 
 

@@ -27,9 +27,9 @@ def main(out: Path = Path("runs/fig2b")) -> None:
     curve, grid = delta.mean(axis=1), line[:, robot.simulation_box.index("bl_14")]
     arrays = {"parameter": "bl_14", "grid": grid, "truth": 1.6, "delta": delta, "delta_fitness": curve, "f_r": f_r}
     write_arrays(out / "scan.npz", arrays)
-    write_json(out / "result.json", btr.scan.statistics(grid, curve, 1.6))
+    write_json(out / "result.json", btr.scan.curve_statistics(grid, curve, 1.6))
     draw_scan(out)
-    print(f"Spearman's rho {btr.scan.statistics(grid, curve, 1.6)['spearman']:.3f}; files in {out}")
+    print(f"Spearman's rho {btr.scan.curve_statistics(grid, curve, 1.6)['spearman']:.3f}; files in {out}")
 
 
 if __name__ == "__main__":

@@ -59,7 +59,10 @@ def test_interrupts_exit_with_130(capsys):
 
 
 def test_resume_command(monkeypatch):
+    monkeypatch.delenv("UV_RUN_RECURSION_DEPTH", raising=False)
     command = resume_command("btr_mjx.coevolve", ["--seed", "3", "--no-resume", "--note", "a b"], out=Path("runs/x"))
     assert command == "python -m btr_mjx.coevolve --seed 3 --note 'a b' --out runs/x --resume"
     monkeypatch.setattr(sys, "argv", ["x.py", "--out=y", "--resume"])
     assert resume_command("btr_mjx.scan", out="y") == "python -m btr_mjx.scan --out=y --resume"
+    monkeypatch.setenv("UV_RUN_RECURSION_DEPTH", "1")
+    assert resume_command("btr_mjx.scan", out="y") == "uv run python -m btr_mjx.scan --out=y --resume"

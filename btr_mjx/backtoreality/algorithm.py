@@ -80,7 +80,7 @@ def advance(problem: Problem, state: State, report: Report | None = None) -> Sta
     return state
 
 
-def coevolve(problem: Problem, report: Report | None = None) -> State:
+def run_in_memory(problem: Problem, report: Report | None = None) -> State:
     """Run the whole algorithm in memory; see `advance`."""
     state = begin(problem)
     while state.phase != "done":
@@ -206,10 +206,11 @@ def test_in_reality(problem: Problem, state: State) -> State:
 
 def search_simulations(problem: Problem, state: State, report: Report) -> State:
     """Step 3, one generation: search simulations for the least distance from reality."""
-    genomes, search = simulation_search.ask(problem, state)
+    genomes, search = simulation_search.ask_simulations(problem, state)
     simulations = problem.embed(problem.simulation_box.decode(genomes))
     scores = delta_of_simulations(problem, simulations, state.trials, state.iteration)
-    state = _after_generation(state, simulation_search.tell(problem, search, genomes, scores), genomes, scores)
+    search = simulation_search.tell_simulations(problem, search, genomes, scores)
+    state = _after_generation(state, search, genomes, scores)
     report("generation", _generation_row(state, "simulations", scores, False))
     if not simulation_search.finished(problem, state):
         return state

@@ -10,9 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from btr_mjx.backtoreality.state import Problem, SearchSettings, State, Trials
-from btr_mjx.evaluation import delta_fitness, evaluate, fitness_at_marks, multiscale_fitness
-from btr_mjx.optimise import GAConfig, GAState, GeneticAlgorithm
-from btr_mjx.optimise import cma_es as cma
+from btr_mjx.evaluation import delta_fitness_of, evaluate, fitness_at_marks, multiscale_fitness
+from btr_mjx.optimise import GAConfig, GAState, GeneticAlgorithm, cma_es
 from btr_mjx.robots import Box
 
 
@@ -24,7 +23,7 @@ def genetic_algorithm(box: Box, settings: SearchSettings, maximise: bool) -> Gen
     )
 
 
-def ask(problem: Problem, state: State) -> tuple[np.ndarray, GAState | None]:
+def ask_simulations(problem: Problem, state: State) -> tuple[np.ndarray, GAState | None]:
     """The next generation of simulations.
 
     Args:
@@ -39,8 +38,8 @@ def ask(problem: Problem, state: State) -> tuple[np.ndarray, GAState | None]:
     if problem.settings.optimiser == "cma":
         told = _in_cube(box, state.genomes) if len(state.scores) else np.zeros((0, settings.population, box.n))
         start = (known - box.low) / box.span
-        strategy = cma.restored(start, told, state.scores.reshape(told.shape[:2]), population=settings.population)
-        asked = cma.ask(strategy, [problem.seed, state.iteration, 3, len(told)])
+        strategy = cma_es.restored(start, told, state.scores.reshape(told.shape[:2]), population=settings.population)
+        asked = cma_es.ask(strategy, [problem.seed, state.iteration, 3, len(told)])
         return box.encode(np.clip(box.low + box.span * asked, box.low, box.high)), None
     algorithm = genetic_algorithm(box, settings, maximise=False)
     search = state.search
@@ -53,7 +52,9 @@ def ask(problem: Problem, state: State) -> tuple[np.ndarray, GAState | None]:
     return algorithm.ask(search)
 
 
-def tell(problem: Problem, search: GAState | None, genomes: np.ndarray, scores: np.ndarray) -> GAState | None:
+def tell_simulations(
+    problem: Problem, search: GAState | None, genomes: np.ndarray, scores: np.ndarray
+) -> GAState | None:
     """The genetic algorithm's state with what a generation scored; None for CMA-ES, which needs the record only."""
     if search is None:
         return None
@@ -65,7 +66,7 @@ def finished(problem: Problem, state: State) -> bool:
     """Whether the search under way has had all its generations, or has converged."""
     if len(state.scores) >= problem.settings.simulations.generations:
         return True
-    return problem.settings.optimiser == "cma" and cma.converged(_in_cube(problem.simulation_box, state.genomes[-1]))
+    return problem.settings.optimiser == "cma" and cma_es.converged(_in_cube(problem.simulation_box, state.genomes[-1]))
 
 
 def _in_cube(box: Box, genomes: np.ndarray) -> np.ndarray:
@@ -106,7 +107,7 @@ def delta_of_simulations(problem: Problem, simulations: np.ndarray, trials: Tria
 def whole_trial_delta(problem: Problem, simulations: np.ndarray, trials: Trials, iteration: int) -> np.ndarray:
     """Delta_fitness (eq. 4), whatever distance step 3 minimises; arguments as of `delta_of_simulations`."""
     use = _counting(problem, trials, iteration)
-    return delta_fitness(problem.simulate(simulations, trials.controllers[use]), trials.f_r[use])
+    return delta_fitness_of(problem.simulate(simulations, trials.controllers[use]), trials.f_r[use])
 
 
 def _counting(problem: Problem, trials: Trials, iteration: int) -> np.ndarray:

@@ -9,8 +9,7 @@ import numpy as np
 from btr_mjx.backtoreality.reality.simulated import Reality
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import DISTANCE, MARKS, Engine, FitnessFunction, evaluate
-from btr_mjx.optimise import GAState
-from btr_mjx.optimise import genetic_algorithm as evolution
+from btr_mjx.optimise import GAState, ga_state_from_arrays, ga_state_to_arrays
 from btr_mjx.robots import Box, Robot
 
 Phase = Literal["baseline", "controllers", "transfer", "simulations", "done"]
@@ -230,7 +229,7 @@ def state_to_arrays(state: State) -> tuple[dict[str, np.ndarray], dict[str, Any]
         **{f"trials/{name}": value for name, value in vars(state.trials).items()},
     }
     if state.search is not None:
-        arrays |= {f"search/{name}": value for name, value in evolution.state_to_arrays(state.search).items()}
+        arrays |= {f"search/{name}": value for name, value in ga_state_to_arrays(state.search).items()}
     return arrays, {"phase": state.phase, "iteration": state.iteration, "stop": state.stop}
 
 
@@ -246,7 +245,7 @@ def state_from_arrays(arrays: Mapping[str, np.ndarray], values: Mapping[str, Any
         simulation=arrays["simulation"],
         genome=arrays["genome"],
         trials=Trials(**part("trials/")),
-        search=evolution.state_from_arrays(search) if search else None,
+        search=ga_state_from_arrays(search) if search else None,
         genomes=arrays["genomes"],
         scores=arrays["scores"],
         delta_before=float(arrays["delta_before"]),

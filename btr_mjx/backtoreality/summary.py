@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from btr_mjx.backtoreality import algorithm as backtoreality
+from btr_mjx.backtoreality.algorithm import best as best_of
 from btr_mjx.backtoreality.simulation_search import whole_trial_delta
 from btr_mjx.backtoreality.state import Problem, State
 from btr_mjx.evaluation import learning_performance
@@ -25,7 +25,7 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
     first = trials.iteration == 1
     maximise = problem.fitness.maximise
     f_0 = float(trials.f_r[0])
-    best = int(backtoreality.best(np.where(latest, trials.f_r, np.nan), maximise))
+    best = int(best_of(np.where(latest, trials.f_r, np.nan), maximise))
     f_end, f_max = float(trials.f_r[best]), float(np.nanmax(np.abs(trials.f_r)))
     delta = lambda s, iteration: float(  # noqa: E731
         whole_trial_delta(problem, s[None], trials, iteration)[0]
@@ -48,9 +48,7 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
         ),
         "fitness": problem.fitness.name,
         "f_r_first_controller": f_0,
-        "f_r_best_first_iteration": float(
-            trials.f_r[backtoreality.best(np.where(first, trials.f_r, np.nan), maximise)]
-        ),
+        "f_r_best_first_iteration": float(trials.f_r[best_of(np.where(first, trials.f_r, np.nan), maximise)]),
         "f_r_best": f_end,
         "f_s_best": float(trials.f_s[best]),
         "failed_trials": int((~np.isfinite(trials.f_r)).sum()),

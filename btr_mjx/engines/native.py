@@ -6,6 +6,7 @@ step and with another integrator. Results are bit-identical at any thread count.
 
 import copy
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -27,7 +28,22 @@ INTEGRATORS: Mapping[str, int] = {
 }
 
 
-def rollout(
+@dataclass(frozen=True)
+class NativeSettings:
+    """How native MuJoCo steps; the defaults are the model's own.
+
+    Attributes:
+      timestep: another time step [s]; samples then count its steps.
+      integrator: another integrator, a key of `INTEGRATORS`.
+      threads: number of threads; None for all cores.
+    """
+
+    timestep: float | None = None
+    integrator: str | None = None
+    threads: int | None = None
+
+
+def rollout_native(
     model: mujoco.MjModel,
     leaves: Leaves,
     controllers: np.ndarray,
@@ -36,9 +52,7 @@ def rollout(
     signal: Signal,
     base_address: tuple[int, int] | None,
     record_states: bool,
-    timestep: float | None = None,
-    integrator: str | None = None,
-    threads: int | None = None,
+    settings: NativeSettings = NativeSettings(),
 ) -> Record:
     """Roll pairs out in native MuJoCo.
 
@@ -50,22 +64,20 @@ def rollout(
       signal: reference signal of the robot, sampled at the start of each step.
       base_address: where the base's position begins in qpos and its velocity in qvel, or None.
       record_states: whether qpos, qvel and act are recorded.
-      timestep: another time step [s]; samples then count its steps.
-      integrator: another integrator, a key of `INTEGRATORS`.
-      threads: number of threads; None for all cores.
+      settings: time step, integrator and threads.
 
     Returns:
       The record, batch first. Pairs whose state became invalid have NaN positions from then on.
     """
     model = copy.copy(model)
-    if timestep is not None:
-        model.opt.timestep = timestep
-    if integrator is not None:
-        model.opt.integrator = INTEGRATORS[integrator]
+    if settings.timestep is not None:
+        model.opt.timestep = settings.timestep
+    if settings.integrator is not None:
+        model.opt.integrator = INTEGRATORS[settings.integrator]
     # An invalid state must stay visible; MuJoCo's automatic reset would turn it into a new start.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     count, dt = len(controllers), float(model.opt.timestep)
-    batch = Batch(model, nsim=count, nthread=threads or available_cores())
+    batch = Batch(model, nsim=count, nthread=settings.threads or available_cores())
     expand(batch, leaves)
     # With its stage left out, a reset only writes qpos0; the models' own constants are already in the leaves.
     batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)

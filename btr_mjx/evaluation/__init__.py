@@ -4,6 +4,7 @@
 one pair as a function of JAX. Fitness functions, delta_k, Delta_fitness, distances and `metrics` live here, too.
 """
 
+from btr_mjx.evaluation import metrics
 from btr_mjx.evaluation.distances import MARKS, fitness_at_marks, multiscale_fitness
 from btr_mjx.evaluation.evaluation import Engine, EngineSettings, Evaluation, base_address, evaluate
 from btr_mjx.evaluation.fitness import (
@@ -11,8 +12,8 @@ from btr_mjx.evaluation.fitness import (
     FITNESS_FUNCTIONS,
     FitnessFunction,
     Outcome,
-    delta,
-    delta_fitness,
+    delta_fitness_of,
+    delta_of,
     fitness_function,
     learning_performance,
 )
@@ -30,14 +31,15 @@ __all__ = [
     "Outcome",
     "Trajectory",
     "base_address",
-    "delta",
-    "delta_fitness",
+    "delta_fitness_of",
+    "delta_of",
     "evaluate",
     "fitness_at_marks",
     "fitness_function",
     "foot_bodies",
     "foot_forces",
     "learning_performance",
+    "metrics",
     "model_leaves",
     "multiscale_fitness",
     "pair_fitness",

@@ -1,7 +1,7 @@
 """How far a simulation is from reality, by fitness alone.
 
-`delta_fitness` (in `fitness`) compares the outcome of whole trials; over long trials small differences of a simulation
-grow until its outcome says little about their size. The paper closes with "an account of multi time scale
+`delta_fitness_of` (in `fitness`) compares the outcome of whole trials; over long trials small differences of a
+simulation grow until its outcome says little about their size. The paper closes with "an account of multi time scale
 behavioral comparisons is required": `multiscale_fitness` is one. It compares the same fitness function at several
 marks of the trial, early ones included, each in units of its own spread over the behaviours.
 """

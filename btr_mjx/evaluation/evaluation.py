@@ -208,7 +208,7 @@ def _runner(robot: Robot, engine: Engine, samples: np.ndarray, states: bool, set
         raise InputError(f"engine {engine!r}: another timestep, integrator or thread count needs engine='native'")
     address = base_address(robot)
     if engine == "native":
-        run_native = lambda models, index, controllers: native.rollout(  # noqa: E731
+        run_native = lambda models, index, controllers: native.rollout_native(  # noqa: E731
             models.base,
             {name: values[index] for name, values in models.leaves.items()},
             controllers,
@@ -216,9 +216,7 @@ def _runner(robot: Robot, engine: Engine, samples: np.ndarray, states: bool, set
             signal=robot.signal,
             base_address=address,
             record_states=states,
-            timestep=settings.timestep,
-            integrator=settings.integrator,
-            threads=settings.threads,
+            settings=native.NativeSettings(settings.timestep, settings.integrator, settings.threads),
         )
         return _Runner(settings.chunk or 256, run_native)
     program = _program(

@@ -92,7 +92,7 @@ def fitness_function(name: str) -> FitnessFunction:
     return FITNESS_FUNCTIONS[name]
 
 
-def delta(f_s: ArrayLike, f_r: ArrayLike) -> np.ndarray:
+def delta_of(f_s: ArrayLike, f_r: ArrayLike) -> np.ndarray:
     """delta_k = |f_sk - f_rk|, eq. 3.
 
     Args:
@@ -114,7 +114,7 @@ def delta(f_s: ArrayLike, f_r: ArrayLike) -> np.ndarray:
     return np.abs(simulated - real)
 
 
-def delta_fitness(f_s: ArrayLike, f_r: ArrayLike) -> np.ndarray:
+def delta_fitness_of(f_s: ArrayLike, f_r: ArrayLike) -> np.ndarray:
     """Delta_fitness = mean of delta_k over the m behaviours, eq. 4.
 
     Args:
@@ -125,7 +125,7 @@ def delta_fitness(f_s: ArrayLike, f_r: ArrayLike) -> np.ndarray:
       (...); NaN for a simulation in which any of the behaviours diverged: it does not reproduce reality, and leaving
       the diverged ones out would reward it.
     """
-    return delta(f_s, f_r).mean(axis=-1)
+    return delta_of(f_s, f_r).mean(axis=-1)
 
 
 def learning_performance(f_0: float, f_end: float, f_max: float, dimension: int, evaluations: int) -> float:

@@ -36,7 +36,7 @@ from btr_mjx.evaluation.traced import TracedArray, in_double
 from btr_mjx.models import base_model, compile_models
 from btr_mjx.robots import Robot
 
-Leaves = dict[str, Any]
+ModelLeaves = dict[str, Any]
 """MjModel field -> array of the field's shape: the numbers that make one simulation."""
 
 
@@ -56,7 +56,7 @@ class Trajectory(NamedTuple):
     qvel: jax.Array
 
 
-def model_leaves(robot: Robot, simulations: ArrayLike) -> Leaves:
+def model_leaves(robot: Robot, simulations: ArrayLike) -> ModelLeaves:
     """Compile simulations and stack the model fields in which they can differ.
 
     Args:
@@ -84,7 +84,7 @@ def pair_fitness(
     steps: int | None = None,
     chunk: int | None = None,
     devices: Sequence[jax.Device] | None = None,
-) -> Callable[[Leaves, Any], jax.Array]:
+) -> Callable[[ModelLeaves, Any], jax.Array]:
     """The fitness of one pair, as a function to be mapped with `jax.vmap`.
 
     Args:
@@ -108,7 +108,7 @@ def pair_fitness(
     """
     samples = _samples(robot, robot.duration if steps is None else steps * _timestep(robot))
 
-    def kernel(leaves: Leaves, controllers: jax.Array, *, roll: Callable[..., Record]) -> jax.Array:
+    def kernel(leaves: ModelLeaves, controllers: jax.Array, *, roll: Callable[..., Record]) -> jax.Array:
         record, dtype = roll(leaves, controllers), jnp.result_type(float)
 
         def value(*numbers: jax.Array) -> jax.Array:
@@ -131,7 +131,7 @@ def pair_trajectory(
     times: ArrayLike | None = None,
     chunk: int | None = None,
     devices: Sequence[jax.Device] | None = None,
-) -> Callable[[Leaves, Any], Trajectory]:
+) -> Callable[[ModelLeaves, Any], Trajectory]:
     """The states that one pair goes through, as a function to be mapped with `jax.vmap`.
 
     Args:
@@ -149,7 +149,7 @@ def pair_trajectory(
       UnsupportedModel: the engine asked for cannot run this robot.
     """
 
-    def kernel(leaves: Leaves, controllers: jax.Array, *, roll: Callable[..., Record]) -> Trajectory:
+    def kernel(leaves: ModelLeaves, controllers: jax.Array, *, roll: Callable[..., Record]) -> Trajectory:
         record = roll(leaves, controllers)
         return Trajectory(*map(_batch_first, (record.position, record.energy, record.qpos, record.qvel)))
 
@@ -164,7 +164,7 @@ def _one_pair(
     chunk: int | None,
     devices: Sequence[jax.Device] | None,
     kernel: Callable[..., Any],
-) -> Callable[[Leaves, Any], Any]:
+) -> Callable[[ModelLeaves, Any], Any]:
     use_all_cores()
     use_compilation_cache()
     chosen = engine or _engine(robot)
@@ -177,7 +177,7 @@ def _one_pair(
     needed = _influential(nominal)
     _stepper(robot, chosen)  # a robot that the engine does not support is refused here
 
-    def roll(leaves: Leaves, controllers: jax.Array) -> Record:
+    def roll(leaves: ModelLeaves, controllers: jax.Array) -> Record:
         stepper = _stepper(robot, chosen)
         # Behind a barrier the number of steps stays unknown to the compiler, which would unroll short loops otherwise
         # and compute other bits.
@@ -189,7 +189,7 @@ def _one_pair(
 
     one = rowwise(partial(kernel, roll=roll), width, devices)
 
-    def function(leaves: Leaves, controller: Any) -> Any:
+    def function(leaves: ModelLeaves, controller: Any) -> Any:
         missing = [name for name in needed if name not in leaves]
         if missing:
             raise InputError(f"leaves: got {sorted(leaves)}, expected those of model_leaves(): without {missing}")
@@ -221,7 +221,7 @@ def _influential(names: Any) -> list[str]:
     return sorted(name for name in names if matters(name))
 
 
-def _packed(stepper: Stepper, leaves: Leaves, others: dict[str, np.ndarray]) -> Any:
+def _packed(stepper: Stepper, leaves: ModelLeaves, others: dict[str, np.ndarray]) -> Any:
     """The engine's parameters of one chunk, derived in double precision as on the host.
 
     Args:
@@ -231,7 +231,7 @@ def _packed(stepper: Stepper, leaves: Leaves, others: dict[str, np.ndarray]) -> 
     """
     (chunk,) = {len(value) for value in leaves.values()}
 
-    def derived(leaves: Leaves) -> Any:
+    def derived(leaves: ModelLeaves) -> Any:
         wide: dict[str, Any] = {name: TracedArray(value.astype(np.float64)[None]) for name, value in leaves.items()}
         same = {name: np.broadcast_to(value, (1, chunk, *value.shape)) for name, value in others.items()}
         packed = stepper.pack(same | wide)

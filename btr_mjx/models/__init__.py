@@ -6,7 +6,7 @@ names and paths of a model's parts (`parse_path`) and differences of configurati
 
 from btr_mjx.models.batch import Models, base_model, compile_mjcf, compile_models, varying_fields, why_compiled
 from btr_mjx.models.fields import read_field
-from btr_mjx.models.paths import nearest, parse_path, part_names, set_values
+from btr_mjx.models.paths import nearest_names, parse_path, part_names, set_values
 from btr_mjx.models.tangent import between, difference, integrate
 
 __all__ = [
@@ -17,7 +17,7 @@ __all__ = [
     "compile_models",
     "difference",
     "integrate",
-    "nearest",
+    "nearest_names",
     "parse_path",
     "part_names",
     "read_field",

@@ -17,10 +17,10 @@ from btr_mjx.models.symbolic import elementwise
 EPS = 1e-14
 """The compiler's threshold below which a length, mass, volume or moment counts as zero (mjEPS)."""
 
-SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX = (
+GEOM_SPHERE, GEOM_CAPSULE, GEOM_ELLIPSOID, GEOM_CYLINDER, GEOM_BOX = (
     int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}")) for name in ("SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX")
 )
-SIZES = {SPHERE: 1, CAPSULE: 2, ELLIPSOID: 3, CYLINDER: 2, BOX: 3}
+SIZES = {GEOM_SPHERE: 1, GEOM_CAPSULE: 2, GEOM_ELLIPSOID: 3, GEOM_CYLINDER: 2, GEOM_BOX: 3}
 """The kinds of geom that these rules cover, and how many sizes each has; they must be positive."""
 
 
@@ -57,23 +57,23 @@ def frame_between(ends: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 def volume(kind: int, size: np.ndarray) -> np.ndarray:
     """Volumes (...) of geoms of one kind with sizes (3, ...)."""
     a, b, c = size
-    if kind == SPHERE:
+    if kind == GEOM_SPHERE:
         return 4 * math.pi * a * a * a / 3
-    if kind == CAPSULE:
+    if kind == GEOM_CAPSULE:
         return math.pi * (a * a * (2 * b) + 4 * a * a * a / 3)
-    if kind == CYLINDER:
+    if kind == GEOM_CYLINDER:
         return math.pi * a * a * (2 * b)
-    if kind == ELLIPSOID:
+    if kind == GEOM_ELLIPSOID:
         return 4 * math.pi * a * b * c / 3
     return a * b * c * 8
 
 
-def inertia(kind: int, mass: np.ndarray, size: np.ndarray) -> np.ndarray:
+def geom_inertia(kind: int, mass: np.ndarray, size: np.ndarray) -> np.ndarray:
     """Principal moments (3, ...) of solid geoms of one kind with masses (...) and sizes (3, ...)."""
     a, b, c = size
-    if kind == SPHERE:
+    if kind == GEOM_SPHERE:
         return np.stack([2 * mass * a * a / 5] * 3)
-    if kind == CAPSULE:
+    if kind == GEOM_CAPSULE:
         height = 2 * b
         ball = mass * 4 * a / (4 * a + 3 * height)
         rod = mass - ball
@@ -81,12 +81,12 @@ def inertia(kind: int, mass: np.ndarray, size: np.ndarray) -> np.ndarray:
         # The compiler adds the caps in this order.
         across = rod * (3 * a * a + height * height) / 12 + (caps + ball * height * (3 * a + 2 * height) / 8)
         return np.stack([across, across, rod * a * a / 2 + caps])
-    if kind == CYLINDER:
+    if kind == GEOM_CYLINDER:
         height = 2 * b
         across = mass * (3 * a * a + height * height) / 12
         return np.stack([across, across, mass * a * a / 2])
     aa, bb, cc = a * a, b * b, c * c
-    share = 5 if kind == ELLIPSOID else 3
+    share = 5 if kind == GEOM_ELLIPSOID else 3
     return np.stack([mass * (bb + cc) / share, mass * (aa + cc) / share, mass * (aa + bb) / share])
 
 

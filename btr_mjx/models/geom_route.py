@@ -101,7 +101,7 @@ def _frame(group: _Group, slots: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
         position, orientation = group.position.values(slots), group.orientation.values(slots)
         return position.reshape(3, *shape), orientation.reshape(4, *shape), size
     position, orientation, half = rules.frame_between(group.ends.values(slots).reshape(6, *shape))
-    if group.kind in (rules.ELLIPSOID, rules.BOX):
+    if group.kind in (rules.GEOM_ELLIPSOID, rules.GEOM_BOX):
         return position, orientation, np.stack([size[0], size[0], half])
     return position, orientation, np.stack([size[0], half, size[2]])
 
@@ -113,7 +113,7 @@ def _mass(group: _Group, slots: np.ndarray, size: np.ndarray) -> tuple[np.ndarra
     inferred = group.density.values(slots) * volume
     # The compiler ignores a mass without a volume: such a row is not done.
     masses = np.where(np.isnan(given), inferred, np.where(volume > rules.EPS, given, np.nan))
-    return masses, rules.inertia(group.kind, masses, size)
+    return masses, rules.geom_inertia(group.kind, masses, size)
 
 
 def geom_route(taggings: Sequence[Tagged], cells: dict[str, Cells]) -> GeomRoute:

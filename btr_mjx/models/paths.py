@@ -58,7 +58,7 @@ _PATH = re.compile(
 _INDEX = re.compile(r"^(?P<head>.*?)(?P<index>(?:\[\d+\])+)$")
 
 
-def nearest(name: str, known: Sequence[str], count: int = 3) -> str:
+def nearest_names(name: str, known: Sequence[str], count: int = 3) -> str:
     """The known names most like `name`, quoted and joined, for error messages; all of them if they are few."""
     if not known:
         return "none"
@@ -192,7 +192,7 @@ def parse_path(model: mujoco.MjModel, text: str) -> ModelPath:
             path = ModelPath(text, "", 0, head, numbers)
         elif head.isidentifier() and index:
             fields = [name for name in dir(model) if isinstance(getattr(model, name, None), np.ndarray)]
-            raise InputError(f"path {text!r}: MjModel has no array {head!r}; nearest: {nearest(head, fields)}")
+            raise InputError(f"path {text!r}: MjModel has no array {head!r}; nearest: {nearest_names(head, fields)}")
         else:
             raise InputError(
                 f"path {text!r}: expected KIND:NAME/ATTRIBUTE such as 'joint:knee/damping', or a field of MjModel such "
@@ -204,7 +204,7 @@ def parse_path(model: mujoco.MjModel, text: str) -> ModelPath:
             raise InputError(f"path {text!r}: there is no kind {kind!r}; expected one of {', '.join(ATTRIBUTES)}")
         names = ["x"] if kind == "option" else part_names(model, kind)
         if name not in names:
-            raise InputError(f"path {text!r}: the model has no {kind} {name!r}; nearest: {nearest(name, names)}")
+            raise InputError(f"path {text!r}: the model has no {kind} {name!r}; nearest: {nearest_names(name, names)}")
         if attribute not in ATTRIBUTES[kind]:
             known = ", ".join(ATTRIBUTES[kind])
             raise InputError(f"path {text!r}: a {kind}'s attributes here are {known}; got {attribute!r}")

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 KINEMATICS = ("xpos", "xipos", "xanchor", "geom_xpos", "site_xpos", "M")
-"""Fields of MjData that `statistics` needs, in qpos0."""
+"""Fields of MjData that `model_statistics` needs, in qpos0."""
 
 _SMALL = 1e-5
 
@@ -22,7 +22,7 @@ def unable(model: mujoco.MjModel) -> str:
     return "a height field" if model.nhfield else ""
 
 
-def statistics(
+def model_statistics(
     model: mujoco.MjModel, data: Mapping[str, np.ndarray], radius: np.ndarray, mass: np.ndarray, size: np.ndarray
 ) -> dict[str, np.ndarray]:
     """The statistics.

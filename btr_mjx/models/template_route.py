@@ -28,7 +28,7 @@ from btr_mjx.models.compiler_rules import SIZES
 from btr_mjx.models.fields import PHYSICS, field_names, read_field
 from btr_mjx.models.geom_route import FRAME_FIELDS, INERTIA_FIELDS, GeomRoute, Unable, geom_route
 from btr_mjx.models.sources import Cells, Tagged, sources, tagged
-from btr_mjx.models.statistics import KINEMATICS, statistics
+from btr_mjx.models.statistics import KINEMATICS, model_statistics
 from btr_mjx.models.statistics import unable as no_statistics
 from btr_mjx.models.symbolic import Skeleton, Untraceable, trace
 from btr_mjx.robots import Robot
@@ -133,7 +133,7 @@ class Route:
                 for name in ("geom_rbound", "body_mass", "geom_size")
             ]
             kinematics = {name: values[:count] for name, values in self._kinematics.items()}
-            fields = statistics(self.base, kinematics, *own) | fields
+            fields = model_statistics(self.base, kinematics, *own) | fields
         for name, leaf in leaves.items():
             value = leaf[:0] if name in _HIERARCHY else fields[name]
             if value.shape != leaf.shape:  # of bvh_aabb a batch has the bodies' part; the meshes' is constant

@@ -1,15 +1,29 @@
 """Ask / tell optimisers of bounded vectors: the genetic algorithm of the paper, and CMA-ES.
 
 `GeneticAlgorithm` keeps its state in a plain record, so that a search can be saved after every generation; `cma_es` has
-the same shape. `mutate` is the bit flip that experiments use on their own.
+the same shape. `optimise` and `minimize` run the genetic algorithm from start to end. `mutate` is the bit flip alone.
 """
 
-from btr_mjx.optimise.genetic_algorithm import GAConfig, GAState, GeneticAlgorithm
+from btr_mjx.optimise import cma_es
+from btr_mjx.optimise.genetic_algorithm import (
+    GAConfig,
+    GAState,
+    GeneticAlgorithm,
+    ga_state_from_arrays,
+    ga_state_to_arrays,
+)
+from btr_mjx.optimise.minimise import Optimum, minimize, optimise
 from btr_mjx.optimise.operators import mutate
 
 __all__ = [
     "GAConfig",
     "GAState",
     "GeneticAlgorithm",
+    "Optimum",
+    "cma_es",
+    "ga_state_from_arrays",
+    "ga_state_to_arrays",
+    "minimize",
     "mutate",
+    "optimise",
 ]

@@ -11,7 +11,7 @@ reality (Delta_fitness is minimised). Generational: parents are picked by tourna
         state = ga.tell(state, genomes, f(box.decode(genomes)))
     best = box.decode(state.best_genome)
 
-A state is an immutable record of arrays that includes the random stream: a run continued from `state_from_arrays` is
+A state is an immutable record of arrays that includes the random stream: a run continued from `ga_state_from_arrays` is
 bit-identical to one that never stopped, and asking one state twice gives the same genomes twice.
 
 Failed evaluations: a fitness that is NaN or infinite never becomes best, parent or elite as long as any member of the
@@ -129,7 +129,7 @@ def _generator_of(stream: NDArray[np.uint64]) -> np.random.Generator:
     return np.random.Generator(bits)
 
 
-def state_to_arrays(state: GAState) -> dict[str, np.ndarray]:
+def ga_state_to_arrays(state: GAState) -> dict[str, np.ndarray]:
     """Write a state as plain arrays, for `numpy.savez`; no object arrays, and None becomes an array with no rows."""
     n_bits = state.parents.shape[1]
     none = np.zeros((0, n_bits), dtype=bool)
@@ -144,8 +144,8 @@ def state_to_arrays(state: GAState) -> dict[str, np.ndarray]:
     }
 
 
-def state_from_arrays(arrays: Mapping[str, np.ndarray]) -> GAState:
-    """Read a state written by `state_to_arrays`.
+def ga_state_from_arrays(arrays: Mapping[str, np.ndarray]) -> GAState:
+    """Read a state written by `ga_state_to_arrays`.
 
     Args:
       arrays: the dict, or an open npz file.
@@ -155,7 +155,7 @@ def state_from_arrays(arrays: Mapping[str, np.ndarray]) -> GAState:
     """
     missing = [field.name for field in fields(GAState) if field.name not in arrays]
     if missing:
-        raise InputError(f"GA state: got no {', '.join(missing)}, expected what state_to_arrays writes")
+        raise InputError(f"GA state: got no {', '.join(missing)}, expected what ga_state_to_arrays writes")
     get = {field.name: np.asarray(arrays[field.name]) for field in fields(GAState)}
     m, n_bits = get["parents"].shape if get["parents"].ndim == 2 else (-1, -1)
     expected: dict[str, tuple[type, list[tuple[int, ...]]]] = {

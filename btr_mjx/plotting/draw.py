@@ -3,14 +3,13 @@
 What is drawn is decided in `figures` and `robot_figure`; here they are read for, styled and saved.
 """
 
-import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from btr_mjx.errors import InputError, cli_errors
+from btr_mjx.errors import InputError
 from btr_mjx.plotting.run_data import read_robot, read_run, read_scan
 from btr_mjx.runs import note, write_figure
 
@@ -45,8 +44,13 @@ def draw_run(folder: Path) -> list[Path]:
 
     folder = Path(folder)
     run = read_run(folder)
-    curves = (figures.controller_fitness, figures.delta_fitness, figures.limb_lengths, figures.sim_versus_reality)
-    saved = [_save(folder / f"{make.__name__}.png", partial(make, run)) for make in curves]
+    curves = {
+        "controller_fitness": figures.controller_fitness,
+        "delta_fitness": figures.delta_fitness_curve,
+        "limb_lengths": figures.limb_lengths,
+        "sim_versus_reality": figures.sim_versus_reality,
+    }
+    saved = [_save(folder / f"{name}.png", partial(make, run)) for name, make in curves.items()]
     try:
         robot = read_robot(folder)
     except InputError as error:  # its template was moved or deleted since
@@ -61,10 +65,10 @@ def draw_scan(folder: Path) -> list[Path]:
 
     folder = Path(folder)
     data = read_scan(folder)
-    return [_save(folder / "scan.png", partial(figures.scan, data))]
+    return [_save(folder / "scan.png", partial(figures.scan_curve, data))]
 
 
-def draw(folder: Path) -> list[Path]:
+def draw_folder(folder: Path) -> list[Path]:
     """Draw the figures of either kind of run folder; as `draw_run`."""
     return draw_scan(folder) if (Path(folder) / "scan.npz").is_file() else draw_run(folder)
 
@@ -73,26 +77,3 @@ def _save(path: Path, make: "Callable[[], Figure]") -> Path:
     with style():
         write_figure(path, make())
     return path
-
-
-def main(argv: Sequence[str] | None = None) -> None:
-    """Entry point of the command."""
-    import tyro
-
-    def command(folders: Annotated[tuple[Path, ...], tyro.conf.Positional]) -> tuple[Path, ...]:
-        """Draw the figures of run folders again.
-
-        Args:
-          folders: run folders of btr_mjx.coevolve or btr_mjx.scan.
-        """
-        return folders
-
-    folders = tyro.cli(command, args=sys.argv[1:] if argv is None else list(argv), prog="btr_mjx.plotting.draw")
-    with cli_errors():
-        for folder in folders:
-            for path in draw(folder):
-                print(path)
-
-
-if __name__ == "__main__":
-    main()

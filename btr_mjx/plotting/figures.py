@@ -54,7 +54,7 @@ def controller_fitness(run: RunData) -> Figure:
     return figure
 
 
-def delta_fitness(run: RunData) -> Figure:
+def delta_fitness_curve(run: RunData) -> Figure:
     """Delta_fitness over the generations of step 3, before and after each."""
     figure = Figure(figsize=(width(run.simulations, 0.32), 3.2))
     axes = figure.subplots()
@@ -154,7 +154,7 @@ def sim_versus_reality(run: RunData) -> Figure:
     return figure
 
 
-def scan(data: ScanData) -> Figure:
+def scan_curve(data: ScanData) -> Figure:
     """delta_k of every behaviour and their mean over one parameter; Fig. 2b of the paper."""
     figure = Figure(figsize=(5.6, 3.5))
     axes = figure.subplots()

@@ -43,7 +43,7 @@ def morphologies(robot: Robot, run: RunData) -> Figure:
     columns, size = (2, 8.5) if run.box.n <= 4 else (3, 7.5)
     figure = Figure(figsize=(3.3 * len(cases), 3.2 + 0.18 * math.ceil(run.box.n / columns)))
     panels = figure.subplots(1, len(cases), squeeze=False)[0]
-    draw(panels, models)
+    draw_models(panels, models)
     for axes, title, values in zip(panels, cases, cases.values(), strict=True):
         axes.set_title(title, fontsize=11)
         units = [f" {unit}" if unit else "" for unit in run.box.units]
@@ -53,7 +53,7 @@ def morphologies(robot: Robot, run: RunData) -> Figure:
     return figure
 
 
-def draw(panels: Sequence, models: Sequence[mujoco.MjModel]) -> None:
+def draw_models(panels: Sequence, models: Sequence[mujoco.MjModel]) -> None:
     """Draw one model in each panel, from one camera that shows all of them."""
     camera = pictures.camera_for(models, WIDTH / HEIGHT)
     rendered = pictures.render_all(models, WIDTH, HEIGHT, camera)

@@ -4,11 +4,13 @@
 one's own is one more `Robot`: nothing outside `robots.hexapod` knows the hexapod.
 """
 
-from btr_mjx.robots.robot import HEXAPOD, Robot, Signal, compiled_template, hexapod, robot_of
+from btr_mjx.robots.hexapod import HEXAPOD, PAPER_REALITIES, hexapod, robot_of
+from btr_mjx.robots.robot import Robot, Signal, compiled_template
 from btr_mjx.robots.spaces import Box
 
 __all__ = [
     "HEXAPOD",
+    "PAPER_REALITIES",
     "Box",
     "Robot",
     "Signal",

@@ -18,8 +18,8 @@ from btr_mjx.runs.files import (
     write_json,
     write_table,
 )
-from btr_mjx.runs.folder import IGNORED_FIELDS, RunFolder, chosen_folder, is_unused
-from btr_mjx.runs.progress import StopRequest, graceful_interrupt, note, progress
+from btr_mjx.runs.folder import IGNORED_FIELDS, RunFolder, is_unused, with_folder
+from btr_mjx.runs.progress_bar import StopRequest, graceful_interrupt, note, progress
 
 __all__ = [
     "CONFIG_NAME",
@@ -28,7 +28,6 @@ __all__ = [
     "StopRequest",
     "atomic_write",
     "available_cores",
-    "chosen_folder",
     "config_to_json",
     "describe_environment",
     "differences",
@@ -41,6 +40,7 @@ __all__ = [
     "read_json",
     "read_table",
     "to_plain",
+    "with_folder",
     "write_arrays",
     "write_figure",
     "write_json",

@@ -19,11 +19,11 @@ import numpy as np
 
 from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.runs.files import read_arrays, to_plain, write_arrays
-from btr_mjx.runs.progress import note
+from btr_mjx.runs.progress_bar import note
 
 FORMAT = 1
 META_NAME = "__meta__"
-FILE_NAME = re.compile(r"checkpoint-(\d{6,})\.npz")
+_FILE_NAME = re.compile(r"checkpoint-(\d{6,})\.npz")
 BIT_GENERATORS: Mapping[str, type[np.random.BitGenerator]] = {
     "PCG64": np.random.PCG64,
     "PCG64DXSM": np.random.PCG64DXSM,
@@ -51,7 +51,7 @@ def checkpoint_path(folder: str | Path, step: int) -> Path:
 
 def list_checkpoints(folder: str | Path) -> list[tuple[int, Path]]:
     """The (step, file) of every checkpoint in the folder, oldest first, sound or not."""
-    matches = [(FILE_NAME.fullmatch(path.name), path) for path in Path(folder).iterdir()]
+    matches = [(_FILE_NAME.fullmatch(path.name), path) for path in Path(folder).iterdir()]
     return sorted((int(match.group(1)), path) for match, path in matches if match)
 
 
@@ -122,7 +122,7 @@ def read_checkpoint(path: str | Path) -> Checkpoint:
     header = json.loads(arrays.pop(META_NAME).tobytes())
     if header["format"] != FORMAT:
         raise DamagedFile(f"{path}: checkpoint format {header['format']}, this version reads {FORMAT}")
-    match = FILE_NAME.fullmatch(Path(path).name)
+    match = _FILE_NAME.fullmatch(Path(path).name)
     if match and int(match.group(1)) != header["step"]:
         raise DamagedFile(f"{path}: was renamed, it holds step {header['step']}")
     return Checkpoint(header["step"], arrays, header["meta"], header["rows"])

@@ -26,6 +26,7 @@ whatever depends on the clock is kept out of checkpoints and tables:
 import os
 import weakref
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -38,7 +39,7 @@ from btr_mjx.runs.configs import CONFIG_NAME, config_to_json, differences, read_
 from btr_mjx.runs.environment import describe_environment, environment_changes
 from btr_mjx.runs.files import is_temporary, read_json, read_table, sync_folder, to_plain, write_json, write_table
 from btr_mjx.runs.locks import LOCK_NAME, take_lock
-from btr_mjx.runs.progress import note
+from btr_mjx.runs.progress_bar import note
 
 ENVIRONMENT_NAME = "environment.json"
 IGNORED_FIELDS = ("out", "resume", "progress")
@@ -245,17 +246,22 @@ def _check(path: Path, data: Mapping[str, Any], resume: bool, ignore: Collection
         )
 
 
-def chosen_folder(out: Path | None, resume: bool, base: str) -> Path:
-    """The run folder of a command: the one that is named, or the first unused one of runs/BASE, runs/BASE-2, ...
+def with_folder[Config](config: Config, base: str) -> Config:
+    """A command's config with its run folder: the named one, or the first unused one of runs/BASE, runs/BASE-2, ...
+
+    Args:
+      config: a dataclass with the fields `out` (a path or None) and `resume`.
+      base: name of the folder where none is given.
 
     Raises:
       InputError: a resume that does not say of what.
     """
-    if out is not None:
-        return out
-    if resume:
+    settings: Any = config
+    if settings.out is not None:
+        return config
+    if settings.resume:
         raise InputError("--resume: say which run to continue with --out FOLDER")
     found, number = Path("runs") / base, 2
     while not is_unused(found):
         found, number = Path("runs") / f"{base}-{number}", number + 1
-    return found
+    return replace(settings, out=found)

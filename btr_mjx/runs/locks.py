@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 from btr_mjx.errors import InputError
-from btr_mjx.runs.progress import note
+from btr_mjx.runs.progress_bar import note
 
 LOCK_NAME = ".lock"
 PATIENCE = 1.0

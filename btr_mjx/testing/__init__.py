@@ -4,15 +4,16 @@
 shares no code with the search. No other room imports this one.
 """
 
-from btr_mjx.testing.cases import Truth, Verdict, draw_reality, make_case
+from btr_mjx.testing.cases import CaseSettings, Truth, draw_reality, make_case
 from btr_mjx.testing.draw import Missing
-from btr_mjx.testing.fitness_cases import case_draw, make_fitness_case
+from btr_mjx.testing.fitness_cases import FitnessCaseSettings, case_draw, make_fitness_case
 from btr_mjx.testing.robots import case_robot
 
 __all__ = [
+    "CaseSettings",
+    "FitnessCaseSettings",
     "Missing",
     "Truth",
-    "Verdict",
     "case_draw",
     "case_robot",
     "draw_reality",

@@ -12,26 +12,23 @@ The folder says nothing about the answer.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data import Format, Recording, save_dataset
+from btr_mjx.gap.data import DatasetDescription, Format, Recording, save_dataset
+from btr_mjx.gap.results import Verdict
 from btr_mjx.testing.draw import Draw, Missing, add_effects, background_of
-from btr_mjx.testing.motion import Restart, loads, simulate
+from btr_mjx.testing.motion import Restart, loads, simulate_reality
 from btr_mjx.testing.outside import OUTSIDE, possible
-from btr_mjx.testing.physics import Reality
+from btr_mjx.testing.physics import HiddenReality
 from btr_mjx.testing.robots import case_robot
 
-Verdict = Literal["effect", "none", "unexplained"]
 RATES = (200, 250, 400, 500)
 """Samples per second."""
 SHARES: Mapping[Verdict, float] = {"none": 0.22, "unexplained": 0.18, "effect": 0.60}
 """Shares of the verdicts that would be right."""
-FIT, TEST = 8, 4
-"""Behaviours to fit and held out."""
 
 
 @dataclass(frozen=True)
@@ -60,36 +57,41 @@ class Truth:
     visible: float = 0.0
 
 
-def make_case(
-    folder: str | Path,
-    seed: int,
-    robot: str = "hexapod",
-    *,
-    verdict: Verdict | None = None,
-    effects: Sequence[str] | int = 1,
-    outside: str | None = None,
-    rate: int | None = None,
-    noise: float | None = None,
-    recordings: tuple[int, int] = (FIT, TEST),
-    duration: float | None = None,
-    background: float = 1.0,
-    file_format: Format = "npz",
-) -> Truth:
+@dataclass(frozen=True)
+class CaseSettings:
+    """What of a case is given; what is None is drawn from the seed.
+
+    Attributes:
+      verdict: kind of case.
+      effects: number of missing effects, or their names.
+      outside: name of the effect outside the library.
+      rate: samples per second; drawn from `RATES`.
+      noise: factor on the robot's noise; drawn from 1 to 3.
+      recordings: numbers of behaviours to fit and held out.
+      duration: of a recording [s]; None for the robot's own.
+      background: factor on the small errors everywhere.
+      file_format: of the recordings.
+    """
+
+    verdict: Verdict | None = None
+    effects: Sequence[str] | int = 1
+    outside: str | None = None
+    rate: int | None = None
+    noise: float | None = None
+    recordings: tuple[int, int] = (8, 4)
+    duration: float | None = None
+    background: float = 1.0
+    file_format: Format = "npz"
+
+
+def make_case(folder: str | Path, seed: int, robot: str = "hexapod", settings: CaseSettings = CaseSettings()) -> Truth:
     """Draw a case and write its dataset.
 
     Args:
       folder: the dataset's folder.
       seed: of everything that is drawn.
       robot: name of a case robot.
-      verdict: kind of case; None draws it.
-      effects: number of missing effects, or their names.
-      outside: name of the effect outside the library; None draws it.
-      rate: samples per second; None draws one of `RATES`.
-      noise: factor on the robot's noise; None draws it from 1 to 3.
-      recordings: numbers of behaviours to fit and held out.
-      duration: of a recording [s]; None for the robot's own.
-      background: factor on the small errors everywhere.
-      file_format: of the recordings.
+      settings: what is not drawn.
 
     Returns:
       The answer.
@@ -97,23 +99,25 @@ def make_case(
     Raises:
       InputError: a robot, an effect or a verdict that does not exist, or an effect that the robot cannot have.
     """
-    machine = case_robot(robot) if duration is None else replace(case_robot(robot), duration=duration)
+    machine = case_robot(robot)
+    if settings.duration is not None:
+        machine = replace(machine, duration=settings.duration)
     rng = np.random.default_rng([seed, 17])
-    chosen: Verdict = _drawn_verdict(rng) if verdict is None else verdict
+    chosen: Verdict = _drawn_verdict(rng) if settings.verdict is None else settings.verdict
     drawn_rate, drawn_noise = int(rng.choice(RATES)), float(np.exp(rng.uniform(0, np.log(3))))
-    rate, noise = rate or drawn_rate, drawn_noise if noise is None else noise
-    motions = [machine.draw_motion(rng) for _ in range(sum(recordings))]
+    rate, noise = settings.rate or drawn_rate, drawn_noise if settings.noise is None else settings.noise
+    motions = [machine.draw_motion(rng) for _ in range(sum(settings.recordings))]
     draw = Draw(machine, rng, motions, loads(machine, motions[:3]))
-    reality, missing, where = draw_reality(draw, chosen, effects, outside, background)
-    rows = [simulate(reality, motion, machine.duration, rate) for motion in motions]
-    visible = 0.0 if chosen == "none" else _visible(draw, rows[: recordings[0]], rate, noise)
-    _write(folder, draw, rows, rate, noise, recordings[0], file_format)
+    reality, missing, where = draw_reality(draw, chosen, settings.effects, settings.outside, settings.background)
+    rows = [simulate_reality(reality, motion, machine.duration, rate) for motion in motions]
+    visible = 0.0 if chosen == "none" else _visible(draw, rows[: settings.recordings[0]], rate, noise)
+    _write(folder, draw, rows, noise, settings)
     return Truth(robot, seed, chosen, missing, where, rate, noise, visible)
 
 
 def draw_reality(
     draw: Draw, verdict: Verdict, effects: Sequence[str] | int, outside: str | None, background: float
-) -> tuple[Reality, tuple[Missing, ...], str]:
+) -> tuple[HiddenReality, tuple[Missing, ...], str]:
     """A reality with small errors and with what is missing.
 
     Args:
@@ -131,7 +135,7 @@ def draw_reality(
     """
     disturb = background_of(draw, background)
     disturb(draw.background)
-    reality = Reality.of(draw.robot)
+    reality = HiddenReality.of(draw.robot)
     disturb(reality)
     if verdict == "effect":
         return reality, add_effects(draw, reality, effects), ""
@@ -159,7 +163,7 @@ def _visible(draw: Draw, rows: Sequence[Mapping[str, np.ndarray]], rate: int, no
     samples, total = max(4, round(0.04 * rate)), 0.0
     used = min(2, len(rows))
     for motion, row in zip(draw.motions[:used], rows, strict=False):
-        without = simulate(draw.background, motion, draw.robot.duration, rate, restart=Restart(row, samples))
+        without = simulate_reality(draw.background, motion, draw.robot.duration, rate, restart=Restart(row, samples))
         count = len(row["time"]) // samples * samples
         moves = np.zeros((count, model.nv))
         for k in range(count):
@@ -180,10 +184,8 @@ def _write(
     folder: str | Path,
     draw: Draw,
     rows: Sequence[Mapping[str, np.ndarray]],
-    rate: int,
     noise: float,
-    fit: int,
-    file_format: Format,
+    settings: CaseSettings,
 ) -> None:
     model, rng = draw.robot.model, draw.rng
     sigma_q, sigma_v = (noise * s for s in draw.robot.sigma(model))
@@ -200,8 +202,10 @@ def _write(
                 qpos=qpos,
                 qvel=row["qvel"] + rng.normal(size=row["qvel"].shape) * sigma_v,
                 qvel_measured=np.ones(model.nv, bool),
-                split="fit" if i < fit else "test",
+                split="fit" if i < settings.recordings[0] else "test",
                 model=model,
             )
         )
-    save_dataset(folder, draw.robot.xml, recordings, interpolation="cubic", file_format=file_format)
+    save_dataset(
+        folder, draw.robot.xml, recordings, DatasetDescription(interpolation="cubic"), file_format=settings.file_format
+    )

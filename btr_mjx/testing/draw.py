@@ -10,10 +10,10 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.testing import physics
 from btr_mjx.testing.motion import Loads
-from btr_mjx.testing.physics import Reality
-from btr_mjx.testing.robots import CaseRobot, Motion
+from btr_mjx.testing.physics import HiddenReality
+from btr_mjx.testing.robots import CaseRobot, MotionCommand
 
-JOINT_EFFECTS = (
+_JOINT_EFFECTS = (
     "viscous_damping",
     "dry_friction",
     "load_friction",
@@ -23,9 +23,9 @@ JOINT_EFFECTS = (
     "joint_offset",
     "backlash",
 )
-ACTUATOR_EFFECTS = ("actuator_delay", "actuator_lag", "actuator_gain", "torque_limit")
-BODY_EFFECTS = ("payload", "link_length")
-WORLD_EFFECTS = ("ground_friction", "ground_slope", "contact_softness", "air_drag", "constant_force")
+_ACTUATOR_EFFECTS = ("actuator_delay", "actuator_lag", "actuator_gain", "torque_limit")
+_BODY_EFFECTS = ("payload", "link_length")
+_WORLD_EFFECTS = ("ground_friction", "ground_slope", "contact_softness", "air_drag", "constant_force")
 SINGLE = ("joint_stiffness", "joint_offset")
 """Effects that sit on one joint only."""
 
@@ -59,12 +59,12 @@ class Draw:
 
     robot: CaseRobot
     rng: np.random.Generator
-    motions: Sequence[Motion]
+    motions: Sequence[MotionCommand]
     sizes: Loads
-    background: Reality = field(init=False)
+    background: HiddenReality = field(init=False)
 
     def __post_init__(self) -> None:
-        self.background = Reality.of(self.robot)
+        self.background = HiddenReality.of(self.robot)
 
 
 def background_of(draw: Draw, scale: float) -> Any:
@@ -78,7 +78,7 @@ def background_of(draw: Draw, scale: float) -> Any:
     mass, length = scale * 4e-3 * rng.normal(size=len(heavy)), scale * 4e-4 * rng.normal(size=len(robot.links))
     friction, softness = scale * np.array([0.03, 2e-4]) * rng.normal(size=2)
 
-    def add(reality: Reality) -> None:
+    def add(reality: HiddenReality) -> None:
         for i, name in enumerate(joints):
             physics.actuator_gain(reality, [name], gain[i])
             physics.joint_offset(reality, [name], offset[i])
@@ -106,11 +106,11 @@ def _length(robot: CaseRobot, body: str) -> float:
 
 def _possible_effects(draw: Draw) -> list[str]:
     floor = draw.robot.floor is not None
-    names = [*JOINT_EFFECTS, *ACTUATOR_EFFECTS, *BODY_EFFECTS]
-    return names + [name for name in WORLD_EFFECTS if floor or name == "air_drag"]
+    names = [*_JOINT_EFFECTS, *_ACTUATOR_EFFECTS, *_BODY_EFFECTS]
+    return names + [name for name in _WORLD_EFFECTS if floor or name == "air_drag"]
 
 
-def add_effects(draw: Draw, reality: Reality, effects: Sequence[str] | int) -> tuple[Missing, ...]:
+def add_effects(draw: Draw, reality: HiddenReality, effects: Sequence[str] | int) -> tuple[Missing, ...]:
     """Draw what is missing, each effect of another kind and at another place."""
     known = _possible_effects(draw)
     count = effects if isinstance(effects, int) else len(effects)
@@ -160,16 +160,16 @@ def _below(model: mujoco.MjModel, body: str, joints: Sequence[str]) -> list[str]
     return chosen
 
 
-def _drawn_effect(draw: Draw, name: str, reality: Reality) -> tuple[Missing, Any]:
+def _drawn_effect(draw: Draw, name: str, reality: HiddenReality) -> tuple[Missing, Any]:
     """An effect of a random place and size, and what adds it to a reality, which has its small errors already."""
-    if name in BODY_EFFECTS:
+    if name in _BODY_EFFECTS:
         return _drawn_body(draw, name)
-    if name in WORLD_EFFECTS:
+    if name in _WORLD_EFFECTS:
         return _drawn_world(draw, name, reality)
     place, joints = _joints_at(draw, name in SINGLE)
     location = place
     if place != "all" and not place.startswith("subtree:"):
-        location = f"{'joint' if name in JOINT_EFFECTS else 'actuator'}:{place}"
+        location = f"{'joint' if name in _JOINT_EFFECTS else 'actuator'}:{place}"
     parameters = _joint_sizes(draw, name, joints)
     function = getattr(physics, name)
     return Missing(name, location, parameters), lambda r: function(r, joints, **parameters)
@@ -232,7 +232,7 @@ def _drawn_body(draw: Draw, name: str) -> tuple[Missing, Any]:
     return Missing(name, f"body:{body}", size), lambda r: physics.payload(r, body, mass, list(position))
 
 
-def _drawn_world(draw: Draw, name: str, reality: Reality) -> tuple[Missing, Any]:
+def _drawn_world(draw: Draw, name: str, reality: HiddenReality) -> tuple[Missing, Any]:
     rng, robot = draw.rng, draw.robot
     # These two are known by the value that the robot has, small errors included, not by how far that is from anything.
     if name == "ground_friction":

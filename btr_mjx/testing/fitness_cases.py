@@ -1,6 +1,7 @@
 """Hidden cases of which only fitness is known: a table of controllers and what they came to in a hidden reality."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -8,27 +9,41 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.fitness_only import save_fitness
+from btr_mjx.gap.results import Verdict
 from btr_mjx.models import part_names
-from btr_mjx.testing.cases import Truth, Verdict, draw_reality
+from btr_mjx.testing.cases import Truth, draw_reality
 from btr_mjx.testing.draw import Draw
-from btr_mjx.testing.motion import Loads, loads, simulate
-from btr_mjx.testing.robots import CaseRobot, Motion, case_robot
+from btr_mjx.testing.motion import Loads, loads, simulate_reality
+from btr_mjx.testing.robots import CaseRobot, MotionCommand, case_robot
 
-FIT, TEST = 45, 15
+_FIT, _TEST = 45, 15
 """Trials to fit and held out."""
 
 
+@dataclass(frozen=True)
+class FitnessCaseSettings:
+    """What of a case is given.
+
+    Attributes:
+      verdict: kind of case.
+      effects: number of missing effects, or their names.
+      trials: numbers of trials to fit and held out.
+      duration: of a trial [s]; None for the robot's own.
+      background: factor on the small errors everywhere.
+      controllers: seed of the controllers alone, for several realities that are tried with the same ones; None draws
+        them with everything else.
+    """
+
+    verdict: Verdict = "effect"
+    effects: Sequence[str] | int = 1
+    trials: tuple[int, int] = (_FIT, _TEST)
+    duration: float | None = None
+    background: float = 1.0
+    controllers: int | None = None
+
+
 def make_fitness_case(
-    folder: str | Path,
-    seed: int,
-    robot: str = "hexapod",
-    *,
-    verdict: Verdict = "effect",
-    effects: Sequence[str] | int = 1,
-    trials: tuple[int, int] = (FIT, TEST),
-    duration: float | None = None,
-    background: float = 1.0,
-    controllers: int | None = None,
+    folder: str | Path, seed: int, robot: str = "hexapod", settings: FitnessCaseSettings = FitnessCaseSettings()
 ) -> Truth:
     """Draw a case and write its table of trials.
 
@@ -38,13 +53,7 @@ def make_fitness_case(
       folder: the dataset's folder.
       seed: of everything that is drawn.
       robot: name of a case robot that walks.
-      verdict: kind of case.
-      effects: number of missing effects, or their names.
-      trials: numbers of trials to fit and held out.
-      duration: of a trial [s]; None for the robot's own.
-      background: factor on the small errors everywhere.
-      controllers: seed of the controllers alone, for several realities that are tried with the same ones; None draws
-        them with everything else.
+      settings: what is not drawn.
 
     Returns:
       The answer.
@@ -56,23 +65,23 @@ def make_fitness_case(
     if machine.base is None:
         raise InputError(f"robot {robot!r}: it is bolted down and comes nowhere; expected one that walks")
     model, rng = machine.model, np.random.default_rng([seed, 29])
-    span, count = duration or machine.duration, sum(trials)
-    drive = rng if controllers is None else _rng_of(controllers)
+    span, count = settings.duration or machine.duration, sum(settings.trials)
+    drive = rng if settings.controllers is None else _rng_of(settings.controllers)
     amplitude, phase, motions = _controllers(machine, drive, count)
     draw = Draw(machine, rng, motions, loads(machine, motions[:3]))
-    reality, missing, outside = draw_reality(draw, verdict, effects, None, background)
+    reality, missing, outside = draw_reality(draw, settings.verdict, settings.effects, None, settings.background)
     base = int(model.jnt_qposadr[model.body_jntadr[model.body(machine.base).id]])
     fitness = []
     for one in motions:
-        qpos = simulate(reality, one, span, 1.0 / span)["qpos"]
+        qpos = simulate_reality(reality, one, span, 1.0 / span)["qpos"]
         fitness.append(float(np.linalg.norm(qpos[-1, base : base + 2] - qpos[0, base : base + 2])) / span)
     names = part_names(model, "actuator")
     columns = {f"amplitude/{n}": amplitude[:, i] for i, n in enumerate(names)}
     columns |= {f"phase/{n}": phase[:, i] for i, n in enumerate(names)}
-    columns |= {"fitness": np.array(fitness), "split": np.repeat(["fit", "test"], trials)}
+    columns |= {"fitness": np.array(fitness), "split": np.repeat(["fit", "test"], settings.trials)}
     about = {"body": machine.base, "function": "distance", "duration": span, "omega": machine.tempo}
     save_fitness(folder, machine.xml, about, columns)
-    return Truth(robot, seed, verdict, missing, outside, 0, 0.0)
+    return Truth(robot, seed, settings.verdict, missing, outside, 0, 0.0)
 
 
 def case_draw(robot: str, seed: int, controllers: int) -> Draw:
@@ -84,14 +93,14 @@ def case_draw(robot: str, seed: int, controllers: int) -> Draw:
       controllers: seed of the controllers.
     """
     machine = case_robot(robot)
-    motions = _controllers(machine, _rng_of(controllers), FIT + TEST)[2]
+    motions = _controllers(machine, _rng_of(controllers), _FIT + _TEST)[2]
     return Draw(machine, np.random.default_rng([seed, 29]), motions, _loads(robot, controllers))
 
 
 @cache
 def _loads(robot: str, controllers: int) -> Loads:
     machine = case_robot(robot)
-    return loads(machine, _controllers(machine, _rng_of(controllers), FIT + TEST)[2][:3])
+    return loads(machine, _controllers(machine, _rng_of(controllers), _FIT + _TEST)[2][:3])
 
 
 def _rng_of(controllers: int) -> np.random.Generator:
@@ -100,12 +109,12 @@ def _rng_of(controllers: int) -> np.random.Generator:
 
 def _controllers(
     machine: CaseRobot, rng: np.random.Generator, count: int
-) -> tuple[np.ndarray, np.ndarray, list[Motion]]:
+) -> tuple[np.ndarray, np.ndarray, list[MotionCommand]]:
     """Amplitudes and phases (count, nu) [rad], and the motions."""
     nu = machine.model.nu
     amplitude, phase = rng.uniform(0.13, 0.314, (count, nu)), rng.uniform(0, np.pi, (count, nu))
 
-    def motion(k: int) -> Motion:
+    def motion(k: int) -> MotionCommand:
         return lambda t: amplitude[k] * np.sin(machine.tempo * t[:, None] + phase[k])
 
     return amplitude, phase, [motion(k) for k in range(count)]

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from btr_mjx.testing.physics import Reality
-from btr_mjx.testing.robots import CaseRobot, Motion
+from btr_mjx.testing.physics import HiddenReality
+from btr_mjx.testing.robots import CaseRobot, MotionCommand
 
-TIMESTEP = 1e-4
+_TIMESTEP = 1e-4
 """[s]"""
 
 
@@ -28,10 +28,10 @@ class Loads:
     travel: Mapping[str, float]
 
 
-def loads(robot: CaseRobot, motions: Sequence[Motion]) -> Loads:
+def loads(robot: CaseRobot, motions: Sequence[MotionCommand]) -> Loads:
     """Peaks over some motions of the believed robot."""
     model = robot.model
-    rows = [simulate(Reality.of(robot), motion, robot.duration, 500.0, 5e-4) for motion in motions]
+    rows = [simulate_reality(HiddenReality.of(robot), motion, robot.duration, 500.0, 5e-4) for motion in motions]
     qvel = np.concatenate([row["qvel"] for row in rows])
     force = np.concatenate([row["force"] for row in rows])
     rate = np.concatenate([np.gradient(row["qvel"], row["time"], axis=0) for row in rows])
@@ -54,7 +54,7 @@ class Restart:
     """States that a simulation is put back to every so many samples.
 
     Attributes:
-      rows: what `simulate` returned for another reality.
+      rows: what `simulate_reality` returned for another reality.
       samples: number of samples between two restarts.
     """
 
@@ -62,8 +62,13 @@ class Restart:
     samples: int
 
 
-def simulate(
-    r: Reality, motion: Motion, duration: float, rate: float, timestep: float = TIMESTEP, restart: Restart | None = None
+def simulate_reality(
+    r: HiddenReality,
+    motion: MotionCommand,
+    duration: float,
+    rate: float,
+    timestep: float = _TIMESTEP,
+    restart: Restart | None = None,
 ) -> dict[str, np.ndarray]:
     """Run a reality and sample it.
 
@@ -148,7 +153,7 @@ def _set_down(model: mujoco.MjModel, data: mujoco.MjData, believed: mujoco.MjMod
     data.qpos[2] -= _lowest(model, data) - clearance
 
 
-def _arriving(r: Reality, motion: Motion, steps: int, timestep: float) -> np.ndarray:
+def _arriving(r: HiddenReality, motion: MotionCommand, steps: int, timestep: float) -> np.ndarray:
     """Commands (steps, nu) in the middle of each step, after delay and lag; before the start the first one holds."""
     times = (np.arange(steps) + 0.5) * timestep
     commands = motion(times)

@@ -6,13 +6,13 @@ import mujoco
 import numpy as np
 
 from btr_mjx.testing.motion import Loads
-from btr_mjx.testing.physics import Reality
+from btr_mjx.testing.physics import HiddenReality
 
-Outside = Callable[[Reality, Sequence[str], Loads, np.random.Generator], str]
+Outside = Callable[[HiddenReality, Sequence[str], Loads, np.random.Generator], str]
 """Adds the effect to a reality with driven joints, their loads and a generator; returns where it sits."""
 
 
-def crosstalk(r: Reality, joints: Sequence[str], sizes: Loads, rng: np.random.Generator) -> str:
+def crosstalk(r: HiddenReality, joints: Sequence[str], sizes: Loads, rng: np.random.Generator) -> str:
     """A share of one motor's torque leaks into another joint."""
     source, target = rng.choice(len(joints), 2, replace=False)
     share = rng.uniform(0.06, 0.2)
@@ -25,7 +25,7 @@ def crosstalk(r: Reality, joints: Sequence[str], sizes: Loads, rng: np.random.Ge
     return f"joint:{name}"
 
 
-def shaking(r: Reality, joints: Sequence[str], sizes: Loads, rng: np.random.Generator) -> str:
+def shaking(r: HiddenReality, joints: Sequence[str], sizes: Loads, rng: np.random.Generator) -> str:
     """A periodic force on the trunk, or a torque on a joint of a robot that is bolted down; not locked to the gait."""
     frequency, phase = r.robot.tempo * rng.uniform(1.5, 3.0), rng.uniform(0, 2 * np.pi)
     base, name = r.robot.base, str(rng.choice(joints))
@@ -45,7 +45,7 @@ def shaking(r: Reality, joints: Sequence[str], sizes: Loads, rng: np.random.Gene
     return f"body:{base}" if base is not None else f"joint:{name}"
 
 
-def elastic_cable(r: Reality, joints: Sequence[str], sizes: Loads, rng: np.random.Generator) -> str:
+def elastic_cable(r: HiddenReality, joints: Sequence[str], sizes: Loads, rng: np.random.Generator) -> str:
     """An elastic cable that ties two joints together."""
     first, second = (str(name) for name in rng.choice(joints, 2, replace=False))
     travel = sizes.travel[first] + sizes.travel[second]
@@ -60,7 +60,7 @@ def elastic_cable(r: Reality, joints: Sequence[str], sizes: Loads, rng: np.rando
     return f"joint:{first}"
 
 
-def one_sided_cable(r: Reality, joints: Sequence[str], sizes: Loads, rng: np.random.Generator) -> str:
+def one_sided_cable(r: HiddenReality, joints: Sequence[str], sizes: Loads, rng: np.random.Generator) -> str:
     """A cable that pulls in one half of a joint's range and hangs loose in the other."""
     name, sign = str(rng.choice(joints)), rng.choice([-1.0, 1.0])
     start = rng.uniform(-0.2, 0.2) * sizes.travel[name]
@@ -73,7 +73,7 @@ def one_sided_cable(r: Reality, joints: Sequence[str], sizes: Loads, rng: np.ran
     return f"joint:{name}"
 
 
-def hardening_spring(r: Reality, joints: Sequence[str], sizes: Loads, rng: np.random.Generator) -> str:
+def hardening_spring(r: HiddenReality, joints: Sequence[str], sizes: Loads, rng: np.random.Generator) -> str:
     """A spring whose torque grows with the cube of the angle."""
     name = str(rng.choice(joints))
     cubic = rng.uniform(0.15, 0.5) * sizes.torque[name] / sizes.travel[name] ** 3
@@ -85,7 +85,7 @@ def hardening_spring(r: Reality, joints: Sequence[str], sizes: Loads, rng: np.ra
     return f"joint:{name}"
 
 
-def fading_motor(r: Reality, joints: Sequence[str], sizes: Loads, rng: np.random.Generator) -> str:
+def fading_motor(r: HiddenReality, joints: Sequence[str], sizes: Loads, rng: np.random.Generator) -> str:
     """A motor that loses force over the recording, as one that grows hot."""
     name, loss = str(rng.choice(joints)), rng.uniform(0.1, 0.35)
     motor, duration = r.actuators_of([name])[0][0], r.robot.duration
@@ -97,7 +97,7 @@ def fading_motor(r: Reality, joints: Sequence[str], sizes: Loads, rng: np.random
     return f"joint:{name}"
 
 
-def cogging(r: Reality, joints: Sequence[str], sizes: Loads, rng: np.random.Generator) -> str:
+def cogging(r: HiddenReality, joints: Sequence[str], sizes: Loads, rng: np.random.Generator) -> str:
     """A torque that ripples with the angle, a few periods over the joint's travel."""
     name, phase = str(rng.choice(joints)), rng.uniform(0, 2 * np.pi)
     size = rng.uniform(0.04, 0.12) * sizes.torque[name]
@@ -110,7 +110,7 @@ def cogging(r: Reality, joints: Sequence[str], sizes: Loads, rng: np.random.Gene
     return f"joint:{name}"
 
 
-def bungee(r: Reality, joints: Sequence[str], sizes: Loads, rng: np.random.Generator) -> str:
+def bungee(r: HiddenReality, joints: Sequence[str], sizes: Loads, rng: np.random.Generator) -> str:
     """An elastic cord from the trunk to a fixed point above."""
     base = str(r.robot.base)
     anchor = np.array([*rng.uniform(-0.5, 0.5, 2), rng.uniform(1.5, 2.5)])
@@ -123,7 +123,7 @@ def bungee(r: Reality, joints: Sequence[str], sizes: Loads, rng: np.random.Gener
     return f"body:{base}"
 
 
-def loose_battery(r: Reality, joints: Sequence[str], sizes: Loads, rng: np.random.Generator) -> str:
+def loose_battery(r: HiddenReality, joints: Sequence[str], sizes: Loads, rng: np.random.Generator) -> str:
     """A battery that swings in the trunk, or at the last link of a robot that is bolted down."""
     model = r.robot.model
     body = r.robot.base or model.body(int(model.jnt_bodyid[model.njnt - 1])).name
@@ -152,7 +152,7 @@ OUTSIDE: dict[str, Outside] = {
 """By name."""
 
 
-def possible(reality: Reality) -> list[str]:
+def possible(reality: HiddenReality) -> list[str]:
     """Those that a robot can have."""
     single = len(reality.spec.actuators) < 2
     floating = reality.robot.base is not None
@@ -160,5 +160,5 @@ def possible(reality: Reality) -> list[str]:
     return [name for name in OUTSIDE if name not in absent and (floating or name != "bungee")]
 
 
-def _weight(r: Reality) -> float:
+def _weight(r: HiddenReality) -> float:
     return float(r.robot.model.body_subtreemass[0]) * 9.81

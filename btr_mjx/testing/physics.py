@@ -17,7 +17,7 @@ Hook = Callable[[mujoco.MjModel, mujoco.MjData], None]
 
 
 @dataclass
-class Reality:
+class HiddenReality:
     """A reality under construction.
 
     Attributes:
@@ -36,7 +36,7 @@ class Reality:
     offset: dict[str, float] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, robot: CaseRobot) -> "Reality":
+    def of(cls, robot: CaseRobot) -> "HiddenReality":
         """A reality that is as believed."""
         spec = mujoco.MjSpec.from_string(robot.xml)
         nu = len(spec.actuators)
@@ -47,7 +47,7 @@ class Reality:
         return [(i, a) for i, a in enumerate(self.spec.actuators) if a.target in joints]
 
 
-def viscous_damping(r: Reality, joints: Sequence[str], damping: float) -> None:
+def viscous_damping(r: HiddenReality, joints: Sequence[str], damping: float) -> None:
     """A torque -damping dq/dt [N m s/rad] more than believed."""
     for name in joints:
         joint = r.spec.joint(name)
@@ -56,19 +56,19 @@ def viscous_damping(r: Reality, joints: Sequence[str], damping: float) -> None:
         joint.damping = values
 
 
-def dry_friction(r: Reality, joints: Sequence[str], torque: float) -> None:
+def dry_friction(r: HiddenReality, joints: Sequence[str], torque: float) -> None:
     """Coulomb friction of so many N m."""
     for name in joints:
         r.spec.joint(name).frictionloss += torque
 
 
-def armature(r: Reality, joints: Sequence[str], armature: float) -> None:
+def armature(r: HiddenReality, joints: Sequence[str], armature: float) -> None:
     """Rotor inertia [kg m^2] more than believed."""
     for name in joints:
         r.spec.joint(name).armature += armature
 
 
-def joint_stiffness(r: Reality, joints: Sequence[str], stiffness: float) -> None:
+def joint_stiffness(r: HiddenReality, joints: Sequence[str], stiffness: float) -> None:
     """A spring [N m/rad] around the zero angle."""
     for name in joints:
         joint = r.spec.joint(name)
@@ -78,39 +78,39 @@ def joint_stiffness(r: Reality, joints: Sequence[str], stiffness: float) -> None
         joint.springref = 0.0
 
 
-def joint_offset(r: Reality, joints: Sequence[str], offset: float) -> None:
+def joint_offset(r: HiddenReality, joints: Sequence[str], offset: float) -> None:
     """Encoders that show the true angle plus `offset` [rad]; the motor controller trusts them."""
     for name in joints:
         r.offset[name] = r.offset.get(name, 0.0) + offset
 
 
-def actuator_gain(r: Reality, joints: Sequence[str], change: float) -> None:
+def actuator_gain(r: HiddenReality, joints: Sequence[str], change: float) -> None:
     """Motors (and their controllers) whose force is `1 + change` times what is believed."""
     for _, actuator in r.actuators_of(joints):
         actuator.gainprm = np.array(actuator.gainprm) * (1 + change)
         actuator.biasprm = np.array(actuator.biasprm) * (1 + change)
 
 
-def torque_limit(r: Reality, joints: Sequence[str], limit: float) -> None:
+def torque_limit(r: HiddenReality, joints: Sequence[str], limit: float) -> None:
     """Motors that give no more than `limit` [N m]."""
     for _, actuator in r.actuators_of(joints):
         actuator.forcelimited = True
         actuator.forcerange = [-limit, limit]
 
 
-def actuator_delay(r: Reality, joints: Sequence[str], delay: float) -> None:
+def actuator_delay(r: HiddenReality, joints: Sequence[str], delay: float) -> None:
     """Commands that arrive late [s]."""
     for i, _ in r.actuators_of(joints):
         r.delay[i] += delay
 
 
-def actuator_lag(r: Reality, joints: Sequence[str], time_constant: float) -> None:
+def actuator_lag(r: HiddenReality, joints: Sequence[str], time_constant: float) -> None:
     """Commands behind a first-order low pass [s]."""
     for i, _ in r.actuators_of(joints):
         r.lag[i] = time_constant
 
 
-def backlash(r: Reality, joints: Sequence[str], play: float) -> None:
+def backlash(r: HiddenReality, joints: Sequence[str], play: float) -> None:
     """A dead band of +- `play` [rad] in the error that a position controller sees."""
     pairs = [(i, a.target) for i, a in r.actuators_of(joints)]
 
@@ -122,7 +122,7 @@ def backlash(r: Reality, joints: Sequence[str], play: float) -> None:
     r.hooks.append(hook)
 
 
-def load_friction(r: Reality, joints: Sequence[str], coefficient: float) -> None:
+def load_friction(r: HiddenReality, joints: Sequence[str], coefficient: float) -> None:
     """Friction of a gear: `coefficient` times the motor's torque."""
     pairs = [(i, a.target) for i, a in r.actuators_of(joints)]
 
@@ -133,7 +133,7 @@ def load_friction(r: Reality, joints: Sequence[str], coefficient: float) -> None
     r.hooks.append(hook)
 
 
-def stribeck_friction(r: Reality, joints: Sequence[str], torque: float, speed: float) -> None:
+def stribeck_friction(r: HiddenReality, joints: Sequence[str], torque: float, speed: float) -> None:
     """Friction that is `torque` [N m] at rest and falls off above `speed` [rad/s]."""
 
     def hook(model: mujoco.MjModel, data: mujoco.MjData) -> None:
@@ -144,7 +144,7 @@ def stribeck_friction(r: Reality, joints: Sequence[str], torque: float, speed: f
     r.hooks.append(hook)
 
 
-def payload(r: Reality, body: str, mass: float, position: Sequence[float]) -> None:
+def payload(r: HiddenReality, body: str, mass: float, position: Sequence[float]) -> None:
     """A point mass [kg] at `position` [m] in the body's frame; a negative one thins the whole body instead."""
     if mass > 0:
         extra = r.spec.body(body).add_body(name=f"payload on {body}", pos=list(position))
@@ -153,7 +153,7 @@ def payload(r: Reality, body: str, mass: float, position: Sequence[float]) -> No
     scale_mass(r, body, 1 + mass / float(r.spec.copy().compile().body(body).mass[0]))
 
 
-def scale_mass(r: Reality, body: str, factor: float) -> None:
+def scale_mass(r: HiddenReality, body: str, factor: float) -> None:
     """A body that is heavier throughout."""
     for geom in r.spec.body(body).geoms:
         if np.isfinite(geom.mass):
@@ -162,7 +162,7 @@ def scale_mass(r: Reality, body: str, factor: float) -> None:
             geom.density *= factor
 
 
-def link_length(r: Reality, body: str, change: float) -> None:
+def link_length(r: HiddenReality, body: str, change: float) -> None:
     """A link that is longer by `change` [m]: what lies at its far end moves outwards, its limb grows with it."""
     link = r.spec.body(body)
     limb = next(g for g in link.geoms if g.type == mujoco.mjtGeom.mjGEOM_CAPSULE and np.isfinite(g.fromto[0]))
@@ -175,31 +175,31 @@ def link_length(r: Reality, body: str, change: float) -> None:
     limb.fromto = np.concatenate([ends[:3], ends[3:] + step])
 
 
-def ground_friction(r: Reality, factor: float) -> None:
+def ground_friction(r: HiddenReality, factor: float) -> None:
     """All sliding friction times `factor`."""
     for geom in r.spec.geoms:
         geom.friction = np.array(geom.friction) * [factor, 1, 1]
 
 
-def contact_softness(r: Reality, change: float) -> None:
+def contact_softness(r: HiddenReality, change: float) -> None:
     """Contacts whose time constant is longer by `change` [s]."""
     for geom in r.spec.geoms:
         geom.solref = np.array(geom.solref) + np.array([change, 0])
 
 
-def ground_slope(r: Reality, x: float, y: float) -> None:
+def ground_slope(r: HiddenReality, x: float, y: float) -> None:
     """Ground that is turned by x [rad] about the x axis, then by y about the y axis; gravity turns instead."""
     size = float(np.linalg.norm(r.spec.option.gravity))
     down = -np.array([-np.sin(y), np.cos(y) * np.sin(x), np.cos(y) * np.cos(x)])  # -z, seen from the ground
     r.spec.option.gravity = size * down
 
 
-def air_drag(r: Reality, density: float) -> None:
+def air_drag(r: HiddenReality, density: float) -> None:
     """A medium of so many kg/m^3."""
     r.spec.option.density += density
 
 
-def constant_force(r: Reality, body: str, force: Sequence[float]) -> None:
+def constant_force(r: HiddenReality, body: str, force: Sequence[float]) -> None:
     """A force [N] in world directions at the body's centre of mass."""
 
     def hook(model: mujoco.MjModel, data: mujoco.MjData) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.robots import hexapod
 
-Motion = Callable[[np.ndarray], np.ndarray]
+MotionCommand = Callable[[np.ndarray], np.ndarray]
 """Commands (N, nu) at times (N,) [s]."""
 
 
@@ -39,7 +39,7 @@ class CaseRobot:
 
     name: str
     xml: str
-    draw_motion: Callable[[np.random.Generator], Motion]
+    draw_motion: Callable[[np.random.Generator], MotionCommand]
     duration: float
     base: str | None
     floor: str | None
@@ -65,7 +65,7 @@ class CaseRobot:
         return qpos, qvel
 
 
-def _hexapod_motion(rng: np.random.Generator) -> Motion:
+def _hexapod_motion(rng: np.random.Generator) -> MotionCommand:
     robot = hexapod()
     controller = robot.controller_box.sample(rng, 1)[0]
     return lambda times: robot.signal(controller[:, None], times, np).T
@@ -73,7 +73,7 @@ def _hexapod_motion(rng: np.random.Generator) -> Motion:
 
 def _sinusoids(
     rng: np.random.Generator, centre: np.ndarray, amplitude: np.ndarray, low: float, high: float, terms: int = 3
-) -> Motion:
+) -> MotionCommand:
     """Sums of sinusoids between two angular frequencies [rad/s], one sum for every control."""
     n = len(centre)
     frequency = np.exp(rng.uniform(np.log(low), np.log(high), (terms, n)))
@@ -98,7 +98,7 @@ PENDULUM_XML = """<mujoco model="pendulum">
 """
 
 
-def _pendulum_motion(rng: np.random.Generator) -> Motion:
+def _pendulum_motion(rng: np.random.Generator) -> MotionCommand:
     return _sinusoids(rng, np.zeros(1), np.array([1.3]), 1.5, 12.0)
 
 
@@ -149,7 +149,7 @@ def quadruped_xml() -> str:
 """
 
 
-def _quadruped_motion(rng: np.random.Generator) -> Motion:
+def _quadruped_motion(rng: np.random.Generator) -> MotionCommand:
     """A trot or a shuffle: one frequency, phases by leg, amplitudes by joint."""
     frequency = rng.uniform(12.0, 22.0)
     phase = np.repeat(np.array([0, np.pi, np.pi, 0]) + rng.normal(0, 0.6, 4), 3) + np.tile([0, 0, 1.5], 4)
@@ -194,7 +194,7 @@ ARM_XML = """<mujoco model="arm">
 """
 
 
-def _arm_motion(rng: np.random.Generator) -> Motion:
+def _arm_motion(rng: np.random.Generator) -> MotionCommand:
     centre = np.array([0.0, -0.3, 0.6, 0.2, 0.0])
     motion = _sinusoids(rng, centre, np.array([0.8, 0.6, 0.7, 0.8, 1.0]), 2.0, 12.0)
     return lambda t: motion(t) - np.exp(-8 * t[:, None]) * (motion(np.zeros(1)) - 0.0)

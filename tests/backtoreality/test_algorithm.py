@@ -12,12 +12,10 @@ from btr_mjx.backtoreality import (
     SearchSettings,
     SimulatedReality,
     State,
-    state_from_arrays,
-    state_to_arrays,
 )
 from btr_mjx.backtoreality import algorithm as btr
 from btr_mjx.backtoreality.simulation_search import delta_of_simulations
-from btr_mjx.backtoreality.state import Trials
+from btr_mjx.backtoreality.state import Trials, state_from_arrays, state_to_arrays
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import FITNESS_FUNCTIONS, evaluate, multiscale_fitness
 from btr_mjx.robots import Robot
@@ -48,7 +46,7 @@ def problem(robot: Robot) -> Problem:
 
 def run(problem: Problem) -> tuple[State, dict[str, list[dict]]]:
     rows: dict[str, list[dict]] = {"generation": [], "iteration": [], "archive": []}
-    return btr.coevolve(problem, lambda kind, row: rows[kind].append(row)), rows
+    return btr.run_in_memory(problem, lambda kind, row: rows[kind].append(row)), rows
 
 
 def test_the_loop_counts_every_evaluation_in_reality(problem: Problem) -> None:

@@ -16,10 +16,10 @@ import btr_mjx
 from btr_mjx import coevolve
 from btr_mjx.backtoreality import Problem
 from btr_mjx.evaluation import evaluate
-from btr_mjx.plotting.draw import draw_run
+from btr_mjx.plotting import draw_run
 from btr_mjx.plotting.run_data import read_run
 from btr_mjx.robots import hexapod
-from btr_mjx.runs import read_arrays, read_table
+from btr_mjx.runs import read_arrays, read_table, with_folder
 
 SMALL_RUN = (
     "--engine=native",
@@ -127,7 +127,7 @@ def test_sigint_stops_at_a_safe_point(finished: Path, tmp_path: Path) -> None:
     os.kill(process.pid, signal.SIGINT)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130, errors
-    assert "resume with: python -m btr_mjx.coevolve" in errors
+    assert "python -m btr_mjx.coevolve" in errors.partition("resume with: ")[2]
     assert "--resume" in errors
     subprocess.run([*command, "--resume"], check=True, capture_output=True)
     assert files(folder) == files(finished)
@@ -229,11 +229,11 @@ def test_broken_template(
 def test_default_folders_do_not_collide(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     config = coevolve.parse([])
-    first = coevolve.resolve_folder(config).out
+    first = with_folder(config, "quick-0").out
     assert first == Path("runs/quick-0")
     first.mkdir(parents=True)
     (first / "config.json").write_text("{}")
-    assert coevolve.resolve_folder(config).out == Path("runs/quick-0-2")
+    assert with_folder(config, "quick-0").out == Path("runs/quick-0-2")
 
 
 def test_presets() -> None:

@@ -17,7 +17,7 @@ from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.results import Confound, Diagnosis, DisagreementMap, Estimate, Gap, Named, Overlay, Row
 from btr_mjx.gap.simulate import Journal
-from btr_mjx.testing import make_case
+from btr_mjx.testing import CaseSettings, make_case
 
 TIME = np.linspace(0, 1, 20)
 NAMED = Named("dry_friction", "joint:servo", {"torque": Estimate(0.031, 0.028, 0.034, "N m")}, 80.0, 30.0)
@@ -50,7 +50,7 @@ NOTHING = dataclasses.replace(FOUND, verdict="none", effects=(), equivalent=())
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A sound dataset."""
-    make_case(tmp_path / "data", 4, "pendulum", verdict="none", recordings=(2, 1), duration=0.8)
+    make_case(tmp_path / "data", 4, "pendulum", CaseSettings(verdict="none", recordings=(2, 1), duration=0.8))
     return tmp_path / "data"
 
 
@@ -128,7 +128,7 @@ def test_an_interrupted_demo_goes_on(
 ) -> None:
     """The case is made once; the command that goes on is printed; the answer comes last."""
     run = tmp_path / "run"
-    monkeypatch.setattr(diagnose, "make_case", lambda *a: make_case(*a, recordings=(2, 1), duration=0.8))
+    monkeypatch.setattr(diagnose, "make_case", lambda *a: make_case(*a, CaseSettings(recordings=(2, 1), duration=0.8)))
 
     def interrupted(*args: Any, **more: Any) -> Any:
         raise KeyboardInterrupt
@@ -238,7 +238,7 @@ def test_unusable_data_are_one_line(folder: Path, searches: list, capsys: pytest
 def test_effects_of_ones_own(tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     file.write_text(
-        "from btr_mjx.gap.effects.library import Effect, Parameter, joint_places\n"
+        "from btr_mjx.gap.effects import Effect, Parameter, joint_places\n"
         "def ranges(model, scales, place):\n"
         "    return (Parameter('coefficient', 'N m s^2/rad^2', 0.0, 3.0, 0.05),)\n"
         "def edit(world, place, values):\n"
@@ -246,18 +246,21 @@ def test_effects_of_ones_own(tmp_path: Path) -> None:
         "MINE = Effect('quadratic_damping', joint_places, ranges, edit, summable=True)\n"
         "NUMBER = 3\n"
     )
-    library = diagnose.library_of(["all", f"{file}:MINE"])
+    library = diagnose.selected_effects(["all", f"{file}:MINE"])
     assert [e.name for e in library] == [*(e.name for e in EFFECTS), "quadratic_damping"]
-    assert [e.name for e in diagnose.library_of(["backlash", f"{file}:MINE"])] == ["backlash", "quadratic_damping"]
+    assert [e.name for e in diagnose.selected_effects(["backlash", f"{file}:MINE"])] == [
+        "backlash",
+        "quadratic_damping",
+    ]
     with pytest.raises(InputError, match=r"NUMBER in .* is int, expected an Effect"):
-        diagnose.library_of([f"{file}:NUMBER"])
+        diagnose.selected_effects([f"{file}:NUMBER"])
 
 
 def test_a_run_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     config = DiagnoseConfig(demo=True, seed=4)
-    assert diagnose.resolve_folder(config).out == Path("runs/demo-4")
+    assert diagnose.resolved(config).out == Path("runs/demo-4")
     (tmp_path / "runs" / "demo-4").mkdir(parents=True)
     (tmp_path / "runs" / "demo-4" / "x").touch()
-    assert diagnose.resolve_folder(config).out == Path("runs/demo-4-2")
-    assert diagnose.resolve_folder(DiagnoseConfig(dataset=Path("a"))).out == Path("runs/diagnosis-0")
+    assert diagnose.resolved(config).out == Path("runs/demo-4-2")
+    assert diagnose.resolved(DiagnoseConfig(dataset=Path("a"))).out == Path("runs/diagnosis-0")

@@ -54,14 +54,14 @@ def test_lines(robot: Robot) -> None:
 def test_statistics_by_hand(rng: np.random.Generator) -> None:
     grid, truth = np.linspace(0.4, 1.6, 25), 0.88
     curve = np.abs(grid - truth) ** 0.5 + rng.normal(0, 0.05, 25)
-    numbers = scan.statistics(grid, curve, truth)
+    numbers = scan.curve_statistics(grid, curve, truth)
     assert numbers["spearman"] == pytest.approx(scipy.stats.spearmanr(curve, np.abs(grid - truth)).statistic)
     right = grid >= truth
     assert numbers["spearman_right"] == pytest.approx(scipy.stats.spearmanr(curve[right], grid[right]).statistic)
     assert numbers["spearman_left"] == pytest.approx(scipy.stats.spearmanr(curve[~right], -grid[~right]).statistic)
     assert numbers["roughness"] == pytest.approx(np.abs(np.diff(curve)).sum() / np.ptp(curve))
     assert numbers["at_minimum"] == grid[curve.argmin()]
-    perfect = scan.statistics(grid, np.abs(grid - truth), truth)
+    perfect = scan.curve_statistics(grid, np.abs(grid - truth), truth)
     assert perfect["spearman"] == pytest.approx(1)
     assert perfect["monotonicity"] == 1
 
@@ -74,7 +74,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     assert arrays["truth"] == 0.88
     np.testing.assert_allclose(arrays["delta"], np.abs(arrays["fitness"] - arrays["f_r"]))
     np.testing.assert_allclose(arrays["delta_fitness"], arrays["delta"].mean(1))
-    numbers = scan.statistics(arrays["grid"], arrays["delta_fitness"], 0.88)
+    numbers = scan.curve_statistics(arrays["grid"], arrays["delta_fitness"], 0.88)
     assert result["spearman"] == pytest.approx(numbers["spearman"])
     assert "spearman" in capsys.readouterr().out
 

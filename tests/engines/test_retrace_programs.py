@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from jax import lax
 from retrace_checks import BARRIER, SHAPES, assert_same, names, op_by_op
 
-from btr_mjx.engines.lanes.retrace import Plan, plan, retrace
+from btr_mjx.engines.lanes.retrace import EquationCounts, count_equations, retrace
 
 programs = settings(max_examples=6, deadline=None, derandomize=True)
 
@@ -133,7 +133,7 @@ def float_inputs(number):
 def test_op_by_op_the_bits_are_the_same(number):
     program, inputs = float_program(number, FLOAT_ROUGH), float_inputs(number)
     assert_same(retrace(program, threshold=3)(*inputs), op_by_op(program, *inputs))
-    assert plan(program, *inputs).merged >= 7  # the third call of the nested function at least
+    assert count_equations(program, *inputs).merged >= 7  # the third call of the nested function at least
 
 
 @seed(1)
@@ -184,9 +184,9 @@ def test_twice_is_once(number):
         (integer_program(number, 2), [np.arange(3, dtype=np.int32), np.ones((2, 3), np.int32)]),
     ]:
         once = retrace(program, threshold=2)
-        first, second = plan(program, *inputs, threshold=2), plan(once, *inputs, threshold=2)
+        first, second = count_equations(program, *inputs, threshold=2), count_equations(once, *inputs, threshold=2)
         assert first.materialised > 0
         assert first.removed > 0
-        assert second == Plan(ops=second.ops)  # nothing to do; tracing may fold constants that inlining exposed
+        assert second == EquationCounts(ops=second.ops)  # tracing may fold constants that inlining exposed
         assert second.ops <= first.ops
         assert names(retrace(once, threshold=2), *inputs) == names(once, *inputs)

@@ -27,8 +27,8 @@ def test_theorems_1_and_2_wherever_a_pair_stands(robot: Robot) -> None:
         np.concatenate([strangers[1], c[order]]),
         pairwise=True,
     ).fitness[77:]
-    assert (fitness.delta(again, f_r[order]) == 0.0).all()  # Theorem 1
-    assert fitness.delta_fitness(again, f_r[order]) == 0.0  # Theorem 2
+    assert (fitness.delta_of(again, f_r[order]) == 0.0).all()  # Theorem 1
+    assert fitness.delta_fitness_of(again, f_r[order]) == 0.0  # Theorem 2
 
 
 def test_all_pairs_equal_pairwise(robot: Robot, rng: np.random.Generator) -> None:

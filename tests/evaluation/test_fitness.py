@@ -8,8 +8,8 @@ from btr_mjx.errors import InputError
 from btr_mjx.evaluation import (
     FITNESS_FUNCTIONS,
     Outcome,
-    delta,
-    delta_fitness,
+    delta_fitness_of,
+    delta_of,
     fitness_function,
     learning_performance,
 )
@@ -41,20 +41,20 @@ def test_unknown_fitness_lists_the_known_ones() -> None:
 def test_delta_fitness_is_the_mean_of_absolute_differences(f_s: np.ndarray, data: st.DataObject) -> None:
     f_r = data.draw(hnp.arrays(float, f_s.shape[1], elements=finite))
     expected = [sum(abs(a - b) for a, b in zip(row, f_r, strict=True)) / len(f_r) for row in f_s]
-    np.testing.assert_allclose(delta_fitness(f_s, f_r), expected, rtol=1e-12, atol=1e-12)
-    assert (delta_fitness(f_s, f_r) >= 0).all()
-    assert (delta(f_r, f_r) == 0.0).all()
+    np.testing.assert_allclose(delta_fitness_of(f_s, f_r), expected, rtol=1e-12, atol=1e-12)
+    assert (delta_fitness_of(f_s, f_r) >= 0).all()
+    assert (delta_of(f_r, f_r) == 0.0).all()
 
 
 def test_a_diverged_behaviour_spoils_its_simulation_only() -> None:
-    values = delta_fitness([[1.0, np.nan], [1.0, 2.0]], [1.0, 1.0])
+    values = delta_fitness_of([[1.0, np.nan], [1.0, 2.0]], [1.0, 1.0])
     assert np.isnan(values[0])
     assert values[1] == 0.5
 
 
 def test_wrong_number_of_measurements() -> None:
     with pytest.raises(InputError, match=r"f_r: got shape \(3,\)"):
-        delta([[1.0, 2.0]], [1.0, 2.0, 3.0])
+        delta_of([[1.0, 2.0]], [1.0, 2.0, 3.0])
 
 
 def test_learning_performance_by_hand() -> None:

@@ -213,7 +213,7 @@ def test_reasons_are_told() -> None:
     assert "shell" in models.why_compiled(arm(**FALLBACKS["shell"]))
 
 
-@pytest.mark.parametrize("name", ["inertia", "volume", "frame_between"])
+@pytest.mark.parametrize("name", ["geom_inertia", "volume", "frame_between"])
 def test_a_wrong_rule_is_refused(name: str, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     right = getattr(compiler_rules, name)
 

@@ -10,9 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from btr_mjx.optimise import GAConfig, GeneticAlgorithm
-from btr_mjx.optimise.genetic_algorithm import state_from_arrays, state_to_arrays
-from btr_mjx.optimise.minimise import minimize, optimise
+from btr_mjx.optimise import GAConfig, GeneticAlgorithm, ga_state_from_arrays, ga_state_to_arrays, minimize, optimise
 from btr_mjx.optimise.operators import crossover
 from btr_mjx.robots import Box
 
@@ -22,7 +20,7 @@ settings.load_profile("steady")
 
 
 def assert_same(a, b):
-    a, b = state_to_arrays(a), state_to_arrays(b)
+    a, b = ga_state_to_arrays(a), ga_state_to_arrays(b)
     assert a.keys() == b.keys()
     for name in a:
         np.testing.assert_array_equal(a[name], b[name], err_msg=name)
@@ -99,10 +97,10 @@ def test_resume_is_bit_identical(seed, maximise, kind, stop, asked):
     if asked:  # stopped between ask and tell
         _, state = ga.ask(state)
     file = io.BytesIO()
-    np.savez(file, **state_to_arrays(state))
+    np.savez(file, **ga_state_to_arrays(state))
     file.seek(0)
     with np.load(file, allow_pickle=False) as arrays:
-        restored = state_from_arrays(arrays)
+        restored = ga_state_from_arrays(arrays)
     assert_same(restored, state)
     assert_same(run(ga, restored, fitness, 8 - stop), straight)
 
@@ -181,11 +179,11 @@ def test_a_generation_of_failures_keeps_the_parents():
     again, asked = ga.ask(first)
     assert (again != genomes).any()
     state = ga.tell(asked, again, again.sum(1))
-    before = state_to_arrays(state)
+    before = ga_state_to_arrays(state)
     children, asked = ga.ask(state)
     state = ga.tell(asked, children, failed)
     for name in ("parents", "fitness", "best_genome", "best_fitness"):
-        np.testing.assert_array_equal(state_to_arrays(state)[name], before[name])
+        np.testing.assert_array_equal(ga_state_to_arrays(state)[name], before[name])
     assert (ga.ask(state)[0] != children).any()
 
 
@@ -279,10 +277,10 @@ def test_protocol_errors():
 
 def test_altered_states_are_refused():
     ga = GeneticAlgorithm(limbs(2), GAConfig(maximise=True, population=4))
-    arrays = state_to_arrays(ga.init(0))
+    arrays = ga_state_to_arrays(ga.init(0))
     with pytest.raises(ValueError, match="got no stream"):
-        state_from_arrays({k: v for k, v in arrays.items() if k != "stream"})
+        ga_state_from_arrays({k: v for k, v in arrays.items() if k != "stream"})
     with pytest.raises(ValueError, match=r"got fitness of type float64 and shape \(3,\), expected float64 and \(4,\)"):
-        state_from_arrays(arrays | {"fitness": np.zeros(3)})
+        ga_state_from_arrays(arrays | {"fitness": np.zeros(3)})
     with pytest.raises(ValueError, match="got parents of type uint8"):
-        state_from_arrays(arrays | {"parents": np.zeros((4, 16), np.uint8)})
+        ga_state_from_arrays(arrays | {"parents": np.zeros((4, 16), np.uint8)})

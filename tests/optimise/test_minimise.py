@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from evolution_checks import HIGH, LOW, limbs, run
 
-from btr_mjx.optimise import GAConfig, GeneticAlgorithm
-from btr_mjx.optimise.minimise import minimize
+from btr_mjx.optimise import GAConfig, GeneticAlgorithm, minimize
 
 # ---- known optima ----
 

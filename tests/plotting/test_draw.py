@@ -163,7 +163,7 @@ def test_controller_fitness_that_is_minimised(tmp_path):
 
 def test_delta_fitness_shows_searches_and_their_ends(tmp_path):
     run = read_run(write_run(tmp_path))
-    figure = figures.delta_fitness(run)
+    figure = figures.delta_fitness_curve(run)
     for search, curve in zip(run.simulations, lines_like(figure, line(figure, "best")), strict=True):
         np.testing.assert_array_equal(curve.get_ydata(), search.scores.min(axis=1))
     before, after = line(figure, "before the search"), line(figure, "after the search")
@@ -178,7 +178,7 @@ def test_delta_of_exactly_zero_is_visible(tmp_path):
         delta = saved["delta_fitness"].copy()
     delta[-1, 0] = 0.0
     change(tmp_path / "simulations-003.npz", delta_fitness=delta)
-    figure = figures.delta_fitness(read_run(tmp_path))
+    figure = figures.delta_fitness_curve(read_run(tmp_path))
     axes = figure.axes[0]
     assert axes.get_yscale() == "symlog"
     assert axes.get_ylim()[0] <= 0
@@ -273,7 +273,7 @@ def test_nothing_finite_at_all(tmp_path):
 @pytest.mark.parametrize("nan", [False, True])
 def test_scan(tmp_path, nan):
     data = read_scan(write_scan(tmp_path, nan=nan))
-    axes = figures.scan(data).axes[0]
+    axes = figures.scan_curve(data).axes[0]
     thin = [one for one in axes.lines if one.get_linewidth() < 1]
     np.testing.assert_array_equal(np.stack([one.get_ydata() for one in thin], axis=1), data.delta)
     thick = next(one for one in axes.lines if one.get_linewidth() > 2)
@@ -283,7 +283,7 @@ def test_scan(tmp_path, nan):
     caption = axes.get_title(loc="left")
     assert "0.97" in caption
     assert "nan" not in caption.lower()
-    assert [path.name for path in plots.draw(tmp_path)] == ["scan.png"]
+    assert [path.name for path in plots.draw_folder(tmp_path)] == ["scan.png"]
 
 
 def test_style_is_applied_and_put_back(tmp_path):
@@ -315,7 +315,7 @@ def test_a_template_that_is_gone_costs_one_picture_only(tmp_path, capsys):
 def test_morphologies_have_the_lengths_of_the_run(tmp_path, monkeypatch):
     run = read_run(write_run(tmp_path))
     seen = []
-    monkeypatch.setattr(robot_figure, "draw", lambda panels, models: seen.extend(models))
+    monkeypatch.setattr(robot_figure, "draw_models", lambda panels, models: seen.extend(models))
     figure = robot_figure.morphologies(read_robot(tmp_path), run)
     assert [axes.get_title() for axes in figure.axes] == ["nominal", "identified", "reality"]
     for model, values in zip(seen, [run.start, run.identified, run.truth], strict=True):

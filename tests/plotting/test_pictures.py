@@ -52,7 +52,7 @@ def test_sketch_without_gl(monkeypatch):
     monkeypatch.setattr(pictures, "working_backend", lambda: None)
     model = compile_mjcf(ROBOT, ROBOT.render(ROBOT.nominal))
     figure = Figure()
-    robot_figure.draw([figure.subplots()], [model])
+    robot_figure.draw_models([figure.subplots()], [model])
     shadows, outlines = figure.axes[0].collections
     assert len(shadows.get_paths()) == len(outlines.get_paths()) == 15  # the bodies b0..b14
     vertices = np.concatenate([path.vertices for path in outlines.get_paths()])

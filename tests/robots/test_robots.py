@@ -7,7 +7,7 @@ import pytest
 from btr_mjx.errors import InputError
 from btr_mjx.models import base_model, compile_models
 from btr_mjx.robots import Robot, hexapod, robot_of
-from btr_mjx.robots.robot import OMEGA
+from btr_mjx.robots.hexapod import OMEGA
 
 
 def test_hexapod_is_the_papers(robot: Robot) -> None:

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from btr_mjx.errors import Interrupted
-from btr_mjx.runs import RunFolder, progress
+from btr_mjx.runs import RunFolder
+from btr_mjx.runs import progress_bar as progress
 from btr_mjx.runs.configs import read_config
 
 ROOT = Path(__file__).parents[1]
@@ -19,11 +20,9 @@ import os, random, shutil, signal, sys, time
 from dataclasses import dataclass
 from pathlib import Path
 import numpy as np
-from btr_mjx.checkpoints import generator_from_json, generator_to_json, list_checkpoints
+from btr_mjx.runs.checkpoints import generator_from_json, generator_to_json, list_checkpoints
 from btr_mjx.errors import cli_errors
-from btr_mjx.files import write_json
-from btr_mjx.progress import graceful_interrupt
-from btr_mjx.runs import RunFolder
+from btr_mjx.runs import RunFolder, graceful_interrupt, write_json
 
 os.fsync = lambda descriptor: None  # slow, and against power cuts, not kills
 

@@ -12,13 +12,13 @@ from btr_mjx.gap.data import load, noise_of
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
 from btr_mjx.gap.simulate import Command, Stretch, World, simulate
 from btr_mjx.runs import to_plain
-from btr_mjx.testing import case_robot, draw_reality, make_case, physics
+from btr_mjx.testing import CaseSettings, case_robot, draw_reality, make_case, physics
 from btr_mjx.testing.cases import SHARES
 from btr_mjx.testing.draw import Draw
 from btr_mjx.testing.motion import Restart, loads
-from btr_mjx.testing.motion import simulate as move
+from btr_mjx.testing.motion import simulate_reality as move
 from btr_mjx.testing.outside import OUTSIDE, possible
-from btr_mjx.testing.physics import Reality
+from btr_mjx.testing.physics import HiddenReality
 from btr_mjx.testing.robots import case_robots
 
 ARM_JOINTS = ["elbow", "wrist", "roll"]
@@ -50,7 +50,7 @@ CASES = [
 RATE, SPAN = 1000, 30
 
 
-def add(reality: Reality, effect: str, location: str, joints: list[str] | None, values: dict[str, float]) -> None:
+def add(reality: HiddenReality, effect: str, location: str, joints: list[str] | None, values: dict[str, float]) -> None:
     """The effect by the route of hidden cases."""
     body = location.partition(":")[2]
     if effect == "payload":
@@ -79,10 +79,10 @@ def test_two_routes_to_the_same_physics(
     """What an effect changes within 30 ms, from the same states: MjSpec and hooks against the library and batches."""
     machine = case_robot(robot)
     model, motion = machine.model, machine.draw_motion(np.random.default_rng(3))
-    reality = Reality.of(machine)
+    reality = HiddenReality.of(machine)
     add(reality, effect, location, joints, values)
     rows = move(reality, motion, 0.25, RATE)
-    without = move(Reality.of(machine), motion, 0.25, RATE, restart=Restart(rows, SPAN))
+    without = move(HiddenReality.of(machine), motion, 0.25, RATE, restart=Restart(rows, SPAN))
     found = {c.name: c for c in candidates(model, Scales.of(model), EFFECTS)}[f"{effect}@{location}"]
     names = [parameter.name for parameter in found.parameters]
     assert sorted(names) == sorted(values)
@@ -108,7 +108,9 @@ def test_two_routes_to_the_same_physics(
 
 @pytest.mark.parametrize("verdict", ["none", "effect", "unexplained"])
 def test_a_case_is_a_dataset_and_says_nothing(tmp_path: Path, verdict: str) -> None:
-    truth = make_case(tmp_path, 5, "pendulum", verdict=verdict, recordings=(2, 1), rate=250, noise=2.0, duration=1.0)
+    truth = make_case(
+        tmp_path, 5, "pendulum", CaseSettings(verdict=verdict, recordings=(2, 1), rate=250, noise=2.0, duration=1.0)
+    )
     dataset = load(tmp_path)
     assert truth.verdict == verdict
     assert (len(dataset.fit), len(dataset.test)) == (2, 1)
@@ -128,7 +130,7 @@ def test_a_case_is_a_dataset_and_says_nothing(tmp_path: Path, verdict: str) -> N
 
 def test_the_seed_decides(tmp_path: Path) -> None:
     def case(name: str, seed: int) -> tuple[object, bytes]:
-        truth = make_case(tmp_path / name, seed, "pendulum", recordings=(1, 1), duration=0.3)
+        truth = make_case(tmp_path / name, seed, "pendulum", CaseSettings(recordings=(1, 1), duration=0.3))
         return truth, (tmp_path / name / "behaviour_01.npz").read_bytes()
 
     first = case("a", 3)
@@ -145,15 +147,10 @@ def test_small_errors_everywhere(tmp_path: Path) -> None:
             folder,
             1,
             "arm",
-            verdict="none",
-            recordings=(1, 1),
-            noise=1e-6,
-            rate=500,
-            background=background,
-            duration=0.6,
+            CaseSettings(verdict="none", recordings=(1, 1), noise=1e-6, rate=500, background=background, duration=0.6),
         )
         recording = load(folder).recordings[0]
-        believed = Reality.of(case_robot("arm"))
+        believed = HiddenReality.of(case_robot("arm"))
         command = Command(recording.time, recording.ctrl, "cubic")
         clean = move(believed, command.at, 0.5, 500)
         gaps.append(np.abs(clean["qpos"] - recording.qpos[: len(clean["qpos"])]).max())
@@ -163,7 +160,7 @@ def test_small_errors_everywhere(tmp_path: Path) -> None:
 
 
 def test_two_effects_at_once(tmp_path: Path) -> None:
-    truth = make_case(tmp_path, 2, "arm", verdict="effect", effects=2, recordings=(1, 1), duration=0.4)
+    truth = make_case(tmp_path, 2, "arm", CaseSettings(verdict="effect", effects=2, recordings=(1, 1), duration=0.4))
     assert len({e.effect for e in truth.effects}) == len({e.location for e in truth.effects}) == 2
 
 
@@ -184,7 +181,10 @@ def test_values_of_the_ground_are_those_that_the_robot_has(name: str) -> None:
 def test_effects_outside_the_library(name: str, tmp_path: Path) -> None:
     robot = "quadruped" if name == "bungee" else "arm"
     truth = make_case(
-        tmp_path, 1, robot, verdict="unexplained", outside=name, recordings=(1, 1), rate=200, noise=1.0, duration=0.8
+        tmp_path,
+        1,
+        robot,
+        CaseSettings(verdict="unexplained", outside=name, recordings=(1, 1), rate=200, noise=1.0, duration=0.8),
     )
     assert truth.outside.startswith(f"{name} at ")
     assert truth.visible > 10
@@ -192,12 +192,12 @@ def test_effects_outside_the_library(name: str, tmp_path: Path) -> None:
 
 
 def test_what_a_robot_cannot_have() -> None:
-    assert "bungee" not in possible(Reality.of(case_robot("arm")))
-    assert "crosstalk" not in possible(Reality.of(case_robot("pendulum")))
+    assert "bungee" not in possible(HiddenReality.of(case_robot("arm")))
+    assert "crosstalk" not in possible(HiddenReality.of(case_robot("pendulum")))
     with pytest.raises(InputError, match="arm can have viscous_damping"):
-        make_case("nowhere", 1, "arm", verdict="effect", effects=["ground_friction"])
+        make_case("nowhere", 1, "arm", CaseSettings(verdict="effect", effects=["ground_friction"]))
     with pytest.raises(InputError, match="pendulum can have"):
-        make_case("nowhere", 1, "pendulum", verdict="unexplained", outside="bungee")
+        make_case("nowhere", 1, "pendulum", CaseSettings(verdict="unexplained", outside="bungee"))
     with pytest.raises(InputError, match="robot 'dog': expected one of hexapod"):
         make_case("nowhere", 1, "dog")
 

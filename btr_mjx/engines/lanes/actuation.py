@@ -12,9 +12,22 @@ from btr_mjx.engines.lanes import support
 from btr_mjx.engines.lanes.delays import delayed
 from btr_mjx.engines.lanes.parameters import Parameters
 from btr_mjx.engines.lanes.scalars import Scalar, add, dot, is_zero, mul, sub, total
-from btr_mjx.engines.lanes.tree import FREE, Actuator, Plan
+from btr_mjx.engines.lanes.tree import FREE, Actuator, TreePlan
 
 _DYN, _GAIN, _BIAS = mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
+
+
+@dataclass(frozen=True)
+class _JointActuator:
+    """An actuator and the joint that it drives, in one step."""
+
+    key: str
+    """Of the actuator's numbers among the parameters."""
+    actuator: Actuator
+    q: jax.Array
+    """Coordinate of the joint [m or rad]."""
+    v: jax.Array
+    """Velocity of the joint [m/s or rad/s]."""
 
 
 @dataclass
@@ -50,7 +63,7 @@ def _clip(value: Scalar, bounds: Sequence[Scalar]) -> jax.Array:
 
 def actuate(
     model: mujoco.MjModel,
-    plan: Plan,
+    plan: TreePlan,
     parameters: Parameters,
     q: Sequence[Sequence[jax.Array]],
     v: Sequence[jax.Array],
@@ -86,7 +99,8 @@ def actuate(
             force: Scalar = 0.0
             for k, actuator in enumerate(joint.actuators):
                 own = f"{key}/actuator{k}"
-                one = _actuator(model, parameters, own, actuator, here[0], v[dof], act, ctrl, result)
+                driven = _JointActuator(own, actuator, here[0], v[dof])
+                one = _actuator(model, parameters, driven, act, ctrl, result)
                 velocity = mul(parameters.one(f"{own}/gear"), v[dof])
                 result.power.append((jnp.abs(mul(one[0], velocity)), link.size))
                 gear = parameters.one(f"{own}/gear")
@@ -101,18 +115,16 @@ def actuate(
 def _actuator(
     model: mujoco.MjModel,
     parameters: Parameters,
-    key: str,
-    actuator: Actuator,
-    q: jax.Array,
-    v: jax.Array,
+    driven: _JointActuator,
     act: Sequence[jax.Array],
     ctrl: jax.Array,
     result: Actuation,
 ) -> tuple[Scalar, Scalar]:
     """Force of one actuator and minus its derivative by the actuator's velocity; writes the next activation."""
+    key, actuator = driven.key, driven.actuator
     a = actuator.ids[0]
     gear = parameters.one(f"{key}/gear")
-    length, velocity = mul(gear, q), mul(gear, v)
+    length, velocity = mul(gear, driven.q), mul(gear, driven.v)
     raw = u = rows(ctrl, actuator.ids)
     if actuator.memory >= 0:
         samples, delay = result.history[actuator.memory], parameters.one(f"{key}/delay")
@@ -137,8 +149,8 @@ def _actuator(
         drive = act[actuator.state] if actuator.state >= 0 else u
         if model.actuator_gaintype[a] == _GAIN.mjGAIN_AFFINE:
             factor = dot(gain, state)
-            driven = act[actuator.state] if actuator.state >= 0 else raw  # MuJoCo's derivative takes unclamped controls
-            damping = sub(damping, mul(gain[2], driven))
+            source = act[actuator.state] if actuator.state >= 0 else raw  # MuJoCo's derivative takes unclamped controls
+            damping = sub(damping, mul(gain[2], source))
         else:
             factor = gain[0]
         force = add(mul(factor, drive), dot(bias, state))
@@ -174,7 +186,7 @@ def _next_act(
     return following
 
 
-def springs(plan: Plan, parameters: Parameters, q: Sequence[Sequence[jax.Array]]) -> dict[int, Scalar]:
+def springs(plan: TreePlan, parameters: Parameters, q: Sequence[Sequence[jax.Array]]) -> dict[int, Scalar]:
     """Spring force per dof [N or N m]; absent where a joint has no stiffness."""
     result: dict[int, Scalar] = {}
     coordinates = iter(q)

@@ -23,12 +23,12 @@ from btr_mjx.engines.lanes.scalars import (
     vadd,
     vsub,
 )
-from btr_mjx.engines.lanes.spatial import Block, Spatial, along, carried, outgoing
-from btr_mjx.engines.lanes.tree import FREE, Plan
+from btr_mjx.engines.lanes.spatial import Block, Spatial, carried, generalised_force, outgoing
+from btr_mjx.engines.lanes.tree import FREE, TreePlan
 
 
-def solve(
-    plan: Plan,
+def solve_articulated(
+    plan: TreePlan,
     motions: Sequence[Motion],
     blocks: Sequence[Block],
     wrenches: Sequence[Spatial],
@@ -56,8 +56,8 @@ def solve(
             continue
         for k, column in reversed(list(zip(link.dofs, m.columns, strict=True))):
             u = block @ column
-            inverse = 1.0 / add(along(column, u), diagonal.get(k, 0.0))
-            force = mul(add(along(column, wrench), tau.get(k, 0.0)), inverse)
+            inverse = 1.0 / add(generalised_force(column, u), diagonal.get(k, 0.0))
+            force = mul(add(generalised_force(column, wrench), tau.get(k, 0.0)), inverse)
             yields[k] = u, inverse, force
             block = block.without(u, inverse)
             wrench = vsub(wrench[0], scale(force, u[0])), vsub(wrench[1], scale(force, u[1]))

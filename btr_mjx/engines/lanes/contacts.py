@@ -41,9 +41,10 @@ from btr_mjx.engines.lanes.scalars import (
     vsub,
 )
 from btr_mjx.engines.lanes.spatial import Block, Spatial, point_block
-from btr_mjx.engines.lanes.tree import Link, Plan, Touch
+from btr_mjx.engines.lanes.tree import Link, Touch, TreePlan
 
-type Model = tuple[jax.Array, ...]
+type ZoneModel = tuple[jax.Array, ...]
+"""The zone that a constraint is in, as the numbers that its force is linear in."""
 
 
 def impedance(parameters: Sequence[Scalar], depth: Scalar) -> Scalar:
@@ -97,14 +98,14 @@ class Contact(ABC):
     """Numbers of a zone that are either the weight or zero, where that is all there is to it; else 0."""
 
     @abstractmethod
-    def model(self, a: Vector) -> Model:
+    def model(self, a: Vector) -> ZoneModel:
         """The zone of the cone that contact-frame acceleration `a` lies in, as the numbers that `linear` needs."""
 
     @abstractmethod
-    def linear(self, model: Model) -> tuple[Symmetric, Vector]:
+    def linear(self, model: ZoneModel) -> tuple[Symmetric, Vector]:
         """Stiffness and force in the contact frame for a zone: at `a` the contact pushes with force - stiffness a."""
 
-    def settled(self, old: Model, new: Model) -> jax.Array:
+    def settled(self, old: ZoneModel, new: ZoneModel) -> jax.Array:
         """Whether two zones are the same."""
         return reduce(jnp.logical_and, [x == y for x, y in zip(old, new, strict=True)])
 
@@ -113,7 +114,7 @@ class Contact(ABC):
         linear, angular = spatial
         return matvec(self.frame, vadd(linear, cross(angular, self.x)))
 
-    def effect(self, model: Model) -> tuple[Block, Spatial]:
+    def effect(self, model: ZoneModel) -> tuple[Block, Spatial]:
         """Stiffness block and wrench about the link's origin for a zone."""
         stiffness, force = self.linear(model)
         across = transpose(self.frame)
@@ -126,11 +127,11 @@ class Frictionless(Contact):
 
     flags: ClassVar[int] = 1
 
-    def model(self, a: Vector) -> Model:
+    def model(self, a: Vector) -> ZoneModel:
         """Weight of the row if it pushes."""
         return (jnp.where(sub(a[0], self.reference[0]) < 0, self.weight, 0),)
 
-    def linear(self, model: Model) -> tuple[Symmetric, Vector]:
+    def linear(self, model: ZoneModel) -> tuple[Symmetric, Vector]:
         """See `Contact.linear`."""
         return [model[0], 0.0, 0.0, 0.0, 0.0, 0.0], [mul(model[0], self.reference[0]), 0.0, 0.0]
 
@@ -149,12 +150,12 @@ class Pyramid(Contact):
         p, q = mul(self.friction, a[1]), mul(self.friction, a[2])
         return [add(a[0], p), sub(a[0], p), add(a[0], q), sub(a[0], q)]
 
-    def model(self, a: Vector) -> Model:
+    def model(self, a: Vector) -> ZoneModel:
         """Weights of the edges that push."""
         edges = zip(self._edges(a), self._references, strict=True)
         return tuple(jnp.where(sub(edge, reference) < 0, self.weight, 0) for edge, reference in edges)
 
-    def linear(self, model: Model) -> tuple[Symmetric, Vector]:
+    def linear(self, model: ZoneModel) -> tuple[Symmetric, Vector]:
         """See `Contact.linear`."""
         mu, (w0, w1, w2, w3) = self.friction, model
         pair1, pair2, skew1, skew2 = add(w0, w1), add(w2, w3), mul(mu, sub(w0, w1)), mul(mu, sub(w2, w3))
@@ -171,7 +172,7 @@ class Ellipse(Contact):
     tolerance: float
     """Relative change of stiffness and force below which two models are the same."""
 
-    def model(self, a: Vector) -> Model:
+    def model(self, a: Vector) -> ZoneModel:
         """Stiffness (six numbers) and force (three)."""
         mu, ratio = self.friction, jnp.sqrt(jnp.asarray(self.impratio, a[0].dtype))
         cone = mu / ratio  # slope of the regularised cone
@@ -205,11 +206,11 @@ class Ellipse(Contact):
         pairs = zip([*stick, *stick_force], [*hessian, *slide_force], strict=True)
         return tuple(jnp.where(free, 0, jnp.where(sticks, x, y)) for x, y in pairs)
 
-    def linear(self, model: Model) -> tuple[Symmetric, Vector]:
+    def linear(self, model: ZoneModel) -> tuple[Symmetric, Vector]:
         """See `Contact.linear`."""
         return model[:6], model[6:]
 
-    def settled(self, old: Model, new: Model) -> jax.Array:
+    def settled(self, old: ZoneModel, new: ZoneModel) -> jax.Array:
         """Whether two models agree to the tolerance."""
         same = []
         for part in (slice(0, 6), slice(6, 9)):
@@ -249,8 +250,24 @@ def _contact_frame(parameters: Parameters, key: str, touch: Touch, m: Motion) ->
     return [normal, tangent, cross(normal, tangent)]
 
 
-def contacts(
-    plan: Plan, parameters: Parameters, motions: Sequence[Motion], elliptic: bool, dtype: Any
+@dataclass(frozen=True)
+class _GeomOverPlane:
+    """A geom of a link and the plane that it may touch, at the link's present place."""
+
+    key: str
+    """Of the geom's numbers among the parameters."""
+    link: Link
+    touch: Touch
+    motion: Motion
+    """Of the link."""
+    frame: Matrix
+    """Axes of the contact, the normal first."""
+    base: Scalar
+    """Height of the link's origin over the plane [m]."""
+
+
+def contact_points(
+    plan: TreePlan, parameters: Parameters, motions: Sequence[Motion], elliptic: bool, dtype: Any
 ) -> list[Contact]:
     """All contact points of a chunk that could be active, with MuJoCo's reference accelerations and weights."""
     found = []
@@ -259,27 +276,24 @@ def contacts(
             key = f"{link.index}/touch{n}"
             frame = _contact_frame(parameters, key, touch, m)
             base = sub(dot(frame[0], m.position), parameters.one(f"plane{touch.plane}/offset"))
+            geom = _GeomOverPlane(key, link, touch, m, frame, base)
             for offset, corner in _points(parameters, key, touch, m):
-                found.append(_contact(parameters, key, link, touch, m, frame, base, offset, corner, elliptic, dtype))
+                found.append(_contact(parameters, geom, offset, corner, elliptic, dtype))
     return found
 
 
 def _contact(
     parameters: Parameters,
-    key: str,
-    link: Link,
-    touch: Touch,
-    m: Motion,
-    frame: Matrix,
-    base: Scalar,
+    geom: _GeomOverPlane,
     offset: Vector,
     corner: Vector | None,
     elliptic: bool,
     dtype: Any,
 ) -> Contact:
-    """One point: `base` is the height of the link's origin over the plane, `offset` leads from there to the point."""
+    """One point of a geom; `offset` leads there from the link's origin."""
+    key, frame = geom.key, geom.frame
     radius = parameters.one(f"{key}/radius")
-    distance = sub(add(base, dot(frame[0], offset)), radius)
+    distance = sub(add(geom.base, dot(frame[0], offset)), radius)
     beyond = sub(distance, parameters.one(f"{key}/margin"))
     active = beyond < 0
     if corner is not None:
@@ -288,14 +302,14 @@ def _contact(
     imp = impedance(parameters[f"{key}/impedance"], beyond)
     strength = mul(parameters.one(f"{key}/scale"), imp / (1.0 - imp))
     stiffness, damping = parameters[f"{key}/reference"]
-    velocity = matvec(frame, point_velocity(m, x))
+    velocity = matvec(frame, point_velocity(geom.motion, x))
     reference = scale(neg(damping), velocity)
     reference[0] = sub(reference[0], mul(mul(stiffness, imp), beyond))
     weight = jnp.where(active, strength, 0)
     if is_zero(weight):
         weight = array(weight, beyond.shape, dtype)
-    numbers = (link, x, frame, parameters.one(f"{key}/friction"), weight, reference)
-    if touch.condim == 1:
+    numbers = (geom.link, x, frame, parameters.one(f"{key}/friction"), weight, reference)
+    if geom.touch.condim == 1:
         return Frictionless(*numbers)
     if not elliptic:
         return Pyramid(*numbers)

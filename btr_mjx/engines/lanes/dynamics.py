@@ -19,7 +19,7 @@ from btr_mjx.engines.lanes.scalars import (
     vadd,
 )
 from btr_mjx.engines.lanes.spatial import Block, Spatial, rigid_block
-from btr_mjx.engines.lanes.tree import FREE, Plan
+from btr_mjx.engines.lanes.tree import FREE, TreePlan
 
 _NO_COUPLING = [[0.0] * 3] * 3
 NO_BLOCK = Block([0.0] * 6, _NO_COUPLING, [0.0] * 6)
@@ -49,7 +49,7 @@ class System:
         return not self.diagonal and all(is_zero(x) for block in self.blocks for x in block.scalars())
 
 
-def inertia(plan: Plan, parameters: Parameters, motions: Sequence[Motion]) -> System:
+def inertia_system(plan: TreePlan, parameters: Parameters, motions: Sequence[Motion]) -> System:
     """Inertia of all links, with armature."""
     blocks = []
     for link, m in zip(plan.links, motions, strict=True):
@@ -59,7 +59,7 @@ def inertia(plan: Plan, parameters: Parameters, motions: Sequence[Motion]) -> Sy
     return System(blocks, {}) + dof_system(plan, parameters, motions, "armature")
 
 
-def bias_wrenches(plan: Plan, parameters: Parameters, motions: Sequence[Motion]) -> list[Spatial]:
+def bias_wrenches(plan: TreePlan, parameters: Parameters, motions: Sequence[Motion]) -> list[Spatial]:
     """Wrench about each link's origin that keeps its motion up while all joint accelerations are zero.
 
     Newton and Euler about the origin: with h = sum of m c and J about the origin, the force is
@@ -76,7 +76,7 @@ def bias_wrenches(plan: Plan, parameters: Parameters, motions: Sequence[Motion])
     return found
 
 
-def dof_system(plan: Plan, parameters: Parameters, motions: Sequence[Motion], what: str) -> System:
+def dof_system(plan: TreePlan, parameters: Parameters, motions: Sequence[Motion], what: str) -> System:
     """A quantity per dof, "armature" or "damping", as a system."""
     blocks, diagonal = [], {}
     for link, m in zip(plan.links, motions, strict=True):
@@ -98,17 +98,17 @@ def _turned_diagonal(m: Motion, values: Sequence[Scalar]) -> list[Scalar]:
     return sandwich(m.turn, [*values, 0.0, 0.0, 0.0])
 
 
-def local_rates(plan: Plan, motions: Sequence[Motion], x: Sequence[Scalar]) -> list[Scalar]:
+def local_rates(plan: TreePlan, motions: Sequence[Motion], x: Sequence[Scalar]) -> list[Scalar]:
     """Dof accelerations in MuJoCo's convention: angular ones of free joints turned from world to link axes."""
     return _turned_rates(plan, [transpose(m.turn) for m in motions], x)
 
 
-def world_rates(plan: Plan, motions: Sequence[Motion], x: Sequence[Scalar]) -> list[Scalar]:
+def world_rates(plan: TreePlan, motions: Sequence[Motion], x: Sequence[Scalar]) -> list[Scalar]:
     """Inverse of `local_rates`."""
     return _turned_rates(plan, [m.turn for m in motions], x)
 
 
-def _turned_rates(plan: Plan, turns: Sequence[Matrix], x: Sequence[Scalar]) -> list[Scalar]:
+def _turned_rates(plan: TreePlan, turns: Sequence[Matrix], x: Sequence[Scalar]) -> list[Scalar]:
     result = list(x)
     for link, turn in zip(plan.links, turns, strict=True):
         if link.joints[0].kind == FREE:

@@ -24,10 +24,10 @@ from btr_mjx.engines.lanes.scalars import (
     vsub,
 )
 from btr_mjx.engines.lanes.spatial import Block, Spatial, point_block
-from btr_mjx.engines.lanes.tree import Plan
+from btr_mjx.engines.lanes.tree import TreePlan
 
 
-def drag(plan: Plan, parameters: Parameters, motions: Sequence[Motion]) -> tuple[list[Spatial], System] | None:
+def drag(plan: TreePlan, parameters: Parameters, motions: Sequence[Motion]) -> tuple[list[Spatial], System] | None:
     """Wrenches of the medium on the links, and minus their derivative by velocity; None in a vacuum."""
     if is_zero(parameters.one("world/density")) and is_zero(parameters.one("world/viscosity")):
         return None

@@ -1,13 +1,14 @@
 """Semi-implicit integration of velocities and positions (mj_Euler, mj_implicit with implicitfast)."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
 import mujoco
 
 from btr_mjx.engines.lanes import support
-from btr_mjx.engines.lanes.articulated import lu_solve, solve
+from btr_mjx.engines.lanes.articulated import lu_solve, solve_articulated
 from btr_mjx.engines.lanes.dynamics import NO_BLOCK, System, against, local_rates
 from btr_mjx.engines.lanes.kinematics import Motion, unit_quaternion
 from btr_mjx.engines.lanes.scalars import (
@@ -26,19 +27,29 @@ from btr_mjx.engines.lanes.scalars import (
     vadd,
 )
 from btr_mjx.engines.lanes.spatial import Block, Spatial, propagate
-from btr_mjx.engines.lanes.tree import FREE, Plan
+from btr_mjx.engines.lanes.tree import FREE, TreePlan
 
 
-def advance(
+@dataclass(frozen=True)
+class Damping:
+    """Minus the derivatives of the forces by velocity [N s/m or N m s/rad], by what makes the forces."""
+
+    joints: System
+    """Of the dampers."""
+    actuators: Mapping[int, Scalar]
+    """Of the actuators, per dof."""
+    medium: System | None
+    """Of the drag, None in a vacuum."""
+
+
+def integrate_step(
     model: mujoco.MjModel,
-    plan: Plan,
+    plan: TreePlan,
     motions: Sequence[Motion],
     q: Sequence[Sequence[jax.Array]],
     v: Sequence[jax.Array],
     inertia: System,
-    damping: System,
-    actuator_damping: Mapping[int, Scalar],
-    medium: System | None,
+    damping: Damping,
     acceleration: Sequence[jax.Array],
 ) -> tuple[list[list[jax.Array]], list[jax.Array]]:
     """Next coordinates and velocities.
@@ -50,22 +61,20 @@ def advance(
       q: coordinates per joint.
       v: velocity per dof.
       inertia: of all links, with armature, M.
-      damping: minus the derivative of the dampers' forces by velocity.
-      actuator_damping: the same of the actuator forces, per dof.
-      medium: the same of the drag, None in a vacuum.
+      damping: minus the derivatives of the forces by velocity, which act implicitly.
       acceleration: solution of the constraint problem, per dof.
 
     Returns:
       Coordinates per joint and velocities per dof after one step.
     """
     dt = float(model.opt.timestep)
-    implicit = damping
+    implicit = damping.joints
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST:
         blocks = [NO_BLOCK] * len(plan.links)
-        implicit = damping + System(blocks, {k: d for k, d in actuator_damping.items() if not is_zero(d)})
-        implicit = implicit + medium if medium else implicit
+        implicit = damping.joints + System(blocks, {k: d for k, d in damping.actuators.items() if not is_zero(d)})
+        implicit = implicit + damping.medium if damping.medium else implicit
     elif support.disabled(model, "EULERDAMP"):
-        implicit = damping.times(0.0)
+        implicit = damping.joints.times(0.0)
     implicit = implicit.times(dt)
     links = propagate(plan, motions, acceleration)
     following: list[Scalar] = list(acceleration)
@@ -74,7 +83,7 @@ def advance(
         # keeps digits and spares the projection of the contact forces.
         system = inertia + implicit
         wrenches, tau = against(implicit, links, acceleration)
-        change, _ = solve(plan, motions, system.blocks, wrenches, system.diagonal, tau)
+        change, _ = solve_articulated(plan, motions, system.blocks, wrenches, system.diagonal, tau)
         following = [add(a, c) for a, c in zip(acceleration, change, strict=True)]
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST:
         for link in plan.links:

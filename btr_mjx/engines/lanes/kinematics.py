@@ -18,16 +18,16 @@ from btr_mjx.engines.lanes.scalars import (
     Matrix,
     Scalar,
     Vector,
+    axis_rotation,
     cross,
     matmul,
     matvec,
     neg,
-    rotation,
     scale,
     sub,
     vadd,
 )
-from btr_mjx.engines.lanes.tree import FREE, HINGE, Joint, Link, Plan
+from btr_mjx.engines.lanes.tree import FREE, HINGE, Joint, Link, TreePlan
 
 
 @dataclass
@@ -106,7 +106,7 @@ def _moved(parameters: Parameters, key: str, joint: Joint, q: jax.Array, v: jax.
     along = matvec(m.turn, axis)
     if joint.kind == HINGE:
         anchor = matvec(m.turn, parameters[f"{key}/pos"])
-        turn = matmul(m.turn, rotation(axis, jnp.sin(angle), jnp.cos(angle)))
+        turn = matmul(m.turn, axis_rotation(axis, jnp.sin(angle), jnp.cos(angle)))
         lever = scale(-1.0, matvec(turn, parameters[f"{key}/pos"]))  # from the anchor to the origin, after the turn
         velocity, acceleration = _carry(m, anchor)
         rate = scale(v, along)
@@ -126,7 +126,7 @@ def _moved(parameters: Parameters, key: str, joint: Joint, q: jax.Array, v: jax.
 
 
 def motions(
-    plan: Plan, parameters: Parameters, q: Sequence[Sequence[jax.Array]], v: Sequence[jax.Array]
+    plan: TreePlan, parameters: Parameters, q: Sequence[Sequence[jax.Array]], v: Sequence[jax.Array]
 ) -> list[Motion]:
     """Motion of every link.
 

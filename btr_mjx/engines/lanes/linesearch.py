@@ -1,6 +1,7 @@
-"""How far to go along a Newton step: the exact minimum of the convex cost on the way."""
+"""The convex problem of a step, and how far to go along a Newton step: the exact minimum of the cost on the way."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +10,7 @@ from jax import lax
 from btr_mjx.engines.lanes.contacts import Contact
 from btr_mjx.engines.lanes.dynamics import System
 from btr_mjx.engines.lanes.kinematics import Motion
-from btr_mjx.engines.lanes.rows import Row
+from btr_mjx.engines.lanes.rows import DofConstraint
 from btr_mjx.engines.lanes.scalars import (
     Scalar,
     add,
@@ -25,45 +26,52 @@ from btr_mjx.engines.lanes.scalars import (
     vadd,
     vsub,
 )
-from btr_mjx.engines.lanes.spatial import Spatial, along, propagate
-from btr_mjx.engines.lanes.tree import Plan
+from btr_mjx.engines.lanes.spatial import Spatial, generalised_force, propagate
+from btr_mjx.engines.lanes.tree import TreePlan
 
 _TRIALS = 10
 _FLAT = 1e-3  # a slope this small relative to the one at the start is zero
 
 
-def step_length(
-    plan: Plan,
-    motions: Sequence[Motion],
-    constraints: Sequence[Contact | Row],
-    inertia: System,
-    wrenches: Sequence[Spatial],
-    tau: Mapping[int, Scalar],
-    old: Sequence[jax.Array],
-    new: Sequence[jax.Array],
-) -> jax.Array:
+type Constraints = Sequence[Contact | DofConstraint]
+
+
+@dataclass(frozen=True)
+class ConstraintProblem:
+    """MuJoCo's convex problem for the accelerations of one step: inertia, forces and constraints."""
+
+    plan: TreePlan
+    motions: Sequence[Motion]
+    """Where the links are."""
+    constraints: Constraints
+    """Contacts, limits and friction rows."""
+    inertia: System
+    """Of all links, with armature."""
+    wrenches: Sequence[Spatial]
+    """All forces on links but those of the constraints, about the links' origins."""
+    tau: Mapping[int, Scalar]
+    """All forces along single dofs but those of the constraints."""
+
+
+def step_length(problem: ConstraintProblem, old: Sequence[jax.Array], new: Sequence[jax.Array]) -> jax.Array:
     """Fraction of the way from `old` to `new` at which the cost is least, (C,); 1 where the full step is as good.
 
     The slope along the way is found by Newton's method inside a bracket.
 
     Args:
-      plan: the static plan.
-      motions: where the links are.
-      constraints: contacts, limits and friction rows.
-      inertia: of all links, with armature.
-      wrenches: all forces on links but those of the constraints.
-      tau: all forces along single dofs but those of the constraints.
+      problem: the problem.
       old: accelerations per dof at the start of the step.
       new: accelerations per dof at its end.
     """
+    plan, constraints, inertia, tau = problem.plan, problem.constraints, problem.inertia, problem.tau
     way = [y - x for x, y in zip(old, new, strict=True)]
-    at, links = propagate(plan, motions, old), propagate(plan, motions, way)
+    at, links = propagate(plan, problem.motions, old), propagate(plan, problem.motions, way)
     slope: Scalar = 0.0
     curve: Scalar = 0.0
-    for link, block, a, d, wrench in zip(plan.links, inertia.blocks, at, links, wrenches, strict=True):
+    for link, block, a, d, wrench in zip(plan.links, inertia.blocks, at, links, problem.wrenches, strict=True):
         f, n = block @ a
-        slope = add(slope, group_sum(along(d, (vsub(f, wrench[0]), vsub(n, wrench[1]))), link.size))
-        curve = add(curve, group_sum(along(d, block @ d), link.size))
+        slope = add(slope, group_sum(generalised_force(d, (vsub(f, wrench[0]), vsub(n, wrench[1]))), link.size))
+        curve = add(curve, group_sum(generalised_force(d, block @ d), link.size))
     for k, size in enumerate(plan.dof_size):
         diagonal = inertia.diagonal.get(k, 0.0)
         slope = add(slope, group_sum(mul(way[k], sub(mul(diagonal, old[k]), tau.get(k, 0.0))), size))

@@ -14,7 +14,7 @@ import numpy as np
 
 from btr_mjx.engines.lanes import support
 from btr_mjx.engines.lanes.scalars import Scalar, constant
-from btr_mjx.engines.lanes.tree import FREE, Joint, Plan, Touch, massive_members, rigid_members
+from btr_mjx.engines.lanes.tree import FREE, Joint, Touch, TreePlan, massive_members, rigid_members
 
 VARYING = frozenset(
     f"{group}_{field}"
@@ -288,7 +288,7 @@ def _plane(model: mujoco.MjModel, fields: Fields, geom: int) -> dict[str, np.nda
     return {"frame": frame, "offset": (normal * position).sum(-1, keepdims=True)}
 
 
-def derive(model: mujoco.MjModel, plan: Plan, fields: Fields) -> dict[str, np.ndarray]:
+def derive(model: mujoco.MjModel, plan: TreePlan, fields: Fields) -> dict[str, np.ndarray]:
     """All numbers of the step: name -> (N, C, G, k) where they differ between worlds, else (1, 1, G, k)."""
     table: dict[str, np.ndarray] = {}
 
@@ -321,7 +321,7 @@ def derive(model: mujoco.MjModel, plan: Plan, fields: Fields) -> dict[str, np.nd
     return table
 
 
-def split(table: Mapping[str, np.ndarray]) -> tuple[dict[str, list[Scalar]], dict[str, list[np.ndarray]]]:
+def split_constants(table: Mapping[str, np.ndarray]) -> tuple[dict[str, list[Scalar]], dict[str, list[np.ndarray]]]:
     """Separate a derived table into constants and arrays.
 
     Returns:

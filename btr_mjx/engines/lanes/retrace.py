@@ -70,7 +70,7 @@ _BODIES = {
 
 
 @dataclass(frozen=True)
-class Plan:
+class EquationCounts:
     """What `retrace` does to a function; counts include nested bodies, each counted once per place it appears.
 
     Attributes:
@@ -90,8 +90,8 @@ class Plan:
         """Equations that were traced and are gone, merged or dead."""
         return self.merged + self.dead
 
-    def __add__(self, other: "Plan") -> "Plan":
-        return Plan(
+    def __add__(self, other: "EquationCounts") -> "EquationCounts":
+        return EquationCounts(
             self.ops + other.ops,
             self.materialised + other.materialised,
             self.merged + other.merged,
@@ -139,9 +139,9 @@ def retrace[**A, R](
     return retraced
 
 
-def plan(
+def count_equations(
     fn: Callable[..., Any], *args: Any, threshold: float = 8.0, costs: Mapping[str, float] | None = None, **kwargs: Any
-) -> Plan:
+) -> EquationCounts:
     """Says what `retrace(fn, threshold=threshold, costs=costs)(*args, **kwargs)` does, without running `fn`.
 
     Args:
@@ -169,7 +169,7 @@ class _Options(NamedTuple):
 
 class _Result(NamedTuple):
     jaxpr: core.Jaxpr
-    plan: Plan
+    plan: EquationCounts
     custom: bool  # a call with a custom derivative rule was inlined somewhere in it
 
 
@@ -214,14 +214,14 @@ class _Rewriter:
         eqns: list[core.JaxprEqn] = []
         barred: dict[Any, core.Var] = {}  # shared value -> the same value behind its barrier
         cost: dict[core.Var, float] = {}  # of recomputing a value from what is in memory; absent if it is there
-        counts = Plan(merged=flat.merged, dead=len(flat.eqns) - len(live))
+        counts = EquationCounts(merged=flat.merged, dead=len(flat.eqns) - len(live))
         custom = flat.custom
         for eqn in live:
             for body in self._bodies(eqn):
                 counts += self.rewrite(body).plan
                 custom |= self.rewrite(body).custom
             eqns.append(eqn.replace(invars=rename(barred, eqn.invars), params=self._rewritten_params(eqn)))
-            counts += Plan(ops=eqn.primitive is not lax.optimization_barrier_p)
+            counts += EquationCounts(ops=eqn.primitive is not lax.optimization_barrier_p)
             if eqn.primitive.multiple_results or eqn.primitive.name in _OPAQUE:
                 continue
             (out,) = eqn.outvars
@@ -232,7 +232,7 @@ class _Rewriter:
                 barred[out] = core.Var(out.aval)
                 cost[out] = 0.0
                 eqns.append(_barrier(out, barred[out], eqn))
-                counts += Plan(materialised=1)
+                counts += EquationCounts(materialised=1)
         result = core.Jaxpr(
             constvars=list(flat.constvars.values()),
             invars=invars,

@@ -9,15 +9,13 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 
-from btr_mjx.engines.lanes.contacts import impedance
+from btr_mjx.engines.lanes.contacts import ZoneModel, impedance
 from btr_mjx.engines.lanes.parameters import Parameters
 from btr_mjx.engines.lanes.scalars import Scalar, add, mul, neg, sub
-from btr_mjx.engines.lanes.tree import FREE, Plan
-
-type Model = tuple[jax.Array, ...]
+from btr_mjx.engines.lanes.tree import FREE, TreePlan
 
 
-class Row(ABC):
+class DofConstraint(ABC):
     """A constraint on one dof."""
 
     dof: int
@@ -26,20 +24,20 @@ class Row(ABC):
     """As of a contact: numbers of a zone that are either the weight or zero."""
 
     @abstractmethod
-    def model(self, a: jax.Array) -> Model:
+    def model(self, a: jax.Array) -> ZoneModel:
         """The zone that joint acceleration `a` lies in, as the numbers that `effect` needs."""
 
     @abstractmethod
-    def effect(self, model: Model) -> tuple[Scalar, Scalar]:
+    def effect(self, model: ZoneModel) -> tuple[Scalar, Scalar]:
         """Stiffness and force for a zone: at `a` the row pushes along its dof with force - stiffness a."""
 
-    def settled(self, old: Model, new: Model) -> jax.Array:
+    def settled(self, old: ZoneModel, new: ZoneModel) -> jax.Array:
         """Whether two zones are the same."""
         return reduce(jnp.logical_and, [x == y for x, y in zip(old, new, strict=True)])
 
 
 @dataclass
-class Limit(Row):
+class Limit(DofConstraint):
     """One side of a joint's range, active where `weight` is not zero."""
 
     dof: int
@@ -49,17 +47,17 @@ class Limit(Row):
     reference: Scalar
     flags: ClassVar[int] = 1
 
-    def model(self, a: jax.Array) -> Model:
+    def model(self, a: jax.Array) -> ZoneModel:
         """Weight of the row if it pushes at joint acceleration `a`."""
         return (jnp.where(sub(mul(self.sign, a), self.reference) < 0, self.weight, 0),)
 
-    def effect(self, model: Model) -> tuple[Scalar, Scalar]:
-        """See `Row.effect`."""
+    def effect(self, model: ZoneModel) -> tuple[Scalar, Scalar]:
+        """See `DofConstraint.effect`."""
         return model[0], mul(self.sign, mul(model[0], self.reference))
 
 
 @dataclass
-class Friction(Row):
+class Friction(DofConstraint):
     """Friction loss of a dof: a force that opposes motion, bounded by `loss`."""
 
     dof: int
@@ -67,7 +65,7 @@ class Friction(Row):
     weight: Scalar
     reference: Scalar
 
-    def model(self, a: jax.Array) -> Model:
+    def model(self, a: jax.Array) -> ZoneModel:
         """Stiffness and force: inside the bound a stiff damper, outside a constant force."""
         jar = sub(a, self.reference)
         pull = mul(self.weight, jar)
@@ -76,14 +74,16 @@ class Friction(Row):
         force = jnp.where(sticks, mul(self.weight, self.reference), slip)
         return jnp.where(sticks, self.weight, 0), force
 
-    def effect(self, model: Model) -> tuple[Scalar, Scalar]:
-        """See `Row.effect`."""
+    def effect(self, model: ZoneModel) -> tuple[Scalar, Scalar]:
+        """See `DofConstraint.effect`."""
         return model[0], model[1]
 
 
-def dof_rows(plan: Plan, parameters: Parameters, q: Sequence[Sequence[jax.Array]], v: Sequence[jax.Array]) -> list[Row]:
+def dof_rows(
+    plan: TreePlan, parameters: Parameters, q: Sequence[Sequence[jax.Array]], v: Sequence[jax.Array]
+) -> list[DofConstraint]:
     """All limit and friction rows of a chunk (mj_instantiateLimit, mj_instantiateFriction)."""
-    found: list[Row] = []
+    found: list[DofConstraint] = []
     coordinates = iter(q)
     for link in plan.links:
         for n, joint in enumerate(link.joints):

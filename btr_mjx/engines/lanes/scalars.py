@@ -175,7 +175,7 @@ def sandwich(m: Matrix, s: Symmetric) -> list[Scalar]:
     return [dot(m[i], half[j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
 
 
-def rotation(axis: Vector, sine: Scalar, cosine: Scalar) -> list[list[Scalar]]:
+def axis_rotation(axis: Vector, sine: Scalar, cosine: Scalar) -> list[list[Scalar]]:
     """Rotation matrix about a unit axis (Rodrigues), arranged so that known parts of the axis cost nothing."""
     result = [[0.0 for _ in range(3)] for _ in range(3)]
     skew = [[0.0, neg(axis[2]), axis[1]], [axis[2], 0.0, neg(axis[0])], [neg(axis[1]), axis[0], 0.0]]

@@ -11,30 +11,26 @@ A world's result does not depend on its neighbours: one that has found its solut
 bit for bit, or keeps them where a line search might move them, while its neighbours in the chunk still search.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import reduce
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
-from btr_mjx.engines.lanes.articulated import solve
-from btr_mjx.engines.lanes.contacts import Contact, Ellipse, Model
-from btr_mjx.engines.lanes.dynamics import System
-from btr_mjx.engines.lanes.kinematics import Motion
-from btr_mjx.engines.lanes.linesearch import step_length
+from btr_mjx.engines.lanes.articulated import solve_articulated
+from btr_mjx.engines.lanes.contacts import Contact, Ellipse, ZoneModel
+from btr_mjx.engines.lanes.linesearch import ConstraintProblem, Constraints, step_length
 from btr_mjx.engines.lanes.retrace import retrace
-from btr_mjx.engines.lanes.rows import Friction, Row
+from btr_mjx.engines.lanes.rows import Friction
 from btr_mjx.engines.lanes.scalars import Scalar, add, array, vadd
 from btr_mjx.engines.lanes.spatial import Spatial, propagate
-from btr_mjx.engines.lanes.tree import Plan
 
-type Constraints = Sequence[Contact | Row]
 type Zones = list[tuple[jax.Array, ...]]
 """Per constraint, which of its rows pushed in the last step, `flags` bool arrays of the constraint's shape each."""
 
 
-def _models(constraints: Constraints, a: Sequence[jax.Array], links: Sequence[Spatial]) -> list[Model]:
+def _models(constraints: Constraints, a: Sequence[jax.Array], links: Sequence[Spatial]) -> list[ZoneModel]:
     """Zone of every constraint at accelerations `a` of the dofs and `links` of the links."""
     return [
         c.model(c.acceleration(links[c.link.index])) if isinstance(c, Contact) else c.model(a[c.dof])
@@ -42,19 +38,11 @@ def _models(constraints: Constraints, a: Sequence[jax.Array], links: Sequence[Sp
     ]
 
 
-def _step(
-    plan: Plan,
-    motions: Sequence[Motion],
-    constraints: Constraints,
-    inertia: System,
-    wrenches: Sequence[Spatial],
-    tau: Mapping[int, Scalar],
-    models: Sequence[Model],
-) -> tuple[list[Scalar], list[Spatial]]:
+def _step(problem: ConstraintProblem, models: Sequence[ZoneModel]) -> tuple[list[Scalar], list[Spatial]]:
     """Minimum of the quadratic that the cost is on the given zones: accelerations of dofs and links."""
-    blocks, outer = list(inertia.blocks), list(wrenches)
-    diagonal, forces = dict(inertia.diagonal), dict(tau)
-    for c, model in zip(constraints, models, strict=True):
+    blocks, outer = list(problem.inertia.blocks), list(problem.wrenches)
+    diagonal, forces = dict(problem.inertia.diagonal), dict(problem.tau)
+    for c, model in zip(problem.constraints, models, strict=True):
         if isinstance(c, Contact):
             block, (force, torque) = c.effect(model)
             at = c.link.index
@@ -64,10 +52,10 @@ def _step(
             stiffness, push = c.effect(model)
             diagonal[c.dof] = add(diagonal.get(c.dof, 0.0), stiffness)
             forces[c.dof] = add(forces.get(c.dof, 0.0), push)
-    return solve(plan, motions, blocks, outer, diagonal, forces)
+    return solve_articulated(problem.plan, problem.motions, blocks, outer, diagonal, forces)
 
 
-def _moved(constraints: Constraints, old: Sequence[Model], new: Sequence[Model]) -> jax.Array:
+def _moved(constraints: Constraints, old: Sequence[ZoneModel], new: Sequence[ZoneModel]) -> jax.Array:
     """Which worlds (C,) have left the zones that they were solved for."""
     flags = []
     for c, before, after in zip(constraints, old, new, strict=True):
@@ -76,9 +64,9 @@ def _moved(constraints: Constraints, old: Sequence[Model], new: Sequence[Model])
     return reduce(jnp.logical_or, flags)
 
 
-def _recalled(constraints: Constraints, zones: Zones, models: Sequence[Model]) -> list[Model]:
+def _recalled(constraints: Constraints, zones: Zones, models: Sequence[ZoneModel]) -> list[ZoneModel]:
     """Zones of the last step for constraints that pushed then; `models` for those that did not."""
-    found: list[Model] = []
+    found: list[ZoneModel] = []
     for c, flags, model in zip(constraints, zones, models, strict=True):
         if not flags:
             found.append(model)
@@ -90,12 +78,7 @@ def _recalled(constraints: Constraints, zones: Zones, models: Sequence[Model]) -
 
 
 def constrained_acceleration(
-    plan: Plan,
-    motions: Sequence[Motion],
-    constraints: Constraints,
-    inertia: System,
-    wrenches: Sequence[Spatial],
-    tau: Mapping[int, Scalar],
+    problem: ConstraintProblem,
     guess: Sequence[jax.Array],
     zones: Zones,
     max_newton: int,
@@ -103,12 +86,7 @@ def constrained_acceleration(
     """Joint accelerations under constraints.
 
     Args:
-      plan: the static plan.
-      motions: where the links are.
-      constraints: contacts, limits and friction rows.
-      inertia: of all links, with armature.
-      wrenches: all forces on links but those of the constraints, about the links' origins.
-      tau: all forces along single dofs but those of the constraints.
+      problem: inertia, forces and constraints.
       guess: accelerations to start from, per dof (shape (C,) or (G, C)).
       zones: of the last step; all False where there was none.
       max_newton: bound on the iterations.
@@ -116,23 +94,24 @@ def constrained_acceleration(
     Returns:
       Accelerations per dof; bool (C,), worlds that reached the bound; the zones of the solution.
     """
+    plan, motions, constraints, inertia = problem.plan, problem.motions, problem.constraints, problem.inertia
     lanes = guess[0].shape[-1]
     if not constraints:
-        solution, _ = solve(plan, motions, inertia.blocks, wrenches, inertia.diagonal, tau)
+        solution, _ = solve_articulated(plan, motions, inertia.blocks, problem.wrenches, inertia.diagonal, problem.tau)
         return [array(x, g.shape, g.dtype) for x, g in zip(solution, guess, strict=True)], jnp.zeros(lanes, bool), []
     search = any(isinstance(c, Ellipse | Friction) for c in constraints)
 
-    def shaped(models: Sequence[Model]) -> list[Model]:
+    def shaped(models: Sequence[ZoneModel]) -> list[ZoneModel]:
         shapes = [(c.link.size if isinstance(c, Contact) else plan.dof_size[c.dof]) for c in constraints]
         full = [(lanes,) if size == 1 else (size, lanes) for size in shapes]
         return [tuple(array(x, s, guess[0].dtype) for x in model) for model, s in zip(models, full, strict=True)]
 
     def body(carry: tuple) -> tuple:
         count, moving, old, models = carry
-        x, links = _step(plan, motions, constraints, inertia, wrenches, tau, models)
+        x, links = _step(problem, models)
         a = [array(x_k, g.shape, g.dtype) for x_k, g in zip(x, guess, strict=True)]
         if search:
-            length = step_length(plan, motions, constraints, inertia, wrenches, tau, old, a)
+            length = step_length(problem, old, a)
             a = [jnp.where(moving, y + length * (z - y), y) for y, z in zip(old, a, strict=True)]
             links = propagate(plan, motions, a)
         following = shaped(_models(constraints, a, links))

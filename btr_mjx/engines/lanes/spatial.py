@@ -28,7 +28,7 @@ from btr_mjx.engines.lanes.scalars import (
     vadd,
     vsub,
 )
-from btr_mjx.engines.lanes.tree import Link, Plan
+from btr_mjx.engines.lanes.tree import Link, TreePlan
 
 type Spatial = tuple[Vector, Vector]
 
@@ -102,7 +102,7 @@ def rigid_block(mass: Scalar, h: Vector, inertia: Symmetric) -> Block:
     return Block([mass, mass, mass, 0.0, 0.0, 0.0], skew, inertia)
 
 
-def outgoing(plan: Plan, link: Link, values: Sequence[Scalar]) -> list[Scalar]:
+def outgoing(plan: TreePlan, link: Link, values: Sequence[Scalar]) -> list[Scalar]:
     """Values of a link as its parent sees them: summed over the group if the group ends here."""
     alone = link.parent < 0 or plan.links[link.parent].size == 1
     return [group_sum(x, link.size) for x in values] if alone else list(values)
@@ -116,7 +116,7 @@ def carried(link: Link, m: Motion, above: Sequence[Spatial]) -> Spatial:
     return vadd(linear, cross(angular, m.arm)), angular
 
 
-def propagate(plan: Plan, motions: Sequence[Motion], a: Sequence[Scalar]) -> list[Spatial]:
+def propagate(plan: TreePlan, motions: Sequence[Motion], a: Sequence[Scalar]) -> list[Spatial]:
     """Spatial acceleration of every link caused by accelerations `a` of the dofs (J a)."""
     found: list[Spatial] = []
     for link, m in zip(plan.links, motions, strict=True):
@@ -127,6 +127,6 @@ def propagate(plan: Plan, motions: Sequence[Motion], a: Sequence[Scalar]) -> lis
     return found
 
 
-def along(column: Spatial, wrench: Spatial) -> Scalar:
+def generalised_force(column: Spatial, wrench: Spatial) -> Scalar:
     """Generalised force of a wrench along one dof."""
     return add(dot(column[0], wrench[0]), dot(column[1], wrench[1]))

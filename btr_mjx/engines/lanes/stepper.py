@@ -12,14 +12,15 @@ import numpy as np
 from btr_mjx.engines.base import Leaves
 from btr_mjx.engines.lanes import support
 from btr_mjx.engines.lanes.actuation import actuate, rows, springs
-from btr_mjx.engines.lanes.contacts import Contact, contacts
-from btr_mjx.engines.lanes.dynamics import against, bias_wrenches, dof_system, inertia, local_rates, world_rates
+from btr_mjx.engines.lanes.contacts import Contact, contact_points
+from btr_mjx.engines.lanes.dynamics import against, bias_wrenches, dof_system, inertia_system, local_rates, world_rates
 from btr_mjx.engines.lanes.fluid import drag
-from btr_mjx.engines.lanes.integrate import advance
+from btr_mjx.engines.lanes.integrate import Damping, integrate_step
 from btr_mjx.engines.lanes.kinematics import Motion, motions
-from btr_mjx.engines.lanes.parameters import VARYING, Fields, Parameters, base_field, derive, matters, split
+from btr_mjx.engines.lanes.linesearch import ConstraintProblem
+from btr_mjx.engines.lanes.parameters import VARYING, Fields, Parameters, base_field, derive, matters, split_constants
 from btr_mjx.engines.lanes.retrace import retrace
-from btr_mjx.engines.lanes.rows import Row, dof_rows
+from btr_mjx.engines.lanes.rows import DofConstraint, dof_rows
 from btr_mjx.engines.lanes.scalars import add, array, group_sum, total, vadd, vsub
 from btr_mjx.engines.lanes.solver import Zones, constrained_acceleration
 from btr_mjx.engines.lanes.tree import FREE, make_plan
@@ -27,7 +28,7 @@ from btr_mjx.engines.lanes.tree import FREE, make_plan
 
 @jax.tree_util.register_dataclass
 @dataclass
-class State:
+class LanesState:
     """State of a chunk of C worlds; every array is (C,), or (G, C) for the members of a group."""
 
     q: list[list[jax.Array]]
@@ -51,8 +52,8 @@ class State:
 class LanesStepper:
     """MuJoCo steps for chunks of worlds whose models differ only in the numbers of some fields.
 
-    Computes trees of free, hinge and slide joints over planes; see `support.check` for what is refused. The solver runs
-    to convergence whatever the model's iteration limits and tolerances say.
+    Computes trees of free, hinge and slide joints over planes; see `support.require_supported` for what is refused. The
+    solver runs to convergence whatever the model's iteration limits and tolerances say.
     """
 
     def __init__(
@@ -82,7 +83,7 @@ class LanesStepper:
         self.nq, self.nv, self.nu = int(model.nq), int(model.nv), int(model.nu)
         self._elliptic = bool(model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC)
         self.timestep = float(model.opt.timestep)
-        pairs = support.check(model)
+        pairs = support.require_supported(model)
         self._masks = self._read_masks(varying)
         friction = (np.asarray(model.dof_frictionloss) != 0) | self._masks.get(
             "dof_frictionloss", np.zeros(self.nv, bool)
@@ -92,7 +93,7 @@ class LanesStepper:
         self.plan = make_plan(model, pairs, friction)
         twice = {name: np.stack([base_field(model, name)] * 2)[None] for name in self._masks}
         table = derive(model, self.plan, Fields(model, self._masks, twice))
-        self._constants, arrays = split(table)
+        self._constants, arrays = split_constants(table)
         self._varying_names = frozenset(arrays)
         self._zone_layout: list[tuple[int, int]] = []
         sample = {key: [np.asarray(column[0], self._dtype) for column in columns] for key, columns in arrays.items()}
@@ -135,7 +136,7 @@ class LanesStepper:
         for name, where in (("jnt_stiffness", free), ("dof_frictionloss", free[self._model.dof_jntid])):
             if name in self._masks and np.any(leaves[name][..., where]):
                 raise support.refuse(f"{name} of a free joint")
-        _, arrays = split(derive(self._model, self.plan, Fields(self._model, self._masks, leaves)))
+        _, arrays = split_constants(derive(self._model, self.plan, Fields(self._model, self._masks, leaves)))
         return {key: [column.astype(self._dtype) for column in columns] for key, columns in arrays.items()}
 
     def _shape(self, size: int, chunk: int) -> tuple[int, ...]:
@@ -166,17 +167,17 @@ class LanesStepper:
         q: list[list[jax.Array]],
         v: list[jax.Array],
         moving: Sequence[Motion],
-    ) -> list[Contact | Row]:
+    ) -> list[Contact | DofConstraint]:
         return [
             *dof_rows(self.plan, parameters, q, v),
-            *contacts(self.plan, parameters, moving, self._elliptic, self._dtype),
+            *contact_points(self.plan, parameters, moving, self._elliptic, self._dtype),
         ]
 
-    def initial(self, params: Mapping[str, list[jax.Array]], chunk: int) -> State:
+    def initial(self, params: Mapping[str, list[jax.Array]], chunk: int) -> LanesState:
         """State of `chunk` worlds at rest in the model's qpos0, with actuator activations zero."""
         q, v, acts = self._rest(Parameters(self._constants, params), chunk)
         lanes = jnp.zeros(chunk, self._dtype)
-        return State(
+        return LanesState(
             q, v, acts, self._no_history(chunk), [jnp.zeros_like(x) for x in v], self._no_zones(chunk), lanes, lanes > 0
         )
 
@@ -194,7 +195,7 @@ class LanesStepper:
                 act |= {a.state: jnp.zeros(shape, self._dtype) for a in joint.actuators if a.state >= 0}
         return q, v, [act[i] for i in range(self.plan.states)]
 
-    def state(self, qpos: Any, qvel: Any, act: Any = None) -> State:
+    def state(self, qpos: Any, qvel: Any, act: Any = None) -> LanesState:
         """State of a chunk from MuJoCo's arrays; whatever is delayed remembers controls of zero.
 
         Args:
@@ -216,20 +217,20 @@ class LanesStepper:
                     acts[a.state] = jnp.zeros_like(v[-1]) if act is None else rows(jnp.asarray(act, self._dtype), adr)
         lanes = jnp.zeros(qpos.shape[-1], self._dtype)
         zones = self._no_zones(qpos.shape[-1])
-        return State(
+        return LanesState(
             q, v, acts, self._no_history(qpos.shape[-1]), [jnp.zeros_like(x) for x in v], zones, lanes, lanes > 0
         )
 
-    def step(self, params: Mapping[str, list[jax.Array]], state: State, ctrl: jax.Array) -> State:
+    def step(self, params: Mapping[str, list[jax.Array]], state: LanesState, ctrl: jax.Array) -> LanesState:
         """Advance by one time step under controls of shape (nu, C)."""
         return retrace(self._step, threshold=16)(params, state, ctrl)
 
-    def _step(self, params: Mapping[str, list[jax.Array]], state: State, ctrl: jax.Array) -> State:
+    def _step(self, params: Mapping[str, list[jax.Array]], state: LanesState, ctrl: jax.Array) -> LanesState:
         model, plan = self._model, self.plan
         parameters = Parameters(self._constants, params)
         q, v = state.q, state.v
         moving = motions(plan, parameters, q, v)
-        bodies = inertia(plan, parameters, moving)
+        bodies = inertia_system(plan, parameters, moving)
         damping = dof_system(plan, parameters, moving, "damping")
         actuation = actuate(model, plan, parameters, q, v, state.act, state.history, ctrl)
         moves = [(m.velocity, m.spin) for m in moving]
@@ -244,16 +245,17 @@ class LanesStepper:
         constraints = self._constraints(parameters, q, v, moving)
         guess = world_rates(plan, moving, state.acceleration)
         found, capped, zones = constrained_acceleration(
-            plan, moving, constraints, bodies, wrenches, tau, guess, state.zones, self._max_newton
+            ConstraintProblem(plan, moving, constraints, bodies, wrenches, tau), guess, state.zones, self._max_newton
         )
-        following = advance(model, plan, moving, q, v, bodies, damping, actuation.damping, medium and medium[1], found)
+        slopes = Damping(damping, actuation.damping, medium and medium[1])
+        following = integrate_step(model, plan, moving, q, v, bodies, slopes, found)
         power = total(group_sum(p, size) for p, size in actuation.power)
         rates = local_rates(plan, moving, found)
-        return State(
+        return LanesState(
             *following, actuation.act, actuation.history, rates, zones, array(power, capped.shape, self._dtype), capped
         )
 
-    def qpos(self, state: State) -> jax.Array:
+    def qpos(self, state: LanesState) -> jax.Array:
         """Generalised positions (nq, C), MuJoCo's order and conventions."""
         adr = self._model.jnt_qposadr
         joints = [joint for link in self.plan.links for joint in link.joints]
@@ -265,15 +267,15 @@ class LanesStepper:
         ]
         return _in_order(found)
 
-    def qvel(self, state: State) -> jax.Array:
+    def qvel(self, state: LanesState) -> jax.Array:
         """Generalised velocities (nv, C), MuJoCo's order and conventions."""
         return self._dofs_in_order(state.v)
 
-    def qacc(self, state: State) -> jax.Array:
+    def qacc(self, state: LanesState) -> jax.Array:
         """Accelerations of the last step before implicit damping (nv, C): MuJoCo's qacc."""
         return self._dofs_in_order(state.acceleration)
 
-    def act(self, state: State) -> jax.Array:
+    def act(self, state: LanesState) -> jax.Array:
         """Activations (na, C), MuJoCo's order."""
         adr = self._model.actuator_actadr
         found = []
@@ -293,11 +295,11 @@ class LanesStepper:
         ]
         return _in_order(found)
 
-    def power(self, state: State) -> jax.Array:
+    def power(self, state: LanesState) -> jax.Array:
         """Sum over actuators of |force x velocity| in the last step [W], shape (C,)."""
         return state.power
 
-    def capped(self, state: State) -> jax.Array:
+    def capped(self, state: LanesState) -> jax.Array:
         """Whether the constraint solver stopped at its iteration cap in the last step, bool (C,)."""
         return state.capped
 

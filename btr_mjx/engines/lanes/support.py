@@ -31,7 +31,7 @@ def disabled(model: mujoco.MjModel, flag: str) -> bool:
     return bool(model.opt.disableflags & int(getattr(_DISABLE, f"mjDSBL_{flag}")))
 
 
-def check(model: mujoco.MjModel) -> dict[int, list[tuple[int, int]]]:
+def require_supported(model: mujoco.MjModel) -> dict[int, list[tuple[int, int]]]:
     """Refuse what this engine does not compute.
 
     Returns:

@@ -81,7 +81,7 @@ class Link:
 
 
 @dataclass(frozen=True)
-class Plan:
+class TreePlan:
     """Static structure of all trees of a model. One dof of the plan stands for `dof_size` dofs of MuJoCo."""
 
     links: tuple[Link, ...]
@@ -235,17 +235,17 @@ class _Builder:
         for group in sorted(alike.values()):
             self._add(index, tuple(group))
 
-    def build(self) -> Plan:
+    def build(self) -> TreePlan:
         self._descend(-1, (0,))
-        return Plan(tuple(self.links), tuple(self.dof_size), self.states, tuple(self.memories))
+        return TreePlan(tuple(self.links), tuple(self.dof_size), self.states, tuple(self.memories))
 
 
-def make_plan(model: mujoco.MjModel, pairs: Mapping[int, list[tuple[int, int]]], friction: np.ndarray) -> Plan:
+def make_plan(model: mujoco.MjModel, pairs: Mapping[int, list[tuple[int, int]]], friction: np.ndarray) -> TreePlan:
     """Walk the kinematic tree of a model.
 
     Args:
-      model: the model; must have passed `support.check`.
-      pairs: geom -> (plane geom, condim) of all its possible contacts (`support.check` finds them).
+      model: the model; must have passed `support.require_supported`.
+      pairs: geom -> (plane geom, condim) of all its possible contacts (`support.require_supported` finds them).
       friction: bool (nv,), dofs that have or may have friction loss.
 
     Returns:

@@ -6,18 +6,20 @@ refitted (`Believed`) and the noise of the sensors. `save_dataset` writes one.
 
 from btr_mjx.gap.data.believed import Believed
 from btr_mjx.gap.data.columns import control_columns
-from btr_mjx.gap.data.dataset import FILE_NAME, Dataset, load, noise_of, read_head
+from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, load, noise_of, read_head
 from btr_mjx.gap.data.noise import Noise, estimate_noise, quieter
 from btr_mjx.gap.data.recording import Recording
 from btr_mjx.gap.data.sources import open_dataset
 from btr_mjx.gap.data.toml_tables import check_keys, file_name, is_number, toml_section
-from btr_mjx.gap.data.writing import Format, save_dataset
+from btr_mjx.gap.data.writing import DatasetDescription, Format, save_dataset
 
 __all__ = [
-    "FILE_NAME",
+    "DATASET_FILE",
     "Believed",
     "Dataset",
+    "DatasetDescription",
     "Format",
+    "Interpolation",
     "Noise",
     "Recording",
     "check_keys",

@@ -23,7 +23,7 @@ import numpy as np
 import polars as pl
 
 from btr_mjx.errors import DamagedFile, InputError
-from btr_mjx.models import nearest, part_names
+from btr_mjx.models import nearest_names, part_names
 from btr_mjx.runs import read_arrays, read_table
 
 FORMATS = (".csv", ".parquet", ".npz")
@@ -175,9 +175,8 @@ def check_names(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, where:
         kind, _, name = column.partition("/")
         if kind in known and column not in known[kind]:
             what = "actuator" if kind in ("ctrl", "force") else "joint"
-            raise InputError(
-                f"{where}: column {column!r} names no {what} of the model; nearest: {nearest(column, known[kind])}"
-            )
+            near = nearest_names(column, known[kind])
+            raise InputError(f"{where}: column {column!r} names no {what} of the model; nearest: {near}")
     for column in ["time", *positions, *controls]:
         if column not in columns:
             raise InputError(f"{where}: there is no column {column!r}; nearest in the file: {_near(column, columns)}")
@@ -191,4 +190,4 @@ def check_names(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, where:
 
 
 def _near(column: str, columns: Mapping[str, np.ndarray]) -> str:
-    return nearest(column, list(columns))
+    return nearest_names(column, list(columns))

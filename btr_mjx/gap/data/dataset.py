@@ -46,7 +46,7 @@ from btr_mjx.gap.data.noise import Noise, estimate_noise, read_noise
 from btr_mjx.gap.data.recording import Recording, load_model, read_recording, split
 from btr_mjx.gap.data.toml_tables import check_keys, file_name, is_number, read_toml, toml_rows, toml_section
 
-FILE_NAME = "dataset.toml"
+DATASET_FILE = "dataset.toml"
 TABLES = ("model", "parameter", "recording", "control", "tolerances", "noise")
 """Tables of dataset.toml."""
 
@@ -104,7 +104,7 @@ def load(folder: str | Path) -> Dataset:
       OSError: a file that cannot be read.
     """
     head, table = read_head(folder)
-    path, notes = head.folder / FILE_NAME, list(head.notes)
+    path, notes = head.folder / DATASET_FILE, list(head.notes)
     listed = toml_rows(table, "recording", path)
     if not listed:
         raise InputError(f'{path}: there is no [[recording]]; add one with file = "..."')
@@ -130,12 +130,12 @@ def read_head(folder: str | Path, more: Sequence[str] = ()) -> tuple[Dataset, di
       InputError, DamagedFile, OSError: see `load`.
     """
     folder = Path(folder)
-    folder = folder.parent if folder.name == FILE_NAME and folder.is_file() else folder
+    folder = folder.parent if folder.name == DATASET_FILE and folder.is_file() else folder
     if not folder.is_dir():
-        raise InputError(f"{folder}: there is no such folder; give a folder that holds {FILE_NAME}")
-    path = folder / FILE_NAME
+        raise InputError(f"{folder}: there is no such folder; give a folder that holds {DATASET_FILE}")
+    path = folder / DATASET_FILE
     if not path.is_file():
-        raise InputError(f"{folder}: it holds no {FILE_NAME}; see btr_mjx/gap/data/dataset.py for its form")
+        raise InputError(f"{folder}: it holds no {DATASET_FILE}; see btr_mjx/gap/data/dataset.py for its form")
     table = read_toml(path)
     notes: list[str] = []
     check_keys(table, (*TABLES, *more), f"{path}", notes)

@@ -67,11 +67,11 @@ _TOO_LOUD = 0.5
 _AT_ONCE = 1e-4
 """The smallest such part that is believed at once: states from which windows start follow the estimate, too."""
 
-Track = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+_Samples = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """time (K,), qpos (K, nq), qvel (K, nv) and (nv,) bool: which velocities were measured."""
 
 
-def estimate_noise(model: mujoco.MjModel, tracks: Sequence[Track]) -> Noise:
+def estimate_noise(model: mujoco.MjModel, tracks: Sequence[_Samples]) -> Noise:
     """Noise from the part of the signals that no smooth motion explains.
 
     Six neighbouring samples predict the seventh; what is left over is noise, or the step of a quantised encoder.

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,7 +12,7 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.believed import Believed
 from btr_mjx.gap.data.columns import control_columns, state_columns
-from btr_mjx.gap.data.dataset import FILE_NAME, Interpolation
+from btr_mjx.gap.data.dataset import DATASET_FILE, Interpolation
 from btr_mjx.gap.data.noise import Noise, as_table
 from btr_mjx.gap.data.recording import Recording
 from btr_mjx.runs import atomic_write, write_arrays, write_table
@@ -32,17 +33,33 @@ def recording_columns(recording: Recording) -> dict[str, np.ndarray]:
     return columns
 
 
+@dataclass(frozen=True)
+class DatasetDescription:
+    """What dataset.toml says beside the recordings.
+
+    Attributes:
+      parameters: what may be refitted.
+      interpolation: what the command does between samples.
+      tolerances: 1 sigma of what calibration leaves, by effect; None for the effects' own.
+      noise: of the sensors; None lets the reader estimate it.
+      models: MJCF texts of recordings that have a model of their own, by recording.
+      overrides: numbers that differ in a recording, by recording and path.
+    """
+
+    parameters: Sequence[Believed] = ()
+    interpolation: Interpolation = "linear"
+    tolerances: Mapping[str, float] | None = None
+    noise: Noise | None = None
+    models: Mapping[str, str] | None = None
+    overrides: Mapping[str, Mapping[str, float]] | None = None
+
+
 def save_dataset(
     folder: str | Path,
     xml: str,
     recordings: Sequence[Recording],
+    description: DatasetDescription = DatasetDescription(),
     *,
-    parameters: Sequence[Believed] = (),
-    interpolation: Interpolation = "linear",
-    tolerances: Mapping[str, float] | None = None,
-    noise: Noise | None = None,
-    models: Mapping[str, str] | None = None,
-    overrides: Mapping[str, Mapping[str, float]] | None = None,
     file_format: Format = "npz",
 ) -> Path:
     """Write a dataset folder; `dataset.load` gives it back.
@@ -51,12 +68,7 @@ def save_dataset(
       folder: made if absent.
       xml: MJCF text of the believed model.
       recordings: with different names. Their models only name the columns.
-      parameters: what may be refitted.
-      interpolation: what the command does between samples.
-      tolerances: 1 sigma of what calibration leaves, by effect.
-      noise: of the sensors; None lets the reader estimate it.
-      models: MJCF texts of recordings that have a model of their own, by recording.
-      overrides: numbers that differ in a recording, by recording and path.
+      description: what else is known.
       file_format: of the recordings.
 
     Returns:
@@ -66,16 +78,24 @@ def save_dataset(
       InputError: two recordings of one name.
       OSError: the folder cannot be written to.
     """
-    folder, models, overrides = Path(folder), models or {}, overrides or {}
+    folder, noise = Path(folder), description.noise
+    models, overrides = description.models or {}, description.overrides or {}
     names = [recording.name for recording in recordings]
     if len(set(names)) < len(names):
         raise InputError(f"recordings: got the names {', '.join(names)}, expected different ones")
     _write_text(folder / "model.xml", xml)
-    lines = ["[model]", 'file = "model.xml"', "", "[control]", f"interpolation = {json.dumps(interpolation)}"]
-    for title, table in (("tolerances", tolerances), ("noise", None if noise is None else _noise(noise, recordings))):
+    lines = [
+        "[model]",
+        'file = "model.xml"',
+        "",
+        "[control]",
+        f"interpolation = {json.dumps(description.interpolation)}",
+    ]
+    noise_table = None if noise is None else _noise(noise, recordings)
+    for title, table in (("tolerances", description.tolerances), ("noise", noise_table)):
         if table:
             lines += ["", f"[{title}]", *_pairs(table)]
-    for believed in parameters:
+    for believed in description.parameters:
         entry: dict[str, Any] = {
             "name": believed.name,
             "path": list(believed.paths),
@@ -96,8 +116,8 @@ def save_dataset(
         lines += ["", "[[recording]]", *_pairs(row)]
         if overrides.get(recording.name):
             lines += [f"overrides = {{ {', '.join(_pairs(overrides[recording.name]))} }}"]
-    _write_text(folder / FILE_NAME, "\n".join(lines) + "\n")
-    return folder / FILE_NAME
+    _write_text(folder / DATASET_FILE, "\n".join(lines) + "\n")
+    return folder / DATASET_FILE
 
 
 def _noise(noise: Noise, recordings: Sequence[Recording]) -> Mapping[str, float]:

@@ -60,7 +60,7 @@ class Parameter:
 
 
 Places = Callable[[mujoco.MjModel], list[Place]]
-Parameters = Callable[[mujoco.MjModel, Scales, Place], tuple[Parameter, ...]]
+_MakeParameters = Callable[[mujoco.MjModel, Scales, Place], tuple[Parameter, ...]]
 Apply = Callable[[World, Place, np.ndarray], None]
 Native = Callable[[mujoco.MjSpec, mujoco.MjModel, Place, np.ndarray], bool]
 
@@ -84,7 +84,7 @@ class Effect:
 
     name: str
     places: Places
-    parameters: Parameters
+    parameters: _MakeParameters
     apply: Apply
     excited_by: str = ""
     summable: bool = False

@@ -7,12 +7,12 @@ import numpy as np
 
 from btr_mjx.gap.effects.effect import Effect, Parameter
 from btr_mjx.gap.effects.places import Place, actuator_count, joint_of, joint_places
-from btr_mjx.gap.effects.ranges import Scales, least, typical, unit_of
+from btr_mjx.gap.effects.ranges import Scales, least, typical_scale, unit_of
 from btr_mjx.gap.simulate import Rows, World
 
 
 def _damping(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    size = typical(scales.torque, place, model) / typical(scales.speed, place, model)
+    size = typical_scale(scales.torque, place, model) / typical_scale(scales.speed, place, model)
     unit = unit_of(model, place, "N m s/rad", "N s/m")
     believed = least(model, "dof_damping", place)
     # Nobody knows damping to a percent where motors hardly feel it, and nobody calls that missing. As a tolerance it
@@ -27,7 +27,7 @@ def _apply_damping(world: World, place: Place, values: np.ndarray) -> None:
 
 
 def _friction(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    size = typical(scales.torque, place, model)
+    size = typical_scale(scales.torque, place, model)
     unit = unit_of(model, place, "N m", "N")
     return (Parameter("torque", unit, -least(model, "dof_frictionloss", place), 0.8 * size, 0.02 * size),)
 
@@ -86,7 +86,7 @@ class StribeckFriction:
 
 
 def _stribeck(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    torque, speed = typical(scales.torque, place, model), typical(scales.speed, place, model)
+    torque, speed = typical_scale(scales.torque, place, model), typical_scale(scales.speed, place, model)
     return (
         Parameter("torque", unit_of(model, place, "N m", "N"), 0.0, 0.8 * torque, 0.02 * torque),
         Parameter(

@@ -7,7 +7,7 @@ import numpy as np
 
 from btr_mjx.gap.effects.effect import Effect, Parameter
 from btr_mjx.gap.effects.places import Place, actuator_count, joint_of, joint_places
-from btr_mjx.gap.effects.ranges import Scales, integrated, least, typical, unit_of
+from btr_mjx.gap.effects.ranges import Scales, integrated, least, typical_scale, unit_of
 from btr_mjx.gap.effects.similar import HARDENING_SPRING, ONE_SIDED_SPRING
 from btr_mjx.gap.simulate import Rows, World
 
@@ -15,10 +15,10 @@ AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 
 
 def _armature(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    size, believed = typical(scales.inertia, place, model), least(model, "dof_armature", place)
+    size, believed = typical_scale(scales.inertia, place, model), least(model, "dof_armature", place)
     unit = unit_of(model, place, "kg m^2", "kg")
     # A rotor behind a high gear weighs more than a light link: by as much as motors could turn the way they do.
-    torque, amplitude, speed = (typical(x, place, model) for x in (scales.torque, scales.amplitude, scales.speed))
+    torque, amplitude, speed = (typical_scale(x, place, model) for x in (scales.torque, scales.amplitude, scales.speed))
     most = max(5.0 * size, 3.0 * torque * amplitude / speed**2)
     return (Parameter("armature", unit, -believed, most, 0.05 * size, 0.01 * believed, least=integrated(model, place)),)
 
@@ -29,8 +29,8 @@ def _apply_armature(world: World, place: Place, values: np.ndarray) -> None:
 
 
 def _stiffness(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    amplitude, speed = typical(scales.amplitude, place, model), typical(scales.speed, place, model)
-    size = typical(scales.torque, place, model) / amplitude
+    amplitude, speed = typical_scale(scales.amplitude, place, model), typical_scale(scales.speed, place, model)
+    size = typical_scale(scales.torque, place, model) / amplitude
     unit = unit_of(model, place, "N m/rad", "N/m")
     smallest = integrated(model, place) * (speed / amplitude) ** 2  # at one frequency a spring is a negative inertia
     return (Parameter("stiffness", unit, -1.0 * size, 3.0 * size, 0.02 * size, least=smallest),)
@@ -105,7 +105,7 @@ def _servo_joints(model: mujoco.MjModel) -> list[Place]:
 
 
 def _backlash(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    size = typical(scales.amplitude, place, model)
+    size = typical_scale(scales.amplitude, place, model)
     return (Parameter("play", unit_of(model, place, "rad", "m"), 0.0, 0.7 * size, 0.02 * size),)
 
 

@@ -6,12 +6,19 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.effects.mass import MassProperties, axis_vector, forget_frames, geoms_at_density, long_axis, rotation
+from btr_mjx.gap.effects.mass import (
+    MassProperties,
+    axis_vector,
+    forget_frames,
+    geoms_at_density,
+    long_axis,
+    rotation_matrix,
+)
 from btr_mjx.gap.effects.places import ground_geoms
 
 
 @dataclass(frozen=True)
-class Link:
+class LinkAxis:
     """A body between its joint and its far end.
 
     Attributes:
@@ -31,7 +38,7 @@ class Link:
         return self.anchor + along * self.direction
 
 
-def link_of(model: mujoco.MjModel, body: int) -> Link | None:
+def link_of(model: mujoco.MjModel, body: int) -> LinkAxis | None:
     """The link that a body with a joint is: up to the next joints, else to its foot, else to its farthest geom.
 
     Returns:
@@ -57,7 +64,7 @@ def link_of(model: mujoco.MjModel, body: int) -> Link | None:
     length = float(np.linalg.norm(tip - anchor))
     if length < 1e-9:
         return None
-    return Link(body, anchor, (tip - anchor) / length, length)
+    return LinkAxis(body, anchor, (tip - anchor) / length, length)
 
 
 def _welded_frames(model: mujoco.MjModel, body: int) -> dict[int, tuple[np.ndarray, np.ndarray]]:
@@ -67,7 +74,7 @@ def _welded_frames(model: mujoco.MjModel, body: int) -> dict[int, tuple[np.ndarr
         parent = int(model.body_parentid[child])
         if parent in frames and not model.body_jntnum[child]:
             origin, turn = frames[parent]
-            frames[child] = (origin + turn @ model.body_pos[child], turn @ rotation(model.body_quat[child]))
+            frames[child] = (origin + turn @ model.body_pos[child], turn @ rotation_matrix(model.body_quat[child]))
     return frames
 
 
@@ -83,7 +90,7 @@ def _geom_points(
             centre = model.geom_pos[geom]
             ends = [centre]
             for axis in np.eye(3):
-                found = long_axis(model, geom, rotation(model.geom_quat[geom]) @ axis)
+                found = long_axis(model, geom, rotation_matrix(model.geom_quat[geom]) @ axis)
                 if found is not None:
                     reach = found[1] * axis_vector(model, geom, found[0])
                     ends += [centre + reach, centre - reach]
@@ -91,7 +98,7 @@ def _geom_points(
     return points
 
 
-def lengthen(model: mujoco.MjModel, link: Link, change: float) -> None:
+def lengthen(model: mujoco.MjModel, link: LinkAxis, change: float) -> None:
     """Make a link longer in place.
 
     Points of the body move along the link in proportion to their distance from the joint, up to the full change at
@@ -143,7 +150,7 @@ def _same(body: MassProperties, solid: MassProperties, density: float) -> bool:
     )
 
 
-def _move_geom(model: mujoco.MjModel, geom: int, link: Link, moved: Callable[[np.ndarray], np.ndarray]) -> None:
+def _move_geom(model: mujoco.MjModel, geom: int, link: LinkAxis, moved: Callable[[np.ndarray], np.ndarray]) -> None:
     """Move a geom; one that runs along the link keeps both of its ends on their points of the body."""
     found = long_axis(model, geom, link.direction)
     if found is None:

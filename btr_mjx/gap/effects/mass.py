@@ -28,7 +28,7 @@ class MassProperties:
     @classmethod
     def of(cls, model: mujoco.MjModel, body: int) -> "MassProperties":
         """What a model says of a body."""
-        turn = rotation(model.body_iquat[body])
+        turn = rotation_matrix(model.body_iquat[body])
         inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T
         return cls(float(model.body_mass[body]), model.body_ipos[body].copy(), inertia)
 
@@ -71,7 +71,7 @@ def forget_frames(model: mujoco.MjModel, body: int) -> None:
     model.site_sameframe[model.site_bodyid == body] = 0
 
 
-def rotation(quaternion: np.ndarray) -> np.ndarray:
+def rotation_matrix(quaternion: np.ndarray) -> np.ndarray:
     """(3, 3) matrix of a quaternion."""
     flat = np.zeros(9)
     mujoco.mju_quat2Mat(flat, np.asarray(quaternion, float))
@@ -84,7 +84,7 @@ def long_axis(model: mujoco.MjModel, geom: int, direction: np.ndarray) -> tuple[
     Returns:
       None for geoms that do not run along it (less than 0.9 of the cosine) and for shapes without a length.
     """
-    kind, turn = int(model.geom_type[geom]), rotation(model.geom_quat[geom])
+    kind, turn = int(model.geom_type[geom]), rotation_matrix(model.geom_quat[geom])
     along = np.abs(turn.T @ direction)
     if kind in _LONG and along[2] > 0.9:
         return 1, float(model.geom_size[geom, 1])
@@ -97,7 +97,7 @@ def long_axis(model: mujoco.MjModel, geom: int, direction: np.ndarray) -> tuple[
 def axis_vector(model: mujoco.MjModel, geom: int, axis: int) -> np.ndarray:
     """Unit vector in the body's frame of an axis that `long_axis` found."""
     column = 2 if int(model.geom_type[geom]) in _LONG else axis
-    return rotation(model.geom_quat[geom])[:, column]
+    return rotation_matrix(model.geom_quat[geom])[:, column]
 
 
 def geoms_at_density(model: mujoco.MjModel, geoms: Sequence[int], density: float) -> MassProperties:
@@ -105,7 +105,7 @@ def geoms_at_density(model: mujoco.MjModel, geoms: Sequence[int], density: float
     total = MassProperties(0.0, np.zeros(3), np.zeros((3, 3)))
     for geom in geoms:
         volume, moments = _solid(int(model.geom_type[geom]), model.geom_size[geom])
-        turn = rotation(model.geom_quat[geom])
+        turn = rotation_matrix(model.geom_quat[geom])
         inertia = density * turn @ np.diag(moments) @ turn.T
         total = total.plus(MassProperties(density * volume, model.geom_pos[geom].copy(), inertia))
     return total

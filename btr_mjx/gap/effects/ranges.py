@@ -171,7 +171,7 @@ def least(model: mujoco.MjModel, field: str, place: Place) -> float:
     return float(np.min(getattr(model, field)[place.dofs(model)]))
 
 
-def typical(values: np.ndarray, place: Place, model: mujoco.MjModel) -> float:
+def typical_scale(values: np.ndarray, place: Place, model: mujoco.MjModel) -> float:
     """One size for a place: the geometric mean over its joints.
 
     Args:
@@ -199,7 +199,7 @@ def integrated(model: mujoco.MjModel, place: Place) -> float:
         if joint is not None and int(model.actuator_biastype[a]) == int(mujoco.mjtBias.mjBIAS_AFFINE):
             gain, gear = float(model.actuator_biasprm[a, 2]), float(model.actuator_gear[a, 0])
             slope[model.jnt_dofadr[joint]] += max(0.0, -gain) * gear**2
-    return _INTEGRATED * typical(slope, place, model)
+    return _INTEGRATED * typical_scale(slope, place, model)
 
 
 def unit_of(model: mujoco.MjModel, place: Place, hinge: str, slide: str) -> str:

@@ -12,12 +12,12 @@ import numpy as np
 
 from btr_mjx.gap.effects.effect import Effect, Parameter
 from btr_mjx.gap.effects.places import Place, actuator_places, body_place, joint_places
-from btr_mjx.gap.effects.ranges import Scales, typical, unit_of
+from btr_mjx.gap.effects.ranges import Scales, typical_scale, unit_of
 from btr_mjx.gap.simulate import Rows, World
 
 
 def _cubic(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    size = typical(scales.torque, place, model) / typical(scales.amplitude, place, model) ** 3
+    size = typical_scale(scales.torque, place, model) / typical_scale(scales.amplitude, place, model) ** 3
     unit = unit_of(model, place, "N m/rad^3", "N/m^3")
     return (Parameter("cubic", unit, -3.0 * size, 9.0 * size, 0.06 * size),)
 
@@ -49,7 +49,7 @@ class OneSidedSpring:
 
 
 def _one_sided(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    size = typical(scales.torque, place, model) / typical(scales.amplitude, place, model)
+    size = typical_scale(scales.torque, place, model) / typical_scale(scales.amplitude, place, model)
     return (Parameter("stiffness", unit_of(model, place, "N m/rad", "N/m"), -3.0 * size, 3.0 * size, 0.02 * size),)
 
 

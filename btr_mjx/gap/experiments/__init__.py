@@ -3,11 +3,12 @@
 `propose` returns a `results.NextExperiment` for a diagnosis.
 """
 
-from btr_mjx.gap.experiments.next_experiment import MARGIN, propose, recordings_needed
+from btr_mjx.gap.experiments.next_experiment import DECISIVE_MARGIN, Measurement, propose, recordings_needed
 from btr_mjx.gap.experiments.trial_commands import random_commands
 
 __all__ = [
-    "MARGIN",
+    "DECISIVE_MARGIN",
+    "Measurement",
     "propose",
     "random_commands",
     "recordings_needed",

@@ -7,6 +7,7 @@ command would hold against them.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,7 +25,7 @@ _TRIES = 10
 _WINDOWS = 5
 """Windows along each of them, at most."""
 
-MARGIN = 25.0
+DECISIVE_MARGIN = 25.0
 """Difference of scores that tells two hypotheses apart."""
 
 
@@ -63,7 +64,7 @@ def propose(
     middle = float(np.median(values))
     reason = (
         f"one recording of it is expected to separate {names[0]} from {names[1]} by {values[best]:.0f} "
-        f"(a typical command: {middle:.0f}; {MARGIN:.0f} are needed)"
+        f"(a typical command: {middle:.0f}; {DECISIVE_MARGIN:.0f} are needed)"
     )
     return NextExperiment(
         command.times, command.values, names, float(values[best]), tuple(map(float, values)), best, reason
@@ -217,12 +218,24 @@ def _judged(
     return found[: len(hypotheses)], columns
 
 
+@dataclass(frozen=True)
+class Measurement:
+    """How what is recorded is compared with hypotheses.
+
+    Attributes:
+      sigma: (2 nv,) noise of positions and velocities [rad or m, rad/s or m/s].
+      span: length of a window [s].
+    """
+
+    sigma: np.ndarray
+    span: float
+
+
 def recordings_needed(
     truth: Hypothesis,
     rival: Hypothesis,
     dataset: Dataset,
-    sigma: np.ndarray,
-    span: float,
+    measurement: Measurement,
     rng: np.random.Generator,
     choose: bool,
     most: int = 6,
@@ -234,8 +247,7 @@ def recordings_needed(
       truth: the reality.
       rival: the other hypothesis.
       dataset: where the robot starts, and what commands look like.
-      sigma: (2 nv,) noise.
-      span: length of a window [s].
+      measurement: noise, and length of windows.
       rng: for commands and noise.
       choose: take the commands with the largest expected disagreement first, instead of any.
       most: give up after so many.
@@ -244,6 +256,7 @@ def recordings_needed(
     Returns:
       Number of recordings; `most + 1` where they did not suffice.
     """
+    sigma, span = measurement.sigma, measurement.span
     commands = commands or random_commands(dataset, rng, _TRIES)
     order = np.arange(len(commands))
     if choose:
@@ -251,6 +264,6 @@ def recordings_needed(
     recordings: list[Recording] = []
     for i in order[:most]:
         recordings.append(record(truth, dataset, commands[i], sigma, rng))
-        if margin(truth, rival, recordings, dataset.interpolation, sigma, span) > MARGIN:
+        if margin(truth, rival, recordings, dataset.interpolation, sigma, span) > DECISIVE_MARGIN:
             return len(recordings)
     return most + 1

@@ -5,21 +5,21 @@ on trials that were held out.
 """
 
 from btr_mjx.gap.fitness_only.preflight import preflight_fitness
-from btr_mjx.gap.fitness_only.screen import COARSER, Answers, answers
+from btr_mjx.gap.fitness_only.screen import COARSER, Answers, simulate_candidates
 from btr_mjx.gap.fitness_only.search import SCREENED, expected_steps, identify_fitness
 from btr_mjx.gap.fitness_only.table import FitnessTable, load_fitness, save_fitness
-from btr_mjx.gap.fitness_only.trials import Trials
+from btr_mjx.gap.fitness_only.trials import TrialSimulator
 
 __all__ = [
     "COARSER",
     "SCREENED",
     "Answers",
     "FitnessTable",
-    "Trials",
-    "answers",
+    "TrialSimulator",
     "expected_steps",
     "identify_fitness",
     "load_fitness",
     "preflight_fitness",
     "save_fitness",
+    "simulate_candidates",
 ]

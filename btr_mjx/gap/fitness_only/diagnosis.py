@@ -6,18 +6,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from btr_mjx.gap.effects import Candidate
-from btr_mjx.gap.fitness_only.trials import Trials
+from btr_mjx.gap.fitness_only.trials import TrialSimulator
 from btr_mjx.gap.results import Diagnosis, DisagreementMap, Estimate, Gap, Named, Row
 from btr_mjx.gap.simulate import World
 
 FALL = 0.25
 """Share by which Delta_fitness has to fall, on both sides of the split, for a name."""
-CLOSE = 0.25
+_CLOSE = 0.25
 """Candidates that fall short of the best one's fall by less than this share of it are called equivalent."""
 
 
 @dataclass(frozen=True)
-class Try:
+class ValuedCandidate:
     """A candidate at some values.
 
     Attributes:
@@ -30,22 +30,22 @@ class Try:
     values: tuple[float, ...]
     delta: float = float("nan")
 
-    def judged(self, delta: float) -> "Try":
+    def judged(self, delta: float) -> "ValuedCandidate":
         """The same with its Delta_fitness."""
         return replace(self, delta=delta)
 
-    def apply(self, trials: Trials) -> World:
+    def apply(self, trials: TrialSimulator) -> World:
         """The world that it makes."""
         return self.candidate.apply(World.of(trials.table.head.model), self.values)
 
 
 def as_diagnosis(
-    refined: Sequence[Try],
+    refined: Sequence[ValuedCandidate],
     ends: Sequence[float],
-    rest: Sequence[Try],
+    rest: Sequence[ValuedCandidate],
     believed: Sequence[float],
     floor: float,
-    trials: Trials,
+    trials: TrialSimulator,
     seconds: float,
 ) -> Diagnosis:
     """What a search by fitness found.
@@ -77,7 +77,7 @@ def as_diagnosis(
         )
     first, held_out = refined[0], ends[0]
     named = min(1 - first.delta / believed[0], 1 - held_out / believed[1]) >= FALL
-    close = tuple(t.candidate.name for t in refined if t.delta <= first.delta + CLOSE * (believed[0] - first.delta))
+    close = tuple(t.candidate.name for t in refined if t.delta <= first.delta + _CLOSE * (believed[0] - first.delta))
     effects: tuple[Named, ...] = ()
     if named:
         numbers = {

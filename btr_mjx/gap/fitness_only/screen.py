@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from btr_mjx.gap.effects import Candidate
-from btr_mjx.gap.fitness_only.trials import Trials
+from btr_mjx.gap.fitness_only.trials import TrialSimulator
 from btr_mjx.gap.simulate import World
 
 SIZE, VECTOR_SIZE = 8.0, 4.0
@@ -47,7 +47,7 @@ class Answers:
 
 
 @dataclass(frozen=True)
-class Lead:
+class ScreenedCandidate:
     """A candidate as the screening sees it.
 
     Attributes:
@@ -61,8 +61,8 @@ class Lead:
     explained: float
 
 
-def answers(
-    trials: Trials,
+def simulate_candidates(
+    trials: TrialSimulator,
     candidates: Sequence[Candidate],
     rows: np.ndarray,
     timestep: float,
@@ -109,7 +109,7 @@ def axes(candidate: Candidate) -> list[int]:
     return [i for i, parameter in enumerate(candidate.parameters) if i == 0 or not parameter.shape]
 
 
-def leads(known: Answers, wanted: np.ndarray) -> list[Lead]:
+def leads(known: Answers, wanted: np.ndarray) -> list[ScreenedCandidate]:
     """Candidates by how much they explain, best first.
 
     Args:
@@ -129,7 +129,7 @@ def leads(known: Answers, wanted: np.ndarray) -> list[Lead]:
         left = wanted - share @ answer[inside]
         freedom = len(wanted) / max(1, len(wanted) - len(axes(candidate)))
         explained = 1.0 - float(left @ left) / energy * freedom
-        out.append(Lead(candidate, candidate.null + share @ both[inside], explained))
+        out.append(ScreenedCandidate(candidate, candidate.null + share @ both[inside], explained))
     return sorted(out, key=lambda lead: -lead.explained)
 
 
@@ -139,7 +139,7 @@ def _within(null: np.ndarray, step: np.ndarray, low: np.ndarray, high: np.ndarra
     return float(np.min(room / np.maximum(np.abs(step), 1e-300), initial=1.0))
 
 
-def coarse_step(trials: Trials, rows: np.ndarray, own: np.ndarray, wanted: np.ndarray) -> float:
+def coarse_step(trials: TrialSimulator, rows: np.ndarray, own: np.ndarray, wanted: np.ndarray) -> float:
     """The largest time step that is good enough to screen with [s].
 
     Args:

@@ -12,10 +12,18 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from btr_mjx.gap.effects import EFFECTS, Candidate, Effect, candidates
-from btr_mjx.gap.fitness_only.diagnosis import Try, as_diagnosis
-from btr_mjx.gap.fitness_only.screen import COARSER, Answers, Lead, answers, axes, coarse_step, leads
+from btr_mjx.gap.fitness_only.diagnosis import ValuedCandidate, as_diagnosis
+from btr_mjx.gap.fitness_only.screen import (
+    COARSER,
+    Answers,
+    ScreenedCandidate,
+    axes,
+    coarse_step,
+    leads,
+    simulate_candidates,
+)
 from btr_mjx.gap.fitness_only.table import FitnessTable
-from btr_mjx.gap.fitness_only.trials import Trials
+from btr_mjx.gap.fitness_only.trials import TrialSimulator
 from btr_mjx.gap.results import Diagnosis
 from btr_mjx.gap.simulate import Counter, World
 
@@ -50,7 +58,7 @@ def identify_fitness(
       floor what half the time step alone changes.
     """
     begun, note = time.monotonic(), progress or (lambda _: None)
-    trials = Trials(table, counter)
+    trials = TrialSimulator(table, counter)
     model = table.head.model
     fit, test = np.flatnonzero(~table.test), np.flatnonzero(table.test)
     every = np.concatenate([fit, test])
@@ -62,7 +70,7 @@ def identify_fitness(
     if known is None:
         rows = fit[:SCREENED]
         step = coarse_step(trials, rows, own[rows], wanted[rows])
-        known = answers(trials, candidates(model, trials.scales(fit[:3]), effects), rows, step, note)
+        known = simulate_candidates(trials, candidates(model, trials.scales(fit[:3]), effects), rows, step, note)
     found = leads(known, wanted[known.rows])
     note("leaders at other sizes")
     narrowed = _narrow(trials, known, _pick(found), wanted)
@@ -79,7 +87,7 @@ def identify_fitness(
 
 def expected_steps(table: FitnessTable, effects: Sequence[Effect] = EFFECTS) -> float:
     """How many steps a search takes, roughly."""
-    trials = Trials(table)
+    trials = TrialSimulator(table)
     model, fit = table.head.model, np.flatnonzero(~table.test)
     worlds = sum(2 * len(axes(c)) - 1 for c in candidates(model, trials.scales(fit[:3]), effects))
     per_trial = table.duration / float(model.opt.timestep)
@@ -87,15 +95,15 @@ def expected_steps(table: FitnessTable, effects: Sequence[Effect] = EFFECTS) -> 
     return per_trial * (screened + len(fit) * (REFINED + len(FINE_FACTORS)) + 3 * len(table.fitness))
 
 
-def _delta(fitness: np.ndarray, real: np.ndarray, trials: Trials) -> float:
+def _delta(fitness: np.ndarray, real: np.ndarray, trials: TrialSimulator) -> float:
     """Delta_fitness; a diverged trial counts as the whole spread of fitness."""
     worst = float(np.ptp(trials.table.fitness)) + 1e-12
     return float(np.nan_to_num(np.abs(fitness - real), nan=worst).mean())
 
 
-def _pick(found: Sequence[Lead]) -> list[Lead]:
+def _pick(found: Sequence[ScreenedCandidate]) -> list[ScreenedCandidate]:
     """The best leads, not too many of one kind: where it sits is harder to tell than what it is."""
-    out: list[Lead] = []
+    out: list[ScreenedCandidate] = []
     for lead in found:
         same = sum(lead.candidate.effect.name == other.candidate.effect.name for other in out)
         if same < AT_MOST and len(out) < NARROWED and not np.array_equal(lead.values, lead.candidate.null):
@@ -103,27 +111,31 @@ def _pick(found: Sequence[Lead]) -> list[Lead]:
     return out
 
 
-def _narrow(trials: Trials, known: Answers, chosen: Sequence[Lead], wanted: np.ndarray) -> list[Try]:
+def _narrow(
+    trials: TrialSimulator, known: Answers, chosen: Sequence[ScreenedCandidate], wanted: np.ndarray
+) -> list[ValuedCandidate]:
     """Leads at the best of some sizes, best first, with the time step and the trials of the screening.
 
     What the coarser time step does to the believed model is taken out of what it does to a candidate.
     """
-    tries = [Try(lead.candidate, v) for lead in chosen for v in _sizes(lead.candidate, lead.values, FACTORS)]
+    tries = [
+        ValuedCandidate(lead.candidate, v) for lead in chosen for v in _sizes(lead.candidate, lead.values, FACTORS)
+    ]
     worlds = [t.apply(trials) for t in tries]
     change = trials.fitness(worlds, known.rows, known.timestep) - known.believed
     return _best([t.judged(_delta(row, wanted[known.rows], trials)) for t, row in zip(tries, change, strict=True)])
 
 
-def _refine(trials: Trials, leaders: Sequence[Try], fit: np.ndarray) -> list[Try]:
+def _refine(trials: TrialSimulator, leaders: Sequence[ValuedCandidate], fit: np.ndarray) -> list[ValuedCandidate]:
     """Leaders, best first, simulated as the model says on all trials to fit; the best one at more sizes."""
 
-    def judged(tries: Sequence[Try]) -> list[Try]:
+    def judged(tries: Sequence[ValuedCandidate]) -> list[ValuedCandidate]:
         found = trials.fitness([t.apply(trials) for t in tries], fit)
         real = trials.table.fitness[fit]
         return [t.judged(_delta(row, real, trials)) for t, row in zip(tries, found, strict=True)]
 
     first = _best(judged(leaders))
-    more = [Try(first[0].candidate, v) for v in _sizes(first[0].candidate, first[0].values, FINE_FACTORS)]
+    more = [ValuedCandidate(first[0].candidate, v) for v in _sizes(first[0].candidate, first[0].values, FINE_FACTORS)]
     return _best([*first, *judged(more)])
 
 
@@ -139,18 +151,18 @@ def _sizes(candidate: Candidate, values: Sequence[float] | np.ndarray, factors: 
     return list(out)
 
 
-def _best(tries: Sequence[Try]) -> list[Try]:
+def _best(tries: Sequence[ValuedCandidate]) -> list[ValuedCandidate]:
     """The best try of each candidate, best first."""
-    out: dict[str, Try] = {}
+    out: dict[str, ValuedCandidate] = {}
     for t in sorted(tries, key=lambda t: t.delta):
         out.setdefault(t.candidate.name, t)
     return list(out.values())
 
 
-def _unrefined(found: Sequence[Lead], tried: set[str], before: float) -> list[Try]:
+def _unrefined(found: Sequence[ScreenedCandidate], tried: set[str], before: float) -> list[ValuedCandidate]:
     """Candidates that were screened only, with the Delta_fitness that the screening makes one expect."""
     return [
-        Try(o.candidate, tuple(o.values), before * float(np.sqrt(max(0.0, 1.0 - o.explained))))
+        ValuedCandidate(o.candidate, tuple(o.values), before * float(np.sqrt(max(0.0, 1.0 - o.explained))))
         for o in found
         if o.candidate.name not in tried
     ]

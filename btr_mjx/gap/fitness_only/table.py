@@ -25,13 +25,13 @@ import polars as pl
 
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import fitness_function
-from btr_mjx.gap.data import FILE_NAME, Dataset, check_keys, file_name, is_number, read_head, toml_section
-from btr_mjx.models import nearest, part_names
+from btr_mjx.gap.data import DATASET_FILE, Dataset, check_keys, file_name, is_number, read_head, toml_section
+from btr_mjx.models import nearest_names, part_names
 from btr_mjx.runs import atomic_write, read_table, write_table
 
 FUNCTIONS = ("distance", "forward_speed")
 """Fitness functions that need the body's position only."""
-LEAST = 4
+_LEAST = 4
 """Trials on either side of the split."""
 
 
@@ -76,7 +76,7 @@ def load_fitness(folder: str | Path) -> FitnessTable:
       OSError: a file that cannot be read.
     """
     head, tables = read_head(folder, more=("fitness",))
-    path = head.folder / FILE_NAME
+    path = head.folder / DATASET_FILE
     about, where = toml_section(tables, "fitness", path), f"{path}: [fitness]"
     check_keys(about, ("file", "body", "function", "duration", "omega"), where, [])
     function = str(about.get("function", "distance"))
@@ -89,7 +89,7 @@ def load_fitness(folder: str | Path) -> FitnessTable:
     bodies = part_names(head.model, "body")
     body = str(about.get("body"))
     if body not in bodies:
-        raise InputError(f"{where}: the model has no body {body!r}; nearest: {nearest(body, bodies)}")
+        raise InputError(f"{where}: the model has no body {body!r}; nearest: {nearest_names(body, bodies)}")
     file = head.folder / file_name(about, "file", where)
     if not file.is_file():
         raise InputError(f"{where}: there is no file {file}")
@@ -112,7 +112,7 @@ def load_fitness(folder: str | Path) -> FitnessTable:
 
 def _column(table: pl.DataFrame, name: str, file: Path) -> np.ndarray:
     if name not in table.columns:
-        raise InputError(f"{file}: there is no column {name!r}; nearest: {nearest(name, table.columns)}")
+        raise InputError(f"{file}: there is no column {name!r}; nearest: {nearest_names(name, table.columns)}")
     series = table[name]
     if not (series.dtype.is_numeric() or series.dtype == pl.Null):
         raise InputError(f"{file}: column {name!r} holds {series.dtype}, expected numbers")
@@ -144,9 +144,9 @@ def _split(table: pl.DataFrame, kept: np.ndarray, file: Path) -> np.ndarray:
     else:
         test = np.zeros(int(kept.sum()), bool)
         test[len(test) - len(test) // 4 :] = True
-    if min(test.sum(), (~test).sum()) < LEAST:
+    if min(test.sum(), (~test).sum()) < _LEAST:
         raise InputError(
-            f"{file}: {int((~test).sum())} trials to fit and {int(test.sum())} held out; expected at least {LEAST} of "
+            f"{file}: {int((~test).sum())} trials to fit and {int(test.sum())} held out; expected at least {_LEAST} of "
             "each"
         )
     return test
@@ -167,7 +167,7 @@ def save_fitness(folder: str | Path, xml: str, about: Mapping[str, Any], columns
     folder = Path(folder)
     lines = ["[model]", 'file = "model.xml"', "", "[fitness]", 'file = "trials.csv"']
     lines += [f'{k} = "{v}"' if isinstance(v, str) else f"{k} = {float(v)!r}" for k, v in about.items()]
-    for name, text in (("model.xml", xml), (FILE_NAME, "\n".join(lines) + "\n")):
+    for name, text in (("model.xml", xml), (DATASET_FILE, "\n".join(lines) + "\n")):
         with atomic_write(folder / name) as file:
             file.write(text.encode("utf-8"))
     write_table(folder / "trials.csv", columns)

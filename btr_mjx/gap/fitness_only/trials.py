@@ -14,7 +14,7 @@ _AT_ONCE = 1024
 """Trials of one batch: progress is told and saved between two of them."""
 
 
-class Trials:
+class TrialSimulator:
     """Simulates the trials of a table in worlds.
 
     Attributes:

@@ -1,4 +1,10 @@
 """One self-contained HTML page about a diagnosis, drawn from its saved files only.
 
-`draw` makes the page of a run folder; `python -m btr_mjx.gap.report FOLDER` draws it again.
+`draw_report` makes the page of a run folder; `python -m btr_mjx.gap.report FOLDER` draws it again.
+`print_findings` and `print_result` are what the command prints.
 """
+
+from btr_mjx.gap.report.page import draw_report
+from btr_mjx.gap.report.terminal import print_findings, print_result, print_truth
+
+__all__ = ["draw_report", "print_findings", "print_result", "print_truth"]

@@ -76,10 +76,10 @@ def _gap(gap: Mapping[str, Any], mended: bool) -> list[tuple[str, str]]:
         ("after", "after" if mended else "", ""),
         ("noise floor", "noise_floor", ""),
     )
-    return [(label, f"{number(gap[key])}{of}") for label, key, of in rows if is_number(gap.get(key))]
+    return [(label, f"{number(gap[key])}{of}") for label, key, of in rows if is_json_number(gap.get(key))]
 
 
-def is_number(value: Any) -> bool:
+def is_json_number(value: Any) -> bool:
     """Whether a value of result.json is a number."""
     return isinstance(value, int | float) and not isinstance(value, bool)
 
@@ -143,7 +143,7 @@ def _table(rows: Any) -> dict[str, Any] | None:
     if not isinstance(rows, Sequence) or isinstance(rows, str) or not rows:
         return None
     columns = list(rows[0])
-    cells = [[number(v) if is_number(v) else str("" if v is None else v) for v in row.values()] for row in rows]
+    cells = [[number(v) if is_json_number(v) else str("" if v is None else v) for v in row.values()] for row in rows]
     return {"columns": [name.replace("_", " ") for name in columns], "rows": cells}
 
 
@@ -184,11 +184,11 @@ def _errors(calibration: Sequence[Mapping[str, Any]]) -> str:
 def _footer(folder: Path, result: Mapping[str, Any]) -> list[str]:
     lines = []
     spent = []
-    if is_number(result.get("steps")):
+    if is_json_number(result.get("steps")):
         spent.append(f"{int(result['steps']):,} simulated steps".replace(",", " "))
-    if is_number(result.get("seconds")):
+    if is_json_number(result.get("seconds")):
         spent.append(f"{number(result['seconds'])} s")
-    if is_number(result.get("seed")):
+    if is_json_number(result.get("seed")):
         spent.append(f"seed {int(result['seed'])}")
     if spent:
         lines.append(", ".join(spent))

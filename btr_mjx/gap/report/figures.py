@@ -110,7 +110,7 @@ def _capital(text: str) -> str:
 
 
 @dataclass(frozen=True)
-class Stretch:
+class OverlayData:
     """A held-out stretch of one coordinate.
 
     Attributes:
@@ -130,7 +130,7 @@ class Stretch:
     after: np.ndarray
 
 
-def overlays(stretches: Sequence[Stretch], after: str | None = "mended model") -> Figure:
+def overlay_figure(stretches: Sequence[OverlayData], after: str | None = "mended model") -> Figure:
     """Measured, before and after, with what is left of the difference beside it; one row a stretch.
 
     Args:

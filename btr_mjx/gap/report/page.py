@@ -21,7 +21,7 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 
 from btr_mjx.errors import InputError, cli_errors
-from btr_mjx.gap.report.content import content, is_number
+from btr_mjx.gap.report.content import content, is_json_number
 from btr_mjx.gap.results import NOT_NAMED, named
 from btr_mjx.plotting import style
 from btr_mjx.runs import atomic_write, read_arrays, read_json, read_table, write_figure
@@ -34,7 +34,7 @@ _TEMPLATE = Path(__file__).with_name("report.html.j2")
 _OVERLAYS = 6
 
 
-def draw(folder: str | Path) -> Path:
+def draw_report(folder: str | Path) -> Path:
     """Draw the page and its figures from a diagnosis folder.
 
     Args:
@@ -79,7 +79,7 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
     rows = list(result.get("ranking") or [])
     ranking = [row for row in rows if not row.get("beside")]
     if ranking:
-        threshold = result["threshold"] if is_number(result.get("threshold")) else None
+        threshold = result["threshold"] if is_json_number(result.get("threshold")) else None
         figure = figures.ranking_bars(ranking, found, threshold)
         hatched = "cannot be told apart from it by these data" if found else NOT_NAMED
         caption = (
@@ -104,7 +104,7 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
     if (folder / "overlays.npz").is_file():
         data = read_arrays(folder / "overlays.npz")
         stretches = [
-            figures.Stretch(
+            figures.OverlayData(
                 recording, name, unit, *(data[f"{key}_{n}"] for key in ("time", "measured", "before", "after"))
             )
             for n, (recording, name, unit) in enumerate(
@@ -117,7 +117,7 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
                 after = None  # nothing stood out
             where = "the believed model is worst" if after is None else "the two models differ most"
             caption = f"Held-out stretches in which {where}, with what is left of the difference to the data."
-            figure = figures.overlays(stretches[:_OVERLAYS], after)
+            figure = figures.overlay_figure(stretches[:_OVERLAYS], after)
             out["overlays"].append(_picture(folder, "overlays", figure, "Before and after", caption))
     if (folder / "next_command.csv").is_file():
         table = read_table(folder / "next_command.csv")
@@ -155,11 +155,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         """
         return folders
 
-    folders = tyro.cli(command, args=sys.argv[1:] if argv is None else list(argv), prog="btr_mjx.gap.report.page")
+    folders = tyro.cli(command, args=sys.argv[1:] if argv is None else list(argv), prog="btr_mjx.gap.report")
     with cli_errors():
         for folder in folders:
-            print(draw(folder))
-
-
-if __name__ == "__main__":
-    main()
+            print(draw_report(folder))

@@ -17,15 +17,16 @@ from btr_mjx.gap.results.records import (
     Overlay,
     Refit,
     Row,
+    Verdict,
 )
-from btr_mjx.gap.results.saved import as_result
+from btr_mjx.gap.results.saved import RESULT, as_result, save_diagnosis
 from btr_mjx.gap.results.wording import (
     NOT_NAMED,
     likeness,
     moved,
     named,
     number,
-    place,
+    place_in_words,
     title,
     verdict_sentence,
     with_ends,
@@ -33,6 +34,7 @@ from btr_mjx.gap.results.wording import (
 
 __all__ = [
     "NOT_NAMED",
+    "RESULT",
     "Calibrated",
     "Callback",
     "Confound",
@@ -45,12 +47,14 @@ __all__ = [
     "Overlay",
     "Refit",
     "Row",
+    "Verdict",
     "as_result",
     "likeness",
     "moved",
     "named",
     "number",
-    "place",
+    "place_in_words",
+    "save_diagnosis",
     "title",
     "verdict_sentence",
     "with_ends",

@@ -27,7 +27,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.effects import KNOWN, Effect, Place, Scales
 from btr_mjx.gap.results.transcribe import normalised, write_changes
 from btr_mjx.gap.simulate import Command, Rows, World
-from btr_mjx.models import nearest, read_field, set_values
+from btr_mjx.models import nearest_names, read_field, set_values
 
 _MEMORY = 2.0
 """How much of the past command a callback remembers [s]; lags are far shorter."""
@@ -139,13 +139,15 @@ def lookup(model: mujoco.MjModel, found: Found, effects: Sequence[Effect]) -> tu
     """
     library = {effect.name: effect for effect in effects}
     if found.effect not in library:
-        raise InputError(f"effect {found.effect!r} is not in the library; nearest: {nearest(found.effect, [*library])}")
+        raise InputError(
+            f"effect {found.effect!r} is not in the library; nearest: {nearest_names(found.effect, [*library])}"
+        )
     effect = library[found.effect]
     places = {place.label: place for place in effect.places(model)}
     if found.location not in places:
         raise InputError(
             f"{found.effect} has no place {found.location!r} in this model; "
-            f"nearest: {nearest(found.location, [*places])}"
+            f"nearest: {nearest_names(found.location, [*places])}"
         )
     place = places[found.location]
     names = _names(model, effect, place)

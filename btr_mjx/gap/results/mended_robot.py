@@ -8,6 +8,7 @@ them, inside a template as any other robot's.
 import itertools
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,17 +29,31 @@ _MOST = 6
 """Parameters of the effects together; the points at which the MJCF is written grow quickly with them."""
 
 
+@dataclass(frozen=True)
+class ControllerTrial:
+    """How controllers are tried on the robot: what its MJCF does not say.
+
+    Attributes:
+      signal: reference signal of the controllers.
+      controller_box: space of the controllers.
+      base_body: body whose position is measured, None for a robot that is bolted down.
+      duration: time that a controller is tried for [s].
+    """
+
+    signal: Signal
+    controller_box: Box
+    base_body: str | None = None
+    duration: float = 1.7
+
+
 def mended_robot(
     source: str | Path,
     effects_found: Sequence[Mapping[str, Any]],
+    trial: ControllerTrial,
     *,
-    signal: Signal,
-    controller_box: Box,
     name: str = "mended",
     believed: Mapping[str, float] | None = None,
     calibration: Sequence[Mapping[str, Any]] = (),
-    base_body: str | None = None,
-    duration: float = 1.7,
     widen: float = 2.0,
     effects: Sequence[Effect] = KNOWN,
 ) -> Robot:
@@ -47,13 +62,10 @@ def mended_robot(
     Args:
       source: MJCF of the believed model, text or a file.
       effects_found: `effects` of result.json: effect, location, parameters with value, low and high.
-      signal: reference signal of the robot's controllers.
-      controller_box: space of its controllers.
+      trial: how controllers are tried.
       name: of the robot.
       believed: path into the model -> refitted value, as for `mend`.
       calibration: `calibration` of result.json, small errors that the model has everywhere in that space.
-      base_body: body whose position is measured, None for a robot that is bolted down.
-      duration: time that a controller is tried for [s].
       widen: the box is so many times as wide as the intervals, within the bounds of the effects' parameters.
       effects: the library that `effects_found` refers to.
 
@@ -86,11 +98,11 @@ def mended_robot(
         template=template,
         template_path=f"{name}.xml.j2",
         simulation_box=Box(names, low, high),
-        controller_box=controller_box,
-        signal=signal,
+        controller_box=trial.controller_box,
+        signal=trial.signal,
         nominal=tuple(point.tolist()),
-        base_body=base_body,
-        duration=duration,
+        base_body=trial.base_body,
+        duration=trial.duration,
     )
 
 

@@ -14,14 +14,14 @@ from btr_mjx.gap.data import Dataset, control_columns
 from btr_mjx.gap.effects import KNOWN, Effect
 from btr_mjx.gap.results.mend import Found, Mended, mend
 from btr_mjx.gap.results.records import Diagnosis, DisagreementMap, NextExperiment
-from btr_mjx.gap.results.wording import place, verdict_sentence
+from btr_mjx.gap.results.wording import place_in_words, verdict_sentence
 from btr_mjx.models import parse_path, part_names
 from btr_mjx.runs import atomic_write, write_arrays, write_json, write_table
 
 RESULT = "result.json"
 
 
-def save(
+def save_diagnosis(
     diagnosis: Diagnosis,
     dataset: Dataset,
     folder: str | Path,
@@ -160,7 +160,7 @@ def where(disagreement: DisagreementMap) -> str:
             words.append(told)
         elif b > 2.0 * a + 0.2:
             words.append(told_less)
-    return ", ".join([place(disagreement.places[row]), *words[:1]]) + "".join(f" {w}" for w in words[1:3])
+    return ", ".join([place_in_words(disagreement.places[row]), *words[:1]]) + "".join(f" {w}" for w in words[1:3])
 
 
 def mended_model(diagnosis: Diagnosis, dataset: Dataset, effects: Sequence[Effect] = KNOWN) -> Mended | None:
@@ -248,7 +248,7 @@ def _overlay_arrays(diagnosis: Diagnosis, model: mujoco.MjModel) -> dict[str, np
     shown = diagnosis.overlays
     arrays = {
         "recordings": np.array([one.recording for one in shown], dtype=str),
-        "names": np.array([place(one.coordinate) for one in shown], dtype=str),
+        "names": np.array([place_in_words(one.coordinate) for one in shown], dtype=str),
         "units": np.array(["m" if one.coordinate in slides else "rad" for one in shown], dtype=str),
     }
     for n, one in enumerate(shown):

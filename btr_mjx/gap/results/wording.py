@@ -55,7 +55,7 @@ def title(effect: str) -> str:
     return TITLES.get(effect, effect.replace("_", " "))
 
 
-def place(label: str) -> str:
+def place_in_words(label: str) -> str:
     """A place in words."""
     kind, _, name = label.partition(":")
     if kind == "subtree":
@@ -67,7 +67,7 @@ def place(label: str) -> str:
 
 def named(row: Mapping[str, Any]) -> str:
     """Effect and place of an entry of results, in words."""
-    return f"{title(str(row['effect']))} at {place(str(row['location']))}"
+    return f"{title(str(row['effect']))} at {place_in_words(str(row['location']))}"
 
 
 def likeness(effect: str, location: str, change: float, correlation: float) -> str:
@@ -83,7 +83,7 @@ def likeness(effect: str, location: str, change: float, correlation: float) -> s
         what = f"a {'larger' if change > 0 else 'smaller'} {effect}"
     else:
         more, less = _MORE.get(effect, (title(effect), title(effect)))
-        what = f"{more if change > 0 else less} at {place(location)}"
+        what = f"{more if change > 0 else less} at {place_in_words(location)}"
     how = "almost the same" if correlation >= 0.95 else "similar"
     return f"{what[0].upper()}{what[1:]} would leave {how} traces ({correlation:.2f})."
 

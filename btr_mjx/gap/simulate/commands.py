@@ -6,15 +6,14 @@ exponential on each piece, so that delays and lags cost no simulation and have n
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from btr_mjx.errors import InputError
-
-Interpolation = Literal["hold", "linear", "cubic"]
+from btr_mjx.gap.data import Interpolation
 
 
 @dataclass(frozen=True)

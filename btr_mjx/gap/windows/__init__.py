@@ -4,7 +4,17 @@
 step, `Windows` simulates hypotheses over them, `signatures` tells how residuals answer to small changes of a world.
 """
 
-from btr_mjx.gap.windows.likelihood import Evidence, Fit, bounded, fit, project, scan, steadied, typical, weight
+from btr_mjx.gap.windows.likelihood import (
+    Evidence,
+    Fit,
+    bounded,
+    fit,
+    project,
+    scan_candidates,
+    steadied,
+    typical_chi2,
+    weight,
+)
 from btr_mjx.gap.windows.linearisation import linearise, redirected
 from btr_mjx.gap.windows.options import Options
 from btr_mjx.gap.windows.pacing import chosen_windows, pace_notes
@@ -46,13 +56,13 @@ __all__ = [
     "recentred",
     "redirected",
     "scales_of",
-    "scan",
+    "scan_candidates",
     "signatures",
     "smooth",
     "steadied",
     "step_doubt",
     "survey",
     "track_of",
-    "typical",
+    "typical_chi2",
     "weight",
 ]

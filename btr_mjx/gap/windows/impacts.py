@@ -17,7 +17,7 @@ _SIGMAS = 3.0
 """A joint this close to its end stop, in units of the noise, stands at it."""
 
 
-def contacts(data: Data, counter: Counter) -> tuple[np.ndarray, ...]:
+def touching_samples(data: Data, counter: Counter) -> tuple[np.ndarray, ...]:
     """Per recording (K,) bool: something touches, as the believed models see it at the measured states."""
     out = []
     for recording, track in zip(data.recordings, data.tracks, strict=True):
@@ -48,7 +48,7 @@ def stopped(data: Data) -> tuple[np.ndarray, ...]:
 def blows(data: Data, counter: Counter) -> tuple[np.ndarray, ...]:
     """Per recording (K,) bool: samples at which something touches, or a joint comes to an end stop or leaves it."""
     out = []
-    for touching, at_stop in zip(contacts(data, counter), stopped(data), strict=True):
+    for touching, at_stop in zip(touching_samples(data, counter), stopped(data), strict=True):
         changes = np.zeros(len(touching), bool)
         turned = (at_stop[1:] != at_stop[:-1]).any(1)
         changes[1:] |= turned

@@ -87,7 +87,7 @@ class Fit:
     information: np.ndarray
 
 
-def typical(chi2: np.ndarray, freedom: int) -> float:
+def typical_chi2(chi2: np.ndarray, freedom: int) -> float:
     """A chi^2 that most windows stay below, and never less than noise gives."""
     return max(float(freedom), float(np.quantile(chi2, 0.8)) / (1.0 + 1.2 / np.sqrt(freedom)))
 
@@ -173,7 +173,7 @@ def _box(normal: np.ndarray, target: np.ndarray, low: np.ndarray | None, high: n
     return np.clip(values, low, high)
 
 
-def scan(
+def scan_candidates(
     data: Evidence, groups: list[np.ndarray], nuisance: np.ndarray, precision: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, list[np.ndarray]]:
     """Gain of every candidate over the nuisances alone, in one quadratic form with fixed window weights.

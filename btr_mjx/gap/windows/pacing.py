@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.gap.windows.impacts import blows
 from btr_mjx.gap.windows.options import Options
-from btr_mjx.gap.windows.placement import SHORTEST, Survey, grid, plan
+from btr_mjx.gap.windows.placement import SHORTEST, Survey, grid, plan_windows
 from btr_mjx.gap.windows.prepared import Data
 from btr_mjx.gap.windows.time_steps import refinement
 from btr_mjx.gap.windows.windows import MakeWorld, Windows
@@ -56,7 +56,7 @@ def chosen_windows(
     """
 
     def windows_of(data: Data, held: Data, options: Options) -> Chosen:
-        fit, test, single = plan(data, held, survey.span, count, options, counter)
+        fit, test, single = plan_windows(data, held, survey.span, count, options, counter)
         return Chosen((Windows(*fit, counter), Windows(*test, counter)), single, options, survey)
 
     if not survey.contact:

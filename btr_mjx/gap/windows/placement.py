@@ -15,7 +15,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.effects import closes_loops
 from btr_mjx.gap.simulate import Counter, Stretch, World, simulate
 from btr_mjx.gap.windows.coverage import bustle, covering, weights
-from btr_mjx.gap.windows.impacts import contacts, quiet_windows
+from btr_mjx.gap.windows.impacts import quiet_windows, touching_samples
 from btr_mjx.gap.windows.options import Options
 from btr_mjx.gap.windows.prepared import Data
 from btr_mjx.gap.windows.sensitivity import intervals_per_look
@@ -57,8 +57,8 @@ _JUDGED = 14
 _MANY = 30
 """Numbers of candidates from which on each is looked at in single steps."""
 
-Chosen = tuple[Data, np.ndarray, np.ndarray, int]
-"""Recordings, and windows of them as `place` returns them."""
+_PlacedWindows = tuple[Data, np.ndarray, np.ndarray, int]
+"""Recordings, and windows of them as `place_windows` returns them."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def survey(data: Data, counter: Counter) -> Survey:
       data: recordings to fit.
       counter: adds up the simulated steps.
     """
-    touching = contacts(data, counter)
+    touching = touching_samples(data, counter)
     contact = float(np.concatenate(touching).mean()) > 0.01
     span = CONTACT_SPAN if contact else _smooth_span(data, counter)
     return Survey(touching, contact, span)
@@ -139,9 +139,9 @@ def _curvature(model: mujoco.MjModel, states: np.ndarray, nudged: Sequence[np.nd
     return 0.5 * np.abs(there + back)
 
 
-def plan(
+def plan_windows(
     data: Data, held: Data, span: float, count: int, options: Options, counter: Counter
-) -> tuple[Chosen, Chosen, bool]:
+) -> tuple[_PlacedWindows, _PlacedWindows, bool]:
     """Windows of both sides of the split, as many as may be afforded.
 
     Args:
@@ -166,9 +166,9 @@ def plan(
     per_step = state + screening + 4.0 * (options.leaders + options.contact_leaders)
     share = 0.7 if len(data.recordings) >= len(held.recordings) else 0.6
     budget = options.budget(model.nv)
-    fit = place(data, span, share * budget, per_step, counter=counter)
+    fit = place_windows(data, span, share * budget, per_step, counter=counter)
     most = max(1, round(_HELD_OUT * len(fit[1]) / len(held.recordings)))
-    test = place(held, span, (1 - share) * budget, state + _JUDGED + screening / 3, most, counter)
+    test = place_windows(held, span, (1 - share) * budget, state + _JUDGED + screening / 3, most, counter)
     return (data, *fit), (held, *test), single
 
 
@@ -177,7 +177,7 @@ def step_of(data: Data) -> float:
     return float(data.recordings[0].model.opt.timestep) / data.finer
 
 
-def place(
+def place_windows(
     data: Data,
     span: float,
     budget: float,

@@ -13,7 +13,7 @@ import numpy as np
 
 from btr_mjx.gap.simulate import Job, Stretch, World, abreast, simulate
 from btr_mjx.gap.windows.propagation import carry
-from btr_mjx.gap.windows.transitions import intervals
+from btr_mjx.gap.windows.transitions import single_intervals
 from btr_mjx.gap.windows.windows import MakeWorld, Windows
 
 _HOLD = 0.005
@@ -122,7 +122,7 @@ def _intervals(windows: Windows) -> list[tuple[np.ndarray, Stretch]]:
         states = windows.base[own][:, :-1].reshape(len(own) * windows.k, 1, -1)
         window, interval = np.repeat(own, windows.k), np.tile(np.arange(windows.k), len(own))
         start = states[..., : windows.nq], states[..., windows.nq :]
-        out.append((own, intervals(windows, window, interval, *start)))
+        out.append((own, single_intervals(windows, window, interval, *start)))
     return out
 
 

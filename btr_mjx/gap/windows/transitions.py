@@ -145,7 +145,7 @@ def secants(windows: Windows, make: Callable[[mujoco.MjModel], World], own: np.n
     return out
 
 
-def intervals(
+def single_intervals(
     windows: Windows, window: np.ndarray, interval: np.ndarray, qpos: np.ndarray, qvel: np.ndarray
 ) -> Stretch:
     """Some sample intervals as stretches of their own.
@@ -216,7 +216,7 @@ def _moved(
         both = np.concatenate([np.zeros_like(nudges[mine, :1]), nudges[mine]], 1)
         qpos = integrate(model, np.broadcast_to(start[..., :nq], (*both.shape[:2], nq)), both[..., :nv])
         qvel = start[..., nq:] + both[..., nv:]
-        jobs.append((make(model), intervals(windows, window[mine], interval[mine], qpos, qvel)))
+        jobs.append((make(model), single_intervals(windows, window[mine], interval[mine], qpos, qvel)))
         members.append(mine)
     found = simulate(jobs, timestep=(times or windows.stride) * windows.dt, counter=windows.counter)
     for mine, ends in zip(members, found, strict=True):

@@ -10,7 +10,7 @@ import pytest
 from gap_recordings import COUNT, MODEL, XML, smooth_recording
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data import Believed, Format, Noise, control_columns, load, noise_of, save_dataset
+from btr_mjx.gap.data import Believed, DatasetDescription, Format, Noise, control_columns, load, noise_of, save_dataset
 from btr_mjx.gap.data.columns import state_columns
 from btr_mjx.gap.data.samples import estimate_velocity
 from btr_mjx.gap.data.writing import recording_columns
@@ -36,12 +36,14 @@ def test_what_is_written_is_read(tmp_path: Path, rng: np.random.Generator, file_
         tmp_path,
         XML,
         recordings,
-        parameters=[believed, pair],
-        interpolation="cubic",
-        tolerances={"viscous_damping": 0.1},
-        noise=noise,
-        overrides={"two": {"body:thigh/mass": 0.7}},
-        models={"one": XML.replace('kp="20"', 'kp="30"')},
+        DatasetDescription(
+            parameters=[believed, pair],
+            interpolation="cubic",
+            tolerances={"viscous_damping": 0.1},
+            noise=noise,
+            overrides={"two": {"body:thigh/mass": 0.7}},
+            models={"one": XML.replace('kp="20"', 'kp="30"')},
+        ),
         file_format=file_format,
     )
     dataset = load(tmp_path)

@@ -9,10 +9,8 @@ import pytest
 from gap_models import MODELS, inertia, load, moderate, one, windows
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.effects import EFFECTS, KNOWN, Effect, Scales, candidates, one_limb
-from btr_mjx.gap.effects.effect import Parameter
+from btr_mjx.gap.effects import EFFECTS, KNOWN, Effect, Parameter, Scales, candidates, joint_places, one_limb
 from btr_mjx.gap.effects.joints import ARMATURE
-from btr_mjx.gap.effects.places import joint_places
 from btr_mjx.gap.results.transcribe import normalised, write_changes
 from btr_mjx.gap.simulate import Rows, World, fields_of, simulate
 

@@ -28,14 +28,14 @@ from btr_mjx.gap.windows.propagation import jacobian, tame
 from btr_mjx.gap.windows.time_steps import refinement, step_error
 from btr_mjx.gap.windows.transitions import secants
 from btr_mjx.models import integrate
-from btr_mjx.testing import case_robot, make_case
+from btr_mjx.testing import CaseSettings, case_robot, make_case
 
 
 @pytest.fixture(scope="module")
 def quadruped(tmp_path_factory):
     """A quadruped as it is believed to be, with the noise of its sensors: data, and windows that do not overlap."""
     folder = tmp_path_factory.mktemp("quadruped")
-    make_case(folder, 906, "quadruped", verdict="none", background=0.0, recordings=(1, 1), duration=1.0)
+    make_case(folder, 906, "quadruped", CaseSettings(verdict="none", background=0.0, recordings=(1, 1), duration=1.0))
     data = load(folder)
     sigma = np.concatenate(case_robot("quadruped").sigma(data.fit[0].model))
     k = round(0.04 / float(np.median(np.diff(data.fit[0].time))))

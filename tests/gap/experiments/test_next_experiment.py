@@ -7,7 +7,7 @@ import pytest
 from gap_arm import SIGMA, dataset
 
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.experiments import propose, random_commands, recordings_needed
+from btr_mjx.gap.experiments import Measurement, propose, random_commands, recordings_needed
 from btr_mjx.gap.experiments.next_experiment import compare, margin, record
 from btr_mjx.gap.inference import Bench, identify
 from btr_mjx.gap.simulate import Command
@@ -69,7 +69,7 @@ def test_chosen_experiments_save_recordings():
     commands = [still, still, still, lively]
     needed = [
         recordings_needed(
-            *(viscous, heavy, bench.dataset, SIGMA, bench.survey.span, np.random.default_rng(0), choose),
+            *(viscous, heavy, bench.dataset, Measurement(SIGMA, bench.survey.span), np.random.default_rng(0), choose),
             most=4,
             commands=commands,
         )

@@ -12,18 +12,18 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
 from btr_mjx.gap.fitness_only import (
     Answers,
-    Trials,
-    answers,
+    TrialSimulator,
     expected_steps,
     identify_fitness,
     load_fitness,
     preflight_fitness,
     save_fitness,
+    simulate_candidates,
 )
 from btr_mjx.gap.fitness_only.screen import coarse_step, leads
 from btr_mjx.gap.preflight import refuse_errors
 from btr_mjx.gap.simulate import World
-from btr_mjx.testing import make_fitness_case
+from btr_mjx.testing import FitnessCaseSettings, make_fitness_case
 
 XML = """<mujoco>
   <compiler angle="radian"/>
@@ -90,7 +90,7 @@ def test_failed_trials_are_left_out(folder: Path) -> None:
 
 
 def test_fitness_against_a_loop(folder: Path) -> None:
-    trials, table = Trials(load_fitness(folder)), load_fitness(folder)
+    trials, table = TrialSimulator(load_fitness(folder)), load_fitness(folder)
     rows = np.arange(5)
     model = mujoco.MjModel.from_xml_string(XML)
     expected = [plain(model, table.amplitude[k, 0], table.phase[k, 0]) for k in rows]
@@ -111,28 +111,28 @@ def test_a_large_effect_is_found(folder: Path) -> None:
     assert diagnosis.effects[0].parameters["coefficient"].value == pytest.approx(0.25, rel=0.25)
     assert diagnosis.gap.after < 0.5 * diagnosis.gap.before
     assert diagnosis.ranking[0].margin == 0
-    assert len(diagnosis.ranking) == len(candidates(MODEL, Trials(table).scales(np.arange(3)), CHOSEN))
+    assert len(diagnosis.ranking) == len(candidates(MODEL, TrialSimulator(table).scales(np.arange(3)), CHOSEN))
     assert expected_steps(table, CHOSEN) == pytest.approx(diagnosis.steps, rel=0.5)
 
 
 def test_answers_serve_another_reality(folder: Path) -> None:
     """What candidates do does not depend on what was measured: with it at hand the search is the same, and cheaper."""
     table = load_fitness(folder)
-    trials = Trials(table)
+    trials = TrialSimulator(table)
     rows = np.arange(16)
     own = trials.fitness([World.of(MODEL)], rows)[0]
     step = coarse_step(trials, rows, own, table.fitness[rows] - own)
-    known = answers(trials, candidates(MODEL, trials.scales(np.arange(3)), CHOSEN), rows, step)
+    known = simulate_candidates(trials, candidates(MODEL, trials.scales(np.arange(3)), CHOSEN), rows, step)
     again, whole = identify_fitness(table, CHOSEN, known=known), identify_fitness(table, CHOSEN)
     np.testing.assert_equal(*([dataclasses.asdict(row) for row in d.ranking] for d in (again, whole)))
     assert again.steps < 0.9 * whole.steps
 
 
 def test_answers_against_single_simulations(folder: Path) -> None:
-    trials = Trials(load_fitness(folder))
+    trials = TrialSimulator(load_fitness(folder))
     rows = np.arange(3)
     slippery = {c.name: c for c in candidates(MODEL, Scales.of(MODEL), EFFECTS)}["ground_friction@world"]
-    known = answers(trials, [slippery], rows, 0.002)
+    known = simulate_candidates(trials, [slippery], rows, 0.002)
     world = slippery.apply(World.of(MODEL), slippery.null + known.tried[0][0])
     expected = trials.fitness([world], rows)[0] - trials.fitness([World.of(MODEL)], rows)[0]
     np.testing.assert_array_equal(known.change[0][0], expected)
@@ -161,7 +161,7 @@ def test_directions_are_tried_both_ways(folder: Path, rng: np.random.Generator) 
     """Pushed either way the robot goes further: the fit takes the side that was seen, not the opposite of the other."""
     slope = {c.name: c for c in candidates(MODEL, Scales.of(MODEL), EFFECTS)}["ground_slope@world"]
     rows = np.arange(2)
-    known = answers(Trials(load_fitness(folder)), [slope], rows, 0.002)
+    known = simulate_candidates(TrialSimulator(load_fitness(folder)), [slope], rows, 0.002)
     step = 4 * slope.parameters[0].step
     np.testing.assert_allclose(known.tried[0], step * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))
     ahead, behind, left, right = change = rng.uniform(0.0, 1.0, (4, 12))
@@ -173,7 +173,7 @@ def test_directions_are_tried_both_ways(folder: Path, rng: np.random.Generator) 
 
 
 def test_a_coarse_step_must_not_hide_what_is_sought(folder: Path) -> None:
-    trials = Trials(load_fitness(folder))
+    trials = TrialSimulator(load_fitness(folder))
     rows = np.arange(6)
     own = trials.fitness([World.of(MODEL)], rows)[0]
     error = np.abs(trials.fitness([World.of(MODEL)], rows, 0.008)[0] - own).mean()
@@ -223,7 +223,9 @@ def test_bad_tables(folder: Path) -> None:
 
 
 def test_hidden_trials(tmp_path: Path) -> None:
-    truth = make_fitness_case(tmp_path, 3, "quadruped", effects=["ground_slope"], trials=(5, 4), duration=0.1)
+    truth = make_fitness_case(
+        tmp_path, 3, "quadruped", FitnessCaseSettings(effects=["ground_slope"], trials=(5, 4), duration=0.1)
+    )
     table = load_fitness(tmp_path)
     assert truth.effects[0].effect == "ground_slope"
     assert (table.test.sum(), len(table.fitness)) == (4, 9)

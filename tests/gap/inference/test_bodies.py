@@ -12,7 +12,7 @@ from btr_mjx.gap.inference.scoring.leftover import Feature, Leftover, Told
 from btr_mjx.gap.inference.verdict import check
 from btr_mjx.gap.simulate import World
 from btr_mjx.gap.windows import Span, Windows, linearise, prepare, project
-from btr_mjx.testing import case_robot, make_case
+from btr_mjx.testing import CaseSettings, case_robot, make_case
 
 
 def noise_of(windows: Windows, seed: int) -> np.ndarray:
@@ -47,7 +47,7 @@ def test_forces_at_some_degrees_of_freedom_explain_what_least_squares_do() -> No
 
 def test_what_is_left_along_three_axes_shows_on_all_of_them_together(tmp_path) -> None:
     """A little of a force along x and z and of a torque about y, in every window, as the signatures have it."""
-    make_case(tmp_path, 906, "quadruped", verdict="none", background=0.0, recordings=(1, 1), duration=1.0)
+    make_case(tmp_path, 906, "quadruped", CaseSettings(verdict="none", background=0.0, recordings=(1, 1), duration=1.0))
     data = load(tmp_path)
     sigma = np.concatenate(case_robot("quadruped").sigma(data.fit[0].model))
     prepared = prepare(data.fit, data.interpolation, sigma, Span(5, 4))

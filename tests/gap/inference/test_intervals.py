@@ -8,8 +8,7 @@ from gap_arm import dataset
 from hypothesis import given
 from hypothesis import strategies as st
 
-from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.effects.effect import Parameter
+from btr_mjx.gap.effects import EFFECTS, Parameter
 from btr_mjx.gap.inference import Bench
 from btr_mjx.gap.inference.search.polish import Polisher
 from btr_mjx.gap.inference.search.search_records import Judged

@@ -5,8 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from btr_mjx.gap.effects import Place
-from btr_mjx.gap.effects.effect import Parameter
+from btr_mjx.gap.effects import Parameter, Place
 from btr_mjx.gap.inference.scoring.bodies import AtBody
 from btr_mjx.gap.inference.scoring.leftover import Leftover, Told
 from btr_mjx.gap.inference.verdict.check import Check

@@ -11,7 +11,7 @@ from btr_mjx.gap.inference.scoring.nulls import doubtful, null_residual
 from btr_mjx.gap.simulate import World
 from btr_mjx.gap.windows import Span, Windows, linearise, prepare, project
 from btr_mjx.gap.windows.propagation import jacobian
-from btr_mjx.testing import case_robot, make_case
+from btr_mjx.testing import CaseSettings, case_robot, make_case
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,12 @@ def test_what_the_truth_has_beyond_the_believed_world_is_left(windows):
 
 def test_touchdowns_that_small_steps_miss_show_in_nulls(tmp_path):
     """A quadruped as it is believed to be: its light legs strike the ground at times that noise leaves open."""
-    make_case(tmp_path, 906, "quadruped", verdict="none", background=0.0, recordings=(1, 1), duration=1.0, noise=2.4)
+    make_case(
+        tmp_path,
+        906,
+        "quadruped",
+        CaseSettings(verdict="none", background=0.0, recordings=(1, 1), duration=1.0, noise=2.4),
+    )
     data = load(tmp_path)
     sigma = 2.4 * np.concatenate(case_robot("quadruped").sigma(data.fit[0].model))
     prepared = prepare(data.fit, data.interpolation, sigma, Span(5, 4))

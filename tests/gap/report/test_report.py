@@ -11,8 +11,9 @@ import pytest
 from gap_models import QUADRUPED
 
 from btr_mjx.errors import InputError
+from btr_mjx.gap.report import draw_report
 from btr_mjx.gap.report.figures import ranking_bars
-from btr_mjx.gap.report.page import draw, main
+from btr_mjx.gap.report.page import main
 from btr_mjx.gap.results import NOT_NAMED, number, verdict_sentence, with_ends
 from btr_mjx.gap.results.mend import Found, mend
 from btr_mjx.gap.results.wording import with_interval
@@ -110,7 +111,7 @@ class Page(html.parser.HTMLParser):
 
 
 def test_the_page_says_it_all_and_needs_nothing_else(folder: Path) -> None:
-    page = Page(draw(folder).read_text(encoding="utf-8"))
+    page = Page(draw_report(folder).read_text(encoding="utf-8"))
     assert "Simulation and data disagree most at joint knee0, when it moves fast under load." in page.text
     assert (
         "The missing effect is load-dependent gear friction at joint knee0 (0.312 ± 0.030 of the motor torque)."
@@ -134,7 +135,7 @@ def test_the_page_says_it_all_and_needs_nothing_else(folder: Path) -> None:
 
 
 def test_the_same_files_draw_the_same_page(folder: Path) -> None:
-    assert draw(folder).read_bytes() == draw(folder).read_bytes()
+    assert draw_report(folder).read_bytes() == draw_report(folder).read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -156,15 +157,15 @@ def test_other_verdicts(folder: Path, change: dict[str, Any], expected: str) -> 
     for name in ("disagreement.npz", "overlays.npz", "mended.xml", "environment.json"):
         (folder / name).unlink()
     shutil.rmtree(folder / "figures", ignore_errors=True)
-    assert expected in Page(draw(folder).read_text(encoding="utf-8")).text
+    assert expected in Page(draw_report(folder).read_text(encoding="utf-8")).text
 
 
 def test_a_model_that_was_not_mended_is_drawn_once(folder: Path) -> None:
-    assert "the two models differ most" in Page(draw(folder).read_text(encoding="utf-8")).text
+    assert "the two models differ most" in Page(draw_report(folder).read_text(encoding="utf-8")).text
     arrays = dict(read_arrays(folder / "overlays.npz"))
     write_arrays(folder / "overlays.npz", arrays | {f"after_{n}": arrays[f"before_{n}"] for n in range(2)})
     write_json(folder / "result.json", RESULT | {"verdict": "unexplained", "unexplained": "a force"})
-    page = Page(draw(folder).read_text(encoding="utf-8"))
+    page = Page(draw_report(folder).read_text(encoding="utf-8"))
     assert "the believed model is worst" in page.text
 
 
@@ -173,7 +174,7 @@ def test_one_more_effect_has_candidates_of_its_own(folder: Path) -> None:
     row = {"effect": "payload", "location": "body:torso", "score": 900.0, "beside": ["load_friction@joint:knee0"]}
     changed = {"effects": [*RESULT["effects"], second], "ranking": [*RESULT["ranking"], row]}
     write_json(folder / "result.json", RESULT | changed)
-    page = Page(draw(folder).read_text(encoding="utf-8"))
+    page = Page(draw_report(folder).read_text(encoding="utf-8"))
     assert "one more effect beside load-dependent gear friction at joint knee0" in page.text
     assert len(page.images) == 4
 
@@ -183,7 +184,7 @@ def test_whatever_scores_more_than_the_name_is_accounted_for(folder: Path, score
     row = {"effect": "link_length", "location": "body:thigh0", "score": score, "margin": 812.0 - score}
     ranking = [RESULT["ranking"][0], row, *RESULT["ranking"][1:]]
     write_json(folder / "result.json", RESULT | {"ranking": ranking})
-    text = Page(draw(folder).read_text(encoding="utf-8")).text
+    text = Page(draw_report(folder).read_text(encoding="utf-8")).text
     assert ("What scores more than the name" in text) is said
 
 
@@ -209,7 +210,7 @@ def test_what_is_not_named_and_not_ruled_out_is_said(folder: Path) -> None:
     assert text.startswith("Nothing need be missing")
     assert "Nor is another length of the link at body shin2 ruled out, but small errors of calibration explain" in text
     write_json(folder / "result.json", none)
-    page = Page(draw(folder).read_text(encoding="utf-8")).text
+    page = Page(draw_report(folder).read_text(encoding="utf-8")).text
     assert f"Not ruled out, though {NOT_NAMED}:" in page
     assert "These data cannot tell apart" not in page
     assert f"Hatched: {NOT_NAMED}." in page
@@ -262,7 +263,7 @@ def test_numbers_for_readers() -> None:
 
 def test_a_folder_without_a_diagnosis(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"result\.json"):
-        draw(tmp_path)
+        draw_report(tmp_path)
     with pytest.raises(SystemExit) as stopped:
         main([str(tmp_path)])
     assert stopped.value.code == 2

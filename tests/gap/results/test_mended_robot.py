@@ -6,7 +6,7 @@ from gap_models import QUADRUPED
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import evaluate
 from btr_mjx.gap.results.mend import Found, mend
-from btr_mjx.gap.results.mended_robot import mended_robot
+from btr_mjx.gap.results.mended_robot import ControllerTrial, mended_robot
 from btr_mjx.models import compile_models
 from btr_mjx.robots import Box
 
@@ -36,7 +36,7 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_the_template_is_the_mended_model_at_every_point_of_its_box(case: str, rng: np.random.Generator) -> None:
-    robot = mended_robot(QUADRUPED, CASES[case], signal=signal, controller_box=CONTROLLERS, base_body="torso")
+    robot = mended_robot(QUADRUPED, CASES[case], ControllerTrial(signal, CONTROLLERS, base_body="torso"))
     found = [Found.from_result(e) for e in CASES[case]]
     for values in [robot.nominal_simulation, *robot.simulation_box.sample(rng, 3)]:
         rest = list(values)
@@ -51,7 +51,7 @@ def test_the_template_is_the_mended_model_at_every_point_of_its_box(case: str, r
 
 def test_back_to_reality_goes_on_with_it(rng: np.random.Generator) -> None:
     robot = mended_robot(
-        QUADRUPED, CASES["damping"], signal=signal, controller_box=CONTROLLERS, base_body="torso", duration=0.05
+        QUADRUPED, CASES["damping"], ControllerTrial(signal, CONTROLLERS, base_body="torso", duration=0.05)
     )
     assert robot.simulation_box.names == ("viscous_damping_joint_knee0_damping",)
     assert len(compile_models(robot, robot.simulation_box.sample(rng, 3))) == 3
@@ -62,7 +62,7 @@ def test_back_to_reality_goes_on_with_it(rng: np.random.Generator) -> None:
 def test_calibration_is_no_dimension_but_part_of_every_simulation(rng: np.random.Generator) -> None:
     error = {"effect": "link_length", "location": "body:shank1", "parameters": {"change": 0.005}}
     both = [
-        mended_robot(QUADRUPED, CASES["damping"], signal=signal, controller_box=CONTROLLERS, calibration=calibration)
+        mended_robot(QUADRUPED, CASES["damping"], ControllerTrial(signal, CONTROLLERS), calibration=calibration)
         for calibration in ((), (error,))
     ]
     assert both[0].simulation_box.names == both[1].simulation_box.names
@@ -80,8 +80,7 @@ def test_what_cannot_be_a_simulation_is_refused() -> None:
         mended_robot(
             QUADRUPED,
             [entry("load_friction", "all", coefficient=(0.2, 0.1))],
-            signal=signal,
-            controller_box=CONTROLLERS,
+            ControllerTrial(signal, CONTROLLERS),
         )
     with pytest.raises(InputError, match="parameters"):
-        mended_robot(QUADRUPED, [], signal=signal, controller_box=CONTROLLERS)
+        mended_robot(QUADRUPED, [], ControllerTrial(signal, CONTROLLERS))

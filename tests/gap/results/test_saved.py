@@ -11,7 +11,7 @@ import pytest
 from gap_models import QUADRUPED
 
 from btr_mjx.gap.data import Believed, Dataset
-from btr_mjx.gap.report.page import draw
+from btr_mjx.gap.report import draw_report
 from btr_mjx.gap.results import (
     Calibrated,
     Confound,
@@ -25,8 +25,9 @@ from btr_mjx.gap.results import (
     Refit,
     Row,
     as_result,
+    save_diagnosis,
 )
-from btr_mjx.gap.results.saved import save, where
+from btr_mjx.gap.results.saved import where
 from btr_mjx.runs import read_arrays, read_json
 
 REGIMES = ("all", "slow", "fast", "low load", "high load", "contact", "air", "early", "late")
@@ -80,7 +81,7 @@ def dataset(tmp_path: Path) -> Dataset:
 
 def test_what_is_saved_says_what_was_found(dataset: Dataset, tmp_path: Path) -> None:
     out = tmp_path / "run"
-    save(diagnosis(), dataset, out, more={"seed": 3})
+    save_diagnosis(diagnosis(), dataset, out, more={"seed": 3})
     result = read_json(out / "result.json")
     assert json.loads((out / "result.json").read_text()) == result
     assert result["verdict"] == "effect"
@@ -101,7 +102,7 @@ def test_what_is_saved_says_what_was_found(dataset: Dataset, tmp_path: Path) -> 
     assert pl.read_csv(out / "ranking.csv")["effect"].to_list() == ["load_friction", "dry_friction", "payload"]
     assert pl.read_csv(out / "disagreement.csv")["fast"].to_list() == [1.02, 10.0]
     assert read_arrays(out / "overlays.npz")["units"].tolist() == ["rad"]
-    page = draw(out).read_text(encoding="utf-8")
+    page = draw_report(out).read_text(encoding="utf-8")
     assert "mended.xml is the believed model" in page
     assert "NaN" not in page
 
@@ -118,7 +119,7 @@ def test_the_error_over_whole_recordings_has_the_unit_of_the_joints(tmp_path: Pa
 
 
 def test_the_mended_model_has_what_was_refitted(dataset: Dataset, tmp_path: Path) -> None:
-    save(diagnosis(), dataset, tmp_path / "run")
+    save_diagnosis(diagnosis(), dataset, tmp_path / "run")
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "run" / "mended.xml"))
     assert model.dof_damping[model.joint("knee0").dofadr[0]] == pytest.approx(0.21)
     assert model.actuator("hip0").gainprm[0] == pytest.approx(63.0)
@@ -136,14 +137,14 @@ def test_the_mended_model_has_the_calibration_beside_which_something_was_found(
     )
     folders = tmp_path / "without", tmp_path / "with"
     for folder, calibration in zip(folders, ((), errors), strict=True):
-        result = save(replace(diagnosis(), calibration=calibration), dataset, folder)
+        result = save_diagnosis(replace(diagnosis(), calibration=calibration), dataset, folder)
         assert [row["location"] for row in result["calibration"]] == [error.location for error in calibration]
     without, mended = (mujoco.MjModel.from_xml_path(str(folder / "mended.xml")) for folder in folders)
     assert mended.geom("foot0").pos[2] - without.geom("foot0").pos[2] == pytest.approx(-0.004, rel=0.01)
     address = mended.joint("knee0").qposadr[0]
     assert mended.qpos0[address] - without.qpos0[address] == pytest.approx(0.002, rel=0.01)
     assert mended.dof_damping[mended.joint("knee0").dofadr[0]] == pytest.approx(0.21)
-    pages = [draw(folder).read_text(encoding="utf-8") for folder in folders]
+    pages = [draw_report(folder).read_text(encoding="utf-8") for folder in folders]
     assert "small errors of calibration" not in pages[0]
     assert "another length of the link at body shank0 (change 0.004)" in pages[1]
 
@@ -159,7 +160,7 @@ def test_meshes_are_found_from_anywhere(dataset: Dataset, tmp_path: Path) -> Non
     text = text.replace('<geom type="sphere" size="0.05"/>', '<geom type="mesh" mesh="wedge" density="300"/>')
     dataset.model_file.write_text(text)
     dataset = replace(dataset, model=mujoco.MjModel.from_xml_path(str(dataset.model_file)), spec_xml=text)
-    save(diagnosis(), dataset, tmp_path / "elsewhere" / "run")
+    save_diagnosis(diagnosis(), dataset, tmp_path / "elsewhere" / "run")
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "elsewhere" / "run" / "mended.xml")).nmesh == 1
 
 
@@ -172,9 +173,9 @@ def test_without_a_name(dataset: Dataset, tmp_path: Path, verdict: str) -> None:
     values = np.sin(np.outer(time, [3, 4, 5, 6]))
     names = ("load_friction@joint:knee0", "nothing missing")
     proposal = NextExperiment(time, values, names, 40.0, (3.0, 40.0, 5.0), 1, "it tells them apart")
-    result = save(nothing, dataset, tmp_path / "run", next_experiment=proposal)
+    result = save_diagnosis(nothing, dataset, tmp_path / "run", next_experiment=proposal)
     assert not (tmp_path / "run" / "mended.xml").exists()
-    page = draw(tmp_path / "run").read_text(encoding="utf-8")
+    page = draw_report(tmp_path / "run").read_text(encoding="utf-8")
     assert ("Nothing is missing" in page) == (verdict == "none")
     assert "Send the command in next_command.csv: it tells them apart." in page
     assert "It decides between load-dependent gear friction at joint knee0 and nothing missing." in page

@@ -11,7 +11,7 @@ from btr_mjx.gap.data import Recording
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.gap.windows import Span, prepare
 from btr_mjx.gap.windows.coverage import bustle, covering, weights
-from btr_mjx.gap.windows.placement import place
+from btr_mjx.gap.windows.placement import place_windows
 
 
 def worth(shares: np.ndarray, weight: np.ndarray, chosen: np.ndarray) -> float:
@@ -88,13 +88,13 @@ def test_windows_go_where_the_robot_moves():
     """An arm that rests but for one moment: a single window a recording lies there."""
     made = dataset(fit=2, test=1)
     data = prepare(made.fit, "cubic", SIGMA, Span(5, 6))
-    _, every, k = place(data, 0.1, 1e9, 10.0)
+    _, every, k = place_windows(data, 0.1, 1e9, 10.0)
     busy = int(every[3])
     for track in data.tracks:
         track.qvel[:] = 0.0
         track.qvel[busy : busy + k] = 5.0
     for r in data.recordings:
         r.ctrl[:] = 0.0
-    recording_of, first, _ = place(data, 0.1, 0.0, 10.0)
+    recording_of, first, _ = place_windows(data, 0.1, 0.0, 10.0)
     assert recording_of.tolist() == [0, 1]
     assert first.tolist() == [busy, busy]

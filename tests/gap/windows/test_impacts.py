@@ -30,7 +30,7 @@ from btr_mjx.gap.windows import (
     step_doubt,
     survey,
 )
-from btr_mjx.gap.windows.impacts import blows, contacts, quiet_windows
+from btr_mjx.gap.windows.impacts import blows, quiet_windows, touching_samples
 
 CART = """<mujoco><option timestep="{step}" integrator="{integrator}"/><worldbody>
   <geom name="wall" type="box" size="0.1 1 1" pos="2.2 0 0"/>
@@ -112,7 +112,7 @@ def test_blows_are_touches_and_arrivals_at_end_stops() -> None:
     still.recordings[0].model.jnt_range[0] = -0.5, 2.0  # the wall is 2 m away
     track = replace(still.tracks[0], time=np.arange(count) * 0.004, qpos=np.column_stack([position, np.zeros(count)]))
     data = replace(still, tracks=(replace(track, qvel=np.zeros((count, 2))),))
-    (touching,) = contacts(data, Counter())
+    (touching,) = touching_samples(data, Counter())
     assert touching.tolist() == [p > 2.0 for p in position]
     (found,) = blows(data, Counter())
     #                  0 .4 .45 .2 -.2 -.51 -.505 -.4  1  1.999 2.003 1.95 1.5

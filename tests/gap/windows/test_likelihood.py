@@ -6,7 +6,7 @@ from scipy import stats
 
 from btr_mjx.gap.inference.scoring.gains import fall, trimmed_gain
 from btr_mjx.gap.inference.scoring.refine import Nuisance
-from btr_mjx.gap.windows import Fit, bounded, fit, project, scan, steadied, weight
+from btr_mjx.gap.windows import Fit, bounded, fit, project, scan_candidates, steadied, weight
 from btr_mjx.gap.windows.likelihood import evidence, spanned
 
 
@@ -84,7 +84,7 @@ def test_scan_is_the_gain_in_a_marginal_likelihood():
     """Against dense covariance: noise plus tolerances, one candidate at a time."""
     residual, columns = problem(3)
     precision = np.array([1.0, 0.25])
-    gains, values = scan(
+    gains, values = scan_candidates(
         evidence(residual, columns), [np.array([0]), np.array([1, 2])], np.array([3, 4]), precision, np.ones(6)
     )
     tolerances = columns[3:].reshape(2, -1).T

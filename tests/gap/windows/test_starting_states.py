@@ -18,7 +18,7 @@ from btr_mjx.gap.windows import Fit, Options, Span, Windows, centred, prepare, r
 from btr_mjx.gap.windows.likelihood import spanned
 from btr_mjx.gap.windows.transitions import stride
 from btr_mjx.models import integrate
-from btr_mjx.testing import case_robot, make_case
+from btr_mjx.testing import CaseSettings, case_robot, make_case
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +128,12 @@ def test_long_steps_are_taken_only_where_they_do() -> None:
 
 def test_long_steps_must_not_throw_light_legs_about(tmp_path, monkeypatch) -> None:
     """Most of a quadruped's intervals would do with them, but not those in which a foot comes down."""
-    make_case(tmp_path, 912, "quadruped", verdict="none", background=0.0, recordings=(1, 1), duration=1.0, noise=1.0)
+    make_case(
+        tmp_path,
+        912,
+        "quadruped",
+        CaseSettings(verdict="none", background=0.0, recordings=(1, 1), duration=1.0, noise=1.0),
+    )
     data = load(tmp_path)
     sigma = np.concatenate(case_robot("quadruped").sigma(data.fit[0].model))
     first = np.arange(8, len(data.fit[0].time) - 14, 8)

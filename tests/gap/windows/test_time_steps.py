@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from gap_arm import SIGMA, arm, recording
 
-from btr_mjx.gap.effects.places import joint_places
+from btr_mjx.gap.effects import joint_places
 from btr_mjx.gap.effects.ranges import integrated
 from btr_mjx.gap.simulate import Counter, World, simulate
 from btr_mjx.gap.windows import Span, Windows, linearise, prepare, project

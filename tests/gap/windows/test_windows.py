@@ -25,7 +25,7 @@ from btr_mjx.gap.windows import (
     signatures,
     smooth,
 )
-from btr_mjx.gap.windows.placement import place
+from btr_mjx.gap.windows.placement import place_windows
 from btr_mjx.gap.windows.propagation import jacobian
 from btr_mjx.gap.windows.transitions import strangeness, transitions
 
@@ -290,9 +290,9 @@ def test_windows_of_uneven_samples():
 def test_windows_stay_inside_recordings_and_short_ones_are_refused():
     made = dataset(fit=2, test=1)
     data = prepare(made.fit, "cubic", SIGMA, Span(5, 6))
-    recording_of, first, k = place(data, 0.1, 1e6, 10.0)
+    recording_of, first, k = place_windows(data, 0.1, 1e6, 10.0)
     for r, f in zip(recording_of, first, strict=True):
         assert f >= 0
         assert f + k < len(made.fit[r].time)
     with pytest.raises(InputError, match="too short for a window"):
-        place(data, 5.0, 1e6, 10.0)
+        place_windows(data, 5.0, 1e6, 10.0)

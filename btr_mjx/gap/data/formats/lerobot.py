@@ -29,7 +29,7 @@ from btr_mjx.gap.data.columns import SUFFIXES
 from btr_mjx.gap.data.dataset import Dataset, read_head
 from btr_mjx.gap.data.recording import Recording, assemble, split
 from btr_mjx.gap.data.toml_tables import check_keys
-from btr_mjx.models import nearest, part_names
+from btr_mjx.models import nearest_names, part_names
 from btr_mjx.runs import read_json, read_table
 
 INFO = Path("meta") / "info.json"
@@ -83,7 +83,7 @@ def _targets(
         if target not in known:
             raise InputError(
                 f"{path}: {feature} holds {name!r}, the model has no {kind} {target!r}; nearest: "
-                f"{nearest(target, known)}; name it in [lerobot.{kind}s] of dataset.toml"
+                f"{nearest_names(target, known)}; name it in [lerobot.{kind}s] of dataset.toml"
             )
         found.append(target)
     return found
@@ -95,7 +95,7 @@ def _episodes(
     frame = read_table(file)
     for column in (STATE, ACTION, "timestamp", "episode_index"):
         if column not in frame.columns:
-            raise InputError(f"{file}: there is no column {column!r}; nearest: {nearest(column, frame.columns)}")
+            raise InputError(f"{file}: there is no column {column!r}; nearest: {nearest_names(column, frame.columns)}")
     recordings = []
     for episode in frame["episode_index"].unique(maintain_order=True):
         rows = frame.filter(pl.col("episode_index") == episode)

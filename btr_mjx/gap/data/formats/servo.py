@@ -28,10 +28,10 @@ from btr_mjx.gap.data.dataset import Dataset
 from btr_mjx.gap.data.recording import Recording, Split, assemble, split
 from btr_mjx.gap.data.toml_tables import check_keys, is_number, read_toml, toml_section
 
-FILE_NAME = "servo.toml"
-TIMESTEP = 0.002
+SERVO_FILE = "servo.toml"
+_TIMESTEP = 0.002
 """[s]; the gap workflow corrects what is left of the step's error."""
-HOLD = 'solreffriction="0.004 1" solimpfriction="0.9999 0.9999 0.001"'
+_HOLD = 'solreffriction="0.004 1" solimpfriction="0.9999 0.9999 0.001"'
 """MuJoCo's friction is soft by default: a joint that should stick gives way at about 1e-3 s times the acceleration
 that it withstands, which is 20 mrad a second under this pendulum. A gear holds for as long as one looks."""
 SETTINGS = ("mass", "length", "kp", "vin")
@@ -84,7 +84,7 @@ class Servo:
 
 def is_servo_folder(folder: str | Path) -> bool:
     """Whether a folder holds such recordings."""
-    return (Path(folder) / FILE_NAME).is_file()
+    return (Path(folder) / SERVO_FILE).is_file()
 
 
 def servo_xml(servo: Servo, mass: float, length: float, kp: float, vin: float) -> str:
@@ -109,11 +109,11 @@ def servo_xml(servo: Servo, mass: float, length: float, kp: float, vin: float) -
     point = 1e-6 * mass * length**2
     return f"""<mujoco model="servo_pendulum">
   <compiler angle="radian"/>
-  <option timestep="{TIMESTEP!r}" integrator="implicitfast" gravity="0 0 {-servo.gravity!r}"/>
+  <option timestep="{_TIMESTEP!r}" integrator="implicitfast" gravity="0 0 {-servo.gravity!r}"/>
   <worldbody>
     <body name="arm">
       {arm}
-      <joint name="servo" type="hinge" axis="0 -1 0" damping="{damping!r}" armature="{servo.armature!r}" {HOLD}/>
+      <joint name="servo" type="hinge" axis="0 -1 0" damping="{damping!r}" armature="{servo.armature!r}" {_HOLD}/>
       <geom name="arm" type="capsule" fromto="0 0 0 0 0 {-length!r}" size="0.005" mass="0" contype="0" conaffinity="0"/>
       <body name="load" pos="0 0 {-length!r}">
         <inertial pos="0 0 0" mass="{mass!r}" diaginertia="{point!r} {point!r} {point!r}"/>
@@ -139,10 +139,10 @@ def load_servo(folder: str | Path) -> Dataset:
     """
     folder = Path(folder)
     notes: list[str] = []
-    servo = read_servo(folder / FILE_NAME, notes)
+    servo = read_servo(folder / SERVO_FILE, notes)
     files = sorted(folder.glob("*.json"))
     if not files:
-        raise InputError(f"{folder}: there is no .json recording beside {FILE_NAME}")
+        raise InputError(f"{folder}: there is no .json recording beside {SERVO_FILE}")
     recordings, settings = [], []
     for file in files:
         entries, setting = _read_json(file)
@@ -153,7 +153,7 @@ def load_servo(folder: str | Path) -> Dataset:
     return Dataset(
         folder=folder,
         model=recordings[0].model,
-        model_file=folder / FILE_NAME,
+        model_file=folder / SERVO_FILE,
         spec_xml=nominal,
         parameters=_parameters(recordings),
         recordings=tuple(_held_out(recordings, settings, folder)),

@@ -10,7 +10,7 @@ from btr_mjx.gap.data import Believed
 from btr_mjx.gap.effects import Candidate
 from btr_mjx.gap.inference.scoring.refine import Nuisance, Unknowns, refine
 from btr_mjx.gap.simulate import World
-from btr_mjx.gap.windows import MakeWorld, Windows, typical
+from btr_mjx.gap.windows import MakeWorld, Windows, typical_chi2
 
 DELICATE = 0.15
 """Finite-difference steps of candidates that move contacts are smaller by this factor."""
@@ -134,6 +134,6 @@ def refitted(windows: Windows, base: Hypothesis, cut: float) -> Hypothesis:
       cut: chi^2 above which a window counts less, in units of what is typical.
     """
     nothing = Nuisance.nothing(*windows.residual.shape)
-    most = cut * typical((windows.residual**2).sum(1), windows.freedom)
+    most = cut * typical_chi2((windows.residual**2).sum(1), windows.freedom)
     found = refine(windows, nothing, most, [(unknowns(base, True), [base.values(True)])], _REFITS)[0]
     return base.replaced(found.values, True)

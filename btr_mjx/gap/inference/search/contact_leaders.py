@@ -14,7 +14,7 @@ from btr_mjx.gap.inference.search.walks import Walks
 from btr_mjx.gap.simulate import abreast
 from btr_mjx.gap.windows import project
 
-Try = tuple[float, Candidate, np.ndarray]
+_Try = tuple[float, Candidate, np.ndarray]
 """Gain, candidate and values (p,)."""
 
 _EITHER_SIDE = (1.0, -1.0)
@@ -57,7 +57,7 @@ _SURE = 1000.0
 
 def contact_scan(
     side: Side, start: Hypothesis, delicate: Sequence[Candidate], cut: float, residual: np.ndarray, every: int
-) -> list[Try]:
+) -> list[_Try]:
     """Scan candidates that move contacts by true simulation, as linear signatures mislead there.
 
     Args:
@@ -76,7 +76,7 @@ def contact_scan(
     reference = some.nuisance.profile(residual[own], cut)
     share = len(own) / len(side.windows)
 
-    def attempt(tries: Sequence[tuple[Candidate, float]]) -> list[Try]:
+    def attempt(tries: Sequence[tuple[Candidate, float]]) -> list[_Try]:
         """Simulate candidates at values of their first number, and keep each one's best."""
         rows = []
         for candidate, value in tries:
@@ -94,7 +94,7 @@ def contact_scan(
             return robust_gain(reference, some.nuisance.profile(moved, cut), cut) / share
 
         gains = abreast([partial(gained, states) for states in found])
-        best: dict[str, Try] = {}
+        best: dict[str, _Try] = {}
         for (candidate, values), gain in zip(rows, gains, strict=True):
             if candidate.name not in best or gain > best[candidate.name][0]:
                 best[candidate.name] = gain, candidate, values
@@ -120,12 +120,12 @@ def contact_scan(
 
 def judged_anew(
     model: mujoco.MjModel,
-    found: Sequence[Try],
+    found: Sequence[_Try],
     start: Hypothesis,
     walks: Walks,
     strongest: float,
     hopes: Mapping[str, float] | None = None,
-) -> list[Try]:
+) -> list[_Try]:
     """The best of a scan of contacts, judged with directions of their own, at two sizes.
 
     Args:
@@ -152,8 +152,8 @@ def judged_anew(
     worth += [row for row in kin if all(row is not own for own in worth)]
     best = {candidate.name: (gain, candidate, values) for gain, candidate, values in found}
 
-    def judged(candidate: Candidate, values: np.ndarray, near: bool) -> list[Try]:
-        first, rows = candidate.parameters[0], list[Try]()
+    def judged(candidate: Candidate, values: np.ndarray, near: bool) -> list[_Try]:
+        first, rows = candidate.parameters[0], list[_Try]()
         related = near or (hopes or {}).get(candidate.name, 0.0) > _HOPEFUL
         for factor in (1.0, _AGAIN, 1.0 / _AGAIN):
             most = max((row[0] for row in rows), default=-np.inf)
@@ -171,7 +171,7 @@ def judged_anew(
             rows.append((walks.gain(start.with_effect(candidate, tried)), candidate, tried))
         return rows
 
-    def judge(tries: Sequence[Try]) -> None:
+    def judge(tries: Sequence[_Try]) -> None:
         for rows in abreast([partial(judged, c, values, any(c is row[1] for row in kin)) for _, c, values in tries]):
             name = rows[0][1].name
             best[name] = max(best[name], *rows, key=lambda row: row[0])
@@ -184,7 +184,7 @@ def judged_anew(
     return sorted(best.values(), key=lambda row: -row[0])
 
 
-def _kin(model: mujoco.MjModel, found: Sequence[Try], leads: Sequence[Try], strongest: float) -> list[Try]:
+def _kin(model: mujoco.MjModel, found: Sequence[_Try], leads: Sequence[_Try], strongest: float) -> list[_Try]:
     """All others of a scan on the limb of what leads, where that leads by much."""
     return [
         row
@@ -195,7 +195,7 @@ def _kin(model: mujoco.MjModel, found: Sequence[Try], leads: Sequence[Try], stro
 
 
 def with_contacts(
-    tries: Sequence[tuple[Candidate, list[np.ndarray]]], found: Sequence[Try], most: int
+    tries: Sequence[tuple[Candidate, list[np.ndarray]]], found: Sequence[_Try], most: int
 ) -> list[tuple[Candidate, list[np.ndarray]]]:
     """Candidates with their starting values, and those that a scan of contacts adds.
 

@@ -48,7 +48,7 @@ from btr_mjx.gap.windows import (
     scales_of,
     survey,
     track_of,
-    typical,
+    typical_chi2,
 )
 
 _CUT = 1.5
@@ -198,10 +198,10 @@ class Bench:
         """Fit the dispersion to the best chi^2 (W,) so far, and the reference losses with it."""
         side, residual = self.fit, self.fit.windows.residual
         if best is None:
-            cut = _CUT * typical((residual**2).sum(1), side.windows.freedom)
+            cut = _CUT * typical_chi2((residual**2).sum(1), side.windows.freedom)
             dispersion = max(1.0, cut / (_CUT * side.windows.freedom))
             best = side.nuisance.against(dispersion).profile(residual, cut).chi2
-        usual = typical(best, side.windows.freedom)
+        usual = typical_chi2(best, side.windows.freedom)
         self.dispersion, self.cut = usual / side.windows.freedom, _CUT * usual
         self.reference = self._reference(side), self._reference(self.test)
 
@@ -374,7 +374,7 @@ def _refine_further(
         starts = [(own, [refined.values]) for (own, _), refined in zip(hypotheses, found, strict=True)]
         further = bench.refined(bench.fit, starts, count, bench.reference[0])
         best = min(further, key=lambda refined: refined.loss).chi2
-        if typical(best, bench.fit.windows.freedom) > _NEARER * before * bench.fit.windows.freedom:
+        if typical_chi2(best, bench.fit.windows.freedom) > _NEARER * before * bench.fit.windows.freedom:
             break
         found = further
         bench.settle(best)

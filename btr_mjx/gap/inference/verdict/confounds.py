@@ -15,7 +15,7 @@ from btr_mjx.gap.inference.search.search_records import Judged
 from btr_mjx.gap.results import Confound, likeness, moved
 from btr_mjx.gap.windows import weight
 
-LEAST = 0.9
+_LEAST = 0.9
 """Correlation from which on a candidate is a confound."""
 MOST = 3
 """Confounds that are listed for an effect."""
@@ -45,7 +45,7 @@ def confounds(bench: Bench, base: Hypothesis, named: Sequence[Judged]) -> tuple[
         signature = final.refined.columns[first] * (values[0] - candidate.null[0])
         first += len(values)
         found = [*_believed(bench, final, rest, signature), *_candidates(bench, weights, signature, taken)]
-        found = sorted((f for f in found if f[1] >= LEAST), key=lambda f: -f[1])
+        found = sorted((f for f in found if f[1] >= _LEAST), key=lambda f: -f[1])
         kinds: dict[str, Confound] = {}
         for name, correlation, text in found:
             kinds.setdefault(name.partition("@")[0], Confound(candidate.name, name, correlation, text))

@@ -1,6 +1,6 @@
 import io
 
-from btr_mjx.runs import progress
+from btr_mjx.runs import progress_bar as progress
 
 
 class Terminal(io.StringIO):

@@ -1,0 +1,88 @@
+"""A co-evolution in a run folder: saved after every piece of work, resumed where it stopped."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from btr_mjx.backtoreality.algorithm import advance, begin
+from btr_mjx.backtoreality.state import Problem, State, state_from_arrays, state_to_arrays
+from btr_mjx.runs import RunFolder, StopRequest, progress, write_arrays
+
+
+def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: bool) -> State:
+    """Go on with a co-evolution from the last checkpoint of its folder to the end.
+
+    Args:
+      problem: the problem.
+      run: takes checkpoints, generations.parquet, iterations.parquet and the archives of both searches.
+      stop: asked after every piece of work.
+      show: whether a progress bar is shown.
+
+    Returns:
+      The last state.
+
+    Raises:
+      Interrupted: a signal asked to stop; everything up to the last generation is saved.
+    """
+    checkpoint = run.load_latest()
+    tables = {name: run.history(f"{name}s.parquet", checkpoint) for name in ("generation", "iteration")}
+    if checkpoint is None:
+        state, step = begin(problem), 0
+    else:
+        state, step = state_from_arrays(checkpoint.arrays, checkpoint.meta), checkpoint.step + 1
+
+    def report(kind: str, row: dict[str, Any]) -> None:
+        if kind == "archive":
+            _write_archive(run.path, problem, row)
+        else:
+            tables[kind].append(row)
+
+    with progress(total=_pairs_left(problem, state), description="pairs", unit="pairs", show=show or False) as bar:
+        problem = replace(problem, progress=bar.update)
+        while state.phase != "done":
+            bar.set_description(f"iteration {state.iteration}: {_DOING[state.phase]}")
+            phase = state.phase
+            state = advance(problem, state, report)
+            if phase == "simulations" != state.phase:  # the search may have ended early
+                bar.total = bar.n + _pairs_left(problem, state)
+            run.save_checkpoint(step, *state_to_arrays(state))
+            step += 1
+            stop.checkpoint()
+    return state
+
+
+_DOING = {
+    "baseline": "first controller",
+    "controllers": "evolving controllers",
+    "transfer": "trying controllers in reality",
+    "simulations": "evolving simulations",
+}
+
+
+def _pairs_left(problem: Problem, state: State) -> int:
+    """Pairs that remain to be simulated if no stop criterion is met early (an estimate after a resume)."""
+    settings = problem.settings
+    left = 0 if state.phase != "baseline" else 1
+    for iteration in range(state.iteration, settings.iterations + 1):
+        behaviours = settings.trials * (iteration if settings.behaviours == "all" else 1)
+        done = len(state.scores) if iteration == state.iteration else 0
+        if iteration > state.iteration or state.phase in ("baseline", "controllers"):
+            left += settings.controllers.population * (settings.controllers.generations - done) + behaviours
+            done = 0
+        left += settings.simulations.population * behaviours * (settings.simulations.generations - done)
+    return left
+
+
+def _write_archive(folder: Path, problem: Problem, row: dict[str, Any]) -> None:
+    """All members of one search; the same bytes whenever it is written again after a resume."""
+    box = problem.controller_box if row["phase"] == "controllers" else problem.simulation_box
+    name = "fitness" if row["phase"] == "controllers" else "delta_fitness"
+    arrays = {"parameters": box.decode(row["genomes"]), name: row["scores"], "names": np.array(box.names)}
+    write_arrays(folder / f"{row['phase']}-{row['iteration']:03d}.npz", arrays, compress=True)
+
+
+def write_trials(folder: Path, state: State) -> None:
+    """Write trials.npz: every evaluation in reality."""
+    write_arrays(folder / "trials.npz", vars(state.trials))

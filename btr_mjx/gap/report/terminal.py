@@ -1,0 +1,41 @@
+"""What the command prints: findings before the search, the verdict after it, and what was hidden in a demo."""
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from btr_mjx.gap.preflight import Finding
+from btr_mjx.gap.results import named, place_in_words, title
+
+
+def print_findings(findings: Sequence[Finding]) -> None:
+    """Print what preflight found."""
+    print("preflight")
+    for finding in findings:
+        mark = "" if finding.level == "note" else f"{finding.level}: "
+        print(textwrap.fill(f"{mark}{finding.message}", 110, initial_indent="  - ", subsequent_indent="    "))
+    print(flush=True)
+
+
+def print_result(result: Mapping[str, Any], folder: Path) -> None:
+    """Print the verdict, the effects and the ranking."""
+    print(textwrap.fill(str(result["sentence"]), 110))
+    rows = [row for row in result["ranking"] if not row["beside"]][:6]
+    if rows:
+        print(f"\n{'candidate':60}{'score':>12}{'held-out gain':>16}")
+    for row in rows:
+        print(f"{named(row):60}{row['score']:12.1f}{row['held_out']:16.1f}")
+    print(f"\nall files in {folder}")
+
+
+def print_truth(truth: Mapping[str, Any]) -> None:
+    """Print what was hidden, last."""
+    hidden = [
+        f"{title(e['effect'])} at {place_in_words(e['location'])} "
+        f"({', '.join(f'{name} {value:.4g}' for name, value in e['parameters'].items())})"
+        for e in truth["effects"]
+    ]
+    if truth["outside"]:
+        hidden.append(f"something outside the library: {truth['outside'].replace('_', ' ')}")
+    print(f"hidden was: {' and '.join(hidden) or 'nothing'}")

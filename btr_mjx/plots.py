@@ -1,0 +1,33 @@
+"""Draw the figures of run folders again: `python -m btr_mjx.plots runs/quick-0`."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from btr_mjx.errors import cli_errors
+from btr_mjx.plotting import draw_folder
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Entry point of the command."""
+
+    def command(folders: Annotated[tuple[Path, ...], tyro.conf.Positional]) -> tuple[Path, ...]:
+        """Draw the figures of run folders again.
+
+        Args:
+          folders: run folders of btr_mjx.coevolve or btr_mjx.scan.
+        """
+        return folders
+
+    folders = tyro.cli(command, args=sys.argv[1:] if argv is None else list(argv), prog="btr_mjx.plots")
+    with cli_errors():
+        for folder in folders:
+            for path in draw_folder(folder):
+                print(path)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,119 @@
+"""The hexapod of "Fitness Based Identification of a Robot Structure": its constants, spaces and reference signal."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from btr_mjx.robots.robot import Robot, read_template
+from btr_mjx.robots.spaces import Box
+
+OMEGA = 60.0
+"""Angular frequency of every motor's reference [rad/s]. The paper prints "omega = 60 Hz" inside sin(omega t)."""
+
+HEXAPOD: Mapping[str, float] = {
+    # Simulation.
+    "timestep": 5e-4,  # dt [s], the paper's
+    "solver_iterations": 100,
+    "linesearch_iterations": 50,
+    "solver_tolerance": 1e-10,
+    # Bodies. The uniform density makes a robot of about 70 kg; see experiments/calibrate_robot.py.
+    "density": 200.0,  # [kg/m^3]
+    "trunk_half": 0.5,  # half length of the alitrunk b0 [m]
+    "trunk_radius": 0.15,  # [m]
+    "petiole": 0.3,  # length of b1 [m]
+    "gaster": 0.6,  # length of b2 [m]
+    "gaster_rise": 0.1,  # by how much the gaster's end stands above its root [m]
+    "gaster_radius": 0.2,  # [m]
+    "limb_radius": 0.06,  # femurs, tibiae, knees and feet [m]
+    # Default posture.
+    "hip_offset": 0.2,  # lateral distance of the hips from the trunk's axis [m]
+    "fan": math.radians(35),  # front and rear legs are turned outwards by this [rad]
+    "femur_up": math.radians(20),  # femurs rise by this from hip to knee [rad]
+    "tibia_down": math.radians(75),  # tibiae fall by this from knee to foot [rad]
+    "start_clearance": 0.01,  # gap between the lowest foot and the ground at t = 0 [m]
+    # Joints and motors: tau = kp e + ki int(e) dt - kv dq/dt, e = r - q.
+    "kp": 2000.0,  # [N m/rad]
+    "ki": 1000.0,  # [N m/(rad s)]
+    "kv": 200.0,  # [N m s/rad]
+    "joint_damping": 1.0,  # [N m s/rad]
+    "joint_armature": 0.0,  # [kg m^2]
+    # Contact.
+    "friction": 0.8,  # sliding coefficient [1]
+    "contact_time_constant": 0.02,  # solref [s]
+}
+"""Constants of the hexapod with their units, chosen by the recorded calibration `experiments/calibrate_robot.py`."""
+
+
+def sinusoids(controller: Any, time: Any, xp: Any) -> Any:
+    """r_i = theta_i + a_i sin(omega t + phi_i), the paper's reference, in a default posture of theta_i = 0.
+
+    Args:
+      controller: (2 n_u, ...) parameters a_1, phi_1, a_2, phi_2, ... [rad].
+      time: t [s].
+      xp: numpy or jax.numpy.
+
+    Returns:
+      (n_u, ...) joint angles [rad].
+    """
+    return controller[0::2] * xp.sin(OMEGA * time + controller[1::2])
+
+
+@cache
+def hexapod(**constants: float) -> Robot:
+    """The paper's hexapod: 12 limb lengths bl_3..bl_14 in [0.4, 1.6] m, 18 motors, T_e = 1.7 s.
+
+    Args:
+      **constants: values that replace entries of `HEXAPOD`.
+
+    Returns:
+      The robot. Femurs bl_3..bl_8 and tibiae bl_9..bl_14 belong to the legs right front, right middle, right rear,
+      left front, left middle, left rear, in this order. Motors 1..12 are the vertical and frontal axes of the femur
+      joints j2..j7, motors 13..18 the knees j8..j13.
+    """
+    source = files("btr_mjx").joinpath("assets/hexapod.xml.j2")
+    if not source.is_file():  # an editable install: assets/ lies beside the package
+        source = files("btr_mjx").joinpath("../assets/hexapod.xml.j2")
+    motors = range(1, 19)
+    return Robot(
+        name="hexapod",
+        template=source.read_text(encoding="utf-8"),
+        template_path="assets/hexapod.xml.j2",
+        simulation_box=Box([f"bl_{body}" for body in range(3, 15)], 0.4, 1.6, units="m"),
+        controller_box=Box(
+            [name for i in motors for name in (f"a_{i}", f"phi_{i}")],
+            [0.12989, 0.0] * 18,
+            [0.314, 3.1416] * 18,
+            units="rad",
+        ),
+        signal=sinusoids,
+        nominal=(0.64,) * 6 + (1.36,) * 6,
+        constants=tuple(HEXAPOD.items()),
+        base_body="b0",
+    ).with_constants(**constants)
+
+
+PAPER_REALITIES: Mapping[str, Mapping[str, float]] = {
+    "fig2": {"bl_5": 0.88, "bl_14": 1.6},
+    "fig4": {"bl_3": 0.54, "bl_5": 0.54, "bl_6": 0.74, "bl_8": 0.74},
+}
+"""Lengths that play reality in the paper, by figure [m]; all others are nominal."""
+
+
+def robot_of(template: str | Path | None = None, duration: float = 1.7) -> Robot:
+    """The hexapod, or one with another template of the same parameters and motors, as commands take it.
+
+    Args:
+      template: file of the template; None for the paper's hexapod.
+      duration: T_e [s].
+
+    Raises:
+      InputError: a template that cannot be read, a duration that is not positive.
+    """
+    robot = replace(hexapod(), duration=duration)
+    if template is None:
+        return robot
+    return replace(robot, template=read_template(template), template_path=str(template))
