@@ -36,6 +36,9 @@ TIMES = ("seconds",)
 _MODULE = re.compile(r"btr_mjx(\.\w+)+")
 """A dotted name of a module of this package."""
 
+_PATH = re.compile(r'"/[^"]*"')
+"""An absolute path in a text file."""
+
 _SKIPPED = ("environment.json", "config.json", "search")
 """Files and folders that say how a run was made; config.json has the path of its folder."""
 
@@ -105,7 +108,7 @@ def content(path: Path) -> Any:
         case ".parquet":
             return pl.read_parquet(path).drop(*TIMES, strict=False).to_dict(as_series=False).__repr__()
         case ".csv" | ".xml" | ".toml":
-            return _MODULE.sub("btr_mjx", path.read_text(encoding="utf-8"))
+            return _MODULE.sub("btr_mjx", _PATH.sub('"PATH"', path.read_text(encoding="utf-8")))
     return None
 
 
