@@ -86,6 +86,7 @@ def test_seeds_differ_and_truth_may_be_drawn(finished: Path, tmp_path: Path) -> 
     assert ours["best_controller"] != other["best_controller"]
 
 
+@pytest.mark.slow
 def test_killed_at_random_moments_and_resumed(finished: Path, tmp_path: Path) -> None:
     """kill -9 again and again; whatever remains, --resume reaches the same bytes."""
     folder, dice = tmp_path / "killed", random.Random(7)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -15,18 +16,18 @@ from btr_mjx.diagnose import DiagnoseConfig
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.results import Confound, Diagnosis, DisagreementMap, Estimate, Gap, Named, Overlay, Row
+from btr_mjx.gap.results import Confound, Diagnosis, DisagreementMap, Estimate, Gap, NamedEffect, Overlay, RankedCandidate
 from btr_mjx.gap.simulate import Journal
 from btr_mjx.testing import CaseSettings, make_case
 
 TIME = np.linspace(0, 1, 20)
-NAMED = Named("dry_friction", "joint:servo", {"torque": Estimate(0.031, 0.028, 0.034, "N m")}, 80.0, 30.0)
+NAMED = NamedEffect("dry_friction", "joint:servo", {"torque": Estimate(0.031, 0.028, 0.034, "N m")}, 80.0, 30.0)
 FOUND = Diagnosis(
     verdict="effect",
     effects=(NAMED,),
     ranking=(
-        Row("dry_friction", "joint:servo", 80.0, 0.0, 55.0, 30.0, {"torque": 0.031}),
-        Row("viscous_damping", "joint:servo", 20.0, 60.0, 18.0, 7.0, {"damping": 0.004}),
+        RankedCandidate("dry_friction", "joint:servo", 80.0, 0.0, 55.0, 30.0, {"torque": 0.031}),
+        RankedCandidate("viscous_damping", "joint:servo", 20.0, 60.0, 18.0, 7.0, {"damping": 0.004}),
     ),
     equivalent=("dry_friction@joint:servo",),
     gap=Gap(3.0, 1.2, 1.0, 1.0, 2.0, 1.1, 0.05, 0.02),
@@ -121,6 +122,18 @@ def test_a_finished_run_is_only_drawn_again(folder: Path, searches: list, tmp_pa
         diagnose.diagnose(dataset=folder, out=run, progress=False)
     with pytest.raises(InputError, match="another config"):
         diagnose.diagnose(dataset=folder, out=run, progress=False, resume=True, seed=5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", list(diagnose.DEMO_SEEDS))
+def test_the_demo_is_named_and_mended(robot: Any, tmp_path: Path) -> None:
+    """The first thing a visitor runs, and the only place where tests search for what a walking robot lacks."""
+    result = diagnose.diagnose(demo=True, robot=robot, out=tmp_path, progress=False, figures=False)
+    truth = json.loads((tmp_path / "truth.json").read_text())
+    found = [(effect["effect"], effect["location"]) for effect in result["effects"]]
+    assert found == [(effect["effect"], effect["location"]) for effect in truth["effects"]]
+    assert result["gap"]["after"] < result["gap"]["before"]
+    mujoco.MjModel.from_xml_path(str(tmp_path / "mended.xml"))
 
 
 def test_an_interrupted_demo_goes_on(

@@ -26,6 +26,7 @@ def load(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return module
 
 
+@pytest.mark.slow
 def test_scaling(tmp_path: Path) -> None:
     path = tmp_path / "numbers.json"
     flags = ("--max-pairs=100", "--steps=5", "--rounds=1", "--devices", "1", "--json", path)

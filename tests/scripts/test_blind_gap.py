@@ -226,6 +226,7 @@ def test_margins(scores: ModuleType) -> None:
     assert table[0.0] == (0, None)
 
 
+@pytest.mark.slow
 def test_a_blind_case_from_end_to_end(tmp_path: Path) -> None:
     """A case whose answer is there already is scored at once, so this costs no search."""
     run = tmp_path / "run"

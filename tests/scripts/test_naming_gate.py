@@ -185,6 +185,7 @@ def test_bad_settings(gate: ModuleType, tmp_path: Path, settings: dict[str, Any]
         gate.gate(gate.Config(out=tmp_path, **settings))
 
 
+@pytest.mark.slow
 def test_end_to_end(gate: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A short case is made and solved, and then read from the cache."""
     config = gate.Config(robot="pendulum", cases=1, duration=0.5, workers=1, out=tmp_path)
