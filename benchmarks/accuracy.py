@@ -1,8 +1,8 @@
 """Error of the lanes engine against native MuJoCo over time: `uv run python benchmarks/accuracy.py`.
 
-In double precision lanes has to follow native MuJoCo for a whole trial. In single precision contacts part the two in
-the end, as they part any two machines, so what counts is fitness: how well single precision orders gaits and how far
-off it is. JAX's precision is fixed for a process here, so each precision has a process of its own.
+In double precision the trajectory of lanes is compared with native MuJoCo's for a whole trial. In single precision
+contacts make the two diverge, as they do between any two machines. There the fitness is compared: its correlation over
+gaits and its error. JAX's precision is fixed within a process, so that each precision has a process of its own.
 """
 
 import json
@@ -24,9 +24,11 @@ from btr_mjx.robots import Robot, hexapod
 MARKS = (1, 10, 100, 340, 850, 1700, 2550, 3400)
 """Steps after which states are compared."""
 STATE_ERROR = 1e-9
+"""Aim for the largest error of a coordinate in float64 [m or rad]."""
 PEARSON = 0.99
+"""Aim for the correlation of fitness in float32."""
 FITNESS_ERROR = 1e-3
-"""[m/s]"""
+"""Aim for the median error of fitness in float32 [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class Config:
     seed: int = 0
     """Seed of the pairs."""
     json: Path | None = None
-    """Write the numbers here too."""
+    """Also write the numbers to this file."""
     precision: Literal["both", "float64", "float32"] = "both"
     """Measure one precision in this process and print JSON: what the command runs for each."""
 
@@ -50,8 +52,13 @@ class Config:
 def both_ways(config: Config, pairs: int, states: bool) -> tuple[np.ndarray, Evaluation, Evaluation]:
     """Random pairs by lanes and by native MuJoCo.
 
+    Args:
+      config: settings.
+      pairs: number of pairs.
+      states: whether to record full states.
+
     Returns:
-      (K,) marks in steps, and the evaluations of the two, sampled at the marks.
+      (K,) marks in steps, and the two evaluations, sampled at the marks.
     """
     timestep = float(base_model(hexapod()).opt.timestep)
     marks = np.unique([*(mark for mark in MARKS if mark < config.steps), config.steps])

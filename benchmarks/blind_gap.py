@@ -1,10 +1,10 @@
 """Blind cases of the missing-effect workflow: `uv run python benchmarks/blind_gap.py --cases 300 --json FILE`.
 
-Every case is made by a process of its own kind, which writes the data into one folder and the truth into another; the
-process that solves it is given the data's folder only, and writes its answer before anything opens the truth. Then the
-answer is scored, by detectability: the gain of the true effect at its true parameters, on the same windows.
+One process makes a case and writes data and truth into separate folders. Another process solves it: it reads the data
+only, and writes its answer before anything reads the truth. Then the detectability of the true effect is computed: its
+gain at the true parameters, on the same windows.
 
-Cases are independent and files of their own: a killed benchmark goes on where it was with the same command.
+Every case is a file of its own: the same command continues a killed benchmark.
 """
 
 import json
@@ -37,7 +37,7 @@ from btr_mjx.runs import describe_environment, note, progress, read_json, to_pla
 from btr_mjx.testing import CaseSettings, Truth, case_robot, make_case
 
 MIXED = ("hexapod", "hexapod", "hexapod", "quadruped", "arm", "pendulum")
-"""Robots of a mixed benchmark, by turns."""
+"""Robots of a mixed benchmark, in turn."""
 
 
 @dataclass(frozen=True)
@@ -49,53 +49,53 @@ class Config:
     seed: int = 0
     """Seed of the cases."""
     robot: Literal["hexapod", "pendulum", "quadruped", "arm", "mixed"] = "hexapod"
-    """Robot of the cases; mixed takes all by turns."""
+    """Robot of the cases; mixed takes all in turn."""
     effects: int = 1
-    """Effects that are missing in cases where something of the library is: 1, or 2 at once."""
+    """Number of missing effects in a case with effects of the library: 1 or 2."""
     only_effects: bool = False
-    """No nulls and nothing outside the library."""
+    """Only cases with effects of the library: no nulls, nothing outside the library."""
     workers: int = 1
-    """Processes that make cases, and as many that solve them; several solvers get a core each."""
+    """Number of processes that make cases, and of those that solve them; several solvers get one core each."""
     out: Path | None = None
-    """Folder of the cases' files; by default runs/blind_gap-<robot>-<effects>-<seed>."""
+    """Folder of the files; by default runs/blind_gap-<robot>-<effects>-<seed>."""
     json: Path | None = None
-    """Write the numbers here too."""
+    """Also write the numbers to this file."""
     duration: float | None = None
     """Another duration of the recordings [s], for a quick look."""
     oracle: bool = True
-    """Score detectability by a search of its own; without it, effects count as detectable by what moves visibly."""
+    """Compute detectability from the windows of the search; without it, from `Truth.visible`."""
 
 
 @dataclass(frozen=True)
 class Files:
-    """Where a case's files are."""
+    """Paths of the files of a case."""
 
     folder: Path
     index: int
 
     @property
     def name(self) -> str:
-        """Of the case."""
+        """Name of the case."""
         return f"{self.index:04d}"
 
     @property
     def truth(self) -> Path:
-        """Written by the process that makes the case."""
+        """Truth, written by the process that makes the case."""
         return self.folder / "truth" / f"{self.name}.json"
 
     @property
     def answer(self) -> Path:
-        """Written by the process that solves it."""
+        """Answer, written by the process that solves the case."""
         return self.folder / "answers" / f"{self.name}.json"
 
     @property
     def oracle(self) -> Path:
-        """Written after the answer."""
+        """Detectability of the truth, written after the answer."""
         return self.folder / "oracle" / f"{self.name}.json"
 
     @property
     def data(self) -> Path:
-        """All that the solver sees; removed when the case is done, as it can be made again from its seed."""
+        """Dataset, the only input of the solver; removed when the case is done, as its seed gives it again."""
         return self.folder / "data" / self.name
 
 
@@ -103,7 +103,7 @@ def make(config: Config, files: Files) -> None:
     """Make a case and write its truth."""
     robot = MIXED[files.index % len(MIXED)] if config.robot == "mixed" else config.robot
     seed = int(np.random.SeedSequence([config.seed, files.index]).generate_state(1)[0])
-    temporary = Path(tempfile.mkdtemp(prefix=f".{files.name}.", dir=_made(files.data.parent)))
+    temporary = Path(tempfile.mkdtemp(prefix=f".{files.name}.", dir=_created(files.data.parent)))
     truth: Truth = make_case(
         temporary,
         seed,
@@ -117,13 +117,20 @@ def make(config: Config, files: Files) -> None:
     write_json(files.truth, truth)
 
 
-def _made(folder: Path) -> Path:
+def _created(folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 
 
 def solve(data: Path) -> tuple[Bench, dict[str, Any]]:
-    """Solve a case; nothing here knows where the truth is. Returns the bench, for the oracle, and the answer."""
+    """Solve a case from its data alone.
+
+    Args:
+      data: folder of the dataset.
+
+    Returns:
+      The bench of the search, for `score_truth`, and the answer.
+    """
     begun, dataset = time.monotonic(), load(data)
     bench = Bench(dataset, EFFECTS)
     diagnosis = name_missing(bench, begun=begun)
@@ -139,18 +146,18 @@ def solve(data: Path) -> tuple[Bench, dict[str, Any]]:
     return bench, answer | {"margin": best - others[0]["score"] if others and result["ranking"] else None}
 
 
-def consult(config: Config, files: Files, bench: Bench | None) -> None:
-    """Gain and score of what is hidden, at its true parameters, and of each part of a pair beside the other.
+def score_truth(config: Config, files: Files, bench: Bench | None) -> None:
+    """Write gain and score of the hidden effects at their true parameters, each of a pair beside the other.
 
     Args:
-      config: of the benchmark.
-      files: of the case.
-      bench: that the case was solved with, if it was solved just now.
+      config: settings of the benchmark.
+      files: files of the case.
+      bench: bench of the search; None makes one.
     """
     truth = read_json(files.truth)
     missing = truth["effects"]
     gains: list[float] = []
-    judged: list[float] = []
+    gain_scores: list[float] = []
     if missing and config.oracle:
         bench = bench or Bench(load(files.data), EFFECTS)
         found = {candidate.name: candidate for candidate in bench.candidates}
@@ -159,30 +166,33 @@ def consult(config: Config, files: Files, bench: Bench | None) -> None:
         for one in missing:
             names = [c for c in found if c.split("@")[0] == one["effect"]]
             match = [c for c in names if scores.same_place(model, c.partition("@")[2], one["location"])]
-            match.sort(key=lambda c: c.partition("@")[2] != one["location"])  # a foot's ground is not all of it
+            match.sort(
+                key=lambda c: c.partition("@")[2] != one["location"]
+            )  # the same place first: ground friction of one foot is another candidate than of all
             if match:
                 candidate = found[match[0]]
                 values = scores.true_values(model, one, [p.name for p in candidate.parameters])
                 added.append((candidate, np.array(values)))
         if len(added) == len(missing):
-            gains, judged = _worth(bench, added)
+            gains, gain_scores = _true_gains(bench, added)
     elif missing:
-        gains = judged = [float(truth["visible"])]
-    write_json(files.oracle, {"gains": gains, "scores": judged})
+        gains = gain_scores = [float(truth["visible"])]
+    write_json(files.oracle, {"gains": gains, "scores": gain_scores})
 
 
-def _worth(bench: Bench, added: list[Any]) -> tuple[list[float], list[float]]:
-    """What each of some effects brings at given values, beside the others.
+def _true_gains(bench: Bench, added: list[Any]) -> tuple[list[float], list[float]]:
+    """Gains and scores of effects at given values, each beside the others.
 
-    With and without it every window has the starting states, of all that suit one of them, that suit it best.
+    Starting states are estimated with each hypothesis, with and without the effect; every hypothesis uses the best of
+    these for each window.
 
     Args:
-      bench: of the search.
+      bench: bench of the search.
       added: candidates with their values.
 
     Returns:
-      Falls of the plain loss on both sides of the split, in which one window may say anything, and scores as a search
-      reckons them: no window says much more than others, the luckiest nothing, and numbers have their price.
+      Falls of the loss, summed over both sides of the split, without a bound on the contribution of a window; and
+      scores as in the search, with bounded contributions, less the price of the parameters.
     """
     several = [added, *([a for a in added if a is not one] for one in added)]
     hypotheses = []
@@ -191,11 +201,11 @@ def _worth(bench: Bench, added: list[Any]) -> tuple[list[float], list[float]]:
         for candidate, values in some:
             hypothesis = hypothesis.with_effect(candidate, values)
         hypotheses.append(hypothesis)
-    anew = any(candidate.name in bench.delicate for candidate, _ in added)
+    contact_sensitive = any(candidate.name in bench.delicate for candidate, _ in added)
     plain, robust = np.zeros(len(added)), np.zeros(len(added))
     for side, free in ((bench.fit, bench.free), (bench.test, bench.nuisance)):
         centres = [side.recentred(hypothesis) for hypothesis in hypotheses]
-        if anew:
+        if contact_sensitive:
             centres += [own.redirected(h) for own, h in zip(centres, hypotheses, strict=True)]
         fits = []
         for hypothesis in hypotheses:
@@ -210,27 +220,27 @@ def _worth(bench: Bench, added: list[Any]) -> tuple[list[float], list[float]]:
 
 
 def work(config: Config, files: Files) -> None:
-    """Solve a case, then ask the oracle."""
+    """Solve a case, then compute the detectability of its truth."""
     bench = None
     if not files.answer.is_file():
         bench, answer = solve(files.data)
         write_json(files.answer, answer)
-    consult(config, files, bench)
+    score_truth(config, files, bench)
     shutil.rmtree(files.data, ignore_errors=True)
 
 
-def stay_on(cores: Any) -> None:
-    """Let a solver use its own cores: threads of several solvers would wait for each other at every step.
+def pin_to_cores(cores: Any) -> None:
+    """Restrict a solver to its own cores: threads of several solvers would block each other at every step.
 
     Args:
-      cores: queue with a set of cores for each solver.
+      cores: queue with a set of core numbers for each solver.
     """
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, cores.get())
 
 
 def run(config: Config, folder: Path) -> Iterator[int]:
-    """Make and solve all cases that are not done; yields the index of each case that is."""
+    """Make and solve the remaining cases; yields the index of every case that is done."""
     left = []
     for index in range(config.cases):
         if Files(folder, index).oracle.is_file():
@@ -246,11 +256,14 @@ def scheduled[F: Files](
     """Make cases and solve them in processes of their own; yields the index of each case when it is solved.
 
     Args:
-      left: files of the cases. A case whose truth and data are there is not made again.
-      make: makes a case.
-      work: solves a case.
-      workers: processes that make cases, and as many that solve them; several solvers get a core each.
+      left: files of the cases. A case whose truth and data exist is not made again.
+      make: function that makes a case.
+      work: function that solves a case.
+      workers: number of processes that make cases, and of those that solve them; several solvers get one core each.
       failed: folder for the errors of cases that fail, which are not yielded.
+
+    Yields:
+      Indices of solved cases, in the order in which they end.
     """
     context = multiprocessing.get_context("spawn")
     cores = context.Queue()
@@ -258,11 +271,11 @@ def scheduled[F: Files](
     for worker in range(workers):
         cores.put({usable[worker % len(usable)]} if workers > 1 else set(usable))
     with (
-        ProcessPoolExecutor(workers, context, stay_on, (cores,)) as solvers,
-        ProcessPoolExecutor(workers, context) as beside,
+        ProcessPoolExecutor(workers, context, pin_to_cores, (cores,)) as solvers,
+        ProcessPoolExecutor(workers, context) as separate_makers,
     ):
-        # One worker is asked for to learn what a case costs: no other is made meanwhile.
-        makers = beside if workers > 1 else solvers
+        # With one worker, the times of cases are measured: no other case is made meanwhile.
+        makers = separate_makers if workers > 1 else solvers
         pending: dict[Future[None], tuple[str, F]] = {}
         queue = iter(left)
 
@@ -308,7 +321,7 @@ def table(folder: Path, cases: int) -> list[dict[str, Any]]:
 
 
 def show(numbers: Mapping[str, Any], rows: list[dict[str, Any]]) -> None:
-    """Print bars, confusions and what went wrong."""
+    """Print the aims, further shares, and the table of hidden against reported verdicts."""
     print(f"{'':32}{'measured':>12}{'bar':>12}")
     for name, bar in scores.bars(numbers).items():
         value = "-" if bar["measured"] is None else f"{bar['measured']:.4g}"

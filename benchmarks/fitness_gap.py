@@ -1,12 +1,11 @@
-"""What fitness alone can see: `uv run python benchmarks/fitness_gap.py --cases 10 --out FOLDER`.
+"""Blind cases of the search by fitness alone: `uv run python benchmarks/fitness_gap.py --cases 10 --out FOLDER`.
 
-Hidden cases of one robot with one missing effect each, of which only the fitness of 45 + 15 controllers is known. A
-case counts as strong if its effect alone changes the fitness by `STRONG` times what calibration's leftovers do; weaker
-ones are left out. No more than `PER_KIND` cases are of one kind, so that the few kinds that move a robot much do not
-decide alone.
+Hidden cases of one robot with one missing effect each; the data are the fitness of 45 + 15 controllers. A case is
+strong if its effect alone changes the fitness by at least `STRONG` times the change by errors of calibration; weaker
+cases are left out. There are at most `PER_KIND` cases of one effect, so that few kinds do not dominate the result.
 
-All cases are tried with the same controllers, so that what candidates do is simulated once. Cases, answers and results
-are files in the folder: a killed benchmark goes on where it was with the same command.
+All cases use the same controllers, so that the responses of candidates are simulated once. Cases, answers and results
+are files in the folder: the same command continues a killed benchmark.
 """
 
 from collections import Counter
@@ -20,9 +19,9 @@ from summary_command import command
 
 from btr_mjx.gap.effects import EFFECTS, Candidate, candidates
 from btr_mjx.gap.fitness_only import (
-    COARSER,
-    SCREENED,
-    Answers,
+    COARSE_FACTORS,
+    SCREENING_TRIALS,
+    CandidateResponses,
     FitnessTable,
     TrialSimulator,
     identify_fitness,
@@ -35,9 +34,9 @@ from btr_mjx.runs import describe_environment, note, progress, read_arrays, read
 from btr_mjx.testing import FitnessCaseSettings, Missing, case_draw, draw_reality, make_fitness_case
 
 STRONG = 3.0
-"""Change of the fitness by a strong effect, in units of what calibration's leftovers change."""
+"""Change of the fitness by a strong effect, in units of the change by errors of calibration."""
 PER_KIND = 2
-"""Cases of one kind, at most."""
+"""Largest number of cases of one effect."""
 _PROBED = 12
 """Trials on which the strength of a drawn effect is measured."""
 
@@ -51,7 +50,7 @@ class Config:
     cases: int = 10
     """Number of strong cases."""
     seed: int = 1000
-    """Seed of the first case; that of the null."""
+    """Seed of the null; the cases have the following seeds."""
     controllers: int = 5
     """Seed of the controllers, which all cases share."""
     robot: str = "hexapod"
@@ -59,17 +58,17 @@ class Config:
 
 
 def run(config: Config) -> dict[str, Any]:
-    """Make and solve the cases; results.json holds what is returned."""
+    """Make and solve the cases; returns what is written to results.json."""
     null = load_fitness(_case(config, config.seed, None))
     trials = TrialSimulator(null)
     fit = np.flatnonzero(~null.test)
     floor = _delta(trials, null, fit)
-    note(f"calibration's leftovers alone: Delta_fitness {floor:.4f} m/s")
-    known = _answers(config, trials, fit[:SCREENED])
-    seeds = _strong(config, trials, known, floor)
+    note(f"errors of calibration alone: Delta_fitness {floor:.4f} m/s")
+    responses = _responses(config, trials, fit[:SCREENING_TRIALS])
+    seeds = _strong(config, trials, responses, floor)
     rows = []
     for seed in progress(seeds["strong"], description="cases", unit="cases"):
-        rows.append(_solved(config, seed, known))
+        rows.append(_solved(config, seed, responses))
         note(_line(rows[-1]))
     result = {"config": config, "floor": floor, **seeds, "cases": rows, "summary": summary(rows)}
     write_json(config.out / "results.json", {**result, "environment": describe_environment()})
@@ -77,7 +76,7 @@ def run(config: Config) -> dict[str, Any]:
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Shares over cases."""
+    """Shares of cases, and the median reduction of Delta_fitness."""
     falls = np.array([row["fall"] for row in rows])
     return {
         "kind_first": float(np.mean([row["kind_rank"] == 1 for row in rows])),
@@ -105,11 +104,11 @@ def _case(config: Config, seed: int, effects: int | None) -> Path:
     return folder
 
 
-def _answers(config: Config, trials: TrialSimulator, rows: np.ndarray) -> Answers:
-    """What candidates do, simulated once."""
+def _responses(config: Config, trials: TrialSimulator, rows: np.ndarray) -> CandidateResponses:
+    """Responses of the candidates, simulated once and kept in a file."""
     model = trials.table.head.model
     library = candidates(model, trials.scales(np.flatnonzero(~trials.table.test)[:3]), EFFECTS)
-    path, step = config.out / "answers.npz", COARSER[0] * float(model.opt.timestep)
+    path, step = config.out / "answers.npz", COARSE_FACTORS[0] * float(model.opt.timestep)
     if not path.is_file():
         found = simulate_candidates(trials, library, rows, step, note)
         arrays = {f"tried_{i}": own for i, own in enumerate(found.tried)}
@@ -117,7 +116,7 @@ def _answers(config: Config, trials: TrialSimulator, rows: np.ndarray) -> Answer
         write_arrays(path, arrays | {"rows": rows, "believed": found.believed})
     saved = read_arrays(path)
     each = range(len(library))
-    return Answers(
+    return CandidateResponses(
         tuple(library),
         saved["rows"],
         step,
@@ -127,11 +126,11 @@ def _answers(config: Config, trials: TrialSimulator, rows: np.ndarray) -> Answer
     )
 
 
-def _strong(config: Config, trials: TrialSimulator, known: Answers, floor: float) -> dict[str, Any]:
-    """Seeds of strong cases, and how many were drawn by kind."""
+def _strong(config: Config, trials: TrialSimulator, responses: CandidateResponses, floor: float) -> dict[str, Any]:
+    """Seeds of strong cases, and the number of draws by effect."""
     path = config.out / "strong.json"
     if not path.is_file():
-        by_name = {c.name: c for c in known.candidates}
+        by_name = {c.name: c for c in responses.candidates}
         strong: list[int] = []
         drawn: Counter[str] = Counter()
         kinds: Counter[str] = Counter()
@@ -144,8 +143,8 @@ def _strong(config: Config, trials: TrialSimulator, known: Answers, floor: float
             if kinds[missing.effect] >= PER_KIND or candidate is None:
                 continue
             world = candidate.apply(World.of(trials.table.head.model), values_of(candidate, missing))
-            fitness = trials.fitness([world], known.rows[:_PROBED], known.timestep)[0]
-            if np.nanmean(np.abs(fitness - known.believed[:_PROBED])) >= STRONG * floor:
+            fitness = trials.fitness([world], responses.rows[:_PROBED], responses.timestep)[0]
+            if np.nanmean(np.abs(fitness - responses.believed[:_PROBED])) >= STRONG * floor:
                 strong.append(seed)
                 kinds[missing.effect] += 1
         write_json(path, {"strong": strong, "drawn": dict(drawn)})
@@ -153,7 +152,15 @@ def _strong(config: Config, trials: TrialSimulator, known: Answers, floor: float
 
 
 def values_of(candidate: Candidate, missing: Missing) -> np.ndarray:
-    """The values of a hidden effect; where the candidate has other shape numbers, these stay at their start."""
+    """Values of a hidden effect in the order of a candidate's parameters.
+
+    Args:
+      candidate: the candidate at the place of the hidden effect.
+      missing: the hidden effect.
+
+    Returns:
+      (p,) values; parameters that the hidden effect does not have are at their null.
+    """
     return np.array([missing.parameters.get(p.name, p.null) for p in candidate.parameters])
 
 
@@ -162,12 +169,12 @@ def _delta(trials: TrialSimulator, table: FitnessTable, rows: np.ndarray) -> flo
     return float(np.nanmean(np.abs(found - table.fitness[rows])))
 
 
-def _solved(config: Config, seed: int, known: Answers) -> dict[str, Any]:
-    """One case: what was found, and how that compares with the truth."""
+def _solved(config: Config, seed: int, responses: CandidateResponses) -> dict[str, Any]:
+    """Result of one case, compared with the truth."""
     folder = _case(config, seed, 1)
     if not (folder / "result.json").is_file():
         table = load_fitness(folder)
-        write_json(folder / "result.json", as_result(identify_fitness(table, known=known), table.head))
+        write_json(folder / "result.json", as_result(identify_fitness(table, responses=responses), table.head))
     result, (missing,) = read_json(folder / "result.json"), read_json(config.out / f"truth-{seed}.json")["effects"]
     names = [row["effect"] for row in result["ranking"]]
     kinds = list(dict.fromkeys(names))

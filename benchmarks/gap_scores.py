@@ -1,4 +1,4 @@
-"""Scores of blind cases: what was said against what was hidden. Pure arithmetic on the files of `blind_gap.py`."""
+"""Scores of blind cases: answers against truths. Pure arithmetic on the files of `blind_gap.py`."""
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
@@ -11,9 +11,9 @@ from btr_mjx.gap.effects import joint_of, link_of
 
 _FREE, _SLIDE = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 DETECTABLE = 60.0
-"""Gain, at the true parameters, beyond which an effect counts as detectable; as a score it says what a search sees."""
+"""Gain (fall of chi^2) at the true parameters beyond which an effect is detectable; also used as a bound of scores."""
 STRONG = 1000.0
-"""Visible chi^2 beyond which an effect outside the library counts as strong."""
+"""`Truth.visible` (chi^2) beyond which an effect outside the library is strong."""
 BARS: Mapping[str, tuple[str, float]] = {
     "right_kind_and_place": (">=", 0.90),
     "truth_in_equivalence_set": (">=", 0.97),
@@ -28,13 +28,13 @@ BARS: Mapping[str, tuple[str, float]] = {
     "steps_largest": ("<=", 1e6),
     "seconds_median": ("<=", 15.0),
 }
-"""What the numbers should be."""
+"""Aims for the numbers."""
 Case = Mapping[str, Any]
-"""A case's `truth`, its `answer` (result.json in short) and its `oracle`."""
+"""Truth, answer (part of result.json) and oracle (gains and scores at the true parameters) of a case."""
 
 
 def joints_of(model: mujoco.MjModel, label: str) -> frozenset[str]:
-    """Hinges and slides that a place stands for; empty for a body, a geom or the world."""
+    """Names of the hinges and slides at a place; empty for a body, a geom or the world."""
     kind, _, name = label.partition(":")
     names = [model.joint(j).name for j in range(model.njnt) if model.jnt_type[j] >= _SLIDE]
     if kind == "all":
@@ -57,7 +57,7 @@ def _below(model: mujoco.MjModel, body: int, root: int) -> bool:
 
 
 def same_place(model: mujoco.MjModel, one: str, other: str) -> bool:
-    """Whether two labels mean the same place; bodies that are welded together are one."""
+    """Whether two labels denote the same place; bodies that are welded together are one."""
     if joints_of(model, one) or joints_of(model, other):
         return joints_of(model, one) == joints_of(model, other)
     bodies = [_body(model, label) for label in (one, other)]
@@ -71,7 +71,7 @@ def _body(model: mujoco.MjModel, label: str) -> int:
 
 
 def limbs_of(model: mujoco.MjModel, label: str) -> frozenset[str]:
-    """Limbs that a place touches: the branches at the trunk or at the base; a trunk or the world is its own limb."""
+    """Limbs at a place: the branches of the tree at the trunk or base; a trunk or the world is a limb of its own."""
     joints = joints_of(model, label)
     bodies = {int(model.joint(j).bodyid[0]) for j in joints} or {_body(model, label)}
     return frozenset("world" if b < 0 else model.body(_limb(model, b)).name for b in bodies)
@@ -90,14 +90,23 @@ def same_effect(model: mujoco.MjModel, one: Mapping[str, Any], other: Mapping[st
     return one["effect"] == other["effect"] and same_place(model, one["location"], other["location"])
 
 
-def _twins(model: mujoco.MjModel, one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+def _lag_for_delay(model: mujoco.MjModel, one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
     """Whether one entry is a delay and the other a lag of the same motors: at one frequency these are the same."""
     kinds = {one["effect"], other["effect"]}
     return kinds == {"actuator_delay", "actuator_lag"} and same_place(model, one["location"], other["location"])
 
 
 def true_values(model: mujoco.MjModel, missing: Mapping[str, Any], names: Sequence[str]) -> list[float]:
-    """The hidden parameters in the words of the library's candidate at that place."""
+    """Hidden parameters in the parametrisation of the library's candidate at that place.
+
+    Args:
+      model: the believed model.
+      missing: an effect of the truth.
+      names: (p,) parameters of the candidate; "along" is the position of a payload along its link [m].
+
+    Returns:
+      (p,) values.
+    """
     parameters = missing["parameters"]
     values = []
     for name in names:
@@ -111,27 +120,34 @@ def true_values(model: mujoco.MjModel, missing: Mapping[str, Any], names: Sequen
 
 
 def parameter_error(missing: Mapping[str, Any], named: Mapping[str, Any]) -> float:
-    """Relative error of the size of a rightly named effect: of vectors the length of the error, of payloads the mass.
+    """Relative error of the size of a correctly named effect.
 
-    Where an effect is absent at a value other than zero (friction, softness), errors are relative to the distance
-    from there; a torque limit's to the limit.
+    The size of a payload is its mass, that of a vector its length. Where an effect is absent at a value other than zero
+    (friction, softness), errors are relative to the distance from that value; for a torque limit, to the limit.
+
+    Args:
+      missing: an effect of the truth.
+      named: the effect of the answer.
+
+    Returns:
+      Norm of the error over the norm of the true size.
     """
-    true, said = missing["parameters"], named["parameters"]
+    true, estimated = missing["parameters"], named["parameters"]
     if "mass" in true:
         names: Sequence[str] = ["mass"]
     elif "x" in true:
         names = [name for name in "xyz" if name in true]
     else:
         names = [next(iter(true))]
-    null = [0.0 if name == "limit" else float(said[name].get("null", 0.0)) for name in names]
+    null = [0.0 if name == "limit" else float(estimated[name].get("null", 0.0)) for name in names]
     truth = np.array([float(true[name]) for name in names])
-    return float(np.linalg.norm([float(said[n]["value"]) - t for n, t in zip(names, truth, strict=True)])) / float(
+    return float(np.linalg.norm([float(estimated[n]["value"]) - t for n, t in zip(names, truth, strict=True)])) / float(
         np.linalg.norm(truth - np.array(null))
     )
 
 
 def judge(model: mujoco.MjModel, case: Case) -> dict[str, Any]:
-    """One row of the table of cases."""
+    """Row of the table of cases: truth, answer, detectability and correctness of one case."""
     truth, answer, oracle = case["truth"], case["answer"], case["oracle"]
     hidden, named = truth["effects"], answer["effects"]
     row: dict[str, Any] = {
@@ -164,14 +180,14 @@ def judge(model: mujoco.MjModel, case: Case) -> dict[str, Any]:
         row["right"] = all(found) if len(hidden) > 1 else bool(named) and same_effect(model, hidden[0], named[0])
         said_first = named if len(hidden) > 1 else named[:1]
         row["right_or_twin"] = all(
-            any(same_effect(model, h, n) or _twins(model, h, n) for n in said_first) for h in hidden
+            any(same_effect(model, h, n) or _lag_for_delay(model, h, n) for n in said_first) for h in hidden
         )
         close = [*named, *answer["equivalent"]]
         row["listed"] = all(any(same_effect(model, h, c) for c in close) for h in hidden)
         row["in_set"] = answer["verdict"] == "effect" and row["listed"]
         limbs = [limbs_of(model, h["location"]) for h in hidden]
-        said = [limbs_of(model, n["location"]) for n in named]
-        row["right_limb"] = all(limb in said for limb in limbs)
+        named_limbs = [limbs_of(model, n["location"]) for n in named]
+        row["right_limb"] = all(limb in named_limbs for limb in limbs)
         row["extra"] = len(named) > len(hidden)
         errors = [parameter_error(h, f[0]) for h, f in zip(hidden, found, strict=True) if f]
         row["error"] = max(errors, default=float("nan")) if row["right"] else float("nan")
@@ -183,7 +199,7 @@ def _share(rows: Sequence[Mapping[str, Any]], good: Callable[[Mapping[str, Any]]
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """The numbers of the benchmark; None where there are no cases of the kind."""
+    """Numbers of the benchmark over the rows of `judge`; None where there are no cases of the kind."""
     effects = [r for r in rows if r["truth"] == "effect" and " + " not in r["hidden"]]
     pairs = [r for r in rows if r["truth"] == "effect" and " + " in r["hidden"]]
     nulls, outside = ([r for r in rows if r["truth"] == t] for t in ("none", "unexplained"))
@@ -237,7 +253,7 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def bars(numbers: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Each bar with what was measured and whether it was met; None where nothing was measured."""
+    """Every aim with the measured value and whether it is met; None where nothing was measured."""
     out = {}
     for name, (sign, bar) in BARS.items():
         value = numbers[name]
@@ -247,23 +263,24 @@ def bars(numbers: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def confusion(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Counts of what was said by what was hidden: kinds of effects, nothing, something outside the library."""
+    """Counts of reported by hidden: effects, none, unexplained."""
     counts: dict[tuple[str, str], int] = {}
     for row in rows:
         hidden = (
             row["hidden"].split("@")[0] if row["truth"] == "effect" and " + " not in row["hidden"] else row["truth"]
         )
         hidden = "two effects" if " + " in row["hidden"] else hidden
-        said = row["named"].split("@")[0] if row["said"] == "effect" else row["said"]
-        counts[hidden, said] = counts.get((hidden, said), 0) + 1
+        reported = row["named"].split("@")[0] if row["said"] == "effect" else row["said"]
+        counts[hidden, reported] = counts.get((hidden, reported), 0) + 1
     return [{"hidden": h, "said": s, "cases": n} for (h, s), n in sorted(counts.items())]
 
 
 MARGINS = (0.0, 10.0, 25.0, 50.0, 100.0, 400.0, np.inf)
+"""Edges of the bins of `calibration`: differences of scores."""
 
 
 def calibration(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """How often a name was right, by its margin over the next candidate."""
+    """Share of correct names by their margin over the next candidate."""
     named = [r for r in rows if r["said"] == "effect" and r["margin"] is not None]
     out = []
     for low, high in itertools.pairwise(MARGINS):

@@ -1,7 +1,7 @@
-"""What preparing morphologies costs beside simulating them: `uv run python benchmarks/models.py`.
+"""Cost of preparing morphologies, compared with simulating them: `uv run python benchmarks/models.py`.
 
-Every morphology is tried once by the lanes engine. The stages take their turn in each of several rounds, so that
-whatever else the machine does hits all alike; ratios are medians of the per-round ratios.
+Every morphology is simulated once by the lanes engine. The stages run in turn in each of several rounds, so that other
+load on the machine affects all of them; ratios are medians of the ratios of the rounds.
 """
 
 import json
@@ -16,7 +16,7 @@ import numpy as np
 import tyro
 
 from btr_mjx.engines import use_all_cores
-from btr_mjx.evaluation.evaluation import _essence, _program
+from btr_mjx.evaluation.evaluation import _program, _program_inputs
 from btr_mjx.models import compile_models, why_compiled
 from btr_mjx.robots import hexapod
 from btr_mjx.runs import available_cores
@@ -27,15 +27,15 @@ class Config:
     """Settings; every field is a flag."""
 
     morphologies: int = 10_000
-    """Morphologies that are prepared."""
+    """Number of morphologies that are prepared."""
     steps: int = 3400
-    """Steps for which they are simulated."""
+    """Steps of a simulation."""
     compiled: int = 100
-    """Morphologies that are compiled one by one, for comparison."""
+    """Number of morphologies that are compiled one by one, for comparison."""
     rounds: int = 3
-    """Rounds in which all stages take their turn."""
+    """Number of rounds; every stage runs once a round."""
     json: Path | None = None
-    """Write the numbers here too."""
+    """Also write the numbers to this file."""
 
 
 def main(config: Config) -> None:
@@ -48,8 +48,8 @@ def main(config: Config) -> None:
     assert not why_compiled(robot)
     first = time.perf_counter() - start
 
-    # One block of pairs, as `evaluate` runs it; its cost per pair is that of all blocks.
-    program = _program(_essence(robot), "lanes", 1, False, None, bool(jax.config.read("jax_enable_x64")))
+    # One block of pairs, as in `evaluate`; all blocks have the same cost per pair.
+    program = _program(_program_inputs(robot), "lanes", 1, False, None, bool(jax.config.read("jax_enable_x64")))
     size = program.layout.pairs
     controllers = robot.controller_box.sample(rng, size)
     leaves = compile_models(robot, np.resize(simulations, (size, robot.simulation_box.n))).leaves

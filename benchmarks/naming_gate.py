@@ -4,9 +4,10 @@
     uv run python benchmarks/naming_gate.py --against before.json     # or a code digest: that version's cached answers
 
 The cases are those of `blind_gap.py --robot ROBOT --seed SEED`. A case is made once and kept, with the gain of its true
-effect: all versions read the same recordings and are judged on the same detectable effects. An answer is cached under
-the digest of the code that gave it: unchanged code solves nothing, and a killed run goes on with the same command. A
-checkout of another commit shares the cache through `--out`. Exit code: 1 where a case failed, 2 for bad input.
+effect: all versions read the same recordings, and the same effects are detectable for all. An answer is cached under
+the digest of the code that computed it: unchanged code solves no case again, and the same command continues a killed
+run. A checkout of another commit shares the cache through `--out`. Two versions are compared case by case with
+McNemar's exact test. Exit code: 1 where a case failed, 2 for bad input.
 """
 
 import hashlib
@@ -35,11 +36,11 @@ from btr_mjx.errors import InputError, cli_errors
 from btr_mjx.runs import describe_environment, progress, read_json, write_json
 from btr_mjx.testing import case_robot
 
-APART = (
+ROOMS_OUTSIDE_SEARCH = (
     *("backtoreality", "engines", "evaluation", "optimise", "plotting", "testing"),
     *("gap/experiments", "gap/fitness_only", "gap/preflight", "gap/report"),
 )
-"""Rooms that the search does not import; neither does it import the commands, which are the files at the top."""
+"""Rooms that the search does not import. It does not import the commands either, which are the files at the top."""
 SHARES = (
     ("detectable effects right", "right_kind_and_place", "detectable"),
     ("truth in the equivalence set", "truth_in_equivalence_set", "detectable"),
@@ -47,7 +48,7 @@ SHARES = (
     ("outside called unexplained", "outside_flagged", "outside"),
     ("false unexplained", "false_unexplained", "explained"),
 )
-"""Rows of the table: title, share in `gap_scores.summary`, number of cases that the share is of."""
+"""Rows of the table: title, share in `gap_scores.summary`, number of cases of which the share is taken."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class Config:
     seed: int = 2026
     """Seed of the cases."""
     workers: int = 2
-    """Processes that make cases, and as many that solve them; several solvers get a core each."""
+    """Number of processes that make cases, and of those that solve them; several solvers get one core each."""
     out: Path = Path("runs/naming_gate")
     """Folder of the cases and of the answers of all versions."""
     against: str | None = None
@@ -74,24 +75,24 @@ class Config:
 
 @dataclass(frozen=True)
 class Files(blind_gap.Files):
-    """Where the files of a case and its answer by one version of the code are."""
+    """Paths of the files of a case and of its answer by one version of the code."""
 
     prefix: str
     code: str
 
     @property
     def name(self) -> str:
-        """Of the case."""
+        """Name of the case."""
         return f"{self.prefix}-{self.index:04d}"
 
     @property
     def answer(self) -> Path:
-        """Written by the process that solves it."""
+        """Answer, written by the process that solves the case."""
         return self.folder / "answers" / self.code / f"{self.name}.json"
 
 
 def _digest(root: Path, counts: Callable[[Path], bool], more: str = "") -> str:
-    """SHA-256 of a text and of the files that count, with their names; 12 hexadecimal digits."""
+    """SHA-256 of a text and of the selected files with their names; the first 12 hexadecimal digits."""
     total = hashlib.sha256(more.encode())
     for name in sorted(path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file()):
         if counts(Path(name)):
@@ -101,45 +102,53 @@ def _digest(root: Path, counts: Callable[[Path], bool], more: str = "") -> str:
 
 
 def code_digest(package: Path) -> str:
-    """Digest of all that an answer depends on besides the data: modules of a package and versions of libraries."""
+    """Digest of the code on which an answer depends: modules of a package and versions of libraries.
+
+    Args:
+      package: folder of btr_mjx.
+
+    Returns:
+      12 hexadecimal digits.
+    """
 
     def counts(path: Path) -> bool:
-        apart = path.name != "errors.py" if len(path.parts) == 1 else any(path.is_relative_to(room) for room in APART)
-        return path.suffix == ".py" and not apart
+        if len(path.parts) == 1:
+            return path.name == "errors.py"
+        return path.suffix == ".py" and not any(path.is_relative_to(room) for room in ROOMS_OUTSIDE_SEARCH)
 
     return _digest(package, counts, ", ".join(f"{lib.__name__} {lib.__version__}" for lib in (mujoco, np, scipy)))
 
 
 @cache
 def data_digest(folder: Path) -> str:
-    """Digest of a dataset; kept, as recordings do not change."""
+    """Digest of a dataset; cached, as recordings do not change."""
     return _digest(folder, lambda _: True)
 
 
 CODE = code_digest(Path(str(btr_mjx.__file__)).parent)
-"""Of the code that this process imported."""
+"""Digest of the code that this process imported."""
 
 
 def make(config: Config, files: Files) -> None:
-    """Make a case and write its truth; what was computed from recordings that are lost is dropped."""
+    """Make a case and write its truth; results from earlier recordings of the case are removed."""
     files.oracle.unlink(missing_ok=True)
     blind_gap.make(blind_gap.Config(seed=config.seed, robot=config.robot, duration=config.duration), files)
 
 
 def work(files: Files) -> None:
-    """Solve a case; where no version did before, compute the gain of the true effect as well."""
+    """Solve a case; compute the gain of the true effect, too, where no version has done so."""
     if files.code != CODE:
         raise InputError(f"btr_mjx changed from {files.code} to {CODE} while the run started; start it again")
     begun = time.process_time()
     bench, answer = blind_gap.solve(files.data)
     cpu = time.process_time() - begun
     if not files.oracle.is_file():
-        blind_gap.consult(blind_gap.Config(), files, bench)
+        blind_gap.score_truth(blind_gap.Config(), files, bench)
     write_json(files.answer, answer | {"cpu_seconds": cpu, "data": data_digest(files.data)})
 
 
 def cached(files: Files, saved: Mapping[str, Any] | None = None) -> dict[str, Any] | None:
-    """The answer to a case in the cache, or among saved answers; None where there is none to these recordings."""
+    """The answer to a case in the cache, or among saved answers; None where there is none for these recordings."""
     if not (files.truth.is_file() and files.oracle.is_file() and files.data.is_dir()):
         return None
     if saved is None:
@@ -216,7 +225,7 @@ def compared(before: Sequence[Mapping[str, Any]], after: Sequence[Mapping[str, A
 
 
 def _words(row: Mapping[str, Any]) -> str:
-    """What a version said, and whether that is right where an answer is expected."""
+    """The answer of a version, and whether it is correct where that can be decided."""
     said = row["named"] if row["said"] == "effect" else row["said"]
     return said + {None: "", True: " (right)", False: " (wrong)"}[row["correct"]]
 

@@ -1,13 +1,11 @@
-"""Whether a chosen experiment saves recordings: `uv run python benchmarks/next_experiment.py --out FOLDER`.
+"""Recordings saved by choosing the next command: `uv run python benchmarks/next_experiment.py --out FOLDER`.
 
-Each case is a robot that lacks one effect, and one short recording of it that does not say which: the true effect and
-its closest rival have scores within `DECISIVE_MARGIN` of each other. Both may be recorded again with any of ten
-variations of the recorded commands. One experimenter takes those first on which the two are expected to disagree most,
-the other takes them as they come. What is counted is how many recordings each needs until truth and rival are told
-apart, in a simulated reality with the sensors' noise.
+Each case is a robot with one missing effect and one short recording that does not identify it: the true effect and its
+closest rival have scores within `DECISIVE_MARGIN` of each other. New recordings may use any of ten variations of the
+recorded commands. They are taken either in the order of the expected disagreement of the two, or in random order.
+Counted are the recordings until truth and rival are separated, in a simulated reality with the sensors' noise.
 
-Every case is a file in the folder, written when it is done: a killed benchmark goes on where it was with the same
-command.
+Every case is a file in the folder, written when it is done: the same command continues a killed benchmark.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,6 +25,7 @@ from btr_mjx.runs import describe_environment, note, progress, read_json, write_
 from btr_mjx.testing import CaseSettings, Truth, make_case
 
 _QUICK = Options(steps=2e4, leaders=8, contact_leaders=0)
+"""Options of a search that needs the first two candidates only."""
 
 
 @dataclass(frozen=True)
@@ -38,21 +37,21 @@ class Config:
     cases: int = 12
     """Number of ambiguous cases."""
     seed: int = 0
-    """Seed of the first one that is tried."""
+    """Seed of the first case that is tried."""
     robot: str = "pendulum"
     """Robot of the cases."""
     orders: int = 4
-    """Random orders of the commands, each against the chosen one."""
+    """Number of random orders that are compared with the chosen one."""
     commands: int = 10
-    """Commands to choose from."""
+    """Number of commands to choose from."""
     most: int = 6
-    """Recordings after which an experimenter gives up; counted as one more."""
+    """Largest number of recordings; unresolved cases count as one more."""
     duration: float = 1.0
-    """Of the first recording [s]."""
+    """Duration of the first recording [s]."""
 
 
 def run(config: Config) -> dict[str, Any]:
-    """Try seeds until there are enough ambiguous cases; results.json holds what is returned."""
+    """Try seeds until there are enough ambiguous cases; returns what is written to results.json."""
     rows: list[Any] = []
     seed = config.seed
     with progress(total=config.cases, description="ambiguous cases", unit="cases") as bar:
@@ -72,14 +71,14 @@ def run(config: Config) -> dict[str, Any]:
 
 
 def summary(rows: Sequence[Mapping[str, Any]], most: int) -> dict[str, float]:
-    """Mean numbers of recordings, and in how many cases the choice needed fewer or more than chance did on average.
+    """Mean numbers of recordings, and shares of cases in which the chosen order needs fewer or more than random orders.
 
     Args:
       rows: ambiguous cases.
-      most: recordings after which an experimenter gives up.
+      most: largest number of recordings.
 
     Returns:
-      The means of all, and of those that the choice or chance told apart at all, and the share of these.
+      Means over all cases, means over the resolved cases ("told"), and the share of these.
     """
     chosen = np.array([row["chosen"] for row in rows], float)
     chance = np.array([np.mean(row["random"]) for row in rows])
@@ -97,7 +96,7 @@ def summary(rows: Sequence[Mapping[str, Any]], most: int) -> dict[str, float]:
 
 
 def _case(config: Config, seed: int) -> dict[str, Any]:
-    """One seed: whether it is ambiguous, and how many recordings are needed then."""
+    """One seed: whether the case is ambiguous, and the numbers of recordings that are needed."""
     folder = config.out / f"data-{seed}"
     truth = make_case(
         folder,
@@ -117,7 +116,7 @@ def _case(config: Config, seed: int) -> dict[str, Any]:
     measurement = Measurement(bench.sigma, bench.survey.span)
     needed = []
     for order in range(config.orders + 1):
-        # The same commands for all; chance differs in their order, and in the noise.
+        # All orders have the same commands; they differ in sequence and noise.
         commands = random_commands(dataset, np.random.default_rng([seed, 3]), config.commands)
         rng = np.random.default_rng([seed, 4, order])
         chosen = order == 0
@@ -136,7 +135,7 @@ def _case(config: Config, seed: int) -> dict[str, Any]:
 
 
 def _at_truth(bench: Bench, found: Hypothesis, truth: Truth) -> Hypothesis:
-    """The true effect at its true values."""
+    """Hypothesis of the true effect at its true values."""
     candidate = found.effects[-1][0]
     values = [truth.effects[0].parameters.get(p.name, p.null) for p in candidate.parameters]
     return bench.base.with_effect(candidate, np.array(values))

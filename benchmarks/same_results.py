@@ -1,8 +1,8 @@
-"""Whether this version computes what an earlier one did: `uv run python benchmarks/same_results.py --before REVISION`.
+"""Bit-wise comparison of two versions' results: `uv run python benchmarks/same_results.py --before REVISION`.
 
-Both versions run the same commands, each in a working tree of its own; then result.json, tables and arrays are
-compared. Seconds, paths, versions and names of modules may differ, nothing else. What a revision computed is kept in
-the output folder, so that a second comparison runs this version only.
+Both versions run the same commands, each in a working tree of its own. Then result.json, tables and arrays are
+compared. Only seconds, paths, versions and names of modules may differ. The results of a revision are kept in the
+output folder, so that a second comparison runs this version only.
 """
 
 import json
@@ -40,7 +40,7 @@ _PATH = re.compile(r'"/[^"]*"')
 """An absolute path in a text file."""
 
 _SKIPPED = ("environment.json", "config.json", "search")
-"""Files and folders that say how a run was made; config.json has the path of its folder."""
+"""Files and folders that describe how a run was made; config.json has the path of its folder."""
 
 
 @dataclass(frozen=True)
@@ -50,13 +50,13 @@ class Config:
     before: str
     """Revision to compare with: a commit, a tag or a branch."""
     only: tuple[str, ...] = ()
-    """Names of the commands to compare; none for all."""
+    """Names of the commands to compare; all by default."""
     out: Path = Path("runs/same_results")
     """Folder of both versions' runs."""
     again: bool = True
-    """Run this version anew; without it, what the folder holds of it is compared."""
+    """Run this version again; without it, its results in the folder are compared."""
     json: Path | None = None
-    """Write the differences here too."""
+    """Also write the differences to this file."""
 
 
 def run_command(tree: Path, name: str, folder: Path) -> None:
@@ -98,7 +98,7 @@ def comparable(value: Any) -> Any:
 
 
 def content(path: Path) -> Any:
-    """What a file says, in a form that is equal where every bit of it is; None for pictures and pages."""
+    """Content of a file, equal for two files where every bit of their data is; None for pictures and pages."""
     match path.suffix:
         case ".json":
             return json.dumps(comparable(read_json(path)), sort_keys=True)

@@ -1,10 +1,10 @@
 """Cost per pair and memory from 64 to 100,000 pairs: `uv run python benchmarks/scaling.py`.
 
-Every pair has a morphology of its own, so that what is measured holds all there is to do for a pair: preparing its
-model, simulating it, its fitness. The number of JAX devices is fixed when JAX starts, so each number of devices has a
-process of its own, which takes the sizes in ascending order, several times: the peak memory after a size in the first
-pass is that size's. The program is compiled before the clock starts. Simulating costs the same for every step, so a
-shorter trial shows the same curve sooner, with a larger share of preparing.
+Every pair has a morphology of its own, so that the measured cost is the whole cost of a pair: preparing its model,
+simulating it, computing its fitness. The number of JAX devices is fixed when JAX starts, so that each number of devices
+has a process of its own. It runs the sizes in ascending order, several times; the peak memory after a size in the first
+pass is the memory that this size needs. Compilation is not timed. All steps cost the same, so that short trials show
+the same curve, with a larger share of preparation.
 """
 
 import json
@@ -27,10 +27,13 @@ from btr_mjx.robots import hexapod
 from btr_mjx.runs import available_cores
 
 SIZES = (64, 256, 1024, 4096, 16_384, 100_000)
+"""Numbers of pairs."""
 FLAT_FROM = 1024
-"""From here on the cost per pair should be flat."""
+"""Number of pairs from which on the cost per pair should be constant."""
 FLAT_WITHIN = 0.15
+"""Aim for the largest relative difference of the cost per pair."""
 MEMORY_GIB = 1.5
+"""Aim for the peak memory [GiB]."""
 
 
 @dataclass(frozen=True)
@@ -46,13 +49,16 @@ class Config:
     devices: tuple[int, ...] = (1, 2)
     """Numbers of JAX devices, one process each."""
     json: Path | None = None
-    """Write the numbers here too."""
+    """Also write the numbers to this file."""
     measure: bool = False
-    """Measure in this process and print JSON: what the command runs for each number of devices."""
+    """Internal: measure one number of devices in this process and print JSON."""
 
 
 def measure(config: Config) -> dict[str, Any]:
     """Time all sizes in this process.
+
+    Args:
+      config: settings with one number of devices.
 
     Returns:
       rows: pairs, seconds per pair, steps per second, peak memory of the process so far [GiB]; prepare_s_per_pair:
@@ -96,7 +102,9 @@ def measure(config: Config) -> dict[str, Any]:
 def in_own_process(config: Config, devices: int) -> dict[str, Any]:
     """`measure` with a number of devices, in a new process."""
     flags = [f"--max-pairs={config.max_pairs}", f"--steps={config.steps}", f"--rounds={config.rounds}"]
-    environment = {key: value for key, value in os.environ.items() if key != "XLA_FLAGS"}  # the number is ours
+    environment = {
+        key: value for key, value in os.environ.items() if key != "XLA_FLAGS"
+    }  # it could set another number of devices
     output = subprocess.run(
         [sys.executable, __file__, "--measure", *flags, "--devices", str(devices)],
         stdout=subprocess.PIPE,
@@ -108,7 +116,7 @@ def in_own_process(config: Config, devices: int) -> dict[str, Any]:
 
 
 def unevenness(rows: list[dict[str, Any]]) -> float | None:
-    """Largest relative difference of the cost per pair from that at 1,024 pairs, None without larger sizes."""
+    """Largest relative difference of the cost per pair from that of 1,024 pairs; None without larger sizes."""
     costs = [row["s_per_pair"] for row in rows if row["pairs"] >= FLAT_FROM]
     return max(abs(cost / costs[0] - 1) for cost in costs) if len(costs) > 1 else None
 

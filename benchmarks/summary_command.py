@@ -1,4 +1,4 @@
-"""The command line of benchmarks that end in a few numbers."""
+"""Command line of benchmarks that print a summary of numbers."""
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -16,9 +16,9 @@ def command[C](
 
     Args:
       config: class of the settings.
-      run: returns the results, with the numbers under "summary".
-      text: what help says.
-      argv: words of the command line; None for the process's own.
+      run: function that returns the results, with the numbers under "summary".
+      text: description for --help.
+      argv: arguments of the command line; None for those of the process.
     """
     settings = tyro.cli(config, args=sys.argv[1:] if argv is None else list(argv), description=text)
     with cli_errors():

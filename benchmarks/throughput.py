@@ -1,9 +1,9 @@
 """Steps per second of every way to run the hexapod: `uv run python benchmarks/throughput.py`.
 
 All contestants simulate the same pairs (per-pair morphologies, random controllers) with converged solvers, one after
-the other in each of several rounds, so that whatever else the machine does hits all alike. Ratios are medians of the
-per-round ratios. Compile times are apart. MJX is slow on a CPU and runs the first steps only; its cost per step does
-not depend on contact.
+the other in each of several rounds, so that other load on the machine affects all of them. Ratios are medians of the
+ratios of the rounds. Compile times are measured separately. MJX is slow on a CPU and runs the first steps only; its
+cost per step does not depend on contact.
 """
 
 import json
@@ -24,7 +24,7 @@ from mujoco.batch import Batch
 
 from btr_mjx.engines import MjxStepper, Program, native, use_all_cores
 from btr_mjx.evaluation import base_address
-from btr_mjx.evaluation.evaluation import _essence, _program, _stepper
+from btr_mjx.evaluation.evaluation import _program, _program_inputs, _stepper
 from btr_mjx.models import Models, compile_models
 from btr_mjx.robots import Robot, hexapod
 from btr_mjx.runs import available_cores
@@ -35,28 +35,35 @@ class Config:
     """Settings; every field is a flag."""
 
     pairs: int = 512
-    """Pairs (s, c) for lanes."""
+    """Number of pairs (s, c) for lanes."""
     morphologies: int = 64
-    """Different simulations among them."""
+    """Number of different simulations among them."""
     native_pairs: int = 64
-    """Pairs for native MuJoCo."""
+    """Number of pairs for native MuJoCo."""
     mjx_pairs: int = 128
-    """Pairs for MJX."""
+    """Number of pairs for MJX."""
     steps: int = 3400
     """Steps per pair."""
     mjx_steps: int = 150
     """Steps per pair for MJX."""
     rounds: int = 3
-    """Rounds in which all contestants take their turn."""
+    """Number of rounds; every contestant runs once a round."""
     mjx: bool = True
     """Run MJX."""
     json: Path | None = None
-    """Write the numbers here too."""
+    """Also write the numbers to this file."""
 
 
 @dataclass(frozen=True)
 class Contestant:
-    """A way to run; `run` returns when it is done."""
+    """A way to simulate the pairs.
+
+    Attributes:
+      name: label in the table.
+      steps: environment steps of one run.
+      compile_s: time to trace and compile [s].
+      run: runs once and returns when all results are there.
+    """
 
     name: str
     steps: int
@@ -65,7 +72,7 @@ class Contestant:
 
 
 def timed_compile(program: Program, arguments: tuple) -> tuple[Callable, float]:
-    """Trace and compile a program, and the seconds that took."""
+    """Trace and compile a program; returns it with the time that took [s]."""
     start = time.perf_counter()
     compiled = program.function.lower(*arguments).compile()
     return compiled, time.perf_counter() - start
@@ -77,7 +84,7 @@ def gathered(models: Models, index: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def contestants(config: Config, robot: Robot) -> list[Contestant]:
-    """Everything that takes part, compiled."""
+    """All contestants, compiled."""
     rng = np.random.default_rng(0)
     simulations = robot.simulation_box.clip(robot.nominal_simulation * rng.uniform(0.8, 1.2, (config.morphologies, 12)))
     controllers = robot.controller_box.sample(rng, config.pairs)
@@ -129,7 +136,7 @@ def contestants(config: Config, robot: Robot) -> list[Contestant]:
     x64 = bool(jax.config.read("jax_enable_x64"))
     if config.mjx:
         result += mjx_contestants(config, robot, models, index, controllers, x64)
-    program = _program(_essence(robot), "lanes", 1, False, None, x64)
+    program = _program(_program_inputs(robot), "lanes", 1, False, None, x64)
     arguments = program.arguments(gathered(models, index), controllers, samples)
     compiled, seconds = timed_compile(program, arguments)
     result.append(
@@ -146,9 +153,9 @@ def contestants(config: Config, robot: Robot) -> list[Contestant]:
 def mjx_contestants(
     config: Config, robot: Robot, models: Models, index: np.ndarray, controllers: np.ndarray, x64: bool
 ) -> list[Contestant]:
-    """Plain `vmap(mjx.step)` on one device as one would write it, and the `mjx` engine on all of them."""
+    """Plain `jax.vmap(mjx.step)` on one device, and the `mjx` engine on all devices."""
     n, steps = config.mjx_pairs, config.mjx_steps
-    stepper = _stepper(_essence(robot), "mjx", x64)
+    stepper = _stepper(_program_inputs(robot), "mjx", x64)
     assert isinstance(stepper, MjxStepper)
     leaves = gathered(models, index[:n])
     packed = jax.tree.map(lambda x: x[0], stepper.pack({name: values[None] for name, values in leaves.items()}))
@@ -165,7 +172,7 @@ def mjx_contestants(
     start = time.perf_counter()
     compiled_plain = plain.lower(packed, c).compile()
     plain_seconds = time.perf_counter() - start
-    program = _program(_essence(robot), "mjx", 1, False, None, x64)
+    program = _program(_program_inputs(robot), "mjx", 1, False, None, x64)
     arguments = program.arguments(leaves, controllers[:n], np.array([steps]))
     compiled, seconds = timed_compile(program, arguments)
     return [

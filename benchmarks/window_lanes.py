@@ -1,9 +1,9 @@
-"""Whether the windows of a search would gain by lanes: `uv run python benchmarks/window_lanes.py`.
+"""Speed of lanes and native MuJoCo on short windows: `uv run python benchmarks/window_lanes.py`.
 
-A search simulates many short windows in float64, of models that differ in whatever effects change. Those fields are
-arguments of the program in `lanes`, not constants in it. Both engines take the same rows from states in the middle of a
-gait, on one core each, one after the other in every round; the time is per row and step. Of lanes' rows all chunks go
-through one call and only the last state is kept, both in its favour.
+The search for a missing effect simulates many short windows in float64, of models that differ in the fields that
+effects change. In `lanes` these fields are arguments of the program, not constants. Both engines simulate the same
+rows, from states in the middle of a gait, on one core each, one after the other in every round; times are per row and
+step. In favour of lanes, all its chunks run in one call and only the last state is kept.
 """
 
 import json
@@ -21,7 +21,7 @@ from jax import lax
 from mujoco.batch import Batch
 
 from btr_mjx.engines import LanesStepper, base_field, use_all_cores
-from btr_mjx.gap.simulate.batch import _needless
+from btr_mjx.gap.simulate.batch import _unneeded_features
 from btr_mjx.models import compile_models
 from btr_mjx.robots import Robot, hexapod
 
@@ -31,10 +31,10 @@ CHANGED = (
     *("geom_pos", "geom_quat", "geom_size", "geom_friction", "geom_solref", "body_invweight0", "dof_invweight0"),
     *("opt.gravity", "opt.density", "opt.viscosity"),
 )
-"""Fields that effects of the library change and lanes can vary."""
+"""Fields that effects of the library change and that lanes can vary by row."""
 
 SCALED = ("actuator_biasprm", "actuator_gainprm", "dof_armature", "dof_damping", "geom_friction", "body_mass")
-"""Those of them that are given a factor of its own in every row."""
+"""Fields that are multiplied by a random factor in every row."""
 
 
 @dataclass(frozen=True)
@@ -42,22 +42,27 @@ class Config:
     """Settings; every field is a flag."""
 
     rows: int = 1024
-    """Windows at once."""
+    """Number of windows."""
     steps: tuple[int, ...] = (1, 4, 16, 64)
-    """Steps of a window."""
+    """Numbers of steps of a window."""
     warm_up: int = 600
     """Steps of the gait before the windows begin."""
     chunk: int = 64
     """Rows of a chunk of lanes."""
     rounds: int = 5
-    """Rounds in which both take their turn."""
+    """Number of rounds; both engines run once a round."""
     json: Path | None = None
-    """Write the numbers here too."""
+    """Also write the numbers to this file."""
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Where windows begin, and what their models differ in."""
+    """Starting states of windows, and fields of their models.
+
+    Attributes:
+      qpos, qvel, act, ctrl: (rows, ...) states and controls.
+      fields: values (rows, ...) by name of the field.
+    """
 
     qpos: np.ndarray
     qvel: np.ndarray
@@ -66,7 +71,7 @@ class Rows:
     fields: dict[str, np.ndarray]
 
 
-def begun(robot: Robot, model: mujoco.MjModel, config: Config) -> Rows:
+def starting_rows(robot: Robot, model: mujoco.MjModel, config: Config) -> Rows:
     """Rows in the middle of random gaits."""
     rng = np.random.default_rng(0)
     controllers = robot.controller_box.sample(rng, config.rows)
@@ -85,8 +90,8 @@ def begun(robot: Robot, model: mujoco.MjModel, config: Config) -> Rows:
 
 
 def in_native(model: mujoco.MjModel, rows: Rows) -> Callable[[int], np.ndarray]:
-    """The rows by MuJoCo on one thread, after some steps: (rows, nq + nv)."""
-    model.opt.disableflags |= _needless(model)
+    """A function of the number of steps that runs MuJoCo on one thread and returns states (rows, nq + nv)."""
+    model.opt.disableflags |= _unneeded_features(model)
     batch = Batch(model, nsim=len(rows.qpos), nthread=1)
     for name, values in rows.fields.items():
         batch.expand(name)[...] = values
@@ -103,7 +108,7 @@ def in_native(model: mujoco.MjModel, rows: Rows) -> Callable[[int], np.ndarray]:
 
 
 def in_lanes(model: mujoco.MjModel, rows: Rows, chunk: int) -> tuple[Callable[[int], np.ndarray], dict[str, float]]:
-    """The same in lanes on one device, models laid out before; and the seconds of what is done once."""
+    """The same function in lanes on one device; and the times of laying out the models and compiling."""
     stepper = LanesStepper(model, CHANGED, dtype=np.float64)
     started = time.perf_counter()
     chunks = lambda x: x.reshape(len(x) // chunk, chunk, *x.shape[1:])  # noqa: E731
@@ -131,12 +136,16 @@ def in_lanes(model: mujoco.MjModel, rows: Rows, chunk: int) -> tuple[Callable[[i
 
 
 def measure(config: Config) -> dict:
-    """All numbers; JAX is in float64 already."""
+    """All numbers; JAX has to be in float64.
+
+    Raises:
+      ValueError: rows that are no multiple of the chunk.
+    """
     if config.rows % config.chunk:
         raise ValueError(f"rows: got {config.rows}, expected a multiple of the chunk, {config.chunk}")
     robot = hexapod()
     model = compile_models(robot, robot.nominal_simulation[None]).base
-    rows = begun(robot, model, config)
+    rows = starting_rows(robot, model, config)
     lanes, once = in_lanes(model, rows, config.chunk)
     native = in_native(model, rows)
     table = []

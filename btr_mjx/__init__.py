@@ -2,10 +2,10 @@
 
 import btr_mjx as btr
 
-robot = btr.hexapod()
+robot = btr.Robot(...)                                         # or btr.hexapod(), the robot of the paper
 evaluation = btr.evaluate(robot, simulations, controllers)     # fitness (L, M)
 btr.scan.delta_fitness(robot, simulations, controllers, f_r)   # (L,)
-btr.coevolve(preset="quick", out="runs/demo")                  # a whole run, as the command does it
+btr.coevolve(preset="quick", out="runs/demo")                  # a complete run, as the command does it
 """
 
 import importlib
@@ -46,10 +46,10 @@ _HOME = {
     "pair_fitness": "evaluation",
     "pair_trajectory": "evaluation",
 }
-"""Doors that public names come from."""
+"""Public name -> room that exports it."""
 
 _MODULES = {"coevolve": "coevolve", "metrics": "evaluation.metrics", "scan": "scan"}
-"""Public modules."""
+"""Public name -> module."""
 
 __all__ = [
     "Box",
@@ -74,7 +74,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name on first use: importing the package costs nothing, and `python -m` runs each module once."""
+    """Load a public name on first use, so that importing the package is fast and `python -m` loads each module once."""
     if name in _MODULES:
         return importlib.import_module(f"{__name__}.{_MODULES[name]}")
     if name in _HOME:

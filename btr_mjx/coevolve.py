@@ -44,7 +44,7 @@ def coevolve(config: CoevolveConfig | None = None, **changes: Any) -> dict[str, 
       **changes: fields of the config to replace.
 
     Returns:
-      What result.json holds.
+      The content of result.json.
 
     Raises:
       InputError: bad settings, or a folder that cannot take this run.
@@ -52,7 +52,7 @@ def coevolve(config: CoevolveConfig | None = None, **changes: Any) -> dict[str, 
     """
     config = _with_folder(dataclasses.replace(config or PRESETS[changes.get("preset", "quick")], **changes))
     problem = build_problem(config)
-    # Whatever can be found wrong is found before anything is written.
+    # Bad input raises its error before anything is written.
     begin(problem)
     base_model(problem.robot)
     assert config.out is not None
@@ -72,14 +72,14 @@ def _with_folder(config: CoevolveConfig) -> CoevolveConfig:
 
 
 def parse(argv: Sequence[str]) -> CoevolveConfig:
-    """Read the command line; --preset chooses the defaults of all other flags."""
+    """The config of a command line; --preset chooses the defaults of all other flags."""
     chosen = "quick"
     for position, word in enumerate(argv):
         if word == "--preset" and position + 1 < len(argv):
             chosen = argv[position + 1]
         elif word.startswith("--preset="):
             chosen = word.removeprefix("--preset=")
-    default = PRESETS.get(chosen, PRESETS["quick"])  # tyro names the valid ones if it is neither
+    default = PRESETS.get(chosen, PRESETS["quick"])  # for another value, tyro's error names the valid ones
     return tyro.cli(CoevolveConfig, args=list(argv), default=default, description=__doc__, prog="btr_mjx.coevolve")
 
 
@@ -96,7 +96,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 class _CallableModule(types.ModuleType):
-    """Lets `btr_mjx.coevolve(...)` run although `btr_mjx.coevolve` is also this module's name."""
+    """Makes this module callable, since `btr_mjx.coevolve` is both the module and a public function."""
 
     def __call__(self, config: CoevolveConfig | None = None, **changes: Any) -> dict[str, Any]:
         return coevolve(config, **changes)

@@ -30,7 +30,7 @@ import tyro
 
 from btr_mjx.errors import InputError, cli_errors, resume_command
 from btr_mjx.gap.data import Dataset, open_dataset
-from btr_mjx.gap.effects import Effect, own_code, selected_effects
+from btr_mjx.gap.effects import Effect, custom_effect_code, selected_effects
 from btr_mjx.gap.experiments import propose
 from btr_mjx.gap.fitness_only import FitnessTable, expected_steps, identify_fitness, load_fitness, preflight_fitness
 from btr_mjx.gap.inference import identify
@@ -52,11 +52,10 @@ from btr_mjx.runs import (
 from btr_mjx.testing import make_case, make_fitness_case
 
 JOURNAL = "search"
-"""Folder of what was simulated, in a run folder."""
-
+"""Folder of simulation results in a run folder, from which a search is resumed."""
 
 DEMO_SEEDS = {"hexapod": 27, "quadruped": 7, "arm": 6, "pendulum": 2}
-"""Hidden cases that show what the command is for: an effect of the library, large enough to be named and mended."""
+"""Default seeds of `--demo` by robot: hidden cases with one detectable effect of the library."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,7 @@ class DiagnoseConfig:
 
     @property
     def chosen_seed(self) -> int:
-        """The seed that is used: the given one, or the default."""
+        """The given seed, or the default one."""
         if self.seed is not None:
             return self.seed
         return DEMO_SEEDS[self.robot] if self.demo else 0
@@ -106,7 +105,7 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
       **changes: fields of the config to replace.
 
     Returns:
-      What result.json holds.
+      The content of result.json.
 
     Raises:
       InputError: bad settings or data, or a folder that cannot take this run.
@@ -138,10 +137,10 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
 
 
 def check_diagnosis(config: DiagnoseConfig) -> None:
-    """Refuse settings that cannot work.
+    """Check settings.
 
     Raises:
-      InputError: no dataset or two of them, or less than one effect.
+      InputError: neither or both of a dataset and `demo`, or `max_effects` below 1.
     """
     if (config.dataset is None) != config.demo:
         what = "no dataset" if config.dataset is None else f"a dataset ({config.dataset}) and --demo"
@@ -151,10 +150,10 @@ def check_diagnosis(config: DiagnoseConfig) -> None:
 
 
 def resolved(config: DiagnoseConfig) -> DiagnoseConfig:
-    """The config with its seed and its run folder chosen.
+    """The config with its seed and its run folder filled in.
 
     Raises:
-      InputError: a resume that does not say of what.
+      InputError: `resume` without a folder.
     """
     if config.seed is None:
         config = dataclasses.replace(config, seed=config.chosen_seed)
@@ -162,7 +161,19 @@ def resolved(config: DiagnoseConfig) -> DiagnoseConfig:
 
 
 def examine(folder: Path, library: Sequence[Effect], signal: str) -> tuple[Dataset | FitnessTable, list[Finding]]:
-    """Read a dataset and look at it before any fit."""
+    """Read a dataset and check it before any fit.
+
+    Args:
+      folder: of the dataset.
+      library: effects that may be named.
+      signal: "trajectory" or "fitness", see `DiagnoseConfig.signal`.
+
+    Returns:
+      The dataset, and the findings of the preflight checks.
+
+    Raises:
+      InputError: the dataset cannot be read.
+    """
     if signal == "fitness":
         table = load_fitness(folder)
         return table, preflight_fitness(table)
@@ -177,7 +188,15 @@ def search_missing(
     folder: Path,
     checkpoint: Callable[[], None] = lambda: None,
 ) -> None:
-    """Search for what is missing and write everything that the page is drawn from."""
+    """Search for missing effects and write all files from which the report is drawn.
+
+    Args:
+      dataset: the recordings, or the table of measured fitness.
+      library: effects that may be named.
+      config: the settings.
+      folder: the run folder.
+      checkpoint: called often; raises Interrupted to stop the search.
+    """
     if isinstance(dataset, FitnessTable):
         total = expected_steps(dataset, library)
     else:
@@ -186,30 +205,36 @@ def search_missing(
         total=round(total), description="search", unit="steps", unit_scale=True, show=config.progress or False
     ) as bar:
 
-        def note(word: str) -> None:
-            bar.set_description(word)
+        def report_stage(stage: str) -> None:
+            bar.set_description(stage)
             checkpoint()
 
         def count(steps: int) -> None:
-            bar.total = max(bar.total or 0, steps)  # the total is what a search may cost, roughly
+            bar.total = max(bar.total or 0, steps)  # the total is an estimate
             bar.update(steps - bar.n)
             checkpoint()
 
-        journal = Journal(folder / JOURNAL, count, own_code(config.effects))
+        journal = Journal(folder / JOURNAL, count, custom_effect_code(config.effects))
         more: dict[str, Any] = {"seed": config.chosen_seed, "signal": config.signal}
         if isinstance(dataset, FitnessTable):
-            diagnosis, data, proposal = identify_fitness(dataset, library, note, counter=journal), dataset.head, None
+            diagnosis, data, proposal = (
+                identify_fitness(dataset, library, report_stage, counter=journal),
+                dataset.head,
+                None,
+            )
             more["gap"] = as_result(diagnosis, data)["gap"] | {"unit": "m/s of Delta_fitness"}
         else:
-            diagnosis = identify(dataset, library, config.max_effects, config.chosen_seed, note, counter=journal)
-            note("next experiment")
+            diagnosis = identify(
+                dataset, library, config.max_effects, config.chosen_seed, report_stage, counter=journal
+            )
+            report_stage("next experiment")
             data, proposal = dataset, propose(diagnosis, dataset, config.chosen_seed, counter=journal)
     save_diagnosis(diagnosis, data, folder, effects=library, next_experiment=proposal, more=more)
     journal.close()
 
 
 def _make_demo(folder: Path, config: DiagnoseConfig) -> None:
-    """Make the hidden case, once."""
+    """Make the hidden case, unless it exists."""
     if not (folder / "truth.json").is_file():
         case = make_fitness_case if config.signal == "fitness" else make_case
         truth = case(folder / "demo", config.chosen_seed, config.robot)
@@ -220,7 +245,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
     argv = sys.argv[1:] if argv is None else list(argv)
     config = tyro.cli(DiagnoseConfig, args=list(argv), description=__doc__, prog="btr_mjx.diagnose")
-    mujoco.set_mju_user_warning(lambda _: None)  # candidates may become unstable, which the search sees and says
+    mujoco.set_mju_user_warning(lambda _: None)  # unstable candidates are handled and reported by the search
     with cli_errors():
         config = resolved(config)
         with cli_errors(resume_command("btr_mjx.diagnose", argv, config.out)):

@@ -1,12 +1,12 @@
-"""What goes wrong at the boundary, and how a command says so.
+"""Errors of bad input and of interrupts, and how commands report them.
 
 Three outcomes of a command are not bugs: bad input (exit code 2), a file or folder the operating system refuses (2) and
 an interrupt (130). `cli_errors` turns these into one line on stderr; everything else is a bug and keeps its traceback.
 Set `BTR_MJX_TRACEBACK=1` to see the traceback of bad input as well.
 
-Inside the package, raise `InputError` (or another ValueError subclass of the package) for whatever a caller can mend:
-say what was given, what was expected and the remedy. A bare ValueError counts as a bug, because numpy and the
-standard library raise it too.
+Inside the package, raise `InputError` (or another ValueError subclass of the package) for whatever a caller can
+correct: the message names what was given, what was expected and the remedy. A bare ValueError counts as a bug, because
+numpy and the standard library raise it too.
 """
 
 import os
@@ -17,7 +17,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 BAD_INPUT_CODE = 2
+"""Exit code of a command after bad input."""
+
 INTERRUPTED_CODE = 130
+"""Exit code of a command after an interrupt: 128 + SIGINT."""
 
 
 class InputError(ValueError):
@@ -46,7 +49,7 @@ def is_bad_input(error: BaseException) -> bool:
 
 
 def one_line(error: BaseException) -> str:
-    """The error's message on one line; for an OSError the file comes first and the errno goes."""
+    """The error's message on one line; for an OSError the file name comes first and the errno is left out."""
     if isinstance(error, OSError) and error.strerror:
         names = [os.fspath(name) for name in (error.filename, error.filename2) if isinstance(name, str | os.PathLike)]
         text = ": ".join([" -> ".join(names), error.strerror] if names else [error.strerror])
@@ -59,7 +62,7 @@ def resume_command(module: str, argv: Sequence[str] | None = None, out: str | Pa
     """The shell command that continues an interrupted run.
 
     A resumed run needs the config it began with, so every argument is repeated. Under `uv run` the command begins with
-    it, since Python alone would not find this package.
+    `uv run`, since Python alone would not find this package.
 
     Args:
       module: name of the command's module, e.g. "btr_mjx.coevolve".

@@ -1,4 +1,4 @@
-"""Draw the figures of run folders again: `python -m btr_mjx.plots runs/quick-0`."""
+"""Command that draws the figures of run folders again: `python -m btr_mjx.plots runs/quick-0`."""
 
 import sys
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""A bench to try behaviours on: fitness at the early marks of the multiscale distance, and at the end of a trial."""
+"""Evaluation of behaviours: fitness at the marks of the multiscale distance, and at the end of a trial."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -14,13 +14,13 @@ from btr_mjx.robots import Robot, robot_of
 
 @dataclass(frozen=True)
 class Bench:
-    """Where behaviours are tried.
+    """Robot, engine and sample times with which behaviours are evaluated.
 
     Attributes:
       robot: the robot, with the experiment's duration.
       engine: the engine, None for the fastest.
       marks: marks of the multiscale distance [s].
-      step: progress, in whole trials.
+      step: callback of progress, in whole trials.
     """
 
     robot: Robot
@@ -35,7 +35,7 @@ class Bench:
         return cls(robot_of(None, config.duration), engine, config.mark_times, step)
 
     def with_marks_until(self, horizon: float) -> "Bench":
-        """The same bench with as many marks, the last one at `horizon` [s]."""
+        """A copy with the same number of evenly spaced marks, the last one at `horizon` [s]."""
         count = len(self.marks)
         return dataclasses.replace(self, marks=tuple(np.linspace(horizon / count, horizon, count).tolist()))
 

@@ -1,9 +1,9 @@
 """Back-to-Reality with all lengths unknown: `uv run python experiments/btr_twelve.py`.
 
-Runs `python -m btr_mjx.coevolve --unknown all --distance multiscale --optimiser cma`, once a seed, against the robot of
-Fig. 4 with its other eight lengths drawn from the seed; `--physics other` simulates reality by native MuJoCo in float64
-with another time step and integrator, so that it shares neither code nor errors with the searches. What counts is the
-controller that comes out: its fitness in reality against its fitness in the simulation that was identified.
+Runs `python -m btr_mjx.coevolve --unknown all --distance multiscale --optimiser cma`, once per seed, for the robot of
+Fig. 4 with its other eight lengths drawn from the seed. `--physics other` simulates reality by native MuJoCo in float64
+with another time step and integrator, which share neither code nor numerical errors with the searches. The result is
+the best controller: its fitness in reality compared with its fitness in the identified simulation.
 
 The run folder holds a run of the command per seed, seed-0/, ...; btr_twelve.json holds the numbers, btr_twelve.png the
 figure.

@@ -1,11 +1,12 @@
 """Choose the hexapod's constants: `uv run python experiments/calibrate_robot.py --out runs/calibration`.
 
 For every candidate set of constants and every seed: controllers are evolved where bl_14 is shortest, bl_14 is scanned
-with the 15 best (reality 1.6 m) and bl_5 with mutants of the best (reality 0.88 m) at p_m = 0.02 and 0.2. A robot will
-do if its gaits are fast, random controllers stay finite and Delta_fitness orders simulations by their error.
+with the 15 best (reality 1.6 m) and bl_5 with mutants of the best (reality 0.88 m) at p_m = 0.02 and 0.2. A set of
+constants is suitable if gaits are fast, random controllers do not diverge and Delta_fitness orders simulations by their
+error.
 
-The run folder keeps one row per candidate and seed (calibration.parquet) and the curves (curves-*.npz); a run that was
-interrupted goes on with --resume. calibration.md and calibration.png are made from these files.
+The run folder keeps one row per candidate and seed (calibration.parquet) and the curves (curves-*.npz); an
+interrupted run is continued with --resume. calibration.md and calibration.png are made from these files.
 """
 
 import sys
@@ -51,7 +52,7 @@ CANDIDATES: dict[str, dict[str, float]] = {
     "friction 1.2": {"friction": 1.2},
     "soft contact": {"contact_time_constant": 0.05},
 }
-"""Candidates by name: what differs from the constants in `btr_mjx.robots.robot.HEXAPOD`."""
+"""Candidates by name: values that differ from `btr_mjx.robots.HEXAPOD`."""
 
 SCANS = (("bl_14", 1.6, "evolved", 0.0), ("bl_5", 0.88, "mutants", 0.02), ("bl_5", 0.88, "mutants", 0.2))
 """(parameter, truth, behaviours, p_m)."""
@@ -78,7 +79,7 @@ class Config:
     generations: int = 10
     """Its generations."""
     random_controllers: int = 256
-    """Random controllers in random simulations, to see how many stay finite."""
+    """Random controllers in random simulations, to count those that diverge."""
 
 
 def study(config: Config, robot: Robot, seed: int, step: Progress) -> tuple[dict[str, float], dict[str, np.ndarray]]:
@@ -114,7 +115,7 @@ def study(config: Config, robot: Robot, seed: int, step: Progress) -> tuple[dict
 
 
 def compute(config: Config) -> None:
-    """Study every candidate and seed that has not been studied yet."""
+    """Compute the measurements of every candidate and seed that are missing."""
     todo = [(name, seed) for name in config.candidates for seed in range(config.seeds)]
     pairs = config.population * config.generations + 3 * config.trials * (config.grid + 1) + config.random_controllers
     with (
@@ -153,7 +154,7 @@ def summarise(folder: Path) -> pl.DataFrame:
 
 
 def draw(folder: Path) -> None:
-    """Delta_fitness of each candidate over the scans, thin per seed, from the saved curves."""
+    """Draw Delta_fitness of each candidate over the scans, with thin lines per seed, from the saved curves."""
     names = read_table(folder / "calibration.parquet")["candidate"].unique(maintain_order=True).to_list()
     figure = Figure(figsize=(9, 1.6 * len(names)), layout="constrained")
     axes = figure.subplots(len(names), len(SCANS), squeeze=False)

@@ -1,6 +1,6 @@
 """Every claim of the paper with its number: `uv run python experiments/claims.py --preset paper`.
 
-Runs what is missing of the figures' experiments (each in its own folder, continued where a run was interrupted) and
+Computes the missing units of the figures' experiments (each in its own folder; interrupted runs are continued) and
 writes claims.json, claims.md and claims.png.
 
 A row has a statistic and its 95 % bootstrap interval over seeds. A claim says on which side of a bound the statistic
@@ -12,7 +12,7 @@ lies. The verdict follows from the interval alone:
 
 "Grows with m" and "grows with p_m" are paired: differences, or trends, are formed within a seed, and the interval is
 that of their mean over seeds; their p-values are Wilcoxon's signed-rank test. They are taken over the parameter's range
-of influence, where behaviours feel it at least a quarter as much as where they feel it most: plateaus are left out.
+of influence, where the sensitivity of behaviours is at least a quarter of its maximum: plateaus are left out.
 Intervals from few seeds are too narrow, see `btr_mjx.evaluation.metrics.bootstrap_interval`.
 """
 
@@ -110,7 +110,7 @@ def table(claims: Sequence[Claim]) -> str:
 
 
 def draw_claims(path: Path, claims: Sequence[Claim]) -> Path:
-    """Every claim's interval, as its distance from the bound in units of its own size; the claimed side is right."""
+    """Figure of all claims: intervals relative to the bound, scaled by their size; the claimed side is to the right."""
     with figure_of(8.6, 0.6 + 0.21 * len(claims)) as figure:
         axes: Axes = figure.subplots()
         for place, claim in enumerate(claims):

@@ -1,7 +1,7 @@
 """Settings and the command line that the experiments share.
 
-An experiment is a list of units of work (`units.py`), mostly tried on a bench (`bench.py`): a script says which units
-there are and how to draw from their files.
+An experiment is a list of units of work (`units.py`), which mostly evaluate behaviours (`bench.py`). A script defines
+the units and how to draw the figure from their files.
 """
 
 import dataclasses
@@ -27,7 +27,7 @@ TINY: dict[str, Any] = {
     "population": 6,
     "generations": 2,
 }
-"""Settings that every experiment's preset "tiny" shares: seconds, and no result."""
+"""Common settings of the preset "tiny", which takes seconds and is for tests only."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,16 +73,16 @@ class Config:
 
     @property
     def folder(self) -> Path:
-        """The run folder; `with_folder` makes sure that there is one."""
+        """The run folder, see `with_folder`."""
         assert self.out is not None
         return self.out
 
     def with_folder(self, name: str) -> "Config":
-        """With the default run folder where none was given."""
+        """The settings with the default run folder if none is given."""
         return self if self.out else dataclasses.replace(self, out=Path("runs", f"experiments-{self.preset}", name))
 
     def check(self) -> None:
-        """Refuse what no experiment can do.
+        """Check settings that all experiments share.
 
         Raises:
           InputError: bad settings.
@@ -118,7 +118,7 @@ def parse[T: Config](
             chosen = words[position + 1]
         elif word.startswith("--preset="):
             chosen = word.removeprefix("--preset=")
-    default = presets.get(chosen, presets["quick"])  # tyro names the valid ones if it is neither
+    default = presets.get(chosen, presets["quick"])  # for another value, tyro's error names the valid ones
     config: Any = tyro.cli(type(default), args=words, default=default, description=doc, prog=name)
     return config.with_folder(name), words
 
@@ -131,14 +131,14 @@ def command[T: Config](
     compute: Callable[[T], int],
     draw: Callable[[Path], Sequence[Path]],
 ) -> None:
-    """The command of an experiment: compute what is missing, then draw.
+    """The command of an experiment: compute the missing units, then draw.
 
     Args:
       presets: settings by preset.
       doc: description.
       name: of the experiment.
       argv: arguments; None for those of this process.
-      compute: computes what is missing, returns how many units it computed.
+      compute: computes the missing units and returns their number.
       draw: summarises and draws from the files of a folder; returns the files it wrote.
     """
     config, words = parse(presets, doc, name, argv)

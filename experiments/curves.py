@@ -1,6 +1,6 @@
-"""How well curves of a distance over one parameter lead to the truth, and what averages over behaviours do to them.
+"""Statistics of distance curves over one parameter: how well they lead to the truth, and effects of averaging.
 
-All functions take saved fitness or distances and simulate nothing.
+All functions use saved fitness or distances and simulate nothing.
 """
 
 import warnings
@@ -17,28 +17,28 @@ from btr_mjx.evaluation import metrics, multiscale_fitness
 def curve_numbers(
     grid: np.ndarray, curves: np.ndarray, truth: float, prefix: str = "", keep: np.ndarray | None = None
 ) -> dict[str, float]:
-    """Numbers of one curve, or their means over several.
+    """Statistics of one curve, or their means over several curves.
 
     Args:
       grid: (G,) values of the parameter.
       curves: (..., G) a distance there.
       truth: the parameter's value in reality.
       prefix: of the names.
-      keep: (G,) which points count, such as the range of influence; None for all.
+      keep: (G,) bool, points that are used, such as the range of influence; None for all.
 
     Returns:
-      rho: Spearman's, between distance and error |grid - truth|; rho_sides: the mean of it on either side of the truth,
-      which a valley steeper on one side does not lower; monotonicity: share of neighbours in the right order;
-      roughness: total variation / range; roughness_sides: the mean of it on either side, 1 where both are monotonic
-      (the whole of a valley has 1 .. 2, by how equal its sides are); linearity: Pearson's r between distance and error,
-      mean of both sides; off: |argmin - truth|.
+      rho: Spearman's, between distance and error |grid - truth|; rho_sides: mean of rho over both sides of the truth,
+      which is not lower for a valley with unequal sides; monotonicity: fraction of neighbours in the right order;
+      roughness: total variation / range; roughness_sides: mean of roughness over both sides, 1 if both are monotonic
+      (a whole valley has 1 .. 2, depending on how equal its sides are); linearity: Pearson's r between distance and
+      error, mean of both sides; off: |argmin - truth|.
     """
     use = np.ones(len(grid), bool) if keep is None else keep
     x, y = grid[use], np.asarray(curves, float)[..., use]
     error = np.abs(x - truth)
     finite = np.isfinite(y)
     least = np.where(finite, y, np.inf).argmin(axis=-1)
-    # A side of fewer than three points has no order: then the other side speaks for both.
+    # A side with fewer than three points has no rho: then the other side is used alone.
     sides = [side for side in (x <= truth, x >= truth) if side.sum() > 2]
     with warnings.catch_warnings(), np.errstate(invalid="ignore"):
         warnings.simplefilter("ignore")  # means of curves that are all NaN
@@ -81,11 +81,11 @@ def multiscale_curve(f_s: np.ndarray, f_r: np.ndarray) -> np.ndarray:
     return multiscale_fitness(f_s[..., :-1], f_r[..., :-1])
 
 
-def felt(grid: np.ndarray, fitness: np.ndarray, low: float, high: float, apart: float = 0.1) -> float:
-    """How much less behaviours feel a parameter within [low, high] than elsewhere.
+def plateau_sensitivity(grid: np.ndarray, fitness: np.ndarray, low: float, high: float, apart: float = 0.1) -> float:
+    """Sensitivity of behaviours to a parameter within [low, high], relative to elsewhere.
 
-    What they feel at a point is the mean over behaviours of |f(x + apart) - f(x)|: Delta_fitness between two
-    simulations that differ by `apart`, whichever of them is taken for reality.
+    The sensitivity at a point is the mean over behaviours of |f(x + apart) - f(x)|: Delta_fitness between two
+    simulations that differ by `apart`.
 
     Args:
       grid: (G,) ascending values of the parameter.
@@ -95,9 +95,9 @@ def felt(grid: np.ndarray, fitness: np.ndarray, low: float, high: float, apart: 
       apart: distance of the simulations compared.
 
     Returns:
-      Mean within (both simulations lie there) over mean elsewhere; 1 means no plateau.
+      Mean within (both simulations in [low, high]) over mean elsewhere; 1 means no plateau.
     """
-    step = felt_along(grid, fitness, apart)
+    step = sensitivity_along(grid, fitness, apart)
     ends = np.minimum(grid + apart, grid[-1])
     inside = (grid >= low - 1e-9) & (ends <= high + 1e-9)
     outside = ((ends <= low + 1e-9) | (grid >= high - 1e-9)) & np.isfinite(step)
@@ -105,7 +105,7 @@ def felt(grid: np.ndarray, fitness: np.ndarray, low: float, high: float, apart: 
         return float(np.nanmean(step[inside]) / np.nanmean(step[outside]))
 
 
-def felt_along(grid: np.ndarray, fitness: np.ndarray, apart: float = 0.1) -> np.ndarray:
+def sensitivity_along(grid: np.ndarray, fitness: np.ndarray, apart: float = 0.1) -> np.ndarray:
     """Mean over behaviours of |f(x + apart) - f(x)| at every grid point (G,), f interpolated; NaN past the end."""
     there = grid + apart
     ahead = np.stack([np.interp(there, grid, column, right=np.nan) for column in fitness.T], axis=1)
@@ -122,10 +122,10 @@ def influence(grid: np.ndarray, fitness: Sequence[np.ndarray], truth: float, sha
       share: of the strongest influence.
 
     Returns:
-      (G,) whether a point lies in the stretch around the truth in which behaviours feel the parameter (`felt_along`,
-      mean over seeds) at least `share` as much as where they feel it most.
+      (G,) bool, the interval around the truth in which the sensitivity (`sensitivity_along`, mean over seeds) is at
+      least `share` of its maximum.
     """
-    rows = np.array([felt_along(grid, each) for each in fitness])
+    rows = np.array([sensitivity_along(grid, each) for each in fitness])
     finite = np.isfinite(rows)
     mean = np.where(finite, rows, 0.0).sum(axis=0) / np.where(finite.any(axis=0), finite.sum(axis=0), np.nan)
     known = np.where(np.isfinite(mean), mean, mean[np.flatnonzero(np.isfinite(mean))[-1]])
@@ -158,7 +158,7 @@ def subset_numbers(
     keep: np.ndarray | None = None,
     draws: Draws = Draws(),
 ) -> dict[int, dict[str, float]]:
-    """Numbers of Delta_fitness of m behaviours, averaged over random choices of them.
+    """Statistics of Delta_fitness of m behaviours, averaged over random choices of them.
 
     Args:
       grid: (G,).
@@ -190,7 +190,7 @@ def noise_numbers(
     keep: np.ndarray | None = None,
     draws: Draws = Draws(),
 ) -> dict[int, dict[str, float]]:
-    """As `subset_numbers`, where every measured f_r has a relative error of standard deviation `noise`.
+    """As `subset_numbers`, with a relative error of standard deviation `noise` of every measured f_r.
 
     Args:
       grid: (G,).
@@ -235,7 +235,7 @@ def interval(values: ArrayLike, statistic: Any = np.mean) -> dict[str, float]:
 
 
 def intervals(rows: Sequence[Mapping[str, float]]) -> dict[str, dict[str, float]]:
-    """Mean with interval, and median, of every number over seeds."""
+    """Mean with interval, and median, of every statistic over seeds."""
     names = rows[0].keys()
     return {
         name: {

@@ -1,4 +1,4 @@
-"""Parts that the experiments' figures share; the look is the package's style."""
+"""Common parts of the experiments' figures, in the style of the package."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -15,7 +15,7 @@ from btr_mjx.runs import write_figure
 
 @contextmanager
 def figure_of(width: float, height: float) -> Iterator[Figure]:
-    """An empty figure of that size [inch] in the style; save it within the block."""
+    """Context with an empty figure of a size [inch] in the common style; save the figure within the context."""
     with style():
         yield Figure(figsize=(width, height))
 
@@ -27,7 +27,7 @@ def save(figure: Figure, path: Path) -> Path:
 
 
 def letter(axes: Axes, name: str, text: str) -> None:
-    """Name a panel: (a) in bold, then what it shows."""
+    """Title of a panel: its letter in bold, then its content."""
     axes.set_title(rf"$\bf{{({name})}}$ {text}", loc="left", fontsize=8.5)
 
 
@@ -37,7 +37,7 @@ def shades(count: int, lightest: float = 0.82) -> list[str]:
 
 
 def white_legend(axes: Axes, **options: Any) -> None:
-    """A legend on white, for panels that are full of lines."""
+    """A legend with a white background."""
     axes.legend(fontsize=7, frameon=True, facecolor="white", edgecolor="none", framealpha=0.85, **options)
 
 
@@ -57,12 +57,12 @@ def delta_panel(
     """delta_k thin and grey, their mean thick and black, and Delta_fitness of other seeds dotted.
 
     Args:
-      axes: where.
+      axes: the axes.
       grid: (G,) values of the parameter.
       delta: (G, m).
       truth: the parameter's value in reality.
       others: (G,) each.
-      headroom: the axis ends at so many times the largest delta_k.
+      headroom: upper limit of the axis, relative to the largest delta_k.
     """
     lines = axes.plot(grid, delta, color="0.72", linewidth=0.6, zorder=1)
     lines[0].set_label(rf"$\delta_k$ of {delta.shape[1]} behaviours")

@@ -1,4 +1,4 @@
-"""Fig. 2: `uv run python experiments/fig2_scans.py`. Is there a gap, and does Delta_fitness know the way across it?
+"""Fig. 2: `uv run python experiments/fig2_scans.py`. Reality gap, and Delta_fitness as a guide to the true simulation.
 
 (a) Controllers evolve in a simulation whose left rear tibia is short (bl_14 = 0.4 m); the m = 15 best are tried in a
 reality where it is long (1.6 m). (b) delta_k of these behaviours and their mean, Delta_fitness, over all of bl_14.
@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from bench import Bench
 from common import TINY, Config, command
-from curves import curve_numbers, felt, intervals, multiscale_curve
+from curves import curve_numbers, intervals, multiscale_curve, plateau_sensitivity
 from drawing import delta_panel, figure_of, letter, save, white_legend
 from matplotlib.axes import Axes
 from units import Arrays, Journal, Step, Unit, load, run_units
@@ -36,7 +36,7 @@ START = {"bl_14": 0.4, "bl_5": 0.64}
 """Their values in s_0, where controllers evolve [m]: the paper's, and the femurs' default."""
 
 PLATEAUS = {"bl_14": (0.4, 1.1), "bl_5": (1.3, 1.6)}
-"""Where the paper sees no influence of the parameter [m]: the foot stays clear of the ground."""
+"""Ranges in which the paper finds no influence of the parameter [m]: the foot does not reach the ground."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +87,7 @@ def work(config: Fig2Config, seed: int, step: Step, journal: Journal) -> Arrays:
         start = scan.along(bench.robot, parameter, [START[parameter]])
         genomes, scores = evolve(bench, config, start[0], seed)
         controllers = bench.robot.controller_box.with_bits(config.search.bits).decode(genomes)
-        # Reality is tried on its own: that the scan meets it exactly is a result, not an assumption.
+        # Reality is evaluated separately, so that zero distance at the truth is a result and not an assumption.
         real = bench.whole(reality, controllers)[0]
         fitness = bench.whole(np.concatenate([start, line]), controllers)
         values = {"grid": grid, "truth": truth, "controllers": controllers, "scores": scores}
@@ -117,8 +117,8 @@ def summarise(seeds: Sequence[Arrays]) -> dict[str, Any]:
 
     Returns:
       For each parameter: at_truth, the largest delta_k there; the least Delta_fitness elsewhere; the curve's numbers of
-      Delta_fitness and of the multiscale distance; felt, see `curves.felt`. For bl_14 also the fitness gained in the
-      search and lost in reality [m/s].
+      Delta_fitness and of the multiscale distance; felt, see `curves.plateau_sensitivity`. For bl_14 also the fitness
+      gained in the search and lost in reality [m/s].
     """
     rows: dict[str, list[dict[str, float]]] = {parameter: [] for parameter in TRUTHS}
     for arrays in seeds:
@@ -132,7 +132,7 @@ def summarise(seeds: Sequence[Arrays]) -> dict[str, Any]:
                 "elsewhere": float(np.nanmin(each.mean(axis=1)[~at])),
                 **curve_numbers(grid, each.mean(axis=1), truth),
                 **curve_numbers(grid, multiscale_curve(part["fitness"], part["real"]), truth, "multiscale "),
-                "felt": felt(grid, part["fitness"][..., -1], *PLATEAUS[parameter]),
+                "felt": plateau_sensitivity(grid, part["fitness"][..., -1], *PLATEAUS[parameter]),
             }
             scores, start, real = part["scores"], part["start"][:, -1], part["real"][:, -1]
             row |= {

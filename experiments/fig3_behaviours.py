@@ -1,4 +1,4 @@
-"""Fig. 3: `uv run python experiments/fig3_behaviours.py`. What do more, and more diverse, behaviours bring?
+"""Fig. 3: `uv run python experiments/fig3_behaviours.py`. Effect of more, and of more diverse, behaviours.
 
 The best controller c_1 of an evolution in s_0 is mutated. (a) delta_k of M = 45 mutants with p_m = 0.02 over bl_5,
 reality 0.88 m. (b) Delta_fitness of the first m of them, m = 1 .. 45; insets: their fitness in reality and in s_0.
@@ -138,7 +138,7 @@ def diverse_curves(arrays: Arrays) -> np.ndarray:
 
 
 def crosses_elsewhere(arrays: Arrays, away: float = 0.1) -> float:
-    """Share of behaviours whose f_s - f_r changes its sign (delta_k is 0) further than `away` from the truth."""
+    """Fraction of behaviours whose f_s - f_r changes its sign (delta_k = 0) further than `away` from the truth."""
     grid, difference = arrays["grid"], arrays["fitness"][..., -1] - arrays["real"][:, -1]
     far = (grid[1:] < TRUTH - away) | (grid[:-1] > TRUTH + away)
     return float((difference[1:] * difference[:-1] < 0)[far].any(axis=0).mean())

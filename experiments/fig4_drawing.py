@@ -20,7 +20,7 @@ LOOKS: dict[str, tuple[str, dict[str, Any]]] = {
     "noisy-12": ("multiscale, noise", {"color": "black", "linestyle": ":"}),
     "native-12": ("multiscale, other physics", {"color": "black", "linestyle": "--"}),
 }
-"""Words and line of every search."""
+"""Legend text and line style of every search."""
 
 
 def draw_searches(
@@ -50,7 +50,7 @@ def draw_searches(
             axes.set(xscale="log", yscale="log", xlabel="whole trials simulated", ylabel="mean error of lengths [m]")
             axes.legend(fontsize=7, loc="lower left")
         letter(bottom[0], "c", "four unknown, all seeds")
-        felt_panel(bottom[1], summary["felt"])
+        sensitivity_panel(bottom[1], summary["felt"])
         letter(bottom[1], "d", "felt at the truth")
         letter(bottom[2], "e", "twelve unknown")
         return save(figure, path)
@@ -95,8 +95,8 @@ def error_lines(axes: Axes, runs: Sequence[Arrays], label: str, look: Mapping[st
     axes.plot(longest, np.maximum(np.median(padded, axis=0), 1e-5), linewidth=2, label=label, **look)
 
 
-def felt_panel(axes: Axes, felt: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
-    """Change of both distances per metre, by length, each relative to its largest."""
+def sensitivity_panel(axes: Axes, felt: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
+    """Sensitivity of both distances to each length, relative to the largest."""
     names = [row["name"].removeprefix("bl_") for row in felt["delta"]]
     x = np.arange(len(names))
     looks = (("delta", r"$\Delta_{fitness}$", "0.25", -0.2), ("multiscale", "multiscale", "0.8", 0.2))

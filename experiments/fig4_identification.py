@@ -1,9 +1,9 @@
-"""Fig. 4: `uv run python experiments/fig4_identification.py`. Does a small distance mean a right simulation?
+"""Fig. 4: `uv run python experiments/fig4_identification.py`. Does a small distance imply a correct simulation?
 
 Four unknown lengths (the paper's): bl_3 = bl_5 = 0.54 m, bl_6 = bl_8 = 0.74 m are hidden, the rest is known; 15 mutants
 of an evolved controller were tried in reality. (a) Delta_fitness over 100 generations of the genetic algorithm, (b) the
 parameters of all its members, (c) the error of the best member against simulated trials, with CMA-ES at as many,
-(d) what the behaviours feel: Delta_fitness around the truth, one parameter at a time, in units of its change per metre.
+(d) sensitivity: Delta_fitness around the truth, one parameter at a time, as its change per metre.
 
 Twelve unknown lengths: (e) CMA-ES from 0.25 m away, by Delta_fitness and by `distances.multiscale_fitness` of random
 controllers at eight marks within 0.05 s: with exact measurements, and with a reality that is native MuJoCo at another
@@ -40,11 +40,11 @@ TRUTH = {"bl_3": 0.54, "bl_5": 0.54, "bl_6": 0.74, "bl_8": 0.74}
 """The paper's hidden lengths [m]."""
 
 OTHER_PHYSICS = EngineSettings(timestep=2.5e-4, integrator="rk4")
-"""A reality free of the inverse crime: native MuJoCo in float64, half the time step, and Runge-Kutta of fourth order
-where the robot's own model has an implicit integrator of first order."""
+"""Settings of a reality without the inverse crime: native MuJoCo in float64 with half the time step and fourth-order
+Runge-Kutta instead of the first-order implicit integrator."""
 
 OFFSETS = (-0.12, -0.06, -0.03, -0.015, 0.0, 0.015, 0.03, 0.06, 0.12)
-"""Where Delta is taken around the truth [m]."""
+"""Offsets from the truth at which distances are evaluated [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,11 +74,11 @@ class Fig4Config(Config):
     generations_12: int = 120
     """Their generations."""
     horizon_12: float = 0.05
-    """Last mark of their multiscale distance [s]. Later marks bring contacts, and dead ends to the search."""
+    """Last mark of their multiscale distance [s]. Later marks include contacts, which create local minima."""
     noisy_trials: int = 45
     """Behaviours where measurements are noisy."""
     horizon_noisy: float = 0.1
-    """Last mark there [s]: what later marks tell of the lengths outweighs the dead ends that they bring."""
+    """Last mark with noise [s]: the information of later marks outweighs the local minima that they create."""
     noise: float = 0.05
     """Relative standard deviation of that noise."""
 
@@ -116,7 +116,7 @@ PRESETS = {
 """Settings by preset."""
 
 SEARCHES_12 = {"delta-12": 20, "multiscale-12": None, "noisy-12": None, "native-12": None, "adam-12": None}
-"""Searches of twelve lengths; at most so many generations of the costly one."""
+"""Searches of twelve lengths -> maximum number of generations (None for the setting)."""
 
 
 def hidden(bench: Bench) -> np.ndarray:
@@ -147,7 +147,7 @@ def start_of_four(config: Fig4Config, bench: Bench, seed: int) -> np.ndarray:
 
 
 def behaviours(config: Fig4Config, seed: int, step: Step, journal: Journal) -> Arrays:
-    """What is tried in reality when four lengths are unknown: the same for all searches of a seed."""
+    """Unit of the behaviours tried in reality when four lengths are unknown: the same for all searches of a seed."""
     bench = Bench.of(config, step)
     start = bench.robot.simulation_box.embed(hidden(bench), list(TRUTH), start_of_four(config, bench, seed))
     return {"controllers": mutants_of_best(config, bench, start, seed, journal)}

@@ -1,10 +1,9 @@
-"""Fig. 5: `uv run python experiments/fig5_metrics.py`. Do distances between sensor series last as long as trials do?
+"""Fig. 5: `uv run python experiments/fig5_metrics.py`. For how long a trial are sensor distances informative?
 
 Over bl_5, reality 0.88 m, the m = 15 behaviours of Fig. 2c: (a) the rolling mean metric of Bongard and Lipson for
 headers of 1.25 % .. 100 % of T_e and the Euclidean metric of whole trials, (b) Delta_fitness and the multiscale
-distance, each divided by its largest value, for its shape is what matters; means over the behaviours. (c) How well they
-order simulations by their error: means over 15 behaviours, single behaviours, and single behaviours where trials take
-three times as long.
+distance, each divided by its largest value; means over the behaviours. (c) How well they order simulations by their
+error: means over 15 behaviours, single behaviours, and single behaviours where trials take three times as long.
 
 Sensors: position and orientation of the base, its velocities, joint angles, joint velocities, and the normal contact
 force at each foot, each kind scaled by its spread in reality. Series are sampled 320 times a trial, every 5.3 ms; the
@@ -127,7 +126,7 @@ def work(config: Fig5Config, longer: int, seed: int, step: Step, journal: Journa
     scale = metrics.sensor_scale(series[0], kinds(bench.robot))
     headers = [max(1, round(share * config.samples)) for share in HEADERS]
     window = max(1, round(HEADERS[0] * config.samples))
-    # One simulation at a time: the series of all of them together would not fit into a cache, nor into some machines.
+    # One simulation at a time, to limit memory.
     rolling = [metrics.rolling_mean_metric(series[0], row, headers, window, scale) for row in series[1:]]
     euclidean = [metrics.euclidean_metric(series[0], row, scale=scale) for row in series[1:]]
     at = np.append(np.searchsorted(times[:-1], np.array(config.mark_times) - 1e-9), config.samples - 1)

@@ -1,7 +1,7 @@
-"""Searching simulations: a genetic algorithm, CMA-ES and Adam on a distance, and their records.
+"""Searches for simulations by a genetic algorithm, CMA-ES and Adam, with records of all members.
 
-A search minimises a distance over some unknown parameters and keeps every member of every generation, so that figures
-of its course need nothing else. It is a pure function of its seed and of the distances it is told.
+A search minimises a distance over unknown parameters and keeps every member of every generation for the figures. It is
+a pure function of its seed and of the distances.
 """
 
 from collections.abc import Callable
@@ -25,7 +25,7 @@ class Search:
     Attributes:
       parameters: (g, L, n).
       values: (g, L) their distances.
-      simulated: (g,) how many members had to be simulated: a genome that comes again keeps its distance.
+      simulated: (g,) number of members that were simulated: repeated genomes keep their distance.
     """
 
     parameters: np.ndarray
@@ -63,10 +63,10 @@ def genetic(
     seed: int,
     tournament: int = 5,
 ) -> Search:
-    """Step 3 of Back-to-Reality: a random population with s_0 as one of its members, mutated less and less.
+    """Step 3 of Back-to-Reality: a random population with s_0 as one of its members and a decreasing mutation rate.
 
-    A population made from s_0 by a few bit flips, with p_m = 0.03 throughout, ended in a side valley of Delta_fitness
-    (error 0.12 m), and in 15 of 16 synthetic landscapes of such valleys; this one finds the truth in most of them.
+    A random population and a high initial mutation rate avoid that the search ends in a local minimum of Delta_fitness
+    near s_0.
 
     Args:
       distance: what is minimised.
@@ -76,7 +76,7 @@ def genetic(
       generations: number of generations.
       p_m: probability per bit of flipping a bit, in the first and in the last generation; geometric in between.
       seed: of everything random.
-      tournament: contestants per tournament; fewer let side valleys live longer.
+      tournament: members per tournament; fewer preserve diversity for longer.
     """
     algorithms = [
         GeneticAlgorithm(box, GAConfig(maximise=False, population=population, p_m=float(p), tournament=tournament))
@@ -117,9 +117,9 @@ def cma_es(
       box: the unknown parameters.
       start: (n,) s_0.
       population: L.
-      generations: at most so many; it stops earlier once the population has shrunk to a point.
+      generations: maximum number; the search stops earlier once it has converged.
       seed: of everything random.
-      sigma: first step size, as a share of each parameter's range.
+      sigma: initial step size, as a fraction of each parameter's range.
     """
     nothing = np.zeros((0, population, box.n))
     strategy = cma.restored((start - box.low) / box.span, nothing, nothing[..., 0], population=population, sigma=sigma)
@@ -141,16 +141,16 @@ def adam(
 ) -> Search:
     """Adam (Kingma and Ba, 2015; package `optax`) from s_0, in the box scaled to the unit cube.
 
-    Gradients are central differences of a smooth distance: the members of a generation are the point reached and its
-    2 n neighbours, one call. A parameter whose neighbours failed stays where it is for that generation.
+    Gradients are central differences of a smooth distance: the members of a generation are the present point and its
+    2 n neighbours. A parameter whose neighbours failed is not changed in that generation.
 
     Args:
       distance: what is minimised.
       box: the unknown parameters.
       start: (n,) s_0.
-      generations: number of steps; their length falls to nothing as a cosine.
-      rate: length of the first steps, as a share of each parameter's range.
-      apart: distance of the neighbours, likewise.
+      generations: number of steps; the step size decays to zero as a cosine.
+      rate: initial step size, as a fraction of each parameter's range.
+      apart: distance of the neighbours, as a fraction of each parameter's range.
     """
     strategy = optax.adam(optax.cosine_decay_schedule(rate, generations))
     point = (start - box.low) / box.span

@@ -1,4 +1,4 @@
-"""How many trials does a robot need to know itself: `uv run python experiments/maps.py`.
+"""Number of trials needed to identify a robot: `uv run python experiments/maps.py`.
 
 Twelve unknown lengths, CMA-ES on `distances.multiscale_fitness`, error of the simulation found:
 (a) against the number m of random controllers tried in reality, for several levels of noise on every measurement, and
@@ -7,7 +7,7 @@ for a reality that is native MuJoCo at another time step and integrator;
 (c) against the number of marks;
 (d) against the diversity p_m of the behaviours, mutants of one evolved controller;
 (e) against m where noisy trials are chosen three at a time: at random, the fittest of an evolution in s_0 (the paper's
-choice), or those on which simulations that explain the trials so far disagree most;
+choice), or those with the largest disagreement of simulations that agree with the trials so far;
 (f) for random truths, m = 15.
 
 The run folder holds one file per search and seed, NAME-0.npz, ...: error [m] of the best simulation, distance, m, and

@@ -1,4 +1,4 @@
-"""The maps of `maps.py` as a figure."""
+"""Figure of the maps of `maps.py`."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, get_args
@@ -74,7 +74,7 @@ def fill(figure: Figure, panels: Sequence[Axes], summary: Mapping[str, Rows]) ->
         rows = summary.get(f"choice-{choice}", [])
         if rows:
             m = [row["m"] for row in rows]
-            # A little aside, so that intervals do not hide each other.
+            # Slightly displaced, so that intervals do not overlap.
             error_line(panels[4], [value + 0.3 * (i - 1) for value in m], rows, choice, look)
             panels[4].set(xticks=m, xticklabels=[f"{value:g}" for value in m])
     values = np.sort(summary["truth"][0]["values"]) if "truth" in summary else np.zeros(0)

@@ -1,4 +1,4 @@
-"""The searches behind the maps of `maps.py`: one hidden robot, behaviours tried in it, CMA-ES for twelve lengths."""
+"""Searches of the maps of `maps.py`: a hidden robot, trials of behaviours, CMA-ES for twelve lengths."""
 
 from dataclasses import dataclass, fields, replace
 from typing import Literal, get_args
@@ -59,7 +59,7 @@ class MapsConfig(Config):
     pool: int = 60
     """Controllers to choose from in (e)."""
     choice_noise: float = 0.05
-    """Relative standard deviation of a measurement in (e): exact ones tell all lengths from three trials."""
+    """Relative standard deviation of a measurement in (e); with exact ones three trials identify all lengths."""
     believed: int = 16
     """Simulations whose disagreement counts in (e)."""
     truths: int = 10
@@ -77,7 +77,7 @@ class MapsConfig(Config):
 
 @dataclass(frozen=True)
 class Task:
-    """A hidden robot and a way to look for it.
+    """A hidden robot and the settings of its identification.
 
     Attributes:
       config: the settings.
@@ -115,7 +115,7 @@ class Task:
         generations: int | None = None,
         sigma: float = cma.SIGMA,
     ) -> Search:
-        """Search all lengths from a start; the `number`-th search of the task has random numbers of its own."""
+        """Search all lengths from a start; `number` seeds the search within the task."""
 
         def distance(simulations: np.ndarray) -> np.ndarray:
             count = len(simulations) * len(controllers) * self.share
@@ -200,7 +200,7 @@ def searched(task: Task, controllers: np.ndarray, noise: float, horizons: tuple[
 
 
 def disagreement(task: Task, search: Search, pool: np.ndarray) -> np.ndarray:
-    """How much simulations that explain the trials about as well as the best one disagree on controllers.
+    """Disagreement on controllers among simulations that agree with the trials about as well as the best one.
 
     Args:
       task: the task.
@@ -243,7 +243,7 @@ def choose(config: MapsConfig, choice: Choice, seed: int, step: Step, journal: J
         left = left[ROUND:]
         controllers = pool[tried]
         measured = task.measure(controllers, config.choice_noise)
-        # Later searches start from what the one before found.
+        # Later searches start from the result of the previous one.
         generations = config.search_generations // (2 if rows else 1)
         search = task.find(start, controllers, measured, len(rows), generations)
         start = search.best[-1]

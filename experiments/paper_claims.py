@@ -1,4 +1,4 @@
-"""What the paper claims, figure by figure, as statistics of the figures' summaries."""
+"""Claims of the paper, figure by figure, as statistics of the figures' summaries."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -35,7 +35,7 @@ REASONS: dict[str, str] = {
     ),
     "The multiscale distance keeps it better": ("As for Delta_fitness."),
 }
-"""What is known of why a claim does not hold, by the first words of the claim."""
+"""First words of a claim -> known reasons why it does not hold."""
 
 
 def explained(claims: Sequence[Claim]) -> list[Claim]:
@@ -169,7 +169,7 @@ def claims_of_fig4(summary: dict[str, Any]) -> list[Claim]:
     fallen = [
         last / first for first, last in zip(values("ga", "distance_first"), values("ga", "distance"), strict=True)
     ]
-    # Both may hit the truth to the last bit of a length's genome; a micrometre is as good as 0.
+    # Both may find the truth to the resolution of the genome; a micrometre counts as 0.
     gain = [float(np.log10(max(a, 1e-6) / max(b, 1e-6))) for a, b in summary["equal_cost"]]
     felt = np.array([row["estimate"] for row in summary["felt"]["delta"]])
     errors = np.array([values("delta-12", f"error_{i}") for i in range(len(felt))])

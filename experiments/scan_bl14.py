@@ -1,7 +1,7 @@
-"""Fig. 2b in a dozen lines: `uv run python experiments/scan_bl14.py`, or paste it into a notebook.
+"""Minimal version of Fig. 2b: `uv run python experiments/scan_bl14.py`, or paste it into a notebook.
 
 Scans the length of the left rear tibia, bl_14, over 49 simulations with 15 evolved behaviours and draws Delta_fitness
-with its components delta_k. What is drawn is saved beside the picture.
+with its components delta_k. The data are saved beside the figure.
 """
 
 from pathlib import Path
@@ -21,7 +21,7 @@ def main(out: Path = Path("runs/fig2b")) -> None:
     genomes, fitness = evolve_controllers(robot, line[0], SearchSettings(population=60, generations=10), seed=0)
     best, _ = select_transferable(genomes, fitness, 15, maximise=True)
     controllers = robot.controller_box.decode(best)
-    # Step 2: what they do in reality. Then the scan, 49 x 15 pairs in one compiled program.
+    # Step 2: their fitness in reality. Then the scan, 49 x 15 pairs in one compiled program.
     f_r = btr.evaluate(robot, reality, controllers).fitness[0]
     delta = btr.scan.delta(robot, line, controllers, f_r)
     curve, grid = delta.mean(axis=1), line[:, robot.simulation_box.index("bl_14")]

@@ -1,6 +1,6 @@
-"""More unknowns than lengths: `uv run python experiments/thirty_unknowns.py`.
+"""Identification of 32 unknown parameters of several kinds: `uv run python experiments/thirty_unknowns.py`.
 
-Thirty-two parameters of the hexapod at once: 12 lengths, 12 densities of limbs, the motor gain kp of each leg, joint
+Unknown parameters of the hexapod: 12 lengths, 12 densities of limbs, the motor gain kp of each leg, joint
 damping and ground friction. CMA-ES on `distances.multiscale_fitness` of 45 random controllers, from a start that is
 off by a fifth of every parameter's range.
 
@@ -76,7 +76,7 @@ def detailed_hexapod() -> Robot:
     """The hexapod with `KINDS` as the parameters of its simulation.
 
     Raises:
-      InputError: the template no longer has the places that are made parameters here.
+      InputError: the template does not contain the numbers that become parameters here.
     """
     robot = hexapod()
     text = robot.template
@@ -105,7 +105,7 @@ def detailed_hexapod() -> Robot:
 
 
 def search(config: ThirtyConfig, seed: int, step: Step, journal: Journal) -> Arrays:
-    """Look for a random robot."""
+    """Identify a random robot."""
     bench = Bench.of(config, step)
     bench = replace(bench, robot=replace(detailed_hexapod(), duration=config.duration))
     box, share = bench.robot.simulation_box, config.horizon / config.duration
@@ -124,7 +124,7 @@ def search(config: ThirtyConfig, seed: int, step: Step, journal: Journal) -> Arr
 
 
 def units(config: ThirtyConfig) -> list[Unit]:
-    """One search a seed."""
+    """One search per seed."""
     cost = (config.members * config.search_generations + 1) * config.trials * config.horizon / config.duration
     return [Unit(f"search-{seed}", cost, partial(search, config, seed)) for seed in range(config.seeds)]
 

@@ -1,9 +1,9 @@
-"""Units of work that survive a kill.
+"""Resumable units of work.
 
-An experiment is a list of units, one or a few per seed. Each is computed once and written as one `.npz` file, so that a
-run that was killed goes on with the units that are missing, and more seeds can be added later. A unit that takes
-minutes is made of calls that its journal remembers: a resumed unit repeats its decisions (all seeded) from the
-remembered numbers, without simulating anything twice.
+An experiment is a list of units, one or a few per seed. Each is computed once and written as one `.npz` file, so that
+an interrupted run continues with the missing units, and more seeds can be added later. A unit that takes minutes stores
+the results of its expensive calls in a journal: a resumed unit repeats its (seeded) decisions from the stored results
+without simulating again.
 
     run_units(config, [Unit("seed-0", 1500, work), ...])        # skips what exists
     draw(config.out)                                            # from the files alone
@@ -38,27 +38,27 @@ Arrays = dict[str, np.ndarray]
 Step = Callable[[float], object]
 
 IGNORED = (*IGNORED_FIELDS, "seeds", "parts", "truths", "draw_only")
-"""Settings that may change when a folder is taken up again: more seeds, or parts, are more units."""
+"""Settings that may differ on resume: more seeds, or parts, are more units."""
 
 ASSUMED_RATE = 400.0
-"""Whole trials per second that the estimates of time assume; two quiet cores reach it with the lanes engine."""
+"""Whole trials per second assumed for estimates of time: the lanes engine on two cores."""
 
 
 class Journal:
-    """Remembers the numbers of a unit's expensive calls, so that a resumed unit need not simulate them again.
+    """Stores the results of a unit's expensive calls, so that a resumed unit need not simulate them again.
 
-    Args of the calls are not compared: a unit makes the same calls in the same order whenever it is run.
+    Arguments of the calls are not compared: a unit makes the same calls in the same order in every run.
     """
 
     def __init__(self, run: RunFolder, unit: str, step: Step, stop: StopRequest, interval: float = 15.0) -> None:
-        """Take up what the folder's newest checkpoint remembers of this unit.
+        """Load the stored results of this unit from the folder's newest checkpoint.
 
         Args:
           run: the open run folder.
           unit: name of the unit.
-          step: called with the number of whole trials that a remembered call stood for.
-          stop: whether somebody asked to stop; that happens after the next call.
-          interval: least time between two checkpoints [s].
+          step: called with the number of whole trials of a call whose result was stored.
+          stop: checked after each call.
+          interval: minimum time between two checkpoints [s].
         """
         self._run, self._unit, self._step, self._stop, self._interval = run, unit, step, stop, interval
         checkpoint = run.load_latest()
@@ -70,7 +70,7 @@ class Journal:
         self._next, self._saved = 0, time.monotonic()
 
     def __call__(self, compute: Callable[[], np.ndarray], trials: float) -> np.ndarray:
-        """The value of `compute()`, from memory where it was computed before.
+        """The value of `compute()`, or its stored result.
 
         Args:
           compute: simulates `trials` whole trials and reports them to the progress bar itself.
@@ -98,12 +98,12 @@ class Journal:
 
 @dataclass(frozen=True)
 class Unit:
-    """A piece of work that is done once.
+    """A unit of work.
 
     Attributes:
       name: stem of its file.
-      trials: what it simulates, in whole trials.
-      work: makes its arrays; takes the progress bar's step and the journal.
+      trials: its cost, in whole trials.
+      work: computes its arrays, given the progress callback and the journal.
     """
 
     name: str
@@ -129,7 +129,7 @@ def missing(folder: Path, units: Sequence[Unit]) -> list[Unit]:
 
 
 def estimate(trials: float) -> str:
-    """A line on what is to come."""
+    """One line with the number of missing units and the expected time."""
     return (
         f"{trials:,.0f} whole trials to simulate, {trials / ASSUMED_RATE / 60:.1f} min at {ASSUMED_RATE:.0f} a second"
     )
@@ -139,7 +139,7 @@ def run_units(config: Config, units: Sequence[Unit], description: str) -> int:
     """Compute the units that are missing in the run folder; see `Config.out`, `resume` and `draw_only`.
 
     Args:
-      config: the settings; the folder refuses others than it was started with.
+      config: the settings, which must equal those with which the folder was started.
       units: all units.
       description: for the progress bar.
 
@@ -173,13 +173,13 @@ def run_units(config: Config, units: Sequence[Unit], description: str) -> int:
 
 
 def whole_steps(update: Callable[[int], object]) -> Step:
-    """A step that takes fractions and passes whole numbers on."""
+    """A progress callback for fractions, which accumulates them and passes whole numbers on."""
     rest = 0.0
 
     def step(count: float) -> None:
         nonlocal rest
         rest += count
-        # A hair more, so that ten steps of a tenth make one.
+        # Tolerance for rounding: ten steps of a tenth make one.
         whole = int(rest + 1e-6)
         rest -= whole
         update(whole)
@@ -188,12 +188,12 @@ def whole_steps(update: Callable[[int], object]) -> Step:
 
 
 def differences_to_saved(config: Config) -> list[str]:
-    """How these settings differ from those of the folder, where it matters."""
+    """Differences of these settings from those of the folder that affect results."""
     return differences(read_config_json(config.folder), config_to_json(config), IGNORED)
 
 
 def load(folder: Path, prefix: str) -> list[Arrays]:
-    """The finished units whose names begin so, by seed: "seed" finds seed-0.npz, seed-1.npz, ...
+    """Arrays of the finished units with a name, by seed: "seed" finds seed-0.npz, seed-1.npz, ...
 
     Raises:
       InputError: there is none.

@@ -1,4 +1,4 @@
-"""A claim, what was measured about it, and the verdict that follows from the interval."""
+"""A claim, its measured statistic and the verdict that follows from the statistic's interval."""
 
 import operator
 from collections.abc import Callable, Sequence
@@ -15,26 +15,26 @@ SENSES: dict[str, Callable[[float, float], bool]] = {
     "less than": operator.lt,
     "more than": operator.gt,
 }
-"""What a claim may say about its statistic."""
+"""Sense of a claim -> whether a statistic is on the claimed side of the bound."""
 
 Sense = Literal["at most", "at least", "less than", "more than"]
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim and what was measured about it.
+    """A claim and its measured statistic.
 
     Attributes:
       claim: in words.
-      measure: what the statistic is, with its unit.
-      sense: how the statistic lies to the bound if the claim holds.
+      measure: name of the statistic, with its unit.
+      sense: side of the bound on which the statistic is if the claim holds.
       bound: the bound.
       statistic: over seeds.
       low: lower end of its interval.
       high: upper end.
       seeds: number of seeds that gave a number.
       p: p-value of the paired test, None where there is none.
-      why: where the claim does not hold here, what is known of the reason.
+      why: known reason if the claim does not hold.
     """
 
     claim: str
@@ -50,7 +50,7 @@ class Claim:
 
     @property
     def verdict(self) -> str:
-        """See the module's docstring."""
+        """Whether the claim holds: both ends of the interval on the claimed side; "does not": neither; else "undecided"."""
         if not (np.isfinite(self.low) and np.isfinite(self.high)):
             return "undecided"
         ends = [SENSES[self.sense](end, self.bound) for end in (self.low, self.high)]

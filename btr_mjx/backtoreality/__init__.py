@@ -1,11 +1,13 @@
 """Back-to-Reality: co-evolve a robot's controller and its simulation.
 
-`Problem` says what is searched, `State` is what lies between two pieces of work, `algorithm` has one function a step.
-`SimulatedReality` plays the robot; anything with a `measure` method may take its place.
+`Problem` defines the robot, reality and settings, `State` is the resumable state between two pieces of work,
+`algorithm` has one function per step. `SimulatedReality` is a simulated robot; any object with a `measure` method can
+replace it.
 """
 
-from btr_mjx.backtoreality.algorithm import begin, evolve_controllers, select_transferable
+from btr_mjx.backtoreality.algorithm import begin
 from btr_mjx.backtoreality.config import PRESETS, CoevolveConfig, build_problem
+from btr_mjx.backtoreality.controller_search import evolve_controllers, select_transferable
 from btr_mjx.backtoreality.folder import run_in_folder, write_trials
 from btr_mjx.backtoreality.line_scan import (
     ScanConfig,

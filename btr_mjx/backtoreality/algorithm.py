@@ -3,12 +3,13 @@
 Iteration i:
   1. Controller search: a population of M controllers is made from c_(i-1) by bit flips and evolved for a few
      generations in the best simulation s_(i-1).
-  2. Selection, transfer, test: the m best are tried in reality; the best of them there becomes c_i.
+  2. Selection, transfer, test: the m best are tried in reality; the one that is best in reality becomes c_i.
   3. Simulation search: a population of L simulations around s_(i-1) is evolved to minimise Delta_fitness; see
      `simulation_search`.
 
-`advance(problem, state)` does the next smallest piece of work (one generation, or one visit to reality) and returns the
-state after it. Whatever runs it can save the state between pieces and go on later with the same result, to the bit.
+`advance(problem, state)` does the next piece of work (one generation, or the trials of one iteration in reality) and
+returns the state after it. The caller can save the state between pieces; a resumed run gives the same result, to the
+bit.
 """
 
 from dataclasses import replace
@@ -18,23 +19,22 @@ from typing import Any, Protocol
 import numpy as np
 
 from btr_mjx.backtoreality import simulation_search
+from btr_mjx.backtoreality.controller_search import select_transferable
 from btr_mjx.backtoreality.simulation_search import delta_of_simulations, genetic_algorithm
-from btr_mjx.backtoreality.state import Problem, Progress, SearchSettings, State, Trials
+from btr_mjx.backtoreality.state import Problem, State, Trials
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation import DISTANCE, Engine, FitnessFunction, evaluate
 from btr_mjx.optimise import GAState
-from btr_mjx.robots import Robot
 
 
 class Report(Protocol):
-    """Receives what happened.
+    """Callback for results.
 
-    `kind` is "generation" or "iteration", where `row` is a row of a table, or "archive" at the end of a search, where
-    it holds iteration, phase and all generations' genomes (g, population, bits) and scores (g, population).
+    `kind` is "generation" or "iteration", with a row of a table, or "archive" at the end of a search, with iteration,
+    phase, and genomes (g, population, bits) and scores (g, population) of all generations.
     """
 
     def __call__(self, kind: str, row: dict[str, Any]) -> None:
-        """Take one row."""
+        """Process one row."""
 
 
 def begin(problem: Problem, genome: np.ndarray | None = None) -> State:
@@ -44,8 +44,11 @@ def begin(problem: Problem, genome: np.ndarray | None = None) -> State:
       problem: the problem.
       genome: (bits,) of c_0; None for a random controller.
 
+    Returns:
+      The state in phase "baseline".
+
     Raises:
-      InputError: bad start or unknown names.
+      InputError: bad start simulation, genome or marks, or unknown names.
     """
     start = problem.robot.simulation_box.validate(problem.start, "start simulation")
     problem.simulation_box.encode(start[problem.robot.simulation_box.indices(problem.unknown)])
@@ -62,7 +65,7 @@ def advance(problem: Problem, state: State, report: Report | None = None) -> Sta
 
     Args:
       problem: the problem.
-      state: where the algorithm stands.
+      state: the present state.
       report: receives a row per generation and per iteration.
 
     Returns:
@@ -81,7 +84,7 @@ def advance(problem: Problem, state: State, report: Report | None = None) -> Sta
 
 
 def run_in_memory(problem: Problem, report: Report | None = None) -> State:
-    """Run the whole algorithm in memory; see `advance`."""
+    """Run the whole algorithm without saving anything; the last state. See `advance`."""
     state = begin(problem)
     while state.phase != "done":
         state = advance(problem, state, report)
@@ -89,7 +92,7 @@ def run_in_memory(problem: Problem, report: Report | None = None) -> State:
 
 
 def try_first_controller(problem: Problem, state: State) -> State:
-    """Try c_0 in reality: the fitness before learning, f_0 of the learning performance."""
+    """Try c_0 in reality, which gives f_0, the fitness before learning."""
     controllers = problem.controller_box.decode(state.genome)[None]
     f_s = problem.simulate(state.simulation[None], controllers)[0]
     measured = problem.reality.measure(controllers, len(state.trials), problem.times)
@@ -97,7 +100,7 @@ def try_first_controller(problem: Problem, state: State) -> State:
 
 
 def search_controllers(problem: Problem, state: State, report: Report) -> State:
-    """Step 1, one generation: evolve controllers in s_(i-1) for the best fitness."""
+    """Step 1, one generation: evolve controllers in s_(i-1)."""
     settings, box = problem.settings.controllers, problem.controller_box
     algorithm = genetic_algorithm(box, settings, maximise=problem.fitness.maximise)
     search = state.search or algorithm.init(problem.rng(state.iteration, 1), genome=state.genome)
@@ -110,78 +113,8 @@ def search_controllers(problem: Problem, state: State, report: Report) -> State:
     return state if len(state.scores) < settings.generations else replace(state, phase="transfer", search=None)
 
 
-def evolve_controllers(
-    robot: Robot,
-    simulation: np.ndarray,
-    settings: SearchSettings,
-    *,
-    seed: int,
-    genome: np.ndarray | None = None,
-    fitness: FitnessFunction = DISTANCE,
-    engine: Engine | None = None,
-    progress: Progress | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Step 1 on its own: evolve controllers in one simulation.
-
-    Args:
-      robot: the robot.
-      simulation: (n_s,).
-      settings: of the search.
-      seed: of everything random.
-      genome: (bits,) to start from; None for a random one.
-      fitness: the fitness function.
-      engine: see `evaluate`.
-      progress: called with the number of pairs simulated since the last call.
-
-    Returns:
-      (g, M, bits) all generations in order and (g, M) their fitness; see `select_transferable`.
-    """
-    box = robot.controller_box.with_bits(settings.bits)
-    algorithm = genetic_algorithm(box, settings, fitness.maximise)
-    rng = np.random.default_rng([seed, 0, 1])
-    search = algorithm.init(rng, genome=genome)
-    genomes, scores = [], []
-    for _ in range(settings.generations):
-        asked, search = algorithm.ask(search)
-        evaluation = evaluate(robot, simulation, box.decode(asked), engine=engine, fitness=fitness, progress=progress)
-        search = algorithm.tell(search, asked, evaluation.fitness[0])
-        genomes.append(asked)
-        scores.append(evaluation.fitness[0])
-    return np.array(genomes), np.array(scores)
-
-
-def select_transferable(
-    genomes: np.ndarray, scores: np.ndarray, trials: int, maximise: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """Step 2, selection: the best controllers of the last generation that can be tried.
-
-    A controller is transferable if its fitness in simulation is finite (its parameters are within bounds by the way
-    genomes are decoded). Equal genomes count once. Where the last generation has too few, the rest come in descending
-    order from the generation before, and so on.
-
-    Args:
-      genomes: (g, M, bits) generations in order.
-      scores: (g, M) fitness in simulation.
-      trials: m.
-      maximise: whether larger is better.
-
-    Returns:
-      (m', bits) genomes and (m',) scores with m' <= m, best first within each generation.
-    """
-    chosen: dict[bytes, tuple[np.ndarray, float]] = {}
-    for generation, values in zip(genomes[::-1], scores[::-1], strict=True):
-        order = np.argsort(-values if maximise else values, kind="stable")
-        for genome, value in zip(generation[order], values[order], strict=True):
-            if len(chosen) < trials and np.isfinite(value):
-                chosen.setdefault(genome.tobytes(), (genome, float(value)))
-    if not chosen:
-        return genomes[0, :0], scores[0, :0]
-    picked, values = zip(*chosen.values(), strict=True)
-    return np.array(picked), np.array(values)
-
-
 def test_in_reality(problem: Problem, state: State) -> State:
-    """Step 2: try the m best controllers in reality and begin the simulation search.
+    """Step 2: try the m best controllers in reality; the state after it begins the simulation search.
 
     Raises:
       InputError: no controller is transferable, or none of the trials gave a finite fitness.
@@ -199,13 +132,13 @@ def test_in_reality(problem: Problem, state: State) -> State:
     if not np.isfinite(f_r).any():
         raise InputError(f"iteration {state.iteration}: all {len(f_r)} trials in reality failed (fitness is NaN)")
     trials = state.trials.add(controllers, measured, f_s, state.iteration)
-    winner = genomes[best(f_r, problem.fitness.maximise)]
+    winner = genomes[best_index(f_r, problem.fitness.maximise)]
     before = delta_of_simulations(problem, state.simulation[None], trials, state.iteration)[0]
     return State("simulations", state.iteration, state.simulation, winner, trials, delta_before=float(before))
 
 
 def search_simulations(problem: Problem, state: State, report: Report) -> State:
-    """Step 3, one generation: search simulations for the least distance from reality."""
+    """Step 3, one generation: search for the simulation with the smallest distance from reality."""
     genomes, search = simulation_search.ask_simulations(problem, state)
     simulations = problem.embed(problem.simulation_box.decode(genomes))
     scores = delta_of_simulations(problem, simulations, state.trials, state.iteration)
@@ -219,7 +152,7 @@ def search_simulations(problem: Problem, state: State, report: Report) -> State:
 
 
 def _check_marks(problem: Problem) -> None:
-    """Marks must lie within the trial, in order."""
+    """Raise InputError unless marks are ascending and within the trial."""
     times = problem.times
     if times[0] <= 0 or any(later <= earlier for earlier, later in pairwise(times)):
         raise InputError(
@@ -234,10 +167,11 @@ def _finish_iteration(problem: Problem, state: State, report: Report) -> State:
     generation, member = np.unravel_index(np.argmin(finite), finite.shape)
     after = float(finite[generation, member])
     simulation = problem.embed(box.decode(state.genomes[generation, member]))
-    if after >= state.delta_before:  # s_(i-1) may be finer than the grid of genomes, or every simulation diverged
+    # s_(i-1) need not lie on the grid of genomes, and all simulations may have diverged.
+    if after >= state.delta_before:
         simulation, after = state.simulation, state.delta_before
     latest = state.trials.iteration == state.iteration
-    chosen = best(np.where(latest, state.trials.f_r, np.nan), problem.fitness.maximise)
+    chosen = best_index(np.where(latest, state.trials.f_r, np.nan), problem.fitness.maximise)
     report(
         "iteration",
         {
@@ -297,6 +231,6 @@ def _archive(state: State, phase: str) -> dict[str, Any]:
     return {"iteration": state.iteration, "phase": phase, "genomes": state.genomes, "scores": state.scores}
 
 
-def best(values: np.ndarray, maximise: bool) -> int:
+def best_index(values: np.ndarray, maximise: bool) -> int:
     """Index of the best finite value."""
     return int(np.nanargmax(values) if maximise else np.nanargmin(values))

@@ -1,4 +1,4 @@
-"""Settings of a co-evolution, and the problem that they pose."""
+"""Settings of a co-evolution, and the `Problem` that they define."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -113,14 +113,14 @@ PRESETS: dict[str, CoevolveConfig] = {
 """Defaults by the value of --preset."""
 
 _REALITY_OF_PRESET = {"quick": "fig2", "paper": "fig4"}
-"""Figure of the paper whose reality a preset hides."""
+"""Preset -> figure of the paper whose reality is hidden."""
 
 
 def parse_values(robot: Robot, settings: Sequence[str]) -> dict[str, float]:
-    """Read NAME=VALUE settings of simulation parameters.
+    """Values of simulation parameters from NAME=VALUE settings.
 
     Raises:
-      InputError: another form, an unknown name, a value that is no number or outside its bounds.
+      InputError: bad syntax, an unknown name, a value that is not a number or outside its bounds.
     """
     box, values = robot.simulation_box, {}
     for setting in settings:
@@ -138,10 +138,10 @@ def parse_values(robot: Robot, settings: Sequence[str]) -> dict[str, float]:
 
 
 def build_problem(config: CoevolveConfig) -> Problem:
-    """Turn a config into the problem that `algorithm` solves.
+    """The problem that a config defines; writes no files.
 
     Raises:
-      InputError: any setting that is out of its range; nothing has been written by then.
+      InputError: a setting that is out of its range.
     """
     robot = robot_of(config.template, config.duration)
     box = robot.simulation_box
@@ -155,7 +155,7 @@ def build_problem(config: CoevolveConfig) -> Problem:
     for name in given:
         if name not in unknown:
             raise InputError(f"truth {name}={given[name]}: {name} is not among the unknown ({', '.join(unknown)})")
-    # Two streams, so that naming some of the true values does not change where the search starts.
+    # Two random generators, so that giving some of the true values does not change the start of the search.
     drawn = box.sample(np.random.default_rng([config.seed, 101]))
     truth, start = robot.nominal_simulation, robot.nominal_simulation
     truth[indices] = [given.get(name, drawn[i]) for name, i in zip(unknown, indices, strict=True)]

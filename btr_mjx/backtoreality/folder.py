@@ -1,4 +1,4 @@
-"""A co-evolution in a run folder: saved after every piece of work, resumed where it stopped."""
+"""Co-evolution in a run folder: saved after every piece of work, resumable from the last checkpoint."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -12,12 +12,12 @@ from btr_mjx.runs import RunFolder, StopRequest, progress, write_arrays
 
 
 def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: bool) -> State:
-    """Go on with a co-evolution from the last checkpoint of its folder to the end.
+    """Run a co-evolution from the last checkpoint of its folder to the end.
 
     Args:
       problem: the problem.
-      run: takes checkpoints, generations.parquet, iterations.parquet and the archives of both searches.
-      stop: asked after every piece of work.
+      run: folder of checkpoints, generations.parquet, iterations.parquet and the archives of both searches.
+      stop: checked after every piece of work.
       show: whether a progress bar is shown.
 
     Returns:
@@ -42,10 +42,10 @@ def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: boo
     with progress(total=_pairs_left(problem, state), description="pairs", unit="pairs", show=show or False) as bar:
         problem = replace(problem, progress=bar.update)
         while state.phase != "done":
-            bar.set_description(f"iteration {state.iteration}: {_DOING[state.phase]}")
+            bar.set_description(f"iteration {state.iteration}: {_PHASE_TEXTS[state.phase]}")
             phase = state.phase
             state = advance(problem, state, report)
-            if phase == "simulations" != state.phase:  # the search may have ended early
+            if phase == "simulations" != state.phase:  # the search may have converged early
                 bar.total = bar.n + _pairs_left(problem, state)
             run.save_checkpoint(step, *state_to_arrays(state))
             step += 1
@@ -53,7 +53,7 @@ def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: boo
     return state
 
 
-_DOING = {
+_PHASE_TEXTS = {
     "baseline": "first controller",
     "controllers": "evolving controllers",
     "transfer": "trying controllers in reality",
@@ -76,7 +76,7 @@ def _pairs_left(problem: Problem, state: State) -> int:
 
 
 def _write_archive(folder: Path, problem: Problem, row: dict[str, Any]) -> None:
-    """All members of one search; the same bytes whenever it is written again after a resume."""
+    """Write all members of one search; the same bytes if it is written again after a resume."""
     box = problem.controller_box if row["phase"] == "controllers" else problem.simulation_box
     name = "fitness" if row["phase"] == "controllers" else "delta_fitness"
     arrays = {"parameters": box.decode(row["genomes"]), name: row["scores"], "names": np.array(box.names)}

@@ -1,4 +1,4 @@
-"""Delta_fitness over a line of simulations that differ in one parameter."""
+"""Scan: Delta_fitness of simulations that differ in one parameter."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from btr_mjx.backtoreality.algorithm import evolve_controllers, select_transferable
+from btr_mjx.backtoreality.controller_search import evolve_controllers, select_transferable
 from btr_mjx.backtoreality.state import Progress, SearchSettings
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import (
@@ -52,7 +52,7 @@ def delta(
       (L, m); NaN where a pair diverged.
 
     Raises:
-      InputError: bad parameters, or as many fitnesses as there are controllers are not given.
+      InputError: bad parameters, or f_real is not of shape (m,).
     """
     how = settings or EngineSettings()
     evaluation = evaluate(
@@ -64,7 +64,7 @@ def delta(
 def delta_fitness(
     robot: Robot, simulations: ArrayLike, controllers: ArrayLike, f_real: ArrayLike, **options: Any
 ) -> np.ndarray:
-    """Delta_fitness (eq. 4) of every simulation, (L,); arguments as of `delta`."""
+    """Delta_fitness (eq. 4) of every simulation, (L,); NaN where a pair diverged. Arguments as of `delta`."""
     return delta(robot, simulations, controllers, f_real, **options).mean(axis=1)
 
 
@@ -95,17 +95,17 @@ def along(robot: Robot, parameter: str, grid: int | ArrayLike, base: ArrayLike |
 
 
 def curve_statistics(grid: ArrayLike, curve: ArrayLike, truth: float) -> dict[str, float]:
-    """How well a distance curve over one parameter orders simulations by their error.
+    """Statistics of how well a distance over one parameter orders simulations by their error.
 
     Args:
       grid: (G,) values of the parameter.
-      curve: (G,) distance, for instance Delta_fitness.
+      curve: (G,) distance, such as Delta_fitness.
       truth: the parameter's value in reality.
 
     Returns:
       spearman: rho between the curve and |grid - truth|; spearman_left and _right: on either side of the truth, NaN
-      where it has fewer than three points; monotonicity: share of neighbouring pairs ordered as their errors are;
-      roughness: total variation over range; at_minimum: the parameter's value where the curve is least.
+      where it has fewer than three points; monotonicity: fraction of neighbouring pairs ordered as their errors;
+      roughness: total variation over range; at_minimum: the parameter's value at the minimum of the curve.
     """
     x, y = np.asarray(grid, float), np.asarray(curve, float)
     left, right = np.moveaxis(np.asarray(metrics.side_spearman(y, x, truth)), -1, 0)
@@ -223,7 +223,10 @@ def run_scan(config: ScanConfig, step: Progress | None = None) -> tuple[dict[str
 
 
 def check_scan(config: ScanConfig) -> tuple[Robot, float]:
-    """The robot and the truth of a scan, after checking all settings that can be checked without simulating.
+    """Check all settings that can be checked without simulating.
+
+    Returns:
+      The robot, and the parameter's value in reality.
 
     Raises:
       InputError: bad settings.

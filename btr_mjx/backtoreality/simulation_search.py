@@ -1,8 +1,8 @@
-"""Step 3 of Back-to-Reality: the distance of simulations from reality, and the next generation of them.
+"""Simulation search: step 3 of Back-to-Reality, with the distance of simulations from reality.
 
-Two optimisers are at hand. The genetic algorithm is the paper's. CMA-ES learns the directions of the valleys that many
-unknown parameters make together. Its members are kept as genomes too, on a grid far finer than matters, so that
-records, checkpoints and figures know one form only.
+There are two optimisers: the genetic algorithm of the paper, and CMA-ES, which also adapts to correlations of many
+unknown parameters. Members of CMA-ES are stored as genomes, too, on a very fine grid (`CMA_BITS`), so that records,
+checkpoints and figures have one format.
 """
 
 from dataclasses import replace
@@ -16,7 +16,7 @@ from btr_mjx.robots import Box
 
 
 def genetic_algorithm(box: Box, settings: SearchSettings, maximise: bool) -> GeneticAlgorithm:
-    """The genetic algorithm of either search."""
+    """The genetic algorithm of both searches (controllers and simulations)."""
     elites = min(2, settings.population - 1)
     return GeneticAlgorithm(
         box, GAConfig(population=settings.population, p_m=settings.p_m, elites=elites, maximise=maximise)
@@ -31,7 +31,7 @@ def ask_simulations(problem: Problem, state: State) -> tuple[np.ndarray, GAState
       state: in phase "simulations".
 
     Returns:
-      (L, bits) genomes, and the genetic algorithm's state to give to `tell`.
+      (L, bits) genomes, and the state of the genetic algorithm for `tell_simulations`; None for CMA-ES.
     """
     box, settings = problem.simulation_box, problem.settings.simulations
     known = state.simulation[problem.robot.simulation_box.indices(problem.unknown)]
@@ -46,7 +46,7 @@ def ask_simulations(problem: Problem, state: State) -> tuple[np.ndarray, GAState
     if search is None:
         search = algorithm.init(problem.rng(state.iteration, 3), genome=box.encode(known))
         if state.iteration == 1:
-            # Nothing has been measured before: the population is random, with s_0 as one of its members.
+            # First iteration: the population is random, with s_0 as one of its members.
             drawn = box.random_genomes(problem.rng(0, 3), settings.population)
             search = replace(search, parents=np.concatenate([box.encode(known)[None], drawn[1:]]))
     return algorithm.ask(search)
@@ -55,7 +55,7 @@ def ask_simulations(problem: Problem, state: State) -> tuple[np.ndarray, GAState
 def tell_simulations(
     problem: Problem, search: GAState | None, genomes: np.ndarray, scores: np.ndarray
 ) -> GAState | None:
-    """The genetic algorithm's state with what a generation scored; None for CMA-ES, which needs the record only."""
+    """State of the genetic algorithm after a generation; None for CMA-ES, which is restored from its history."""
     if search is None:
         return None
     algorithm = genetic_algorithm(problem.simulation_box, problem.settings.simulations, maximise=False)
@@ -63,7 +63,7 @@ def tell_simulations(
 
 
 def finished(problem: Problem, state: State) -> bool:
-    """Whether the search under way has had all its generations, or has converged."""
+    """Whether the present search has done all its generations or has converged."""
     if len(state.scores) >= problem.settings.simulations.generations:
         return True
     return problem.settings.optimiser == "cma" and cma_es.converged(_in_cube(problem.simulation_box, state.genomes[-1]))
@@ -74,18 +74,18 @@ def _in_cube(box: Box, genomes: np.ndarray) -> np.ndarray:
 
 
 def delta_of_simulations(problem: Problem, simulations: np.ndarray, trials: Trials, iteration: int) -> np.ndarray:
-    """Distance of simulations from reality over the behaviours that count in an iteration.
+    """Distance of simulations from reality over the behaviours of an iteration (see `BTRSettings.behaviours`).
 
-    Delta_fitness (eq. 4), or `distances.multiscale_fitness`: for the latter trials are simulated up to the last mark.
+    Delta_fitness (eq. 4), or `distances.multiscale_fitness`, for which trials are simulated up to the last mark.
 
     Args:
-      problem: the problem; its settings say which behaviours count.
+      problem: the problem.
       simulations: (L, n_s).
       trials: evaluations in reality; failed ones are left out.
       iteration: only trials up to this one are used.
 
     Returns:
-      (L,).
+      (L,) distances; NaN where a behaviour diverged.
     """
     if problem.settings.distance == "fitness":
         return whole_trial_delta(problem, simulations, trials, iteration)
@@ -105,12 +105,12 @@ def delta_of_simulations(problem: Problem, simulations: np.ndarray, trials: Tria
 
 
 def whole_trial_delta(problem: Problem, simulations: np.ndarray, trials: Trials, iteration: int) -> np.ndarray:
-    """Delta_fitness (eq. 4), whatever distance step 3 minimises; arguments as of `delta_of_simulations`."""
+    """Delta_fitness (eq. 4), also if step 3 minimises another distance; arguments as of `delta_of_simulations`."""
     use = _counting(problem, trials, iteration)
     return delta_fitness_of(problem.simulate(simulations, trials.controllers[use]), trials.f_r[use])
 
 
 def _counting(problem: Problem, trials: Trials, iteration: int) -> np.ndarray:
-    """Which trials count in an iteration, bool (n,)."""
+    """Trials that are compared in an iteration, bool (n,)."""
     first = iteration if problem.settings.behaviours == "latest" else 1
     return (trials.iteration >= first) & (trials.iteration <= iteration) & np.isfinite(trials.f_r)

@@ -1,4 +1,4 @@
-"""What Back-to-Reality works on: its settings, the problem and the state between two pieces of work."""
+"""Settings, problem and state of Back-to-Reality."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -13,22 +13,29 @@ from btr_mjx.optimise import GAState, ga_state_from_arrays, ga_state_to_arrays
 from btr_mjx.robots import Box, Robot
 
 Phase = Literal["baseline", "controllers", "transfer", "simulations", "done"]
+"""Next piece of work: the first controller in reality, step 1, step 2, step 3, none."""
+
 Distance = Literal["fitness", "multiscale"]
+"""Distance that step 3 minimises, see `BTRSettings.distance`."""
+
 Optimiser = Literal["ga", "cma"]
+"""Optimiser of step 3, see `BTRSettings.optimiser`."""
+
 Progress = Callable[[int], object]
+"""Callback for the number of pairs simulated since its last call."""
 
 CMA_BITS = 30
-"""Bits per parameter in which members of CMA-ES are kept: a grid of a billionth of the range."""
+"""Bits per parameter of stored members of CMA-ES: a grid of a billionth of the range."""
 
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """One of the two evolutionary searches.
+    """Settings of one of the two evolutionary searches.
 
     Attributes:
       population: M controllers or L simulations.
       generations: generations per iteration.
-      p_m: probability per bit of flipping a genotype's bit.
+      p_m: mutation probability per bit.
       bits: bits per parameter.
     """
 
@@ -54,9 +61,9 @@ class BTRSettings:
       controllers: step 1.
       trials: m, controllers tried in reality per iteration.
       simulations: step 3.
-      iterations: at most so many iterations.
-      max_evaluations: stop before exceeding so many evaluations in reality; None for no limit.
-      target_delta: stop once Delta_fitness is at most this; None for no target.
+      iterations: maximum number of iterations.
+      max_evaluations: maximum number of evaluations in reality; None for no limit.
+      target_delta: Delta_fitness at which the algorithm stops; None for no target.
       behaviours: whether the distance compares the behaviours of the latest iteration (the paper) or all so far.
       distance: what step 3 minimises: "fitness" is Delta_fitness (the paper), "multiscale" is
         `distances.multiscale_fitness` at `marks`.
@@ -100,17 +107,17 @@ class BTRSettings:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is co-evolved.
+    """A co-evolution problem.
 
     Attributes:
       robot: the robot.
-      reality: where controllers are tried.
-      unknown: names of the parameters of S that are searched; the others keep their value of `start`.
+      reality: the real robot, or a simulation of it.
+      unknown: names of the parameters of S that are searched; the others keep their values of `start`.
       start: (n_s,) s_0.
       settings: the algorithm's settings.
       fitness: the fitness function.
       engine: the engine of the searches; None for the fastest.
-      seed: of everything random.
+      seed: of all random numbers.
       progress: called with the number of pairs simulated since the last call.
     """
 
@@ -137,7 +144,7 @@ class Problem:
 
     @property
     def times(self) -> tuple[float, ...]:
-        """Times [s] at which a trial in reality is measured: the marks, where the distance needs them, and T_e."""
+        """Times [s] at which a trial in reality is measured: the marks, if the distance needs them, and T_e."""
         marks = self.settings.marks if self.settings.distance == "multiscale" else ()
         return (*marks, self.robot.duration)
 
@@ -153,20 +160,20 @@ class Problem:
         return evaluation.fitness
 
     def rng(self, iteration: int, step: int) -> np.random.Generator:
-        """Independent streams for each step of each iteration, whatever was drawn before."""
+        """An independent random generator for a step of an iteration."""
         return np.random.default_rng([self.seed, iteration, step])
 
 
 @dataclass(frozen=True, eq=False)
 class Trials:
-    """Every evaluation in reality so far, one row each.
+    """All evaluations in reality so far, one row each.
 
     Attributes:
       controllers: (n, n_c).
       f_r: (n,) fitness in reality.
       f_marks: (n, K) fitness in reality as if the trial had ended at each mark; K is 0 for Delta_fitness.
       f_s: (n,) fitness in the simulation in which the controller was found.
-      iteration: (n,) iteration that tried it, 0 for the first controller c_0.
+      iteration: (n,) iteration of the trial, 0 for the first controller c_0.
     """
 
     controllers: np.ndarray
@@ -179,7 +186,7 @@ class Trials:
         return len(self.f_r)
 
     def add(self, controllers: np.ndarray, measured: np.ndarray, f_s: np.ndarray, iteration: int) -> "Trials":
-        """With further trials: controllers (m, n_c) and what `Reality.measure` gave for them (m, K + 1)."""
+        """These and further trials, of controllers (m, n_c) with results (m, K + 1) of `Reality.measure`."""
         return Trials(
             np.concatenate([self.controllers, controllers]),
             np.concatenate([self.f_r, measured[:, -1]]),
@@ -191,19 +198,19 @@ class Trials:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Where the algorithm stands. Arrays and plain values only, so that it can be saved.
+    """State of the algorithm. Arrays and plain values only, so that it can be saved.
 
     Attributes:
-      phase: the piece of work that comes next.
+      phase: the next piece of work.
       iteration: 1, 2, ...
       simulation: (n_s,) best simulation so far, s_(i-1) until step 3 of iteration i ends.
       genome: (bits,) of c_(i-1), from which step 1 starts.
       trials: all evaluations in reality.
-      search: state of the search under way, None between searches.
-      genomes: (g, population, bits) all generations of the search under way.
+      search: state of the present search, None between searches.
+      genomes: (g, population, bits) all generations of the present search.
       scores: (g, population) their fitness or distance.
       delta_before: the distance of s_(i-1) over the behaviours of iteration i.
-      stop: why the algorithm ended, "" before.
+      stop: the stop criterion that was met, "" before.
     """
 
     phase: Phase
@@ -219,7 +226,7 @@ class State:
 
 
 def state_to_arrays(state: State) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Write a state as named arrays and JSON-able values; the inverse of `state_from_arrays`."""
+    """A state as named arrays and JSON-able values; the inverse of `state_from_arrays`."""
     arrays = {
         "simulation": state.simulation,
         "genome": state.genome,
@@ -234,7 +241,7 @@ def state_to_arrays(state: State) -> tuple[dict[str, np.ndarray], dict[str, Any]
 
 
 def state_from_arrays(arrays: Mapping[str, np.ndarray], values: Mapping[str, Any]) -> State:
-    """Read a state written by `state_to_arrays`."""
+    """The state from the arrays and values of `state_to_arrays`."""
     part = lambda prefix: {  # noqa: E731
         name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)
     }

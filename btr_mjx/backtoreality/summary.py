@@ -1,31 +1,31 @@
-"""The numbers of a finished co-evolution, and the table that the command closes with."""
+"""Results of a finished co-evolution: the content of result.json, and the table that the command prints."""
 
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from btr_mjx.backtoreality.algorithm import best as best_of
+from btr_mjx.backtoreality.algorithm import best_index
 from btr_mjx.backtoreality.simulation_search import whole_trial_delta
 from btr_mjx.backtoreality.state import Problem, State
 from btr_mjx.evaluation import learning_performance
 
 
 def summarise(problem: Problem, state: State) -> dict[str, Any]:
-    """The numbers of a finished run.
+    """Results of a finished run, as in result.json.
 
     Returns:
       delta_fitness_first and _last: Delta_fitness of s_0 over the behaviours of iteration 1, and of the last simulation
       over those it was fitted to. parameter_error_first and _last: mean absolute error of the unknown parameters, None
-      for a reality that is not simulated. reality_evaluations, lp (learning performance) and what it is made of, the
-      simulation, the best controller and why the run stopped.
+      for a reality that is not simulated. reality_evaluations, lp (learning performance) and its terms, the simulation,
+      the best controller and the stop criterion that was met.
     """
     trials, last = state.trials, state.iteration
     latest = trials.iteration == last
     first = trials.iteration == 1
     maximise = problem.fitness.maximise
     f_0 = float(trials.f_r[0])
-    best = int(best_of(np.where(latest, trials.f_r, np.nan), maximise))
+    best = int(best_index(np.where(latest, trials.f_r, np.nan), maximise))
     f_end, f_max = float(trials.f_r[best]), float(np.nanmax(np.abs(trials.f_r)))
     delta = lambda s, iteration: float(  # noqa: E731
         whole_trial_delta(problem, s[None], trials, iteration)[0]
@@ -48,7 +48,7 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
         ),
         "fitness": problem.fitness.name,
         "f_r_first_controller": f_0,
-        "f_r_best_first_iteration": float(trials.f_r[best_of(np.where(first, trials.f_r, np.nan), maximise)]),
+        "f_r_best_first_iteration": float(trials.f_r[best_index(np.where(first, trials.f_r, np.nan), maximise)]),
         "f_r_best": f_end,
         "f_s_best": float(trials.f_s[best]),
         "failed_trials": int((~np.isfinite(trials.f_r)).sum()),
@@ -62,7 +62,7 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
 
 
 def summary_table(result: dict[str, Any], out: Path) -> str:
-    """The closing table of the command."""
+    """The table that the command prints at its end."""
     lines = [f"{'':34}{'first':>12}{'last':>12}"]
     for label, name in (("Delta_fitness", "delta_fitness"), ("mean error of unknown parameters", "parameter_error")):
         first, last = result[f"{name}_first"], result[f"{name}_last"]

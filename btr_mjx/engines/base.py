@@ -1,8 +1,8 @@
-"""What an engine is: a way to step a fixed-size chunk of worlds in lockstep.
+"""Interface of the engines inside JAX: step a chunk of worlds of fixed size in lockstep.
 
 The rollout (`btr_mjx.engines.program`) is written once against `Stepper`; the engines that run inside JAX differ only
-in how they lay a chunk out in memory and how they compute one step. Native MuJoCo needs no stepper: it runs whole
-rollouts on its own threads.
+in the memory layout of a chunk and in how they compute one step. Native MuJoCo needs no stepper: it runs whole rollouts
+on its own threads.
 """
 
 from collections.abc import Mapping
@@ -18,14 +18,14 @@ Leaves = Mapping[str, np.ndarray]
 
 
 class UnsupportedModel(InputError):
-    """The model uses a feature that this engine does not compute; the message names it and the engine that does."""
+    """The model uses a feature that an engine does not compute; the message names it and an engine that does."""
 
 
 class Stepper(Protocol):
     """One MuJoCo step for a chunk of C worlds. Every method but `pack` is traced by JAX.
 
-    The state is a pytree of the engine's own layout. The arrays that cross this boundary have the batch LAST, so that
-    an engine that keeps its batch in the SIMD lanes pays nothing.
+    The state is a pytree in the engine's own layout. All other arrays have the batch as their last axis, so that an
+    engine that keeps its batch in the SIMD lanes need not transpose.
     """
 
     nq: int
@@ -34,11 +34,11 @@ class Stepper(Protocol):
     timestep: float
 
     def pack(self, leaves: Leaves) -> Any:
-        """Lay per-world model fields out for this engine (numpy, on the host).
+        """Convert per-world model fields to the engine's layout (numpy, on the host).
 
         Args:
-          leaves: MjModel fields of shape (N, C, *field shape), N chunks of C worlds; fields that are absent are the
-            base model's, equal for all worlds.
+          leaves: MjModel fields of shape (N, C, *field shape), N chunks of C worlds; absent fields
+            have the base model's values in all worlds.
 
         Returns:
           A pytree of numpy arrays with leading axis N; `initial` and `step` take one slice of it.
@@ -50,7 +50,7 @@ class Stepper(Protocol):
         ...
 
     def step(self, params: Any, state: Any, ctrl: jax.Array) -> Any:
-        """Advance by one time step under controls of shape (nu, C)."""
+        """State after one time step under controls of shape (nu, C)."""
         ...
 
     def qpos(self, state: Any) -> jax.Array:
@@ -70,5 +70,5 @@ class Stepper(Protocol):
         ...
 
     def capped(self, state: Any) -> jax.Array:
-        """Whether the constraint solver stopped at its iteration cap in the last step, bool (C,)."""
+        """Whether the constraint solver reached its iteration limit in the last step, bool (C,)."""
         ...

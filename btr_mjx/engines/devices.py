@@ -1,4 +1,4 @@
-"""Which devices a batch runs on, and where compiled programs are kept."""
+"""Configuration of JAX: devices of the CPU backend, compiler options, cache of compiled programs."""
 
 import logging
 import os
@@ -11,22 +11,25 @@ from btr_mjx.runs import available_cores
 
 _COMPILER_FLAG = "--xla_backend_extra_options="
 _COMPILER_OPTIONS = "xla_slp_vectorizer_disabled,xla_cpu_disable_loop_unrolling"
-"""A step of `lanes` is one function of hundreds of short loops that are vectors already: unrolling them and looking for
-more vectors doubles the machine code and the time to compile it, and runs slower for want of instruction cache."""
+"""Compiler options that switch off LLVM's loop unrolling and SLP vectoriser.
+
+A step of `lanes` is one function of hundreds of short loops that are vectorised already: these passes double the
+machine code and the compile time, and the larger code runs slower since it exceeds the instruction cache.
+"""
 
 
 def use_all_cores() -> None:
-    """Set XLA's CPU backend up for batches of worlds, if it has not started yet: one device per core, compact code.
+    """Configure XLA's CPU backend for batches of worlds, if it has not started yet: one device per core.
 
     One XLA device runs a chunk on about one core, so a batch is sharded over as many devices as there are cores. JAX
-    fixes their number and its compiler's options when it first touches a device; afterwards this does nothing. What the
-    user has chosen is left alone: a number of devices set by `jax.config` or by
-    `--xla_force_host_platform_device_count` in XLA_FLAGS, and `--xla_backend_extra_options` there.
+    fixes the number of devices and the compiler options when its backend starts; afterwards this function does nothing.
+    Settings of the user take precedence: a number of devices set by `jax.config` or by
+    `--xla_force_host_platform_device_count` in XLA_FLAGS, and `--xla_backend_extra_options` in XLA_FLAGS.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     number = jax.config.jax_num_cpu_devices
     try:
-        # JAX has no way to ask whether it has started, but once it has it refuses to change this number.
+        # JAX has no public test of whether its backend has started, but once started it rejects this change.
         jax.config.update("jax_num_cpu_devices", 2 if number == 1 else 1)
     except RuntimeError:
         logging.getLogger(__name__).debug("JAX is already running on %d devices", jax.device_count())
@@ -38,10 +41,10 @@ def use_all_cores() -> None:
 
 
 def use_compilation_cache() -> None:
-    """Keep compiled programs on disk, unless the user has chosen a folder or switched the cache off.
+    """Cache compiled programs on disk, unless the user has chosen a folder or switched the cache off.
 
-    The folder is $XDG_CACHE_HOME/btr_mjx/jax-<versions> (~/.cache by default): another jaxlib never reads what this one
-    wrote. A cache that cannot be used costs a compilation and nothing else.
+    The folder is $XDG_CACHE_HOME/btr_mjx/jax-<versions> (~/.cache by default), one for each version of jaxlib. Without
+    a usable cache, programs are compiled again in each process.
     """
     if jax.config.jax_compilation_cache_dir is not None or not jax.config.jax_enable_compilation_cache:
         return

@@ -1,8 +1,8 @@
 """The `mjx` engine: `jax.vmap` of `mujoco.mjx.step`. General, differentiable, any device; the reference inside JAX.
 
-The solver runs to convergence: MuJoCo's own iteration limit and tolerance apply, never a fixed small number of steps.
-What MJX would silently ignore is refused here, and the one thing it lacks that we need, the integral term of MuJoCo's
-`pid` actuator, is carried in the state.
+The solver runs to convergence, with MuJoCo's own iteration limit and tolerance. Features that MJX would silently ignore
+raise `UnsupportedModel`. The integral term of MuJoCo's `pid` actuator, which MJX lacks, is computed here and carried in
+the state.
 """
 
 import contextlib
@@ -17,12 +17,12 @@ import numpy as np
 
 from btr_mjx.engines.base import Leaves, UnsupportedModel
 
-# MJX prints, on stdout, that its optional GPU back end is not installed.
+# On import MJX prints on stdout that its optional GPU backend is not installed.
 with contextlib.redirect_stdout(io.StringIO()):
     from mujoco import mjx
 
 _RESIDUAL_LIMIT = 1e-3
-"""A step whose constraint forces leave more than this share of the forces unbalanced counts as not converged."""
+"""Largest relative residual of the equations of motion, |M a - f| / |f| (1-norms), of a converged step."""
 
 
 class MjxStepper:
@@ -37,7 +37,7 @@ class MjxStepper:
 
         Args:
           model: the base model.
-          varying: names of the fields that `pack` will be given.
+          varying: names of the fields that `pack` will receive.
 
         Raises:
           UnsupportedModel: a feature that MJX does not compute.
@@ -53,7 +53,7 @@ class MjxStepper:
                 put = put.replace(na=0)
         except NotImplementedError as error:
             raise UnsupportedModel(f"MJX does not support this model: {error}; use engine='native'") from None
-        # Numpy leaves: device arrays closed over by a sharded function would be tied to one device.
+        # Numpy leaves: device arrays in the closure of a sharded function would be bound to one device.
         self._model = jax.tree.map(lambda x: np.asarray(x) if isinstance(x, jax.Array) else x, put)
         self._data = jax.tree.map(lambda x: np.asarray(x) if isinstance(x, jax.Array) else x, mjx.make_data(put))
         self._used = tuple(sorted(name for name in varying if _leaf(self._model, name) is not None))
@@ -88,7 +88,7 @@ class MjxStepper:
 
     def step_one(self, params: dict[str, jax.Array], state: dict[str, jax.Array], ctrl: jax.Array) -> dict[str, Any]:
         """One world: `mjx.step` on the model with `params` filled in, under controls (nu,)."""
-        # MJX takes numpy leaves for structure, so they become JAX arrays here.
+        # MJX treats numpy leaves as static structure, so they are converted to JAX arrays here.
         model = jax.tree.map(jnp.asarray, self._model).tree_replace(params)
         data = jax.tree.map(jnp.asarray, self._data).replace(
             qpos=state["qpos"],
@@ -120,7 +120,7 @@ class MjxStepper:
         return state["qvel"].T
 
     def act(self, state: dict[str, jax.Array]) -> jax.Array:
-        """See `Stepper.act`: either every actuator has an integral or none has."""
+        """See `Stepper.act`: either all actuators have an integral or none."""
         return state["integral"].T if self._pid.any() else state["integral"].T[:0]
 
     def power(self, state: dict[str, jax.Array]) -> jax.Array:
@@ -128,7 +128,7 @@ class MjxStepper:
         return state["power"]
 
     def capped(self, state: dict[str, jax.Array]) -> jax.Array:
-        """See `Stepper.capped`: MJX does not report iterations, so the unbalanced force itself is judged."""
+        """See `Stepper.capped`: MJX does not report iterations, so the residual is tested instead."""
         return state["residual"] > _RESIDUAL_LIMIT
 
 
@@ -171,10 +171,12 @@ _IGNORED = {
     "tendon_stiffnesspoly": "polynomial tendon stiffness",
     "tendon_dampingpoly": "polynomial tendon damping",
 }
-"""Fields that native MuJoCo 3.17 computes with and MJX 3.17 passes over without a word."""
+"""Fields that native MuJoCo 3.17 uses and MJX 3.17 silently ignores -> name of the feature."""
 
 
 def _refuse(model: mujoco.MjModel) -> None:
+    """Raise UnsupportedModel for features that MJX ignores."""
+
     def refuse(what: str) -> None:
         raise UnsupportedModel(f"MJX silently ignores {what}: remove it from the model or use engine='native'")
 

@@ -1,7 +1,7 @@
 """The `native` engine: MuJoCo's own C code in float64 on threads, by `mujoco.batch.Batch`.
 
-It is the oracle for the engines inside JAX, and a reality that shares no code with them: it may run at another time
-step and with another integrator. Results are bit-identical at any thread count.
+It is the reference for the engines inside JAX, and can simulate a reality that shares no code with them, at another
+time step and with another integrator. Results are bit-identical for any number of threads.
 """
 
 import copy
@@ -18,7 +18,7 @@ from btr_mjx.robots import Signal
 from btr_mjx.runs import available_cores
 
 _SEGMENT = 100
-"""Steps between two returns to Python: what is recorded of a segment stays small."""
+"""Number of steps per call of MuJoCo, which limits the memory for recorded arrays."""
 
 INTEGRATORS: Mapping[str, int] = {
     "euler": int(mujoco.mjtIntegrator.mjINT_EULER),
@@ -26,11 +26,12 @@ INTEGRATORS: Mapping[str, int] = {
     "implicit": int(mujoco.mjtIntegrator.mjINT_IMPLICIT),
     "rk4": int(mujoco.mjtIntegrator.mjINT_RK4),
 }
+"""Integrators by the name of their setting."""
 
 
 @dataclass(frozen=True)
 class NativeSettings:
-    """How native MuJoCo steps; the defaults are the model's own.
+    """Settings of native MuJoCo; the defaults are the model's own.
 
     Attributes:
       timestep: another time step [s]; samples then count its steps.
@@ -54,7 +55,7 @@ def rollout_native(
     record_states: bool,
     settings: NativeSettings = NativeSettings(),
 ) -> Record:
-    """Roll pairs out in native MuJoCo.
+    """Simulate pairs in native MuJoCo.
 
     Args:
       model: the base model.
@@ -62,24 +63,24 @@ def rollout_native(
       controllers: (B, n_c).
       samples: (K,) ascending step counts at which to record.
       signal: reference signal of the robot, sampled at the start of each step.
-      base_address: where the base's position begins in qpos and its velocity in qvel, or None.
+      base_address: addresses of the base's position in qpos and of its velocity in qvel, or None.
       record_states: whether qpos, qvel and act are recorded.
       settings: time step, integrator and threads.
 
     Returns:
-      The record, batch first. Pairs whose state became invalid have NaN positions from then on.
+      The record, batch first. Pairs whose state became invalid have NaN positions from that time on.
     """
     model = copy.copy(model)
     if settings.timestep is not None:
         model.opt.timestep = settings.timestep
     if settings.integrator is not None:
         model.opt.integrator = INTEGRATORS[settings.integrator]
-    # An invalid state must stay visible; MuJoCo's automatic reset would turn it into a new start.
+    # An invalid state must stay visible: MuJoCo's automatic reset would replace it by the initial state.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     count, dt = len(controllers), float(model.opt.timestep)
     batch = Batch(model, nsim=count, nthread=settings.threads or available_cores())
     expand(batch, leaves)
-    # With its stage left out, a reset only writes qpos0; the models' own constants are already in the leaves.
+    # With stage NONE a reset only writes qpos0; the constants of the models are already in the leaves.
     batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
     parameters = np.ascontiguousarray(controllers.T)
     qpos, qvel, act = (batch.bind(name) for name in ("qpos", "qvel", "act"))
@@ -108,7 +109,7 @@ def rollout_native(
                 peak = np.maximum(peak, np.linalg.norm(velocity, axis=-1).max(1))
             iterations = out["solver_niter"].reshape(count, steps, -1).max(-1)
             capped += (iterations >= model.opt.iterations).sum(1).astype(np.int32)
-            alive &= ~(np.asarray(batch.warning).reshape(count, -1)[:, _INVALID].any(1))
+            alive &= ~(np.asarray(batch.warning).reshape(count, -1)[:, _INVALID_STATE_WARNINGS].any(1))
             done += steps
         position = np.where(alive[:, None], base(), np.nan)
         states = tuple(np.array(x if record_states else x[:, :0]) for x in (qpos, qvel, act))
@@ -117,7 +118,7 @@ def rollout_native(
     return Record(start, position, work, peak, capped, *recorded)
 
 
-_INVALID = [
+_INVALID_STATE_WARNINGS = [
     int(mujoco.mjtWarning.mjWARN_BADQPOS),
     int(mujoco.mjtWarning.mjWARN_BADQVEL),
     int(mujoco.mjtWarning.mjWARN_BADQACC),
@@ -125,7 +126,12 @@ _INVALID = [
 
 
 def expand(batch: Batch, leaves: Leaves) -> None:
-    """Write the fields in which the models differ into the batch (statistics are not model fields of a batch)."""
+    """Write the fields in which models differ into a batch of MuJoCo.
+
+    Args:
+      batch: the batch of B simulations.
+      leaves: MjModel field -> (B, *field shape); "stat.<name>" is skipped, since a batch holds no statistics.
+    """
     for name, values in leaves.items():
         if not name.startswith("stat."):
             batch.expand(name)[...] = values

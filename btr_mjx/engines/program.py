@@ -1,9 +1,9 @@
 """The rollout as one compiled program, for the engines that run inside JAX.
 
-Pairs (s, c) come in a block of fixed shape, (devices x capacity) chunks of C worlds. The block is sharded over the
-devices; each device runs its chunks one after the other, so that memory does not grow with the number of pairs, and
+Pairs (s, c) are passed in a block of fixed shape, (devices x capacity) chunks of C worlds. The block is sharded over
+the devices. Each device runs its chunks one after the other, so that memory does not grow with the number of pairs, and
 stops at the last chunk in use, so that a small batch costs little. The number of steps is an argument of the program,
-not a constant in it: one compilation serves every horizon.
+so that one compilation serves every duration.
 """
 
 from collections.abc import Callable
@@ -21,15 +21,15 @@ from btr_mjx.robots import Signal
 
 
 class Record(NamedTuple):
-    """What a rollout reports; inside the program the batch is the last axis of every array.
+    """Result of a rollout; inside the program the batch is the last axis of every array.
 
     Attributes:
       start: (3, C) base position at t = 0 [m].
       position: (K, 3, C) base position at the sample times [m].
       energy: (K, C) mechanical work of the motors up to the sample times, integral of sum |force x velocity| [J].
       peak_speed: (C,) highest speed of the base at any step [m/s].
-      capped: (C,) number of steps in which the constraint solver stopped at its cap.
-      qpos: (K, nq, C), or (K, 0, C) where states are not wanted.
+      capped: (C,) number of steps in which the constraint solver reached its iteration limit.
+      qpos: (K, nq, C), or (K, 0, C) where states are not recorded.
       qvel: (K, nv, C), likewise.
       act: (K, na, C), likewise.
     """
@@ -46,7 +46,7 @@ class Record(NamedTuple):
 
 @dataclass(frozen=True)
 class Layout:
-    """Shape of a block.
+    """Shape of a block of pairs.
 
     Attributes:
       devices: number of devices it is sharded over.
@@ -73,12 +73,12 @@ def rollout(
     controllers: jax.Array,
     samples: jax.Array,
 ) -> Record:
-    """Roll one chunk out (traced).
+    """Simulate one chunk (traced by JAX).
 
     Args:
       stepper: the engine.
       signal: reference signal of the robot.
-      base_address: where the base's position begins in qpos and its velocity in qvel, or None for a fixed base.
+      base_address: addresses of the base's position in qpos and of its velocity in qvel; None for a fixed base.
       record_states: whether qpos, qvel and act are recorded at the samples.
       params: the engine's parameters of this chunk.
       controllers: (n_c, C).
@@ -143,7 +143,7 @@ def _run_chunks(one: Callable[..., Record], params: Any, controllers: Any, sampl
 
 
 class Program:
-    """A compiled block rollout. Build once per (robot, engine, layout, number of samples); call for any pairs."""
+    """A compiled block rollout, built once per (robot, engine, layout, number of samples) and called for any pairs."""
 
     def __init__(
         self,
@@ -172,23 +172,27 @@ class Program:
         self.function = jax.jit(mapped, compiler_options=wide)
 
     def arguments(self, leaves: Leaves, controllers: np.ndarray, samples: np.ndarray) -> tuple:
-        """Lay up to `layout.pairs` pairs out as the block that `function` takes.
+        """Arrange up to `layout.pairs` pairs as the block that `function` takes.
 
         Args:
           leaves: MjModel fields (B, *field shape).
           controllers: (B, n_c).
           samples: (K,) step counts.
+
+        Returns:
+          Arguments of `function`: the engine's parameters, controllers, samples and number of chunks per device.
         """
         devices, capacity, chunk = self.layout.devices, self.layout.capacity, self.layout.chunk
         count = len(controllers)
         used = -(-count // chunk)
         active = -(-used // devices)
-        # Chunk i of the batch is the (i // devices)-th of device i % devices: few chunks still use every device.
+        # Chunk i of the batch is the (i // devices)-th of device i % devices, so that few chunks still use every
+        # device.
         place = np.arange(devices * active * chunk).reshape(active, devices, chunk).transpose(1, 0, 2)
         index = np.minimum(place, count - 1).reshape(-1, chunk)
 
         def block(x: np.ndarray) -> np.ndarray:
-            """The chunks in use; the others are never looked at."""
+            """The chunks in use, padded with zeros to the shape of a block."""
             whole = np.zeros((devices, capacity, *x.shape[1:]), x.dtype)
             whole[:, :active] = x.reshape(devices, active, *x.shape[1:])
             return whole.reshape(devices * capacity, *x.shape[1:])
@@ -198,7 +202,7 @@ class Program:
         return jax.tree.map(block, packed), block(controls), np.asarray(samples, np.int32), np.int32(active)
 
     def unpack(self, record: Record, count: int) -> Record:
-        """Back to batch-first numpy arrays of the `count` pairs that were asked for."""
+        """The record of the first `count` pairs as batch-first numpy arrays."""
         devices, capacity = self.layout.devices, self.layout.capacity
 
         def pairs(x: jax.Array) -> np.ndarray:
@@ -209,5 +213,5 @@ class Program:
         return Record(*(pairs(x) for x in record))
 
     def __call__(self, leaves: Leaves, controllers: np.ndarray, samples: np.ndarray) -> Record:
-        """Roll out up to `layout.pairs` pairs and return their record, batch first: (B, ...), (B, K, ...)."""
+        """The record of up to `layout.pairs` pairs, batch first: (B, ...), (B, K, ...); arguments as of `arguments`."""
         return self.unpack(self.function(*self.arguments(leaves, controllers, samples)), len(controllers))

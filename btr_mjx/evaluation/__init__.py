@@ -1,7 +1,7 @@
-"""Pairs (s, c) to behaviour to fitness: the one function that everything else is built on.
+"""Evaluation of pairs (s, c): behaviour and fitness, on which everything else is built.
 
-`evaluate` takes (L, n_s) simulations and (M, n_c) controllers to an `Evaluation` with fitness (L, M). `pair_fitness` is
-one pair as a function of JAX. Fitness functions, delta_k, Delta_fitness, distances and `metrics` live here, too.
+`evaluate` maps (L, n_s) simulations and (M, n_c) controllers to an `Evaluation` with fitness (L, M). `pair_fitness` is
+a function of one pair for JAX. Fitness functions, delta_k, Delta_fitness, distances and `metrics` belong here, too.
 """
 
 from btr_mjx.evaluation import metrics

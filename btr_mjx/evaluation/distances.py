@@ -1,9 +1,9 @@
-"""How far a simulation is from reality, by fitness alone.
+"""Multiscale distance of a simulation from reality: fitness compared at several times of a trial.
 
-`delta_fitness_of` (in `fitness`) compares the outcome of whole trials; over long trials small differences of a
-simulation grow until its outcome says little about their size. The paper closes with "an account of multi time scale
-behavioral comparisons is required": `multiscale_fitness` is one. It compares the same fitness function at several
-marks of the trial, early ones included, each in units of its own spread over the behaviours.
+`delta_fitness_of` (in `fitness`) compares the fitness of whole trials. Motion with contacts is chaotic: over long
+trials small parameter errors grow until the final fitness hardly depends on their size. The paper concludes that "an
+account of multi time scale behavioral comparisons is required". `multiscale_fitness` compares the same fitness function
+at several early times of the trial (marks), each in units of its own spread over the behaviours.
 """
 
 import numpy as np
@@ -13,13 +13,10 @@ from btr_mjx.errors import InputError
 from btr_mjx.evaluation.fitness import FitnessFunction, Outcome
 
 MARKS = tuple(float(t) for t in np.linspace(0.00625, 0.05, 8))
-"""Default marks [s]: eight within the first 0.05 s, while a trial still shows what the lengths do and not yet chaos.
-
-Spread over 0.2 s they left the search for twelve lengths stuck in one of two seeds; these left it stuck in none.
-"""
+"""Default marks [s]: eight within the first 0.05 s, where the motion is not yet chaotic."""
 
 CLIP = 3.0
-"""Default limit of one scaled difference: beyond it a behaviour is simply wrong, and how wrong is chaos."""
+"""Default limit of a scaled difference [standard deviations], which bounds the influence of chaotic behaviours."""
 
 
 def fitness_at_marks(outcome: Outcome, fitness: FitnessFunction) -> np.ndarray:
@@ -30,7 +27,7 @@ def fitness_at_marks(outcome: Outcome, fitness: FitnessFunction) -> np.ndarray:
       fitness: the fitness function.
 
     Returns:
-      (..., K).
+      (..., K) fitness, in its own unit.
     """
     values = []
     for k in range(1, len(outcome.times) + 1):
@@ -50,8 +47,8 @@ def fitness_at_marks(outcome: Outcome, fitness: FitnessFunction) -> np.ndarray:
 def multiscale_fitness(f_s: ArrayLike, f_r: ArrayLike, clip: float = CLIP) -> np.ndarray:
     """Mean over behaviours and marks of min(|f_s - f_r| / spread, clip).
 
-    The spread of a mark is the standard deviation of f_r over the behaviours: what is large at the end of a trial and
-    small at its beginning counts alike.
+    The spread of a mark is the standard deviation of f_r over the behaviours, so that all marks have equal weight
+    although fitness differences grow during a trial.
 
     Args:
       f_s: (..., m, K) fitness of m behaviours at K marks in simulations.
@@ -77,7 +74,7 @@ def multiscale_fitness(f_s: ArrayLike, f_r: ArrayLike, clip: float = CLIP) -> np
         raise InputError(f"f_r: {usable.sum()} finite behaviours, expected at least 2 to know the spread at each mark")
     simulated, real = simulated[..., usable, :], real[usable]
     spread = real.std(axis=0)
-    # Marks at which all behaviours are equal in reality would divide by zero; they still have to be met exactly.
+    # Where all behaviours are equal in reality the spread is zero: any difference counts as `clip`.
     spread = np.where(spread > 0, spread, np.finfo(np.float64).tiny)
     with np.errstate(over="ignore"):
         scaled = np.minimum(np.abs(simulated - real) / spread, clip)

@@ -1,9 +1,10 @@
-"""Pairs (s, c) -> behaviour -> fitness: the one function that everything else is built on.
+"""Evaluation of pairs (s, c): simulate the behaviour and compute its fitness.
 
-    evaluation = evaluate(hexapod(), simulations, controllers)      # fitness (L, M)
+    evaluation = evaluate(robot, simulations, controllers)      # fitness (L, M)
 
-Pairs are cut into blocks of one fixed shape, so that a single compiled program serves any number of them and memory
-does not grow. Within one chunk size, results are bit-identical wherever a pair stands and whoever its neighbours are.
+Pairs are divided into blocks of one fixed shape, so that a single compiled program serves any number of pairs and
+memory does not grow. For a fixed chunk size, the result of a pair is bit-identical at any position and beside any other
+pairs.
 """
 
 from collections.abc import Callable, Iterator
@@ -32,13 +33,13 @@ from btr_mjx.models import Models, base_model, compile_models, varying_fields
 from btr_mjx.robots import Robot
 
 Engine = Literal["lanes", "mjx", "native"]
-"""How pairs are stepped; see `btr_mjx.engines`."""
+"""Name of a physics engine, see `btr_mjx.engines`."""
 
 _CAPACITY = 16
 """Chunks per device and block."""
 
 _TRACE_BYTES = 2**26
-"""Blocks get smaller where the recorded states of one would be larger than this."""
+"""Upper limit of the recorded states of one block [bytes]; blocks are made smaller to respect it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +49,9 @@ class Evaluation:
     Attributes:
       fitness: f_E of each pair; NaN where it diverged.
       diverged: pairs whose state became invalid, or whose base passed the robot's speed limit.
-      solver_capped: number of steps in which the constraint solver stopped at its iteration cap.
+      solver_capped: number of steps in which the constraint solver reached its iteration limit.
       peak_speed: highest speed of the base [m/s].
-      outcome: what the fitness was computed from.
+      outcome: data from which the fitness was computed.
       engine: the engine that ran.
     """
 
@@ -64,10 +65,10 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class EngineSettings:
-    """How an engine runs.
+    """Settings of an engine.
 
     Attributes:
-      chunk: pairs per chunk; None for the engine's default. Bits are promised within one chunk size.
+      chunk: pairs per chunk; None for the engine's default. Results are bit-identical for a fixed chunk size only.
       timestep: native only: another time step than the model's [s].
       integrator: native only: another integrator, see `native.INTEGRATORS`.
       threads: native only: number of threads; None for all cores.
@@ -92,14 +93,14 @@ def evaluate(
     settings: EngineSettings = EngineSettings(),
     progress: Callable[[int], object] | None = None,
 ) -> Evaluation:
-    """Try controllers in simulations.
+    """Evaluate controllers in simulations.
 
     Args:
       robot: the robot.
       simulations: (L, n_s) parameters inside the robot's simulation box.
       controllers: (M, n_c) parameters inside the robot's controller box.
       pairwise: evaluate row i with row i (L = M = B) rather than every simulation with every controller.
-      engine: "lanes", "mjx" or "native"; None for the fastest one that can run this robot.
+      engine: "lanes", "mjx" or "native"; None for the fastest one that supports this robot.
       fitness: the fitness function.
       times: (K,) sample times in (0, T_e] [s] for the outcome, rounded to steps; None for the end alone. The last one
         ends the trial.
@@ -112,7 +113,7 @@ def evaluate(
 
     Raises:
       InputError: parameters out of bounds, of a wrong shape or not finite, unequal rows where pairwise, bad times.
-      UnsupportedModel: the engine asked for cannot run this robot.
+      UnsupportedModel: the given engine does not support this robot.
     """
     s = np.atleast_2d(robot.simulation_box.validate(simulations, "simulations"))
     c = np.atleast_2d(robot.controller_box.validate(controllers, "controllers"))
@@ -139,9 +140,9 @@ def evaluate(
 
 
 def fastest_engine(robot: Robot) -> Engine:
-    """The fastest engine that can run a robot: lanes; failing that MJX on an accelerator and native on a CPU."""
+    """The fastest engine that supports a robot: lanes; otherwise MJX on an accelerator or native on a CPU."""
     try:
-        _stepper(_essence(robot), "lanes", bool(jax.config.read("jax_enable_x64")))
+        _stepper(_program_inputs(robot), "lanes", bool(jax.config.read("jax_enable_x64")))
         return "lanes"
     except UnsupportedModel:
         return "native" if jax.default_backend() == "cpu" else "mjx"
@@ -166,7 +167,7 @@ def _evaluation(
         *(whole[name] if states else None for name in ("qpos", "qvel", "act")),
     )
     finite = np.isfinite(outcome.position).all((-2, -1)) & np.isfinite(outcome.energy).all(-1)
-    # A comparison that NaN fails: an invalid speed counts as too fast.
+    # NaN fails the comparison: an invalid speed counts as too fast.
     diverged = ~(finite & (whole["peak_speed"] <= robot.speed_limit))
     with np.errstate(invalid="ignore", over="ignore"):
         values = np.where(diverged, np.nan, fitness(outcome))
@@ -195,7 +196,7 @@ def _blocks(shape: tuple[int, ...], size: int) -> Iterator[tuple[np.ndarray, np.
 
 @dataclass(frozen=True)
 class _Runner:
-    """A way to run one block: `run(models, index of each pair's model, controllers (B, n_c))`."""
+    """Runs one block: `run(models, index of each pair's model, controllers (B, n_c))`."""
 
     block: int
     run: Callable[[Models, np.ndarray, np.ndarray], Record]
@@ -220,7 +221,7 @@ def _runner(robot: Robot, engine: Engine, samples: np.ndarray, states: bool, set
         )
         return _Runner(settings.chunk or 256, run_native)
     program = _program(
-        _essence(robot), engine, len(samples), states, settings.chunk, bool(jax.config.read("jax_enable_x64"))
+        _program_inputs(robot), engine, len(samples), states, settings.chunk, bool(jax.config.read("jax_enable_x64"))
     )
     run = lambda models, index, controllers: program(  # noqa: E731
         {name: values[index] for name, values in models.leaves.items()}, controllers, samples
@@ -229,7 +230,7 @@ def _runner(robot: Robot, engine: Engine, samples: np.ndarray, states: bool, set
 
 
 def base_address(robot: Robot) -> tuple[int, int] | None:
-    """Where the base's free joint begins in qpos and in qvel; None for a robot without one.
+    """Addresses of the base's free joint in qpos and in qvel; None for a robot with a fixed base.
 
     Raises:
       InputError: the robot's base body does not exist or has no free joint.
@@ -247,15 +248,15 @@ def base_address(robot: Robot) -> tuple[int, int] | None:
     return int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
 
 
-def _essence(robot: Robot) -> Robot:
-    """The robot without what no program depends on, so that it does not cause another compilation."""
+def _program_inputs(robot: Robot) -> Robot:
+    """The robot reduced to what compiled programs depend on, as a key of caches."""
     return replace(robot, name="", duration=1.0, speed_limit=1.0)
 
 
 @lru_cache(maxsize=16)
 def _stepper(robot: Robot, engine: Engine, x64: bool) -> Stepper:
     model, varying = base_model(robot), frozenset(varying_fields(robot))
-    # Imported here: either takes a second, and a command needs one of them.
+    # Imported here, since each import takes a second.
     if engine == "lanes":
         from btr_mjx.engines import LanesStepper
 

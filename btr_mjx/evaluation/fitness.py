@@ -11,14 +11,14 @@ from btr_mjx.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a behaviour B(E, c) came to, for a batch of any leading shape (...).
+    """Data of behaviours B(E, c) from which fitness is computed, for a batch of any leading shape (...).
 
     Attributes:
       times: (K,) sample times [s], ascending; the last one is the end of the trial.
       start: (..., 3) base position at t = 0 [m].
       position: (..., K, 3) base position at the sample times [m].
       energy: (..., K) mechanical work of the motors so far, the integral of sum |force x velocity| dt [J].
-      qpos: (..., K, nq) generalised positions, or None where they were not asked for.
+      qpos: (..., K, nq) generalised positions, or None where they were not recorded.
       qvel: (..., K, nv) generalised velocities, likewise.
       act: (..., K, na) activations of the actuators, likewise.
     """
@@ -37,10 +37,10 @@ class FitnessFunction:
     """A named fitness: `function` maps an Outcome of leading shape (...) to f of shape (...).
 
     Attributes:
-      name: for tables and settings.
-      unit: its unit.
+      name: used in tables and settings.
+      unit: of the fitness.
       maximise: whether larger is better.
-      function: the map; NaN where it is not defined.
+      function: the map; its result is NaN where the fitness is not defined.
     """
 
     name: str
@@ -72,13 +72,14 @@ FITNESS_FUNCTIONS: dict[str, FitnessFunction] = {
         # The paper's: horizontal distance between start and end, over T_e.
         FitnessFunction("distance", "m/s", True, _speed),
         FitnessFunction("forward_speed", "m/s", True, _forward),
-        # Not defined for a robot that stayed within a millimetre of its start.
+        # Not defined for a robot that moved less than a millimetre.
         FitnessFunction("energy_per_metre", "J/m", False, _energy_per_metre),
     )
 }
 """The built-in fitness functions by name."""
 
 DISTANCE = FITNESS_FUNCTIONS["distance"]
+"""The fitness function of the paper: horizontal distance / T_e [m/s]."""
 
 
 def fitness_function(name: str) -> FitnessFunction:
@@ -122,27 +123,27 @@ def delta_fitness_of(f_s: ArrayLike, f_r: ArrayLike) -> np.ndarray:
       f_r: (m,) their fitness in reality.
 
     Returns:
-      (...); NaN for a simulation in which any of the behaviours diverged: it does not reproduce reality, and leaving
-      the diverged ones out would reward it.
+      (...); NaN for a simulation in which any of the behaviours diverged. Leaving diverged behaviours out would favour
+      simulations that diverge.
     """
     return delta_of(f_s, f_r).mean(axis=-1)
 
 
 def learning_performance(f_0: float, f_end: float, f_max: float, dimension: int, evaluations: int) -> float:
-    """LP = IF d / e with IF = (f_end - f_0) / f_max, the paper's first footnote.
+    """Learning performance LP = IF d / e with IF = (f_end - f_0) / f_max, the paper's first footnote.
 
     Args:
       f_0: fitness in reality before learning.
       f_end: fitness in reality after learning.
-      f_max: the largest fitness in reality seen, which normalises the improvement.
+      f_max: largest absolute fitness measured in reality, which normalises the improvement.
       dimension: d, number of controller parameters.
-      evaluations: e, evaluations in reality.
+      evaluations: e, number of evaluations in reality.
 
     Returns:
       LP; 0 where f_max is 0.
 
     Raises:
-      InputError: no evaluation.
+      InputError: fewer than one evaluation.
     """
     if evaluations < 1:
         raise InputError(f"evaluations: got {evaluations}, expected at least one evaluation in reality")

@@ -1,7 +1,7 @@
-"""Contact forces at the feet, from the states that a rollout recorded.
+"""Contact forces at the feet, from the recorded states of a rollout.
 
-A contact force follows from the state of that instant, so it need not be recorded: MuJoCo is asked again, in float64,
-what a touch sensor around each foot reads. This works for every engine, and costs one forward pass a sample.
+Contact forces are a function of the state, so they need not be recorded: native MuJoCo computes them again in float64,
+as readings of a touch sensor around each foot. This works for every engine and costs one forward pass per sample.
 """
 
 from collections.abc import Sequence
@@ -18,14 +18,14 @@ from btr_mjx.models import compile_models
 from btr_mjx.robots import Robot
 
 _AROUND = 100.0
-"""Radius of a touch sensor's zone [m]: all contacts of its body count, wherever they are."""
+"""Radius of a touch sensor's zone [m], large enough to contain all contacts of its body."""
 
 _ROWS = 512
-"""Pairs at a time."""
+"""Number of pairs that are computed at a time."""
 
 
 def foot_bodies(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Names of the bodies at the ends of the limbs: with a joint of their own and nothing attached to them."""
+    """Names of the bodies at the ends of the limbs: those with a joint and without child bodies."""
     parents = set(model.body_parentid[1:].tolist())
     ends = [b for b in range(1, model.nbody) if b not in parents and model.body_jntnum[b]]
     return tuple(model.body(b).name for b in ends)
@@ -34,18 +34,18 @@ def foot_bodies(model: mujoco.MjModel) -> tuple[str, ...]:
 def foot_forces(
     robot: Robot, simulations: ArrayLike, controllers: ArrayLike, outcome: Outcome, bodies: Sequence[str] | None = None
 ) -> np.ndarray:
-    """Normal contact force at every foot.
+    """Normal contact forces at the feet.
 
     Args:
       robot: the robot.
-      simulations: (L, n_s), those that the outcome belongs to.
-      controllers: (M, n_c), likewise.
+      simulations: (L, n_s), as evaluated.
+      controllers: (M, n_c), as evaluated.
       outcome: of every simulation with every controller (L, M), with states.
       bodies: bodies with a sensor; None for the ends of the limbs.
 
     Returns:
-      (L, M, K, feet) sums over a body's contacts [N], under the control of that instant; NaN where the state is not
-      finite.
+      (L, M, K, feet) sums over a body's contacts [N], under the control at the sample time; NaN where the state is
+      not finite.
 
     Raises:
       InputError: an outcome without states or of another shape; a body that the robot does not have.
@@ -97,6 +97,6 @@ def _with_sensors(robot: Robot, bodies: Sequence[str] | None) -> mujoco.MjModel:
             objname=f"touch_{i}",
         )
     model = spec.compile()
-    # An invalid state must not turn into a new start.
+    # An invalid state must stay visible: MuJoCo's automatic reset would replace it by the initial state.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     return model

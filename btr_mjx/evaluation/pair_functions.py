@@ -1,19 +1,18 @@
-"""One pair (s, c) as a function of JAX: to be mapped, compiled and differentiated inside the user's own program.
+"""Fitness and trajectory of one pair (s, c) as JAX functions, to be mapped, compiled and differentiated by the user.
 
-    robot = hexapod()
     fitness = pair_fitness(robot)
     leaves = model_leaves(robot, simulations)                        # every array (L, ...)
     all_pairs = jax.vmap(jax.vmap(fitness, (None, 0)), (0, None))    # (leaves, (M, n_c)) -> (L, M)
     f = jax.jit(all_pairs)(leaves, controllers)
     slope = jax.jacfwd(fitness, argnums=1)(one_row_of_leaves, controller)    # (n_c,)
 
-`jax.vmap` does not vectorise the rollout once more: it hands whole chunks of pairs to the engine, which keeps them in
-its SIMD lanes (see `btr_mjx.evaluation.rowwise`). Results are `evaluate`'s: the model fields are double precision in
-either, and the numbers that the engine steps with are derived from them in double precision before they are rounded.
+`jax.vmap` passes whole chunks of pairs to the engine, which keeps them in its SIMD lanes (see
+`btr_mjx.evaluation.rowwise`). Results equal those of `evaluate`: the model fields are double precision in both, and the
+engine's parameters are derived from them in double precision before they are rounded.
 
-Derivatives are of the motion that was computed: within a step the active set of the contact solver is what it is, and
-over many contacts a gait's derivatives grow as chaos does. They are forward mode (`jax.jvp`, `jax.jacfwd`); the
-solver's loop runs until it has converged, which reverse mode cannot undo.
+Derivatives are those of the computed motion, with the active set of the contact solver fixed within a step; over many
+contacts they grow exponentially, since the motion is chaotic. Only forward mode is supported (`jax.jvp`, `jax.jacfwd`):
+the solver is a loop of variable length, which JAX cannot differentiate in reverse mode.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,11 +36,11 @@ from btr_mjx.models import base_model, compile_models
 from btr_mjx.robots import Robot
 
 ModelLeaves = dict[str, Any]
-"""MjModel field -> array of the field's shape: the numbers that make one simulation."""
+"""MjModel field -> array of the field's shape: the model fields of one simulation."""
 
 
 class Trajectory(NamedTuple):
-    """One behaviour at K sample times.
+    """A behaviour at K sample times.
 
     Attributes:
       position: (K, 3) base position [m].
@@ -65,8 +64,8 @@ def model_leaves(robot: Robot, simulations: ArrayLike) -> ModelLeaves:
 
     Returns:
       MjModel field -> (L, *field shape), the fields that can influence the motion. Double precision in any mode of
-      JAX, so that what is derived from them is rounded once only. Arithmetic on them belongs into `jax.enable_x64`;
-      elsewhere JAX makes it single precision, which is accepted too.
+      JAX, so that derived parameters are rounded only once. Arithmetic on them should run within `jax.enable_x64`;
+      otherwise JAX converts them to single precision, which is also accepted.
 
     Raises:
       InputError: bad parameters, or a model that MuJoCo does not accept.
@@ -85,26 +84,26 @@ def pair_fitness(
     chunk: int | None = None,
     devices: Sequence[jax.Device] | None = None,
 ) -> Callable[[ModelLeaves, Any], jax.Array]:
-    """The fitness of one pair, as a function to be mapped with `jax.vmap`.
+    """A function that computes the fitness of one pair, to be mapped with `jax.vmap`.
 
     Args:
       robot: the robot.
-      engine: "lanes" or "mjx"; None for lanes where it can run this robot, else mjx.
+      engine: "lanes" or "mjx"; None for lanes where it supports this robot, else mjx.
       fitness: the fitness function; its NumPy or `jax.numpy` code is traced.
       steps: length of the trial in steps; None for the robot's duration.
-      chunk: pairs that are stepped together; None for 64 on a CPU, more on an accelerator. Bits are promised within
-        one chunk size.
-      devices: devices over which chunks are shared out; None for all. Arguments that are committed to one device need
-        that device here.
+      chunk: number of pairs that are stepped together; None for 64 on a CPU, more on an accelerator. Results are
+        bit-identical for a fixed chunk size only.
+      devices: devices over which chunks are distributed; None for all. If the arguments are committed to one device,
+        give that device.
 
     Returns:
       fitness(leaves, controller) -> scalar in JAX's default precision, NaN where the pair diverged. `leaves` is one
-      row of `model_leaves` (or of `Models.leaves`; other fields are ignored), `controller` is (n_c,). A chunk is
-      computed even for a single pair, so map over as many as there are.
+      row of `model_leaves` (or of `Models.leaves`; other fields are ignored), `controller` is (n_c,). A whole
+      chunk is computed even for a single pair, so map over all pairs at once.
 
     Raises:
       InputError: the native engine, an unknown one, or a number of steps below 1.
-      UnsupportedModel: the engine asked for cannot run this robot.
+      UnsupportedModel: the given engine does not support this robot.
     """
     samples = _samples(robot, robot.duration if steps is None else steps * _timestep(robot))
 
@@ -132,7 +131,7 @@ def pair_trajectory(
     chunk: int | None = None,
     devices: Sequence[jax.Device] | None = None,
 ) -> Callable[[ModelLeaves, Any], Trajectory]:
-    """The states that one pair goes through, as a function to be mapped with `jax.vmap`.
+    """A function that computes the trajectory of one pair, to be mapped with `jax.vmap`.
 
     Args:
       robot: the robot.
@@ -146,7 +145,7 @@ def pair_trajectory(
 
     Raises:
       InputError: the native engine, an unknown one, or bad times.
-      UnsupportedModel: the engine asked for cannot run this robot.
+      UnsupportedModel: the given engine does not support this robot.
     """
 
     def kernel(leaves: ModelLeaves, controllers: jax.Array, *, roll: Callable[..., Record]) -> Trajectory:
@@ -175,14 +174,14 @@ def _one_pair(
     address = behaviour.base_address(robot)
     nominal = compile_models(robot, robot.nominal_simulation).leaves
     needed = _influential(nominal)
-    _stepper(robot, chosen)  # a robot that the engine does not support is refused here
+    _stepper(robot, chosen)  # raises UnsupportedModel before anything is traced
 
     def roll(leaves: ModelLeaves, controllers: jax.Array) -> Record:
         stepper = _stepper(robot, chosen)
-        # Behind a barrier the number of steps stays unknown to the compiler, which would unroll short loops otherwise
-        # and compute other bits.
+        # The barrier hides the number of steps from the compiler, which would otherwise unroll short loops and change
+        # the last bits of results.
         marks = lax.optimization_barrier(jnp.asarray(samples, jnp.int32))
-        # An engine may hold fields that do not influence the motion: they get the nominal model's values.
+        # Fields that an engine needs but that do not influence motion have the nominal model's values.
         params = _packed(stepper, leaves, {name: x[0] for name, x in nominal.items() if name not in needed})
         wanted = controllers.T.astype(jnp.result_type(float))
         return rollout(stepper, robot.signal, address, states, params, wanted, marks)
@@ -203,7 +202,7 @@ def _engine(robot: Robot) -> Engine:
 
 
 def _stepper(robot: Robot, engine: Engine) -> Stepper:
-    return behaviour._stepper(behaviour._essence(robot), engine, bool(jax.config.read("jax_enable_x64")))
+    return behaviour._stepper(behaviour._program_inputs(robot), engine, bool(jax.config.read("jax_enable_x64")))
 
 
 def _timestep(robot: Robot) -> float:
@@ -215,10 +214,10 @@ def _samples(robot: Robot, times: ArrayLike | None) -> np.ndarray:
 
 
 def _influential(names: Any) -> list[str]:
-    """The fields that can influence a motion, in order; statistics of a model and its pictures cannot."""
-    from btr_mjx.engines import matters
+    """The fields that can influence motion, sorted; statistics and visual fields cannot."""
+    from btr_mjx.engines import influences_motion
 
-    return sorted(name for name in names if matters(name))
+    return sorted(name for name in names if influences_motion(name))
 
 
 def _packed(stepper: Stepper, leaves: ModelLeaves, others: dict[str, np.ndarray]) -> Any:

@@ -1,16 +1,16 @@
-"""A function of one row that `jax.vmap` turns into work on whole chunks of rows.
+"""Row functions: a kernel for chunks of rows as a function of one row that supports JAX's transformations.
 
-A SIMD kernel computes a fixed number of rows at once, each row on its own. `rowwise(kernel, chunk)` is the same
-function for one row, to be used like any function of JAX:
+A SIMD kernel computes a fixed number of independent rows at once. `rowwise(kernel, chunk)` is the same function for one
+row:
 
 - `jax.vmap`, nested to any depth, inside or outside `jax.jit`, flattens all mapped axes into one batch, pads it to
-  whole chunks and runs the kernel chunk after chunk, so that memory does not grow with the batch. Arguments that are
-  not mapped along an axis are not copied along it: rows are gathered one chunk at a time.
-- `jax.jvp` runs the kernel's own forward-mode derivative on chunks, for the arguments that are differentiated only;
-  directions count as rows (`jax.jacfwd` puts them into the lanes).
-- Chunks are shared out over devices.
+  whole chunks and runs the kernel chunk by chunk, so that memory does not grow with the batch. Arguments that are not
+  mapped along an axis are not copied along it: rows are gathered for one chunk at a time.
+- `jax.jvp` runs the kernel's own forward-mode derivative on chunks, only for the arguments that are differentiated;
+  directions of `jax.jacfwd` count as rows.
+- Chunks are distributed over devices.
 
-A row's result does not depend on where in the batch it stands, nor on whether there is a batch.
+A row's result does not depend on its position in the batch or on the size of the batch.
 """
 
 import functools
@@ -31,22 +31,22 @@ Kernel = Callable[..., Any]
 
 
 def rowwise(kernel: Kernel, chunk: int, devices: Sequence[jax.Device] | None = None) -> Kernel:
-    """The function of one row that a kernel computes for many.
+    """The function of one row of a kernel that computes many rows.
 
     Args:
       kernel: maps pytrees of arrays (chunk, ...) to a pytree of floating-point arrays (chunk, ...). Row i of the
-        results depends on row i of the arguments only, and has the same bits in any position.
-      chunk: rows that the kernel takes.
-      devices: devices that the chunks of a batch are shared out over; None for all of the default backend. Within a
-        `shard_map` of the caller's, chunks stay on the device that they are on.
+        results depends on row i of the arguments only, and has the same bits at any position.
+      chunk: number of rows of the kernel.
+      devices: devices over which the chunks of a batch are distributed; None for all of the default backend. Within
+        a `shard_map` of the caller, chunks stay on their device.
 
     Returns:
       A function of pytrees of arrays (...), without the rows' axis. It supports `jit`, `vmap`, `jvp`, `jacfwd` and
-      their compositions. Reverse mode (`grad`, `vjp`) and `linearize` raise JAX's ValueError that says so.
+      their compositions. Reverse mode (`grad`, `vjp`) and `linearize` raise JAX's ValueError.
     """
-    traced_once = jax.jit(kernel)  # the kernel may be long, and every vmap level traces what it contains
+    traced_once = jax.jit(kernel)  # traced once: every level of vmap would trace a long kernel again
 
-    @jax.jit  # so that a call outside the user's own `jit` is compiled once too
+    @jax.jit  # so that calls outside of `jit` are compiled once too
     @functools.wraps(kernel)
     def function(*arguments: Any) -> Any:
         arrays, tree = jax.tree.flatten(arguments)
@@ -70,11 +70,11 @@ class _Batch:
     """A batch of rows with several batch axes.
 
     Attributes:
-      kernel: maps arrays (chunk, ...) to a tuple of such.
+      kernel: maps arrays (chunk, ...) to a tuple of such arrays.
       chunk: rows per call of the kernel.
-      devices: what the chunks are shared out over.
+      devices: over which the chunks are distributed.
       sizes: sizes of the batch axes.
-      axes: for each argument, which of the batch axes it has; they are its first ones, in this order.
+      axes: for each argument, the batch axes that it has; they are its leading axes, in this order.
       sources: for each result, the arguments that it depends on.
     """
 
@@ -86,12 +86,12 @@ class _Batch:
     sources: tuple[frozenset[int], ...]
 
     def mapped(self, size: int, batched: Sequence[bool]) -> "_Batch":
-        """With another batch axis in front, which some of the arguments have."""
+        """The batch with another leading batch axis, which the `batched` arguments have."""
         axes = tuple((0,) * one + tuple(i + 1 for i in old) for one, old in zip(batched, self.axes, strict=True))
         return replace(self, sizes=(size, *self.sizes), axes=axes)
 
     def differentiated(self, active: Sequence[bool]) -> "_Batch":
-        """Results and their tangents, of all arguments and then the tangents of the active ones."""
+        """The batch of results and their tangents, from all arguments and the tangents of the active ones."""
 
         @jax.jit
         def kernel(*arguments: jax.Array) -> tuple[jax.Array, ...]:
@@ -112,7 +112,7 @@ class _Batch:
     def run(self, *arguments: jax.Array) -> tuple[jax.Array, ...]:
         """Results of all rows, (*sizes, ...)."""
         count = math.prod(self.sizes)
-        # A batch inside a `shard_map` of the caller's is already where it belongs.
+        # Within a `shard_map` of the caller the batch is already distributed.
         inside = jax.sharding.get_abstract_mesh().manual_axes
         chunks = -(-count // self.chunk)
         workers = 1 if inside else min(len(self.devices), max(chunks, 1))
@@ -142,7 +142,7 @@ class _Batch:
 
 
 def _apply(batch: _Batch, *arguments: jax.Array) -> tuple[jax.Array, ...]:
-    """`batch.run`, as JAX's transformations see it."""
+    """`batch.run`, with rules for JAX's transformations."""
 
     @jax.custom_batching.custom_vmap
     def run(*arguments: jax.Array) -> tuple[jax.Array, ...]:
@@ -151,11 +151,11 @@ def _apply(batch: _Batch, *arguments: jax.Array) -> tuple[jax.Array, ...]:
     @run.def_vmap
     def mapped(size: int, batched: list[bool], *arguments: jax.Array) -> tuple[Any, Any]:
         results = _apply(batch.mapped(size, batched), *arguments)
-        # A value does not differ between the directions of its derivative, and must not seem to.
+        # Results that do not depend on a mapped argument must be marked as not mapped.
         differs = tuple(any(batched[i] for i in sources) for sources in batch.sources)
         return tuple(x if one else x[0] for one, x in zip(differs, results, strict=True)), differs
 
-    # custom_vmap differentiates by all arguments at once, and vmaps a loop over chunks where only tangents are mapped.
+    # custom_vmap alone would differentiate all arguments and map the loop over chunks if only tangents are mapped.
     differentiable = jax.custom_jvp(run)
 
     def derivative(primals: tuple, tangents: tuple) -> tuple[tuple, tuple]:

@@ -1,9 +1,8 @@
-"""NumPy code on arrays that JAX traces.
+"""Tracing of NumPy code by JAX: an array class that dispatches NumPy functions to `jax.numpy`.
 
-What the engines derive from model fields, and fitness functions, are written in NumPy, to run on the host in double
-precision. `TracedArray` lets the same code be traced: NumPy hands its functions and operators over to classes that
-define `__array_function__` and `__array_ufunc__`, and this class hands them on to `jax.numpy`. `in_double` runs such
-code in double precision inside a program of any precision.
+The derivation of engine parameters from model fields and the fitness functions are NumPy code that runs on the host in
+double precision. `TracedArray` makes the same code traceable: it implements `__array_function__` and `__array_ufunc__`,
+NumPy's dispatch protocols. `in_double` runs such code in double precision inside a program of any precision.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,7 +16,7 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 
 
 class TracedArray(NDArrayOperatorsMixin):
-    """A JAX array that NumPy's functions and operators accept; what they return of it is a `TracedArray` too.
+    """A JAX array that NumPy's functions and operators accept; their results are `TracedArray`s too.
 
     It has the attributes and methods of a `jax.Array`, and `jax.numpy` accepts it. NumPy functions that `jax.numpy`
     does not have, in-place changes, and decisions on values raise TypeError.
@@ -42,7 +41,7 @@ class TracedArray(NDArrayOperatorsMixin):
         raise TypeError("a decision depends on a value of a rollout that is being compiled; use np.where instead")
 
     def __getattr__(self, name: str) -> Any:
-        # No protocols by this way (`__array__`, ...): they would give the traced value to NumPy itself.
+        # Protocols such as `__array__` are not forwarded: they would pass the traced value to NumPy itself.
         if name.startswith("_"):
             raise AttributeError(name)
         found = getattr(self._value, name)
@@ -56,18 +55,18 @@ class TracedArray(NDArrayOperatorsMixin):
         return _wrapped(getattr(jnp, ufunc.__name__)(*_plain(inputs), **kwargs))
 
     def __array_function__(self, function: Callable, types: Any, args: tuple, kwargs: dict) -> Any:
-        room = jnp.linalg if function.__module__ == "numpy.linalg" else jnp
-        if not hasattr(room, function.__name__):
+        namespace = jnp.linalg if function.__module__ == "numpy.linalg" else jnp
+        if not hasattr(namespace, function.__name__):
             return NotImplemented
-        return _wrapped(getattr(room, function.__name__)(*_plain(args), **_plain(kwargs)))
+        return _wrapped(getattr(namespace, function.__name__)(*_plain(args), **_plain(kwargs)))
 
 
 def in_double(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that computes in double precision, derivatives included, in any mode of JAX.
+    """A function that computes in double precision, derivatives included, whatever the precision mode of JAX.
 
     Args:
-      function: maps pytrees of floating-point arrays to such a pytree. Inside it, `float64` arrays are as good as any
-        other; it converts its arguments to double precision and its results from it.
+      function: maps pytrees of floating-point arrays to such a pytree. It may use `float64` arrays; it must
+        convert its arguments to double precision and its results to the wanted precision itself.
 
     Returns:
       The function, for use in programs that JAX traces, with forward-mode derivatives.
@@ -90,7 +89,7 @@ def in_double(function: Callable[..., Any]) -> Callable[..., Any]:
 
             return jax.jvp(of_moving, [x for one, x in zip(moves, values, strict=True) if one], slopes)
 
-        # JAX would differentiate what was traced here outside of this mode, and take single precision for double.
+        # Without this rule JAX would differentiate the traced function outside of the double precision mode.
         return in_double(both)(values, [slope for one, slope in zip(moves, slopes, strict=True) if one])
 
     differentiable = jax.custom_jvp(run)
@@ -99,7 +98,7 @@ def in_double(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _plain(tree: Any) -> Any:
-    """Arguments for `jax.numpy`, which does not take lists of numbers for arrays."""
+    """Arguments for `jax.numpy`, which does not accept lists of numbers as arrays."""
     if isinstance(tree, TracedArray):
         return tree.__jax_array__()
     if isinstance(tree, dict):

@@ -1,7 +1,7 @@
 """From parameters s to MuJoCo models: one base `MjModel` and the stacked fields that differ between simulations.
 
-`compile_models` prepares a batch; templates that only do arithmetic are prepared without compiling each. Here are also
-names and paths of a model's parts (`parse_path`) and differences of configurations (`between`, `difference`).
+`compile_models` prepares a batch; templates that only do arithmetic are evaluated without compiling each model. The
+room also holds names and paths of a model's parts (`parse_path`) and differences of configurations (`difference`).
 """
 
 from btr_mjx.models.batch import Models, base_model, compile_mjcf, compile_models, varying_fields, why_compiled

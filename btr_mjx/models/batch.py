@@ -1,11 +1,11 @@
-"""Simulations s -> models in one batch that stacks only the fields that differ.
+"""Batch of models of simulations: one base model and the stacked fields that differ.
 
-Every row is the model that `mujoco.MjModel.from_xml_string` makes of its rendered MJCF, derived fields
-(body_invweight0, dof_M0, stat.meaninertia, ...) included. What a batch stores is one base model and, for each field in
-which models of this robot can differ, a stacked float64 array.
+Every row equals the model that `mujoco.MjModel.from_xml_string` makes of its rendered MJCF, derived fields
+(body_invweight0, dof_M0, stat.meaninertia, ...) included. A batch stores one base model and, for each field in which
+models of this robot can differ, a stacked float64 array.
 
-Templates that only do arithmetic are prepared together, without compiling, by `template_route`; all others are rendered
-and compiled one by one. Which way a simulation goes depends on the robot and on that simulation alone.
+Templates that only do arithmetic are prepared together, without MuJoCo's compiler, by `template_compiler`; all others
+are rendered and compiled one by one. Which of the two is used depends on the robot and on the simulation itself only.
 """
 
 import copy
@@ -19,12 +19,12 @@ from numpy.typing import ArrayLike
 
 from btr_mjx.errors import InputError
 from btr_mjx.models.fields import PHYSICS, field_names, read_field, write_field
-from btr_mjx.models.geom_route import Unable
-from btr_mjx.models.template_route import Route, build
+from btr_mjx.models.geom_compiler import NotVectorisable
+from btr_mjx.models.template_compiler import TemplateCompiler, build_template_compiler
 from btr_mjx.robots import Robot
 
 _PROBES = 12
-"""Random simulations that are compiled once per robot to learn which fields depend on s, besides the box's corners."""
+"""Number of random simulations that are compiled once per robot to find the fields that depend on s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class Models:
         return len(next(iter(self.leaves.values())))
 
     def row(self, index: int) -> mujoco.MjModel:
-        """A model of its own for one row: a copy of the base model with that row's values filled in."""
+        """The model of one row: a copy of the base model with that row's values."""
         model = copy.copy(self.base)
         for name, values in self.leaves.items():
             write_field(model, name, values[index])
@@ -52,7 +52,7 @@ class Models:
 
 
 def compile_models(robot: Robot, simulations: ArrayLike) -> Models:
-    """The model of each simulation, with what differs stacked.
+    """Models of simulations, with the fields that differ stacked.
 
     Args:
       robot: the robot whose template is rendered.
@@ -69,9 +69,9 @@ def compile_models(robot: Robot, simulations: ArrayLike) -> Models:
     place: dict[bytes, int] = {}
     index = np.array([place.setdefault(row.tobytes(), len(place)) for row in values])
     distinct = np.frombuffer(b"".join(place)).reshape(len(place), -1)
-    route, fields = _route(_essence(robot)), varying_fields(robot)
-    if isinstance(route, Route):
-        leaves, done = route.prepare(distinct)
+    compiler, fields = _template_compiler(_model_inputs(robot)), varying_fields(robot)
+    if isinstance(compiler, TemplateCompiler):
+        leaves, done = compiler.prepare(distinct)
         for i in np.flatnonzero(~done):
             for name, value in _compiled_row(robot, distinct[i].tobytes()).items():
                 leaves[name][i] = value
@@ -84,21 +84,21 @@ def compile_models(robot: Robot, simulations: ArrayLike) -> Models:
 
 
 def why_compiled(robot: Robot) -> str:
-    """Why the models of a robot have to be compiled one by one, which is slow; empty where they do not have to be."""
-    route = _route(_essence(robot))
-    return "" if isinstance(route, Route) else route
+    """Reason why the models of a robot have to be compiled one by one, which is slow; empty where they do not."""
+    compiler = _template_compiler(_model_inputs(robot))
+    return "" if isinstance(compiler, TemplateCompiler) else compiler
 
 
 @lru_cache(maxsize=16)
-def _route(robot: Robot) -> Route | str:
+def _template_compiler(robot: Robot) -> TemplateCompiler | str:
     try:
-        return build(robot, base_model(robot), varying_fields(robot))
-    except Unable as reason:
+        return build_template_compiler(robot, base_model(robot), varying_fields(robot))
+    except NotVectorisable as reason:
         return str(reason)
 
 
-def _essence(robot: Robot) -> Robot:
-    """The robot without what its models do not depend on."""
+def _model_inputs(robot: Robot) -> Robot:
+    """The robot reduced to what its models depend on, as a key of caches."""
     return replace(robot, name="", duration=1.0, speed_limit=1.0, base_body=None)
 
 
@@ -110,7 +110,7 @@ def base_model(robot: Robot) -> mujoco.MjModel:
 
 @lru_cache(maxsize=16)
 def varying_fields(robot: Robot) -> tuple[str, ...]:
-    """Names of the MjModel fields that depend on s, found by compiling probes across the box.
+    """Names of the MjModel fields that depend on s, found by compiling simulations across the box.
 
     Raises:
       InputError: the models differ in structure (number of bodies, joint types, ...), which one batch cannot hold.
@@ -127,7 +127,7 @@ def compile_mjcf(robot: Robot, xml: str) -> mujoco.MjModel:
     """Compile rendered MJCF.
 
     Raises:
-      InputError: MuJoCo refuses it; the message has the template's name, the line and the line's text.
+      InputError: MuJoCo rejects it; the message has the template's name, the line number and the line's text.
     """
     try:
         return mujoco.MjModel.from_xml_string(xml)
@@ -156,7 +156,7 @@ def _compiled_row(robot: Robot, simulation: bytes) -> dict[str, np.ndarray]:
 
 @lru_cache(maxsize=16)
 def _constant_fields(robot: Robot) -> dict[str, np.ndarray]:
-    """The base model's physics fields that must not depend on s (pictures and names are not checked)."""
+    """The base model's physics fields that must not depend on s (visual fields and names are not checked)."""
     base, varying = base_model(robot), varying_fields(robot)
     names = (name for name in field_names(base) if name.startswith(PHYSICS) and name not in varying)
     return {name: read_field(base, name) for name in names}

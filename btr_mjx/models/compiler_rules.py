@@ -1,8 +1,8 @@
-"""What MuJoCo's compiler computes from a geom's attributes, for many geoms and simulations at a time.
+"""Rules of MuJoCo's compiler for geoms and body inertias, vectorised over geoms and simulations.
 
 Source: google-deepmind/mujoco, src/user/user_objects.cc (mjCGeom::Compile, GetVolume, SetInertia,
 mjCBody::InertiaFromGeom) and src/user/user_util.cc. Every formula keeps the compiler's order of operations and uses
-elementwise arithmetic only, so that results are the compiler's to the bit (principal axes: to rounding) and do not
+elementwise arithmetic only, so that results equal the compiler's to the bit (principal axes: to rounding) and do not
 depend on the batch. Vectors are stacks of components along the first axis: (3, ...), quaternions (4, ...) with the real
 part first.
 """
@@ -21,11 +21,11 @@ GEOM_SPHERE, GEOM_CAPSULE, GEOM_ELLIPSOID, GEOM_CYLINDER, GEOM_BOX = (
     int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}")) for name in ("SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX")
 )
 SIZES = {GEOM_SPHERE: 1, GEOM_CAPSULE: 2, GEOM_ELLIPSOID: 3, GEOM_CYLINDER: 2, GEOM_BOX: 3}
-"""The kinds of geom that these rules cover, and how many sizes each has; they must be positive."""
+"""Types of geoms that these rules cover -> number of their sizes, which must be positive."""
 
 
 def normalized(vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors and the lengths that vectors (n, ...) had (mjuu_normvec): 0 where they were too short to change."""
+    """Unit vectors and lengths of vectors (n, ...) (mjuu_normvec); short vectors are not changed, with length 0."""
     square = vector[0] * vector[0]
     for x in vector[1:]:
         square = square + x * x
@@ -39,10 +39,10 @@ def frame_between(ends: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     """Position, orientation and half length of geoms given by their two end points (`fromto`).
 
     Args:
-      ends: (6, ...) end points.
+      ends: (6, ...) end points [m].
 
     Returns:
-      (3, ...) centre, (4, ...) the smallest rotation that takes the z axis along the geom, (...) half length.
+      (3, ...) centre, (4, ...) smallest rotation from the z axis to the geom's axis, (...) half length.
     """
     direction, length = normalized(ends[:3] - ends[3:])
     x, y, z = direction
@@ -69,7 +69,7 @@ def volume(kind: int, size: np.ndarray) -> np.ndarray:
 
 
 def geom_inertia(kind: int, mass: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Principal moments (3, ...) of solid geoms of one kind with masses (...) and sizes (3, ...)."""
+    """Principal moments of inertia (3, ...) of solid geoms of one kind with masses (...) and sizes (3, ...)."""
     a, b, c = size
     if kind == GEOM_SPHERE:
         return np.stack([2 * mass * a * a / 5] * 3)
@@ -111,10 +111,10 @@ def _matrix(quaternion: np.ndarray) -> np.ndarray:
     return np.where(none, unit, regular)
 
 
-def merged(
+def merge_inertias(
     masses: np.ndarray, positions: np.ndarray, quaternions: np.ndarray, moments: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Mass, centre, principal axes and moments of bodies of several geoms (mjCBody::InertiaFromGeom).
+    """Mass, centre of mass, principal axes and moments of bodies with several geoms (mjCBody::InertiaFromGeom).
 
     Args:
       masses: (G, L) of each body's G geoms.
@@ -123,7 +123,7 @@ def merged(
       moments: (3, G, L) in the geoms' frames.
 
     Returns:
-      (L,) mass, (3, L) centre, (4, L) orientation of the principal axes, (3, L) principal moments in falling order.
+      (L,) mass, (3, L) centre, (4, L) orientation of the principal axes, (3, L) principal moments in descending order.
     """
     mass, centre = masses[0], masses[0] * positions[:, 0]
     for m, p in zip(masses[1:], positions.swapaxes(0, 1)[1:], strict=True):
@@ -153,14 +153,14 @@ def merged(
 def principal_axes(full: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues and the quaternion of the eigenvectors of symmetric matrices.
 
-    The iteration is MuJoCo's own, one matrix at a time: the order and the signs of the axes are matters of convention.
-    The compiler has another copy of it, which normalises in other places: quaternions agree to a few 1e-15.
+    Uses MuJoCo's own iteration (mju_eig3), one matrix at a time, which fixes the order and the signs of the axes. The
+    compiler has a variant of it that normalises at other places: quaternions agree to a few 1e-15.
 
     Args:
       full: (6, L) elements xx, yy, zz, xy, xz, yz.
 
     Returns:
-      (3, L) eigenvalues in falling order and (4, L) quaternions.
+      (3, L) eigenvalues in descending order and (4, L) quaternions.
     """
     matrices = np.ascontiguousarray(full[[0, 3, 4, 3, 1, 5, 4, 5, 2]].T)
     values, quaternions, vectors = np.empty((len(matrices), 3)), np.empty((len(matrices), 4)), np.empty(9)

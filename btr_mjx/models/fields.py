@@ -1,4 +1,4 @@
-"""The fields of a MuJoCo model by name: arrays of MjModel, numbers of its options and of its statistics."""
+"""Fields of a MuJoCo model by name: arrays of MjModel, numbers of its options and of its statistics."""
 
 import mujoco
 import numpy as np
@@ -10,7 +10,7 @@ OPTIONS = ("timestep", "gravity", "wind", "density", "viscosity", "impratio", "t
 """Numeric fields of `MjModel.opt` that a batch can carry, called "opt.<name>"."""
 
 PHYSICS = ("body_", "jnt_", "dof_", "geom_", "actuator_", "eq_", "tendon_", "opt.", "qpos")
-"""How the names of fields begin that matter to motion; the others are pictures and names."""
+"""Prefixes of the names of fields that can influence motion; the others concern visuals and names."""
 
 
 def field_names(model: mujoco.MjModel) -> list[str]:
@@ -20,7 +20,7 @@ def field_names(model: mujoco.MjModel) -> list[str]:
 
 
 def read_field(model: mujoco.MjModel, name: str) -> np.ndarray:
-    """One field of a model by its name in a batch, as an array of its own."""
+    """A copy of one field of a model, by its name in a batch."""
     owner, _, field = name.rpartition(".")
     return np.array(getattr(getattr(model, owner) if owner else model, field))
 

@@ -1,6 +1,6 @@
 """Names of a model's parts, and paths to single numbers in a model.
 
-A path says which number of a model is meant, in the words of the MJCF file:
+A path names one number of a model, with the names of the MJCF file:
 
     joint:knee/damping      an attribute of a named part: joint, body, geom, actuator, site or tendon
     geom:foot/friction[1]   one component of a vector; without an index the first
@@ -9,8 +9,8 @@ A path says which number of a model is meant, in the words of the MJCF file:
 
 `joint/knee/damping`, `joint:knee.damping` and `joint[@name='knee']/@damping` mean the same as the first line.
 
-A change of `body:<name>/mass` scales the body's inertia with it, as a change of density does. Constants that MuJoCo
-derives from the changed numbers are brought up to date by `set_values`, as the compiler would.
+A change of `body:<name>/mass` scales the body's inertia by the same factor, as a change of density does. `set_values`
+also updates the constants that MuJoCo derives from the changed numbers (mj_setConst).
 """
 
 import difflib
@@ -50,7 +50,7 @@ ATTRIBUTES: Mapping[str, Mapping[str, str]] = {
     | {"armature": "tendon_armature"},
     "option": {name: "" for name in ("timestep", "gravity", "wind", "density", "viscosity")},
 }
-"""Attributes that a path may name, and the field of MjModel behind each ("" where it is not a field of its own)."""
+"""Kind -> attribute -> field of MjModel ("" where the attribute has no field of its own)."""
 
 _PATH = re.compile(
     r"^(?P<kind>[a-z]+)(?:\[@name=['\"](?P<quoted>.*)['\"]\]|[:/](?P<name>.+))[/.]@?(?P<attribute>[a-z]+)$"
@@ -59,7 +59,7 @@ _INDEX = re.compile(r"^(?P<head>.*?)(?P<index>(?:\[\d+\])+)$")
 
 
 def nearest_names(name: str, known: Sequence[str], count: int = 3) -> str:
-    """The known names most like `name`, quoted and joined, for error messages; all of them if they are few."""
+    """The known names most similar to `name`, quoted and joined, for error messages; the first ones if none is."""
     if not known:
         return "none"
     close = difflib.get_close_matches(name, known, count, 0.4)
@@ -69,8 +69,8 @@ def nearest_names(name: str, known: Sequence[str], count: int = 3) -> str:
 def part_names(model: mujoco.MjModel, kind: str) -> list[str]:
     """Names of all parts of a kind, in the model's order.
 
-    A part without a name goes by another one that is unique: a joint by its body's name, an actuator by its joint's,
-    else by "<kind><index>".
+    A part without a name is called by another unique name: a joint by its body's, an actuator by its joint's, else
+    "<kind><index>".
 
     Raises:
       InputError: an unknown kind.
@@ -110,12 +110,12 @@ class ModelPath:
     index: tuple[int, ...]
 
     def read(self, model: mujoco.MjModel) -> float:
-        """The number's value."""
+        """The value of the number in a model."""
         array, sign = self._view(model)
         return float(sign * array[self.index])
 
     def write(self, model: mujoco.MjModel, value: float) -> None:
-        """Set the number in place. Derived constants are not updated: call `mujoco.mj_setConst` after the last write.
+        """Set the number in a model. Derived constants are not updated: call `mujoco.mj_setConst` after the last write.
 
         Raises:
           InputError: a value that is not finite, or a mass that is not positive.
@@ -172,14 +172,15 @@ def _is_pid(model: mujoco.MjModel, actuator: int) -> bool:
 
 
 def parse_path(model: mujoco.MjModel, text: str) -> ModelPath:
-    """Find the number that a path means.
+    """The number that a path names.
 
     Args:
       model: the model.
       text: the path, see the module's notes.
 
     Raises:
-      InputError: another form, or a part, attribute, field or index that the model lacks, with the nearest valid ones.
+      InputError: bad syntax, or a part, attribute, field or index that the model lacks; the message has the nearest
+        ones.
     """
     match = _INDEX.match(text.strip())
     head, index = (match["head"], match["index"]) if match else (text.strip(), "")
@@ -219,7 +220,11 @@ def parse_path(model: mujoco.MjModel, text: str) -> ModelPath:
 
 
 def set_values(model: mujoco.MjModel, values: Mapping[str, float]) -> None:
-    """Set numbers of a model in place and bring its derived constants up to date.
+    """Set numbers of a model in place and update its derived constants (mj_setConst).
+
+    Args:
+      model: the model.
+      values: path -> value.
 
     Raises:
       InputError: see `parse_path` and `ModelPath.write`.

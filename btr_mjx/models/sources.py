@@ -1,9 +1,9 @@
-"""Which number of a template ends up in which element of a model, found by marking the numbers.
+"""Sources of a model's elements: which number of a template each element copies, found by tagging the numbers.
 
-The template's numbers (the slots of its `Skeleton`) are replaced by tags: values close to real ones, all different. The
-tagged MJCF goes through MuJoCo's own reader, with all that it knows of defaults, classes, units and shortcuts, and
-through its compiler. An element that equals the tag of one slot in every one of several taggings is a copy of that
-slot; an element that never changes is a constant; anything else is computed by the compiler.
+The template's numbers (the slots of its `Skeleton`) are replaced by tags: distinct values close to real ones. MuJoCo's
+own parser (with its rules for defaults, classes, units and shorthands) and compiler then process the tagged MJCF. An
+element that equals the tag of one slot in all tagged models is a copy of that slot; an element that never changes is a
+constant; every other element is computed by the compiler.
 """
 
 import math
@@ -18,17 +18,18 @@ from btr_mjx.models.symbolic import Skeleton
 from btr_mjx.robots import Robot
 
 _TAGGINGS = 3
+"""Number of tagged models, so that a chance coincidence of values is not taken for a copy."""
 
 _FACTORS = (1.0, -1.0, math.pi / 180, -math.pi / 180)
-"""What the reader and the compiler multiply a plain attribute by: nothing, a sign, degrees to radians."""
+"""Factors that the parser and the compiler apply to a plain attribute: none, a sign, degrees to radians."""
 
 
 @dataclass(frozen=True)
-class Tagged:
-    """One tagging.
+class TaggedModel:
+    """A model compiled with tags in place of the template's numbers.
 
     Attributes:
-      spec: the MJCF as the reader understood it, before compilation.
+      spec: the parsed MJCF, before compilation.
       model: the compiled model.
       slots: value in this array -> (slot, factor), for float64 and for float32 arrays.
     """
@@ -39,12 +40,12 @@ class Tagged:
 
 
 @dataclass(frozen=True)
-class Cells:
-    """Where the E elements of a flattened array come from.
+class ElementSources:
+    """Sources of the E elements of a flattened array.
 
     Attributes:
-      slot: (E,) slot that an element copies; -1 for a constant, -2 for what the compiler computes.
-      factor: (E,) what the slot's value is multiplied by.
+      slot: (E,) slot that an element copies; -1 for a constant, -2 for an element that the compiler computes.
+      factor: (E,) factor of the slot's value.
       constant: (E,) value of the constants.
     """
 
@@ -70,7 +71,7 @@ class Cells:
         return out
 
 
-def tagged(robot: Robot, skeleton: Skeleton) -> list[Tagged]:
+def tag_models(robot: Robot, skeleton: Skeleton) -> list[TaggedModel]:
     """Compile the skeleton with tags in its slots, several times.
 
     Raises:
@@ -79,7 +80,7 @@ def tagged(robot: Robot, skeleton: Skeleton) -> list[Tagged]:
     rng, found = np.random.default_rng(0), []
     for _ in range(_TAGGINGS):
         values, _ = skeleton.evaluate(robot.simulation_box.sample(rng, 1))
-        # Upwards only: what must not be negative often is exactly zero.
+        # Tags are larger than the values: numbers that must not be negative are often exactly zero.
         tags = values[:, 0] * (1 + 1e-3 * rng.random(len(values))) + 1e-5 * (0.5 + rng.random(len(values)))
         spec = mujoco.MjSpec.from_string(skeleton.fill(tags.tolist()))
         model = spec.compile()
@@ -87,25 +88,28 @@ def tagged(robot: Robot, skeleton: Skeleton) -> list[Tagged]:
             kind: {float(kind(tag * factor)): (i, factor) for i, tag in enumerate(tags) for factor in _FACTORS}
             for kind in (np.float64, np.float32)
         }
-        found.append(Tagged(spec, model, slots))
+        found.append(TaggedModel(spec, model, slots))
     return found
 
 
-def sources(taggings: Sequence[Tagged], read: Callable[[Tagged], np.ndarray]) -> Cells:
-    """Where the elements of an array come from.
+def sources(tagged: Sequence[TaggedModel], read: Callable[[TaggedModel], np.ndarray]) -> ElementSources:
+    """Sources of the elements of an array.
 
     Args:
-      taggings: the tagged models.
-      read: the array in one of them.
+      tagged: the tagged models.
+      read: reads the array from one of them.
+
+    Returns:
+      One source per element, in C order.
     """
-    arrays = [np.asarray(read(t)) for t in taggings]
+    arrays = [np.asarray(read(t)) for t in tagged]
     kind = arrays[0].dtype.type
     rows = np.stack([x.ravel() for x in arrays]).astype(np.float64)
     same = np.all((rows == rows[0]) | (np.isnan(rows) & np.isnan(rows[0])), axis=0)
     slot, factor = np.where(same, -1, -2), np.ones(len(same))
     for e in np.flatnonzero(~same):
-        matches = {t.slots.get(kind, {}).get(float(row[e])) for t, row in zip(taggings, rows, strict=True)}
+        matches = {t.slots.get(kind, {}).get(float(row[e])) for t, row in zip(tagged, rows, strict=True)}
         match = matches.pop()
         if match is not None and not matches:
             slot[e], factor[e] = match
-    return Cells(slot, factor, np.where(same, rows[0], 0.0))
+    return ElementSources(slot, factor, np.where(same, rows[0], 0.0))

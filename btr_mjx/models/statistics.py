@@ -1,7 +1,7 @@
-"""`MjModel.stat` of many simulations at a time, from their kinematics in qpos0.
+"""Statistics of models (`MjModel.stat`) for many simulations, from their kinematics in qpos0.
 
 Source: google-deepmind/mujoco, src/engine/engine_setconst.c (setStat). `mujoco.batch.Batch` holds no statistics per
-simulation. Elementwise arithmetic in MuJoCo's order, batch first.
+simulation. Arithmetic is elementwise and in MuJoCo's order.
 """
 
 from collections.abc import Mapping
@@ -13,10 +13,11 @@ KINEMATICS = ("xpos", "xipos", "xanchor", "geom_xpos", "site_xpos", "M")
 """Fields of MjData that `model_statistics` needs, in qpos0."""
 
 _SMALL = 1e-5
+"""Smallest extent and body length of MuJoCo's statistics [m]."""
 
 
-def unable(model: mujoco.MjModel) -> str:
-    """The feature of a model whose share in the statistics is not computed here; empty if there is none."""
+def unsupported_statistics(model: mujoco.MjModel) -> str:
+    """A feature of a model whose statistics are not computed here; empty if there is none."""
     if model.nflex:
         return "a flex"
     return "a height field" if model.nhfield else ""
@@ -25,7 +26,7 @@ def unable(model: mujoco.MjModel) -> str:
 def model_statistics(
     model: mujoco.MjModel, data: Mapping[str, np.ndarray], radius: np.ndarray, mass: np.ndarray, size: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """The statistics.
+    """Centre, extent and mean size, mass and inertia of models.
 
     Args:
       model: the base model, for the structure.
@@ -38,7 +39,7 @@ def model_statistics(
       "stat.<name>" -> (L,), or (L, 3) for the centre.
     """
     count = len(mass)
-    # The batch comes last from here on: numpy reduces and combines long rows fastest.
+    # The batch is the last axis from here on: numpy is fastest on long rows.
     place = {name: np.ascontiguousarray(data[name].transpose(1, 2, 0)) for name in KINEMATICS if name != "M"}
     radius = np.ascontiguousarray(radius.T)
     plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
@@ -51,7 +52,7 @@ def model_statistics(
     high = np.maximum.reduce([x.max(0) for x in [*points, place["geom_xpos"] + reach[:, None]] if len(x)])
     extent = np.maximum(_SMALL, (high - low).max(0))
 
-    # Length of each body: its farthest joint (its own or a child's), its farthest geom with that geom's radius.
+    # Length of a body: distance to its farthest joint (its own or a child's) or geom, with the geom's radius.
     length = np.zeros((model.nbody, count))
     for owner in (model.jnt_bodyid, model.body_parentid[model.jnt_bodyid]):
         for body, distance in zip(owner, _distances(place["xipos"][owner], place["xanchor"]), strict=True):
@@ -70,7 +71,7 @@ def model_statistics(
 
 
 def _sum(rows: np.ndarray) -> np.ndarray:
-    """Sum (L,) of rows (n, L) from the first to the last; numpy's own sum takes another order."""
+    """Sum (L,) of rows (n, L) from the first to the last; numpy's own sum has another order."""
     total = np.zeros(rows.shape[1])
     for row in rows:
         total += row

@@ -1,15 +1,14 @@
-"""A template rendered once with symbols: its numbers as vectorised functions of the parameters.
+"""Symbolic rendering of a template: its numbers as vectorised functions of the parameters.
 
-Rendering a template for every simulation costs more than simulating it is worth. A template that only does arithmetic
-(no decision depends on a parameter) always renders to the same text around different numbers, so it is rendered once
-with `Number` objects, which record what is done to them and print as marks. Each mark then is a function of the
-parameters, evaluated for many simulations at a time:
+A template that only does arithmetic (no decision depends on a parameter) always renders to the same text around
+different numbers. It is rendered once with `Number` objects, which record the operations applied to them and print as
+marks. Each mark is then a function of the parameters, evaluated for many simulations at a time:
 
     skeleton = trace(robot)
     values, failed = skeleton.evaluate(simulations)     # (slots, L), (L,)
 
-All operations are done elementwise in double precision in the template's own order: the values are to the bit those
-that the template itself computes, whatever the other simulations of the batch are.
+All operations are elementwise, in double precision and in the template's order: the values equal those that the
+template computes, to the bit, and do not depend on the other simulations of the batch.
 """
 
 import math
@@ -26,22 +25,22 @@ from btr_mjx.robots import Robot, compiled_template
 
 
 class Untraceable(Exception):
-    """The template does something with a parameter that cannot be recorded; the message says what.
+    """The template uses a parameter in an operation that cannot be recorded; the message names it.
 
-    Neither a ValueError nor a TypeError: Jinja2's filters `float` and `int` would catch those and print a zero.
+    Neither a ValueError nor a TypeError: Jinja2's filters `float` and `int` would catch these and return zero.
     """
 
 
 @dataclass(frozen=True)
 class _Node:
-    """One operation: its name, and as operands the places of earlier nodes (int) or constants (float)."""
+    """One operation; its operands are indices of earlier nodes (int) or constants (float)."""
 
     operation: str
     operands: tuple[int | float, ...]
 
 
 class Graph:
-    """All operations of one rendering, in the order in which they were done; equal ones are recorded once."""
+    """All operations of one rendering in order; equal operations are recorded once."""
 
     def __init__(self, parameters: int) -> None:
         self.nodes = [_Node("parameter", (float(i),)) for i in range(parameters)]
@@ -66,11 +65,11 @@ class Graph:
 
         Args:
           parameters: (L, n) values of the parameters.
-          places: the K nodes that are wanted.
+          places: indices of K nodes.
 
         Returns:
           (K, L) values, and bool (L,): rows at which the template's own arithmetic would raise an error or is not
-          finite; their values mean nothing.
+          finite, whose values are undefined.
         """
         needed = set(places)
         for i in range(len(self.nodes) - 1, -1, -1):
@@ -94,7 +93,7 @@ class Graph:
 
 
 class Number:
-    """A number that depends on the parameters. Arithmetic is recorded, printing leaves a mark, all else is refused."""
+    """A number that depends on the parameters: arithmetic is recorded, printing writes a mark, all else is an error."""
 
     def __init__(self, graph: Graph, place: int) -> None:
         self.graph, self.place = graph, place
@@ -152,7 +151,7 @@ class Number:
 
 
 _OPEN, _CLOSE = "\u27e6", "\u27e7"
-"""Brackets around a mark; no MJCF has them."""
+"""Brackets around a mark, which do not occur in MJCF."""
 
 
 def _divide(a: Any, b: Any) -> Any:
@@ -160,7 +159,7 @@ def _divide(a: Any, b: Any) -> Any:
 
 
 def elementwise(function: Callable[..., float], *operands: Any) -> np.ndarray:
-    """Apply a function of Python's math to each element: numpy's own versions may differ in the last bit.
+    """Apply a function of Python's math module to each element; numpy's functions may differ in the last bit.
 
     Args:
       function: a function of floats that returns a float.
@@ -205,7 +204,7 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
 
 
 def _template_functions(graph: Graph) -> dict[str, Callable[..., Any]]:
-    """The template's functions on numbers; without a `Number` among the arguments they do what they always do."""
+    """The functions of templates, extended to `Number` arguments."""
 
     def function(name: str, plain: Callable[[float], float]) -> Callable[[Any], Any]:
         return lambda x: graph.apply(name, x) if isinstance(x, Number) else plain(x)
@@ -236,7 +235,7 @@ class Skeleton:
     """A rendered template with slots for the numbers that depend on the parameters.
 
     Attributes:
-      pieces: the text before, between and after the marks, one more than there are marks.
+      pieces: the text before, between and after the marks (one more than marks).
       marks: the slot of each mark.
       places: the node of each slot.
       graph: how the nodes are computed.
@@ -248,7 +247,7 @@ class Skeleton:
     graph: Graph
 
     def evaluate(self, simulations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Values of the slots, (slots, L), and which rows cannot be computed, bool (L,); see `Graph.evaluate`."""
+        """Values of the slots (slots, L), and bool (L,): rows that cannot be computed; see `Graph.evaluate`."""
         return self.graph.evaluate(simulations, self.places)
 
     def fill(self, values: Sequence[float]) -> str:
@@ -258,7 +257,7 @@ class Skeleton:
         return self.pieces[0] + "".join(between)
 
     def matches(self, text: str, values: Sequence[float]) -> bool:
-        """Whether a text is this one with these values in the slots, to the bit (but 1 may be written for 1.0)."""
+        """Whether a text equals this one with these values in the slots, to the bit (1 and 1.0 count as equal)."""
         if not text.startswith(self.pieces[0]):
             return False
         at = len(self.pieces[0])
@@ -289,7 +288,7 @@ def trace(robot: Robot) -> Skeleton:
     graph = Graph(len(names))
     symbols = {name: Number(graph, i) for i, name in enumerate(names)}
     try:
-        # What is passed to a template hides its globals of the same name: so the functions become those on symbols.
+        # Arguments of a template hide globals of the same name: the functions are replaced by those on symbols.
         text = compiled_template(robot.template).render(_template_functions(graph) | dict(robot.constants) | symbols)
     except (jinja2.TemplateError, ArithmeticError, TypeError, ValueError) as error:
         raise Untraceable(str(error)) from None

@@ -1,6 +1,6 @@
-"""Differences and sums of configurations, for many rows at once.
+"""Differences and sums of configurations in the tangent space, for many rows at once.
 
-The configuration of a free or ball joint holds a quaternion; its differences live in the tangent space (nv,), with
+The configuration (nq,) of a free or ball joint holds a quaternion. Differences are tangent vectors (nv,), with
 rotations as rotation vectors in the joint's own frame, as in MuJoCo's qvel.
 """
 
@@ -8,13 +8,14 @@ import mujoco
 import numpy as np
 
 _SMALL = 1e-12
+"""Angle below which the limit of small rotations is used [rad]."""
 
 
 def difference(model: mujoco.MjModel, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """The tangent vector that leads from one configuration to another, as `mj_differentiatePos` with dt = 1.
+    """The tangent vector from one configuration to another, as `mj_differentiatePos` with dt = 1.
 
     Args:
-      model: whose joints are meant.
+      model: the model.
       start: (..., nq) configurations.
       end: (..., nq) configurations.
 
@@ -34,7 +35,7 @@ def integrate(model: mujoco.MjModel, qpos: np.ndarray, tangent: np.ndarray) -> n
     """A configuration moved along a tangent vector, as `mj_integratePos` with dt = 1.
 
     Args:
-      model: whose joints are meant.
+      model: the model.
       qpos: (..., nq) configurations.
       tangent: (..., nv) vectors.
 
@@ -59,13 +60,13 @@ def between(
     fraction: np.ndarray,
     step: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """States between two steps: cubic Hermite in the tangent space of the earlier configuration.
+    """States between two steps, by cubic Hermite interpolation in the tangent space of the earlier configuration.
 
     Args:
-      model: whose joints are meant.
+      model: the model.
       states: qpos (N, nq) and qvel (N, nv) at the earlier step.
-      following: the same one step later.
-      fraction: (N,) of the step that has passed, in [0, 1].
+      following: qpos and qvel one step later.
+      fraction: (N,) elapsed fraction of the step, in [0, 1].
       step: length of the step [s].
 
     Returns:

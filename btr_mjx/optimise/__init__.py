@@ -1,7 +1,7 @@
 """Ask / tell optimisers of bounded vectors: the genetic algorithm of the paper, and CMA-ES.
 
 `GeneticAlgorithm` keeps its state in a plain record, so that a search can be saved after every generation; `cma_es` has
-the same shape. `optimise` and `minimize` run the genetic algorithm from start to end. `mutate` is the bit flip alone.
+a similar interface. `optimise` and `minimize` run the genetic algorithm to the end. `mutate` flips bits.
 """
 
 from btr_mjx.optimise import cma_es

@@ -1,14 +1,13 @@
-"""CMA-ES (Hansen and Ostermeier, 2001; package `cmaes`) with nothing to remember but what was told.
+"""CMA-ES (Hansen and Ostermeier, 2001; package `cmaes`), resumable from the history of its generations.
 
-The strategy after any generation follows from its start and from all members told since, so that a search can be saved
-as those members and go on later to the bit: `restored` tells them again (12 parameters, 100 generations of 50: a third
-of a second).
+The state of the strategy is a function of its start and of all generations told so far. A search is saved as those
+generations and resumed bit for bit: `restored` tells them again, which takes little time compared with evaluations.
 
     strategy = restored(start, members, scores, population=32)
     asked = ask(strategy, seed)
     tell(strategy, asked, f(asked))
 
-Vectors lie in the unit cube; see `spaces.Box` for what they stand for.
+Vectors lie in the unit cube, to which parameters are scaled by the bounds of their `Box`.
 """
 
 from typing import Any
@@ -19,23 +18,26 @@ import numpy as np
 from btr_mjx.errors import InputError
 
 SIGMA = 0.125
-"""Default first step size, as a share of each parameter's range."""
+"""Default initial step size, as a fraction of each parameter's range."""
 
 CONVERGED = 5e-5
-"""A population whose spread in every parameter is below this share of its range has nothing left to find."""
+"""Standard deviation of a generation in every parameter, as a fraction of its range, below which it has converged."""
 
 
 def restored(
     start: np.ndarray, members: np.ndarray, scores: np.ndarray, *, population: int, sigma: float = SIGMA
 ) -> cmaes.CMA:
-    """The strategy as it is after some generations.
+    """The state of the strategy after g generations.
 
     Args:
-      start: (n,) first mean, in the unit cube.
+      start: (n,) initial mean, in the unit cube.
       members: (g, L, n) all members told so far, g may be 0.
-      scores: (g, L) what they were told, to be minimised; not finite where the evaluation failed.
+      scores: (g, L) their scores, to be minimised; not finite where the evaluation failed.
       population: L.
-      sigma: first step size.
+      sigma: initial step size.
+
+    Returns:
+      The strategy, ready for `ask`.
 
     Raises:
       InputError: a start outside the unit cube, a step size that is not positive, fewer than 4 members.
@@ -53,18 +55,18 @@ def restored(
 
 
 def ask(strategy: cmaes.CMA, seed: Any) -> np.ndarray:
-    """The next generation (L, n), drawn from a seed of its own; any number, or list of numbers, that numpy takes."""
+    """The next generation (L, n), drawn with its own seed: an integer or a list of integers, as of SeedSequence."""
     strategy.reseed_rng(int(np.random.SeedSequence(seed).generate_state(1)[0]))
     return np.array([strategy.ask() for _ in range(strategy.population_size)])
 
 
 def tell(strategy: cmaes.CMA, members: np.ndarray, scores: np.ndarray) -> None:
-    """Take in a generation; failed members count as twice as bad as the worst that did not fail.
+    """Update the strategy with a generation; failed members get twice the worst finite score.
 
     Args:
-      strategy: moves on by one generation.
-      members: (L, n), what was asked or what took its place.
-      scores: (L,) not negative, to be minimised.
+      strategy: updated in place.
+      members: (L, n) the members asked, or members that replace them.
+      scores: (L,) not negative, to be minimised; not finite where the evaluation failed.
     """
     finite = scores[np.isfinite(scores)]
     worst = 2 * finite.max() if len(finite) else 1.0
@@ -73,5 +75,5 @@ def tell(strategy: cmaes.CMA, members: np.ndarray, scores: np.ndarray) -> None:
 
 
 def converged(members: np.ndarray) -> bool:
-    """Whether a generation (L, n) has shrunk to a point."""
+    """Whether the spread of a generation (L, n) is below `CONVERGED` in every parameter."""
     return bool(members.std(axis=0).max() < CONVERGED)

@@ -1,8 +1,8 @@
-"""A genetic algorithm on bit strings, with an ask / tell interface.
+"""Generational genetic algorithm on bit strings, with an ask / tell interface.
 
-Both searches of Back-to-Reality use it: controllers in a simulation (fitness is maximised) and simulations against
-reality (Delta_fitness is minimised). Generational: parents are picked by tournament, crossed over and mutated with
-"probability p_m per bit"; the best few survive unchanged.
+Both searches of Back-to-Reality use it: for controllers in a simulation (fitness is maximised) and for simulations
+(Delta_fitness is minimised). Parents are selected by tournament, crossed over and mutated with "probability p_m per
+bit"; the best few members (elites) survive unchanged.
 
     ga = GeneticAlgorithm(box, GAConfig(maximise=False))
     state = ga.init(seed)
@@ -11,17 +11,15 @@ reality (Delta_fitness is minimised). Generational: parents are picked by tourna
         state = ga.tell(state, genomes, f(box.decode(genomes)))
     best = box.decode(state.best_genome)
 
-A state is an immutable record of arrays that includes the random stream: a run continued from `ga_state_from_arrays` is
-bit-identical to one that never stopped, and asking one state twice gives the same genomes twice.
+A state is an immutable record of arrays that includes the state of the random generator: a run continued from
+`ga_state_from_arrays` is bit-identical to an uninterrupted run, and `ask` returns the same genomes for the same state.
 
-Failed evaluations: a fitness that is NaN or infinite never becomes best, parent or elite as long as any member of the
-population is finite. A generation in which all fail leaves parents and best as they were and counts as a generation;
-where that is the first one, the next is bred from the initial population with every member alike.
+Failed evaluations: a member whose fitness is NaN or infinite never becomes best, parent or elite as long as any member
+of the population is finite. A generation in which all members fail counts as a generation but leaves parents and best
+unchanged; if it is the first one, all members of the initial population are equally likely parents of the next.
 
-The defaults were tuned on synthetic functions (tests/test_evolution.py keeps the bars): Gray code, tournaments of five,
-p_c = 0.9 and two elites at 50 individuals find four parameters of smooth or mildly rugged functions to the grid within
-40 generations, and twelve that do not interact to about a hundredth of their range; twelve that interact strongly need
-a method that learns directions, such as CMA-ES. On long genomes and many generations p_m = 1 / n_bits ends closer.
+The defaults suit about four parameters of smooth or mildly rugged functions, or more that do not interact. For many
+parameters that interact strongly use CMA-ES. For long genomes and many generations p_m = 1 / n_bits is more accurate.
 """
 
 from collections.abc import Mapping
@@ -36,7 +34,7 @@ from btr_mjx.optimise.operators import Crossover, check_probability, crossover, 
 from btr_mjx.robots import Box
 
 Seed = int | np.random.Generator
-"""An integer, or a generator from which a seed is drawn (it advances)."""
+"""An integer, or a generator from which a seed is drawn (which advances the generator)."""
 
 
 def _frozen(array: ArrayLike, dtype: Any = None) -> NDArray:
@@ -51,13 +49,13 @@ class GAConfig:
     """Settings of the genetic algorithm.
 
     Attributes:
-      maximise: the direction, always said explicitly.
+      maximise: whether fitness is maximised or minimised.
       population: M, genomes per generation.
-      p_m: mutation probability per bit; also makes the first generation out of a given genome.
-      p_c: probability that a pair of parents is crossed.
+      p_m: mutation probability per bit, also for the first generation made from a given genome.
+      p_c: probability of crossover of a pair of parents.
       crossover: see `Crossover`.
       elites: members that enter the next generation unchanged (and are evaluated again).
-      tournament: contestants per tournament, drawn with replacement; 1 selects at random.
+      tournament: members per tournament, drawn with replacement; 1 selects at random.
     """
 
     maximise: bool
@@ -90,16 +88,16 @@ class GAConfig:
 
 @dataclass(frozen=True, eq=False)
 class GAState:
-    """Everything that a run needs to continue; read-only arrays.
+    """State of a run; read-only arrays.
 
     Attributes:
-      parents: (M, n_bits) the population told last, best first, failures last; before the first `tell` the initial one.
+      parents: (M, n_bits) the last evaluated population, best first, failed members last; at first the initial one.
       fitness: (M,) fitness of the parents, NaN where it failed or is not known yet.
-      asked: (M, n_bits) genomes that wait for their fitness, or None.
+      asked: (M, n_bits) genomes that await their fitness, or None.
       generation: number of generations told.
-      best_genome: (n_bits,) the best genome ever told, or None while there is no finite fitness.
+      best_genome: (n_bits,) the best genome so far, or None while there is no finite fitness.
       best_fitness: its fitness, NaN while there is none.
-      stream: (6,) uint64, state of the PCG64 random stream.
+      stream: (6,) uint64, state of the PCG64 random generator.
     """
 
     parents: NDArray[np.bool_]
@@ -130,7 +128,7 @@ def _generator_of(stream: NDArray[np.uint64]) -> np.random.Generator:
 
 
 def ga_state_to_arrays(state: GAState) -> dict[str, np.ndarray]:
-    """Write a state as plain arrays, for `numpy.savez`; no object arrays, and None becomes an array with no rows."""
+    """A state as plain arrays, for `numpy.savez`; None becomes an array without rows."""
     n_bits = state.parents.shape[1]
     none = np.zeros((0, n_bits), dtype=bool)
     return {
@@ -145,10 +143,10 @@ def ga_state_to_arrays(state: GAState) -> dict[str, np.ndarray]:
 
 
 def ga_state_from_arrays(arrays: Mapping[str, np.ndarray]) -> GAState:
-    """Read a state written by `ga_state_to_arrays`.
+    """The state from the arrays of `ga_state_to_arrays`.
 
     Args:
-      arrays: the dict, or an open npz file.
+      arrays: name -> array, such as an open npz file.
 
     Raises:
       InputError: arrays missing, or of the wrong type or shape.
@@ -185,7 +183,7 @@ def ga_state_from_arrays(arrays: Mapping[str, np.ndarray]) -> GAState:
 
 
 class GeneticAlgorithm:
-    """Ask for genomes, tell their fitness. Holds no state of its own: see the module's docstring."""
+    """Genetic algorithm of a box, without state of its own: see the module's docstring."""
 
     def __init__(self, box: Box, config: GAConfig):
         self.box = box
@@ -196,8 +194,8 @@ class GeneticAlgorithm:
 
         Args:
           seed: an integer or a generator.
-          genome: (n_bits,) None draws genomes at random; otherwise member 0 is this genome and the others are mutants
-            of it, "made from c_(i-1) by bit flips with p_m".
+          genome: (n_bits,) or None. None draws genomes at random; otherwise member 0 is this genome and the others are
+            its mutants ("made from c_(i-1) by bit flips with p_m").
 
         Returns:
           The state before the first `ask`.
@@ -205,7 +203,7 @@ class GeneticAlgorithm:
         Raises:
           InputError: a genome of the wrong length.
         """
-        # A stream of our own: a copy of the caller's would repeat the numbers that the caller draws next.
+        # A new generator: a copy of the caller's would repeat the numbers that the caller draws next.
         source = seed.integers(2**63, size=2).tolist() if isinstance(seed, np.random.Generator) else seed
         rng = np.random.Generator(np.random.PCG64(source))
         m = self.config.population
@@ -220,12 +218,12 @@ class GeneticAlgorithm:
         return GAState(_frozen(population), _frozen(np.full(m, np.nan)), None, 0, None, np.nan, _stream_of(rng))
 
     def ask(self, state: GAState) -> tuple[NDArray[np.bool_], GAState]:
-        """Breed the next generation: the initial population at first, then children followed by the elites.
+        """The next generation: at first the initial population, then children followed by the elites.
 
-        Elites come last, so that among equals `tell` ranks the newcomers higher and the search drifts over plateaus.
+        Elites come last, so that `tell` ranks new members before elites of equal fitness (neutral drift on plateaus).
 
         Args:
-          state: from `init` or `tell`; one that was asked already gives the same genomes again.
+          state: from `init` or `tell`; a state returned by `ask` gives the same genomes again.
 
         Returns:
           (M, n_bits) read-only genomes, and the state to give to `tell`.
@@ -236,23 +234,23 @@ class GeneticAlgorithm:
         if state.generation == 0:
             return state.parents, replace(state, asked=state.parents)
         config, rng = self.config, _generator_of(state.stream)
-        alive = int(np.isfinite(state.fitness).sum())
-        elites = min(config.elites, alive)
+        finite = int(np.isfinite(state.fitness).sum())
+        elites = min(config.elites, finite)
         children = config.population - elites
-        # Parents lie in order of rank: the winner of a tournament is its lowest index. Failures do not take part.
-        entrants = alive or config.population
-        draws = rng.integers(0, entrants, (2, children, config.tournament if alive else 1))
+        # Parents are sorted by rank: the winner of a tournament is its lowest index. Failed members do not take part.
+        candidates = finite or config.population
+        draws = rng.integers(0, candidates, (2, children, config.tournament if finite else 1))
         first, second = state.parents[draws.min(axis=-1)]
         made = mutate(crossover(first, second, config.p_c, config.crossover, rng), config.p_m, rng)
         asked = _frozen(np.concatenate([made, state.parents[:elites]]))
         return asked, replace(state, asked=asked, stream=_stream_of(rng))
 
     def tell(self, state: GAState, genomes: ArrayLike, fitness: ArrayLike) -> GAState:
-        """Take in the fitness of a generation.
+        """Update the state with the fitness of a generation.
 
         Args:
           state: as returned by `ask`.
-          genomes: (M, n_bits) what was evaluated, usually what was asked; repaired genomes may take their place.
+          genomes: (M, n_bits) the evaluated genomes, usually those of `ask`; repaired genomes may replace them.
           fitness: (M,) NaN or infinite where the evaluation failed.
 
         Returns:

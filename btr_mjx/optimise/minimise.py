@@ -1,4 +1,4 @@
-"""The genetic algorithm from start to end, for a function of vectors.
+"""Optimisation of a function of vectors by a complete run of the genetic algorithm.
 
 found = minimize(lambda x: ((x - 1) ** 2).sum(axis=1), box, seed=0, generations=40)
 found.values, found.fitness
@@ -20,7 +20,7 @@ Objective = Callable[[NDArray[np.float64]], ArrayLike]
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """What `optimise` found; G generations of M vectors with n parameters.
+    """Result of `optimise`, for G generations of M vectors with n parameters.
 
     Attributes:
       values: (n,) the best vector evaluated, NaN where every evaluation failed.
@@ -29,7 +29,7 @@ class Optimum:
       best_fitness: (G,) its fitness.
       mean_fitness: (G,) mean over the finite members of each generation, NaN where there are none.
       failed: (G,) number of members without a finite fitness.
-      state: the state after the last generation; the run can go on from it.
+      state: the state after the last generation, from which the run can be continued.
     """
 
     values: NDArray[np.float64]
@@ -44,7 +44,7 @@ class Optimum:
 def optimise(
     fn: Objective, box: Box, config: GAConfig, *, seed: Seed, generations: int, start: ArrayLike | None = None
 ) -> Optimum:
-    """Run the genetic algorithm in the direction that the configuration says.
+    """Run the genetic algorithm; the configuration determines whether it maximises or minimises.
 
     Args:
       fn: maps (M, n) vectors to (M,) fitness, NaN where the evaluation failed.
@@ -53,6 +53,9 @@ def optimise(
       seed: an integer or a generator.
       generations: G >= 1; `fn` is called once a generation.
       start: (n,) vector from which the first generation is made by bit flips; None starts at random.
+
+    Returns:
+      The best vector, the course of the run and its last state.
 
     Raises:
       InputError: fewer than one generation, a start outside the box, fitness of the wrong shape.
@@ -85,7 +88,7 @@ def minimize(
     generations: int,
     start: ArrayLike | None = None,
 ) -> Optimum:
-    """`optimise` towards the minimum, by default with the default settings.
+    """Minimise a function; arguments and result as of `optimise`.
 
     Raises:
       InputError: a configuration that maximises; and as `optimise`.

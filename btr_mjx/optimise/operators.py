@@ -1,4 +1,4 @@
-"""What a genetic algorithm does to bit strings: mutation and crossover."""
+"""Genetic operators on bit strings: mutation and crossover."""
 
 from typing import Literal, get_args
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from btr_mjx.errors import InputError
 
 Crossover = Literal["uniform", "one_point", "two_point"]
-"""uniform: each bit from either parent; one_point: head and tail; two_point: one arc of the genome seen as a ring."""
+"""uniform: each bit from either parent; one_point: head and tail; two_point: a segment of the circular genome."""
 
 
 def mutate(genomes: NDArray[np.bool_], p_m: float, rng: np.random.Generator) -> NDArray[np.bool_]:
@@ -55,7 +55,7 @@ def crossover(
     if first.shape != second.shape:
         raise InputError(f"crossover: got parents of shapes {first.shape} and {second.shape}, expected equal shapes")
     n, pairs = first.shape[-1], (*first.shape[:-1], 1)
-    # Both cuts leave at least one bit to either parent, where there are two bits to share.
+    # Cuts leave at least one bit to either parent, if the genome has two or more bits.
     if kind == "uniform":
         from_second = rng.random(first.shape) < 0.5
     elif kind == "one_point":
@@ -68,6 +68,10 @@ def crossover(
 
 
 def check_probability(name: str, value: float) -> None:
-    """Raise InputError for what is no probability."""
+    """Check a probability.
+
+    Raises:
+      InputError: NaN or outside [0, 1].
+    """
     if not 0 <= value <= 1:  # catches NaN too
         raise InputError(f"{name}: got {value!r}, expected a probability within [0, 1]")

@@ -1,7 +1,7 @@
-"""Every figure of a run folder, drawn from its saved files only; pictures of robots.
+"""Figures of run folders, drawn from their saved files only, and pictures of robots.
 
-`draw_run` and `draw_scan` draw the figures of a folder, `draw_folder` of either kind, `style` is the look that all
-figures share.
+`draw_run` and `draw_scan` draw the figures of a folder, `draw_folder` those of either kind; `style` is the matplotlib
+style of all figures.
 """
 
 from btr_mjx.plotting.draw import draw_folder, draw_run, draw_scan, style

@@ -1,4 +1,4 @@
-"""Axes of generations, iteration by iteration, and other parts that the figures share."""
+"""Common parts of the figures: axes of generations grouped by iteration, axis scales, legends."""
 
 import math
 from collections.abc import Sequence
@@ -13,28 +13,31 @@ from matplotlib.ticker import NullLocator
 from btr_mjx.plotting.run_data import Search
 
 ABOVE: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "va": "bottom", "fontsize": 8, "color": "0.3"}
-"""How notes along the upper edge of the axes are set."""
+"""Text properties of annotations along the upper edge of the axes."""
 
 
-def width(searches: Sequence[Search], per_generation: float) -> float:
-    """Wide enough to tell generations apart, narrow enough for a page [inch]."""
+def figure_width(searches: Sequence[Search], per_generation: float) -> float:
+    """Width of a figure by its number of generations, limited to the width of a page [inch]."""
     return float(np.clip(2.6 + per_generation * sum(len(search.scores) for search in searches), 5.6, 9.0))
 
 
-def gap(searches: Sequence[Search]) -> float:
-    """Room between two searches, in which the state before the next one is marked."""
+def search_spacing(searches: Sequence[Search]) -> float:
+    """Horizontal space between two searches [generations], where the state before the next one is marked."""
     return max(1.0, 0.03 * sum(len(search.scores) for search in searches))
 
 
-def blocks(searches: Sequence[Search], gap: float, first: float) -> list[float]:
-    """Where each iteration begins; its generations stand at 1, 2, ... after that, then comes the gap.
+def block_offsets(searches: Sequence[Search], spacing: float, first: float) -> list[float]:
+    """Offset of each iteration on the x axis; its generations are at offset + 1, offset + 2, ...
 
     Args:
       searches: one per iteration.
-      gap: width added between the last generation of a block and the first of the next, beyond the usual 1.
-      first: the first block begins here; what was before the run stands at 0.
+      spacing: width added between the last generation of a block and the first of the next, beyond the usual 1.
+      first: offset of the first block; the state before the run is at 0.
+
+    Returns:
+      One offset per iteration [generations].
     """
-    lengths = [len(search.scores) + gap for search in searches]
+    lengths = [len(search.scores) + spacing for search in searches]
     return [first, *(first + np.cumsum(lengths[:-1])).tolist()]
 
 
@@ -42,7 +45,7 @@ def generation_axis(
     axes: Axes,
     searches: Sequence[Search],
     offsets: list[float],
-    gap: float,
+    spacing: float,
     border: float,
     most: int = 18,
     sides: str = "tb",
@@ -50,12 +53,12 @@ def generation_axis(
     """Number the generations of each iteration from 1, and the iterations along the top.
 
     Args:
-      axes: where.
+      axes: the axes.
       searches: one per iteration.
-      offsets: from `blocks`.
-      gap: as given to `blocks`.
-      border: where a block's left border lies, from its offset.
-      most: about how many numbers there is room for.
+      offsets: from `block_offsets`.
+      spacing: as given to `block_offsets`.
+      border: position of a block's left border, relative to its offset.
+      most: approximate maximum number of tick labels.
       sides: with "t" iterations are named along the top, with "b" generations along the bottom.
     """
     total, count = sum(len(search.scores) for search in searches), len(searches)
@@ -69,20 +72,20 @@ def generation_axis(
                 names.append(str(generation))
         if "t" in sides and i % math.ceil(1.2 * count / most) == 0:
             text = f"iteration {search.iteration}" if count <= most / 3 else str(search.iteration)
-            middle = offset + border + (last + gap) / 2
+            middle = offset + border + (last + spacing) / 2
             axes.annotate(text, (middle, 1), xycoords=("data", "axes fraction"), xytext=(0, 2), **ABOVE)
     for offset in offsets[1:]:
         axes.axvline(offset + border, color="0.8", linewidth=0.7, zorder=0)
     crowded = count > most
     axes.xaxis.set_minor_locator(NullLocator())
     axes.set_xticks([] if crowded else places, [] if crowded else names)
-    axes.set_xlim(-0.5 - 0.012 * total, offsets[-1] + border + last + gap + 0.1)
+    axes.set_xlim(-0.5 - 0.012 * total, offsets[-1] + border + last + spacing + 0.1)
     if "b" in sides:
         axes.set_xlabel(f"{len(searches[0].scores)} generations per iteration" if crowded else "generation")
 
 
 def positive_scale(axes: Axes, values: np.ndarray) -> None:
-    """A logarithmic axis where values span more than a decade; below the least positive one it is linear down to 0."""
+    """Logarithmic y axis if values span more than a decade, linear from 0 below the smallest positive value."""
     finite = values[np.isfinite(values)]
     positive = finite[finite > 0]
     if not len(positive) or positive.max() <= 10 * positive.min():
@@ -95,5 +98,5 @@ def positive_scale(axes: Axes, values: np.ndarray) -> None:
 
 
 def legend_above(figure: Figure, axes: Axes, columns: int = 3) -> Legend:
-    """One legend for all panels, where it hides no data."""
+    """One legend for all panels, above them."""
     return figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=columns)

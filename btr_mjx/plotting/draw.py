@@ -1,6 +1,6 @@
-"""Every figure of a run folder, drawn from its saved files only: `python -m btr_mjx.plotting.draw runs/quick-0`.
+"""Drawing of all figures of a run folder: reads its saved files, applies the style, saves the figures.
 
-What is drawn is decided in `figures` and `robot_figure`; here they are read for, styled and saved.
+The figures themselves are made in `figures` and `robot_figure`.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,11 +17,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 STYLE = Path(__file__).with_name("style.mplstyle")
+"""Matplotlib style sheet of all figures."""
 
 
 @contextmanager
 def style() -> Iterator[None]:
-    """The look of every figure, for making and for saving it; what the caller had set comes back at the end."""
+    """Context in which figures are made and saved with the common style; restores the caller's settings at the end."""
     import matplotlib.style
 
     with matplotlib.style.context(["default", STYLE]):
@@ -32,13 +33,13 @@ def draw_run(folder: Path) -> list[Path]:
     """Draw the figures of a run folder of `btr_mjx.coevolve`.
 
     Args:
-      folder: where the run saved its files.
+      folder: the run folder.
 
     Returns:
       The PNG files.
 
     Raises:
-      InputError: no run folder, one whose run has not ended, or a damaged file.
+      InputError: not a run folder, a run that has not ended, or a damaged file.
     """
     from btr_mjx.plotting import figures, robot_figure
 
@@ -47,20 +48,20 @@ def draw_run(folder: Path) -> list[Path]:
     curves = {
         "controller_fitness": figures.controller_fitness,
         "delta_fitness": figures.delta_fitness_curve,
-        "limb_lengths": figures.limb_lengths,
+        "limb_lengths": figures.parameter_values,
         "sim_versus_reality": figures.sim_versus_reality,
     }
     saved = [_save(folder / f"{name}.png", partial(make, run)) for name, make in curves.items()]
     try:
         robot = read_robot(folder)
-    except InputError as error:  # its template was moved or deleted since
+    except InputError as error:  # its template has been moved or deleted
         note(f"no picture of the robot: {error}")
         return saved
     return [*saved, _save(folder / "robot.png", partial(robot_figure.morphologies, robot, run))]
 
 
 def draw_scan(folder: Path) -> list[Path]:
-    """Draw the figure of a run folder of `btr_mjx.scan`; as `draw_run`."""
+    """Draw the figure of a run folder of `btr_mjx.scan`; returns and raises as `draw_run`."""
     from btr_mjx.plotting import figures
 
     folder = Path(folder)
@@ -69,7 +70,7 @@ def draw_scan(folder: Path) -> list[Path]:
 
 
 def draw_folder(folder: Path) -> list[Path]:
-    """Draw the figures of either kind of run folder; as `draw_run`."""
+    """Draw the figures of either kind of run folder; returns and raises as `draw_run`."""
     return draw_scan(folder) if (Path(folder) / "scan.npz").is_file() else draw_run(folder)
 
 

@@ -1,7 +1,7 @@
-"""The figures of a run: each function makes one matplotlib Figure out of what was saved, and touches no file.
+"""Figures of a run: each function makes one matplotlib Figure from saved data and accesses no file.
 
-Time runs to the right, in generations. An iteration of Back-to-Reality is a block: the generations of its search, and
-for step 1 the visit to reality that follows them. Missing values (diverged pairs, failed trials) leave gaps.
+The x axis counts generations. An iteration of Back-to-Reality is a block: the generations of its search, and for step 1
+the trials in reality that follow them. Missing values (diverged pairs, failed trials) are left out.
 """
 
 import math
@@ -14,22 +14,30 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from btr_mjx.plotting.axes import ABOVE, blocks, gap, generation_axis, legend_above, positive_scale, width
+from btr_mjx.plotting.axes import (
+    ABOVE,
+    block_offsets,
+    figure_width,
+    generation_axis,
+    legend_above,
+    positive_scale,
+    search_spacing,
+)
 from btr_mjx.plotting.run_data import RunData, ScanData, Search, with_unit
 
 SIMULATED, REAL = "#1f5fa8", "#c8641e"
-"""Colours of what happened in simulation and in reality; open circles and filled diamonds say the same in grey."""
+"""Colours of simulation and reality; open circles and filled diamonds distinguish them in grey scale."""
 
 MARKERS = "osD^vPX*<>"
-"""One per iteration, again from the first after the last."""
+"""Markers of the iterations, used cyclically."""
 
 
 def controller_fitness(run: RunData) -> Figure:
-    """Fitness over the generations of step 1, and the tried controllers' fitness in simulation and reality."""
-    figure = Figure(figsize=(width(run.controllers, 0.32), 3.4))
+    """Fitness over the generations of step 1, and fitness in simulation and reality of the controllers tried."""
+    figure = Figure(figsize=(figure_width(run.controllers, 0.32), 3.4))
     axes = figure.subplots()
     slot = _slot(run)
-    offsets = blocks(run.controllers, slot, first=0.4 * slot - 0.4)
+    offsets = block_offsets(run.controllers, slot, first=0.4 * slot - 0.4)
     _population(axes, run.controllers, offsets, np.max if run.maximise else np.min)
     trials = run.trials
     for iteration in np.unique(trials["iteration"]):
@@ -56,33 +64,33 @@ def controller_fitness(run: RunData) -> Figure:
 
 def delta_fitness_curve(run: RunData) -> Figure:
     """Delta_fitness over the generations of step 3, before and after each."""
-    figure = Figure(figsize=(width(run.simulations, 0.32), 3.2))
+    figure = Figure(figsize=(figure_width(run.simulations, 0.32), 3.2))
     axes = figure.subplots()
-    room = gap(run.simulations)
-    offsets = blocks(run.simulations, room, first=(room - 1) / 2)
+    spacing = search_spacing(run.simulations)
+    offsets = block_offsets(run.simulations, spacing, first=(spacing - 1) / 2)
     shown = [run.iterations["delta_before"].to_numpy(), run.iterations["delta_after"].to_numpy()]
     shown += _population(axes, run.simulations, offsets, np.min)
-    starts = np.array(offsets) + 1 - (room + 1) / 2
+    starts = np.array(offsets) + 1 - (spacing + 1) / 2
     ends = np.array(offsets) + [len(search.scores) for search in run.simulations]
     mark: dict[str, Any] = {"linestyle": "none", "markersize": 6, "zorder": 4}
     axes.plot(starts, shown[0], "o", color=REAL, fillstyle="none", label="before the search", **mark)
     axes.plot(ends, shown[1], "s", color=SIMULATED, label="after the search", **mark)
-    generation_axis(axes, run.simulations, offsets, room, border=1 - 0.75 * (room + 1))
+    generation_axis(axes, run.simulations, offsets, spacing, border=1 - 0.75 * (spacing + 1))
     positive_scale(axes, np.concatenate([np.ravel(values) for values in shown]))
     axes.set(ylabel=run.distance_label)
     legend_above(figure, axes)
     return figure
 
 
-def limb_lengths(run: RunData) -> Figure:
-    """Every simulation of every generation, one panel per unknown parameter; Fig. 4b of the paper."""
+def parameter_values(run: RunData) -> Figure:
+    """Parameters of all simulations of all generations, one panel per unknown parameter; Fig. 4b of the paper."""
     box = run.box
     columns = min(box.n, 2 if box.n <= 4 else 3 if box.n <= 9 else 4)
     rows = math.ceil(box.n / columns)
     figure = Figure(figsize=(2.2 + 2.4 * columns, 0.9 + 1.75 * rows))
     panels = np.atleast_1d(figure.subplots(rows, columns, sharex=True, squeeze=False)).ravel()
-    room = gap(run.simulations)
-    offsets = blocks(run.simulations, room, first=(room - 1) / 2)
+    spacing = search_spacing(run.simulations)
+    offsets = block_offsets(run.simulations, spacing, first=(spacing - 1) / 2)
     x, values, darkness = _members(run.simulations, offsets)
     size = float(np.clip(4000 / len(x), 2.0, 7.0))
     for i, axes in enumerate(panels[: box.n]):
@@ -102,14 +110,14 @@ def limb_lengths(run: RunData) -> Figure:
         margin = 0.04 * box.span[i]
         axes.set(ylim=(box.low[i] - margin, box.high[i] + margin), ylabel=with_unit(box.names[i], box.units[i]))
         sides = ("t" if i < columns else "") + ("b" if i >= box.n - columns else "")
-        generation_axis(axes, run.simulations, offsets, room, border=1 - 0.5 * (room + 1), most=9, sides=sides)
+        generation_axis(axes, run.simulations, offsets, spacing, border=1 - 0.5 * (spacing + 1), most=9, sides=sides)
         axes.tick_params(labelbottom=i >= box.n - columns)
     for axes in panels[box.n :]:
         axes.remove()
     legend = legend_above(figure, panels[0], columns=2 if columns == 1 else 4)
     for handle in legend.legend_handles:
         if isinstance(handle, PathCollection):
-            handle.set_sizes([12.0])  # a dot of the cloud is too small to be seen on its own
+            handle.set_sizes([12.0])  # dots of the scatter plot are too small for a legend
     return figure
 
 
@@ -119,7 +127,7 @@ def sim_versus_reality(run: RunData) -> Figure:
     axes = figure.subplots()
     f_s, f_r, iteration = (run.trials[name] for name in ("f_s", "f_r", "iteration"))
     numbers = np.unique(iteration)
-    # Long runs: name so many iterations that the legend stays small.
+    # Name a limited number of iterations in the legend.
     named = {0, numbers.max(), *numbers[numbers > 0][:: math.ceil(len(numbers) / 8)]}
     for number in numbers:
         rows = iteration == number
@@ -149,7 +157,7 @@ def sim_versus_reality(run: RunData) -> Figure:
         axis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
     if not both.all():
         axes.set_title(f"{(~both).sum()} of {len(both)} trials failed and are not shown", loc="left", color="0.3")
-    # On the side of the diagonal where fewer points lie.
+    # Legend on the side of the diagonal with fewer points.
     axes.legend(loc="upper left" if (f_r[both] > f_s[both]).sum() <= both.sum() / 2 else "lower right")
     return figure
 
@@ -184,12 +192,12 @@ def scan_curve(data: ScanData) -> Figure:
 
 
 def _slot(run: RunData) -> float:
-    """Width of a visit to reality on an axis of generations: room for each trial, but no more than for the search."""
+    """Width of the trials in reality on an axis of generations."""
     return max(2.0, 0.6 * max(len(search.scores) for search in run.controllers))
 
 
 def _members(searches: Sequence[Search], offsets: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Place, parameters and darkness of every member; dark for a large Delta_fitness, as in the paper."""
+    """Position, parameters and grey level of every member; darker for a larger distance, as in the paper."""
     places, values, scores = [], [], []
     for search, offset in zip(searches, offsets, strict=True):
         generations, population = search.scores.shape
@@ -197,7 +205,7 @@ def _members(searches: Sequence[Search], offsets: list[float]) -> tuple[np.ndarr
         values.append(search.parameters.reshape(generations * population, -1))
         scores.append(search.scores.ravel())
     score = np.concatenate(scores)
-    # By rank, since a few hopeless simulations would make all others equally pale. Diverged ones are the worst.
+    # By rank, since outliers would compress the scale. Diverged simulations rank last.
     rank = np.argsort(np.argsort(np.where(np.isnan(score), np.inf, score), kind="stable"), kind="stable")
     return np.concatenate(places), np.concatenate(values), 0.18 + 0.5 * rank / max(len(rank) - 1, 1)
 
@@ -221,7 +229,7 @@ def _population(
     """Draw best, mean and spread of every generation of the searches.
 
     Returns:
-      What spans the range to be shown.
+      The values that determine the range of the y axis.
     """
     shown = []
     for number, (search, offset) in enumerate(zip(searches, offsets, strict=True)):

@@ -1,8 +1,7 @@
-"""Pictures of robots: rendered by MuJoCo where OpenGL works, sketched with matplotlib where it does not.
+"""Pictures of robots: rendered by MuJoCo where OpenGL works, else drawn as outlines with matplotlib.
 
-Rendering happens in a process of its own. MuJoCo chooses its OpenGL backend from the variable MUJOCO_GL when it is
-imported, which was long ago here; and on a machine without a screen, or with half of the libraries, a backend may hang
-or take the process down with it. So a run that took an hour cannot be lost to its pictures.
+Rendering runs in a separate process: MuJoCo selects its OpenGL backend from the variable MUJOCO_GL at import, and on a
+machine without a display or with incomplete libraries a backend may hang or crash its process.
 """
 
 import copy
@@ -27,10 +26,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 AZIMUTH, ELEVATION = 145.0, -28.0
-"""Default view [degrees]: from the front right and above, where every limb of a hexapod shows its length."""
+"""Default view [degrees]: from the front right and above."""
 
 TIMEOUT = 60.0
-"""Seconds after which a backend that does not answer counts as broken."""
+"""Time after which a rendering process counts as failed [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +37,10 @@ class Camera:
     """A perspective camera, as MuJoCo's free camera.
 
     Attributes:
-      lookat: (3,) the point in the middle of the picture [m].
+      lookat: (3,) the point at the centre of the picture [m].
       distance: from the camera to that point [m].
       azimuth: direction of view in the ground plane, from the x axis [degrees].
-      elevation: its angle to the ground plane, negative when looking down [degrees].
+      elevation: angle of the direction of view to the ground plane, negative when looking down [degrees].
       fovy: vertical field of view [degrees].
     """
 
@@ -61,7 +60,7 @@ class Camera:
         return np.array([right, up, forward])
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Picture coordinates (..., 2), in which the picture's top is at +1, and depths (...) of points (..., 3)."""
+        """Picture coordinates (..., 2), with the upper edge at +1, and depths (...) [m] of points (..., 3)."""
         seen = (points - self.lookat) @ self.axes.T
         depth = seen[..., 2] + self.distance
         return seen[..., :2] / (depth[..., None] * np.tan(np.radians(self.fovy) / 2)), depth
@@ -74,25 +73,28 @@ def camera_for(
     elevation: float = ELEVATION,
     margin: float = 0.06,
 ) -> Camera:
-    """The nearest camera that shows the whole of every model in its default posture.
+    """The nearest camera that shows all models completely in their default posture.
 
     Args:
-      models: models that shall be drawn to one scale.
+      models: models to be drawn to the same scale.
       aspect: width over height of the picture.
       azimuth: see `Camera`.
       elevation: see `Camera`.
-      margin: empty share of the picture at each side.
+      margin: empty fraction of the picture at each side.
+
+    Returns:
+      The camera.
     """
     view = Camera(np.zeros(3), 0.0, azimuth, elevation)
     clouds = [cloud for model in models for _, cloud in point_clouds(model)]
     if any(map(has_ground, models)):
-        clouds += [cloud * [1, 1, 0] for cloud in clouds]  # the shadows, with the sun at noon
+        clouds += [cloud * [1, 1, 0] for cloud in clouds]  # shadows of light from above
     points = np.concatenate(clouds)
     right, up, forward = view.axes @ points.T
     slope = (1 - 2 * margin) * np.tan(np.radians(view.fovy) / 2)
     distance, centre = 0.0, []
     for across, tangent in ((right, slope * aspect), (up, slope)):
-        # |across - centre| <= tangent (distance + forward) for every point: the least distance, and its centre.
+        # The least distance with |across - centre| <= tangent (distance + forward) for all points.
         top, bottom = (across - tangent * forward).max(), (across + tangent * forward).min()
         distance = max(distance, (top - bottom) / (2 * tangent))
         centre.append((top + bottom) / 2)
@@ -107,7 +109,7 @@ def render(
     elevation: float = ELEVATION,
     camera: Camera | None = None,
 ) -> np.ndarray | None:
-    """Render one model in its default posture, filling the picture; see `render_all`.
+    """Render one model in its default posture; see `render_all`.
 
     Args:
       model: the model.
@@ -115,7 +117,7 @@ def render(
       height: likewise.
       azimuth: see `Camera`.
       elevation: see `Camera`.
-      camera: used instead of one that is made to fit.
+      camera: the camera; None for one that shows the whole model.
 
     Returns:
       (height, width, 3) uint8, or None where nothing can be rendered.
@@ -133,11 +135,11 @@ def render_all(
       models: the models.
       width: of each picture [pixels].
       height: likewise.
-      camera: one camera for all; None for one that shows all of them.
+      camera: the common camera; None for one that shows all models.
 
     Returns:
-      A (height, width, 3) uint8 array per model; None where this machine has no working OpenGL, which is said once per
-      process in one line on stderr.
+      A (height, width, 3) uint8 array per model; None where this machine has no working OpenGL, which is reported once
+      per process on stderr.
     """
     camera = camera or camera_for(models, width / height)
     backend = working_backend()
@@ -147,10 +149,10 @@ def render_all(
 
 @functools.cache
 def working_backend() -> str | None:
-    """Value of MUJOCO_GL under which rendering works here, None if none does (and a note that says so).
+    """Value of MUJOCO_GL with which rendering works, None if there is none (reported on stderr).
 
-    Tried once per process: the value that the user set, or else EGL, OSMesa and, on a desktop, GLFW (Linux), or the
-    system's own (elsewhere).
+    Tested once per process: the value set by the user, else EGL, OSMesa and, with a display, GLFW (Linux), or the
+    system's default (other systems).
     """
     given = os.environ.get("MUJOCO_GL", "").strip().lower()
     if given in ("disable", "disabled", "off", "false", "0"):
@@ -173,7 +175,7 @@ def working_backend() -> str | None:
 def _render(
     models: Sequence[mujoco.MjModel], width: int, height: int, camera: Camera, backend: str
 ) -> np.ndarray | None:
-    """Pictures (n, height, width, 3) out of another process, None if that fails in whatever way."""
+    """Pictures (n, height, width, 3) rendered in another process, None if it fails."""
     with tempfile.TemporaryDirectory(prefix="btr_mjx-") as name:
         folder = Path(name)
         names = [f"{i}.mjb" for i in range(len(models))]
@@ -182,14 +184,14 @@ def _render(
         request: dict[str, Any] = {"models": names, "width": width, "height": height}
         request |= {"lookat": camera.lookat.tolist(), "distance": camera.distance}
         request |= {"azimuth": camera.azimuth, "elevation": camera.elevation, "fovy": camera.fovy}
-        lamp = camera.axes[0] + [0.0, 0.0, 2.5]  # above, to the right of the camera
+        lamp = camera.axes[0] + [0.0, 0.0, 2.5]  # direction to the lamp: above and to the right of the camera
         request["lamp"] = (lamp / np.linalg.norm(lamp)).tolist()
         (folder / "request.json").write_text(json.dumps(request))
         worker = Path(__file__).with_name("render_worker.py")
         environment = {key: value for key, value in os.environ.items() if key != "PYOPENGL_PLATFORM"}
         environment["MUJOCO_GL"] = backend
         try:
-            # -P: the modules beside the worker must not be mistaken for top-level ones. MuJoCo's log stays in there.
+            # -P: modules beside the worker must not be imported as top-level modules. MuJoCo's log stays in the folder.
             subprocess.run(
                 [sys.executable, "-P", str(worker), name],
                 cwd=folder,
@@ -206,12 +208,12 @@ def _render(
 
 
 def has_ground(model: mujoco.MjModel) -> bool:
-    """Whether there is a plane to stand on."""
+    """Whether a model has a plane."""
     return bool((model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any())
 
 
 def point_clouds(model: mujoco.MjModel) -> list[tuple[int, np.ndarray]]:
-    """Points whose convex hull is a geom, for each geom that has an extent, in the default posture.
+    """Points whose convex hull approximates a geom, for each visible bounded geom, in the default posture.
 
     Returns:
       (geom, (n, 3) points in the world [m]) pairs; planes, height fields and invisible geoms are left out.
@@ -248,7 +250,7 @@ def point_clouds(model: mujoco.MjModel) -> list[tuple[int, np.ndarray]]:
 
 
 def without_covered(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy that does not show spheres at the end of a capsule of their radius, whose surfaces would flicker."""
+    """A copy without spheres that coincide with the end of a capsule, whose surfaces would flicker."""
     shown = copy.copy(model)
     capsules = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE)
     data = mujoco.MjData(model)
@@ -267,7 +269,7 @@ def sketch(axes: "Axes", model: mujoco.MjModel, camera: Camera, aspect: float = 
     """Draw a model in its default posture as outlines with a shadow on the ground, without OpenGL.
 
     Args:
-      axes: where to draw.
+      axes: the axes to draw in.
       model: the model.
       camera: the view.
       aspect: width over height of the picture.

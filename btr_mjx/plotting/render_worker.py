@@ -1,9 +1,9 @@
-"""Draws MuJoCo models in a process of its own; started by `btr_mjx.plotting.pictures`, which says why.
+"""Rendering of MuJoCo models in a separate process, started by `btr_mjx.plotting.pictures` (which has the reasons).
 
     python -P render_worker.py FOLDER
 
-FOLDER holds request.json and one binary model per picture; pictures.npy, (n, height, width, 3) uint8, joins them.
-Nothing of the package is imported here, so that the process starts fast.
+FOLDER holds request.json and one binary model per picture. The result is pictures.npy, (n, height, width, 3) uint8.
+This file does not import the package, so that the process starts fast.
 """
 
 import json
@@ -15,7 +15,7 @@ import numpy as np
 
 
 def main(folder: Path) -> None:
-    """Answer the request in a folder."""
+    """Render the models of the request in a folder."""
     request = json.loads((folder / "request.json").read_text())
     camera = mujoco.MjvCamera()
     camera.lookat[:] = request["lookat"]
@@ -28,7 +28,7 @@ def main(folder: Path) -> None:
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         model.vis.global_.fovy = request["fovy"]
-        # A map of shadows that reaches beyond the picture; at its border the ground would throw specks of shadow.
+        # The shadow map must extend beyond the picture: its border shows artefacts on the ground.
         model.vis.map.shadowclip, model.vis.quality.shadowsize = 2.0, 4096
         model.vis.global_.offwidth = max(width, model.vis.global_.offwidth)
         model.vis.global_.offheight = max(height, model.vis.global_.offheight)
@@ -40,7 +40,7 @@ def main(folder: Path) -> None:
 
 
 def _light(scene: mujoco.MjvScene, target: np.ndarray, towards: np.ndarray, distance: float) -> None:
-    """Replace a model's lights, which were made for its viewer, by a weak headlight and one lamp that casts shadows."""
+    """Replace a model's lights by a weak headlight and one lamp that casts shadows."""
     head, lamp = scene.lights[0], scene.lights[1]
     scene.nlight = 2
     head.ambient[:], head.diffuse[:], head.specular[:] = 0.35, 0.4, 0.05

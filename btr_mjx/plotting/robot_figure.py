@@ -1,4 +1,4 @@
-"""The robot in its default posture, in the morphologies of a run side by side; Fig. 1 of the paper."""
+"""Figure of the robot in its default posture with the morphologies of a run side by side; Fig. 1 of the paper."""
 
 import math
 from collections.abc import Sequence
@@ -13,19 +13,21 @@ from btr_mjx.plotting.run_data import RunData
 from btr_mjx.robots import Robot
 
 WIDTH, HEIGHT = 640, 560
+"""Size of a picture [pixels]."""
+
 UNKNOWN = (0.97, 0.80, 0.30, 1.0)
-"""Colour of the parts whose size is searched: lighter than the rest, in black and white too."""
+"""Colour of geoms whose size is searched: lighter than the others, also in grey scale."""
 
 
 def morphologies(robot: Robot, run: RunData) -> Figure:
-    """Pictures of the nominal, the identified and (where it is known) the true morphology, to one scale.
+    """Pictures of the nominal, the identified and (where known) the true morphology, to the same scale.
 
     Args:
       robot: the robot.
       run: the run, for the values of the unknown parameters.
 
     Returns:
-      The figure; sketches take the place of rendered pictures on a machine without OpenGL.
+      The figure, with outlines instead of rendered pictures on a machine without OpenGL.
     """
     nominal = robot.nominal_simulation
     indices = robot.simulation_box.indices(run.box.names)
@@ -54,7 +56,7 @@ def morphologies(robot: Robot, run: RunData) -> Figure:
 
 
 def draw_models(panels: Sequence, models: Sequence[mujoco.MjModel]) -> None:
-    """Draw one model in each panel, from one camera that shows all of them."""
+    """Draw one model in each panel, from a common camera that shows all of them."""
     camera = pictures.camera_for(models, WIDTH / HEIGHT)
     rendered = pictures.render_all(models, WIDTH, HEIGHT, camera)
     for i, (axes, model) in enumerate(zip(panels, models, strict=True)):
@@ -66,7 +68,7 @@ def draw_models(panels: Sequence, models: Sequence[mujoco.MjModel]) -> None:
 
 
 def _searched_geoms(robot: Robot, indices: np.ndarray) -> np.ndarray:
-    """Which geoms change their size with the unknown parameters."""
+    """Ids of the geoms whose size depends on the unknown parameters."""
     low, high = robot.nominal_simulation, robot.nominal_simulation
     low[indices], high[indices] = robot.simulation_box.low[indices], robot.simulation_box.high[indices]
     sizes = [compile_mjcf(robot, robot.render(values)).geom_size for values in (low, high)]

@@ -1,4 +1,4 @@
-"""What the figures show, read back from the files of a run folder and from nothing else."""
+"""Data of the figures, read from the files of a run folder."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +9,7 @@ import polars as pl
 
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import DISTANCE, FITNESS_FUNCTIONS
-from btr_mjx.robots import Box, Robot, hexapod, robot_of
+from btr_mjx.robots import Box, Robot, robot_of
 from btr_mjx.runs import CONFIG_NAME, read_arrays, read_config_json, read_json, read_table
 
 
@@ -39,7 +39,7 @@ class RunData:
       box: the unknown parameters with their bounds and units.
       start: (n,) their values in s_0.
       identified: (n,) in the last simulation.
-      truth: (n,) in reality; None where nobody knows.
+      truth: (n,) in reality; None where they are not known.
       iterations: one row per iteration, see `algorithm`.
       trials: controllers, f_r, f_s and iteration of every evaluation in reality; iteration 0 is the first controller.
       controllers: step 1 of every iteration.
@@ -64,17 +64,17 @@ class RunData:
 
     @property
     def distance_symbol(self) -> str:
-        """How figures call what step 3 minimised."""
+        """Symbol of the distance that step 3 minimised."""
         return r"$\Delta_{fitness}$" if self.distance == "fitness" else "multiscale distance"
 
     @property
     def distance_label(self) -> str:
-        """For axes: the same with its unit; the multiscale distance has none."""
+        """Axis label of that distance, with its unit (the multiscale distance has none)."""
         return with_unit(self.distance_symbol, self.unit if self.distance == "fitness" else "")
 
     @property
     def fitness_label(self) -> str:
-        """For axes: the fitness in words, with its unit."""
+        """Axis label of the fitness, with its unit."""
         return fitness_label(self.fitness, self.unit)
 
 
@@ -87,7 +87,7 @@ class ScanData:
       parameter_unit: its unit.
       unit: of the fitness.
       grid: (G,) its values.
-      truth: its value in reality, NaN where nobody knows.
+      truth: its value in reality, NaN where it is not known.
       delta: (G, m) delta_k.
       delta_fitness: (G,) their mean.
       result: result.json.
@@ -104,13 +104,13 @@ class ScanData:
 
 
 def fitness_label(name: str, unit: str) -> str:
-    """The fitness in words, with its unit."""
+    """Axis label of a fitness function, with its unit."""
     words = {"distance": "distance / duration"}.get(name, name.replace("_", " "))
     return with_unit(f"fitness ({words})", unit)
 
 
 def with_unit(text: str, unit: str) -> str:
-    """`text [unit]`, or the text alone."""
+    """`text [unit]`, or the text without a unit."""
     return f"{text} [{unit}]" if unit else text
 
 
@@ -118,7 +118,7 @@ def read_run(folder: Path) -> RunData:
     """Read a run folder of `python -m btr_mjx.coevolve`.
 
     Raises:
-      InputError: no run folder, one whose run has not ended, or a damaged file.
+      InputError: not a run folder, a run that has not ended, or a damaged file.
     """
     config = read_config_json(folder)
     result = _result(folder)
@@ -130,8 +130,8 @@ def read_run(folder: Path) -> RunData:
         fitness=result["fitness"],
         unit=function.unit if function else "",
         maximise=function.maximise if function else True,
-        # Another template of the hexapod has the same parameters, and need not be at hand to draw curves.
-        box=hexapod().simulation_box.subspace(names).with_bits(config.get("simulation_bits", 8)),
+        # Other templates have the same parameters, and need not be available to draw curves.
+        box=robot_of().simulation_box.subspace(names).with_bits(config.get("simulation_bits", 8)),
         start=values("start"),
         identified=values("simulation"),
         truth=None if result["truth"] is None else values("truth"),
@@ -148,22 +148,22 @@ def read_robot(folder: Path) -> Robot:
     """The robot of a run folder.
 
     Raises:
-      InputError: no run folder, or the template that its config names cannot be read any more.
+      InputError: not a run folder, or the template of its config cannot be read.
     """
     config = read_config_json(folder)
-    return robot_of(config.get("template"), config.get("duration", hexapod().duration))
+    return robot_of(config.get("template"), config.get("duration", robot_of().duration))
 
 
 def read_scan(folder: Path) -> ScanData:
-    """Read a run folder of `python -m btr_mjx.scan`, or the scan.npz and result.json that a script of one's own saved.
+    """Read a run folder of `python -m btr_mjx.scan`, or scan.npz and result.json in the same format.
 
     Raises:
-      InputError: no scan, one that has not ended, or a damaged file.
+      InputError: no scan, a scan that has not ended, or a damaged file.
     """
     config = read_config_json(folder) if (folder / CONFIG_NAME).exists() else {"fitness": DISTANCE.name}
     result = _result(folder)
     arrays = read_arrays(folder / "scan.npz")
-    function, box = FITNESS_FUNCTIONS.get(config.get("fitness", "")), hexapod().simulation_box
+    function, box = FITNESS_FUNCTIONS.get(config.get("fitness", "")), robot_of().simulation_box
     parameter = str(arrays["parameter"])
     return ScanData(
         parameter=parameter,

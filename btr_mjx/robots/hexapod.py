@@ -26,14 +26,14 @@ HEXAPOD: Mapping[str, float] = {
     "trunk_radius": 0.15,  # [m]
     "petiole": 0.3,  # length of b1 [m]
     "gaster": 0.6,  # length of b2 [m]
-    "gaster_rise": 0.1,  # by how much the gaster's end stands above its root [m]
+    "gaster_rise": 0.1,  # height of the gaster's end above its root [m]
     "gaster_radius": 0.2,  # [m]
     "limb_radius": 0.06,  # femurs, tibiae, knees and feet [m]
     # Default posture.
     "hip_offset": 0.2,  # lateral distance of the hips from the trunk's axis [m]
-    "fan": math.radians(35),  # front and rear legs are turned outwards by this [rad]
-    "femur_up": math.radians(20),  # femurs rise by this from hip to knee [rad]
-    "tibia_down": math.radians(75),  # tibiae fall by this from knee to foot [rad]
+    "fan": math.radians(35),  # outward rotation of front and rear legs [rad]
+    "femur_up": math.radians(20),  # elevation of the femurs from hip to knee [rad]
+    "tibia_down": math.radians(75),  # depression of the tibiae from knee to foot [rad]
     "start_clearance": 0.01,  # gap between the lowest foot and the ground at t = 0 [m]
     # Joints and motors: tau = kp e + ki int(e) dt - kv dq/dt, e = r - q.
     "kp": 2000.0,  # [N m/rad]
@@ -45,7 +45,7 @@ HEXAPOD: Mapping[str, float] = {
     "friction": 0.8,  # sliding coefficient [1]
     "contact_time_constant": 0.02,  # solref [s]
 }
-"""Constants of the hexapod with their units, chosen by the recorded calibration `experiments/calibrate_robot.py`."""
+"""Constants of the hexapod with their units, chosen by `experiments/calibrate_robot.py`."""
 
 
 def sinusoids(controller: Any, time: Any, xp: Any) -> Any:
@@ -100,11 +100,11 @@ PAPER_REALITIES: Mapping[str, Mapping[str, float]] = {
     "fig2": {"bl_5": 0.88, "bl_14": 1.6},
     "fig4": {"bl_3": 0.54, "bl_5": 0.54, "bl_6": 0.74, "bl_8": 0.74},
 }
-"""Lengths that play reality in the paper, by figure [m]; all others are nominal."""
+"""Lengths of the simulated reality in the paper, by figure [m]; all others are nominal."""
 
 
 def robot_of(template: str | Path | None = None, duration: float = 1.7) -> Robot:
-    """The hexapod, or one with another template of the same parameters and motors, as commands take it.
+    """The robot of a command: the hexapod, or another template with the same parameters and motors.
 
     Args:
       template: file of the template; None for the paper's hexapod.

@@ -1,6 +1,6 @@
-"""What a robot is: a template of its model, a space of simulations, a space of controllers, a reference signal.
+"""Robot: an MJCF template, a space of simulations, a space of controllers and a reference signal.
 
-To bring one's own robot, write an MJCF file with Jinja2 variables for what is unknown about it and make a `Robot`:
+To define your own robot, write an MJCF file with Jinja2 variables for its unknown parameters and make a `Robot`:
 
     robot = Robot(
         name="monoped",
@@ -31,8 +31,8 @@ from btr_mjx.robots.spaces import Box
 Signal = Callable[[Any, Any, Any], Any]
 """signal(controller, time, xp): controls (n_u, ...) at one time [s] of controllers (n_c, ...).
 
-xp is numpy or jax.numpy. The parameters come first and the batch last. Only elementwise arithmetic of `xp` may be used
-on the batch.
+xp is numpy or jax.numpy. The parameters come first and the batch last. Only elementwise functions of `xp` may be
+applied to the batch.
 """
 
 
@@ -48,11 +48,11 @@ class Robot:
       simulation_box: the space S of simulations.
       controller_box: the space C of controllers.
       signal: the reference that the motors track, see `Signal`.
-      nominal: the simulation that is believed before anything is measured, one value per parameter of S.
-      constants: (name, value) pairs that the template needs beside the parameters of S.
-      base_body: the body with the free joint whose position is measured; None for a robot that is bolted down.
-      duration: T_e, the time that a controller is tried for [s].
-      speed_limit: a base faster than this [m/s] is a numerical accident, not a gait: the pair counts as diverged.
+      nominal: the simulation assumed before any measurement, one value per parameter of S.
+      constants: (name, value) pairs that the template needs in addition to the parameters of S.
+      base_body: the body with the free joint whose position is measured; None for a robot with a fixed base.
+      duration: T_e, duration of a trial [s].
+      speed_limit: maximum plausible speed of the base [m/s]; a pair that exceeds it counts as diverged.
     """
 
     name: str
@@ -133,14 +133,14 @@ _TEMPLATE_FUNCTIONS: Mapping[str, Any] = {
 
 @lru_cache(maxsize=64)
 def compiled_template(text: str) -> jinja2.Template:
-    """The template of a text, with the functions that templates may use."""
+    """The compiled Jinja2 template of a text, with the functions sin, cos, radians, sqrt, min and max."""
     environment = SandboxedEnvironment(undefined=jinja2.StrictUndefined, autoescape=False)
     environment.globals.update(_TEMPLATE_FUNCTIONS)
     return environment.from_string(text)
 
 
 def _template_line(error: BaseException) -> str:
-    """' (line N)' where the template's own frame says it; Jinja2 rewrites tracebacks so that they point there."""
+    """' (line N)' of the template, from the traceback, which Jinja2 rewrites to point into the template; else ''."""
     if isinstance(error, jinja2.TemplateSyntaxError):
         return f" (line {error.lineno})"
     line, trace = None, error.__traceback__

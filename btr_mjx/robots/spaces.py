@@ -1,71 +1,26 @@
-"""Bounded parameter spaces and their bit-string code.
+"""Box: a bounded space of named parameters, with a bit-string code for evolution.
 
-A `Box` is the simulation space S or the controller space C of the paper: named parameters, each inside [low, high].
-Evolution works on genotypes, "probability p_m per bit": `encode` and `decode` translate between a vector of the box and
-a bit string. Each parameter owns a run of bits, most significant first, that numbers the points of a uniform grid which
-includes both bounds:
-
-    value = low + (high - low) * k / (2**bits - 1),   k = 0 .. 2**bits - 1
-
-k is written either in plain binary or in the reflected Gray code, k ^ (k >> 1). Gray is the default: neighbouring grid
-points always differ in one bit, so that a single mutation can always make the smallest step. In plain binary 0111 and
-1000 are neighbours four flips apart, and evolution gets stuck on either side of such cliffs.
+The simulation space S and the controller space C of the paper are boxes: every parameter lies within [low, high].
+`encode` and `decode` translate between vectors of the box and genomes (bit strings, see `bit_codes`), on which the
+genetic operators of the paper work ("probability p_m per bit").
 """
 
 import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from btr_mjx.errors import InputError
-
-Code = Literal["binary", "gray"]
-"""How a grid index is written as bits."""
+from btr_mjx.robots.bit_codes import MAX_BITS, Code, genome_to_indices, indices_to_genome
 
 Size = int | tuple[int, ...]
 """Leading shape of drawn arrays, as numpy's `size`."""
 
-MAX_BITS = 32
-"""Finest grid. Far below the 53 bits of a float64, so that encoding a decoded genome is exact."""
-
 # A bound that passed through float32 (every JAX array by default) may lie this far outside, relative to its size.
 _FLOAT32_SLACK = 2 * float(np.finfo(np.float32).eps)
-
-
-def bits_to_index(bits: NDArray[np.bool_], code: Code) -> NDArray[np.int64]:
-    """Read bit strings as grid indices.
-
-    Args:
-      bits: (..., b), most significant first, b <= 62.
-      code: "binary" or "gray".
-
-    Returns:
-      (...) indices in 0 .. 2**b - 1.
-    """
-    if code == "gray":
-        bits = np.logical_xor.accumulate(bits, axis=-1)
-    weights = np.int64(1) << np.arange(bits.shape[-1] - 1, -1, -1, dtype=np.int64)
-    return bits.astype(np.int64) @ weights
-
-
-def index_to_bits(index: NDArray[np.int64], n_bits: int, code: Code) -> NDArray[np.bool_]:
-    """Write grid indices as bit strings; the inverse of `bits_to_index`.
-
-    Args:
-      index: (...) indices in 0 .. 2**n_bits - 1.
-      n_bits: length of the bit strings.
-      code: "binary" or "gray".
-
-    Returns:
-      (..., n_bits), most significant first.
-    """
-    if code == "gray":
-        index = index ^ (index >> 1)
-    shifts = np.arange(n_bits - 1, -1, -1, dtype=np.int64)
-    return (index[..., None] >> shifts & 1).astype(bool)
 
 
 def _names(names: Iterable[str], what: str) -> tuple[str, ...]:
@@ -100,7 +55,7 @@ class Box:
       low: (n,) lower bounds, in the parameters' own units.
       high: (n,) upper bounds, above `low`.
       bits: n counts of bits, 1 .. 32: the grid has 2**bits points.
-      code: "gray" (default) or "binary", see the module's docstring.
+      code: "gray" (default) or "binary", see `bit_codes`.
       units: n unit strings such as "m" or "rad", "" where none was given; used in messages, tables and plots only.
     """
 
@@ -206,16 +161,6 @@ class Box:
         """(n,) index of the last grid point."""
         return (np.int64(1) << np.array(self.bits, dtype=np.int64)) - 1
 
-    @property
-    def _slots(self) -> NDArray[np.bool_]:
-        """(n, max(bits)): where the bits of a genome lie when every parameter is padded on the left to equal length.
-
-        Leading zeros change neither a binary nor a Gray number, so one array operation serves parameters of different
-        resolution.
-        """
-        width = max(self.bits)
-        return np.arange(width) >= width - np.array(self.bits)[:, None]
-
     def index(self, name: str) -> int:
         """Position of a parameter.
 
@@ -240,7 +185,7 @@ class Box:
 
         Args:
           values: (..., n), in the parameters' units.
-          what: how messages call them.
+          what: what error messages call them.
 
         Returns:
           (..., n) a float64 copy.
@@ -286,11 +231,7 @@ class Box:
         Raises:
           InputError: wrong length, or entries other than 0 and 1.
         """
-        bits = self.validate_genomes(genomes)
-        slots = self._slots
-        padded = np.zeros((*bits.shape[:-1], *slots.shape), dtype=bool)
-        padded[..., slots] = bits
-        index = bits_to_index(padded, self.code)
+        index = genome_to_indices(self.validate_genomes(genomes), self.bits, self.code)
         return np.where(index == self._last, self.high, self.low + self.span * (index / self._last))
 
     def encode(self, values: ArrayLike) -> NDArray[np.bool_]:
@@ -307,10 +248,21 @@ class Box:
         """
         array = self.validate(values, "values to encode")
         index = np.rint((array - self.low) / self.span * self._last).astype(np.int64)
-        return index_to_bits(index, max(self.bits), self.code)[..., self._slots]
+        return indices_to_genome(index, self.bits, self.code)
 
     def validate_genomes(self, genomes: ArrayLike, what: str = "genomes") -> NDArray[np.bool_]:
-        """Check genomes; (..., n_bits) bool, or ValueError for a wrong length or entries other than 0 and 1."""
+        """Check genomes.
+
+        Args:
+          genomes: (..., n_bits) bool, or 0 and 1.
+          what: what error messages call them.
+
+        Returns:
+          (..., n_bits) bool.
+
+        Raises:
+          InputError: wrong length, or entries other than 0 and 1.
+        """
         array = np.asarray(genomes)
         if array.ndim == 0 or array.shape[-1] != self.n_bits:
             raise InputError(
@@ -344,7 +296,7 @@ class Box:
         )
 
     def embed(self, base: ArrayLike, names: Iterable[str], values: ArrayLike) -> NDArray[np.float64]:
-        """Put the values of some parameters into full vectors: the unknowns into what is known of a simulation.
+        """Insert values of some parameters into full vectors, such as unknown parameters into a known simulation.
 
         Args:
           base: (..., n) full vectors; leading axes broadcast against those of `values`.
@@ -352,7 +304,7 @@ class Box:
           values: (..., k) their values.
 
         Returns:
-          (..., n) a new array; `base` is left alone.
+          (..., n) a new array; `base` is not changed.
 
         Raises:
           InputError: as `index` and `validate`.

@@ -1,7 +1,7 @@
 """Run folders: everything a run needs to be read, repeated, killed and resumed.
 
 A `RunFolder` holds config.json, environment.json and checkpoints under a lock. Files are written to a temporary name,
-flushed and renamed, so that they are whole or absent. Long work reports through `progress` and stops through
+flushed and renamed, so that a file is either complete or absent. Long work reports through `progress` and stops through
 `graceful_interrupt`.
 """
 

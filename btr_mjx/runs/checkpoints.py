@@ -1,11 +1,11 @@
-"""Checkpoints: the state of a run after a step, each one file that vouches for itself.
+"""Checkpoints: the state of a run after a step, each in one file with its own checksum.
 
 `checkpoint-000012.npz` holds the arrays of step 12, a JSON text with everything else, and the SHA-256 of the whole
-file. Because it is one file, written atomically, no kill can leave arrays and text of two different steps. The last
-few are kept, so a file that the disk damaged later costs some steps and not the run.
+file. Because it is one file, written atomically, arrays and text always belong to the same step. The last few
+checkpoints are kept, so that a file damaged on disk costs a few steps and not the run.
 
-The text may hold NaN and infinities and returns them as floats (it is read by this module alone); tuples come back as
-lists.
+The JSON text may hold NaN and infinities, which are read back as floats (only this module reads it). Tuples are read
+back as lists.
 """
 
 import json
@@ -17,31 +17,34 @@ from typing import Any
 
 import numpy as np
 
-from btr_mjx.errors import DamagedFile, InputError
+from btr_mjx.errors import DamagedFile
 from btr_mjx.runs.files import read_arrays, to_plain, write_arrays
 from btr_mjx.runs.progress_bar import note
 
 FORMAT = 1
+"""Version of the file format."""
+
 META_NAME = "__meta__"
+"""Array that holds the JSON text."""
+
 _FILE_NAME = re.compile(r"checkpoint-(\d{6,})\.npz")
-BIT_GENERATORS: Mapping[str, type[np.random.BitGenerator]] = {
-    "PCG64": np.random.PCG64,
-    "PCG64DXSM": np.random.PCG64DXSM,
-    "MT19937": np.random.MT19937,
-    "Philox": np.random.Philox,
-    "SFC64": np.random.SFC64,
-}
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """What a run needs to go on after `step`."""
+    """What a run needs to continue after `step`.
+
+    Attributes:
+      step: 0, 1, 2, ...
+      arrays: name -> array.
+      meta: JSON-able values.
+      rows: table name -> number of rows that belong to this step; see `btr_mjx.runs.folder.History`.
+    """
 
     step: int
     arrays: dict[str, np.ndarray]
     meta: dict[str, Any]
     rows: dict[str, int]
-    """Table name -> number of rows that belong to this step; see `btr_mjx.runs.folder.History`."""
 
 
 def checkpoint_path(folder: str | Path, step: int) -> Path:
@@ -50,7 +53,7 @@ def checkpoint_path(folder: str | Path, step: int) -> Path:
 
 
 def list_checkpoints(folder: str | Path) -> list[tuple[int, Path]]:
-    """The (step, file) of every checkpoint in the folder, oldest first, sound or not."""
+    """The (step, file) of every checkpoint in the folder, oldest first, damaged ones included."""
     matches = [(_FILE_NAME.fullmatch(path.name), path) for path in Path(folder).iterdir()]
     return sorted((int(match.group(1)), path) for match, path in matches if match)
 
@@ -66,13 +69,14 @@ def save_checkpoint(
 ) -> Path:
     """Write the state after `step`, then delete what is no longer needed.
 
-    Of the steps up to this one the last `keep` stay. Files of later steps are deleted: they belong to a course of the
-    run that a resume from an earlier checkpoint has left.
+    Of the steps up to this one the last `keep` stay. Files of later steps are deleted: they were written before the run
+    was resumed from an earlier checkpoint.
 
     Args:
       folder: the run folder.
       step: 0, 1, 2, ...
-      arrays: name -> array; bools, integers and floats of any width, bit for bit. Names with "__" in front are ours.
+      arrays: name -> array; bools, integers and floats of any width, bit for bit. Names that begin with "__" are
+        reserved.
       meta: JSON-able values; NaN and infinities are kept.
       rows: number of rows per history table.
       keep: how many checkpoints stay, at least 2.
@@ -100,7 +104,7 @@ def save_checkpoint(
 
 
 def drop_older(folder: str | Path, step: int, keep: int) -> None:
-    """Delete the checkpoints of steps up to `step` but for the last `keep`.
+    """Delete the checkpoints of steps up to `step`, except the last `keep`.
 
     Raises:
       OSError: a file cannot be deleted.
@@ -129,17 +133,17 @@ def read_checkpoint(path: str | Path) -> Checkpoint:
 
 
 def load_latest(folder: str | Path, *, warn: Callable[[str], None] = note) -> Checkpoint | None:
-    """Load the newest sound checkpoint.
+    """Load the newest checkpoint that is not damaged.
 
     Args:
       folder: the run folder.
-      warn: gets one line for each damaged file that was passed over.
+      warn: receives one line for each damaged file that was skipped.
 
     Returns:
       The checkpoint, or None where none was ever written.
 
     Raises:
-      DamagedFile: there are checkpoints and none is sound.
+      DamagedFile: there are checkpoints and all are damaged.
       OSError: a file cannot be read.
     """
     files = list_checkpoints(folder)
@@ -153,66 +157,3 @@ def load_latest(folder: str | Path, *, warn: Callable[[str], None] = note) -> Ch
     if not files:
         return None
     raise DamagedFile(f"no sound checkpoint in {folder} ({'; '.join(problems)}); start again with another --out")
-
-
-def generator_to_json(generator: np.random.Generator) -> dict[str, Any]:
-    """The whole state of a numpy Generator, so that its next draws and its next `spawn` are the same.
-
-    Integers that a double cannot hold (PCG64 has 128 bits) are written as "0x..." strings, so any JSON reader keeps
-    them.
-
-    Raises:
-      ValueError: a bit generator that numpy does not ship.
-    """
-    bits = generator.bit_generator
-    state = dict(bits.state)
-    if state["bit_generator"] not in BIT_GENERATORS:
-        raise ValueError(f"expected one of {', '.join(BIT_GENERATORS)}, got {state['bit_generator']}")
-    seeds = bits.seed_seq
-    if isinstance(seeds, np.random.SeedSequence):
-        state["seed_sequence"] = seeds.state
-    return _pack(state)
-
-
-def generator_from_json(data: Mapping[str, Any]) -> np.random.Generator:
-    """Rebuild the Generator that `generator_to_json` described.
-
-    Raises:
-      InputError: not such a description.
-    """
-    name = str(data.get("bit_generator"))
-    if name not in BIT_GENERATORS:
-        raise InputError(f"generator state: expected bit_generator of {', '.join(BIT_GENERATORS)}, got {name!r}")
-    try:
-        state = _unpack(data)
-        seeds = state.pop("seed_sequence", None)
-        # The seed is overwritten below; it only keeps `spawn` in step, and no entropy is drawn from the system.
-        bits = BIT_GENERATORS[name](np.random.SeedSequence(**seeds) if seeds else 0)
-        bits.state = state
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise InputError(f"generator state: not a valid state of {name} ({error})") from error
-    return np.random.Generator(bits)
-
-
-def _pack(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return {"dtype": value.dtype.name, "values": [_pack(item) for item in value.tolist()]}
-    if isinstance(value, Mapping):
-        return {key: _pack(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_pack(item) for item in value]
-    if isinstance(value, int | np.integer) and not -(2**53) <= value <= 2**53:
-        return hex(value)
-    return to_plain(value)
-
-
-def _unpack(value: Any) -> Any:
-    if isinstance(value, Mapping) and set(value) == {"dtype", "values"}:
-        return np.array([_unpack(item) for item in value["values"]], np.dtype(value["dtype"]))
-    if isinstance(value, Mapping):
-        return {key: _unpack(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_unpack(item) for item in value]
-    if isinstance(value, str) and value.startswith("0x"):
-        return int(value, 16)
-    return value

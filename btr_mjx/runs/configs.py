@@ -1,8 +1,8 @@
 """Config dataclasses and their JSON.
 
-A command's config is one frozen dataclass; its CLI (tyro), its help and `config.json` are the same thing. Fields may be
-bool, int, float, str, Path, None, Literal, Enum (by name), tuples, lists, dicts with str keys, other dataclasses, and
-unions of these. Floats that are not finite are written as "NaN", "Infinity" and "-Infinity".
+A command's config is one frozen dataclass, from which the command line (tyro), its help and `config.json` are made.
+Fields may be bool, int, float, str, Path, None, Literal, Enum (by name), tuples, lists, dicts with str keys, other
+dataclasses, and unions of these. Floats that are not finite are written as "NaN", "Infinity" and "-Infinity".
 """
 
 import collections.abc
@@ -18,14 +18,18 @@ from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.runs.files import read_json, to_plain
 
 CONFIG_NAME = "config.json"
+"""Name of the file in a run folder."""
+
 ABSENT = "(absent)"
+"""How messages show a field that one of two configs does not have."""
 
 
 def config_to_json(config: Any) -> dict[str, Any]:
     """The JSON object of a config.
 
     Raises:
-      TypeError: not a dataclass instance, or a field that would not come back from JSON equal (a bug in the config).
+      TypeError: not a dataclass instance, or a field that JSON would not restore as an equal value (a bug in the
+        config).
     """
     if not dataclasses.is_dataclass(config) or isinstance(config, type):
         raise TypeError(f"a config is a dataclass instance, got {type(config).__name__}")
@@ -64,7 +68,7 @@ def read_config[T](folder: str | Path, cls: type[T]) -> T:
 
 
 def read_config_json(folder: str | Path) -> dict[str, Any]:
-    """Read config.json without knowing its class; raises as `read_config` does."""
+    """Read config.json as a JSON object, whatever its class; raises as `read_config` does."""
     path = Path(folder) / CONFIG_NAME
     if not path.is_file():
         what = "it holds no config.json" if Path(folder).is_dir() else "there is no such folder"
@@ -79,9 +83,9 @@ def differences(saved: Mapping[str, Any], new: Mapping[str, Any], ignore: Collec
     """Compare two configs' JSON objects field by field.
 
     Args:
-      saved: the one in the folder.
-      new: the one just given.
-      ignore: dotted names of fields to pass over, with all below them ("out", "ga.verbose").
+      saved: the config in the folder.
+      new: the config just given.
+      ignore: dotted names of fields to skip, with all fields below them ("out", "ga.verbose").
 
     Returns:
       One string per field that differs, e.g. "ga.population: saved 32, now 64".
@@ -169,7 +173,7 @@ def _decode_union(members: tuple[Any, ...], data: Any, where: str) -> Any:
             problems.append(str(error))
     if not found:
         raise InputError("; ".join(problems))
-    # A class is named nowhere in the JSON: only its fields tell dataclasses apart.
+    # The JSON holds no class names: dataclasses are told apart by their fields.
     exact = [one for one in found if dataclasses.is_dataclass(one) and set(to_plain(one)) == set(data)]
     if len(exact) > 1:
         raise InputError(f"{where}: {' and '.join(type(one).__name__ for one in exact)} have the same fields")

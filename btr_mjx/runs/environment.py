@@ -1,4 +1,4 @@
-"""What a result may depend on besides the config: versions, machine, devices, source."""
+"""Description of what a result may depend on besides the config: versions, machine, devices, source code."""
 
 import os
 import platform
@@ -11,7 +11,10 @@ from pathlib import Path
 from typing import Any
 
 PACKAGES = ("btr-mjx", "numpy", "scipy", "jax", "jaxlib", "mujoco", "mujoco-mjx")
+"""Distributions whose versions are recorded."""
+
 COMPARED = ("python", "versions", "machine", "processor", "cpus_usable", "devices", "settings", "git")
+"""Entries whose change is reported on resume, since it can change results."""
 
 
 def available_cores() -> int:
@@ -20,7 +23,7 @@ def available_cores() -> int:
 
 
 def describe_environment(devices: Sequence[Any] | None = None) -> dict[str, Any]:
-    """Describe this process and the machine it runs on; costs no import and starts no device.
+    """Describe this process and the machine it runs on, without importing jax or starting a device.
 
     Args:
       devices: jax devices to record; None records jax's own if it is running already, else null.
@@ -56,7 +59,7 @@ def environment_changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> li
         if isinstance(a, Mapping) and isinstance(b, Mapping):
             parts = [key for key in {**a, **b} if a.get(key) != b.get(key)]
             changes += [f"{key} changed from {a.get(key)} to {b.get(key)}" for key in parts]
-        elif a != b and (name != "devices" or (a and b)):  # absent devices only say that jax ran later
+        elif a != b and (name != "devices" or (a and b)):  # no devices were recorded if jax started later
             changes.append(f"{name} changed from {a} to {b}")
     return changes
 
@@ -70,9 +73,10 @@ def package_version(name: str) -> str | None:
 
 
 def git_state(folder: Path) -> dict[str, Any] | None:
-    """The commit that `folder` is checked out from and whether files differ from it; None where git cannot say.
+    """The commit that `folder` is checked out from and whether files differ from it; None where it is not tracked.
 
-    A folder that some repository merely contains (an environment with this package installed) has no commit of its own.
+    A folder that lies inside a repository but is not tracked (an environment with this package installed) has no
+    commit.
     """
     if not _git(folder, "ls-files", "."):
         return None
@@ -100,12 +104,12 @@ def _processor() -> str:
 
 
 def _running_devices() -> Sequence[Any] | None:
-    # Asking jax for its devices would start it, with whatever flags are set so far; so look, and do not ask.
+    # Asking jax for its devices would start its backends with the present flags.
     bridge = sys.modules.get("jax._src.xla_bridge")
     started = getattr(bridge, "backends_are_initialized", None)
     try:
         return sys.modules["jax"].devices() if started is not None and started() else None
-    except Exception:  # a private name of another jax; the description is not worth a failed run
+    except Exception:  # private names may change; the description must not make a run fail
         return None
 
 

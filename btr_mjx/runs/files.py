@@ -1,16 +1,16 @@
-"""Files that are either whole or absent: JSON, arrays, tables and figures.
+"""Atomic writing and checked reading of files: JSON, arrays, tables and figures.
 
 Every write goes to a hidden temporary file in the same folder, is flushed to the disk and then renamed over the target,
-so a reader (or a process that starts after a kill -9 or a power cut) sees the old file or the new one, never a part.
+so that a reader (also after a kill -9 or a power cut) finds the old file or the new one, never a part.
 
 Formats:
 
 - JSON is strict. A float that is not finite becomes one of the strings "NaN", "Infinity", "-Infinity", which
-  `float()` reads back; null stays what it says, no value. Tuples become lists, enums their names, paths strings,
+  `float()` reads back; null means no value. Tuples become lists, enums their names, paths strings,
   dataclasses objects, numpy scalars and arrays numbers and lists.
-- Arrays are `.npz` without pickle. The zip comment holds the SHA-256 of every byte before it, so that one file vouches
-  for itself; `numpy.load` reads it like any other `.npz`.
-- Tables are Parquet, or CSV where a human reads them, by the file name's suffix.
+- Arrays are `.npz` without pickle. The zip comment holds the SHA-256 of every byte before it, so that damage is
+  detected; `numpy.load` reads it like any other `.npz`.
+- Tables are Parquet, or CSV for human readers, chosen by the suffix of the file name.
 """
 
 import dataclasses
@@ -33,11 +33,14 @@ import polars as pl
 from btr_mjx.errors import DamagedFile, InputError
 
 DIGEST_PREFIX = b"sha256:"
+"""Start of the zip comment, before the digest."""
+
 DIGEST_LENGTH = 64
+"""Hexadecimal digits of a SHA-256 digest."""
 
 
 def sync_folder(folder: Path) -> None:
-    """Make renames and new names in `folder` survive a power cut, where the system can."""
+    """Flush a folder's entries to the disk (fsync), so that renames survive a power cut; a no-op on Windows."""
     if not hasattr(os, "O_DIRECTORY"):
         return
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
@@ -48,7 +51,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def is_temporary(path: Path) -> bool:
-    """Whether a killed process may have left this file in the middle of a write."""
+    """Whether this is a temporary file of `atomic_write`, which a killed process may have left behind."""
     return path.name.startswith(".") and path.name.endswith(".tmp")
 
 
@@ -77,14 +80,14 @@ def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
 
 
 def to_plain(value: Any, *, strict: bool = True) -> Any:
-    """Reduce a value to what JSON knows: None, bool, int, float, str, list and dict with str keys.
+    """Reduce a value to JSON types: None, bool, int, float, str, list and dict with str keys.
 
     Args:
       value: also dataclasses (their init fields), enums (by name), paths, tuples, numpy scalars and arrays.
       strict: write floats that are not finite as strings; False keeps them as floats.
 
     Raises:
-      TypeError: a value or a key of any other type, with the place where it stands.
+      TypeError: a value or a key of any other type; the message names its place.
     """
 
     def reduce(value: Any, where: str) -> Any:
@@ -127,7 +130,7 @@ def write_json(path: str | Path, value: Any) -> None:
 
 
 def read_json(path: str | Path) -> Any:
-    """Read strict JSON. Numbers that are not finite come back as the strings they were written as.
+    """Read strict JSON. Numbers that are not finite are returned as the strings that were written.
 
     Raises:
       DamagedFile: not strict JSON (NaN tokens are refused too); names line and column.
@@ -156,7 +159,7 @@ def _as_saved(name: str, value: Any) -> np.ndarray:
 def write_arrays(path: str | Path, arrays: Mapping[str, Any], *, compress: bool = False) -> None:
     """Write named arrays as `.npz` with a SHA-256 digest of the file inside it.
 
-    Every dtype comes back bit for bit, NaN payloads included. Equal arrays give equal files.
+    `read_arrays` restores every dtype bit for bit, NaN payloads included. Equal arrays give equal files.
 
     Raises:
       TypeError: an array of Python objects, or of a dtype that `.npz` does not keep (bfloat16).
@@ -177,7 +180,7 @@ def write_arrays(path: str | Path, arrays: Mapping[str, Any], *, compress: bool 
 
 
 def _digest(file: BinaryIO) -> bytes:
-    """SHA-256, in hex, of all bytes but the last 64, which are its own place."""
+    """SHA-256, in hex, of all bytes except the last 64, where the digest itself is stored."""
     remaining = file.seek(0, os.SEEK_END) - DIGEST_LENGTH
     file.seek(0)
     total = hashlib.sha256()
@@ -191,7 +194,7 @@ def _digest(file: BinaryIO) -> bytes:
 
 
 def read_arrays(path: str | Path, *, require_digest: bool = False) -> dict[str, np.ndarray]:
-    """Read a `.npz` file and verify the digest that `write_arrays` put there.
+    """Read a `.npz` file and verify the digest that `write_arrays` stored.
 
     Args:
       path: the file.
@@ -217,7 +220,7 @@ def read_arrays(path: str | Path, *, require_digest: bool = False) -> dict[str, 
                 raise ValueError("it holds a single .npy array")
             with archive:
                 return {name: archive[name] for name in archive.files}
-        except Exception as error:  # zipfile and numpy raise a dozen types for bytes that make no sense
+        except Exception as error:  # zipfile and numpy raise many types of errors for damaged bytes
             raise DamagedFile(f"{path}: not a readable .npz file ({error})") from error
 
 
@@ -278,7 +281,7 @@ def write_figure(path: str | Path, figure: Any, *, dpi: int = 150, **options: An
     Raises:
       OSError: the file cannot be written.
     """
-    image = BytesIO()  # the backends seek and close as they like; the atomic file stays ours
+    image = BytesIO()  # matplotlib backends may close the file that they write to
     figure.savefig(image, format=Path(path).suffix[1:] or "png", dpi=dpi, **options)
     with atomic_write(path) as file:
         file.write(image.getvalue())

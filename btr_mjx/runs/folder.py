@@ -2,14 +2,14 @@
 
     runs/demo/
       config.json               the command's config, field by field
-      environment.json          versions, machine and git commit at the start, and again for each resume
+      environment.json          versions, machine and git commit, at the start and at each resume
       history.parquet           tables that grow row by row
       checkpoint-000012.npz     the state after step 12; the last few are kept
       result.json, *.npz, *.png what the command adds at its end
-      .lock                     held, not present, means that a process is writing here
+      .lock                     locked while a process writes to the folder; its presence alone means nothing
 
-A run that is killed at any moment and resumed gives the same files as one that was not, environment.json apart, if
-whatever depends on the clock is kept out of checkpoints and tables:
+A run that is killed at any moment and resumed gives the same files as an uninterrupted run, except environment.json, if
+checkpoints and tables hold nothing that depends on the clock:
 
     with RunFolder.create(config.out, config, resume=config.resume) as run, graceful_interrupt() as stop:
         checkpoint = run.load_latest()
@@ -42,8 +42,10 @@ from btr_mjx.runs.locks import LOCK_NAME, take_lock
 from btr_mjx.runs.progress_bar import note
 
 ENVIRONMENT_NAME = "environment.json"
+"""Name of the file in a run folder."""
+
 IGNORED_FIELDS = ("out", "resume", "progress")
-"""Config fields that say where and how to run, not what comes out."""
+"""Config fields that do not affect results and may differ on resume."""
 
 
 def is_unused(folder: Path) -> bool:
@@ -54,13 +56,13 @@ def is_unused(folder: Path) -> bool:
 class History:
     """A table that grows row by row, rewritten whole and atomically by `write`.
 
-    All rows have the same columns; values are None, bool, int, float, str, or lists of one of them. Keep times and
-    other things that differ from run to run out of it.
+    All rows have the same columns; values are None, bool, int, float, str, or lists of one of them. Times and other
+    values that differ from run to run do not belong here.
     """
 
     def __init__(self, path: str | Path, rows: Sequence[Mapping[str, Any]] = ()) -> None:
         self.path = Path(path)
-        if self.path.suffix != ".parquet":  # CSV would not bring types and absent values back
+        if self.path.suffix != ".parquet":  # CSV would not keep types and absent values
             raise ValueError(f"a history's name ends in .parquet, got {self.path.name}")
         self._rows: list[dict[str, Any]] = [dict(row) for row in rows]
 
@@ -85,7 +87,7 @@ class History:
         self._rows.append(plain)
 
     def table(self) -> pl.DataFrame:
-        """The rows as a frame; a column of integers and floats is one of floats.
+        """The rows as a frame; a column of integers and floats becomes floats.
 
         Raises:
           TypeError: a column that mixes other types.
@@ -131,13 +133,13 @@ class RunFolder:
         devices: Sequence[Any] | None = None,
         keep: int = 2,
     ) -> Self:
-        """Begin a run in a new folder, or take up one that was interrupted.
+        """Begin a run in a new folder, or continue one that was interrupted.
 
-        Nothing in the folder is changed when this raises. A folder whose first `create` was killed counts as new, with
-        or without `resume`.
+        Nothing in the folder is changed if this raises an error. A folder whose first `create` was killed counts as
+        new, with or without `resume`.
 
         Args:
-          path: the folder; missing ones above it are made.
+          path: the folder; missing parent folders are created.
           config: a dataclass, written to config.json; see `btr_mjx.runs.configs`.
           resume: continue the run in the folder, which must have been started with an equal config.
           ignore: dotted names of config fields that may differ on resume since they do not affect results.
@@ -170,7 +172,7 @@ class RunFolder:
         return run
 
     def close(self) -> None:
-        """Let other processes write to the folder."""
+        """Release the lock of the folder."""
         self._release()
 
     def __enter__(self) -> Self:
@@ -185,7 +187,7 @@ class RunFolder:
         Rows that were written after the checkpoint are dropped. `save_checkpoint` writes the table.
 
         Raises:
-          DamagedFile: rows that the checkpoint counts on are missing.
+          DamagedFile: rows that belong to the checkpoint are missing.
         """
         path = self.path / name
         rows: list[dict[str, Any]] = []
@@ -201,16 +203,16 @@ class RunFolder:
     def save_checkpoint(self, step: int, arrays: Mapping[str, Any], meta: Mapping[str, Any] | None = None) -> Path:
         """Write the tables of `history`, then the state after `step`; see `checkpoints.save_checkpoint`."""
         for table in self._histories.values():
-            # In this order: a kill in between leaves rows too many, which the resume drops, never too few.
+            # Tables first: a kill in between leaves surplus rows, which a resume drops, never missing rows.
             table.write()
         rows = {name: len(table) for name, table in self._histories.items()}
         return checkpoints.save_checkpoint(self.path, step, arrays, meta, rows=rows, keep=self.keep)
 
     def load_latest(self) -> Checkpoint | None:
-        """The newest sound checkpoint, None where there is none yet; see `checkpoints.load_latest`.
+        """The newest undamaged checkpoint, None where there is none yet; see `checkpoints.load_latest`.
 
-        Older ones than those to keep are deleted: a kill between a checkpoint and the deletion of the one that it
-        replaces leaves one too many, and after the last step no other save would delete it.
+        Surplus older checkpoints are deleted, such as one left by a kill between writing a checkpoint and deleting the
+        checkpoint that it replaces.
         """
         checkpoint = checkpoints.load_latest(self.path)
         if checkpoint is not None:
@@ -254,7 +256,7 @@ def with_folder[Config](config: Config, base: str) -> Config:
       base: name of the folder where none is given.
 
     Raises:
-      InputError: a resume that does not say of what.
+      InputError: `resume` without a folder.
     """
     settings: Any = config
     if settings.out is not None:

@@ -1,4 +1,4 @@
-"""One writer for a folder at a time."""
+"""Lock of a run folder: only one process writes to it at a time."""
 
 import errno
 import os
@@ -9,15 +9,17 @@ from btr_mjx.errors import InputError
 from btr_mjx.runs.progress_bar import note
 
 LOCK_NAME = ".lock"
-PATIENCE = 1.0
-"""Seconds for which a lock is asked for again before its folder is called in use."""
+"""Name of the lock file in a folder."""
+
+LOCK_TIMEOUT = 1.0
+"""Time for which a lock is tried before its folder counts as in use [s]."""
 
 
 def take_lock(folder: Path) -> int | None:
     """Lock a folder against other processes.
 
-    The operating system drops the lock with the process that holds it, however that ends. The lock file stays behind
-    and says nothing by its presence.
+    The operating system releases the lock when the process ends, in whatever way. The lock file stays behind; its
+    presence alone means nothing.
 
     Returns:
       A descriptor to close when done; None on systems without `flock`.
@@ -31,16 +33,16 @@ def take_lock(folder: Path) -> int | None:
     except ImportError:  # Windows
         return None
     descriptor = os.open(folder / LOCK_NAME, os.O_RDWR | os.O_CREAT, 0o644)
-    until = time.monotonic() + PATIENCE
+    until = time.monotonic() + LOCK_TIMEOUT
     while True:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             break
         except OSError as error:
-            if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):  # a network drive that knows no locks
+            if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):  # a network drive without locks
                 note(f"warning: {folder} cannot be locked ({error.strerror}); take care that one process writes to it")
                 return descriptor
-        # What a killed run was starting (git, say) has its descriptors until it is another program.
+        # A child process (such as git) of a killed run holds the inherited descriptor until its exec.
         if time.monotonic() < until:
             time.sleep(0.02)
             continue

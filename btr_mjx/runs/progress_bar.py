@@ -1,7 +1,7 @@
-"""Progress on stderr, and stopping at a safe point.
+"""Progress bars on stderr, and interrupts that stop a run at a safe point.
 
-Bars are tqdm's. Where stderr is not a terminal nothing is shown unless it is asked for, and then as plain lines at
-intervals, fit for a log file.
+Bars are made by tqdm. Where stderr is not a terminal, nothing is shown by default; on request, plain lines are printed
+at intervals, as for a log file.
 """
 
 import os
@@ -17,11 +17,11 @@ from tqdm import tqdm
 from btr_mjx.errors import Interrupted
 
 LINE_INTERVAL = 10.0
-"""Seconds between the lines that replace a bar where there is no terminal."""
+"""Time between the lines that replace a bar where there is no terminal [s]."""
 
 
 def note(message: str) -> None:
-    """Print a line on stderr without tearing a bar that is being drawn."""
+    """Print a line on stderr without disturbing a progress bar that is being drawn."""
     tqdm.write(message, file=sys.stderr)
 
 
@@ -38,20 +38,20 @@ def progress(
 ) -> Any:
     """A progress bar with rate and time left; iterate over it, or use it as a context manager and call `update(n)`.
 
-    Bars may be nested: on a terminal inner bars are drawn below and vanish at their end; in a log each prints lines.
+    Bars may be nested: on a terminal inner bars are drawn below and removed at their end; in a log each prints lines.
 
     Args:
-      iterable: what to go through; None for a bar that is moved by `update`.
+      iterable: what to iterate over; None for a bar that is advanced by `update`.
       total: number of units; taken from the iterable where it has a length.
-      description: what the bar is about.
+      description: text in front of the bar.
       unit: what is counted, e.g. "pairs".
       unit_scale: write 1234567 as 1.23M.
       show: True: always (lines where there is no terminal); False: never; None: on a terminal only.
-      interval: least number of seconds between two lines.
-      file: where to; None means stderr.
+      interval: minimum time between two lines [s].
+      file: output stream; None means stderr.
 
     Returns:
-      A tqdm bar (`update`, `set_postfix`, `close`); when silent, one that prints nothing.
+      A tqdm bar (`update`, `set_postfix`, `close`); one that prints nothing if it is not shown.
     """
     stream = sys.stderr if file is None else file
     terminal = hasattr(stream, "isatty") and stream.isatty()
@@ -79,12 +79,12 @@ class _Lines:
 
 
 class _LineBar(tqdm):
-    """tqdm that prints a line now and then: at the beginning, at intervals and at the end."""
+    """tqdm that prints a line at the beginning, at intervals and at the end."""
 
     _drawn: tuple[float, Any, Any] | None = None
 
     def refresh(self, *args: Any, **options: Any) -> None:
-        # set_postfix() and set_description() ask for a redraw at once, which would be a line each time
+        # set_postfix() and set_description() request a redraw each time, which would print a line each time
         now = self._time()
         if self._drawn is None or now - self._drawn[0] >= self.mininterval:
             self._drawn = (now, self.n, self.postfix)
@@ -92,7 +92,7 @@ class _LineBar(tqdm):
 
     def close(self) -> None:
         if self._drawn is not None and self._drawn[1:] == (self.n, self.postfix):
-            self.leave = False  # the last line says it all
+            self.leave = False  # the last line shows the final state already
         super().close()
 
     @staticmethod
@@ -101,7 +101,7 @@ class _LineBar(tqdm):
 
     @staticmethod
     def format_meter(n: Any, total: Any, elapsed: float, **options: Any) -> str:
-        description = (options.get("prefix") or "").removesuffix(": ")  # set_description() has put it there already
+        description = (options.get("prefix") or "").removesuffix(": ")  # set_description() has appended ": "
         head = "{desc}{percentage:.0f}% {n_fmt}/{total_fmt}" if total else "{desc}{n_fmt} {unit}"
         tail = " [{elapsed}<{remaining}, {rate_fmt}{postfix}]" if total else " [{elapsed}, {rate_fmt}{postfix}]"
         options |= {"prefix": description and f"{description}: ", "bar_format": head + tail, "ncols": None}
@@ -109,7 +109,7 @@ class _LineBar(tqdm):
 
 
 class StopRequest:
-    """Whether somebody asked the run to stop; see `graceful_interrupt`."""
+    """Whether a signal asked the run to stop; see `graceful_interrupt`."""
 
     def __init__(self) -> None:
         self.signum: int | None = None
@@ -120,10 +120,10 @@ class StopRequest:
         return self.signum is not None
 
     def checkpoint(self) -> None:
-        """Call where everything is saved.
+        """Stop here if a stop was requested; to be called where everything is saved.
 
         Raises:
-          Interrupted: a signal came in since.
+          Interrupted: a signal has arrived.
         """
         if self.signum is not None:
             raise Interrupted(f"stopped at a safe point ({signal.Signals(self.signum).name})", self.signum)
@@ -132,7 +132,7 @@ class StopRequest:
         if self.signum is not None:
             raise Interrupted(f"stopped at once ({signal.Signals(signum).name})", signum)
         self.signum = signum
-        # Not print: the signal may have come in the middle of a buffered write to the same stream.
+        # Not print: the signal may have interrupted a buffered write to the same stream.
         with suppress(OSError, ValueError):
             os.write(2, b"\nstopping at the next safe point; once more to stop at once\n")
 
@@ -142,12 +142,12 @@ def graceful_interrupt() -> Iterator[StopRequest]:
     """Let SIGINT and SIGTERM stop the block at its next safe point instead of anywhere.
 
     The first signal sets `requested` and makes the next `checkpoint()` raise; the second raises `Interrupted` at once,
-    which here means: as soon as Python runs, that is after a compiled call that is under way. The handlers from before
-    come back when the block ends. Within another `graceful_interrupt` the outer request is shared. Outside the main
-    thread, where Python allows no handlers, the request never comes.
+    that is, as soon as a compiled call in progress returns to Python. The previous handlers are restored when the block
+    ends. Within another `graceful_interrupt` the outer request is shared. Outside the main thread, where Python allows
+    no signal handlers, no stop is ever requested.
 
     Raises:
-      Interrupted: out of `checkpoint()`, or anywhere in the block on the second signal.
+      Interrupted: from `checkpoint()`, or anywhere in the block on the second signal.
     """
     outer = getattr(signal.getsignal(signal.SIGINT), "__self__", None)
     if isinstance(outer, StopRequest):
@@ -162,5 +162,5 @@ def graceful_interrupt() -> Iterator[StopRequest]:
         yield request
     finally:
         for number, handler in before.items():
-            # None: the handler was not installed from Python and cannot be put back
+            # None: the handler was not installed from Python and cannot be restored
             signal.signal(number, signal.SIG_DFL if handler is None else handler)

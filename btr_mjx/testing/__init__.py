@@ -1,7 +1,8 @@
 """Hidden cases with a sealed truth, for tests, benchmarks and `diagnose --demo`.
 
-`make_case` writes recordings of a robot that lacks something in its believed model, drawn from a seed; its simulator
-shares no code with the search. No other room imports this one.
+`make_case` writes recordings of a simulated reality with an effect that the believed model lacks, drawn from a seed;
+`make_fitness_case` writes a table of trials. The simulator of reality shares no code with the search. No other room
+imports this one.
 """
 
 from btr_mjx.testing.cases import CaseSettings, Truth, draw_reality, make_case

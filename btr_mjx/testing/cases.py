@@ -1,12 +1,12 @@
-"""Hidden cases: recordings of a robot that lacks something in its believed model, drawn from a seed.
+"""Hidden cases: recordings of a simulated reality that differs from the believed model, drawn from a seed.
 
-A case draws what is missing (one effect, two, none, or one outside the library), where, how large, how noisy the
-sensors are and how often they sample; and, in every case, nulls included, small errors everywhere, as calibration
-leaves them. Reality runs in native MuJoCo, float64, with a time step of 1e-4 s and the implicit integrator.
+Drawn are the missing effects (one, two, none, or one outside the library) with their places and sizes, the noise of the
+sensors and their sampling rate. In every case, nulls included, reality also has small errors of calibration everywhere.
+Reality is simulated in native MuJoCo, float64, with a time step of 1e-4 s and the implicit integrator.
 
-    truth = make_case("folder", seed=7)         # writes a dataset; what it returns is the answer
+    truth = make_case("folder", seed=7)         # writes a dataset and returns the truth
 
-The folder says nothing about the answer.
+The truth is not written into the folder.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,32 +19,33 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import DatasetDescription, Format, Recording, save_dataset
 from btr_mjx.gap.results import Verdict
-from btr_mjx.testing.draw import Draw, Missing, add_effects, background_of
-from btr_mjx.testing.motion import Restart, loads, simulate_reality
-from btr_mjx.testing.outside import OUTSIDE, possible
+from btr_mjx.testing.draw import Draw, Missing, add_effects, draw_background
+from btr_mjx.testing.motion import Restart, peak_loads, simulate_reality
+from btr_mjx.testing.outside import OUTSIDE, possible_outside
 from btr_mjx.testing.physics import HiddenReality
 from btr_mjx.testing.robots import case_robot
 
 RATES = (200, 250, 400, 500)
-"""Samples per second."""
+"""Sampling rates [1/s]."""
 SHARES: Mapping[Verdict, float] = {"none": 0.22, "unexplained": 0.18, "effect": 0.60}
-"""Shares of the verdicts that would be right."""
+"""Probabilities of the kinds of cases."""
 
 
 @dataclass(frozen=True)
 class Truth:
-    """The answer of a case.
+    """The truth of a case.
 
     Attributes:
       robot: name of the case robot.
-      seed: of the case.
-      verdict: what a perfect reader of the data would say.
-      effects: what is missing, in the library.
-      outside: name and place of what is missing outside the library, "" for nothing.
+      seed: seed of the case.
+      verdict: the correct verdict.
+      effects: missing effects of the library.
+      outside: name and place of a missing effect outside the library, "" for none.
       rate: samples per second.
       noise: factor on the sensors' noise.
-      visible: how far what is missing moves the robot within 40 ms, as chi^2 of the noise, summed over all windows of
-        the recordings to fit; 0 for nothing. A rough measure of what could be seen.
+      visible: chi^2 of the change of motion that the missing effect causes within 40 ms, in units of the noise, after a
+        fit of starting position and velocity, summed over all windows of the recordings to fit; 0 for no effect. A
+        rough measure of detectability.
     """
 
     robot: str
@@ -59,18 +60,18 @@ class Truth:
 
 @dataclass(frozen=True)
 class CaseSettings:
-    """What of a case is given; what is None is drawn from the seed.
+    """Settings of a case; a setting that is None is drawn from the seed.
 
     Attributes:
       verdict: kind of case.
       effects: number of missing effects, or their names.
       outside: name of the effect outside the library.
       rate: samples per second; drawn from `RATES`.
-      noise: factor on the robot's noise; drawn from 1 to 3.
-      recordings: numbers of behaviours to fit and held out.
-      duration: of a recording [s]; None for the robot's own.
-      background: factor on the small errors everywhere.
-      file_format: of the recordings.
+      noise: factor on the robot's sensor noise; drawn from 1 to 3.
+      recordings: numbers of recordings to fit and held out.
+      duration: duration of a recording [s]; None for the robot's own.
+      background: factor on the small errors of calibration.
+      file_format: format of the recordings.
     """
 
     verdict: Verdict | None = None
@@ -88,13 +89,13 @@ def make_case(folder: str | Path, seed: int, robot: str = "hexapod", settings: C
     """Draw a case and write its dataset.
 
     Args:
-      folder: the dataset's folder.
-      seed: of everything that is drawn.
+      folder: folder of the dataset.
+      seed: seed of everything that is drawn.
       robot: name of a case robot.
-      settings: what is not drawn.
+      settings: settings that are not drawn.
 
     Returns:
-      The answer.
+      The truth.
 
     Raises:
       InputError: a robot, an effect or a verdict that does not exist, or an effect that the robot cannot have.
@@ -107,7 +108,7 @@ def make_case(folder: str | Path, seed: int, robot: str = "hexapod", settings: C
     drawn_rate, drawn_noise = int(rng.choice(RATES)), float(np.exp(rng.uniform(0, np.log(3))))
     rate, noise = settings.rate or drawn_rate, drawn_noise if settings.noise is None else settings.noise
     motions = [machine.draw_motion(rng) for _ in range(sum(settings.recordings))]
-    draw = Draw(machine, rng, motions, loads(machine, motions[:3]))
+    draw = Draw(machine, rng, motions, peak_loads(machine, motions[:3]))
     reality, missing, where = draw_reality(draw, chosen, settings.effects, settings.outside, settings.background)
     rows = [simulate_reality(reality, motion, machine.duration, rate) for motion in motions]
     visible = 0.0 if chosen == "none" else _visible(draw, rows[: settings.recordings[0]], rate, noise)
@@ -118,22 +119,22 @@ def make_case(folder: str | Path, seed: int, robot: str = "hexapod", settings: C
 def draw_reality(
     draw: Draw, verdict: Verdict, effects: Sequence[str] | int, outside: str | None, background: float
 ) -> tuple[HiddenReality, tuple[Missing, ...], str]:
-    """A reality with small errors and with what is missing.
+    """Draw a reality with small errors of calibration and with the missing effects.
 
     Args:
-      draw: the case; its background is filled in.
+      draw: the case; the small errors are added to its background.
       verdict: kind of case.
       effects: number of missing effects, or their names.
       outside: name of the effect outside the library; None draws it.
       background: factor on the small errors.
 
     Returns:
-      The reality, what is missing of the library, and what is missing outside it.
+      The reality, the missing effects of the library, and name and place of a missing effect outside it.
 
     Raises:
       InputError: see `make_case`.
     """
-    disturb = background_of(draw, background)
+    disturb = draw_background(draw, background)
     disturb(draw.background)
     reality = HiddenReality.of(draw.robot)
     disturb(reality)
@@ -143,11 +144,11 @@ def draw_reality(
         return reality, (), ""
     if verdict != "unexplained":
         raise InputError(f"verdict {verdict!r}: expected 'effect', 'none' or 'unexplained'")
-    names = possible(reality)
+    names = possible_outside(reality)
     name = str(draw.rng.choice(names)) if outside is None else outside
     if name not in names:
         raise InputError(f"effect outside the library {name!r}: {draw.robot.name} can have {', '.join(names)}")
-    place = OUTSIDE[name](reality, list(draw.sizes.torque), draw.sizes, draw.rng)
+    place = OUTSIDE[name](reality, list(draw.loads.torque), draw.loads, draw.rng)
     return reality, (), f"{name} at {place}"
 
 
@@ -157,7 +158,7 @@ def _drawn_verdict(rng: np.random.Generator) -> Verdict:
 
 
 def _visible(draw: Draw, rows: Sequence[Mapping[str, np.ndarray]], rate: int, noise: float) -> float:
-    """See `Truth.visible`: reality against the background alone, both from the same states every 40 ms."""
+    """`Truth.visible`: reality against a reality with the small errors alone, both from the same states every 40 ms."""
     model = draw.robot.model
     sigma_q, sigma_v = (noise * s for s in draw.robot.sigma(model))
     samples, total = max(4, round(0.04 * rate)), 0.0
@@ -171,6 +172,7 @@ def _visible(draw: Draw, rows: Sequence[Mapping[str, np.ndarray]], rate: int, no
         speeds = (row["qvel"] - without["qvel"])[:count]
         both = np.stack([moves / sigma_q, speeds / sigma_v], 1).reshape(-1, samples, 2, model.nv)
         time = np.arange(samples) / rate
+        # Columns of a fit of starting position and velocity: positions shift, or drift with a constant velocity.
         shift = np.stack([np.ones(samples) / sigma_q[:, None], np.zeros((model.nv, samples))], 1)
         drift = np.stack([time / sigma_q[:, None], np.ones(samples) / sigma_v[:, None]], 1)
         for joint in range(model.nv):

@@ -1,4 +1,4 @@
-"""What is drawn of a hidden case: effects with place and size, and the small errors that are everywhere."""
+"""Random draws of a hidden case: effects with place and size, and small errors of calibration at every part."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -26,18 +26,18 @@ _JOINT_EFFECTS = (
 _ACTUATOR_EFFECTS = ("actuator_delay", "actuator_lag", "actuator_gain", "torque_limit")
 _BODY_EFFECTS = ("payload", "link_length")
 _WORLD_EFFECTS = ("ground_friction", "ground_slope", "contact_softness", "air_drag", "constant_force")
-SINGLE = ("joint_stiffness", "joint_offset")
-"""Effects that sit on one joint only."""
+SINGLE_JOINT_EFFECTS = ("joint_stiffness", "joint_offset")
+"""Effects that are drawn for a single joint only."""
 
 
 @dataclass(frozen=True)
 class Missing:
-    """Something that the believed model lacks.
+    """An effect that the believed model lacks.
 
     Attributes:
-      effect: its name.
-      location: where it sits.
-      parameters: its size.
+      effect: name of the effect.
+      location: label of its place.
+      parameters: values by name, in SI units.
     """
 
     effect: str
@@ -47,30 +47,38 @@ class Missing:
 
 @dataclass
 class Draw:
-    """A case while it is drawn.
+    """State of the draw of a case.
 
     Attributes:
       robot: the believed robot.
-      rng: of everything that is drawn.
-      motions: what the robot does.
-      sizes: how hard it works then.
-      background: a reality with the small errors alone.
+      rng: generator of everything that is drawn.
+      motions: commands of the recordings.
+      loads: peak torques, speeds, accelerations and travel in these motions.
+      background: reality with the small errors of calibration alone.
     """
 
     robot: CaseRobot
     rng: np.random.Generator
     motions: Sequence[MotionCommand]
-    sizes: Loads
+    loads: Loads
     background: HiddenReality = field(init=False)
 
     def __post_init__(self) -> None:
         self.background = HiddenReality.of(self.robot)
 
 
-def background_of(draw: Draw, scale: float) -> Any:
-    """Small errors everywhere, drawn once; returns what adds them to a reality."""
-    rng, robot, sizes = draw.rng, draw.robot, draw.sizes
-    joints = list(sizes.torque)
+def draw_background(draw: Draw, scale: float) -> Any:
+    """Draw the small errors of calibration: normal, with a standard deviation for each kind.
+
+    Args:
+      draw: the case.
+      scale: factor on all standard deviations.
+
+    Returns:
+      A function that adds the errors to a reality; every call adds the same ones.
+    """
+    rng, robot, loads = draw.rng, draw.robot, draw.loads
+    joints = list(loads.torque)
     n = len(joints)
     model = robot.model
     heavy = [model.body(b).name for b in range(1, model.nbody) if model.body_mass[b] > 0]
@@ -84,7 +92,7 @@ def background_of(draw: Draw, scale: float) -> Any:
             physics.joint_offset(reality, [name], offset[i])
             believed = float(np.array(reality.spec.joint(name).damping)[0])
             physics.viscous_damping(
-                reality, [name], max(damping[i] * sizes.torque[name] / sizes.speed[name], -0.9 * believed)
+                reality, [name], max(damping[i] * loads.torque[name] / loads.speed[name], -0.9 * believed)
             )
         for body, share in zip(heavy, mass, strict=True):
             physics.scale_mass(reality, body, 1 + share)
@@ -111,7 +119,19 @@ def _possible_effects(draw: Draw) -> list[str]:
 
 
 def add_effects(draw: Draw, reality: HiddenReality, effects: Sequence[str] | int) -> tuple[Missing, ...]:
-    """Draw what is missing, each effect of another kind and at another place."""
+    """Draw the missing effects, each of another kind and at another place, and add them to a reality.
+
+    Args:
+      draw: the case.
+      reality: reality to which the effects are added.
+      effects: number of effects, or their names.
+
+    Returns:
+      The effects with places and values.
+
+    Raises:
+      InputError: a number out of range, or an effect that the robot cannot have.
+    """
     known = _possible_effects(draw)
     count = effects if isinstance(effects, int) else len(effects)
     if not 1 <= count <= len(known):
@@ -125,20 +145,20 @@ def add_effects(draw: Draw, reality: HiddenReality, effects: Sequence[str] | int
             one, apply = _drawn_effect(draw, name, reality)
             if one.location == "world" or one.location not in [other.location for other in missing]:
                 break
-            if len(draw.sizes.torque) == 1:
+            if len(draw.loads.torque) == 1:
                 break
         apply(reality)
         missing.append(one)
     return tuple(missing)
 
 
-def _log(rng: np.random.Generator, low: float, high: float) -> float:
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
 def _joints_at(draw: Draw, single: bool, group: bool = True) -> tuple[str, list[str]]:
-    """A joint, a leg or all joints: the name after the kind and the joints."""
-    rng, joints = draw.rng, list(draw.sizes.torque)
+    """A joint, a leg or all joints: name of the joint or label of the place, and the joints."""
+    rng, joints = draw.rng, list(draw.loads.torque)
     kind = rng.choice(3, p=[0.5, 0.3, 0.2])
     if single or len(joints) == 1 or kind == 0 or not group:
         name = str(rng.choice(joints))
@@ -161,48 +181,48 @@ def _below(model: mujoco.MjModel, body: str, joints: Sequence[str]) -> list[str]
 
 
 def _drawn_effect(draw: Draw, name: str, reality: HiddenReality) -> tuple[Missing, Any]:
-    """An effect of a random place and size, and what adds it to a reality, which has its small errors already."""
+    """An effect with random place and size, and a function that adds it to a reality with its small errors."""
     if name in _BODY_EFFECTS:
         return _drawn_body(draw, name)
     if name in _WORLD_EFFECTS:
         return _drawn_world(draw, name, reality)
-    place, joints = _joints_at(draw, name in SINGLE)
+    place, joints = _joints_at(draw, name in SINGLE_JOINT_EFFECTS)
     location = place
     if place != "all" and not place.startswith("subtree:"):
         location = f"{'joint' if name in _JOINT_EFFECTS else 'actuator'}:{place}"
     parameters = _joint_sizes(draw, name, joints)
     function = getattr(physics, name)
-    return Missing(name, location, parameters), lambda r: function(r, joints, **parameters)
+    return Missing(name, location, parameters), lambda reality: function(reality, joints, **parameters)
 
 
 def _joint_sizes(draw: Draw, name: str, joints: Sequence[str]) -> dict[str, float]:
-    """Sizes of an effect on joints, from the loads there: the same for all of them."""
-    rng, s = draw.rng, draw.sizes
+    """Parameters of an effect on joints, from the mean loads there; the same for all of them."""
+    rng, s = draw.rng, draw.loads
     torque, speed, travel = (float(np.mean([v[j] for j in joints])) for v in (s.torque, s.speed, s.travel))
     acceleration = float(np.mean([s.acceleration[j] for j in joints]))
     pace = 60.0 / draw.robot.tempo
     if name == "viscous_damping":
-        return {"damping": _log(rng, 3e-3, 0.1) * torque / speed}
+        return {"damping": _log_uniform(rng, 3e-3, 0.1) * torque / speed}
     if name == "dry_friction":
-        return {"torque": _log(rng, 3e-3, 0.06) * torque}
+        return {"torque": _log_uniform(rng, 3e-3, 0.06) * torque}
     if name == "load_friction":
-        return {"coefficient": _log(rng, 0.02, 0.3)}
+        return {"coefficient": _log_uniform(rng, 0.02, 0.3)}
     if name == "stribeck_friction":
-        return {"torque": _log(rng, 0.01, 0.1) * torque, "speed": rng.uniform(0.05, 0.3) * speed}
+        return {"torque": _log_uniform(rng, 0.01, 0.1) * torque, "speed": rng.uniform(0.05, 0.3) * speed}
     if name == "armature":
-        return {"armature": _log(rng, 4e-3, 0.12) * torque / acceleration}
+        return {"armature": _log_uniform(rng, 4e-3, 0.12) * torque / acceleration}
     if name == "joint_stiffness":
-        return {"stiffness": _log(rng, 4e-3, 0.06) * torque / travel}
+        return {"stiffness": _log_uniform(rng, 4e-3, 0.06) * torque / travel}
     if name == "joint_offset":
-        return {"offset": float(rng.choice([-1, 1])) * _log(rng, 4e-3, 0.03)}
+        return {"offset": float(rng.choice([-1, 1])) * _log_uniform(rng, 4e-3, 0.03)}
     if name == "backlash":
-        return {"play": _log(rng, 1e-3, 0.015)}
+        return {"play": _log_uniform(rng, 1e-3, 0.015)}
     if name == "actuator_delay":
-        return {"delay": pace * _log(rng, 1.5e-4, 3e-3)}
+        return {"delay": pace * _log_uniform(rng, 1.5e-4, 3e-3)}
     if name == "actuator_lag":
-        return {"time_constant": pace * _log(rng, 1.5e-4, 3e-3)}
+        return {"time_constant": pace * _log_uniform(rng, 1.5e-4, 3e-3)}
     if name == "actuator_gain":
-        return {"change": -_log(rng, 0.01, 0.15)}
+        return {"change": -_log_uniform(rng, 0.01, 0.15)}
     assert name == "torque_limit"
     return {"limit": (1 - rng.uniform(0.15, 0.5)) * max(s.torque[j] for j in joints)}
 
@@ -212,16 +232,18 @@ def _drawn_body(draw: Draw, name: str) -> tuple[Missing, Any]:
     model = robot.model
     if name == "link_length":
         body = str(rng.choice(robot.links))
-        change = float(rng.choice([-1, 1])) * _log(rng, 6e-3, 0.08) * _length(robot, body)
-        return Missing(name, f"body:{body}", {"change": change}), lambda r: physics.link_length(r, body, change)
+        change = float(rng.choice([-1, 1])) * _log_uniform(rng, 6e-3, 0.08) * _length(robot, body)
+        return Missing(name, f"body:{body}", {"change": change}), lambda reality: physics.link_length(
+            reality, body, change
+        )
     if robot.base is not None and rng.random() < 0.4:
         body = robot.base
-        mass = _log(rng, 0.015, 0.1) * float(model.body_subtreemass[0])
+        mass = _log_uniform(rng, 0.015, 0.1) * float(model.body_subtreemass[0])
         half = float(model.geom_rbound[int(model.body(body).geomadr[0])])
         position = half * rng.uniform([-0.6, -0.2, 0.0], [0.6, 0.2, 0.2])
     else:
         body = str(rng.choice(robot.links))
-        mass = _log(rng, 0.03, 0.2) * float(model.body(body).mass[0])
+        mass = _log_uniform(rng, 0.03, 0.2) * float(model.body(body).mass[0])
         geom = int(model.body(body).geomadr[0])
         rotation = np.zeros(9)
         mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
@@ -229,29 +251,29 @@ def _drawn_body(draw: Draw, name: str) -> tuple[Missing, Any]:
         ends = [model.geom_pos[geom] + tip, model.geom_pos[geom] - tip]
         position = max(ends, key=np.linalg.norm) * rng.uniform(0.6, 1.0)
     size = {"mass": mass, **dict(zip(("x", "y", "z"), map(float, position), strict=True))}
-    return Missing(name, f"body:{body}", size), lambda r: physics.payload(r, body, mass, list(position))
+    return Missing(name, f"body:{body}", size), lambda reality: physics.payload(reality, body, mass, list(position))
 
 
 def _drawn_world(draw: Draw, name: str, reality: HiddenReality) -> tuple[Missing, Any]:
     rng, robot = draw.rng, draw.robot
-    # These two are known by the value that the robot has, small errors included, not by how far that is from anything.
+    # The parameters of these two effects are absolute values, which include the small errors of the reality.
     if name == "ground_friction":
         factor = 1 - rng.uniform(0.15, 0.6)
         size = {"coefficient": factor * max(float(geom.friction[0]) for geom in reality.spec.geoms)}
-        return Missing(name, "world", size), lambda r: physics.ground_friction(r, factor)
+        return Missing(name, "world", size), lambda reality: physics.ground_friction(reality, factor)
     if name == "contact_softness":
-        change = _log(rng, 2e-3, 0.03)
+        change = _log_uniform(rng, 2e-3, 0.03)
         size = {"time_constant": float(reality.spec.geoms[0].solref[0]) + change}
-        return Missing(name, "world", size), lambda r: physics.contact_softness(r, change)
+        return Missing(name, "world", size), lambda reality: physics.contact_softness(reality, change)
     if name == "ground_slope":
-        tilt, angle = _log(rng, 0.04, 0.15), rng.uniform(0, 2 * np.pi)
+        tilt, angle = _log_uniform(rng, 0.04, 0.15), rng.uniform(0, 2 * np.pi)
         x, y = float(tilt * np.cos(angle)), float(tilt * np.sin(angle))
-        return Missing(name, "world", {"x": x, "y": y}), lambda r: physics.ground_slope(r, x, y)
+        return Missing(name, "world", {"x": x, "y": y}), lambda reality: physics.ground_slope(reality, x, y)
     if name == "air_drag":
-        density = _log(rng, *robot.drag)
-        return Missing(name, "world", {"density": density}), lambda r: physics.air_drag(r, density)
+        density = _log_uniform(rng, *robot.drag)
+        return Missing(name, "world", {"density": density}), lambda reality: physics.air_drag(reality, density)
     body = str(robot.base)
     force = rng.normal(size=3)
-    force *= _log(rng, 0.045, 0.22) * float(robot.model.body_subtreemass[0]) * 9.81 / np.linalg.norm(force)
+    force *= _log_uniform(rng, 0.045, 0.22) * float(robot.model.body_subtreemass[0]) * 9.81 / np.linalg.norm(force)
     pull = dict(zip(("x", "y", "z"), map(float, force), strict=True))
-    return Missing(name, f"body:{body}", pull), lambda r: physics.constant_force(r, body, list(force))
+    return Missing(name, f"body:{body}", pull), lambda reality: physics.constant_force(reality, body, list(force))

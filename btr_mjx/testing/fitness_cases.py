@@ -1,4 +1,4 @@
-"""Hidden cases of which only fitness is known: a table of controllers and what they came to in a hidden reality."""
+"""Hidden cases with fitness only: a table of controllers and their fitness in a hidden reality."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,25 +13,25 @@ from btr_mjx.gap.results import Verdict
 from btr_mjx.models import part_names
 from btr_mjx.testing.cases import Truth, draw_reality
 from btr_mjx.testing.draw import Draw
-from btr_mjx.testing.motion import Loads, loads, simulate_reality
+from btr_mjx.testing.motion import Loads, peak_loads, simulate_reality
 from btr_mjx.testing.robots import CaseRobot, MotionCommand, case_robot
 
 _FIT, _TEST = 45, 15
-"""Trials to fit and held out."""
+"""Numbers of trials to fit and held out."""
 
 
 @dataclass(frozen=True)
 class FitnessCaseSettings:
-    """What of a case is given.
+    """Settings of a case.
 
     Attributes:
       verdict: kind of case.
       effects: number of missing effects, or their names.
       trials: numbers of trials to fit and held out.
-      duration: of a trial [s]; None for the robot's own.
-      background: factor on the small errors everywhere.
-      controllers: seed of the controllers alone, for several realities that are tried with the same ones; None draws
-        them with everything else.
+      duration: duration of a trial [s]; None for the robot's own.
+      background: factor on the small errors of calibration.
+      controllers: seed of the controllers alone, for several realities with the same controllers; None draws them
+        with everything else.
     """
 
     verdict: Verdict = "effect"
@@ -47,19 +47,20 @@ def make_fitness_case(
 ) -> Truth:
     """Draw a case and write its table of trials.
 
-    Controllers are r_i = a_i sin(omega t + phi_i), with random amplitudes and phases, at the robot's own tempo.
+    Controllers are r_i = a_i sin(omega t + phi_i) with random amplitudes a_i in [0.13, 0.314] rad and phases phi_i in
+    [0, pi]; omega is the robot's `tempo`.
 
     Args:
-      folder: the dataset's folder.
-      seed: of everything that is drawn.
-      robot: name of a case robot that walks.
-      settings: what is not drawn.
+      folder: folder of the dataset.
+      seed: seed of everything that is drawn.
+      robot: name of a case robot with a free base.
+      settings: settings that are not drawn.
 
     Returns:
-      The answer.
+      The truth.
 
     Raises:
-      InputError: see `cases.make_case`; a robot that is bolted down.
+      InputError: see `make_case`; a robot with a fixed base.
     """
     machine = case_robot(robot)
     if machine.base is None:
@@ -68,7 +69,7 @@ def make_fitness_case(
     span, count = settings.duration or machine.duration, sum(settings.trials)
     drive = rng if settings.controllers is None else _rng_of(settings.controllers)
     amplitude, phase, motions = _controllers(machine, drive, count)
-    draw = Draw(machine, rng, motions, loads(machine, motions[:3]))
+    draw = Draw(machine, rng, motions, peak_loads(machine, motions[:3]))
     reality, missing, outside = draw_reality(draw, settings.verdict, settings.effects, None, settings.background)
     base = int(model.jnt_qposadr[model.body_jntadr[model.body(machine.base).id]])
     fitness = []
@@ -85,12 +86,15 @@ def make_fitness_case(
 
 
 def case_draw(robot: str, seed: int, controllers: int) -> Draw:
-    """What `make_fitness_case` draws an effect from, without simulating its trials.
+    """The draw of `make_fitness_case` before the missing effect, without a simulation of its trials.
 
     Args:
-      robot: name of a case robot that walks.
-      seed: of the case.
+      robot: name of a case robot with a free base.
+      seed: seed of the case.
       controllers: seed of the controllers.
+
+    Returns:
+      The draw, ready for `draw_reality`.
     """
     machine = case_robot(robot)
     motions = _controllers(machine, _rng_of(controllers), _FIT + _TEST)[2]
@@ -100,7 +104,7 @@ def case_draw(robot: str, seed: int, controllers: int) -> Draw:
 @cache
 def _loads(robot: str, controllers: int) -> Loads:
     machine = case_robot(robot)
-    return loads(machine, _controllers(machine, _rng_of(controllers), _FIT + _TEST)[2][:3])
+    return peak_loads(machine, _controllers(machine, _rng_of(controllers), _FIT + _TEST)[2][:3])
 
 
 def _rng_of(controllers: int) -> np.random.Generator:

@@ -1,4 +1,4 @@
-"""How a hidden reality moves: a loop over `mj_step` with a time step of 1e-4 s, and how hard the robot works in it."""
+"""Simulation of a hidden reality by a loop over `mj_step`, and the peak loads of a robot's motions."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,16 +10,16 @@ from btr_mjx.testing.physics import HiddenReality
 from btr_mjx.testing.robots import CaseRobot, MotionCommand
 
 _TIMESTEP = 1e-4
-"""[s]"""
+"""Time step of reality [s]."""
 
 
 @dataclass(frozen=True)
 class Loads:
-    """How hard a robot works, by joint: what sizes are drawn from.
+    """Peak loads by joint, the units in which sizes of effects are drawn.
 
     Attributes:
-      torque, speed, acceleration, travel: peaks (the 98th percentile of the absolute value) of the motor's torque
-        [N m], the joint's speed [rad/s], acceleration [rad/s^2] and excursion from its mean [rad], by joint.
+      torque, speed, acceleration, travel: peaks (98th percentile of the absolute value) of the motor's torque [N m],
+        the joint's speed [rad/s], acceleration [rad/s^2] and distance from its mean angle [rad], by joint.
     """
 
     torque: Mapping[str, float]
@@ -28,8 +28,16 @@ class Loads:
     travel: Mapping[str, float]
 
 
-def loads(robot: CaseRobot, motions: Sequence[MotionCommand]) -> Loads:
-    """Peaks over some motions of the believed robot."""
+def peak_loads(robot: CaseRobot, motions: Sequence[MotionCommand]) -> Loads:
+    """Peak loads of the believed robot.
+
+    Args:
+      robot: the robot.
+      motions: commands that are simulated, each for the duration of a recording.
+
+    Returns:
+      The loads by joint.
+    """
     model = robot.model
     rows = [simulate_reality(HiddenReality.of(robot), motion, robot.duration, 500.0, 5e-4) for motion in motions]
     qvel = np.concatenate([row["qvel"] for row in rows])
@@ -51,11 +59,11 @@ def loads(robot: CaseRobot, motions: Sequence[MotionCommand]) -> Loads:
 
 @dataclass(frozen=True)
 class Restart:
-    """States that a simulation is put back to every so many samples.
+    """States to which a simulation is reset at regular intervals.
 
     Attributes:
-      rows: what `simulate_reality` returned for another reality.
-      samples: number of samples between two restarts.
+      rows: samples of another reality, from `simulate_reality`.
+      samples: number of samples between two resets.
     """
 
     rows: Mapping[str, np.ndarray]
@@ -63,7 +71,7 @@ class Restart:
 
 
 def simulate_reality(
-    r: HiddenReality,
+    reality: HiddenReality,
     motion: MotionCommand,
     duration: float,
     rate: float,
@@ -73,27 +81,27 @@ def simulate_reality(
     """Run a reality and sample it.
 
     Args:
-      r: the reality.
-      motion: what is commanded.
-      duration: [s].
+      reality: the reality.
+      motion: the command.
+      duration: duration of the simulation [s].
       rate: samples per second.
-      timestep: of the simulation [s]; the integrator is `implicit`.
-      restart: states to start anew from along the way; None for none.
+      timestep: time step of the simulation [s]; the integrator is `implicit`.
+      restart: states to which the simulation is reset; None for none.
 
     Returns:
-      time (K,), qpos (K, nq), qvel (K, nv) as its encoders would show them without noise, by the believed robot's
-      joints; force (K, nu) and act (K, na) of the actuators.
+      time (K,), qpos (K, nq) and qvel (K, nv) as encoders without noise measure them, for the believed robot's joints;
+      force (K, nu) and act (K, na) of the actuators.
     """
-    spec = r.spec.copy()
+    spec = reality.spec.copy()
     spec.option.timestep, spec.option.integrator = timestep, mujoco.mjtIntegrator.mjINT_IMPLICIT
-    model, believed = spec.compile(), r.robot.model
+    model, believed = spec.compile(), reality.robot.model
     data = mujoco.MjData(model)
-    places = _places(model, believed)
-    if r.robot.base is not None:
-        _set_down(model, data, believed)
+    places = _addresses(model, believed)
+    if reality.robot.base is not None:
+        _place_on_ground(model, data, believed)
     steps, every = round(duration / timestep), max(1, round(1 / rate / timestep))
-    commands = _arriving(r, motion, steps, timestep)
-    commands -= np.array([r.offset.get(a.target, 0.0) for a in r.spec.actuators])
+    commands = _delayed_commands(reality, motion, steps, timestep)
+    commands -= np.array([reality.offset.get(a.target, 0.0) for a in reality.spec.actuators])
     rows: dict[str, list[np.ndarray]] = {"time": [], "qpos": [], "qvel": [], "force": [], "act": []}
     frictionloss = model.dof_frictionloss.copy()
     mujoco.mj_forward(model, data)
@@ -102,7 +110,7 @@ def simulate_reality(
             row = k // every
             data.qpos[places[0]], data.qvel[places[1]] = restart.rows["qpos"][row], restart.rows["qvel"][row]
             data.act[:] = restart.rows["act"][row]
-            for name, angle in r.offset.items():
+            for name, angle in reality.offset.items():
                 data.joint(name).qpos[0] -= angle
         if k % every == 0:
             rows["time"].append(np.array(k * timestep))
@@ -114,17 +122,17 @@ def simulate_reality(
             break
         data.ctrl[:] = commands[k]
         data.qfrc_applied[:], data.xfrc_applied[:], model.dof_frictionloss[:] = 0.0, 0.0, frictionloss
-        for hook in r.hooks:
+        for hook in reality.hooks:
             hook(model, data)
         mujoco.mj_step(model, data)
     out = {name: np.array(values) for name, values in rows.items()}
-    for name, angle in r.offset.items():
+    for name, angle in reality.offset.items():
         out["qpos"][:, believed.joint(name).qposadr[0]] += angle
     return out
 
 
-def _places(model: mujoco.MjModel, believed: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """Addresses of the believed robot's coordinates in a model that may have more joints."""
+def _addresses(model: mujoco.MjModel, believed: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """Addresses of the believed robot's coordinates in qpos and qvel of a model that may have more joints."""
     positions: list[int] = []
     velocities: list[int] = []
     width = {mujoco.mjtJoint.mjJNT_FREE: (7, 6), mujoco.mjtJoint.mjJNT_BALL: (4, 3)}
@@ -147,21 +155,22 @@ def _lowest(model: mujoco.MjModel, data: mujoco.MjData) -> float:
     return float(min(heights))
 
 
-def _set_down(model: mujoco.MjModel, data: mujoco.MjData, believed: mujoco.MjModel) -> None:
-    """Start as high above the ground as the believed robot does."""
+def _place_on_ground(model: mujoco.MjModel, data: mujoco.MjData, believed: mujoco.MjModel) -> None:
+    """Set the initial height so that the clearance to the ground is that of the believed robot."""
     clearance = _lowest(believed, mujoco.MjData(believed))
     data.qpos[2] -= _lowest(model, data) - clearance
 
 
-def _arriving(r: HiddenReality, motion: MotionCommand, steps: int, timestep: float) -> np.ndarray:
-    """Commands (steps, nu) in the middle of each step, after delay and lag; before the start the first one holds."""
+def _delayed_commands(reality: HiddenReality, motion: MotionCommand, steps: int, timestep: float) -> np.ndarray:
+    """Commands (steps, nu) at the middle of each step, after delay and lag; constant before the start."""
     times = (np.arange(steps) + 0.5) * timestep
     commands = motion(times)
-    for i in np.flatnonzero(r.delay):
-        commands[:, i] = motion(np.maximum(times - r.delay[i], 0.0))[:, i]
-    for i in np.flatnonzero(r.lag):
-        # Exact for a command that is linear between the middles of two steps; at rest on its first value.
-        constant, last, state = float(r.lag[i]), float(motion(np.zeros(1))[0, i]), float(motion(np.zeros(1))[0, i])
+    for i in np.flatnonzero(reality.delay):
+        commands[:, i] = motion(np.maximum(times - reality.delay[i], 0.0))[:, i]
+    for i in np.flatnonzero(reality.lag):
+        # First-order lag, exact for a command that is linear between the middles of two steps, from a state of rest.
+        constant = float(reality.lag[i])
+        last = state = float(motion(np.zeros(1))[0, i])
         for k in range(steps):
             span, command = (timestep if k else timestep / 2), float(commands[k, i])
             ramp = constant * (command - last) / span

@@ -1,7 +1,7 @@
-"""Robots for hidden cases: the believed MJCF, how it is commanded, and what its sensors can do.
+"""Robots for hidden cases: the believed MJCF, random commands, and the noise of the sensors.
 
-The hexapod of this project, a servo that swings a pendulum, a quadruped and an arm. A case robot knows nothing of what
-may be missing; `physics` does that.
+There are four: the hexapod of this project, a servo with a pendulum, a quadruped and an arm. Missing effects are added
+in `physics`.
 """
 
 from collections.abc import Callable
@@ -20,21 +20,21 @@ MotionCommand = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class CaseRobot:
-    """A robot of which hidden cases are made.
+    """A robot for hidden cases.
 
     Attributes:
-      name: of the robot.
+      name: name of the robot.
       xml: MJCF text of the believed model.
-      draw_motion: a random motion.
-      duration: of a recording [s].
-      base: body with the free joint; None for a robot that is bolted down.
-      floor: geom that it stands on; None without one.
-      legs: root bodies of the limbs, for effects that sit on a whole limb.
+      draw_motion: draws a random command.
+      duration: duration of a recording [s].
+      base: body with the free joint; None for a robot with a fixed base.
+      floor: geom on which it stands; None for none.
+      legs: root bodies of the limbs, for effects on all joints of a limb.
       links: bodies whose length may differ.
-      noise: 1 sigma of qpos and qvel for hinges [rad, rad/s] and for the base: position [m], rotation [rad], velocity
-        [m/s], angular velocity [rad/s].
+      noise: standard deviations of hinges (angle [rad], speed [rad/s]) and of the base (position [m], rotation [rad],
+        velocity [m/s], angular velocity [rad/s]).
       tempo: typical angular frequency of the motion [rad/s].
-      drag: range of the density of a medium that would be felt [kg/m^3].
+      drag: range from which the density of a medium is drawn [kg/m^3].
     """
 
     name: str
@@ -51,11 +51,18 @@ class CaseRobot:
 
     @property
     def model(self) -> mujoco.MjModel:
-        """The believed model, compiled anew."""
+        """The believed model; every access compiles it."""
         return mujoco.MjModel.from_xml_string(self.xml)
 
     def sigma(self, model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-        """Noise of qpos and qvel, (nv,) each."""
+        """Standard deviations of the sensors.
+
+        Args:
+          model: the believed model.
+
+        Returns:
+          (nv,) of qpos and (nv,) of qvel, in SI units.
+        """
         angle, speed, position, rotation, velocity, spin = self.noise
         qpos, qvel = np.full(model.nv, angle), np.full(model.nv, speed)
         for kind, first in zip(model.jnt_type, model.jnt_dofadr, strict=True):
@@ -74,7 +81,7 @@ def _hexapod_motion(rng: np.random.Generator) -> MotionCommand:
 def _sinusoids(
     rng: np.random.Generator, centre: np.ndarray, amplitude: np.ndarray, low: float, high: float, terms: int = 3
 ) -> MotionCommand:
-    """Sums of sinusoids between two angular frequencies [rad/s], one sum for every control."""
+    """Sums of sinusoids with random frequencies in [low, high] rad/s, one sum for every control."""
     n = len(centre)
     frequency = np.exp(rng.uniform(np.log(low), np.log(high), (terms, n)))
     phase = rng.uniform(0, 2 * np.pi, (terms, n))
@@ -150,7 +157,7 @@ def quadruped_xml() -> str:
 
 
 def _quadruped_motion(rng: np.random.Generator) -> MotionCommand:
-    """A trot or a shuffle: one frequency, phases by leg, amplitudes by joint."""
+    """A random gait near a trot: one frequency, phases by leg, amplitudes by joint."""
     frequency = rng.uniform(12.0, 22.0)
     phase = np.repeat(np.array([0, np.pi, np.pi, 0]) + rng.normal(0, 0.6, 4), 3) + np.tile([0, 0, 1.5], 4)
     amplitude = np.tile(rng.uniform([0.02, 0.1, 0.1], [0.12, 0.35, 0.35]), 4) * rng.uniform(0.7, 1.3, 12)
@@ -203,11 +210,11 @@ def _arm_motion(rng: np.random.Generator) -> MotionCommand:
 @cache
 def case_robots() -> dict[str, CaseRobot]:
     """All case robots by name."""
-    six = hexapod()
+    hexapod_robot = hexapod()
     robots = (
         CaseRobot(
             name="hexapod",
-            xml=six.render(six.nominal),
+            xml=hexapod_robot.render(hexapod_robot.nominal),
             draw_motion=_hexapod_motion,
             duration=1.7,
             base="b0",
@@ -262,7 +269,13 @@ def case_robots() -> dict[str, CaseRobot]:
 
 
 def case_robot(name: str) -> CaseRobot:
-    """A case robot.
+    """A case robot by name.
+
+    Args:
+      name: hexapod, pendulum, quadruped or arm.
+
+    Returns:
+      The robot.
 
     Raises:
       InputError: there is none of that name.

@@ -16,7 +16,16 @@ from btr_mjx.diagnose import DiagnoseConfig
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.results import Confound, Diagnosis, DisagreementMap, Estimate, Gap, NamedEffect, Overlay, RankedCandidate
+from btr_mjx.gap.results import (
+    Confound,
+    Diagnosis,
+    DisagreementMap,
+    Estimate,
+    Gap,
+    NamedEffect,
+    Overlay,
+    RankedCandidate,
+)
 from btr_mjx.gap.simulate import Journal
 from btr_mjx.testing import CaseSettings, make_case
 

@@ -12,7 +12,7 @@ import pytest
 from jax import lax
 from retrace_checks import BARRIER, assert_same, names, op_by_op
 
-from btr_mjx.engines.lanes.retrace import DEFAULT_COSTS, EquationCounts, count_equations, retrace
+from btr_mjx.engines.rewriting.retrace import DEFAULT_COSTS, EquationCounts, count_equations, retrace
 
 # Common subexpressions
 

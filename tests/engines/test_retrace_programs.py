@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from jax import lax
 from retrace_checks import BARRIER, SHAPES, assert_same, names, op_by_op
 
-from btr_mjx.engines.lanes.retrace import EquationCounts, count_equations, retrace
+from btr_mjx.engines.rewriting.retrace import EquationCounts, count_equations, retrace
 
 programs = settings(max_examples=6, deadline=None, derandomize=True)
 

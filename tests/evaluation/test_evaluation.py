@@ -103,11 +103,11 @@ def test_base_body_must_move_freely(robot: Robot) -> None:
 
 def test_equal_simulations_are_prepared_once(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     """What makes 10,000 pairs of a few morphologies cheap to prepare."""
-    from btr_mjx.models.template_route import Route
+    from btr_mjx.models.template_compiler import TemplateCompiler
 
     s = robot.simulation_box.sample(np.random.default_rng(99), 2)
-    counts, prepare = [], Route.prepare
-    monkeypatch.setattr(Route, "prepare", lambda self, rows: counts.append(len(rows)) or prepare(self, rows))
+    counts, prepare = [], TemplateCompiler.prepare
+    monkeypatch.setattr(TemplateCompiler, "prepare", lambda self, rows: counts.append(len(rows)) or prepare(self, rows))
     models = compile_models(robot, np.repeat(s, 500, 0))
     assert counts == [2]
     assert len(models) == 1000

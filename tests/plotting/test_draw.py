@@ -188,7 +188,7 @@ def test_delta_of_exactly_zero_is_visible(tmp_path):
 @pytest.mark.parametrize("truth", [True, False])
 def test_limb_lengths(tmp_path, truth):
     run = read_run(write_run(tmp_path, truth=truth))
-    figure = figures.limb_lengths(run)
+    figure = figures.parameter_values(run)
     assert len(figure.axes) == 2
     for i, axes in enumerate(figure.axes):
         cloud = axes.collections[0].get_offsets()
@@ -207,7 +207,7 @@ def test_limb_lengths(tmp_path, truth):
 
 def test_members_are_darker_the_worse_they_are(tmp_path):
     run = read_run(write_run(tmp_path))
-    darkness = figures.limb_lengths(run).axes[0].collections[0].get_array()
+    darkness = figures.parameter_values(run).axes[0].collections[0].get_array()
     scores = np.concatenate([search.scores.ravel() for search in run.simulations])
     assert (np.diff(darkness[np.argsort(scores)]) > 0).all()
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from btr_mjx.robots import Box
-from btr_mjx.robots.spaces import bits_to_index, index_to_bits
+from btr_mjx.robots.bit_codes import bits_to_index, index_to_bits
 
 # Reproducible examples, and no time limits on a busy machine.
 settings.register_profile("steady", deadline=None, derandomize=True)

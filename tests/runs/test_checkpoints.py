@@ -1,15 +1,12 @@
-import json
 import math
 import random
 
 import numpy as np
 import pytest
 
-from btr_mjx.errors import DamagedFile, InputError
+from btr_mjx.errors import DamagedFile
 from btr_mjx.runs.checkpoints import (
     checkpoint_path,
-    generator_from_json,
-    generator_to_json,
     list_checkpoints,
     load_latest,
     read_checkpoint,
@@ -97,39 +94,3 @@ def test_fallback_warns_on_stderr(tmp_path, capfd):
     save(tmp_path, 2).write_bytes(b"x")
     assert load_latest(tmp_path).step == 1
     assert capfd.readouterr().err.startswith("warning: ")
-
-
-@pytest.mark.parametrize("bits", ["PCG64", "PCG64DXSM", "MT19937", "Philox", "SFC64"])
-def test_generator_state(bits):
-    generator = np.random.Generator(getattr(np.random, bits)(np.random.SeedSequence(5, spawn_key=(3,))))
-    generator.spawn(2)
-    generator.random(5)
-    generator.integers(10, dtype=np.uint32)  # leaves half a word in the buffer
-    data = json.loads(json.dumps(generator_to_json(generator), allow_nan=False))
-    assert all(abs(number) <= 2**53 for number in numbers(data))
-    twin = generator_from_json(data)
-    assert generator_to_json(twin) == data
-    for a, b in ((generator, twin), (generator.spawn(1)[0], twin.spawn(1)[0])):
-        assert a.integers(1000, size=3, dtype=np.uint32).tolist() == b.integers(1000, size=3, dtype=np.uint32).tolist()
-        assert a.standard_normal(4).tobytes() == b.standard_normal(4).tobytes()
-
-
-def numbers(value):
-    if isinstance(value, dict):
-        return [n for item in value.values() for n in numbers(item)]
-    if isinstance(value, list):
-        return [n for item in value for n in numbers(item)]
-    return [value] if isinstance(value, int | float) else []
-
-
-def test_generator_state_from_elsewhere():
-    good = generator_to_json(np.random.default_rng(np.random.SeedSequence([1, 2**100])))
-    assert generator_to_json(generator_from_json(good)) == good
-    for bad in (
-        {},
-        {"bit_generator": "Dice"},
-        {"bit_generator": "PCG64", "state": 3},
-        good | {"bit_generator": "SFC64"},
-    ):
-        with pytest.raises(InputError, match="generator state"):
-            generator_from_json(bad)

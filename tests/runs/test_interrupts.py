@@ -13,14 +13,14 @@ from btr_mjx.runs import RunFolder
 from btr_mjx.runs import progress_bar as progress
 from btr_mjx.runs.configs import read_config
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 WORKER = """
 import os, random, shutil, signal, sys, time
 from dataclasses import dataclass
 from pathlib import Path
 import numpy as np
-from btr_mjx.runs.checkpoints import generator_from_json, generator_to_json, list_checkpoints
+from btr_mjx.runs.checkpoints import list_checkpoints
 from btr_mjx.errors import cli_errors
 from btr_mjx.runs import RunFolder, graceful_interrupt, write_json
 
@@ -40,13 +40,14 @@ def work(folder, resume, pause=0.002):
         if checkpoint is None:
             rng, state, first = np.random.default_rng(config.seed), np.zeros(2000), 0
         else:
-            rng, state = generator_from_json(checkpoint.meta["rng"]), checkpoint.arrays["state"]
+            rng, state = np.random.default_rng(), checkpoint.arrays["state"]
+            rng.bit_generator.state = checkpoint.meta["rng"]
             first = checkpoint.step + 1
         print(f"first {first}\\n", end="", flush=True)  # in one piece, whenever the kill comes
         for step in range(first, config.steps):
             state = np.sin(state + rng.standard_normal(2000))
             history.append({"step": step, "mean": float(state.mean()), "bad": np.nan if step % 3 else None})
-            run.save_checkpoint(step, {"state": state}, {"rng": generator_to_json(rng)})
+            run.save_checkpoint(step, {"state": state}, {"rng": rng.bit_generator.state})
             stop.checkpoint()
             time.sleep(pause)
         write_json(run.path / "result.json", {"mean": state.mean(), "draw": rng.random(), "rows": len(history)})

@@ -1,4 +1,4 @@
-"""The benchmarks run, at tiny sizes, and write the numbers that they print."""
+"""Benchmarks at tiny sizes write the numbers that they print."""
 
 import importlib.util
 import json
@@ -15,7 +15,7 @@ FOLDER = Path(__file__).parents[2] / "benchmarks"
 
 
 def load(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """A benchmark as a module, about a small robot."""
+    """A benchmark as a module, with a small robot."""
     spec = importlib.util.spec_from_file_location(f"benchmark_{name}", FOLDER / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None

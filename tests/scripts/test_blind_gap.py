@@ -105,7 +105,7 @@ def test_errors_of_parameters(scores: ModuleType) -> None:
     assert scores.parameter_error(effect("ground_friction", "world", coefficient=0.4), slippery) == pytest.approx(0.25)
 
 
-def test_hidden_payloads_in_the_words_of_the_library(scores: ModuleType) -> None:
+def test_hidden_payloads_in_the_parameters_of_the_library(scores: ModuleType) -> None:
     hidden = effect("payload", "body:lower", mass=0.3, x=0.2, y=0.0, z=0.0)
     np.testing.assert_allclose(scores.true_values(ARM, hidden, ["mass", "along"]), [0.3, 0.2])
     np.testing.assert_allclose(scores.true_values(ARM, hidden, ["mass", "x", "y", "z"]), [0.3, 0.2, 0, 0])
@@ -182,8 +182,8 @@ def test_in_pairs_a_lag_for_a_delay_is_counted_apart_as_well(scores: ModuleType)
     assert numbers["pairs_or_lag_for_delay"] == 0.5
 
 
-def test_what_is_hidden_gains_what_it_takes_from_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Against windows judged one hypothesis at a time; what is not there gains nothing beside it."""
+def test_gains_of_true_effects_against_separate_fits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gains against separate fits of each hypothesis; an absent effect gains nothing beside the true one."""
     monkeypatch.syspath_prepend(str(FOLDER))
     import blind_gap
 
@@ -195,20 +195,20 @@ def test_what_is_hidden_gains_what_it_takes_from_the_noise(monkeypatch: pytest.M
     known = {candidate.name: candidate for candidate in bench.candidates}
     true = known["viscous_damping@joint:elbow"], np.array([0.1])
     absent = known["armature@joint:shoulder"], np.array([1e-9])
-    judged = bench.find()[0]  # what explains most settles how much windows may say
+    judged = bench.find()[0]  # the best candidate sets the bound of windows
     plain = 0.0
     for side, free in ((bench.fit, bench.free), (bench.test, bench.nuisance)):
         for sign, hypothesis in ((1.0, bench.base), (-1.0, bench.base.with_effect(*true))):
             own = side.recentred(hypothesis)
             plain += sign * free(own).profile(own.windows.residual, bench.cut).loss / bench.dispersion
     assert plain > 100
-    gains, scores = blind_gap._worth(bench, [true])
+    gains, scores = blind_gap._true_gains(bench, [true])
     assert gains[0] == pytest.approx(plain, rel=0.05)
     price = np.log(bench.fit.windows.residual.size + bench.test.windows.residual.size)
     assert judged.name == "viscous_damping@joint:elbow"
-    # The oracle has starting states that suit the truth, a first round those of the believed model.
+    # Starting states of the oracle are estimated with the true effect, those of a first round without it.
     assert 0.8 * judged.score < scores[0] <= gains[0] - price
-    gains, scores = blind_gap._worth(bench, [true, absent])
+    gains, scores = blind_gap._true_gains(bench, [true, absent])
     assert gains[0] == pytest.approx(plain, rel=0.05)
     assert gains[1] == pytest.approx(0.0, abs=0.1)
     assert scores[1] == pytest.approx(-price, abs=1.0)
@@ -228,7 +228,7 @@ def test_margins(scores: ModuleType) -> None:
 
 @pytest.mark.slow
 def test_a_blind_case_from_end_to_end(tmp_path: Path) -> None:
-    """A case whose answer is there already is scored at once, so this costs no search."""
+    """A case with a saved answer is scored without a search."""
     run = tmp_path / "run"
     command = [
         sys.executable,

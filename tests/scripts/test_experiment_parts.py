@@ -38,7 +38,7 @@ def test_verdicts(sense: Any, low: float, high: float, verdict: str) -> None:
 
 
 def test_thirty_unknowns(tmp_path: Path) -> None:
-    """The robot has every parameter it says, and the saved search starts where it should."""
+    """The robot has all declared parameters, and the saved search starts at the declared point."""
     robot = thirty_unknowns.detailed_hexapod()
     box = robot.simulation_box
     model = mujoco.MjModel.from_xml_string(robot.render(robot.nominal_simulation))
@@ -86,18 +86,21 @@ def test_curve_numbers(rng: np.random.Generator) -> None:
     assert several["rho_sides"] == pytest.approx((found["rho_sides"] + 1) / 2)
 
 
-def test_what_is_felt() -> None:
+def test_sensitivity_to_parameters() -> None:
     grid = np.linspace(0.4, 1.6, 49)
     fitness = np.stack([np.maximum(grid - 1.1, 0), 2 * np.maximum(grid - 1.1, 0)], axis=1)
-    assert curves.felt(grid, fitness, 0.4, 1.1) == pytest.approx(0, abs=1e-12)
-    assert curves.felt(grid, fitness, 1.1, 1.6) == np.inf or curves.felt(grid, fitness, 1.1, 1.6) > 10
+    assert curves.plateau_sensitivity(grid, fitness, 0.4, 1.1) == pytest.approx(0, abs=1e-12)
+    assert (
+        curves.plateau_sensitivity(grid, fitness, 1.1, 1.6) == np.inf
+        or curves.plateau_sensitivity(grid, fitness, 1.1, 1.6) > 10
+    )
     keep = curves.influence(grid, [fitness], 1.6)
     assert 1.0 <= grid[keep].min() <= 1.1
     assert grid[keep].max() == 1.6
 
 
 def test_averages_over_behaviours(rng: np.random.Generator) -> None:
-    """Noise on the curves is averaged out by m; all behaviours together are one curve, whatever the draws."""
+    """The mean over m behaviours reduces noise; the curve of all behaviours does not depend on the draws."""
     grid, truth = np.linspace(0.4, 1.6, 25), 0.9
     slopes = rng.uniform(0.5, 2, 30)
     f_s = slopes * (grid - truth)[:, None] + rng.normal(0, 0.2, (25, 30)) * (grid != truth)[:, None]
@@ -133,7 +136,7 @@ def test_searches_find_a_bowl() -> None:
 
 
 def test_marks_share_a_bench() -> None:
-    """Fitness at a mark does not depend on how the trial goes on."""
+    """Fitness at a mark does not depend on the rest of the trial."""
     config = fig2_scans.PRESETS["tiny"]
     bench = bench_room.Bench.of(config, lambda count: None)
     robot = robot_of(None, config.duration)

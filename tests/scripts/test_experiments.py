@@ -34,7 +34,7 @@ TINY = ["--preset", "tiny", "--no-progress", "--out"]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """All experiments, computed once; then figures and claims, which find everything and must not simulate."""
+    """All experiments, computed once; then figures and claims, from saved files without simulation."""
     path = tmp_path_factory.mktemp("experiments")
     for name, config in claims.configs(claims.ClaimsConfig(preset="tiny", out=path, progress=False)).items():
         assert FIGURES[name].compute(config) > 0
@@ -124,7 +124,7 @@ def test_fig4(folder: Path) -> None:
     exact, other = (read_arrays(path / f"{name}-12-0.npz") for name in ("multiscale", "native"))
     np.testing.assert_array_equal(exact["parameters"][0], other["parameters"][0])
     assert (exact["values"] != other["values"]).all()
-    # The GA's population holds s_0; the distance of any member is what a plain call says.
+    # The first population contains s_0; the distance of any member is that of a direct call.
     ga = read_arrays(path / "ga-0.npz")
     np.testing.assert_allclose(ga["parameters"][0, 0], ga["start"], atol=1.2 / 2**10)
 
@@ -166,8 +166,8 @@ def test_claims(folder: Path) -> None:
 
 
 @pytest.mark.usefixtures("no_simulation")
-def test_drawing_alone(folder: Path) -> None:
-    """The fixture drew everything without simulating; here one figure again, by --draw-only, with the same numbers."""
+def test_drawing_does_not_simulate(folder: Path) -> None:
+    """The fixture drew all figures without simulation; --draw-only draws one again with the same numbers."""
     assert all(next((folder / name).glob("*.png")).stat().st_size > 10_000 for name in FIGURES)
     picture, summary = folder / "fig2_scans" / "fig2.png", folder / "fig2_scans" / "fig2.json"
     before = summary.read_bytes()
@@ -206,7 +206,7 @@ def test_maps(tmp_path: Path) -> None:
         *("curriculum-noise5", "marks1", "marks2", "p_m0.2", "p_m-random"),
         *("choice-random", "choice-fittest", "choice-disagreement", "truth"),
     }
-    # The three trials that both begin with are the same, whatever is chosen later.
+    # Both strategies begin with the same three trials.
     assert summary["choice-random"][0] == summary["choice-disagreement"][0]
     assert (tmp_path / "maps" / "maps.png").exists()
     maps.main([*TINY, str(tmp_path / "one"), "--seeds", "1", "--parts", "truth"])
@@ -226,7 +226,7 @@ def test_btr_twelve_in_other_physics(tmp_path: Path) -> None:
 
 
 def test_btr_twelve(tmp_path: Path) -> None:
-    """Its numbers are those of the runs, and drawing again simulates nothing."""
+    """Its numbers are those of the runs; drawing again does not simulate."""
     words = ["--preset", "tiny", "--seeds", "1", "--no-progress", "--out", str(tmp_path)]
     btr_twelve.main(words)
     row, result = numbers(tmp_path / "btr_twelve.json")["seeds"][0], numbers(tmp_path / "seed-0" / "result.json")
@@ -240,8 +240,8 @@ def test_btr_twelve(tmp_path: Path) -> None:
     btr_twelve.main([*words, "--draw-only"])
 
 
-def test_a_killed_run_goes_on(folder: Path, tmp_path: Path) -> None:
-    """kill -9 after the first unit; then --resume gives the same files, and more seeds add to them."""
+def test_a_killed_run_can_be_resumed(folder: Path, tmp_path: Path) -> None:
+    """SIGKILL after the first unit; --resume gives the same files, and more seeds add to them."""
     script = Path(fig2_scans.__file__)
     words = [sys.executable, str(script), "--preset", "tiny", "--out", str(tmp_path / "run"), "--no-progress"]
     process = subprocess.Popen([*words, "--seeds", "40"], stdout=subprocess.DEVNULL)
@@ -262,19 +262,19 @@ def test_a_killed_run_goes_on(folder: Path, tmp_path: Path) -> None:
     assert done["seed-0.npz"] == (folder / "fig2_scans" / "seed-0.npz").read_bytes()
 
 
-def test_a_unit_goes_on_within_itself(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A search that died in its last generation repeats the others from memory, and ends in the same bytes."""
+def test_a_unit_resumes_from_its_saved_calls(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search that failed in its last generation reads the others from its journal and ends in the same bytes."""
     config = dataclasses.replace(fig4_identification.PRESETS["tiny"], out=tmp_path / "run")
     unit = next(one for one in fig4_identification.units(config) if one.name == "cma-0")
-    honest, calls = bench_room.evaluate, []
+    original, calls = bench_room.evaluate, []
 
-    def mortal(*args: Any, **options: Any) -> Any:
+    def failing(*args: Any, **options: Any) -> Any:
         calls.append(1)
         if len(calls) == 4:
             raise MemoryError
-        return honest(*args, **options)
+        return original(*args, **options)
 
-    monkeypatch.setattr(bench_room, "evaluate", mortal)
+    monkeypatch.setattr(bench_room, "evaluate", failing)
     with RunFolder.create(config.folder, config) as run:
         shutil.copy(folder / "fig4_identification" / "behaviours-0.npz", config.folder)
         journal = units_room.Journal(run, unit.name, lambda count: None, StopRequest(), interval=0.0)
@@ -282,14 +282,14 @@ def test_a_unit_goes_on_within_itself(folder: Path, tmp_path: Path, monkeypatch:
             unit.work(lambda count: None, journal)
     with RunFolder.create(config.folder, config, resume=True) as run:
         arrays = unit.work(lambda count: None, units_room.Journal(run, unit.name, lambda count: None, StopRequest()))
-    assert len(calls) == 3 + 2  # 3 remembered; the one that died, again
+    assert len(calls) == 3 + 2  # 3 from the journal; the one that failed, again
     expected = read_arrays(folder / "fig4_identification" / "cma-0.npz")
     for name, value in expected.items():
         np.testing.assert_array_equal(arrays[name], value)
 
 
-def test_a_unit_stops_after_the_call_under_way(tmp_path: Path) -> None:
-    """A request to stop does not wait for the unit's end, and what was computed by then is remembered."""
+def test_a_unit_stops_after_the_current_call(tmp_path: Path) -> None:
+    """A stop request does not wait for the end of the unit; results so far are kept."""
     config, stop, nothing = fig2_scans.PRESETS["tiny"], StopRequest(), lambda count: None
     with RunFolder.create(tmp_path / "run", config) as run:
         journal = units_room.Journal(run, "seed-0", nothing, stop)
@@ -299,7 +299,7 @@ def test_a_unit_stops_after_the_call_under_way(tmp_path: Path) -> None:
             journal(lambda: np.array(2.0), 1)
     with RunFolder.create(tmp_path / "run", config, resume=True) as run:
         journal = units_room.Journal(run, "seed-0", nothing, StopRequest())
-        # Nothing of this is computed again: the numbers are the remembered ones.
+        # Nothing is computed again: the numbers are the saved ones.
         assert [float(journal(lambda: np.array(0.0), 1)) for _ in range(3)] == [1.0, 2.0, 0.0]
 
 

@@ -35,7 +35,7 @@ def answer(kind: str | None = None, **more: Any) -> dict[str, Any]:
 
 @pytest.fixture
 def cases(gate: ModuleType, tmp_path: Path) -> Any:
-    """Config of four invented cases: an effect, a weak one, a null and something outside; each with an answer."""
+    """Config of four invented cases with answers: an effect, a weak effect, a null, one outside the library."""
     config = gate.Config(cases=4, robot="pendulum", workers=1, out=tmp_path / "cache")
     effect = ({"effect": "viscous_damping", "location": "joint:servo", "parameters": {"damping": 0.1}},)
     hidden = [("effect", effect, ""), ("effect", effect, ""), ("none", (), ""), ("unexplained", (), "spring at servo")]
@@ -105,7 +105,7 @@ def test_code_digest_covers_what_a_search_imports(gate: ModuleType) -> None:
     done = subprocess.run([sys.executable, "-c", "import sys\n" + "\n".join(lines)], capture_output=True, check=True)
     loaded = [Path(*module.split(".")[1:]) for module in done.stdout.decode().split()]
     assert Path("gap/inference") in loaded
-    assert not [module for module in loaded for room in gate.APART if module.is_relative_to(room)]
+    assert not [module for module in loaded for room in gate.ROOMS_OUTSIDE_SEARCH if module.is_relative_to(room)]
     top = {module.name for module in loaded if len(module.parts) == 1}
     assert top <= {"errors", "gap", "models", "robots", "runs"}  # no command
 
@@ -154,7 +154,7 @@ def test_versions_are_compared_by_case(
     table = capsys.readouterr().out.splitlines()
     assert " ".join(table[2].split()) == "detectable effects right 1 of 1 0 of 1"
     assert " ".join(table[4].split()) == "nulls named 1 of 1 0 of 1"
-    # An earlier version with fewer answers, out of a file: both are judged on what both answered.
+    # An earlier version with fewer answers, from a file: both are compared on the cases that both answered.
     path = tmp_path / "before.json"
     saved = {files.name: json.loads(files.answer.read_text()) for files in files_of(gate, cases, code)[:2]}
     path.write_text(json.dumps({"code": code, "answers": saved}))

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.effects import EFFECTS, Candidate, Effect, Scales, candidates
-from btr_mjx.gap.simulate import Command, Stretch, World, simulate
+from btr_mjx.gap.simulate import Command, Segments, World, simulate
 from btr_mjx.robots import hexapod
 
 PENDULUM = """
@@ -95,7 +95,7 @@ def inertia(model: mujoco.MjModel, body: int) -> np.ndarray:
     return turn @ np.diag(model.body_inertia[body]) @ turn.T
 
 
-def windows(model: mujoco.MjModel, seed: int = 0, count: int = 4, length: float = 0.06) -> Stretch:
+def windows(model: mujoco.MjModel, seed: int = 0, count: int = 4, length: float = 0.06) -> Segments:
     rng = np.random.default_rng(seed)
     times = np.linspace(0, 1, 60)
     phase, speed = rng.uniform(0, 6, model.nu), rng.uniform(8, 20, model.nu)
@@ -107,17 +107,17 @@ def windows(model: mujoco.MjModel, seed: int = 0, count: int = 4, length: float 
         1.0 if model.jnt_type[0] else np.r_[np.zeros(6), np.ones(model.nv - 6)]
     )
     start = rng.uniform(0, 0.8, count)
-    return Stretch(start, qpos, qvel, np.array([0.5 * length, length]), (sent,), np.zeros(count, int))
+    return Segments(start, qpos, qvel, np.array([0.5 * length, length]), (sent,), np.zeros(count, int))
 
 
-def loop(model: mujoco.MjModel, stretch: Stretch, row: int, act, steps: int) -> np.ndarray:
+def loop(model: mujoco.MjModel, segments: Segments, row: int, act, steps: int) -> np.ndarray:
     """The equation by hand: act(model, data, command at mid-step) is called before every step."""
     model = copy.copy(model)
     data = mujoco.MjData(model)
-    data.time, data.qpos[:], data.qvel[:] = stretch.start[row], stretch.qpos[row], stretch.qvel[row]
+    data.time, data.qpos[:], data.qvel[:] = segments.start[row], segments.qpos[row], segments.qvel[row]
     for k in range(steps):
-        t = stretch.start[row] + (k + 0.5) * model.opt.timestep
-        data.ctrl[:] = stretch.commands[0].at(t)
+        t = segments.start[row] + (k + 0.5) * model.opt.timestep
+        data.ctrl[:] = segments.commands[0].at(t)
         if k == 0:
             mujoco.mj_forward(model, data)
         act(model, data, t)
@@ -126,11 +126,11 @@ def loop(model: mujoco.MjModel, stretch: Stretch, row: int, act, steps: int) -> 
 
 
 def check_loop(model: mujoco.MjModel, candidate: Candidate, values: list[float], act) -> None:
-    stretch = windows(model)
-    states, plain = simulate([(candidate.apply(World.of(model), values), stretch), (World.of(model), stretch)])
+    segments = windows(model)
+    states, plain = simulate([(candidate.apply(World.of(model), values), segments), (World.of(model), segments)])
     assert np.abs(states - plain).max() > 1e-4
-    for row in range(len(stretch)):
-        np.testing.assert_allclose(states[row, -1], loop(model, stretch, row, act, 60), rtol=0, atol=1e-7)
+    for row in range(len(segments)):
+        np.testing.assert_allclose(states[row, -1], loop(model, segments, row, act, 60), rtol=0, atol=1e-7)
 
 
 def command(seed: int, interpolation: str = "linear") -> Command:

@@ -1,4 +1,4 @@
-"""Hidden cases: what they write, and that their physics and the library's are the same thing by different routes."""
+"""Hidden cases: the datasets that they write, and agreement of their physics with the library's."""
 
 import json
 from pathlib import Path
@@ -10,14 +10,14 @@ import pytest
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import load, noise_of
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
-from btr_mjx.gap.simulate import Command, Stretch, World, simulate
+from btr_mjx.gap.simulate import Command, Segments, World, simulate
 from btr_mjx.runs import to_plain
 from btr_mjx.testing import CaseSettings, case_robot, draw_reality, make_case, physics
 from btr_mjx.testing.cases import SHARES
 from btr_mjx.testing.draw import Draw
-from btr_mjx.testing.motion import Restart, loads
+from btr_mjx.testing.motion import Restart, peak_loads
 from btr_mjx.testing.motion import simulate_reality as move
-from btr_mjx.testing.outside import OUTSIDE, possible
+from btr_mjx.testing.outside import OUTSIDE, possible_outside
 from btr_mjx.testing.physics import HiddenReality
 from btr_mjx.testing.robots import case_robots
 
@@ -51,7 +51,7 @@ RATE, SPAN = 1000, 30
 
 
 def add(reality: HiddenReality, effect: str, location: str, joints: list[str] | None, values: dict[str, float]) -> None:
-    """The effect by the route of hidden cases."""
+    """Add an effect with the physics of hidden cases."""
     body = location.partition(":")[2]
     if effect == "payload":
         position = [0.0, 0.0, 0.0] if "along" not in values else [values["along"], 0.0, 0.0]
@@ -73,10 +73,10 @@ def add(reality: HiddenReality, effect: str, location: str, joints: list[str] | 
 @pytest.mark.parametrize(
     ("robot", "effect", "location", "joints", "values"), [pytest.param(*c, id=f"{c[0]} {c[1]} {c[2]}") for c in CASES]
 )
-def test_two_routes_to_the_same_physics(
+def test_hidden_physics_agree_with_the_library(
     robot: str, effect: str, location: str, joints: list[str] | None, values: dict[str, float]
 ) -> None:
-    """What an effect changes within 30 ms, from the same states: MjSpec and hooks against the library and batches."""
+    """Change of motion by an effect within 30 ms, from the same states: MjSpec and hooks against the library."""
     machine = case_robot(robot)
     model, motion = machine.model, machine.draw_motion(np.random.default_rng(3))
     reality = HiddenReality.of(machine)
@@ -91,7 +91,7 @@ def test_two_routes_to_the_same_physics(
         world.model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICIT
     starts = np.arange(4, 8) * SPAN
     dense = np.arange(0.0, 0.3, 5e-4)
-    stretch = Stretch(
+    segments = Segments(
         rows["time"][starts],
         rows["qpos"][starts],
         rows["qvel"][starts],
@@ -99,7 +99,7 @@ def test_two_routes_to_the_same_physics(
         (Command(dense, motion(dense), "cubic"),),
         np.zeros(len(starts), int),
     )
-    ours = np.subtract(*simulate([(world, stretch) for world in worlds], timestep=1e-4))[..., model.nq :]
+    ours = np.subtract(*simulate([(world, segments) for world in worlds], timestep=1e-4))[..., model.nq :]
     theirs = (rows["qvel"] - without["qvel"])[starts[:, None] + np.arange(SPAN)]
     size = np.abs(theirs).max()
     assert size > 1e-4
@@ -107,7 +107,7 @@ def test_two_routes_to_the_same_physics(
 
 
 @pytest.mark.parametrize("verdict", ["none", "effect", "unexplained"])
-def test_a_case_is_a_dataset_and_says_nothing(tmp_path: Path, verdict: str) -> None:
+def test_a_case_is_a_dataset_without_the_truth(tmp_path: Path, verdict: str) -> None:
     truth = make_case(
         tmp_path, 5, "pendulum", CaseSettings(verdict=verdict, recordings=(2, 1), rate=250, noise=2.0, duration=1.0)
     )
@@ -139,7 +139,7 @@ def test_the_seed_decides(tmp_path: Path) -> None:
 
 
 def test_small_errors_everywhere(tmp_path: Path) -> None:
-    """In a case where nothing is missing, reality still is not the believed model, and without them it is."""
+    """Without a missing effect, reality differs from the believed model by the small errors alone."""
     gaps = []
     for background in (0.0, 1.0, 3.0):
         folder = tmp_path / str(background)
@@ -165,11 +165,11 @@ def test_two_effects_at_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["ground_friction", "contact_softness"])
-def test_values_of_the_ground_are_those_that_the_robot_has(name: str) -> None:
+def test_parameters_of_the_ground_are_absolute_values_of_the_reality(name: str) -> None:
     robot = case_robot("quadruped")
     rng = np.random.default_rng(3)
     motions = [robot.draw_motion(rng)]
-    draw = Draw(robot, rng, motions, loads(robot, motions))
+    draw = Draw(robot, rng, motions, peak_loads(robot, motions))
     reality, (missing,), _ = draw_reality(draw, "effect", [name], None, background=3.0)
     built = reality.spec.compile()
     has = built.geom_friction[:, 0].max() if name == "ground_friction" else built.geom_solref[:, 0].max()
@@ -191,9 +191,9 @@ def test_effects_outside_the_library(name: str, tmp_path: Path) -> None:
     assert load(tmp_path).model.nu == case_robot(robot).model.nu
 
 
-def test_what_a_robot_cannot_have() -> None:
-    assert "bungee" not in possible(HiddenReality.of(case_robot("arm")))
-    assert "crosstalk" not in possible(HiddenReality.of(case_robot("pendulum")))
+def test_effects_that_a_robot_cannot_have_are_refused() -> None:
+    assert "bungee" not in possible_outside(HiddenReality.of(case_robot("arm")))
+    assert "crosstalk" not in possible_outside(HiddenReality.of(case_robot("pendulum")))
     with pytest.raises(InputError, match="arm can have viscous_damping"):
         make_case("nowhere", 1, "arm", CaseSettings(verdict="effect", effects=["ground_friction"]))
     with pytest.raises(InputError, match="pendulum can have"):

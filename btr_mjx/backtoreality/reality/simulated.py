@@ -1,7 +1,8 @@
-"""Where f_r comes from. Anything with a `measure` method is a reality: a robot, a file of measurements, a simulation.
+"""Interface of realities, which measure f_r, and a simulated reality.
 
-`SimulatedReality` is a hidden simulation s_r. Run by the engine that also searches, it makes Theorems 1 and 2 exact;
-run by native MuJoCo in float64 with a time step and an integrator of its own, it is free of the inverse crime.
+Any object with a `measure` method is a reality: a robot, a file of measurements, a simulation. `SimulatedReality` is a
+hidden simulation s_r. With the engine of the searches, Theorems 1 and 2 hold exactly; with native MuJoCo in float64 and
+another time step and integrator, reality does not share the simulator's numerical errors (no inverse crime).
 """
 
 from dataclasses import dataclass, field
@@ -16,14 +17,14 @@ from btr_mjx.robots import Robot
 
 
 class Reality(Protocol):
-    """Something controllers can be tried in."""
+    """An object in which controllers can be tried."""
 
     def measure(self, controllers: np.ndarray, trial: int, times: tuple[float, ...]) -> np.ndarray:
         """Try controllers once each.
 
         Args:
           controllers: (m, n_c).
-          trial: how many evaluations were made before; makes noise repeatable after a resume.
+          trial: number of evaluations made before, from which the noise is seeded.
           times: K ascending times [s], the last one T_e.
 
         Returns:
@@ -34,10 +35,10 @@ class Reality(Protocol):
 
 @dataclass(frozen=True)
 class SimulatedReality:
-    """A hidden simulation in the part of reality.
+    """A hidden simulation in place of reality.
 
     Attributes:
-      robot: the robot (of which a richer reality may have another template).
+      robot: the robot; its template may differ from that of the searches.
       truth: s_r, one value per parameter of S.
       engine: engine that runs it; None for the fastest.
       settings: time step, integrator, ... of that engine.
@@ -60,7 +61,7 @@ class SimulatedReality:
             raise InputError(f"noise: got {self.noise}, expected a relative standard deviation of 0 or more")
 
     def measure(self, controllers: ArrayLike, trial: int = 0, times: tuple[float, ...] | None = None) -> np.ndarray:
-        """Try controllers once each; see `Reality.measure`. Without times, the end of the trial alone."""
+        """Try controllers once each; see `Reality.measure`. Without times, only the end of the trial is measured."""
         trials = evaluate(
             self.robot,
             [self.truth],
@@ -73,7 +74,7 @@ class SimulatedReality:
         values = np.where(trials.diverged[0, :, None], np.nan, fitness_at_marks(trials.outcome, self.fitness)[0])
         if not self.noise:
             return values
-        # One stream per trial number: the noise does not depend on how trials are grouped into calls. The end of the
-        # trial draws first: asking for more times leaves its noise as it was.
+        # One random generator per trial: the noise does not depend on how trials are grouped into calls. The noise at
+        # the end of the trial is drawn first, so that it does not depend on the other times.
         draws = [np.random.default_rng([self.seed, trial + k]).normal(size=values.shape[1]) for k in range(len(values))]
         return values * (1.0 + self.noise * np.array(draws)[:, ::-1])

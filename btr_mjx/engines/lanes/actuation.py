@@ -1,4 +1,7 @@
-"""Forces of actuators, springs and dampers, and the derivative of the actuator forces by velocity."""
+"""Forces of actuators and springs, and derivatives of actuator forces with respect to velocity.
+
+Source: google-deepmind/mujoco, mj_fwdActuation, mj_nextActivation and mjd_actuator_vel.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,10 +22,10 @@ _DYN, _GAIN, _BIAS = mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
 
 @dataclass(frozen=True)
 class _JointActuator:
-    """An actuator and the joint that it drives, in one step."""
+    """An actuator and the state of the joint that it drives."""
 
     key: str
-    """Of the actuator's numbers among the parameters."""
+    """Prefix of the actuator's names in `Parameters`."""
     actuator: Actuator
     q: jax.Array
     """Coordinate of the joint [m or rad]."""
@@ -32,12 +35,12 @@ class _JointActuator:
 
 @dataclass
 class Actuation:
-    """What the actuators do in one step."""
+    """Actuator forces and states of one step."""
 
     force: dict[int, Scalar]
     """Generalised force per dof of the plan."""
     damping: dict[int, Scalar]
-    """Minus the derivative of that force by the dof's velocity."""
+    """Minus the derivative of that force with respect to the dof's velocity [N s/m or N m s/rad]."""
     act: list[jax.Array]
     """Activations at the end of the step."""
     history: list[list[jax.Array]]
@@ -46,8 +49,8 @@ class Actuation:
     """|force x velocity| of each actuator [W], and its group size."""
 
 
-def rows(values: jax.Array, ids: Sequence[int] | np.ndarray) -> jax.Array:
-    """Rows of an (n, C) array for the members of a group: (C,) or (G, C), one strided slice if possible."""
+def group_rows(values: jax.Array, ids: Sequence[int] | np.ndarray) -> jax.Array:
+    """Rows of an (n, C) array for the members of a group, (C,) or (G, C), as one strided slice if possible."""
     if len(ids) == 1:
         return values[ids[0]]
     steps = set(np.diff(ids).tolist())
@@ -74,9 +77,9 @@ def actuate(
     """Actuator forces at the given state and controls (mj_fwdActuation, mjd_actuator_vel).
 
     Args:
-      model: base model, for what does not differ between worlds.
+      model: base model, for settings that are equal in all worlds.
       plan: the static plan.
-      parameters: numbers of this chunk.
+      parameters: parameters of this chunk.
       q: coordinates per joint.
       v: velocity per dof.
       act: activations per state of the plan.
@@ -120,15 +123,15 @@ def _actuator(
     ctrl: jax.Array,
     result: Actuation,
 ) -> tuple[Scalar, Scalar]:
-    """Force of one actuator and minus its derivative by the actuator's velocity; writes the next activation."""
+    """Force of one actuator and minus its derivative by velocity; sets its next activation in `result`."""
     key, actuator = driven.key, driven.actuator
     a = actuator.ids[0]
     gear = parameters.one(f"{key}/gear")
     length, velocity = mul(gear, driven.q), mul(gear, driven.v)
-    raw = u = rows(ctrl, actuator.ids)
-    if actuator.memory >= 0:
-        samples, delay = result.history[actuator.memory], parameters.one(f"{key}/delay")
-        result.history[actuator.memory] = [raw, *samples[:-1]]
+    raw = u = group_rows(ctrl, actuator.ids)
+    if actuator.history >= 0:
+        samples, delay = result.history[actuator.history], parameters.one(f"{key}/delay")
+        result.history[actuator.history] = [raw, *samples[:-1]]
         if not is_zero(delay):
             age = mul(1.0 / float(model.opt.timestep), delay)
             u = jnp.where(sub(delay, 0.0) != 0, delayed(samples, age, int(model.actuator_history[a, 1])), u)
@@ -149,7 +152,9 @@ def _actuator(
         drive = act[actuator.state] if actuator.state >= 0 else u
         if model.actuator_gaintype[a] == _GAIN.mjGAIN_AFFINE:
             factor = dot(gain, state)
-            source = act[actuator.state] if actuator.state >= 0 else raw  # MuJoCo's derivative takes unclamped controls
+            source = (
+                act[actuator.state] if actuator.state >= 0 else raw
+            )  # MuJoCo's derivative uses the unclamped control
             damping = sub(damping, mul(gain[2], source))
         else:
             factor = gain[0]

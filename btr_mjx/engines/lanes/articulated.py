@@ -1,8 +1,8 @@
-"""Solution of (J^T B J + diag) x = J^T f + tau by articulated bodies, in one sweep to the roots and one back.
+"""Articulated-body algorithm: solves (J^T B J + diag) x = J^T f + tau in one sweep to the roots and one back.
 
-B is one symmetric block per link (its inertia, and whatever stiffness acts on it), f one wrench per link, diag and tau
-belong to single dofs (armature, limits, actuators). Neither J nor the matrix over dofs is formed, and the cost grows
-with the number of links, not with the depth of the tree (Featherstone 2008, chapter 7).
+B is one symmetric 6x6 block per link (its inertia and contact stiffness), f one wrench per link; diag and tau belong to
+single dofs (armature, limits, actuators). Neither J nor the matrix over dofs is formed, and the cost is linear in the
+number of links (Featherstone 2008, Rigid Body Dynamics Algorithms, chapter 7).
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ from btr_mjx.engines.lanes.scalars import (
     vadd,
     vsub,
 )
-from btr_mjx.engines.lanes.spatial import Block, Spatial, carried, generalised_force, outgoing
+from btr_mjx.engines.lanes.spatial import Block, Spatial, acceleration_from_parent, generalised_force, sum_over_group
 from btr_mjx.engines.lanes.tree import FREE, TreePlan
 
 
@@ -39,17 +39,17 @@ def solve_articulated(
 
     Args:
       plan: the static plan.
-      motions: where the links are.
+      motions: poses and velocities of the links.
       blocks: B, per link, about its origin.
       wrenches: f, per link, about its origin.
-      diagonal: additions to single dofs, none on free joints (those belong into the block of the root link).
-      tau: forces along single dofs, likewise.
+      diagonal: diag, per dof; dofs of free joints have none (it belongs into the block of the root link).
+      tau: forces along single dofs, none on free joints.
 
     Returns:
       x per dof, and the spatial acceleration J x per link.
     """
     inner, outer = list(blocks), list(wrenches)
-    yields: dict[int, tuple[Spatial, Scalar, Scalar]] = {}
+    eliminated: dict[int, tuple[Spatial, Scalar, Scalar]] = {}
     for link, m in reversed(list(zip(plan.links, motions, strict=True))):
         block, wrench = inner[link.index], outer[link.index]
         if link.joints[0].kind == FREE:
@@ -58,12 +58,12 @@ def solve_articulated(
             u = block @ column
             inverse = 1.0 / add(generalised_force(column, u), diagonal.get(k, 0.0))
             force = mul(add(generalised_force(column, wrench), tau.get(k, 0.0)), inverse)
-            yields[k] = u, inverse, force
-            block = block.without(u, inverse)
+            eliminated[k] = u, inverse, force
+            block = block.rank_one_downdate(u, inverse)
             wrench = vsub(wrench[0], scale(force, u[0])), vsub(wrench[1], scale(force, u[1]))
         if link.parent >= 0:
             torque = vadd(wrench[1], cross(m.arm, wrench[0]))
-            up = outgoing(plan, link, [*block.moved(m.arm).scalars(), *wrench[0], *torque])
+            up = sum_over_group(plan, link, [*block.shifted(m.arm).scalars(), *wrench[0], *torque])
             inner[link.parent] = inner[link.parent] + Block.of(up[:21])
             above = outer[link.parent]
             outer[link.parent] = vadd(above[0], up[21:24]), vadd(above[1], up[24:])
@@ -75,9 +75,9 @@ def solve_articulated(
             x += six
             found.append((six[:3], six[3:]))
             continue
-        linear, angular = carried(link, m, found)
+        linear, angular = acceleration_from_parent(link, m, found)
         for k, (v, w) in zip(link.dofs, m.columns, strict=True):
-            (f, n), inverse, force = yields[k]
+            (f, n), inverse, force = eliminated[k]
             x.append(sub(force, mul(inverse, add(dot(f, linear), dot(n, angular)))))
             linear, angular = vadd(linear, scale(x[k], v)), vadd(angular, scale(x[k], w))
         found.append((linear, angular))
@@ -85,7 +85,7 @@ def solve_articulated(
 
 
 def _solve_six(block: Block, wrench: Spatial) -> list[Scalar]:
-    """Acceleration of a free link from its articulated inertia: a dense 6x6 LDL^T."""
+    """Acceleration of a free link from its articulated inertia, by a dense 6x6 LDL^T decomposition."""
     linear, angular = full(block.linear), full(block.angular)
     matrix = [list(linear[i][: i + 1]) for i in range(3)]
     matrix += [[*(block.mixed[j][i] for j in range(3)), *angular[i][: i + 1]] for i in range(3)]
@@ -93,7 +93,7 @@ def _solve_six(block: Block, wrench: Spatial) -> list[Scalar]:
 
 
 def ldl_solve(lower: Sequence[Sequence[Scalar]], right: Vector) -> list[Scalar]:
-    """Solve a symmetric positive definite system given by the rows of its lower triangle."""
+    """Solution (n,) of a symmetric positive definite system, given by the rows of its lower triangle (LDL^T)."""
     n = len(right)
     factor: list[list[Scalar]] = [[0.0] * n for _ in range(n)]  # L
     scaled: list[list[Scalar]] = [[0.0] * n for _ in range(n)]  # L D
@@ -114,7 +114,10 @@ def ldl_solve(lower: Sequence[Sequence[Scalar]], right: Vector) -> list[Scalar]:
 
 
 def lu_solve(rows: Sequence[Sequence[Scalar]], right: Vector) -> list[Scalar]:
-    """Solve a small unsymmetric system by elimination without pivoting; it must be close to positive definite."""
+    """Solution (n,) of a small unsymmetric system by Gaussian elimination without pivoting.
+
+    The symmetric part of the matrix must be positive definite.
+    """
     n = len(right)
     a, b = [list(row) for row in rows], list(right)
     inverse: list[Scalar] = []

@@ -1,8 +1,7 @@
-"""Delayed controls: MuJoCo's history buffers of actuators (mj_readCtrl), for steps of one length.
+"""Delayed controls: MuJoCo's history buffers of actuators (mj_readCtrl), for a fixed time step.
 
-The buffer holds the controls of the last n steps, so that a sample's age is a whole number of steps: 1 for the last
-step, n for the oldest. Before the first step all are zero. A delay of x steps reads the buffer at age x; ages below 1
-read the newest sample and ages above n the oldest.
+The buffer holds the controls of the last n steps. A sample's age is a whole number of steps: 1 for the last step, n for
+the oldest. Before the first step all are zero. A delay of x steps reads the buffer at age x, clipped to [1, n].
 """
 
 from collections.abc import Sequence
@@ -13,26 +12,29 @@ import numpy as np
 from btr_mjx.engines.lanes.scalars import Scalar, mul, total
 
 HOLD, LINEAR, CUBIC = 0, 1, 2
-"""MuJoCo's interpolation orders: the latest sample that is old enough, straight lines, Catmull-Rom splines."""
+"""MuJoCo's interpolation orders: zero-order hold, linear, Catmull-Rom spline."""
 
 _SLACK = 1e-9
-"""A delay of whole steps is met exactly, in spite of the rounding of times [steps]."""
+"""Tolerance against the rounding of times, so that a delay of whole steps selects the exact sample [steps]."""
 
 
 def delayed(samples: Sequence[Scalar], age: Scalar, order: int) -> Scalar:
-    """The control that was given `age` steps ago.
+    """The control at an age, interpolated between samples.
 
     Args:
-      samples: of ages 1, 2, ..., n.
-      age: in steps; a known number or one per world.
+      samples: controls of ages 1, 2, ..., n.
+      age: [steps]; a constant or one per world.
       order: HOLD, LINEAR or CUBIC.
+
+    Returns:
+      The control, of the samples' shape.
     """
     weights = _weights(age, len(samples), order)
     return total(mul(weight, sample) for weight, sample in zip(weights, samples, strict=True))
 
 
 def _weights(age: Scalar, count: int, order: int) -> list[Scalar]:
-    """Weight of every sample; numbers known while tracing where the age is."""
+    """Interpolation weight of every sample; constants of the program if the age is one."""
     known = isinstance(age, float | np.ndarray)
     xp = np if known else jnp
     x = xp.clip(age, 1.0, float(count))
@@ -43,7 +45,7 @@ def _weights(age: Scalar, count: int, order: int) -> list[Scalar]:
     elif order == LINEAR:
         weights = [xp.maximum(0.0, 1.0 - xp.abs(x - j)) for j in range(1, count + 1)]
     else:
-        for younger in range(1, count):  # between the samples of this age and the next older one
+        for younger in range(1, count):  # interval between this sample and the next older one
             inside = (x >= younger) & (x < younger + 1) if younger < count - 1 else x >= younger
             for age_of, weight in _catmull_rom(younger + 1 - x, younger, count).items():
                 weights[age_of - 1] = weights[age_of - 1] + xp.where(inside, weight, 0.0)
@@ -51,7 +53,7 @@ def _weights(age: Scalar, count: int, order: int) -> list[Scalar]:
 
 
 def _catmull_rom(alpha: Scalar, younger: int, count: int) -> dict[int, Scalar]:
-    """Weight by age, at a share `alpha` of the way from age younger + 1 to age younger; flat slopes at both ends."""
+    """Age -> weight at fraction `alpha` from age younger + 1 to age younger; slope zero at both ends of the buffer."""
     square, cube = alpha * alpha, alpha * alpha * alpha
     older = younger + 1
     weights = {older: 2 * cube - 3 * square + 1, younger: -2 * cube + 3 * square}

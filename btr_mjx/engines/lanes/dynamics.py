@@ -1,4 +1,4 @@
-"""Inertia of the links, the wrenches that their motion takes, and what sits on single dofs."""
+"""Inertia of the links, bias wrenches (Coriolis, centrifugal, gravity), and matrices over dofs in factored form."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,16 +23,17 @@ from btr_mjx.engines.lanes.tree import FREE, TreePlan
 
 _NO_COUPLING = [[0.0] * 3] * 3
 NO_BLOCK = Block([0.0] * 6, _NO_COUPLING, [0.0] * 6)
+"""The zero block."""
 
 
 @dataclass
 class System:
-    """A symmetric matrix over dofs in factored form: one block per link, and single dofs."""
+    """A symmetric matrix over dofs in factored form, J^T B J + diag: one block per link and a diagonal over dofs."""
 
     blocks: list[Block]
-    """Per link, about its origin; what belongs to the dofs of a free joint is in the block of its link."""
+    """B, per link, about its origin; it includes the entries of the dofs of a free joint."""
     diagonal: dict[int, Scalar]
-    """Per dof of hinges and slides; absent entries are zero."""
+    """diag, per dof of hinges and slides; absent entries are zero."""
 
     def __add__(self, other: "System") -> "System":
         keys = sorted(self.diagonal.keys() | other.diagonal.keys())
@@ -50,34 +51,36 @@ class System:
 
 
 def inertia_system(plan: TreePlan, parameters: Parameters, motions: Sequence[Motion]) -> System:
-    """Inertia of all links, with armature."""
+    """Inertia matrix of all links, with armature."""
     blocks = []
     for link, m in zip(plan.links, motions, strict=True):
-        h = matvec(m.turn, parameters[f"{link.index}/h"])
-        about = sandwich(m.turn, parameters[f"{link.index}/inertia"])
+        h = matvec(m.rotation, parameters[f"{link.index}/h"])
+        about = sandwich(m.rotation, parameters[f"{link.index}/inertia"])
         blocks.append(rigid_block(parameters.one(f"{link.index}/mass"), h, about))
     return System(blocks, {}) + dof_system(plan, parameters, motions, "armature")
 
 
 def bias_wrenches(plan: TreePlan, parameters: Parameters, motions: Sequence[Motion]) -> list[Spatial]:
-    """Wrench about each link's origin that keeps its motion up while all joint accelerations are zero.
+    """Inertial wrench about each link's origin at zero joint accelerations, minus gravity.
 
-    Newton and Euler about the origin: with h = sum of m c and J about the origin, the force is
+    Newton-Euler equations about the origin: with h = sum of m c and the inertia J about the origin, the force is
     m a + alpha x h + w x (w x h) and the torque J alpha + w x J w + h x a.
     """
     found: list[Spatial] = []
     for link, m in zip(plan.links, motions, strict=True):
         mass = parameters.one(f"{link.index}/mass")
-        h = matvec(m.turn, parameters[f"{link.index}/h"])
-        body = rigid_block(mass, h, sandwich(m.turn, parameters[f"{link.index}/inertia"]))
-        force, torque = body @ (m.acceleration, m.spin_rate)
-        momentum = rigid_block(0.0, h, body.angular) @ ([0.0] * 3, m.spin)
-        found.append((vadd(force, cross(m.spin, momentum[0])), vadd(torque, cross(m.spin, momentum[1]))))
+        h = matvec(m.rotation, parameters[f"{link.index}/h"])
+        body = rigid_block(mass, h, sandwich(m.rotation, parameters[f"{link.index}/inertia"]))
+        force, torque = body @ (m.acceleration, m.angular_acceleration)
+        momentum = rigid_block(0.0, h, body.angular) @ ([0.0] * 3, m.angular_velocity)
+        found.append(
+            (vadd(force, cross(m.angular_velocity, momentum[0])), vadd(torque, cross(m.angular_velocity, momentum[1])))
+        )
     return found
 
 
 def dof_system(plan: TreePlan, parameters: Parameters, motions: Sequence[Motion], what: str) -> System:
-    """A quantity per dof, "armature" or "damping", as a system."""
+    """A coefficient per dof, "armature" or "damping", as a system."""
     blocks, diagonal = [], {}
     for link, m in zip(plan.links, motions, strict=True):
         block = NO_BLOCK
@@ -92,20 +95,20 @@ def dof_system(plan: TreePlan, parameters: Parameters, motions: Sequence[Motion]
 
 
 def _turned_diagonal(m: Motion, values: Sequence[Scalar]) -> list[Scalar]:
-    """Numbers along a link's axes as a symmetric matrix in world axes."""
+    """A diagonal matrix in link axes as a symmetric matrix in world axes."""
     if all(isinstance(x, float) and x == values[0] for x in values):
         return [*values, 0.0, 0.0, 0.0]
-    return sandwich(m.turn, [*values, 0.0, 0.0, 0.0])
+    return sandwich(m.rotation, [*values, 0.0, 0.0, 0.0])
 
 
 def local_rates(plan: TreePlan, motions: Sequence[Motion], x: Sequence[Scalar]) -> list[Scalar]:
-    """Dof accelerations in MuJoCo's convention: angular ones of free joints turned from world to link axes."""
-    return _turned_rates(plan, [transpose(m.turn) for m in motions], x)
+    """Dof accelerations in MuJoCo's convention: angular accelerations of free joints in link instead of world axes."""
+    return _turned_rates(plan, [transpose(m.rotation) for m in motions], x)
 
 
 def world_rates(plan: TreePlan, motions: Sequence[Motion], x: Sequence[Scalar]) -> list[Scalar]:
-    """Inverse of `local_rates`."""
-    return _turned_rates(plan, [m.turn for m in motions], x)
+    """Dof accelerations with world axes, from MuJoCo's convention; inverse of `local_rates`."""
+    return _turned_rates(plan, [m.rotation for m in motions], x)
 
 
 def _turned_rates(plan: TreePlan, turns: Sequence[Matrix], x: Sequence[Scalar]) -> list[Scalar]:
@@ -118,10 +121,16 @@ def _turned_rates(plan: TreePlan, turns: Sequence[Matrix], x: Sequence[Scalar]) 
     return result
 
 
-def against(
+def opposing_forces(
     system: System, links: Sequence[Spatial], dofs: Sequence[Scalar]
 ) -> tuple[list[Spatial], dict[int, Scalar]]:
-    """Wrenches per link and forces per dof that a system takes at given accelerations (or velocities), negated."""
+    """Wrenches per link and forces per dof of minus a system times accelerations (or velocities).
+
+    Args:
+      system: the matrix, such as inertia or damping.
+      links: spatial acceleration (or velocity) of each link.
+      dofs: acceleration (or velocity) per dof.
+    """
     wrenches: list[Spatial] = []
     for block, a in zip(system.blocks, links, strict=True):
         force, torque = block @ a

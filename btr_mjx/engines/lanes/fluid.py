@@ -1,4 +1,4 @@
-"""Drag of a surrounding medium by MuJoCo's inertia-box model (mj_inertiaBoxFluidModel, mjd_inertiaBoxFluid)."""
+"""Fluid drag by MuJoCo's inertia-box model (mj_inertiaBoxFluidModel, mjd_inertiaBoxFluid)."""
 
 import math
 from collections.abc import Sequence
@@ -28,7 +28,16 @@ from btr_mjx.engines.lanes.tree import TreePlan
 
 
 def drag(plan: TreePlan, parameters: Parameters, motions: Sequence[Motion]) -> tuple[list[Spatial], System] | None:
-    """Wrenches of the medium on the links, and minus their derivative by velocity; None in a vacuum."""
+    """Drag of the fluid on the links.
+
+    Args:
+      plan: the static plan.
+      parameters: parameters of this chunk.
+      motions: poses and velocities of the links.
+
+    Returns:
+      Wrenches about the links' origins, and minus their derivative with respect to velocity; None in a vacuum.
+    """
     if is_zero(parameters.one("world/density")) and is_zero(parameters.one("world/viscosity")):
         return None
     wrenches: list[Spatial] = []
@@ -46,12 +55,12 @@ def drag(plan: TreePlan, parameters: Parameters, motions: Sequence[Motion]) -> t
 
 
 def _body(parameters: Parameters, key: str, m: Motion) -> tuple[Spatial, Block]:
-    """One body: a box of its inertia that moves through the medium."""
-    turn = matmul(m.turn, parameters.matrix(f"{key}/rot"))
-    centre = matvec(m.turn, parameters[f"{key}/pos"])
+    """Drag of one body, as a box with the same inertia."""
+    turn = matmul(m.rotation, parameters.matrix(f"{key}/rot"))
+    centre = matvec(m.rotation, parameters[f"{key}/pos"])
     local = transpose(turn)
     flow = matvec(local, vsub(point_velocity(m, centre), parameters["world/wind"]))
-    spin = matvec(local, m.spin)
+    spin = matvec(local, m.angular_velocity)
     linear, angular = _coefficients(parameters, parameters[f"{key}/box"])
     force, stiff = _resist(linear, flow)
     torque, stiff_spin = _resist(angular, spin)
@@ -64,7 +73,7 @@ def _body(parameters: Parameters, key: str, m: Motion) -> tuple[Spatial, Block]:
 def _resist(
     coefficients: Sequence[tuple[Scalar, Scalar]], speed: Sequence[Scalar]
 ) -> tuple[list[Scalar], list[Scalar]]:
-    """Force -(c1 s + c2 |s| s) and the derivative of its negative along each axis."""
+    """Force -(c1 s + c2 |s| s) along each axis, and minus its derivative."""
     force, slope = [], []
     for (viscous, quadratic), s in zip(coefficients, speed, strict=True):
         pressed = mul(quadratic, 0.0 if is_zero(s) else jnp.abs(s))

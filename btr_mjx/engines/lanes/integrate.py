@@ -9,7 +9,7 @@ import mujoco
 
 from btr_mjx.engines.lanes import support
 from btr_mjx.engines.lanes.articulated import lu_solve, solve_articulated
-from btr_mjx.engines.lanes.dynamics import NO_BLOCK, System, against, local_rates
+from btr_mjx.engines.lanes.dynamics import NO_BLOCK, System, local_rates, opposing_forces
 from btr_mjx.engines.lanes.kinematics import Motion, unit_quaternion
 from btr_mjx.engines.lanes.scalars import (
     Scalar,
@@ -32,14 +32,14 @@ from btr_mjx.engines.lanes.tree import FREE, TreePlan
 
 @dataclass(frozen=True)
 class Damping:
-    """Minus the derivatives of the forces by velocity [N s/m or N m s/rad], by what makes the forces."""
+    """Minus the derivatives of forces with respect to velocity [N s/m or N m s/rad], by the source of the forces."""
 
     joints: System
-    """Of the dampers."""
+    """Of joint dampers."""
     actuators: Mapping[int, Scalar]
-    """Of the actuators, per dof."""
+    """Of actuators, per dof."""
     medium: System | None
-    """Of the drag, None in a vacuum."""
+    """Of fluid drag; None in a vacuum."""
 
 
 def integrate_step(
@@ -57,11 +57,11 @@ def integrate_step(
     Args:
       model: base model: integrator, flags and time step.
       plan: the static plan.
-      motions: where the links are.
+      motions: poses and velocities of the links.
       q: coordinates per joint.
       v: velocity per dof.
-      inertia: of all links, with armature, M.
-      damping: minus the derivatives of the forces by velocity, which act implicitly.
+      inertia: M, of all links, with armature.
+      damping: D, minus the derivatives of forces with respect to velocity.
       acceleration: solution of the constraint problem, per dof.
 
     Returns:
@@ -79,15 +79,15 @@ def integrate_step(
     links = propagate(plan, motions, acceleration)
     following: list[Scalar] = list(acceleration)
     if not implicit.zero:
-        # (M + h D) a' = M a, since M a is the sum of all forces at the solution; solving for the difference a' - a
-        # keeps digits and spares the projection of the contact forces.
+        # (M + h D) a' = M a, where M a is the sum of all forces. Solving for the difference a' - a reduces rounding
+        # errors and does not need the contact forces.
         system = inertia + implicit
-        wrenches, tau = against(implicit, links, acceleration)
+        wrenches, tau = opposing_forces(implicit, links, acceleration)
         change, _ = solve_articulated(plan, motions, system.blocks, wrenches, system.diagonal, tau)
         following = [add(a, c) for a, c in zip(acceleration, change, strict=True)]
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST:
         for link in plan.links:
-            if link.alone:
+            if link.free_body:
                 i = link.index
                 change = _gyroscopic(inertia.blocks[i], implicit.blocks[i], motions[i], links[i], dt)
                 for k, c in zip(link.dofs, change, strict=True):
@@ -107,12 +107,12 @@ def integrate_step(
 
 
 def _gyroscopic(inertia: Block, damping: Block, m: Motion, a: Spatial, dt: float) -> list[Scalar]:
-    """Change of a lone free body's acceleration when its velocity forces, gyroscopic ones included, act implicitly.
+    """Change of a single free body's acceleration by implicit integration of its gyroscopic and damping forces.
 
-    The bias force is w x (w x h) and the bias torque about the origin w x J w; their derivatives by w make the system
-    unsymmetric (mjd_freeMhat).
+    The bias force is w x (w x h) and the bias torque about the origin w x J w; their derivatives with respect to w make
+    the system unsymmetric (mjd_freeMhat).
     """
-    w, h = m.spin, [inertia.mixed[1][2], inertia.mixed[2][0], inertia.mixed[0][1]]
+    w, h = m.angular_velocity, [inertia.mixed[1][2], inertia.mixed[2][0], inertia.mixed[0][1]]
     tensor = full(inertia.angular)
     along, momentum = dot(w, h), matvec(tensor, w)
     force = [[sub(mul(w[i], h[j]), mul(2.0, mul(h[i], w[j]))) for j in range(3)] for i in range(3)]
@@ -130,11 +130,11 @@ def _gyroscopic(inertia: Block, damping: Block, m: Motion, a: Spatial, dt: float
 
 
 def _turned(q: Sequence[jax.Array], spin: Sequence[jax.Array], dt: float) -> list[jax.Array]:
-    """Unit quaternion after turning for `dt` at a constant angular velocity in link axes (mju_quatIntegrate)."""
+    """Unit quaternion after rotating for `dt` at a constant angular velocity in link axes (mju_quatIntegrate)."""
     square = spin[0] * spin[0] + spin[1] * spin[1] + spin[2] * spin[2]
     half = (0.25 * dt * dt) * square  # square of the half angle
-    # Series of sin(x)/x and cos(x): exact to rounding below one radian of half angle; an angular velocity that turns
-    # further in one step is beyond what any step can follow, but must stay a rotation.
+    # Series of sin(x)/x and cos(x), exact to rounding for half angles below 0.5 rad. Larger rotations in one step are
+    # not accurate in any case, but must stay rotations.
     small = half < 0.25
     angle = jnp.sqrt(jnp.where(small, 1.0, half))
     sinc = jnp.where(small, _series(half, 3), jnp.sin(angle) / angle) * (0.5 * dt)

@@ -1,7 +1,7 @@
-"""Positions, velocities and bias accelerations of all links, root to leaf, in world axes.
+"""Forward kinematics: positions, velocities and bias accelerations of all links, root to leaf, in world axes.
 
-Each link is described relative to its parent's origin, never to the world's: in single precision the small lever arms
-of a robot far from the world's origin would otherwise drown. The origin of a link is the origin of its body frame.
+Each link is described relative to its parent's origin, not to the world's, so that lever arms keep their precision in
+float32 when a robot is far from the world's origin. The origin of a link is the origin of its body frame.
 """
 
 from collections.abc import Sequence
@@ -32,19 +32,19 @@ from btr_mjx.engines.lanes.tree import FREE, HINGE, Joint, Link, TreePlan
 
 @dataclass
 class Motion:
-    """Where a link is and how it moves."""
+    """Pose, velocity and bias acceleration of a link."""
 
-    turn: Matrix
+    rotation: Matrix
     """Rotation from link axes to world axes."""
     arm: Vector
     """Link origin minus parent origin [m]."""
     position: Vector
     """Link origin in the world [m]."""
-    spin: Vector
+    angular_velocity: Vector
     """Angular velocity [rad/s]."""
     velocity: Vector
     """Velocity of the origin [m/s]."""
-    spin_rate: Vector
+    angular_acceleration: Vector
     """Angular acceleration when all joint accelerations are zero [rad/s^2]."""
     acceleration: Vector
     """Acceleration of the origin when all joint accelerations are zero, minus gravity [m/s^2]."""
@@ -69,48 +69,48 @@ def quaternion_matrix(q: Sequence[jax.Array]) -> list[list[jax.Array]]:
 
 
 def world_motion(parameters: Parameters) -> Motion:
-    """The world as the parent of the root links; gravity enters as an acceleration of the world."""
+    """Motion of the world as the parent of root links; gravity enters as an acceleration of the world, -g."""
     gravity = [neg(g) for g in parameters["world/gravity"]]
     return Motion(UNIT, ZERO, ZERO, ZERO, ZERO, ZERO, gravity)
 
 
 def _carry(m: Motion, arm: Vector) -> tuple[list[Scalar], list[Scalar]]:
     """Velocity and bias acceleration of the point at `arm` from a link's origin that moves with the link."""
-    sweep = cross(m.spin, arm)
-    turn = vadd(cross(m.spin_rate, arm), cross(m.spin, sweep))
+    sweep = cross(m.angular_velocity, arm)
+    turn = vadd(cross(m.angular_acceleration, arm), cross(m.angular_velocity, sweep))
     return vadd(m.velocity, sweep), vadd(m.acceleration, turn)
 
 
 def _free(joint: Joint, q: Sequence[jax.Array], v: Sequence[jax.Array], parent: Motion) -> Motion:
-    """A free joint: its dofs are the velocity of the origin and the angular velocity, both in world axes here."""
+    """Motion of a link with a free joint; its dofs are linear and angular velocity, here both in world axes."""
     turn = quaternion_matrix(unit_quaternion(q[3:7]))
     columns: list[tuple[Vector, Vector]] = [*((axis, ZERO) for axis in UNIT), *((ZERO, axis) for axis in UNIT)]
     return Motion(turn, q[:3], q[:3], matvec(turn, v[3:6]), v[:3], ZERO, parent.acceleration, columns)
 
 
 def _placed(parameters: Parameters, link: Link, parent: Motion) -> Motion:
-    """A link carried along by its parent, before its own joints move it."""
-    arm = matvec(parent.turn, parameters[f"{link.index}/pos"])
+    """Motion of a link that is fixed to its parent, before its own joints are applied."""
+    arm = matvec(parent.rotation, parameters[f"{link.index}/pos"])
     velocity, acceleration = _carry(parent, arm)
-    turn = matmul(parent.turn, parameters.matrix(f"{link.index}/rot"))
-    return Motion(turn, arm, ZERO, parent.spin, velocity, parent.spin_rate, acceleration)
+    turn = matmul(parent.rotation, parameters.matrix(f"{link.index}/rot"))
+    return Motion(turn, arm, ZERO, parent.angular_velocity, velocity, parent.angular_acceleration, acceleration)
 
 
 def _moved(parameters: Parameters, key: str, joint: Joint, q: jax.Array, v: jax.Array, m: Motion) -> Motion:
-    """Apply one hinge or slide joint to a link under construction."""
+    """Motion of a link after one more hinge or slide joint."""
     angle = sub(q, parameters.one(f"{key}/ref"))
     axis = parameters[f"{key}/axis"]
     turn: Matrix
     spin: Vector
     spin_rate: Vector
-    along = matvec(m.turn, axis)
+    along = matvec(m.rotation, axis)
     if joint.kind == HINGE:
-        anchor = matvec(m.turn, parameters[f"{key}/pos"])
-        turn = matmul(m.turn, axis_rotation(axis, jnp.sin(angle), jnp.cos(angle)))
+        anchor = matvec(m.rotation, parameters[f"{key}/pos"])
+        turn = matmul(m.rotation, axis_rotation(axis, jnp.sin(angle), jnp.cos(angle)))
         lever = scale(-1.0, matvec(turn, parameters[f"{key}/pos"]))  # from the anchor to the origin, after the turn
         velocity, acceleration = _carry(m, anchor)
         rate = scale(v, along)
-        spin, spin_rate = vadd(m.spin, rate), vadd(m.spin_rate, cross(m.spin, rate))
+        spin, spin_rate = vadd(m.angular_velocity, rate), vadd(m.angular_acceleration, cross(m.angular_velocity, rate))
         at_anchor = Motion(turn, ZERO, ZERO, spin, velocity, spin_rate, acceleration)
         velocity, acceleration = _carry(at_anchor, lever)
         shift, column = vadd(anchor, lever), (cross(along, lever), along)
@@ -118,9 +118,9 @@ def _moved(parameters: Parameters, key: str, joint: Joint, q: jax.Array, v: jax.
         shift = scale(angle, along)
         velocity, acceleration = _carry(m, shift)
         rate = scale(v, along)
-        velocity, acceleration = vadd(velocity, rate), vadd(acceleration, scale(2.0, cross(m.spin, rate)))
-        turn, spin, spin_rate, column = m.turn, m.spin, m.spin_rate, (along, ZERO)
-    # Columns of earlier joints refer to the origin before this joint shifted it.
+        velocity, acceleration = vadd(velocity, rate), vadd(acceleration, scale(2.0, cross(m.angular_velocity, rate)))
+        turn, spin, spin_rate, column = m.rotation, m.angular_velocity, m.angular_acceleration, (along, ZERO)
+    # Columns of earlier joints refer to the origin before the shift by this joint.
     earlier = [(vadd(linear, cross(angular, shift)), angular) for linear, angular in m.columns]
     return Motion(turn, vadd(m.arm, shift), ZERO, spin, velocity, spin_rate, acceleration, [*earlier, column])
 
@@ -132,7 +132,7 @@ def motions(
 
     Args:
       plan: the static plan.
-      parameters: numbers of this chunk.
+      parameters: parameters of this chunk.
       q: per joint of the plan, in link order, its coordinates: 7 for a free joint, else 1.
       v: velocity per dof of the plan, MuJoCo's conventions.
 
@@ -158,4 +158,4 @@ def motions(
 
 def point_velocity(m: Motion, x: Vector) -> list[Scalar]:
     """Velocity of a point of a link, given relative to its origin."""
-    return vadd(m.velocity, cross(m.spin, x))
+    return vadd(m.velocity, cross(m.angular_velocity, x))

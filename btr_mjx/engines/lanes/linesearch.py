@@ -1,4 +1,4 @@
-"""The convex problem of a step, and how far to go along a Newton step: the exact minimum of the cost on the way."""
+"""MuJoCo's convex constraint problem of one step, and exact line search along a Newton direction."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from btr_mjx.engines.lanes.contacts import Contact
+from btr_mjx.engines.lanes.cones import Contact
+from btr_mjx.engines.lanes.dof_constraints import DofConstraint
 from btr_mjx.engines.lanes.dynamics import System
 from btr_mjx.engines.lanes.kinematics import Motion
-from btr_mjx.engines.lanes.rows import DofConstraint
 from btr_mjx.engines.lanes.scalars import (
     Scalar,
     add,
@@ -29,9 +29,11 @@ from btr_mjx.engines.lanes.scalars import (
 from btr_mjx.engines.lanes.spatial import Spatial, generalised_force, propagate
 from btr_mjx.engines.lanes.tree import TreePlan
 
-_TRIALS = 10
-_FLAT = 1e-3  # a slope this small relative to the one at the start is zero
+_MAX_ITERATIONS = 10
+"""Iterations of the line search."""
 
+_SLOPE_TOLERANCE = 1e-3
+"""Slope at which the search stops, relative to the slope at its start."""
 
 type Constraints = Sequence[Contact | DofConstraint]
 
@@ -42,30 +44,33 @@ class ConstraintProblem:
 
     plan: TreePlan
     motions: Sequence[Motion]
-    """Where the links are."""
+    """Poses and velocities of the links."""
     constraints: Constraints
     """Contacts, limits and friction rows."""
     inertia: System
     """Of all links, with armature."""
     wrenches: Sequence[Spatial]
-    """All forces on links but those of the constraints, about the links' origins."""
+    """All forces on links except constraint forces, about the links' origins."""
     tau: Mapping[int, Scalar]
-    """All forces along single dofs but those of the constraints."""
+    """All forces along single dofs except constraint forces."""
 
 
 def step_length(problem: ConstraintProblem, old: Sequence[jax.Array], new: Sequence[jax.Array]) -> jax.Array:
-    """Fraction of the way from `old` to `new` at which the cost is least, (C,); 1 where the full step is as good.
+    """Step length along the line from `old` through `new` at which the cost is minimal.
 
-    The slope along the way is found by Newton's method inside a bracket.
+    The zero of the slope is found by Newton's method with bracketing and bisection, starting at the full step.
 
     Args:
       problem: the problem.
       old: accelerations per dof at the start of the step.
-      new: accelerations per dof at its end.
+      new: accelerations per dof after the full step.
+
+    Returns:
+      (C,) step lengths relative to the full step.
     """
     plan, constraints, inertia, tau = problem.plan, problem.constraints, problem.inertia, problem.tau
-    way = [y - x for x, y in zip(old, new, strict=True)]
-    at, links = propagate(plan, problem.motions, old), propagate(plan, problem.motions, way)
+    direction = [y - x for x, y in zip(old, new, strict=True)]
+    at, links = propagate(plan, problem.motions, old), propagate(plan, problem.motions, direction)
     slope: Scalar = 0.0
     curve: Scalar = 0.0
     for link, block, a, d, wrench in zip(plan.links, inertia.blocks, at, links, problem.wrenches, strict=True):
@@ -74,17 +79,17 @@ def step_length(problem: ConstraintProblem, old: Sequence[jax.Array], new: Seque
         curve = add(curve, group_sum(generalised_force(d, block @ d), link.size))
     for k, size in enumerate(plan.dof_size):
         diagonal = inertia.diagonal.get(k, 0.0)
-        slope = add(slope, group_sum(mul(way[k], sub(mul(diagonal, old[k]), tau.get(k, 0.0))), size))
-        curve = add(curve, group_sum(mul(diagonal, mul(way[k], way[k])), size))
+        slope = add(slope, group_sum(mul(direction[k], sub(mul(diagonal, old[k]), tau.get(k, 0.0))), size))
+        curve = add(curve, group_sum(mul(diagonal, mul(direction[k], direction[k])), size))
     rays = []
     for c in constraints:
         if isinstance(c, Contact):
             rays.append((c.acceleration(at[c.link.index]), c.acceleration(links[c.link.index])))
         else:
-            rays.append(([old[c.dof]], [way[c.dof]]))
+            rays.append(([old[c.dof]], [direction[c.dof]]))
 
     def evaluate(length: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Slope and curvature of the cost along the way."""
+        """Slope and curvature of the cost at a step length."""
         first, second = add(slope, mul(length, curve)), curve
         for c, (start, d) in zip(constraints, rays, strict=True):
             here = vadd(start, scale(length, d))
@@ -100,7 +105,7 @@ def step_length(problem: ConstraintProblem, old: Sequence[jax.Array], new: Seque
         lanes = length.shape
         return array(first, lanes, length.dtype), array(second, lanes, length.dtype)
 
-    def improve(_: jax.Array, carry: tuple) -> tuple:
+    def newton_step(_: jax.Array, carry: tuple) -> tuple:
         length, low, high = carry
         first, second = evaluate(length)
         up = first > 0
@@ -109,9 +114,9 @@ def step_length(problem: ConstraintProblem, old: Sequence[jax.Array], new: Seque
         inside = (newton > low) & (newton < high)
         halved = jnp.where(jnp.isfinite(high), 0.5 * (low + high), 2.0 * length)
         better = jnp.where(inside, newton, halved)
-        return jnp.where(jnp.abs(first) > _FLAT * steepest, better, length), low, high
+        return jnp.where(jnp.abs(first) > _SLOPE_TOLERANCE * steepest, better, length), low, high
 
     lanes = jnp.ones(old[0].shape[-1], old[0].dtype)
     steepest = jnp.abs(evaluate(0.0 * lanes)[0])
-    length, _, _ = lax.fori_loop(0, _TRIALS, improve, (lanes, 0.0 * lanes, jnp.inf * lanes))
+    length, _, _ = lax.fori_loop(0, _MAX_ITERATIONS, newton_step, (lanes, 0.0 * lanes, jnp.inf * lanes))
     return length

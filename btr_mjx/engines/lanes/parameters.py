@@ -1,8 +1,9 @@
-"""From MjModel fields to the numbers that the step needs, in float64 on the host, for one model or a batch of them.
+"""Parameters of a step, derived from MjModel fields in float64 on the host, for one model or a batch of models.
 
-Every derived number remembers whether it differs between worlds by the shape of its batch axes: (1, 1) if all the
-fields it came from are common to all worlds, (N, C) otherwise. Common numbers become constants of the traced program,
-the others its arguments.
+The batch axes of a derived parameter are (1, 1) if all fields that it depends on are equal in all worlds, and (N, C)
+otherwise. Equal parameters become constants of the traced program, the others its arguments.
+
+Source of the contact parameters: google-deepmind/mujoco, mj_contactParam, mj_makeImpedance, getsolparam.
 """
 
 from collections.abc import Mapping
@@ -13,116 +14,23 @@ import mujoco
 import numpy as np
 
 from btr_mjx.engines.lanes import support
+from btr_mjx.engines.lanes.fields import Fields, apply_matrix, rigid_pose, rigid_root, rotation_matrices
 from btr_mjx.engines.lanes.scalars import Scalar, constant
 from btr_mjx.engines.lanes.tree import FREE, Joint, Touch, TreePlan, massive_members, rigid_members
-
-VARYING = frozenset(
-    f"{group}_{field}"
-    for group, fields in {
-        "body": "mass inertia ipos iquat pos quat invweight0",
-        "geom": "pos quat size friction solref solimp solmix margin",
-        "jnt": "axis pos range margin stiffness solref solimp actfrcrange",
-        "dof": "damping armature frictionloss invweight0 solref solimp",
-        "actuator": "gainprm biasprm dynprm gear ctrlrange forcerange actrange delay",
-    }.items()
-    for field in fields.split()
-) | {"qpos0", "qpos_spring", "opt.gravity", "opt.wind", "opt.density", "opt.viscosity", "opt.impratio"}
-"""Fields that may differ between worlds."""
-
-_BYSTANDERS = frozenset(
-    f"{group}{field}"
-    for group, fields in {
-        "body_": "subtreemass margin",
-        "geom_": "aabb rbound rgba",
-        "dof_": "M0 length",
-        "actuator_": "acc0 length0 lengthrange cranklength",
-        "opt.": "magnetic tolerance ls_tolerance ccd_tolerance sleep_tolerance iterations ls_iterations",
-    }.items()
-    for field in fields.split()
-)
-"""Fields of bodies, joints, geoms, actuators and options that do not influence the motion, or only through others."""
-
 
 _MINVAL, _MINMU, _MINIMP, _MAXIMP = 1e-15, 1e-5, 1e-4, 0.9999  # MuJoCo's constants of these names
 
 
-def base_field(model: mujoco.MjModel, field: str) -> np.ndarray:
-    """A field of the model, "opt.x" for options, in float64."""
-    owner = model.opt if field.startswith("opt.") else model
-    return np.asarray(getattr(owner, field.removeprefix("opt.")), np.float64)
-
-
-def matters(field: str) -> bool:
-    """Whether a field can influence the motion of a supported model, other than through fields derived from it."""
-    physical = field.startswith(("body_", "jnt_", "dof_", "geom_", "actuator_", "opt.", "qpos"))
-    return physical and field not in _BYSTANDERS and not field.endswith("_user") and not field.startswith("body_bvh")
-
-
-class Fields:
-    """Reads elements of MjModel fields with two batch axes in front: (N, C) where they may differ, else (1, 1)."""
-
-    def __init__(self, model: mujoco.MjModel, masks: Mapping[str, np.ndarray], leaves: Mapping[str, np.ndarray]):
-        """Initialises the view.
-
-        Args:
-          model: base model.
-          masks: field name -> bool array of the field's shape, elements that may differ between worlds.
-          leaves: field name -> (N, C, *field shape).
-        """
-        self._model, self._masks, self._leaves = model, masks, leaves
-
-    def __call__(self, field: str, index: Any = ()) -> np.ndarray:
-        """The element or block field[index], shape (N, C, ...) or (1, 1, ...)."""
-        index = index if isinstance(index, tuple) else (index,)
-        mask = self._masks.get(field)
-        if mask is not None and mask[index].any():
-            return self._leaves[field][(slice(None), slice(None), *index)].astype(np.float64, copy=False)
-        return base_field(self._model, field)[index][None, None]
-
-
-def _matrix(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) of quaternions (..., 4), with rounding dust swept off zeros and ones."""
-    w, x, y, z = np.moveaxis(quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True), -1, 0)
-    rows = [
-        [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
-    ]
-    matrix = np.stack([np.stack(row, -1) for row in rows], -2)
-    nearest = np.round(matrix)
-    return np.where(np.abs(matrix - nearest) < 1e-15, nearest, matrix)
-
-
-def _apply(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    return (matrix @ vector[..., None])[..., 0]
-
-
-def rigid_pose(model: mujoco.MjModel, fields: Fields, body: int, root: int) -> tuple[np.ndarray, np.ndarray]:
-    """Position (..., 3) and rotation (..., 3, 3) of a body in the frame of an ancestor that it is welded to."""
-    if body == root:
-        return np.zeros((1, 1, 3)), np.eye(3)[None, None]
-    position, matrix = rigid_pose(model, fields, int(model.body_parentid[body]), root)
-    position = position + _apply(matrix, fields("body_pos", body))
-    return position, matrix @ _matrix(fields("body_quat", body))
-
-
-def _rigid_root(model: mujoco.MjModel, body: int) -> int:
-    """The jointed body, or the world, that a body is welded to."""
-    while body and model.body_jntnum[body] == 0:
-        body = int(model.body_parentid[body])
-    return body
-
-
 def _inertia(model: mujoco.MjModel, fields: Fields, body: int) -> dict[str, np.ndarray]:
-    """Moments of a rigid link about its origin: mass, `h` = sum of m c [kg m], `inertia` (xx yy zz xy xz yz)."""
+    """Inertia of a rigid link about its origin: mass, `h` = sum of m c [kg m], `inertia` (xx yy zz xy xz yz)."""
     h: Any = np.zeros((1, 1, 3))
     own: Any = np.zeros((1, 1))
     tensor: Any = np.zeros((1, 1, 3, 3))
     for b in rigid_members(model, body):
         position, matrix = rigid_pose(model, fields, b, body)
         mass = fields("body_mass", b)[..., None]
-        c = position + _apply(matrix, fields("body_ipos", b))
-        axes = matrix @ _matrix(fields("body_iquat", b))
+        c = position + apply_matrix(matrix, fields("body_ipos", b))
+        axes = matrix @ rotation_matrices(fields("body_iquat", b))
         about = (axes * fields("body_inertia", b)[..., None, :]) @ np.swapaxes(axes, -1, -2)
         square = (c * c).sum(-1)[..., None, None] * np.eye(3) - c[..., :, None] * c[..., None, :]
         own, h = own + mass[..., 0], h + mass * c
@@ -137,17 +45,17 @@ def _fluid(model: mujoco.MjModel, fields: Fields, body: int, root: int) -> dict[
     moments = fields("body_inertia", body)
     spread = np.maximum(_MINVAL, moments.sum(-1, keepdims=True) - 2 * moments)
     box = np.sqrt(6 * spread / fields("body_mass", body)[..., None])
-    turn = matrix @ _matrix(fields("body_iquat", body))
-    centre = position + _apply(matrix, fields("body_ipos", body))
+    turn = matrix @ rotation_matrices(fields("body_iquat", body))
+    centre = position + apply_matrix(matrix, fields("body_ipos", body))
     return {"pos": centre, "rot": turn.reshape(*turn.shape[:2], 9), "box": box}
 
 
 def _frame(model: mujoco.MjModel, fields: Fields, body: int) -> dict[str, np.ndarray]:
     """Pose of a link's body at zero joint angles in the frame of its parent link."""
     parent = int(model.body_parentid[body])
-    position, matrix = rigid_pose(model, fields, parent, _rigid_root(model, parent))
-    turn = matrix @ _matrix(fields("body_quat", body))
-    return {"pos": position + _apply(matrix, fields("body_pos", body)), "rot": turn.reshape(*turn.shape[:2], 9)}
+    position, matrix = rigid_pose(model, fields, parent, rigid_root(model, parent))
+    turn = matrix @ rotation_matrices(fields("body_quat", body))
+    return {"pos": position + apply_matrix(matrix, fields("body_pos", body)), "rot": turn.reshape(*turn.shape[:2], 9)}
 
 
 def _reference(solref: np.ndarray, dmax: np.ndarray, model: mujoco.MjModel) -> np.ndarray:
@@ -166,7 +74,7 @@ def _reference(solref: np.ndarray, dmax: np.ndarray, model: mujoco.MjModel) -> n
 
 
 def _impedance(solimp: np.ndarray) -> np.ndarray:
-    """Clamped (dmin, dmax, width, midpoint, power), written so that a flat impedance needs no case of its own."""
+    """Clamped (dmin, dmax, width, midpoint, power); a constant impedance has dmin = dmax."""
     low, high, mid = (np.clip(solimp[..., i], _MINIMP, _MAXIMP) for i in (0, 1, 3))
     width, power = solimp[..., 2], np.maximum(1, solimp[..., 4])
     flat = (low == high) | (width <= _MINVAL)
@@ -184,10 +92,10 @@ def _touch(model: mujoco.MjModel, fields: Fields, body: int, touch: Touch, geom:
     plane = touch.plane
     owner = int(model.geom_bodyid[geom])
     position, matrix = rigid_pose(model, fields, owner, body)
-    result = {"centre": position + _apply(matrix, fields("geom_pos", geom))}
+    result = {"centre": position + apply_matrix(matrix, fields("geom_pos", geom))}
     size = fields("geom_size", geom)
     if touch.kind != support.SPHERE:
-        matrix = matrix @ _matrix(fields("geom_quat", geom))
+        matrix = matrix @ rotation_matrices(fields("geom_quat", geom))
     if touch.kind == support.CAPSULE:
         result["axis"] = matrix[..., 2]
         result["half"] = size[..., 1:2]
@@ -256,7 +164,7 @@ def _joint(model: mujoco.MjModel, fields: Fields, joint: Joint, j: int) -> dict[
         result["limit_scale"] = 1 / weight
     if joint.friction:
         row = _row(fields("dof_solref", dof), fields("dof_solimp", dof), model)
-        low = row["impedance"][..., 0:1]  # friction rows sit at zero violation
+        low = row["impedance"][..., 0:1]  # friction rows have zero violation
         result["loss"] = fields("dof_frictionloss", slice(dof, dof + 1))
         result["loss_weight"] = low / ((1 - low) * weight)
         result["loss_damping"] = row["reference"][..., 1:2]
@@ -279,8 +187,8 @@ def _actuator(fields: Fields, a: int) -> dict[str, np.ndarray]:
 def _plane(model: mujoco.MjModel, fields: Fields, geom: int) -> dict[str, np.ndarray]:
     """Contact frame (normal and two tangents, as mju_makeFrame) and offset of a plane along its normal."""
     position, matrix = rigid_pose(model, fields, int(model.geom_bodyid[geom]), 0)
-    position = position + _apply(matrix, fields("geom_pos", geom))
-    normal = (matrix @ _matrix(fields("geom_quat", geom)))[..., 2]
+    position = position + apply_matrix(matrix, fields("geom_pos", geom))
+    normal = (matrix @ rotation_matrices(fields("geom_quat", geom)))[..., 2]
     guess = np.where(np.abs(normal[..., 1:2]) < 0.5, [0.0, 1.0, 0.0], [0.0, 0.0, 1.0])
     tangent = guess - (guess * normal).sum(-1, keepdims=True) * normal
     tangent = tangent / np.linalg.norm(tangent, axis=-1, keepdims=True)
@@ -289,7 +197,16 @@ def _plane(model: mujoco.MjModel, fields: Fields, geom: int) -> dict[str, np.nda
 
 
 def derive(model: mujoco.MjModel, plan: TreePlan, fields: Fields) -> dict[str, np.ndarray]:
-    """All numbers of the step: name -> (N, C, G, k) where they differ between worlds, else (1, 1, G, k)."""
+    """All parameters of a step.
+
+    Args:
+      model: the base model.
+      plan: the static plan.
+      fields: view of the fields of the batch.
+
+    Returns:
+      name -> (N, C, G, k) where the worlds differ, else (1, 1, G, k), for k components of G group members.
+    """
     table: dict[str, np.ndarray] = {}
 
     def put(prefix: str, members: list[dict[str, np.ndarray]]) -> None:
@@ -299,15 +216,14 @@ def derive(model: mujoco.MjModel, plan: TreePlan, fields: Fields) -> dict[str, n
     gravity = np.zeros((1, 1, 3)) if support.disabled(model, "GRAVITY") else fields("opt.gravity")
     options = {key: fields(f"opt.{key}")[..., None] for key in ("density", "viscosity", "impratio")}
     put("world", [{"gravity": gravity, "wind": fields("opt.wind"), **options}])
-    stirred = not (
-        support.disabled(model, "SPRING") and support.disabled(model, "DAMPER")
-    )  # they gate all passive forces
-    wet = stirred and bool(np.any(options["density"]) or np.any(options["viscosity"]))
+    # MuJoCo skips all passive forces, drag included, if both springs and dampers are disabled.
+    passive_forces = not (support.disabled(model, "SPRING") and support.disabled(model, "DAMPER"))
+    has_fluid = passive_forces and bool(np.any(options["density"]) or np.any(options["viscosity"]))
     for plane in sorted({touch.plane for link in plan.links for touch in link.touches}):
         put(f"plane{plane}", [_plane(model, fields, plane)])
     for link in plan.links:
         put(f"{link.index}", [_inertia(model, fields, b) | _frame(model, fields, b) for b in link.bodies])
-        if wet:
+        if has_fluid:
             for n, bodies in enumerate(zip(*(massive_members(model, b) for b in link.bodies), strict=False)):
                 members = zip(bodies, link.bodies, strict=True)
                 put(f"{link.index}/fluid{n}", [_fluid(model, fields, b, root) for b, root in members])
@@ -322,7 +238,7 @@ def derive(model: mujoco.MjModel, plan: TreePlan, fields: Fields) -> dict[str, n
 
 
 def split_constants(table: Mapping[str, np.ndarray]) -> tuple[dict[str, list[Scalar]], dict[str, list[np.ndarray]]]:
-    """Separate a derived table into constants and arrays.
+    """Separate the parameters of `derive` into constants and arrays.
 
     Returns:
       name -> list of k constants, and name -> list of k float64 arrays (N, C) or (N, G, C).
@@ -340,7 +256,7 @@ def split_constants(table: Mapping[str, np.ndarray]) -> tuple[dict[str, list[Sca
 
 
 class Parameters:
-    """The numbers of one chunk while tracing: constants, and the arrays of one slice of the packed leaves."""
+    """Parameters of one chunk while tracing: constants, and the arrays of one slice of the packed leaves."""
 
     def __init__(self, constants: Mapping[str, list[Scalar]], arrays: Mapping[str, list[jax.Array]]):
         self._constants, self._arrays = constants, arrays
@@ -352,11 +268,11 @@ class Parameters:
         return key in self._arrays or key in self._constants
 
     def one(self, key: str) -> Scalar:
-        """A quantity with a single component."""
+        """A parameter with a single component."""
         (value,) = self[key]
         return value
 
     def matrix(self, key: str) -> list[list[Scalar]]:
-        """A quantity with nine components, as three rows."""
+        """A parameter with nine components, as the three rows of a matrix."""
         nine = self[key]
         return [nine[0:3], nine[3:6], nine[6:9]]

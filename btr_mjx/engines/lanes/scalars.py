@@ -1,9 +1,9 @@
-"""Small linear algebra on scalars that know when they are zero or one.
+"""Small linear algebra on batched scalars, with constant folding of zeros and ones.
 
-A *scalar* of a batched computation is either a Python float (the same number for all worlds, known while tracing), a
-numpy array of shape (G, 1) (one number per member of a group of G alike links, known while tracing), or a JAX array of
-shape (C,) or (G, C): the batch of C worlds is always the last axis. Products with a known zero vanish and products
-with a known one cost nothing, so the sparsity of axis-aligned geometry is used without writing it down anywhere.
+A *scalar* of a batched computation is either a Python float (constant, equal in all worlds), a numpy array of shape
+(G, 1) (constant, one number per member of a group of G similar links), or a JAX array of shape (C,) or (G, C): the
+batch of C worlds is always the last axis. Products with a constant zero or one are simplified while tracing, so that
+the sparsity of axis-aligned geometry is used automatically.
 
 Vectors are lists of three scalars, matrices lists of three rows, symmetric matrices lists of six scalars in the order
 xx, yy, zz, xy, xz, yz.
@@ -27,14 +27,14 @@ UNIT: list[list[float]] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
 
 def constant(values: Any) -> Scalar:
-    """A known scalar: a float if all members of the group agree, else an array of shape (G, 1)."""
+    """A constant scalar: a float if all members of the group agree, else an array of shape (G, 1)."""
     values = np.asarray(values, np.float64)
     first = values.reshape(-1)[0]
     return float(first) if np.all(values == first) else values.reshape(-1, 1)
 
 
 def is_zero(a: Scalar) -> bool:
-    """Whether `a` is known to be zero."""
+    """Whether `a` is the constant zero."""
     return isinstance(a, float) and a == 0.0
 
 
@@ -43,7 +43,7 @@ def _traced(a: Scalar) -> bool:
 
 
 def _like(a: Scalar, b: Scalar) -> Scalar:
-    """Cast a known array to the type of its partner, so that a double constant never widens the computation."""
+    """Cast a constant array to the dtype of its partner, so that float64 constants do not widen the computation."""
     return a.astype(b.dtype) if isinstance(a, np.ndarray) and _traced(b) else a
 
 
@@ -70,7 +70,7 @@ def sub(a: Scalar, b: Scalar) -> Scalar:
 
 
 def neg(a: Scalar) -> Scalar:
-    """Negative of a scalar; a known zero stays a plain zero."""
+    """Negative of a scalar; the constant zero stays +0."""
     return a if is_zero(a) else -a
 
 
@@ -98,7 +98,7 @@ def group_sum(a: Scalar, size: int) -> Scalar:
     """Sum over the members of a group of `size` links; the result belongs to their common parent.
 
     Args:
-      a: a scalar; one that does not differ between the members counts `size` times.
+      a: a scalar; one without a group axis counts `size` times.
       size: number of members.
     """
     if size == 1 or is_zero(a):
@@ -108,7 +108,7 @@ def group_sum(a: Scalar, size: int) -> Scalar:
     if a.ndim == 1:
         return float(size) * a
     parts = [a[i] for i in range(size)]
-    while len(parts) > 1:  # pairwise: a short dependency chain
+    while len(parts) > 1:  # pairwise, for a short dependency chain
         parts = [parts[i] + parts[i + 1] if i + 1 < len(parts) else parts[i] for i in range(0, len(parts), 2)]
     return parts[0]
 
@@ -176,7 +176,7 @@ def sandwich(m: Matrix, s: Symmetric) -> list[Scalar]:
 
 
 def axis_rotation(axis: Vector, sine: Scalar, cosine: Scalar) -> list[list[Scalar]]:
-    """Rotation matrix about a unit axis (Rodrigues), arranged so that known parts of the axis cost nothing."""
+    """Rotation matrix about a unit axis (Rodrigues), arranged so that constant components of the axis are folded."""
     result = [[0.0 for _ in range(3)] for _ in range(3)]
     skew = [[0.0, neg(axis[2]), axis[1]], [axis[2], 0.0, neg(axis[0])], [neg(axis[1]), axis[0], 0.0]]
     for i in range(3):

@@ -1,4 +1,4 @@
-"""Spatial algebra of the links: accelerations, wrenches, and symmetric maps from the first to the second.
+"""Spatial vector algebra of the links: accelerations, wrenches and symmetric maps between them (inertias).
 
 A link's spatial quantities refer to its own origin and to world axes: an acceleration is (linear, angular), a wrench
 (force, torque).
@@ -31,13 +31,14 @@ from btr_mjx.engines.lanes.scalars import (
 from btr_mjx.engines.lanes.tree import Link, TreePlan
 
 type Spatial = tuple[Vector, Vector]
+"""Linear and angular acceleration, or force and torque."""
 
 _SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 @dataclass(frozen=True)
 class Block:
-    """A symmetric map from a link's spatial acceleration to a wrench about the link's origin."""
+    """A symmetric 6x6 map from a link's spatial acceleration to a wrench about the link's origin."""
 
     linear: Symmetric
     """Force from linear acceleration."""
@@ -51,7 +52,7 @@ class Block:
         return Block(vadd(self.linear, other.linear), mixed, vadd(self.angular, other.angular))
 
     def __matmul__(self, a: Spatial) -> Spatial:
-        """Wrench that belongs to a spatial acceleration."""
+        """Wrench of a spatial acceleration."""
         v, w = a
         force = vadd(matvec(full(self.linear), v), matvec(self.mixed, w))
         return force, vadd(matvec(transpose(self.mixed), v), matvec(full(self.angular), w))
@@ -61,17 +62,17 @@ class Block:
         mixed = [scale(factor, row) for row in self.mixed]
         return Block(scale(factor, self.linear), mixed, scale(factor, self.angular))
 
-    def without(self, u: Spatial, inverse: Scalar) -> "Block":
-        """The block minus u u^T / d: what remains of it when one dof gives way."""
+    def rank_one_downdate(self, u: Spatial, inverse: Scalar) -> "Block":
+        """The block minus u u^T / d: the articulated inertia after one dof is eliminated; `inverse` is 1 / d."""
         (f, n), (g, o) = u, (scale(inverse, u[0]), scale(inverse, u[1]))
         linear = [sub(x, mul(f[i], g[j])) for x, (i, j) in zip(self.linear, _SIX, strict=True)]
         mixed = [[sub(self.mixed[i][j], mul(f[i], o[j])) for j in range(3)] for i in range(3)]
         angular = [sub(x, mul(n[i], o[j])) for x, (i, j) in zip(self.angular, _SIX, strict=True)]
         return Block(linear, mixed, angular)
 
-    def moved(self, arm: Vector) -> "Block":
-        """The block about a point that lies at minus `arm` from the present one."""
-        # With R the cross matrix of the arm and K, B, J the three parts: B - K R and J - B^T R + R (B - K R).
+    def shifted(self, arm: Vector) -> "Block":
+        """The block about another point, displaced by minus `arm` (parallel axis theorem)."""
+        # With R the cross-product matrix of the arm and K, B, J the three parts: B - K R and J - B^T R + R (B - K R).
         # A row times R is row x arm; R times a column is arm x column.
         mixed = [vsub(row, cross(k, arm)) for row, k in zip(self.mixed, full(self.linear), strict=True)]
         first = [cross(column, arm) for column in transpose(self.mixed)]
@@ -80,7 +81,7 @@ class Block:
         return Block(self.linear, mixed, angular)
 
     def scalars(self) -> list[Scalar]:
-        """All 21 numbers."""
+        """The 21 entries."""
         return [*self.linear, *self.mixed[0], *self.mixed[1], *self.mixed[2], *self.angular]
 
     @classmethod
@@ -90,7 +91,7 @@ class Block:
 
 
 def point_block(k: Symmetric, x: Vector) -> Block:
-    """The block of a stiffness `k` that acts at a point `x` from the origin."""
+    """The block of a 3x3 stiffness `k` at a point `x` relative to the origin."""
     mixed = [cross(x, row) for row in full(k)]
     columns = [cross(x, column) for column in transpose(mixed)]
     return Block(k, mixed, [columns[j][i] for i, j in _SIX])
@@ -102,14 +103,14 @@ def rigid_block(mass: Scalar, h: Vector, inertia: Symmetric) -> Block:
     return Block([mass, mass, mass, 0.0, 0.0, 0.0], skew, inertia)
 
 
-def outgoing(plan: TreePlan, link: Link, values: Sequence[Scalar]) -> list[Scalar]:
-    """Values of a link as its parent sees them: summed over the group if the group ends here."""
-    alone = link.parent < 0 or plan.links[link.parent].size == 1
-    return [group_sum(x, link.size) for x in values] if alone else list(values)
+def sum_over_group(plan: TreePlan, link: Link, values: Sequence[Scalar]) -> list[Scalar]:
+    """Values that a link passes to its parent: summed over the group if the parent is not part of it."""
+    group_ends = link.parent < 0 or plan.links[link.parent].size == 1
+    return [group_sum(x, link.size) for x in values] if group_ends else list(values)
 
 
-def carried(link: Link, m: Motion, above: Sequence[Spatial]) -> Spatial:
-    """Spatial acceleration that a link's origin has from its parent alone."""
+def acceleration_from_parent(link: Link, m: Motion, above: Sequence[Spatial]) -> Spatial:
+    """Spatial acceleration of a link's origin due to its parent's acceleration."""
     if link.parent < 0:
         return ZERO, ZERO
     linear, angular = above[link.parent]
@@ -120,7 +121,7 @@ def propagate(plan: TreePlan, motions: Sequence[Motion], a: Sequence[Scalar]) ->
     """Spatial acceleration of every link caused by accelerations `a` of the dofs (J a)."""
     found: list[Spatial] = []
     for link, m in zip(plan.links, motions, strict=True):
-        linear, angular = carried(link, m, found)
+        linear, angular = acceleration_from_parent(link, m, found)
         for k, (v, w) in zip(link.dofs, m.columns, strict=True):
             linear, angular = vadd(linear, scale(a[k], v)), vadd(angular, scale(a[k], w))
         found.append((linear, angular))

@@ -1,4 +1,4 @@
-"""The lanes engine's `Stepper`: one MuJoCo step for a chunk of worlds, the batch in the SIMD lanes."""
+"""The `Stepper` of the lanes engine: one MuJoCo step for a chunk of worlds, with the batch in the SIMD lanes."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,19 +11,28 @@ import numpy as np
 
 from btr_mjx.engines.base import Leaves
 from btr_mjx.engines.lanes import support
-from btr_mjx.engines.lanes.actuation import actuate, rows, springs
-from btr_mjx.engines.lanes.contacts import Contact, contact_points
-from btr_mjx.engines.lanes.dynamics import against, bias_wrenches, dof_system, inertia_system, local_rates, world_rates
+from btr_mjx.engines.lanes.actuation import actuate, group_rows, springs
+from btr_mjx.engines.lanes.cones import Contact
+from btr_mjx.engines.lanes.contacts import contact_points
+from btr_mjx.engines.lanes.dof_constraints import DofConstraint, dof_constraints
+from btr_mjx.engines.lanes.dynamics import (
+    bias_wrenches,
+    dof_system,
+    inertia_system,
+    local_rates,
+    opposing_forces,
+    world_rates,
+)
+from btr_mjx.engines.lanes.fields import VARYING, Fields, base_field, influences_motion
 from btr_mjx.engines.lanes.fluid import drag
 from btr_mjx.engines.lanes.integrate import Damping, integrate_step
 from btr_mjx.engines.lanes.kinematics import Motion, motions
 from btr_mjx.engines.lanes.linesearch import ConstraintProblem
-from btr_mjx.engines.lanes.parameters import VARYING, Fields, Parameters, base_field, derive, matters, split_constants
-from btr_mjx.engines.lanes.retrace import retrace
-from btr_mjx.engines.lanes.rows import DofConstraint, dof_rows
+from btr_mjx.engines.lanes.parameters import Parameters, derive, split_constants
 from btr_mjx.engines.lanes.scalars import add, array, group_sum, total, vadd, vsub
 from btr_mjx.engines.lanes.solver import Zones, constrained_acceleration
 from btr_mjx.engines.lanes.tree import FREE, make_plan
+from btr_mjx.engines.rewriting import retrace
 
 
 @jax.tree_util.register_dataclass
@@ -38,22 +47,22 @@ class LanesState:
     act: list[jax.Array]
     """Activation states."""
     history: list[list[jax.Array]]
-    """Controls of the last steps, the newest first, per actuator that may be delayed."""
+    """Controls of the last steps, the newest first, per actuator with a history buffer."""
     acceleration: list[jax.Array]
-    """Acceleration per dof in the last step, MuJoCo's conventions; the next step's first guess."""
+    """Acceleration per dof in the last step, MuJoCo's conventions; initial guess of the next step."""
     zones: Zones
-    """Which constraints pushed in the last step, see `solver.Zones`; the solver's other first guess."""
+    """Active constraints of the last step, see `solver.Zones`; initial guess of the next step."""
     power: jax.Array
     """Sum over actuators of |force x velocity| in the last step [W], (C,)."""
     capped: jax.Array
-    """Whether the solver reached its bound in the last step, bool (C,)."""
+    """Whether the solver reached its iteration limit in the last step, bool (C,)."""
 
 
 class LanesStepper:
-    """MuJoCo steps for chunks of worlds whose models differ only in the numbers of some fields.
+    """MuJoCo steps for chunks of worlds whose models differ only in the values of some fields.
 
-    Computes trees of free, hinge and slide joints over planes; see `support.require_supported` for what is refused. The
-    solver runs to convergence whatever the model's iteration limits and tolerances say.
+    Supports trees of free, hinge and slide joints in contact with planes; see `support.require_supported`. The solver
+    runs to convergence, independent of the model's iteration limits and tolerances.
     """
 
     def __init__(
@@ -64,15 +73,15 @@ class LanesStepper:
         max_newton: int = 20,
         dtype: Any = None,
     ):
-        """Initialises the engine for one model structure.
+        """Prepare the engine for one model structure.
 
         Args:
           model: the base model; fields that are not in `varying` are compiled in.
           varying: fields that differ between worlds, by MjModel's names ("opt.gravity" for options). As a mapping, the
             values are bool arrays of the field's shape: the elements that may differ. Fields without influence on the
             motion (colours, bounding boxes, ...) are ignored.
-          max_newton: bound on the solver's iterations per step.
-          dtype: float32 or float64; None for JAX's present default.
+          max_newton: maximum number of solver iterations per step.
+          dtype: float32 or float64; None for JAX's default.
 
         Raises:
           UnsupportedModel: the model uses something that this engine does not compute, or a field of `varying` may
@@ -97,13 +106,13 @@ class LanesStepper:
         self._varying_names = frozenset(arrays)
         self._zone_layout: list[tuple[int, int]] = []
         sample = {key: [np.asarray(column[0], self._dtype) for column in columns] for key, columns in arrays.items()}
-        jax.eval_shape(self._lay_zones_out, sample)
+        jax.eval_shape(self._record_zone_layout, sample)
 
     def _read_masks(self, varying: Iterable[str] | Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Field name -> bool array of the field's shape."""
         masks = {}
         for name in sorted(varying):
-            if not matters(name):
+            if not influences_motion(name):
                 continue
             if name not in VARYING:
                 raise support.refuse(f"a field {name!r} that differs between worlds")
@@ -115,7 +124,7 @@ class LanesStepper:
         return masks
 
     def pack(self, leaves: Leaves) -> dict[str, list[np.ndarray]]:
-        """Lay per-world model fields out for this engine (numpy, on the host).
+        """Convert per-world model fields to this engine's parameters (numpy, on the host).
 
         Args:
           leaves: MjModel field name -> (N, C, *field shape): N chunks of C worlds, for every field of `varying`.
@@ -127,7 +136,7 @@ class LanesStepper:
           UnsupportedModel: a free joint has stiffness or friction loss.
           ValueError: a field of `varying` is missing, a field is given that does not vary, or a shape is wrong.
         """
-        if {name for name in leaves if matters(name)} != set(self._masks):
+        if {name for name in leaves if influences_motion(name)} != set(self._masks):
             raise ValueError(f"got the fields {sorted(leaves)}, expected those that vary: {sorted(self._masks)}")
         for name, mask in self._masks.items():
             if leaves[name].shape[2:] != mask.shape:
@@ -142,8 +151,8 @@ class LanesStepper:
     def _shape(self, size: int, chunk: int) -> tuple[int, ...]:
         return (chunk,) if size == 1 else (size, chunk)
 
-    def _lay_zones_out(self, params: Mapping[str, list[jax.Array]]) -> None:
-        """Note, while being traced, how many flags each constraint has and how many members its group."""
+    def _record_zone_layout(self, params: Mapping[str, list[jax.Array]]) -> None:
+        """Record, while traced, the number of flags of each constraint and the size of its group."""
         parameters = Parameters(self._constants, params)
         q, v, _ = self._rest(parameters, 2)
         for c in self._constraints(parameters, q, v, motions(self.plan, parameters, q, v)):
@@ -158,7 +167,7 @@ class LanesStepper:
         """Controls before the first step: zero."""
         return [
             [jnp.zeros(self._shape(size, chunk), self._dtype) for _ in range(samples)]
-            for samples, size in self.plan.memories
+            for samples, size in self.plan.histories
         ]
 
     def _constraints(
@@ -169,7 +178,7 @@ class LanesStepper:
         moving: Sequence[Motion],
     ) -> list[Contact | DofConstraint]:
         return [
-            *dof_rows(self.plan, parameters, q, v),
+            *dof_constraints(self.plan, parameters, q, v),
             *contact_points(self.plan, parameters, moving, self._elliptic, self._dtype),
         ]
 
@@ -196,7 +205,7 @@ class LanesStepper:
         return q, v, [act[i] for i in range(self.plan.states)]
 
     def state(self, qpos: Any, qvel: Any, act: Any = None) -> LanesState:
-        """State of a chunk from MuJoCo's arrays; whatever is delayed remembers controls of zero.
+        """State of a chunk from MuJoCo's arrays; history buffers of controls are zero.
 
         Args:
           qpos: positions (nq, C).
@@ -209,12 +218,14 @@ class LanesStepper:
             positions, dofs = (
                 np.array([adr[j] for j in joint.ids]) for adr in (self._model.jnt_qposadr, self._model.jnt_dofadr)
             )
-            q.append([rows(qpos, positions + i) for i in range(7 if joint.kind == FREE else 1)])
-            v += [rows(qvel, dofs + i) for i in range(len(joint.dofs))]
+            q.append([group_rows(qpos, positions + i) for i in range(7 if joint.kind == FREE else 1)])
+            v += [group_rows(qvel, dofs + i) for i in range(len(joint.dofs))]
             for a in joint.actuators:
                 if a.state >= 0:
                     adr = np.array([self._model.actuator_actadr[i] for i in a.ids])
-                    acts[a.state] = jnp.zeros_like(v[-1]) if act is None else rows(jnp.asarray(act, self._dtype), adr)
+                    acts[a.state] = (
+                        jnp.zeros_like(v[-1]) if act is None else group_rows(jnp.asarray(act, self._dtype), adr)
+                    )
         lanes = jnp.zeros(qpos.shape[-1], self._dtype)
         zones = self._no_zones(qpos.shape[-1])
         return LanesState(
@@ -222,7 +233,7 @@ class LanesStepper:
         )
 
     def step(self, params: Mapping[str, list[jax.Array]], state: LanesState, ctrl: jax.Array) -> LanesState:
-        """Advance by one time step under controls of shape (nu, C)."""
+        """State after one time step under controls of shape (nu, C)."""
         return retrace(self._step, threshold=16)(params, state, ctrl)
 
     def _step(self, params: Mapping[str, list[jax.Array]], state: LanesState, ctrl: jax.Array) -> LanesState:
@@ -233,8 +244,8 @@ class LanesStepper:
         bodies = inertia_system(plan, parameters, moving)
         damping = dof_system(plan, parameters, moving, "damping")
         actuation = actuate(model, plan, parameters, q, v, state.act, state.history, ctrl)
-        moves = [(m.velocity, m.spin) for m in moving]
-        wrenches, tau = against(damping, moves, v)
+        moves = [(m.velocity, m.angular_velocity) for m in moving]
+        wrenches, tau = opposing_forces(damping, moves, v)
         bias = bias_wrenches(plan, parameters, moving)
         wrenches = [(vsub(f, g), vsub(n, o)) for (f, n), (g, o) in zip(wrenches, bias, strict=True)]
         medium = drag(plan, parameters, moving)
@@ -300,7 +311,7 @@ class LanesStepper:
         return state.power
 
     def capped(self, state: LanesState) -> jax.Array:
-        """Whether the constraint solver stopped at its iteration cap in the last step, bool (C,)."""
+        """Whether the constraint solver reached its iteration limit in the last step, bool (C,)."""
         return state.capped
 
 

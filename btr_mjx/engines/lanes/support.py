@@ -1,4 +1,4 @@
-"""What this engine computes, and clear refusals of everything else."""
+"""Check of which models the lanes engine supports; unsupported features raise an error that names them."""
 
 import mujoco
 import numpy as np
@@ -32,13 +32,13 @@ def disabled(model: mujoco.MjModel, flag: str) -> bool:
 
 
 def require_supported(model: mujoco.MjModel) -> dict[int, list[tuple[int, int]]]:
-    """Refuse what this engine does not compute.
+    """Check that this engine supports a model.
 
     Returns:
-      Geom -> (plane geom, condim) of each contact that MuJoCo could make for it.
+      Geom -> (plane geom, condim) of each possible contact.
 
     Raises:
-      UnsupportedModel: names the feature and where it is.
+      UnsupportedModel: the message names the feature and the element that uses it.
     """
     _check_options(model)
     _check_elements(model)
@@ -139,7 +139,7 @@ def _check_actuators(m: mujoco.MjModel) -> None:
 
 
 def _contact_pairs(m: mujoco.MjModel) -> dict[int, list[tuple[int, int]]]:
-    """Possible contacts of moving geoms with planes of the world; refuses all other pairs that could touch."""
+    """Possible contacts of moving geoms with fixed planes; all other possible contacts raise UnsupportedModel."""
     pairs: dict[int, list[tuple[int, int]]] = {}
     if disabled(m, "CONTACT") or disabled(m, "CONSTRAINT"):
         return pairs
@@ -165,7 +165,7 @@ def _both(m: mujoco.MjModel, g1: int, g2: int) -> str:
 
 
 def _may_touch(m: mujoco.MjModel, g1: int, g2: int, excluded: set[int]) -> bool:
-    """MuJoCo's filters: contype and conaffinity, rigid bodies, parent and child, excluded body pairs."""
+    """MuJoCo's collision filters: contype and conaffinity, welded bodies, parent and child, excluded body pairs."""
     affine = (m.geom_contype[g1] & m.geom_conaffinity[g2]) or (m.geom_contype[g2] & m.geom_conaffinity[g1])
     b1, b2 = int(m.geom_bodyid[g1]), int(m.geom_bodyid[g2])
     w1, w2 = int(m.body_weldid[b1]), int(m.body_weldid[b2])

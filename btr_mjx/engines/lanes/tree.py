@@ -1,8 +1,8 @@
-"""From an MjModel to a static plan: which bodies form a rigid link, which links are alike, which dofs depend on which.
+"""Static plan of a model's kinematic tree: rigid links, groups of identical subtrees, dofs.
 
-Bodies without joints are fused into the nearest ancestor that has some. Sibling subtrees with the same structure (the
-legs of a robot) become one *group*: a single chain of links whose scalars carry a leading axis G. Groups are not
-nested; inside a group every link keeps its G.
+Bodies without joints are merged into the nearest ancestor with joints. Sibling subtrees with the same structure (such
+as the legs of a robot) become one *group*: a single chain of links whose scalars have a leading axis G. Groups are not
+nested; inside a group every link has the same G.
 """
 
 from collections.abc import Mapping
@@ -12,19 +12,18 @@ import mujoco
 import numpy as np
 
 FREE = int(mujoco.mjtJoint.mjJNT_FREE)
-SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 
 
 @dataclass(frozen=True)
 class Actuator:
-    """Actuators with joint transmission that sit on the same joint of every member of a group."""
+    """The actuator with joint transmission on the same joint of every member of a group."""
 
     ids: tuple[int, ...]
     """MuJoCo actuator of each member."""
     state: int
     """Index into the activation list of the state, -1 if the actuator has none."""
-    memory: int
+    history: int
     """Index into the list of control histories, -1 if the actuator keeps none."""
 
 
@@ -40,7 +39,7 @@ class Joint:
     """Dofs of the plan."""
     limited: bool
     friction: bool
-    """Whether some member has, or may have, dof friction loss."""
+    """Whether some member has, or may have, friction loss."""
     actuators: tuple[Actuator, ...]
 
 
@@ -60,7 +59,7 @@ class Touch:
 
 @dataclass(frozen=True)
 class Link:
-    """A rigid body with at least one joint, in each of `size` alike subtrees."""
+    """A rigid body with at least one joint, in each of `size` subtrees of the same structure."""
 
     index: int
     parent: int
@@ -71,8 +70,8 @@ class Link:
     """The MuJoCo body that carries the joints, of each member."""
     joints: tuple[Joint, ...]
     touches: tuple[Touch, ...]
-    alone: bool
-    """Whether this is a free body by itself."""
+    free_body: bool
+    """Whether this is a single free body, without descendants that move relative to it."""
 
     @property
     def dofs(self) -> tuple[int, ...]:
@@ -88,8 +87,8 @@ class TreePlan:
     dof_size: tuple[int, ...]
     states: int
     """Number of activation states of the plan."""
-    memories: tuple[tuple[int, int], ...]
-    """Of every history of controls: samples that it holds, and members of its group."""
+    histories: tuple[tuple[int, int], ...]
+    """Number of samples and group size of every history of controls."""
 
 
 def rigid_members(model: mujoco.MjModel, body: int) -> list[int]:
@@ -106,14 +105,14 @@ def massive_members(model: mujoco.MjModel, body: int) -> list[int]:
     return [b for b in rigid_members(model, body) if model.body_mass[b] >= 1e-15]
 
 
-def stands_alone(model: mujoco.MjModel, body: int) -> bool:
-    """Whether a body is a free body by itself, which MuJoCo integrates with its gyroscopic forces (mj_isFreeBody)."""
+def is_free_body(model: mujoco.MjModel, body: int) -> bool:
+    """Whether a body is a single free body, whose gyroscopic forces MuJoCo integrates implicitly (mj_isFreeBody)."""
     alone = model.body_jntnum[body] == 1 and model.jnt_type[model.body_jntadr[body]] == FREE
-    return bool(alone and model.body_subtreemass[body] == model.body_mass[body] and not jointed_below(model, body))
+    return bool(alone and model.body_subtreemass[body] == model.body_mass[body] and not has_joints_below(model, body))
 
 
-def jointed_below(model: mujoco.MjModel, body: int) -> bool:
-    """Whether some body below this one has joints."""
+def has_joints_below(model: mujoco.MjModel, body: int) -> bool:
+    """Whether a descendant of this body has joints."""
     below = [body]
     for b in range(body + 1, model.nbody):
         if model.body_parentid[b] in below:
@@ -122,10 +121,10 @@ def jointed_below(model: mujoco.MjModel, body: int) -> bool:
 
 
 class _Builder:
-    """Walks the kinematic tree once; `build` returns the plan."""
+    """Traverses the kinematic tree once; `build` returns the plan."""
 
     def __init__(self, model: mujoco.MjModel, pairs: Mapping[int, list[tuple[int, int]]], friction: np.ndarray):
-        """Initialises the walk.
+        """Collect the actuators and the signature of every subtree.
 
         Args:
           model: the model.
@@ -136,7 +135,7 @@ class _Builder:
         self.links: list[Link] = []
         self.dof_size: list[int] = []
         self.states = 0
-        self.memories: list[tuple[int, int]] = []
+        self.histories: list[tuple[int, int]] = []
         self.members = {b: rigid_members(model, b) for b in range(model.nbody) if b == 0 or model.body_jntnum[b]}
         joint_actuators: dict[int, list[int]] = {}
         for a in range(model.nu):
@@ -147,7 +146,7 @@ class _Builder:
             self.signatures[b] = self._signature(b)
 
     def _children(self, body: int) -> list[int]:
-        """Jointed bodies directly below a link, alike ones next to each other in MuJoCo's order."""
+        """Child links of a link, sorted by signature, then in MuJoCo's order."""
         m = self.model
         below = [b for b in range(body + 1, m.nbody) if m.body_jntnum[b] and m.body_parentid[b] in self.members[body]]
         return sorted(below, key=lambda b: (self.signatures[b], b))
@@ -162,7 +161,7 @@ class _Builder:
         ]
 
     def _signature(self, body: int) -> str:
-        """Text that is equal for subtrees that can share one trace."""
+        """Text that is equal for subtrees that can form a group."""
         m = self.model
         joints = []
         for j in self._joints(body):
@@ -191,11 +190,11 @@ class _Builder:
                 )
             )
         touches = [(int(m.geom_type[g]), self.pairs[g]) for g in self._touching(body)] if body else []
-        own = (stands_alone(m, body), len(massive_members(m, body))) if body else ()
+        own = (is_free_body(m, body), len(massive_members(m, body))) if body else ()
         return repr((joints, touches, own, [self.signatures[b] for b in self._children(body)]))
 
     def _add(self, parent: int, bodies: tuple[int, ...]) -> None:
-        """Append the link of one or more alike bodies, then everything below."""
+        """Append the link of the bodies of a group, then its descendants."""
         m, size, index = self.model, len(bodies), len(self.links)
         joints = []
         for slot in zip(*(self._joints(b) for b in bodies), strict=True):
@@ -208,9 +207,9 @@ class _Builder:
             for ids in zip(*(self.actuators.get(j, []) for j in slot), strict=True):
                 stateful = m.actuator_actnum[ids[0]] > 0
                 samples = int(m.actuator_history[ids[0], 0])
-                memory = len(self.memories) if samples else -1
-                actuators.append(Actuator(ids, self.states if stateful else -1, memory))
-                self.memories += [(samples, size)] if samples else []
+                history = len(self.histories) if samples else -1
+                actuators.append(Actuator(ids, self.states if stateful else -1, history))
+                self.histories += [(samples, size)] if samples else []
                 self.states += int(stateful)
             dof = int(m.jnt_dofadr[slot[0]])
             joints.append(
@@ -221,11 +220,11 @@ class _Builder:
             for geoms in zip(*(self._touching(b) for b in bodies), strict=True)
             for plane, condim in self.pairs[geoms[0]]
         ]
-        self.links.append(Link(index, parent, size, bodies, tuple(joints), tuple(touches), stands_alone(m, bodies[0])))
+        self.links.append(Link(index, parent, size, bodies, tuple(joints), tuple(touches), is_free_body(m, bodies[0])))
         self._descend(index, bodies)
 
     def _descend(self, index: int, bodies: tuple[int, ...]) -> None:
-        if len(bodies) > 1:  # already a group: its members' children in parallel
+        if len(bodies) > 1:  # already a group: children are grouped across its members
             for children in zip(*(self._children(b) for b in bodies), strict=True):
                 self._add(index, children)
             return
@@ -237,15 +236,15 @@ class _Builder:
 
     def build(self) -> TreePlan:
         self._descend(-1, (0,))
-        return TreePlan(tuple(self.links), tuple(self.dof_size), self.states, tuple(self.memories))
+        return TreePlan(tuple(self.links), tuple(self.dof_size), self.states, tuple(self.histories))
 
 
 def make_plan(model: mujoco.MjModel, pairs: Mapping[int, list[tuple[int, int]]], friction: np.ndarray) -> TreePlan:
-    """Walk the kinematic tree of a model.
+    """Make the static plan of a model.
 
     Args:
       model: the model; must have passed `support.require_supported`.
-      pairs: geom -> (plane geom, condim) of all its possible contacts (`support.require_supported` finds them).
+      pairs: geom -> (plane geom, condim) of all its possible contacts (from `support.require_supported`).
       friction: bool (nv,), dofs that have or may have friction loss.
 
     Returns:

@@ -1,13 +1,14 @@
-"""Measured data: datasets, recordings, one file per format, noise.
+"""Measured data: datasets, recordings, file formats, sensor noise.
 
-`open_dataset` recognises a folder's form and returns a `Dataset`: the believed model, its `Recording`s, what may be
-refitted (`Believed`) and the noise of the sensors. `save_dataset` writes one.
+`open_dataset` detects the format of a folder and returns a `Dataset`: the believed (nominal) model, its `Recording`s,
+the parameters that may be refitted (`Believed`) and the standard deviation of the sensor noise. `save_dataset` writes
+one.
 """
 
 from btr_mjx.gap.data.believed import Believed
 from btr_mjx.gap.data.columns import control_columns
-from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, load, noise_of, read_head
-from btr_mjx.gap.data.noise import Noise, estimate_noise, quieter
+from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, load, noise_of, read_header
+from btr_mjx.gap.data.noise import Noise, estimate_noise, reduced_noise
 from btr_mjx.gap.data.recording import Recording
 from btr_mjx.gap.data.sources import open_dataset
 from btr_mjx.gap.data.toml_tables import check_keys, file_name, is_number, toml_section
@@ -30,8 +31,8 @@ __all__ = [
     "load",
     "noise_of",
     "open_dataset",
-    "quieter",
-    "read_head",
+    "read_header",
+    "reduced_noise",
     "save_dataset",
     "toml_section",
 ]

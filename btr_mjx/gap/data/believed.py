@@ -1,4 +1,4 @@
-"""Numbers of the believed model that may be refitted before anything is called missing."""
+"""Parameters of the believed model that are refitted together with every hypothesis."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,13 +13,13 @@ from btr_mjx.models import parse_path
 
 @dataclass(frozen=True)
 class Believed:
-    """A number of the believed model that may be refitted.
+    """A parameter of the believed model that may be refitted.
 
     Attributes:
       name: for reports.
-      paths: numbers of the model that it sets, see `paths`.
-      low, high: bounds; factors if `relative`.
-      relative: the value multiplies each recording's own numbers instead of replacing them.
+      paths: numbers of the model that it sets, see `btr_mjx.models.parse_path`.
+      low, high: bounds in SI units; factors if `relative`.
+      relative: the value is a factor on the numbers of each recording's model instead of a replacement.
     """
 
     name: str
@@ -34,11 +34,14 @@ class Believed:
         return self.paths[0]
 
     def value(self, model: mujoco.MjModel) -> float:
-        """The believed value: 1 if relative."""
+        """The believed value of a model: the number at the first path, 1 if relative."""
         return 1.0 if self.relative else parse_path(model, self.path).read(model)
 
     def write(self, model: mujoco.MjModel, value: float) -> None:
-        """Set it in place in a model that holds the believed numbers; call `mj_setConst` after the last one."""
+        """Set the parameter in place in a model that holds the believed numbers.
+
+        Call `mj_setConst` after the last parameter is set.
+        """
         for name in self.paths:
             path = parse_path(model, name)
             path.write(model, path.read(model) * value if self.relative else value)
@@ -51,10 +54,13 @@ def read_believed(row: Mapping[str, Any], model: mujoco.MjModel, where: str, not
       row: the row.
       model: the believed model.
       where: the row's place, for messages.
-      notes: oddities are added here.
+      notes: warnings are appended here.
+
+    Returns:
+      The parameter.
 
     Raises:
-      InputError: a path that leads nowhere, bounds that are none or that exclude the believed value.
+      InputError: an unknown path, invalid bounds, or a believed value outside them.
     """
     check_keys(row, ("name", "path", "bounds", "low", "high", "relative", "unit"), where, notes)
     paths = row.get("path")

@@ -1,4 +1,4 @@
-"""Tables of measurements: which column of a file is which coordinate of a model.
+"""Column names of measurement tables: which column of a file is which coordinate of a model.
 
     time                                                     [s], increasing, not necessarily even
     ctrl/<actuator>                                          command, in the actuator's own unit
@@ -33,11 +33,11 @@ SUFFIXES: Mapping[int, tuple[tuple[str, ...], tuple[str, ...]]] = {
     int(_FREE): (("x", "y", "z", *_QUAT), ("vx", "vy", "vz", *_SPIN)),
     int(_BALL): (_QUAT, _SPIN),
 }
-"""Parts of the position and velocity columns by type of joint; hinges and slides have one column."""
+"""Suffixes of the position and velocity columns by joint type; hinges and slides have one column without suffix."""
 
 
 def state_columns(model: mujoco.MjModel) -> tuple[list[str], list[str]]:
-    """Names of the columns of qpos (nq of them) and qvel (nv), in the model's order."""
+    """Names of the nq columns of qpos and of the nv columns of qvel, in the model's order."""
     positions, velocities = [], []
     for name, kind in zip(part_names(model, "joint"), model.jnt_type, strict=True):
         q, v = SUFFIXES.get(int(kind), ((), ()))
@@ -47,7 +47,7 @@ def state_columns(model: mujoco.MjModel) -> tuple[list[str], list[str]]:
 
 
 def control_columns(model: mujoco.MjModel) -> list[str]:
-    """Names of the columns of ctrl (nu of them), in the model's order."""
+    """Names of the nu columns of ctrl, in the model's order."""
     return [f"ctrl/{name}" for name in part_names(model, "actuator")]
 
 
@@ -61,8 +61,7 @@ def read_columns(path: str | Path) -> dict[str, np.ndarray]:
       Arrays by column name, (K,) float64 each, or (K, n) for the grouped columns of an NPZ file. Empty fields are NaN.
 
     Raises:
-      InputError: another suffix, no rows, a duplicate column, text where numbers are expected, columns of different
-        lengths.
+      InputError: unknown suffix, no rows, duplicate column, text instead of numbers, columns of different lengths.
       DamagedFile: the content does not parse.
       OSError: the file cannot be read.
     """
@@ -123,11 +122,11 @@ def _check_header(path: Path) -> None:
             raise InputError(f"{path}: column {name!r} occurs {names.count(name)} times; keep one of them")
 
 
-def spread(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, where: str) -> dict[str, np.ndarray]:
-    """Split grouped arrays (K, n) into the columns that they stand for.
+def ungroup_columns(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, where: str) -> dict[str, np.ndarray]:
+    """Split grouped arrays (K, n) into single columns (K,).
 
     Args:
-      columns: as of `read_columns`.
+      columns: arrays by name, as `read_columns` returns them.
       model: the model.
       where: file, for messages.
 
@@ -135,7 +134,7 @@ def spread(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, where: str)
       Arrays (K,) by column name.
 
     Raises:
-      InputError: a group of another width than the model has coordinates.
+      InputError: the width of a group differs from the number of coordinates of the model.
     """
     positions, velocities = state_columns(model)
     groups = {"qpos": positions, "qvel": velocities, "ctrl": control_columns(model)}
@@ -159,13 +158,19 @@ def spread(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, where: str)
 
 
 def check_names(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, where: str) -> list[str]:
-    """Compare the columns of a file with what a model needs.
+    """Check the columns of a file against the joints and actuators of a model.
+
+    Args:
+      columns: (K,) arrays by column name.
+      model: the model.
+      where: file, for messages.
 
     Returns:
-      Names of columns that are of no use here.
+      Names of columns that are not used.
 
     Raises:
-      InputError: a joint or actuator that the model lacks, or a needed column that is absent, with the nearest names.
+      InputError: a column of an unknown joint or actuator, or a required column that is absent; the message lists the
+        nearest names.
     """
     positions, velocities = state_columns(model)
     controls = control_columns(model)

@@ -1,36 +1,36 @@
-"""Measured data: a dataset is a folder with `dataset.toml`, the model that is believed, and recordings.
+"""Datasets: a folder with `dataset.toml`, the MJCF of the believed model, and recordings.
 
     [model]
-    file = "robot.xml"                  # MJCF that is believed
+    file = "robot.xml"                  # MJCF of the believed model
 
-    [[parameter]]                       # may be refitted before anything is called missing (any number, or none)
+    [[parameter]]                       # parameters that may be refitted (any number, or none)
     name = "knee damping"
-    path = "joint:knee/damping"         # see `paths`; a list of paths changes together
+    path = "joint:knee/damping"         # see `btr_mjx.models.parse_path`; a list of paths is set together
     bounds = [0.0, 2.0]                 # SI units, angles in rad
-    relative = false                    # true: the value is a factor on every recording's own number
+    relative = false                    # true: the value is a factor on the number in each recording's model
 
     [[recording]]
     file = "walk_1.csv"                 # .csv, .parquet or .npz, columns as in `columns`
-    split = "fit"                       # or "test"; without any split the last third is held out
-    model = "heavy.xml"                 # optional: a model of its own, of the same joints and actuators
+    split = "fit"                       # or "test" (held out); default: the last third is held out
+    model = "heavy.xml"                 # optional: its own model, with the same joints and actuators
     overrides = {"body:arm/mass" = 0.5} # optional: numbers that differ in this recording
 
     [control]
-    interpolation = "linear"            # what the command does between samples: "hold", "linear" or "cubic"
+    interpolation = "linear"            # of the command between samples: "hold", "linear" or "cubic"
 
-    [tolerances]                        # optional: what calibration always leaves, 1 sigma, by effect
+    [tolerances]                        # optional: 1 sigma of residual calibration errors, by effect
     viscous_damping = 0.1
 
-    [noise]                             # optional: 1 sigma of the sensors; estimated from the data where not given
+    [noise]                             # optional: 1 sigma of the sensors; default: estimated
     qpos = 0.001                        # hinges [rad] and slides [m]
     qvel = 0.05                         # [rad/s], [m/s]
     position = 0.001                    # free joints [m]
     rotation = 0.002                    # free and ball joints [rad]
     velocity = 0.02                     # free joints [m/s]
     angular_velocity = 0.03             # free and ball joints [rad/s]
-    "qpos/knee" = 0.002                 # one joint's own; also "qvel/knee", and any single column
+    "qpos/knee" = 0.002                 # of one joint; also "qvel/knee", and any single column
 
-Velocities that were not measured are estimated by local cubics, and the recording says so.
+Velocities that were not measured are estimated by local cubic fits and marked in `Recording.qvel_measured`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -43,31 +43,31 @@ import mujoco
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.believed import Believed, read_believed
 from btr_mjx.gap.data.noise import Noise, estimate_noise, read_noise
-from btr_mjx.gap.data.recording import Recording, load_model, read_recording, split
+from btr_mjx.gap.data.recording import Recording, assign_splits, load_model, read_recording
 from btr_mjx.gap.data.toml_tables import check_keys, file_name, is_number, read_toml, toml_rows, toml_section
 
 DATASET_FILE = "dataset.toml"
 TABLES = ("model", "parameter", "recording", "control", "tolerances", "noise")
-"""Tables of dataset.toml."""
+"""Tables that dataset.toml may hold."""
 
 Interpolation = Literal["hold", "linear", "cubic"]
 
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """Recordings of one robot and the model that is believed of it.
+    """Recordings of one robot and its believed model.
 
     Attributes:
-      folder: where it came from.
+      folder: its folder.
       model: the believed model.
-      model_file: its MJCF file.
-      spec_xml: its MJCF text.
-      parameters: what may be refitted.
-      recordings: all of them, in the order of the file.
-      interpolation: what the command does between samples.
-      tolerances: 1 sigma of what calibration always leaves, by effect.
-      noise: as given; None where it has to be estimated.
-      notes: what the loader found odd, for preflight.
+      model_file: MJCF file of the model.
+      spec_xml: MJCF text of the model.
+      parameters: parameters that may be refitted.
+      recordings: all recordings, in the order of the file.
+      interpolation: of the command between samples.
+      tolerances: 1 sigma of residual calibration errors, by effect name.
+      noise: sensor noise as given; None if it must be estimated.
+      notes: warnings of the loader, reported by preflight.
     """
 
     folder: Path
@@ -83,12 +83,12 @@ class Dataset:
 
     @property
     def fit(self) -> tuple[Recording, ...]:
-        """Recordings to fit."""
+        """Recordings with split "fit"."""
         return tuple(r for r in self.recordings if r.split == "fit")
 
     @property
     def test(self) -> tuple[Recording, ...]:
-        """Recordings held out."""
+        """Recordings with split "test" (held out)."""
         return tuple(r for r in self.recordings if r.split == "test")
 
 
@@ -98,12 +98,15 @@ def load(folder: str | Path) -> Dataset:
     Args:
       folder: the folder, or its dataset.toml.
 
+    Returns:
+      The dataset, with all recordings loaded.
+
     Raises:
-      InputError: anything wrong with it, in one line: the value, its place, the remedy.
+      InputError: invalid content; one line with the value, its place and the remedy.
       DamagedFile: a file that does not parse.
       OSError: a file that cannot be read.
     """
-    head, table = read_head(folder)
+    head, table = read_header(folder)
     path, notes = head.folder / DATASET_FILE, list(head.notes)
     listed = toml_rows(table, "recording", path)
     if not listed:
@@ -112,16 +115,16 @@ def load(folder: str | Path) -> Dataset:
         read_recording(head.folder, row, head.model, f"{path}: [[recording]] {i + 1}", notes)
         for i, row in enumerate(listed)
     ]
-    parts = split(recordings, [row.get("split") for row in listed], str(path))
+    parts = assign_splits(recordings, [row.get("split") for row in listed], str(path))
     return replace(head, recordings=tuple(parts), notes=tuple(notes))
 
 
-def read_head(folder: str | Path, more: Sequence[str] = ()) -> tuple[Dataset, dict[str, Any]]:
-    """Read what dataset.toml says beside its recordings.
+def read_header(folder: str | Path, more: Sequence[str] = ()) -> tuple[Dataset, dict[str, Any]]:
+    """Read everything in dataset.toml except the recordings.
 
     Args:
       folder: the folder, or its dataset.toml.
-      more: further tables that it may hold.
+      more: names of further tables that it may hold.
 
     Returns:
       A dataset without recordings, and the file's tables.
@@ -167,7 +170,7 @@ def read_head(folder: str | Path, more: Sequence[str] = ()) -> tuple[Dataset, di
 
 
 def noise_of(dataset: Dataset) -> Noise:
-    """The sensors' noise: as given, else estimated from all recordings."""
+    """The sensor noise: as given in the dataset, else estimated from all recordings."""
     if dataset.noise is not None:
         return dataset.noise
     return estimate_noise(dataset.model, [(r.time, r.qpos, r.qvel, r.qvel_measured) for r in dataset.recordings])

@@ -1,4 +1,8 @@
-"""Noise of the sensors: as a dataset states it, or as its recordings show it."""
+"""Sensor noise: read from a dataset, or estimated from its recordings.
+
+Estimate: divided differences of order `DIFFERENCE_ORDER` annihilate smooth motion; the median absolute value of the
+normalised differences, divided by 0.6745, is a robust standard deviation of the noise.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,17 +16,17 @@ from btr_mjx.gap.data.columns import SUFFIXES, state_columns
 from btr_mjx.gap.data.toml_tables import check_keys, is_number
 from btr_mjx.models import difference, part_names
 
-KEYS = ("qpos", "qvel", "position", "rotation", "velocity", "angular_velocity")
-ORDER = 6
-"""Order of the differences that remove the motion from a signal."""
+NOISE_KEYS = ("qpos", "qvel", "position", "rotation", "velocity", "angular_velocity")
+DIFFERENCE_ORDER = 6
+"""Order of the divided differences that remove the motion from a signal."""
 
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """Standard deviation of the sensors' noise.
+    """Standard deviation of the sensor noise.
 
     Attributes:
-      qpos: (nv,) of the configuration, per tangent coordinate [rad or m].
+      qpos: (nv,) of the configuration, per tangent-space coordinate [rad or m].
       qvel: (nv,) of the velocity [rad/s or m/s].
     """
 
@@ -31,15 +35,24 @@ class Noise:
 
 
 def read_noise(table: Any, model: mujoco.MjModel, where: str, notes: list[str]) -> Noise | None:
-    """Noise of each tangent coordinate from a [noise] table; None where it does not cover all of them.
+    """Read a [noise] table.
+
+    Args:
+      table: the table.
+      model: the believed model.
+      where: file and table, for messages.
+      notes: warnings are appended here.
+
+    Returns:
+      Noise of each tangent-space coordinate; None if the table does not cover all of them.
 
     Raises:
-      InputError: a value that is no positive number, a key that looks like a misspelt one.
+      InputError: a value that is not a positive number.
     """
     names = part_names(model, "joint")
     columns = [f"{kind}/{name}" for name in names for kind in ("qpos", "qvel")]
     positions, velocities = state_columns(model)
-    check_keys(table, [*KEYS, *columns, *positions, *velocities], where, notes, strict=False)
+    check_keys(table, [*NOISE_KEYS, *columns, *positions, *velocities], where, notes, strict=False)
     for key, value in table.items():
         if not is_number(value) or value <= 0:
             raise InputError(f"{where}: {key} = {value!r}: expected a positive standard deviation")
@@ -61,37 +74,37 @@ def read_noise(table: Any, model: mujoco.MjModel, where: str, notes: list[str]) 
     return None if np.isnan(sigma).any() else Noise(sigma[0], sigma[1])
 
 
-_TOO_LOUD = 0.5
-"""Part of a channel's estimated variance that a model leaves, below which the estimate was wrong."""
+_MIN_VARIANCE_RATIO = 0.5
+"""Ratio of residual variance of a model to estimated variance of a channel, below which the estimate is reduced."""
 
-_AT_ONCE = 1e-4
-"""The smallest such part that is believed at once: states from which windows start follow the estimate, too."""
+_VARIANCE_FLOOR = 1e-4
+"""Smallest ratio applied in one update: smoothed starting states, and thus the residual, depend on the estimate too."""
 
 _Samples = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""time (K,), qpos (K, nq), qvel (K, nv) and (nv,) bool: which velocities were measured."""
+"""time (K,), qpos (K, nq), qvel (K, nv), and (nv,) bool: which velocities were measured."""
 
 
 def estimate_noise(model: mujoco.MjModel, tracks: Sequence[_Samples]) -> Noise:
-    """Noise from the part of the signals that no smooth motion explains.
-
-    Six neighbouring samples predict the seventh; what is left over is noise, or the step of a quantised encoder.
+    """Estimate the noise from divided differences of `DIFFERENCE_ORDER` + 1 consecutive samples.
 
     Args:
       model: the model.
-      tracks: the recordings.
+      tracks: samples of each recording.
 
     Returns:
-      The noise, never below that of quantisation. Where a velocity was nowhere measured, it is that of the position
-      over the sampling interval.
+      The noise, at least the quantisation noise (step / sqrt(12)). For a velocity that was never measured: the noise
+      of the position divided by the median sampling interval.
     """
     interval = float(np.median(np.concatenate([np.diff(track[0]) for track in tracks])))
     qpos: list[np.ndarray] = []
     qvel: list[np.ndarray] = []
     floor = np.full((2, model.nv), 1e-12)
     for time, q, v, measured in tracks:
-        index = np.arange(len(time) - ORDER)[:, None] + np.arange(ORDER + 1)
+        index = np.arange(len(time) - DIFFERENCE_ORDER)[:, None] + np.arange(DIFFERENCE_ORDER + 1)
         weights = _annihilator(time[index])
-        moves = difference(model, q[index[:, ORDER // 2]][:, None], q[index])  # (N, ORDER + 1, nv)
+        moves = difference(
+            model, q[index[:, DIFFERENCE_ORDER // 2]][:, None], q[index]
+        )  # (N, DIFFERENCE_ORDER + 1, nv)
         qpos.append(np.einsum("ni,niv->nv", weights, moves))
         qvel.append(np.where(measured, np.einsum("ni,niv->nv", weights, v[index]), np.nan))
         for row, signal in enumerate((difference(model, q[:1], q), np.where(measured, v, 0.0))):
@@ -105,33 +118,32 @@ def estimate_noise(model: mujoco.MjModel, tracks: Sequence[_Samples]) -> Noise:
     return Noise(sigma_q, sigma_v)
 
 
-def quieter(sigma: np.ndarray, channels: np.ndarray, residual: np.ndarray, freedom: float) -> np.ndarray | None:
-    """Noise that is less than what a model leaves of the data, where the estimate from the signals was more.
+def reduced_noise(sigma: np.ndarray, channels: np.ndarray, residual: np.ndarray, freedom: float) -> np.ndarray | None:
+    """Reduce a noise estimate where the residual of a model is smaller than the estimate.
 
-    Motors that are told something else at every sample move a joint in ways that no smooth curve follows, and such an
-    estimate takes that for noise. A model that is given the same commands knows better: whatever it lacks, what it
-    leaves can only be more than the noise.
+    Commands that change at every sample excite motion that is not smooth, which `estimate_noise` counts as noise. The
+    residual variance of a model driven by the same commands is an upper bound of the noise, whatever the model lacks.
 
     Args:
       sigma: (2 nv,) the estimate.
-      channels: (c,) indices of what was measured.
-      residual: (W, R) of a model, in units of the estimate, all channels of a sample after each other.
-      freedom: degrees of freedom of a window.
+      channels: (c,) indices of the measured coordinates.
+      residual: (W, R) residual of a model in units of the estimate, R = samples * c, channel index last.
+      freedom: residual degrees of freedom of a window.
 
     Returns:
-      A better estimate, or None where this one may be right.
+      (2 nv,) the reduced estimate; None if no channel needs a reduction.
     """
     share = (residual.reshape(len(residual), -1, len(channels)) ** 2).mean(1) * (residual.shape[1] / freedom)
     part = np.median(share, axis=0)
-    if (part >= _TOO_LOUD).all():
+    if (part >= _MIN_VARIANCE_RATIO).all():
         return None
     out = sigma.copy()
-    out[channels] *= np.sqrt(np.where(part < _TOO_LOUD, np.maximum(part, _AT_ONCE), 1.0))
+    out[channels] *= np.sqrt(np.where(part < _MIN_VARIANCE_RATIO, np.maximum(part, _VARIANCE_FLOOR), 1.0))
     return out
 
 
 def _annihilator(time: np.ndarray) -> np.ndarray:
-    """Weights (N, n) of unit length that remove every polynomial below degree n - 1 at times (N, n)."""
+    """Weights (N, n) of unit norm that annihilate every polynomial of degree below n - 1 at times (N, n)."""
     span = np.ptp(time, axis=1)[:, None, None]
     gaps = (time[:, :, None] - time[:, None, :]) / span
     gaps[:, np.arange(time.shape[1]), np.arange(time.shape[1])] = 1.0
@@ -140,7 +152,7 @@ def _annihilator(time: np.ndarray) -> np.ndarray:
 
 
 def _quantum(signal: np.ndarray) -> float:
-    """Step of a quantised signal; 0 where its values are not on a grid."""
+    """Step of a quantised signal; 0 if its values are not on a grid."""
     steps = np.diff(np.unique(signal))
     steps = steps[steps > 1e-9 * max(float(np.ptp(signal)), 1e-300)]
     if len(steps) < 2 or len(steps) > 0.8 * len(signal):
@@ -149,8 +161,8 @@ def _quantum(signal: np.ndarray) -> float:
     return quantum if bool(np.all(np.abs(steps / quantum - np.round(steps / quantum)) < 0.01)) else 0.0
 
 
-def as_table(noise: Noise, model: mujoco.MjModel) -> Mapping[str, float]:
-    """The [noise] table that says the same, one key per coordinate; rotations take their joint's first value."""
+def noise_as_table(noise: Noise, model: mujoco.MjModel) -> Mapping[str, float]:
+    """The [noise] table of a noise, one key per coordinate; the rotation of a joint has the value of its first axis."""
     table: dict[str, float] = {}
     for name, kind, first in zip(part_names(model, "joint"), model.jnt_type, model.jnt_dofadr, strict=True):
         parts = SUFFIXES.get(int(kind), ((), ("",)))[1]

@@ -1,6 +1,6 @@
-"""One recording: a table of measurements read with the model that is believed of it, and the split of several.
+"""Recordings: measurement tables read with the believed model, and the split into fit and test.
 
-What a file must hold is in `columns`; `dataset` reads the dataset around it.
+`columns` defines the columns of a file; `dataset` reads the dataset that holds the recordings.
 """
 
 import copy
@@ -13,13 +13,13 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError, one_line
-from btr_mjx.gap.data.columns import check_names, control_columns, read_columns, spread, state_columns
-from btr_mjx.gap.data.samples import check_time, estimate_velocity, normalise, sound_rows
+from btr_mjx.gap.data.columns import check_names, control_columns, read_columns, state_columns, ungroup_columns
+from btr_mjx.gap.data.samples import check_time, complete_rows, estimate_velocity, normalise_quaternions
 from btr_mjx.gap.data.toml_tables import check_keys, file_name, is_number
 from btr_mjx.models import set_values
 
 MIN_SAMPLES = 20
-"""A recording shorter than this holds no window."""
+"""Smallest number of samples of a recording."""
 
 Split = Literal["fit", "test"]
 
@@ -29,7 +29,7 @@ class Recording:
     """One recording.
 
     Attributes:
-      name: file name without suffix.
+      name: by default the file name without suffix.
       time: (K,) [s], increasing.
       ctrl: (K, nu) commands.
       qpos: (K, nq), qvel: (K, nv) measured states in MuJoCo's conventions.
@@ -38,7 +38,7 @@ class Recording:
       model: the believed model of this recording, with its overrides.
       force: (K,) measured actuator forces by actuator.
       sensor: (K,) other measurements by name.
-      notes: what the loader had to do, for preflight.
+      notes: corrections made by the loader, reported by preflight.
     """
 
     name: str
@@ -54,7 +54,7 @@ class Recording:
     notes: tuple[str, ...] = ()
 
     def part(self, rows: slice, split: Split, name: str) -> "Recording":
-        """A stretch of the recording under another name."""
+        """A part of the recording, as a recording with another name and split."""
         return replace(
             self,
             name=name,
@@ -68,11 +68,14 @@ class Recording:
 def load_model(path: Path) -> tuple[mujoco.MjModel, str]:
     """Compile an MJCF file.
 
+    Args:
+      path: the file.
+
     Returns:
       The model, and the file's text.
 
     Raises:
-      InputError: the file is absent or MuJoCo does not accept it.
+      InputError: the file is absent, MuJoCo rejects it, or the model has no joint or no actuator.
     """
     if not path.is_file():
         raise InputError(f"{path}: there is no such model file")
@@ -86,7 +89,7 @@ def load_model(path: Path) -> tuple[mujoco.MjModel, str]:
 
 
 def _compiled(path: Path) -> mujoco.MjModel:
-    """Without MuJoCo's short cuts for single bodies: they hold for this inertia only, and effects change it."""
+    """Compile with body_simple = 0: effects edit inertia, which MuJoCo's simple bodies do not allow."""
     model = mujoco.MjModel.from_xml_path(str(path))
     if not model.body_simple[1:].any():
         return model
@@ -102,14 +105,17 @@ def read_recording(
     """Read one [[recording]] row of a dataset in `folder`.
 
     Args:
-      folder: the dataset's.
+      folder: of the dataset.
       row: the row.
       base: the dataset's model.
       where: the row's place, for messages.
-      notes: oddities are added here.
+      notes: warnings are appended here.
+
+    Returns:
+      The recording, with split "fit".
 
     Raises:
-      InputError: see `load`.
+      InputError: see `dataset.load`.
     """
     check_keys(row, ("file", "split", "model", "overrides", "name"), where, notes)
     file = folder / file_name(row, "file", where)
@@ -129,36 +135,36 @@ def read_recording(
             set_values(model, overrides)
         except InputError as error:
             raise InputError(f"{where}: overrides: {error}") from None
-    return assemble(read_columns(file), model, str(file), str(row.get("name", file.stem)))
+    return make_recording(read_columns(file), model, str(file), str(row.get("name", file.stem)))
 
 
-def assemble(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, where: str, name: str) -> Recording:
-    """Make a recording of a table's columns.
+def make_recording(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, where: str, name: str) -> Recording:
+    """Build a recording from the columns of a table.
 
     Args:
-      columns: as of `columns.read_columns`.
+      columns: arrays by name, as `columns.read_columns` returns them.
       model: the recording's model.
       where: file, for messages.
       name: the recording's name.
 
     Raises:
-      InputError: columns that are missing or name nothing, time that does not increase, runs of missing values,
-        quaternions that are none, too few samples.
+      InputError: missing or unknown columns, time that does not increase, gaps of missing values, quaternions that
+        are not of unit length, too few samples.
     """
-    flat = spread(columns, model, where)
+    flat = ungroup_columns(columns, model, where)
     ignored = check_names(flat, model, where)
     notes = [f"columns without a use: {', '.join(ignored[:8])}{', ...' if len(ignored) > 8 else ''}"] if ignored else []
     positions, velocities = state_columns(model)
     measured = np.array([c in flat for c in velocities])
     needed = ["time", *positions, *control_columns(model), *(c for c in velocities if c in flat)]
-    sound = sound_rows(flat, needed, where, notes)
+    sound = complete_rows(flat, needed, where, notes)
     flat = {key: value[sound] for key, value in flat.items()}
     time = flat["time"]
     check_time(time, where)
     if len(time) < MIN_SAMPLES:
         raise InputError(f"{where}: {len(time)} samples are too short for a window; expected at least {MIN_SAMPLES}")
     qpos = np.stack([flat[c] for c in positions], axis=1)
-    normalise(qpos, model, where)
+    normalise_quaternions(qpos, model, where)
     qvel = np.empty((len(time), model.nv))
     if not measured.all():
         qvel = estimate_velocity(model, time, qpos)
@@ -181,20 +187,20 @@ def assemble(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, where: st
     )
 
 
-def split(recordings: Sequence[Recording], given: Sequence[Any], where: str) -> list[Recording]:
-    """Decide which recordings are held out.
+def assign_splits(recordings: Sequence[Recording], given: Sequence[Any], where: str) -> list[Recording]:
+    """Assign recordings to fit or test.
 
     Args:
-      recordings: all of them.
-      given: what the dataset says of each: "fit", "test" or None.
+      recordings: all recordings.
+      given: split of each in the dataset: "fit", "test" or None.
       where: file, for messages.
 
     Returns:
-      The recordings with their split. Where nothing is said, the last third is held out; a single recording is cut
-      at two thirds of its time. Where only some have a split, the others are fitted.
+      The recordings with their split. If no split is given, the last third of the recordings is held out; a single
+      recording is cut at two thirds of its duration. If only some are given, the others are "fit".
 
     Raises:
-      InputError: another word, or all in one split.
+      InputError: another value, all recordings in one split, or a single recording that is too short.
     """
     for i, word in enumerate(given):
         if word not in (None, "fit", "test"):

@@ -1,4 +1,4 @@
-"""Samples as they come out of a file: holes, clocks, quaternions, velocities that were not measured."""
+"""Cleaning of samples: missing values, time stamps, quaternions, estimation of velocities."""
 
 from collections.abc import Mapping, Sequence
 
@@ -9,23 +9,26 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns import SUFFIXES
 from btr_mjx.models import difference, part_names
 
-MAX_HOLE = 2
-"""Rows with a missing value are dropped if no more than so many follow each other."""
-SPAN = 3
-"""Velocities are estimated from so many samples on either side."""
+MAX_MISSING_ROWS = 2
+"""Longest run of rows with a missing value that is dropped; a longer run is an error."""
+HALF_WIDTH = 3
+"""Samples on either side that a velocity estimate uses."""
 
 
-def sound_rows(flat: Mapping[str, np.ndarray], needed: Sequence[str], where: str, notes: list[str]) -> np.ndarray:
+def complete_rows(flat: Mapping[str, np.ndarray], needed: Sequence[str], where: str, notes: list[str]) -> np.ndarray:
     """Indices of the rows without missing values.
 
     Args:
       flat: (K,) columns by name.
-      needed: names of those that matter.
+      needed: names of the columns that are checked.
       where: file, for messages.
-      notes: what was done is added here.
+      notes: the number of dropped rows is appended here.
+
+    Returns:
+      (N,) row indices.
 
     Raises:
-      InputError: a column without any value, or a run of missing ones.
+      InputError: a column without any value, or a run of missing values longer than `MAX_MISSING_ROWS`.
     """
     bad = np.zeros(len(flat["time"]), bool)
     for column in needed:
@@ -34,7 +37,7 @@ def sound_rows(flat: Mapping[str, np.ndarray], needed: Sequence[str], where: str
             raise InputError(f"{where}: column {column!r} holds no finite number")
         edges = np.flatnonzero(np.diff(np.concatenate([[0], missing, [0]])))
         for begin, end in zip(edges[::2], edges[1::2], strict=True):
-            if end - begin > MAX_HOLE:
+            if end - begin > MAX_MISSING_ROWS:
                 raise InputError(
                     f"{where}: column {column!r} has no finite value in rows {begin + 1} to {end} (time "
                     f"{flat['time'][begin]:.6g} s); cut the recording there into two files"
@@ -46,10 +49,10 @@ def sound_rows(flat: Mapping[str, np.ndarray], needed: Sequence[str], where: str
 
 
 def check_time(time: np.ndarray, where: str) -> None:
-    """Refuse time that does not increase.
+    """Check that time (K,) [s] increases strictly.
 
     Raises:
-      InputError: names the row and both times.
+      InputError: it does not; the message names the row and both times.
     """
     steps = np.diff(time)
     if (steps <= 0).any():
@@ -61,11 +64,11 @@ def check_time(time: np.ndarray, where: str) -> None:
         )
 
 
-def normalise(qpos: np.ndarray, model: mujoco.MjModel, where: str) -> None:
-    """Scale quaternions to unit length in place and keep their sign from jumping.
+def normalise_quaternions(qpos: np.ndarray, model: mujoco.MjModel, where: str) -> None:
+    """Normalise the quaternions in qpos (K, nq) in place and make their signs continuous.
 
     Raises:
-      InputError: a quaternion of quite another length.
+      InputError: the norm of a quaternion differs from 1 by more than 0.05.
     """
     for joint, kind in enumerate(model.jnt_type):
         if int(kind) not in SUFFIXES:
@@ -85,7 +88,7 @@ def normalise(qpos: np.ndarray, model: mujoco.MjModel, where: str) -> None:
 
 
 def estimate_velocity(model: mujoco.MjModel, time: np.ndarray, qpos: np.ndarray) -> np.ndarray:
-    """Velocities from positions by a local cubic over `SPAN` samples on either side.
+    """Velocities by a least-squares cubic fit to positions, over `HALF_WIDTH` samples on either side.
 
     Args:
       model: the model.
@@ -93,13 +96,13 @@ def estimate_velocity(model: mujoco.MjModel, time: np.ndarray, qpos: np.ndarray)
       qpos: (K, nq).
 
     Returns:
-      (K, nv).
+      (K, nv) velocities.
     """
     count = len(time)
-    first = np.clip(np.arange(count) - SPAN, 0, max(count - 2 * SPAN - 1, 0))
-    index = np.minimum(first[:, None] + np.arange(2 * SPAN + 1), count - 1)  # (K, 2 SPAN + 1)
+    first = np.clip(np.arange(count) - HALF_WIDTH, 0, max(count - 2 * HALF_WIDTH - 1, 0))
+    index = np.minimum(first[:, None] + np.arange(2 * HALF_WIDTH + 1), count - 1)  # (K, 2 HALF_WIDTH + 1)
     shift = time[index] - time[:, None]
     scale = np.abs(shift).max(axis=1, keepdims=True)
-    weights = np.linalg.pinv((shift / scale)[..., None] ** np.arange(4))[:, 1] / scale  # (K, 2 SPAN + 1)
+    weights = np.linalg.pinv((shift / scale)[..., None] ** np.arange(4))[:, 1] / scale  # (K, 2 HALF_WIDTH + 1)
     moves = difference(model, qpos[:, None], qpos[index])
     return np.einsum("ki,kiv->kv", weights, moves)

@@ -1,4 +1,4 @@
-"""Whatever form recordings have: one function that recognises it."""
+"""Detection of the format of a folder of recordings."""
 
 from pathlib import Path
 
@@ -9,10 +9,18 @@ from btr_mjx.gap.data.formats.servo import SERVO_FILE, is_servo_folder, load_ser
 
 
 def open_dataset(folder: str | Path) -> Dataset:
-    """Read a folder of recordings: a dataset.toml, LeRobot's form beside one, or BAM's JSON beside a servo.toml.
+    """Read a folder of recordings in any supported format.
+
+    Formats: dataset.toml with tables, dataset.toml with LeRobot files, servo.toml with BAM JSON files.
+
+    Args:
+      folder: the folder, or its dataset.toml or servo.toml.
+
+    Returns:
+      The dataset.
 
     Raises:
-      InputError: none of these, or anything wrong with the folder's content, in one line.
+      InputError: no supported format, or invalid content.
       DamagedFile: a file that does not parse.
       OSError: a file that cannot be read.
     """

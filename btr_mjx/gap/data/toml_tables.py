@@ -1,4 +1,4 @@
-"""TOML tables that people write: unknown keys are noted, misspelt ones refused."""
+"""Reading of TOML tables: unknown keys are noted, misspelt keys are errors."""
 
 import difflib
 import tomllib
@@ -25,17 +25,17 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def check_keys(table: Any, known: Sequence[str], where: str, notes: list[str], strict: bool = True) -> None:
-    """Refuse a key that looks like a misspelt one; note any other that is unknown.
+    """Check the keys of a table: a misspelt key is an error, any other unknown key is noted.
 
     Args:
-      table: what stands in the file.
-      known: the keys that mean something.
+      table: the value read from the file.
+      known: the valid keys.
       where: file and table, for messages.
       notes: unknown keys are reported here.
-      strict: False only notes misspelt ones too.
+      strict: False notes misspelt keys too instead of raising.
 
     Raises:
-      InputError: a misspelt key, or no table at all.
+      InputError: a misspelt key, or the value is not a table.
     """
     if not isinstance(table, Mapping):
         raise InputError(f"{where}: expected a table, got {table!r}")
@@ -58,7 +58,7 @@ def toml_section(table: Mapping[str, Any], name: str, path: Path) -> Mapping[str
     """The table [name].
 
     Raises:
-      InputError: there is none.
+      InputError: it is absent.
     """
     if not isinstance(table.get(name), Mapping):
         raise InputError(f"{path}: there is no [{name}] table; add one")
@@ -66,10 +66,10 @@ def toml_section(table: Mapping[str, Any], name: str, path: Path) -> Mapping[str
 
 
 def toml_rows(table: Mapping[str, Any], name: str, path: Path) -> list[Mapping[str, Any]]:
-    """The rows [[name]], none if there are none.
+    """The rows [[name]]; empty if absent.
 
     Raises:
-      InputError: something else stands under that name.
+      InputError: the value is not an array of tables.
     """
     rows = table.get(name, [])
     if not isinstance(rows, list) or not all(isinstance(row, Mapping) for row in rows):
@@ -78,10 +78,10 @@ def toml_rows(table: Mapping[str, Any], name: str, path: Path) -> list[Mapping[s
 
 
 def file_name(table: Mapping[str, Any], key: str, where: str) -> str:
-    """A file name that a table has to give.
+    """A required file name in a table.
 
     Raises:
-      InputError: it does not.
+      InputError: the key is absent or not a text.
     """
     value = table.get(key)
     if not isinstance(value, str) or not value:

@@ -1,4 +1,4 @@
-"""Writing datasets: the folder that `dataset.load` reads."""
+"""Writing of dataset folders that `dataset.load` reads."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.data.believed import Believed
 from btr_mjx.gap.data.columns import control_columns, state_columns
 from btr_mjx.gap.data.dataset import DATASET_FILE, Interpolation
-from btr_mjx.gap.data.noise import Noise, as_table
+from btr_mjx.gap.data.noise import Noise, noise_as_table
 from btr_mjx.gap.data.recording import Recording
 from btr_mjx.runs import atomic_write, write_arrays, write_table
 
@@ -21,7 +21,7 @@ Format = Literal["npz", "csv", "parquet"]
 
 
 def recording_columns(recording: Recording) -> dict[str, np.ndarray]:
-    """The columns (K,) of a recording's table; velocities only where they were measured."""
+    """The columns (K,) of the table of a recording; velocities only where they were measured."""
     positions, velocities = state_columns(recording.model)
     columns = {"time": recording.time}
     columns |= dict(zip(control_columns(recording.model), recording.ctrl.T, strict=True))
@@ -35,15 +35,15 @@ def recording_columns(recording: Recording) -> dict[str, np.ndarray]:
 
 @dataclass(frozen=True)
 class DatasetDescription:
-    """What dataset.toml says beside the recordings.
+    """Content of dataset.toml besides the recordings.
 
     Attributes:
-      parameters: what may be refitted.
-      interpolation: what the command does between samples.
-      tolerances: 1 sigma of what calibration leaves, by effect; None for the effects' own.
-      noise: of the sensors; None lets the reader estimate it.
-      models: MJCF texts of recordings that have a model of their own, by recording.
-      overrides: numbers that differ in a recording, by recording and path.
+      parameters: parameters that may be refitted.
+      interpolation: of the command between samples.
+      tolerances: 1 sigma of residual calibration errors, by effect; None for the defaults of the effects.
+      noise: of the sensors; None if it is to be estimated when read.
+      models: MJCF texts of recordings that have their own model, by recording name.
+      overrides: model numbers that differ in a recording, by recording name and path.
     """
 
     parameters: Sequence[Believed] = ()
@@ -62,20 +62,20 @@ def save_dataset(
     *,
     file_format: Format = "npz",
 ) -> Path:
-    """Write a dataset folder; `dataset.load` gives it back.
+    """Write a dataset folder.
 
     Args:
-      folder: made if absent.
+      folder: created if absent.
       xml: MJCF text of the believed model.
-      recordings: with different names. Their models only name the columns.
-      description: what else is known.
-      file_format: of the recordings.
+      recordings: with distinct names. Their models only provide column names.
+      description: further content of dataset.toml.
+      file_format: of the recording files.
 
     Returns:
       The path of dataset.toml.
 
     Raises:
-      InputError: two recordings of one name.
+      InputError: two recordings have the same name.
       OSError: the folder cannot be written to.
     """
     folder, noise = Path(folder), description.noise
@@ -122,7 +122,7 @@ def save_dataset(
 
 def _noise(noise: Noise, recordings: Sequence[Recording]) -> Mapping[str, float]:
     model: mujoco.MjModel = recordings[0].model
-    return as_table(noise, model)
+    return noise_as_table(noise, model)
 
 
 def _pairs(table: Mapping[str, Any]) -> list[str]:

@@ -1,11 +1,11 @@
-"""The library of effects that a model may lack: `EFFECTS`, one entry an effect.
+"""Library of physical effects that a model may lack: `EFFECTS`.
 
-An `Effect` is data: a name, the `Place`s where it may sit, its parameters with units and ranges, and one edit of a
-world that serves search and mending alike. A `Candidate` is an effect at a place.
+An `Effect` is data: a name, the `Place`s where it may occur, parameters with units and ranges, and one edit of a world
+that is used by the search and for the mended model. A `Candidate` is an effect at a place.
 """
 
 from btr_mjx.gap.effects.effect import Candidate, Effect, Parameter, candidates
-from btr_mjx.gap.effects.library import EFFECTS, KNOWN
+from btr_mjx.gap.effects.library import EFFECTS, KNOWN_EFFECTS
 from btr_mjx.gap.effects.links import link_of
 from btr_mjx.gap.effects.places import (
     WORLD,
@@ -15,14 +15,14 @@ from btr_mjx.gap.effects.places import (
     ground_geoms,
     joint_of,
     joint_places,
-    one_limb,
+    on_same_chain,
 )
-from btr_mjx.gap.effects.ranges import Scales, closes_loops
-from btr_mjx.gap.effects.selection import own_code, selected_effects
+from btr_mjx.gap.effects.ranges import Scales, has_closed_loops
+from btr_mjx.gap.effects.selection import custom_effect_code, selected_effects
 
 __all__ = [
     "EFFECTS",
-    "KNOWN",
+    "KNOWN_EFFECTS",
     "WORLD",
     "Candidate",
     "Effect",
@@ -32,12 +32,12 @@ __all__ = [
     "actuator_places",
     "body_place",
     "candidates",
-    "closes_loops",
+    "custom_effect_code",
     "ground_geoms",
+    "has_closed_loops",
     "joint_of",
     "joint_places",
     "link_of",
-    "one_limb",
-    "own_code",
+    "on_same_chain",
     "selected_effects",
 ]

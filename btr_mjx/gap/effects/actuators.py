@@ -1,4 +1,4 @@
-"""Effects of actuators: late or smoothed commands, weak motors, limits."""
+"""Effects of actuators: command delay, command lag, gain error, force limit."""
 
 import math
 from collections.abc import Callable
@@ -12,13 +12,13 @@ from btr_mjx.gap.effects.ranges import Scales, unit_of
 from btr_mjx.gap.effects.similar import FADING_MOTOR
 from btr_mjx.gap.simulate import Command, World
 
-_LEAST_LIMIT = 0.01
-"""Smallest limit, beside the largest force that is asked for. That force may be of a moment: a stiff servo that starts
-half a radian away asked for thirty times what its motor had."""
+_MIN_LIMIT = 0.01
+"""Smallest force limit, relative to the peak force of the believed model. The peak may be a short transient of a stiff
+servo, far above the limit."""
 
-_HELD = 0.25
-"""Part of the model's time step: data in which commands were held through steps of half that length are that late, on
-average, and a simulation that holds them through its own is later still. No robot lacks that."""
+_HOLD_DELAY = 0.25
+"""Negligible delay, as a fraction of the model's time step: the mean delay of commands held over simulation steps of
+half that length."""
 
 _LINEAR_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE), int(mujoco.mjtGain.mjGAIN_PID))
 _LINEAR_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
@@ -29,7 +29,7 @@ def _controlled(model: mujoco.MjModel) -> list[Place]:
 
 
 def _per_control(model: mujoco.MjModel, place: Place, value: float) -> np.ndarray:
-    """(nu,) with a value at the place's controls and zero elsewhere."""
+    """(nu,) vector with a value at the controls of the place and zero elsewhere."""
     out = np.zeros(model.nu)
     out[place.controls(model)] = value
     return out
@@ -37,9 +37,11 @@ def _per_control(model: mujoco.MjModel, place: Place, value: float) -> np.ndarra
 
 def _delay(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
     time = scales.time
-    # Clocks may differ, but not from one motor to the next.
+    # A negative delay is a clock offset, common to all actuators.
     low = -0.15 * time if len(place.actuators) == actuator_count(model) else 0.0
-    return (Parameter("delay", "s", low, max(2.0 * time, 0.03), 0.03 * time, least=_HELD * model.opt.timestep),)
+    return (
+        Parameter("delay", "s", low, max(2.0 * time, 0.03), 0.03 * time, negligible=_HOLD_DELAY * model.opt.timestep),
+    )
 
 
 def _shift(delay: np.ndarray) -> Callable[[Command], Command]:
@@ -47,12 +49,12 @@ def _shift(delay: np.ndarray) -> Callable[[Command], Command]:
 
 
 def _apply_delay(world: World, place: Place, values: np.ndarray) -> None:
-    """u(t) = command(t - delay): bus and controller latency; negative, for all only: commands were logged late."""
+    """u(t) = command(t - delay): bus and controller latency; negative (all actuators only): commands logged late."""
     world.command_edits.append(_shift(_per_control(world.model, place, float(values[0]))))
 
 
 def _native_delay(spec: mujoco.MjSpec, model: mujoco.MjModel, place: Place, values: np.ndarray) -> bool:
-    """MuJoCo's own delay of actuators, with a history long enough for it."""
+    """Native actuator delay of MuJoCo, with a history buffer of sufficient length."""
     if values[0] < 0:
         return False
     actuators = _by_id(spec)
@@ -69,8 +71,8 @@ def _by_id(spec: mujoco.MjSpec) -> dict[int, mujoco.MjsActuator]:
 
 
 def _lag(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    high, least = max(2.0 * scales.time, 0.03), _HELD * model.opt.timestep
-    return (Parameter("time_constant", "s", 0.0, high, 0.03 * scales.time, least=least),)
+    high, negligible = max(2.0 * scales.time, 0.03), _HOLD_DELAY * model.opt.timestep
+    return (Parameter("time_constant", "s", 0.0, high, 0.03 * scales.time, negligible=negligible),)
 
 
 def _filter(constant: np.ndarray) -> Callable[[Command], Command]:
@@ -78,12 +80,12 @@ def _filter(constant: np.ndarray) -> Callable[[Command], Command]:
 
 
 def _apply_lag(world: World, place: Place, values: np.ndarray) -> None:
-    """T du/dt = command - u: a first-order lag of what the actuator is told."""
+    """T du/dt = command - u: first-order lag of the control."""
     world.command_edits.append(_filter(_per_control(world.model, place, float(values[0]))))
 
 
 def _native_lag(spec: mujoco.MjSpec, model: mujoco.MjModel, place: Place, values: np.ndarray) -> bool:
-    """An exact filter as the actuator's state, where it has no state yet."""
+    """Native dyntype "filterexact", for actuators without activation state."""
     actuators = [_by_id(spec)[a] for a in place.actuators]
     free = all(a.dyntype == mujoco.mjtDyn.mjDYN_NONE for a in actuators)
     if not free or any(model.actuator_ctrllimited[a] or model.actuator_ctrlnum[a] != 1 for a in place.actuators):
@@ -110,7 +112,7 @@ def _gain(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Paramete
 
 
 def _apply_gain(world: World, place: Place, values: np.ndarray) -> None:
-    """Force -> (1 + change) force: a motor that is weaker or stronger than believed, its feedback included."""
+    """Force -> (1 + change) force, feedback terms included."""
     actuators = list(place.actuators)
     world.model.actuator_gainprm[actuators] *= 1 + values[0]
     world.model.actuator_biasprm[actuators] *= 1 + values[0]
@@ -122,14 +124,14 @@ def _limit(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Paramet
     limited = model.actuator_forcelimited[actuators].astype(bool)
     if limited.all():
         believed = float(np.abs(model.actuator_forcerange[actuators]).max())
-        if believed <= peak * 1.01:  # it binds: it may be larger or smaller
-            return (Parameter("limit", unit, _LEAST_LIMIT * peak, 3.0 * believed, -0.1 * believed, null=believed),)
+        if believed <= peak * 1.01:  # the believed limit is reached: it may be larger or smaller
+            return (Parameter("limit", unit, _MIN_LIMIT * peak, 3.0 * believed, -0.1 * believed, null=believed),)
     peak = max(peak, 1e-9)
-    return (Parameter("limit", unit, _LEAST_LIMIT * peak, 1.1 * peak, -0.3 * peak, null=1.1 * peak),)
+    return (Parameter("limit", unit, _MIN_LIMIT * peak, 1.1 * peak, -0.3 * peak, null=1.1 * peak),)
 
 
 def _apply_limit(world: World, place: Place, values: np.ndarray) -> None:
-    """|force| <= limit at the actuator, as a driver's current limit [N m before the gear, N for slides]."""
+    """|force| <= limit at the actuator, such as a current limit [N m before the gear, N for slides]."""
     actuators = list(place.actuators)
     world.model.actuator_forcelimited[actuators] = 1
     world.model.actuator_forcerange[actuators] = (-values[0], values[0])
@@ -163,7 +165,7 @@ ACTUATOR_GAIN = Effect(
     excited_by="loads and accelerations",
     summable=True,
     equation="force → (1 + change) force",
-    akin=(FADING_MOTOR,),
+    similar=(FADING_MOTOR,),
 )
 TORQUE_LIMIT = Effect(
     "torque_limit",

@@ -1,19 +1,19 @@
-"""Effects of bodies and of the world around them: masses, lengths, forces, air."""
+"""Effects of bodies and of the environment: payload, link length, centre of mass, constant force, air drag, slope."""
 
 import mujoco
 import numpy as np
 
 from btr_mjx.gap.effects.effect import Effect, Parameter
 from btr_mjx.gap.effects.links import lengthen, link_of
-from btr_mjx.gap.effects.mass import MassProperties, forget_frames, point_mass
-from btr_mjx.gap.effects.places import WORLD, Place, body_place, ends, links, trunks, welded
+from btr_mjx.gap.effects.mass import MassProperties, clear_sameframe, point_mass
+from btr_mjx.gap.effects.places import WORLD, Place, body_place, leaf_links, links, trunks, welded_bodies
 from btr_mjx.gap.effects.ranges import Scales
 from btr_mjx.gap.effects.similar import ELASTIC_CORD
 from btr_mjx.gap.simulate import World
 
 
 def _extent(model: mujoco.MjModel, body: int) -> float:
-    """How far the geoms of a body, and of those welded to it, reach from the body's frame [m]."""
+    """Largest distance of the geoms of a body, and of bodies welded to it, from the body frame [m]."""
     own = model.body_weldid[model.geom_bodyid] == model.body_weldid[body]
     solid = own & (model.geom_rbound > 0)
     reach = np.linalg.norm(model.geom_pos[solid], axis=1) + model.geom_rbound[solid]
@@ -25,8 +25,8 @@ def _group_mass(model: mujoco.MjModel, body: int) -> float:
 
 
 def _payload_places(model: mujoco.MjModel) -> list[Place]:
-    # A single body that was compiled with a diagonal mass matrix keeps it: its centre cannot move (loaders avoid it).
-    free = [b for b in [*trunks(model), *links(model), *welded(model)] if model.body_mass[b] > 0]
+    # The diagonal mass matrix of a simple body (body_simple) cannot represent another centre of mass.
+    free = [b for b in [*trunks(model), *links(model), *welded_bodies(model)] if model.body_mass[b] > 0]
     return [body_place(model, b) for b in sorted(free) if not _fixed_centre(model, b)]
 
 
@@ -45,7 +45,7 @@ def _payload(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Param
         min(0.1 * own, 0.02 * scales.mass),
         0.005 * own,
     )
-    if body in welded(model):
+    if body in welded_bodies(model):
         return (mass,)
     link = link_of(model, body)
     if body in trunks(model) or link is None:
@@ -63,8 +63,8 @@ def _payload(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Param
 def _apply_payload(world: World, place: Place, values: np.ndarray) -> None:
     """A point mass m fixed to the body.
 
-    It sits at (x, y, z) in the frame of a trunk, at the distance `along` from the joint of a link towards the link's
-    far end, in the centre of mass of a body that is welded to another.
+    Position: (x, y, z) in the frame of a trunk; at the distance `along` from the joint towards the far end of a link;
+    at the centre of mass of a body that is welded to another one.
     """
     (body,) = place.bodies
     model = world.model
@@ -91,7 +91,7 @@ def _length(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parame
 
 
 def _apply_length(world: World, place: Place, values: np.ndarray) -> None:
-    """The body's far end lies `change` further from its joint; mass grows with the length, see `links.lengthen`."""
+    """The link is longer by `change`; its mass grows with the length, see `links.lengthen`."""
     link = link_of(world.model, place.bodies[0])
     assert link is not None
     lengthen(world.model, link, float(values[0]))
@@ -107,14 +107,14 @@ def _shift(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Paramet
 
 
 def _apply_shift(world: World, place: Place, values: np.ndarray) -> None:
-    """The centre of mass of a trunk lies elsewhere; mass and inertia about it stay."""
+    """Shift of the centre of mass of a trunk, at constant mass and inertia about the centre of mass."""
     (body,) = place.bodies
     world.model.body_ipos[body] += values
-    forget_frames(world.model, body)
+    clear_sameframe(world.model, body)
 
 
 def _force_places(model: mujoco.MjModel) -> list[Place]:
-    return [body_place(model, b) for b in sorted({*trunks(model), *ends(model)})]
+    return [body_place(model, b) for b in sorted({*trunks(model), *leaf_links(model)})]
 
 
 def _force(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
@@ -125,7 +125,7 @@ def _force(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Paramet
 
 
 def _apply_force(world: World, place: Place, values: np.ndarray) -> None:
-    """A constant force (x, y, z) in the world's frame at the body's centre of mass: a cable, wind, a lean."""
+    """Constant force (x, y, z) in the world frame at the centre of mass of the body, such as of a cable or wind."""
     world.wrench[place.bodies[0], :3] += values
 
 
@@ -138,7 +138,7 @@ def _drag(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Paramete
     mass, inertia = model.body_mass[solid], model.body_inertia[solid]
     if not len(mass):
         return (Parameter("density", "kg/m^3", 0.0, 100.0, 1.0),)
-    # MuJoCo's model of a fluid sees every body as the box that has its inertia.
+    # MuJoCo's inertia-based fluid model: each body is the box of equal inertia.
     sides = np.sqrt(np.maximum(6 * (inertia.sum(1, keepdims=True) - 2 * inertia) / mass[:, None], 1e-12))
     size = float(np.median(mass / np.maximum(sides.prod(1), 1e-12)))
     believed = float(model.opt.density)
@@ -146,7 +146,7 @@ def _drag(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Paramete
 
 
 def _apply_drag(world: World, place: Place, values: np.ndarray) -> None:
-    """Drag -1/2 rho A v |v| on every body, as on the box that has its inertia (MuJoCo's inertia-based fluid)."""
+    """Drag -1/2 rho A v |v| on every body, as on the box of equal inertia (MuJoCo's inertia-based fluid model)."""
     world.model.opt.density = max(float(values[0]), 0.0)
 
 
@@ -159,9 +159,9 @@ def _slope(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Paramet
 
 
 def _apply_slope(world: World, place: Place, values: np.ndarray) -> None:
-    """The ground, or what a fixed robot stands on, is turned by x about the x axis, then by y about the y axis.
+    """Slope of the ground (or of the base of a fixed robot): rotation by x about the x axis, then by y about y.
 
-    Seen from the ground, gravity turns the other way: g' = R^T g with R = R_y(y) R_x(x).
+    In the frame of the ground, gravity is rotated by the inverse: g' = R^T g with R = R_y(y) R_x(x).
     """
     cx, sx, cy, sy = np.cos(values[0]), np.sin(values[0]), np.cos(values[1]), np.sin(values[1])
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
@@ -200,7 +200,7 @@ CONSTANT_FORCE = Effect(
     _apply_force,
     excited_by="any motion",
     equation="a constant force at the body's centre of mass, world frame",
-    akin=(ELASTIC_CORD,),
+    similar=(ELASTIC_CORD,),
 )
 AIR_DRAG = Effect(
     "air_drag",

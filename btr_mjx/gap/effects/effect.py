@@ -1,4 +1,4 @@
-"""What an effect is: a name, where it may sit, its parameters there, and how it edits a world."""
+"""Data types of effects: `Parameter`, `Effect` and `Candidate` (an effect at a place)."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,19 +14,19 @@ from btr_mjx.gap.simulate import World
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect at a place.
+    """A scalar parameter of an effect at a place.
 
     Attributes:
-      name: what it is.
-      unit: SI, "1" for a pure number.
-      low: smallest value that is tried.
-      high: largest value that is tried.
-      step: signed difference from `null` that is large enough to be seen and small enough to be linear.
-      tolerance: standard deviation of what a calibration always leaves; 0 for none.
-      null: value at which the effect is absent; sizes and errors are measured from there.
-      shape: the parameter only matters while the first one differs from its null (where a mass sits, the speed at
-        which friction falls); `null` is then where its search starts.
-      least: difference from `null` that a first number needs to be called by name, however sure it is.
+      name: of the parameter.
+      unit: SI unit, "1" if dimensionless.
+      low: lower bound of the search.
+      high: upper bound of the search.
+      step: signed difference from `null` for finite differences: visible above the noise, but in the linear range.
+      tolerance: standard deviation of the residual calibration error; 0 for none.
+      null: value at which the effect is absent; sizes are differences from it.
+      shape: the parameter has no influence while the first one is at its null (position of a mass, Stribeck speed);
+        `null` is then the starting value of its search.
+      negligible: smallest difference from `null` of the first parameter for which an effect is named.
     """
 
     name: str
@@ -37,7 +37,7 @@ class Parameter:
     tolerance: float = 0.0
     null: float = 0.0
     shape: bool = False
-    least: float = 0.0
+    negligible: float = 0.0
 
     def __post_init__(self) -> None:
         if not (self.low <= self.null <= self.high and self.step != 0):
@@ -47,10 +47,10 @@ class Parameter:
             )
 
     def at_edge(self, value: float) -> bool:
-        """Whether a value is the end of what is tried though more of the effect is possible.
+        """Whether a value lies at a bound of the search beyond which larger effects are possible.
 
-        Less than none of something that is believed to be there is not: where the range below the null is the shorter
-        one, it ends where nothing is left.
+        The lower bound counts only if the range below the null is at least as long as that above: a shorter one ends
+        at a physical limit, such as zero friction.
         """
         room = 1e-3 * (self.high - self.low)
         above, below = self.high - self.null, self.null - self.low
@@ -71,15 +71,15 @@ class Effect:
 
     Attributes:
       name: in results.
-      places: where it may sit in a model; empty where it makes no sense.
-      parameters: its parameters at a place, with ranges that suit the model and the data.
-      apply: edits a world in place. What it writes into the model's fields is also its native form.
-      excited_by: the motion that shows it.
-      summable: whether the signature of a group of places is the sum of its members'.
-      native: writes the part of it that `apply` does not write into the model's fields (an edit of the command, a
-        law, a wrench) into an MjSpec, and returns whether MuJoCo has a term for it.
+      places: function that lists the places of a model where the effect may occur.
+      parameters: function that returns the parameters at a place, with ranges that suit the model and the data.
+      apply: edits a world in place. Its changes of model fields are also used for the mended model.
+      excited_by: motion that excites the effect, for reports.
+      summable: whether the signature of a group of places is the sum of those of its members.
+      native: writes the part of the effect that is not in model fields (command edit, law, wrench) into an MjSpec;
+        returns whether MuJoCo can represent it.
       equation: the effect in one line, for reports.
-      akin: effects that are easily taken for this one, see `twins`.
+      similar: effects with a similar signature, compared once this one is named.
     """
 
     name: str
@@ -90,7 +90,7 @@ class Effect:
     summable: bool = False
     native: Native | None = None
     equation: str = ""
-    akin: tuple["Effect", ...] = ()
+    similar: tuple["Effect", ...] = ()
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class Candidate:
 
     Attributes:
       effect: the effect.
-      place: where it sits.
+      place: where it acts.
       parameters: its parameters there.
     """
 
@@ -109,20 +109,26 @@ class Candidate:
 
     @property
     def name(self) -> str:
-        """Effect and place, for tables."""
+        """Name of effect and place, for tables."""
         return f"{self.effect.name}@{self.place.label}"
 
     @property
     def null(self) -> np.ndarray:
-        """(p,) values at which it is absent."""
+        """(p,) values at which the effect is absent."""
         return np.array([parameter.null for parameter in self.parameters])
 
     def apply(self, world: World, values: Sequence[float] | np.ndarray) -> World:
         """Edit a world in place and return it.
 
         Args:
-          world: what is edited.
+          world: edited in place.
           values: (p,) one value per parameter.
+
+        Returns:
+          The world.
+
+        Raises:
+          InputError: another number of values.
         """
         values = np.asarray(values, float)
         if values.shape != (len(self.parameters),):
@@ -136,11 +142,14 @@ def candidates(model: mujoco.MjModel, scales: Scales, effects: Sequence[Effect])
 
     Args:
       model: the believed model.
-      scales: what ranges of parameters are made of; geoms that do not touch the ground there are left out.
+      scales: typical sizes that set the ranges of parameters; places of geoms without ground contact are left out.
       effects: the library.
 
+    Returns:
+      The candidates, in the order of effects and places.
+
     Raises:
-      InputError: two effects of one name.
+      InputError: two effects have the same name.
     """
     names = [effect.name for effect in effects]
     twice = sorted({name for name in names if names.count(name) > 1})

@@ -1,4 +1,4 @@
-"""Friction at joints: viscous, dry, growing with the load, breaking away."""
+"""Joint friction: viscous, Coulomb, load-dependent, Stribeck."""
 
 from dataclasses import dataclass
 
@@ -7,39 +7,38 @@ import numpy as np
 
 from btr_mjx.gap.effects.effect import Effect, Parameter
 from btr_mjx.gap.effects.places import Place, actuator_count, joint_of, joint_places
-from btr_mjx.gap.effects.ranges import Scales, least, typical_scale, unit_of
+from btr_mjx.gap.effects.ranges import Scales, smallest_believed, typical_scale, unit_of
 from btr_mjx.gap.simulate import Rows, World
 
 
 def _damping(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
     size = typical_scale(scales.torque, place, model) / typical_scale(scales.speed, place, model)
     unit = unit_of(model, place, "N m s/rad", "N s/m")
-    believed = least(model, "dof_damping", place)
-    # Nobody knows damping to a percent where motors hardly feel it, and nobody calls that missing. As a tolerance it
-    # would pass for a part of a strong friction.
+    believed = smallest_believed(model, "dof_damping", place)
+    # Small errors of damping are not named. They are no tolerance, which could absorb part of a strong friction.
     negligible = min(0.4 * believed, max(0.04 * believed, 4e-3 * size))
-    return (Parameter("damping", unit, -believed, 3.0 * size, 0.05 * size, 0.01 * believed, least=negligible),)
+    return (Parameter("damping", unit, -believed, 3.0 * size, 0.05 * size, 0.01 * believed, negligible=negligible),)
 
 
 def _apply_damping(world: World, place: Place, values: np.ndarray) -> None:
-    """Tau = -d qvel; d is added to the believed damping."""
+    """Tau = -d qvel, d added to the believed damping."""
     world.model.dof_damping[place.dofs(world.model)] += values[0]
 
 
 def _friction(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
     size = typical_scale(scales.torque, place, model)
     unit = unit_of(model, place, "N m", "N")
-    return (Parameter("torque", unit, -least(model, "dof_frictionloss", place), 0.8 * size, 0.02 * size),)
+    return (Parameter("torque", unit, -smallest_believed(model, "dof_frictionloss", place), 0.8 * size, 0.02 * size),)
 
 
 def _apply_friction(world: World, place: Place, values: np.ndarray) -> None:
-    """|tau| <= f, against the motion (Coulomb); f is added to the believed frictionloss."""
+    """|tau| <= f, against the motion (Coulomb), f added to the believed frictionloss."""
     world.model.dof_frictionloss[place.dofs(world.model)] += values[0]
 
 
 @dataclass(frozen=True)
 class LoadFriction:
-    """Friction loss f = mu |tau|, tau the actuators' generalised force in the last step.
+    """Friction loss f = mu |tau|, tau the generalised force of the actuators in the last step.
 
     Attributes:
       dofs: degrees of freedom.
@@ -51,7 +50,7 @@ class LoadFriction:
     fields: tuple[str, ...] = ("dof_frictionloss",)
 
     def __call__(self, rows: Rows) -> None:
-        """Add to the friction loss of the coming step."""
+        """Add to the friction loss of the next step."""
         rows.field("dof_frictionloss")[:, self.dofs] += self.coefficient * np.abs(rows.qfrc_actuator[:, self.dofs])
 
 
@@ -60,13 +59,13 @@ def _load(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Paramete
 
 
 def _apply_load(world: World, place: Place, values: np.ndarray) -> None:
-    """|tau_f| <= f0 + mu |tau_motor|: the more a gear carries, the more it rubs."""
+    """|tau_f| <= f0 + mu |tau_motor|: gear friction proportional to the load."""
     world.laws.append(LoadFriction(place.dofs(world.model), float(values[0])))
 
 
 @dataclass(frozen=True)
 class StribeckFriction:
-    """Friction loss f = F exp(-(qvel / v)^2): what a joint needs to break away.
+    """Friction loss f = F exp(-(qvel / v)^2): breakaway friction (Stribeck).
 
     Attributes:
       dofs: degrees of freedom.
@@ -80,7 +79,7 @@ class StribeckFriction:
     fields: tuple[str, ...] = ("dof_frictionloss",)
 
     def __call__(self, rows: Rows) -> None:
-        """Add to the friction loss of the coming step."""
+        """Add to the friction loss of the next step."""
         fall = np.exp(-((rows.qvel[:, self.dofs] / self.speed) ** 2))
         rows.field("dof_frictionloss")[:, self.dofs] += self.torque * fall
 
@@ -102,7 +101,7 @@ def _stribeck(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Para
 
 
 def _apply_stribeck(world: World, place: Place, values: np.ndarray) -> None:
-    """|tau| <= f0 + F exp(-(qvel / v)^2): a joint that must break away before it glides."""
+    """|tau| <= f0 + F exp(-(qvel / v)^2): breakaway friction (Stribeck)."""
     world.laws.append(StribeckFriction(place.dofs(world.model), float(values[0]), float(values[1])))
 
 

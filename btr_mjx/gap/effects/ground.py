@@ -1,4 +1,4 @@
-"""Effects of contact with the ground: friction and softness, for one foot or for all."""
+"""Effects of contact with the ground: sliding friction and contact softness, for one geom or all."""
 
 import mujoco
 import numpy as np
@@ -23,7 +23,14 @@ def _softness_places(model: mujoco.MjModel) -> list[Place]:
 
 
 def believed_friction(model: mujoco.MjModel, place: Place) -> float:
-    """Sliding coefficient between the place's geoms and the ground: the larger of both, or that of higher priority."""
+    """Mean sliding coefficient between the geoms of a place and the ground.
+
+    As in MuJoCo: the larger coefficient of both geoms, or that of the geom of higher priority.
+
+    Args:
+      model: the believed model.
+      place: geoms; all geoms that can touch the ground if it has none.
+    """
     touching, ground = ground_geoms(model)
     chosen = place.geoms or touching
     return float(np.mean([_combined(model, g, ground) for g in chosen]))
@@ -46,10 +53,10 @@ def _friction(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Para
 
 
 def _apply_friction(world: World, place: Place, values: np.ndarray) -> None:
-    """|f_t| <= mu f_n with the given sliding coefficient mu.
+    """|f_t| <= mu f_n with sliding coefficient mu.
 
-    In the world as a whole the coefficients of all geoms that meet the ground are scaled together. A single foot gets
-    contact parameters of its own: those that it has with the ground now, at a higher priority.
+    At the place "world" the coefficients of all geoms that can touch the ground are scaled. A single geom gets its
+    current contact parameters with the ground, at a higher priority, and the new coefficient.
     """
     model = world.model
     believed = believed_friction(model, place)
@@ -69,7 +76,7 @@ def _apply_friction(world: World, place: Place, values: np.ndarray) -> None:
 
 
 def _own_contact(model: mujoco.MjModel, geom: int, ground: list[int]) -> None:
-    """Give a geom the contact parameters that it has with the ground, at a higher priority than the ground's."""
+    """Give a geom its combined contact parameters with the ground, at a higher priority than that of the ground."""
     if not ground:
         return
     other = ground[0]
@@ -103,7 +110,7 @@ def _time_constant(model: mujoco.MjModel) -> float:
 
 
 def _apply_softness(world: World, place: Place, values: np.ndarray) -> None:
-    """Contacts with the ground give way with the time constant of `solref` [s]; larger is softer."""
+    """Time constant of `solref` of contacts with the ground [s]; larger is softer."""
     model = world.model
     touching, ground = ground_geoms(model)
     geoms = [*touching, *ground]

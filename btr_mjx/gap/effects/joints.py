@@ -1,4 +1,4 @@
-"""Effects at joints that are no friction: inertia, springs, encoder offsets, backlash."""
+"""Effects at joints besides friction: armature, stiffness, encoder offset, backlash."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ import numpy as np
 
 from btr_mjx.gap.effects.effect import Effect, Parameter
 from btr_mjx.gap.effects.places import Place, actuator_count, joint_of, joint_places
-from btr_mjx.gap.effects.ranges import Scales, integrated, least, typical_scale, unit_of
+from btr_mjx.gap.effects.ranges import Scales, integrator_inertia, smallest_believed, typical_scale, unit_of
 from btr_mjx.gap.effects.similar import HARDENING_SPRING, ONE_SIDED_SPRING
 from btr_mjx.gap.simulate import Rows, World
 
@@ -15,16 +15,20 @@ AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 
 
 def _armature(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    size, believed = typical_scale(scales.inertia, place, model), least(model, "dof_armature", place)
+    size, believed = typical_scale(scales.inertia, place, model), smallest_believed(model, "dof_armature", place)
     unit = unit_of(model, place, "kg m^2", "kg")
-    # A rotor behind a high gear weighs more than a light link: by as much as motors could turn the way they do.
+    # The reflected inertia of a rotor may exceed that of a light link; the bound is what the motors can accelerate.
     torque, amplitude, speed = (typical_scale(x, place, model) for x in (scales.torque, scales.amplitude, scales.speed))
     most = max(5.0 * size, 3.0 * torque * amplitude / speed**2)
-    return (Parameter("armature", unit, -believed, most, 0.05 * size, 0.01 * believed, least=integrated(model, place)),)
+    return (
+        Parameter(
+            "armature", unit, -believed, most, 0.05 * size, 0.01 * believed, negligible=integrator_inertia(model, place)
+        ),
+    )
 
 
 def _apply_armature(world: World, place: Place, values: np.ndarray) -> None:
-    """Tau = -I qacc: inertia of rotor and gear, added to the believed armature."""
+    """Tau = -I qacc: reflected inertia of rotor and gear, added to the believed armature."""
     world.model.dof_armature[place.dofs(world.model)] += values[0]
 
 
@@ -32,12 +36,14 @@ def _stiffness(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Par
     amplitude, speed = typical_scale(scales.amplitude, place, model), typical_scale(scales.speed, place, model)
     size = typical_scale(scales.torque, place, model) / amplitude
     unit = unit_of(model, place, "N m/rad", "N/m")
-    smallest = integrated(model, place) * (speed / amplitude) ** 2  # at one frequency a spring is a negative inertia
-    return (Parameter("stiffness", unit, -1.0 * size, 3.0 * size, 0.02 * size, least=smallest),)
+    smallest = (
+        integrator_inertia(model, place) * (speed / amplitude) ** 2
+    )  # at one frequency a spring equals a negative inertia
+    return (Parameter("stiffness", unit, -1.0 * size, 3.0 * size, 0.02 * size, negligible=smallest),)
 
 
 def _apply_stiffness(world: World, place: Place, values: np.ndarray) -> None:
-    """Tau = -k (q - q_spring): cables, seals; k is added to the believed stiffness, negative values push outwards."""
+    """Tau = -k (q - q_spring), such as of cables or seals; k is added to the believed stiffness and may be negative."""
     model, joints = world.model, list(place.joints)
     model.jnt_stiffness[joints] += values[0]
 
@@ -49,10 +55,10 @@ def _offset(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parame
 
 
 def _apply_offset(world: World, place: Place, values: np.ndarray) -> None:
-    """q_measured = q_true + offset: the encoder's zero is wrong, and the servo tracks what the encoder says.
+    """q_measured = q_true + offset: error of the encoder zero; the servo tracks the measured angle.
 
-    Seen from the encoder the robot is assembled differently: the joint's reference position moves, and with it the
-    spring's and the limits', which belong to the true angle.
+    In measured coordinates the reference position, the spring reference and the limits of the joint, which refer to
+    the true angle, shift by the offset.
     """
     model = world.model
     for j in place.joints:
@@ -68,7 +74,7 @@ class Backlash:
     """A dead zone in the error of position servos: e -> e - clip(e, -b, b), e = r - gear q.
 
     Attributes:
-      controls: indices of the servos' position references.
+      controls: indices of the position references of the servos.
       positions: addresses of the joints in qpos.
       gear: (n,) gears.
       play: b [rad or m at the joint].
@@ -81,14 +87,14 @@ class Backlash:
     fields: tuple[str, ...] = ()
 
     def __call__(self, rows: Rows) -> None:
-        """Shift the reference of the coming step."""
+        """Shift the reference of the next step."""
         reach = np.abs(self.gear) * self.play
         error = rows.ctrl[:, self.controls] - self.gear * rows.qpos[:, self.positions]
         rows.ctrl[:, self.controls] -= np.clip(error, -reach, reach)
 
 
 def position_servos(model: mujoco.MjModel) -> list[int]:
-    """Actuators that pull a hinge or slide towards a reference position."""
+    """Ids of the position servos: affine actuators of hinges or slides with negative position feedback."""
     return [
         a
         for a in range(actuator_count(model))
@@ -110,7 +116,7 @@ def _backlash(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Para
 
 
 def _apply_backlash(world: World, place: Place, values: np.ndarray) -> None:
-    """The servo only feels the part of its error beyond a dead zone of half width b (the gear's play)."""
+    """Dead zone of half width b (gear play) in the position error of the servo."""
     model = world.model
     servos = [a for a in place.actuators if a in set(position_servos(model))]
     joints = model.actuator_trnid[servos, 0]
@@ -141,7 +147,7 @@ JOINT_STIFFNESS = Effect(
     excited_by="large deflections of the joint, slow ones too",
     summable=True,
     equation="τ = −k (q − q_spring)",
-    akin=(HARDENING_SPRING, ONE_SIDED_SPRING),
+    similar=(HARDENING_SPRING, ONE_SIDED_SPRING),
 )
 JOINT_OFFSET = Effect(
     "joint_offset",

@@ -1,6 +1,6 @@
-"""The library of effects that a model may lack. One list, one entry an effect.
+"""The library of effects that a model may lack.
 
-An effect of one's own takes a few lines; drag that grows with the square of a joint's speed, for instance:
+Example of a user-defined effect, joint drag that is quadratic in the speed:
 
     from btr_mjx.gap.effects import EFFECTS, Effect, Parameter, joint_places
 
@@ -14,8 +14,8 @@ An effect of one's own takes a few lines; drag that grows with the square of a j
     mine = Effect("quadratic_damping", joint_places, ranges, edit, summable=True)
     identify(dataset, effects=(*EFFECTS, mine))
 
-What an effect writes into the model's fields is mended natively without further ado. Whatever depends on the state is
-a law (`btr_mjx.gap.simulate.laws.Law`), whatever concerns the command an edit of it (`World.command_edits`).
+Changes of model fields are also written into the mended model. Terms that depend on the state are laws
+(`btr_mjx.gap.simulate.laws.Law`); changes of the command are functions in `World.command_edits`.
 """
 
 from btr_mjx.gap.effects.actuators import ACTUATOR_EFFECTS
@@ -24,10 +24,10 @@ from btr_mjx.gap.effects.effect import Effect
 from btr_mjx.gap.effects.friction import FRICTION_EFFECTS
 from btr_mjx.gap.effects.ground import GROUND_EFFECTS
 from btr_mjx.gap.effects.joints import JOINT_EFFECTS
-from btr_mjx.gap.effects.similar import AKIN_EFFECTS
+from btr_mjx.gap.effects.similar import SIMILAR_EFFECTS
 
 EFFECTS: tuple[Effect, ...] = (*FRICTION_EFFECTS, *JOINT_EFFECTS, *ACTUATOR_EFFECTS, *BODY_EFFECTS, *GROUND_EFFECTS)
-"""Every effect that is tried unless others are given."""
+"""Effects that are searched by default."""
 
-KNOWN: tuple[Effect, ...] = (*EFFECTS, *AKIN_EFFECTS)
-"""Every effect that can be asked for by name: also those that are only beside a name unless they are asked for."""
+KNOWN_EFFECTS: tuple[Effect, ...] = (*EFFECTS, *SIMILAR_EFFECTS)
+"""All effects that can be selected by name, including those of `similar`."""

@@ -1,4 +1,4 @@
-"""Links: which way a body reaches from its joint, and how it becomes longer."""
+"""Links: axis and length of a body from its joint to its far end, and change of the length."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ import numpy as np
 from btr_mjx.gap.effects.mass import (
     MassProperties,
     axis_vector,
-    forget_frames,
+    clear_sameframe,
     geoms_at_density,
     long_axis,
     rotation_matrix,
@@ -19,13 +19,13 @@ from btr_mjx.gap.effects.places import ground_geoms
 
 @dataclass(frozen=True)
 class LinkAxis:
-    """A body between its joint and its far end.
+    """Axis of a body from its joint to its far end.
 
     Attributes:
       body: its id.
-      anchor: (3,) where its joint is, in the body's frame [m].
-      direction: (3,) unit vector from there to the far end.
-      length: [m].
+      anchor: (3,) position of the joint in the body frame [m].
+      direction: (3,) unit vector from the joint to the far end.
+      length: distance from the joint to the far end [m].
     """
 
     body: int
@@ -34,15 +34,22 @@ class LinkAxis:
     length: float
 
     def point(self, along: float) -> np.ndarray:
-        """(3,) the point at a distance from the joint."""
+        """(3,) point on the axis at a distance from the joint [m]."""
         return self.anchor + along * self.direction
 
 
 def link_of(model: mujoco.MjModel, body: int) -> LinkAxis | None:
-    """The link that a body with a joint is: up to the next joints, else to its foot, else to its farthest geom.
+    """The axis of a body with a joint.
+
+    The far end is the mean of the child joints; without these, the farthest point of geoms that can touch the ground;
+    without these, of all geoms.
+
+    Args:
+      model: the model.
+      body: its id.
 
     Returns:
-      None if nothing lies away from the joint.
+      The axis; None if the body has no joint or no extent.
     """
     if not model.body_jntnum[body]:
         return None
@@ -68,7 +75,7 @@ def link_of(model: mujoco.MjModel, body: int) -> LinkAxis | None:
 
 
 def _welded_frames(model: mujoco.MjModel, body: int) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """Frames, in the body's own, of the body and of those welded to it."""
+    """Position and rotation matrix, in the frame of a body, of it and of the bodies welded to it."""
     frames = {body: (np.zeros(3), np.eye(3))}
     for child in range(body + 1, model.nbody):
         parent = int(model.body_parentid[child])
@@ -81,7 +88,7 @@ def _welded_frames(model: mujoco.MjModel, body: int) -> dict[int, tuple[np.ndarr
 def _geom_points(
     model: mujoco.MjModel, frames: dict[int, tuple[np.ndarray, np.ndarray]], geoms: list[int] | None
 ) -> list[np.ndarray]:
-    """Centres of round geoms and ends of long ones, in the frame of the first body."""
+    """Centres of geoms and ends of elongated ones, in the frame of the first body."""
     points = []
     for body, (origin, turn) in frames.items():
         for geom in np.flatnonzero(model.geom_bodyid == body).tolist():
@@ -99,17 +106,17 @@ def _geom_points(
 
 
 def lengthen(model: mujoco.MjModel, link: LinkAxis, change: float) -> None:
-    """Make a link longer in place.
+    """Change the length of a link in place.
 
-    Points of the body move along the link in proportion to their distance from the joint, up to the full change at
-    its far end and beyond: bodies, sites and geoms with their centres, long geoms along the link with both ends. The
-    mass of long geoms grows at constant density; where the body's inertia is not that of its long geoms, its matter
-    is stretched instead.
+    Points of the body move along the axis in proportion to their distance from the joint, by the full change at the
+    far end and beyond: child bodies, sites, centres of geoms, and both ends of geoms that are elongated along the axis.
+    The mass of elongated geoms grows at constant density. If the inertia of the body is not that of its elongated
+    geoms, its mass distribution is stretched along the axis instead.
 
     Args:
       model: edited in place.
-      link: the link before the change.
-      change: by how much it becomes longer [m].
+      link: the axis before the change.
+      change: increase of the length [m].
     """
     body = link.body
 
@@ -134,7 +141,7 @@ def lengthen(model: mujoco.MjModel, link: LinkAxis, change: float) -> None:
         return
     grown = geoms_at_density(model, long, 1.0).mass / solid.mass if solid.mass > 0 else 1.0
     stretch = np.eye(3) + change / link.length * np.outer(link.direction, link.direction)
-    second = 0.5 * np.trace(before.inertia) * np.eye(3) - before.inertia  # sum of m x x^T about the centre
+    second = 0.5 * np.trace(before.inertia) * np.eye(3) - before.inertia  # second moment about the centre
     second = grown * stretch @ second @ stretch
     inertia = np.trace(second) * np.eye(3) - second
     centre = link.anchor + stretch @ (before.centre - link.anchor)
@@ -142,7 +149,7 @@ def lengthen(model: mujoco.MjModel, link: LinkAxis, change: float) -> None:
 
 
 def _same(body: MassProperties, solid: MassProperties, density: float) -> bool:
-    """Whether a body's mass properties are those of solid geoms of one density."""
+    """Whether the mass properties of a body are those of solid geoms of uniform density."""
     size = float(np.abs(body.inertia).max())
     return bool(
         np.allclose(body.centre, solid.centre, atol=1e-6 * (1 + np.abs(solid.centre).max()))
@@ -151,11 +158,11 @@ def _same(body: MassProperties, solid: MassProperties, density: float) -> bool:
 
 
 def _move_geom(model: mujoco.MjModel, geom: int, link: LinkAxis, moved: Callable[[np.ndarray], np.ndarray]) -> None:
-    """Move a geom; one that runs along the link keeps both of its ends on their points of the body."""
+    """Move a geom; if it is elongated along the link, move both of its ends."""
     found = long_axis(model, geom, link.direction)
     if found is None:
         model.geom_pos[geom] = moved(model.geom_pos[geom])
-        forget_frames(model, int(model.geom_bodyid[geom]))
+        clear_sameframe(model, int(model.geom_bodyid[geom]))
         return
     axis, half = found
     old = axis_vector(model, geom, axis)
@@ -172,14 +179,14 @@ def _move_geom(model: mujoco.MjModel, geom: int, link: LinkAxis, moved: Callable
     box_axis = 2 if axis == 1 and int(model.geom_type[geom]) in _TUBES else axis
     model.geom_aabb[geom, 3 + box_axis] += grown
     model.geom_rbound[geom] = _bound(model, geom)
-    forget_frames(model, int(model.geom_bodyid[geom]))
+    clear_sameframe(model, int(model.geom_bodyid[geom]))
 
 
 _TUBES = (int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER))
 
 
 def _bound(model: mujoco.MjModel, geom: int) -> float:
-    """Radius of the ball around a long geom."""
+    """Radius of the bounding sphere of an elongated geom."""
     kind, (a, b, c) = int(model.geom_type[geom]), (float(x) for x in model.geom_size[geom])
     if kind == int(mujoco.mjtGeom.mjGEOM_CAPSULE):
         return a + b
@@ -191,7 +198,7 @@ def _bound(model: mujoco.MjModel, geom: int) -> float:
 
 
 def _between_vectors(quaternion: np.ndarray, old: np.ndarray, new: np.ndarray) -> None:
-    """The shortest rotation from one unit vector to another."""
+    """Write the quaternion of the shortest rotation from one unit vector to another."""
     cross, dot = np.cross(old, new), float(old @ new)
     quaternion[:] = [1 + dot, *cross]
     quaternion /= np.linalg.norm(quaternion)

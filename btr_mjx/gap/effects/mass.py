@@ -1,4 +1,4 @@
-"""Mass and inertia of bodies whose parts change: a mass that is added, a link that becomes longer."""
+"""Mass properties of bodies and solid geoms: mass, centre of mass, inertia tensor."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,12 +13,12 @@ _BOXED = (int(_GEOM.mjGEOM_BOX), int(_GEOM.mjGEOM_ELLIPSOID))
 
 @dataclass(frozen=True)
 class MassProperties:
-    """Of a body in its own frame.
+    """Mass properties of a body in its own frame.
 
     Attributes:
       mass: [kg].
       centre: (3,) centre of mass [m].
-      inertia: (3, 3) about the centre of mass, along the body's axes [kg m^2].
+      inertia: (3, 3) about the centre of mass, in the axes of the body [kg m^2].
     """
 
     mass: float
@@ -27,13 +27,13 @@ class MassProperties:
 
     @classmethod
     def of(cls, model: mujoco.MjModel, body: int) -> "MassProperties":
-        """What a model says of a body."""
+        """Mass properties of a body of a model."""
         turn = rotation_matrix(model.body_iquat[body])
         inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T
         return cls(float(model.body_mass[body]), model.body_ipos[body].copy(), inertia)
 
     def plus(self, other: "MassProperties") -> "MassProperties":
-        """Of both together."""
+        """Mass properties of both together."""
         mass = self.mass + other.mass
         if mass == 0:
             return self
@@ -44,7 +44,7 @@ class MassProperties:
         return MassProperties(mass, centre, inertia)
 
     def write(self, model: mujoco.MjModel, body: int) -> None:
-        """Set the body of a model, principal moments kept physical (positive, triangle inequality)."""
+        """Write to a body of a model, with principal moments made physical (positive, triangle inequality)."""
         moments, axes = np.linalg.eigh(self.inertia)
         moments = np.maximum(moments, 1e-9 * max(float(moments.max()), 1e-12))
         moments[2] = min(moments[2], moments[0] + moments[1])
@@ -56,33 +56,38 @@ class MassProperties:
         model.body_ipos[body] = self.centre
         model.body_inertia[body] = moments
         model.body_iquat[body] = quaternion
-        forget_frames(model, body)
+        clear_sameframe(model, body)
 
 
 def point_mass(mass: float, position: np.ndarray) -> MassProperties:
-    """Of a point."""
+    """Mass properties of a point mass [kg] at a position (3,) [m]."""
     return MassProperties(mass, np.asarray(position, float), np.zeros((3, 3)))
 
 
-def forget_frames(model: mujoco.MjModel, body: int) -> None:
-    """Tell MuJoCo not to take a body's inertial frame, geoms and sites for each other; they may have coincided."""
+def clear_sameframe(model: mujoco.MjModel, body: int) -> None:
+    """Clear MuJoCo's sameframe flags of a body, its geoms and sites, as their frames may not coincide any more."""
     model.body_sameframe[body] = 0
     model.geom_sameframe[model.geom_bodyid == body] = 0
     model.site_sameframe[model.site_bodyid == body] = 0
 
 
 def rotation_matrix(quaternion: np.ndarray) -> np.ndarray:
-    """(3, 3) matrix of a quaternion."""
+    """(3, 3) rotation matrix of a quaternion (w, x, y, z)."""
     flat = np.zeros(9)
     mujoco.mju_quat2Mat(flat, np.asarray(quaternion, float))
     return flat.reshape(3, 3)
 
 
 def long_axis(model: mujoco.MjModel, geom: int, direction: np.ndarray) -> tuple[int, float] | None:
-    """The axis of a geom that runs along a direction: its index in `size` and half the extent of the geom's ends.
+    """The axis of a geom that is parallel to a direction (cosine above 0.9).
+
+    Args:
+      model: the model.
+      geom: its id.
+      direction: (3,) unit vector in the body frame.
 
     Returns:
-      None for geoms that do not run along it (less than 0.9 of the cosine) and for shapes without a length.
+      Index of the axis in `geom_size`, and half its length [m]; None if no axis is parallel or the shape has none.
     """
     kind, turn = int(model.geom_type[geom]), rotation_matrix(model.geom_quat[geom])
     along = np.abs(turn.T @ direction)
@@ -95,13 +100,13 @@ def long_axis(model: mujoco.MjModel, geom: int, direction: np.ndarray) -> tuple[
 
 
 def axis_vector(model: mujoco.MjModel, geom: int, axis: int) -> np.ndarray:
-    """Unit vector in the body's frame of an axis that `long_axis` found."""
+    """(3,) unit vector in the body frame of an axis that `long_axis` returned."""
     column = 2 if int(model.geom_type[geom]) in _LONG else axis
     return rotation_matrix(model.geom_quat[geom])[:, column]
 
 
 def geoms_at_density(model: mujoco.MjModel, geoms: Sequence[int], density: float) -> MassProperties:
-    """Of solid geoms of one density."""
+    """Mass properties of solid geoms of uniform density [kg/m^3], in the body frame."""
     total = MassProperties(0.0, np.zeros(3), np.zeros((3, 3)))
     for geom in geoms:
         volume, moments = _solid(int(model.geom_type[geom]), model.geom_size[geom])
@@ -127,12 +132,12 @@ def _solid(kind: int, size: np.ndarray) -> tuple[float, np.ndarray]:
     across, along = tube * (3 * a * a + 4 * b * b) / 12, tube * a * a / 2
     if kind == int(_GEOM.mjGEOM_CYLINDER):
         return tube, np.array([across, across, along])
-    caps = 4 / 3 * np.pi * a**3  # two half balls, their centres 3/8 of the radius beyond the tube's ends
+    caps = 4 / 3 * np.pi * a**3  # two half spheres, centroids 3/8 of the radius beyond the ends
     along += 0.4 * caps * a * a
     across += caps * (0.4 * a * a + b * b + 0.75 * a * b)
     return tube + caps, np.array([across, across, along])
 
 
 def _spread(offset: np.ndarray) -> np.ndarray:
-    """Parallel axis theorem for unit mass."""
+    """(3, 3) term of the parallel axis theorem for unit mass."""
     return offset @ offset * np.eye(3) - np.outer(offset, offset)

@@ -1,7 +1,7 @@
-"""Where an effect may sit in a model: joints, actuators, branches, bodies, geoms that touch the ground, the world.
+"""Places where an effect may occur: joints, actuators, subtrees, bodies, geoms that can touch the ground, the world.
 
-A place is named as in the results: `joint:<name>`, `actuator:<name>`, `body:<name>`, `geom:<name>`,
-`subtree:<body>` (every joint of that body and of the bodies below it), `all`, `world`.
+Labels as in results: `joint:<name>`, `actuator:<name>`, `body:<name>`, `geom:<name>`,
+`subtree:<body>` (all joints of that body and its descendants), `all`, `world`.
 """
 
 from collections.abc import Sequence
@@ -22,11 +22,11 @@ class Place:
 
     Attributes:
       label: its name in results.
-      joints: ids of the joints that belong to it.
-      actuators: ids of the actuators that belong to it.
+      joints: ids of its joints.
+      actuators: ids of its actuators.
       bodies: ids of its bodies.
       geoms: ids of its geoms.
-      members: for a group, the labels of the single places that it consists of.
+      members: labels of the single places of a group; empty for a single place.
     """
 
     label: str
@@ -37,11 +37,11 @@ class Place:
     members: tuple[str, ...] = ()
 
     def dofs(self, model: mujoco.MjModel) -> np.ndarray:
-        """Addresses of the joints' velocities."""
+        """Addresses of the joints in qvel."""
         return model.jnt_dofadr[list(self.joints)].astype(int)
 
     def controls(self, model: mujoco.MjModel) -> np.ndarray:
-        """Indices of the actuators' controls."""
+        """Indices of the controls of the actuators."""
         return np.array(
             [model.actuator_ctrladr[a] + k for a in self.actuators for k in range(int(model.actuator_ctrlnum[a]))],
             int,
@@ -52,7 +52,7 @@ WORLD = Place("world")
 
 
 def joint_of(model: mujoco.MjModel, actuator: int) -> int | None:
-    """The hinge or slide that an actuator drives; None for other transmissions."""
+    """Id of the hinge or slide that an actuator drives; None for other transmissions."""
     if int(model.actuator_trntype[actuator]) not in _JOINT_TRANSMISSIONS:
         return None
     joint = int(model.actuator_trnid[actuator, 0])
@@ -60,16 +60,16 @@ def joint_of(model: mujoco.MjModel, actuator: int) -> int | None:
 
 
 def actuator_count(model: mujoco.MjModel) -> int:
-    """Number of actuators; there may be more controls than actuators."""
+    """Number of actuators, which may be smaller than nu: an actuator may have several controls."""
     return len(model.actuator_trntype)
 
 
 def joint_places(model: mujoco.MjModel, joints: Sequence[int] | None = None) -> list[Place]:
-    """Each hinge and slide, each branch, all of them.
+    """Single joints, subtrees of joints, and all joints.
 
     Args:
       model: the model.
-      joints: ids of the joints that come into question; None for every hinge and slide.
+      joints: ids of the joints to choose from; None for every hinge and slide.
     """
     names = part_names(model, "joint")
     scalar = [j for j in range(model.njnt) if int(model.jnt_type[j]) in _SCALAR]
@@ -84,11 +84,11 @@ def joint_places(model: mujoco.MjModel, joints: Sequence[int] | None = None) -> 
 
 
 def actuator_places(model: mujoco.MjModel, actuators: Sequence[int] | None = None) -> list[Place]:
-    """Each actuator, each branch, all of them.
+    """Single actuators, subtrees of actuators, and all actuators.
 
     Args:
       model: the model.
-      actuators: ids of the actuators that come into question; None for every one.
+      actuators: ids of the actuators to choose from; None for all.
     """
     names = part_names(model, "actuator")
     singles = []
@@ -99,7 +99,7 @@ def actuator_places(model: mujoco.MjModel, actuators: Sequence[int] | None = Non
 
 
 def _groups(model: mujoco.MjModel, singles: Sequence[Place]) -> list[Place]:
-    """Branches with at least two actuated joints, and everything; each set of members once."""
+    """Subtrees with at least two actuated joints, and "all"; each set of members once."""
     if len(singles) < 2:
         return []
     everything = _union("all", singles)
@@ -129,14 +129,14 @@ def _union(label: str, places: Sequence[Place]) -> Place:
 
 
 def is_below(model: mujoco.MjModel, body: int, ancestor: int) -> bool:
-    """Whether `body` is `ancestor` or hangs below it."""
+    """Whether `body` is `ancestor` or a descendant of it."""
     while body > ancestor:
         body = int(model.body_parentid[body])
     return body == ancestor
 
 
-def one_limb(model: mujoco.MjModel, a: Place, b: Place) -> bool:
-    """Whether two places are bodies of which one hangs below the other, or joints of such bodies."""
+def on_same_chain(model: mujoco.MjModel, a: Place, b: Place) -> bool:
+    """Whether one place is a descendant of the other, for places of a single body or joint."""
     bodies = [p.bodies or tuple(int(model.jnt_bodyid[j]) for j in p.joints) for p in (a, b)]
     if not all(len(own) == 1 for own in bodies) or any(p.geoms for p in (a, b)):
         return False
@@ -145,28 +145,28 @@ def one_limb(model: mujoco.MjModel, a: Place, b: Place) -> bool:
 
 
 def body_place(model: mujoco.MjModel, body: int) -> Place:
-    """One body."""
+    """The place of a body."""
     return Place(f"body:{part_names(model, 'body')[body]}", bodies=(body,))
 
 
 def trunks(model: mujoco.MjModel) -> list[int]:
-    """Bodies that float or carry at least two branches."""
+    """Ids of bodies that float or have at least two branches."""
     return [b for b in _jointed(model) if _floats(model, b) or len(_branches(model, b)) >= 2]
 
 
 def links(model: mujoco.MjModel) -> list[int]:
-    """Bodies with a joint of their own that are no trunks."""
+    """Ids of bodies with joints that are not trunks."""
     others = set(trunks(model))
     return [b for b in _jointed(model) if b not in others]
 
 
-def ends(model: mujoco.MjModel) -> list[int]:
-    """Links that carry no further branch."""
+def leaf_links(model: mujoco.MjModel) -> list[int]:
+    """Ids of links without child links."""
     return [b for b in links(model) if not _branches(model, b)]
 
 
-def welded(model: mujoco.MjModel) -> list[int]:
-    """Bodies with mass that are welded to a moving one."""
+def welded_bodies(model: mujoco.MjModel) -> list[int]:
+    """Ids of bodies with mass that are welded to a moving body."""
     return [b for b in range(1, model.nbody) if model.body_weldid[b] not in (0, b) and model.body_mass[b] > 0]
 
 
@@ -190,7 +190,7 @@ def _branches(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def ground_geoms(model: mujoco.MjModel) -> tuple[list[int], list[int]]:
-    """Geoms of moving bodies that can touch geoms that stand still, and those that stand still."""
+    """Ids of geoms of moving bodies that can touch static geoms, and of these static geoms."""
     still = model.body_weldid[model.geom_bodyid] == 0
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     ground, feet = np.flatnonzero(still & solid), np.flatnonzero(~still & solid)
@@ -207,5 +207,5 @@ def ground_geoms(model: mujoco.MjModel) -> tuple[list[int], list[int]]:
 
 
 def geom_place(model: mujoco.MjModel, geom: int) -> Place:
-    """One geom."""
+    """The place of a geom."""
     return Place(f"geom:{part_names(model, 'geom')[geom]}", bodies=(int(model.geom_bodyid[geom]),), geoms=(geom,))

@@ -1,4 +1,4 @@
-"""How large things are in a model or in data: what steps, bounds and tolerances of effects are made of."""
+"""Typical sizes in a model or in data, from which steps, bounds and tolerances of effects are derived."""
 
 import copy
 from dataclasses import dataclass
@@ -8,28 +8,28 @@ import numpy as np
 
 from btr_mjx.gap.effects.places import Place, actuator_count, ground_geoms, joint_of
 
-_TURN = 0.3
-"""Amplitude that a joint is believed to have before any data are seen [rad]."""
+_DEFAULT_AMPLITUDE = 0.3
+"""Amplitude of a joint assumed without data [rad]."""
 
-_INTEGRATED = 1.5e-4
-"""Time that velocities are off by where a simulation and the recordings were integrated in other ways [s]. Of three
-hexapods that lack nothing, recorded with explicit steps of 0.1 ms, one was said to have springs."""
+_INTEGRATOR_TIME = 1.5e-4
+"""Difference in time between velocities of explicit and implicit integrators at time steps of some tenths of a
+millisecond [s]."""
 
 
 @dataclass(frozen=True)
 class Scales:
-    """Typical sizes of what happens in a robot.
+    """Typical sizes of forces, motions and inertias of a robot.
 
     Attributes:
-      torque: (nv,) peak of the actuators' generalised force at each degree of freedom [N or N m].
+      torque: (nv,) peak generalised force of the actuators at each degree of freedom [N or N m].
       speed: (nv,) peak speed [m/s or rad/s].
       amplitude: (nv,) half the range of motion [m or rad].
-      inertia: (nv,) inertia at each degree of freedom [kg or kg m^2].
+      inertia: (nv,) diagonal of the mass matrix [kg or kg m^2].
       force: (n_actuators,) peak force of each actuator [N or N m].
-      time: typical amplitude over speed [s]; the inverse of the angular frequency for a sine.
-      length: half the model's extent [m].
-      mass: of everything that moves [kg].
-      touching: (ngeom,) whether a geom touches the ground, or could.
+      time: typical ratio of amplitude to speed [s]; 1 / angular frequency for a sine.
+      length: half the extent of the model [m].
+      mass: total mass of moving bodies [kg].
+      touching: (ngeom,) bool: the geom touches the ground in the data (`measured`) or can touch it (`of`).
     """
 
     torque: np.ndarray
@@ -44,14 +44,14 @@ class Scales:
 
     @classmethod
     def of(cls, model: mujoco.MjModel) -> "Scales":
-        """Scales guessed from the model alone."""
+        """Scales estimated from the model alone."""
         data = mujoco.MjData(model)
         mujoco.mj_resetData(model, data)
         mujoco.mj_forward(model, data)
-        amplitude = np.full(model.nv, _TURN)
+        amplitude = np.full(model.nv, _DEFAULT_AMPLITUDE)
         for j in np.flatnonzero(model.jnt_limited):
             if model.jnt_type[j] >= int(mujoco.mjtJoint.mjJNT_SLIDE):
-                amplitude[model.jnt_dofadr[j]] = min(_TURN, 0.5 * float(np.ptp(model.jnt_range[j])))
+                amplitude[model.jnt_dofadr[j]] = min(_DEFAULT_AMPLITUDE, 0.5 * float(np.ptp(model.jnt_range[j])))
         inertia = np.maximum(model.dof_M0, 1e-12)
         speed = amplitude / 0.1
         force = np.zeros(actuator_count(model))
@@ -59,7 +59,7 @@ class Scales:
         for a in range(len(force)):
             joint = joint_of(model, a)
             dof = None if joint is None else int(model.jnt_dofadr[joint])
-            reach = _TURN if dof is None else amplitude[dof]
+            reach = _DEFAULT_AMPLITUDE if dof is None else amplitude[dof]
             gear = float(np.linalg.norm(model.actuator_gear[a])) or 1.0
             stiffness = abs(float(model.actuator_biasprm[a, 1])) or abs(float(model.actuator_gainprm[a, 0]))
             force[a] = 0.2 * stiffness * reach * gear
@@ -80,14 +80,14 @@ class Scales:
         ctrl: np.ndarray,
         act: np.ndarray | None = None,
     ) -> "Scales":
-        """Scales of measured states, with forces as the believed model would exert them there.
+        """Scales of measured states, with the forces of the believed model at these states.
 
         Args:
           model: the believed model.
           qpos: (N, nq) configurations; a few hundred rows are enough.
           qvel: (N, nv) velocities.
           ctrl: (N, nu) controls at the same times.
-          act: (N, na) states of actuators; None for zeros.
+          act: (N, na) activation states of actuators; None for zeros.
         """
         guess = cls.of(model)
         model = copy.copy(model)
@@ -97,7 +97,7 @@ class Scales:
         ground = np.zeros(model.ngeom, bool)
         ground[ground_geoms(model)[1]] = True
         model.geom_margin[:] = np.maximum(model.geom_margin, 0.01 * guess.length)
-        model.geom_gap[:] = model.geom_margin  # seen, but without force
+        model.geom_gap[:] = model.geom_margin  # contacts are detected, but without force
         diagonal = np.zeros(model.nv)
         for k in range(len(qpos)):
             data.qpos[:], data.qvel[:], data.ctrl[:] = qpos[k], qvel[k], ctrl[k]
@@ -119,7 +119,7 @@ class Scales:
         mean_inertia = np.maximum(np.mean(inertia, axis=0) if inertia else diagonal, 1e-12)
         driven = np.percentile(torque, 99.5, axis=0)
         passive = mean_inertia * speed**2 / np.maximum(amplitude, 1e-9)
-        if closes_loops(model) and driven.any():
+        if has_closed_loops(model) and driven.any():
             passive = np.maximum(passive, float((driven * speed).max()) / speed)
         hinges = driven > 0
         ratio = (amplitude / speed)[hinges if hinges.any() else slice(None)]
@@ -137,13 +137,13 @@ class Scales:
         )
 
 
-def closes_loops(model: mujoco.MjModel) -> bool:
-    """Whether equality constraints hand on the power of motors to joints that have none."""
+def has_closed_loops(model: mujoco.MjModel) -> bool:
+    """Whether equality constraints close kinematic loops, so that motors also drive joints without actuators."""
     return bool(model.neq) and bool(model.eq_active0.any())
 
 
 def _amplitude(model: mujoco.MjModel, qpos: np.ndarray, guess: np.ndarray) -> np.ndarray:
-    """(nv,) half the range of motion of hinges and slides; the guess for free and ball joints."""
+    """(nv,) half the 1-99 % range of motion of hinges and slides; the guess for free and ball joints."""
     out = guess.copy()
     for j in np.flatnonzero(model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)):
         low, high = np.percentile(qpos[:, model.jnt_qposadr[j]], [1, 99])
@@ -160,34 +160,33 @@ def _sizes(model: mujoco.MjModel) -> tuple[float, float]:
     return (min(length, 10 * float(reach.max(initial=length))), max(float(model.body_mass[moving].sum()), 1e-9))
 
 
-def least(model: mujoco.MjModel, field: str, place: Place) -> float:
-    """The smallest believed value of a field among a place's joints: it cannot go below zero.
+def smallest_believed(model: mujoco.MjModel, field: str, place: Place) -> float:
+    """Smallest value of a model field over the joints of a place: the largest decrease that keeps all values positive.
 
     Args:
       model: the believed model.
-      field: of MjModel, with a row for every degree of freedom.
+      field: name of an MjModel field of shape (nv,).
       place: joints.
     """
     return float(np.min(getattr(model, field)[place.dofs(model)]))
 
 
 def typical_scale(values: np.ndarray, place: Place, model: mujoco.MjModel) -> float:
-    """One size for a place: the geometric mean over its joints.
+    """Geometric mean over the joints of a place.
 
     Args:
-      values: (nv,) sizes, as those of `Scales`.
+      values: (nv,) sizes, such as those of `Scales`.
       place: joints.
       model: the believed model.
     """
     return float(np.exp(np.mean(np.log(np.maximum(values[place.dofs(model)], 1e-300)))))
 
 
-def integrated(model: mujoco.MjModel, place: Place) -> float:
-    """Inertia that a way of integrating adds or takes away [kg m^2 or kg].
+def integrator_inertia(model: mujoco.MjModel, place: Place) -> float:
+    """Apparent inertia due to the integrator [kg m^2 or kg]; smaller differences of inertia are not named.
 
-    A step h of an implicit integrator acts like an inertia of h d / 2 that an explicit one lacks, and the other way
-    round, d being what forces fall with velocity: damping and the servos' own. Recordings that were simulated have
-    steps of some tenths of a millisecond; what is smaller than that is nothing that a robot lacks.
+    An implicit integrator with step h acts, relative to an explicit one, like an additional inertia of order h d, with
+    d = -d(force)/d(velocity) of joint damping and servos. `_INTEGRATOR_TIME` stands for h of simulated recordings.
 
     Args:
       model: the believed model.
@@ -199,16 +198,16 @@ def integrated(model: mujoco.MjModel, place: Place) -> float:
         if joint is not None and int(model.actuator_biastype[a]) == int(mujoco.mjtBias.mjBIAS_AFFINE):
             gain, gear = float(model.actuator_biasprm[a, 2]), float(model.actuator_gear[a, 0])
             slope[model.jnt_dofadr[joint]] += max(0.0, -gain) * gear**2
-    return _INTEGRATED * typical_scale(slope, place, model)
+    return _INTEGRATOR_TIME * typical_scale(slope, place, model)
 
 
 def unit_of(model: mujoco.MjModel, place: Place, hinge: str, slide: str) -> str:
-    """Which of two units a number at a place has.
+    """Unit of a parameter at a place.
 
     Args:
       model: the believed model.
       place: joints.
-      hinge: unit where all of them turn.
+      hinge: unit if all joints are hinges.
       slide: unit otherwise.
     """
     kinds = model.jnt_type[list(place.joints)]

@@ -1,4 +1,4 @@
-"""Which effects may be named: the library, some of it, or effects of one's own from a file."""
+"""Selection of effects by name: from the library, or user-defined effects from a file."""
 
 import importlib.util
 from collections.abc import Sequence
@@ -6,20 +6,23 @@ from pathlib import Path
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.effects.effect import Effect
-from btr_mjx.gap.effects.library import EFFECTS, KNOWN
+from btr_mjx.gap.effects.library import EFFECTS, KNOWN_EFFECTS
 from btr_mjx.models import nearest_names
 
 
 def selected_effects(names: Sequence[str]) -> tuple[Effect, ...]:
-    """The effects that may be named.
+    """Effects by name.
 
     Args:
-      names: "all", names of the library, FILE.py:NAME.
+      names: "all", names of the library, or FILE.py:NAME.
+
+    Returns:
+      The effects, each once.
 
     Raises:
-      InputError: a name that the library lacks, with the nearest; a file that holds no effect.
+      InputError: an unknown name, or a file without such an effect.
     """
-    known = {effect.name: effect for effect in KNOWN}
+    known = {effect.name: effect for effect in KNOWN_EFFECTS}
     chosen: dict[str, Effect] = {}
     for name in names:
         if name == "all":
@@ -36,8 +39,8 @@ def selected_effects(names: Sequence[str]) -> tuple[Effect, ...]:
     return tuple(chosen.values())
 
 
-def own_code(names: Sequence[str]) -> bytes:
-    """The files of effects of one's own, for `journal.Journal`: what an earlier version of them gave is not theirs."""
+def custom_effect_code(names: Sequence[str]) -> bytes:
+    """Content of the files of user-defined effects, part of the key of `simulate.Journal`."""
     return b"".join(Path(name.rpartition(":")[0]).read_bytes() for name in names if ".py:" in name)
 
 

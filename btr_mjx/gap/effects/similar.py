@@ -1,8 +1,8 @@
-"""What effects of the library are easily taken for: forces of another shape at the same place.
+"""Effects that are similar to effects of the library: other functions of the state at the same place.
 
-A hardening spring is a stiffness at first sight, a motor that grows hot a weak one, a cord a constant force. These are
-effects like any other, and who expects them adds them to the library; else `twins` asks whether one of them explains
-more than the name does.
+A hardening spring is similar to a stiffness, a motor of drifting gain to one of wrong gain, an elastic cord to a
+constant force. They are searched only if selected by name; otherwise they are compared once the similar effect of the
+library (`Effect.similar`) is named.
 """
 
 from dataclasses import dataclass
@@ -23,13 +23,13 @@ def _cubic(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Paramet
 
 
 def _apply_cubic(world: World, place: Place, values: np.ndarray) -> None:
-    """Tau = -k3 (q - q_spring)^3, the cubic term of MuJoCo's springs."""
+    """Tau = -k3 (q - q_spring)^3, the cubic term of MuJoCo's joint springs."""
     world.model.jnt_stiffnesspoly[list(place.joints), 1] += values[0]
 
 
 @dataclass(frozen=True)
 class OneSidedSpring:
-    """Forces -k |q - q_spring|.
+    """Joint forces -k |q - q_spring|.
 
     Attributes:
       dofs: degrees of freedom.
@@ -43,7 +43,7 @@ class OneSidedSpring:
     fields: tuple[str, ...] = ()
 
     def __call__(self, rows: Rows) -> None:
-        """Add to the force of the coming step."""
+        """Add to the applied force of the next step."""
         away = rows.qpos[:, self.positions] - rows.model.qpos_spring[self.positions]
         rows.qfrc_applied[:, self.dofs] -= self.stiffness * np.abs(away)
 
@@ -54,15 +54,15 @@ def _one_sided(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Par
 
 
 def _apply_one_sided(world: World, place: Place, values: np.ndarray) -> None:
-    """Tau = -k |q - q_spring|: with a stiffness of k beside it, a cable that hangs loose on one side."""
+    """Tau = -k |q - q_spring|; together with a stiffness k, a cable that is slack on one side."""
     model = world.model
     positions = model.jnt_qposadr[list(place.joints)].astype(int)
     world.laws.append(OneSidedSpring(place.dofs(model), positions, float(values[0])))
 
 
 @dataclass(frozen=True)
-class Fading:
-    """Forces of actuators that change with the time since the recording's start.
+class DriftingGain:
+    """Actuator gain that drifts linearly with the time since the start of the recording.
 
     Attributes:
       dofs: degrees of freedom that the actuators drive.
@@ -74,7 +74,7 @@ class Fading:
     fields: tuple[str, ...] = ()
 
     def __call__(self, rows: Rows) -> None:
-        """Add to the force of the coming step."""
+        """Add to the applied force of the next step."""
         rows.qfrc_applied[:, self.dofs] += self.rate * rows.time[:, None] * rows.qfrc_actuator[:, self.dofs]
 
 
@@ -84,13 +84,13 @@ def _rate(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Paramete
 
 
 def _apply_rate(world: World, place: Place, values: np.ndarray) -> None:
-    """Force -> (1 + rate t) force, t since the recording's start: a motor that grows hot, a battery that runs down."""
-    world.laws.append(Fading(place.dofs(world.model), float(values[0])))
+    """Force -> (1 + rate t) force, t since the start of the recording: motor heating, battery discharge."""
+    world.laws.append(DriftingGain(place.dofs(world.model), float(values[0])))
 
 
 @dataclass(frozen=True)
-class Cord:
-    """A force -k (x - x0) on a free body.
+class AnchoredSpring:
+    """Force -k (x - x0) on a free body, x0 its position in qpos0.
 
     Attributes:
       body: the body.
@@ -104,7 +104,7 @@ class Cord:
     fields: tuple[str, ...] = ()
 
     def __call__(self, rows: Rows) -> None:
-        """Add to the force of the coming step."""
+        """Add to the applied force of the next step."""
         here = slice(self.position, self.position + 3)
         rows.xfrc_applied[:, self.body, :3] -= self.stiffness * (rows.qpos[:, here] - rows.model.qpos0[here])
 
@@ -124,11 +124,11 @@ def _cord(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Paramete
 
 
 def _apply_cord(world: World, place: Place, values: np.ndarray) -> None:
-    """F = -k (x - x0), x0 where the model starts: with a constant force beside it, a cord to any fixed point."""
+    """F = -k (x - x0), x0 the position in qpos0; together with a constant force, an elastic cord to any fixed point."""
     (body,) = place.bodies
     joint = _free_joint(world.model, body)
     assert joint is not None
-    world.laws.append(Cord(body, int(world.model.jnt_qposadr[joint]), float(values[0])))
+    world.laws.append(AnchoredSpring(body, int(world.model.jnt_qposadr[joint]), float(values[0])))
 
 
 HARDENING_SPRING = Effect(
@@ -167,4 +167,4 @@ ELASTIC_CORD = Effect(
     equation="a force −k (x − x₀) on the body",
 )
 
-AKIN_EFFECTS = (HARDENING_SPRING, ONE_SIDED_SPRING, FADING_MOTOR, ELASTIC_CORD)
+SIMILAR_EFFECTS = (HARDENING_SPRING, ONE_SIDED_SPRING, FADING_MOTOR, ELASTIC_CORD)

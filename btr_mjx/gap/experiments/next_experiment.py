@@ -1,9 +1,11 @@
-"""Which experiment to run next: the command on which the hypotheses that survived disagree most.
+"""The next experiment: the command on which the surviving hypotheses disagree most.
 
-Hypotheses that the data cannot tell apart agree on these data, not on all. Every command that could be tried is
-simulated under the leading hypothesis; the others follow in short windows from the same states. What is left of
-their difference after the unknown starting states and after a refit of their own numbers is what a recording of that
-command would hold against them.
+Hypotheses that the recorded data cannot distinguish may differ under another command. Every candidate command is
+simulated under the leading hypothesis; the other hypotheses are simulated in short windows from the same states. With r
+the difference of two hypotheses' residuals in units of the noise, starting states projected out, and C the derivatives
+with respect to the parameters of the hypothesis that is wrong, the expected difference of scores is
+
+    min over a of  |r - C a|^2
 """
 
 from collections.abc import Sequence
@@ -15,18 +17,18 @@ from btr_mjx.gap.data import Dataset, Recording
 from btr_mjx.gap.experiments.trial_commands import random_commands
 from btr_mjx.gap.inference import Hypothesis
 from btr_mjx.gap.results import Diagnosis, NextExperiment
-from btr_mjx.gap.simulate import Command, Counter, Stretch, simulate
+from btr_mjx.gap.simulate import Command, Counter, Segments, simulate
 from btr_mjx.gap.windows import Span, Windows, linearise, prepare
 from btr_mjx.models import integrate
 
-_TRIES = 10
-"""Random commands that are compared where none are given."""
+_RANDOM_COMMANDS = 10
+"""Number of random commands that are compared where none are given."""
 
-_WINDOWS = 5
-"""Windows along each of them, at most."""
+_MAX_WINDOWS = 5
+"""Largest number of windows along a command."""
 
 DECISIVE_MARGIN = 25.0
-"""Difference of scores that tells two hypotheses apart."""
+"""Difference of scores from which on two hypotheses count as separated, in units of twice the log-likelihood."""
 
 
 def propose(
@@ -39,11 +41,11 @@ def propose(
     """The next experiment after a diagnosis.
 
     Args:
-      diagnosis: with its surviving hypotheses.
-      dataset: where the robot starts, and what commands look like.
-      seed: of random commands.
-      commands: what could be commanded; None for random variations of the recorded commands.
-      counter: of simulated steps.
+      diagnosis: diagnosis with its surviving hypotheses.
+      dataset: the dataset; new recordings start like its first one.
+      seed: seed of the random commands.
+      commands: commands to choose from; None for random variations of the recorded commands.
+      counter: counts the simulated steps.
 
     Returns:
       The proposal; None where fewer than two hypotheses survived.
@@ -52,10 +54,10 @@ def propose(
     if len(survivors) < 2:
         return None
     rng = np.random.default_rng(seed)
-    commands = commands or random_commands(dataset, rng, _TRIES)
+    commands = commands or random_commands(dataset, rng, _RANDOM_COMMANDS)
     span = diagnosis.windows[3]
-    found = [compare(survivors, dataset, command, diagnosis.sigma, span, counter) for command in commands]
-    # The pair that is hardest to separate decides.
+    found = [expected_margins(survivors, dataset, command, diagnosis.sigma, span, counter) for command in commands]
+    # A command is rated by the pair that it separates least.
     values = np.array([min(pairs.values()) for pairs in found])
     best = int(np.argmax(values))
     pair = min(found[best], key=lambda key: found[best][key])
@@ -71,31 +73,34 @@ def propose(
     )
 
 
-def record(
-    make: Hypothesis,
+def simulate_recording(
+    reality: Hypothesis,
     dataset: Dataset,
     command: Command,
     noise: np.ndarray | None,
     rng: np.random.Generator | None = None,
     counter: Counter | None = None,
 ) -> Recording:
-    """A recording of a command in a simulated reality, sampled as the dataset is.
+    """A recording of a command in a simulated reality, with the initial state and sampling rate of a dataset.
 
     Args:
-      make: the reality.
-      dataset: where it starts and how often it samples.
-      command: what is commanded.
-      noise: (2 nv,) of the sensors; None for none.
-      rng: for the noise.
-      counter: of simulated steps.
+      reality: hypothesis that is simulated as reality, at half the model's time step.
+      dataset: source of the initial state and of the sampling rate.
+      command: the command.
+      noise: (2 nv,) standard deviations of the sensors; None for none.
+      rng: generator of the noise.
+      counter: counts the simulated steps.
+
+    Returns:
+      The recording, cut where the simulation diverges.
     """
     first = dataset.recordings[0]
     model = first.model
     interval = float(np.median(np.diff(first.time)))
     time = np.arange(0.0, float(command.times[-1]) + 1e-9, interval)
-    stretch = Stretch(np.zeros(1), first.qpos[:1], np.nan_to_num(first.qvel[:1]), time, (command,), np.zeros(1, int))
+    segments = Segments(np.zeros(1), first.qpos[:1], np.nan_to_num(first.qvel[:1]), time, (command,), np.zeros(1, int))
     step = float(model.opt.timestep) / 2
-    states = simulate([(make(model), stretch)], timestep=step, counter=counter)[0][0]
+    states = simulate([(reality(model), segments)], timestep=step, counter=counter)[0][0]
     good = np.isfinite(states).all(1)
     last = len(time) if good.all() else max(int(np.argmin(good)), 2)
     qpos, qvel = states[:last, : model.nq], states[:last, model.nq :]
@@ -107,7 +112,7 @@ def record(
     )
 
 
-def compare(
+def expected_margins(
     survivors: Sequence[Hypothesis],
     dataset: Dataset,
     command: Command,
@@ -119,29 +124,32 @@ def compare(
 
     Args:
       survivors: at least two hypotheses.
-      dataset: where the robot starts and how often it is sampled.
+      dataset: source of the initial state and of the sampling rate.
       command: the command.
-      sigma: (2 nv,) noise.
-      span: length of a window [s], as it suits the dataset.
-      counter: of simulated steps.
+      sigma: (2 nv,) noise of positions and velocities.
+      span: length of a window [s].
+      counter: counts the simulated steps.
+
+    Returns:
+      Differences by pair of indices (i, j), i < j.
     """
-    recording = record(survivors[0], dataset, command, None, counter=counter)
-    found = _judged(survivors, recording, dataset.interpolation, sigma, span, counter)
+    recording = simulate_recording(survivors[0], dataset, command, None, counter=counter)
+    found = _in_windows(survivors, recording, dataset.interpolation, sigma, span, counter)
     if found is None:
         return {(i, j): 0.0 for i in range(len(survivors)) for j in range(i + 1, len(survivors))}
     residuals, columns = found
     out = {}
     for i in range(len(survivors)):
         for j in range(i + 1, len(survivors)):
-            # Whichever of the two is true, the other one is refitted to what it does. One with more numbers may do
-            # whatever the other does (nothing, for one): what counts there is whether the simpler one can be refuted.
+            # The wrong one of the two is refitted to the true one. A hypothesis with more parameters may contain the
+            # other one; then only the refit of the simpler hypothesis is informative.
             fewest = min(len(columns[i]), len(columns[j]))
             refitted = [own for own in (columns[i], columns[j]) if len(own) == fewest]
-            out[i, j] = min(_left(residuals[j] - residuals[i], own) for own in refitted)
+            out[i, j] = min(_after_fit(residuals[j] - residuals[i], own) for own in refitted)
     return out
 
 
-def margin(
+def recorded_margin(
     truth: Hypothesis,
     rival: Hypothesis,
     recordings: Sequence[Recording],
@@ -149,31 +157,34 @@ def margin(
     sigma: np.ndarray,
     span: float,
 ) -> float:
-    """By how much recordings prefer one hypothesis to another, each from starting states and with numbers of its own.
+    """Difference of scores of two hypotheses on recordings, each with its own starting states and refitted parameters.
 
     Args:
-      truth: the one.
-      rival: the other.
-      recordings: to judge by.
-      interpolation: of their commands.
-      sigma: (2 nv,) noise.
+      truth: one hypothesis.
+      rival: the other hypothesis.
+      recordings: the recordings.
+      interpolation: interpolation of their commands.
+      sigma: (2 nv,) noise of positions and velocities.
       span: length of a window [s].
+
+    Returns:
+      The difference; positive where the recordings favour `truth`.
     """
     values = []
     for hypothesis in (truth, rival):
-        # Starting states that suit one of them would speak for it.
-        found = [_judged([hypothesis], recording, interpolation, sigma, span) for recording in recordings]
+        # Starting states that are estimated with one hypothesis would favour it.
+        found = [_in_windows([hypothesis], recording, interpolation, sigma, span) for recording in recordings]
         parts = [(residuals[0], columns[0]) for residuals, columns in (own for own in found if own is not None)]
         if not parts:
             return 0.0
         residual = np.concatenate([own.ravel() for own, _ in parts])
         columns = np.concatenate([own.reshape(len(own), own[0].size if len(own) else 0) for _, own in parts], axis=1)
-        values.append(_left(residual, columns))
+        values.append(_after_fit(residual, columns))
     return values[1] - values[0]
 
 
-def _left(residual: np.ndarray, columns: np.ndarray) -> float:
-    """Sum of squares of a residual after a free fit of columns (P, ...)."""
+def _after_fit(residual: np.ndarray, columns: np.ndarray) -> float:
+    """Sum of squares of a residual after a least-squares fit of columns (P, ...)."""
     flat = residual.ravel()
     if not len(columns):
         return float(flat @ flat)
@@ -184,7 +195,7 @@ def _left(residual: np.ndarray, columns: np.ndarray) -> float:
     return float(left @ left)
 
 
-def _judged(
+def _in_windows(
     hypotheses: Sequence[Hypothesis],
     recording: Recording,
     interpolation: str,
@@ -192,7 +203,7 @@ def _judged(
     span: float,
     counter: Counter | None = None,
 ) -> tuple[list[np.ndarray], list[np.ndarray]] | None:
-    """Residuals (W, R) of hypotheses in windows of a recording, and their answers to their own numbers (P, W, R)."""
+    """Residuals (W, R) of hypotheses in windows, and derivatives (P, W, R) by their parameters; None if too short."""
     interval = float(np.median(np.diff(recording.time)))
     data = prepare([recording], interpolation, sigma, Span(3, 6))
     k = max(6, min(round(span / interval), len(recording.time) - 6))
@@ -200,7 +211,7 @@ def _judged(
     if last < 4:
         return None
     room = max(1, (len(recording.time) - 4) // k)
-    first = np.unique(np.linspace(min(3, last), last, min(_WINDOWS, room)).astype(int))
+    first = np.unique(np.linspace(min(3, last), last, min(_MAX_WINDOWS, room)).astype(int))
     windows = Windows(data, np.zeros(len(first), int), first, k, counter)
     linearise(windows, hypotheses[0], steps=2)
     makes, spans = list(hypotheses), []
@@ -220,7 +231,7 @@ def _judged(
 
 @dataclass(frozen=True)
 class Measurement:
-    """How what is recorded is compared with hypotheses.
+    """How recordings are compared with hypotheses.
 
     Attributes:
       sigma: (2 nv,) noise of positions and velocities [rad or m, rad/s or m/s].
@@ -238,32 +249,32 @@ def recordings_needed(
     measurement: Measurement,
     rng: np.random.Generator,
     choose: bool,
-    most: int = 6,
+    max_recordings: int = 6,
     commands: Sequence[Command] | None = None,
 ) -> int:
-    """How many recordings a simulated reality must give until two hypotheses are told apart.
+    """Number of simulated recordings until the scores of two hypotheses differ by `DECISIVE_MARGIN`.
 
     Args:
-      truth: the reality.
+      truth: hypothesis that is simulated as reality.
       rival: the other hypothesis.
-      dataset: where the robot starts, and what commands look like.
+      dataset: source of the initial state and of the recorded commands.
       measurement: noise, and length of windows.
-      rng: for commands and noise.
-      choose: take the commands with the largest expected disagreement first, instead of any.
-      most: give up after so many.
-      commands: to choose from; None for random ones.
+      rng: generator of commands and noise.
+      choose: take the commands in the order of their expected disagreement, instead of the given order.
+      max_recordings: largest number of recordings.
+      commands: commands to choose from; None for random ones.
 
     Returns:
-      Number of recordings; `most + 1` where they did not suffice.
+      Number of recordings; `max_recordings + 1` where they did not suffice.
     """
     sigma, span = measurement.sigma, measurement.span
-    commands = commands or random_commands(dataset, rng, _TRIES)
+    commands = commands or random_commands(dataset, rng, _RANDOM_COMMANDS)
     order = np.arange(len(commands))
     if choose:
-        order = np.argsort([-compare([truth, rival], dataset, c, sigma, span)[0, 1] for c in commands])
+        order = np.argsort([-expected_margins([truth, rival], dataset, c, sigma, span)[0, 1] for c in commands])
     recordings: list[Recording] = []
-    for i in order[:most]:
-        recordings.append(record(truth, dataset, commands[i], sigma, rng))
-        if margin(truth, rival, recordings, dataset.interpolation, sigma, span) > DECISIVE_MARGIN:
+    for i in order[:max_recordings]:
+        recordings.append(simulate_recording(truth, dataset, commands[i], sigma, rng))
+        if recorded_margin(truth, rival, recordings, dataset.interpolation, sigma, span) > DECISIVE_MARGIN:
             return len(recordings)
-    return most + 1
+    return max_recordings + 1

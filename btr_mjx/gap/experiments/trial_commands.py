@@ -1,4 +1,4 @@
-"""Commands that could be tried next: variations of those that were recorded."""
+"""Candidate commands for the next experiment: random variations of the recorded commands."""
 
 import mujoco
 import numpy as np
@@ -6,45 +6,48 @@ import numpy as np
 from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.simulate import Command
 
-_DURATION = 2.0
-"""Longest command that is tried [s]."""
+_MAX_DURATION = 2.0
+"""Longest duration of a command [s]."""
 
-_SPEEDS = 0.5, 4.0
-"""Factors on the speed of a recorded command."""
+_SPEED_FACTORS = 0.5, 4.0
+"""Range of the factor on the speed of a recorded command."""
 
-_SIZES = 0.3, 1.6
-"""Factors on its excursion."""
+_AMPLITUDE_FACTORS = 0.3, 1.6
+"""Range of the factor on its amplitude."""
 
-_BRISK = 2.0
-"""A command may change so many times as fast as the recorded one, at most."""
+_MAX_SPEED_RATIO = 2.0
+"""Largest rate of change of a command, in units of the recorded command's."""
 
 
 def random_commands(dataset: Dataset, rng: np.random.Generator, count: int) -> list[Command]:
-    """Variations of the recorded commands: other amplitudes, faster or slower, other channels in step.
+    """Variations of the recorded commands in amplitude, speed and phase, channel by channel.
 
-    They stay inside the actuators' control ranges, and within twice the recorded range where there is none; what is
-    commanded faster is commanded smaller, so that no motor has to move much faster than it did.
+    They stay inside the actuators' control ranges, and within twice the recorded range. Faster commands have a smaller
+    amplitude, so that no motor has to move much faster than in the recordings.
 
     Args:
-      dataset: what commands look like.
-      rng: for the variations.
-      count: commands to make.
+      dataset: source of the recorded commands.
+      rng: generator of the variations.
+      count: number of commands.
+
+    Returns:
+      The commands, each (K, nu) over at most two seconds.
     """
     model = dataset.model
     out = []
     for _ in range(count):
         recording = dataset.recordings[int(rng.integers(len(dataset.recordings)))]
         time, ctrl = recording.time - recording.time[0], recording.ctrl
-        duration = min(float(time[-1]), _DURATION)
+        duration = min(float(time[-1]), _MAX_DURATION)
         steps = max(2, int(duration / np.median(np.diff(time))))
         at = np.linspace(0.0, duration, steps)
-        speed = float(np.exp(rng.uniform(*np.log(_SPEEDS))))
+        speed = float(np.exp(rng.uniform(*np.log(_SPEED_FACTORS))))
         centre = 0.5 * (ctrl.min(0) + ctrl.max(0))
         values = np.empty((steps, model.nu))
         for channel in range(model.nu):
             warped = np.abs((at * speed + rng.uniform(0, 0.2) * time[-1]) % (2 * time[-1]))
-            warped = np.where(warped > time[-1], 2 * time[-1] - warped, warped)  # there and back again
-            size = min(rng.uniform(*_SIZES), _BRISK / speed)
+            warped = np.where(warped > time[-1], 2 * time[-1] - warped, warped)  # forwards, then backwards in time
+            size = min(rng.uniform(*_AMPLITUDE_FACTORS), _MAX_SPEED_RATIO / speed)
             values[:, channel] = centre[channel] + size * (np.interp(warped, time, ctrl[:, channel]) - centre[channel])
         reach = np.ptp(ctrl, axis=0)
         low, high = ctrl.min(0) - 0.5 * reach, ctrl.max(0) + 0.5 * reach

@@ -1,4 +1,4 @@
-"""What a search by fitness alone may say: a ranking, and a name where Delta_fitness falls on both sides."""
+"""The diagnosis of a search by fitness: a ranking, and a name where Delta_fitness falls on both sides of the split."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -7,35 +7,35 @@ import numpy as np
 
 from btr_mjx.gap.effects import Candidate
 from btr_mjx.gap.fitness_only.trials import TrialSimulator
-from btr_mjx.gap.results import Diagnosis, DisagreementMap, Estimate, Gap, Named, Row
+from btr_mjx.gap.results import Diagnosis, DisagreementMap, Estimate, Gap, NamedEffect, RankedCandidate
 from btr_mjx.gap.simulate import World
 
-FALL = 0.25
-"""Share by which Delta_fitness has to fall, on both sides of the split, for a name."""
+LEAST_REDUCTION = 0.25
+"""Relative reduction of Delta_fitness that a name needs, on the trials to fit and on the held-out trials."""
 _CLOSE = 0.25
-"""Candidates that fall short of the best one's fall by less than this share of it are called equivalent."""
+"""Candidates whose reduction is smaller than the best one's by less than this share of it are equivalent."""
 
 
 @dataclass(frozen=True)
 class ValuedCandidate:
-    """A candidate at some values.
+    """A candidate with values of its parameters.
 
     Attributes:
       candidate: the candidate.
-      values: (p,) of its numbers.
-      delta: the Delta_fitness that it leaves on the trials to fit [m/s]; NaN before it was simulated.
+      values: (p,) values of its parameters.
+      delta: Delta_fitness on the trials to fit [m/s]; NaN before it was simulated.
     """
 
     candidate: Candidate
     values: tuple[float, ...]
     delta: float = float("nan")
 
-    def judged(self, delta: float) -> "ValuedCandidate":
-        """The same with its Delta_fitness."""
+    def with_delta(self, delta: float) -> "ValuedCandidate":
+        """A copy with its Delta_fitness [m/s]."""
         return replace(self, delta=delta)
 
     def apply(self, trials: TrialSimulator) -> World:
-        """The world that it makes."""
+        """The believed model with the effect at these values."""
         return self.candidate.apply(World.of(trials.table.head.model), self.values)
 
 
@@ -48,16 +48,19 @@ def as_diagnosis(
     trials: TrialSimulator,
     seconds: float,
 ) -> Diagnosis:
-    """What a search by fitness found.
+    """The diagnosis of a search by fitness.
 
     Args:
-      refined: leaders that were simulated as the model says, best first.
+      refined: leaders that were simulated at the model's own time step on all trials to fit, best first.
       ends: their Delta_fitness on the held-out trials [m/s].
-      rest: other candidates, with what is expected of them.
-      believed: Delta_fitness of the believed model on the trials to fit and on those held out [m/s].
-      floor: what half the time step changes [m/s].
-      trials: of the table.
-      seconds: time it took.
+      rest: other candidates, with an estimate of their Delta_fitness.
+      believed: Delta_fitness of the believed model on the trials to fit and on the held-out trials [m/s].
+      floor: change of the fitness by half the time step [m/s].
+      trials: simulator of the table's trials.
+      seconds: duration of the search [s].
+
+    Returns:
+      The diagnosis; its verdict is "effect" or "none".
     """
     nan = float("nan")
     rows = []
@@ -65,7 +68,7 @@ def as_diagnosis(
         parameters = {p.name: v for p, v in zip(t.candidate.parameters, t.values, strict=True)}
         gain, gain_held_out = believed[0] - t.delta, believed[1] - held_out
         rows.append(
-            Row(
+            RankedCandidate(
                 t.candidate.effect.name,
                 t.candidate.place.label,
                 100 * gain / believed[0],
@@ -76,9 +79,9 @@ def as_diagnosis(
             )
         )
     first, held_out = refined[0], ends[0]
-    named = min(1 - first.delta / believed[0], 1 - held_out / believed[1]) >= FALL
+    named = min(1 - first.delta / believed[0], 1 - held_out / believed[1]) >= LEAST_REDUCTION
     close = tuple(t.candidate.name for t in refined if t.delta <= first.delta + _CLOSE * (believed[0] - first.delta))
-    effects: tuple[Named, ...] = ()
+    effects: tuple[NamedEffect, ...] = ()
     if named:
         numbers = {
             p.name: Estimate(v, nan, nan, p.unit, p.null)
@@ -87,7 +90,7 @@ def as_diagnosis(
         effect = first.candidate.effect
         same = tuple(name for name in close if name != first.candidate.name)
         effects = (
-            Named(
+            NamedEffect(
                 effect.name,
                 first.candidate.place.label,
                 numbers,
@@ -117,7 +120,7 @@ def as_diagnosis(
         overlays=(),
         share=float("nan"),
         lack_of_fit=(float("nan"), float("nan")),
-        threshold=100 * FALL,
+        threshold=100 * LEAST_REDUCTION,
         dispersion=1.0,
         sigma=np.zeros(0),
         windows=(

@@ -1,4 +1,4 @@
-"""Before any fit: is this a table of trials that an effect could be named from?"""
+"""Checks of a table of trials before any fit."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from btr_mjx.gap.preflight import Finding
 
 
 def preflight_fitness(table: FitnessTable) -> list[Finding]:
-    """Look at a table of trials.
+    """Check numbers of trials, and that controllers and fitness vary.
 
     Args:
       table: the trials.
@@ -17,8 +17,8 @@ def preflight_fitness(table: FitnessTable) -> list[Finding]:
     """
     fit, test = int((~table.test).sum()), int(table.test.sum())
     low, high = float(table.fitness.min()), float(table.fitness.max())
-    said = f"{fit} trials to fit and {test} held out of {table.duration:g} s, fitness {low:.3g} to {high:.3g}"
-    findings = [Finding("note", "data", said)]
+    summary = f"{fit} trials to fit and {test} held out of {table.duration:g} s, fitness {low:.3g} to {high:.3g}"
+    findings = [Finding("note", "data", summary)]
     controllers = np.concatenate([table.amplitude, table.phase, table.offset], axis=1)
     if np.ptp(controllers, axis=0).max() == 0:
         findings.append(Finding("error", "excitation", "every trial has the same controller; try different ones"))

@@ -1,10 +1,14 @@
-"""Screening by fitness: what every candidate would do to the fitness of some trials, and which explain what was seen.
+"""Screening of candidates by fitness: the change of fitness that every candidate causes, fitted to the measured change.
 
-A candidate is simulated once, at a size that can be felt. What it does there, scaled, is what it would do at other
-sizes, roughly: after a whole trial contacts have mixed up small causes, so that there are no derivatives to take, but
-what a large effect does keeps its shape over the controllers. Only directions (a slope, a force) are tried both ways:
-a robot that is pushed hard goes further whether it is pushed forwards or backwards. The answers do not depend on what
-was measured. They serve any number of realities that are tried with the same controllers.
+Every candidate is simulated at one size (vectors at both signs of every component), on M trials. Its response is the
+change of fitness, d (M,). With w (M,) the measured fitness less that of the believed model, its explained share is
+
+    1 - min over a >= 0 of  |w - a d|^2 / |w|^2,    by non-negative least squares
+
+Whole trials with contacts are too irregular for derivatives with respect to small parameters; the response to a large
+change is roughly proportional to its size instead. A response to a vector (a slope, a force) is not odd in its sign:
+a push in either direction may increase the distance. The responses do not depend on the measured fitness, so that they
+can be reused for several realities that are tried with the same controllers.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,25 +21,25 @@ from btr_mjx.gap.effects import Candidate
 from btr_mjx.gap.fitness_only.trials import TrialSimulator
 from btr_mjx.gap.simulate import World
 
-SIZE, VECTOR_SIZE = 8.0, 4.0
-"""Sizes at which numbers and components of vectors are simulated, in finite-difference steps."""
-COARSER = (4.0, 2.0)
-"""Time steps that screening tries, as factors on the model's own."""
-ERROR = 0.5
-"""What a coarser time step may change, as a share of what is to be explained."""
+SCALAR_STEPS, VECTOR_STEPS = 8.0, 4.0
+"""Sizes at which scalar parameters and components of vectors are simulated, in finite-difference steps."""
+COARSE_FACTORS = (4.0, 2.0)
+"""Time steps for screening, as factors on the model's own, tried in this order."""
+TIMESTEP_ERROR = 0.5
+"""Largest change of the fitness by a coarser time step, as a share of the mean change that is to be explained."""
 
 
 @dataclass(frozen=True)
-class Answers:
-    """What candidates do to the fitness of some trials.
+class CandidateResponses:
+    """Changes of fitness that candidates cause.
 
     Attributes:
-      candidates: (C,) of them.
-      rows: (M,) trials.
-      timestep: of the simulations [s].
+      candidates: (C,) candidates.
+      rows: (M,) indices of the trials.
+      timestep: time step of the simulations [s].
       believed: (M,) fitness of the believed model at that time step [m/s].
-      tried: per candidate (q, p) differences of its numbers from their nulls.
-      change: per candidate (q, M) what these do to the fitness [m/s].
+      tried: per candidate (q, p) differences of its parameters from their nulls.
+      change: per candidate (q, M) changes of the fitness [m/s].
     """
 
     candidates: tuple[Candidate, ...]
@@ -48,12 +52,12 @@ class Answers:
 
 @dataclass(frozen=True)
 class ScreenedCandidate:
-    """A candidate as the screening sees it.
+    """A candidate with the result of the screening.
 
     Attributes:
       candidate: the candidate.
-      values: (p,) its numbers.
-      explained: share of the mean square that it explains, corrected for the count of its numbers.
+      values: (p,) fitted values of its parameters.
+      explained: share of the mean square that it explains, adjusted for the number of fitted parameters.
     """
 
     candidate: Candidate
@@ -67,15 +71,18 @@ def simulate_candidates(
     rows: np.ndarray,
     timestep: float,
     note: Callable[[str], None] = lambda _: None,
-) -> Answers:
-    """Simulate every candidate at its size.
+) -> CandidateResponses:
+    """Simulate every candidate at its screening size.
 
     Args:
-      trials: of the table.
-      candidates: all of them.
-      rows: (M,) trials that are simulated.
-      timestep: of the simulations [s].
-      note: called with a word on what is being done.
+      trials: simulator of the table's trials.
+      candidates: (C,) candidates.
+      rows: (M,) indices of the trials that are simulated.
+      timestep: time step of the simulations [s].
+      note: called with a short description of the progress.
+
+    Returns:
+      The responses.
     """
     model = trials.table.head.model
     tried = [_sizes(candidate) for candidate in candidates]
@@ -84,16 +91,16 @@ def simulate_candidates(
     believed = trials.fitness([World.of(model)], rows, timestep)[0]
     change = np.nan_to_num(trials.fitness(worlds, rows, timestep) - believed)
     ends = np.cumsum([len(own) for own in tried])[:-1]
-    return Answers(tuple(candidates), rows, timestep, believed, tuple(tried), tuple(np.split(change, ends)))
+    return CandidateResponses(tuple(candidates), rows, timestep, believed, tuple(tried), tuple(np.split(change, ends)))
 
 
 def _sizes(candidate: Candidate) -> np.ndarray:
-    """Differences (q, p) from the null at which a candidate is tried."""
-    own = axes(candidate)
+    """Differences (q, p) from the null at which a candidate is simulated."""
+    own = size_parameters(candidate)
     out = []
     for axis in own:
         parameter = candidate.parameters[axis]
-        steps = (VECTOR_SIZE, -VECTOR_SIZE) if len(own) > 1 else (SIZE,)
+        steps = (VECTOR_STEPS, -VECTOR_STEPS) if len(own) > 1 else (SCALAR_STEPS,)
         for size in steps:
             value = float(np.clip(parameter.null + size * parameter.step, parameter.low, parameter.high))
             if value == parameter.null:  # at a bound: the other way
@@ -104,33 +111,36 @@ def _sizes(candidate: Candidate) -> np.ndarray:
     return np.array(out)
 
 
-def axes(candidate: Candidate) -> list[int]:
-    """Numbers of a candidate that say how large it is: the first one, or all of a vector."""
+def size_parameters(candidate: Candidate) -> list[int]:
+    """Indices of the parameters that scale an effect: the first one, or all components of a vector."""
     return [i for i, parameter in enumerate(candidate.parameters) if i == 0 or not parameter.shape]
 
 
-def leads(known: Answers, wanted: np.ndarray) -> list[ScreenedCandidate]:
-    """Candidates by how much they explain, best first.
+def rank_by_fit(responses: CandidateResponses, wanted: np.ndarray) -> list[ScreenedCandidate]:
+    """Rank candidates by the share of the measured change that their fitted response explains.
 
     Args:
-      known: what the candidates do.
+      responses: responses of the candidates.
       wanted: (M,) measured fitness less that of the believed model [m/s].
+
+    Returns:
+      (C,) candidates with fitted values, best first.
     """
     out = []
     energy = float(wanted @ wanted) + 1e-300
-    for candidate, tried, change in zip(known.candidates, known.tried, known.change, strict=True):
+    for candidate, tried, change in zip(responses.candidates, responses.tried, responses.change, strict=True):
         low, high = (np.array([getattr(p, end) for p in candidate.parameters]) for end in ("low", "high"))
-        # What was tried one way only is taken to do the opposite the other way, where it may go there.
-        both = np.concatenate([tried, -tried]) if len(axes(candidate)) == 1 else tried
-        answer = np.concatenate([change, -change]) if len(axes(candidate)) == 1 else change
+        # The response of a scalar is taken to be odd; its negative is used where the bounds admit it.
+        both = np.concatenate([tried, -tried]) if len(size_parameters(candidate)) == 1 else tried
+        answer = np.concatenate([change, -change]) if len(size_parameters(candidate)) == 1 else change
         inside = ((candidate.null + 1e-9 * both >= low) & (candidate.null + 1e-9 * both <= high)).all(axis=1)
         share = nnls(answer[inside].T, wanted)[0]
         share *= _within(candidate.null, share @ both[inside], low, high)
         left = wanted - share @ answer[inside]
-        freedom = len(wanted) / max(1, len(wanted) - len(axes(candidate)))
+        freedom = len(wanted) / max(1, len(wanted) - len(size_parameters(candidate)))
         explained = 1.0 - float(left @ left) / energy * freedom
         out.append(ScreenedCandidate(candidate, candidate.null + share @ both[inside], explained))
-    return sorted(out, key=lambda lead: -lead.explained)
+    return sorted(out, key=lambda screened: -screened.explained)
 
 
 def _within(null: np.ndarray, step: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
@@ -139,19 +149,22 @@ def _within(null: np.ndarray, step: np.ndarray, low: np.ndarray, high: np.ndarra
     return float(np.min(room / np.maximum(np.abs(step), 1e-300), initial=1.0))
 
 
-def coarse_step(trials: TrialSimulator, rows: np.ndarray, own: np.ndarray, wanted: np.ndarray) -> float:
-    """The largest time step that is good enough to screen with [s].
+def screening_timestep(trials: TrialSimulator, rows: np.ndarray, own: np.ndarray, wanted: np.ndarray) -> float:
+    """The largest time step whose error is small compared with the change that is to be explained.
 
     Args:
-      trials: of the table.
-      rows: (M,) trials.
+      trials: simulator of the table's trials.
+      rows: (M,) indices of the trials.
       own: (M,) fitness of the believed model at its own time step [m/s].
-      wanted: (M,) what is to be explained [m/s].
+      wanted: (M,) measured fitness less that of the believed model [m/s].
+
+    Returns:
+      The time step [s]; the model's own where no coarser one is accurate enough.
     """
     model = trials.table.head.model
-    for factor in COARSER:
+    for factor in COARSE_FACTORS:
         step = factor * float(model.opt.timestep)
         found = trials.fitness([World.of(model)], rows, step)[0]
-        if np.isfinite(found).all() and np.abs(found - own).mean() < ERROR * np.abs(wanted).mean():
+        if np.isfinite(found).all() and np.abs(found - own).mean() < TIMESTEP_ERROR * np.abs(wanted).mean():
             return step
     return float(model.opt.timestep)

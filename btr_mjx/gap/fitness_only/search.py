@@ -1,9 +1,13 @@
-"""The missing effect from fitness alone: which candidate makes Delta_fitness fall, on trials that were held out, too.
+"""Search for the missing effect from fitness alone: which candidate reduces Delta_fitness, on held-out trials as well.
 
-Nothing but one number a trial is known, and every number costs a whole simulation. So candidates are screened on some
-trials with a coarse time step, each at one size; the leaders are tried at other sizes there; the best of these are
-simulated as the model says, on all trials. What comes out is a ranking and the fall of Delta_fitness; that something
-outside the library is missing cannot be told from nothing by these data.
+Every measured number costs a simulation of a whole trial, so that the search has three stages:
+
+1. all candidates, at one size each, on `SCREENING_TRIALS` trials with a coarse time step (`screen`);
+2. the leaders at several sizes, on the same trials with the same time step;
+3. the best of these on all trials, with the model's own time step.
+
+The result is a ranking with the reduction of Delta_fitness. These data cannot distinguish an effect outside the library
+from no missing effect.
 """
 
 import time
@@ -14,27 +18,27 @@ import numpy as np
 from btr_mjx.gap.effects import EFFECTS, Candidate, Effect, candidates
 from btr_mjx.gap.fitness_only.diagnosis import ValuedCandidate, as_diagnosis
 from btr_mjx.gap.fitness_only.screen import (
-    COARSER,
-    Answers,
+    COARSE_FACTORS,
+    CandidateResponses,
     ScreenedCandidate,
-    axes,
-    coarse_step,
-    leads,
+    rank_by_fit,
+    screening_timestep,
     simulate_candidates,
+    size_parameters,
 )
 from btr_mjx.gap.fitness_only.table import FitnessTable
 from btr_mjx.gap.fitness_only.trials import TrialSimulator
 from btr_mjx.gap.results import Diagnosis
 from btr_mjx.gap.simulate import Counter, World
 
-SCREENED = 16
-"""Trials on which all candidates are tried."""
-NARROWED, AT_MOST = 10, 3
-"""Leaders that are tried at other sizes, and how many of them may be of one kind."""
-REFINED = 3
-"""Leaders that are simulated as the model says, on all trials."""
-FACTORS, FINE_FACTORS = (0.5, 1.0, 1.6), (0.8, 1.25)
-"""Sizes that are tried, as factors on the one before: of leaders, and of the best one in the end."""
+SCREENING_TRIALS = 16
+"""Trials on which all candidates are simulated."""
+LEADERS_RESIZED, LEADERS_PER_EFFECT = 10, 3
+"""Leaders that are simulated at several sizes, and how many of them may have the same effect."""
+LEADERS_REFINED = 3
+"""Leaders that are simulated on all trials with the model's own time step."""
+SIZE_FACTORS, FINE_SIZE_FACTORS = (0.5, 1.0, 1.6), (0.8, 1.25)
+"""Factors on the size of the leaders, and on that of the best one at the end."""
 
 
 def identify_fitness(
@@ -42,20 +46,20 @@ def identify_fitness(
     effects: Sequence[Effect] = EFFECTS,
     progress: Callable[[str], None] | None = None,
     counter: Counter | None = None,
-    known: Answers | None = None,
+    responses: CandidateResponses | None = None,
 ) -> Diagnosis:
-    """Rank effects by how far they make Delta_fitness fall.
+    """Rank effects by the reduction of Delta_fitness.
 
     Args:
       table: the trials.
       effects: the library.
-      progress: called with a word on what is being done.
-      counter: adds up the simulated steps; a `journal.Journal` remembers them for a search that goes on.
-      known: what the candidates do, where it is known from another reality tried with the same controllers.
+      progress: called with a short description of the progress.
+      counter: counts the simulated steps; a `btr_mjx.gap.simulate.Journal` keeps results for a resumed search.
+      responses: responses of the candidates, where they were simulated before for the same controllers.
 
     Returns:
-      A diagnosis; its verdict is "effect" or "none". Its gap is Delta_fitness on the held-out trials [m/s], its noise
-      floor what half the time step alone changes.
+      The diagnosis; its verdict is "effect" or "none". Its gap is Delta_fitness on the held-out trials [m/s], its noise
+      floor the change of fitness by half the time step.
     """
     begun, note = time.monotonic(), progress or (lambda _: None)
     trials = TrialSimulator(table, counter)
@@ -67,32 +71,32 @@ def identify_fitness(
     own[every] = trials.fitness([World.of(model)], every)[0]
     wanted = np.nan_to_num(table.fitness - own)
     before = [float(np.abs(wanted[rows]).mean()) for rows in (fit, test)]
-    if known is None:
-        rows = fit[:SCREENED]
-        step = coarse_step(trials, rows, own[rows], wanted[rows])
-        known = simulate_candidates(trials, candidates(model, trials.scales(fit[:3]), effects), rows, step, note)
-    found = leads(known, wanted[known.rows])
+    if responses is None:
+        rows = fit[:SCREENING_TRIALS]
+        step = screening_timestep(trials, rows, own[rows], wanted[rows])
+        responses = simulate_candidates(trials, candidates(model, trials.scales(fit[:3]), effects), rows, step, note)
+    found = rank_by_fit(responses, wanted[responses.rows])
     note("leaders at other sizes")
-    narrowed = _narrow(trials, known, _pick(found), wanted)
+    narrowed = _narrow(trials, responses, _pick(found), wanted)
     note("leaders on all trials")
-    refined = _refine(trials, narrowed[:REFINED], fit)
+    refined = _refine(trials, narrowed[:LEADERS_REFINED], fit)
     held_out = trials.fitness([t.apply(trials) for t in refined], test)
     ends = [_delta(row, table.fitness[test], trials) for row in held_out]
     half = trials.fitness([World.of(model)], test, 0.5 * float(model.opt.timestep))[0]
     floor = float(np.nanmean(np.abs(half - own[test])))
     tried = {t.candidate.name for t in narrowed}
-    rest = [*narrowed[REFINED:], *_unrefined(found, tried, before[0])]
+    rest = [*narrowed[LEADERS_REFINED:], *_unrefined(found, tried, before[0])]
     return as_diagnosis(refined, ends, rest, before, floor, trials, time.monotonic() - begun)
 
 
 def expected_steps(table: FitnessTable, effects: Sequence[Effect] = EFFECTS) -> float:
-    """How many steps a search takes, roughly."""
+    """Approximate number of simulated steps of a search."""
     trials = TrialSimulator(table)
     model, fit = table.head.model, np.flatnonzero(~table.test)
-    worlds = sum(2 * len(axes(c)) - 1 for c in candidates(model, trials.scales(fit[:3]), effects))
+    worlds = sum(2 * len(size_parameters(c)) - 1 for c in candidates(model, trials.scales(fit[:3]), effects))
     per_trial = table.duration / float(model.opt.timestep)
-    screened = min(SCREENED, len(fit)) / COARSER[0] * (worlds + NARROWED * len(FACTORS))
-    return per_trial * (screened + len(fit) * (REFINED + len(FINE_FACTORS)) + 3 * len(table.fitness))
+    screened = min(SCREENING_TRIALS, len(fit)) / COARSE_FACTORS[0] * (worlds + LEADERS_RESIZED * len(SIZE_FACTORS))
+    return per_trial * (screened + len(fit) * (LEADERS_REFINED + len(FINE_SIZE_FACTORS)) + 3 * len(table.fitness))
 
 
 def _delta(fitness: np.ndarray, real: np.ndarray, trials: TrialSimulator) -> float:
@@ -102,49 +106,52 @@ def _delta(fitness: np.ndarray, real: np.ndarray, trials: TrialSimulator) -> flo
 
 
 def _pick(found: Sequence[ScreenedCandidate]) -> list[ScreenedCandidate]:
-    """The best leads, not too many of one kind: where it sits is harder to tell than what it is."""
+    """The best candidates, few of each effect: these data determine the effect better than its place."""
     out: list[ScreenedCandidate] = []
-    for lead in found:
-        same = sum(lead.candidate.effect.name == other.candidate.effect.name for other in out)
-        if same < AT_MOST and len(out) < NARROWED and not np.array_equal(lead.values, lead.candidate.null):
-            out.append(lead)
+    for leader in found:
+        same = sum(leader.candidate.effect.name == other.candidate.effect.name for other in out)
+        absent = np.array_equal(leader.values, leader.candidate.null)
+        if same < LEADERS_PER_EFFECT and len(out) < LEADERS_RESIZED and not absent:
+            out.append(leader)
     return out
 
 
 def _narrow(
-    trials: TrialSimulator, known: Answers, chosen: Sequence[ScreenedCandidate], wanted: np.ndarray
+    trials: TrialSimulator, responses: CandidateResponses, chosen: Sequence[ScreenedCandidate], wanted: np.ndarray
 ) -> list[ValuedCandidate]:
-    """Leads at the best of some sizes, best first, with the time step and the trials of the screening.
+    """Leaders at the best of several sizes, best first, with the time step and the trials of the screening.
 
-    What the coarser time step does to the believed model is taken out of what it does to a candidate.
+    The fitness of the believed model at that time step is subtracted, which removes most of the time step's error.
     """
     tries = [
-        ValuedCandidate(lead.candidate, v) for lead in chosen for v in _sizes(lead.candidate, lead.values, FACTORS)
+        ValuedCandidate(one.candidate, v) for one in chosen for v in _sizes(one.candidate, one.values, SIZE_FACTORS)
     ]
     worlds = [t.apply(trials) for t in tries]
-    change = trials.fitness(worlds, known.rows, known.timestep) - known.believed
-    return _best([t.judged(_delta(row, wanted[known.rows], trials)) for t, row in zip(tries, change, strict=True)])
+    rows, real = responses.rows, wanted[responses.rows]
+    change = trials.fitness(worlds, rows, responses.timestep) - responses.believed
+    return _best([t.with_delta(_delta(row, real, trials)) for t, row in zip(tries, change, strict=True)])
 
 
 def _refine(trials: TrialSimulator, leaders: Sequence[ValuedCandidate], fit: np.ndarray) -> list[ValuedCandidate]:
-    """Leaders, best first, simulated as the model says on all trials to fit; the best one at more sizes."""
+    """Leaders on all trials to fit with the model's own time step, best first; the best one at more sizes."""
 
-    def judged(tries: Sequence[ValuedCandidate]) -> list[ValuedCandidate]:
+    def simulated(tries: Sequence[ValuedCandidate]) -> list[ValuedCandidate]:
         found = trials.fitness([t.apply(trials) for t in tries], fit)
         real = trials.table.fitness[fit]
-        return [t.judged(_delta(row, real, trials)) for t, row in zip(tries, found, strict=True)]
+        return [t.with_delta(_delta(row, real, trials)) for t, row in zip(tries, found, strict=True)]
 
-    first = _best(judged(leaders))
-    more = [ValuedCandidate(first[0].candidate, v) for v in _sizes(first[0].candidate, first[0].values, FINE_FACTORS)]
-    return _best([*first, *judged(more)])
+    first = _best(simulated(leaders))
+    best = first[0]
+    more = [ValuedCandidate(best.candidate, v) for v in _sizes(best.candidate, best.values, FINE_SIZE_FACTORS)]
+    return _best([*first, *simulated(more)])
 
 
 def _sizes(candidate: Candidate, values: Sequence[float] | np.ndarray, factors: Sequence[float]) -> list[tuple]:
-    """Values with other sizes, within their bounds, each once."""
+    """Values at several sizes, within their bounds, without repetitions."""
     out: dict[tuple, None] = {}
     for factor in factors:
         own = list(map(float, values))
-        for axis in axes(candidate):
+        for axis in size_parameters(candidate):
             p = candidate.parameters[axis]
             own[axis] = float(np.clip(p.null + factor * (own[axis] - p.null), p.low, p.high))
         out[tuple(own)] = None
@@ -152,7 +159,7 @@ def _sizes(candidate: Candidate, values: Sequence[float] | np.ndarray, factors: 
 
 
 def _best(tries: Sequence[ValuedCandidate]) -> list[ValuedCandidate]:
-    """The best try of each candidate, best first."""
+    """The best values of each candidate, best first."""
     out: dict[str, ValuedCandidate] = {}
     for t in sorted(tries, key=lambda t: t.delta):
         out.setdefault(t.candidate.name, t)
@@ -160,7 +167,7 @@ def _best(tries: Sequence[ValuedCandidate]) -> list[ValuedCandidate]:
 
 
 def _unrefined(found: Sequence[ScreenedCandidate], tried: set[str], before: float) -> list[ValuedCandidate]:
-    """Candidates that were screened only, with the Delta_fitness that the screening makes one expect."""
+    """Candidates that were only screened, with the Delta_fitness that follows from their explained share."""
     return [
         ValuedCandidate(o.candidate, tuple(o.values), before * float(np.sqrt(max(0.0, 1.0 - o.explained))))
         for o in found

@@ -1,11 +1,11 @@
-"""Fitness-only data: which controllers were tried and how far the robot came, one number a trial.
+"""Fitness-only data: controllers that were tried, and one measured fitness per trial.
 
 A folder with dataset.toml ([model] as always) and a table of trials:
 
     [fitness]
     file = "trials.csv"         # or .parquet
-    body = "b0"                 # whose displacement counts
-    function = "distance"       # or "forward_speed", see btr_mjx.evaluation.fitness
+    body = "b0"                 # body whose displacement is measured
+    function = "distance"       # or "forward_speed", see btr_mjx.evaluation.fitness_function
     duration = 1.7              # of a trial [s]
     omega = 60.0                # angular frequency of the controllers [rad/s]
 
@@ -25,14 +25,14 @@ import polars as pl
 
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import fitness_function
-from btr_mjx.gap.data import DATASET_FILE, Dataset, check_keys, file_name, is_number, read_head, toml_section
+from btr_mjx.gap.data import DATASET_FILE, Dataset, check_keys, file_name, is_number, read_header, toml_section
 from btr_mjx.models import nearest_names, part_names
 from btr_mjx.runs import atomic_write, read_table, write_table
 
-FUNCTIONS = ("distance", "forward_speed")
+POSITION_FUNCTIONS = ("distance", "forward_speed")
 """Fitness functions that need the body's position only."""
 _LEAST = 4
-"""Trials on either side of the split."""
+"""Smallest number of trials on either side of the split."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,13 +41,13 @@ class FitnessTable:
 
     Attributes:
       head: the dataset's model and parameters, without recordings.
-      amplitude, phase, offset: (M, nu) of the controllers [rad].
-      omega: their angular frequency [rad/s].
-      duration: of a trial [s].
-      body: whose displacement counts.
+      amplitude, phase, offset: (M, nu) parameters of the controllers [rad].
+      omega: angular frequency of the controllers [rad/s].
+      duration: duration of a trial [s].
+      body: body whose displacement is measured.
       function: name of the fitness function.
-      fitness: (M,) measured.
-      test: (M,) bool, the trials that are held out.
+      fitness: (M,) measured fitness [m/s].
+      test: (M,) bool, True for held-out trials.
     """
 
     head: Dataset
@@ -62,7 +62,7 @@ class FitnessTable:
     test: np.ndarray
 
     def commands(self, times: np.ndarray) -> np.ndarray:
-        """What is commanded (M, K, nu) at times (K,) [s]."""
+        """Commands (M, K, nu) [rad] at times (K,) [s]."""
         wave = np.sin(self.omega * times[:, None] + self.phase[:, None])
         return self.offset[:, None] + self.amplitude[:, None] * wave
 
@@ -70,19 +70,25 @@ class FitnessTable:
 def load_fitness(folder: str | Path) -> FitnessTable:
     """Read a folder of fitness-only data.
 
+    Args:
+      folder: folder with dataset.toml and the table of trials.
+
+    Returns:
+      The trials with a finite fitness.
+
     Raises:
       InputError: anything wrong with it, in one line.
       DamagedFile: a file that does not parse.
       OSError: a file that cannot be read.
     """
-    head, tables = read_head(folder, more=("fitness",))
+    head, tables = read_header(folder, more=("fitness",))
     path = head.folder / DATASET_FILE
     about, where = toml_section(tables, "fitness", path), f"{path}: [fitness]"
     check_keys(about, ("file", "body", "function", "duration", "omega"), where, [])
     function = str(about.get("function", "distance"))
     fitness_function(function)
-    if function not in FUNCTIONS:
-        raise InputError(f"{where}: function {function!r}: expected one of {', '.join(FUNCTIONS)}")
+    if function not in POSITION_FUNCTIONS:
+        raise InputError(f"{where}: function {function!r}: expected one of {', '.join(POSITION_FUNCTIONS)}")
     for key in ("duration", "omega"):
         if not is_number(about.get(key)) or about[key] <= 0:
             raise InputError(f"{where}: {key} = {about.get(key)!r}: expected a positive number")
@@ -134,7 +140,7 @@ def _controllers(table: pl.DataFrame, actuators: Sequence[str], file: Path) -> d
 
 
 def _split(table: pl.DataFrame, kept: np.ndarray, file: Path) -> np.ndarray:
-    """(M,) bool of the kept trials: which are held out."""
+    """Held-out trials among those that are kept, (M,) bool."""
     if "split" in table.columns:
         words = [word for word, keep in zip(table["split"].to_list(), kept, strict=True) if keep]
         for word in words:
@@ -156,10 +162,10 @@ def save_fitness(folder: str | Path, xml: str, about: Mapping[str, Any], columns
     """Write a folder that `load_fitness` reads.
 
     Args:
-      folder: made if absent.
+      folder: the folder, created if absent.
       xml: MJCF text of the believed model.
-      about: body, function, duration and omega.
-      columns: of the table of trials.
+      about: entries of [fitness]: body, function, duration and omega.
+      columns: columns of the table of trials.
 
     Raises:
       OSError: the folder cannot be written to.

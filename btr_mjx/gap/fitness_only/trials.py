@@ -1,4 +1,4 @@
-"""Trials of a fitness table, simulated: what each controller would come to in a world."""
+"""Simulation of the trials of a fitness table: the fitness of each controller in a world."""
 
 from collections.abc import Sequence
 
@@ -8,18 +8,18 @@ import numpy as np
 from btr_mjx.evaluation import Outcome, fitness_function
 from btr_mjx.gap.effects import Scales
 from btr_mjx.gap.fitness_only.table import FitnessTable
-from btr_mjx.gap.simulate import Command, Counter, Stretch, World, simulate
+from btr_mjx.gap.simulate import Command, Counter, Segments, World, simulate
 
 _AT_ONCE = 1024
-"""Trials of one batch: progress is told and saved between two of them."""
+"""Trials of one batch; progress is reported and saved between batches."""
 
 
 class TrialSimulator:
     """Simulates the trials of a table in worlds.
 
     Attributes:
-      table: the data.
-      counter: simulated steps so far.
+      table: the table of trials.
+      counter: counts the simulated steps.
     """
 
     def __init__(self, table: FitnessTable, counter: Counter | None = None) -> None:
@@ -34,18 +34,18 @@ class TrialSimulator:
         self._function = fitness_function(table.function)
 
     def fitness(self, worlds: Sequence[World], rows: np.ndarray, timestep: float | None = None) -> np.ndarray:
-        """Fitness of some trials in some worlds.
+        """Fitness of trials in several worlds.
 
         Args:
           worlds: (C,) worlds.
-          rows: (M,) of the table.
-          timestep: another than the model's own [s].
+          rows: (M,) indices of trials.
+          timestep: time step [s]; None for the model's own.
 
         Returns:
           (C, M) [m/s]; NaN where a simulation diverged.
         """
         count = len(rows)
-        stretch = Stretch(
+        segments = Segments(
             np.zeros(count),
             np.tile(self._start[0], (count, 1)),
             np.tile(self._start[1], (count, 1)),
@@ -58,7 +58,7 @@ class TrialSimulator:
         times = np.array([self.table.duration])
         out, together = [], max(1, _AT_ONCE // count)
         for first in range(0, len(worlds), together):
-            jobs = [(world, stretch) for world in worlds[first : first + together]]
+            jobs = [(world, segments) for world in worlds[first : first + together]]
             for found in simulate(jobs, timestep=timestep, counter=self.counter):
                 position = self._positions(found[:, 0, : model.nq], model)
                 out.append(self._function(Outcome(times, start, position[:, None], np.zeros((count, 1)))))
@@ -76,7 +76,7 @@ class TrialSimulator:
         return out
 
     def scales(self, rows: np.ndarray) -> Scales:
-        """How large things are in some trials of the believed model."""
+        """Scales of torques, speeds and travel in some trials (M,) of the believed model."""
         model, states = self.table.head.model, []
         steps = round(self.table.duration / model.opt.timestep)
         for row in rows:

@@ -1,7 +1,7 @@
-"""The search for the missing effect, and what may be said of it.
+"""Search for the missing effect, and decision.
 
-`identify` takes a dataset to a `Diagnosis`. `scoring` compares hypotheses with windows, `search` finds and refines
-candidates, `verdict` decides what is named, what is left unexplained, and how sure that is.
+`identify` turns a dataset into a `Diagnosis`. `scoring` evaluates hypotheses on windows, `search` finds and refines
+candidates, `verdict` decides which effects are named and computes lack of fit, intervals and confounds.
 """
 
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis

@@ -1,7 +1,6 @@
-"""Before any fit: is this a dataset that an effect could be named from?
+"""Checks of a dataset before any fit: units, timing, excitation, noise, stability of the believed model.
 
-`preflight` returns `Finding`s about clocks, excitation, noise and the believed model; `refuse_errors` raises where
-one of them is an error.
+`preflight` returns `Finding`s; `refuse_errors` raises if one of them is an error.
 """
 
 from btr_mjx.gap.preflight.checks import preflight, refuse_errors

@@ -1,9 +1,9 @@
-"""Before any fit: is this a dataset that an effect could be named from?
+"""Checks of a dataset before any fit: units, channels, parameter bounds, excitation.
 
     findings = preflight(dataset)
 
-Findings of level "error" say what makes the data unusable (wrong units, no excitation), "warning" what spoils results,
-"note" what is good to know: rates, delays, which effects these data can show and which they cannot.
+Levels: "error" makes the data unusable (wrong units, no excitation), "warning" degrades results, "note" is
+information (rates, delays, effects that these data cannot show).
 """
 
 from collections.abc import Sequence
@@ -12,22 +12,22 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, Noise, noise_of
-from btr_mjx.gap.preflight.clocks import clocks, sampling
-from btr_mjx.gap.preflight.excitation import JointTrack, blind_effects, joint_tracks
+from btr_mjx.gap.preflight.excitation import JointTrack, joint_tracks, unexcited_effects
 from btr_mjx.gap.preflight.findings import Finding, listed
 from btr_mjx.gap.preflight.stability import stability
+from btr_mjx.gap.preflight.timing import response_delays, sampling
 from btr_mjx.models import part_names
 
 
 def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Finding]:
-    """Look at a dataset.
+    """Run all checks.
 
     Args:
       dataset: the dataset.
-      effects: names of the effects to say something about; None for all that are known here.
+      effects: names of the effects whose excitation is checked; None for all of `excitation.unexcited_effects`.
 
     Returns:
-      Findings, errors first.
+      Findings, errors first, then warnings, then notes.
     """
     noise = noise_of(dataset)
     joints = joint_tracks(dataset)
@@ -39,8 +39,8 @@ def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Fi
     findings += sampling(dataset)
     findings += _units(joints)
     findings += _channels(dataset, joints, noise)
-    findings += clocks(dataset, joints)
-    findings += _starts(dataset)
+    findings += response_delays(dataset, joints)
+    findings += _parameter_bounds(dataset)
     findings += _excitation(dataset, joints, effects)
     if all(finding.level != "error" for finding in findings):
         findings += stability(dataset)
@@ -49,10 +49,10 @@ def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Fi
 
 
 def refuse_errors(findings: Sequence[Finding]) -> None:
-    """Stop where a dataset is unusable.
+    """Raise if the dataset is unusable.
 
     Raises:
-      InputError: the first error.
+      InputError: with the message of the first error.
     """
     for finding in findings:
         if finding.level == "error":
@@ -162,11 +162,11 @@ def _channels(dataset: Dataset, joints: Sequence[JointTrack], noise: Noise) -> l
 
 
 def _stuck_at_peak(signal: np.ndarray) -> float:
-    """Share of the samples at the largest or at the smallest value, whichever is more."""
+    """Fraction of the samples at the largest or at the smallest value, whichever is larger."""
     return float(max(np.mean(signal == signal.max()), np.mean(signal == signal.min())))
 
 
-def _starts(dataset: Dataset) -> list[Finding]:
+def _parameter_bounds(dataset: Dataset) -> list[Finding]:
     findings = []
     for believed in dataset.parameters:
         value = believed.value(dataset.model)
@@ -184,8 +184,8 @@ def _starts(dataset: Dataset) -> list[Finding]:
 
 
 def _excitation(dataset: Dataset, joints: Sequence[JointTrack], effects: Sequence[str] | None) -> list[Finding]:
-    """Which effects these data can show."""
-    blind = blind_effects(dataset, joints)
+    """A note for each effect that these data do not excite."""
+    blind = unexcited_effects(dataset, joints)
     return [
         Finding("note", "excitation", f"these data cannot show {name}: {reason}")
         for name, reason in blind.items()

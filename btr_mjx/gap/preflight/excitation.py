@@ -1,4 +1,4 @@
-"""What the recordings of a dataset excite, joint by joint, and which effects they therefore cannot show."""
+"""Excitation of each joint in the recordings, and effects that are therefore not identifiable."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,18 +15,18 @@ _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLI
 
 @dataclass(frozen=True, eq=False)
 class JointTrack:
-    """A hinge or slide over all recordings, one after another.
+    """Samples of a hinge or slide, concatenated over all recordings.
 
     Attributes:
       name: of the joint.
       hinge: whether it is a hinge.
-      actuator: the actuator that drives it.
-      servo: whether that is a position servo.
-      limits: (2,) range in the model; None where it has none.
-      qpos, qvel: (N,) measured.
-      measured: whether the velocity was measured everywhere.
+      actuator: id of the actuator that drives it; None without one.
+      servo: whether the actuator is a position servo.
+      limits: (2,) range in the model [rad or m]; None if unlimited.
+      qpos, qvel: (N,) measured position and velocity.
+      measured: whether the velocity was measured in all recordings.
       slope: (N,) central differences of the positions.
-      ctrl: (N,) commands, () without an actuator.
+      ctrl: (N,) commands, (0,) without an actuator.
     """
 
     name: str
@@ -42,7 +42,7 @@ class JointTrack:
 
 
 def joint_tracks(dataset: Dataset) -> list[JointTrack]:
-    """Every hinge and slide of a dataset."""
+    """The samples of every hinge and slide of a dataset."""
     model = dataset.model
     driven = {joint_of(model, a): a for a in range(model.nu)}
     slopes = [_slopes(r) for r in dataset.recordings]
@@ -78,12 +78,15 @@ def _slopes(recording: Recording) -> np.ndarray:
     return np.concatenate([inner[:1], inner, inner[-1:]])
 
 
-def blind_effects(dataset: Dataset, joints: Sequence[JointTrack] | None = None) -> dict[str, str]:
-    """Effects and the reason why these data do not show them, "" where they do.
+def unexcited_effects(dataset: Dataset, joints: Sequence[JointTrack] | None = None) -> dict[str, str]:
+    """Reason why these data do not excite an effect, for each effect that is checked.
 
     Args:
       dataset: the dataset.
-      joints: what `checks` already computed.
+      joints: result of `joint_tracks`, if already computed.
+
+    Returns:
+      Reason by effect name; "" where the effect is excited.
     """
     joints = joint_tracks(dataset) if joints is None else joints
     model = dataset.model
@@ -119,7 +122,7 @@ def blind_effects(dataset: Dataset, joints: Sequence[JointTrack] | None = None) 
 
 
 def _one_tone(dataset: Dataset) -> str:
-    """Why a lag cannot be told from a delay: every command holds one frequency only."""
+    """Reason why lag and delay cannot be distinguished (every command is one sine); "" if they can."""
     peaks = []
     for recording in dataset.recordings:
         even = np.linspace(recording.time[0], recording.time[-1], len(recording.time))

@@ -1,22 +1,22 @@
-"""What preflight says: one line about a dataset, and how bad it is."""
+"""Findings of the checks: one line about a dataset, with a level."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 Level = Literal["error", "warning", "note"]
-_FEW = 6
-"""So many names are listed in one finding."""
+_MAX_NAMES = 6
+"""Names listed in one finding; the rest is counted."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something about a dataset.
+    """A result of a check of a dataset.
 
     Attributes:
       level: "error", "warning" or "note".
-      topic: what it is about, in one or two words.
-      message: one line.
+      topic: one or two words.
+      message: one line of text.
     """
 
     level: Level
@@ -25,5 +25,5 @@ class Finding:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Names, the first few of many."""
-    return ", ".join(names[:_FEW]) + (f" and {len(names) - _FEW} more" if len(names) > _FEW else "")
+    """Names separated by commas; after `_MAX_NAMES` only their count."""
+    return ", ".join(names[:_MAX_NAMES]) + (f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else "")

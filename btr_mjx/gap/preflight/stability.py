@@ -1,7 +1,7 @@
-"""Does the believed model follow anything at its own time step, or does it blow up?
+"""Numerical stability of the believed model at its own time step.
 
-A servo that is stiff for its link needs a short time step, or an integrator that knows its damping. A model that blows
-up within a few steps says nothing of the robot, and no verdict about it means anything.
+A servo that is stiff relative to the inertia of its link needs a short time step, or an integrator that treats damping
+implicitly. No diagnosis is possible with an unstable model.
 """
 
 import copy
@@ -14,31 +14,31 @@ from btr_mjx.gap.preflight.findings import Finding
 from btr_mjx.gap.simulate import Command
 from btr_mjx.models import difference
 
-_STRETCHES = 8
-"""Stretches that are simulated, spread over the recordings."""
+_SEGMENTS = 8
+"""Segments that are simulated, spread evenly over the recordings."""
 
 _SECONDS = 0.25
 _STEPS = 500
-"""How long a stretch is [s], and how many steps at most."""
+"""Length of a segment [s], and its largest number of steps."""
 
 _BAD = mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC
 
 
 def stability(dataset: Dataset) -> list[Finding]:
-    """Simulate short stretches from measured states, as plain MuJoCo does it.
+    """Simulate short segments from measured states with plain MuJoCo steps.
 
     Args:
       dataset: the dataset.
 
     Returns:
-      An error where half of the stretches or more become unstable, a warning where some do, else nothing.
+      One error if at least half of the segments become unstable, one warning if fewer do, else nothing.
     """
     ends: list[tuple[Recording, float | None]] = []
-    for i in range(_STRETCHES):
-        which, share = divmod(i * len(dataset.recordings) / _STRETCHES, 1.0)
+    for i in range(_SEGMENTS):
+        which, share = divmod(i * len(dataset.recordings) / _SEGMENTS, 1.0)
         recording = dataset.recordings[int(which)]
         command = Command(recording.time, recording.ctrl, dataset.interpolation)
-        ends.append((recording, blows_up(recording, int(share * (len(recording.time) - 2)), command)))
+        ends.append((recording, instability_time(recording, int(share * (len(recording.time) - 2)), command)))
     bad = [(recording, time) for recording, time in ends if time is not None]
     if not bad:
         return []
@@ -52,13 +52,16 @@ def stability(dataset: Dataset) -> list[Finding]:
     return [Finding("error" if 2 * len(bad) >= len(ends) else "warning", "stability", f"{text}; {remedy}")]
 
 
-def blows_up(recording: Recording, row: int, command: Command) -> float | None:
-    """Time at which MuJoCo calls the believed model unstable [s], or None.
+def instability_time(recording: Recording, row: int, command: Command) -> float | None:
+    """Time at which MuJoCo reports an invalid position, velocity or acceleration.
 
     Args:
-      recording: what is followed.
-      row: sample whose measured state the simulation starts from.
-      command: what was commanded.
+      recording: the recording.
+      row: sample of the starting state.
+      command: command of the recording.
+
+    Returns:
+      Time [s]; None if the simulation stays valid.
     """
     model = copy.copy(recording.model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
@@ -70,7 +73,7 @@ def blows_up(recording: Recording, row: int, command: Command) -> float | None:
     step = model.opt.timestep
     last = min(data.time + _SECONDS, recording.time[-1])
     for _ in range(min(_STEPS, int((last - data.time) / step))):
-        data.ctrl[:] = command.over(data.time, step)
+        data.ctrl[:] = command.over_step(data.time, step)
         mujoco.mj_step(model, data)
         if any(data.warning[int(kind)].number for kind in _BAD):
             return float(data.time)

@@ -1,14 +1,21 @@
-"""The words and tables of the page about a diagnosis, from its saved files."""
+"""Text and tables of the page about a diagnosis, from its saved files."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from btr_mjx.gap.results import named, number, title, verdict_sentence, with_ends
+from btr_mjx.gap.results import (
+    REASON_NOT_NAMED,
+    effect_at_place,
+    effect_title,
+    estimate_cells,
+    format_number,
+    verdict_sentence,
+)
 from btr_mjx.runs import read_json
 
 _CODE = """import json, mujoco
-from btr_mjx.gap.mend import Callback
+from btr_mjx.gap.results import Callback
 
 model = mujoco.MjModel.from_xml_path("mended.xml")
 data = mujoco.MjData(model)
@@ -24,17 +31,17 @@ def content(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
 
     Args:
       folder: of the diagnosis.
-      result: what its result.json says.
+      result: content of its result.json.
 
     Returns:
       Variables of the page's template.
     """
     effects = [
         {
-            "effect": title(effect["effect"]),
+            "effect": effect_title(effect["effect"]),
             "location": effect["location"],
             "name": name.replace("_", " "),
-            **with_ends(parameter),
+            **estimate_cells(parameter),
             "unit": _unit(parameter.get("unit")),
         }
         for effect in result.get("effects") or []
@@ -48,10 +55,11 @@ def content(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
         "effects": effects,
         "interval_note": str(
             result.get("interval_note")
-            or "From and to: 90 % intervals from resampled windows, which do not assume that the fit is good."
+            or "From, to: 90 % interval from resampled windows; it does not assume that the fit is good."
         ),
         "unexplained": _lines(result.get("unexplained")),
         "equivalent": _equivalent(result),
+        "reason_not_named": REASON_NOT_NAMED,
         "believed": _table(result.get("believed")),
         "confounds": _lines(result.get("confounds")),
         "next_experiment": _experiment(result.get("next_experiment")),
@@ -76,7 +84,7 @@ def _gap(gap: Mapping[str, Any], mended: bool) -> list[tuple[str, str]]:
         ("after", "after" if mended else "", ""),
         ("noise floor", "noise_floor", ""),
     )
-    return [(label, f"{number(gap[key])}{of}") for label, key, of in rows if is_json_number(gap.get(key))]
+    return [(label, f"{format_number(gap[key])}{of}") for label, key, of in rows if is_json_number(gap.get(key))]
 
 
 def is_json_number(value: Any) -> bool:
@@ -85,7 +93,7 @@ def is_json_number(value: Any) -> bool:
 
 
 def _lines(value: Any) -> list[str]:
-    """Whatever is to be listed, as lines of text."""
+    """A text, a mapping or a list as lines of text."""
     if value in (None, "", [], {}):
         return []
     if isinstance(value, str):
@@ -93,48 +101,52 @@ def _lines(value: Any) -> list[str]:
     if isinstance(value, Mapping):
         if isinstance(value.get("text"), str):
             return [value["text"]]
-        return [f"{str(key).replace('_', ' ')}: {_said(item)}" for key, item in value.items() if item not in (None, [])]
+        return [
+            f"{str(key).replace('_', ' ')}: {_in_words(item)}" for key, item in value.items() if item not in (None, [])
+        ]
     if isinstance(value, Sequence):
-        return [line for item in value for line in ([_said(item)] if isinstance(item, Mapping) else _lines(item))]
-    return [_said(value)]
+        return [line for item in value for line in ([_in_words(item)] if isinstance(item, Mapping) else _lines(item))]
+    return [_in_words(value)]
 
 
 def _experiment(value: Any) -> list[str]:
-    """What to do next, and between which candidates it decides."""
+    """The next experiment, and the two candidates that it separates."""
     lines = _lines(value)
     if isinstance(value, Mapping) and len(value.get("between") or []) == 2:
-        pair = [named(one) if "effect" in one else str(one["name"]) for one in value["between"]]
+        pair = [effect_at_place(one) if "effect" in one else str(one["name"]) for one in value["between"]]
         lines.append(f"It decides between {pair[0]} and {pair[1]}.")
     return lines
 
 
-def _said(value: Any) -> str:
-    """One item in words."""
+def _in_words(value: Any) -> str:
+    """One value of result.json as text."""
     if isinstance(value, Mapping):
         if isinstance(value.get("text"), str):
             return value["text"]
         if "effect" in value and "location" in value:
             rest = {k: v for k, v in value.items() if k not in ("effect", "location", "parameters", "values")}
-            more = ", ".join(f"{str(k).replace('_', ' ')} {_said(v)}" for k, v in rest.items())
-            return named(value) + (f" ({more})" if more else "")
-        return ", ".join(f"{str(key).replace('_', ' ')} {_said(item)}" for key, item in value.items())
+            more = ", ".join(f"{str(k).replace('_', ' ')} {_in_words(v)}" for k, v in rest.items())
+            return effect_at_place(value) + (f" ({more})" if more else "")
+        return ", ".join(f"{str(key).replace('_', ' ')} {_in_words(item)}" for key, item in value.items())
     if isinstance(value, bool) or value is None:
         return "no" if not value else "yes"
     if isinstance(value, int | float):
-        return number(value)
+        return format_number(value)
     if isinstance(value, Sequence) and not isinstance(value, str):
-        shown = [_said(item) for item in value[:12]]
+        shown = [_in_words(item) for item in value[:12]]
         return ", ".join(shown) + (", …" if len(value) > 12 else "")
     return str(value)
 
 
 def _equivalent(result: Mapping[str, Any]) -> list[str]:
-    """What cannot be told apart, if that is more than what was named."""
+    """Equivalent candidates, where there are more than the named effects."""
     given = result.get("equivalent") or []
     out = []
     for entry in given if len(given) > 1 or not result.get("effects") else []:
         members = entry if isinstance(entry, Sequence) and not isinstance(entry, str) else [entry]
-        out.append("; ".join(named(m) if isinstance(m, Mapping) and "effect" in m else _said(m) for m in members))
+        out.append(
+            "; ".join(effect_at_place(m) if isinstance(m, Mapping) and "effect" in m else _in_words(m) for m in members)
+        )
     return out
 
 
@@ -143,42 +155,49 @@ def _table(rows: Any) -> dict[str, Any] | None:
     if not isinstance(rows, Sequence) or isinstance(rows, str) or not rows:
         return None
     columns = list(rows[0])
-    cells = [[number(v) if is_json_number(v) else str("" if v is None else v) for v in row.values()] for row in rows]
+    cells = [
+        [format_number(v) if is_json_number(v) else str("" if v is None else v) for v in row.values()] for row in rows
+    ]
     return {"columns": [name.replace("_", " ") for name in columns], "rows": cells}
+
+
+def _cell(value: Any) -> str:
+    return format_number(value) if is_json_number(value) else str("" if value is None else value)
 
 
 def _mended(folder: Path, calibration: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
     if not (folder / "mended.xml").is_file():
         return None
-    text = "mended.xml is the believed model with what was found; plain MuJoCo loads it."
+    text = "mended.xml is the believed model with the missing effects; plain MuJoCo loads it."
     terms: list[dict[str, str]] = []
     if (folder / "mended.json").is_file():
         saved = read_json(folder / "mended.json")
         terms = [
-            {"effect": title(t["effect"]), "location": t["location"], "equation": str(t.get("equation", ""))}
+            {"effect": effect_title(t["effect"]), "location": t["location"], "equation": str(t.get("equation", ""))}
             for t in saved.get("terms", [])
         ]
         errors = {f"{error['effect']}@{error['location']}" for error in calibration}
         native = [
-            named(dict(zip(("effect", "location"), name.split("@", 1), strict=True)))
+            effect_at_place(dict(zip(("effect", "location"), name.split("@", 1), strict=True)))
             for name in saved.get("native", [])
             if name not in errors
         ]
         text += f" It contains {' and '.join(native)}." if native else ""
         if calibration:
-            text += f" It has small errors of calibration, too, beside which that was found: {_errors(calibration)}."
+            text += f" It also contains small errors of calibration that were fitted with them: {_errors(calibration)}."
         text += " ".join(["", *saved.get("notes", [])])
     if terms:
-        text += " What MJCF has no term for is in mended.json; this adds it to a simulation:"
+        text += " Effects without a term in MJCF are in mended.json; this code adds them to a simulation:"
     return {"text": text, "terms": terms, "code": _CODE}
 
 
 def _errors(calibration: Sequence[Mapping[str, Any]]) -> str:
-    """Errors of calibration with their numbers."""
-    return "; ".join(
-        f"{named(error)} ({', '.join(f'{k.replace("_", " ")} {number(v)}' for k, v in error['parameters'].items())})"
-        for error in calibration
-    )
+    """Errors of calibration with their parameters."""
+
+    def values(error: Mapping[str, Any]) -> str:
+        return ", ".join(f"{key.replace('_', ' ')} {format_number(v)}" for key, v in error["parameters"].items())
+
+    return "; ".join(f"{effect_at_place(error)} ({values(error)})" for error in calibration)
 
 
 def _footer(folder: Path, result: Mapping[str, Any]) -> list[str]:
@@ -187,14 +206,14 @@ def _footer(folder: Path, result: Mapping[str, Any]) -> list[str]:
     if is_json_number(result.get("steps")):
         spent.append(f"{int(result['steps']):,} simulated steps".replace(",", " "))
     if is_json_number(result.get("seconds")):
-        spent.append(f"{number(result['seconds'])} s")
+        spent.append(f"{format_number(result['seconds'])} s")
     if is_json_number(result.get("seed")):
         spent.append(f"seed {int(result['seed'])}")
     if spent:
         lines.append(", ".join(spent))
     if (folder / "environment.json").is_file():
         lines.append(
-            _said({k: v for k, v in read_json(folder / "environment.json").items() if v not in (None, [], {})})
+            _in_words({k: v for k, v in read_json(folder / "environment.json").items() if v not in (None, [], {})})
         )
     lines.append("Numbers: result.json. Figures: figures/. Tables: *.csv, *.npz.")
     return lines

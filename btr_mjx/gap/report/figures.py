@@ -1,4 +1,4 @@
-"""Figures of a diagnosis: each function makes one matplotlib Figure out of what was saved, and touches no file."""
+"""Figures of a diagnosis: each function makes one matplotlib Figure from saved data and reads no file."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,22 +10,25 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from btr_mjx.gap.results import named, number
+from btr_mjx.gap.results import effect_at_place, format_number
 
 MEASURED, BEFORE, AFTER = "#000000", "#c8641e", "#1f5fa8"
-"""Data, the believed model, the mended model; dots, dashes and a solid line say the same in grey."""
+"""Colours of data, believed model and mended model; dots, dashes and a solid line distinguish them in grey as well."""
 
 
 def disagreement_map(
     rows: Sequence[str], columns: Sequence[str], before: np.ndarray, after: np.ndarray | None = None
 ) -> Figure:
-    """Heat map of the disagreement in units of the noise.
+    """Heat map of the disagreement by part and regime, in units of the noise.
 
     Args:
       rows: names of joints or bodies.
       columns: names of regimes.
       before: (R, C) disagreement of the believed model, 1 is the noise; NaN where there are no data.
-      after: the same of the mended model, or None.
+      after: (R, C) the same of the mended model, or None.
+
+    Returns:
+      The figure, one panel a model.
     """
     panels = [("believed model", before)] + ([("mended model", after)] if after is not None else [])
     height = 1.3 + 0.21 * len(rows)
@@ -43,7 +46,7 @@ def disagreement_map(
             for j in range(len(columns)):
                 value = float(np.asarray(values, float)[i, j])
                 dark = np.isfinite(value) and norm(value) > 0.55
-                text = number(value, 2) if np.isfinite(value) else "·"
+                text = format_number(value, 2) if np.isfinite(value) else "·"
                 panel.text(j, i, text, ha="center", va="center", fontsize=7, color="white" if dark else "black")
         panel.set_title(name)
         panel.set_xticks(range(len(columns)), columns, rotation=40, ha="right")
@@ -66,13 +69,16 @@ def ranking_bars(
     threshold: float | None = None,
     most: int = 14,
 ) -> Figure:
-    """Candidates by score, with the best black, what cannot be told from it hatched, the others grey.
+    """Candidates by score: named effects black, equivalent candidates hatched, the others grey.
 
     Args:
       rows: entries of `ranking` in result.json, best first.
       found: (effect, location) of the effects that were named.
       threshold: score that a name needs; None if it is not shown.
-      most: how many are shown.
+      most: largest number of candidates that are shown.
+
+    Returns:
+      The figure.
     """
     shown = list(rows)[:most]
     figure = Figure(figsize=(7.2, 0.7 + 0.25 * max(len(shown), 1)))
@@ -90,12 +96,12 @@ def ranking_bars(
             hatch="/////" if same else None,
             linewidth=0.7,
         )
-        note = number(float(row.get("score") or 0.0))
+        note = format_number(float(row.get("score") or 0.0))
         if not best and row.get("margin"):
             behind = float(row["margin"])
-            note += f"  ({'−' if behind > 0 else '+'}{number(abs(behind))})"
+            note += f"  ({'−' if behind > 0 else '+'}{format_number(abs(behind))})"
         axes.annotate(note, (score, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=7.5)
-    axes.set_yticks(range(len(shown)), [_capital(named(row)) for row in shown])
+    axes.set_yticks(range(len(shown)), [_capital(effect_at_place(row)) for row in shown])
     axes.invert_yaxis()
     axes.set_xlim(0, 1.18 * max([*scores, threshold or 1e-9]))
     if threshold is not None:
@@ -111,13 +117,13 @@ def _capital(text: str) -> str:
 
 @dataclass(frozen=True)
 class OverlayData:
-    """A held-out stretch of one coordinate.
+    """A part of a held-out recording, one coordinate.
 
     Attributes:
-      recording: where it is from.
-      name: of the coordinate.
-      unit: of the coordinate.
-      time: (K,) [s].
+      recording: name of the recording.
+      name: name of the coordinate.
+      unit: unit of the coordinate.
+      time: (K,) times [s].
       measured, before, after: (K,) data, believed model, mended model.
     """
 
@@ -131,11 +137,14 @@ class OverlayData:
 
 
 def overlay_figure(stretches: Sequence[OverlayData], after: str | None = "mended model") -> Figure:
-    """Measured, before and after, with what is left of the difference beside it; one row a stretch.
+    """Measured and simulated coordinates, with the differences beside them; one row a stretch.
 
     Args:
-      stretches: what is shown.
-      after: what the second model is called; None leaves it out.
+      stretches: parts of held-out recordings.
+      after: label of the second model; None leaves it out.
+
+    Returns:
+      The figure.
     """
     figure = Figure(figsize=(7.4, 0.6 + 1.6 * len(stretches)))
     axes = figure.subplots(len(stretches), 2, squeeze=False, width_ratios=[1.25, 1])
@@ -165,13 +174,16 @@ def overlay_figure(stretches: Sequence[OverlayData], after: str | None = "mended
 
 
 def commands(time: np.ndarray, values: np.ndarray, names: Sequence[str], most: int = 5) -> Figure:
-    """A proposed command, the channels that move most.
+    """A proposed command: the channels with the largest range.
 
     Args:
-      time: (K,) [s].
+      time: (K,) times [s].
       values: (K, n) commands.
-      names: of the channels.
-      most: how many are shown.
+      names: (n,) names of the channels.
+      most: largest number of channels that are shown.
+
+    Returns:
+      The figure.
     """
     chosen = np.argsort(-np.ptp(values, axis=0), kind="stable")[:most]
     figure = Figure(figsize=(7.2, 2.2))

@@ -1,10 +1,10 @@
-"""SHOW: one self-contained HTML page about a diagnosis, drawn from its saved files only.
+"""One self-contained HTML page about a diagnosis, drawn from its saved files only.
 
-    python -m btr_mjx.gap.report.page runs/diagnosis-0
+    python -m btr_mjx.gap.report runs/diagnosis-0
 
 Files of a diagnosis folder, of which all but the first may be missing:
 
-- result.json: verdict, effects, ranking, equivalent, gap, next_experiment and what else the page shows;
+- result.json: verdict, effects, ranking, equivalent, gap, next_experiment and other entries that the page shows;
 - disagreement.npz: `rows` (R,), `columns` (C,), `before` (R, C) and optionally `after` (R, C) in units of the noise;
 - overlays.npz: `recordings`, `names`, `units` (N,), for each n `time_n`, `measured_n`, `before_n`, `after_n` (K,);
 - next_command.csv: `time` and the proposed command;
@@ -22,7 +22,7 @@ from jinja2 import Environment, StrictUndefined
 
 from btr_mjx.errors import InputError, cli_errors
 from btr_mjx.gap.report.content import content, is_json_number
-from btr_mjx.gap.results import NOT_NAMED, named
+from btr_mjx.gap.results import REASON_NOT_NAMED, effect_at_place
 from btr_mjx.plotting import style
 from btr_mjx.runs import atomic_write, read_arrays, read_json, read_table, write_figure
 
@@ -30,8 +30,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PAGE = "report.html"
+"""File name of the page."""
 _TEMPLATE = Path(__file__).with_name("report.html.j2")
 _OVERLAYS = 6
+"""Held-out stretches that the page shows, at most."""
 
 
 def draw_report(folder: str | Path) -> Path:
@@ -71,8 +73,8 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
             _texts(data["rows"]), _texts(data["columns"]), data["before"], data.get("after")
         )
         caption = (
-            "Mean square of the force that would make the believed model follow the data, in units of what noise alone "
-            "would give: 1 is the noise floor, a dot a regime without data."
+            "Mean square of the force that would make the believed model follow the data, in units of the value that "
+            "noise alone would give: 1 is the noise floor, a dot marks a regime without data."
         )
         out["map"] = _picture(folder, "disagreement", figure, "Disagreement by part and regime", caption)
     found = [(e["effect"], e["location"]) for e in result.get("effects") or []]
@@ -81,17 +83,17 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
     if ranking:
         threshold = result["threshold"] if is_json_number(result.get("threshold")) else None
         figure = figures.ranking_bars(ranking, found, threshold)
-        hatched = "cannot be told apart from it by these data" if found else NOT_NAMED
+        hatched = "these data cannot distinguish it from the named one" if found else REASON_NOT_NAMED
         caption = (
-            "Score: how far the misfit falls, beyond what the effect's numbers cost. Black: named. "
-            f"Hatched: {hatched}. Grey: other candidates. Dotted line: what a name needs at least."
+            "Score: fall of the misfit, less a price for the effect's parameters. Black: named. "
+            f"Hatched: {hatched}. Grey: other candidates. Dotted line: score that a name needs at least."
         )
         if any(row.get("fresh") for row in ranking):
-            caption += " Those that came first were judged on more windows, which add to their scores."
+            caption += " The first candidates were scored on more windows, which add to their scores."
         if len(found) == 1 and any(row["score"] > ranking[0]["score"] for row in ranking):
             caption += (
-                " What scores more than the name falls short of the rest that a name needs: held-out data say too "
-                "little for it, or calibration explains it as well."
+                " What scores more than the name does not meet the other conditions for a name: it gains too little on "
+                "held-out recordings, or errors of calibration explain as much."
             )
         out["ranking"].append(_picture(folder, "ranking", figure, "Candidates by score", caption))
     second = [row for row in rows if row.get("beside")]
@@ -114,9 +116,9 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
         if stretches:
             after = {"effect": "mended model", "unexplained": "best candidate"}.get(str(result.get("verdict")))
             if all(np.array_equal(one.before, one.after) for one in stretches):
-                after = None  # nothing stood out
+                after = None  # there is no second model
             where = "the believed model is worst" if after is None else "the two models differ most"
-            caption = f"Held-out stretches in which {where}, with what is left of the difference to the data."
+            caption = f"Held-out stretches in which {where}. Left: coordinates. Right: model minus measured."
             figure = figures.overlay_figure(stretches[:_OVERLAYS], after)
             out["overlays"].append(_picture(folder, "overlays", figure, "Before and after", caption))
     if (folder / "next_command.csv").is_file():
@@ -130,7 +132,9 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _beside(row: Mapping[str, Any]) -> list[str]:
-    return [named(dict(zip(("effect", "location"), name.split("@", 1), strict=True))) for name in row["beside"]]
+    return [
+        effect_at_place(dict(zip(("effect", "location"), name.split("@", 1), strict=True))) for name in row["beside"]
+    ]
 
 
 def _picture(folder: Path, name: str, figure: "Figure", alt: str, caption: str) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""What the command prints: findings before the search, the verdict after it, and what was hidden in a demo."""
+"""Text for the terminal: findings before the search, the verdict after it, and the hidden truth of a demo."""
 
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from btr_mjx.gap.preflight import Finding
-from btr_mjx.gap.results import named, place_in_words, title
+from btr_mjx.gap.results import effect_at_place, effect_title, place_in_words
 
 
 def print_findings(findings: Sequence[Finding]) -> None:
-    """Print what preflight found."""
+    """Print the findings of preflight, errors first."""
     print("preflight")
     for finding in findings:
         mark = "" if finding.level == "note" else f"{finding.level}: "
@@ -19,20 +19,29 @@ def print_findings(findings: Sequence[Finding]) -> None:
 
 
 def print_result(result: Mapping[str, Any], folder: Path) -> None:
-    """Print the verdict, the effects and the ranking."""
+    """Print the verdict and the first six candidates of the ranking.
+
+    Args:
+      result: content of result.json.
+      folder: the run folder.
+    """
     print(textwrap.fill(str(result["sentence"]), 110))
     rows = [row for row in result["ranking"] if not row["beside"]][:6]
     if rows:
         print(f"\n{'candidate':60}{'score':>12}{'held-out gain':>16}")
     for row in rows:
-        print(f"{named(row):60}{row['score']:12.1f}{row['held_out']:16.1f}")
+        print(f"{effect_at_place(row):60}{row['score']:12.1f}{row['held_out']:16.1f}")
     print(f"\nall files in {folder}")
 
 
 def print_truth(truth: Mapping[str, Any]) -> None:
-    """Print what was hidden, last."""
+    """Print the truth of a hidden case.
+
+    Args:
+      truth: content of truth.json.
+    """
     hidden = [
-        f"{title(e['effect'])} at {place_in_words(e['location'])} "
+        f"{effect_title(e['effect'])} at {place_in_words(e['location'])} "
         f"({', '.join(f'{name} {value:.4g}' for name, value in e['parameters'].items())})"
         for e in truth["effects"]
     ]

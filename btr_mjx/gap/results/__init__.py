@@ -1,10 +1,12 @@
-"""What a diagnosis is: its records, its words, its files, and the mended model.
+"""Results of a diagnosis: records, sentences, files, and the mended model.
 
-`Diagnosis` holds everything that a report or result.json needs; `saved` writes and reads its files; `wording` puts it
-into sentences; `mend` adds what was found to the MJCF.
+`Diagnosis` holds everything that the page or result.json needs. `save_diagnosis` writes its files, `verdict_sentence`
+describes it in one paragraph. `mend` adds the effects that were found to the MJCF, `Callback` adds those that MJCF
+cannot express to a simulation, and `mended_robot` makes a space of simulations for Back-to-Reality of them.
 """
 
-from btr_mjx.gap.results.mend import Callback
+from btr_mjx.gap.results.mended_model import Callback, FoundEffect, MendedModel, mend
+from btr_mjx.gap.results.mended_space import ControllerTrial, mended_robot
 from btr_mjx.gap.results.records import (
     Calibrated,
     Confound,
@@ -12,50 +14,55 @@ from btr_mjx.gap.results.records import (
     DisagreementMap,
     Estimate,
     Gap,
-    Named,
+    NamedEffect,
     NextExperiment,
     Overlay,
+    RankedCandidate,
     Refit,
-    Row,
     Verdict,
 )
 from btr_mjx.gap.results.saved import RESULT, as_result, save_diagnosis
 from btr_mjx.gap.results.wording import (
-    NOT_NAMED,
-    likeness,
-    moved,
-    named,
-    number,
+    REASON_NOT_NAMED,
+    confound_sentence,
+    effect_at_place,
+    effect_title,
+    estimate_cells,
+    format_number,
     place_in_words,
-    title,
+    refit_sentence,
     verdict_sentence,
-    with_ends,
 )
 
 __all__ = [
-    "NOT_NAMED",
+    "REASON_NOT_NAMED",
     "RESULT",
     "Calibrated",
     "Callback",
     "Confound",
+    "ControllerTrial",
     "Diagnosis",
     "DisagreementMap",
     "Estimate",
+    "FoundEffect",
     "Gap",
-    "Named",
+    "MendedModel",
+    "NamedEffect",
     "NextExperiment",
     "Overlay",
+    "RankedCandidate",
     "Refit",
-    "Row",
     "Verdict",
     "as_result",
-    "likeness",
-    "moved",
-    "named",
-    "number",
+    "confound_sentence",
+    "effect_at_place",
+    "effect_title",
+    "estimate_cells",
+    "format_number",
+    "mend",
+    "mended_robot",
     "place_in_words",
+    "refit_sentence",
     "save_diagnosis",
-    "title",
     "verdict_sentence",
-    "with_ends",
 ]

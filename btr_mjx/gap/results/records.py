@@ -1,4 +1,4 @@
-"""What a diagnosis says: plain records, everything that a report or result.json needs."""
+"""Records of a diagnosis: plain data classes that hold everything that the page or result.json needs."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -7,18 +7,19 @@ from typing import Literal
 import numpy as np
 
 Verdict = Literal["effect", "none", "unexplained"]
+"""An effect is missing, nothing is missing, or something is missing that no known effect explains."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number with its interval.
+    """A parameter with its interval.
 
     Attributes:
       value: best estimate.
       low, high: 90 % interval, from resampled windows; it does not assume that the fit is good.
-      unit: SI.
+      unit: SI unit.
       null: value at which the effect is absent.
-      edge: whether it is the largest or smallest value that is tried: the true one may be beyond.
+      edge: whether the value is at the edge of its range; the true value may be beyond.
     """
 
     value: float
@@ -30,18 +31,18 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Named:
+class NamedEffect:
     """An effect that was named.
 
     Attributes:
-      effect: its name.
-      location: where it sits.
-      parameters: its numbers by name.
-      score: by how much the data prefer it to its absence, in units of log-likelihood times two, less its price.
-      held_out: the part of it that comes from held-out recordings.
-      equivalent: candidates that these data cannot tell from it, "effect@location".
-      excited_by: motion that shows it.
-      equation: in one line.
+      effect: name of the effect.
+      location: label of its place.
+      parameters: estimates by name.
+      score: fall of the loss by the effect, in units of twice the log-likelihood, less the price of its parameters.
+      held_out: part of the score that comes from held-out recordings.
+      equivalent: candidates that these data cannot distinguish from it, "effect@location".
+      excited_by: motion that makes the effect visible.
+      equation: equation in one line.
     """
 
     effect: str
@@ -61,12 +62,12 @@ class Named:
 
 @dataclass(frozen=True)
 class Calibrated:
-    """A small error of calibration beside which an effect was named; by itself it needs no name.
+    """A small error of calibration that was fitted beside a named effect and is not a missing effect by itself.
 
     Attributes:
-      effect: its name.
-      location: where it sits.
-      parameters: its numbers by name.
+      effect: name of the effect.
+      location: label of its place.
+      parameters: values by name.
     """
 
     effect: str
@@ -75,18 +76,18 @@ class Calibrated:
 
 
 @dataclass(frozen=True)
-class Row:
-    """A row of the ranking.
+class RankedCandidate:
+    """A candidate in the ranking.
 
     Attributes:
-      effect, location: the candidate.
-      score: as of `Named`.
-      margin: by how much the winner's score is larger.
+      effect, location: name and place.
+      score: score as of `NamedEffect`.
+      margin: score of the first candidate less this one's.
       gain: fall of the loss on the recordings that were fitted.
-      held_out: fall of the loss on those held out.
-      parameters: its numbers by name.
-      beside: effects that were found before and stay, "effect@location".
-      fresh: fall of the loss on windows that were looked at last; 0 where there was no need.
+      held_out: fall of the loss on held-out recordings.
+      parameters: values by name.
+      beside: effects that were named in earlier rounds and are part of the hypothesis, "effect@location".
+      fresh: fall of the loss on windows that were added for the last comparison; 0 where there was none.
     """
 
     effect: str
@@ -106,12 +107,12 @@ class Gap:
 
     Attributes:
       before, after: chi^2 of a window per degree of freedom, tolerances at their best, bounded per window.
-      noise_floor: what it would be with nothing missing: what simulated nulls leave, or what the mended model leaves
-        where that is less. Before and after share one realisation of the noise, of which nulls know the size alone.
-      nulls: what simulated nulls leave.
+      noise_floor: chi^2 with nothing missing: that of simulated nulls, or that of the mended model where it is smaller.
+        Before and after share one realisation of the noise; nulls have other realisations of the same size.
+      nulls: chi^2 of simulated nulls.
       error_before, error_after: root mean square error at the end of a window [units of the noise].
       open_loop_before, open_loop_after: mean absolute position error over whole held-out recordings, simulated from
-        the first sample [rad or m]; NaN where motion touches the world and is chaotic.
+        the first sample [rad or m]; NaN where contacts make the motion chaotic.
     """
 
     before: float
@@ -125,20 +126,20 @@ class Gap:
 
     @property
     def closed(self) -> float:
-        """Part of the excess over the noise floor that is closed."""
+        """Share of the excess over the noise floor that is closed."""
         excess = self.before - self.noise_floor
         return float((self.before - self.after) / excess) if excess > 0 else 0.0
 
 
 @dataclass(frozen=True)
 class Refit:
-    """A believed number and where it went.
+    """A believed parameter and its refitted values.
 
     Attributes:
-      name: of the parameter.
-      believed: as the dataset has it.
-      refitted: with nothing missing.
-      final: with the named effects.
+      name: name of the parameter.
+      believed: value in the dataset.
+      refitted: best value without any effect.
+      final: best value with the named effects.
     """
 
     name: str
@@ -149,13 +150,14 @@ class Refit:
 
 @dataclass(frozen=True)
 class Confound:
-    """Something that could be mistaken for a named effect, or that gave way to it.
+    """A candidate or parameter that could be mistaken for a named effect, or a parameter that changed with it.
 
     Attributes:
-      effect: what was named, "effect@location".
+      effect: the named effect, "effect@location".
       other: candidate, "effect@location", or believed parameter.
-      correlation: of their traces, in [0, 1]; None for a parameter that moved when the effect entered.
-      text: in words.
+      correlation: correlation of their signatures, in [0, 1]; None for a parameter whose refitted value changed when
+        the effect was added.
+      text: the same in words.
     """
 
     effect: str
@@ -166,10 +168,10 @@ class Confound:
 
 @dataclass(frozen=True)
 class Overlay:
-    """A held-out stretch for a figure.
+    """A part of a held-out recording, for a figure.
 
     Attributes:
-      recording: its name.
+      recording: name of the recording.
       coordinate: name of the joint at which the two models differ most, or the data from the only one.
       time: (K,) [s].
       measured, before, after: (K,) position [rad or m].
@@ -189,10 +191,10 @@ class DisagreementMap:
 
     Attributes:
       places: joints, and bodies with a free joint.
-      regimes: what the motion is like.
+      regimes: kinds of motion, such as "fast" or "contact".
       value: (places, regimes) mean square of the unknown generalised force there in units of what noise would give; 1
         is the noise floor, NaN where the regime does not occur.
-      count: (places, regimes) intervals behind each number.
+      count: (places, regimes) number of time intervals of each mean.
     """
 
     places: tuple[str, ...]
@@ -207,32 +209,32 @@ class Diagnosis:
 
     Attributes:
       verdict: "effect", "none" or "unexplained".
-      effects: what was named, the largest first; for "unexplained" empty.
+      effects: named effects, the largest first; empty for "unexplained".
       ranking: candidates, best first.
-      equivalent: names that these data cannot tell from the winner, the winner included; of "none" what is not ruled
-        out either.
-      gap: on the held-out recordings.
-      disagreement: the map.
-      unexplained: what is left, in words.
-      believed: what may be refitted.
-      calibration: small errors beside which the effects were named; the mended model has them, too.
-      confounds: what could be mistaken for what was named, and what gave way to it.
-      overlays: stretches for figures.
-      share: part of what any force could explain that the named effects explain.
-      lack_of_fit: standard deviations by which the data exceed the noise, before and after.
-      threshold: score that a name needs.
+      equivalent: candidates that these data cannot distinguish from the first one, which is included; for "none" those
+        that are not ruled out.
+      gap: gap between simulation and held-out recordings.
+      disagreement: map by place and regime.
+      unexplained: descriptions of the part that no candidate explains.
+      believed: believed parameters that could be refitted.
+      calibration: small errors of calibration fitted beside the effects; the mended model contains them.
+      confounds: possible confusions with the named effects, and parameters that changed with them.
+      overlays: parts of held-out recordings for figures.
+      share: share of the chi^2 that any force could explain that the named effects explain.
+      lack_of_fit: standard deviations by which the misfit exceeds the noise, before and after.
+      threshold: score that a name needs at least.
       dispersion: chi^2 per degree of freedom of the best fit; scores are divided by it.
-      sigma: (2 nv,) noise that was used.
+      sigma: (2 nv,) noise of positions and velocities.
       windows: numbers of windows to fit and held out, samples of each, length [s].
       steps: simulated steps.
-      seconds: time it took.
+      seconds: duration of the search [s].
       survivors: hypotheses that are still possible, for the choice of the next experiment.
-      notes: for the reader.
+      notes: remarks for the reader.
     """
 
     verdict: Verdict
-    effects: tuple[Named, ...]
-    ranking: tuple[Row, ...]
+    effects: tuple[NamedEffect, ...]
+    ranking: tuple[RankedCandidate, ...]
     equivalent: tuple[str, ...]
     gap: Gap
     disagreement: DisagreementMap
@@ -258,13 +260,13 @@ class NextExperiment:
     """A command that is proposed to be recorded next.
 
     Attributes:
-      time: (K,) [s].
-      values: (K, nu) command.
-      between: the two names that it is expected to separate.
+      time: (K,) times [s].
+      values: (K, nu) command, in the actuators' units.
+      between: names of the two hypotheses that it is expected to separate.
       disagreement: expected difference of their scores in one recording.
-      others: the same for every command that was compared, in their order.
-      chosen: which of these it is.
-      reason: in words.
+      others: expected difference for every command that was compared.
+      chosen: index of the proposed command in `others`.
+      reason: the reason in words.
     """
 
     time: np.ndarray

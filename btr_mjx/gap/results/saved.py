@@ -1,4 +1,4 @@
-"""The files of a diagnosis: result.json, tables, arrays and the mended model, all that the page is drawn from."""
+"""The files of a diagnosis: result.json, tables, arrays and the mended model. The page is drawn from them alone."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -11,14 +11,15 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, control_columns
-from btr_mjx.gap.effects import KNOWN, Effect
-from btr_mjx.gap.results.mend import Found, Mended, mend
+from btr_mjx.gap.effects import KNOWN_EFFECTS, Effect
+from btr_mjx.gap.results.mended_model import FoundEffect, MendedModel, mend
 from btr_mjx.gap.results.records import Diagnosis, DisagreementMap, NextExperiment
 from btr_mjx.gap.results.wording import place_in_words, verdict_sentence
 from btr_mjx.models import parse_path, part_names
 from btr_mjx.runs import atomic_write, write_arrays, write_json, write_table
 
 RESULT = "result.json"
+"""File name of the result for scripts."""
 
 
 def save_diagnosis(
@@ -26,23 +27,23 @@ def save_diagnosis(
     dataset: Dataset,
     folder: str | Path,
     *,
-    effects: Sequence[Effect] = KNOWN,
+    effects: Sequence[Effect] = KNOWN_EFFECTS,
     next_experiment: NextExperiment | None = None,
     more: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Write a diagnosis.
 
     Args:
-      diagnosis: what was found.
-      dataset: in what.
-      folder: where result.json, ranking.csv, disagreement.csv, disagreement.npz, overlays.npz, believed.csv and, where
-        an effect was named or something refitted, mended.xml and mended.json go.
+      diagnosis: the outcome of the search.
+      dataset: the dataset that was searched.
+      folder: folder for result.json, ranking.csv, disagreement.csv, disagreement.npz, overlays.npz, believed.csv and,
+        where an effect was named, mended.xml and mended.json.
       effects: the library that was searched.
-      next_experiment: what tells the survivors apart, for next_command.csv; None if there is none.
+      next_experiment: proposal for next_command.csv; None if there is none.
       more: further entries of result.json.
 
     Returns:
-      What result.json says.
+      Content of result.json.
 
     Raises:
       OSError: the folder cannot be written to.
@@ -51,7 +52,7 @@ def save_diagnosis(
     result = as_result(diagnosis, dataset) | {"next_experiment": None} | dict(more or {})
     if next_experiment is not None:
         result["next_experiment"] = _write_command(next_experiment, dataset.model, folder)
-    mended = mended_model(diagnosis, dataset, effects)
+    mended = _mended(diagnosis, dataset, effects)
     if mended is not None:
         _write_text(folder / "mended.xml", mended.xml)
         write_json(folder / "mended.json", mended.as_json())
@@ -73,7 +74,15 @@ def _position_unit(model: mujoco.MjModel) -> str:
 
 
 def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
-    """What result.json says of a diagnosis: SI units, angles in rad."""
+    """Entries of result.json.
+
+    Args:
+      diagnosis: the outcome of the search.
+      dataset: the dataset that was searched.
+
+    Returns:
+      Entries for JSON, in SI units with angles in rad.
+    """
     close = set(diagnosis.equivalent)
     ranking = [
         {
@@ -106,7 +115,7 @@ def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
     return {
         "verdict": diagnosis.verdict,
         "dataset": dataset.folder.name or str(dataset.folder),
-        "where": where(diagnosis.disagreement),
+        "where": place_of_disagreement(diagnosis.disagreement),
         "effects": named,
         "ranking": ranking,
         "equivalent": [_entry(name) for name in diagnosis.equivalent],
@@ -142,8 +151,15 @@ _CONTRASTS = (
 )
 
 
-def where(disagreement: DisagreementMap) -> str:
-    """The place that disagrees most, and in which regimes, in words; empty where the map has no numbers."""
+def place_of_disagreement(disagreement: DisagreementMap) -> str:
+    """The place with the largest disagreement, and the regimes in which it occurs, in words.
+
+    Args:
+      disagreement: mean squares of the unknown force by place and regime, in units of the noise.
+
+    Returns:
+      Text such as "joint knee, when it moves fast"; empty where the map has no numbers or all are below 1.5.
+    """
     value = np.asarray(disagreement.value, float)
     column = {name: i for i, name in enumerate(disagreement.regimes)}
     overall = value[:, column["all"]] if "all" in column else np.nanmean(value, axis=1) if value.size else value
@@ -151,29 +167,25 @@ def where(disagreement: DisagreementMap) -> str:
         return ""
     row = int(np.nanargmax(overall))
     words = []
-    for more, less, told, told_less in _CONTRASTS:
+    for more, less, more_in_words, less_in_words in _CONTRASTS:
         if more not in column or less not in column:
             continue
-        # Only the excess over the noise floor, which is 1, says where.
+        # Regimes are compared by their excess over the noise floor, which is 1.
         a, b = (max(float(value[row, column[name]]) - 1.0, 0.0) for name in (more, less))
         if a > 2.0 * b + 0.2:
-            words.append(told)
+            words.append(more_in_words)
         elif b > 2.0 * a + 0.2:
-            words.append(told_less)
+            words.append(less_in_words)
     return ", ".join([place_in_words(disagreement.places[row]), *words[:1]]) + "".join(f" {w}" for w in words[1:3])
 
 
-def mended_model(diagnosis: Diagnosis, dataset: Dataset, effects: Sequence[Effect] = KNOWN) -> Mended | None:
-    """The believed model with what was named and refitted, and the calibration that goes with it.
-
-    Returns:
-      None if nothing was named.
-    """
+def _mended(diagnosis: Diagnosis, dataset: Dataset, effects: Sequence[Effect] = KNOWN_EFFECTS) -> MendedModel | None:
+    """The believed model with named effects, refitted parameters and errors of calibration; None without a name."""
     if not diagnosis.effects:
         return None
-    found = [Found(error.effect, error.location, error.parameters) for error in diagnosis.calibration]
+    found = [FoundEffect(error.effect, error.location, error.parameters) for error in diagnosis.calibration]
     found += [
-        Found(effect.effect, effect.location, {name: p.value for name, p in effect.parameters.items()})
+        FoundEffect(effect.effect, effect.location, {name: p.value for name, p in effect.parameters.items()})
         for effect in diagnosis.effects
     ]
     final = {refit.name: refit.final for refit in diagnosis.believed if refit.final != refit.believed}
@@ -188,11 +200,11 @@ def mended_model(diagnosis: Diagnosis, dataset: Dataset, effects: Sequence[Effec
     try:
         return mend(source, found, believed=values, effects=effects)
     except (InputError, ValueError) as error:
-        return Mended(dataset.spec_xml, notes=(f"the model could not be mended: {error}",))
+        return MendedModel(dataset.spec_xml, notes=(f"the model could not be mended: {error}",))
 
 
 def _write_command(proposal: NextExperiment, model: mujoco.MjModel, folder: Path) -> dict[str, Any]:
-    """Write the proposed command as a table, columns as of a recording, and say what it is for."""
+    """Write the proposed command as a table with the columns of a recording; returns the entry of result.json."""
     columns = {name: proposal.values[:, k] for k, name in enumerate(control_columns(model))}
     write_table(folder / "next_command.csv", {"time": proposal.time} | columns)
     others = np.delete(np.asarray(proposal.others, float), proposal.chosen)

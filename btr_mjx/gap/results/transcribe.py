@@ -1,11 +1,15 @@
-"""Write what was edited in a compiled model back into its specification, so that the edit becomes an MJCF file."""
+"""Write the fields of an edited compiled model back into its `mujoco.MjSpec`, so that the edit becomes MJCF.
+
+An effect edits fields of `MjModel`. The fields in which the edited model differs from the base model are copied to the
+elements of the specification (joints, geoms, bodies, actuators, options) from which the compiler computes them.
+"""
 
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.simulate import World, fields_of
+from btr_mjx.gap.simulate import World, differing_fields
 
 _UNSET = float("nan")
 
@@ -28,7 +32,7 @@ _DERIVED = (
     "tendon_length0",
     "ten_J",
 )
-"""Fields that the compiler derives from the others, or that are written by other means."""
+"""Fields that the compiler computes from other fields, or that are written by other means."""
 
 _GEOM = {
     "geom_friction": "friction",
@@ -50,11 +54,14 @@ _ACTUATOR = ("gainprm", "biasprm", "forcerange", "forcelimited", "gear", "ctrlra
 def normalised(source: str | Path) -> mujoco.MjSpec:
     """A specification in MuJoCo's own form: radians, poses and inertias as the compiler found them.
 
-    What the compiler would compute again from an edited model is made explicit: velocity gains that follow from a
-    damping ratio, masses that are scaled to a total.
+    Values that the compiler would compute again from an edited model are made explicit: velocity gains that follow from
+    a damping ratio, masses that are scaled to a total.
 
     Args:
-      source: MJCF text, or a file; the meshes and textures of a file are referred to by absolute paths from then on.
+      source: MJCF text, or a file; meshes and textures of a file are then referred to by absolute paths.
+
+    Returns:
+      The compiled specification.
     """
     if isinstance(source, Path):
         spec = mujoco.MjSpec.from_file(str(source))
@@ -87,13 +94,13 @@ def write_changes(spec: mujoco.MjSpec, world: World, base: mujoco.MjModel) -> li
 
     Args:
       spec: the base model's specification from `normalised`; edited in place, to be compiled by the caller.
-      world: whose model is written.
+      world: the world whose model is written.
       base: the model that `spec` compiles to.
 
     Returns:
-      Names of fields that differ and that a specification cannot say.
+      Names of fields that differ and that a specification cannot express.
     """
-    changed = fields_of(world, base)
+    changed = differing_fields(world, base)
     model = world.model
     left = []
     for name in changed:
@@ -116,7 +123,7 @@ def _rows(ours: np.ndarray, theirs: np.ndarray) -> list[int]:
 
 
 def _write(spec: mujoco.MjSpec, name: str, rows: list[int], model: mujoco.MjModel, base: mujoco.MjModel) -> bool:
-    """Write the changed rows of one field; False if there is no way to say it."""
+    """Write the changed rows of one field; False if a specification cannot express them."""
     kind, _, attribute = name.partition("_")
     if name.startswith("opt."):
         attribute = name[4:]

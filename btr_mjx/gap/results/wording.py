@@ -1,10 +1,13 @@
-"""The results of a diagnosis in words: a verdict that an engineer can act on, and the names of effects and places."""
+"""The results of a diagnosis in sentences: the verdict, effects, places, and numbers with their intervals.
+
+Every function returns text and computes nothing else. The sentences are part of result.json and of the page.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-TITLES: Mapping[str, str] = {
+EFFECT_TITLES: Mapping[str, str] = {
     "viscous_damping": "viscous damping",
     "dry_friction": "dry friction",
     "load_friction": "load-dependent gear friction",
@@ -30,7 +33,7 @@ TITLES: Mapping[str, str] = {
     "fading_motor": "a motor that loses force over time",
     "elastic_cord": "an elastic cord",
 }
-"""Effects as they appear in sentences; others appear by their names."""
+"""Effects of the library as they appear in sentences; other effects appear by their names."""
 
 _MORE: Mapping[str, tuple[str, str]] = {
     "viscous_damping": ("more viscous damping", "less viscous damping"),
@@ -44,19 +47,19 @@ _MORE: Mapping[str, tuple[str, str]] = {
     "contact_softness": ("softer contacts", "harder contacts"),
     "air_drag": ("more air drag", "less air drag"),
 }
-"""Effects that may go both ways: how an increase and a decrease of their first number are called."""
+"""Effects whose first parameter may rise or fall: words for an increase and for a decrease."""
 
-NOT_NAMED = "small errors of calibration explain nearly as much, or held-out recordings do not bear it out"
-"""Why what is not ruled out is not named."""
+REASON_NOT_NAMED = "small errors of calibration explain nearly as much, or held-out recordings do not bear it out"
+"""Reason why a candidate is neither named nor ruled out."""
 
 
-def title(effect: str) -> str:
-    """An effect in words."""
-    return TITLES.get(effect, effect.replace("_", " "))
+def effect_title(effect: str) -> str:
+    """An effect in words, such as "viscous damping"."""
+    return EFFECT_TITLES.get(effect, effect.replace("_", " "))
 
 
 def place_in_words(label: str) -> str:
-    """A place in words."""
+    """A place in words, such as "joint knee" for "joint:knee"."""
     kind, _, name = label.partition(":")
     if kind == "subtree":
         return f"every joint from body {name} down"
@@ -65,36 +68,57 @@ def place_in_words(label: str) -> str:
     return f"{kind} {name}"
 
 
-def named(row: Mapping[str, Any]) -> str:
+def effect_at_place(row: Mapping[str, Any]) -> str:
     """Effect and place of an entry of results, in words."""
-    return f"{title(str(row['effect']))} at {place_in_words(str(row['location']))}"
+    return f"{effect_title(str(row['effect']))} at {place_in_words(str(row['location']))}"
 
 
-def likeness(effect: str, location: str, change: float, correlation: float) -> str:
-    """What would leave the same traces as a named effect.
+def confound_sentence(effect: str, location: str, change: float, correlation: float) -> str:
+    """A sentence on a change that would leave almost the same traces as a named effect.
 
     Args:
-      effect: its name, or that of a believed parameter.
-      location: where it would sit; "" for a believed parameter.
-      change: of its first number.
-      correlation: of the traces.
+      effect: name of the other effect, or of a believed parameter.
+      location: its place; "" for a believed parameter.
+      change: change of its first parameter; only the sign counts.
+      correlation: correlation of the two signatures, in [0, 1].
+
+    Returns:
+      The sentence.
     """
     if not location:
         what = f"a {'larger' if change > 0 else 'smaller'} {effect}"
     else:
-        more, less = _MORE.get(effect, (title(effect), title(effect)))
+        more, less = _MORE.get(effect, (effect_title(effect), effect_title(effect)))
         what = f"{more if change > 0 else less} at {place_in_words(location)}"
     how = "almost the same" if correlation >= 0.95 else "similar"
     return f"{what[0].upper()}{what[1:]} would leave {how} traces ({correlation:.2f})."
 
 
-def moved(name: str, before: float, after: float) -> str:
-    """A believed parameter that gave way to an effect."""
-    return f"The believed {name} moved from {number(before)} to {number(after)} when the effect entered."
+def refit_sentence(name: str, before: float, after: float) -> str:
+    """A sentence on a believed parameter whose refitted value changed when an effect was added.
+
+    Args:
+      name: name of the parameter.
+      before: refitted value without the effect.
+      after: refitted value with the effect.
+
+    Returns:
+      The sentence.
+    """
+    change = f"from {format_number(before)} to {format_number(after)}"
+    return f"The believed {name} moved {change} when the effect entered."
 
 
-def number(value: float | None, digits: int = 3) -> str:
-    """A number for readers: three significant digits, no exponent where none is needed."""
+def format_number(value: float | None, digits: int = 3) -> str:
+    """A number as text.
+
+    Args:
+      value: the number; None, NaN and infinities become a dash.
+      digits: significant digits.
+
+    Returns:
+      Fixed-point text between 1e-4 and 1e6, otherwise a mantissa and a power of ten.
+    """
     if value is None or not math.isfinite(float(value)):
         return "–"
     value = float(value)
@@ -108,45 +132,59 @@ def number(value: float | None, digits: int = 3) -> str:
     return f"{mantissa}·10^{int(exponent)}".replace("-", "−")
 
 
-def with_interval(parameter: Mapping[str, Any]) -> str:
-    """A value with its interval and unit: "0.31 ± 0.03 N m", or both ends where they are lopsided."""
+def format_estimate(parameter: Mapping[str, Any]) -> str:
+    """An estimate with its interval and unit.
+
+    Args:
+      parameter: an entry of `parameters` in result.json: value, low, high, unit, edge.
+
+    Returns:
+      "0.31 ± 0.03 N m" where the interval is nearly symmetric, otherwise value and both ends: "2 [1, 4] kg".
+    """
     value, low, high = (_float(parameter.get(key)) for key in ("value", "low", "high"))
     unit = str(parameter.get("unit", "") or "")
     unit = "" if unit in ("1", "") else f" {unit}"
     if value is None:
         return "–"
     if parameter.get("edge"):
-        return f"{number(value)}{unit} (the edge of what is tried; the true one may be beyond)"
+        return f"{format_number(value)}{unit} (the edge of what is tried; the true one may be beyond)"
     if low is None or high is None:
-        return f"{number(value)}{unit}"
+        return f"{format_number(value)}{unit}"
     above, below = high - value, value - low
     if above >= 0 and below >= 0 and abs(above - below) <= 0.35 * max(above, below):
         return f"{_rounded(value, (above + below) / 2)}{unit}"
-    return f"{number(value)} [{number(low)}, {number(high)}]{unit}"
+    return f"{format_number(value)} [{format_number(low)}, {format_number(high)}]{unit}"
 
 
 def _rounded(value: float, error: float) -> str:
-    """Value and error with as many decimals as the error deserves."""
+    """Value and error, rounded to two digits of the error."""
     if not error > 0:
-        return number(value)
+        return format_number(value)
     decimals = _decimals(error)
     if decimals > 8 or abs(value) >= 1e6:
-        return f"{number(value)} ± {number(error, 2)}"
+        return f"{format_number(value)} ± {format_number(error, 2)}"
     return f"{value:.{decimals}f} ± {error:.{decimals}f}".replace("-", "−")
 
 
 def _decimals(error: float) -> int:
-    """How many show two digits of an error."""
+    """Decimals that show two digits of an error."""
     return max(0, 1 - math.floor(math.log10(error)))
 
 
-def with_ends(parameter: Mapping[str, Any]) -> dict[str, str]:
-    """Value, low and high of a parameter, each with as many digits as tell them apart."""
+def estimate_cells(parameter: Mapping[str, Any]) -> dict[str, str]:
+    """Value, low and high of a parameter as text, with enough digits to distinguish them.
+
+    Args:
+      parameter: an entry of `parameters` in result.json.
+
+    Returns:
+      Text for the keys value, low and high.
+    """
     found = {key: _float(parameter.get(key)) for key in ("value", "low", "high")}
     known = [v for v in found.values() if v is not None]
     apart = [abs(v - known[0]) for v in known[1:] if v != known[0]]
     if len(known) < len(found) or not apart or max(map(abs, known)) >= 1e6 or _decimals(min(apart)) > 8:
-        return {key: number(value) for key, value in found.items()}
+        return {key: format_number(value) for key, value in found.items()}
     decimals = _decimals(min(apart))
     return {key: f"{value:.{decimals}f}".replace("-", "−") for key, value in found.items()}
 
@@ -160,19 +198,26 @@ def _float(value: Any) -> float | None:
 
 
 def parameters_in_words(effect: Mapping[str, Any]) -> str:
-    """All parameters of an effect."""
+    """All parameters of an effect in result.json, with intervals."""
     if effect["effect"] == "load_friction" and set(effect["parameters"]) == {"coefficient"}:
-        return f"{with_interval(effect['parameters']['coefficient'])} of the motor torque"
-    return ", ".join(f"{name.replace('_', ' ')} {with_interval(p)}" for name, p in effect["parameters"].items())
+        return f"{format_estimate(effect['parameters']['coefficient'])} of the motor torque"
+    return ", ".join(f"{name.replace('_', ' ')} {format_estimate(p)}" for name, p in effect["parameters"].items())
 
 
 def verdict_sentence(result: Mapping[str, Any]) -> str:
-    """What result.json says, in one paragraph."""
+    """The outcome of a diagnosis in one paragraph.
+
+    Args:
+      result: content of result.json.
+
+    Returns:
+      Where simulation and data disagree, the verdict, the held-out gap, and what is equivalent.
+    """
     parts = [_where(result)]
     verdict, effects = result.get("verdict"), list(result.get("effects") or [])
     if verdict == "effect" and effects:
         subject = "The missing effect is" if len(effects) == 1 else "The missing effects are"
-        each = " and ".join(f"{named(effect)} ({parameters_in_words(effect)})" for effect in effects)
+        each = " and ".join(f"{effect_at_place(effect)} ({parameters_in_words(effect)})" for effect in effects)
         parts.append(f"{subject} {each}.")
         parts.append(_gap(result))
         parts.append(_runner_up(result))
@@ -200,21 +245,22 @@ def _gap(result: Mapping[str, Any]) -> str:
     if before is None or after is None:
         return ""
     many = "them" if len(result.get("effects") or []) > 1 else "it"
-    inside = [f"noise floor {number(floor)}"] if floor is not None else []
+    inside = [f"noise floor {format_number(floor)}"] if floor is not None else []
     inside += [str(gap["unit"])] if gap.get("unit") else []
-    fall = f"from {number(before)} to {number(after)}" + (f" ({'; '.join(inside)})" if inside else "")
+    fall = f"from {format_number(before)} to {format_number(after)}" + (f" ({'; '.join(inside)})" if inside else "")
     start, end = _float(gap.get("open_loop_before")), _float(gap.get("open_loop_after"))
     if start is None or end is None:
         return f"Adding {many} shrinks the held-out gap {fall}."
     unit = gap.get("open_loop_unit", "rad")
     whole = "the position error over whole held-out recordings, simulated from their first sample,"
     if end < start:
-        path = f"from {number(start)} to {number(end)} {unit}"
+        path = f"from {format_number(start)} to {format_number(end)} {unit}"
         return f"Adding {many} shrinks {whole} {path}, and the gap over short stretches {fall}."
+    without, added = (f"{format_number(error)} {unit}" for error in (start, end))
     return (
-        f"Adding {many} shrinks the gap over short held-out stretches {fall}, but not {whole} which is {number(start)} "
-        f"{unit} without and {number(end)} {unit} with {many}: where small differences grow, a motion can be followed "
-        "over short stretches only."
+        f"Adding {many} shrinks the gap over short held-out stretches {fall}, but not {whole} which is {without} "
+        f"without and {added} with {many}: where small differences grow, a motion can be followed over short "
+        "stretches only."
     )
 
 
@@ -224,7 +270,9 @@ def _noise_floor(result: Mapping[str, Any]) -> str:
     if before is None:
         return ""
     unit = f" ({gap['unit']})" if gap.get("unit") else ""
-    return f"The held-out gap is {number(before)}{unit}" + (f", the noise floor {number(floor)}." if floor else ".")
+    return f"The held-out gap is {format_number(before)}{unit}" + (
+        f", the noise floor {format_number(floor)}." if floor else "."
+    )
 
 
 def _runner_up(result: Mapping[str, Any]) -> str:
@@ -236,14 +284,14 @@ def _runner_up(result: Mapping[str, Any]) -> str:
         return ""
     best, second = (_float(ranked[0].get("score")) if ranked else None), _float(others[0].get("score"))
     if best is None or second is None or best <= 0:
-        return f"Runner-up: {named(others[0])}."
+        return f"Runner-up: {effect_at_place(others[0])}."
     share, of = second / best, "the score"
     gains = [(_float(row.get("gain")) or 0.0) + (_float(row.get("held_out")) or 0.0) for row in (ranked[0], others[0])]
     if bool(ranked[0].get("fresh")) != bool(others[0].get("fresh")) and gains[0] > 0:
-        # Fresh windows add to the score of whoever was judged on them; these two are compared where both were.
+        # Fresh windows add to the score of one of the two; gains on the windows that both share are compared.
         share, of = gains[1] / gains[0], "the gain on the same windows"
     how = "far behind" if share < 0.6 else "behind" if share < 0.9 else "close behind"
-    return f"Runner-up: {named(others[0])}, {how} ({100 * max(share, 0):.0f} % of {of})."
+    return f"Runner-up: {effect_at_place(others[0])}, {how} ({100 * max(share, 0):.0f} % of {of})."
 
 
 def _key(row: Mapping[str, Any]) -> tuple[str, str]:
@@ -251,7 +299,7 @@ def _key(row: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def _equivalent(result: Mapping[str, Any]) -> str:
-    """Candidates that these data cannot tell apart, and what to do about it."""
+    """Candidates that these data cannot distinguish, and a pointer to the next experiment."""
     same = {_key(effect) for effect in result.get("effects") or []}
     others = []
     for entry in result.get("equivalent") or []:
@@ -259,10 +307,12 @@ def _equivalent(result: Mapping[str, Any]) -> str:
         others += [m for m in members if isinstance(m, Mapping) and "effect" in m and _key(m) not in same]
     if not others:
         return ""
-    which = " or ".join(named(m) for m in others[:4]) + (f" (and {len(others) - 4} more)" if len(others) > 4 else "")
+    which = " or ".join(effect_at_place(m) for m in others[:4]) + (
+        f" (and {len(others) - 4} more)" if len(others) > 4 else ""
+    )
     text = f"These data cannot tell it apart from {which}"
     if result.get("verdict") == "none":
-        text = f"Nor is {which} ruled out, but {NOT_NAMED}"
+        text = f"Nor is {which} ruled out, but {REASON_NOT_NAMED}"
     return text + (": run the experiment below next." if result.get("next_experiment") else ".")
 
 

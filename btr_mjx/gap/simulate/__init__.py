@@ -1,16 +1,17 @@
-"""Worlds and their simulation by the thousand in native MuJoCo.
+"""Batched simulation of worlds in native MuJoCo.
 
-A `World` is one way the robot could be: a model, a command and laws that act between steps. `simulate` runs `Job`s in
-batches on threads, `Counter` adds up the steps, and a `Journal` keeps the answers of a search that may be killed.
+A `World` is a hypothesis about the robot: a model, edits of the command, and laws that act between steps. `simulate`
+runs `Job`s (a world over `Segments` of recordings) in batches on threads. `Counter` adds up the simulated steps;
+`Journal` also stores the results on disk, so that an interrupted search can resume.
 """
 
 from btr_mjx.gap.simulate.batch import Counter, simulate
 from btr_mjx.gap.simulate.commands import Command
 from btr_mjx.gap.simulate.journal import Journal
 from btr_mjx.gap.simulate.laws import Rows
-from btr_mjx.gap.simulate.stretches import Job, Stretch
-from btr_mjx.gap.simulate.threads import abreast
-from btr_mjx.gap.simulate.world import World, fields_of, fingerprint
+from btr_mjx.gap.simulate.segments import Job, Segments
+from btr_mjx.gap.simulate.threads import run_in_threads
+from btr_mjx.gap.simulate.world import World, differing_fields, fingerprint
 
 __all__ = [
     "Command",
@@ -18,10 +19,10 @@ __all__ = [
     "Job",
     "Journal",
     "Rows",
-    "Stretch",
+    "Segments",
     "World",
-    "abreast",
-    "fields_of",
+    "differing_fields",
     "fingerprint",
+    "run_in_threads",
     "simulate",
 ]

@@ -1,8 +1,9 @@
-"""Simulation of worlds by the thousand in native MuJoCo.
+"""Batched simulation of many worlds over segments of recordings, with `mujoco.batch.Batch`.
 
-A `World` is a model with its command edits, laws and encoder offsets: what an effect edits. A `Stretch` is a set of
-windows of the data. `simulate` runs every job, a world over a stretch, in as few batches as possible; the control is
-sampled in the middle of each step, because a control held from the step's start looks like a delay of half a step.
+A `World` is a model with command edits, laws and encoder offsets. `Segments` are windows of the data with their
+starting states and commands. `simulate` runs all jobs (world, segments) in as few batches as possible. The control of
+a step is the command in the middle of the step: a control held from the start of the step acts like a delay of half a
+step.
 """
 
 import copy
@@ -15,49 +16,51 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.simulate.lawless import freewheel
 from btr_mjx.gap.simulate.laws import Rows
-from btr_mjx.gap.simulate.stretches import Controls, Job, Piece, Sampler, Stretch
-from btr_mjx.gap.simulate.world import CommandEdit, World, fields_of, fingerprint
+from btr_mjx.gap.simulate.rollout import rollout_without_laws
+from btr_mjx.gap.simulate.segments import Controls, Job, Piece, Sampler
+from btr_mjx.gap.simulate.world import World, differing_fields, fingerprint
 from btr_mjx.models import integrate, read_field
 from btr_mjx.runs import available_cores
 
-__all__ = ["CommandEdit", "Counter", "Job", "Stretch", "World", "fields_of", "simulate"]
-
 _ROWS_PER_THREAD = 4
-"""Rows that are worth a thread."""
+"""Smallest number of rows per thread."""
 
-_ROWS = 8192
-"""Rows of one batch: bounds the memory that many jobs take."""
+_MAX_ROWS = 8192
+"""Largest number of rows of a batch; bounds the memory."""
 
-_FEW_GEOMS = 8
-"""Geoms of a body up to which MuJoCo's middle phase of collision detection costs more than it brings."""
+_MAX_GEOMS_BRUTE_FORCE = 8
+"""Geoms of a body up to which testing all pairs is faster than MuJoCo's collision midphase."""
 
-_ENOUGH = 20
-"""Iterations in which Newton's method converges wherever it begins."""
+_MIN_ITERATIONS = 20
+"""Solver iterations from which on Newton's method converges from any starting point."""
 
 
 @dataclass
 class Counter:
-    """Simulated steps, summed over all rows; a `journal.Journal` also keeps what came out of them.
+    """Thread-safe counter of simulated steps, summed over all rows.
 
-    Searches simulate in several threads, which share one counter.
+    `journal.Journal` also stores the simulated states.
+
+    Attributes:
+      steps: number of steps so far.
+      lock: protects `steps`.
     """
 
     steps: int = 0
     lock: Lock = field(default_factory=Lock, repr=False)
 
-    def recall(self, jobs: Sequence[Job], timestep: float | None) -> list[np.ndarray] | None:
-        """States of these jobs where they are known already."""
+    def lookup(self, jobs: Sequence[Job], timestep: float | None) -> list[np.ndarray] | None:
+        """Stored states of these jobs; None if there are none."""
         return None
 
     def add(self, steps: int) -> None:
-        """Count steps."""
+        """Add to the number of steps."""
         with self.lock:
             self.steps += steps
 
-    def keep(self, jobs: Sequence[Job], timestep: float | None, states: Sequence[np.ndarray], steps: int) -> None:
-        """Take note of the states of these jobs, and of the steps that they took."""
+    def store(self, jobs: Sequence[Job], timestep: float | None, states: Sequence[np.ndarray], steps: int) -> None:
+        """Store the states (W, K, nq + nv) of these jobs and count their steps."""
         self.add(steps)
 
 
@@ -68,45 +71,47 @@ def simulate(
     threads: int | None = None,
     counter: Counter | None = None,
 ) -> list[np.ndarray]:
-    """Simulate worlds over stretches.
+    """Simulate worlds over segments.
 
     Args:
-      jobs: (world, stretch) pairs. Models of equal sizes share batches.
-      timestep: another time step than the models' own [s].
+      jobs: (world, segments) pairs. Models of equal sizes share batches.
+      timestep: time step [s]; None for that of the models.
       threads: number of threads; None for all cores. Results do not depend on it.
-      counter: adds up the simulated steps.
+      counter: adds up the simulated steps, and may store results.
 
     Returns:
-      For each job states (W, K, nq + nv) at the sample times as the encoders would report them: qpos with the world's
-      offset, qvel without. Between two steps they are interpolated in the tangent space. Rows are NaN from where a
-      simulation became invalid.
+      For each job states (W, K, nq + nv) at the sample times, as encoders report them: qpos includes the offset of the
+      world. Between two steps states are interpolated in the tangent space. A row is NaN from the first invalid sample.
+
+    Raises:
+      InputError: the shapes of segments do not fit the model.
     """
-    known = None if counter is None else counter.recall(jobs, timestep)
+    known = None if counter is None else counter.lookup(jobs, timestep)
     if known is not None:
         return known
-    out = [np.empty((*stretch.times.shape, world.model.nq + world.model.nv)) for world, stretch in jobs]
+    out = [np.empty((*segments.times.shape, world.model.nq + world.model.nv)) for world, segments in jobs]
     steps = 0
-    for members in _alike(jobs, timestep):
+    for members in _compatible(jobs, timestep):
         for block in _blocks(members, jobs):
-            steps += _run(block, jobs, out, timestep, threads)
+            steps += _simulate_batch(block, jobs, out, timestep, threads)
     for (world, _), states in zip(jobs, out, strict=True):
         if world.offset.any():
             nq = world.model.nq
             states[..., :nq] = integrate(world.model, states[..., :nq], world.offset)
     if counter is not None:
-        counter.keep(jobs, timestep, out, steps)
+        counter.store(jobs, timestep, out, steps)
     return out
 
 
-def _alike(jobs: Sequence[Job], timestep: float | None) -> list[list[int]]:
-    """Indices of jobs whose models may share a batch."""
+def _compatible(jobs: Sequence[Job], timestep: float | None) -> list[list[int]]:
+    """Groups of job indices whose models may share a batch."""
     groups: dict[tuple, list[int]] = {}
-    for index, (world, stretch) in enumerate(jobs):
+    for index, (world, segments) in enumerate(jobs):
         model = world.model
-        if stretch.qpos.shape != (len(stretch), model.nq) or stretch.qvel.shape != (len(stretch), model.nv):
+        if segments.qpos.shape != (len(segments), model.nq) or segments.qvel.shape != (len(segments), model.nv):
             raise InputError(
-                f"stretch: got qpos {stretch.qpos.shape} and qvel {stretch.qvel.shape}, expected "
-                f"({len(stretch)}, {model.nq}) and ({len(stretch)}, {model.nv}) for this model"
+                f"segments: got qpos {segments.qpos.shape} and qvel {segments.qvel.shape}, expected "
+                f"({len(segments)}, {model.nq}) and ({len(segments)}, {model.nv}) for this model"
             )
         sizes = tuple(getattr(model, name) for name in _SIZES)
         key = (*sizes, timestep or model.opt.timestep, model.opt.integrator, bool(world.laws))
@@ -115,9 +120,9 @@ def _alike(jobs: Sequence[Job], timestep: float | None) -> list[list[int]]:
 
 
 def _blocks(members: Sequence[int], jobs: Sequence[Job]) -> Iterator[list[Piece]]:
-    """Pieces of jobs that fill a batch of at most `_ROWS` rows."""
+    """Batches of at most `_MAX_ROWS` rows, as lists of pieces of jobs."""
     block: list[Piece] = []
-    room = _ROWS
+    room = _MAX_ROWS
     for index in members:
         first, count = 0, len(jobs[index][1])
         while first < count:
@@ -127,47 +132,47 @@ def _blocks(members: Sequence[int], jobs: Sequence[Job]) -> Iterator[list[Piece]
             first = last
             if room == 0:
                 yield block
-                block, room = [], _ROWS
+                block, room = [], _MAX_ROWS
     if block:
         yield block
 
 
-def _run(
+def _simulate_batch(
     block: list[Piece],
     jobs: Sequence[Job],
     out: list[np.ndarray],
     timestep: float | None,
     threads: int | None,
 ) -> int:
-    """Simulate one batch and write the states of its pieces; returns the number of steps."""
-    base = copy.copy(jobs[block[0][0]][0].settle())
+    """Simulate one batch, write the states of its pieces to `out`, and return the number of steps."""
+    base = copy.copy(jobs[block[0][0]][0].update_constants())
     if timestep is not None:
         base.opt.timestep = timestep
-    base.opt.disableflags |= _needless(base)
+    base.opt.disableflags |= _unneeded_features(base)
     dt = float(base.opt.timestep)
     pieces = [(jobs[i][0], jobs[i][1].take(slice(a, b))) for i, a, b in block]
-    ends = np.cumsum([len(stretch) for _, stretch in pieces])
-    rows = [slice(end - len(stretch), end) for end, (_, stretch) in zip(ends, pieces, strict=True)]
+    ends = np.cumsum([len(segments) for _, segments in pieces])
+    rows = [slice(end - len(segments), end) for end, (_, segments) in zip(ends, pieces, strict=True)]
     count = int(ends[-1])
-    # Threads that wait for each other at every step cost more than they bring to a few rows.
+    # For few rows the synchronisation of threads at every step costs more than it saves.
     most = threads or available_cores()
     batch = Batch(base, nsim=count, nthread=max(1, min(most, count // _ROWS_PER_THREAD)))
     _write_models(batch, base, pieces, rows)
     qpos, qvel, time = batch.bind("qpos"), batch.bind("qvel"), batch.bind("time")
-    for (world, stretch), own in zip(pieces, rows, strict=True):
-        time[own] = stretch.start
-        qpos[own] = integrate(world.model, stretch.qpos, -world.offset) if world.offset.any() else stretch.qpos
-        qvel[own] = stretch.qvel
-        if stretch.act is not None:
-            batch.bind("act")[own] = stretch.act
+    for (world, segments), own in zip(pieces, rows, strict=True):
+        time[own] = segments.start
+        qpos[own] = integrate(world.model, segments.qpos, -world.offset) if world.offset.any() else segments.qpos
+        qvel[own] = segments.qvel
+        if segments.act is not None:
+            batch.bind("act")[own] = segments.act
     sampler = Sampler(base, pieces, dt)
     controls = Controls(pieces, rows, dt, base.nu)
     forces = _Forces(batch, pieces, rows)
-    steps, everyone = sampler.steps, np.ones(count, bool)
-    sampler.record(0, qpos, qvel, everyone)
+    steps, all_rows = sampler.steps, np.ones(count, bool)
+    sampler.record(0, qpos, qvel, all_rows)
     free = not any(world.laws for world, _ in pieces)
-    done = freewheel(batch, sampler, controls) if free else np.zeros(count, int)
-    dead, before = np.zeros(count, bool), ~everyone
+    done = rollout_without_laws(batch, sampler, controls) if free else np.zeros(count, int)
+    dead, before = np.zeros(count, bool), ~all_rows
     ctrl, total = batch.bind("ctrl"), int(done.sum())
     ids: np.ndarray | None = None
     for k in range(int(done.min(initial=0)), int(steps.max(initial=0))):
@@ -191,40 +196,39 @@ def _run(
     return total
 
 
-def _needless(model: mujoco.MjModel) -> int:
-    """Disable flags of what windows of a model do without."""
+def _unneeded_features(model: mujoco.MjModel) -> int:
+    """Disable flags of features that short simulations do not need."""
     bits = mujoco.mjtDisableBit
-    # An invalid state must stay visible; MuJoCo's automatic reset would turn it into a new start.
+    # An invalid state must stay visible: no automatic reset.
     flags = int(bits.mjDSBL_AUTORESET)
     if model.ntree == 1:
-        # One tree is one island: to look for others takes a twentieth of a step.
+        # A single kinematic tree is a single island.
         flags |= int(bits.mjDSBL_ISLAND)
-    if model.body_geomnum.max(initial=0) <= _FEW_GEOMS:
-        # The pairs that a tree of bounding volumes would leave out are dismissed sooner than it is walked through.
+    if model.body_geomnum.max(initial=0) <= _MAX_GEOMS_BRUTE_FORCE:
         flags |= int(bits.mjDSBL_MIDPHASE)
-    if model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON and model.opt.iterations >= _ENOUGH:
-        # Windows are short, and the first of their steps has no step before it: Newton's method is there sooner from
-        # the acceleration without constraints. Where iterations are few, what it ends with depends on where it began.
+    if model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON and model.opt.iterations >= _MIN_ITERATIONS:
+        # The unconstrained acceleration is the better starting point for short windows, whose first step has no
+        # predecessor. With few iterations the result depends on the starting point, so the warm start is kept.
         flags |= int(bits.mjDSBL_WARMSTART)
     return flags
 
 
 def _write_models(batch: Batch, base: mujoco.MjModel, pieces: Sequence[Job], rows: Sequence[slice]) -> None:
-    """Give every row its world's model: only the fields in which a world differs are expanded."""
+    """Write the model of each world into its rows; only fields that differ from the base are expanded."""
     known: dict[int, dict[str, np.ndarray]] = {}
     first = pieces[0][0]
     if all(world is first for world, _ in pieces):
-        return  # the batch was made of it
+        return  # the base is a copy of this model
     prints, data = fingerprint(base), mujoco.MjData(base)
     for (world, _), own in zip(pieces, rows, strict=True):
         if id(world) not in known:
-            known[id(world)] = fields_of(world, base, prints, data)
+            known[id(world)] = differing_fields(world, base, prints, data)
         for name, values in known[id(world)].items():
             batch.expand(name)[own] = values
 
 
 class _Forces:
-    """Constant wrenches and laws of the worlds in a batch."""
+    """Applies the constant wrenches and the laws of the worlds in a batch."""
 
     def __init__(self, batch: Batch, pieces: Sequence[Job], rows: Sequence[slice]) -> None:
         self._batch = batch
@@ -249,12 +253,12 @@ class _Forces:
         self._rows = np.concatenate([np.arange(own.start, own.stop) for _, own in with_laws])
 
     def start(self) -> None:
-        """Compute the actuators' forces at the start states, which laws may read before the first step."""
+        """Compute the actuator forces at the start states, which laws may read before the first step."""
         if self._laws:
             self._batch.forward(self._rows)
 
     def apply(self) -> None:
-        """Put back what laws may have changed, then call them."""
+        """Reset everything that laws may write, then call the laws."""
         for world, rows, unchanged in self._laws:
             rows.qfrc_applied[...] = 0.0
             rows.xfrc_applied[...] = world.wrench
@@ -265,4 +269,4 @@ class _Forces:
 
 
 _SIZES = ("nq", "nv", "nu", "na", "nbody", "njnt", "ngeom", "nsite", "ntendon", "neq", "nM", "nhistory", "nmocap")
-"""What the models of one batch must agree in."""
+"""Model sizes that must be equal within a batch."""

@@ -1,7 +1,7 @@
-"""What was commanded over a recording, as a function of time that can be delayed and filtered exactly.
+"""Commands of a recording as functions of time, with exact delays and first-order lags.
 
-A command is a piecewise polynomial, one column per control. A first-order lag of it is again a polynomial plus an
-exponential on each piece, so that delays and lags cost no simulation and have no discretisation of their own.
+A command is a piecewise polynomial, one column per control. Its response to a first-order lag T dy/dt = u - y is a
+polynomial plus an exponential on each piece, so that delays and lags have no discretisation error.
 """
 
 from dataclasses import dataclass, replace
@@ -18,15 +18,15 @@ from btr_mjx.gap.data import Interpolation
 
 @dataclass(frozen=True)
 class Command:
-    """A command between its samples; before the first and after the last it keeps the end value.
+    """A sampled command as a function of time; constant before the first and after the last sample.
 
     Attributes:
       times: (K,) ascending [s].
       values: (K, nu) in the units of the controls.
-      interpolation: "hold" keeps a sample until the next, "linear" joins them, "cubic" is a spline through them.
-      delay: (nu,) by how much each control is late [s]; negative values are early.
+      interpolation: "hold" (zero-order hold), "linear" or "cubic" (spline).
+      delay: (nu,) delay of each control [s]; negative values advance it.
       lags: time constants (nu,) [s] of first-order lags in series; 0 is no lag.
-      added: (nu,) constant that is added in the end.
+      added: (nu,) constant added after delay and lags.
     """
 
     times: np.ndarray
@@ -50,14 +50,17 @@ class Command:
         return self.values.shape[1]
 
     def shifted(self, delay: ArrayLike) -> "Command":
-        """The same command, later by `delay` [s], a number or (nu,)."""
+        """The command delayed by `delay` [s], a number or (nu,)."""
         return self._with(delay=self._delay + np.asarray(delay, float))
 
     def filtered(self, time_constant: ArrayLike) -> "Command":
         """The command after a first-order lag, T dy/dt = u - y, at rest before the first sample.
 
         Args:
-          time_constant: T [s], a number or (nu,); 0 leaves a control as it is.
+          time_constant: T [s], a number or (nu,); 0 leaves a control unchanged.
+
+        Raises:
+          InputError: a negative time constant.
         """
         constant = np.broadcast_to(np.asarray(time_constant, float), (self.n,))
         if (constant < 0).any():
@@ -65,7 +68,7 @@ class Command:
         return self._with(lags=(*self.lags, constant))
 
     def plus(self, offset: ArrayLike) -> "Command":
-        """The command with a constant (nu,) added."""
+        """The command plus a constant (nu,)."""
         offset = np.broadcast_to(np.asarray(offset, float), (self.n,))
         return self._with(added=offset if self.added is None else self.added + offset)
 
@@ -82,11 +85,17 @@ class Command:
             out += self.added
         return out.reshape(*times.shape, self.n)
 
-    def over(self, times: ArrayLike, length: float) -> np.ndarray:
-        """What a step of a simulation is given: values (..., nu) over `length` from `times` (...) on [s].
+    def over_step(self, times: ArrayLike, length: float) -> np.ndarray:
+        """Control of simulation steps: the value in the middle of a step, or the mean over it for a held command.
 
-        A command that is held jumps, and a simulation whose steps saw their middle would be late by up to half of one,
-        however little the command is late: there it is the mean over the step, else the value in the middle.
+        A held command jumps; its value in the middle of a step is late by up to half a step, its mean is not.
+
+        Args:
+          times: (...) starts of the steps [s].
+          length: of a step [s].
+
+        Returns:
+          (..., nu) controls.
         """
         times = np.asarray(times, float)
         if self.interpolation != "hold":
@@ -103,23 +112,23 @@ class Command:
         return out.reshape(*times.shape, self.n)
 
     def _integral(self, times: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Integral of columns of the undelayed command from its first sample to times (N,)."""
+        """Integral (N, columns) of the undelayed command from its first sample to times (N,)."""
         polynomial, exponentials = self._solution
         piece = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 1)
         since = times - self.times[piece]
         found = self._whole[piece] + _piecewise(polynomial, exponentials, piece, np.maximum(since, 0.0)[:, None])
-        early = np.minimum(since, 0.0)[:, None]  # before the first sample it keeps its value
+        early = np.minimum(since, 0.0)[:, None]  # constant before the first sample
         return (found + early * self._evaluate(self.times[:1], np.arange(self.n)))[:, columns]
 
     @cached_property
     def _whole(self) -> np.ndarray:
-        """(K, nu) integral up to the start of each piece."""
+        """(K, nu) integral from the first sample to the start of each piece."""
         polynomial, exponentials = self._solution
         each = _piecewise(polynomial, exponentials, np.arange(len(self.times) - 1), np.diff(self.times)[:, None])
         return np.concatenate([np.zeros((1, self.n)), np.cumsum(each, axis=0)])
 
     def _with(self, **changes: Any) -> "Command":
-        """A changed copy, which shares what is already known of the polynomial."""
+        """A changed copy that shares the cached coefficients that are still valid."""
         other = replace(self, **changes)
         other.__dict__["_polynomial"] = self._polynomial
         if other.lags is self.lags:
@@ -131,7 +140,7 @@ class Command:
         return np.zeros(self.n) if self.delay is None else np.broadcast_to(self.delay, (self.n,))
 
     def _evaluate(self, times: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Columns of the undelayed command at times (N,)."""
+        """Values (N, columns) of the undelayed command at times (N,)."""
         polynomial, exponentials = self._solution
         piece = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 1)
         since = np.maximum(times - self.times[piece], 0.0)[:, None]
@@ -156,7 +165,7 @@ class Command:
 
     @cached_property
     def _solution(self) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
-        """Coefficients (order, K, nu) of each piece in the time since its start, and (weights (K, nu), constants)."""
+        """Coefficients (order, K, nu) in the time since the start of a piece, and (weights (K, nu), time constants)."""
         polynomial = self._polynomial
         exponentials: list[tuple[np.ndarray, np.ndarray]] = []
         for constant in self.lags:
@@ -182,9 +191,9 @@ def _lagged(
     exponentials: list[tuple[np.ndarray, np.ndarray]],
     constant: np.ndarray,
 ) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
-    """The exact response of T dy/dt = u - y to every piece, starting at rest on the first value."""
+    """The exact response of T dy/dt = u - y, in steady state at the first value."""
     order, count, n = polynomial.shape
-    # Two equal lags in series would resonate; a relative shift of 1e-4 is far below anything that data can tell.
+    # Equal time constants in series would need terms t exp(-t / T); a relative shift of 1e-4 avoids them.
     for _, other in exponentials:
         resonant = (constant > 0) & np.isclose(constant, other, rtol=9e-5, atol=0)
         constant = np.where(resonant, other * (1 + 1e-4), constant)
@@ -199,7 +208,7 @@ def _lagged(
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.where(other > 0, 1.0 / (1.0 - constant / np.where(other > 0, other, 1.0)), 0.0)
         carried.append((weight * ratio, other))
-    # What is left of the state at the start of a piece decays: w_{k+1} = y_k(end) - particular_{k+1}(0).
+    # Weight of the exponential of a piece: w_{k+1} = y_k(end) - particular_{k+1}(0).
     slow = constant > 0
     length = np.diff(times)[:, None]
     end = _horner(response[:, :-1], length)
@@ -221,7 +230,7 @@ def _lagged(
 def _piecewise(
     polynomial: np.ndarray, exponentials: list[tuple[np.ndarray, np.ndarray]], piece: np.ndarray, since: np.ndarray
 ) -> np.ndarray:
-    """Integrals (N, nu) over pieces (N,) from their starts to times (N, 1) after these."""
+    """Integrals (N, nu) over pieces (N,) from their starts to times (N, 1) after the start."""
     powers = np.arange(1, len(polynomial) + 1)[:, None, None]
     out = since * _horner((polynomial / powers)[:, piece], since)
     for weight, constant in exponentials:

@@ -1,11 +1,10 @@
-"""A journal of what was simulated, so that a search that was killed goes on where it was, to the bit.
+"""Cache of simulated states on disk, so that an interrupted search resumes with bit-identical results.
 
-A search is deterministic: with the same data it asks for the same simulations, and nearly all of its time goes into
-them. So nothing of the search itself is saved. Each answer of `batch.simulate` is written to a file of its own; a
-search that begins again is given these answers instead of simulating.
+A search is deterministic and spends nearly all of its time in simulations. Its own state is therefore not saved: each
+result of `batch.simulate` is written to a file, and a restarted search reads these files instead of simulating.
 
-An answer is only given to the question that it was written for: a file's name is a digest of worlds, starting states,
-commands and of this package's code. Threads may ask in any order.
+The file name is a SHA-256 digest of the worlds, starting states, commands, time step, MuJoCo version and the code of
+this package. Calls may come from threads in any order.
 """
 
 import hashlib
@@ -23,25 +22,25 @@ import numpy as np
 
 from btr_mjx.errors import DamagedFile
 from btr_mjx.gap.simulate.batch import Counter
-from btr_mjx.gap.simulate.stretches import Job, Stretch
+from btr_mjx.gap.simulate.segments import Job, Segments
 from btr_mjx.gap.simulate.world import World
 from btr_mjx.runs import read_arrays, write_arrays
 
 
 class Journal(Counter):
-    """Counts simulated steps, and keeps what was simulated in a folder.
+    """A counter of simulated steps that stores the simulated states in a folder.
 
     Attributes:
-      steps: simulated steps so far, those that were read back included.
+      steps: simulated steps so far, including those of results read from the folder.
     """
 
     def __init__(self, folder: Path, report: Callable[[int], None] | None = None, code: bytes = b"") -> None:
         """Open a journal.
 
         Args:
-          folder: of the files; made if absent.
-          report: called with the number of steps so far after each answer.
-          code: of effects that are not this package's; answers found with other code are not given.
+          folder: of the files; created if absent, emptied if it was written by other code.
+          report: called with the number of steps so far after each result.
+          code: source of user-defined effects, part of the digest.
         """
         super().__init__()
         self._folder, self._report = folder, report
@@ -53,8 +52,8 @@ class Journal(Counter):
                 path.unlink()
             (folder / mark).touch()
 
-    def recall(self, jobs: Sequence[Job], timestep: float | None) -> list[np.ndarray] | None:
-        """The states that were simulated for this question; None where there are none."""
+    def lookup(self, jobs: Sequence[Job], timestep: float | None) -> list[np.ndarray] | None:
+        """Stored states of these jobs; None if there are none or the file is damaged."""
         path = self._file(jobs, timestep)
         if not path.is_file():
             return None
@@ -66,43 +65,43 @@ class Journal(Counter):
         return [saved[f"states_{i}"] for i in range(len(jobs))]
 
     def add(self, steps: int) -> None:
-        """Count steps, and tell of it."""
+        """Add to the number of steps and report it."""
         with self.lock:
             self.steps += steps
             if self._report is not None:
                 self._report(self.steps)
 
-    def keep(self, jobs: Sequence[Job], timestep: float | None, states: Sequence[np.ndarray], steps: int) -> None:
-        """Write the states of this question."""
+    def store(self, jobs: Sequence[Job], timestep: float | None, states: Sequence[np.ndarray], steps: int) -> None:
+        """Write the states of these jobs to a file and count their steps."""
         arrays = {f"states_{i}": own for i, own in enumerate(states)} | {"steps": np.array(steps)}
         write_arrays(self._file(jobs, timestep), arrays)
         self.add(steps)
 
     def close(self) -> None:
-        """Remove the files: the search has come to its end."""
+        """Remove the files, at the end of a search."""
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def _file(self, jobs: Sequence[Job], timestep: float | None) -> Path:
-        return self._folder / f"{_question(self._code, jobs, timestep)}.npz"
+        return self._folder / f"{_key(self._code, jobs, timestep)}.npz"
 
 
-def _question(code: bytes, jobs: Sequence[Job], timestep: float | None) -> str:
-    """Digest of what is asked for."""
+def _key(code: bytes, jobs: Sequence[Job], timestep: float | None) -> str:
+    """Digest of jobs, time step and code."""
     digest = hashlib.sha256(code)
     digest.update(repr(timestep).encode())
     commands: dict[int, tuple] = {}
-    for world, stretch in jobs:
-        _add_stretch(digest, stretch)
+    for world, segments in jobs:
+        _add_segments(digest, segments)
         _add_world(digest, world)
-        for command in commands.setdefault(id(stretch.commands), stretch.commands):
+        for command in commands.setdefault(id(segments.commands), segments.commands):
             changed = world.command(command)
             _add(digest, changed.times, changed.values, changed.delay, changed.added, *changed.lags)
             digest.update(changed.interpolation.encode())
     return digest.hexdigest()
 
 
-def _add_stretch(digest: "hashlib._Hash", stretch: Stretch) -> None:
-    _add(digest, stretch.start, stretch.qpos, stretch.qvel, stretch.samples, stretch.recording, stretch.act)
+def _add_segments(digest: "hashlib._Hash", segments: Segments) -> None:
+    _add(digest, segments.start, segments.qpos, segments.qvel, segments.samples, segments.recording, segments.act)
 
 
 def _add_world(digest: "hashlib._Hash", world: World) -> None:
@@ -112,7 +111,7 @@ def _add_world(digest: "hashlib._Hash", world: World) -> None:
     for law in world.laws:
         try:
             _add_value(digest, law)
-        except RecursionError:  # it holds itself
+        except RecursionError:  # cyclic reference
             digest.update(os.urandom(16))
 
 
@@ -123,7 +122,7 @@ def _binary(model: mujoco.MjModel) -> np.ndarray:
 
 
 def _add_value(digest: "hashlib._Hash", value: Any) -> None:
-    """Add a law, with all the numbers that it holds: one of another size is another question."""
+    """Add a law to the digest, with all values that it holds."""
     digest.update(f"{type(value).__module__}.{type(value).__qualname__}".encode())
     if isinstance(value, (str, bytes, bool, int, float, complex, type(None), Enum)):
         digest.update(repr(value).encode())
@@ -149,7 +148,7 @@ def _add_value(digest: "hashlib._Hash", value: Any) -> None:
     elif hasattr(value, "__dict__") and not isinstance(value, type):
         _add_value(digest, vars(value))
     else:
-        digest.update(os.urandom(16))  # nobody knows what it holds: a question that is never answered twice
+        digest.update(os.urandom(16))  # unknown content: never matches
 
 
 def _add(digest: "hashlib._Hash", *arrays: np.ndarray | None) -> None:
@@ -161,7 +160,7 @@ def _add(digest: "hashlib._Hash", *arrays: np.ndarray | None) -> None:
 
 @cache
 def _code() -> bytes:
-    """Digest of this package's code, which is behind the answers, and of the simulator's version."""
+    """Digest of the code of this package and of the MuJoCo version."""
     digest = hashlib.sha256(mujoco.__version__.encode())
     for path in sorted(Path(__file__).parents[2].rglob("*.py")):
         digest.update(path.read_bytes())

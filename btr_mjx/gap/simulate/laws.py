@@ -1,4 +1,4 @@
-"""The state-dependent part of a world: laws that act between two steps on the rows of one world in a batch."""
+"""Laws: state-dependent changes of forces, controls or model fields, applied before each step of a batch."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,13 +10,13 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Rows:
-    """Live views of the rows that belong to one world; what a law writes holds for the next step only.
+    """Views of the batch rows of one world; what a law writes holds for the next step only.
 
-    Before every step the model's fields that laws write, the control and the applied forces are put back to what the
-    world says without its laws. A law therefore changes what it finds (`+=`), and laws add up.
+    Before every step the control, the applied forces and the model fields that laws write are reset to the values of
+    the world without laws. A law therefore adds to the values (`+=`), and several laws add up.
 
     Attributes:
-      model: the world's model; its values are those before the laws.
+      model: the model of the world, without laws.
       time: (N,) time at the start of the step [s].
       qpos: (N, nq) configuration at the start of the step.
       qvel: (N, nv) velocity at the start of the step.
@@ -25,7 +25,7 @@ class Rows:
       qfrc_applied: (N, nv) generalised force [N or N m].
       xfrc_applied: (N, nbody, 6) force [N] and torque [N m] on bodies, in the world frame.
       actuator_force: (N, nout) force of the actuators in the last step; before the first step, at the start state.
-      qfrc_actuator: (N, nv) the same as generalised forces.
+      qfrc_actuator: (N, nv) generalised force of the actuators, at the same time.
       fields: field name -> (N, *field shape).
     """
 
@@ -42,16 +42,16 @@ class Rows:
     fields: Mapping[str, np.ndarray]
 
     def field(self, name: str) -> np.ndarray:
-        """The rows' own values (N, *field shape) of a field that one of the world's laws declares."""
+        """Values (N, *field shape) of a model field that a law of the world declares in `Law.fields`."""
         return self.fields[name]
 
 
 class Law(Protocol):
-    """What happens to a robot between two steps, as arithmetic on all rows of a world."""
+    """A state-dependent change between two steps, computed for all rows of a world at once."""
 
     @property
     def fields(self) -> tuple[str, ...]:
-        """The MjModel fields that it writes, as `mujoco.batch.Batch.expand` names them."""
+        """The MjModel fields that the law writes, named as in `mujoco.batch.Batch.expand`."""
 
     def __call__(self, rows: Rows) -> None:
-        """Act on the coming step of every row."""
+        """Change the next step of every row."""

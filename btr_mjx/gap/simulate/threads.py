@@ -1,8 +1,4 @@
-"""Independent parts of a search side by side: while one simulates, another does its linear algebra.
-
-A batch of simulations keeps all cores busy, what lies between two batches keeps one. What is asked of both sides of the
-split, or of several candidates, has nothing to wait for.
-"""
+"""Independent tasks in threads: the linear algebra of one task overlaps with the simulations of another."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -10,18 +6,19 @@ from concurrent.futures import ThreadPoolExecutor
 from btr_mjx.runs import available_cores
 
 
-def abreast[T](tasks: Sequence[Callable[[], T]], most: int | None = None) -> list[T]:
-    """Run tasks that do not depend on each other in threads.
+def run_in_threads[T](tasks: Sequence[Callable[[], T]], most: int | None = None) -> list[T]:
+    """Run independent tasks in threads.
 
     Args:
-      tasks: each without arguments. Results must not depend on their order.
-      most: threads; None for as many as there are cores.
+      tasks: functions without arguments; results must not depend on the order of execution.
+      most: largest number of threads; None for the number of cores.
 
     Returns:
-      What they return, in their order.
+      Results in the order of the tasks.
 
     Raises:
-      Exception: what the first of them raised, after those that were running have ended.
+      Exception: that of the first failed task in this order, after running tasks have ended; waiting tasks are
+        cancelled.
     """
     threads = min(len(tasks), most or available_cores())
     if threads < 2:

@@ -1,4 +1,4 @@
-"""One way the robot could be: what an effect edits."""
+"""Worlds: a model, command edits, laws, encoder offsets and constant forces, edited by effects."""
 
 import copy
 from collections.abc import Callable, Mapping
@@ -18,15 +18,15 @@ CommandEdit = Callable[[Command], Command]
 
 @dataclass
 class World:
-    """One way the robot could be. Effects edit it in place, one after another.
+    """A hypothesis about the robot. Effects edit it in place, one after another.
 
     Attributes:
-      model: a private copy. Constants that MuJoCo derives from it follow by themselves when it is simulated.
+      model: a private copy. Constants derived by MuJoCo are updated before a simulation.
       command_edits: applied to the command of every recording, in order.
-      laws: the state-dependent part, called in order before every step.
-      offset: (nv,) what the encoders add to the true configuration, in the tangent space.
+      laws: state-dependent changes, called in order before every step.
+      offset: (nv,) encoder offset, added to the true configuration in the tangent space.
       wrench: (nbody, 6) constant force [N] and torque [N m] on bodies, at their centre of mass in the world frame.
-      kept: it is not edited any more, so that derived constants are brought up to date once only.
+      frozen: the world is not edited any more, so that derived constants are computed once only.
     """
 
     model: mujoco.MjModel
@@ -34,13 +34,13 @@ class World:
     laws: list[Law]
     offset: np.ndarray
     wrench: np.ndarray
-    kept: bool = False
-    _settled: bool = field(default=False, init=False, repr=False, compare=False)
+    frozen: bool = False
+    _constants_current: bool = field(default=False, init=False, repr=False, compare=False)
     _lock: Lock = field(default_factory=Lock, init=False, repr=False, compare=False)
 
     @classmethod
     def of(cls, model: mujoco.MjModel) -> "World":
-        """The world that a model describes; native delays of actuators become an edit of the command."""
+        """The world of a model; native actuator delays are converted to a command edit."""
         model = copy.copy(model)
         edits: list[CommandEdit] = []
         if model.actuator_delay.any():
@@ -52,44 +52,49 @@ class World:
         return cls(model, edits, [], np.zeros(model.nv), np.zeros((model.nbody, 6)))
 
     def command(self, command: Command) -> Command:
-        """What arrives at the actuators when `command` is sent."""
+        """The command that reaches the actuators."""
         for edit in self.command_edits:
             command = edit(command)
         return command
 
-    def settle(self, data: mujoco.MjData | None = None) -> mujoco.MjModel:
-        """Bring the constants that MuJoCo derives up to date; returns the model.
+    def update_constants(self, data: mujoco.MjData | None = None) -> mujoco.MjModel:
+        """Update the constants that MuJoCo derives from the model (`mj_setConst`).
 
         Args:
-          data: of a model of the same structure, for whoever settles many: to make one takes longer than all the rest.
-            It is overwritten.
+          data: scratch data of a model of the same structure, to avoid its allocation; overwritten.
+
+        Returns:
+          The model.
         """
         with self._lock:
-            if not (self.kept and self._settled):
+            if not (self.frozen and self._constants_current):
                 mujoco.mj_setConst(self.model, mujoco.MjData(self.model) if data is None else data)
-                self._settled = True
+                self._constants_current = True
         return self.model
 
 
 Fingerprint = Mapping[str, object]
-"""The fields of a model that are compared, as bytes or numbers."""
+"""Values of the compared fields of a model, as bytes or numbers."""
 
 
-def fields_of(
+def differing_fields(
     world: World, base: mujoco.MjModel, known: Fingerprint | None = None, data: mujoco.MjData | None = None
 ) -> dict[str, np.ndarray]:
-    """The fields of a world's model that differ from a base model, derived constants included.
+    """The fields of the model of a world that differ from a base model, derived constants included.
 
     Args:
-      world: whose model is compared; it is settled where it differs.
+      world: the world; its derived constants are updated if a field differs.
       base: a model of the same structure.
-      known: `fingerprint(base)`, for whoever compares many worlds with one base.
-      data: of the base, for the same, see `World.settle`.
+      known: `fingerprint(base)`, if already computed.
+      data: scratch data of the base, see `World.update_constants`.
+
+    Returns:
+      Values of the world's model by field name.
     """
     known = fingerprint(base) if known is None else known
     changed = _differing(world.model, known)
     if changed:
-        changed = _differing(world.settle(data), known)
+        changed = _differing(world.update_constants(data), known)
     return changed
 
 
@@ -103,11 +108,11 @@ _COMPARED = tuple(
         if name not in ("opt.timestep", "opt.integrator", "opt.disableflags", "opt.enableflags")
     )
 )
-"""Fields in which two worlds of one structure may differ in a way that matters to motion."""
+"""Fields that affect the motion and may differ between worlds of one structure."""
 
 
 def fingerprint(model: mujoco.MjModel) -> Fingerprint:
-    """What `fields_of` compares: what a model has none of cannot differ."""
+    """The nonempty fields of a model that `differing_fields` compares."""
     fields = ((name, _field(model, name)) for name in _COMPARED)
     return {name: _comparable(value) for name, value in fields if np.size(value)}
 
@@ -117,7 +122,7 @@ def _field(model: mujoco.MjModel, name: str) -> Any:
 
 
 def _comparable(value: Any) -> object:
-    # Bytes, because this is done for hundreds of worlds and array_equal takes ten times as long.
+    # Comparing bytes is faster than np.array_equal.
     return value.tobytes() if isinstance(value, np.ndarray) else value
 
 

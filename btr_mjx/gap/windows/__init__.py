@@ -1,68 +1,69 @@
-"""Short windows of the recordings: multiple shooting with unknown starting states.
+"""Multiple shooting: short windows of recordings with unknown starting states, and their linearisation.
 
-`prepare` estimates states from noisy samples, `chosen_windows` says which windows are looked at and with which time
-step, `Windows` simulates hypotheses over them, `signatures` tells how residuals answer to small changes of a world.
+`prepare` collects recordings, noise and activation states. `choose_windows` places windows and sets the time step.
+`Windows` simulates hypotheses and computes residuals with the starting states projected out. `linearise` fits starting
+states and differentiates; `signatures` are derivatives of residuals with respect to parameters.
 """
 
 from btr_mjx.gap.windows.likelihood import (
     Evidence,
     Fit,
-    bounded,
+    bounded_loss,
     fit,
     project,
+    regularised,
     scan_candidates,
-    steadied,
     typical_chi2,
-    weight,
+    window_weight,
 )
-from btr_mjx.gap.windows.linearisation import linearise, redirected
+from btr_mjx.gap.windows.linearisation import linearise, relinearised
 from btr_mjx.gap.windows.options import Options
-from btr_mjx.gap.windows.pacing import chosen_windows, pace_notes
-from btr_mjx.gap.windows.placement import Survey, grid, survey
-from btr_mjx.gap.windows.prepared import Data, prepare, scales_of, track_of
-from btr_mjx.gap.windows.rows import picked
-from btr_mjx.gap.windows.sensitivity import force_signatures, parts, signatures
-from btr_mjx.gap.windows.starting_states import centred, exactly, recentred
+from btr_mjx.gap.windows.placement import Survey, survey, tile_windows
+from btr_mjx.gap.windows.planning import choose_windows, time_step_notes
+from btr_mjx.gap.windows.prepared import PreparedData, prepare, scales_of, track_of
+from btr_mjx.gap.windows.rows import select_rows
+from btr_mjx.gap.windows.sensitivity import force_signatures, signatures, window_parts
+from btr_mjx.gap.windows.starting_states import fit_starting_states, with_fitted_states, with_step_error
 from btr_mjx.gap.windows.state_estimate import Span, Track, best_span, smooth
-from btr_mjx.gap.windows.time_steps import fine_step, kept, step_doubt
+from btr_mjx.gap.windows.time_steps import fine_step, reliable_windows, step_uncertainty
 from btr_mjx.gap.windows.windows import MakeWorld, Windows
 
 __all__ = [
-    "Data",
     "Evidence",
     "Fit",
     "MakeWorld",
     "Options",
+    "PreparedData",
     "Span",
     "Survey",
     "Track",
     "Windows",
     "best_span",
-    "bounded",
-    "centred",
-    "chosen_windows",
-    "exactly",
+    "bounded_loss",
+    "choose_windows",
     "fine_step",
     "fit",
+    "fit_starting_states",
     "force_signatures",
-    "grid",
-    "kept",
     "linearise",
-    "pace_notes",
-    "parts",
-    "picked",
     "prepare",
     "project",
-    "recentred",
-    "redirected",
+    "regularised",
+    "reliable_windows",
+    "relinearised",
     "scales_of",
     "scan_candidates",
+    "select_rows",
     "signatures",
     "smooth",
-    "steadied",
-    "step_doubt",
+    "step_uncertainty",
     "survey",
+    "tile_windows",
+    "time_step_notes",
     "track_of",
     "typical_chi2",
-    "weight",
+    "window_parts",
+    "window_weight",
+    "with_fitted_states",
+    "with_step_error",
 ]

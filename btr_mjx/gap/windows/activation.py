@@ -1,7 +1,6 @@
-"""The hidden states of actuators (an integral, a filter) along a recording of which motion and command are known.
+"""Activation states of actuators (integrators, filters) along a recording with known motion and command.
 
-A window of a recording starts with actuators that have a history. It is found by leading the model along the measured
-motion: positions and velocities are prescribed at every step, and MuJoCo's step integrates the actuators' states.
+The measured positions and velocities are prescribed at every step, and MuJoCo integrates the activation states.
 """
 
 import copy
@@ -21,18 +20,18 @@ def activations(
     qvel: np.ndarray,
     start: np.ndarray | None = None,
 ) -> np.ndarray:
-    """States of a world's actuators along a recording.
+    """Activation states of the actuators of a world along a recording.
 
     Args:
-      world: its command edits and encoder offsets count, its laws do not.
-      command: what was commanded.
+      world: its command edits and encoder offsets are applied, its laws are not.
+      command: command of the recording.
       time: (K,) ascending [s].
       qpos: (K, nq) measured configurations.
       qvel: (K, nv) measured velocities.
-      start: (na,) states at the first sample; None for zeros.
+      start: (na,) activation at the first sample; None for zeros.
 
     Returns:
-      (K, na), empty for actuators without states.
+      (K, na) activation at the samples.
     """
     model = copy.copy(world.model)
     out = np.zeros((len(time), model.na))
@@ -55,7 +54,7 @@ def activations(
             fractions,
             length,
         )
-        controls = sent.over(time[k - 1] + fractions * length, length / steps)
+        controls = sent.over_step(time[k - 1] + fractions * length, length / steps)
         for q, v, u in zip(path_q, path_v, controls, strict=True):
             data.qpos[:], data.qvel[:], data.ctrl[:] = q, v, u
             mujoco.mj_step(model, data)

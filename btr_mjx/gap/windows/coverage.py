@@ -1,34 +1,34 @@
-"""Which moments of the recordings are worth a window: those that together hold much of everything that happens.
+"""Choice of windows that together cover the activity in the recordings: motion, motor forces, contacts.
 
-Evenly spread windows may miss the few moments in which a motor reaches its limit or a foot the ground. What counts is
-what the robot does, never how badly the model follows: windows in which it errs would be chosen for their noise, too.
+Evenly spaced windows may miss rare events, such as a motor at its limit or a touchdown. The choice depends on the
+measured motion only, not on the residual of the model, which would select windows for their noise.
 """
 
 import numpy as np
 from mujoco.batch import Batch
 
 from btr_mjx.gap.simulate import Counter, World
-from btr_mjx.gap.windows.prepared import Data
+from btr_mjx.gap.windows.prepared import PreparedData
 from btr_mjx.runs import available_cores
 
-_TOUCH = 0.15
-"""Weight of a contact that is felt at one degree of freedom; of a speed or a motor's force there it is 1. With a weight
-of 1 what moves contacts gained two to five times as much as in even windows, and damping and drag half as much."""
+_CONTACT_WEIGHT = 0.15
+"""Weight of contact at one degree of freedom, relative to that of speed and of motor force. A larger weight improves
+the identification of effects that change contacts at the expense of damping and drag."""
 
-_AIR = 8.0
-"""Weight of time in which nothing touches: nothing disturbs what drag, gravity and friction do then."""
+_NO_CONTACT_WEIGHT = 8.0
+"""Weight of time without any contact, in which drag, gravity and joint friction act undisturbed."""
 
 
-def bustle(data: Data, counter: Counter) -> list[np.ndarray]:
-    """What goes on at every sample, as the believed models see it at the measured states.
+def activity(data: PreparedData, counter: Counter) -> list[np.ndarray]:
+    """Activity features at every sample, from the believed models at the measured states.
 
     Args:
       data: recordings.
       counter: adds up the simulated steps.
 
     Returns:
-      Per recording (K, 3 nv + 1): squares of speeds and of motors' forces and whether something touches, at every
-      degree of freedom, and whether nothing does anywhere.
+      Per recording (K, 3 nv + 1): squared velocity (nv), squared actuator force (nv), constraint force present (nv),
+      no constraint force at all (1).
     """
     out = []
     for recording, track, act in zip(data.recordings, data.tracks, data.acts, strict=True):
@@ -50,24 +50,24 @@ def bustle(data: Data, counter: Counter) -> list[np.ndarray]:
     return out
 
 
-def weights(nv: int) -> np.ndarray:
-    """(3 nv + 1,) weights of what `bustle` returns."""
-    return np.concatenate([np.ones(2 * nv), np.full(nv, _TOUCH), [_AIR]])
+def activity_weights(nv: int) -> np.ndarray:
+    """(3 nv + 1,) weights of the features of `activity`."""
+    return np.concatenate([np.ones(2 * nv), np.full(nv, _CONTACT_WEIGHT), [_NO_CONTACT_WEIGHT]])
 
 
-def covering(shares: np.ndarray, weight: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
-    """Choose windows that hold much of everything: greedily, and what is there already counts less.
+def greedy_cover(shares: np.ndarray, weight: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
+    """Greedy maximisation of the concave coverage sum_f sqrt(sum_i w_f s_if / max_i s_if) over chosen windows i.
 
-    The sum over things of the root of how much of it there is grows less with every window that holds the same.
+    The objective is submodular: features that are covered already count less.
 
     Args:
-      shares: (N, F) how much of each thing every window holds, at least 0.
-      weight: (F,) of the things, beside the largest share of each.
-      group: (N,) what every window belongs to; each group gets one at least.
-      count: windows to choose, at most N.
+      shares: (N, F) amount of each feature in each window, at least 0.
+      weight: (F,) weights w of the features.
+      group: (N,) group of each window; at least one window of each group is chosen.
+      count: number of windows to choose, at most N.
 
     Returns:
-      Indices, in the order in which they were chosen: `count`, or as many as there are groups.
+      Indices in the order of choice: `count`, or the number of groups if that is larger.
     """
     scaled = weight * shares / np.maximum(shares.max(0), 1e-300)
     held, free = np.zeros(scaled.shape[1]), np.ones(len(scaled), bool)

@@ -1,8 +1,7 @@
-"""Where a robot that touches next to nothing bumps into something all the same: an end stop, an obstacle, itself.
+"""Impacts of a robot that is mostly free of contact: end stops, obstacles, self-collision.
 
-Its windows are long, for what is slow. A blow in one of them multiplies what a starting state, a time step or a small
-effect do before it, so that one blow can outweigh all that goes on elsewhere: a cart that lacked nothing had 8 and 15
-times its noise in the two windows in which it ran into its end stop hard. Windows lie between the blows, therefore.
+Windows of such a robot are long. An impact amplifies errors of the starting state and of the time step and can dominate
+the residual of its window; windows are therefore placed between impacts.
 """
 
 import mujoco
@@ -10,15 +9,15 @@ import numpy as np
 from mujoco.batch import Batch
 
 from btr_mjx.gap.simulate import Counter, World
-from btr_mjx.gap.windows.prepared import Data
+from btr_mjx.gap.windows.prepared import PreparedData
 from btr_mjx.runs import available_cores
 
-_SIGMAS = 3.0
-"""A joint this close to its end stop, in units of the noise, stands at it."""
+_STOP_SIGMAS = 3.0
+"""Distance to its limit within which a joint is at its end stop, in standard deviations of the noise."""
 
 
-def touching_samples(data: Data, counter: Counter) -> tuple[np.ndarray, ...]:
-    """Per recording (K,) bool: something touches, as the believed models see it at the measured states."""
+def contact_samples(data: PreparedData, counter: Counter) -> tuple[np.ndarray, ...]:
+    """Per recording (K,) bool: the believed model has a contact at the measured configuration."""
     out = []
     for recording, track in zip(data.recordings, data.tracks, strict=True):
         world = World.of(recording.model)
@@ -31,24 +30,24 @@ def touching_samples(data: Data, counter: Counter) -> tuple[np.ndarray, ...]:
     return tuple(out)
 
 
-def stopped(data: Data) -> tuple[np.ndarray, ...]:
-    """Per recording (K, L) bool: which of L joints that have end stops stand at one."""
+def at_end_stops(data: PreparedData) -> tuple[np.ndarray, ...]:
+    """Per recording (K, L) bool: which of the L limited joints are at an end stop."""
     out = []
     for recording, track in zip(data.recordings, data.tracks, strict=True):
         model = recording.model
         single = model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)
         joints = np.flatnonzero(model.jnt_limited.astype(bool) & single)
-        slack = _SIGMAS * data.sigma[model.jnt_dofadr[joints]] + model.jnt_margin[joints]
+        slack = _STOP_SIGMAS * data.sigma[model.jnt_dofadr[joints]] + model.jnt_margin[joints]
         low, high = model.jnt_range[joints].T
         position = track.qpos[:, model.jnt_qposadr[joints]]
         out.append((position < low + slack) | (position > high - slack))
     return tuple(out)
 
 
-def blows(data: Data, counter: Counter) -> tuple[np.ndarray, ...]:
-    """Per recording (K,) bool: samples at which something touches, or a joint comes to an end stop or leaves it."""
+def impact_samples(data: PreparedData, counter: Counter) -> tuple[np.ndarray, ...]:
+    """Per recording (K,) bool: samples with a contact, or at which a joint reaches or leaves an end stop."""
     out = []
-    for touching, at_stop in zip(touching_samples(data, counter), stopped(data), strict=True):
+    for touching, at_stop in zip(contact_samples(data, counter), at_end_stops(data), strict=True):
         changes = np.zeros(len(touching), bool)
         turned = (at_stop[1:] != at_stop[:-1]).any(1)
         changes[1:] |= turned
@@ -57,18 +56,21 @@ def blows(data: Data, counter: Counter) -> tuple[np.ndarray, ...]:
     return tuple(out)
 
 
-def quiet_windows(blow: np.ndarray, first: int, last: int, k: int) -> np.ndarray:
-    """First samples of windows that do not overlap and hold no blow, as many as there is room for.
+def impact_free_windows(impact: np.ndarray, first: int, last: int, k: int) -> np.ndarray:
+    """First samples of the largest set of windows that do not overlap and contain no impact.
 
     Args:
-      blow: (K,) bool.
-      first: the earliest sample that a window may start at.
-      last: the latest.
+      impact: (K,) bool: samples with an impact.
+      first: earliest first sample of a window.
+      last: latest first sample of a window.
       k: samples of a window after its first.
+
+    Returns:
+      (N,) ascending sample indices.
     """
     out: list[np.ndarray] = []
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], blow, [True]]).astype(int)))
-    for start, end in zip(edges[::2], edges[1::2], strict=True):  # samples start to end - 1 hold no blow
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], impact, [True]]).astype(int)))
+    for start, end in zip(edges[::2], edges[1::2], strict=True):  # samples start to end - 1 are free of impacts
         low, high = max(int(start), first), min(int(end) - 1 - k, last)
         if high >= low:
             out.append(np.unique(np.linspace(low, high, (high - low) // k + 1).astype(int)))

@@ -1,9 +1,9 @@
-"""How well a hypothesis explains windows of data, with what calibration leaves open marginalised.
+"""Bounded loss of windows, linear fits of parameters, and marginalisation of nuisance parameters.
 
-All arithmetic of a scan happens on inner products per window: a residual e (W, R) in units of the noise and columns
-S (C, W, R), the answers of that residual to a unit of each parameter. The loss of a window is bounded, so that a few
-windows in which the linear picture fails (a touchdown, say) cannot outvote the rest, and some columns are nuisances:
-tolerances with a Gaussian prior, which are fitted along and pay for it.
+A scan works on inner products per window of the whitened residual e (W, R) and of columns S (C, W, R), the derivatives
+of the residual with respect to the parameters. The loss of a window is a bounded function of its chi^2, so that few
+windows in which the linearisation fails cannot dominate. Nuisance columns (calibration tolerances) have Gaussian
+priors and are fitted together with every candidate.
 """
 
 from dataclasses import dataclass
@@ -11,27 +11,32 @@ from dataclasses import dataclass
 import numpy as np
 
 _RIDGE = 1e-9
-"""Part of its own size that is added to the diagonal of a normal matrix."""
+"""Relative regularisation of the diagonal of a normal matrix."""
 
 
-def bounded(x: np.ndarray, cut: np.ndarray | float) -> np.ndarray:
-    """Loss of windows with chi^2 `x`: x up to the cut, then rising to at most twice the cut."""
+def bounded_loss(x: np.ndarray, cut: np.ndarray | float) -> np.ndarray:
+    """Bounded loss of windows with chi^2 x: x below the cut c, else c (2 - c / x), which is less than 2 c.
+
+    Args:
+      x: (W,) chi^2.
+      cut: c, a number or (W,).
+    """
     return np.where(x < cut, x, cut * (2.0 - cut / np.maximum(x, cut)))
 
 
-def weight(x: np.ndarray, cut: np.ndarray | float) -> np.ndarray:
-    """Derivative of `bounded`: the weight of a window in a least-squares step."""
+def window_weight(x: np.ndarray, cut: np.ndarray | float) -> np.ndarray:
+    """Derivative of `bounded_loss`: weight of a window in reweighted least squares, 1 below the cut, else (c / x)^2."""
     return np.where(x < cut, 1.0, (cut / np.maximum(x, cut)) ** 2)
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Inner products of a residual and of columns, per window.
+    """Inner products per window of a residual e and columns S.
 
     Attributes:
-      energy: (W,) e . e
-      moment: (W, C) S_c . e
-      gram: (W, C, C) S_c . S_d
+      energy: (W,) e . e.
+      moment: (W, C) S_c . e.
+      gram: (W, C, C) S_c . S_d.
     """
 
     energy: np.ndarray
@@ -44,16 +49,16 @@ class Evidence:
         return self.moment.shape[1]
 
     def chi2(self, columns: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Windows' chi^2 (W,) with `values` of some `columns` added to the residual."""
+        """Chi^2 (W,) of the residual e + sum_c values_c S_c over some `columns`."""
         part = self.gram[:, columns[:, None], columns[None, :]] @ values
         return np.maximum(self.energy + 2.0 * self.moment[:, columns] @ values + part @ values, 0.0)
 
     def take(self, columns: np.ndarray) -> "Evidence":
-        """The evidence on some columns only."""
+        """The inner products of a subset of the columns."""
         return Evidence(self.energy, self.moment[:, columns], self.gram[:, columns[:, None], columns[None, :]])
 
     def windows(self, index: np.ndarray) -> "Evidence":
-        """The evidence of some windows only (repetitions allowed)."""
+        """The inner products of some windows (repetitions allowed)."""
         return Evidence(self.energy[index], self.moment[index], self.gram[index])
 
 
@@ -61,8 +66,8 @@ def evidence(residual: np.ndarray, columns: np.ndarray) -> Evidence:
     """Inner products per window.
 
     Args:
-      residual: (W, R).
-      columns: (C, W, R).
+      residual: (W, R) whitened residual.
+      columns: (C, W, R) derivatives of the residual.
     """
     stacked = np.moveaxis(columns, 0, 1)  # (W, C, R)
     gram = stacked @ np.swapaxes(stacked, 1, 2)
@@ -72,13 +77,13 @@ def evidence(residual: np.ndarray, columns: np.ndarray) -> Evidence:
 
 @dataclass(frozen=True)
 class Fit:
-    """A least-loss fit of some columns.
+    """Result of a fit of columns under the bounded loss.
 
     Attributes:
-      values: (P,) of the free columns followed by the nuisances.
-      loss: bounded loss of the windows plus the price of the nuisances.
+      values: (P,) values of the free columns followed by the nuisances.
+      loss: bounded loss of the windows plus the prior terms.
       chi2: (W,) of the windows.
-      information: (P, P) weighted normal matrix with the priors.
+      information: (P, P) weighted normal matrix including the priors.
     """
 
     values: np.ndarray
@@ -88,7 +93,7 @@ class Fit:
 
 
 def typical_chi2(chi2: np.ndarray, freedom: int) -> float:
-    """A chi^2 that most windows stay below, and never less than noise gives."""
+    """Estimate of the typical chi^2 of windows from their 0.8 quantile, at least the degrees of freedom."""
     return max(float(freedom), float(np.quantile(chi2, 0.8)) / (1.0 + 1.2 / np.sqrt(freedom)))
 
 
@@ -102,60 +107,59 @@ def fit(
     weights: np.ndarray | None = None,
     centre: np.ndarray | None = None,
 ) -> Fit:
-    """Fit all columns of some evidence under the bounded loss, by reweighted least squares.
+    """Fit all columns under the bounded loss, by iteratively reweighted least squares.
 
     Args:
-      data: evidence; its columns are the unknowns, in their own units.
-      precision: (C,) of the Gaussian prior of every unknown around zero; 0 is free.
-      cut: chi^2 above which a window counts less, a number or (W,).
-      low: (C,) bounds or None.
-      high: (C,) bounds or None.
-      iterations: of the reweighting.
-      weights: (W,) to start from; None takes those of the residual itself.
-      centre: (C,) of the prior; None for zeros.
+      data: inner products; the columns are the unknowns.
+      precision: (C,) of the Gaussian priors; 0 for a free unknown.
+      cut: of `bounded_loss`, a number or (W,).
+      low: (C,) lower bounds or None.
+      high: (C,) upper bounds or None.
+      iterations: largest number of reweightings.
+      weights: (W,) initial weights; None for those of the residual.
+      centre: (C,) means of the priors; None for zeros.
 
     Returns:
-      The best iterate.
+      The iterate of smallest loss; zeros if none improves.
     """
     count = data.n
     zero = np.zeros(count)
-    w = weight(data.energy, cut) if weights is None else weights
+    w = window_weight(data.energy, cut) if weights is None else weights
     centre = zero if centre is None else centre
     price = float((precision * centre**2).sum())
-    best = Fit(zero, float(bounded(data.energy, cut).sum()) + price, data.energy, np.eye(count))
+    best = Fit(zero, float(bounded_loss(data.energy, cut).sum()) + price, data.energy, np.eye(count))
     if not count:
         return best
     for _ in range(iterations):
         normal = np.tensordot(w, data.gram, 1) + np.diag(precision)
-        normal = steadied(normal)
+        normal = regularised(normal)
         target = precision * centre - w @ data.moment
         values = _box(normal, target, low, high)
         x = np.maximum(data.energy + 2.0 * data.moment @ values + (data.gram @ values) @ values, 0.0)
-        loss = float(bounded(x, cut).sum() + (precision * (values - centre) ** 2).sum())
+        loss = float(bounded_loss(x, cut).sum() + (precision * (values - centre) ** 2).sum())
         improved = best.loss - loss
         if improved > 0:
             best = Fit(values, loss, x, normal)
         if improved < 1e-3 * max(1.0, abs(best.loss) * 1e-3):
             break
-        w = weight(x, cut)
+        w = window_weight(x, cut)
     return best
 
 
-def steadied(normal: np.ndarray) -> np.ndarray:
-    """A normal matrix that can be solved: a little more on its diagonal, in every column's own units.
+def regularised(normal: np.ndarray) -> np.ndarray:
+    """Regularised normal matrix: the diagonal is increased relative to itself.
 
-    A part of the trace instead would hold numbers that are large in SI units (a stiffness of 500 kN m/rad^3) where
-    they are: their columns, per unit, are the smallest.
+    Regularisation relative to the trace would depend on the units of the parameters.
 
     Args:
-      normal: (C, C), with zeros where a column does nothing.
+      normal: (C, C); zero diagonal elements (columns without effect) become 1.
     """
     size = np.diag(normal)
     return normal + np.diag(np.where(size > 0, _RIDGE * size, 1.0))
 
 
 def _box(normal: np.ndarray, target: np.ndarray, low: np.ndarray | None, high: np.ndarray | None) -> np.ndarray:
-    """Least squares in a box, by fixing the unknowns that leave it (enough for one or a few of them)."""
+    """Least squares with bounds, by fixing the unknowns that violate them (active set, at most 3 iterations)."""
     values = np.linalg.solve(normal, target)
     if low is None or high is None:
         return values
@@ -176,17 +180,17 @@ def _box(normal: np.ndarray, target: np.ndarray, low: np.ndarray | None, high: n
 def scan_candidates(
     data: Evidence, groups: list[np.ndarray], nuisance: np.ndarray, precision: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Gain of every candidate over the nuisances alone, in one quadratic form with fixed window weights.
+    """Reduction of the weighted chi^2 by each candidate, with nuisances marginalised (Schur complement).
 
     Args:
-      data: evidence of all columns.
-      groups: per candidate its columns; a column may be in several.
-      nuisance: (N,) columns that are fitted along with every candidate.
+      data: inner products of all columns.
+      groups: columns of each candidate; a column may belong to several.
+      nuisance: (N,) columns that are fitted with every candidate.
       precision: (N,) of their priors.
-      weights: (W,) of the windows.
+      weights: (W,) fixed weights of the windows.
 
     Returns:
-      Gains (len(groups),) and a list of values, one (p,) per candidate, unbounded.
+      Gains (len(groups),), and fitted values without bounds, one (p,) per candidate.
     """
     gram = np.tensordot(weights, data.gram, 1)
     moment = weights @ data.moment
@@ -206,18 +210,21 @@ def scan_candidates(
 
 
 def project(residual: np.ndarray, basis: np.ndarray) -> np.ndarray:
-    """What is left of residuals (..., W, R) after the directions of each window's `basis` (W, R, D) are taken out."""
+    """Residuals (..., W, R) minus their components along the `basis` (W, R, D) of each window."""
     inner = np.einsum("...wr,wrd->...wd", residual, basis, optimize=True)
     return residual - np.einsum("...wd,wrd->...wr", inner, basis, optimize=True)
 
 
-def spanned(jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What the columns of jacobians (W, R, D) span, and their pseudo-inverses.
+def column_space(jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Orthonormal bases of the column spaces of Jacobians, and their pseudo-inverses.
+
+    Args:
+      jacobian: (W, R, D).
 
     Returns:
-      Orthonormal bases (W, R, D), in which columns without effect become zero, and the inverses (W, D, R).
+      Bases (W, R, D), with zero columns beyond the rank, and pseudo-inverses (W, D, R).
     """
-    tall, square = np.linalg.qr(jacobian)  # half the time of a decomposition of the whole
+    tall, square = np.linalg.qr(jacobian)  # cheaper than an SVD of the whole
     u, s, vt = np.linalg.svd(square, full_matrices=False)
     keep = s > 1e-9 * np.maximum(s[:, :1], 1e-300)
     basis = tall @ (u * keep[:, None, :])

@@ -1,67 +1,74 @@
-"""Windows linearised around a hypothesis: starting states that suit it, and directions in which these may be off."""
+"""Linearisation of windows around a hypothesis: fitted starting states, and derivatives with respect to them."""
 
-from btr_mjx.gap.windows.likelihood import spanned
-from btr_mjx.gap.windows.starting_states import STEPS, centred
-from btr_mjx.gap.windows.time_steps import paced, step_error
-from btr_mjx.gap.windows.transitions import directions, strangeness, stride, transitions
+from btr_mjx.gap.windows.likelihood import column_space
+from btr_mjx.gap.windows.starting_states import STEPS, fit_starting_states
+from btr_mjx.gap.windows.time_steps import choose_time_step, step_error
+from btr_mjx.gap.windows.transitions import state_jacobians, stride, transition_change, transitions
 from btr_mjx.gap.windows.windows import MakeWorld, Windows
 
-_CHANGED = 1.0
-"""Change of an interval's transition, see `strangeness`, beyond which it is differentiated again."""
+_MAX_CHANGE = 1.0
+"""Value of `transition_change` above which the transition matrix of an interval is differentiated again."""
 
 
 def linearise(windows: Windows, make: MakeWorld, steps: int = 5, step: float | None = None) -> None:
-    """Make a hypothesis the base world of windows: improve the starting states, then project them out.
+    """Linearise windows around a hypothesis, which becomes their base.
+
+    Chooses the time step, differentiates, fits the starting states, and differentiates again at these.
 
     Args:
       windows: changed in place.
       make: the hypothesis.
-      steps: Gauss-Newton steps of the starting states; a window keeps a step only if it helps.
-      step: time step that is to be taken [s]; None to choose one.
+      steps: Gauss-Newton steps of the starting states; a window accepts a step only if its chi^2 decreases.
+      step: time step [s]; None to choose it.
     """
-    base, correction = paced(windows, make, step)
+    base, correction = choose_time_step(windows, make, step)
     windows.stride = stride(windows, make, base)
-    windows.transitions, windows.answers = transitions(windows, make, base)
-    _set_directions(windows, make)
-    windows.qpos, windows.qvel, windows.base = centred(windows, make, steps, base, correction)
-    windows.maker = make
+    windows.transitions, windows.perturbed_ends = transitions(windows, make, base)
+    _set_jacobians(windows, make)
+    windows.qpos, windows.qvel, windows.base = fit_starting_states(windows, make, steps, base, correction)
+    windows.make_base = make
     differentiate(windows, make)
     windows.correction = step_error(windows, make, windows.base)
-    windows.forget_residuals()
+    windows.clear_residuals()
 
 
 def differentiate(windows: Windows, make: MakeWorld) -> None:
-    """Directions of the starting states for another base: differentiated again where transitions have changed.
+    """Update the derivatives with respect to the starting states for another base.
+
+    Only transitions that changed by more than `_MAX_CHANGE` are computed again.
 
     Args:
       windows: changed in place.
-      make: the hypothesis that `windows.base` is of.
+      make: the hypothesis of `windows.base`.
     """
-    changed = strangeness(windows, make, windows.base) > _CHANGED
-    known = windows.transitions, windows.answers
-    windows.transitions, windows.answers = transitions(windows, make, windows.base, changed, known)
-    _set_directions(windows, make)
-    windows.soften(windows.soft)
+    changed = transition_change(windows, make, windows.base) > _MAX_CHANGE
+    known = windows.transitions, windows.perturbed_ends
+    windows.transitions, windows.perturbed_ends = transitions(windows, make, windows.base, changed, known)
+    _set_jacobians(windows, make)
+    windows.project_partially(windows.partial_basis)
 
 
-def _set_directions(windows: Windows, make: MakeWorld) -> None:
-    windows.jacobians, windows.tame = directions(windows, make)
-    windows.basis, windows.inverse = spanned(windows.jacobians)
+def _set_jacobians(windows: Windows, make: MakeWorld) -> None:
+    windows.jacobians, windows.is_linear = state_jacobians(windows, make)
+    windows.basis, windows.inverse = column_space(windows.jacobians)
 
 
-def redirected(windows: Windows, make: MakeWorld) -> Windows:
-    """The same with what the starting states could explain found anew as well.
+def relinearised(windows: Windows, make: MakeWorld) -> Windows:
+    """A copy of windows with derivatives and starting states of another hypothesis.
 
-    Where a hypothesis lets a foot touch at another time, the directions of the believed model leave the noise of the
-    starting state in the residual, and judge the truth worse than nothing.
+    If contacts change, the derivatives of the believed model do not project the error of the starting state out of the
+    residual of the hypothesis.
 
     Args:
-      windows: recentred around the hypothesis.
+      windows: with starting states of the hypothesis, see `with_fitted_states`.
       make: the hypothesis.
+
+    Returns:
+      The copy, with the correction of the time step of `windows`.
     """
     other = windows.copied()
     differentiate(other, make)
-    other.qpos, other.qvel, other.base = centred(other, make, STEPS, windows.base, windows.correction)
-    other.maker = make
-    # What the time step does changes little with the starting state; another fine pass would cost as much as the rest.
+    other.qpos, other.qvel, other.base = fit_starting_states(other, make, STEPS, windows.base, windows.correction)
+    other.make_base = make
+    # The correction of the time step changes little with the starting state and is not computed again.
     return other

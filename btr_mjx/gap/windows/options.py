@@ -1,27 +1,27 @@
-"""How much a search may cost."""
+"""Budget of a search."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-_MUCH = 1.5
-"""Of the budget of a search, so many times may be spent before less is spent on what follows."""
+_BUDGET_FACTOR = 1.5
+"""Multiple of the budget above which further stages of the search are reduced."""
 
-_TOO_MUCH = 1.6
-"""The same after which only what is likely to change the answer is done."""
+_FAR_BUDGET_FACTOR = 1.6
+"""Multiple of the budget above which only stages that are likely to change the result are run."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """How much is spent.
+    """Budget of a search.
 
     Attributes:
-      steps: simulated steps that one search may cost, roughly.
-      leaders: candidates that are refined by true simulation.
-      contact_leaders: candidates that move contacts that are refined beyond those, by a scan of true simulations.
+      steps: approximate number of simulated steps of a search.
+      leaders: number of candidates that are refined by simulation.
+      contact_leaders: number of further, contact-sensitive candidates that are refined after a scan by simulation.
       iterations: Gauss-Newton steps of a refinement.
-      every: candidates that move contacts are scanned on one of so many windows.
-      starts: limits are tried from one of so many starts.
+      every: contact-sensitive candidates are scanned on every n-th window.
+      starts: limits are fitted from every n-th starting value.
     """
 
     steps: float = 4.4e5
@@ -32,21 +32,21 @@ class Options:
     starts: int = 1
 
     def fewer(self, costly: bool) -> "Options":
-        """What is spent on one more effect: about half, and less where the first one was costly."""
+        """Options for the search of a further effect: about half the budget, less if the first one was costly."""
         plain, contacts = (3, 4) if costly else (2, 2)
         iterations = max(1, self.iterations - 1) if costly else self.iterations
         leaders, moving = max(1, self.leaders // plain), self.contact_leaders // contacts
         every, starts = contacts * self.every, 2 * self.starts if costly else self.starts
         return Options(self.steps, leaders, moving, iterations, every, starts)
 
-    def much(self, steps: int, nv: int) -> bool:
-        """Whether a search has cost so many simulated steps that less is to be spent on what follows."""
-        return steps > _MUCH * self.budget(nv)
+    def over_budget(self, steps: int, nv: int) -> bool:
+        """Whether so many simulated steps exceed the budget, so that further stages are to be reduced."""
+        return steps > _BUDGET_FACTOR * self.budget(nv)
 
-    def too_much(self, steps: int, nv: int) -> bool:
-        """Whether it has cost so many that hardly anything may follow."""
-        return steps > _TOO_MUCH * self.budget(nv)
+    def far_over_budget(self, steps: int, nv: int) -> bool:
+        """Whether so many simulated steps exceed the budget far, so that only essential stages may follow."""
+        return steps > _FAR_BUDGET_FACTOR * self.budget(nv)
 
     def budget(self, nv: int) -> float:
-        """Simulated steps that may go into a model of `nv` degrees of freedom: small ones step faster."""
+        """Budget in simulated steps for a model of `nv` degrees of freedom; larger for small models."""
         return self.steps * float(np.clip(20.0 / nv, 1.0, 3.2))

@@ -1,38 +1,38 @@
-"""How what happens in one sample interval carries on to the end of its window, by the windows' transitions."""
+"""Propagation of perturbations through a window by its transition matrices."""
 
 import numpy as np
 
 from btr_mjx.gap.windows.likelihood import project
 from btr_mjx.gap.windows.windows import Windows
 
-_WILD = 3e3
-"""Growth of the starting states' noise from which on transitions of a window may not be multiplied. Of signatures of a
-quadruped's joints and motors half agreed with true simulation by 0.98 or better (correlation) in windows in which it
-grows less than a thousandfold, by 0.65 from thirty thousandfold on and by 0.2 beyond a millionfold, where they were up
-to two thousand times too large. A hexapod's windows hardly ever come near it."""
+_MAX_GROWTH = 3e3
+"""Amplification of the noise of the starting state above which the product of transition matrices is not used: beyond
+it, signatures by propagation do not agree with simulations."""
 
 
-def tame(jacobians: np.ndarray) -> np.ndarray:
-    """Windows (W,) bool in which the linear picture holds, or at least as well as in half of them.
+def linearisation_holds(jacobians: np.ndarray) -> np.ndarray:
+    """Windows in which the linearisation holds: small amplification, or not above the median of all windows.
 
-    Every touchdown multiplies what is off at that moment. Where several follow each other the product grows without
-    bounds, which a true simulation does not.
+    The product of transition matrices over several touchdowns grows without bound, unlike the simulation.
 
     Args:
       jacobians: (W, R, 2 nv), see `jacobian`.
+
+    Returns:
+      (W,) bool.
     """
     growth = np.linalg.norm(jacobians, axis=(1, 2))
-    return growth <= max(_WILD, float(np.median(growth)))
+    return growth <= max(_MAX_GROWTH, float(np.median(growth)))
 
 
 def jacobian(windows: Windows) -> np.ndarray:
-    """How the residual answers to the starting state in units of the noise.
+    """Jacobian of the residual with respect to the starting state, by products of transition matrices.
 
     Args:
       windows: with their transitions.
 
     Returns:
-      (W, R, 2 nv), scaled by the noise of the starting state.
+      (W, R, 2 nv), both sides in units of the noise.
     """
     size = 2 * windows.nv
     carried = np.broadcast_to(np.diag(windows.data.sigma), (len(windows), size, size))
@@ -40,16 +40,16 @@ def jacobian(windows: Windows) -> np.ndarray:
     for k in range(windows.k):
         carried = windows.transitions[:, k] @ carried
         out.append(carried)
-    answer = np.stack(out, 1) / windows.data.sigma[:, None]  # (W, k + 1, 2 nv, size)
-    return answer[:, :, windows.channels].reshape(len(windows), -1, size)
+    whitened = np.stack(out, 1) / windows.data.sigma[:, None]  # (W, k + 1, 2 nv, size)
+    return whitened[:, :, windows.channels].reshape(len(windows), -1, size)
 
 
-def carry(windows: Windows, injected: np.ndarray) -> np.ndarray:
-    """Signatures of what is added to the state over every sample interval.
+def propagate_additions(windows: Windows, injected: np.ndarray) -> np.ndarray:
+    """Signatures of additions to the state in every sample interval.
 
     Args:
       windows: linearised.
-      injected: (C, W, k, 2 nv) additions at the end of each interval.
+      injected: (C, W, k, 2 nv) additions at the end of each interval, in the tangent space.
 
     Returns:
       (C, W, R) projected signatures in units of the noise, float32.

@@ -1,14 +1,20 @@
-"""Rows of arrays of the same shape, each from the one it is chosen of."""
+"""Selection of rows from several arrays of equal shape."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
 
-def picked(own: np.ndarray, others: Sequence[np.ndarray], chosen: np.ndarray) -> np.ndarray:
-    """Rows of some arrays (W, ...): those of `others[i - 1]` where `chosen` (W,) is i, own ones where it is 0.
+def select_rows(own: np.ndarray, others: Sequence[np.ndarray], chosen: np.ndarray) -> np.ndarray:
+    """Rows of arrays (W, ...): of `own` where `chosen` is 0, of `others[i - 1]` where it is i.
 
-    Where all are of one array it is that, not a copy of it: some are large.
+    Args:
+      own: (W, ...).
+      others: arrays of the same shape.
+      chosen: (W,) integers.
+
+    Returns:
+      (W, ...); the array itself, not a copy, if all rows are of one array.
     """
     arrays = (own, *others)
     shares = np.bincount(chosen, minlength=len(arrays))

@@ -1,9 +1,9 @@
-"""Signatures: how the residual of every window answers to a small change of the world, for hundreds of worlds at once.
+"""Signatures: finite-difference derivatives of the residuals of all windows with respect to changes of the world.
 
-A candidate is not simulated over whole windows. Between two samples it adds a little to the state; the base world's
-transitions, which the windows know already, carry that on to the window's end. The addition is measured over the
-whole interval between two samples, or by a single step in its middle where an interval has many steps. That misses what
-is late of a command that is held, and in closed loops, whose forces follow a step later.
+A changed world is not simulated over whole windows. Its difference to the base world is simulated over each sample
+interval, and propagated to the end of the window by the transition matrices of the base world. If an interval has many
+steps, the difference is evaluated with a single step in its middle; this is not valid for delays of held commands and
+for closed kinematic loops, whose constraint forces follow one step later.
 """
 
 from collections.abc import Sequence
@@ -11,16 +11,16 @@ from functools import partial
 
 import numpy as np
 
-from btr_mjx.gap.simulate import Job, Stretch, World, abreast, simulate
-from btr_mjx.gap.windows.propagation import carry
+from btr_mjx.gap.simulate import Job, Segments, World, run_in_threads, simulate
+from btr_mjx.gap.windows.propagation import propagate_additions
 from btr_mjx.gap.windows.transitions import single_intervals
 from btr_mjx.gap.windows.windows import MakeWorld, Windows
 
-_HOLD = 0.005
-"""What a world adds is evaluated once in so long a time [s], or once in every sample interval if that is longer."""
+_EVALUATION_INTERVAL = 0.005
+"""Time between single-step evaluations [s]; at least one sample interval."""
 
 _CHUNK = 64
-"""Signatures that are projected at once."""
+"""Number of signatures that are computed at once."""
 
 
 def signatures(
@@ -34,15 +34,16 @@ def signatures(
     Args:
       windows: linearised around `base`.
       base: the base world.
-      makes: worlds that differ a little from it.
-      single: one step in the middle of each interval, or of a few short ones, instead of all steps.
+      makes: worlds that differ a little from the base.
+      single: evaluate a single step in the middle of an interval, or of a few short ones, instead of all steps.
 
     Returns:
-      (C, W, R) projected signatures in units of the noise, float32; zero where windows are not tame.
+      (C, W, R) differences of the projected residuals in units of the noise, float32; zero in windows in which the
+      linearisation does not hold.
     """
     if single:
-        # A held command changes at samples only: the middle of an interval sees nothing of a delay.
-        late = [i for i, make in enumerate(makes) if _delays_what_is_held(windows, make)]
+        # A held command changes at samples only: a delay has no effect in the middle of an interval.
+        late = [i for i, make in enumerate(makes) if _delays_held_command(windows, make)]
         if late:
             rest = [i for i in range(len(makes)) if i not in set(late)]
             out = np.zeros((len(makes), *windows.residual.shape), np.float32)
@@ -53,70 +54,70 @@ def signatures(
     return _signatures(windows, base, makes, single)
 
 
-def _delays_what_is_held(windows: Windows, make: MakeWorld) -> bool:
+def _delays_held_command(windows: Windows, make: MakeWorld) -> bool:
     held = any(command.interpolation == "hold" for command in windows.data.commands)
     return held and bool(make(windows.models[0]).command_edits)
 
 
 def _signatures(windows: Windows, base: MakeWorld, makes: Sequence[MakeWorld], single: bool) -> np.ndarray:
-    out, telling = np.zeros((len(makes), *windows.residual.shape), np.float32), windows.tame[:, None]
-    hold = intervals_per_look(float(np.median(np.diff(windows.since, axis=1)))) if single else 1
-    pieces = _middles(windows, base, hold) if single else _intervals(windows)
+    out, valid = np.zeros((len(makes), *windows.residual.shape), np.float32), windows.is_linear[:, None]
+    hold = intervals_per_evaluation(float(np.median(np.diff(windows.since, axis=1)))) if single else 1
+    pieces = _middle_steps(windows, base, hold) if single else _intervals(windows)
 
-    def look(first: int) -> None:
+    def evaluate_chunk(first: int) -> None:
         chunk = list(makes[first : first + _CHUNK])
         worlds = [[make(model) for model in windows.models] for make in [base, *chunk]]
-        found = _ends(windows, worlds, pieces)
+        found = _end_states(windows, worlds, pieces)
         change = np.nan_to_num(windows.minus(found[1:], found[:1]))
         if single:
-            pushed = np.repeat(change[..., windows.nv :] / windows.dt, hold, axis=2)[:, :, : windows.k]
-            change = _spread(windows, pushed)
-        out[first : first + len(chunk)] = telling * carry(windows, change)
+            acceleration = np.repeat(change[..., windows.nv :] / windows.dt, hold, axis=2)[:, :, : windows.k]
+            change = _integrate_acceleration(windows, acceleration)
+        out[first : first + len(chunk)] = valid * propagate_additions(windows, change)
 
-    abreast([partial(look, first) for first in range(0, len(makes), _CHUNK)])
+    run_in_threads([partial(evaluate_chunk, first) for first in range(0, len(makes), _CHUNK)])
     return out
 
 
 def force_signatures(windows: Windows, inverse: np.ndarray, bins: int) -> np.ndarray:
-    """Signatures of unknown generalised forces: one per degree of freedom and part of the window.
+    """Signatures of generalised forces that are constant within each part of a window.
 
     Args:
       windows: linearised.
-      inverse: (W, k, nv, nv) inverse inertia at the base states.
-      bins: parts of a window, see `parts`.
+      inverse: (W, k, nv, nv) inverse mass matrix at the base states.
+      bins: number of parts of a window, see `window_parts`.
 
     Returns:
-      (nv * bins, W, R) signatures of 1 N m or N, degree of freedom first.
+      (nv * bins, W, R) signatures of unit forces (1 N m or N), degree of freedom first.
     """
-    part = parts(windows.k, bins)
+    part = window_parts(windows.k, bins)
     nv = windows.nv
     change = np.zeros((nv, bins, len(windows), windows.k, 2 * nv))
-    pushed = np.moveaxis(inverse, 3, 0)  # (nv, W, k, nv): accelerations of a unit of each force
-    spread = _spread(windows, pushed)
+    acceleration = np.moveaxis(inverse, 3, 0)  # (nv, W, k, nv): accelerations by unit forces
+    spread = _integrate_acceleration(windows, acceleration)
     for b in range(bins):
         change[:, b][:, :, part == b] = spread[:, :, part == b]
     flat = change.reshape(nv * bins, len(windows), windows.k, 2 * nv)
     out = np.zeros((len(flat), *windows.residual.shape), np.float32)
     for first in range(0, len(flat), _CHUNK):
-        out[first : first + _CHUNK] = carry(windows, flat[first : first + _CHUNK])
+        out[first : first + _CHUNK] = propagate_additions(windows, flat[first : first + _CHUNK])
     return out
 
 
-def parts(k: int, bins: int) -> np.ndarray:
-    """The part of the window (k,) that each sample interval belongs to."""
+def window_parts(k: int, bins: int) -> np.ndarray:
+    """Part (k,) of the window, 0 to bins - 1, of each of its k sample intervals."""
     return np.minimum(np.arange(k) * bins // k, bins - 1)
 
 
-def _spread(windows: Windows, acceleration: np.ndarray) -> np.ndarray:
-    """Additions (C, W, k, 2 nv) at the ends of intervals of accelerations (C, W, k, nv) that last through them."""
+def _integrate_acceleration(windows: Windows, acceleration: np.ndarray) -> np.ndarray:
+    """State changes (C, W, k, 2 nv) at the ends of intervals by accelerations (C, W, k, nv) constant within them."""
     half = 0.5 * np.diff(windows.since, axis=1)[:, :, None] * acceleration
     carried = np.einsum("wkij,cwkj->cwki", windows.transitions[..., windows.nv :], half, optimize=True)
     carried[..., windows.nv :] += half
     return carried
 
 
-def _intervals(windows: Windows) -> list[tuple[np.ndarray, Stretch]]:
-    """Each group's windows and its sample intervals, from the base states."""
+def _intervals(windows: Windows) -> list[tuple[np.ndarray, Segments]]:
+    """For each group of windows its indices, and its sample intervals as segments from the base states."""
     out = []
     for _, own in windows.groups:
         states = windows.base[own][:, :-1].reshape(len(own) * windows.k, 1, -1)
@@ -126,27 +127,27 @@ def _intervals(windows: Windows) -> list[tuple[np.ndarray, Stretch]]:
     return out
 
 
-def intervals_per_look(interval: float) -> int:
-    """Sample intervals of some length [s] that share one evaluation of what a world adds."""
-    return max(1, int(_HOLD / interval + 1e-6))
+def intervals_per_evaluation(interval: float) -> int:
+    """Number of sample intervals [s] that share one single-step evaluation."""
+    return max(1, int(_EVALUATION_INTERVAL / interval + 1e-6))
 
 
-def _middles(windows: Windows, base: MakeWorld, hold: int) -> list[tuple[np.ndarray, Stretch]]:
-    """Each group's windows and one step around the middle of every `hold` sample intervals."""
+def _middle_steps(windows: Windows, base: MakeWorld, hold: int) -> list[tuple[np.ndarray, Segments]]:
+    """For each group of windows its indices, and one step around the middle of every `hold` intervals, as segments."""
     out = []
     first = np.arange(0, windows.k, hold)
     last = np.minimum(first + hold, windows.k)
     middle = 0.5 * (windows.since[:, first] + windows.since[:, last]) - 0.5 * windows.dt
     middle = np.maximum(middle, 0.0)
     for model, own in windows.groups:
-        stretch = windows.stretch(own, windows.qpos[own], windows.qvel[own], middle[own])
-        states = simulate([(base(model), stretch)], timestep=windows.dt, counter=windows.counter)[0]
+        segments = windows.segments(own, windows.qpos[own], windows.qvel[own], middle[own])
+        states = simulate([(base(model), segments)], timestep=windows.dt, counter=windows.counter)[0]
         act = 0.5 * (windows.act[own][:, first] + windows.act[own][:, last])
         count = len(own) * len(first)
         out.append(
             (
                 own,
-                Stretch(
+                Segments(
                     start=(windows.time[own, :1] + middle[own]).reshape(-1),
                     qpos=states[..., : windows.nq].reshape(count, -1),
                     qvel=states[..., windows.nq :].reshape(count, -1),
@@ -160,13 +161,13 @@ def _middles(windows: Windows, base: MakeWorld, hold: int) -> list[tuple[np.ndar
     return out
 
 
-def _ends(
-    windows: Windows, worlds: Sequence[Sequence[World]], pieces: Sequence[tuple[np.ndarray, Stretch]]
+def _end_states(
+    windows: Windows, worlds: Sequence[Sequence[World]], pieces: Sequence[tuple[np.ndarray, Segments]]
 ) -> np.ndarray:
-    """States at the ends of the pieces in each world, (C, W, pieces of a window, nq + nv)."""
+    """States (C, W, segments of a window, nq + nv) at the ends of the segments in each world."""
     jobs: list[Job] = []
     for own_worlds in worlds:
-        jobs += [(world, stretch) for world, (_, stretch) in zip(own_worlds, pieces, strict=True)]
+        jobs += [(world, segments) for world, (_, segments) in zip(own_worlds, pieces, strict=True)]
     found = simulate(jobs, timestep=windows.dt, counter=windows.counter)
     each = len(pieces[0][1]) // len(pieces[0][0])
     out = np.empty((len(worlds), len(windows), each, windows.nq + windows.nv))

@@ -1,7 +1,7 @@
-"""Starting states of windows that suit a hypothesis, and what these could explain in its own world.
+"""Fit of the starting states of windows to a hypothesis, by damped Gauss-Newton steps.
 
-The starting states of the believed model would judge another one unfairly. They take a few Gauss-Newton steps towards
-its own samples, and stay near the smoothed states, which know no model: a wrong one would drag them along.
+Starting states fitted with one model favour it in comparisons, so each hypothesis gets its own. They stay within bounds
+around the smoothed states, which do not depend on a model.
 """
 
 from collections.abc import Callable
@@ -15,56 +15,56 @@ from btr_mjx.gap.windows.windows import Windows
 from btr_mjx.models import integrate
 
 STEPS = 3
-"""Gauss-Newton steps for another hypothesis; fewer favour the one that the states suited before."""
+"""Gauss-Newton steps for another hypothesis; fewer would favour the hypothesis of the initial states."""
 
-_MORE = 4
-"""Further rounds, for windows whose steps are shortened or still help."""
+_EXTRA_STEPS = 4
+"""Additional iterations, for windows with reduced steps or without convergence."""
 
-_BACK = 0.35
-"""Factor on a step that did not help: where a foot touches at another time, the linear picture holds nearby only."""
+_STEP_REDUCTION = 0.35
+"""Factor on a step that was rejected."""
 
-_LEAST = 0.03
-"""Part of a Gauss-Newton step below which a window is left where it is."""
+_MIN_SHARE = 0.03
+"""Fraction of a Gauss-Newton step below which the iteration of a window stops."""
 
-_CONTENT = 1.0
-"""A window whose chi^2 promises to fall by less is left where it is; what it could still gain is projected out."""
+_MIN_GAIN = 1.0
+"""Predicted decrease of chi^2 below which the iteration of a window stops; the rest is projected out."""
 
-_UNKEPT = 40.0
-"""The same of a part of a step, after a whole one did not help, as if of the whole."""
+_MIN_GAIN_REDUCED = 40.0
+"""The same for reduced steps, per unit fraction of the step."""
 
 
-def centred(
+def fit_starting_states(
     windows: Windows,
     make: Callable[[mujoco.MjModel], World],
     steps: int,
     states: np.ndarray,
     correction: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gauss-Newton steps of the starting states; a window keeps a step only if it helps, and else tries a part of it.
+    """Fit starting states by Gauss-Newton steps; a rejected step is retried with a reduced length.
 
     Args:
-      windows: with the directions of their starting states.
+      windows: with the Jacobians of the starting states.
       make: the hypothesis.
-      steps: so many, and `_MORE` at most.
-      states: (W, k + 1, nq + nv) of the hypothesis from the starting states of the windows.
-      correction: (W, R) of the model's time step.
+      steps: number of steps, plus up to `_EXTRA_STEPS`.
+      states: (W, k + 1, nq + nv) states of the hypothesis from the current starting states.
+      correction: (W, R) correction of the time step, see `time_steps.step_error`.
 
     Returns:
-      Starting states qpos (W, nq), qvel (W, nv), and the states from there (W, k + 1, nq + nv).
+      Starting states qpos (W, nq) and qvel (W, nv), and simulated states from these (W, k + 1, nq + nv).
     """
     nv, sigma, model = windows.nv, windows.data.sigma, windows.models[0]
     qpos, qvel, states = windows.qpos.copy(), windows.qvel.copy(), states.copy()
     raw = windows.whiten(states) + correction
     smoothed = np.concatenate(windows.smoothed, -1)
     own, share = np.arange(len(windows)), np.ones(len(windows))
-    for _ in range(steps + _MORE):
+    for _ in range(steps + _EXTRA_STEPS):
         away = windows.minus(np.concatenate([qpos[own], qvel[own]], -1), smoothed[own])
         pull = (windows.inverse[own] @ raw[own, :, None])[..., 0] * sigma
         move = np.clip(away - share[own, None] * pull, -windows.reach[own], windows.reach[own])
         ahead = raw[own] + (windows.jacobians[own] @ ((move - away) / sigma)[..., None])[..., 0]
-        promise = (raw[own] ** 2).sum(1) - (ahead**2).sum(1)
-        worth = promise > np.where(share[own] < 1.0, _UNKEPT * share[own], _CONTENT)
-        own, move = own[worth], move[worth]
+        predicted = (raw[own] ** 2).sum(1) - (ahead**2).sum(1)
+        active = predicted > np.where(share[own] < 1.0, _MIN_GAIN_REDUCED * share[own], _MIN_GAIN)
+        own, move = own[active], move[active]
         if not len(own):
             break
         start = qpos.copy(), qvel.copy()
@@ -77,29 +77,29 @@ def centred(
         better = own[helps]
         qpos[better], qvel[better] = start[0][better], start[1][better]
         states[better], raw[better] = moved[helps], trial[helps]
-        share[own] = np.where(helps, 1.0, _BACK * share[own])
-        own = own[share[own] > _LEAST]
+        share[own] = np.where(helps, 1.0, _STEP_REDUCTION * share[own])
+        own = own[share[own] > _MIN_SHARE]
     return qpos, qvel, states
 
 
-def recentred(windows: Windows, make: Callable[[mujoco.MjModel], World], exact: bool = True) -> Windows:
-    """A copy of windows whose starting states suit another hypothesis, which is its base for residuals.
+def with_fitted_states(windows: Windows, make: Callable[[mujoco.MjModel], World], exact: bool = True) -> Windows:
+    """A copy of windows with another hypothesis as base and starting states fitted to it.
 
     Args:
       windows: linearised.
       make: the hypothesis.
-      exact: the error of its time step is found anew, which costs as much as the rest; else that of the base is taken.
+      exact: compute the correction of the time step for the hypothesis; else that of `windows` is used.
     """
     other = windows.copied()
-    other.qpos, other.qvel, other.base = centred(windows, make, STEPS, windows.at(make), windows.correction)
-    other.maker = make
+    other.qpos, other.qvel, other.base = fit_starting_states(windows, make, STEPS, windows.at(make), windows.correction)
+    other.make_base = make
     if exact:
         other.correction = step_error(other, make, other.base)
     return other
 
 
-def exactly(windows: Windows, make: Callable[[mujoco.MjModel], World]) -> Windows:
-    """A copy of windows with another hypothesis as base, from the same starting states, with its time step's error.
+def with_step_error(windows: Windows, make: Callable[[mujoco.MjModel], World]) -> Windows:
+    """A copy of windows with another hypothesis as base, its correction of the time step, and the same starting states.
 
     Args:
       windows: linearised.

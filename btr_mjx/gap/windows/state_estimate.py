@@ -1,7 +1,7 @@
-"""Estimates of a robot's state from noisy samples at uneven times.
+"""State estimation from noisy samples at uneven times, by local polynomial fits.
 
-A polynomial in time is fitted to the samples around each chosen one, to positions and, where they were measured, to
-velocities, each in units of its noise. Positions are tangent vectors from the chosen sample, so any joint will do.
+A polynomial in time is fitted by weighted least squares to the positions and measured velocities around a sample.
+Positions are differences in the tangent space from this sample, so that all joint types are supported.
 """
 
 from dataclasses import dataclass
@@ -16,16 +16,16 @@ from btr_mjx.models import difference, integrate
 from btr_mjx.runs import available_cores
 
 _WIDTHS = (3, 4, 5, 6, 8, 10, 13, 16, 20)
-"""Half widths of the fit that are tried, in samples."""
+"""Candidates for the half width of the fit, in samples."""
 
 
 @dataclass(frozen=True)
 class Span:
-    """What a state estimate uses.
+    """Width and order of the local polynomial fit.
 
     Attributes:
-      half: samples on either side.
-      order: coefficients of the polynomial.
+      half: number of samples on either side.
+      order: number of coefficients of the polynomial.
     """
 
     half: int
@@ -34,7 +34,7 @@ class Span:
 
 @dataclass(frozen=True)
 class Track:
-    """What was measured in one recording.
+    """Measured states of one recording.
 
     Attributes:
       time: (K,) [s].
@@ -59,14 +59,14 @@ def smooth(
     """Smoothed states at some samples of a recording.
 
     Args:
-      model: whose joints are meant.
-      track: the recording.
-      samples: (N,) indices of samples.
+      model: the model.
+      track: measured states of the recording.
+      samples: (N,) sample indices.
       sigma: (2 nv,) noise of positions and velocities.
-      span: samples that are used; at the ends of the recording they are shifted inwards.
+      span: width and order of the fit; at the ends of the recording its window is shifted inwards.
 
     Returns:
-      qpos (N, nq), qvel (N, nv) and the fit's chi^2 per degree of freedom (N, nv).
+      qpos (N, nq), qvel (N, nv), and chi^2 per degree of freedom of the fit (N, nv).
     """
     count, nv = len(track.time), model.nv
     width = min(2 * span.half + 1, count)
@@ -98,13 +98,13 @@ def smooth(
 
 
 def best_span(model: mujoco.MjModel, tracks: list[Track], sigma: np.ndarray, limit: float = 1.2) -> Span:
-    """The fit with the smallest error that the motion still allows: its residuals must look like noise.
+    """Width and order of the fit with the smallest variance whose residuals are consistent with the noise.
 
     Args:
-      model: whose joints are meant.
-      tracks: recordings.
-      sigma: (2 nv,) noise.
-      limit: largest median chi^2 per degree of freedom in the worst coordinate.
+      model: the model.
+      tracks: measured states of the recordings.
+      sigma: (2 nv,) noise of positions and velocities.
+      limit: largest median chi^2 per degree of freedom, in the worst coordinate.
     """
     found = [Span(_WIDTHS[0], 6)]
     for order in (4, 6):
@@ -118,17 +118,17 @@ def best_span(model: mujoco.MjModel, tracks: list[Track], sigma: np.ndarray, lim
             if not chi2 or np.median(np.concatenate(chi2), axis=0).max() > limit:
                 break
             found.append(Span(half, order))
-    # A longer fit knows more; two more coefficients cost about a factor of two in samples.
+    # The variance falls with the width; two more coefficients need about twice the samples for the same variance.
     return max(found, key=lambda span: span.half * (1.0 if span.order == 4 else 0.5))
 
 
-def histories(model: mujoco.MjModel, track: Track, command: Command) -> np.ndarray:
-    """Activation states along a recording, driven by what was measured and commanded, from zero at its start.
+def activation_histories(model: mujoco.MjModel, track: Track, command: Command) -> np.ndarray:
+    """Activation states along a recording, driven by measured motion and command, from zero at the start.
 
     Args:
-      model: with `na` activations.
-      track: the recording.
-      command: what was commanded.
+      model: the believed model, with `na` activations.
+      track: measured states of the recording.
+      command: command of the recording.
 
     Returns:
       (K, na) activations at the samples.
@@ -139,7 +139,7 @@ def histories(model: mujoco.MjModel, track: Track, command: Command) -> np.ndarr
     plain = (mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtDyn.mjDYN_INTEGRATOR, mujoco.mjtDyn.mjDYN_PID)
     if not np.isin(model.actuator_dyntype, [int(kind) for kind in plain]).all() or model.actuator_actlimited.any():
         return activations(world, command, track.time, track.qpos, np.where(track.measured, track.qvel, 0.0))
-    # Integrals: the rate does not depend on the activation, so that every sample is evaluated at once.
+    # Pure integrators: the rate does not depend on the activation, so that all samples are evaluated at once.
     batch = Batch(world.model, nsim=len(track.time), nthread=available_cores())
     batch.bind("qpos")[:], batch.bind("qvel")[:] = track.qpos, np.where(track.measured, track.qvel, 0.0)
     batch.bind("ctrl")[:] = world.command(command).at(track.time)

@@ -1,12 +1,11 @@
-"""Time steps of windows: which one residuals are simulated with, and what it does to them.
+"""Time step of windows: choice of the step, correction of its discretisation error, uncertainty of that of the data.
 
-The simulator's own error looks like damping, so residuals belong to a fine time step. Few simulations take it: what a
-longer one does is found once, around a hypothesis, and taken off. That is why a longer one than the model's will do,
-where its error is small enough to be known. Where feet touch the ground and a step of the model's own moves states by
-several standard deviations, what it does depends on the starting state, and the step is divided (`refinement`).
+The discretisation error of a first-order integrator acts like damping. Residuals are corrected to a fine time step: the
+difference between the chosen and a fine step is simulated once per base hypothesis and added (`step_error`). With
+contacts this correction depends on the starting state; if it exceeds the noise, the step is divided (`refinement`).
 
-Data have a time step of their own: none where a machine was measured, a short one where it was simulated. A stiff servo
-shows tens of microseconds of it, as damping of all joints, so a small change of it is fitted along with all else.
+Measured data have no time step, simulated data have a short one. With stiff servos a difference of some tens of
+microseconds is visible, so that the step of the data is a nuisance parameter (`step_uncertainty`).
 """
 
 import copy
@@ -21,106 +20,107 @@ from btr_mjx.gap.windows.likelihood import project
 from btr_mjx.gap.windows.windows import Windows
 
 _FINE = 1.25e-4
-"""Time step of the fine pass, roughly [s]: it divides the model's by 4 to 10."""
+"""Target of the fine time step [s]; it divides that of the model by 4 to 10."""
 
-_DATA = 1e-4
-_DOUBT = 1e-4
-"""Time step that residuals belong to, and how well that of the data is known (1 sigma) [s]. A machine has none, an
-implicit integrator errs the other way than an explicit one, and both are simulated in tenths of a millisecond."""
+_DATA_STEP = 1e-4
+_DATA_STEP_SIGMA = 1e-4
+"""Assumed time step of the data, and its standard deviation [s]: measured data have none, and implicit and explicit
+integrators have errors of opposite sign."""
 
-_UNEVEN, _USUAL = 3.0, 3.0
-"""What that does to a window, root mean square in units of the noise, and beside the median of all windows, at most."""
+_MAX_EFFECT, _MAX_RATIO = 3.0, 3.0
+"""Largest RMS effect of this uncertainty on a window: in units of the noise, and relative to the median window."""
 
-_LONG = 400
-"""Windows of more steps are divided by 4 only; the rest is extrapolated."""
+_LONG_WINDOW = 400
+"""Number of steps above which the fine step divides by 4 only; the rest is extrapolated."""
 
-_COARSE = 1e-3
-"""Longest time step that is taken instead of a shorter one of the model [s]."""
+_MAX_STEP = 1e-3
+"""Longest time step that replaces a shorter one of the model [s]."""
 
-_ROUGH = 0.7
-"""Root mean square, in units of the noise, of what such a step does, beyond which the model's own is taken."""
+_MAX_STEP_ERROR = 0.7
+"""RMS error of a time step, in units of the noise, above which a longer step is not used, or a step is divided."""
 
-_FINER = 4, 16
-"""By so much the model's time step is divided where feet need it, at least and at most. Half of it was not enough: with
-0.5 instead of 1 ms what is left of its error still looked like damping of all joints of a quadruped (a score of 152
-where nothing was missing)."""
+_DIVISORS = 4, 16
+"""Smallest and largest divisor of the time step of the model for contacts."""
 
-_LEFT = 1.4
-"""Root mean square, as above, of what such a divided step may do: errors are of first order."""
+_MAX_DIVIDED_ERROR = 1.4
+"""Target of the RMS error of a divided step, in units of the noise; errors are of first order in the step."""
 
 
 def fine_step(windows: Windows) -> float:
-    """Time step of the fine pass [s]."""
-    if windows.since[:, -1].max() > _LONG * windows.dt:
+    """The fine time step to which residuals are corrected [s]."""
+    if windows.since[:, -1].max() > _LONG_WINDOW * windows.dt:
         return windows.dt / 4
     return windows.dt / float(np.clip(round(windows.dt / _FINE), 4, 10))
 
 
 def step_error(windows: Windows, make: Callable[[mujoco.MjModel], World], base: np.ndarray) -> np.ndarray:
-    """What the time step does to states of a hypothesis.
+    """Correction of the discretisation error of the time step.
 
-    The error of a step is of first order in its length. What the fine pass leaves of it looks like a delay of half a
-    fine step, and is extrapolated to the step that data are taken to have.
+    The error is of first order in the step: the difference to the fine step is extrapolated linearly to the time step
+    of the data.
 
     Args:
       windows: with their time step.
       make: the hypothesis.
-      base: (W, k + 1, nq + nv) its states.
+      base: (W, k + 1, nq + nv) its states with this step.
 
     Returns:
-      (W, R) in units of the noise, to be added to a residual.
+      (W, R) in units of the noise, to be added to the residual.
     """
     fine = fine_step(windows)
-    rest = (windows.step - min(fine, _DATA)) / (windows.step - fine)
+    rest = (windows.step - min(fine, _DATA_STEP)) / (windows.step - fine)
     return rest * (windows.whiten(windows.states([make], timestep=fine)[0]) - windows.whiten(base))
 
 
-def step_doubt(windows: Windows, make: Callable[[mujoco.MjModel], World] = World.of) -> np.ndarray:
-    """What one standard deviation of the data's own time step does to residuals.
+def step_uncertainty(windows: Windows, make: Callable[[mujoco.MjModel], World] = World.of) -> np.ndarray:
+    """Change of the residual for one standard deviation of the time step of the data.
 
-    A Runge-Kutta scheme errs in another direction, next to nowhere, than the schemes of first order do that most data
-    of simulations come from: what these do is simulated for it.
+    For models with a Runge-Kutta integrator, the error of a first-order integrator is simulated instead, as it is the
+    likely one of simulated data.
 
     Args:
       windows: linearised.
-      make: the hypothesis that they are linearised around.
+      make: the hypothesis around which they are linearised.
 
     Returns:
-      (W, R) in units of the noise, with directions of the starting state projected out.
+      (W, R) in units of the noise, with the starting states projected out.
     """
-    return project(_doubt(windows, make), windows.basis)
+    return project(_step_uncertainty(windows, make), windows.basis)
 
 
-def kept(windows: Windows, make: Callable[[mujoco.MjModel], World], contact: bool) -> Windows:
-    """Windows in which the linear picture holds, see `Windows.calm`; without contacts, in which a step does little.
+def reliable_windows(windows: Windows, make: Callable[[mujoco.MjModel], World], contact: bool) -> Windows:
+    """Windows in which the linearisation holds and, without contact, the time step has little effect.
 
-    What turns over near an unstable balance multiplies all that is off before, a tenth of a millisecond to twenty
-    times the noise. One number for all windows no longer describes that.
+    Motion near an unstable equilibrium amplifies the discretisation error, so that a single parameter for the time step
+    does not describe all windows.
 
     Args:
       windows: linearised.
-      make: the hypothesis that they are linearised around.
-      contact: whether the robot touches anything.
+      make: the hypothesis around which they are linearised.
+      contact: whether the robot has contacts.
+
+    Returns:
+      The subset, or `windows` itself if all are reliable.
     """
-    windows = windows.calm()
+    windows = windows.linear_only()
     if contact:
         return windows
-    size = np.sqrt((_doubt(windows, make) ** 2).mean(1))
-    even = size <= max(_UNEVEN, _USUAL * float(np.median(size)))
+    size = np.sqrt((_step_uncertainty(windows, make) ** 2).mean(1))
+    even = size <= max(_MAX_EFFECT, _MAX_RATIO * float(np.median(size)))
     return windows if even.all() else windows.some(np.flatnonzero(even))
 
 
-def _doubt(windows: Windows, make: Callable[[mujoco.MjModel], World]) -> np.ndarray:
+def _step_uncertainty(windows: Windows, make: Callable[[mujoco.MjModel], World]) -> np.ndarray:
     fine = fine_step(windows)
     if windows.models[0].opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         simple, own = (windows.whiten(windows.states([one], timestep=fine)[0]) for one in (_FirstOrder(make), make))
-        return _DOUBT / fine * (simple - own)
-    return _DOUBT / (windows.step - min(fine, _DATA)) * windows.correction
+        return _DATA_STEP_SIGMA / fine * (simple - own)
+    return _DATA_STEP_SIGMA / (windows.step - min(fine, _DATA_STEP)) * windows.correction
 
 
 @dataclass(frozen=True)
 class _FirstOrder:
-    """A hypothesis, integrated by a scheme of first order."""
+    """A hypothesis with the first-order integrator "implicitfast"."""
 
     make: Callable[[mujoco.MjModel], World]
 
@@ -131,45 +131,45 @@ class _FirstOrder:
         return replace(world, model=other)
 
 
-def paced(
+def choose_time_step(
     windows: Windows, make: Callable[[mujoco.MjModel], World], step: float | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Choose the time step of windows: the model's, or twice that where it does little that sensors could see.
+    """Choose the time step of windows: twice `windows.dt` if its error is below the noise, else `windows.dt`.
 
     Args:
-      windows: whose `step` is set.
+      windows: `step` is set in place.
       make: a hypothesis.
-      step: that of windows which these are to be joined to [s]; None to choose one.
+      step: prescribed time step [s], for windows that are to be joined; None to choose one.
 
     Returns:
-      Its states (W, k + 1, nq + nv), and what the step does to them, see `step_error`.
+      States (W, k + 1, nq + nv) of the hypothesis, and their `step_error` (W, R).
     """
     interval = float(np.median(np.diff(windows.since, axis=1)))
     for times in (2, 1) if step is None else (step / windows.dt,):
         windows.step = times * windows.dt
-        if step is None and times > 1 and windows.step > 1.02 * min(_COARSE, interval):
+        if step is None and times > 1 and windows.step > 1.02 * min(_MAX_STEP, interval):
             continue
         base = windows.states([make])[0]
         error = step_error(windows, make, base)
-        if step is not None or times == 1 or np.median((error**2).mean(1)) <= _ROUGH**2:
+        if step is not None or times == 1 or np.median((error**2).mean(1)) <= _MAX_STEP_ERROR**2:
             break
     return base, error
 
 
 def refinement(windows: Windows, make: Callable[[mujoco.MjModel], World]) -> int:
-    """By what the model's time step is to be divided.
+    """Divisor of the time step of the model that windows with contacts need.
 
-    What a step does is taken off as far as the fine pass knows it from one starting state. Where a foot comes down on
-    the ground that changes with the starting state, and a step that moves states by several standard deviations leaves
-    as much as a strong effect.
+    At touchdowns the discretisation error depends on the starting state, so that its correction leaves a part of it.
 
     Args:
-      windows: whose `step` is set.
+      windows: `step` is set in place.
       make: a hypothesis.
 
     Returns:
-      1 where it does little enough, else a power of two.
+      1 if the error is small, else a power of two.
     """
-    _, error = paced(windows, make)
+    _, error = choose_time_step(windows, make)
     rough = float(np.sqrt(np.median((error**2).mean(1))))
-    return 1 if rough <= _ROUGH else int(np.clip(2 ** np.ceil(np.log2(rough / _LEFT)), *_FINER))
+    return (
+        1 if rough <= _MAX_STEP_ERROR else int(np.clip(2 ** np.ceil(np.log2(rough / _MAX_DIVIDED_ERROR)), *_DIVISORS))
+    )

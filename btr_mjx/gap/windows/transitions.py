@@ -1,8 +1,8 @@
-"""How a small change of the state carries over from one sample to the next, and where that has changed.
+"""Transition matrices between samples by finite differences, and detection of changed ones.
 
-Differentiating every interval of every window is the dearest part of a linearisation. Another hypothesis changes few
-intervals, those in which something touches that did not; a single nudge in a random direction tells which. Where that
-nudge led is remembered, because near contacts it leads elsewhere than the derivatives say even where nothing changed.
+Differentiating all intervals is the most expensive part of a linearisation. Another hypothesis changes few of them,
+those with other contacts. These are detected with a single random perturbation per interval, whose result is stored:
+near contacts it differs from that of the transition matrix even if nothing changed.
 """
 
 from collections.abc import Callable
@@ -10,55 +10,56 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.simulate import Job, Stretch, World, simulate
-from btr_mjx.gap.windows.propagation import jacobian, tame
+from btr_mjx.gap.simulate import Job, Segments, World, simulate
+from btr_mjx.gap.windows.propagation import jacobian, linearisation_holds
 from btr_mjx.gap.windows.windows import Windows
 from btr_mjx.models import integrate
 
-_NUDGE = 0.5
-"""Perturbation of a state, in units of the noise: as far as it is unknown. A foot comes down at one time step or at the
-next, and smaller nudges see a staircase."""
-
+_PERTURBATION = 0.5
+"""Perturbation of a state for finite differences, in units of the noise, the uncertainty of the state. Smaller ones
+see the discontinuity of touchdowns between time steps."""
 
 _STRIDES = 4, 2
-"""Time steps of which the longest that does is taken, in units of the model's."""
+"""Candidates for the time step of derivatives, in units of `windows.dt`."""
 
 _ERROR = 0.002
-"""Part of a nudge's answer by which such a step may be off, in the median: it adds up over a window."""
+"""Largest median relative error of the perturbed states with such a step; it accumulates over a window."""
 
 _CONTACT_ERROR = 0.15
-"""The same where something can touch: which step a foot comes down at changes directions by more."""
+"""The same for models with contacts, where the step of a touchdown has a larger influence."""
 
-_JOLT = 0.9
-"""By so much of the nudge three quarters of the answers may be off, at most: light legs are thrown about by touchdowns
-that come a step too late."""
+_MAX_ERROR = 0.9
+"""Largest 0.75 quantile of the error relative to the perturbation: touchdowns accelerate light legs strongly."""
 
 _SAMPLE = 64
-"""Intervals that this is tried on."""
+"""Number of intervals used to choose the step."""
 
 
 def stride(windows: Windows, make: Callable[[mujoco.MjModel], World], states: np.ndarray) -> int:
-    """How much longer than the model's a time step may be that only tells which directions are unknown.
+    """Longest time step for derivatives, as a multiple of `windows.dt`.
 
     Args:
-      windows: the data.
+      windows: the windows.
       make: the hypothesis.
       states: (W, k + 1, nq + nv) its states.
+
+    Returns:
+      1 or an element of `_STRIDES`.
     """
     interval = float(np.median(np.diff(windows.since, axis=1)))
     every = np.linspace(0, len(windows) * windows.k - 1, _SAMPLE).astype(int)
     window, place = np.unravel_index(np.unique(every), (len(windows), windows.k))
-    nudges = np.broadcast_to(_mixed(windows), (len(window), 1, 2 * windows.nv))
-    answers: dict[int, np.ndarray] = {}
+    perturbations = np.broadcast_to(_random_perturbation(windows), (len(window), 1, 2 * windows.nv))
+    ends_by_stride: dict[int, np.ndarray] = {}
     for times in (1, *_STRIDES):
         if times == 1 or times * windows.dt <= 1.02 * interval:
-            moved = _moved(windows, make, states, window, place, nudges, times)
-            answers[times] = moved[:, 0] / (_NUDGE * windows.data.sigma * np.sqrt(2 * windows.nv))
-    size = np.maximum(np.linalg.norm(answers[1], axis=1), 1e-12)  # zero where a simulation became invalid
-    off = {times: np.linalg.norm(there - answers[1], axis=1) for times, there in answers.items()}
+            moved = _perturbed_ends(windows, make, states, window, place, perturbations, times)
+            ends_by_stride[times] = moved[:, 0] / (_PERTURBATION * windows.data.sigma * np.sqrt(2 * windows.nv))
+    size = np.maximum(np.linalg.norm(ends_by_stride[1], axis=1), 1e-12)  # zero if a simulation is invalid
+    off = {times: np.linalg.norm(there - ends_by_stride[1], axis=1) for times, there in ends_by_stride.items()}
     model = windows.models[0]
     most = _CONTACT_ERROR if model.geom_contype.any() and model.geom_conaffinity.any() else _ERROR
-    good = (t for t, e in off.items() if np.median(e / size) <= most and np.quantile(e, 0.75) <= _JOLT)
+    good = (t for t, e in off.items() if np.median(e / size) <= most and np.quantile(e, 0.75) <= _MAX_ERROR)
     return max(good)
 
 
@@ -69,97 +70,103 @@ def transitions(
     wanted: np.ndarray | None = None,
     known: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How a small change of the state at each sample carries over to the next sample.
+    """Transition matrices of the state from each sample to the next, by finite differences.
 
     Args:
-      windows: the data.
+      windows: the windows.
       make: the hypothesis.
       states: (W, k + 1, nq + nv) its states.
       wanted: (W, k) bool: intervals to differentiate; None for all.
-      known: what this function returned for the others.
+      known: previous result, for the other intervals.
 
     Returns:
-      (W, k, 2 nv, 2 nv), and where the nudge of `strangeness` leads, (W, k, 2 nv).
+      Matrices (W, k, 2 nv, 2 nv), and change of the state (W, k, 2 nv) by the perturbation of `transition_change`.
     """
-    size, scale = 2 * windows.nv, _NUDGE * windows.data.sigma
-    nudges = np.concatenate([np.diag(scale), _mixed(windows)[None]])
+    size, scale = 2 * windows.nv, _PERTURBATION * windows.data.sigma
+    perturbations = np.concatenate([np.diag(scale), _random_perturbation(windows)[None]])
     if wanted is None or known is None:
         wanted = np.ones((len(windows), windows.k), bool)
         known = np.zeros((len(windows), windows.k, size, size)), np.zeros((len(windows), windows.k, size))
-    matrices, answers = (array.copy() for array in known)
+    matrices, ends = (array.copy() for array in known)
     window, interval = np.nonzero(wanted)
-    moved = _moved(windows, make, states, window, interval, np.broadcast_to(nudges, (len(window), size + 1, size)))
+    moved = _perturbed_ends(
+        windows, make, states, window, interval, np.broadcast_to(perturbations, (len(window), size + 1, size))
+    )
     matrices[window, interval] = np.swapaxes(moved[:, :-1] / scale[:, None], 1, 2)
-    answers[window, interval] = moved[:, -1]
-    return matrices, answers
+    ends[window, interval] = moved[:, -1]
+    return matrices, ends
 
 
-def directions(windows: Windows, make: Callable[[mujoco.MjModel], World]) -> tuple[np.ndarray, np.ndarray]:
-    """How residuals answer to the starting states: products of transitions, and secants where these would grow wild.
+def state_jacobians(windows: Windows, make: Callable[[mujoco.MjModel], World]) -> tuple[np.ndarray, np.ndarray]:
+    """Jacobians of residuals with respect to the starting state.
+
+    Products of transition matrices; finite differences of whole windows where the linearisation does not hold.
 
     Args:
       windows: with their transitions.
       make: the hypothesis.
 
     Returns:
-      (W, R, 2 nv), scaled by the noise of the starting state, and which windows are tame (W,).
+      Jacobians (W, R, 2 nv) in units of the noise, and (W,) bool: windows in which the linearisation holds.
     """
     found = jacobian(windows)
-    calm = tame(found)
-    wild = np.flatnonzero(~calm)
-    if len(wild):
-        found[wild] = secants(windows, make, wild)
-    return found, calm
+    holds = linearisation_holds(found)
+    nonlinear = np.flatnonzero(~holds)
+    if len(nonlinear):
+        found[nonlinear] = simulated_jacobians(windows, make, nonlinear)
+    return found, holds
 
 
-def secants(windows: Windows, make: Callable[[mujoco.MjModel], World], own: np.ndarray) -> np.ndarray:
-    """How residuals answer to the starting state, by nudging it and simulating whole windows.
+def simulated_jacobians(windows: Windows, make: Callable[[mujoco.MjModel], World], own: np.ndarray) -> np.ndarray:
+    """Jacobians of residuals with respect to the starting state, by finite differences of whole windows.
 
-    As dear as the transitions. What is off at a touchdown does not grow from each to the next as in their product, for
-    a foot that touches touches.
+    Unlike products of transition matrices they do not grow without bound over several touchdowns.
 
     Args:
-      windows: the data.
+      windows: the windows.
       make: the hypothesis.
-      own: (N,) which windows.
+      own: (N,) indices of windows.
 
     Returns:
-      (N, R, 2 nv), scaled by the noise of the starting state.
+      (N, R, 2 nv), both sides in units of the noise.
     """
     nq, nv, size = windows.nq, windows.nv, 2 * windows.nv
-    nudges = np.concatenate([np.zeros((1, size)), _NUDGE * np.diag(windows.data.sigma)])
+    perturbations = np.concatenate([np.zeros((1, size)), _PERTURBATION * np.diag(windows.data.sigma)])
     out = np.zeros((len(own), windows.correction.shape[1], size))
     for model, members in windows.groups:
         mine = np.flatnonzero(np.isin(own, members))
         if not len(mine):
             continue
-        there = np.repeat(own[mine], len(nudges))
-        away = np.tile(nudges, (len(mine), 1))
+        there = np.repeat(own[mine], len(perturbations))
+        away = np.tile(perturbations, (len(mine), 1))
         qpos = integrate(model, windows.qpos[there], away[:, :nv])
-        stretch = windows.stretch(there, qpos, windows.qvel[there] + away[:, nv:], windows.since[there])
+        segments = windows.segments(there, qpos, windows.qvel[there] + away[:, nv:], windows.since[there])
         step = windows.stride * windows.dt
-        states = simulate([(make(model), stretch)], timestep=step, counter=windows.counter)[0]
-        states = states.reshape(len(mine), len(nudges), windows.k + 1, nq + nv)
+        states = simulate([(make(model), segments)], timestep=step, counter=windows.counter)[0]
+        states = states.reshape(len(mine), len(perturbations), windows.k + 1, nq + nv)
         moved = windows.scaled(windows.minus(states[:, 1:], states[:, :1]))
-        out[mine] = np.swapaxes(moved, 1, 2) / _NUDGE
+        out[mine] = np.swapaxes(moved, 1, 2) / _PERTURBATION
     return out
 
 
 def single_intervals(
     windows: Windows, window: np.ndarray, interval: np.ndarray, qpos: np.ndarray, qvel: np.ndarray
-) -> Stretch:
-    """Some sample intervals as stretches of their own.
+) -> Segments:
+    """Sample intervals as segments, from n starting states each.
 
     Args:
-      windows: the data.
-      window: (N,) of each interval.
-      interval: (N,) its number within the window.
-      qpos: (N, n, nq) states that it is started from.
-      qvel: (N, n, nv).
+      windows: the windows.
+      window: (N,) window of each interval.
+      interval: (N,) its index within the window.
+      qpos: (N, n, nq) starting configurations.
+      qvel: (N, n, nv) starting velocities.
+
+    Returns:
+      N * n segments.
     """
     count = qpos.shape[1]
     window, interval = np.repeat(window, count), np.repeat(interval, count)
-    return Stretch(
+    return Segments(
         start=windows.time[window, interval],
         qpos=qpos.reshape(-1, windows.nq),
         qvel=qvel.reshape(-1, windows.nv),
@@ -170,13 +177,13 @@ def single_intervals(
     )
 
 
-def _mixed(windows: Windows) -> np.ndarray:
-    """A nudge (2 nv,) of every coordinate at once, with signs of its own."""
-    return np.random.default_rng(0).choice([-1.0, 1.0], 2 * windows.nv) * _NUDGE * windows.data.sigma
+def _random_perturbation(windows: Windows) -> np.ndarray:
+    """A perturbation (2 nv,) of all coordinates with random signs, the same in every call."""
+    return np.random.default_rng(0).choice([-1.0, 1.0], 2 * windows.nv) * _PERTURBATION * windows.data.sigma
 
 
-def strangeness(windows: Windows, make: Callable[[mujoco.MjModel], World], states: np.ndarray) -> np.ndarray:
-    """By how much a hypothesis' transitions differ from those that the windows know.
+def transition_change(windows: Windows, make: Callable[[mujoco.MjModel], World], states: np.ndarray) -> np.ndarray:
+    """Difference between the transitions of a hypothesis and those of the windows, estimated with one perturbation.
 
     Args:
       windows: linearised.
@@ -184,28 +191,28 @@ def strangeness(windows: Windows, make: Callable[[mujoco.MjModel], World], state
       states: (W, k + 1, nq + nv) its states.
 
     Returns:
-      (W, k) root sum square, in units of the noise, of the change of where a nudge by the noise of every coordinate
-      leads, with signs of its own; its mean square over signs is the squared norm of the transitions' change.
+      (W, k) norm, in units of the noise, of the change of the perturbed state at the end of each interval. Its mean
+      square over random signs is the squared Frobenius norm of the change of the whitened transition matrix.
     """
     window, interval = (i.ravel() for i in np.indices((len(windows), windows.k)))
-    nudges = np.broadcast_to(_mixed(windows), (len(window), 1, 2 * windows.nv))
-    moved = _moved(windows, make, states, window, interval, nudges)[:, 0]
-    error = (moved - windows.answers[window, interval]) / (_NUDGE * windows.data.sigma)
+    perturbations = np.broadcast_to(_random_perturbation(windows), (len(window), 1, 2 * windows.nv))
+    moved = _perturbed_ends(windows, make, states, window, interval, perturbations)[:, 0]
+    error = (moved - windows.perturbed_ends[window, interval]) / (_PERTURBATION * windows.data.sigma)
     return np.sqrt((error**2).sum(-1)).reshape(len(windows), windows.k)
 
 
-def _moved(
+def _perturbed_ends(
     windows: Windows,
     make: Callable[[mujoco.MjModel], World],
     states: np.ndarray,
     window: np.ndarray,
     interval: np.ndarray,
-    nudges: np.ndarray,
+    perturbations: np.ndarray,
     times: int | None = None,
 ) -> np.ndarray:
-    """Where nudges (N, n, 2 nv) of the states at N intervals lead to at their ends, (N, n, 2 nv), in long steps."""
+    """Changes (N, n, 2 nv) of the states at the ends of N intervals by perturbations (N, n, 2 nv) at their starts."""
     nq, nv = windows.nq, windows.nv
-    out = np.zeros(nudges.shape)
+    out = np.zeros(perturbations.shape)
     jobs: list[Job] = []
     members = []
     for model, own in windows.groups:
@@ -213,13 +220,13 @@ def _moved(
         if not len(mine):
             continue
         start = states[window[mine], interval[mine], None]  # (n, 1, nx)
-        both = np.concatenate([np.zeros_like(nudges[mine, :1]), nudges[mine]], 1)
+        both = np.concatenate([np.zeros_like(perturbations[mine, :1]), perturbations[mine]], 1)
         qpos = integrate(model, np.broadcast_to(start[..., :nq], (*both.shape[:2], nq)), both[..., :nv])
         qvel = start[..., nq:] + both[..., nv:]
         jobs.append((make(model), single_intervals(windows, window[mine], interval[mine], qpos, qvel)))
         members.append(mine)
     found = simulate(jobs, timestep=(times or windows.stride) * windows.dt, counter=windows.counter)
     for mine, ends in zip(members, found, strict=True):
-        ends = ends.reshape(len(mine), nudges.shape[1] + 1, -1)
+        ends = ends.reshape(len(mine), perturbations.shape[1] + 1, -1)
         out[mine] = np.nan_to_num(windows.minus(ends[:, 1:], ends[:, :1]))
     return out

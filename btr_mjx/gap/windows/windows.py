@@ -1,9 +1,8 @@
-"""Short windows of the recordings: multiple shooting, with the unknown starting state of each window projected out.
+"""Windows of recordings: multiple shooting with the unknown starting state of each window projected out.
 
-A window begins at a smoothed state that takes one Gauss-Newton step towards its own samples where that helps. What
-the starting state could still explain is projected out of residuals and of signatures, so that neither noise at the
-start nor chaos between windows matters. Residuals belong to a fine time step (the simulator's own error looks like
-damping); how they answer to parameters comes from a longer one, see `time_steps`.
+Each window is simulated from a smoothed state that is corrected by Gauss-Newton steps (`starting_states`). The column
+space of the Jacobian with respect to the starting state is projected out of residuals and signatures. Residuals are
+corrected to a fine time step, see `time_steps`.
 """
 
 import copy
@@ -13,69 +12,72 @@ from functools import partial
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.simulate import Counter, Job, Stretch, World, simulate
+from btr_mjx.gap.simulate import Counter, Job, Segments, World, simulate
 from btr_mjx.gap.windows.likelihood import project
-from btr_mjx.gap.windows.memory import Memory
-from btr_mjx.gap.windows.prepared import Data
-from btr_mjx.gap.windows.rows import picked
+from btr_mjx.gap.windows.prepared import PreparedData
+from btr_mjx.gap.windows.rows import select_rows
+from btr_mjx.gap.windows.state_cache import StateCache
 from btr_mjx.gap.windows.state_estimate import smooth
 from btr_mjx.models import difference
 
 MakeWorld = Callable[[mujoco.MjModel], World]
-"""The world of a hypothesis, given the believed model of a recording."""
+"""A hypothesis: returns its world for the believed model of a recording."""
 
-_REACH = 2.0
-"""How far a starting state may be led away from the smoothed one, in units of the noise; more where smoothing fails."""
+_MAX_CORRECTION = 2.0
+"""Bound of the correction of a smoothed starting state, in units of the noise; scaled by chi^2 of the smoothing."""
 
-_UNSEEN = 50.0
-"""Coordinates that were not measured may be led away further by this factor."""
+_UNMEASURED_FACTOR = 50.0
+"""Factor on this bound for coordinates that were not measured."""
 
 _PER_WINDOW = (
     *("recording", "first", "time", "since", "target_q", "target_v", "act", "qpos", "qvel", "reach"),
-    *("basis", "soft", "correction", "base", "transitions", "answers", "jacobians", "inverse"),
-    "tame",
+    *("basis", "partial_basis", "correction", "base", "transitions", "perturbed_ends", "jacobians", "inverse"),
+    "is_linear",
 )
-"""Arrays with a row for every window."""
+"""Attributes with one row per window."""
 
-_CEILING = 1e4
-"""Residuals are cut here, in units of the noise; a diverged simulation counts as this."""
+_MAX_RESIDUAL = 1e4
+"""Residuals are clipped to this, in units of the noise; invalid states get this value."""
 
 
 class Windows:
-    """Windows of equal numbers of samples over some recordings.
+    """Windows with equal numbers of samples over some recordings; R = (k + 1) * measured coordinates.
 
     Attributes:
       data: the recordings.
-      recording: (W,) which recording each window is of.
-      first: (W,) its first sample.
+      recording: (W,) recording index of each window.
+      first: (W,) first sample of each window.
       k: samples of a window after the first.
-      qpos, qvel: (W, nq), (W, nv) starting states, measured coordinates.
-      basis: (W, R, D) orthonormal directions of the starting state, then those of `soften`.
-      soft: (W, R, S) the latter.
-      step: time step of residuals [s], the model's or twice that; what it does is corrected.
-      stride: time steps of the model that one step takes where only directions are asked for.
+      qpos, qvel: (W, nq), (W, nv) starting states in measured coordinates.
+      basis: (W, R, D) orthonormal basis of the starting state directions, followed by `partial_basis`.
+      partial_basis: (W, R, S) directions of `project_partially`.
+      dt: time step of the model divided by `data.step_divisor` [s].
+      step: time step of residuals [s], `dt` or twice that.
+      stride: time step of derivatives in units of `dt`.
       freedom: residual degrees of freedom of a window.
-      tame: (W,) bool: where transitions may be multiplied, see `propagation.tame`.
-      base: (W, k + 1, nq + nv) states of the base world from the starting states.
-      maker: the hypothesis that they are of.
-      memory: what was simulated in them and their copies.
-      transitions: (W, k, 2 nv, 2 nv) from one sample to the next; this and what follows is set by `linearise`.
-      answers: (W, k, 2 nv) where the nudge of `transitions.strangeness` leads.
-      jacobians: (W, R, 2 nv) how residuals answer to the starting state, in units of the noise.
-      inverse: (W, 2 nv, R) pseudo-inverse of these.
+      correction: (W, R) correction of the time step, see `time_steps.step_error`.
+      base: (W, k + 1, nq + nv) states of the base hypothesis from the starting states.
+      make_base: the base hypothesis.
+      cache: simulated states, shared with copies.
+      is_linear: (W,) bool: the linearisation holds, see `propagation.linearisation_holds`; set by `linearise`, as are
+        the following.
+      transitions: (W, k, 2 nv, 2 nv) transition matrices from one sample to the next.
+      perturbed_ends: (W, k, 2 nv) effect of the perturbation of `transitions.transition_change`.
+      jacobians: (W, R, 2 nv) derivatives of residuals with respect to the starting state, in units of the noise.
+      inverse: (W, 2 nv, R) their pseudo-inverses.
     """
 
     transitions: np.ndarray
-    answers: np.ndarray
+    perturbed_ends: np.ndarray
     jacobians: np.ndarray
     inverse: np.ndarray
-    tame: np.ndarray
+    is_linear: np.ndarray
 
     def __init__(
-        self, data: Data, recording: np.ndarray, first: np.ndarray, k: int, counter: Counter | None = None
+        self, data: PreparedData, recording: np.ndarray, first: np.ndarray, k: int, counter: Counter | None = None
     ) -> None:
         self.data, self.recording, self.first, self.k = data, np.asarray(recording), np.asarray(first), k
-        self.counter, self.memory = counter or Counter(), Memory()
+        self.counter, self.cache = counter or Counter(), StateCache()
         index = self.first[:, None] + np.arange(k + 1)
         pick = [data.recordings[r] for r in self.recording]
         self.time = np.stack([r.time[i] for r, i in zip(pick, index, strict=True)])
@@ -86,26 +88,28 @@ class Windows:
         self.act = np.stack([data.acts[r][i] for r, i in zip(self.recording, index, strict=True)])
         model = pick[0].model
         self.nq, self.nv = model.nq, model.nv
-        self.dt = float(model.opt.timestep) / data.finer
+        self.dt = float(model.opt.timestep) / data.step_divisor
         self.step = self.dt
         self.groups = self._by_model()
         self.qpos, self.qvel = np.empty((len(self), self.nq)), np.empty((len(self), self.nv))
-        doubt = np.ones((len(self), self.nv))
+        scatter = np.ones((len(self), self.nv))
         for r in np.unique(self.recording):
             own = np.flatnonzero(self.recording == r)
             q, v, chi2 = smooth(model, data.tracks[r], self.first[own], data.sigma, data.span)
             self.qpos[own], self.qvel[own] = q, v
-            doubt[own] = np.maximum(chi2, 1.0)
-        self.reach = _REACH * data.sigma * np.where(data.measured, 1.0, _UNSEEN) * np.tile(doubt, 2)
+            scatter[own] = np.maximum(chi2, 1.0)
+        self.reach = (
+            _MAX_CORRECTION * data.sigma * np.where(data.measured, 1.0, _UNMEASURED_FACTOR) * np.tile(scatter, 2)
+        )
         self.smoothed = self.qpos.copy(), self.qvel.copy()
         self.channels = np.flatnonzero(data.measured)
         self.correction = np.zeros((len(self), (k + 1) * len(self.channels)))
         self.basis = np.zeros((*self.correction.shape, 0))
-        self.soft = self.basis
+        self.partial_basis = self.basis
         self._raw: np.ndarray | None = None
         self._residual: np.ndarray | None = None
         self.base = np.zeros((0, 0, 0))
-        self.maker: MakeWorld | None = None
+        self.make_base: MakeWorld | None = None
         self.stride = 1
 
     def __len__(self) -> int:
@@ -129,9 +133,9 @@ class Windows:
             groups.setdefault(id(model), (model, []))[1].append(window)
         return [(model, np.array(own)) for model, own in groups.values()]
 
-    def stretch(self, own: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, samples: np.ndarray) -> Stretch:
-        """A stretch of windows `own` from given states at given times since their start."""
-        return Stretch(
+    def segments(self, own: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, samples: np.ndarray) -> Segments:
+        """Windows `own` (N,) as segments, from given starting states and with given sample times."""
+        return Segments(
             start=self.time[own, 0],
             qpos=qpos,
             qvel=qvel,
@@ -152,10 +156,10 @@ class Windows:
         """Simulate hypotheses over windows.
 
         Args:
-          makes: one world maker per hypothesis.
-          timestep: another one than `step` [s].
-          start: other starting states qpos (W, nq), qvel (W, nv).
-          own: (N,) some of the windows; None for all.
+          makes: the hypotheses.
+          timestep: time step [s]; None for `step`.
+          start: starting states qpos (W, nq), qvel (W, nv); None for those of the windows.
+          own: (N,) indices of windows; None for all.
 
         Returns:
           For each hypothesis states (N, k + 1, nq + nv).
@@ -166,7 +170,7 @@ class Windows:
         find = partial(self._simulated, makes, rows, qpos, qvel, step)
         names = np.stack([self.recording[rows], self.first[rows]], 1)
         keys = [b"".join(a.tobytes() for a in row) for row in zip(names, qpos[rows], qvel[rows], strict=True)]
-        return self.memory([(make, step) for make in makes], keys, find)
+        return self.cache([(make, step) for make in makes], keys, find)
 
     def _simulated(
         self,
@@ -177,21 +181,21 @@ class Windows:
         timestep: float,
         wanted: Sequence[tuple[int, np.ndarray]],
     ) -> list[np.ndarray]:
-        """Simulate what the memory does not hold: for each (i, places in `rows`) the states of hypothesis i there."""
-        stretches: dict[tuple[int, bytes], Stretch] = {}
-        out = [np.empty((len(asked), self.k + 1, self.nq + self.nv)) for _, asked in wanted]
+        """Simulate states that are not cached: for each (i, positions in `rows`) those of hypothesis i."""
+        segment_sets: dict[tuple[int, bytes], Segments] = {}
+        out = [np.empty((len(positions), self.k + 1, self.nq + self.nv)) for _, positions in wanted]
         jobs: list[Job] = []
         places = []
-        for states, (i, asked) in zip(out, wanted, strict=True):
+        for states, (i, positions) in zip(out, wanted, strict=True):
             for j, (model, mine) in enumerate(self.groups):
-                part = np.flatnonzero(np.isin(rows[asked], mine))
-                own = rows[asked[part]]
+                part = np.flatnonzero(np.isin(rows[positions], mine))
+                own = rows[positions[part]]
                 if not len(own):
                     continue
                 key = j, own.tobytes()
-                if key not in stretches:  # what hypotheses share is laid out once
-                    stretches[key] = self.stretch(own, qpos[own], qvel[own], self.since[own])
-                jobs.append((makes[i](model), stretches[key]))
+                if key not in segment_sets:  # shared by hypotheses
+                    segment_sets[key] = self.segments(own, qpos[own], qvel[own], self.since[own])
+                jobs.append((makes[i](model), segment_sets[key]))
                 places.append((states, part))
         found = simulate(jobs, timestep=timestep, counter=self.counter)
         for (states, part), of_job in zip(places, found, strict=True):
@@ -199,45 +203,50 @@ class Windows:
         return out
 
     def whiten(self, states: np.ndarray, own: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """States of windows `own` minus their data in units of the noise, (W, R)."""
+        """Whitened differences (W, R) between states of windows `own` and their data."""
         return self.scaled(self.minus(states, np.concatenate([self.target_q[own], self.target_v[own]], -1)))
 
     def minus(self, states: np.ndarray, other: np.ndarray) -> np.ndarray:
-        """Difference of states in the tangent space (..., 2 nv)."""
+        """Difference of states (..., nq + nv) in the tangent space (..., 2 nv)."""
         model, nq = self.groups[0][0], self.nq
         position = difference(model, other[..., :nq], states[..., :nq])
         return np.concatenate([position, states[..., nq:] - other[..., nq:]], -1)
 
     def scaled(self, tangent: np.ndarray) -> np.ndarray:
-        """Tangent vectors (..., k + 1, 2 nv) as rows (..., R) in units of the noise; what is invalid becomes huge."""
+        """Measured coordinates of tangent vectors (..., k + 1, 2 nv) as rows (..., R) in units of the noise."""
         rows = (tangent / self.data.sigma)[..., self.channels]
-        rows = np.clip(np.nan_to_num(rows, nan=_CEILING, posinf=_CEILING, neginf=-_CEILING), -_CEILING, _CEILING)
+        rows = np.clip(
+            np.nan_to_num(rows, nan=_MAX_RESIDUAL, posinf=_MAX_RESIDUAL, neginf=-_MAX_RESIDUAL),
+            -_MAX_RESIDUAL,
+            _MAX_RESIDUAL,
+        )
         return rows.reshape(*rows.shape[:-2], -1)
 
-    def soften(self, directions: np.ndarray) -> None:
-        """Let some directions count less in all residuals from now on.
+    def project_partially(self, directions: np.ndarray) -> None:
+        """Reduce the weight of some directions in all residuals from now on.
 
         Args:
-          directions: (W, R, D), scaled as those of `project`; what they share with starting states is left out.
+          directions: (W, R, S) vectors v; a residual e becomes e - v (v . e). Their components along the starting
+            state directions are removed.
         """
         state = self.basis[:, :, : 2 * self.nv]
         off = project(np.moveaxis(directions, 2, 0), state)
-        self.soft = np.moveaxis(off, 0, 2)
-        self.basis = np.concatenate([state, self.soft], 2)
+        self.partial_basis = np.moveaxis(off, 0, 2)
+        self.basis = np.concatenate([state, self.partial_basis], 2)
         self._residual = None
 
     def copied(self) -> "Windows":
-        """A copy that is about to be changed."""
+        """A shallow copy without cached residuals."""
         other = copy.copy(self)
-        other.forget_residuals()
+        other.clear_residuals()
         return other
 
-    def forget_residuals(self) -> None:
-        """Residuals are found again when they are next asked for; call it after a change of what they depend on."""
+    def clear_residuals(self) -> None:
+        """Delete cached residuals; call it after a change of anything that they depend on."""
         self._raw = self._residual = None
 
     def some(self, index: np.ndarray) -> "Windows":
-        """Some of the windows."""
+        """A subset of the windows."""
         other = self.copied()
         for name in _PER_WINDOW:
             setattr(other, name, getattr(self, name)[index])
@@ -245,59 +254,59 @@ class Windows:
         other.groups = other._by_model()
         return other
 
-    def calm(self) -> "Windows":
-        """Those in which the linear picture holds: a small error of any number is a large one in the others."""
-        return self if self.tame.all() else self.some(np.flatnonzero(self.tame))
+    def linear_only(self) -> "Windows":
+        """The windows in which the linearisation holds."""
+        return self if self.is_linear.all() else self.some(np.flatnonzero(self.is_linear))
 
     def joined(self, other: "Windows") -> "Windows":
-        """These and others of the same recordings and of the same length and time step, all linearised."""
+        """The union with other windows of the same recordings, length and time step, all linearised."""
         both = self.copied()
         for name in _PER_WINDOW:
             setattr(both, name, np.concatenate([getattr(self, name), getattr(other, name)]))
         qpos, qvel = (np.concatenate(pair) for pair in zip(self.smoothed, other.smoothed, strict=True))
         both.smoothed, both.stride = (qpos, qvel), min(self.stride, other.stride)
-        both.maker = self.maker if self.maker is other.maker else None
+        both.make_base = self.make_base if self.make_base is other.make_base else None
         both.groups = both._by_model()
         return both
 
     @property
     def raw(self) -> np.ndarray:
-        """Residual of the base (W, R) from the starting states as they are: nothing is projected out."""
+        """Whitened residual (W, R) of the base, with nothing projected out."""
         if self._raw is None:
             self._raw = self.whiten(self.base) + self.correction
         return self._raw
 
     @property
     def residual(self) -> np.ndarray:
-        """Projected residual of the base (W, R) in units of the noise, found when it is first asked for."""
+        """Projected residual (W, R) of the base in units of the noise, computed on first use."""
         if self._residual is None:
             self._residual = project(self.raw, self.basis)
         return self._residual
 
     def based(self, make: MakeWorld) -> "Windows":
-        """A copy of which another hypothesis is the base, from the same starting states."""
+        """A copy with another hypothesis as base and the same starting states."""
         other = self.copied()
-        other.base, other.maker = self.at(make), make
+        other.base, other.make_base = self.at(make), make
         return other
 
     def at(self, make: MakeWorld) -> np.ndarray:
-        """States (W, k + 1, nq + nv) of a hypothesis from the starting states; those of the base are known."""
-        return self.base if make is self.maker else self.states([make])[0]
+        """States (W, k + 1, nq + nv) of a hypothesis from the starting states; not simulated for the base."""
+        return self.base if make is self.make_base else self.states([make])[0]
 
     def mixed(self, others: Sequence["Windows"], chosen: np.ndarray) -> "Windows":
-        """The same with some windows as others have them: their starting states, and the directions of these.
+        """A copy with the starting states and derivatives of other `Windows` in some windows.
 
         Args:
-          others: of the same data; the first of them is number 1.
-          chosen: (W,) whose each window is, 0 for its own.
+          others: windows of the same data.
+          chosen: (W,) integers: 0 for these windows, i for `others[i - 1]`.
         """
         if not chosen.any():
             return self
         other = self.copied()
         for name in _PER_WINDOW:
-            setattr(other, name, picked(getattr(self, name), [getattr(w, name) for w in others], chosen))
+            setattr(other, name, select_rows(getattr(self, name), [getattr(w, name) for w in others], chosen))
         return other
 
     def residuals(self, makes: Sequence[MakeWorld]) -> list[np.ndarray]:
-        """Projected residuals (W, R) of hypotheses, by true simulation."""
+        """Projected residuals (W, R) of hypotheses by simulation, with the correction of the base."""
         return [project(self.whiten(s) + self.correction, self.basis) for s in self.states(makes)]

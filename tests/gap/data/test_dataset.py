@@ -1,4 +1,4 @@
-"""Datasets: what is read is what was written, and every kind of bad input is one clear line."""
+"""Datasets: round trip of writing and reading, and one-line errors for invalid input."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -20,14 +20,14 @@ from btr_mjx.runs import write_arrays
 
 @pytest.fixture
 def folder(tmp_path: Path, rng: np.random.Generator) -> Path:
-    """A sound dataset of two CSV recordings."""
+    """A valid dataset of two CSV recordings."""
     recordings = [smooth_recording("one", rng), smooth_recording("two", rng, "test")]
     save_dataset(tmp_path, XML, recordings, file_format="csv")
     return tmp_path
 
 
 @pytest.mark.parametrize("file_format", ["csv", "parquet", "npz"])
-def test_what_is_written_is_read(tmp_path: Path, rng: np.random.Generator, file_format: Format) -> None:
+def test_write_read_round_trip(tmp_path: Path, rng: np.random.Generator, file_format: Format) -> None:
     recordings = [smooth_recording("one", rng), smooth_recording("two", rng, "test")]
     noise = Noise(np.array([1, 1, 1, 2, 2, 2, 3, 4, 4, 4]) * 1e-3, np.arange(1, 11) * 1e-2)
     believed = Believed("hip damping", ("joint:hip/damping",), 0.1, 2.0)
@@ -72,7 +72,7 @@ def test_what_is_written_is_read(tmp_path: Path, rng: np.random.Generator, file_
     assert (one.actuator_gainprm[0, 0], one.actuator_biasprm[0, 1], one.actuator_biasprm[0, 2]) == (45, -45, -1.5)
 
 
-def test_grouped_arrays_of_npz_mean_the_same(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_grouped_npz_arrays_equal_single_columns(tmp_path: Path, rng: np.random.Generator) -> None:
     recordings = [smooth_recording("one", rng), smooth_recording("two", rng)]
     save_dataset(
         tmp_path, XML, [r.part(slice(None), s, r.name) for r, s in zip(recordings, ("fit", "test"), strict=True)]
@@ -87,7 +87,7 @@ def test_grouped_arrays_of_npz_mean_the_same(tmp_path: Path, rng: np.random.Gene
         np.testing.assert_array_equal(read.qvel, wrote.qvel)
 
 
-def test_columns_follow_mujoco() -> None:
+def test_column_order_is_mujocos() -> None:
     positions, velocities = state_columns(MODEL)
     assert positions[:7] == [f"qpos/root/{c}" for c in ("x", "y", "z", "qw", "qx", "qy", "qz")]
     assert positions[7:] == ["qpos/hip", *(f"qpos/wrist/{c}" for c in ("qw", "qx", "qy", "qz"))]
@@ -97,7 +97,7 @@ def test_columns_follow_mujoco() -> None:
     assert control_columns(MODEL) == ["ctrl/hip_motor"]
 
 
-def test_parts_without_a_name_have_one() -> None:
+def test_unnamed_parts_get_a_name() -> None:
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><worldbody><body name="b"><freejoint/><geom size=".1"/><body name="c"><joint axis="0 1 0"/>'
         '<geom size=".1"/></body></body></worldbody><actuator><motor joint="j"/></actuator></mujoco>'.replace(
@@ -126,7 +126,7 @@ def test_estimated_velocities_of_every_kind_of_joint(rng: np.random.Generator) -
     np.testing.assert_allclose(estimate, recording.qvel, atol=2e-3)
 
 
-def test_splits(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_explicit_and_default_splits(tmp_path: Path, rng: np.random.Generator) -> None:
     recordings = [smooth_recording(f"r{i}", rng, "test" if i == 5 else "fit") for i in range(6)]
     save_dataset(tmp_path, XML, recordings)
     file = tmp_path / "dataset.toml"
@@ -139,7 +139,7 @@ def test_splits(tmp_path: Path, rng: np.random.Generator) -> None:
         load(tmp_path)
 
 
-def test_a_single_recording_is_cut_in_time(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_single_recording_is_split_in_time(tmp_path: Path, rng: np.random.Generator) -> None:
     save_dataset(tmp_path, XML, [smooth_recording("only", rng, count=90)])
     file = tmp_path / "dataset.toml"
     file.write_text(file.read_text().replace('split = "fit"\n', ""))
@@ -149,7 +149,7 @@ def test_a_single_recording_is_cut_in_time(tmp_path: Path, rng: np.random.Genera
     assert 0.6 < len(first.time) / 90 < 0.73
 
 
-def test_isolated_holes_are_dropped(folder: Path) -> None:
+def test_rows_with_isolated_missing_values_are_dropped(folder: Path) -> None:
     table = pl.read_csv(folder / "one.csv")
     values = table["qpos/hip"].to_list()
     values[10], values[30] = None, float("nan")
@@ -159,7 +159,7 @@ def test_isolated_holes_are_dropped(folder: Path) -> None:
     assert any("2 rows" in note for note in read.notes)
 
 
-def test_unit_length_quaternions_without_jumps(folder: Path) -> None:
+def test_quaternions_are_normalised_with_continuous_sign(folder: Path) -> None:
     table = pl.read_csv(folder / "one.csv")
     names = [f"qpos/root/{c}" for c in ("qw", "qx", "qy", "qz")]
     flipped = table.with_columns(
@@ -238,7 +238,7 @@ BAD: list[tuple[str, Callable[[Path], None], str]] = [
 
 
 @pytest.mark.parametrize(("change", "message"), [pytest.param(c, m, id=n) for n, c, m in BAD])
-def test_bad_input_is_one_clear_line(folder: Path, change: Callable[[Path], None], message: str) -> None:
+def test_invalid_input_raises_one_line_error(folder: Path, change: Callable[[Path], None], message: str) -> None:
     change(folder)
     with pytest.raises(InputError, match=message) as caught:
         load(folder)
@@ -260,14 +260,14 @@ PARAMETER = '[[parameter]]\nname = "p"\npath = "{path}"\nbounds = {bounds}\n'
         ("hip", "[0, 1]", "KIND:NAME/ATTRIBUTE"),
     ],
 )
-def test_bad_parameters(folder: Path, path: str, bounds: str, message: str) -> None:
+def test_invalid_parameters_raise(folder: Path, path: str, bounds: str, message: str) -> None:
     file = folder / "dataset.toml"
     file.write_text(file.read_text() + PARAMETER.format(path=path, bounds=bounds))
     with pytest.raises(InputError, match=r"\[\[parameter\]\] 1.*" + message.replace("[", r"\[")):
         load(folder)
 
 
-def test_absent_folders(tmp_path: Path) -> None:
+def test_absent_folders_raise(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such folder"):
         load(tmp_path / "nowhere")
     with pytest.raises(InputError, match=r"holds no dataset\.toml"):
@@ -300,8 +300,8 @@ def set_gain(actuator: mujoco.MjsActuator, kp: float) -> None:
         ("actuator:hip_motor/kv", lambda spec: spec.actuator("hip_motor").biasprm.__setitem__(2, -0.9)),
     ],
 )  # fmt: skip
-def test_paths_against_the_compiler(path: str, attribute: Callable[[mujoco.MjSpec], None]) -> None:
-    """A number set through its path moves the robot as the same number in the MJCF does."""
+def test_parameter_paths_against_compiler(path: str, attribute: Callable[[mujoco.MjSpec], None]) -> None:
+    """A number set through its path gives the same motion as the number in the MJCF."""
     spec = mujoco.MjSpec.from_string(XML)
     attribute(spec)
     expected, model = spec.compile(), mujoco.MjModel.from_xml_string(XML)
@@ -317,7 +317,7 @@ def test_paths_against_the_compiler(path: str, attribute: Callable[[mujoco.MjSpe
     np.testing.assert_allclose(states[1], states[0], rtol=1e-9, atol=1e-12)
 
 
-def test_ways_to_write_a_path() -> None:
+def test_path_syntax() -> None:
     texts = (
         "joint:hip/damping",
         "joint/hip/damping",

@@ -5,13 +5,13 @@ from gap_recordings import MODEL, smooth_recording
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from btr_mjx.gap.data import estimate_noise, quieter
+from btr_mjx.gap.data import estimate_noise, reduced_noise
 from btr_mjx.models import integrate
 
 
 @settings(max_examples=8, deadline=None)
 @given(st.floats(1e-4, 1e-2), st.floats(1e-3, 0.1), st.integers(0, 1000))
-def test_noise_is_estimated_whatever_the_motion(sigma_q: float, sigma_v: float, seed: int) -> None:
+def test_noise_estimate_is_independent_of_motion(sigma_q: float, sigma_v: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     clean = smooth_recording("one", rng, count=300)
     qpos = integrate(MODEL, clean.qpos, sigma_q * rng.normal(size=clean.qvel.shape))
@@ -21,7 +21,7 @@ def test_noise_is_estimated_whatever_the_motion(sigma_q: float, sigma_v: float, 
     np.testing.assert_allclose(np.median(noise.qvel), sigma_v, rtol=0.2)
 
 
-def test_noise_of_a_coarse_encoder_is_its_step(rng: np.random.Generator) -> None:
+def test_noise_of_coarse_encoder_is_quantisation_noise(rng: np.random.Generator) -> None:
     clean = smooth_recording("one", rng, count=400)
     qpos = clean.qpos.copy()
     step = 0.02
@@ -30,14 +30,14 @@ def test_noise_of_a_coarse_encoder_is_its_step(rng: np.random.Generator) -> None
     assert 0.5 * step / np.sqrt(12) < noise.qpos[6] < 2 * step / np.sqrt(12)
 
 
-def test_noise_is_no_more_than_what_a_model_leaves(rng: np.random.Generator) -> None:
-    """One channel is ten times quieter than it was said to be; another leaves more, which may be a missing effect."""
+def test_noise_is_reduced_to_model_residual(rng: np.random.Generator) -> None:
+    """One channel has a tenth of the estimated noise; another has a larger residual, which may be a missing effect."""
     sigma, channels = np.array([1.0, 2.0, 3.0, 4.0]), np.array([0, 2, 3])
     left = np.array([1.0, 0.1, 5.0]) * rng.standard_normal((30, 50, 3))
-    found = quieter(sigma, channels, left.reshape(30, -1), 150.0)
+    found = reduced_noise(sigma, channels, left.reshape(30, -1), 150.0)
     assert found is not None
     np.testing.assert_allclose(found, [1.0, 2.0, 0.3, 4.0], rtol=0.05)
-    again = quieter(found, channels, (left * (sigma / found)[channels]).reshape(30, -1), 150.0)
+    again = reduced_noise(found, channels, (left * (sigma / found)[channels]).reshape(30, -1), 150.0)
     assert again is None
     projected = np.sqrt(0.4) * rng.standard_normal((30, 150))  # less is left where much was fitted, which is no noise
-    assert quieter(sigma, channels, projected, 60.0) is None
+    assert reduced_noise(sigma, channels, projected, 60.0) is None

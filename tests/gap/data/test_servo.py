@@ -22,7 +22,7 @@ TOML = (
 
 
 def textbook(servo: Servo, goal: float, start: float, seconds: float, setting: dict[str, Any] = SETTING) -> float:
-    """Angle after some time, straight from the textbook: Runge-Kutta on the motor's and the pendulum's equations."""
+    """Angle after some time, by Runge-Kutta integration of the motor and pendulum equations."""
     m, l, kp, vin = (float(setting[k]) for k in ("mass", "length", "kp", "vin"))
     inertia = m * l**2 + servo.arm_mass * l**2 / 3 + servo.armature
     weight = (m * l + servo.arm_mass * l / 2) * servo.gravity
@@ -43,7 +43,7 @@ def textbook(servo: Servo, goal: float, start: float, seconds: float, setting: d
 
 
 def write_json(path: Path, count: int = 80, **changes: Any) -> None:
-    """A recording of count samples, changed as told."""
+    """A recording file of `count` samples with some entries replaced."""
     time = np.cumsum(np.random.default_rng(len(str(path))).uniform(0.005, 0.006, count))
     entries = [
         {"timestamp": t, "goal_position": np.sin(3 * t), "position": 0.4 * np.sin(3 * t), "speed": 1.2 * np.cos(3 * t)}
@@ -63,8 +63,8 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(("goal", "start"), [(0.5, 0.0), (-1.5, 1.0), (3.0, 0.0)])
-def test_the_model_is_the_textbook_motor(goal: float, start: float) -> None:
-    """Saturation, back-EMF and gravity included."""
+def test_model_equals_motor_equations(goal: float, start: float) -> None:
+    """With saturation, back-EMF and gravity."""
     setting = SETTING | {"kp": 600}
     model = mujoco.MjModel.from_xml_string(
         servo_xml(NOMINAL, *(float(setting[k]) for k in ("mass", "length", "kp", "vin")))
@@ -76,8 +76,8 @@ def test_the_model_is_the_textbook_motor(goal: float, start: float) -> None:
     assert data.qpos[0] == pytest.approx(textbook(NOMINAL, goal, start, 0.3, setting), abs=2e-4)
 
 
-def test_friction_that_is_added_holds_the_load() -> None:
-    """A gear that rubs more than the load pulls stays where it is; MuJoCo's default creeps by 20 mrad a second."""
+def test_added_friction_holds_static_load() -> None:
+    """A joint with friction above the load torque stays at rest; with MuJoCo's default it creeps by 20 mrad/s."""
     held = mujoco.MjModel.from_xml_string(servo_xml(NOMINAL, **SETTING))
     soft = mujoco.MjModel.from_xml_string(servo_xml(NOMINAL, **SETTING))
     soft.dof_solref[:], soft.dof_solimp[:] = [0.02, 1.0], [0.9, 0.95, 1e-3, 0.5, 2]
@@ -94,7 +94,7 @@ def test_friction_that_is_added_holds_the_load() -> None:
     assert abs(ends[1] - 1.0) > 5e-3
 
 
-def test_a_folder_becomes_a_dataset(folder: Path) -> None:
+def test_folder_is_read_as_dataset(folder: Path) -> None:
     dataset = open_dataset(folder)
     assert [r.split for r in dataset.recordings] == ["fit", "fit", "test", "fit", "test", "fit"]
     weak, strong = dataset.recordings[0].model, dataset.recordings[5].model
@@ -110,7 +110,7 @@ def test_a_folder_becomes_a_dataset(folder: Path) -> None:
     assert first.qvel_measured.all()
 
 
-def test_what_is_zero_is_not_refitted(folder: Path) -> None:
+def test_zero_parameters_are_not_refitted(folder: Path) -> None:
     (folder / "servo.toml").write_text(TOML.replace("armature = 0.002\n", "").replace("arm_mass = 0.03\n", ""))
     assert [p.name for p in load_servo(folder).parameters] == [
         "motor strength (torque per volt)",
@@ -127,7 +127,7 @@ def test_what_is_zero_is_not_refitted(folder: Path) -> None:
         ({"count": 10}, r"10 samples are too short"),
     ],
 )
-def test_bad_recordings(folder: Path, changes: dict[str, Any], message: str) -> None:
+def test_invalid_recordings_raise(folder: Path, changes: dict[str, Any], message: str) -> None:
     write_json(folder / "r0.json", **changes)
     with pytest.raises(InputError, match=message):
         load_servo(folder)
@@ -142,13 +142,13 @@ def test_bad_recordings(folder: Path, changes: dict[str, Any], message: str) -> 
         ("[servo]", "[motor]", r"no \[servo\] table"),
     ],
 )
-def test_bad_nominal_values(folder: Path, old: str, new: str, message: str) -> None:
+def test_invalid_nominal_values_raise(folder: Path, old: str, new: str, message: str) -> None:
     (folder / "servo.toml").write_text(TOML.replace(old, new))
     with pytest.raises(InputError, match=message):
         load_servo(folder)
 
 
-def test_broken_and_absent_json(folder: Path, tmp_path: Path) -> None:
+def test_invalid_and_absent_json_raise(folder: Path, tmp_path: Path) -> None:
     (folder / "r0.json").write_text("{")
     with pytest.raises(InputError, match=r"r0\.json: not valid JSON"):
         load_servo(folder)

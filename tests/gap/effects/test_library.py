@@ -1,4 +1,4 @@
-"""The library of effects as a whole: places, nulls, groups, native edits as the compiler makes them, own effects."""
+"""The library of effects: places, nulls, groups, native edits against the compiler, user-defined effects."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -9,19 +9,28 @@ import pytest
 from gap_models import MODELS, inertia, load, moderate, one, windows
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.effects import EFFECTS, KNOWN, Effect, Parameter, Scales, candidates, joint_places, one_limb
+from btr_mjx.gap.effects import (
+    EFFECTS,
+    KNOWN_EFFECTS,
+    Effect,
+    Parameter,
+    Scales,
+    candidates,
+    joint_places,
+    on_same_chain,
+)
 from btr_mjx.gap.effects.joints import ARMATURE
 from btr_mjx.gap.results.transcribe import normalised, write_changes
-from btr_mjx.gap.simulate import Rows, World, fields_of, simulate
+from btr_mjx.gap.simulate import Rows, World, differing_fields, simulate
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_every_native_edit_is_what_the_compiler_makes_of_it(name: str) -> None:
+def test_native_edits_equal_compiled_models(name: str) -> None:
     base = normalised(MODELS[name]).compile()
     original = load(name)
-    assert set(fields_of(World.of(base), original)) <= {"actuator_acc0"} or _close(base, original)
+    assert set(differing_fields(World.of(base), original)) <= {"actuator_acc0"} or _close(base, original)
     seen = set()
-    for candidate in candidates(base, Scales.of(base), KNOWN):
+    for candidate in candidates(base, Scales.of(base), KNOWN_EFFECTS):
         if name == "hexapod" and (candidate.effect.name, len(candidate.place.members)) in seen:
             continue  # one place of a kind: each is compiled
         seen.add((candidate.effect.name, len(candidate.place.members)))
@@ -29,7 +38,7 @@ def test_every_native_edit_is_what_the_compiler_makes_of_it(name: str) -> None:
         spec = normalised(MODELS[name])
         assert write_changes(spec, world, base) == [], candidate.name
         compiled = mujoco.MjModel.from_xml_string(_saved(spec))
-        for field, ours in fields_of(World.of(compiled), world.model).items():
+        for field, ours in differing_fields(World.of(compiled), world.model).items():
             if field.endswith("sameframe"):
                 continue
             theirs = np.asarray(
@@ -52,24 +61,24 @@ def _saved(spec: mujoco.MjSpec) -> str:
 def _close(a: mujoco.MjModel, b: mujoco.MjModel) -> bool:
     return all(
         np.allclose(value, getattr(b, field), rtol=1e-5, atol=1e-8)
-        for field, value in fields_of(World.of(a), b).items()
+        for field, value in differing_fields(World.of(a), b).items()
     )
 
 
 def test_every_effect_is_documented_and_has_a_place_on_a_walking_robot() -> None:
     table = (Path(__file__).parents[3] / "docs" / "effects.md").read_text(encoding="utf-8")
-    assert [effect.name for effect in KNOWN if f"| `{effect.name}` |" not in table] == []
-    assert all(effect.equation and effect.excited_by and effect.apply.__doc__ for effect in KNOWN)
+    assert [effect.name for effect in KNOWN_EFFECTS if f"| `{effect.name}` |" not in table] == []
+    assert all(effect.equation and effect.excited_by and effect.apply.__doc__ for effect in KNOWN_EFFECTS)
     model = load("quadruped")
-    found = {c.effect.name for c in candidates(model, Scales.of(model), KNOWN)}
-    assert found == {effect.name for effect in KNOWN}
+    found = {c.effect.name for c in candidates(model, Scales.of(model), KNOWN_EFFECTS)}
+    assert found == {effect.name for effect in KNOWN_EFFECTS}
     assert len(found) >= 19
 
 
-def test_places_make_sense() -> None:
+def test_places_of_a_robot() -> None:
     model = load("quadruped")
     labels: dict[str, list[str]] = {}
-    for candidate in candidates(model, Scales.of(model), KNOWN):
+    for candidate in candidates(model, Scales.of(model), KNOWN_EFFECTS):
         labels.setdefault(candidate.effect.name, []).append(candidate.place.label)
     legs = ["subtree:thigh0", "subtree:thigh1"]
     assert labels["viscous_damping"] == ["joint:hip0", "joint:knee0", "joint:hip1", "joint:knee1", *legs, "all"]
@@ -83,7 +92,7 @@ def test_places_make_sense() -> None:
     for effect in EFFECTS:
         # A twin sits wherever the effect does that it is taken for: cords only on bodies that are free.
         here = [label for label in labels[effect.name] if label not in ("body:shank0", "body:shank1")]
-        assert all(set(here) <= set(labels[akin.name]) for akin in effect.akin)
+        assert all(set(here) <= set(labels[other.name]) for other in effect.similar)
     pendulum = load("pendulum")
     names = {c.name for c in candidates(pendulum, Scales.of(pendulum), EFFECTS)}
     assert not {n for n in names if n.startswith(("ground_friction", "contact_softness", "com_shift"))}
@@ -91,7 +100,7 @@ def test_places_make_sense() -> None:
     assert not {n for n in names if n.endswith("@all")}
 
 
-def test_a_limb_is_what_hangs_together() -> None:
+def test_places_on_the_same_chain() -> None:
     model = load("quadruped")
     place = {c.place.label: c.place for c in candidates(model, Scales.of(model), EFFECTS)}
     for one_, other, expected in (
@@ -102,19 +111,19 @@ def test_a_limb_is_what_hangs_together() -> None:
         ("joint:hip0", "geom:foot0", False),
         ("joint:hip0", "world", False),
     ):
-        assert one_limb(model, place[one_], place[other]) is expected
-        assert one_limb(model, place[other], place[one_]) is expected
+        assert on_same_chain(model, place[one_], place[other]) is expected
+        assert on_same_chain(model, place[other], place[one_]) is expected
 
 
-def test_nothing_changes_at_the_null() -> None:
+def test_null_values_change_nothing() -> None:
     for name in MODELS:
         model = load(name)
-        for candidate in candidates(model, Scales.of(model), KNOWN):
+        for candidate in candidates(model, Scales.of(model), KNOWN_EFFECTS):
             world = candidate.apply(World.of(model), candidate.null)
             allowed = (
                 {"actuator_forcerange", "actuator_forcelimited"} if candidate.effect.name == "torque_limit" else set()
             )
-            for field, values in fields_of(world, model).items():
+            for field, values in differing_fields(world, model).items():
                 if field in allowed | {"geom_priority", "geom_solref", "geom_solimp", "geom_friction", "geom_condim"}:
                     continue
                 if field.endswith("sameframe") or field in ("body_iquat", "body_inertia"):
@@ -124,9 +133,9 @@ def test_nothing_changes_at_the_null() -> None:
                 np.testing.assert_allclose(inertia(world.model, body), inertia(model, body), rtol=1e-5, atol=1e-9)
 
 
-def test_groups_are_their_members() -> None:
+def test_group_edit_equals_edits_of_members() -> None:
     model = load("quadruped")
-    every = {c.name: c for c in candidates(model, Scales.of(model), KNOWN)}
+    every = {c.name: c for c in candidates(model, Scales.of(model), KNOWN_EFFECTS)}
     for candidate in every.values():
         if not candidate.place.members:
             continue
@@ -135,15 +144,15 @@ def test_groups_are_their_members() -> None:
         one_by_one = World.of(model)
         for member in candidate.place.members:
             every[f"{candidate.effect.name}@{member}"].apply(one_by_one, moderate(candidate))
-        assert set(fields_of(together, model)) == set(fields_of(one_by_one, model))
-        for field, values in fields_of(together, model).items():
+        assert set(differing_fields(together, model)) == set(differing_fields(one_by_one, model))
+        for field, values in differing_fields(together, model).items():
             np.testing.assert_allclose(values, getattr(one_by_one.model, field), err_msg=candidate.name)
         stretch = windows(model, count=2)
         a, b = simulate([(together, stretch), (one_by_one, stretch)])
         np.testing.assert_allclose(a, b, atol=1e-9, err_msg=candidate.name)
 
 
-def test_scales_of_data_are_those_of_the_data() -> None:
+def test_scales_of_measured_states() -> None:
     model = load("quadruped")
     data, rows = mujoco.MjData(model), []
     for k in range(600):
@@ -170,7 +179,7 @@ class Gust:
         rows.qfrc_applied[:, self.dofs] -= self.size * (rows.qvel * np.abs(rows.qvel))[:, self.dofs]
 
 
-def test_a_rotor_may_weigh_more_than_its_link() -> None:
+def test_armature_range_exceeds_light_link() -> None:
     model = load("quadruped")
     place, scales = one(model, "armature@joint:knee0").place, Scales.of(model)
     dof = place.dofs(model)[0]
@@ -186,7 +195,7 @@ def test_a_rotor_may_weigh_more_than_its_link() -> None:
     assert most(100.0) == pytest.approx(3 * 100.0 / acceleration)
 
 
-def test_the_edge_of_what_is_tried_is_no_end_of_what_is_possible() -> None:
+def test_values_at_search_bounds() -> None:
     friction = Parameter("torque", "N m", -0.1, 0.8, 0.02)
     assert [friction.at_edge(value) for value in (-0.1, 0.0, 0.79, 0.8)] == [False, False, False, True]
     offset, limit = Parameter("offset", "rad", -0.3, 0.3, 0.005), Parameter("limit", "N m", 1.0, 9.0, -0.1, null=9.0)
@@ -195,7 +204,7 @@ def test_the_edge_of_what_is_tried_is_no_end_of_what_is_possible() -> None:
     assert not Parameter("along", "m", 0.0, 0.2, 0.01, shape=True).at_edge(0.2)
 
 
-def test_an_effect_of_ones_own() -> None:
+def test_user_defined_effect() -> None:
     def ranges(model: mujoco.MjModel, scales: Scales, place: object) -> tuple[Parameter, ...]:
         return (Parameter("coefficient", "N m s^2", 0.0, 1.0, 0.01),)
 

@@ -1,4 +1,4 @@
-"""Effects one by one against independent routes: loops of their equations, other models of the same physics."""
+"""Effects against independent implementations: loops of their equations, other models of the same physics."""
 
 import copy
 
@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from gap_models import QUADRUPED, check_loop, hexapod_xml, inertia, load, loop, one, windows
 
-from btr_mjx.gap.effects.similar import AKIN_EFFECTS
-from btr_mjx.gap.simulate import Command, Stretch, World, fields_of, simulate
+from btr_mjx.gap.effects.similar import SIMILAR_EFFECTS
+from btr_mjx.gap.simulate import Command, Segments, World, differing_fields, simulate
 
 
-def test_load_friction_follows_the_motor_torque() -> None:
+def test_load_friction_is_proportional_to_motor_torque() -> None:
     model = load("quadruped")
     dof = model.joint("hip1").dofadr[0]
 
@@ -21,7 +21,7 @@ def test_load_friction_follows_the_motor_torque() -> None:
     check_loop(model, one(model, "load_friction@joint:hip1"), [0.3], act)
 
 
-def test_stribeck_friction_fades_with_speed() -> None:
+def test_stribeck_friction_decreases_with_speed() -> None:
     model = load("pendulum")
 
     def act(model: mujoco.MjModel, data: mujoco.MjData, t: float) -> None:
@@ -55,7 +55,7 @@ def test_delay_and_lag_shift_the_command() -> None:
     check_loop(model, one(model, "actuator_lag@actuator:hip0"), [0.02], smooth)
 
 
-def test_a_force_and_a_limit_act_on_their_bodies() -> None:
+def test_constant_force_and_torque_limit() -> None:
     model = load("quadruped")
 
     def push(model: mujoco.MjModel, data: mujoco.MjData, t: float) -> None:
@@ -69,7 +69,7 @@ def test_a_force_and_a_limit_act_on_their_bodies() -> None:
     check_loop(model, one(model, "torque_limit@actuator:hip1"), [0.1], limit)
 
 
-def test_forces_of_another_shape_follow_their_equations() -> None:
+def test_similar_effects_follow_their_equations() -> None:
     model = load("quadruped")
     knee, hip, torso = model.joint("knee0"), model.joint("hip1"), model.body("torso").id
 
@@ -94,17 +94,17 @@ def test_forces_of_another_shape_follow_their_equations() -> None:
         ("fading_motor@actuator:hip1", -0.5, fading),
         ("elastic_cord@body:torso", 300.0, cord),
     ):
-        check_loop(model, one(model, name, AKIN_EFFECTS), [value], act)
+        check_loop(model, one(model, name, SIMILAR_EFFECTS), [value], act)
 
 
-def test_an_encoder_offset_is_seen_by_the_servo() -> None:
+def test_encoder_offset_acts_on_servo() -> None:
     model = load("quadruped")
-    stretch = windows(model)
+    segments = windows(model)
     world = one(model, "joint_offset@joint:knee0").apply(World.of(model), [0.07])
-    shown = simulate([(world, stretch)])[0]
+    shown = simulate([(world, segments)])[0]
     address, dof = model.joint("knee0").qposadr[0], model.joint("knee0").dofadr[0]
-    for row in range(len(stretch)):
-        true = copy.deepcopy(stretch)
+    for row in range(len(segments)):
+        true = copy.deepcopy(segments)
         true.qpos[row, address] -= 0.07
 
         def act(model: mujoco.MjModel, data: mujoco.MjData, t: float) -> None:
@@ -117,7 +117,7 @@ def test_an_encoder_offset_is_seen_by_the_servo() -> None:
     assert dof
 
 
-def test_a_payload_is_a_heavy_point() -> None:
+def test_payload_is_a_point_mass() -> None:
     heavy = '<geom type="sphere" pos="{}" size="1e-4" mass="1.5" contype="0" conaffinity="0"/>'
     base = load("quadruped")
     for body, values, where in (
@@ -133,7 +133,7 @@ def test_a_payload_is_a_heavy_point() -> None:
             at = QUADRUPED.index("/>", at) + 2
         expected = mujoco.MjModel.from_xml_string(QUADRUPED[:at] + heavy.format(where) + QUADRUPED[at:])
         world = one(base, f"payload@body:{body}").apply(World.of(base), values)
-        fields_of(world, base)
+        differing_fields(world, base)
         b = base.body(body).id
         np.testing.assert_allclose(world.model.body_mass, expected.body_mass, rtol=1e-9)
         np.testing.assert_allclose(world.model.body_ipos, expected.body_ipos, atol=1e-9)
@@ -141,13 +141,13 @@ def test_a_payload_is_a_heavy_point() -> None:
         np.testing.assert_allclose(world.model.dof_M0, expected.dof_M0, rtol=1e-4)
 
 
-def test_a_longer_limb_is_the_limb_that_the_template_draws() -> None:
+def test_link_length_equals_template_model() -> None:
     base = load("hexapod")
     for body, geoms, name, change in (("b9", ["b9", "foot0"], "bl_9", 0.06), ("b3", ["b3", "knee0"], "bl_3", -0.05)):
         nominal = 1.36 if name == "bl_9" else 0.64
         expected = mujoco.MjModel.from_xml_string(hexapod_xml(**{name: nominal + change}))
         world = one(base, f"link_length@body:{body}").apply(World.of(base), [change])
-        fields_of(world, base)
+        differing_fields(world, base)
         b = base.body(body).id
         assert world.model.body_mass[b] == pytest.approx(expected.body_mass[b], rel=1e-5)
         np.testing.assert_allclose(world.model.body_ipos[b], expected.body_ipos[b], atol=1e-6)
@@ -161,7 +161,7 @@ def test_a_longer_limb_is_the_limb_that_the_template_draws() -> None:
         assert world.model.geom_rbound[base.geom("b1").id] == base.geom_rbound[base.geom("b1").id]
 
 
-def test_a_body_with_its_own_inertia_is_stretched() -> None:
+def test_explicit_inertia_is_stretched() -> None:
     base = load("quadruped")
     world = one(base, "link_length@body:thigh1").apply(World.of(base), [0.02])
     b = base.body("thigh1").id
@@ -173,7 +173,7 @@ def test_a_body_with_its_own_inertia_is_stretched() -> None:
 
 
 @pytest.mark.parametrize("place", ["world", "geom:foot0"])
-def test_ground_friction_is_what_contacts_get(place: str) -> None:
+def test_ground_friction_equals_contact_friction(place: str) -> None:
     model = load("quadruped")
     candidate = one(model, f"ground_friction@{place}")
     believed = {"world": candidate.parameters[0].null, "geom:foot0": 1.1}[place]
@@ -212,7 +212,7 @@ def test_contact_softness_shifts_the_time_constant_of_contacts() -> None:
         assert contacts(world.model)[geom][1][0] == pytest.approx(solref[0] + 0.01)
 
 
-def test_a_slope_turns_gravity_as_a_tilted_floor_does() -> None:
+def test_ground_slope_equals_tilted_floor() -> None:
     xml = """<mujoco><option timestep="0.001"/><worldbody><geom type="plane" size="5 5 1" friction="0.1" {floor}/>
       <body pos="0 0 0"><freejoint/><geom type="box" size="0.1 0.05 0.04" friction="0.1"/></body>
     </worldbody></mujoco>"""
@@ -224,8 +224,8 @@ def test_a_slope_turns_gravity_as_a_tilted_floor_does() -> None:
     mujoco.mju_mulQuat(turn, about_y, about_x)
     tilted = mujoco.MjModel.from_xml_string(xml.format(floor=f'quat="{" ".join(map(str, turn))}"'))
     start = np.r_[0, 0, 0.05, 1, 0, 0, 0]
-    stretch = Stretch(np.zeros(1), start[None], np.zeros((1, 6)), np.array([0.3]), (_no_command(),), np.zeros(1, int))
-    ours = simulate([(world, stretch)])[0][0, 0]
+    segments = Segments(np.zeros(1), start[None], np.zeros((1, 6)), np.array([0.3]), (_no_command(),), np.zeros(1, int))
+    ours = simulate([(world, segments)])[0][0, 0]
     position, data = np.zeros(3), mujoco.MjData(tilted)
     mujoco.mju_rotVecQuat(position, start[:3], turn)
     data.qpos[:] = np.r_[position, turn]
@@ -241,11 +241,11 @@ def _no_command() -> Command:
     return Command(np.zeros(1), np.zeros((1, 0)))
 
 
-def test_air_drag_is_the_density_of_the_air() -> None:
+def test_air_drag_sets_density() -> None:
     model = load("quadruped")
     world = one(model, "air_drag@world").apply(World.of(model), [30.0])
     dense = mujoco.MjModel.from_xml_string(QUADRUPED.replace('timestep="0.001"', 'timestep="0.001" density="30"'))
-    stretch = windows(model)
-    states, expected, plain = simulate([(world, stretch), (World.of(dense), stretch), (World.of(model), stretch)])
+    segments = windows(model)
+    states, expected, plain = simulate([(world, segments), (World.of(dense), segments), (World.of(model), segments)])
     np.testing.assert_allclose(states, expected, atol=1e-12)
     assert np.abs(states - plain).max() > 1e-5

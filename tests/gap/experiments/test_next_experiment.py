@@ -1,4 +1,4 @@
-"""Experiments that are chosen, on the arm: what they promise, what they then show, how many they save."""
+"""Choice of the next experiment on the arm: expected and recorded differences of scores, recordings saved."""
 
 import dataclasses
 
@@ -8,7 +8,7 @@ from gap_arm import SIGMA, dataset
 
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.experiments import Measurement, propose, random_commands, recordings_needed
-from btr_mjx.gap.experiments.next_experiment import compare, margin, record
+from btr_mjx.gap.experiments.next_experiment import expected_margins, recorded_margin, simulate_recording
 from btr_mjx.gap.inference import Bench, identify
 from btr_mjx.gap.simulate import Command
 from btr_mjx.gap.windows import Options
@@ -29,18 +29,18 @@ def hypotheses():
     return bench, viscous, heavy
 
 
-def test_a_still_command_separates_less_than_a_lively_one():
+def test_a_constant_command_separates_less_than_a_moving_one():
     bench, viscous, heavy = hypotheses()
     time = np.arange(0, 1.0, 0.005)
     still = Command(time, np.zeros((len(time), 2)), "linear")
     lively = Command(time, 0.8 * np.sin(time[:, None] * [5.0, 9.0]), "linear")
     span = bench.survey.span
     for pair in ([viscous, heavy], [bench.base, viscous], [viscous, bench.base]):
-        values = [compare(pair, bench.dataset, c, SIGMA, span)[0, 1] for c in (still, lively)]
+        values = [expected_margins(pair, bench.dataset, c, SIGMA, span)[0, 1] for c in (still, lively)]
         assert values[1] > 10 * max(values[0], 1e-9)
-        assert values[1] > 50.0  # that something is there can be seen as well
-    made = [record(viscous, bench.dataset, lively, SIGMA, np.random.default_rng(0))]
-    assert margin(viscous, bench.base, made, "linear", SIGMA, span) > 50.0
+        assert values[1] > 50.0  # against no effect, too
+    made = [simulate_recording(viscous, bench.dataset, lively, SIGMA, np.random.default_rng(0))]
+    assert recorded_margin(viscous, bench.base, made, "linear", SIGMA, span) > 50.0
 
 
 def test_recordings_show_the_expected_disagreement():
@@ -49,19 +49,20 @@ def test_recordings_show_the_expected_disagreement():
     command, span = Command(time, 0.8 * np.sin(time[:, None] * [5.0, 9.0]), "linear"), bench.survey.span
     average = []
     for truth, rival in ((viscous, heavy), (heavy, viscous)):
-        made = [record(truth, bench.dataset, command, SIGMA, np.random.default_rng(seed)) for seed in range(4)]
-        shown = [margin(truth, rival, [own], "linear", SIGMA, span) for own in made]
-        assert margin(truth, rival, made, "linear", SIGMA, span) == pytest.approx(sum(shown), rel=0.05)
-        # Neither of the two is favoured by being asked for first.
-        assert margin(rival, truth, made, "linear", SIGMA, span) == pytest.approx(-sum(shown), rel=0.05)
+        rngs = [np.random.default_rng(seed) for seed in range(4)]
+        made = [simulate_recording(truth, bench.dataset, command, SIGMA, rng) for rng in rngs]
+        shown = [recorded_margin(truth, rival, [own], "linear", SIGMA, span) for own in made]
+        assert recorded_margin(truth, rival, made, "linear", SIGMA, span) == pytest.approx(sum(shown), rel=0.05)
+        # The result does not depend on the order of the two.
+        assert recorded_margin(rival, truth, made, "linear", SIGMA, span) == pytest.approx(-sum(shown), rel=0.05)
         average.append(np.mean(shown))
-    # What is promised, without knowing which of the two is true, is in between or not far off.
-    expected = compare([viscous, heavy], bench.dataset, command, SIGMA, span)[0, 1]
+    # The expected difference, which does not use the truth, is of the size of the recorded ones.
+    expected = expected_margins([viscous, heavy], bench.dataset, command, SIGMA, span)[0, 1]
     assert min(average) / 2.5 < expected < max(average) * 1.5
 
 
 def test_chosen_experiments_save_recordings():
-    """Three of the commands to choose from do not move the arm: any choice that looks ahead avoids them."""
+    """Three of the four commands do not move the arm; a chosen order takes the fourth first."""
     bench, viscous, heavy = hypotheses()
     time = np.arange(0, 0.6, 0.005)
     still = Command(time, np.zeros((len(time), 2)), "linear")
@@ -70,7 +71,7 @@ def test_chosen_experiments_save_recordings():
     needed = [
         recordings_needed(
             *(viscous, heavy, bench.dataset, Measurement(SIGMA, bench.survey.span), np.random.default_rng(0), choose),
-            most=4,
+            max_recordings=4,
             commands=commands,
         )
         for choose in (True, False)

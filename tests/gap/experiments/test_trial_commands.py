@@ -10,7 +10,7 @@ MADE = dataset(fit=1, test=1)
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**31))
-def test_commands_stay_within_what_motors_have_shown(seed: int) -> None:
+def test_commands_stay_within_recorded_range_and_rate(seed: int) -> None:
     recorded = np.stack([own.ctrl for own in MADE.recordings])
     low, high = recorded.min(1), recorded.max(1)
     lowest, highest = (low - 0.5 * (high - low)).min(0), (high + 0.5 * (high - low)).max(0)

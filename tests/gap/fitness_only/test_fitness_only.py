@@ -11,7 +11,7 @@ import pytest
 from btr_mjx.errors import InputError
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
 from btr_mjx.gap.fitness_only import (
-    Answers,
+    CandidateResponses,
     TrialSimulator,
     expected_steps,
     identify_fitness,
@@ -20,7 +20,7 @@ from btr_mjx.gap.fitness_only import (
     save_fitness,
     simulate_candidates,
 )
-from btr_mjx.gap.fitness_only.screen import coarse_step, leads
+from btr_mjx.gap.fitness_only.screen import rank_by_fit, screening_timestep
 from btr_mjx.gap.preflight import refuse_errors
 from btr_mjx.gap.simulate import World
 from btr_mjx.testing import FitnessCaseSettings, make_fitness_case
@@ -47,7 +47,7 @@ ABOUT = {"body": "cart", "function": "distance", "duration": SPAN, "omega": OMEG
 
 
 def plain(model: mujoco.MjModel, amplitude: float, phase: float) -> float:
-    """Fitness of one controller by the plainest of loops."""
+    """Fitness of one controller by a loop over mj_step."""
     data = mujoco.MjData(model)
     for k in range(round(SPAN / model.opt.timestep)):
         data.ctrl[0] = amplitude * np.sin(OMEGA * (k + 0.5) * model.opt.timestep + phase)
@@ -57,7 +57,7 @@ def plain(model: mujoco.MjModel, amplitude: float, phase: float) -> float:
 
 @pytest.fixture
 def folder(tmp_path: Path, rng: np.random.Generator) -> Path:
-    """Trials of a cart whose ground is more slippery than believed."""
+    """Trials of a cart whose ground has less friction than believed."""
     amplitude, phase = rng.uniform(0.3, 1.2, 24), rng.uniform(0, 3, 24)
     real = mujoco.MjModel.from_xml_string(XML.replace('friction="0.6"', 'friction="0.25"'))
     fitness = [plain(real, a, p) for a, p in zip(amplitude, phase, strict=True)]
@@ -115,71 +115,73 @@ def test_a_large_effect_is_found(folder: Path) -> None:
     assert expected_steps(table, CHOSEN) == pytest.approx(diagnosis.steps, rel=0.5)
 
 
-def test_answers_serve_another_reality(folder: Path) -> None:
-    """What candidates do does not depend on what was measured: with it at hand the search is the same, and cheaper."""
+def test_responses_can_be_reused_for_another_reality(folder: Path) -> None:
+    """Responses do not depend on measured fitness: a search with given responses is the same, at less cost."""
     table = load_fitness(folder)
     trials = TrialSimulator(table)
     rows = np.arange(16)
     own = trials.fitness([World.of(MODEL)], rows)[0]
-    step = coarse_step(trials, rows, own, table.fitness[rows] - own)
-    known = simulate_candidates(trials, candidates(MODEL, trials.scales(np.arange(3)), CHOSEN), rows, step)
-    again, whole = identify_fitness(table, CHOSEN, known=known), identify_fitness(table, CHOSEN)
+    step = screening_timestep(trials, rows, own, table.fitness[rows] - own)
+    responses = simulate_candidates(trials, candidates(MODEL, trials.scales(np.arange(3)), CHOSEN), rows, step)
+    again, whole = identify_fitness(table, CHOSEN, responses=responses), identify_fitness(table, CHOSEN)
     np.testing.assert_equal(*([dataclasses.asdict(row) for row in d.ranking] for d in (again, whole)))
     assert again.steps < 0.9 * whole.steps
 
 
-def test_answers_against_single_simulations(folder: Path) -> None:
+def test_responses_against_single_simulations(folder: Path) -> None:
     trials = TrialSimulator(load_fitness(folder))
     rows = np.arange(3)
     slippery = {c.name: c for c in candidates(MODEL, Scales.of(MODEL), EFFECTS)}["ground_friction@world"]
-    known = simulate_candidates(trials, [slippery], rows, 0.002)
-    world = slippery.apply(World.of(MODEL), slippery.null + known.tried[0][0])
+    responses = simulate_candidates(trials, [slippery], rows, 0.002)
+    world = slippery.apply(World.of(MODEL), slippery.null + responses.tried[0][0])
     expected = trials.fitness([world], rows)[0] - trials.fitness([World.of(MODEL)], rows)[0]
-    np.testing.assert_array_equal(known.change[0][0], expected)
-    assert known.tried[0].shape == (1, 1)
-    assert known.tried[0][0, 0] == pytest.approx(8 * slippery.parameters[0].step)
+    np.testing.assert_array_equal(responses.change[0][0], expected)
+    assert responses.tried[0].shape == (1, 1)
+    assert responses.tried[0][0, 0] == pytest.approx(8 * slippery.parameters[0].step)
 
 
-def test_leads_are_a_fit_within_bounds(rng: np.random.Generator) -> None:
+def test_ranking_is_a_fit_within_bounds(rng: np.random.Generator) -> None:
     both = [c for c in candidates(MODEL, Scales.of(MODEL), EFFECTS) if c.effect.name in ("dry_friction", "payload")]
     friction = next(c for c in both if c.effect.name == "dry_friction")
     other = next(c for c in both if c.effect.name == "payload")
     step = friction.parameters[0].step
     change = rng.normal(size=(2, 12))
     tried = (0.1 * np.eye(len(other.parameters))[:1], np.array([[step]]))
-    known = Answers((other, friction), np.arange(12), 0.002, np.zeros(12), tried, (change[:1], change[1:]))
-    first, second = leads(known, 3.0 * change[1])
+    responses = CandidateResponses(
+        (other, friction), np.arange(12), 0.002, np.zeros(12), tried, (change[:1], change[1:])
+    )
+    first, second = rank_by_fit(responses, 3.0 * change[1])
     assert (first.candidate, first.explained) == (friction, pytest.approx(1.0))
     assert first.values[0] == pytest.approx(3.0 * step)
     assert second.explained < 0.6
-    against = next(lead for lead in leads(known, -3.0 * change[1]) if lead.candidate is friction)
-    assert against.values[0] == friction.parameters[0].low  # there is no friction below none
+    against = next(lead for lead in rank_by_fit(responses, -3.0 * change[1]) if lead.candidate is friction)
+    assert against.values[0] == friction.parameters[0].low  # friction is never negative
     assert against.explained <= 0
 
 
-def test_directions_are_tried_both_ways(folder: Path, rng: np.random.Generator) -> None:
-    """Pushed either way the robot goes further: the fit takes the side that was seen, not the opposite of the other."""
+def test_vectors_are_simulated_in_both_directions(folder: Path, rng: np.random.Generator) -> None:
+    """Responses in both directions are independent: the fit uses the simulated one, not the negative of the other."""
     slope = {c.name: c for c in candidates(MODEL, Scales.of(MODEL), EFFECTS)}["ground_slope@world"]
     rows = np.arange(2)
-    known = simulate_candidates(TrialSimulator(load_fitness(folder)), [slope], rows, 0.002)
+    responses = simulate_candidates(TrialSimulator(load_fitness(folder)), [slope], rows, 0.002)
     step = 4 * slope.parameters[0].step
-    np.testing.assert_allclose(known.tried[0], step * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))
+    np.testing.assert_allclose(responses.tried[0], step * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))
     ahead, behind, left, right = change = rng.uniform(0.0, 1.0, (4, 12))
-    known = Answers((slope,), np.arange(12), 0.002, np.zeros(12), known.tried, (change,))
-    (lead,) = leads(known, 1.5 * behind + 0.5 * left)
+    responses = CandidateResponses((slope,), np.arange(12), 0.002, np.zeros(12), responses.tried, (change,))
+    (lead,) = rank_by_fit(responses, 1.5 * behind + 0.5 * left)
     np.testing.assert_allclose(lead.values, [-1.5 * step, 0.5 * step])
     assert lead.explained == pytest.approx(1.0)
-    assert leads(known, -ahead - right)[0].explained <= 0
+    assert rank_by_fit(responses, -ahead - right)[0].explained <= 0
 
 
-def test_a_coarse_step_must_not_hide_what_is_sought(folder: Path) -> None:
+def test_the_error_of_the_screening_time_step_is_bounded(folder: Path) -> None:
     trials = TrialSimulator(load_fitness(folder))
     rows = np.arange(6)
     own = trials.fitness([World.of(MODEL)], rows)[0]
     error = np.abs(trials.fitness([World.of(MODEL)], rows, 0.008)[0] - own).mean()
-    assert coarse_step(trials, rows, own, np.full(6, 2.1 * error)) == pytest.approx(0.008)
-    assert coarse_step(trials, rows, own, np.full(6, 1.9 * error)) < 0.008
-    assert coarse_step(trials, rows, own, np.zeros(6)) == pytest.approx(0.002)
+    assert screening_timestep(trials, rows, own, np.full(6, 2.1 * error)) == pytest.approx(0.008)
+    assert screening_timestep(trials, rows, own, np.full(6, 1.9 * error)) < 0.008
+    assert screening_timestep(trials, rows, own, np.zeros(6)) == pytest.approx(0.002)
 
 
 def test_nothing_is_named_where_nothing_is_missing(folder: Path) -> None:

@@ -151,7 +151,7 @@ def is_accepted(
     names,
     gain,
     held_out,
-    least=0.0,
+    negligible=0.0,
     fresh=0.0,
     size=1.0,
     place=None,
@@ -164,7 +164,7 @@ def is_accepted(
 
     On more windows it is `size`. Chi^2 falls by `falls` in a window of each recording to fit.
     """
-    first = [SimpleNamespace(null=0.0, tolerance=0.1, least=least, shape=False)]
+    first = [SimpleNamespace(null=0.0, tolerance=0.1, negligible=negligible, shape=False)]
     place = place or SimpleNamespace(members=())
     effects = [
         (

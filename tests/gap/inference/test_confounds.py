@@ -11,7 +11,7 @@ from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.inference import Bench
 from btr_mjx.gap.inference.search.search_records import Judged
 from btr_mjx.gap.inference.verdict.confounds import Rest, closest, confounds
-from btr_mjx.gap.results import likeness, moved
+from btr_mjx.gap.results import confound_sentence, refit_sentence
 
 
 @pytest.mark.parametrize("wide", [True, False], ids=["free nuisances", "held nuisances"])
@@ -92,18 +92,18 @@ def test_servo_damping_is_mistaken_for_joint_damping() -> None:
 def test_a_believed_number_that_gave_way_is_told() -> None:
     bench, leader = damping_found((Believed("elbow inertia", ("joint:elbow/armature",), 0.0, 0.05),))
     before = bench.base.believed[0]
-    for step, told in ((0.0, []), (0.0005, []), (0.01, [moved("elbow inertia", before, before + 0.01)])):
+    for step, told in ((0.0, []), (0.0005, []), (0.01, [refit_sentence("elbow inertia", before, before + 0.01)])):
         went = dataclasses.replace(leader.hypothesis, believed=(before + step,))
         found = confounds(bench, bench.base, [dataclasses.replace(leader, hypothesis=went)])
         assert [c.text for c in found if c.correlation is None] == told
 
 
 def test_words() -> None:
-    assert likeness("actuator_gain", "joint:knee", -0.1, 0.97) == (
+    assert confound_sentence("actuator_gain", "joint:knee", -0.1, 0.97) == (
         "A weaker motor at joint knee would leave almost the same traces (0.97)."
     )
-    assert likeness("backlash", "all", 0.1, 0.91) == "Backlash at all joints would leave similar traces (0.91)."
-    assert likeness("servo kv", "", 0.1, 1.0) == "A larger servo kv would leave almost the same traces (1.00)."
-    assert (
-        moved("knee damping", 0.1, 0.25) == "The believed knee damping moved from 0.1 to 0.25 when the effect entered."
-    )
+    similar = confound_sentence("backlash", "all", 0.1, 0.91)
+    assert similar == "Backlash at all joints would leave similar traces (0.91)."
+    assert confound_sentence("servo kv", "", 0.1, 1.0) == "A larger servo kv would leave almost the same traces (1.00)."
+    refitted = refit_sentence("knee damping", 0.1, 0.25)
+    assert refitted == "The believed knee damping moved from 0.1 to 0.25 when the effect entered."

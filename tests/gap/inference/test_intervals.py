@@ -14,7 +14,7 @@ from btr_mjx.gap.inference.search.polish import Polisher
 from btr_mjx.gap.inference.search.search_records import Judged
 from btr_mjx.gap.inference.search.walks import scaled
 from btr_mjx.gap.inference.verdict.intervals import _sized, intervals, lowest
-from btr_mjx.gap.windows import Options, weight
+from btr_mjx.gap.windows import Options, window_weight
 
 LIBRARY = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "armature"))
 QUICK = Options(steps=4e4, leaders=2, contact_leaders=0)
@@ -41,7 +41,7 @@ def least_squares(bench: Bench, judged: Judged) -> float:
         more = hypothesis.replaced(hypothesis.values(False) + step, False)
         column = judged.refined.columns[0] if i == 0 else (side.windows.residuals([more])[0] - residual) / step
         nuisance = bench.nuisance(side, hypothesis)
-        root = np.sqrt(weight(judged.fits[i].chi2, bench.cut))
+        root = np.sqrt(window_weight(judged.fits[i].chi2, bench.cut))
         for w in range(len(residual)):
             for r in range(residual.shape[1]):
                 rows.append(root[w] * np.array([column[w, r], *nuisance.columns[w, :, r]]))

@@ -143,7 +143,7 @@ def test_late_commands_are_counted_from_a_part_of_a_time_step(effect: str) -> No
         model.opt.timestep = step
         found = [c.parameters[0] for c in candidates(model, Scales.of(model), EFFECTS) if c.effect.name == effect]
         assert len(found) > 1
-        assert {parameter.least for parameter in found} == {step / 4}
+        assert {parameter.negligible for parameter in found} == {step / 4}
 
 
 @given(st.floats(0.7, 1.45), st.floats(0.5, 50.0), st.floats(-100.0, 100.0))

@@ -16,7 +16,7 @@ from btr_mjx.gap.inference.search import pairs
 from btr_mjx.gap.inference.search.pairs import told_apart
 from btr_mjx.gap.inference.search.polish import Polisher
 from btr_mjx.gap.inference.search.search_records import Judged
-from btr_mjx.gap.windows import bounded
+from btr_mjx.gap.windows import bounded_loss
 
 LATE = tuple(e for e in EFFECTS if e.name in ("actuator_lag", "actuator_delay"))
 SIZE = 3e-3
@@ -85,7 +85,7 @@ def test_a_rival_is_tried_at_the_size_that_is_most_like_the_leader_and_from_its_
     for side, along in zip(leader.sides, (bench.free, bench.nuisance), strict=True):
         for sign, h in ((1.0, leader.hypothesis), (-1.0, found)):
             chi2 = along(side, h).profile(side.windows.residuals([h])[0], bench.cut).chi2
-            fall += sign * sum(float(bounded(x, bench.cut)) for x in chi2)
+            fall += sign * sum(float(bounded_loss(x, bench.cut)) for x in chi2)
     assert ahead == pytest.approx(fall / bench.dispersion)
 
 

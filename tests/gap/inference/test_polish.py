@@ -330,6 +330,6 @@ def test_one_more_effect_gets_half_and_less_where_the_first_has_cost_much() -> N
     assert options.fewer(False) == Options(steps=1e5, leaders=3, contact_leaders=2, every=4)
     assert options.fewer(True) == Options(steps=1e5, leaders=2, contact_leaders=1, iterations=2, every=8, starts=2)
     assert Options(leaders=1).fewer(False).leaders == 1
-    assert not options.much(145_000, 20)
-    assert options.much(165_000, 20)
-    assert not options.much(180_000, 10)  # small models step faster
+    assert not options.over_budget(145_000, 20)
+    assert options.over_budget(165_000, 20)
+    assert not options.over_budget(180_000, 10)  # small models step faster

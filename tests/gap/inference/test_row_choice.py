@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from btr_mjx.gap.windows import picked
+from btr_mjx.gap.windows import select_rows
 
 
 @given(st.lists(st.integers(0, 3), min_size=1, max_size=9), st.booleans())
@@ -13,7 +13,7 @@ def test_every_row_is_of_the_array_that_it_is_chosen_of(chosen: list[int], share
     if shared:
         arrays[2] = arrays[0]
     before = [array.copy() for array in arrays]
-    found = picked(arrays[0], arrays[1:], np.array(chosen))
+    found = select_rows(arrays[0], arrays[1:], np.array(chosen))
     np.testing.assert_array_equal(found, np.array([before[i][row] for row, i in enumerate(chosen)]))
     for array, kept in zip(arrays, before, strict=True):
         np.testing.assert_array_equal(array, kept)
@@ -21,5 +21,5 @@ def test_every_row_is_of_the_array_that_it_is_chosen_of(chosen: list[int], share
 
 def test_rows_of_one_array_are_that_array() -> None:
     arrays = [np.zeros((3, 2)), np.ones((3, 2))]
-    assert picked(arrays[0], arrays[1:], np.array([1, 1, 1])) is arrays[1]
-    assert picked(arrays[0], [arrays[0], arrays[1]], np.array([0, 1, 0])) is arrays[0]
+    assert select_rows(arrays[0], arrays[1:], np.array([1, 1, 1])) is arrays[1]
+    assert select_rows(arrays[0], [arrays[0], arrays[1]], np.array([0, 1, 0])) is arrays[0]

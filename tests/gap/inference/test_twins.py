@@ -3,7 +3,7 @@
 import pytest
 from gap_arm import dataset
 
-from btr_mjx.gap.effects import EFFECTS, KNOWN
+from btr_mjx.gap.effects import EFFECTS, KNOWN_EFFECTS
 from btr_mjx.gap.inference import Bench
 from btr_mjx.gap.inference.search.polish import Polisher
 from btr_mjx.gap.inference.search.rounds import search
@@ -34,7 +34,7 @@ def named(bench: Bench) -> Judged:
 def test_twins_sit_where_the_name_does(bench: Bench, named: Judged) -> None:
     found = [(i, c.name) for i, c in candidates_of(bench, named)]
     assert found == [(0, "hardening_spring@joint:elbow"), (0, "one_sided_spring@joint:elbow")]
-    library = [e for e in KNOWN if e.name in ("joint_stiffness", "hardening_spring")]
+    library = [e for e in KNOWN_EFFECTS if e.name in ("joint_stiffness", "hardening_spring")]
     other = Bench(dataset(hardening, seed=6), library, QUICK)
     assert [c.name for _, c in candidates_of(other, named)] == ["one_sided_spring@joint:elbow"]
 

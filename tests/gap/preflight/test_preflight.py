@@ -1,4 +1,4 @@
-"""Preflight: what is wrong with data is said before any fit, and sound data raise no alarm."""
+"""Preflight: faults of datasets are found before any fit; valid datasets give no errors or warnings."""
 
 import dataclasses
 from collections.abc import Callable
@@ -57,7 +57,7 @@ def of_level(findings: list[Finding], level: str) -> list[str]:
     return [finding.message for finding in findings if finding.level == level]
 
 
-def test_sound_data_raise_no_alarm() -> None:
+def test_valid_data_give_no_errors_or_warnings() -> None:
     findings = preflight(SOUND)
     assert not of_level(findings, "error") + of_level(findings, "warning")
     refuse_errors(findings)
@@ -79,13 +79,13 @@ DEGREES = 180 / np.pi
         (lambda r: dataclasses.replace(r, time=1000 * r.time), r"4 s apart, which looks like milliseconds"),
     ],
 )
-def test_units(change: Callable[[Recording], Recording], message: str) -> None:
+def test_wrong_units_are_errors(change: Callable[[Recording], Recording], message: str) -> None:
     findings = preflight(changed(change))
     with pytest.raises(InputError, match=message):
         refuse_errors(findings)
 
 
-def test_degrees_against_a_limit() -> None:
+def test_degrees_are_detected_from_joint_limits() -> None:
     model = ROBOT.model
     model.jnt_limited[:], model.jnt_range[:] = 1, (-1.5, 1.5)
     data = dataclasses.replace(
@@ -94,13 +94,13 @@ def test_degrees_against_a_limit() -> None:
     assert any("its limit in the model is 1.5 rad" in message for message in of_level(preflight(data), "error"))
 
 
-def test_no_excitation() -> None:
+def test_no_excitation_is_an_error() -> None:
     data = dataclasses.replace(SOUND, recordings=tuple(simulated(i, still=True) for i in range(3)))
     with pytest.raises(InputError, match="no excitation"):
         refuse_errors(preflight(data))
 
 
-def test_gaps_and_dead_channels() -> None:
+def test_gaps_and_constant_channels_are_warnings() -> None:
     def change(recording: Recording) -> Recording:
         time, ctrl, qpos = recording.time.copy(), recording.ctrl.copy(), recording.qpos.copy()
         time[100:] += 0.1
@@ -115,8 +115,8 @@ def test_gaps_and_dead_channels() -> None:
     assert "qpos/shoulder stays at its extreme for" in warnings
 
 
-def test_clocks() -> None:
-    """Commands logged 60 ms too late come after the response; a flipped velocity does not fit its position."""
+def test_commands_after_responses_are_warned_about() -> None:
+    """Commands logged 60 ms late follow the response; a velocity of wrong sign does not fit its position."""
 
     def change(recording: Recording) -> Recording:
         late = np.stack([np.interp(recording.time - 0.12, recording.time, c) for c in recording.ctrl.T], 1)
@@ -128,12 +128,12 @@ def test_clocks() -> None:
     assert "qvel/elbow does not follow the slope" in warnings
 
 
-def test_parameters_at_their_bounds() -> None:
+def test_parameters_at_bounds_are_warnings() -> None:
     data = dataclasses.replace(SOUND, parameters=(Believed("elbow damping", ("joint:elbow/damping",), 0.3, 2.0),))
     assert any("'elbow damping' starts at its bound" in message for message in of_level(preflight(data), "warning"))
 
 
-def test_one_frequency_hides_a_lag() -> None:
+def test_single_frequency_does_not_excite_lag() -> None:
     def change(recording: Recording) -> Recording:
         sine = np.sin(20 * recording.time[:, None] + np.arange(5))
         return dataclasses.replace(recording, ctrl=sine)
@@ -142,8 +142,8 @@ def test_one_frequency_hides_a_lag() -> None:
     assert "cannot show actuator_lag: every command is one sine" in notes
 
 
-def restless(servo: int, share: float = 1.0) -> Dataset:
-    """A servo whose damping is far too stiff for an explicit step, in some of the recordings."""
+def with_unstable_servo(servo: int, share: float = 1.0) -> Dataset:
+    """A dataset in which a servo is unstable with explicit steps, in a share of the recordings."""
     model = mujoco.MjModel.from_xml_string(ROBOT.xml)
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
     model.actuator_biasprm[servo, 2] = -1e4 * model.dof_M0[servo]
@@ -152,9 +152,9 @@ def restless(servo: int, share: float = 1.0) -> Dataset:
     return dataclasses.replace(SOUND, recordings=tuple(recordings))
 
 
-def test_a_model_that_blows_up_is_refused() -> None:
-    findings = preflight(restless(0))
+def test_unstable_model_is_an_error() -> None:
+    findings = preflight(with_unstable_servo(0))
     with pytest.raises(InputError, match=r"arm.xml: the believed model is unstable at its time step of .* integrator"):
         refuse_errors(findings)
-    assert any("unstable" in text for text in of_level(preflight(restless(0, 1 / 3)), "warning"))
+    assert any("unstable" in text for text in of_level(preflight(with_unstable_servo(0, 1 / 3)), "warning"))
     assert not any("unstable" in finding.message for finding in preflight(SOUND))

@@ -14,9 +14,8 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.report import draw_report
 from btr_mjx.gap.report.figures import ranking_bars
 from btr_mjx.gap.report.page import main
-from btr_mjx.gap.results import NOT_NAMED, number, verdict_sentence, with_ends
-from btr_mjx.gap.results.mend import Found, mend
-from btr_mjx.gap.results.wording import with_interval
+from btr_mjx.gap.results import REASON_NOT_NAMED, FoundEffect, estimate_cells, format_number, mend, verdict_sentence
+from btr_mjx.gap.results.wording import format_estimate
 from btr_mjx.runs import read_arrays, write_arrays, write_json
 
 RESULT: dict[str, Any] = {
@@ -79,7 +78,7 @@ def folder(tmp_path: Path, rng: np.random.Generator) -> Path:
         arrays |= {f"time_{n}": time, f"measured_{n}": truth + 0.003 * rng.normal(size=400)}
         arrays |= {f"before_{n}": truth + 0.1 * np.sin(5 * time), f"after_{n}": truth}
     write_arrays(tmp_path / "overlays.npz", arrays)
-    mended = mend(QUADRUPED, [Found("load_friction", "joint:knee0", {"coefficient": 0.312})])
+    mended = mend(QUADRUPED, [FoundEffect("load_friction", "joint:knee0", {"coefficient": 0.312})])
     (tmp_path / "mended.xml").write_text(mended.xml)
     write_json(tmp_path / "mended.json", mended.as_json())
     write_json(tmp_path / "environment.json", {"mujoco": "3.17.0", "python": "3.12.1"})
@@ -87,7 +86,7 @@ def folder(tmp_path: Path, rng: np.random.Generator) -> Path:
 
 
 class Page(html.parser.HTMLParser):
-    """Collects what a test asks about: text, images, addresses."""
+    """Collects text, images and addresses of a page."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -110,7 +109,7 @@ class Page(html.parser.HTMLParser):
         return re.sub(r"\s+", " ", " ".join(self.words))
 
 
-def test_the_page_says_it_all_and_needs_nothing_else(folder: Path) -> None:
+def test_the_page_is_complete_and_self_contained(folder: Path) -> None:
     page = Page(draw_report(folder).read_text(encoding="utf-8"))
     assert "Simulation and data disagree most at joint knee0, when it moves fast under load." in page.text
     assert (
@@ -180,7 +179,7 @@ def test_one_more_effect_has_candidates_of_its_own(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(("score", "said"), [(900.0, True), (700.0, False)])
-def test_whatever_scores_more_than_the_name_is_accounted_for(folder: Path, score: float, said: bool) -> None:
+def test_the_caption_explains_candidates_that_score_more_than_the_name(folder: Path, score: float, said: bool) -> None:
     row = {"effect": "link_length", "location": "body:thigh0", "score": score, "margin": 812.0 - score}
     ranking = [RESULT["ranking"][0], row, *RESULT["ranking"][1:]]
     write_json(folder / "result.json", RESULT | {"ranking": ranking})
@@ -200,7 +199,7 @@ def test_two_effects_and_equivalent_ones_in_the_sentence() -> None:
     assert "cannot tell it apart from load-dependent gear friction at every joint from body thigh0 down: run" in text
 
 
-def test_what_is_not_named_and_not_ruled_out_is_said(folder: Path) -> None:
+def test_candidates_that_are_not_ruled_out_are_listed(folder: Path) -> None:
     none = RESULT | {
         "verdict": "none",
         "effects": [],
@@ -211,9 +210,9 @@ def test_what_is_not_named_and_not_ruled_out_is_said(folder: Path) -> None:
     assert "Nor is another length of the link at body shin2 ruled out, but small errors of calibration explain" in text
     write_json(folder / "result.json", none)
     page = Page(draw_report(folder).read_text(encoding="utf-8")).text
-    assert f"Not ruled out, though {NOT_NAMED}:" in page
-    assert "These data cannot tell apart" not in page
-    assert f"Hatched: {NOT_NAMED}." in page
+    assert f"Not ruled out, though {REASON_NOT_NAMED}:" in page
+    assert "These data cannot distinguish" not in page
+    assert f"Hatched: {REASON_NOT_NAMED}." in page
 
 
 def test_whole_recordings_come_first_in_the_sentence() -> None:
@@ -225,7 +224,7 @@ def test_whole_recordings_come_first_in_the_sentence() -> None:
     )
 
 
-def test_a_motion_that_no_model_follows_for_long_is_not_called_closer() -> None:
+def test_an_open_loop_error_that_grows_is_not_called_an_improvement() -> None:
     gap = {"before": 203.0, "after": 0.99, "open_loop_before": 0.125, "open_loop_after": 0.147, "open_loop_unit": "rad"}
     text = verdict_sentence(RESULT | {"gap": gap})
     assert "shrinks the gap over short held-out stretches from 203 to 0.99, but not the position error" in text
@@ -235,7 +234,7 @@ def test_a_motion_that_no_model_follows_for_long_is_not_called_closer() -> None:
 
 
 def test_numbers_for_readers() -> None:
-    assert [number(x) for x in (0.0, 1234.5, 0.31234, -2.0, 1e-7, None)] == [
+    assert [format_number(x) for x in (0.0, 1234.5, 0.31234, -2.0, 1e-7, None)] == [
         "0",
         "1234",
         "0.312",
@@ -243,22 +242,22 @@ def test_numbers_for_readers() -> None:
         "1.00·10^−7",
         "–",
     ]
-    assert with_interval({"value": 12.34, "low": 11.9, "high": 12.8, "unit": "N m"}) == "12.34 ± 0.45 N m"
-    assert with_interval({"value": 1.0, "unit": "kg"}) == "1 kg"
+    assert format_estimate({"value": 12.34, "low": 11.9, "high": 12.8, "unit": "N m"}) == "12.34 ± 0.45 N m"
+    assert format_estimate({"value": 1.0, "unit": "kg"}) == "1 kg"
     edge = {"value": 0.9, "low": 0.9, "high": 0.9, "unit": "1", "edge": True}
-    assert with_interval(edge) == "0.9 (the edge of what is tried; the true one may be beyond)"
-    assert with_ends({"value": 2.0031, "low": 1.9962, "high": 2.0098}) == {
+    assert format_estimate(edge) == "0.9 (the edge of what is tried; the true one may be beyond)"
+    assert estimate_cells({"value": 2.0031, "low": 1.9962, "high": 2.0098}) == {
         "value": "2.0031",
         "low": "1.9962",
         "high": "2.0098",
     }
-    assert with_ends({"value": -0.31, "low": -0.35, "high": 12.0}) == {
+    assert estimate_cells({"value": -0.31, "low": -0.35, "high": 12.0}) == {
         "value": "−0.310",
         "low": "−0.350",
         "high": "12.000",
     }
-    assert with_ends({"value": 1.0, "low": None, "high": None}) == {"value": "1", "low": "–", "high": "–"}
-    assert with_ends({"value": 4e7, "low": 3.9e7, "high": 4.1e7})["high"] == "4.10·10^7"
+    assert estimate_cells({"value": 1.0, "low": None, "high": None}) == {"value": "1", "low": "–", "high": "–"}
+    assert estimate_cells({"value": 4e7, "low": 3.9e7, "high": 4.1e7})["high"] == "4.10·10^7"
 
 
 def test_a_folder_without_a_diagnosis(tmp_path: Path) -> None:
@@ -269,8 +268,8 @@ def test_a_folder_without_a_diagnosis(tmp_path: Path) -> None:
     assert stopped.value.code == 2
 
 
-def test_a_runner_up_is_compared_on_windows_that_both_were_judged_on() -> None:
-    """Fresh windows add to one of the scores only: 106 and 15, but gains of 63 and 47 on the same windows."""
+def test_a_runner_up_is_compared_on_the_windows_that_both_share() -> None:
+    """Fresh windows add to one of the two scores; gains are compared on the windows that both share."""
     best = {"effect": "load_friction", "location": "joint:knee0", "score": 106.0, "gain": -8.0, "held_out": 71.0}
     other = {"effect": "payload", "location": "body:torso", "score": 15.0, "gain": 9.0, "held_out": 38.0}
     for fresh, said in (
@@ -283,7 +282,7 @@ def test_a_runner_up_is_compared_on_windows_that_both_were_judged_on() -> None:
         assert f" at body torso, {said}." in sentence
 
 
-def test_bars_say_who_is_ahead_of_the_name() -> None:
+def test_bars_show_the_difference_to_the_first_score() -> None:
     rows = [dict(row) for row in RESULT["ranking"]]
     rows.insert(1, {"effect": "link_length", "location": "body:thigh0", "score": 900.0, "margin": -88.0})
     figure = ranking_bars(rows, [("load_friction", "joint:knee0")])

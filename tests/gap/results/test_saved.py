@@ -19,15 +19,15 @@ from btr_mjx.gap.results import (
     DisagreementMap,
     Estimate,
     Gap,
-    Named,
+    NamedEffect,
     NextExperiment,
     Overlay,
+    RankedCandidate,
     Refit,
-    Row,
     as_result,
     save_diagnosis,
 )
-from btr_mjx.gap.results.saved import where
+from btr_mjx.gap.results.saved import place_of_disagreement
 from btr_mjx.runs import read_arrays, read_json
 
 REGIMES = ("all", "slow", "fast", "low load", "high load", "contact", "air", "early", "late")
@@ -44,11 +44,11 @@ def diagnosis() -> Diagnosis:
     friction = {"coefficient": Estimate(0.31, 0.28, 0.34, "1")}
     return Diagnosis(
         verdict="effect",
-        effects=(Named("load_friction", "joint:knee0", friction, 300.0, 90.0, ("dry_friction@joint:knee0",)),),
+        effects=(NamedEffect("load_friction", "joint:knee0", friction, 300.0, 90.0, ("dry_friction@joint:knee0",)),),
         ranking=(
-            Row("load_friction", "joint:knee0", 300.0, 0.0, 220.0, 90.0, {"coefficient": 0.31}),
-            Row("dry_friction", "joint:knee0", 290.0, 10.0, 210.0, 85.0, {"torque": 1.3}),
-            Row("payload", "body:torso", 3.0, 297.0, 5.0, 1.0, {"mass": 0.2, "x": 0.0, "y": 0.0, "z": 0.0}),
+            RankedCandidate("load_friction", "joint:knee0", 300.0, 0.0, 220.0, 90.0, {"coefficient": 0.31}),
+            RankedCandidate("dry_friction", "joint:knee0", 290.0, 10.0, 210.0, 85.0, {"torque": 1.3}),
+            RankedCandidate("payload", "body:torso", 3.0, 297.0, 5.0, 1.0, {"mass": 0.2, "x": 0.0, "y": 0.0, "z": 0.0}),
         ),
         equivalent=("load_friction@joint:knee0", "dry_friction@joint:knee0"),
         gap=Gap(4.0, 1.2, 1.0, 1.0, 2.0, 1.1, float("nan"), float("nan")),
@@ -79,7 +79,7 @@ def dataset(tmp_path: Path) -> Dataset:
     return Dataset(tmp_path, mujoco.MjModel.from_xml_string(QUADRUPED), file, QUADRUPED, parameters, ())
 
 
-def test_what_is_saved_says_what_was_found(dataset: Dataset, tmp_path: Path) -> None:
+def test_saved_files_hold_the_diagnosis(dataset: Dataset, tmp_path: Path) -> None:
     out = tmp_path / "run"
     save_diagnosis(diagnosis(), dataset, out, more={"seed": 3})
     result = read_json(out / "result.json")
@@ -128,9 +128,7 @@ def test_the_mended_model_has_what_was_refitted(dataset: Dataset, tmp_path: Path
     assert [(t["effect"], t["parameters"]) for t in terms] == [("load_friction", {"coefficient": 0.31})]
 
 
-def test_the_mended_model_has_the_calibration_beside_which_something_was_found(
-    dataset: Dataset, tmp_path: Path
-) -> None:
+def test_the_mended_model_has_the_errors_of_calibration(dataset: Dataset, tmp_path: Path) -> None:
     errors = (
         Calibrated("link_length", "body:shank0", {"change": 0.004}),
         Calibrated("joint_offset", "joint:knee0", {"offset": 0.002}),
@@ -165,7 +163,7 @@ def test_meshes_are_found_from_anywhere(dataset: Dataset, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("verdict", ["none", "unexplained"])
-def test_without_a_name(dataset: Dataset, tmp_path: Path, verdict: str) -> None:
+def test_files_of_a_diagnosis_without_a_name(dataset: Dataset, tmp_path: Path, verdict: str) -> None:
     nothing = replace(
         diagnosis(), verdict=verdict, effects=(), equivalent=(), unexplained=("joint:knee0: all of it",), overlays=()
     )
@@ -185,8 +183,13 @@ def test_without_a_name(dataset: Dataset, tmp_path: Path, verdict: str) -> None:
     assert (tmp_path / "run" / "figures" / "next-command.png").is_file()
 
 
-def test_where_says_nothing_about_noise() -> None:
+def test_no_place_of_disagreement_within_the_noise() -> None:
     quiet = disagreement()
     quiet.value[1] = 1.1
-    assert where(quiet) == ""
-    assert where(DisagreementMap((), REGIMES, np.zeros((0, len(REGIMES))), np.zeros((0, len(REGIMES)), int))) == ""
+    assert place_of_disagreement(quiet) == ""
+    assert (
+        place_of_disagreement(
+            DisagreementMap((), REGIMES, np.zeros((0, len(REGIMES))), np.zeros((0, len(REGIMES)), int))
+        )
+        == ""
+    )

@@ -1,4 +1,4 @@
-"""Worlds against the slow, obvious route: one MjData, one mj_step after the other."""
+"""Batched simulation of worlds against loops of mj_step."""
 
 import copy
 from dataclasses import replace
@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.inference import Hypothesis
-from btr_mjx.gap.simulate import Counter, Rows, Stretch, World, fields_of, simulate
-from btr_mjx.gap.simulate import lawless as freewheel
+from btr_mjx.gap.simulate import Counter, Rows, Segments, World, differing_fields, rollout, simulate
 from btr_mjx.gap.windows.activation import activations
 from btr_mjx.models import between, difference, integrate
 
@@ -49,10 +48,10 @@ def model() -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(XML)
 
 
-def stretch(model: mujoco.MjModel, seed: int, windows: int = 5, samples: np.ndarray | None = None) -> Stretch:
+def segments(model: mujoco.MjModel, seed: int, windows: int = 5, samples: np.ndarray | None = None) -> Segments:
     rng = np.random.default_rng(seed)
     qpos = integrate(model, np.tile(model.qpos0, (windows, 1)), 0.2 * rng.normal(size=(windows, model.nv)))
-    return Stretch(
+    return Segments(
         start=rng.uniform(0, 0.2, windows),
         qpos=qpos,
         qvel=rng.normal(size=(windows, model.nv)),
@@ -62,7 +61,7 @@ def stretch(model: mujoco.MjModel, seed: int, windows: int = 5, samples: np.ndar
     )
 
 
-def stepped(model: mujoco.MjModel, world: World, windows: Stretch, row: int, steps: int) -> np.ndarray:
+def stepped(model: mujoco.MjModel, world: World, windows: Segments, row: int, steps: int) -> np.ndarray:
     """States (steps + 1, nq + nv) of one window by mj_step alone."""
     data = mujoco.MjData(model)
     data.time = windows.start[row]
@@ -78,7 +77,7 @@ def stepped(model: mujoco.MjModel, world: World, windows: Stretch, row: int, ste
     return np.array(states)
 
 
-def test_worlds_of_different_models_equal_plain_loops(model: mujoco.MjModel) -> None:
+def test_worlds_of_different_models_equal_mj_step(model: mujoco.MjModel) -> None:
     worlds = [World.of(model) for _ in range(4)]
     worlds[1].model.dof_damping[6] += 0.3
     worlds[1].model.dof_frictionloss[7] = 0.2
@@ -88,7 +87,7 @@ def test_worlds_of_different_models_equal_plain_loops(model: mujoco.MjModel) -> 
     worlds[3].model.opt.gravity[0] = 2.0
     worlds[3].model.geom_friction[:, 0] = 0.3
     worlds[3].command_edits.append(lambda sent: sent.shifted(0.004))
-    jobs = [(world, stretch(model, seed)) for seed, world in enumerate(worlds)]
+    jobs = [(world, segments(model, seed)) for seed, world in enumerate(worlds)]
     counter = Counter()
     results = simulate(jobs, counter=counter)
     assert counter.steps == 4 * 5 * 20
@@ -97,15 +96,15 @@ def test_worlds_of_different_models_equal_plain_loops(model: mujoco.MjModel) -> 
         mujoco.mj_setConst(alone, mujoco.MjData(alone))
         for row in range(len(windows)):
             expected = stepped(alone, world, windows, row, 20)
-            # Velocities of up to 10, and a solver that may begin elsewhere.
+            # Velocities of up to 10, and another starting point of the solver.
             np.testing.assert_allclose(states[row], expected[[0, 10, 20]], rtol=0, atol=1e-11)
     assert np.abs(results[0][0, -1] - simulate([(worlds[1], jobs[0][1])])[0][0, -1]).max() > 1e-4
 
 
-def test_uneven_samples_lie_between_steps(model: mujoco.MjModel) -> None:
+def test_samples_between_steps_are_interpolated(model: mujoco.MjModel) -> None:
     rng = np.random.default_rng(5)
     samples = np.sort(rng.uniform(0, 0.03, (5, 4)), axis=1)
-    world, windows = World.of(model), stretch(model, 3, samples=samples)
+    world, windows = World.of(model), segments(model, 3, samples=samples)
     coarse = simulate([(world, windows)])[0]
     for row in range(5):
         path = stepped(model, world, windows, row, 31)
@@ -123,7 +122,7 @@ def test_uneven_samples_lie_between_steps(model: mujoco.MjModel) -> None:
             np.testing.assert_allclose(coarse[row, k, model.nq :], v, atol=1e-12)
 
 
-def test_between_meets_both_ends(model: mujoco.MjModel, rng: np.random.Generator) -> None:
+def test_interpolation_meets_both_ends(model: mujoco.MjModel, rng: np.random.Generator) -> None:
     q0 = integrate(model, np.tile(model.qpos0, (6, 1)), rng.normal(size=(6, model.nv)))
     v0, v1 = rng.normal(size=(2, 6, model.nv))
     q1 = integrate(model, q0, 0.01 * v1)
@@ -144,11 +143,11 @@ class Spring:
         rows.ctrl[:, 1] += rows.time
 
 
-def test_laws_act_on_their_rows_only_and_add_up(model: mujoco.MjModel) -> None:
+def test_laws_act_on_their_own_rows_and_add_up(model: mujoco.MjModel) -> None:
     plain, ruled, twice = (World.of(model) for _ in range(3))
     ruled.laws.append(Spring())
     twice.laws += [Spring(), Spring()]
-    windows = stretch(model, 7)
+    windows = segments(model, 7)
     results = simulate([(plain, windows), (ruled, windows), (plain, windows), (twice, windows)])
     np.testing.assert_array_equal(results[0], results[2])
     for times, states in ((0, results[0]), (1, results[1]), (2, results[3])):
@@ -157,7 +156,7 @@ def test_laws_act_on_their_rows_only_and_add_up(model: mujoco.MjModel) -> None:
             np.testing.assert_allclose(states[row, -1], expected, rtol=0, atol=1e-9)
 
 
-def ruled_loop(model: mujoco.MjModel, windows: Stretch, row: int, times: int) -> np.ndarray:
+def ruled_loop(model: mujoco.MjModel, windows: Segments, row: int, times: int) -> np.ndarray:
     model = copy.copy(model)
     data = mujoco.MjData(model)
     data.time, data.qpos[:], data.qvel[:] = windows.start[row], windows.qpos[row], windows.qvel[row]
@@ -174,8 +173,8 @@ def ruled_loop(model: mujoco.MjModel, windows: Stretch, row: int, times: int) ->
     return np.r_[data.qpos, data.qvel]
 
 
-def test_offsets_are_added_to_what_is_measured(model: mujoco.MjModel) -> None:
-    world, windows = World.of(model), stretch(model, 8)
+def test_encoder_offsets_are_added_to_measurements(model: mujoco.MjModel) -> None:
+    world, windows = World.of(model), segments(model, 8)
     world.offset[6] = 0.1
     shown = simulate([(world, windows)])[0]
     np.testing.assert_allclose(shown[:, 0, : model.nq], windows.qpos, atol=1e-12)
@@ -185,10 +184,10 @@ def test_offsets_are_added_to_what_is_measured(model: mujoco.MjModel) -> None:
     np.testing.assert_allclose(shown[..., 7], expected[..., 7] + 0.1, atol=1e-12)
 
 
-def test_a_solver_that_is_cut_short_begins_where_the_step_before_ended() -> None:
-    """What one iteration ends with depends on where it begins: as in mj_step, and not from no force at all."""
+def test_solver_with_few_iterations_is_warm_started() -> None:
+    """The result of one iteration depends on its starting point, which must be that of mj_step."""
     model = mujoco.MjModel.from_xml_string(XML.replace('iterations="100"', 'iterations="1"'))
-    world, windows = World.of(model), stretch(model, 13)
+    world, windows = World.of(model), segments(model, 13)
     cold = copy.copy(model)
     cold.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_WARMSTART
     states = simulate([(world, windows)])[0]
@@ -201,36 +200,36 @@ def test_a_solver_that_is_cut_short_begins_where_the_step_before_ended() -> None
 
 
 @pytest.mark.parametrize("geoms", [1, 12])
-def test_bodies_of_many_geoms_collide_as_in_plain_loops(geoms: int) -> None:
-    """Few geoms are looked at one by one, many through MuJoCo's tree of bounding volumes."""
+def test_collisions_of_bodies_with_many_geoms_equal_mj_step(geoms: int) -> None:
+    """With few geoms the collision midphase is disabled, with many it is used."""
     beads = "".join(f'<geom type="sphere" pos="{0.02 * i} 0 -0.05" size="0.03"/>' for i in range(geoms))
     own = XML.replace('<geom type="sphere" pos="-0.15 0 0" size="0.05"/>', beads)
     model = mujoco.MjModel.from_xml_string(own)
     assert model.body_geomnum.max() == geoms
-    world, windows = World.of(model), stretch(model, 14)
+    world, windows = World.of(model), segments(model, 14)
     states = simulate([(world, windows)])[0]
     for row in range(len(windows)):
         expected = stepped(model, world, windows, row, 20)[[0, 10, 20]]
         np.testing.assert_allclose(states[row], expected, rtol=0, atol=1e-10)
 
 
-def test_bits_do_not_depend_on_threads_or_company(model: mujoco.MjModel) -> None:
-    world, other, windows = World.of(model), World.of(model), stretch(model, 9)
+def test_results_are_independent_of_threads_and_other_jobs(model: mujoco.MjModel) -> None:
+    world, other, windows = World.of(model), World.of(model), segments(model, 9)
     other.model.dof_damping[:] += 0.2
     reference = simulate([(world, windows)], threads=1)[0]
     np.testing.assert_array_equal(reference, simulate([(other, windows), (world, windows)], threads=2)[1])
 
 
-def test_a_finer_step_converges(model: mujoco.MjModel) -> None:
-    world, windows = World.of(model), stretch(model, 10)
+def test_smaller_steps_converge(model: mujoco.MjModel) -> None:
+    world, windows = World.of(model), segments(model, 10)
     windows.qpos[:, 2] += 1.0  # no contact
     finest = simulate([(world, windows)], timestep=1e-5)[0]
     errors = [np.abs(simulate([(world, windows)], timestep=dt)[0] - finest).max() for dt in (1e-3, 2.5e-4)]
     assert errors[1] < 0.35 * errors[0]
 
 
-def test_invalid_rows_are_nan_and_stay_alone(model: mujoco.MjModel) -> None:
-    bad, good, windows = World.of(model), World.of(model), stretch(model, 11)
+def test_invalid_rows_are_nan_and_do_not_affect_others(model: mujoco.MjModel) -> None:
+    bad, good, windows = World.of(model), World.of(model), segments(model, 11)
     bad.model.actuator_gainprm[0, 0] = -1e9
     bad.model.actuator_biasprm[0, 1] = 1e9
     results = simulate([(bad, windows), (good, windows)])
@@ -239,7 +238,7 @@ def test_invalid_rows_are_nan_and_stay_alone(model: mujoco.MjModel) -> None:
 
 
 class Still:
-    """A law that does nothing: it asks for single steps."""
+    """A law without effect: forces single steps."""
 
     fields = ()
 
@@ -249,38 +248,38 @@ class Still:
 
 @pytest.mark.parametrize("samples", [None, "uneven", "long"])
 @pytest.mark.parametrize("wild", [False, True])
-def test_many_steps_at_once_are_the_same_as_one_by_one(model: mujoco.MjModel, samples, wild, monkeypatch) -> None:
+def test_rollout_equals_single_steps(model: mujoco.MjModel, samples, wild, monkeypatch) -> None:
     rng = np.random.default_rng(2)
     uneven = np.sort(rng.uniform(0, 0.03, (5, 4)), axis=1)
-    uneven[::2] += 0.01  # rows that fly off would go on longest
+    uneven[::2] += 0.01  # diverging rows have the longest segments
     times = {None: None, "uneven": uneven, "long": np.array([0.0, 0.07, 0.1505])}
     plain, still = World.of(model), World.of(model)
     still.laws.append(Still())
-    windows = stretch(model, 12, samples=times[samples])
-    if wild:  # some of the windows fly off on their way
+    windows = segments(model, 12, samples=times[samples])
+    if wild:  # some of the segments diverge
         windows.qvel[::2] *= 1e4
         for world in (plain, still):
             world.model.dof_damping[:] = -50.0
     expected, found = Counter(), Counter()
     slow = simulate([(still, windows)], counter=expected)[0]
     for most in (2**22, 5 * 100):  # 5 rows in blocks of many steps, and of few
-        monkeypatch.setattr(freewheel, "_NUMBERS", most)
+        monkeypatch.setattr(rollout, "_MAX_NUMBERS", most)
         found.steps = 0
         np.testing.assert_array_equal(simulate([(plain, windows)], counter=found)[0], slow)
         assert found.steps == expected.steps
     assert np.isnan(slow).any() == wild
 
 
-def test_derived_constants_follow_an_edit(model: mujoco.MjModel) -> None:
+def test_derived_constants_are_updated_after_an_edit(model: mujoco.MjModel) -> None:
     world = World.of(model)
-    assert fields_of(world, model) == {}
+    assert differing_fields(world, model) == {}
     world.model.body_mass[3] += 1.0
-    changed = fields_of(world, model)
+    changed = differing_fields(world, model)
     assert {"body_mass", "body_subtreemass", "dof_M0", "body_invweight0", "dof_invweight0"} <= set(changed)
     assert "dof_damping" not in changed
 
 
-def test_a_world_is_settled_whenever_it_may_have_been_edited(model: mujoco.MjModel) -> None:
+def test_constants_of_frozen_worlds_are_computed_once(model: mujoco.MjModel) -> None:
     def derived(mass: float) -> np.ndarray:
         own = copy.copy(model)
         own.body_mass[3] += mass
@@ -290,14 +289,14 @@ def test_a_world_is_settled_whenever_it_may_have_been_edited(model: mujoco.MjMod
     world = World.of(model)
     for mass in (1.0, 2.0):
         world.model.body_mass[3] = model.body_mass[3] + mass
-        np.testing.assert_allclose(world.settle(mujoco.MjData(model)).dof_M0, derived(mass))
-    world.kept = True
+        np.testing.assert_allclose(world.update_constants(mujoco.MjData(model)).dof_M0, derived(mass))
+    world.frozen = True
     world.model.body_mass[3] += 1.0
-    np.testing.assert_allclose(world.settle().dof_M0, derived(2.0))  # a promise was broken: nothing is done again
+    np.testing.assert_allclose(world.update_constants().dof_M0, derived(2.0))  # edited although frozen: not updated
 
 
-def test_an_edit_between_two_simulations_counts(model: mujoco.MjModel) -> None:
-    world, windows = World.of(model), stretch(model, 13)
+def test_edits_between_two_simulations_take_effect(model: mujoco.MjModel) -> None:
+    world, windows = World.of(model), segments(model, 13)
     simulate([(world, windows)])
     world.model.body_mass[3] += 1.0
     fresh = World.of(model)
@@ -305,19 +304,19 @@ def test_an_edit_between_two_simulations_counts(model: mujoco.MjModel) -> None:
     np.testing.assert_array_equal(simulate([(world, windows)])[0], simulate([(fresh, windows)])[0])
 
 
-def test_a_hypothesis_makes_its_world_once(model: mujoco.MjModel) -> None:
+def test_hypothesis_creates_its_world_once(model: mujoco.MjModel) -> None:
     hypothesis, other = Hypothesis((), ()), copy.copy(model)
     assert hypothesis(model) is hypothesis(model)
-    assert hypothesis(model).kept
+    assert hypothesis(model).frozen
     assert hypothesis(other) is not hypothesis(model)
     assert replace(hypothesis)(model) is not hypothesis(model)
     assert replace(hypothesis) == hypothesis
 
 
-def test_a_native_delay_is_a_shift_of_the_command() -> None:
+def test_native_delay_equals_shifted_command() -> None:
     xml = XML.replace('kp="20" kv="0.5"', 'kp="20" kv="0.5" delay="0.004" nsample="8"')
     delayed, plain = mujoco.MjModel.from_xml_string(xml), mujoco.MjModel.from_xml_string(XML)
-    windows = stretch(plain, 12)
+    windows = segments(plain, 12)
     shifted = World.of(plain)
     shifted.command_edits.append(lambda sent: sent.shifted([0.004, 0.0]))
     native = World.of(delayed)
@@ -325,13 +324,13 @@ def test_a_native_delay_is_a_shift_of_the_command() -> None:
     np.testing.assert_allclose(simulate([(native, windows)])[0], simulate([(shifted, windows)])[0], rtol=0, atol=1e-12)
 
 
-def test_a_stretch_of_another_model_is_refused(model: mujoco.MjModel) -> None:
-    windows = stretch(model, 13)
+def test_segments_of_another_model_raise(model: mujoco.MjModel) -> None:
+    windows = segments(model, 13)
     with pytest.raises(InputError, match="expected"):
         simulate([(World.of(mujoco.MjModel.from_xml_string("<mujoco/>")), windows)])
 
 
-def test_activations_follow_from_the_motion() -> None:
+def test_activations_follow_from_measured_motion() -> None:
     actuators = """<actuator><pid joint="hip" kp="20" ki="30" kv="0.5" input="pos"/>
       <general joint="slide" dyntype="filter" dynprm="0.02" gainprm="3"/></actuator>"""
     model = mujoco.MjModel.from_xml_string(XML[: XML.index("<actuator>")] + actuators + "</mujoco>")

@@ -1,4 +1,4 @@
-"""Commands as functions of time, against sums and a solver of differential equations."""
+"""Commands as functions of time, against quadrature and an ODE solver."""
 
 from collections.abc import Sequence
 
@@ -12,7 +12,7 @@ from btr_mjx.gap.simulate import Command
 
 
 def lag_by_integration(sent: Command, constants: Sequence[float], times: np.ndarray) -> np.ndarray:
-    """T dy/dt = u - y solved numerically, one constant after the other, for every control."""
+    """T dy/dt = u - y solved numerically, one lag after the other, for every control."""
     y0 = np.concatenate([sent.at(sent.times[0])] * len(constants))
 
     def slope(t: float, y: np.ndarray) -> np.ndarray:
@@ -41,19 +41,19 @@ def test_lags_are_exact(interpolation: str, constants: tuple[float, ...]) -> Non
 
 @pytest.mark.parametrize("lags", [(), ([0.004, 0.0],), ([0.004, 0.0], [0.003, 0.02])])
 @pytest.mark.parametrize("delay", [0.0, 0.0033])
-def test_a_step_is_given_the_mean_of_a_held_command(lags: Sequence[list[float]], delay: float) -> None:
+def test_step_control_is_mean_of_held_command(lags: Sequence[list[float]], delay: float) -> None:
     sent, length, parts = command(5, "hold"), 0.0017, 2000
     for constants in lags:
         sent = sent.filtered(constants)
     sent = sent.shifted([delay, 0.0]).plus([1.0, 2.0])
     starts = np.linspace(sent.times[0] - 0.02, sent.times[-1] + 0.02, 37)
     fine = np.stack([sent.at(starts + (k + 0.5) * length / parts) for k in range(parts)]).mean(0)
-    np.testing.assert_allclose(sent.over(starts, length), fine, atol=2 * np.ptp(sent.values) / parts)
+    np.testing.assert_allclose(sent.over_step(starts, length), fine, atol=2 * np.ptp(sent.values) / parts)
     smooth = command(5, "cubic").shifted(delay)
-    np.testing.assert_array_equal(smooth.over(starts, length), smooth.at(starts + 0.5 * length))
+    np.testing.assert_array_equal(smooth.over_step(starts, length), smooth.at(starts + 0.5 * length))
 
 
-def test_commands_between_and_beyond_their_samples() -> None:
+def test_interpolation_and_extrapolation() -> None:
     sent = command(4, "hold")
     np.testing.assert_array_equal(sent.at(sent.times + 1e-9), sent.values)
     for interpolation in ("hold", "linear", "cubic"):

@@ -1,4 +1,4 @@
-"""The journal: answers go back to the same questions only; a search that was killed ends as one that was not."""
+"""Journal: stored results are reused for identical jobs only; an interrupted search resumes bit-identically."""
 
 from functools import partial
 from pathlib import Path
@@ -11,18 +11,18 @@ from btr_mjx.errors import Interrupted
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
 from btr_mjx.gap.inference import identify
 from btr_mjx.gap.results import as_result
-from btr_mjx.gap.simulate import Counter, Journal, Stretch, World, abreast, simulate
+from btr_mjx.gap.simulate import Counter, Journal, Segments, World, run_in_threads, simulate
 
 
-def stretch(seed: int = 0) -> Stretch:
+def segments(seed: int = 0) -> Segments:
     rng = np.random.default_rng(seed)
     sent = command(rng)
     start = rng.normal(size=(3, 2))
-    return Stretch(np.zeros(3), start, np.zeros((3, 2)), np.array([0.0, 0.02, 0.05]), (sent,), np.zeros(3, int))
+    return Segments(np.zeros(3), start, np.zeros((3, 2)), np.array([0.0, 0.02, 0.05]), (sent,), np.zeros(3, int))
 
 
-def test_what_was_simulated_is_not_simulated_again(tmp_path: Path) -> None:
-    jobs = [(World.of(arm()), stretch())]
+def test_stored_results_are_reused(tmp_path: Path) -> None:
+    jobs = [(World.of(arm()), segments())]
     first = Journal(tmp_path)
     states = simulate(jobs, counter=first)
     simulate(jobs, timestep=1e-3, counter=first)
@@ -44,23 +44,23 @@ def test_what_was_simulated_is_not_simulated_again(tmp_path: Path) -> None:
 def other_model() -> list:
     model = arm()
     model.dof_damping[0] += 1e-9
-    return [(World.of(model), stretch())]
+    return [(World.of(model), segments())]
 
 
 def other_command() -> list:
     delay = {c.name: c for c in candidates(arm(), Scales.of(arm()), EFFECTS)}["actuator_delay@all"]
-    return [(delay.apply(World.of(arm()), [1e-3]), stretch())]
+    return [(delay.apply(World.of(arm()), [1e-3]), segments())]
 
 
 def rubbing(coefficient: float) -> list:
     friction = {c.name: c for c in candidates(arm(), Scales.of(arm()), EFFECTS)}["load_friction@joint:elbow"]
-    return [(friction.apply(World.of(arm()), [coefficient]), stretch())]
+    return [(friction.apply(World.of(arm()), [coefficient]), segments())]
 
 
 def pushed(law) -> list:
     world = World.of(arm())
     world.laws.append(law)
-    return [(world, stretch())]
+    return [(world, segments())]
 
 
 class Push:
@@ -104,44 +104,44 @@ class Slotted:
     ],
     ids=["friction", "object", "closure", "whatever"],
 )
-def test_a_law_of_another_size_is_another_question(tmp_path: Path, law, known: bool) -> None:
-    """Or else every number of a friction that grows with the load would have the motion of the first one tried."""
+def test_laws_with_other_values_are_not_matched(tmp_path: Path, law, known: bool) -> None:
+    """All values that a law holds are part of the key."""
     first = simulate(law(0.2), counter=Journal(tmp_path))[0]
     again = Journal(tmp_path)
     other = simulate(law(0.3), counter=again)[0]
     np.testing.assert_array_equal(other, simulate(law(0.3))[0])
     assert np.abs(other - first).max() > 1e-6
-    assert (again.recall(law(0.2), None) is not None) is known
+    assert (again.lookup(law(0.2), None) is not None) is known
     np.testing.assert_array_equal(simulate(law(0.2), counter=again)[0], first)
 
 
-def test_answers_of_other_code_are_not_given(tmp_path: Path) -> None:
-    """An effect of one's own that was edited between a kill and a resume must not be answered by its former self."""
-    jobs = [(World.of(arm()), stretch())]
+def test_results_of_other_code_are_discarded(tmp_path: Path) -> None:
+    """User-defined effects may be edited between interruption and resume."""
+    jobs = [(World.of(arm()), segments())]
     simulate(jobs, counter=Journal(tmp_path, code=b"before"))
-    assert Journal(tmp_path, code=b"before").recall(jobs, None) is not None
-    assert Journal(tmp_path, code=b"after").recall(jobs, None) is None
+    assert Journal(tmp_path, code=b"before").lookup(jobs, None) is not None
+    assert Journal(tmp_path, code=b"after").lookup(jobs, None) is None
     assert not list(tmp_path.glob("*.npz"))
 
 
 @pytest.mark.parametrize(
-    "jobs", [other_model, other_command, lambda: [(World.of(arm()), stretch(1))]], ids=["model", "command", "start"]
+    "jobs", [other_model, other_command, lambda: [(World.of(arm()), segments(1))]], ids=["model", "command", "start"]
 )
-def test_another_question_is_not_given_the_answer(tmp_path: Path, jobs) -> None:
-    same = [(World.of(arm()), stretch())]
+def test_other_jobs_are_not_matched(tmp_path: Path, jobs) -> None:
+    same = [(World.of(arm()), segments())]
     simulate(same, counter=Journal(tmp_path))
     again = Journal(tmp_path)
     np.testing.assert_array_equal(simulate(jobs(), counter=again)[0], simulate(jobs())[0])
     assert len(list(tmp_path.glob("*.npz"))) == 2
 
 
-def test_threads_may_ask_in_any_order(tmp_path: Path) -> None:
-    """The same answers and the same count of steps, though those that ask first another time are others."""
-    questions = [[(World.of(arm()), stretch(seed))] for seed in range(6)]
+def test_order_of_threads_does_not_matter(tmp_path: Path) -> None:
+    """Results and number of steps are the same for another order of calls."""
+    questions = [[(World.of(arm()), segments(seed))] for seed in range(6)]
     first = Journal(tmp_path)
-    states = abreast([partial(simulate, jobs, counter=first) for jobs in questions])
+    states = run_in_threads([partial(simulate, jobs, counter=first) for jobs in questions])
     again = Journal(tmp_path)
-    back = abreast([partial(simulate, jobs, counter=again) for jobs in reversed(questions)])
+    back = run_in_threads([partial(simulate, jobs, counter=again) for jobs in reversed(questions)])
     for ours, theirs in zip(states, reversed(back), strict=True):
         np.testing.assert_array_equal(ours[0], theirs[0])
     plain = Counter()
@@ -150,16 +150,16 @@ def test_threads_may_ask_in_any_order(tmp_path: Path) -> None:
     assert first.steps == again.steps == plain.steps
 
 
-def test_a_damaged_answer_is_simulated_again(tmp_path: Path) -> None:
-    jobs = [(World.of(arm()), stretch())]
+def test_damaged_file_is_simulated_again(tmp_path: Path) -> None:
+    jobs = [(World.of(arm()), segments())]
     states = simulate(jobs, counter=Journal(tmp_path))[0]
     (file,) = tmp_path.glob("*.npz")
     file.write_bytes(file.read_bytes()[:-100])
     np.testing.assert_array_equal(simulate(jobs, counter=Journal(tmp_path))[0], states)
 
 
-def test_a_killed_search_ends_as_one_that_was_not(tmp_path: Path) -> None:
-    """Killed twice, in the first round and late, and resumed: the same result to the bit."""
+def test_interrupted_search_resumes_bit_identically(tmp_path: Path) -> None:
+    """Interrupted twice, in the first round and late."""
     made = dataset(damped, seed=1, fit=2, test=1)
 
     def search(journal: Journal | None, note=lambda word: None):

@@ -1,4 +1,4 @@
-"""Independent parts side by side: answers in their order, errors as they were raised."""
+"""Independent tasks in threads: order of results, concurrency, exceptions."""
 
 import threading
 import time
@@ -6,11 +6,11 @@ from functools import partial
 
 import pytest
 
-from btr_mjx.gap.simulate import abreast
+from btr_mjx.gap.simulate import run_in_threads
 
 
-def test_answers_come_in_the_order_of_the_tasks() -> None:
-    """Though the first one ends last."""
+def test_results_are_in_the_order_of_the_tasks() -> None:
+    """The first task ends last."""
     ended = []
 
     def task(i: int) -> int:
@@ -18,22 +18,22 @@ def test_answers_come_in_the_order_of_the_tasks() -> None:
         ended.append(i)
         return i * i
 
-    assert abreast([partial(task, i) for i in range(4)], most=4) == [0, 1, 4, 9]
+    assert run_in_threads([partial(task, i) for i in range(4)], most=4) == [0, 1, 4, 9]
     assert ended == [3, 2, 1, 0]
-    assert abreast([]) == []
+    assert run_in_threads([]) == []
 
 
 def test_tasks_run_at_the_same_time() -> None:
-    """Each waits for the other, which would never end one after another."""
+    """Each waits for the other, which would deadlock in sequence."""
     both = threading.Barrier(2, timeout=10)
-    assert sorted(abreast([both.wait, both.wait], most=2)) == [0, 1]
+    assert sorted(run_in_threads([both.wait, both.wait], most=2)) == [0, 1]
 
 
-def test_one_core_needs_no_threads() -> None:
-    assert set(abreast([threading.get_ident] * 3, most=1)) == {threading.get_ident()}
+def test_one_thread_runs_in_the_caller() -> None:
+    assert set(run_in_threads([threading.get_ident] * 3, most=1)) == {threading.get_ident()}
 
 
-def test_an_error_comes_through_and_ends_the_rest() -> None:
+def test_exception_is_raised_and_cancels_the_rest() -> None:
     begun = []
 
     def fails() -> None:
@@ -45,5 +45,5 @@ def test_an_error_comes_through_and_ends_the_rest() -> None:
         time.sleep(0.05)
 
     with pytest.raises(ValueError, match="as it was"):
-        abreast([fails, *(partial(later, i) for i in range(20))], most=2)
+        run_in_threads([fails, *(partial(later, i) for i in range(20))], most=2)
     assert len(begun) < 10

@@ -1,4 +1,4 @@
-"""Windows that cover what happens: against a search over all choices, and on an arm whose busy moment is known."""
+"""Coverage of activity by windows: against exhaustive search, and for an arm that moves once."""
 
 import itertools
 
@@ -10,7 +10,7 @@ from gap_arm import SIGMA, dataset, recording
 from btr_mjx.gap.data import Recording
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.gap.windows import Span, prepare
-from btr_mjx.gap.windows.coverage import bustle, covering, weights
+from btr_mjx.gap.windows.coverage import activity, activity_weights, greedy_cover
 from btr_mjx.gap.windows.placement import place_windows
 
 
@@ -20,11 +20,11 @@ def worth(shares: np.ndarray, weight: np.ndarray, chosen: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_a_greedy_choice_is_nearly_the_best_one(seed):
-    """Of a submodular worth a greedy choice has 1 - 1/e at least (Nemhauser, Wolsey and Fisher, 1978)."""
+def test_greedy_cover_is_near_optimal(seed):
+    """Greedy maximisation of a submodular function reaches 1 - 1/e (Nemhauser, Wolsey and Fisher, 1978)."""
     rng = np.random.default_rng(seed)
     shares, weight = rng.gamma(0.3, size=(9, 5)), rng.uniform(0.1, 2.0, 5)
-    chosen = covering(shares, weight, np.zeros(9, int), 4)
+    chosen = greedy_cover(shares, weight, np.zeros(9, int), 4)
     assert len(set(chosen.tolist())) == 4
     found = worth(shares, weight, chosen)
     best = max(worth(shares, weight, np.array(c)) for c in itertools.combinations(range(9), 4))
@@ -33,17 +33,17 @@ def test_a_greedy_choice_is_nearly_the_best_one(seed):
     every = [
         max(worth(shares, weight, np.append(chosen[:n], i)) for i in range(9) if i not in chosen[:n]) for n in range(4)
     ]
-    np.testing.assert_allclose(steps, every)  # no other window would have brought more
+    np.testing.assert_allclose(steps, every)  # no other window has a larger gain
 
 
-def test_a_rare_thing_is_not_missed_and_every_group_is_heard():
+def test_rare_features_and_all_groups_are_covered():
     shares = np.ones((40, 3)) * [1.0, 1.0, 0.0]
     shares[17, 2] = 1e-3
     group = np.repeat([0, 1, 2, 3], 10)
-    chosen = covering(shares, np.ones(3), group, 8)
+    chosen = greedy_cover(shares, np.ones(3), group, 8)
     assert 17 in chosen
     assert set(group[chosen]) == {0, 1, 2, 3}
-    assert len(covering(shares, np.ones(3), group, 2)) == 4
+    assert len(greedy_cover(shares, np.ones(3), group, 2)) == 4
 
 
 BALL = """
@@ -58,7 +58,7 @@ BALL = """
 
 
 def bouncing() -> Recording:
-    """A ball that is on the ground, or in it, half of the time."""
+    """A ball in contact with the ground half of the time."""
     time = np.arange(0, 1, 0.005)
     qpos, qvel = 0.01 * np.sin(20 * time), 0.2 * np.cos(20 * time)
     model = mujoco.MjModel.from_xml_string(BALL)
@@ -66,11 +66,11 @@ def bouncing() -> Recording:
 
 
 @pytest.mark.parametrize("touching", [False, True])
-def test_bustle_is_what_native_mujoco_says_sample_by_sample(touching):
+def test_activity_equals_mj_forward_at_each_sample(touching):
     one = bouncing() if touching else recording("r", seed=1)
     made = prepare([one], "linear", SIGMA[: 2 * one.model.nv], Span(5, 6))
     counter = Counter()
-    (found,) = bustle(made, counter)
+    (found,) = activity(made, counter)
     (own,) = made.recordings
     assert counter.steps == len(own.time)
     data, nv = mujoco.MjData(own.model), own.model.nv
@@ -80,12 +80,12 @@ def test_bustle_is_what_native_mujoco_says_sample_by_sample(touching):
         touch = np.abs(data.qfrc_constraint) > 0
         expected = [*data.qvel**2, *data.qfrc_actuator**2, *touch, not touch.any()]
         np.testing.assert_allclose(found[i], np.array(expected, float), rtol=1e-9, atol=1e-12)
-    assert weights(nv).shape == (found.shape[1],)
+    assert activity_weights(nv).shape == (found.shape[1],)
     assert 0.2 < found[:, -1].mean() < 0.8 if touching else found[:, -1].all()
 
 
-def test_windows_go_where_the_robot_moves():
-    """An arm that rests but for one moment: a single window a recording lies there."""
+def test_windows_cover_the_motion():
+    """An arm at rest except for a short motion: the single window of a recording covers it."""
     made = dataset(fit=2, test=1)
     data = prepare(made.fit, "cubic", SIGMA, Span(5, 6))
     _, every, k = place_windows(data, 0.1, 1e9, 10.0)

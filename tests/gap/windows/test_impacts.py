@@ -1,4 +1,4 @@
-"""Long windows keep clear of blows, of what turns over, and of steps that are too long for a friction."""
+"""Long windows avoid impacts, unstable motion, and time steps that are too long for stiction."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -16,21 +16,21 @@ from btr_mjx.gap.effects import EFFECTS, Scales, candidates
 from btr_mjx.gap.inference import Hypothesis
 from btr_mjx.gap.simulate import Command, Counter, World
 from btr_mjx.gap.windows import (
-    Data,
     Options,
+    PreparedData,
     Span,
     Windows,
-    chosen_windows,
-    grid,
-    kept,
+    choose_windows,
     linearise,
-    pace_notes,
     prepare,
     project,
-    step_doubt,
+    reliable_windows,
+    step_uncertainty,
     survey,
+    tile_windows,
+    time_step_notes,
 )
-from btr_mjx.gap.windows.impacts import blows, quiet_windows, touching_samples
+from btr_mjx.gap.windows.impacts import contact_samples, impact_free_windows, impact_samples
 
 CART = """<mujoco><option timestep="{step}" integrator="{integrator}"/><worldbody>
   <geom name="wall" type="box" size="0.1 1 1" pos="2.2 0 0"/>
@@ -56,7 +56,7 @@ def cart(step=2e-3, integrator="implicitfast", gear=8.0) -> str:
 
 
 def driven(xml: str, seed: int, duration=3.0, push=1.0, start=(0.0, 0.0)) -> Recording:
-    """A recording of a robot with one motor, simulated in steps of 0.1 ms of first order."""
+    """A recording of a robot with one motor, simulated by a first-order integrator with steps of 0.1 ms."""
     rng = np.random.default_rng(seed)
     time = np.arange(0, duration, 0.004)
     phase = rng.uniform(0, 6.28, 3)
@@ -77,25 +77,25 @@ def driven(xml: str, seed: int, duration=3.0, push=1.0, start=(0.0, 0.0)) -> Rec
     return Recording(f"r{seed}", time, ctrl, seen[:, :2], seen[:, 2:], np.ones(2, bool), "fit", model)
 
 
-def prepared(*recordings: Recording, sigma=NOISE) -> Data:
+def prepared(*recordings: Recording, sigma=NOISE) -> PreparedData:
     return prepare(recordings, "cubic", sigma, Span(5, 6))
 
 
-def chosen(data: Data):
+def chosen(data: PreparedData):
     found = survey(data, Counter())
     assert not found.contact
-    return found, chosen_windows(data, data, Hypothesis((), ()), found, 20, Options(), Counter())
+    return found, choose_windows(data, data, Hypothesis((), ()), found, 20, Options(), Counter())
 
 
 @given(st.lists(st.booleans(), min_size=8, max_size=120), st.integers(1, 12), st.integers(0, 5))
-def test_windows_between_blows(blow, k, first) -> None:
-    """None holds a blow or overlaps another, and no more of them fit into any stretch, by a loop."""
+def test_windows_between_impacts(blow, k, first) -> None:
+    """Windows contain no impact, do not overlap, and are as many as a greedy loop finds."""
     blow = np.array(blow)
     last = len(blow) - 1 - k
-    found = quiet_windows(blow, first, last, k)
+    found = impact_free_windows(blow, first, last, k)
     assert (np.diff(found) >= k).all()
     expected, at = 0, first
-    while at <= last:  # greedily, the earliest that fits, sharing end points within a stretch
+    while at <= last:  # greedily, the earliest that fits, sharing end points within a free part
         if blow[at : at + k + 1].any():
             at += 1
             continue
@@ -106,65 +106,65 @@ def test_windows_between_blows(blow, k, first) -> None:
         assert not blow[a : a + k + 1].any()
 
 
-def test_blows_are_touches_and_arrivals_at_end_stops() -> None:
+def test_impacts_are_contacts_and_changes_at_end_stops() -> None:
     position = np.array([0.0, 0.4, 0.45, 0.2, -0.2, -0.51, -0.505, -0.4, 1.0, 1.999, 2.003, 1.95, 1.5])
     still, count = prepared(driven(cart(), 0, 0.2)), len(position)
     still.recordings[0].model.jnt_range[0] = -0.5, 2.0  # the wall is 2 m away
     track = replace(still.tracks[0], time=np.arange(count) * 0.004, qpos=np.column_stack([position, np.zeros(count)]))
     data = replace(still, tracks=(replace(track, qvel=np.zeros((count, 2))),))
-    (touching,) = touching_samples(data, Counter())
+    (touching,) = contact_samples(data, Counter())
     assert touching.tolist() == [p > 2.0 for p in position]
-    (found,) = blows(data, Counter())
+    (found,) = impact_samples(data, Counter())
     #                  0 .4 .45 .2 -.2 -.51 -.505 -.4  1  1.999 2.003 1.95 1.5
     assert found.tolist() == [bool(x) for x in (0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 0)]
 
 
-def test_no_window_of_a_cart_holds_its_end_stop() -> None:
+def test_windows_of_a_cart_avoid_its_end_stop() -> None:
     data = prepared(driven(cart(), 0), driven(cart(), 1))
     hits = [np.abs(r.qpos[:, 0]) > 1.0 for r in data.recordings]
     assert all(hit.any() for hit in hits)
     _, found = chosen(data)
     for windows in found.windows:
-        assert windows.data.blows is not None
+        assert windows.data.impacts is not None
         for r, a in zip(windows.recording, windows.first, strict=True):
             assert not hits[r][a : a + windows.k + 1].any()
-    count = sum(len(grid(windows.data, found.survey.span)[1]) for windows in found.windows)
+    count = sum(len(tile_windows(windows.data, found.survey.span)[1]) for windows in found.windows)
     assert count >= sum(len(windows) for windows in found.windows) >= 2
 
 
-def test_recordings_without_blows_keep_all_windows() -> None:
+def test_recordings_without_impacts_keep_all_windows() -> None:
     data = prepared(driven(cart(gear=1.0), 0), driven(cart(gear=1.0), 1))
     before, found = chosen(data)
-    assert found.windows[0].data.blows is None
+    assert found.windows[0].data.impacts is None
     assert found.survey == before
 
 
-def test_windows_hold_blows_where_there_is_nothing_else() -> None:
+def test_impacts_are_kept_if_they_are_everywhere() -> None:
     data = prepared(driven(cart(), 0), driven(cart(), 1))
     for one in data.recordings:
         one.model.jnt_range[0] = -5e-3, 5e-3
     rattling = [np.column_stack([np.arange(len(t.qpos)) % 2 * 1e-2, t.qpos[:, 1]]) for t in data.tracks]
     data = replace(data, tracks=tuple(replace(t, qpos=q) for t, q in zip(data.tracks, rattling, strict=True)))
-    assert all(own.mean() > 0.9 for own in blows(data, Counter()))
+    assert all(own.mean() > 0.9 for own in impact_samples(data, Counter()))
     found = survey(prepared(driven(cart(gear=1.0), 0)), Counter())
-    kept_all = chosen_windows(data, data, Hypothesis((), ()), found, 20, Options(), Counter())
-    assert kept_all.windows[0].data.blows is None
+    kept_all = choose_windows(data, data, Hypothesis((), ()), found, 20, Options(), Counter())
+    assert kept_all.windows[0].data.impacts is None
     assert kept_all.survey is found
 
 
-def test_long_steps_are_divided_without_contact() -> None:
+def test_long_time_steps_are_divided_without_contact() -> None:
     data = prepared(driven(cart(step=0.01, integrator="RK4", gear=1.0), 0), driven(cart(step=0.01, gear=1.0), 1))
     _, found = chosen(data)
     fit = found.windows[0]
     assert fit.dt == 0.0025
-    assert not fit.data.rough
-    assert "steps of 2.5 ms: steps of 10 ms" in pace_notes(fit)[0]
-    assert "friction" in pace_notes(fit)[0]
+    assert not fit.data.refined_for_contact
+    assert "steps of 2.5 ms: steps of 10 ms" in time_step_notes(fit)[0]
+    assert "friction" in time_step_notes(fit)[0]
     assert found.options.steps == 4 * Options().steps
 
 
-def test_what_turns_over_has_shorter_windows() -> None:
-    """Two pendulums, one on the other, thrown from above or swinging in oil."""
+def test_unstable_motion_has_shorter_windows() -> None:
+    """A double pendulum, released upright or strongly damped."""
     spans = []
     for damping, start in ((0.5, (0.5, 0.0)), (0.0, (2.8, 0.5))):
         data = prepared(*(driven(DOUBLE.format(damping=damping), i, 4.0, start=start) for i in range(2)))
@@ -173,8 +173,8 @@ def test_what_turns_over_has_shorter_windows() -> None:
 
 
 @pytest.mark.parametrize("integrator", ["RK4", "implicitfast"])
-def test_doubt_about_the_time_step_whatever_the_model_is_integrated_with(integrator) -> None:
-    """What 0.1 ms of a step of first order do, as simulated in such steps."""
+def test_step_uncertainty_for_all_integrators(integrator) -> None:
+    """Equals the effect of 0.1 ms of a first-order time step, by simulation."""
     data = prepared(driven(cart(integrator=integrator, gear=1.0), 0, start=(0.0, 1.0)))
     windows = Windows(data, np.zeros(2, int), np.array([20, 300]), 100, Counter())
     linearise(windows, World.of)
@@ -186,25 +186,25 @@ def test_doubt_about_the_time_step_whatever_the_model_is_integrated_with(integra
 
     near, far = (windows.whiten(windows.states([first_order], timestep=t)[0]) for t in (1e-4, 2e-4))
     expected = project(far - near, windows.basis)
-    found = step_doubt(windows, World.of)
+    found = step_uncertainty(windows, World.of)
     assert np.abs(expected).max() > 0.02
     sign = 1.0 if integrator == "RK4" else -1.0
     np.testing.assert_allclose(sign * found, expected, atol=0.15 * np.abs(expected).max())
 
 
-def test_windows_in_which_a_step_does_much_are_left_out() -> None:
+def test_windows_sensitive_to_the_time_step_are_left_out() -> None:
     data = prepare([recording("r", seed=3)], "cubic", SIGMA, Span(5, 6))
     windows = Windows(data, np.zeros(4, int), np.array([10, 60, 110, 160]), 30)
     linearise(windows, World.of)
-    assert len(kept(windows, World.of, contact=False)) == 4
+    assert len(reliable_windows(windows, World.of, contact=False)) == 4
     windows.correction[2] *= 4.0 / np.sqrt((windows.correction[2] ** 2).mean()) * windows.step / 1e-4
-    found = kept(windows, World.of, contact=False)
+    found = reliable_windows(windows, World.of, contact=False)
     assert found.first.tolist() == [10, 60, 160]
-    assert len(kept(windows, World.of, contact=True)) == 4
+    assert len(reliable_windows(windows, World.of, contact=True)) == 4
 
 
-def test_effects_reach_bodies_that_mujoco_takes_short_cuts_for(tmp_path: Path) -> None:
-    """A payload on a slider of its own and on a body that floats alone, against the model compiled with it."""
+def test_payload_on_simple_bodies(tmp_path: Path) -> None:
+    """A payload on a single slider and on a single floating body, against the model compiled with it."""
     xml = """<mujoco><worldbody>
       <body name="target"><joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/>
         <geom type="box" size="0.1 0.1 0.1" mass="1"/>{on_target}</body>
@@ -218,15 +218,15 @@ def test_effects_reach_bodies_that_mujoco_takes_short_cuts_for(tmp_path: Path) -
     assert text == file.read_text()
     effect = next(e for e in EFFECTS if e.name == "payload")
     payload = {c.place.label: c for c in candidates(model, Scales.of(model), [effect])}
-    slid = payload["body:target"].apply(World.of(model), [0.3, 0.1]).settle()
+    slid = payload["body:target"].apply(World.of(model), [0.3, 0.1]).update_constants()
     np.testing.assert_allclose(slid.dof_M0[:2], 1.3, rtol=1e-9)
     weight = '<geom type="sphere" size="1e-3" pos="0.05 0.02 0.01" mass="0.3"/>'
     expected = mujoco.MjModel.from_xml_string(xml.format(on_target="", on_drone=weight))
     states = []
-    for own in (payload["body:drone"].apply(World.of(model), [0.3, 0.05, 0.02, 0.01]).settle(), expected):
+    for own in (payload["body:drone"].apply(World.of(model), [0.3, 0.05, 0.02, 0.01]).update_constants(), expected):
         data = mujoco.MjData(own)
         data.qvel[:] = np.linspace(-1, 1, own.nv)
         data.ctrl[:] = 0.5
         mujoco.mj_step(own, data, 100)
         states.append(np.concatenate([data.qpos, data.qvel]))
-    np.testing.assert_allclose(states[0], states[1], rtol=1e-5, atol=1e-6)  # a sphere of 1 mm is no point
+    np.testing.assert_allclose(states[0], states[1], rtol=1e-5, atol=1e-6)  # a sphere of 1 mm instead of a point

@@ -6,8 +6,8 @@ from scipy import stats
 
 from btr_mjx.gap.inference.scoring.gains import fall, trimmed_gain
 from btr_mjx.gap.inference.scoring.refine import Nuisance
-from btr_mjx.gap.windows import Fit, bounded, fit, project, scan_candidates, steadied, weight
-from btr_mjx.gap.windows.likelihood import evidence, spanned
+from btr_mjx.gap.windows import Fit, bounded_loss, fit, project, regularised, scan_candidates, window_weight
+from btr_mjx.gap.windows.likelihood import column_space, evidence
 
 
 def problem(seed, windows=6, rows=15, columns=5):
@@ -17,16 +17,16 @@ def problem(seed, windows=6, rows=15, columns=5):
 
 @given(st.floats(0, 1e6), st.floats(1e-3, 1e3))
 def test_bounded_loss_is_bounded_and_below_chi2(x, cut):
-    value = float(bounded(np.array(x), cut))
+    value = float(bounded_loss(np.array(x), cut))
     assert value <= x + 1e-9
     assert value <= 2 * cut
-    assert 0 <= float(weight(np.array(x), cut)) <= 1
+    assert 0 <= float(window_weight(np.array(x), cut)) <= 1
 
 
-def test_weight_is_the_derivative_of_the_loss():
+def test_weight_is_derivative_of_loss():
     x, cut, step = np.array([0.5, 0.99, 1.5, 4.0]), 1.0, 1e-6
-    slope = (bounded(x + step, cut) - bounded(x - step, cut)) / (2 * step)
-    np.testing.assert_allclose(slope, weight(x, cut), rtol=1e-5)
+    slope = (bounded_loss(x + step, cut) - bounded_loss(x - step, cut)) / (2 * step)
+    np.testing.assert_allclose(slope, window_weight(x, cut), rtol=1e-5)
 
 
 @settings(max_examples=20)
@@ -45,8 +45,8 @@ def test_fit_without_a_bound_is_ridge_regression(seed):
 
 @settings(max_examples=20)
 @given(st.integers(0, 10_000), st.lists(st.floats(-9, 9), min_size=5, max_size=5))
-def test_units_do_not_matter(seed, powers):
-    """A stiffness of half a million and a time of a millisecond are fitted as well as numbers around one."""
+def test_fit_is_independent_of_units(seed, powers):
+    """Parameters of very different magnitudes are fitted as well as those of order one."""
     residual, columns = problem(seed)
     precision, unit = np.array([0.0, 0.0, 1.0, 4.0, 9.0]), 10.0 ** np.array(powers)
     plain = fit(evidence(residual, columns), precision, 20.0)
@@ -55,14 +55,14 @@ def test_units_do_not_matter(seed, powers):
     assert scaled.loss == pytest.approx(plain.loss, rel=1e-6)
 
 
-def test_what_does_nothing_stays_where_it_is():
+def test_columns_without_effect_stay_zero():
     residual, columns = problem(3)
     columns[1] = 0.0
     assert fit(evidence(residual, columns), np.zeros(5), 1e12).values[1] == 0.0
-    np.testing.assert_allclose(np.linalg.inv(steadied(np.diag([4.0, 0.0]))), np.diag([0.25, 1.0]), rtol=1e-6)
+    np.testing.assert_allclose(np.linalg.inv(regularised(np.diag([4.0, 0.0]))), np.diag([0.25, 1.0]), rtol=1e-6)
 
 
-def test_a_broken_window_does_not_move_the_fit():
+def test_outlier_window_does_not_move_the_fit():
     residual, columns = problem(1, windows=20, rows=30, columns=1)
     residual = 0.1 * residual - 3.0 * columns[0]
     residual[0] = 100.0
@@ -80,8 +80,8 @@ def test_fit_respects_bounds_and_a_prior_around_a_centre():
     assert fit(data, stiff, 1e12, centre=np.array([7.0, 0, 0, 0, 0])).values[0] == pytest.approx(7.0, abs=1e-3)
 
 
-def test_scan_is_the_gain_in_a_marginal_likelihood():
-    """Against dense covariance: noise plus tolerances, one candidate at a time."""
+def test_scan_gain_equals_marginal_likelihood():
+    """Against the dense covariance of noise plus tolerances, for each candidate."""
     residual, columns = problem(3)
     precision = np.array([1.0, 0.25])
     gains, values = scan_candidates(
@@ -102,7 +102,7 @@ def test_projection_removes_directions_and_nothing_else():
     rng = np.random.default_rng(4)
     jacobian = rng.standard_normal((3, 12, 4))
     jacobian[:, :, 3] = jacobian[:, :, 0]  # dependent columns do no harm
-    basis = spanned(jacobian)[0]
+    basis = column_space(jacobian)[0]
     inside = np.einsum("wrd,d->wr", jacobian, rng.standard_normal(4))
     np.testing.assert_allclose(project(inside, basis), 0, atol=1e-10)
     once = project(rng.standard_normal((3, 12)), basis)
@@ -119,8 +119,8 @@ def test_nuisances_absorb_what_they_can_explain():
     np.testing.assert_allclose(data.gram[:, 0, 1], (columns[0] ** 2).sum(1), rtol=1e-6)
 
 
-def test_tolerances_know_nothing_of_how_far_models_are_off():
-    """A misfit that is ten times larger in every respect moves tolerances no further."""
+def test_scaled_misfit_does_not_move_tolerances_further():
+    """With a misfit that is ten times larger in all directions, tolerances are the same."""
     residual, columns = problem(6, columns=2)
     small = Nuisance.of(columns, np.array([4.0, 9.0])).profile(residual, 1e12)
     large = Nuisance.of(10 * columns, np.array([4.0, 9.0])).against(100.0).profile(10 * residual, 1e14)
@@ -130,7 +130,7 @@ def test_tolerances_know_nothing_of_how_far_models_are_off():
 
 @given(st.integers(0, 1000))
 @settings(max_examples=20)
-def test_chi2_of_evidence_is_that_of_the_vectors(seed):
+def test_chi2_from_inner_products_equals_chi2_of_vectors(seed):
     residual, columns = problem(seed)
     data, values = evidence(residual, columns), np.array([0.3, -1.0])
     there = residual + 0.3 * columns[1] - columns[4]
@@ -140,8 +140,8 @@ def test_chi2_of_evidence_is_that_of_the_vectors(seed):
 
 
 @pytest.mark.parametrize("windows", [4, 20, 32])
-def test_a_trimmed_gain_leaves_out_what_few_windows_say(windows):
-    """Against scipy, and the prior's part counts in full."""
+def test_trimmed_gain_excludes_extreme_windows(windows):
+    """Against scipy; the prior term is not trimmed."""
     rng = np.random.default_rng(windows)
     before = rng.uniform(80.0, 100.0, windows)
     after = before - rng.uniform(-1.0, 2.0, windows)

@@ -1,4 +1,4 @@
-"""Starting states that suit a hypothesis, steps that directions may take, and walks over sizes."""
+"""Fit of starting states, time steps of derivatives, and scans over sizes of candidates."""
 
 import copy
 from types import SimpleNamespace
@@ -14,8 +14,17 @@ from btr_mjx.gap.inference import Bench, Hypothesis
 from btr_mjx.gap.inference.search.contact_leaders import contact_scan, judged_anew
 from btr_mjx.gap.inference.search.search_records import Side
 from btr_mjx.gap.simulate import World
-from btr_mjx.gap.windows import Fit, Options, Span, Windows, centred, prepare, recentred, transitions
-from btr_mjx.gap.windows.likelihood import spanned
+from btr_mjx.gap.windows import (
+    Fit,
+    Options,
+    Span,
+    Windows,
+    fit_starting_states,
+    prepare,
+    transitions,
+    with_fitted_states,
+)
+from btr_mjx.gap.windows.likelihood import column_space
 from btr_mjx.gap.windows.transitions import stride
 from btr_mjx.models import integrate
 from btr_mjx.testing import CaseSettings, case_robot, make_case
@@ -32,19 +41,19 @@ def damped(model):
     return world
 
 
-def test_what_columns_span_and_how_to_go_back() -> None:
+def test_column_space_and_pseudo_inverse() -> None:
     rng = np.random.default_rng(0)
     columns = rng.standard_normal((3, 20, 4))
     columns[1, :, 2] = columns[1, :, 0] - columns[1, :, 1]
-    basis, inverse = spanned(columns)
+    basis, inverse = column_space(columns)
     np.testing.assert_allclose(inverse, np.linalg.pinv(columns, rcond=1e-9), atol=1e-9)
     np.testing.assert_allclose(basis @ np.swapaxes(basis, 1, 2) @ columns, columns, atol=1e-9)
 
 
-def test_starting_states_reach_what_a_solver_finds(windows: Windows) -> None:
-    """Window by window, against nonlinear least squares within the same reach."""
+def test_starting_states_equal_nonlinear_least_squares(windows: Windows) -> None:
+    """Window by window, with the same bounds."""
     states = windows.states([damped])[0]
-    qpos, qvel, there = centred(windows, damped, 4, states, windows.correction)
+    qpos, qvel, there = fit_starting_states(windows, damped, 4, states, windows.correction)
     moved = windows.states([damped], start=(qpos, qvel))[0]
     np.testing.assert_allclose(there, moved, atol=1e-12)
     left = ((windows.whiten(there) + windows.correction) ** 2).sum(1)
@@ -63,8 +72,8 @@ def test_starting_states_reach_what_a_solver_finds(windows: Windows) -> None:
         assert left[w] < 2 * found.cost + 1.0
 
 
-def test_steps_that_go_too_far_are_shortened(windows: Windows) -> None:
-    """Where what happens is three times what the linear picture shows, a whole step makes matters worse."""
+def test_rejected_steps_are_reduced(windows: Windows) -> None:
+    """If the true derivative is three times the assumed one, a full step increases chi^2."""
     off = copy.copy(windows)
     rng = np.random.default_rng(3)
     nudge = 1.5 * SIGMA * rng.choice([-1.0, 1.0], (len(windows), 4))
@@ -73,7 +82,7 @@ def test_steps_that_go_too_far_are_shortened(windows: Windows) -> None:
     states = off.states([World.of])[0]
 
     def left(some: Windows) -> np.ndarray:
-        there = centred(some, World.of, 4, states, windows.correction)[2]
+        there = fit_starting_states(some, World.of, 4, states, windows.correction)[2]
         return ((windows.whiten(there) + windows.correction) ** 2).sum(1)
 
     best, before = left(off), ((windows.whiten(states) + windows.correction) ** 2).sum(1)
@@ -82,8 +91,8 @@ def test_steps_that_go_too_far_are_shortened(windows: Windows) -> None:
     assert ((before - left(off)) > 0.8 * (before - best))[before - best > 100].all()
 
 
-def test_what_is_known_is_not_simulated_again(windows: Windows) -> None:
-    own = recentred(windows, damped)
+def test_base_states_are_not_simulated_again(windows: Windows) -> None:
+    own = with_fitted_states(windows, damped)
     counted = own.counter.steps
     again = own.based(damped)
     assert own.counter.steps == counted
@@ -93,20 +102,20 @@ def test_what_is_known_is_not_simulated_again(windows: Windows) -> None:
     other = own.based(World.of)
     assert own.counter.steps > counted
     np.testing.assert_allclose(other.base, own.states([World.of])[0], atol=1e-12)
-    assert own.joined(other).maker is None
+    assert own.joined(other).make_base is None
 
 
-def test_windows_that_gain_nothing_are_left_alone(windows: Windows) -> None:
-    own = recentred(windows, World.of)
+def test_converged_windows_are_not_simulated_again(windows: Windows) -> None:
+    own = with_fitted_states(windows, World.of)
     counted = windows.counter.steps
-    again = recentred(own, World.of, exact=False)
+    again = with_fitted_states(own, World.of, exact=False)
     whole = (len(windows) * (windows.since[:, -1] / windows.dt)).max()
-    assert windows.counter.steps - counted < 2.5 * whole  # once from where they are, and one vain step
+    assert windows.counter.steps - counted < 2.5 * whole  # once from the current states, and one rejected step
     np.testing.assert_allclose(again.residual, own.residual, atol=0.2)
 
 
-def test_long_steps_are_taken_only_where_they_do() -> None:
-    """Not where a motor is so stiff that they miss its motion, nor where samples come too fast."""
+def test_stride_depends_on_accuracy() -> None:
+    """No long steps for a stiff motor, nor for short sample intervals."""
 
     def of(believed, rate):
         data = prepare([recording("r", believed=believed)], "cubic", SIGMA, Span(5, 6))
@@ -126,8 +135,8 @@ def test_long_steps_are_taken_only_where_they_do() -> None:
     assert of(stiff, 200.0) == 1
 
 
-def test_long_steps_must_not_throw_light_legs_about(tmp_path, monkeypatch) -> None:
-    """Most of a quadruped's intervals would do with them, but not those in which a foot comes down."""
+def test_stride_is_short_for_touchdowns_of_light_legs(tmp_path, monkeypatch) -> None:
+    """Long steps are accurate in most intervals of a quadruped, but not in those with a touchdown."""
     make_case(
         tmp_path,
         912,
@@ -140,7 +149,7 @@ def test_long_steps_must_not_throw_light_legs_about(tmp_path, monkeypatch) -> No
     legs = Windows(prepare(data.fit, data.interpolation, sigma, Span(5, 4)), np.zeros(len(first), int), first, 8)
     states = legs.states([World.of])[0]
     assert stride(legs, World.of, states) == 1
-    monkeypatch.setattr(transitions, "_JOLT", np.inf)
+    monkeypatch.setattr(transitions, "_MAX_ERROR", np.inf)
     assert stride(legs, World.of, states) == 2
 
 
@@ -237,7 +246,7 @@ def test_a_scan_that_is_sure_is_not_repeated(bench: Bench, monkeypatch: pytest.M
         asked.clear()
         judged_anew(bench.dataset.model, [(gain, moving[0], moving[0].null + 0.005)], bench.base, bench.walks, 0.0)
         assert len(asked) == sizes
-    monkeypatch.setattr("btr_mjx.gap.inference.search.contact_leaders.one_limb", lambda *_: False)
+    monkeypatch.setattr("btr_mjx.gap.inference.search.contact_leaders.on_same_chain", lambda *_: False)
     for gain, count in ((900.0, len(moving)), (1100.0, 3)):
         asked.clear()
         rows = [(gain, c, c.null + 0.005) for c in moving]

@@ -1,4 +1,4 @@
-"""The time step of residuals: twice the model's where that costs nothing but time."""
+"""The time step of residuals, its correction, and the apparent inertia of integrators."""
 
 import mujoco
 import numpy as np
@@ -6,10 +6,10 @@ import pytest
 from gap_arm import SIGMA, arm, recording
 
 from btr_mjx.gap.effects import joint_places
-from btr_mjx.gap.effects.ranges import integrated
+from btr_mjx.gap.effects.ranges import integrator_inertia
 from btr_mjx.gap.simulate import Counter, World, simulate
 from btr_mjx.gap.windows import Span, Windows, linearise, prepare, project
-from btr_mjx.gap.windows.time_steps import paced
+from btr_mjx.gap.windows.time_steps import choose_time_step
 
 
 def short_steps(step=5e-4, sigma=5 * SIGMA, first=(10, 150), k=30):
@@ -19,30 +19,30 @@ def short_steps(step=5e-4, sigma=5 * SIGMA, first=(10, 150), k=30):
     return Windows(data, np.zeros(len(first), int), np.array(first), k, Counter())
 
 
-def test_a_longer_step_leaves_the_same_residual() -> None:
-    """What it does is known and taken off, so that residuals are those of steps of 1e-4 s."""
+def test_longer_step_gives_the_same_corrected_residual() -> None:
+    """Residuals are corrected to those of steps of 1e-4 s."""
     windows = short_steps()
     linearise(windows, World.of)
     assert windows.step == 2 * windows.dt == 1e-3
     own = np.arange(len(windows))
-    start = windows.stretch(own, windows.qpos, windows.qvel, windows.since)
+    start = windows.segments(own, windows.qpos, windows.qvel, windows.since)
     exact = project(windows.whiten(simulate([(World.of(arm()), start)], timestep=1e-4)[0]), windows.basis)
     plain = project(windows.whiten(windows.base), windows.basis)
-    assert np.linalg.norm(plain - exact) > 1.0  # there is something to take off
+    assert np.linalg.norm(plain - exact) > 1.0  # the correction is not negligible
     assert np.linalg.norm(windows.residual - exact) < 0.03 * np.linalg.norm(plain - exact)
 
 
-def test_it_halves_what_a_simulation_costs() -> None:
+def test_longer_step_halves_the_cost() -> None:
     windows = short_steps()
     linearise(windows, World.of)
     before = windows.counter.steps
-    windows.states([lambda model: World.of(model)])  # one that was not asked for before
+    windows.states([lambda model: World.of(model)])  # not cached
     coarse = windows.counter.steps - before
     windows.states([lambda model: World.of(model)], timestep=windows.dt)
     assert windows.counter.steps - before - coarse == 2 * coarse > 0
 
 
-def test_what_a_parameter_does_is_the_same_with_either_step() -> None:
+def test_signatures_are_the_same_with_both_steps() -> None:
     def damped(model):
         world = World.of(model)
         world.model.dof_damping[:] += 0.02
@@ -63,27 +63,27 @@ def test_what_a_parameter_does_is_the_same_with_either_step() -> None:
     [(1e-3, 5 * SIGMA, 30), (5e-4, 0.1 * SIGMA, 30)],
     ids=["long enough", "sensors see what it does"],
 )
-def test_the_models_own_step_where_a_longer_one_would_show(step, sigma, k) -> None:
+def test_step_is_not_doubled_if_its_error_exceeds_noise(step, sigma, k) -> None:
     windows = short_steps(step, sigma, k=k)
     linearise(windows, World.of)
     assert windows.step == windows.dt == step
 
 
-def test_no_step_is_longer_than_the_time_between_two_samples() -> None:
+def test_step_is_at_most_the_sample_interval() -> None:
     windows = short_steps()
     windows.since = windows.since / 8  # 1600 Hz
-    paced(windows, World.of)
+    choose_time_step(windows, World.of)
     assert windows.step == windows.dt
 
 
 @pytest.mark.parametrize("joint", ["shoulder", "elbow"])
-def test_another_integrator_acts_like_an_inertia(joint) -> None:
-    """Of implicit against explicit steps h most is h times what forces fall with velocity: damping and the servo's."""
+def test_integrator_acts_like_an_inertia(joint) -> None:
+    """Implicit against explicit steps h: apparent inertia h d, d the damping of joint and servo."""
     windows = short_steps()
     linearise(windows, World.of)
     h, believed = 1.5e-4, arm()
     place = next(p for p in joint_places(believed) if p.label == f"joint:{joint}")
-    size = integrated(believed, place)
+    size = integrator_inertia(believed, place)
     servo = {"shoulder": 0.5, "elbow": 0.2}[joint]
     assert size == pytest.approx(h * (0.05 + servo))
 
@@ -93,7 +93,7 @@ def test_another_integrator_acts_like_an_inertia(joint) -> None:
             own.model.opt.integrator = (
                 mujoco.mjtIntegrator.mjINT_IMPLICIT if implicit else mujoco.mjtIntegrator.mjINT_EULER
             )
-            own.model.dof_damping[:], own.model.dof_armature[:] = 0.0, 0.0  # Euler takes the joints' own implicitly
+            own.model.dof_damping[:], own.model.dof_armature[:] = 0.0, 0.0  # Euler treats joint damping implicitly
             own.model.actuator_biasprm[1 - place.dofs(model)[0], 2] = 0.0
             own.model.dof_armature[place.dofs(model)] += armature
             return own

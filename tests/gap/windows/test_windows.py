@@ -20,14 +20,14 @@ from btr_mjx.gap.windows import (
     linearise,
     prepare,
     project,
-    recentred,
-    redirected,
+    relinearised,
     signatures,
     smooth,
+    with_fitted_states,
 )
 from btr_mjx.gap.windows.placement import place_windows
 from btr_mjx.gap.windows.propagation import jacobian
-from btr_mjx.gap.windows.transitions import strangeness, transitions
+from btr_mjx.gap.windows.transitions import transition_change, transitions
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def candidate(name):
     return next(c for c in found if c.name == name)
 
 
-def test_jacobian_agrees_with_whole_window_differences(windows):
+def test_jacobian_equals_finite_differences_of_whole_windows(windows):
     found = jacobian(windows)
     for j in range(4):
         nudge = np.zeros(4)
@@ -66,12 +66,12 @@ def test_residual_of_the_true_model_is_noise(windows):
     assert np.all((chi2 > 0.6) & (chi2 < 1.5))
 
 
-def test_long_windows_hold_no_error_of_the_time_step(windows):
-    """The residual belongs to steps of 1.25e-4 s, although nothing finer than 5e-4 s is simulated."""
+def test_residual_of_long_windows_is_free_of_step_error(windows):
+    """The residual is that of steps of 1.25e-4 s, although steps of 5e-4 s are simulated."""
     long = Windows(windows.data, np.array([0, 1]), np.array([10, 20]), 230)
     linearise(long, World.of)
     assert fine_step(long) == long.dt / 4
-    start = long.stretch(np.arange(2), long.qpos, long.qvel, long.since)
+    start = long.segments(np.arange(2), long.qpos, long.qvel, long.since)
     exact = simulate([(World.of(long.groups[0][0]), start)], timestep=1.25e-4)[0]
     left = long.residual - project(long.whiten(exact), long.basis)
     coarse = project(long.whiten(long.base) - long.whiten(exact), long.basis)
@@ -80,7 +80,7 @@ def test_long_windows_hold_no_error_of_the_time_step(windows):
 
 @pytest.mark.parametrize("single", [False, True])
 @pytest.mark.parametrize("name", ["viscous_damping@joint:elbow", "actuator_delay@actuator:shoulder", "armature@all"])
-def test_signatures_agree_with_true_simulation(windows, name, single):
+def test_signatures_agree_with_simulation(windows, name, single):
     chosen = candidate(name)
     base = Hypothesis((), ())
     make = base.with_effect(chosen, [0.2 * p.step for p in chosen.parameters])
@@ -131,7 +131,7 @@ def noise_of(windows, seed):
 
 
 def forces_of(windows):
-    """Unknown forces of the windows, features that they may follow, and nothing that is fitted along."""
+    """Unknown forces of the windows, and features that may explain them, without nuisances."""
     around = circumstances(windows, World.of)
     fit = ForceFit(windows, around)
     return (
@@ -141,8 +141,8 @@ def forces_of(windows):
     )
 
 
-def test_a_force_of_an_unknown_shape_is_found_at_its_joint(windows):
-    """A cable that pulls in one half plane, as the signatures have it, on top of noise; and noise alone."""
+def test_unmodelled_force_is_found_at_its_joint(windows):
+    """The signature of a one-sided cable plus noise, and noise alone."""
     fit, known, nothing = forces_of(windows)
     one = next(f for f in known if f.dof == 0 and f.name == "absolute position")
     pull = np.einsum("wb,wbr->wr", one.values, fit.columns.reshape(len(windows), *fit.shape, -1)[:, 0])
@@ -159,8 +159,8 @@ def test_a_force_of_an_unknown_shape_is_found_at_its_joint(windows):
     assert quiet.usual[0] < 1 < found.usual[0]
 
 
-def test_what_a_feature_does_is_asked_of_other_windows(windows):
-    """The loss of held-out windows with the force added by hand, against the believed model's."""
+def test_features_are_evaluated_on_held_out_windows(windows):
+    """Loss of held-out windows with the force added, against that of the believed model."""
     fit, known, nothing = forces_of(windows)
     one = next(f for f in known if f.dof == 0 and f.name == "absolute position")
     pull = np.einsum("wb,wbr->wr", one.values, fit.columns.reshape(len(windows), *fit.shape, -1)[:, 0])
@@ -174,12 +174,12 @@ def test_what_a_feature_does_is_asked_of_other_windows(windows):
     moved = told[0].amplitude * sum(one.values[:, b, None] * columns[:, b] for b in range(one.values.shape[1]))
     np.testing.assert_allclose(moved, -pull, atol=0.3 * np.abs(pull).max())
     expected = (other**2).sum() - ((other + moved) ** 2).sum()
-    assert expected < 0  # there is nothing
+    assert expected < 0  # no such force in these data
     assert joints.held_out(other, 1e4, told[0]) == pytest.approx(expected, rel=1e-6)
     assert joints.held_out(other + pull, 1e4, told[0]) > 60
 
 
-def test_what_is_fitted_along_is_not_left_over(windows):
+def test_nuisances_are_not_attributed_to_forces(windows):
     fit, known, nothing = forces_of(windows)
     one = next(f for f in known if f.dof == 1 and f.name == "position cubed")
     pull = np.einsum("wb,wbr->wr", one.values, fit.columns.reshape(len(windows), *fit.shape, -1)[:, 1])
@@ -190,8 +190,8 @@ def test_what_is_fitted_along_is_not_left_over(windows):
     assert joints(residual, 1e4).gain > 40
 
 
-def test_transitions_are_found_anew_only_where_they_changed(windows):
-    """A stop at the elbow that the believed arm does not have changes the intervals in which it is touched."""
+def test_only_changed_transitions_are_differentiated_again(windows):
+    """An additional stop at the elbow changes the intervals with contact at the stop."""
 
     def stopped(model):
         world = World.of(model)
@@ -202,11 +202,11 @@ def test_transitions_are_found_anew_only_where_they_changed(windows):
     states = windows.states([stopped])[0]
     touched = states[:, :-1, 1] > 0.0
     assert 0.1 < touched.mean() < 0.9
-    error = strangeness(windows, stopped, states)
+    error = transition_change(windows, stopped, states)
     inside = states[:, :-1, 1] < -0.1
     assert np.median(error[inside]) < 0.1
     assert np.median(error[touched]) > 2.0
-    anew = redirected(recentred(windows, stopped), stopped)
+    anew = relinearised(with_fitted_states(windows, stopped), stopped)
     states = anew.states([stopped])[0]
     full = transitions(windows, stopped, states)[0]
     scale = SIGMA / SIGMA[:, None]
@@ -215,13 +215,13 @@ def test_transitions_are_found_anew_only_where_they_changed(windows):
     assert np.quantile(np.abs((windows.transitions - full) * scale).max((2, 3)), 0.8) > 2.0
 
 
-def test_starting_states_of_another_world_are_projected_out_when_found_anew(windows):
+def test_relinearised_windows_project_out_starting_states(windows):
     def stiff(model):
         world = World.of(model)
         world.model.jnt_stiffness[1] = 60.0
         return world
 
-    there = redirected(recentred(windows, stiff), stiff)
+    there = relinearised(with_fitted_states(windows, stiff), stiff)
     nudge = 0.5 * SIGMA
     start = there.qpos + nudge[:2], there.qvel + nudge[2:]
     raw = there.whiten(there.states([stiff], start=start)[0]) - there.whiten(there.base)
@@ -229,7 +229,7 @@ def test_starting_states_of_another_world_are_projected_out_when_found_anew(wind
     assert left[1] < 0.05 < left[0]
 
 
-def test_some_windows_are_windows(windows):
+def test_subset_of_windows(windows):
     part = windows.some(np.array([3, 1]))
     make = World.of
     np.testing.assert_allclose(part.residuals([make])[0], windows.residuals([make])[0][[3, 1]], atol=1e-9)
@@ -267,7 +267,7 @@ def test_smoothing_of_a_free_body_follows_its_rotation():
     np.testing.assert_allclose(v[0], qvel[12], atol=2e-3)
 
 
-def test_longer_fits_for_slower_motion():
+def test_slower_motion_has_longer_fits():
     tracks = []
     for speed in (2.0, 60.0):
         time = np.arange(300) * 0.002
@@ -279,7 +279,7 @@ def test_longer_fits_for_slower_motion():
     assert slow.half > fast.half
 
 
-def test_windows_of_uneven_samples():
+def test_windows_with_uneven_samples():
     data = prepare([recording("r", seed=4, uneven=True)], "cubic", SIGMA, Span(5, 6))
     out = Windows(data, np.zeros(4, int), np.array([10, 80, 150, 220]), 25)
     linearise(out, World.of)
@@ -287,7 +287,7 @@ def test_windows_of_uneven_samples():
     assert np.all((chi2 > 0.5) & (chi2 < 1.6))
 
 
-def test_windows_stay_inside_recordings_and_short_ones_are_refused():
+def test_windows_lie_inside_recordings_and_short_recordings_raise():
     made = dataset(fit=2, test=1)
     data = prepare(made.fit, "cubic", SIGMA, Span(5, 6))
     recording_of, first, k = place_windows(data, 0.1, 1e6, 10.0)

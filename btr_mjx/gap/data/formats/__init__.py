@@ -1,1 +1,1 @@
-"""Forms that recordings come in, one file a form."""
+"""Foreign file formats of recordings, one module per format."""

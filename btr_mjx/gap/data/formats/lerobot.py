@@ -1,11 +1,11 @@
-"""Recordings in LeRobot's form: Parquet files of frames, names in meta/info.json, beside a dataset.toml.
+"""LeRobot datasets: Parquet files of frames, names in meta/info.json, together with a dataset.toml.
 
-    dataset.toml            [model] file = "arm.xml"; [[parameter]], [control], ... as always; no [[recording]]
+    dataset.toml            [model] file = "arm.xml"; [[parameter]], [control], ... as in `dataset`; no [[recording]]
     meta/info.json          features."observation.state".names and features.action.names
     data/**/*.parquet       columns observation.state, action (lists of numbers), timestamp [s], episode_index
 
-Names are those of joints and actuators, with or without the ending ".pos". Where they differ, or where angles are in
-degrees, dataset.toml says so:
+Names are those of joints and actuators, with or without the suffix ".pos". Different names and angles in degrees are
+declared in dataset.toml:
 
     [lerobot]
     degrees = true
@@ -26,8 +26,8 @@ import polars as pl
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns import SUFFIXES
-from btr_mjx.gap.data.dataset import Dataset, read_head
-from btr_mjx.gap.data.recording import Recording, assemble, split
+from btr_mjx.gap.data.dataset import Dataset, read_header
+from btr_mjx.gap.data.recording import Recording, assign_splits, make_recording
 from btr_mjx.gap.data.toml_tables import check_keys
 from btr_mjx.models import nearest_names, part_names
 from btr_mjx.runs import read_json, read_table
@@ -37,19 +37,25 @@ STATE, ACTION = "observation.state", "action"
 
 
 def is_lerobot_folder(folder: str | Path) -> bool:
-    """Whether a folder holds such recordings."""
+    """Whether a folder holds a LeRobot dataset."""
     return (Path(folder) / INFO).is_file()
 
 
 def load_lerobot(folder: str | Path) -> Dataset:
-    """Read a folder of LeRobot's form; the last third of the episodes is held out.
+    """Read a LeRobot dataset; the last third of the episodes is held out.
+
+    Args:
+      folder: the folder, or its dataset.toml.
+
+    Returns:
+      The dataset, one recording per episode.
 
     Raises:
-      InputError: names that are no joints or actuators of the model, missing columns, no frames, and what
-        `recording.assemble` refuses.
+      InputError: names that are not joints or actuators of the model, missing columns, no frames, or an error of
+        `recording.make_recording`.
       DamagedFile: a file that does not parse.
     """
-    head, table = read_head(folder, more=("lerobot",))
+    head, table = read_header(folder, more=("lerobot",))
     about, notes = table.get("lerobot", {}), list(head.notes)
     where = f"{head.folder / 'dataset.toml'}: [lerobot]"
     check_keys(about, ("degrees", "joints", "actuators"), where, notes)
@@ -63,14 +69,14 @@ def load_lerobot(folder: str | Path) -> Dataset:
     recordings: list[Recording] = []
     for file in files:
         recordings += _episodes(file, head.model, joints, motors, bool(about.get("degrees", False)))
-    parts = split(recordings, [None] * len(recordings), str(head.folder))
+    parts = assign_splits(recordings, [None] * len(recordings), str(head.folder))
     return replace(head, recordings=tuple(parts), notes=tuple(notes))
 
 
 def _targets(
     info: Any, feature: str, model: mujoco.MjModel, kind: str, renamed: Mapping[str, str], path: Path
 ) -> list[str]:
-    """The joint or actuator behind each number of a feature."""
+    """The joint or actuator of each number of a feature."""
     names = info.get("features", {}).get(feature, {}).get("names") if isinstance(info, Mapping) else None
     while isinstance(names, Mapping) and names:  # {"motors": [...]} in older files
         names = next(iter(names.values()))
@@ -104,7 +110,7 @@ def _episodes(
         columns |= _columns(rows, ACTION, [f"ctrl/{name}" for name in motors], file)
         if degrees:
             _to_radians(columns, model)
-        recordings.append(assemble(columns, model, f"{file}, episode {episode}", f"episode_{int(episode):06d}"))
+        recordings.append(make_recording(columns, model, f"{file}, episode {episode}", f"episode_{int(episode):06d}"))
     return recordings
 
 
@@ -121,7 +127,7 @@ def _columns(rows: pl.DataFrame, feature: str, names: Sequence[str], file: Path)
 
 
 def _to_radians(columns: dict[str, np.ndarray], model: mujoco.MjModel) -> None:
-    """Angles of hinges, and commands of the position actuators that drive them."""
+    """Convert, in place, angles of hinges and commands of the position actuators that drive them."""
     hinge = mujoco.mjtJoint.mjJNT_HINGE
     joints = part_names(model, "joint")
     for i, name in enumerate(joints):

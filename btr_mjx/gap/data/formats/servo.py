@@ -1,16 +1,16 @@
-"""Recordings of a servo that swings a pendulum, in the JSON form of Rhoban's BAM, beside a `servo.toml`.
+"""Recordings of a servo with a pendulum load, in the JSON format of Rhoban's BAM, together with a `servo.toml`.
 
 The servo is voltage-controlled: duty = clip(kp g (goal - q), -max_duty, max_duty),
-torque = kt / R (duty vin - kt dq/dt). In MuJoCo's words, exactly:
+torque = kt / R (duty vin - kt dq/dt). The equivalent MuJoCo model is exact:
 
     position actuator   gain kp g kt vin / R, force range +- max_duty kt vin / R
     joint damping       kt^2 / R + viscous friction
-    armature            the rotor's inertia at the output
-    friction            none yet; what is added holds a load still, where MuJoCo's default creeps
+    armature            rotor inertia at the output shaft
+    friction            0 nominally; solver parameters are stiff, so that added friction holds a static load
 
-vin is the supply's nominal voltage: `input_volts` is sampled within the PWM's period and scatters by volts, and with
-it the model follows the recordings no better. Mass, length, kp and vin belong to a recording, so each has a model of
-its own; what may be refitted is common to all. Zero angle: the arm hangs straight down.
+vin is the nominal supply voltage: `input_volts` is sampled within the PWM period and scatters by volts. Mass, length,
+kp and vin are given per recording, so each recording has its own model; the parameters to refit are common to all.
+Zero angle: the arm hangs straight down.
 """
 
 import json
@@ -25,24 +25,24 @@ import numpy as np
 from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.gap.data.believed import Believed
 from btr_mjx.gap.data.dataset import Dataset
-from btr_mjx.gap.data.recording import Recording, Split, assemble, split
+from btr_mjx.gap.data.recording import Recording, Split, assign_splits, make_recording
 from btr_mjx.gap.data.toml_tables import check_keys, is_number, read_toml, toml_section
 
 SERVO_FILE = "servo.toml"
 _TIMESTEP = 0.002
-"""[s]; the gap workflow corrects what is left of the step's error."""
+"""Time step of the model [s]; its discretisation error is corrected by `windows.time_steps`."""
 _HOLD = 'solreffriction="0.004 1" solimpfriction="0.9999 0.9999 0.001"'
-"""MuJoCo's friction is soft by default: a joint that should stick gives way at about 1e-3 s times the acceleration
-that it withstands, which is 20 mrad a second under this pendulum. A gear holds for as long as one looks."""
+"""Solver parameters of joint friction. With MuJoCo's defaults a sticking joint creeps under load, at a speed of about
+1e-3 s times the acceleration that friction compensates; a geared servo does not."""
 SETTINGS = ("mass", "length", "kp", "vin")
-"""What a recording states of itself."""
+"""Settings that each recording file states."""
 COLUMNS: Mapping[str, str] = {
     "timestamp": "time",
     "goal_position": "ctrl/servo",
     "position": "qpos/servo",
     "speed": "qvel/servo",
 }
-"""Column of a recording by entry of the JSON."""
+"""Column name by entry of the JSON file."""
 PARAMETERS = (
     Believed(
         "motor strength (torque per volt)",
@@ -54,21 +54,21 @@ PARAMETERS = (
     Believed("back-EMF and viscous friction", ("joint:servo/damping",), 0.25, 4.0, relative=True),
     Believed("rotor inertia", ("joint:servo/armature",), 0.25, 4.0, relative=True),
 )
-"""What may be refitted: factors on the nominal values."""
+"""Parameters that may be refitted: factors on the nominal values."""
 
 
 @dataclass(frozen=True)
 class Servo:
-    """Nominal values, SI units, at the output shaft.
+    """Nominal parameters of a servo at the output shaft, SI units.
 
     Attributes:
       kt: torque constant [N m/A], equal to the back-EMF constant [V s/rad].
       resistance: of the winding [ohm].
-      error_gain: duty per rad of error and unit of the firmware's gain kp.
-      max_duty: largest duty.
+      error_gain: duty per rad of error and per unit of the firmware gain kp.
+      max_duty: largest duty cycle.
       armature: rotor inertia [kg m^2].
       viscous_friction: [N m s/rad].
-      arm_mass: uniform rod between the axis and the mass [kg].
+      arm_mass: mass of the uniform rod between axis and load [kg].
       gravity: [m/s^2].
     """
 
@@ -83,7 +83,7 @@ class Servo:
 
 
 def is_servo_folder(folder: str | Path) -> bool:
-    """Whether a folder holds such recordings."""
+    """Whether a folder holds servo recordings."""
     return (Path(folder) / SERVO_FILE).is_file()
 
 
@@ -92,10 +92,13 @@ def servo_xml(servo: Servo, mass: float, length: float, kp: float, vin: float) -
 
     Args:
       servo: nominal values.
-      mass: [kg].
-      length: from the axis to the mass [m].
-      kp: the firmware's gain.
-      vin: supply [V].
+      mass: load [kg].
+      length: distance from the axis to the load [m].
+      kp: firmware gain.
+      vin: supply voltage [V].
+
+    Returns:
+      MJCF text.
     """
     volts_to_torque = servo.kt / servo.resistance * vin
     gain, limit = kp * servo.error_gain * volts_to_torque, servo.max_duty * volts_to_torque
@@ -129,12 +132,18 @@ def servo_xml(servo: Servo, mass: float, length: float, kp: float, vin: float) -
 
 
 def load_servo(folder: str | Path) -> Dataset:
-    """Read a folder of recordings beside its servo.toml.
+    """Read a folder of servo recordings and its servo.toml.
 
-    Within each group of equal mass, length, kp and vin about a third is held out, another kind of motion in each group.
+    About a third of each group of equal mass, length, kp and vin is held out, at alternating positions in the group.
+
+    Args:
+      folder: the folder.
+
+    Returns:
+      The dataset, one recording per JSON file.
 
     Raises:
-      InputError: no recordings, a value that is missing or no number, or what `recording.assemble` refuses.
+      InputError: no recordings, a missing or invalid value, or an error of `recording.make_recording`.
       DamagedFile: a file that does not parse.
     """
     folder = Path(folder)
@@ -147,7 +156,7 @@ def load_servo(folder: str | Path) -> Dataset:
     for file in files:
         entries, setting = _read_json(file)
         model = _compile(servo, setting, file)
-        recordings.append(assemble(entries, model, str(file), file.stem))
+        recordings.append(make_recording(entries, model, str(file), file.stem))
         settings.append(setting)
     nominal = servo_xml(servo, *settings[0])
     return Dataset(
@@ -163,10 +172,17 @@ def load_servo(folder: str | Path) -> Dataset:
 
 
 def read_servo(path: Path, notes: list[str]) -> Servo:
-    """Nominal values from the table [servo].
+    """Read the nominal values from the table [servo].
+
+    Args:
+      path: of servo.toml.
+      notes: warnings are appended here.
+
+    Returns:
+      The nominal values.
 
     Raises:
-      InputError: a value that is missing, no number or negative.
+      InputError: a value that is missing, not a number or negative.
     """
     table = toml_section(read_toml(path), "servo", path)
     names = [f.name for f in fields(Servo)]
@@ -182,7 +198,7 @@ def read_servo(path: Path, notes: list[str]) -> Servo:
 
 
 def _read_json(file: Path) -> tuple[dict[str, np.ndarray], tuple[float, ...]]:
-    """Columns of a recording and its mass, length, kp and vin."""
+    """Columns of a recording, and its settings in the order of `SETTINGS`."""
     try:
         content: Any = json.loads(file.read_text(encoding="utf-8"))
     except ValueError as error:
@@ -218,7 +234,7 @@ def _compile(servo: Servo, setting: Sequence[float], file: Path) -> mujoco.MjMod
 
 
 def _parameters(recordings: Sequence[Recording]) -> tuple[Believed, ...]:
-    """The parameters of which every recording's model has numbers other than zero."""
+    """The parameters whose nominal value is nonzero in every recording."""
     fitted = []
     for believed in PARAMETERS:
         if all(replace(believed, relative=False).value(recording.model) != 0 for recording in recordings):
@@ -235,4 +251,4 @@ def _held_out(
         for place, i in enumerate(members):
             if (place + number) % 3 == 2:
                 words[i] = "test"
-    return split(recordings, words if len(set(words)) > 1 else [None] * len(words), str(folder))
+    return assign_splits(recordings, words if len(set(words)) > 1 else [None] * len(words), str(folder))

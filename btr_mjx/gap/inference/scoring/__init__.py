@@ -1,1 +1,1 @@
-"""Hypotheses against windows: screening, linear scans, refinement, and what a hypothesis leaves."""
+"""Evaluation of hypotheses on windows: screening, linear scans, refinement by simulation, remaining forces."""

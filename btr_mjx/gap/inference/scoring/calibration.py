@@ -94,9 +94,9 @@ def softened(
     nuisance = nuisances(windows, base, screened, given, single)
     if not draws or not len(nuisance.precision):
         return screened, nuisance
-    windows.soften(stubborn(windows, nuisance, draws, cut))
+    windows.project_partially(stubborn(windows, nuisance, draws, cut))
     columns = np.empty_like(screened.columns)
     for i, column in enumerate(screened.columns):
-        columns[i] = project(column, windows.soft)
+        columns[i] = project(column, windows.partial_basis)
     screened = replace(screened, columns=columns)
     return screened, nuisances(windows, base, screened, given, single)

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.inference.scoring.gains import without_wildest
-from btr_mjx.gap.windows import MakeWorld, Windows, force_signatures, parts
+from btr_mjx.gap.windows import MakeWorld, Windows, force_signatures, window_parts
 
 _BINS = 4
 """Parts of a window with a force of their own, at least."""
@@ -122,7 +122,7 @@ class ForceFit:
     def __init__(self, windows: Windows, around: Circumstances, bins: int | None = None) -> None:
         length = float(np.median(windows.since[:, -1]))
         self.bins = min(bins or max(_BINS, round(length / _PART)), windows.k)
-        self.part = parts(windows.k, self.bins)
+        self.part = window_parts(windows.k, self.bins)
         columns = force_signatures(windows, around.inverse, self.bins)
         self.shape = (windows.nv, self.bins)
         self._shape = (len(windows), *self.shape)

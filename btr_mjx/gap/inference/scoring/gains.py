@@ -6,7 +6,7 @@ changes. What is true of a robot is seen in many windows.
 
 import numpy as np
 
-from btr_mjx.gap.windows import Fit, bounded
+from btr_mjx.gap.windows import Fit, bounded_loss
 
 _LEAST_SAY = 15.0
 _SAY = 3.0
@@ -31,9 +31,9 @@ def robust_gain(before: Fit, after: Fit, cut: float) -> float:
       after: the other fit, of the same windows.
       cut: chi^2 above which a window counts less.
     """
-    fall = bounded(before.chi2, cut) - bounded(after.chi2, cut)
-    price = (before.loss - float(bounded(before.chi2, cut).sum())) - (
-        after.loss - float(bounded(after.chi2, cut).sum())
+    fall = bounded_loss(before.chi2, cut) - bounded_loss(after.chi2, cut)
+    price = (before.loss - float(bounded_loss(before.chi2, cut).sum())) - (
+        after.loss - float(bounded_loss(after.chi2, cut).sum())
     )
     return float(moderate(fall).sum()) + price
 
@@ -60,7 +60,7 @@ def trimmed_gain(before: Fit, after: Fit, cut: float) -> float:
       after: the other fit, of the same windows.
       cut: chi^2 above which a window counts less.
     """
-    ends = bounded(before.chi2, cut), bounded(after.chi2, cut)
+    ends = bounded_loss(before.chi2, cut), bounded_loss(after.chi2, cut)
     fall, price = np.sort(ends[0] - ends[1]), (before.loss - ends[0].sum()) - (after.loss - ends[1].sum())
     out = int(_TRIMMED * len(fall))
     return float(fall[out : len(fall) - out].mean() * len(fall) + price)
@@ -102,6 +102,6 @@ def fall(before: Fit, after: Fit, cut: float, share: float = 1.0, even: bool = F
       even: without the window that loses most as well: one touchdown must not hide a name either. Not for what moves
         contacts, which loses there by being wrong.
     """
-    change = bounded(before.chi2, cut) - bounded(after.chi2, cut)
+    change = bounded_loss(before.chi2, cut) - bounded_loss(after.chi2, cut)
     luck = luckiest(change) - (luckiest(-change) if even else 0.0)
     return robust_gain(before, after, cut) / share - luck

@@ -52,7 +52,7 @@ class Hypothesis:
             mujoco.mj_setConst(world.model, mujoco.MjData(world.model))
         for candidate, values in (*self.calibration, *self.effects):
             candidate.apply(world, np.array(values))
-        world.kept = True
+        world.frozen = True
         return world
 
     def with_effect(self, candidate: Candidate, values: Sequence[float] | np.ndarray) -> "Hypothesis":

@@ -15,7 +15,7 @@ import numpy as np
 from btr_mjx.gap.inference.scoring.forces import Circumstances, ForceFit
 from btr_mjx.gap.inference.scoring.gains import luckiest, robust_gain, without_wildest
 from btr_mjx.gap.inference.scoring.refine import Nuisance
-from btr_mjx.gap.windows import bounded, steadied, weight
+from btr_mjx.gap.windows import bounded_loss, regularised, window_weight
 
 _CAP = 6.0
 """A window's excess counts up to so many standard deviations."""
@@ -184,12 +184,12 @@ class Joints:
         absorbed = residual + np.einsum("wnr,n->wr", self.nuisance.columns, before.values)
         moment = (self._columns @ absorbed[:, None, :, None])[..., 0]  # (W, nv, bins)
         excess, chi2, usual = self._excess(moment)
-        w = weight(before.chi2, cut)
+        w = window_weight(before.chi2, cut)
         own = np.zeros((0, *residual.shape), np.float32) if free is None else free.astype(np.float32)
         data, size = self.nuisance.evidence(absorbed, own), len(own)
         prior = np.concatenate([np.zeros(size), self.nuisance.precision])
         normal = np.tensordot(w, data.gram, 1) + np.diag(prior)
-        normal = steadied(normal)
+        normal = regularised(normal)
         pull = w @ data.moment + prior * np.concatenate([np.zeros(size), before.values])
         inverse = np.linalg.inv(normal)
         across = np.concatenate([self._with(np.moveaxis(own, 0, 1)), self._across], -1) * w[:, None, None, None]
@@ -208,7 +208,7 @@ class Joints:
             shift = -inverse @ (pull + amplitude * mixed)
             moved = moved + np.einsum("pwr,p->wr", own, shift[:size])
             after = self.nuisance.profile(moved, cut)
-            lucky = luckiest(bounded(reference.chi2, cut) - bounded(after.chi2, cut))
+            lucky = luckiest(bounded_loss(reference.chi2, cut) - bounded_loss(after.chi2, cut))
             told.append(Told(index, float(amplitude), robust_gain(reference, after, cut) - lucky))
         told.sort(key=lambda one: -one.gain)
         left = bool(told) and told[0].gain > 0

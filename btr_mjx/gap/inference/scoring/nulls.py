@@ -8,7 +8,7 @@ import copy
 
 import numpy as np
 
-from btr_mjx.gap.windows import MakeWorld, Windows, centred, fine_step, project
+from btr_mjx.gap.windows import MakeWorld, Windows, fine_step, fit_starting_states, project
 from btr_mjx.models import integrate
 
 _KNOWN = 0.1
@@ -52,7 +52,7 @@ def null_residual(windows: Windows, base: MakeWorld, truth: MakeWorld, rng: np.r
     """
     nq, nv, sigma = windows.nq, windows.nv, windows.data.sigma
     # Where steps had to be divided, what is left of their error is part of what a null leaves.
-    shows = windows.data.rough
+    shows = windows.data.refined_for_contact
     own = fine_step(windows) if shows else windows.step
     states = windows.states([truth], timestep=own, start=doubtful(windows, rng))[0]
     noise = rng.standard_normal((*states.shape[:2], 2 * nv)) * sigma
@@ -60,5 +60,5 @@ def null_residual(windows: Windows, base: MakeWorld, truth: MakeWorld, rng: np.r
     other.target_q = integrate(windows.models[0], states[..., :nq], noise[..., :nv])
     other.target_v = states[..., nq:] + noise[..., nv:]
     correction = windows.correction if shows else np.zeros_like(windows.correction)
-    found = other.whiten(centred(other, base, _STEPS, windows.base, correction)[2])
+    found = other.whiten(fit_starting_states(other, base, _STEPS, windows.base, correction)[2])
     return project(found + correction, windows.basis)

@@ -7,7 +7,7 @@ import numpy as np
 
 from btr_mjx.gap.inference.scoring.refine import SHOWN, Nuisance
 from btr_mjx.gap.inference.scoring.screening import Screen
-from btr_mjx.gap.windows import Evidence, fit, scan_candidates, weight
+from btr_mjx.gap.windows import Evidence, fit, scan_candidates, window_weight
 
 
 @dataclass(frozen=True)
@@ -110,8 +110,8 @@ class Scanner:
             nuisance = np.arange(self._count, data.n)
             precision = np.concatenate([precision, np.zeros(len(extra))])
         alone = fit(data.take(nuisance), precision, cut)
-        gains, _ = scan_candidates(data, self.spans, nuisance, precision, weight(alone.chi2, cut))
-        open_gains, _ = scan_candidates(data, self.spans, nuisance, precision, np.sqrt(weight(alone.chi2, cut)))
+        gains, _ = scan_candidates(data, self.spans, nuisance, precision, window_weight(alone.chi2, cut))
+        open_gains, _ = scan_candidates(data, self.spans, nuisance, precision, np.sqrt(window_weight(alone.chi2, cut)))
         half = thorough // 2
         chosen = dict.fromkeys([*np.argsort(-gains)[:half].tolist(), *np.argsort(-open_gains)[:half].tolist()])
         leads = []

@@ -9,8 +9,8 @@ import numpy as np
 from btr_mjx.gap.effects import Candidate
 from btr_mjx.gap.inference.scoring.hypotheses import DELICATE, Hypothesis, believed_steps
 from btr_mjx.gap.inference.scoring.refine import Nuisance
-from btr_mjx.gap.simulate import fields_of, fingerprint
-from btr_mjx.gap.windows import MakeWorld, Windows, signatures, step_doubt
+from btr_mjx.gap.simulate import differing_fields, fingerprint
+from btr_mjx.gap.windows import MakeWorld, Windows, signatures, step_uncertainty
 
 _SHAPES_CONTACT = frozenset({"geom_pos", "geom_quat", "geom_size", "body_pos", "body_quat", "jnt_pos", "qpos0"})
 _SHAPES_CONTACT |= {"geom_friction", "geom_solref", "geom_solimp", "geom_margin"}
@@ -71,7 +71,7 @@ def changed_fields(
     for candidate in candidates:
         values = candidate.null
         values[0] += candidate.parameters[0].step
-        out[candidate.name] = frozenset(fields_of(base.with_effect(candidate, values)(model), own, known, data))
+        out[candidate.name] = frozenset(differing_fields(base.with_effect(candidate, values)(model), own, known, data))
     return out
 
 
@@ -177,7 +177,7 @@ def nuisances(
       given: tolerances of the dataset by effect.
       single: see `sensitivity.signatures`.
     """
-    columns, precision = [step_doubt(windows, base).astype(np.float32)], [1.0]
+    columns, precision = [step_uncertainty(windows, base).astype(np.float32)], [1.0]
     for index, entry in enumerate(screened.entries):
         tolerance = 0.0 if entry.probe else tolerance_of(entry.candidate, given)
         if tolerance > 0:

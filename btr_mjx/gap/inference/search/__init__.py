@@ -1,1 +1,1 @@
-"""The search: candidates are scanned, leaders refined by true simulation, rivals compared."""
+"""Search for candidates: linear scan, refinement of the leaders by simulation, comparison of rivals."""

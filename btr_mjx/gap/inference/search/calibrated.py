@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from btr_mjx.gap.effects import Candidate, one_limb
+from btr_mjx.gap.effects import Candidate, on_same_chain
 from btr_mjx.gap.inference.scoring.gains import robust_gain
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.inference.scoring.refine import Nuisance, Unknowns, refine
@@ -71,7 +71,7 @@ def limb_of(bench: Bench, judged: Judged) -> list[Candidate]:
     loose = [c for c in bench.candidates if c.name in bench.delicate and tolerance_of(c, given) > 0]
     if all(c is not candidate for c in loose):
         return []
-    return [c for c in loose if c is candidate or one_limb(model, candidate.place, c.place)]
+    return [c for c in loose if c is candidate or on_same_chain(model, candidate.place, c.place)]
 
 
 def beyond_calibration(bench: Bench, judged: Judged) -> Beyond:

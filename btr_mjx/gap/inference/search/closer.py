@@ -18,7 +18,7 @@ from btr_mjx.gap.inference.search.exchange import beside_the_best
 from btr_mjx.gap.inference.search.runoff import apart, telling
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import MARGIN, Judged, Side, among, nearest
-from btr_mjx.gap.simulate import abreast
+from btr_mjx.gap.simulate import run_in_threads
 
 WEAK = 60.0
 """Score below which a leader is looked at."""
@@ -106,8 +106,8 @@ def shared(hypotheses: Sequence[Hypothesis], known: Sequence[Side]) -> list[Side
     """
     sides = [nearest([side.based(h) for side in known]) for h in hypotheses]
     for find in (_redirected, _recentred):
-        new = abreast([partial(find, side, h) for side, h in zip(sides, hypotheses, strict=True)])
-        sides = abreast([partial(_nearest_of, h, sides[i], [*sides, *new]) for i, h in enumerate(hypotheses)])
+        new = run_in_threads([partial(find, side, h) for side, h in zip(sides, hypotheses, strict=True)])
+        sides = run_in_threads([partial(_nearest_of, h, sides[i], [*sides, *new]) for i, h in enumerate(hypotheses)])
     return sides
 
 

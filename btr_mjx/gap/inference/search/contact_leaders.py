@@ -6,12 +6,12 @@ from functools import partial
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.effects import WORLD, Candidate, one_limb
+from btr_mjx.gap.effects import WORLD, Candidate, on_same_chain
 from btr_mjx.gap.inference.scoring.gains import robust_gain
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
 from btr_mjx.gap.inference.search.search_records import Side
 from btr_mjx.gap.inference.search.walks import Walks
-from btr_mjx.gap.simulate import abreast
+from btr_mjx.gap.simulate import run_in_threads
 from btr_mjx.gap.windows import project
 
 _Try = tuple[float, Candidate, np.ndarray]
@@ -93,7 +93,7 @@ def contact_scan(
             moved = residual[own] + project(windows.whiten(states) - unmoved, windows.basis)
             return robust_gain(reference, some.nuisance.profile(moved, cut), cut) / share
 
-        gains = abreast([partial(gained, states) for states in found])
+        gains = run_in_threads([partial(gained, states) for states in found])
         best: dict[str, _Try] = {}
         for (candidate, values), gain in zip(rows, gains, strict=True):
             if candidate.name not in best or gain > best[candidate.name][0]:
@@ -172,7 +172,8 @@ def judged_anew(
         return rows
 
     def judge(tries: Sequence[_Try]) -> None:
-        for rows in abreast([partial(judged, c, values, any(c is row[1] for row in kin)) for _, c, values in tries]):
+        tasks = [partial(judged, c, values, any(c is row[1] for row in kin)) for _, c, values in tries]
+        for rows in run_in_threads(tasks):
             name = rows[0][1].name
             best[name] = max(best[name], *rows, key=lambda row: row[0])
 
@@ -190,7 +191,7 @@ def _kin(model: mujoco.MjModel, found: Sequence[_Try], leads: Sequence[_Try], st
         row
         for gain, leader, _ in leads
         for row in found
-        if gain > max(_KIN, strongest) and row[1] is not leader and one_limb(model, leader.place, row[1].place)
+        if gain > max(_KIN, strongest) and row[1] is not leader and on_same_chain(model, leader.place, row[1].place)
     ]
 
 

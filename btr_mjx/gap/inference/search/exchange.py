@@ -13,7 +13,7 @@ from btr_mjx.gap.inference.scoring.gains import robust_gain, trimmed_gain
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Judged, Side, nearest
-from btr_mjx.gap.simulate import abreast
+from btr_mjx.gap.simulate import run_in_threads
 
 
 def exchanged(hypotheses: Sequence[Hypothesis], sides: Sequence[Side], moving: Sequence[int]) -> list[Side]:
@@ -39,7 +39,7 @@ def exchanged(hypotheses: Sequence[Hypothesis], sides: Sequence[Side], moving: S
         others = (side for side in pool if side is not sides[i])
         return nearest([side.based(hypotheses[i]) for side in (sides[i], *others)])
 
-    return abreast([partial(best, i) for i in range(len(sides))])
+    return run_in_threads([partial(best, i) for i in range(len(sides))])
 
 
 def beside_the_best(bench: Bench, judged: Sequence[Judged]) -> list[Judged]:

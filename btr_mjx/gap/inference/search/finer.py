@@ -17,7 +17,7 @@ from btr_mjx.gap.inference.search.polish import Polisher
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import MARGIN, Judged, Side, among, nearest
 from btr_mjx.gap.inference.search.sizes import best_size
-from btr_mjx.gap.simulate import abreast
+from btr_mjx.gap.simulate import run_in_threads
 from btr_mjx.gap.windows import Fit
 
 _LEAST = 150.0
@@ -96,7 +96,7 @@ def _again(polish: Polisher, chosen: Sequence[Judged], judged: Sequence[Judged])
     starts = [[nearest([side.based(j.hypothesis) for side in pool]) for pool in known] for j in chosen]
     usual = [nearest([side.based(base) for side in pool]) for pool in known]
     before = _fits(bench, usual)
-    ends = abreast(
+    ends = run_in_threads(
         [partial(best_size, bench, j.hypothesis, sides, before) for j, sides in zip(chosen, starts, strict=True)]
     )
     hypotheses = [h for h, _ in ends]

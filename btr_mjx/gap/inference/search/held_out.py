@@ -8,7 +8,7 @@ import numpy as np
 from btr_mjx.gap.inference.scoring.gains import luckiest, moderate
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Judged
-from btr_mjx.gap.windows import bounded
+from btr_mjx.gap.windows import bounded_loss
 
 _PART = 0.5
 """Part of the gain that a name foresees which is enough, of what moves no contacts: a limit that none of the held-out
@@ -44,7 +44,7 @@ def vouched(bench: Bench, judged: Judged, needed: float) -> bool:
       needed: gain that is worth a name.
     """
     before, after = judged.before[0], judged.fits[0]
-    fall = bounded(before.chi2, bench.cut) - bounded(after.chi2, bench.cut)
+    fall = bounded_loss(before.chi2, bench.cut) - bounded_loss(after.chi2, bench.cut)
     recording = bench.fit.windows.recording
     each = np.array([fall[recording == r].sum() for r in np.unique(recording)])
     noise = bench.fit.windows.freedom * bench.dispersion
@@ -66,7 +66,7 @@ def foreseen(bench: Bench, judged: Judged) -> float:
     side, hypothesis = judged.sides[1], judged.hypothesis
     without = replace(hypothesis, effects=hypothesis.effects[:-1])
     change = side.windows.based(without).residual - judged.residual
-    fall = bounded(bench.nuisance(side, hypothesis).profile(change, bench.cut).chi2, bench.cut)
+    fall = bounded_loss(bench.nuisance(side, hypothesis).profile(change, bench.cut).chi2, bench.cut)
     return (float(moderate(fall).sum()) - luckiest(fall)) / bench.dispersion
 
 

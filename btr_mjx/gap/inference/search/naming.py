@@ -158,4 +158,4 @@ def within_calibration(bench: Bench, judged: Judged) -> bool:
     most = TOLERANCES * tolerance_of(candidate, bench.dataset.tolerances)
     # A slope may be along either axis.
     sizes = [(abs(value - p.null), p) for value, p in zip(values, candidate.parameters, strict=True) if not p.shape]
-    return all(size <= max(most, p.least) for size, p in sizes)
+    return all(size <= max(most, p.negligible) for size, p in sizes)

@@ -16,7 +16,7 @@ from btr_mjx.gap.inference.scoring.refine import refine
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import MARGIN, Judged, Side
 from btr_mjx.gap.inference.search.walks import scaled
-from btr_mjx.gap.windows import bounded
+from btr_mjx.gap.windows import bounded_loss
 
 _HARDLY = 20.0
 """Squared distance of two simulations, in units of the noise, up to which they hardly differ: what search for starting
@@ -80,7 +80,7 @@ def _ahead(bench: Bench, leader: Judged, rival: Hypothesis) -> tuple[float, Hypo
         one, other = along(side, own), along(side, rival)
         theirs = side.windows.residuals([rival])[0]
         apart += float(((one.absorbed(e, bench.cut) - other.absorbed(theirs, bench.cut)) ** 2).sum())
-        ends = [bounded(n.profile(r, bench.cut).chi2, bench.cut) for n, r in ((one, e), (other, theirs))]
+        ends = [bounded_loss(n.profile(r, bench.cut).chi2, bench.cut) for n, r in ((one, e), (other, theirs))]
         fall += float((ends[0] - ends[1]).sum())
     return (fall if apart <= _HARDLY * bench.dispersion else -np.inf) / bench.dispersion, rival
 

@@ -18,7 +18,7 @@ from btr_mjx.gap.inference.search.exchange import beside_the_best, exchanged
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Judged, Side, among, nearest
 from btr_mjx.gap.inference.search.sizes import best_size
-from btr_mjx.gap.simulate import abreast
+from btr_mjx.gap.simulate import run_in_threads
 from btr_mjx.gap.windows import Fit
 
 _HOPELESS = -5.0
@@ -149,7 +149,7 @@ class Polisher:
             return j.hypothesis if found is None and sure and j in close else found
 
         tries = moving[: _WALKS[bench.costly()]]
-        ends = zip(tries, abreast([partial(walked, j) for j in tries]), strict=True)
+        ends = zip(tries, run_in_threads([partial(walked, j) for j in tries]), strict=True)
         there = [(j, found) for j, found in ends if found is not None]
         there.sort(key=lambda end: -bench.walks.best(end[1].name))
         best_of = [bench.walks.best(found.name) for _, found in there]
@@ -214,12 +214,12 @@ class Polisher:
         reference = along(fit[0], before).profile(fit[0].windows.residual, bench.cut)
         pairs = zip(hypotheses, fit[1:], strict=True)
         few = len(moving) > _WALKED or bench.costly()
-        ends = abreast([partial(self._settled, h, side, reference, few) for h, side in pairs])
+        ends = run_in_threads([partial(self._settled, h, side, reference, few) for h, side in pairs])
         if len(moving) > 1:
             fit = exchanged([before, *(h for h, _, _ in ends)], [fit[0], *(side for _, side, _ in ends)], moving)
             reference = along(fit[0], before).profile(fit[0].windows.residual, bench.cut)
             pairs = zip((h for h, _, _ in ends), fit[1:], strict=True)
-            ends = abreast([partial(self._refined, h, side, reference) for h, side in pairs])
+            ends = run_in_threads([partial(self._refined, h, side, reference) for h, side in pairs])
         hypotheses = [h for h, _, _ in ends]
 
         test = exchanged([before, *hypotheses], self._shared([before, *hypotheses], known[1]), moving)
@@ -251,7 +251,7 @@ class Polisher:
             # Those before it were looked at already.
             return nearest([pool[i], *(side.based(hypotheses[i]) for side in pool[i + 1 :])])
 
-        return abreast([partial(best, i) for i in range(len(hypotheses))])
+        return run_in_threads([partial(best, i) for i in range(len(hypotheses))])
 
     def _settled(self, hypothesis: Hypothesis, side: Side, reference: Fit, few: bool) -> Settled:
         """A hypothesis with its best numbers on a side to fit, what that became on the way, and how good it is."""

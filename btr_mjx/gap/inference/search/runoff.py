@@ -18,8 +18,8 @@ from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.inference.scoring.refine import refine
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Judged, Side, among, nearest
-from btr_mjx.gap.simulate import abreast
-from btr_mjx.gap.windows import Fit, Windows, grid
+from btr_mjx.gap.simulate import run_in_threads
+from btr_mjx.gap.windows import Fit, Windows, tile_windows
 from btr_mjx.models import integrate
 
 CLOSE = 25.0
@@ -110,7 +110,7 @@ def _of_a_limb(bench: Bench, judged: Judged) -> bool:
 def _unseen(bench: Bench) -> Windows | None:
     """Windows of the recordings to fit that nobody has looked at; None where there are few."""
     used, data = bench.fit.windows, bench.fit.windows.data
-    recording, first, k = grid(data, bench.survey.span)
+    recording, first, k = tile_windows(data, bench.survey.span)
     known = set(zip(used.recording.tolist(), used.first.tolist(), strict=True))
     left = np.array([(r, a) not in known for r, a in zip(recording.tolist(), first.tolist(), strict=True)])
     if k != used.k or left.sum() < 2 * _FEWEST:
@@ -179,7 +179,7 @@ def _again(bench: Bench, fresh: Windows, part: Sequence[Judged]) -> list[Judged]
     alone = bench.nuisance(around).profile(around.windows.residual, bench.cut)
     both = usual.joined(around)
     reference = bench.nuisance(both).profile(both.windows.residual, bench.cut)
-    return abreast([partial(_one, bench, around, j, part[0], reference, alone) for j in part])
+    return run_in_threads([partial(_one, bench, around, j, part[0], reference, alone) for j in part])
 
 
 def _one(bench: Bench, around: Side, judged: Judged, best: Judged, reference: Fit, alone: Fit) -> Judged:

@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data import Dataset, estimate_noise, quieter
+from btr_mjx.gap.data import Dataset, estimate_noise, reduced_noise
 from btr_mjx.gap.effects import Effect, candidates
 from btr_mjx.gap.inference.scoring.calibration import softened, tolerance_draws
 from btr_mjx.gap.inference.scoring.gains import fall
@@ -33,7 +33,7 @@ from btr_mjx.gap.inference.search.contact_leaders import contact_scan, judged_an
 from btr_mjx.gap.inference.search.leaders import pick, starts
 from btr_mjx.gap.inference.search.search_records import Judged, Side
 from btr_mjx.gap.inference.search.walks import Walks
-from btr_mjx.gap.simulate import Counter, abreast
+from btr_mjx.gap.simulate import Counter, run_in_threads
 from btr_mjx.gap.windows import (
     Fit,
     Options,
@@ -41,10 +41,10 @@ from btr_mjx.gap.windows import (
     Track,
     Windows,
     best_span,
-    chosen_windows,
-    kept,
+    choose_windows,
     linearise,
     prepare,
+    reliable_windows,
     scales_of,
     survey,
     track_of,
@@ -115,7 +115,7 @@ class Bench:
         entries = self._prepared(effects, tracks, note)
         for _ in range(_QUIETER if dataset.noise is None else 0):
             windows = self.fit.windows
-            less = quieter(self.sigma, windows.channels, windows.residual, windows.freedom)
+            less = reduced_noise(self.sigma, windows.channels, windows.residual, windows.freedom)
             if less is None:
                 break
             self.sigma, self.options = less, options or Options()
@@ -130,7 +130,7 @@ class Bench:
         def screened(windows: Windows, own: Sequence[Entry], refitted: Hypothesis) -> tuple[Screen, Nuisance]:
             return self._softened(windows, refitted, screen(windows, self.base, own, self.single))
 
-        (found, nuisance), (_, other) = abreast([partial(screened, *side) for side in sides])
+        (found, nuisance), (_, other) = run_in_threads([partial(screened, *side) for side in sides])
         self.fit, self.test = Side(self.fit.windows, nuisance), Side(self.test.windows, other)
         self.scanner = Scanner(found, nuisance)
         self.dispersion, self.cut = 1.0, _CUT * self.fit.windows.freedom
@@ -155,7 +155,7 @@ class Bench:
         entries = entries_of(self.candidates, self.fields, self.delicate)
         note("windows")
         count = sum(len(entry.steps) for entry in entries)
-        chosen = chosen_windows(data, held, self.base, self.survey, count, self.options, self.counter)
+        chosen = choose_windows(data, held, self.base, self.survey, count, self.options, self.counter)
         self.fit, self.test = (Side(own, Nuisance.nothing(0, 0)) for own in chosen.windows)
         self.single, self.options, self.survey = chosen.single, chosen.options, chosen.survey
         self._start(note)
@@ -166,7 +166,7 @@ class Bench:
         windows, held = self.fit.windows, self.test.windows
         note("linearisation")
         if not self.base.parameters:
-            abreast([partial(linearise, side, self.base) for side in (windows, held)])
+            run_in_threads([partial(linearise, side, self.base) for side in (windows, held)])
         else:
             linearise(windows, self.base)
             note("refit of the believed parameters")
@@ -175,7 +175,9 @@ class Bench:
                 linearise(windows, self.base)
             linearise(held, self.base)
         contact, sides = self.survey.contact, (self.fit, self.test)
-        self.fit, self.test = (replace(side, windows=kept(side.windows, self.base, contact)) for side in sides)
+        self.fit, self.test = (
+            replace(side, windows=reliable_windows(side.windows, self.base, contact)) for side in sides
+        )
 
     def _softened(self, windows: Windows, base: Hypothesis, screened: Screen) -> tuple[Screen, Nuisance]:
         """Nuisances of one side, after what tolerances do to contacts has been taken into account there."""
@@ -185,7 +187,7 @@ class Bench:
     def side(self, windows: Windows) -> Side:
         """More windows of the recordings to fit, around the believed model, with what is fitted along."""
         linearise(windows, self.base, step=self.fit.windows.step)
-        windows = windows.calm()
+        windows = windows.linear_only()
         screened = screen(windows, self.base, self._known, self.single)
         return Side(windows, self._softened(windows, self.base, screened)[1])
 
@@ -340,11 +342,11 @@ class Bench:
 
     def costly(self) -> bool:
         """Whether so much has been spent that less is to be spent on what follows."""
-        return self.options.much(self.counter.steps, self.fit.windows.nv)
+        return self.options.over_budget(self.counter.steps, self.fit.windows.nv)
 
     def exhausted(self) -> bool:
         """Whether so much has been spent that hardly anything may follow."""
-        return self.options.too_much(self.counter.steps, self.fit.windows.nv)
+        return self.options.far_over_budget(self.counter.steps, self.fit.windows.nv)
 
     def _entry(self, lead: Lead) -> Entry:
         return self.scanner.screened.entries[lead.index]

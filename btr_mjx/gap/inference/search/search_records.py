@@ -7,7 +7,7 @@ import numpy as np
 
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
 from btr_mjx.gap.inference.scoring.refine import Nuisance, Refined
-from btr_mjx.gap.windows import Fit, MakeWorld, Windows, exactly, picked, recentred, redirected
+from btr_mjx.gap.windows import Fit, MakeWorld, Windows, relinearised, select_rows, with_fitted_states, with_step_error
 
 MARGIN = 25.0
 """Candidates whose scores differ by less are called equivalent."""
@@ -26,12 +26,12 @@ class Side:
     nuisance: Nuisance
 
     def recentred(self, make: MakeWorld, exact: bool = True) -> "Side":
-        """The same with starting states that suit another hypothesis, see `starting_states.recentred`."""
-        return Side(recentred(self.windows, make, exact), self.nuisance)
+        """The same with starting states that suit another hypothesis, see `starting_states.with_fitted_states`."""
+        return Side(with_fitted_states(self.windows, make, exact), self.nuisance)
 
     def redirected(self, make: MakeWorld) -> "Side":
         """The same, recentred around a hypothesis before, with what starting states could explain in its own world."""
-        windows = redirected(self.windows, make)
+        windows = relinearised(self.windows, make)
         return Side(windows, self.nuisance.projected(windows.basis))
 
     def based(self, make: MakeWorld) -> "Side":
@@ -39,8 +39,8 @@ class Side:
         return Side(self.windows.based(make), self.nuisance)
 
     def exactly(self, make: MakeWorld) -> "Side":
-        """The same with what the time step does in the other hypothesis' own world, see `starting_states.exactly`."""
-        return Side(exactly(self.windows, make), self.nuisance)
+        """The same with what the time step does in the other hypothesis' world, see `with_step_error`."""
+        return Side(with_step_error(self.windows, make), self.nuisance)
 
     def mixed(self, others: Sequence["Side"], chosen: np.ndarray) -> "Side":
         """The same with some windows as others have them, see `Windows.mixed`."""
@@ -48,7 +48,7 @@ class Side:
         if windows.basis is self.windows.basis:
             return Side(windows, self.nuisance)
         columns, gram = (
-            picked(getattr(self.nuisance, name), [getattr(side.nuisance, name) for side in others], chosen)
+            select_rows(getattr(self.nuisance, name), [getattr(side.nuisance, name) for side in others], chosen)
             for name in ("columns", "gram")
         )
         return Side(windows, Nuisance(columns, self.nuisance.precision, gram))

@@ -1,1 +1,1 @@
-"""From a finished search to a diagnosis: names, lack of fit, intervals, confounds, open-loop gap."""
+"""From a finished search to a diagnosis: named effects, lack of fit, intervals, confounds, open-loop gap."""

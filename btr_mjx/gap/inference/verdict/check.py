@@ -29,8 +29,8 @@ from btr_mjx.gap.inference.search.search_records import Judged
 from btr_mjx.gap.inference.verdict.disagreement import disagreement, place_names
 from btr_mjx.gap.inference.verdict.leftover_words import body_sentence, sentence, telling_sentence
 from btr_mjx.gap.results import DisagreementMap
-from btr_mjx.gap.simulate import abreast
-from btr_mjx.gap.windows import Windows, bounded
+from btr_mjx.gap.simulate import run_in_threads
+from btr_mjx.gap.windows import Windows, bounded_loss
 
 _NULLS = 5
 """Simulated nulls behind the lack of fit."""
@@ -96,7 +96,7 @@ class Check:
             around = circumstances(windows, bench.base)
             return around, ForceFit(windows, around)
 
-        found = abreast([partial(forces, side.windows) for side in self.sides])
+        found = run_in_threads([partial(forces, side.windows) for side in self.sides])
         self.around, self.fits = [around for around, _ in found], [fit for _, fit in found]
         self._anew: dict[int, tuple[Windows, ForceFit]] = {}
         model, middle = bench.dataset.model, Middle.of(self.fits[0], self.around[0])
@@ -105,7 +105,7 @@ class Check:
         self._bodies = Bodies(model, self.fits)
         self.null, left, bodies, self._held_out, self._spared = self._null(rng)
         self.excess_at_body = max(_LEAST_AT_BODY, _BEYOND * max(one.excess for one in bodies))
-        self.rough = bench.fit.windows.data.rough
+        self.rough = bench.fit.windows.data.refined_for_contact
         self.usual, self.usual_at_body = usual_needed(self.rough, bodies)
         self.excess = max(_LEAST_EXCESS, _BEYOND * max(one.worst for one in left))
         self.gain = max(_LEAST_GAIN, _BEYOND * max(one.gain for one in left))
@@ -165,7 +165,7 @@ class Check:
         bench = self.bench
         draws = tolerance_draws(bench.base, bench.candidates, bench.dataset.tolerances, rng, _NULLS)
         rngs = rng.spawn(len(self.sides))
-        nulls = abreast([partial(self._of_nulls, i, draws, own) for i, own in enumerate(rngs)])
+        nulls = run_in_threads([partial(self._of_nulls, i, draws, own) for i, own in enumerate(rngs)])
         left = [found for _, found, _ in nulls[0] if found is not None]
         bodies = [self._bodies([fit[2], test[2]]) for fit, test in zip(*nulls, strict=True)]
         held_out = np.stack([(residual**2).sum(1) for _, _, residual in nulls[1]])
@@ -280,8 +280,8 @@ class Check:
         for i in (0, 1):
             before, after = self._forces(i, None), self._forces(i, judged)
             cut = np.maximum(3.0 * np.median(before.explained), 2.0 * before.rank)
-            start += float((bounded(before.explained, cut) - before.rank).sum())
-            end += float((bounded(after.explained, cut) - after.rank).sum())
+            start += float((bounded_loss(before.explained, cut) - before.rank).sum())
+            end += float((bounded_loss(after.explained, cut) - after.rank).sum())
         return 1.0 - end / start if start > 0 else 0.0
 
     def map(self) -> DisagreementMap:

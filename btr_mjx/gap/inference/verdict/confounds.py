@@ -12,8 +12,8 @@ import numpy as np
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Judged
-from btr_mjx.gap.results import Confound, likeness, moved
-from btr_mjx.gap.windows import weight
+from btr_mjx.gap.results import Confound, confound_sentence, refit_sentence
+from btr_mjx.gap.windows import window_weight
 
 _LEAST = 0.9
 """Correlation from which on a candidate is a confound."""
@@ -35,7 +35,7 @@ def confounds(bench: Bench, base: Hypothesis, named: Sequence[Judged]) -> tuple[
         return ()
     final = named[-1]
     nuisance = bench.free(bench.fit)
-    weights = weight(final.refined.chi2, bench.cut)
+    weights = window_weight(final.refined.chi2, bench.cut)
     rest = Rest(nuisance.columns, nuisance.precision, weights)
     taken = {candidate.effect.name for candidate, _ in final.hypothesis.effects}
     first = len(final.refined.values) - final.hypothesis.numbers
@@ -111,7 +111,7 @@ def _candidates(
         correlation, factors = closest(gram[np.ix_(columns, columns)])
         first, change = candidate.parameters[0], float(factors[0] * entry.steps[0])
         if first.low <= first.null + change <= first.high:
-            text = likeness(candidate.effect.name, candidate.place.label, change, correlation)
+            text = confound_sentence(candidate.effect.name, candidate.place.label, change, correlation)
             out.append((candidate.name, correlation, text))
     return out
 
@@ -122,7 +122,8 @@ def _believed(bench: Bench, final: Judged, rest: Rest, signature: np.ndarray) ->
     for i, parameter in enumerate(bench.base.parameters if bench.joint else ()):
         correlation, factors = rest.alike(signature, final.refined.columns[i : i + 1])
         if parameter.low <= final.hypothesis.believed[i] + float(factors[0]) <= parameter.high:
-            out.append((parameter.name, correlation, likeness(parameter.name, "", float(factors[0]), correlation)))
+            text = confound_sentence(parameter.name, "", float(factors[0]), correlation)
+            out.append((parameter.name, correlation, text))
     return out
 
 
@@ -132,5 +133,6 @@ def _moved(base: Hypothesis, final: Judged) -> list[Confound]:
     last = final.hypothesis.believed
     for parameter, before, after in zip(base.parameters, base.believed, last, strict=True):
         if abs(after - before) > MOVED * (parameter.high - parameter.low):
-            out.append(Confound(final.hypothesis.name, parameter.name, None, moved(parameter.name, before, after)))
+            text = refit_sentence(parameter.name, before, after)
+            out.append(Confound(final.hypothesis.name, parameter.name, None, text))
     return out

@@ -34,9 +34,9 @@ from btr_mjx.gap.inference.verdict.outcome import (
     survivors,
 )
 from btr_mjx.gap.inference.verdict.twins import twin
-from btr_mjx.gap.results import Diagnosis, title
+from btr_mjx.gap.results import Diagnosis, effect_title
 from btr_mjx.gap.simulate import Counter
-from btr_mjx.gap.windows import Options, pace_notes
+from btr_mjx.gap.windows import Options, time_step_notes
 
 SURPRISE = 6.0
 """Lack of fit over everything that cannot be noise where nothing was named, in standard deviations."""
@@ -163,7 +163,7 @@ def name_missing(
         steps=bench.counter.steps,
         seconds=time.monotonic() - begun,
         survivors=survivors(bench, rounds, named),
-        notes=pace_notes(bench.fit.windows),
+        notes=time_step_notes(bench.fit.windows),
     )
 
 
@@ -204,11 +204,12 @@ def twin_words(named: Judged | None, rival: Judged | None) -> tuple[str, ...]:
         return ()
     candidate, values = rival.hypothesis.effects[-1]
     number = candidate.parameters[0]
-    here = [c.effect for c, _ in named.hypothesis.effects if any(e is candidate.effect for e in c.effect.akin)]
-    taken = " and ".join(title(effect.name) for effect in here)
+    here = [c.effect for c, _ in named.hypothesis.effects if any(e is candidate.effect for e in c.effect.similar)]
+    taken = " and ".join(effect_title(effect.name) for effect in here)
     size = f"{number.name} {values[0]:.3g}" + ("" if number.unit == "1" else f" {number.unit}")
+    title = effect_title(candidate.effect.name)
     return (
-        f"{candidate.place.label}: {title(candidate.effect.name)} ({candidate.effect.equation}, {size}) explains what "
+        f"{candidate.place.label}: {title} ({candidate.effect.equation}, {size}) explains what "
         f"{taken} does not (--effects all {candidate.effect.name} names it)",
     )
 

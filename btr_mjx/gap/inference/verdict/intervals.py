@@ -17,8 +17,8 @@ from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Judged, Side, nearest
 from btr_mjx.gap.inference.search.walks import scaled
 from btr_mjx.gap.results import Estimate
-from btr_mjx.gap.simulate import abreast
-from btr_mjx.gap.windows import Evidence, fit, steadied, weight
+from btr_mjx.gap.simulate import run_in_threads
+from btr_mjx.gap.windows import Evidence, fit, regularised, window_weight
 
 _DRAWS = 200
 _QUANTILES = (0.05, 0.95)
@@ -59,7 +59,7 @@ def intervals(bench: Bench, judged: Judged, rng: np.random.Generator, settled: b
 
     def solve(share: np.ndarray) -> np.ndarray:
         normal = np.tensordot(share * w, data.gram, 1)
-        return np.linalg.solve(steadied(normal + np.diag(precision)), -((share * w) @ data.moment))[:size]
+        return np.linalg.solve(regularised(normal + np.diag(precision)), -((share * w) @ data.moment))[:size]
 
     centre = solve(np.ones(count))
     draws = np.empty((_DRAWS, size))
@@ -71,7 +71,7 @@ def intervals(bench: Bench, judged: Judged, rng: np.random.Generator, settled: b
         draws[i] = solve(share) - centre
     normal = (np.tensordot(w, data.gram, 1) + np.diag(precision)) / bench.dispersion
     shown = np.diag(normal)[:size] > 0
-    posterior = np.linalg.inv(steadied(normal))[:size, :size]
+    posterior = np.linalg.inv(regularised(normal))[:size, :size]
     extra = np.sqrt(np.maximum(np.diag(posterior), 0.0)) * rng.standard_normal((_DRAWS, size))
     spread = draws + extra
     final = judged.hypothesis
@@ -106,7 +106,7 @@ def _evidence(bench: Bench, judged: Judged) -> tuple[Evidence, np.ndarray, np.nd
     columns = answers(free, judged.residual, found, steps)
     data = _both(bench, judged, (judged.refined.residual, judged.residual), (judged.refined.columns, columns))
     precision = np.concatenate([np.zeros(len(values)), bench.free(judged.sides[0], judged.hypothesis).precision])
-    return data, precision, weight(np.concatenate([judged.refined.chi2, judged.fits[1].chi2]), bench.cut)
+    return data, precision, window_weight(np.concatenate([judged.refined.chi2, judged.fits[1].chi2]), bench.cut)
 
 
 def _both(bench: Bench, judged: Judged, residuals: Sequence[np.ndarray], columns: Sequence[np.ndarray]) -> Evidence:
@@ -162,7 +162,7 @@ def _resized(bench: Bench, judged: Judged, hypothesis: Hypothesis, index: int) -
             start = nearest([other.based(own) for other in pool or [side]])
             return nearest([start, start.recentred(own)])
 
-        found = abreast([partial(suited, side, pool) for side, pool in zip(judged.sides, pools, strict=True)])
+        found = run_in_threads([partial(suited, side, pool) for side, pool in zip(judged.sides, pools, strict=True)])
         for pool, side in zip(pools, found, strict=True):
             pool.append(side)
         tries.append(own)
@@ -173,7 +173,7 @@ def _resized(bench: Bench, judged: Judged, hypothesis: Hypothesis, index: int) -
             pair = [nearest([pool[i], *(later.based(tries[i]) for later in pool[i + 1 :])]) for pool in pools]
             return _loss(bench, judged, [side.windows.residual for side in pair])
 
-        return abreast([partial(loss, i) for i in range(len(tries))])
+        return run_in_threads([partial(loss, i) for i in range(len(tries))])
 
     for factor in (1.0, *_SIZES):
         attempt(factor)

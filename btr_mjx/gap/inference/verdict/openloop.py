@@ -13,8 +13,8 @@ from scipy.optimize import least_squares
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Judged
-from btr_mjx.gap.simulate import Counter, Stretch, simulate
-from btr_mjx.gap.windows import Data, MakeWorld, smooth
+from btr_mjx.gap.simulate import Counter, Segments, simulate
+from btr_mjx.gap.windows import MakeWorld, PreparedData, smooth
 from btr_mjx.models import difference
 
 _EVALUATIONS = 8
@@ -86,20 +86,20 @@ def following(bench: Bench, judged: Judged) -> Judged:
     return bench.judge([hypothesis], [refined], judged.sides, judged.references)[0]
 
 
-def recording_errors(data: Data, makes: Sequence[MakeWorld], counter: Counter | None = None) -> np.ndarray:
+def recording_errors(data: PreparedData, makes: Sequence[MakeWorld], counter: Counter | None = None) -> np.ndarray:
     """Mean absolute position error of hypotheses over whole recordings (hypotheses, recordings) [rad or m]."""
     errors = _errors(data, makes, counter)
     return np.array([[float(np.mean(np.abs(e))) for e in row] for row in errors])
 
 
-def _errors(data: Data, makes: Sequence[MakeWorld], counter: Counter | None) -> list[list[np.ndarray]]:
+def _errors(data: PreparedData, makes: Sequence[MakeWorld], counter: Counter | None) -> list[list[np.ndarray]]:
     """Position errors (K, nv) of hypotheses over whole recordings, from the smoothed first sample."""
     starts = []
     for i, (recording, track) in enumerate(zip(data.recordings, data.tracks, strict=True)):
         qpos, qvel, _ = smooth(recording.model, track, np.array([0]), data.sigma, data.span)
         act = data.acts[i][:1] if recording.model.na else None
         since = (track.time - track.time[0])[None]
-        starts.append(Stretch(track.time[:1], qpos, qvel, since, data.commands, np.array([i]), act))
+        starts.append(Segments(track.time[:1], qpos, qvel, since, data.commands, np.array([i]), act))
     jobs = [(make(r.model), s) for make in makes for r, s in zip(data.recordings, starts, strict=True)]
     found = simulate(jobs, counter=counter)
     out: list[list[np.ndarray]] = []

@@ -10,8 +10,8 @@ from btr_mjx.gap.inference.search.search_records import MARGIN, Judged
 from btr_mjx.gap.inference.verdict.disagreement import place_names
 from btr_mjx.gap.inference.verdict.intervals import intervals
 from btr_mjx.gap.inference.verdict.openloop import open_loop
-from btr_mjx.gap.results import Calibrated, Gap, Named, Overlay, Refit, Row
-from btr_mjx.gap.windows import bounded
+from btr_mjx.gap.results import Calibrated, Gap, NamedEffect, Overlay, RankedCandidate, Refit
+from btr_mjx.gap.windows import bounded_loss
 
 SHARE = 0.01
 """The same, as a part of the best score: of a strong effect what calibration leaves decides on more."""
@@ -47,7 +47,7 @@ def named_effects(
     rounds: Sequence[Sequence[Judged]],
     rng: np.random.Generator,
     settled: bool = False,
-) -> tuple[Named, ...]:
+) -> tuple[NamedEffect, ...]:
     """What is called by name.
 
     Args:
@@ -71,7 +71,7 @@ def named_effects(
         others = tuple(name for name in equivalent(rounds[i], bench.delicate) if name != candidate.name)
         effect = candidate.effect
         out.append(
-            Named(
+            NamedEffect(
                 effect.name,
                 candidate.place.label,
                 parameters,
@@ -99,14 +99,14 @@ def calibration_of(named: Sequence[Judged]) -> tuple[Calibrated, ...]:
     )
 
 
-def ranking_of(rounds: Sequence[Sequence[Judged]]) -> tuple[Row, ...]:
+def ranking_of(rounds: Sequence[Sequence[Judged]]) -> tuple[RankedCandidate, ...]:
     """Rows of all rounds, best first in each."""
     rows = []
     for judged in rounds:
         for j in judged:
             candidate, values = j.hypothesis.effects[-1]
             rows.append(
-                Row(
+                RankedCandidate(
                     candidate.effect.name,
                     candidate.place.label,
                     j.score,
@@ -136,7 +136,7 @@ def gap_of(bench: Bench, start: Hypothesis, judged: Judged | None, nulls: float)
     cut = 3.0 * max(freedom, float(np.median(base)))
 
     def mean(chi2: np.ndarray) -> float:
-        return float(bounded(chi2, cut).mean() / freedom)
+        return float(bounded_loss(chi2, cut).mean() / freedom)
 
     residual = windows.residual if judged is None else judged.residual
     loops = open_loop(bench, [start, start if judged is None else judged.hypothesis])

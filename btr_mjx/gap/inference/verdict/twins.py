@@ -44,7 +44,7 @@ def candidates_of(bench: Bench, judged: Judged) -> list[tuple[int, Candidate]]:
     model, out = bench.dataset.model, []
     known = {candidate.effect.name for candidate in bench.candidates}
     for i, (candidate, _) in enumerate(judged.hypothesis.effects):
-        for effect in candidate.effect.akin:
+        for effect in candidate.effect.similar:
             there = [p for p in effect.places(model) if p.label == candidate.place.label]
             if effect.name not in known:
                 out += [(i, Candidate(effect, p, effect.parameters(model, bench.scales, p))) for p in there]

@@ -5,8 +5,7 @@ from gap_models import QUADRUPED
 
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import evaluate
-from btr_mjx.gap.results.mend import Found, mend
-from btr_mjx.gap.results.mended_robot import ControllerTrial, mended_robot
+from btr_mjx.gap.results import ControllerTrial, FoundEffect, mend, mended_robot
 from btr_mjx.models import compile_models
 from btr_mjx.robots import Box
 
@@ -37,10 +36,10 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_the_template_is_the_mended_model_at_every_point_of_its_box(case: str, rng: np.random.Generator) -> None:
     robot = mended_robot(QUADRUPED, CASES[case], ControllerTrial(signal, CONTROLLERS, base_body="torso"))
-    found = [Found.from_result(e) for e in CASES[case]]
+    found = [FoundEffect.from_result(e) for e in CASES[case]]
     for values in [robot.nominal_simulation, *robot.simulation_box.sample(rng, 3)]:
         rest = list(values)
-        items = [Found(f.effect, f.location, {name: rest.pop(0) for name in f.values}) for f in found]
+        items = [FoundEffect(f.effect, f.location, {name: rest.pop(0) for name in f.values}) for f in found]
         expected = mujoco.MjModel.from_xml_string(mend(QUADRUPED, items).xml)
         ours = mujoco.MjModel.from_xml_string(robot.render(values))
         for field in ("dof_damping", "body_mass", "body_pos", "body_ipos", "geom_pos", "geom_size", "actuator_gainprm"):
@@ -49,7 +48,7 @@ def test_the_template_is_the_mended_model_at_every_point_of_its_box(case: str, r
         np.testing.assert_allclose(ours.dof_M0, expected.dof_M0, rtol=1e-4)
 
 
-def test_back_to_reality_goes_on_with_it(rng: np.random.Generator) -> None:
+def test_a_mended_robot_can_be_evaluated(rng: np.random.Generator) -> None:
     robot = mended_robot(
         QUADRUPED, CASES["damping"], ControllerTrial(signal, CONTROLLERS, base_body="torso", duration=0.05)
     )
@@ -59,7 +58,7 @@ def test_back_to_reality_goes_on_with_it(rng: np.random.Generator) -> None:
     assert np.isfinite(result.fitness).all()
 
 
-def test_calibration_is_no_dimension_but_part_of_every_simulation(rng: np.random.Generator) -> None:
+def test_errors_of_calibration_are_in_every_simulation_and_no_dimension(rng: np.random.Generator) -> None:
     error = {"effect": "link_length", "location": "body:shank1", "parameters": {"change": 0.005}}
     both = [
         mended_robot(QUADRUPED, CASES["damping"], ControllerTrial(signal, CONTROLLERS), calibration=calibration)
@@ -68,14 +67,14 @@ def test_calibration_is_no_dimension_but_part_of_every_simulation(rng: np.random
     assert both[0].simulation_box.names == both[1].simulation_box.names
     for values in both[0].simulation_box.sample(rng, 2):
         plain, ours = (mujoco.MjModel.from_xml_string(robot.render(values)) for robot in both)
-        longer = mend(both[0].render(values), [Found("link_length", "body:shank1", {"change": 0.005})]).xml
+        longer = mend(both[0].render(values), [FoundEffect("link_length", "body:shank1", {"change": 0.005})]).xml
         expected = mujoco.MjModel.from_xml_string(longer)
         for field in ("dof_damping", "body_mass", "body_pos", "geom_pos", "geom_size"):
             np.testing.assert_allclose(getattr(ours, field), getattr(expected, field), rtol=1e-4, atol=1e-6)
         assert np.abs(ours.geom_size - plain.geom_size).max() == pytest.approx(0.0025, rel=0.01)
 
 
-def test_what_cannot_be_a_simulation_is_refused() -> None:
+def test_effects_without_mjcf_or_parameters_are_refused() -> None:
     with pytest.raises(InputError, match="load_friction@all"):
         mended_robot(
             QUADRUPED,

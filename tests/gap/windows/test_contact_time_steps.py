@@ -1,4 +1,4 @@
-"""Light legs on the ground: shorter time steps where feet need them, and no products of wild transitions."""
+"""A quadruped with light legs: division of the time step for contacts, and Jacobians of nonlinear windows."""
 
 from dataclasses import replace
 
@@ -16,24 +16,24 @@ from btr_mjx.gap.windows import (
     Options,
     Span,
     Windows,
-    chosen_windows,
+    choose_windows,
     fine_step,
     linearise,
-    pace_notes,
     prepare,
     signatures,
     survey,
+    time_step_notes,
 )
-from btr_mjx.gap.windows.propagation import jacobian, tame
+from btr_mjx.gap.windows.propagation import jacobian, linearisation_holds
 from btr_mjx.gap.windows.time_steps import refinement, step_error
-from btr_mjx.gap.windows.transitions import secants
+from btr_mjx.gap.windows.transitions import simulated_jacobians
 from btr_mjx.models import integrate
 from btr_mjx.testing import CaseSettings, case_robot, make_case
 
 
 @pytest.fixture(scope="module")
 def quadruped(tmp_path_factory):
-    """A quadruped as it is believed to be, with the noise of its sensors: data, and windows that do not overlap."""
+    """Data of the believed quadruped with sensor noise, and windows that do not overlap."""
     folder = tmp_path_factory.mktemp("quadruped")
     make_case(folder, 906, "quadruped", CaseSettings(verdict="none", background=0.0, recordings=(1, 1), duration=1.0))
     data = load(folder)
@@ -43,9 +43,9 @@ def quadruped(tmp_path_factory):
     return prepare(data.fit, data.interpolation, sigma, Span(5, 4)), first, k
 
 
-def windows_of(quadruped, finer=1, noise=1.0):
+def windows_of(quadruped, step_divisor=1, noise=1.0):
     data, first, k = quadruped
-    data = replace(data, finer=finer, rough=finer > 1, sigma=noise * data.sigma)
+    data = replace(data, step_divisor=step_divisor, refined_for_contact=step_divisor > 1, sigma=noise * data.sigma)
     return Windows(data, np.zeros(len(first), int), first, k)
 
 
@@ -61,12 +61,12 @@ def fine(quadruped):
     [(100.0, [1]), (1.0, [4]), (0.15, [8]), (0.01, [16])],
     ids=["unseen", "seen", "more", "most"],
 )
-def test_the_step_is_divided_where_sensors_see_what_it_does(quadruped, noise, expected) -> None:
+def test_step_is_divided_if_its_error_exceeds_noise(quadruped, noise, expected) -> None:
     assert refinement(windows_of(quadruped, noise=noise), World.of) in expected
 
 
-def test_what_a_shorter_step_leaves_is_nearer_to_a_fine_one(quadruped) -> None:
-    """What steps do is found around one starting state; from half a standard deviation away something is left of it."""
+def test_divided_step_reduces_remaining_error(quadruped) -> None:
+    """The correction is computed at one starting state; half a standard deviation away an error remains."""
     off = []
     for finer in (1, 4):
         windows = windows_of(quadruped, finer)
@@ -78,43 +78,43 @@ def test_what_a_shorter_step_leaves_is_nearer_to_a_fine_one(quadruped) -> None:
     assert off[1] < 0.75 * off[0]
 
 
-def test_windows_are_chosen_for_the_step_that_they_take(quadruped) -> None:
+def test_number_of_windows_with_divided_step(quadruped) -> None:
     data = quadruped[0]
     found, base = survey(data, Counter()), Hypothesis((), ())
     assert found.contact
     few = Options(steps=2e4)
-    chosen = chosen_windows(data, data, base, found, 100, few, Counter())
+    chosen = choose_windows(data, data, base, found, 100, few, Counter())
     fit, test = chosen.windows
     own = float(fit.models[0].opt.timestep)
     assert fit.dt == test.dt == own / 4 == fit.step
     assert chosen.options.steps == 4 * few.steps
-    assert "steps of 0.25 ms: steps of 1 ms" in pace_notes(fit)[0]
+    assert "steps of 0.25 ms: steps of 1 ms" in time_step_notes(fit)[0]
     noisy = replace(data, sigma=100 * data.sigma)
-    rough = chosen_windows(noisy, noisy, base, found, 100, few, Counter())
+    rough = choose_windows(noisy, noisy, base, found, 100, few, Counter())
     assert rough.windows[0].dt == own
     assert rough.options is few
-    assert pace_notes(rough.windows[0]) == ()
+    assert time_step_notes(rough.windows[0]) == ()
     assert len(fit) >= len(rough.windows[0])
 
 
-def test_what_touches_nothing_keeps_its_step() -> None:
-    """However much sensors see of it: where nothing touches it is known well and taken off."""
+def test_step_is_not_divided_without_contact() -> None:
+    """Without contact the error is corrected, however large it is relative to the noise."""
     data = prepare([recording("r", seed=3)], "cubic", 0.01 * SIGMA, Span(5, 6))
     windows = Windows(data, np.zeros(2, int), np.array([10, 150]), 30)
     assert refinement(windows, World.of) >= 4
     found = survey(data, Counter())
     assert not found.contact
-    chosen = chosen_windows(data, data, Hypothesis((), ()), found, 100, Options(), Counter())
+    chosen = choose_windows(data, data, Hypothesis((), ()), found, 100, Options(), Counter())
     assert chosen.windows[0].dt == windows.dt
 
 
-def test_secants_are_differences_of_whole_simulations(fine) -> None:
+def test_simulated_jacobians_equal_differences_of_simulations(fine) -> None:
     own = np.array([0, 3])
-    found = secants(fine, World.of, own)
+    found = simulated_jacobians(fine, World.of, own)
     nv, sigma = fine.nv, fine.data.sigma
 
     def end(w, away):
-        start = fine.stretch(
+        start = fine.segments(
             np.array([w]),
             integrate(fine.models[0], fine.qpos[[w]], away[None, :nv]),
             fine.qvel[[w]] + away[nv:],
@@ -129,21 +129,21 @@ def test_secants_are_differences_of_whole_simulations(fine) -> None:
             np.testing.assert_allclose(found[i, :, j], 2.0 * fine.scaled(fine.minus(moved, unmoved))[0], atol=1e-6)
 
 
-def test_secants_are_the_product_of_transitions_where_nothing_touches() -> None:
+def test_simulated_jacobians_equal_products_without_contact() -> None:
     windows = arm_windows()
-    found, product = secants(windows, World.of, np.arange(len(windows))), jacobian(windows)
+    found, product = simulated_jacobians(windows, World.of, np.arange(len(windows))), jacobian(windows)
     assert np.linalg.norm(found - product) < 0.02 * np.linalg.norm(product)
 
 
-def test_wild_windows_have_secants_and_no_signatures(fine) -> None:
-    """Touchdowns one after another: a product of transitions that no simulation knows."""
+def test_nonlinear_windows_have_simulated_jacobians_and_no_signatures(fine) -> None:
+    """Several touchdowns: the product of transition matrices differs from the simulation."""
     product = jacobian(fine)
-    wild = np.flatnonzero(~fine.tame)
-    assert 0 < len(wild) <= len(fine) // 2
+    nonlinear = np.flatnonzero(~fine.is_linear)
+    assert 0 < len(nonlinear) <= len(fine) // 2
     size = np.linalg.norm(product, axis=(1, 2))
     secant = np.linalg.norm(fine.jacobians, axis=(1, 2))
-    assert secant[wild].max() < 0.2 * size[wild].min()
-    np.testing.assert_array_equal(fine.jacobians[fine.tame], product[fine.tame])
+    assert secant[nonlinear].max() < 0.2 * size[nonlinear].min()
+    np.testing.assert_array_equal(fine.jacobians[fine.is_linear], product[fine.is_linear])
 
     def damped(model):
         world = World.of(model)
@@ -153,7 +153,7 @@ def test_wild_windows_have_secants_and_no_signatures(fine) -> None:
     for single in (False, True):
         (found,) = signatures(fine, World.of, [damped], single)
         true = fine.residuals([damped])[0] - fine.residual
-        assert not found[wild].any()
+        assert not found[nonlinear].any()
         calm = np.flatnonzero(size < 300.0)
         assert len(calm) > 3
         off = np.linalg.norm(found[calm] - true[calm], axis=1) / np.linalg.norm(true[calm], axis=1)
@@ -161,18 +161,18 @@ def test_wild_windows_have_secants_and_no_signatures(fine) -> None:
 
 
 @given(st.lists(st.floats(0.0, 1e12), min_size=1, max_size=30))
-def test_at_least_half_of_the_windows_are_tame(sizes) -> None:
-    found = tame(np.array(sizes)[:, None, None])
+def test_linearisation_holds_in_at_least_half_of_the_windows(sizes) -> None:
+    found = linearisation_holds(np.array(sizes)[:, None, None])
     assert 2 * found.sum() >= len(sizes)
     assert found[np.array(sizes) <= 3e4].all()
     order = np.argsort(sizes)
-    assert (np.diff(found[order].astype(int)) <= 0).all()  # none is wilder than one that is wild
+    assert (np.diff(found[order].astype(int)) <= 0).all()  # monotone in the amplification
 
 
-def test_nulls_know_what_is_left_of_the_step(quadruped, fine) -> None:
-    """Data of a null take fine steps where the model's is divided; of an arm they leave noise and nothing else."""
+def test_nulls_include_remaining_step_error(quadruped, fine) -> None:
+    """Simulated null data take fine steps if the step is divided; those of an arm leave noise only."""
     arm = arm_windows()
-    data = replace(arm.data, finer=4, rough=True)
+    data = replace(arm.data, step_divisor=4, refined_for_contact=True)
     windows = Windows(data, arm.recording, arm.first, arm.k)
     linearise(windows, World.of)
     rng = np.random.default_rng(1)

@@ -1,6 +1,6 @@
-"""Copying a traced function into one list of equations: calls are inlined, common subexpressions merged.
+"""Flattening of a traced function into one list of equations: calls are inlined, common subexpressions merged.
 
-Two equations are merged only if they compute the same bits; see `retrace` for what that promises.
+Two equations are merged only if they compute the same bits; see `retrace` for the guarantees.
 """
 
 import struct
@@ -14,11 +14,11 @@ from jax.extend import core
 
 _P = core.primitives
 
-# a op b has the bits of b op a. Not so for float max and min, where the order of +0 and -0 decides.
+# a op b equals b op a to the bit. This does not hold for float max and min of +0 and -0.
 _COMMUTATIVE = frozenset({"add", "mul", "and", "or", "xor", "eq", "ne"})
 _COMMUTATIVE_EXACT = frozenset({"max", "min"})
 
-# Never merged: barriers exist to keep values apart, copies to own their memory, the others may hide state.
+# Never merged: barriers keep values apart, copies own their memory, the others may have state.
 _KEEP_APART = ("optimization_barrier", "copy", "random_", "rng_", "threefry", "pure_callback", "io_callback", "infeed")
 
 
@@ -32,7 +32,7 @@ def is_pure(jaxpr: core.Jaxpr) -> bool:
 
 
 class Flattener:
-    """Copies equations into one list, inlining calls and leaving out equations that are there already."""
+    """Copies equations into one list, inlining calls and leaving out equations that are already in the list."""
 
     def __init__(self, inline_custom: bool):
         self.inline_custom = inline_custom
@@ -45,7 +45,7 @@ class Flattener:
 
     def add(self, jaxpr: core.Jaxpr, inputs: Sequence[Any]) -> list[Any]:
         """Adds the equations of `jaxpr` applied to `inputs`; returns the variables or literals of its results."""
-        # One jaxpr may be added many times, and different jaxprs may share variables: the names live in this call.
+        # One jaxpr may be added many times, and jaxprs may share variables: names are local to this call.
         names = dict(zip(jaxpr.invars, inputs, strict=True))
         names.update((v, self._constant(v, c)) for v, c in zip(jaxpr.constvars, jaxpr.consts, strict=True))
         for eqn in jaxpr.eqns:
@@ -66,12 +66,19 @@ class Flattener:
         return self.constvars[key]
 
     def _inlinable(self, eqn: core.JaxprEqn, operands: Sequence[Any]) -> core.Jaxpr | None:
-        """The jaxpr that `eqn` merely calls, or None."""
+        """The jaxpr that `eqn` calls if it can be inlined, else None."""
         params = eqn.params
         if eqn.primitive is _P.jit_p:
-            # Whatever was asked of the nested compilation cannot be asked of a part of the surrounding program.
-            asked = [*params["in_shardings"], *params["out_shardings"], *params["in_layouts"], *params["out_layouts"]]
-            if params["compiler_options_kvs"] or any(a is not None and repr(a) != "UnspecifiedValue" for a in asked):
+            # Shardings, layouts and options of a nested compilation cannot be applied to a part of a program.
+            requested = [
+                *params["in_shardings"],
+                *params["out_shardings"],
+                *params["in_layouts"],
+                *params["out_layouts"],
+            ]
+            if params["compiler_options_kvs"] or any(
+                a is not None and repr(a) != "UnspecifiedValue" for a in requested
+            ):
                 return None
             body = params["jaxpr"]
         elif eqn.primitive in (_P.call_p, _P.closed_call_p) or (
@@ -100,7 +107,7 @@ class Flattener:
 
 
 def rename(names: Mapping[Any, Any], atoms: Sequence[Any]) -> list[Any]:
-    """Variables by their new names, where they have one; literals as they are."""
+    """Variables replaced by their new names, where they have one; literals unchanged."""
     return [v if isinstance(v, core.Literal) else names.get(v, v) for v in atoms]
 
 
@@ -108,7 +115,7 @@ def _key(eqn: core.JaxprEqn, operands: Sequence[Any]) -> Hashable:
     """A key that two equations share only if they compute the same bits.
 
     Raises:
-        _Unmergeable: If the equation must stay, or if that cannot be told.
+        _Unmergeable: the equation must not be merged, or its parameters cannot be compared.
     """
     name = eqn.primitive.name
     if eqn.effects or name.startswith(_KEEP_APART):
@@ -128,7 +135,7 @@ def _literal_key(literal: core.Literal) -> Hashable:
 
 
 def _freeze(value: Any) -> Hashable:
-    """A hashable stand-in for a parameter; unlike `==` it tells 1 from True and 1.0, and 0.0 from -0.0."""
+    """A hashable key for a parameter; unlike `==` it distinguishes 1, True and 1.0, and 0.0 and -0.0."""
     if isinstance(value, dict):
         return type(value), frozenset((k, _freeze(v)) for k, v in value.items())
     if isinstance(value, tuple | list):

@@ -1,4 +1,4 @@
-"""What preflight says of time: rates, gaps, and by how much positions follow commands."""
+"""Checks of timing: sampling rate, gaps, delay of positions behind commands."""
 
 from collections.abc import Sequence
 
@@ -12,7 +12,7 @@ from btr_mjx.models import part_names
 
 
 def sampling(dataset: Dataset) -> list[Finding]:
-    """How often was sampled, where samples are missing, and whether that is enough for these commands."""
+    """Check sampling rate, gaps, and samples per period of the commands."""
     findings = []
     steps = np.concatenate([np.diff(r.time) for r in dataset.recordings])
     usual = float(np.median(steps))
@@ -45,7 +45,7 @@ def sampling(dataset: Dataset) -> list[Finding]:
                     f"{recording.time[k]:.6g} to {recording.time[k + 1]:.6g} s",
                 )
             )
-    tempo = max((_tempo(r) for r in dataset.recordings), default=0.0)
+    tempo = max((_command_frequency(r) for r in dataset.recordings), default=0.0)
     if tempo > 0 and 1 / (tempo * usual) < 10:
         findings.append(
             Finding(
@@ -66,8 +66,8 @@ def sampling(dataset: Dataset) -> list[Finding]:
     return findings
 
 
-def _tempo(recording: Recording) -> float:
-    """Mean rate of zero crossings of the commands' changes, as a frequency [Hz]; 0 for constant commands."""
+def _command_frequency(recording: Recording) -> float:
+    """Median over commands of half the rate of crossings of the mean [Hz]; 0 for constant commands."""
     rates = []
     for column in recording.ctrl.T:
         if np.ptp(column) > 0:
@@ -76,8 +76,8 @@ def _tempo(recording: Recording) -> float:
     return float(np.median(rates)) if rates else 0.0
 
 
-def clocks(dataset: Dataset, joints: Sequence[JointTrack]) -> list[Finding]:
-    """A hint only: by how much responses follow commands, servo dynamics included."""
+def response_delays(dataset: Dataset, joints: Sequence[JointTrack]) -> list[Finding]:
+    """Delay of the positions of servo joints behind their commands, servo dynamics included."""
     model, shifts = dataset.model, []
     usual = float(np.median(np.concatenate([np.diff(r.time) for r in dataset.recordings])))
     for joint in joints:
@@ -112,7 +112,7 @@ def clocks(dataset: Dataset, joints: Sequence[JointTrack]) -> list[Finding]:
 
 
 def _shift(time: np.ndarray, command: np.ndarray, response: np.ndarray, step: float) -> float | None:
-    """Delay [s] of the best correlation within a quarter of a second; None where nothing correlates."""
+    """Lag [s] within +-0.25 s of the largest cross-correlation of the slopes; None if the correlation is below 0.7."""
     even = np.arange(time[0], time[-1], step)
     if len(even) < 40 or np.ptp(command) == 0 or np.ptp(response) == 0:
         return None

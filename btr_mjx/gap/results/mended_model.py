@@ -1,10 +1,11 @@
-"""ADD: the model with what was found missing, as MJCF that plain MuJoCo loads, and a callback for what MJCF cannot say.
+"""The mended model: the believed MJCF with the effects that were found, and a callback for those without MJCF.
 
-    mended = mend(xml, [Found("viscous_damping", "joint:knee", {"damping": 0.8})])
+    mended = mend(xml, [FoundEffect("viscous_damping", "joint:knee", {"damping": 0.8})])
     Path("mended.xml").write_text(mended.xml)
+    Path("mended.json").write_text(json.dumps(mended.as_json()))
 
-Effects that depend on the state or on the command (load-dependent friction, backlash, ...) have no MJCF. They are
-listed in `mended.terms`, and a `Callback` adds them to any simulation:
+Effects that depend on the state or on the command (load-dependent friction, backlash, ...) have no term in MJCF. They
+are listed in `mended.terms`, and a `Callback` adds them to any simulation:
 
     model = mujoco.MjModel.from_xml_path("mended.xml")
     data = mujoco.MjData(model)
@@ -24,23 +25,23 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.effects import KNOWN, Effect, Place, Scales
+from btr_mjx.gap.effects import KNOWN_EFFECTS, Effect, Place, Scales
 from btr_mjx.gap.results.transcribe import normalised, write_changes
 from btr_mjx.gap.simulate import Command, Rows, World
 from btr_mjx.models import nearest_names, read_field, set_values
 
 _MEMORY = 2.0
-"""How much of the past command a callback remembers [s]; lags are far shorter."""
+"""Time for which a callback keeps past commands [s], much longer than any delay or lag of the library."""
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundEffect:
     """An effect that was found missing.
 
     Attributes:
-      effect: its name.
-      location: label of its place.
-      values: parameter name -> value.
+      effect: name of the effect.
+      location: label of its place, such as "joint:knee".
+      values: parameter name -> value, in SI units.
     """
 
     effect: str
@@ -48,21 +49,25 @@ class Found:
     values: Mapping[str, float]
 
     @classmethod
-    def from_result(cls, entry: Mapping[str, Any]) -> "Found":
-        """An entry of `effects` in result.json."""
+    def from_result(cls, entry: Mapping[str, Any]) -> "FoundEffect":
+        """A finding from an entry of `effects` or `calibration` in result.json.
+
+        Args:
+          entry: effect, location, and parameters as numbers or as mappings with `value`.
+        """
         values = {name: float(p["value"] if isinstance(p, Mapping) else p) for name, p in entry["parameters"].items()}
         return cls(str(entry["effect"]), str(entry["location"]), values)
 
 
 @dataclass(frozen=True)
-class Mended:
+class MendedModel:
     """A model with the missing effects added.
 
     Attributes:
-      xml: MJCF that plain MuJoCo loads, with every effect that MJCF can say.
-      terms: the other effects, for JSON: effect, location, parameters, equation, and why they are not native.
-      native: "effect@location" of those inside `xml`.
-      notes: what a reader should know, such as fields that could not be written.
+      xml: MJCF that plain MuJoCo loads, with every effect that MJCF can express.
+      terms: the other effects, for JSON: effect, location, parameters, equation, and why MJCF cannot express them.
+      native: "effect@location" of the effects inside `xml`.
+      notes: remarks for the reader, such as fields that could not be written.
     """
 
     xml: str
@@ -71,7 +76,7 @@ class Mended:
     notes: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
-        """What is written beside the MJCF."""
+        """Content of mended.json."""
         return {"terms": self.terms, "native": list(self.native), "notes": list(self.notes), "use": _USE}
 
 
@@ -83,17 +88,20 @@ _USE = (
 
 def mend(
     source: str | Path,
-    found: Sequence[Found],
+    found: Sequence[FoundEffect],
     *,
     believed: Mapping[str, float] | None = None,
-    effects: Sequence[Effect] = KNOWN,
-) -> Mended:
+    effects: Sequence[Effect] = KNOWN_EFFECTS,
+) -> MendedModel:
     """Add effects to a model.
+
+    Every effect edits a simulated world. Fields of the model that differ afterwards are written into the MJCF. An edit
+    of the command or a law that depends on the state becomes an entry of `terms`.
 
     Args:
       source: MJCF of the believed model, text or a file.
       found: the missing effects, in the order in which they apply.
-      believed: path into the model -> refitted value of believed parameters, see `paths`.
+      believed: path into the model -> refitted value of a believed parameter, see `btr_mjx.models.parse_path`.
       effects: the library that `found` refers to.
 
     Returns:
@@ -109,7 +117,7 @@ def mend(
         set_values(world.model, believed)
     terms, native = [], []
     for item in found:
-        effect, place, values = lookup(base, item, effects)
+        effect, place, values = resolve_effect(base, item, effects)
         before = (len(world.command_edits), len(world.laws), world.wrench.copy())
         effect.apply(world, place, values)
         extra = before[:2] != (len(world.command_edits), len(world.laws)) or not np.array_equal(before[2], world.wrench)
@@ -128,11 +136,21 @@ def mend(
     left = write_changes(spec, world, base)
     notes = tuple(f"{name} differs from the believed model and cannot be written as MJCF" for name in left)
     spec.compile()
-    return Mended(spec.to_xml(), terms, tuple(native), notes)
+    return MendedModel(spec.to_xml(), terms, tuple(native), notes)
 
 
-def lookup(model: mujoco.MjModel, found: Found, effects: Sequence[Effect]) -> tuple[Effect, Place, np.ndarray]:
-    """The effect, the place and the (p,) values that a finding names.
+def resolve_effect(
+    model: mujoco.MjModel, found: FoundEffect, effects: Sequence[Effect]
+) -> tuple[Effect, Place, np.ndarray]:
+    """The library's effect, its place in a model and its values.
+
+    Args:
+      model: the believed model.
+      found: effect, place and values by name.
+      effects: the library.
+
+    Returns:
+      The effect, the place, and the (p,) values in the order of the effect's parameters.
 
     Raises:
       InputError: a name that the library or the model does not have; the message lists the nearest.
@@ -163,31 +181,34 @@ def _names(model: mujoco.MjModel, effect: Effect, place: Place) -> list[str]:
 
 
 class Callback:
-    """The terms that MJCF cannot say, for a simulation of the mended model step by step.
+    """Effects that MJCF cannot express, for a simulation of the mended model step by step.
 
     Call it before every `mujoco.mj_step`, after the control was set: it changes the control, the applied forces and
-    fields of the model for the coming step, and takes its own changes back at the next call. As MuJoCo's control
-    callback it acts one stage later in the step, so that friction comes one step late:
+    fields of the model for the coming step, and reverts its own changes at the next call. As MuJoCo's control callback
+    it is called at a later stage of the step, so that friction acts one step late:
 
         mujoco.set_mjcb_control(lambda model, data: (control(model, data), missing(model, data)))
 
-    A negative delay cannot act on a command that is not known yet; the command then stays as it is.
+    A negative delay would need a command that is not known yet; such a command is not changed.
     """
 
     def __init__(
-        self, model: mujoco.MjModel, terms: Sequence[Mapping[str, Any]], effects: Sequence[Effect] = KNOWN
+        self, model: mujoco.MjModel, terms: Sequence[Mapping[str, Any]], effects: Sequence[Effect] = KNOWN_EFFECTS
     ) -> None:
         """A callback for one simulation.
 
         Args:
-          model: the mended model; fields such as dof_frictionloss are written while it runs.
-          terms: entries of `Mended.terms`.
+          model: the mended model; fields such as dof_frictionloss are written at every call.
+          terms: entries of `MendedModel.terms`.
           effects: the library that they refer to.
+
+        Raises:
+          InputError: an effect, place or parameter that the library or the model does not have.
         """
         world = World.of(model)
         inherent = len(world.command_edits)  # the model's own delays, which MuJoCo simulates
         for term in terms:
-            effect, place, values = lookup(model, Found.from_result(term), effects)
+            effect, place, values = resolve_effect(model, FoundEffect.from_result(term), effects)
             effect.apply(world, place, values)
         self._world = world
         self._edits = world.command_edits[inherent:]
@@ -197,7 +218,12 @@ class Callback:
         self._fresh = True
 
     def __call__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Act on the coming step of `data`, whose control is the command."""
+        """Apply the effects to the coming step.
+
+        Args:
+          model: the mended model.
+          data: the state; `data.ctrl` is the command.
+        """
         data.qfrc_applied -= self._force
         data.xfrc_applied -= self._wrench
         for name, values in self._baseline.items():
@@ -227,9 +253,9 @@ class Callback:
         self._force, self._wrench = data.qfrc_applied - force, data.xfrc_applied - wrench
 
     def _command(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-        """What arrives of the commands so far, each of which is meant for the middle of its step."""
+        """The command at the middle of the coming step, after delays and lags of all commands so far."""
         middle = data.time + 0.5 * model.opt.timestep
-        if self._sent and middle <= self._sent[-1][0]:  # a new start
+        if self._sent and middle <= self._sent[-1][0]:  # a simulation that starts again
             self._sent.clear()
         self._sent.append((middle, data.ctrl.copy()))
         while self._sent[0][0] < middle - _MEMORY:

@@ -1,24 +1,24 @@
 """A JAX transformation that rewrites a function so that XLA computes each expensive value once.
 
 XLA's CPU backend fuses an elementwise producer into *every* consumer and computes it again in each of them. In a long
-unrolled straight-line program (thousands of scalar operations on arrays of lanes) that recomputation compounds, and it
-dominates both the run time and the compile time. `retrace` breaks the chains: it traces the function to a jaxpr and
+straight-line program (thousands of operations on arrays of lanes) this recomputation multiplies along chains and
+dominates both the run time and the compile time. `retrace` traces the function to a jaxpr and
 
 1. inlines nested calls (`jit`, `closed_call`, `custom_jvp`), with fresh variables for every inlined equation;
 2. merges common subexpressions, in the same walk;
-3. drops equations whose results nobody reads;
-4. puts a `lax.optimization_barrier` after each value that several equations read and that is dear to recompute.
+3. drops equations whose results are not used;
+4. puts a `lax.optimization_barrier` after each value that several equations use and that is expensive to recompute.
 
 The bodies of `while`, `scan` and `cond` are rewritten in the same way.
 
-Guarantees. The rewritten function performs the same operations on the same operands as the original, each at most as
+Guarantees: The rewritten function performs the same operations on the same operands as the original, each at most as
 often; op by op (outside `jit`) its results have the same bits. Under `jit` the compiler may fuse differently, so
 results agree to rounding. Derivatives are those of the original function, custom rules included. Equations with side
-effects keep their order and are never merged, dropped or looked into, and neither are callbacks and random primitives
+effects keep their order and are never merged, dropped or rewritten inside; callbacks and random primitives are never
 merged. `retrace(retrace(f))` equals `retrace(f)`. All passes take time linear in the size of the jaxpr.
 
-Limits. Like `jax.jit`, the wrapped function sees tracers, not values, for all its arguments. Nothing is cached: each
-call traces anew, so call it inside `jit`. Barriers written by hand are kept. Shardings and compiler options attached
+Limits: As under `jax.jit`, the wrapped function receives tracers, not values. Nothing is cached: each call traces
+again, so call it inside `jit`. Existing barriers are kept. Shardings and compiler options attached
 to a nested `jit` keep it from being inlined; its body is rewritten all the same.
 """
 
@@ -35,7 +35,7 @@ import numpy as np
 from jax import lax
 from jax.extend import core
 
-from btr_mjx.engines.lanes.flatten import Flattener, is_pure, rename
+from btr_mjx.engines.rewriting.flatten import Flattener, is_pure, rename
 
 _P = core.primitives
 
@@ -46,7 +46,7 @@ def _words(text: str) -> frozenset[str]:
 
 # Cost of one equation per element, in simple arithmetic operations. Primitives that are not listed cost 1.
 DEFAULT_COSTS: Mapping[str, float] = MappingProxyType(
-    # Moving or relabelling elements is folded into the addressing of the loop that reads them.
+    # XLA folds data movement into the indexing of the loop that reads the elements.
     dict.fromkeys(_words("broadcast_in_dim convert_element_type copy reshape rev slice squeeze transpose"), 0.0)
     | dict.fromkeys(_words("cbrt div rem rsqrt sqrt"), 8.0)
     | dict.fromkeys(_words("acos acosh asin asinh atan atan2 atanh cos cosh digamma erf erf_inv erfc exp exp2"), 30.0)
@@ -54,7 +54,7 @@ DEFAULT_COSTS: Mapping[str, float] = MappingProxyType(
     | dict.fromkeys(_words("reduce_and reduce_max reduce_min reduce_or reduce_prod reduce_sum reduce_xor"), 30.0)
 )
 
-# The results of these are written to memory whatever their readers are: XLA never recomputes them.
+# XLA always writes the results of these primitives to memory and never recomputes them.
 _OPAQUE = _words(
     "cholesky conv_general_dilated cumsum cumprod cummax cummin cumlogsumexp dot_general fft gather "
     "optimization_barrier scatter scatter_add scatter_max scatter_min scatter_mul sort triangular_solve threefry2x32"
@@ -77,7 +77,7 @@ class EquationCounts:
         ops: Equations that remain, barriers not counted.
         materialised: Barriers put in.
         merged: Equations replaced by an equal earlier one.
-        dead: Equations dropped because nobody reads their results.
+        dead: Equations dropped because their results are not used.
     """
 
     ops: int = 0
@@ -87,7 +87,7 @@ class EquationCounts:
 
     @property
     def removed(self) -> int:
-        """Equations that were traced and are gone, merged or dead."""
+        """Number of traced equations that were removed: merged or dead."""
         return self.merged + self.dead
 
     def __add__(self, other: "EquationCounts") -> "EquationCounts":
@@ -106,14 +106,14 @@ def retrace[**A, R](
 
     The cost of a value is the cost of its own operation plus the costs of its operands, counted back to the nearest
     arguments or values that are in memory already (barriers, loop results, matrix products). A value with `n >= 2`
-    readers is put behind a barrier if recomputing it `n - 1` times costs more than `threshold`; being a result of the
-    function counts as one more reader.
+    users gets a barrier if recomputing it `n - 1` times costs more than `threshold`; a result of the function counts as
+    one more user.
 
     Args:
         fn: A function of pytrees of arrays and numbers, as `jax.jit` takes. It may be used under any JAX
             transformation, and inside the bodies of loops.
-        threshold: Recomputation that is cheaper than a trip through memory, in simple operations per element. Zero
-            puts a barrier on every shared value that costs anything, infinity none (subexpressions are still merged).
+        threshold: Cost below which recomputation is cheaper than a store and a load, in simple operations per element.
+            Zero puts a barrier on every shared value of positive cost, infinity none (subexpressions are still merged).
         costs: Cost per element of primitives by name; takes precedence over `DEFAULT_COSTS`.
 
     Returns:
@@ -130,7 +130,7 @@ def retrace[**A, R](
         result = _Rewriter(options, inline_custom=is_pure(jaxpr)).rewrite(jaxpr)
         run = core.jaxpr_as_fun(result.jaxpr)
         if result.custom:
-            # Inlining forgot the custom rules, so derivatives are taken through the program as it was traced.
+            # Inlining loses custom derivative rules, so derivatives are those of the program as it was traced.
             original = core.jaxpr_as_fun(jaxpr)
             run = jax.custom_jvp(run)
             run.defjvp(lambda primals, tangents: jax.jvp(original, primals, tangents))
@@ -142,11 +142,11 @@ def retrace[**A, R](
 def count_equations(
     fn: Callable[..., Any], *args: Any, threshold: float = 8.0, costs: Mapping[str, float] | None = None, **kwargs: Any
 ) -> EquationCounts:
-    """Says what `retrace(fn, threshold=threshold, costs=costs)(*args, **kwargs)` does, without running `fn`.
+    """Counts what `retrace(fn, threshold=threshold, costs=costs)(*args, **kwargs)` does, without running `fn`.
 
     Args:
         fn: As in `retrace`.
-        *args: Arguments of `fn`; `jax.ShapeDtypeStruct`s will do.
+        *args: Arguments of `fn`, or their `jax.ShapeDtypeStruct`s.
         threshold: As in `retrace`.
         costs: As in `retrace`.
         **kwargs: Keyword arguments of `fn`.
@@ -189,17 +189,17 @@ def _trace(fn: Callable[..., Any], args: Any, kwargs: Any) -> tuple[core.Jaxpr, 
 
 
 def _as_array(leaf: Any) -> Any:
-    # Primitives take numpy arrays as they are, 64 bits and all, where `jit` would have converted them.
+    # Primitives would keep the 64 bits of numpy arrays, which `jit` converts to the default precision.
     return jnp.asarray(leaf) if isinstance(leaf, (bool, int, float, complex, np.ndarray, np.generic)) else leaf
 
 
 class _Rewriter:
-    """Rewrites one traced function. A body that occurs twice (the same object) is rewritten once."""
+    """Rewrites one traced function. A body that occurs twice (as the same object) is rewritten once."""
 
     def __init__(self, options: _Options, inline_custom: bool):
         self.options = options
         self.inline_custom = inline_custom
-        self.done: dict[int, tuple[core.Jaxpr, _Result]] = {}  # holds on to the jaxprs, so that ids stay unique
+        self.done: dict[int, tuple[core.Jaxpr, _Result]] = {}  # keeps the jaxprs alive, so that their ids stay unique
 
     def rewrite(self, jaxpr: core.Jaxpr) -> _Result:
         if id(jaxpr) not in self.done:
@@ -212,7 +212,7 @@ class _Rewriter:
         outvars = flat.add(jaxpr, invars)
         live, readers = _liveness(flat.eqns, outvars)
         eqns: list[core.JaxprEqn] = []
-        barred: dict[Any, core.Var] = {}  # shared value -> the same value behind its barrier
+        behind_barrier: dict[Any, core.Var] = {}  # shared value -> the same value behind its barrier
         cost: dict[core.Var, float] = {}  # of recomputing a value from what is in memory; absent if it is there
         counts = EquationCounts(merged=flat.merged, dead=len(flat.eqns) - len(live))
         custom = flat.custom
@@ -220,7 +220,7 @@ class _Rewriter:
             for body in self._bodies(eqn):
                 counts += self.rewrite(body).plan
                 custom |= self.rewrite(body).custom
-            eqns.append(eqn.replace(invars=rename(barred, eqn.invars), params=self._rewritten_params(eqn)))
+            eqns.append(eqn.replace(invars=rename(behind_barrier, eqn.invars), params=self._rewritten_params(eqn)))
             counts += EquationCounts(ops=eqn.primitive is not lax.optimization_barrier_p)
             if eqn.primitive.multiple_results or eqn.primitive.name in _OPAQUE:
                 continue
@@ -228,15 +228,15 @@ class _Rewriter:
             own = self.options.costs.get(eqn.primitive.name, 1.0)
             # An operand used twice by one equation is computed once: XLA emits one loop body per reader.
             cost[out] = own + sum(cost.get(v, 0.0) for v in {v for v in eqn.invars if isinstance(v, core.Var)})
-            if cost[out] * (readers.get(out, 0) - 1) > self.options.threshold and _can_wait(out.aval):
-                barred[out] = core.Var(out.aval)
+            if cost[out] * (readers.get(out, 0) - 1) > self.options.threshold and _accepts_barrier(out.aval):
+                behind_barrier[out] = core.Var(out.aval)
                 cost[out] = 0.0
-                eqns.append(_barrier(out, barred[out], eqn))
+                eqns.append(_barrier(out, behind_barrier[out], eqn))
                 counts += EquationCounts(materialised=1)
         result = core.Jaxpr(
             constvars=list(flat.constvars.values()),
             invars=invars,
-            outvars=rename(barred, outvars),
+            outvars=rename(behind_barrier, outvars),
             eqns=eqns,
             effects=jaxpr.effects,
             debug_info=jaxpr.debug_info,
@@ -245,7 +245,7 @@ class _Rewriter:
         return _Result(result, counts, custom)
 
     def _bodies(self, eqn: core.JaxprEqn) -> list[core.Jaxpr]:
-        """The jaxprs in `eqn` that are to be rewritten; none if it has effects, which may hold on to its variables."""
+        """The jaxprs in `eqn` to be rewritten; none if it has effects, which may refer to its variables."""
         if eqn.effects:
             return []
         values = [eqn.params[name] for name in _BODIES.get(eqn.primitive, ())]
@@ -263,7 +263,7 @@ class _Rewriter:
 
 
 def _liveness(eqns: Sequence[core.JaxprEqn], outvars: Sequence[Any]) -> tuple[list[core.JaxprEqn], Counter[core.Var]]:
-    """Drops equations that nobody needs; counts the readers of each value, being an output among them."""
+    """Live equations, and the number of users of each value; being an output counts as one use."""
     readers = Counter({v for v in outvars if isinstance(v, core.Var)})
     live = []
     for eqn in reversed(eqns):
@@ -273,7 +273,7 @@ def _liveness(eqns: Sequence[core.JaxprEqn], outvars: Sequence[Any]) -> tuple[li
     return live[::-1], readers
 
 
-def _can_wait(aval: Any) -> bool:
+def _accepts_barrier(aval: Any) -> bool:
     """Whether a barrier may be put on values of this type: arrays of numbers, not keys, tokens or references."""
     return isinstance(aval, jax.core.ShapedArray) and aval.size > 0 and isinstance(aval.dtype, np.dtype)
 

@@ -1,4 +1,4 @@
-"""Mended models against the worlds in which their effects were found."""
+"""MendedModel models against the worlds in which their effects were found."""
 
 import json
 
@@ -8,36 +8,35 @@ import pytest
 from gap_models import PENDULUM, QUADRUPED, load, moderate, windows
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.effects import KNOWN, Candidate, Scales, candidates
-from btr_mjx.gap.results import Callback
-from btr_mjx.gap.results.mend import Found, Mended, mend
-from btr_mjx.gap.simulate import Stretch, World, simulate
+from btr_mjx.gap.effects import KNOWN_EFFECTS, Candidate, Scales, candidates
+from btr_mjx.gap.results import Callback, FoundEffect, MendedModel, mend
+from btr_mjx.gap.simulate import Segments, World, simulate
 
 TEXTS = {"pendulum": PENDULUM, "quadruped": QUADRUPED}
 
 
-def found(candidate: Candidate, values: np.ndarray) -> Found:
+def found(candidate: Candidate, values: np.ndarray) -> FoundEffect:
     names = [parameter.name for parameter in candidate.parameters]
-    return Found(candidate.effect.name, candidate.place.label, dict(zip(names, values.tolist(), strict=True)))
+    return FoundEffect(candidate.effect.name, candidate.place.label, dict(zip(names, values.tolist(), strict=True)))
 
 
-def by_hand(mended: Mended, stretch: Stretch, row: int, steps: int) -> np.ndarray:
-    """Plain MuJoCo on the mended MJCF, with the callback where terms are left."""
+def by_hand(mended: MendedModel, segments: Segments, row: int, steps: int) -> np.ndarray:
+    """Plain MuJoCo on the mended MJCF, with the callback for terms without MJCF."""
     model = mujoco.MjModel.from_xml_string(mended.xml)
     data = mujoco.MjData(model)
     missing = Callback(model, json.loads(json.dumps(mended.terms)))
-    sent = stretch.commands[0]
+    sent = segments.commands[0]
     step = model.opt.timestep
     late = model.actuator_delay.max(initial=0.0)
-    # Delays and filters have a past: run through it, then start where the window does.
+    # Delays and filters depend on past commands: simulate them, then set the state at the start of the window.
     past = round((0.3 if mended.xml.count("filterexact") or mended.terms or late else 0) / step)
-    data.time = stretch.start[row] - past * step
+    data.time = segments.start[row] - past * step
     for k in range(-past, steps):
         if k == 0:
-            data.qpos[:], data.qvel[:] = stretch.qpos[row], stretch.qvel[row]
+            data.qpos[:], data.qvel[:] = segments.qpos[row], segments.qvel[row]
             data.qacc_warmstart[:] = 0
             mujoco.mj_forward(model, data)
-        data.ctrl[:] = sent.at(stretch.start[row] + (k + 0.5) * step)
+        data.ctrl[:] = sent.at(segments.start[row] + (k + 0.5) * step)
         missing(model, data)
         mujoco.mj_step(model, data)
     return np.r_[data.qpos, data.qvel]
@@ -46,12 +45,12 @@ def by_hand(mended: Mended, stretch: Stretch, row: int, steps: int) -> np.ndarra
 @pytest.mark.parametrize("name", TEXTS)
 def test_the_mended_model_moves_as_the_world_in_which_it_was_found(name: str) -> None:
     model = load(name)
-    stretch = windows(model, count=2)
-    every = [c for c in candidates(model, Scales.of(model), KNOWN) if not c.place.members]
+    segments = windows(model, count=2)
+    every = [c for c in candidates(model, Scales.of(model), KNOWN_EFFECTS) if not c.place.members]
     chosen = list({c.effect.name: c for c in every}.values())
     values = {c.name: moderate(c) for c in chosen}
     results = simulate(
-        [*((c.apply(World.of(model), values[c.name]), stretch) for c in chosen), (World.of(model), stretch)]
+        [*((c.apply(World.of(model), values[c.name]), segments) for c in chosen), (World.of(model), segments)]
     )
     for candidate, states in zip(chosen, results[:-1], strict=True):
         mended = mend(TEXTS[name], [found(candidate, values[candidate.name])])
@@ -59,7 +58,7 @@ def test_the_mended_model_moves_as_the_world_in_which_it_was_found(name: str) ->
         assert len(mended.terms) + len(mended.native) == 1
         size = np.abs(states - results[-1])[:, -1].max()
         for row in range(2):
-            error = np.abs(by_hand(mended, stretch, row, 60) - states[row, -1]).max()
+            error = np.abs(by_hand(mended, segments, row, 60) - states[row, -1]).max()
             # MuJoCo's filter acts on the state at the start of a step, the world's in its middle.
             share = 0.1 if candidate.effect.name == "actuator_lag" else 0.03
             assert error < share * size + 2e-4, candidate.name
@@ -67,7 +66,7 @@ def test_the_mended_model_moves_as_the_world_in_which_it_was_found(name: str) ->
 
 def test_which_terms_are_native() -> None:
     model = load("quadruped")
-    by_name = {c.name: c for c in candidates(model, Scales.of(model), KNOWN)}
+    by_name = {c.name: c for c in candidates(model, Scales.of(model), KNOWN_EFFECTS)}
     for label in ("actuator_delay@all", "actuator_lag@all", "viscous_damping@all", "torque_limit@all"):
         mended = mend(QUADRUPED, [found(by_name[label], moderate(by_name[label]))])
         assert mended.native == (label,)
@@ -82,9 +81,9 @@ def test_two_effects_and_refitted_parameters_in_one_file() -> None:
     mended = mend(
         QUADRUPED,
         [
-            Found("viscous_damping", "joint:knee0", {"damping": 0.5}),
-            Found("load_friction", "joint:hip0", {"coefficient": 0.2}),
-            Found("payload", "body:torso", {"mass": 1.0, "x": 0.1, "y": 0.0, "z": 0.05}),
+            FoundEffect("viscous_damping", "joint:knee0", {"damping": 0.5}),
+            FoundEffect("load_friction", "joint:hip0", {"coefficient": 0.2}),
+            FoundEffect("payload", "body:torso", {"mass": 1.0, "x": 0.1, "y": 0.0, "z": 0.05}),
         ],
         believed={"joint:knee1/damping": 0.3, "geom:foot0/friction": 1.3},
     )
@@ -96,7 +95,7 @@ def test_two_effects_and_refitted_parameters_in_one_file() -> None:
     assert [term["effect"] for term in mended.as_json()["terms"]] == ["load_friction"]
 
 
-def test_a_callback_takes_back_what_it_did() -> None:
+def test_a_callback_reverts_its_changes() -> None:
     model = load("quadruped")
     terms = [
         {"effect": "constant_force", "location": "body:torso", "parameters": {"x": 1.0, "y": 2.0, "z": 3.0}},
@@ -130,10 +129,10 @@ def test_a_control_callback_of_mujoco() -> None:
     assert data.actuator_force[0] == pytest.approx(60 * (0.3 - 0.05), rel=0.05)
 
 
-def test_what_the_model_or_the_library_lacks_is_named() -> None:
+def test_unknown_effects_places_and_parameters_are_named_in_the_error() -> None:
     with pytest.raises(InputError, match="viscous_damping"):
-        mend(PENDULUM, [Found("viscous_dampin", "joint:servo", {"damping": 1.0})])
+        mend(PENDULUM, [FoundEffect("viscous_dampin", "joint:servo", {"damping": 1.0})])
     with pytest.raises(InputError, match="joint:servo"):
-        mend(PENDULUM, [Found("viscous_damping", "joint:sevro", {"damping": 1.0})])
+        mend(PENDULUM, [FoundEffect("viscous_damping", "joint:sevro", {"damping": 1.0})])
     with pytest.raises(InputError, match="damping"):
-        mend(PENDULUM, [Found("viscous_damping", "joint:servo", {"d": 1.0})])
+        mend(PENDULUM, [FoundEffect("viscous_damping", "joint:servo", {"d": 1.0})])

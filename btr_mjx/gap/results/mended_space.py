@@ -1,8 +1,8 @@
-"""The mended model as a simulation of Back-to-Reality: what was found becomes dimensions of S; co-evolution goes on.
+"""The mended model as a robot of Back-to-Reality, whose space S is spanned by the parameters of the effects found.
 
-The parameters of the effects are uncertain within their intervals, which is just what S is for. The MJCF of the mended
-model is written at many points of their box; every number in it that follows the parameters becomes a polynomial in
-them, inside a template as any other robot's.
+Each dimension of S is a parameter of an effect, within a multiple of its interval. The MJCF of the mended model is
+written at random points of that box. A number of the MJCF that depends on the parameters is replaced by a polynomial in
+them, fitted by least squares, in a Jinja2 template.
 """
 
 import itertools
@@ -15,29 +15,31 @@ from typing import Any
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.effects import KNOWN, Effect, Scales
-from btr_mjx.gap.results.mend import Found, lookup, mend
+from btr_mjx.gap.effects import KNOWN_EFFECTS, Effect, Scales
+from btr_mjx.gap.results.mended_model import FoundEffect, mend, resolve_effect
 from btr_mjx.gap.results.transcribe import normalised
 from btr_mjx.robots import Box, Robot, Signal
 
 _NUMBER = re.compile(r'(?<=[" ])-?\d+(?:\.\d*)?(?:e[-+]?\d+)?(?=[" ])')
 _DEGREES = (1, 2, 3, 5)
+"""Degrees of the polynomials, tried in this order."""
+
 _TOLERANCE = 3e-5
-"""Of a number's size: MJCF that MuJoCo writes has six digits."""
+"""Largest relative error of a polynomial: MJCF that MuJoCo writes has six digits."""
 
 _MOST = 6
-"""Parameters of the effects together; the points at which the MJCF is written grow quickly with them."""
+"""Largest number of dimensions: the number of points at which the MJCF is written grows as their cube."""
 
 
 @dataclass(frozen=True)
 class ControllerTrial:
-    """How controllers are tried on the robot: what its MJCF does not say.
+    """How controllers are tried on the robot: settings that an MJCF does not hold.
 
     Attributes:
       signal: reference signal of the controllers.
       controller_box: space of the controllers.
-      base_body: body whose position is measured, None for a robot that is bolted down.
-      duration: time that a controller is tried for [s].
+      base_body: body whose position is measured, None for a robot with a fixed base.
+      duration: duration of a trial [s].
     """
 
     signal: Signal
@@ -55,7 +57,7 @@ def mended_robot(
     believed: Mapping[str, float] | None = None,
     calibration: Sequence[Mapping[str, Any]] = (),
     widen: float = 2.0,
-    effects: Sequence[Effect] = KNOWN,
+    effects: Sequence[Effect] = KNOWN_EFFECTS,
 ) -> Robot:
     """A robot whose space of simulations is spanned by the parameters of the effects that were found.
 
@@ -63,20 +65,20 @@ def mended_robot(
       source: MJCF of the believed model, text or a file.
       effects_found: `effects` of result.json: effect, location, parameters with value, low and high.
       trial: how controllers are tried.
-      name: of the robot.
+      name: name of the robot.
       believed: path into the model -> refitted value, as for `mend`.
-      calibration: `calibration` of result.json, small errors that the model has everywhere in that space.
-      widen: the box is so many times as wide as the intervals, within the bounds of the effects' parameters.
+      calibration: `calibration` of result.json, small errors that every simulation of the space has.
+      widen: width of the box in units of the intervals; the bounds of the effects' parameters limit it.
       effects: the library that `effects_found` refers to.
 
     Returns:
       The robot; its nominal simulation is the mended model.
 
     Raises:
-      InputError: an effect that MJCF cannot say, too many parameters, or numbers that no polynomial follows.
+      InputError: an effect that MJCF cannot express, too many parameters, or numbers that no polynomial follows.
     """
-    found = [Found.from_result(entry) for entry in effects_found]
-    errors = [Found.from_result(entry) for entry in calibration]
+    found = [FoundEffect.from_result(entry) for entry in effects_found]
+    errors = [FoundEffect.from_result(entry) for entry in calibration]
     mended = mend(source, [*errors, *found], believed=believed, effects=effects)
     if mended.terms:
         lacking = ", ".join(f"{term['effect']}@{term['location']}" for term in mended.terms)
@@ -89,7 +91,7 @@ def mended_robot(
     def text(values: np.ndarray) -> str:
         rest, items = list(values.tolist()), [*errors]
         for item in found:
-            items.append(Found(item.effect, item.location, {key: rest.pop(0) for key in item.values}))
+            items.append(FoundEffect(item.effect, item.location, {key: rest.pop(0) for key in item.values}))
         return mend(source, items, believed=believed, effects=effects).xml
 
     template = _template(text, names, np.array(low), np.array(high))
@@ -108,7 +110,7 @@ def mended_robot(
 
 def _box(
     source: str | Path,
-    found: Sequence[Found],
+    found: Sequence[FoundEffect],
     entries: Sequence[Mapping[str, Any]],
     widen: float,
     effects: Sequence[Effect],
@@ -120,7 +122,7 @@ def _box(
     low: list[float] = []
     high: list[float] = []
     for item, entry in zip(found, entries, strict=True):
-        effect, place, _ = lookup(model, item, effects)
+        effect, place, _ = resolve_effect(model, item, effects)
         bounds = {p.name: p for p in effect.parameters(model, Scales.of(model), place)}
         for key, value in item.values.items():
             given = entry["parameters"][key]
@@ -136,7 +138,7 @@ def _box(
 
 
 def _template(text: Any, names: Sequence[str], low: np.ndarray, high: np.ndarray) -> str:
-    """Jinja2 text whose numbers follow the parameters as those of `text(values)` do."""
+    """Jinja2 template that renders to `text(values)`, up to rounding, at every point of the box."""
     rng = np.random.default_rng(0)
     count = 3 * len(_monomials(len(names), _DEGREES[-1])) if len(names) == 1 else 3 * len(_monomials(len(names), 3))
     unit = np.concatenate(
@@ -155,7 +157,7 @@ def _template(text: Any, names: Sequence[str], low: np.ndarray, high: np.ndarray
             continue
         out.append(_expression(unit, values, names, low, high))
     pieces = _NUMBER.split(texts[0])
-    # Jinja2 reads no braces in MJCF: a model with "{{" in a name could not be written here.
+    # Names with "{{" are not supported: Jinja2 would read them as expressions.
     return "".join(itertools.chain.from_iterable(itertools.zip_longest(pieces, out, fillvalue="")))
 
 
@@ -165,9 +167,10 @@ def _monomials(variables: int, degree: int) -> list[tuple[int, ...]]:
 
 
 def _expression(unit: np.ndarray, values: np.ndarray, names: Sequence[str], low: np.ndarray, high: np.ndarray) -> str:
-    """The polynomial of least degree through the values, as a Jinja2 expression."""
+    """The polynomial of least degree that fits the values, as a Jinja2 expression."""
     if np.isclose(values, np.round(values)).all() and float(np.ptp(values)) >= 1:
-        return str(int(values.max()))  # a count, such as the length of a delay's history: enough for all
+        # A count, such as the length of a delay's history: the largest one is enough for the whole box.
+        return str(int(values.max()))
     size = max(float(np.abs(values).max()), 1e-12)
     for degree in _DEGREES:
         monomials = _monomials(unit.shape[1], degree)

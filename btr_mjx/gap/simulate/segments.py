@@ -1,4 +1,4 @@
-"""Windows of recordings that are simulated together: their commands, and their states picked while a batch runs."""
+"""Segments of recordings that are simulated together, their controls, and sampling of their states."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,23 +11,23 @@ from btr_mjx.gap.simulate.world import World
 from btr_mjx.models import between
 
 BLOCK = 64
-"""Steps for which controls are laid out at once."""
+"""Number of steps for which controls are evaluated at once."""
 
-_HUGE = 1e10
-"""A state beyond this is a numerical accident, as in MuJoCo's own check."""
+_MAX_STATE = 1e10
+"""A state beyond this is invalid, as mjMAXVAL in MuJoCo."""
 
 
 @dataclass(frozen=True)
-class Stretch:
-    """Windows of recordings that are simulated together.
+class Segments:
+    """Segments (windows) of recordings that are simulated together.
 
     Attributes:
-      start: (W,) time at which each window starts [s].
-      qpos: (W, nq) measured configuration at the start.
+      start: (W,) start time of each segment [s].
+      qpos: (W, nq) configuration at the start, as the encoders report it.
       qvel: (W, nv) velocity at the start.
-      samples: (K,) or (W, K) ascending times since the start at which states are wanted [s].
-      commands: the commands of the recordings.
-      recording: (W,) which of `commands` each window belongs to.
+      samples: (K,) or (W, K) ascending sample times since the start [s].
+      commands: commands of the recordings.
+      recording: (W,) index in `commands` of each segment.
       act: (W, na) activation of actuators with a state at the start; None for zeros.
     """
 
@@ -44,12 +44,12 @@ class Stretch:
 
     @property
     def times(self) -> np.ndarray:
-        """(W, K) times since the start [s]."""
+        """(W, K) sample times since the start [s]."""
         return np.broadcast_to(self.samples, (len(self), np.shape(self.samples)[-1]))
 
-    def take(self, rows: np.ndarray | slice) -> "Stretch":
-        """Some of the windows."""
-        return Stretch(
+    def take(self, rows: np.ndarray | slice) -> "Segments":
+        """A subset of the segments."""
+        return Segments(
             self.start[rows],
             self.qpos[rows],
             self.qvel[rows],
@@ -60,19 +60,19 @@ class Stretch:
         )
 
 
-Job = tuple[World, Stretch]
-"""A world over windows."""
+Job = tuple[World, Segments]
+"""A world and the segments over which it is simulated."""
 
 Piece = tuple[int, int, int]
-"""A job's index and the range of its windows."""
+"""Index of a job, and first and last + 1 of a range of its segments."""
 
 
 class Sampler:
-    """Picks the states at the sample times while a batch runs."""
+    """Records the states at the sample times while a batch is simulated."""
 
     def __init__(self, model: mujoco.MjModel, pieces: Sequence[Job], dt: float) -> None:
         self._model, self._dt = model, dt
-        times = [stretch.times for _, stretch in pieces]
+        times = [segments.times for _, segments in pieces]
         self._row = np.concatenate(
             [
                 np.repeat(first + np.arange(len(t)), t.shape[1])
@@ -83,7 +83,7 @@ class Sampler:
         whole = np.floor(at + 1e-6)
         part = np.where(at - whole < 1e-6, 0.0, at - whole)
         self._part = part
-        # A state between two steps is known once the later one is.
+        # A sample inside a step needs the state after the step.
         stage = (whole + (part > 0)).astype(int)
         self.steps = np.zeros(sum(map(len, times)), int)
         np.maximum.at(self.steps, self._row, stage)
@@ -96,21 +96,21 @@ class Sampler:
         return self._order[self._bounds[stage] : self._bounds[stage + 1]]
 
     def before(self, stage: int, qpos: np.ndarray, qvel: np.ndarray, alive: np.ndarray) -> None:
-        """Keep the states before the step to `stage` of the samples that lie inside it, of rows that take it."""
+        """Record the states before step `stage`, for samples inside this step and rows that take it."""
         self._keep(self._earlier, self._due(stage), qpos, qvel, alive)
 
     def record(self, stage: int, qpos: np.ndarray, qvel: np.ndarray, alive: np.ndarray) -> None:
-        """Keep the states of the samples at `stage`, or of the step that they lie inside of, of rows that took it."""
+        """Record the states after step `stage`, for samples inside or at the end of this step and rows that took it."""
         self._keep(self._states, self._due(stage), qpos, qvel, alive)
 
     def take(self, done: int, own: np.ndarray, before: np.ndarray, states: np.ndarray) -> None:
-        """Pick samples from the states of many steps.
+        """Record samples from the states of a block of steps.
 
         Args:
-          done: steps before them.
-          own: (N,) rows that ran.
-          before: (N, nq + nv) their states before the first of these steps.
-          states: (N, T, nq + nv) after each of them.
+          done: number of steps before the block.
+          own: (N,) rows that were simulated.
+          before: (N, nq + nv) states before the block.
+          states: (N, T, nq + nv) states after each step.
         """
         due = self._order[self._bounds[done + 1] : self._bounds[done + 1 + states.shape[1]]]
         due = due[np.isin(self._row[due], own)]
@@ -130,19 +130,19 @@ class Sampler:
             states[due, nq:] = qvel[own]
 
     def write(self, block: list[Piece], out: list[np.ndarray]) -> None:
-        """Hand the states to their jobs; invalid rows are NaN from the first invalid sample on."""
+        """Write the states to the arrays of their jobs; rows are NaN from the first invalid sample."""
         self._interpolate()
         first = 0
         for index, a, b in block:
             shape = out[index][a:b].shape
             states = self._states[first : first + shape[0] * shape[1]].reshape(shape)
-            bad = ~(np.abs(states) < _HUGE).all(-1)
+            bad = ~(np.abs(states) < _MAX_STATE).all(-1)
             states[np.logical_or.accumulate(bad, axis=1)] = np.nan
             out[index][a:b] = states
             first += shape[0] * shape[1]
 
     def _interpolate(self) -> None:
-        """Samples inside a step, all at once: one by one they would cost more than the simulation."""
+        """Interpolate all samples that lie inside a step."""
         inside = np.flatnonzero(self._part > 0)
         if not len(inside):
             return
@@ -154,55 +154,55 @@ class Sampler:
 
 
 class Controls:
-    """Controls of all rows, evaluated once for each (stretch, edits) and laid out for a block of steps at a time."""
+    """Controls of all rows, evaluated once per distinct (segments, command edits), for a block of steps at a time."""
 
     def __init__(self, pieces: Sequence[Job], rows: Sequence[slice], dt: float, nu: int) -> None:
         self._pieces, self._rows, self._dt, self._nu = pieces, rows, dt, nu
         self._keys = [
             (
-                id(stretch.commands),
-                stretch.start.tobytes(),
-                np.asarray(stretch.recording).tobytes(),
+                id(segments.commands),
+                segments.start.tobytes(),
+                np.asarray(segments.recording).tobytes(),
                 *map(id, world.command_edits),
             )
-            for world, stretch in pieces
+            for world, segments in pieces
         ]
         self._edited: dict[tuple, Command] = {}
-        self._laid: dict[tuple, np.ndarray] = {}
+        self._filled: dict[tuple, np.ndarray] = {}
         self._from = -BLOCK
 
     def write(self, step: int, ctrl: np.ndarray) -> None:
-        """Controls of one step, see `Command.over`."""
+        """Write the controls of one step to ctrl (rows, nu), see `Command.over_step`."""
         if not self._nu:
             return
         if not 0 <= step - self._from < BLOCK:
-            self._lay(step)
+            self._fill(step)
         for key, own in zip(self._keys, self._rows, strict=True):
-            ctrl[own] = self._laid[key][step - self._from]
+            ctrl[own] = self._filled[key][step - self._from]
 
     def block(self, first: int, count: int) -> np.ndarray | None:
-        """Controls (rows, count, nu) of some steps, at most `BLOCK`; None for a model without motors."""
+        """Controls (rows, count, nu) of `count` <= `BLOCK` steps; None for a model without controls."""
         if not self._nu:
             return None
-        self._lay(first)
+        self._fill(first)
         out = np.empty((self._rows[-1].stop, count, self._nu))
         for key, own in zip(self._keys, self._rows, strict=True):
-            out[own] = np.swapaxes(self._laid[key][:count], 0, 1)
+            out[own] = np.swapaxes(self._filled[key][:count], 0, 1)
         return out
 
-    def _lay(self, first: int) -> None:
-        self._laid, self._from = {}, first
-        longest = max(float(stretch.times.max(initial=0)) for _, stretch in self._pieces)
+    def _fill(self, first: int) -> None:
+        self._filled, self._from = {}, first
+        longest = max(float(segments.times.max(initial=0)) for _, segments in self._pieces)
         count = min(BLOCK, int(longest / self._dt) + 2 - first)
         since = (first + np.arange(count)) * self._dt
-        for key, (world, stretch) in zip(self._keys, self._pieces, strict=True):
-            if key in self._laid:
+        for key, (world, segments) in zip(self._keys, self._pieces, strict=True):
+            if key in self._filled:
                 continue
-            values = np.empty((count, len(stretch), self._nu))
-            for recording in np.unique(stretch.recording):
-                own = np.flatnonzero(np.asarray(stretch.recording) == recording)
-                name = (id(stretch.commands), int(recording), *key[3:])
+            values = np.empty((count, len(segments), self._nu))
+            for recording in np.unique(segments.recording):
+                own = np.flatnonzero(np.asarray(segments.recording) == recording)
+                name = (id(segments.commands), int(recording), *key[3:])
                 if name not in self._edited:
-                    self._edited[name] = world.command(stretch.commands[recording])
-                values[:, own] = self._edited[name].over(since[:, None] + stretch.start[own], self._dt)
-            self._laid[key] = values
+                    self._edited[name] = world.command(segments.commands[recording])
+                values[:, own] = self._edited[name].over_step(since[:, None] + segments.start[own], self._dt)
+            self._filled[key] = values

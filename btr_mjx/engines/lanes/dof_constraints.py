@@ -1,4 +1,4 @@
-"""Constraints on a single dof: joint limits and dry friction."""
+"""Constraints on a single dof: joint limits and dry friction (mj_instantiateLimit, mj_instantiateFriction)."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 
-from btr_mjx.engines.lanes.contacts import ZoneModel, impedance
+from btr_mjx.engines.lanes.cones import ZoneModel, impedance
 from btr_mjx.engines.lanes.parameters import Parameters
 from btr_mjx.engines.lanes.scalars import Scalar, add, mul, neg, sub
 from btr_mjx.engines.lanes.tree import FREE, TreePlan
@@ -21,17 +21,17 @@ class DofConstraint(ABC):
     dof: int
     weight: Scalar
     flags: ClassVar[int] = 0
-    """As of a contact: numbers of a zone that are either the weight or zero."""
+    """See `Contact.flags`."""
 
     @abstractmethod
     def model(self, a: jax.Array) -> ZoneModel:
-        """The zone that joint acceleration `a` lies in, as the numbers that `effect` needs."""
+        """Zone at joint acceleration `a`."""
 
     @abstractmethod
     def effect(self, model: ZoneModel) -> tuple[Scalar, Scalar]:
-        """Stiffness and force for a zone: at `a` the row pushes along its dof with force - stiffness a."""
+        """Stiffness and force of a zone: the force along the dof at acceleration `a` is force - stiffness a."""
 
-    def settled(self, old: ZoneModel, new: ZoneModel) -> jax.Array:
+    def same_zone(self, old: ZoneModel, new: ZoneModel) -> jax.Array:
         """Whether two zones are the same."""
         return reduce(jnp.logical_and, [x == y for x, y in zip(old, new, strict=True)])
 
@@ -48,7 +48,7 @@ class Limit(DofConstraint):
     flags: ClassVar[int] = 1
 
     def model(self, a: jax.Array) -> ZoneModel:
-        """Weight of the row if it pushes at joint acceleration `a`."""
+        """Weight of the row if it is active at joint acceleration `a`, else zero."""
         return (jnp.where(sub(mul(self.sign, a), self.reference) < 0, self.weight, 0),)
 
     def effect(self, model: ZoneModel) -> tuple[Scalar, Scalar]:
@@ -66,7 +66,7 @@ class Friction(DofConstraint):
     reference: Scalar
 
     def model(self, a: jax.Array) -> ZoneModel:
-        """Stiffness and force: inside the bound a stiff damper, outside a constant force."""
+        """Stiffness and force: a stiff damper within the bound (sticking), a constant force outside (slipping)."""
         jar = sub(a, self.reference)
         pull = mul(self.weight, jar)
         sticks = (sub(pull, self.loss) < 0) & (add(pull, self.loss) > 0)
@@ -79,10 +79,10 @@ class Friction(DofConstraint):
         return model[0], model[1]
 
 
-def dof_rows(
+def dof_constraints(
     plan: TreePlan, parameters: Parameters, q: Sequence[Sequence[jax.Array]], v: Sequence[jax.Array]
 ) -> list[DofConstraint]:
-    """All limit and friction rows of a chunk (mj_instantiateLimit, mj_instantiateFriction)."""
+    """All joint limits and dry frictions of a chunk; limits that are not violated have weight zero."""
     found: list[DofConstraint] = []
     coordinates = iter(q)
     for link in plan.links:

@@ -1,8 +1,6 @@
-"""What was simulated before: no window is simulated twice from the same state.
+"""Cache in memory of simulated states: no window is simulated twice from the same state.
 
-Hypotheses are compared from starting states that they share, and in most windows two sets of starting states are the
-same: of all that a search asks for, a tenth has been answered before. A row of a batch knows nothing of the others, so
-that an answer that is remembered is the one that would be found again, to the bit.
+Rows of a batch are independent of each other, so that a cached result is bit-identical to a new simulation.
 """
 
 from collections.abc import Callable, Hashable, Sequence
@@ -10,37 +8,37 @@ from threading import Lock
 
 import numpy as np
 
-_MOST = 2**29
-"""Bytes of states that are remembered; what comes later is simulated whenever it is asked for."""
+_MAX_BYTES = 2**29
+"""Largest size of the cache [bytes]; later results are not stored."""
 
 Find = Callable[[Sequence[tuple[int, np.ndarray]]], Sequence[np.ndarray]]
-"""Simulates: for each (i, rows) the states (len(rows), ...) that hypothesis i takes in these rows."""
+"""Simulates: for each (i, rows) the states (len(rows), ...) of hypothesis i in these rows."""
 
 
-class Memory:
-    """States that hypotheses took from given starting states.
+class StateCache:
+    """Cached states of hypotheses, by starting state.
 
     Attributes:
-      bytes: that are remembered.
+      bytes: size of the stored states.
     """
 
-    def __init__(self, most: int = _MOST) -> None:
+    def __init__(self, most: int = _MAX_BYTES) -> None:
         self.bytes, self._most = 0, most
         self._known: dict[Hashable, dict[bytes, np.ndarray]] = {}
         self._lock = Lock()
 
-    def __call__(self, questions: Sequence[Hashable], keys: Sequence[bytes], find: Find) -> list[np.ndarray]:
-        """Answers to some questions, of which only those are simulated that are not known.
+    def __call__(self, hypotheses: Sequence[Hashable], keys: Sequence[bytes], find: Find) -> list[np.ndarray]:
+        """States of hypotheses in some rows; only those that are not cached are simulated.
 
         Args:
-          questions: one a hypothesis: all that its answers hang on beside the rows.
-          keys: (N,) one a row: all that an answer hangs on beside the question.
-          find: simulates what is not known.
+          hypotheses: key of each hypothesis: everything that its states depend on besides the row.
+          keys: (N,) key of each row: everything that states depend on besides the hypothesis.
+          find: simulates missing states.
 
         Returns:
-          For each question states (N, ...).
+          For each hypothesis states (N, ...).
         """
-        tables = [self._known.setdefault(question, {}) for question in questions]
+        tables = [self._known.setdefault(hypothesis, {}) for hypothesis in hypotheses]
         known = [np.array([key in table for key in keys], bool) for table in tables]
         wanted = [(i, np.flatnonzero(~own)) for i, own in enumerate(known) if not own.all()]
         found = dict(zip([i for i, _ in wanted], find(wanted), strict=True)) if wanted else {}

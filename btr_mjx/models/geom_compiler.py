@@ -1,4 +1,4 @@
-"""The part of a model route that concerns geoms and the inertias that bodies get from them."""
+"""Vectorised computation of geoms and of the inertias that bodies infer from them, for many simulations."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,65 +7,68 @@ import mujoco
 import numpy as np
 
 from btr_mjx.models import compiler_rules as rules
-from btr_mjx.models.sources import Cells, Tagged, sources
+from btr_mjx.models.sources import ElementSources, TaggedModel, sources
 
 FRAME_FIELDS = ("geom_pos", "geom_quat", "geom_size")
+"""Fields of geoms that MuJoCo's compiler may compute."""
+
 INERTIA_FIELDS = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
+"""Fields of bodies that MuJoCo's compiler may infer from geoms."""
 
 
-class Unable(Exception):
-    """No route leads to the models of this robot; the message says what is in the way."""
+class NotVectorisable(Exception):
+    """The models of this robot have to be compiled one by one; the message names the reason."""
 
 
 @dataclass(frozen=True)
 class _Group:
-    """G geoms of one kind that get their frames in the same way.
+    """G geoms of one type whose frames are computed in the same way.
 
     Attributes:
       ids: (G,).
       kind: mjtGeom.
       ends: the (6, G) end points, or None for geoms with a position and an orientation.
-      position: (3, G), unused with ends, as is the orientation (4, G).
-      orientation: see there.
+      position: (3, G), not used with ends.
+      orientation: (4, G), not used with ends.
       size: (3, G).
-      mass: (G,), NaN constants where the density counts.
+      mass: (G,), NaN constants where the mass follows from the density.
       density: (G,).
     """
 
     ids: np.ndarray
     kind: int
-    ends: Cells | None
-    position: Cells
-    orientation: Cells
-    size: Cells
-    mass: Cells
-    density: Cells
+    ends: ElementSources | None
+    position: ElementSources
+    orientation: ElementSources
+    size: ElementSources
+    mass: ElementSources
+    density: ElementSources
 
 
 @dataclass(frozen=True)
 class _Body:
-    """A body that takes its inertia from geoms; parts are (group, place in the group) of those with mass."""
+    """A body whose inertia is inferred from geoms; parts are (group, index in the group) of those with mass."""
 
     id: int
     parts: tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True)
-class GeomRoute:
-    """Geoms and bodies with elements that the compiler computes."""
+class GeomCompiler:
+    """Geoms and bodies whose fields MuJoCo's compiler computes."""
 
     groups: tuple[_Group, ...]
     bodies: tuple[_Body, ...]
 
     def write(self, slots: np.ndarray, fields: dict[str, np.ndarray]) -> np.ndarray:
-        """Fill in what the compiler would compute.
+        """Write the fields that MuJoCo's compiler would compute.
 
         Args:
           slots: (slots, L) numbers of the template.
           fields: arrays (L, *field shape) of `FRAME_FIELDS` and `INERTIA_FIELDS`, written in place.
 
         Returns:
-          Bool (L,): rows that the compiler refuses, or for which it follows another rule.
+          Bool (L,): rows that the compiler rejects, or for which it uses another rule.
         """
         count = slots.shape[1]
         failed = np.zeros(count, bool)
@@ -86,7 +89,9 @@ class GeomRoute:
                 position, orientation, mass, moments = parts[0]
             else:
                 stacked = [np.stack(x, axis=-2) for x in zip(*parts, strict=True)]
-                mass, position, orientation, moments = rules.merged(stacked[2], stacked[0], stacked[1], stacked[3])
+                mass, position, orientation, moments = rules.merge_inertias(
+                    stacked[2], stacked[0], stacked[1], stacked[3]
+                )
                 failed |= ~(moments[2] >= rules.EPS)
             for name, value in zip(INERTIA_FIELDS, (mass, position, orientation, moments), strict=True):
                 fields[name][:, body.id] = value.T
@@ -111,83 +116,83 @@ def _mass(group: _Group, slots: np.ndarray, size: np.ndarray) -> tuple[np.ndarra
     volume = rules.volume(group.kind, size)
     given = group.mass.values(slots)
     inferred = group.density.values(slots) * volume
-    # The compiler ignores a mass without a volume: such a row is not done.
+    # The compiler ignores the mass of a geom without volume: such rows are left to it.
     masses = np.where(np.isnan(given), inferred, np.where(volume > rules.EPS, given, np.nan))
     return masses, rules.geom_inertia(group.kind, masses, size)
 
 
-def geom_route(taggings: Sequence[Tagged], cells: dict[str, Cells]) -> GeomRoute:
-    """Find the geoms and bodies that need rules, and where the numbers in these come from.
+def build_geom_compiler(tagged: Sequence[TaggedModel], cells: dict[str, ElementSources]) -> GeomCompiler:
+    """Find the geoms and bodies that need compiler rules, and the sources of their numbers.
 
     Args:
-      taggings: the tagged models.
+      tagged: the tagged models.
       cells: sources of `FRAME_FIELDS` and `INERTIA_FIELDS`.
 
     Raises:
-      Unable: a feature without a rule.
+      NotVectorisable: a feature without a rule in `compiler_rules`.
     """
-    model, specs = taggings[0].model, taggings[0].spec.geoms
+    model, specs = tagged[0].model, tagged[0].spec.geoms
     computed_geoms = _objects(cells, FRAME_FIELDS, model.ngeom)
     computed_bodies = _objects(cells, INERTIA_FIELDS, model.nbody)
     if not len(computed_geoms) and not len(computed_bodies):
-        return GeomRoute((), ())
-    _check_compiler(taggings[0].spec)
+        return GeomCompiler((), ())
+    _check_compiler(tagged[0].spec)
     if [g.id for g in specs] != list(range(model.ngeom)):
-        raise Unable("geoms that the compiler removes or reorders")
-    bodies = {b.id: b for b in taggings[0].spec.bodies}
+        raise NotVectorisable("geoms that the compiler removes or reorders")
+    bodies = {b.id: b for b in tagged[0].spec.bodies}
     for b in computed_bodies:
         if bodies[b].explicitinertial:
-            raise Unable(f"body {bodies[b].name!r}: the axes of its inertia follow from the parameters")
-    lowest, highest = taggings[0].spec.compiler.inertiagrouprange
+            raise NotVectorisable(f"body {bodies[b].name!r}: the axes of its inertia follow from the parameters")
+    lowest, highest = tagged[0].spec.compiler.inertiagrouprange
     massive = {
         g.id: True
         for g in specs
-        if model.geom_bodyid[g.id] in computed_bodies and lowest <= g.group <= highest and _has_mass(taggings, g.id)
+        if model.geom_bodyid[g.id] in computed_bodies and lowest <= g.group <= highest and _has_mass(tagged, g.id)
     }
     needed = sorted({*computed_geoms.tolist(), *massive})
     keys: dict[tuple[int, bool], list[int]] = {}
     for g in needed:
         geom = specs[g]
         if int(geom.type) not in rules.SIZES or geom.meshname:
-            raise Unable(f"geom {geom.name or g!r}: no rule for its type")
+            raise NotVectorisable(f"geom {geom.name or g!r}: no rule for its type")
         if geom.typeinertia != mujoco.mjtGeomInertia.mjINERTIA_VOLUME:
-            raise Unable(f"geom {geom.name or g!r}: the inertia of a shell")
+            raise NotVectorisable(f"geom {geom.name or g!r}: the inertia of a shell")
         keys.setdefault((int(geom.type), not np.isnan(geom.fromto[0])), []).append(g)
-    groups = tuple(_group(taggings, kind, ends, np.array(ids)) for (kind, ends), ids in keys.items())
+    groups = tuple(_group(tagged, kind, ends, np.array(ids)) for (kind, ends), ids in keys.items())
     place = {int(g): (i, n) for i, group in enumerate(groups) for n, g in enumerate(group.ids)}
-    routes = []
+    inferred = []
     for b in computed_bodies:
         first = model.body_geomadr[b]
         parts = tuple(place[g] for g in range(first, first + model.body_geomnum[b]) if g in massive)
         if not parts:
-            raise Unable(f"body {bodies[b].name!r}: its inertia comes from no geom")
-        routes.append(_Body(int(b), parts))
-    return GeomRoute(groups, tuple(routes))
+            raise NotVectorisable(f"body {bodies[b].name!r}: its inertia comes from no geom")
+        inferred.append(_Body(int(b), parts))
+    return GeomCompiler(groups, tuple(inferred))
 
 
-def _objects(cells: dict[str, Cells], names: Sequence[str], count: int) -> np.ndarray:
-    """Ids of the objects that have an element which the compiler computes."""
+def _objects(cells: dict[str, ElementSources], names: Sequence[str], count: int) -> np.ndarray:
+    """Ids of the objects with an element that the compiler computes."""
     return np.flatnonzero(sum(cells[name].computed.reshape(count, -1).any(axis=1) for name in names))
 
 
-def _has_mass(taggings: Sequence[Tagged], geom: int) -> bool:
-    spec = taggings[0].spec.geoms[geom]
+def _has_mass(tagged: Sequence[TaggedModel], geom: int) -> bool:
+    spec = tagged[0].spec.geoms[geom]
     attribute = "density" if np.isnan(spec.mass) else "mass"
-    cells = sources(taggings, lambda t: np.array([getattr(t.spec.geoms[geom], attribute)]))
+    cells = sources(tagged, lambda t: np.array([getattr(t.spec.geoms[geom], attribute)]))
     return bool(cells.responding[0]) or cells.constant[0] > 0
 
 
-def _group(taggings: Sequence[Tagged], kind: int, ends: bool, ids: np.ndarray) -> _Group:
-    def spec(name: str) -> Cells:
-        found = sources(taggings, lambda t: np.stack([getattr(t.spec.geoms[i], name) for i in ids], axis=-1))
+def _group(tagged: Sequence[TaggedModel], kind: int, ends: bool, ids: np.ndarray) -> _Group:
+    def spec(name: str) -> ElementSources:
+        found = sources(tagged, lambda t: np.stack([getattr(t.spec.geoms[i], name) for i in ids], axis=-1))
         if found.computed.any():
-            raise Unable(f"geoms' {name} is not a plain number of the template")
+            raise NotVectorisable(f"geoms' {name} is not a plain number of the template")
         return found
 
-    def compiled(name: str) -> Cells:
-        found = sources(taggings, lambda t: getattr(t.model, name)[ids].T)
+    def compiled(name: str) -> ElementSources:
+        found = sources(tagged, lambda t: getattr(t.model, name)[ids].T)
         if found.computed.any() and not ends:
-            raise Unable(f"{name} is computed by a rule that is not known here")
+            raise NotVectorisable(f"{name} is computed by a rule that is not known here")
         return found
 
     return _Group(
@@ -206,8 +211,8 @@ def _check_compiler(spec: mujoco.MjSpec) -> None:
     options = spec.compiler
     for name in ("boundmass", "boundinertia", "balanceinertia", "discardvisual", "fusestatic"):
         if getattr(options, name):
-            raise Unable(f"compiler option {name}")
+            raise NotVectorisable(f"compiler option {name}")
     if options.settotalmass > 0:
-        raise Unable("compiler option settotalmass")
+        raise NotVectorisable("compiler option settotalmass")
     if options.inertiafromgeom != mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO:
-        raise Unable("compiler option inertiafromgeom")
+        raise NotVectorisable("compiler option inertiafromgeom")

@@ -1,35 +1,35 @@
-"""Steps that ask nothing of Python: worlds without laws run through many of them in one call.
+"""Multi-step rollouts of batches whose worlds have no laws: many steps per call of `mujoco.batch.Batch.rollout`.
 
-Batches are small, two dozen windows in the mean, and what Python does between two steps costs a tenth of a search.
+Batches are small, so that Python code between single steps would be a noticeable part of the run time.
 """
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 
-from btr_mjx.gap.simulate.stretches import BLOCK, Controls, Sampler
+from btr_mjx.gap.simulate.segments import BLOCK, Controls, Sampler
 
-_NUMBERS = 2**22
-"""Numbers of all rows and steps that are recorded at once, roughly."""
+_MAX_NUMBERS = 2**22
+"""Approximate number of values recorded per call, over all rows and steps; bounds the memory."""
 
 _MOTION = int(mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL)
-"""What is recorded, both in one array: to join them afterwards costs as much as a few steps."""
+"""State components that are recorded, in one array."""
 
 
-def freewheel(batch: Batch, sampler: Sampler, controls: Controls) -> np.ndarray:
-    """Run a batch to the last sample of every row, as far as nothing happens on the way.
+def rollout_without_laws(batch: Batch, sampler: Sampler, controls: Controls) -> np.ndarray:
+    """Simulate a batch to the last sample of every row, in blocks of steps.
 
     Args:
-      batch: at its start states; nothing but controls changes from step to step.
-      sampler: of its rows, with the start recorded.
-      controls: of its rows.
+      batch: at its start states; only controls change from step to step.
+      sampler: of the rows of the batch, with the start recorded.
+      controls: of the rows of the batch.
 
     Returns:
-      (rows,) steps that each has taken. Where MuJoCo warned or failed a row stays where it was some steps before: what
-      it does then is a matter of single steps.
+      (rows,) number of steps taken. A row for which MuJoCo warned or failed is reset to the start of the block and has
+      to be continued in single steps.
     """
     qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
-    most = max(1, min(BLOCK, _NUMBERS // max(1, qpos.size + qvel.size)))
+    most = max(1, min(BLOCK, _MAX_NUMBERS // max(1, qpos.size + qvel.size)))
     done, held = np.zeros(len(qpos), int), np.zeros(len(qpos), bool)
     for end in np.unique(sampler.steps):
         first = int(done[~held].max(initial=0))

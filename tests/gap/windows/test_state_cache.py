@@ -1,4 +1,4 @@
-"""What was simulated before is remembered, to the bit, and only that."""
+"""The cache of simulated states: bit-identical results, without repeated simulation."""
 
 import mujoco
 import numpy as np
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from btr_mjx.gap.simulate import World
 from btr_mjx.gap.windows import Windows
-from btr_mjx.gap.windows.memory import Memory
+from btr_mjx.gap.windows.state_cache import StateCache
 
 
 def damped(model: mujoco.MjModel) -> World:
@@ -29,11 +29,11 @@ def windows() -> Windows:
     return arm_windows()
 
 
-def forgetful(windows: Windows, makes, **options) -> list[np.ndarray]:
-    """The same question to windows that remember nothing."""
-    windows.memory, kept = Memory(most=0), windows.memory
+def without_cache(windows: Windows, makes, **options) -> list[np.ndarray]:
+    """The states without a cache."""
+    windows.cache, kept = StateCache(most=0), windows.cache
     states = windows.states(makes, **options)
-    windows.memory = kept
+    windows.cache = kept
     return states
 
 
@@ -41,8 +41,8 @@ def forgetful(windows: Windows, makes, **options) -> list[np.ndarray]:
     asked=st.lists(st.tuples(st.lists(st.integers(0, 3), min_size=1, max_size=3), st.lists(st.integers(0, 5)))),
     most=st.sampled_from([0, 100, 2**20]),
 )
-def test_answers_are_those_of_the_question_and_none_is_found_twice(asked, most: int) -> None:
-    memory, simulated = Memory(most), []
+def test_cached_states_are_correct_and_simulated_once(asked, most: int) -> None:
+    memory, simulated = StateCache(most), []
     for questions, rows in asked:
 
         def find(wanted, questions=questions, rows=rows):
@@ -59,7 +59,7 @@ def test_answers_are_those_of_the_question_and_none_is_found_twice(asked, most: 
         assert memory.bytes <= most
 
 
-def test_only_windows_that_start_elsewhere_are_simulated_again(windows: Windows) -> None:
+def test_only_changed_starting_states_are_simulated(windows: Windows) -> None:
     windows.states([damped])
     start = windows.qpos.copy(), windows.qvel.copy()
     start[1][::2] += SIGMA[2:]
@@ -68,24 +68,24 @@ def test_only_windows_that_start_elsewhere_are_simulated_again(windows: Windows)
     counted = windows.counter.steps
     states = windows.states([damped], start=start)[0]
     assert windows.counter.steps - counted == moved * round(windows.since[0, -1] / windows.step)
-    np.testing.assert_array_equal(states, forgetful(windows, [damped], start=start)[0])
+    np.testing.assert_array_equal(states, without_cache(windows, [damped], start=start)[0])
     counted = windows.counter.steps
     np.testing.assert_array_equal(windows.states([damped], start=start)[0], states)
     assert windows.counter.steps == counted
 
 
-def test_another_hypothesis_or_time_step_is_another_question(windows: Windows) -> None:
+def test_hypothesis_and_time_step_are_part_of_the_key(windows: Windows) -> None:
     windows.states([damped])
     for makes, options in (([heavy, damped], {"timestep": windows.step / 2}), ([heavy], {})):
         counted = windows.counter.steps
         found = windows.states(makes, **options)
         assert windows.counter.steps > counted
-        for states, expected in zip(found, forgetful(windows, makes, **options), strict=True):
+        for states, expected in zip(found, without_cache(windows, makes, **options), strict=True):
             np.testing.assert_array_equal(states, expected)
 
 
-def test_some_of_the_windows_are_remembered_by_their_own_numbers(windows: Windows) -> None:
-    """Whoever asks: windows that were picked, or joined, are the same windows."""
+def test_subsets_of_windows_share_the_cache(windows: Windows) -> None:
+    """Windows in subsets and unions are identified by recording and first sample."""
     whole = windows.states([damped])[0]
     counted = windows.counter.steps
     few = windows.some(np.array([3, 0, 2]))
@@ -94,7 +94,7 @@ def test_some_of_the_windows_are_remembered_by_their_own_numbers(windows: Window
     assert windows.counter.steps == counted
 
 
-def test_what_was_handed_out_may_be_written_to(windows: Windows) -> None:
+def test_returned_states_are_copies(windows: Windows) -> None:
     states = windows.states([damped])[0]
     kept = states.copy()
     states[:] = 0.0

@@ -1,4 +1,4 @@
-"""The vectorised route to the models against MuJoCo's compiler, leaf by leaf."""
+"""The vectorised template compiler against MuJoCo's compiler, leaf by leaf."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from btr_mjx.models import batch as models
-from btr_mjx.models import compiler_rules, geom_route, read_field, symbolic
-from btr_mjx.models import template_route as model_route
+from btr_mjx.models import compiler_rules, geom_compiler, read_field, symbolic, template_compiler
 from btr_mjx.models.fields import field_names
 from btr_mjx.robots import Box, Robot
 
@@ -74,13 +73,13 @@ def simulations(robot: Robot, count: int) -> np.ndarray:
     return np.concatenate([box.sample(rng, count - len(corners) - 2), corners, [box.low, box.high]])
 
 
-def route_of(robot: Robot) -> model_route.Route:
-    return model_route.build(robot, models.base_model(robot), models.varying_fields(robot))
+def compiler_of(robot: Robot) -> template_compiler.TemplateCompiler:
+    return template_compiler.build_template_compiler(robot, models.base_model(robot), models.varying_fields(robot))
 
 
 def assert_equal_to_compiled(robot: Robot, rows: np.ndarray, tolerance: float = 0.0) -> None:
     """Every leaf against the compiled model of the rendered MJCF; tolerance relative to a field's largest element."""
-    leaves, done = route_of(robot).prepare(rows)
+    leaves, done = compiler_of(robot).prepare(rows)
     assert done.all()
     for i, s in enumerate(rows):
         alone = mujoco.MjModel.from_xml_string(robot.render(s))
@@ -160,7 +159,7 @@ def test_bounding_volumes_hold_their_geoms() -> None:
 def test_parameters_reach_every_kind_of_attribute() -> None:
     """Defaults, classes, degrees, shortcuts of actuators, options: whatever is a copy of a number."""
     robot = arm()
-    leaves, _ = route_of(robot).prepare(robot.nominal_simulation[None])
+    leaves, _ = compiler_of(robot).prepare(robot.nominal_simulation[None])
     assert {
         "geom_friction", "dof_damping", "jnt_stiffness", "jnt_range", "actuator_gainprm", "actuator_biasprm",
         "opt.gravity", "site_pos", "body_mass", "geom_rbound", "qpos0", "stat.extent",
@@ -222,14 +221,14 @@ def test_a_wrong_rule_is_refused(name: str, robot: Robot, monkeypatch: pytest.Mo
         return tuple(x * (1 + 1e-9) for x in result) if isinstance(result, tuple) else result * (1 + 1e-9)
 
     monkeypatch.setattr(compiler_rules, name, wrong)
-    with pytest.raises(geom_route.Unable, match="not what the compiler makes"):
-        route_of(robot)
+    with pytest.raises(geom_compiler.NotVectorisable, match="not what the compiler makes"):
+        compiler_of(robot)
 
 
 def test_a_wrong_number_is_refused(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(symbolic._OPERATIONS, "max", lambda a, b: np.maximum(a, b) + 1e-9)
-    with pytest.raises(geom_route.Unable):
-        route_of(robot)
+    with pytest.raises(geom_compiler.NotVectorisable):
+        compiler_of(robot)
 
 
 def test_rows_that_the_compiler_treats_otherwise_are_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -237,8 +236,8 @@ def test_rows_that_the_compiler_treats_otherwise_are_compiled(monkeypatch: pytes
     robot = arm(link='<geom size="0.1"/><geom type="box" size="0.1 0.2 0.3" mass="{{ max(0, a - 0.3) }}"/>')
     rows = simulations(robot, 40)
     light = rows[:, 0] <= 0.3
-    route = route_of(robot)
-    _, done = route.prepare(rows)
+    compiler = compiler_of(robot)
+    _, done = compiler.prepare(rows)
     np.testing.assert_array_equal(done, ~light)
     assert 0 < light.sum() < 40
     batch = models.compile_models(robot, rows)
@@ -262,19 +261,19 @@ def test_a_model_that_the_compiler_refuses_is_refused(extra: str) -> None:
 @pytest.mark.parametrize("several", [False, True])
 def test_a_row_does_not_depend_on_its_batch(several: bool, robot: Robot) -> None:
     chosen = arm(link=SEVERAL["box and ellipsoid"]) if several else robot
-    route, rows = route_of(chosen), chosen.simulation_box.sample(np.random.default_rng(8), 1000)
-    whole, _ = route.prepare(rows)
+    compiler, rows = compiler_of(chosen), chosen.simulation_box.sample(np.random.default_rng(8), 1000)
+    whole, _ = compiler.prepare(rows)
     order = np.random.default_rng(9).permutation(1000)
-    shuffled, _ = route.prepare(rows[order])
+    shuffled, _ = compiler.prepare(rows[order])
     for count in (1, 2, 7, 64):
-        first, _ = route_of(chosen).prepare(rows[37 : 37 + count])
+        first, _ = compiler_of(chosen).prepare(rows[37 : 37 + count])
         for name, leaf in whole.items():
             assert leaf[37 : 37 + count].tobytes() == first[name].tobytes(), name
     for name, leaf in whole.items():
         assert leaf[order].tobytes() == shuffled[name].tobytes(), name
 
 
-def test_a_batch_from_the_route_has_the_names_of_a_compiled_one(robot: Robot) -> None:
+def test_a_batch_without_compiling_has_the_names_of_a_compiled_one(robot: Robot) -> None:
     batch = models.compile_models(robot, simulations(robot, 8))
     assert tuple(batch.leaves) == models.varying_fields(robot)
     assert all(leaf.dtype == np.float64 and len(leaf) == 8 for leaf in batch.leaves.values())
