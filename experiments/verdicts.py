@@ -50,7 +50,7 @@ class Claim:
 
     @property
     def verdict(self) -> str:
-        """Whether the claim holds: both ends of the interval on the claimed side; "does not": neither; else "undecided"."""
+        """The verdict of the interval: "holds", "does not" or "undecided", see `claims.py`."""
         if not (np.isfinite(self.low) and np.isfinite(self.high)):
             return "undecided"
         ends = [SENSES[self.sense](end, self.bound) for end in (self.low, self.high)]

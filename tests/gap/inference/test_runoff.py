@@ -39,7 +39,7 @@ def few_windows(friction: float) -> Bench:
     noise = Noise(SIGMA[:2].copy(), SIGMA[2:].copy())
     data = Dataset(Path(), believed, Path("arm.xml"), XML, (), tuple(rows), "cubic", {}, noise)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(planning, "_LONGEST", 0.2)
+        patch.setattr(planning, "_MAX_SPAN", 0.2)
         bench = Bench(data, FRICTIONS, Options(steps=3e3, leaders=9, contact_leaders=0))
     assert len(bench.fit.windows) == 2
     return bench
