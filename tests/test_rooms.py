@@ -1,11 +1,13 @@
 """The order of the rooms: who may import whom, that nothing goes in circles, and that every room has a door.
 
-A folder is a room. It imports rooms above it only, through their doors (`__init__.py`); its files are its own. Imports
-inside functions and under TYPE_CHECKING count as well.
+A folder is a room. It imports rooms above it only, through their doors (`__init__.py`, and `__init__.pyi` where names
+load on first use); its files are its own. Imports inside functions and under TYPE_CHECKING count as well.
 """
 
 import ast
 import statistics
+import subprocess
+import sys
 from collections import defaultdict
 from pathlib import Path
 
@@ -37,17 +39,27 @@ def room_of(module: str) -> str:
     return max((room for room in ORDER if module == room or module.startswith(f"{room}.")), key=len)
 
 
+def tree_of(module: str) -> ast.Module:
+    """Syntax tree of a module; of a door whose names load on first use that of its stub."""
+    path = FILES[module]
+    stub = path.with_suffix(".pyi")
+    return ast.parse((stub if stub.is_file() else path).read_text(encoding="utf-8"))
+
+
 def imports_of(module: str) -> list[str]:
     """Modules of this package that a module imports, anywhere in it."""
     found = []
-    for node in ast.walk(ast.parse(FILES[module].read_text(encoding="utf-8"))):
+    for node in ast.walk(tree_of(module)):
         if isinstance(node, ast.Import):
             found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            assert not node.level, f"{module}: relative import"
+            assert node.level == 0 or FILES[module].with_suffix(".pyi").is_file(), f"{module}: relative import"
+            home = str(node.module)
+            if node.level:
+                home = ".".join(part for part in ("btr_mjx", module, node.module) if part)
             for alias in node.names:
-                full = f"{node.module}.{alias.name}"
-                found.append(full if full.removeprefix("btr_mjx.") in FILES else str(node.module))
+                full = f"{home}.{alias.name}"
+                found.append(full if full.removeprefix("btr_mjx.") in FILES else home)
     own = [name.removeprefix("btr_mjx").lstrip(".") for name in found if name.split(".")[0] == "btr_mjx"]
     return [name for name in own if name != module]
 
@@ -67,7 +79,7 @@ def test_rooms_import_rooms_above_them_only():
 
 def test_files_are_private_to_their_room():
     """From elsewhere a room is entered by its door, or by a module that the door names."""
-    doors = {room: ast.parse(FILES[room].read_text(encoding="utf-8")) for room in ORDER if room != "commands"}
+    doors = {room: tree_of(room) for room in ORDER if room != "commands"}
     named = {
         room: {alias.name for node in door.body if isinstance(node, ast.ImportFrom) for alias in node.names}
         for room, door in doors.items()
@@ -115,7 +127,7 @@ def test_rooms_are_small_and_have_doors():
 def public_names(module: str) -> list[str]:
     """Functions, classes, type aliases and constants that a module defines for others."""
     names: list[str] = []
-    for node in ast.parse(FILES[module].read_text(encoding="utf-8")).body:
+    for node in tree_of(module).body:
         match node:
             case ast.FunctionDef(name=name) | ast.ClassDef(name=name):
                 names.append(name)
@@ -137,7 +149,15 @@ def test_no_two_public_names_are_alike():
 
 @pytest.mark.parametrize("room", [room for room in ORDER if room not in ("commands", "errors")])
 def test_doors_name_what_they_import(room: str):
-    door = ast.parse(FILES[room].read_text(encoding="utf-8"))
+    door = tree_of(room)
     imported = [a.asname or a.name for node in door.body if isinstance(node, ast.ImportFrom) for a in node.names]
     listed = [n for node in door.body if isinstance(node, ast.Assign) for n in ast.literal_eval(node.value)]
     assert sorted(imported) == sorted(listed)
+
+
+@pytest.mark.parametrize("command", ["diagnose", "plots"])
+def test_commands_that_need_no_jax_do_not_load_it(command: str):
+    """Loading JAX takes seconds; whoever mistypes a flag should not wait for them."""
+    code = f"import sys, btr_mjx.{command}; print('jax' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.strip() == "False"

@@ -1,0 +1,37 @@
+from . import coevolve, scan
+from .backtoreality import Reality, SimulatedReality
+from .errors import InputError
+from .evaluation import (
+    EngineSettings,
+    Evaluation,
+    FitnessFunction,
+    Outcome,
+    Trajectory,
+    evaluate,
+    metrics,
+    model_leaves,
+    pair_fitness,
+    pair_trajectory,
+)
+from .robots import Box, Robot, hexapod
+
+__all__ = [
+    "Box",
+    "EngineSettings",
+    "Evaluation",
+    "FitnessFunction",
+    "InputError",
+    "Outcome",
+    "Reality",
+    "Robot",
+    "SimulatedReality",
+    "Trajectory",
+    "coevolve",
+    "evaluate",
+    "hexapod",
+    "metrics",
+    "model_leaves",
+    "pair_fitness",
+    "pair_trajectory",
+    "scan",
+]

@@ -1,0 +1,41 @@
+from . import metrics
+from .distances import MARKS, fitness_at_marks, multiscale_fitness
+from .evaluation import Engine, EngineSettings, Evaluation, base_address, evaluate
+from .fitness import (
+    DISTANCE,
+    FITNESS_FUNCTIONS,
+    FitnessFunction,
+    Outcome,
+    delta_fitness_of,
+    delta_of,
+    fitness_function,
+    learning_performance,
+)
+from .foot_forces import foot_bodies, foot_forces
+from .pair_functions import Trajectory, model_leaves, pair_fitness, pair_trajectory
+
+__all__ = [
+    "DISTANCE",
+    "FITNESS_FUNCTIONS",
+    "MARKS",
+    "Engine",
+    "EngineSettings",
+    "Evaluation",
+    "FitnessFunction",
+    "Outcome",
+    "Trajectory",
+    "base_address",
+    "delta_fitness_of",
+    "delta_of",
+    "evaluate",
+    "fitness_at_marks",
+    "fitness_function",
+    "foot_bodies",
+    "foot_forces",
+    "learning_performance",
+    "metrics",
+    "model_leaves",
+    "multiscale_fitness",
+    "pair_fitness",
+    "pair_trajectory",
+]
