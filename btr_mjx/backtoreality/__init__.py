@@ -8,7 +8,6 @@ replace it.
 from btr_mjx.backtoreality.algorithm import begin
 from btr_mjx.backtoreality.config import PRESETS, CoevolveConfig, build_problem
 from btr_mjx.backtoreality.controller_search import evolve_controllers, select_transferable
-from btr_mjx.backtoreality.folder import run_in_folder, write_trials
 from btr_mjx.backtoreality.line_scan import (
     ScanConfig,
     along,
@@ -19,6 +18,7 @@ from btr_mjx.backtoreality.line_scan import (
     run_scan,
 )
 from btr_mjx.backtoreality.reality.simulated import Reality, SimulatedReality
+from btr_mjx.backtoreality.resumable import run_in_folder, write_trials
 from btr_mjx.backtoreality.state import (
     BTRSettings,
     Problem,

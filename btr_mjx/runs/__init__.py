@@ -5,7 +5,7 @@ flushed and renamed, so that a file is either complete or absent. Long work repo
 `graceful_interrupt`.
 """
 
-from btr_mjx.runs.configs import CONFIG_NAME, config_to_json, differences, read_config_json
+from btr_mjx.runs.config_json import CONFIG_NAME, config_to_json, differences, read_config_json
 from btr_mjx.runs.environment import available_cores, describe_environment
 from btr_mjx.runs.files import (
     atomic_write,
@@ -18,8 +18,8 @@ from btr_mjx.runs.files import (
     write_json,
     write_table,
 )
-from btr_mjx.runs.folder import IGNORED_FIELDS, RunFolder, is_unused, with_folder
 from btr_mjx.runs.progress_bar import StopRequest, graceful_interrupt, note, progress
+from btr_mjx.runs.run_folder import IGNORED_FIELDS, RunFolder, is_unused, with_folder
 
 __all__ = [
     "CONFIG_NAME",

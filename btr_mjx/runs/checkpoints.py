@@ -38,7 +38,7 @@ class Checkpoint:
       step: 0, 1, 2, ...
       arrays: name -> array.
       meta: JSON-able values.
-      rows: table name -> number of rows that belong to this step; see `btr_mjx.runs.folder.History`.
+      rows: table name -> number of rows that belong to this step; see `btr_mjx.runs.run_folder.History`.
     """
 
     step: int

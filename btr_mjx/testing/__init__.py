@@ -5,8 +5,8 @@
 imports this one.
 """
 
+from btr_mjx.testing.case_sampling import Missing
 from btr_mjx.testing.cases import CaseSettings, Truth, draw_reality, make_case
-from btr_mjx.testing.draw import Missing
 from btr_mjx.testing.fitness_cases import FitnessCaseSettings, case_draw, make_fitness_case
 from btr_mjx.testing.robots import case_robot
 

@@ -19,7 +19,7 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import DatasetDescription, Format, Recording, save_dataset
 from btr_mjx.gap.results import Verdict
-from btr_mjx.testing.draw import Draw, Missing, add_effects, draw_background
+from btr_mjx.testing.case_sampling import Draw, Missing, add_effects, draw_background
 from btr_mjx.testing.motion import Restart, peak_loads, simulate_reality
 from btr_mjx.testing.outside import OUTSIDE, possible_outside
 from btr_mjx.testing.physics import HiddenReality

@@ -11,8 +11,8 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.fitness_only import save_fitness
 from btr_mjx.gap.results import Verdict
 from btr_mjx.models import part_names
+from btr_mjx.testing.case_sampling import Draw
 from btr_mjx.testing.cases import Truth, draw_reality
-from btr_mjx.testing.draw import Draw
 from btr_mjx.testing.motion import Loads, peak_loads, simulate_reality
 from btr_mjx.testing.robots import CaseRobot, MotionCommand, case_robot
 

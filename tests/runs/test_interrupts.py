@@ -11,7 +11,7 @@ import pytest
 from btr_mjx.errors import Interrupted
 from btr_mjx.runs import RunFolder
 from btr_mjx.runs import progress_bar as progress
-from btr_mjx.runs.configs import read_config
+from btr_mjx.runs.config_json import read_config
 
 ROOT = Path(__file__).parents[2]
 

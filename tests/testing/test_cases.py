@@ -13,8 +13,8 @@ from btr_mjx.gap.effects import EFFECTS, Scales, candidates
 from btr_mjx.gap.simulate import Command, Segments, World, simulate
 from btr_mjx.runs import to_plain
 from btr_mjx.testing import CaseSettings, case_robot, draw_reality, make_case, physics
+from btr_mjx.testing.case_sampling import Draw
 from btr_mjx.testing.cases import SHARES
-from btr_mjx.testing.draw import Draw
 from btr_mjx.testing.motion import Restart, peak_loads
 from btr_mjx.testing.motion import simulate_reality as move
 from btr_mjx.testing.outside import OUTSIDE, possible_outside

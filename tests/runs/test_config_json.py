@@ -11,7 +11,7 @@ from run_configs import Coding, Config, Measured, Mutation
 
 from btr_mjx.errors import InputError
 from btr_mjx.runs import RunFolder, config_to_json, differences
-from btr_mjx.runs.configs import config_from_json, read_config
+from btr_mjx.runs.config_json import config_from_json, read_config
 
 
 def test_config_round_trip(tmp_path):

@@ -35,7 +35,7 @@ import polars as pl
 from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.runs import checkpoints
 from btr_mjx.runs.checkpoints import Checkpoint
-from btr_mjx.runs.configs import CONFIG_NAME, config_to_json, differences, read_config_json
+from btr_mjx.runs.config_json import CONFIG_NAME, config_to_json, differences, read_config_json
 from btr_mjx.runs.environment import describe_environment, environment_changes
 from btr_mjx.runs.files import is_temporary, read_json, read_table, sync_folder, to_plain, write_json, write_table
 from btr_mjx.runs.locks import LOCK_NAME, take_lock
@@ -140,7 +140,7 @@ class RunFolder:
 
         Args:
           path: the folder; missing parent folders are created.
-          config: a dataclass, written to config.json; see `btr_mjx.runs.configs`.
+          config: a dataclass, written to config.json; see `btr_mjx.runs.config_json`.
           resume: continue the run in the folder, which must have been started with an equal config.
           ignore: dotted names of config fields that may differ on resume since they do not affect results.
           devices: jax devices to record; None records them only if jax is running already.

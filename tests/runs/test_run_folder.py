@@ -10,8 +10,8 @@ from run_configs import Coding, Config, Mutation
 from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.runs import RunFolder, config_to_json, files
 from btr_mjx.runs.checkpoints import checkpoint_path, list_checkpoints
-from btr_mjx.runs.configs import read_config
-from btr_mjx.runs.folder import History
+from btr_mjx.runs.config_json import read_config
+from btr_mjx.runs.run_folder import History
 
 
 def test_history_types_survive(tmp_path):
