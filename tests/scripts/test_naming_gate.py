@@ -132,6 +132,14 @@ def test_unchanged_answers_are_not_computed_again(
     assert report["failed"] == []
 
 
+@pytest.mark.parametrize(("robot", "count"), [("hexapod", 40), ("quadruped", 20), ("arm", 20), ("pendulum", 20)])
+def test_baselines_answer_the_fixed_cases(gate: ModuleType, robot: Any, count: int) -> None:
+    file = Path(gate.__file__).parent / "baselines" / f"naming_gate-0.1.0-{robot}.json"
+    _, saved = gate.earlier(gate.Config(robot=robot, against=str(file)))
+    assert sorted(saved) == [f"{robot}-2026-{index:04d}" for index in range(count)]
+    assert {answer["verdict"] for answer in saved.values()} <= {"effect", "none", "unexplained"}
+
+
 def test_versions_are_compared_by_case(
     gate: ModuleType, cases: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
