@@ -44,6 +44,7 @@ ROOMS_OUTSIDE_SEARCH = (
 """Rooms that the search does not import. It does not import the commands either, which are the files at the top."""
 SHARES = (
     ("detectable effects right", "right_kind_and_place", "detectable"),
+    ("both of a pair found", "pairs_both_found", "pairs_detectable"),
     ("truth in the equivalence set", "truth_in_equivalence_set", "detectable"),
     ("nulls named", "nulls_named", "nulls"),
     ("outside called unexplained", "outside_flagged", "outside"),
@@ -62,6 +63,8 @@ class Config:
     """Robot of the cases."""
     seed: int = 2026
     """Seed of the cases."""
+    effects: Literal[1, 2] = 1
+    """Effects that are missing at once; with 2 there are no nulls and nothing outside the library."""
     workers: int = 2
     """Number of processes that make cases, and of those that solve them; several solvers get one core each."""
     out: Path = Path("runs/naming_gate")
@@ -133,7 +136,8 @@ CODE = code_digest(Path(str(btr_mjx.__file__)).parent)
 def make(config: Config, files: Files) -> None:
     """Make a case and write its truth; results from earlier recordings of the case are removed."""
     files.oracle.unlink(missing_ok=True)
-    blind_gap.make(blind_gap.Config(seed=config.seed, robot=config.robot, duration=config.duration), files)
+    drawn = {name: getattr(config, name) for name in ("seed", "robot", "duration", "effects")}
+    blind_gap.make(blind_gap.Config(**drawn, only_effects=config.effects > 1), files)
 
 
 def work(files: Files) -> None:
@@ -263,7 +267,8 @@ def gate(config: Config) -> dict[str, Any]:
     if config.duration is not None and not config.duration > 0:
         raise InputError(f"--duration: got {config.duration}, expected more than 0 s")
     other = None if config.against is None else earlier(config)
-    prefix = f"{config.robot}-{config.seed}" + (f"-{config.duration:g}s" if config.duration else "")
+    prefix = f"{config.robot}-{config.seed}" + ("-pairs" if config.effects > 1 else "")
+    prefix += f"-{config.duration:g}s" if config.duration else ""
     cases = [Files(config.out, index, prefix, CODE) for index in range(config.cases)]
     missing = [files for files in cases if cached(files) is None]
     if missing:

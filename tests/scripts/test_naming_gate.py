@@ -161,7 +161,7 @@ def test_versions_are_compared_by_case(
     gate.show(report)
     table = capsys.readouterr().out.splitlines()
     assert " ".join(table[2].split()) == "detectable effects right 1 of 1 0 of 1"
-    assert " ".join(table[4].split()) == "nulls named 1 of 1 0 of 1"
+    assert " ".join(table[5].split()) == "nulls named 1 of 1 0 of 1"
     # An earlier version with fewer answers, from a file: both are compared on the cases that both answered.
     path = tmp_path / "before.json"
     saved = {files.name: json.loads(files.answer.read_text()) for files in files_of(gate, cases, code)[:2]}
