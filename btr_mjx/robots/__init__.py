@@ -1,7 +1,7 @@
 """Definition of a robot: an MJCF template, the space S of simulations, the space C of controllers, a reference signal.
 
 `Robot` holds them, `Box` is a bounded space with a bit-string code, `hexapod` is the robot of the paper. Any other
-robot is defined by another `Robot`: only `robots.hexapod` depends on the hexapod.
+robot is one more `Robot`; the commands take the hexapod unless another template is given.
 """
 
 from btr_mjx.robots.hexapod import HEXAPOD, PAPER_REALITIES, hexapod, robot_of
