@@ -54,7 +54,7 @@ from btr_mjx.testing import make_case, make_fitness_case
 JOURNAL = "search"
 """Folder of simulation results in a run folder, from which a search is resumed."""
 
-DEMO_SEEDS = {"hexapod": 27, "quadruped": 7, "arm": 6, "pendulum": 2}
+DEMO_SEEDS = {"hexapod": 38, "quadruped": 7, "arm": 6, "pendulum": 2}
 """Default seeds of `--demo` by robot: hidden cases with one detectable effect of the library."""
 
 
