@@ -9,7 +9,7 @@ The run folder holds:
     preflight.csv                   what was found before any fit
     result.json                     verdict, effects with intervals, ranking, gap, next experiment
     ranking.csv, believed.csv, disagreement.csv, *.npz   tables and arrays behind the page
-    next_command.csv                what to command next, where candidates cannot be told apart
+    next_command.csv                what to command next, where the data cannot distinguish candidates
     mended.xml, mended.json         the believed model with what was found
     report.html, figures/           the page
     demo/, truth.json               with --demo: the case, and the answer
