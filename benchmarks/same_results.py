@@ -27,6 +27,7 @@ COMMANDS = {
     "paper": "coevolve --preset paper --iterations 1",
     "scan": "scan --parameter bl_14",
     "pendulum": "diagnose --demo --robot pendulum --seed 1",
+    "hexapod": "diagnose --demo --robot hexapod --seed 38",
 }
 """Commands by the name of their run folder."""
 
