@@ -16,12 +16,11 @@ class Standing:
     score: float
     hypothesis: SimpleNamespace
     held_out: float = 0.0
-    explained: bool = False
 
 
-def as_judged(name, score, held_out=0.0, explained=False):
+def as_judged(name, score, held_out=0.0):
     hypothesis = SimpleNamespace(effects=[(SimpleNamespace(name=name), (1.0,))])
-    return Standing(name, score, hypothesis, held_out, explained)
+    return Standing(name, score, hypothesis, held_out)
 
 
 def falls(bench: Bench, sides: Sequence[Side], before: Hypothesis, after: Hypothesis) -> list[float]:

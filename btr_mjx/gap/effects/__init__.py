@@ -15,7 +15,6 @@ from btr_mjx.gap.effects.places import (
     ground_geoms,
     joint_of,
     joint_places,
-    on_same_chain,
 )
 from btr_mjx.gap.effects.ranges import Scales, has_closed_loops
 from btr_mjx.gap.effects.selection import custom_effect_code, selected_effects
@@ -38,6 +37,5 @@ __all__ = [
     "joint_of",
     "joint_places",
     "link_of",
-    "on_same_chain",
     "selected_effects",
 ]

@@ -9,7 +9,6 @@ import numpy as np
 from btr_mjx.gap.effects.effect import Effect, Parameter
 from btr_mjx.gap.effects.places import Place, actuator_count, actuator_places
 from btr_mjx.gap.effects.ranges import Scales, unit_of
-from btr_mjx.gap.effects.similar import FADING_MOTOR
 from btr_mjx.gap.simulate import Command, World
 
 _MIN_LIMIT = 0.01
@@ -165,7 +164,6 @@ ACTUATOR_GAIN = Effect(
     excited_by="loads and accelerations",
     summable=True,
     equation="force → (1 + change) force",
-    similar=(FADING_MOTOR,),
 )
 TORQUE_LIMIT = Effect(
     "torque_limit",

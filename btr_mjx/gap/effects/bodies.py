@@ -8,7 +8,6 @@ from btr_mjx.gap.effects.links import lengthen, link_of
 from btr_mjx.gap.effects.mass import MassProperties, clear_sameframe, point_mass
 from btr_mjx.gap.effects.places import WORLD, Place, body_place, leaf_links, links, trunks, welded_bodies
 from btr_mjx.gap.effects.ranges import Scales
-from btr_mjx.gap.effects.similar import ELASTIC_CORD
 from btr_mjx.gap.simulate import World
 
 
@@ -200,7 +199,6 @@ CONSTANT_FORCE = Effect(
     _apply_force,
     excited_by="any motion",
     equation="a constant force at the body's centre of mass, world frame",
-    similar=(ELASTIC_CORD,),
 )
 AIR_DRAG = Effect(
     "air_drag",

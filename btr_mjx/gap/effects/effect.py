@@ -79,7 +79,6 @@ class Effect:
       native: writes the part of the effect that is not in model fields (command edit, law, wrench) into an MjSpec;
         returns whether MuJoCo can represent it.
       equation: the effect in one line, for reports.
-      similar: effects with a similar signature, compared once this one is named.
     """
 
     name: str
@@ -90,7 +89,6 @@ class Effect:
     summable: bool = False
     native: Native | None = None
     equation: str = ""
-    similar: tuple["Effect", ...] = ()
 
 
 @dataclass(frozen=True)

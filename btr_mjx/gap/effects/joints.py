@@ -8,7 +8,6 @@ import numpy as np
 from btr_mjx.gap.effects.effect import Effect, Parameter
 from btr_mjx.gap.effects.places import Place, actuator_count, joint_of, joint_places
 from btr_mjx.gap.effects.ranges import Scales, integrator_inertia, smallest_believed, typical_scale, unit_of
-from btr_mjx.gap.effects.similar import HARDENING_SPRING, ONE_SIDED_SPRING
 from btr_mjx.gap.simulate import Rows, World
 
 AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
@@ -147,7 +146,6 @@ JOINT_STIFFNESS = Effect(
     excited_by="large deflections of the joint, slow ones too",
     summable=True,
     equation="τ = −k (q − q_spring)",
-    similar=(HARDENING_SPRING, ONE_SIDED_SPRING),
 )
 JOINT_OFFSET = Effect(
     "joint_offset",

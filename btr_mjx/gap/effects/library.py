@@ -30,4 +30,4 @@ EFFECTS: tuple[Effect, ...] = (*FRICTION_EFFECTS, *JOINT_EFFECTS, *ACTUATOR_EFFE
 """Effects that are searched by default."""
 
 KNOWN_EFFECTS: tuple[Effect, ...] = (*EFFECTS, *SIMILAR_EFFECTS)
-"""All effects that can be selected by name, including those of `similar`."""
+"""All effects that can be selected by name: those and the four that are easily mistaken for them."""

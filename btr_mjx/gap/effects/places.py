@@ -135,15 +135,6 @@ def is_below(model: mujoco.MjModel, body: int, ancestor: int) -> bool:
     return body == ancestor
 
 
-def on_same_chain(model: mujoco.MjModel, a: Place, b: Place) -> bool:
-    """Whether one place is a descendant of the other, for places of a single body or joint."""
-    bodies = [p.bodies or tuple(int(model.jnt_bodyid[j]) for j in p.joints) for p in (a, b)]
-    if not all(len(own) == 1 for own in bodies) or any(p.geoms for p in (a, b)):
-        return False
-    (one,), (other,) = bodies
-    return is_below(model, one, other) or is_below(model, other, one)
-
-
 def body_place(model: mujoco.MjModel, body: int) -> Place:
     """The place of a body."""
     return Place(f"body:{part_names(model, 'body')[body]}", bodies=(body,))

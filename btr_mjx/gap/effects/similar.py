@@ -1,8 +1,7 @@
 """Effects that are similar to effects of the library: other functions of the state at the same place.
 
 A hardening spring is similar to a stiffness, a motor of drifting gain to one of wrong gain, an elastic cord to a
-constant force. They are searched only if selected by name; otherwise they are compared once the similar effect of the
-library (`Effect.similar`) is named.
+constant force. They are searched only if selected by name.
 """
 
 from dataclasses import dataclass

@@ -63,7 +63,7 @@ def content(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
         "believed": _table(result.get("believed")),
         "confounds": _lines(result.get("confounds")),
         "next_experiment": _experiment(result.get("next_experiment")),
-        "mended": _mended(folder, result.get("calibration") or []),
+        "mended": _mended(folder),
         "notes": _lines(result.get("notes")),
         "footer": _footer(folder, result),
     }
@@ -165,7 +165,7 @@ def _cell(value: Any) -> str:
     return format_number(value) if is_json_number(value) else str("" if value is None else value)
 
 
-def _mended(folder: Path, calibration: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+def _mended(folder: Path) -> dict[str, Any] | None:
     if not (folder / "mended.xml").is_file():
         return None
     text = "mended.xml is the believed model with the missing effects; plain MuJoCo loads it."
@@ -176,28 +176,15 @@ def _mended(folder: Path, calibration: Sequence[Mapping[str, Any]]) -> dict[str,
             {"effect": effect_title(t["effect"]), "location": t["location"], "equation": str(t.get("equation", ""))}
             for t in saved.get("terms", [])
         ]
-        errors = {f"{error['effect']}@{error['location']}" for error in calibration}
         native = [
             effect_at_place(dict(zip(("effect", "location"), name.split("@", 1), strict=True)))
             for name in saved.get("native", [])
-            if name not in errors
         ]
         text += f" It contains {' and '.join(native)}." if native else ""
-        if calibration:
-            text += f" It also contains small errors of calibration that were fitted with them: {_errors(calibration)}."
         text += " ".join(["", *saved.get("notes", [])])
     if terms:
         text += " Effects without a term in MJCF are in mended.json; this code adds them to a simulation:"
     return {"text": text, "terms": terms, "code": _CODE}
-
-
-def _errors(calibration: Sequence[Mapping[str, Any]]) -> str:
-    """Errors of calibration with their parameters."""
-
-    def values(error: Mapping[str, Any]) -> str:
-        return ", ".join(f"{key.replace('_', ' ')} {format_number(v)}" for key, v in error["parameters"].items())
-
-    return "; ".join(f"{effect_at_place(error)} ({values(error)})" for error in calibration)
 
 
 def _footer(folder: Path, result: Mapping[str, Any]) -> list[str]:

@@ -88,8 +88,6 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
             "Score: fall of the misfit, less a price for the effect's parameters. Black: named. "
             f"Hatched: {hatched}. Grey: other candidates. Dotted line: score that a name needs at least."
         )
-        if any(row.get("fresh") for row in ranking):
-            caption += " The first candidates were scored on more windows, which add to their scores."
         if len(found) == 1 and any(row["score"] > ranking[0]["score"] for row in ranking):
             caption += (
                 " What scores more than the name does not meet the other conditions for a name: it gains too little on "

@@ -8,7 +8,6 @@ cannot express to a simulation, and `mended_robot` makes a space of simulations 
 from btr_mjx.gap.results.mended_model import Callback, FoundEffect, MendedModel, mend
 from btr_mjx.gap.results.mended_space import ControllerTrial, mended_robot
 from btr_mjx.gap.results.records import (
-    Calibrated,
     Confound,
     Diagnosis,
     DisagreementMap,
@@ -37,7 +36,6 @@ from btr_mjx.gap.results.wording import (
 __all__ = [
     "REASON_NOT_NAMED",
     "RESULT",
-    "Calibrated",
     "Callback",
     "Confound",
     "ControllerTrial",

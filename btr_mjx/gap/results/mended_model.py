@@ -50,7 +50,7 @@ class FoundEffect:
 
     @classmethod
     def from_result(cls, entry: Mapping[str, Any]) -> "FoundEffect":
-        """A finding from an entry of `effects` or `calibration` in result.json.
+        """A finding from an entry of `effects` in result.json.
 
         Args:
           entry: effect, location, and parameters as numbers or as mappings with `value`.

@@ -55,7 +55,6 @@ def mended_robot(
     *,
     name: str = "mended",
     believed: Mapping[str, float] | None = None,
-    calibration: Sequence[Mapping[str, Any]] = (),
     widen: float = 2.0,
     effects: Sequence[Effect] = KNOWN_EFFECTS,
 ) -> Robot:
@@ -67,7 +66,6 @@ def mended_robot(
       trial: how controllers are tried.
       name: name of the robot.
       believed: path into the model -> refitted value, as for `mend`.
-      calibration: `calibration` of result.json, small errors that every simulation of the space has.
       widen: width of the box in units of the intervals; the bounds of the effects' parameters limit it.
       effects: the library that `effects_found` refers to.
 
@@ -78,8 +76,7 @@ def mended_robot(
       InputError: an effect that MJCF cannot express, too many parameters, or numbers that no polynomial follows.
     """
     found = [FoundEffect.from_result(entry) for entry in effects_found]
-    errors = [FoundEffect.from_result(entry) for entry in calibration]
-    mended = mend(source, [*errors, *found], believed=believed, effects=effects)
+    mended = mend(source, found, believed=believed, effects=effects)
     if mended.terms:
         lacking = ", ".join(f"{term['effect']}@{term['location']}" for term in mended.terms)
         raise InputError(f"{lacking}: MJCF has no such term, so that it cannot be a simulation of Back-to-Reality")
@@ -89,9 +86,8 @@ def mended_robot(
     point = np.array(nominal)
 
     def text(values: np.ndarray) -> str:
-        rest, items = list(values.tolist()), [*errors]
-        for item in found:
-            items.append(FoundEffect(item.effect, item.location, {key: rest.pop(0) for key in item.values}))
+        rest = list(values.tolist())
+        items = [FoundEffect(i.effect, i.location, {key: rest.pop(0) for key in i.values}) for i in found]
         return mend(source, items, believed=believed, effects=effects).xml
 
     template = _template(text, names, np.array(low), np.array(high))

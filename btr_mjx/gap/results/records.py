@@ -61,21 +61,6 @@ class NamedEffect:
 
 
 @dataclass(frozen=True)
-class Calibrated:
-    """A small error of calibration that was fitted beside a named effect and is not a missing effect by itself.
-
-    Attributes:
-      effect: name of the effect.
-      location: label of its place.
-      parameters: values by name.
-    """
-
-    effect: str
-    location: str
-    parameters: Mapping[str, float]
-
-
-@dataclass(frozen=True)
 class RankedCandidate:
     """A candidate in the ranking.
 
@@ -87,7 +72,6 @@ class RankedCandidate:
       held_out: fall of the loss on held-out recordings.
       parameters: values by name.
       beside: effects that were named in earlier rounds and are part of the hypothesis, "effect@location".
-      fresh: fall of the loss on windows that were added for the last comparison; 0 where there was none.
     """
 
     effect: str
@@ -98,7 +82,6 @@ class RankedCandidate:
     held_out: float
     parameters: Mapping[str, float]
     beside: tuple[str, ...] = ()
-    fresh: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -217,7 +200,6 @@ class Diagnosis:
       disagreement: map by place and regime.
       unexplained: descriptions of the part that no candidate explains.
       believed: believed parameters that could be refitted.
-      calibration: small errors of calibration fitted beside the effects; the mended model contains them.
       confounds: possible confusions with the named effects, and parameters that changed with them.
       overlays: parts of held-out recordings for figures.
       share: share of the chi^2 that any force could explain that the named effects explain.
@@ -250,7 +232,6 @@ class Diagnosis:
     windows: tuple[int, int, int, float]
     steps: int
     seconds: float
-    calibration: tuple[Calibrated, ...] = ()
     survivors: tuple = field(default=(), repr=False)
     notes: tuple[str, ...] = ()
 

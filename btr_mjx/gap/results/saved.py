@@ -92,7 +92,6 @@ def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
             "margin": row.margin,
             "gain": row.gain,
             "held_out": row.held_out,
-            "fresh": row.fresh,
             "parameters": dict(row.parameters),
             "equivalent": f"{row.effect}@{row.location}" in close and not row.beside,
             "beside": list(row.beside),
@@ -124,7 +123,6 @@ def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
         | {"open_loop_unit": _position_unit(dataset.model)},
         "unexplained": list(diagnosis.unexplained),
         "believed": [asdict(refit) for refit in diagnosis.believed],
-        "calibration": [asdict(error) for error in diagnosis.calibration],
         "confounds": [asdict(confound) for confound in diagnosis.confounds],
         "share": diagnosis.share,
         "lack_of_fit": dict(zip(("before", "after"), diagnosis.lack_of_fit, strict=True)),
@@ -180,11 +178,10 @@ def place_of_disagreement(disagreement: DisagreementMap) -> str:
 
 
 def _mended(diagnosis: Diagnosis, dataset: Dataset, effects: Sequence[Effect] = KNOWN_EFFECTS) -> MendedModel | None:
-    """The believed model with named effects, refitted parameters and errors of calibration; None without a name."""
+    """The believed model with named effects and refitted parameters; None without a name."""
     if not diagnosis.effects:
         return None
-    found = [FoundEffect(error.effect, error.location, error.parameters) for error in diagnosis.calibration]
-    found += [
+    found = [
         FoundEffect(effect.effect, effect.location, {name: p.value for name, p in effect.parameters.items()})
         for effect in diagnosis.effects
     ]
@@ -224,7 +221,7 @@ def _write_text(path: Path, text: str) -> None:
 
 def _write_tables(result: Mapping[str, Any], disagreement: DisagreementMap, folder: Path) -> None:
     rows = [
-        {key: row[key] for key in ("effect", "location", "score", "margin", "gain", "held_out", "fresh", "equivalent")}
+        {key: row[key] for key in ("effect", "location", "score", "margin", "gain", "held_out", "equivalent")}
         | {"parameters": ", ".join(f"{name} = {value:.6g}" for name, value in row["parameters"].items())}
         | {"beside": ", ".join(row["beside"])}
         for row in result["ranking"]

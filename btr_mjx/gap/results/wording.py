@@ -285,13 +285,9 @@ def _runner_up(result: Mapping[str, Any]) -> str:
     best, second = (_float(ranked[0].get("score")) if ranked else None), _float(others[0].get("score"))
     if best is None or second is None or best <= 0:
         return f"Runner-up: {effect_at_place(others[0])}."
-    share, of = second / best, "the score"
-    gains = [(_float(row.get("gain")) or 0.0) + (_float(row.get("held_out")) or 0.0) for row in (ranked[0], others[0])]
-    if bool(ranked[0].get("fresh")) != bool(others[0].get("fresh")) and gains[0] > 0:
-        # Fresh windows add to the score of one of the two; gains on the windows that both share are compared.
-        share, of = gains[1] / gains[0], "the gain on the same windows"
+    share = second / best
     how = "far behind" if share < 0.6 else "behind" if share < 0.9 else "close behind"
-    return f"Runner-up: {effect_at_place(others[0])}, {how} ({100 * max(share, 0):.0f} % of {of})."
+    return f"Runner-up: {effect_at_place(others[0])}, {how} ({100 * max(share, 0):.0f} % of the score)."
 
 
 def _key(row: Mapping[str, Any]) -> tuple[str, str]:

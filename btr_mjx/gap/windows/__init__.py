@@ -23,7 +23,7 @@ from btr_mjx.gap.windows.planning import choose_windows, time_step_notes
 from btr_mjx.gap.windows.prepared import PreparedData, prepare, scales_of, track_of
 from btr_mjx.gap.windows.rows import select_rows
 from btr_mjx.gap.windows.sensitivity import force_signatures, signatures, window_parts
-from btr_mjx.gap.windows.starting_states import fit_starting_states, with_fitted_states, with_step_error
+from btr_mjx.gap.windows.starting_states import fit_starting_states, with_fitted_states
 from btr_mjx.gap.windows.state_estimate import Span, Track, best_span, smooth
 from btr_mjx.gap.windows.time_steps import fine_step, reliable_windows, step_uncertainty
 from btr_mjx.gap.windows.windows import MakeWorld, Windows
@@ -65,5 +65,4 @@ __all__ = [
     "window_parts",
     "window_weight",
     "with_fitted_states",
-    "with_step_error",
 ]

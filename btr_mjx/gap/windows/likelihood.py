@@ -105,7 +105,6 @@ def fit(
     high: np.ndarray | None = None,
     iterations: int = 4,
     weights: np.ndarray | None = None,
-    centre: np.ndarray | None = None,
 ) -> Fit:
     """Fit all columns under the bounded loss, by iteratively reweighted least squares.
 
@@ -117,7 +116,6 @@ def fit(
       high: (C,) upper bounds or None.
       iterations: largest number of reweightings.
       weights: (W,) initial weights; None for those of the residual.
-      centre: (C,) means of the priors; None for zeros.
 
     Returns:
       The iterate of smallest loss; zeros if none improves.
@@ -125,18 +123,15 @@ def fit(
     count = data.n
     zero = np.zeros(count)
     w = window_weight(data.energy, cut) if weights is None else weights
-    centre = zero if centre is None else centre
-    price = float((precision * centre**2).sum())
-    best = Fit(zero, float(bounded_loss(data.energy, cut).sum()) + price, data.energy, np.eye(count))
+    best = Fit(zero, float(bounded_loss(data.energy, cut).sum()), data.energy, np.eye(count))
     if not count:
         return best
     for _ in range(iterations):
         normal = np.tensordot(w, data.gram, 1) + np.diag(precision)
         normal = regularised(normal)
-        target = precision * centre - w @ data.moment
-        values = _box(normal, target, low, high)
+        values = _box(normal, -(w @ data.moment), low, high)
         x = np.maximum(data.energy + 2.0 * data.moment @ values + (data.gram @ values) @ values, 0.0)
-        loss = float(bounded_loss(x, cut).sum() + (precision * (values - centre) ** 2).sum())
+        loss = float(bounded_loss(x, cut).sum() + (precision * values**2).sum())
         improved = best.loss - loss
         if improved > 0:
             best = Fit(values, loss, x, normal)

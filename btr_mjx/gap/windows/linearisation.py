@@ -10,7 +10,7 @@ _MAX_CHANGE = 1.0
 """Value of `transition_change` above which the transition matrix of an interval is differentiated again."""
 
 
-def linearise(windows: Windows, make: MakeWorld, steps: int = 5, step: float | None = None) -> None:
+def linearise(windows: Windows, make: MakeWorld, steps: int = 5) -> None:
     """Linearise windows around a hypothesis, which becomes their base.
 
     Chooses the time step, differentiates, fits the starting states, and differentiates again at these.
@@ -19,9 +19,8 @@ def linearise(windows: Windows, make: MakeWorld, steps: int = 5, step: float | N
       windows: changed in place.
       make: the hypothesis.
       steps: Gauss-Newton steps of the starting states; a window accepts a step only if its chi^2 decreases.
-      step: time step [s]; None to choose it.
     """
-    base, correction = choose_time_step(windows, make, step)
+    base, correction = choose_time_step(windows, make)
     windows.stride = stride(windows, make, base)
     windows.transitions, windows.perturbed_ends = transitions(windows, make, base)
     _set_jacobians(windows, make)

@@ -96,15 +96,3 @@ def with_fitted_states(windows: Windows, make: Callable[[mujoco.MjModel], World]
     if exact:
         other.correction = step_error(other, make, other.base)
     return other
-
-
-def with_step_error(windows: Windows, make: Callable[[mujoco.MjModel], World]) -> Windows:
-    """A copy of windows with another hypothesis as base, its correction of the time step, and the same starting states.
-
-    Args:
-      windows: linearised.
-      make: the hypothesis.
-    """
-    other = windows.based(make)
-    other.correction = step_error(other, make, other.base)
-    return other

@@ -131,27 +131,24 @@ class _FirstOrder:
         return replace(world, model=other)
 
 
-def choose_time_step(
-    windows: Windows, make: Callable[[mujoco.MjModel], World], step: float | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+def choose_time_step(windows: Windows, make: Callable[[mujoco.MjModel], World]) -> tuple[np.ndarray, np.ndarray]:
     """Choose the time step of windows: twice `windows.dt` if its error is below the noise, else `windows.dt`.
 
     Args:
       windows: `step` is set in place.
       make: a hypothesis.
-      step: prescribed time step [s], for windows that are to be joined; None to choose one.
 
     Returns:
       States (W, k + 1, nq + nv) of the hypothesis, and their `step_error` (W, R).
     """
     interval = float(np.median(np.diff(windows.since, axis=1)))
-    for times in (2, 1) if step is None else (step / windows.dt,):
+    for times in (2, 1):
         windows.step = times * windows.dt
-        if step is None and times > 1 and windows.step > 1.02 * min(_MAX_STEP, interval):
+        if times > 1 and windows.step > 1.02 * min(_MAX_STEP, interval):
             continue
         base = windows.states([make])[0]
         error = step_error(windows, make, base)
-        if step is not None or times == 1 or np.median((error**2).mean(1)) <= _MAX_STEP_ERROR**2:
+        if times == 1 or np.median((error**2).mean(1)) <= _MAX_STEP_ERROR**2:
             break
     return base, error
 

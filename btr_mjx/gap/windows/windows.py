@@ -258,17 +258,6 @@ class Windows:
         """The windows in which the linearisation holds."""
         return self if self.is_linear.all() else self.some(np.flatnonzero(self.is_linear))
 
-    def joined(self, other: "Windows") -> "Windows":
-        """The union with other windows of the same recordings, length and time step, all linearised."""
-        both = self.copied()
-        for name in _PER_WINDOW:
-            setattr(both, name, np.concatenate([getattr(self, name), getattr(other, name)]))
-        qpos, qvel = (np.concatenate(pair) for pair in zip(self.smoothed, other.smoothed, strict=True))
-        both.smoothed, both.stride = (qpos, qvel), min(self.stride, other.stride)
-        both.make_base = self.make_base if self.make_base is other.make_base else None
-        both.groups = both._by_model()
-        return both
-
     @property
     def raw(self) -> np.ndarray:
         """Whitened residual (W, R) of the base, with nothing projected out."""

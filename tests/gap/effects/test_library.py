@@ -17,7 +17,6 @@ from btr_mjx.gap.effects import (
     Scales,
     candidates,
     joint_places,
-    on_same_chain,
 )
 from btr_mjx.gap.effects.joints import ARMATURE
 from btr_mjx.gap.results.transcribe import normalised, write_changes
@@ -89,30 +88,11 @@ def test_places_of_a_robot() -> None:
     assert labels["constant_force"] == [f"body:{n}" for n in ("torso", "shank0", "shank1")]
     assert {"geom:foot0", "geom:foot1", "world"} <= set(labels["ground_friction"])
     assert labels["elastic_cord"] == ["body:torso"]
-    for effect in EFFECTS:
-        # A twin sits wherever the effect does that it is taken for: cords only on bodies that are free.
-        here = [label for label in labels[effect.name] if label not in ("body:shank0", "body:shank1")]
-        assert all(set(here) <= set(labels[other.name]) for other in effect.similar)
     pendulum = load("pendulum")
     names = {c.name for c in candidates(pendulum, Scales.of(pendulum), EFFECTS)}
     assert not {n for n in names if n.startswith(("ground_friction", "contact_softness", "com_shift"))}
     assert {"load_friction@joint:servo", "ground_slope@world", "link_length@body:arm", "payload@body:arm"} <= names
     assert not {n for n in names if n.endswith("@all")}
-
-
-def test_places_on_the_same_chain() -> None:
-    model = load("quadruped")
-    place = {c.place.label: c.place for c in candidates(model, Scales.of(model), EFFECTS)}
-    for one_, other, expected in (
-        ("joint:hip0", "joint:knee0", True),
-        ("joint:knee0", "body:thigh0", True),
-        ("joint:hip0", "joint:knee1", False),
-        ("joint:hip0", "all", False),
-        ("joint:hip0", "geom:foot0", False),
-        ("joint:hip0", "world", False),
-    ):
-        assert on_same_chain(model, place[one_], place[other]) is expected
-        assert on_same_chain(model, place[other], place[one_]) is expected
 
 
 def test_null_values_change_nothing() -> None:

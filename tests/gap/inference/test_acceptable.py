@@ -98,8 +98,3 @@ def test_contacts_without_a_name_give_way_to_what_held_out_recordings_say_more_o
     monkeypatch.setattr("btr_mjx.gap.inference.search.naming.within_calibration", lambda bench, j: False)
     out = acceptable(SimpleNamespace(delicate=frozenset("mn")), judged, None)
     assert "".join(j.hypothesis.effects[-1][0].name for j in out) == order
-
-
-def test_what_calibration_explains_is_nobodys_equal():
-    judged = [as_judged("a", 500.0), as_judged("b", 490.0, explained=True), as_judged("c", 480.0)]
-    assert equivalent(judged) == ("a", "c")

@@ -1,7 +1,6 @@
 """Naming the missing effect of an arm: from recordings to a verdict."""
 
 import dataclasses
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,8 +14,7 @@ from btr_mjx.gap.effects.similar import HARDENING_SPRING
 from btr_mjx.gap.inference import Bench, Hypothesis, identify
 from btr_mjx.gap.inference.scoring.gains import fall, luckiest
 from btr_mjx.gap.inference.scoring.hypotheses import unknowns
-from btr_mjx.gap.inference.search.held_out import foreseen
-from btr_mjx.gap.inference.verdict.outcome import calibration_of, equivalent, overlays
+from btr_mjx.gap.inference.verdict.outcome import equivalent, overlays
 from btr_mjx.gap.windows import Fit
 
 
@@ -69,40 +67,11 @@ def test_luck_counts_where_windows_are_many():
     assert luckiest(np.array([40.0, 40.0])) == pytest.approx(40.0 / 8)
 
 
-def test_what_one_window_alone_foresees_is_left_out_as_a_gain_there_would_be():
+def test_what_one_window_alone_gains_is_left_out():
     chi2 = np.full(20, 2.0)
     chi2[3] = 500.0  # a limit that is reached once
     before, after = (Fit(np.zeros(0), float(c.sum()), c, np.zeros((0, 0))) for c in (chi2, np.zeros(20)))
-    windows = SimpleNamespace(residual=np.zeros((20, 4)), based=lambda make: windows)
-    profiled = SimpleNamespace(profile=lambda change, cut: before)
-    bench = SimpleNamespace(nuisance=lambda side, hypothesis: profiled, cut=1e4, dispersion=1.0)
-    side = SimpleNamespace(windows=windows)
-    judged = SimpleNamespace(hypothesis=Hypothesis((), ()), sides=(side, side), residual=np.zeros((20, 4)))
-    assert foreseen(bench, judged) == pytest.approx(19 * 2.0)
-    assert foreseen(bench, judged) == pytest.approx(fall(before, after, 1e4))
-
-
-def test_a_true_name_gains_what_it_foresees_on_held_out_recordings():
-    """Where its parameter is right, chi^2 falls by the squared distance of both simulations, but for the noise."""
-    gains = []
-    for seed in range(3):
-        bench = Bench(dataset(damped, seed=seed), LIBRARY, QUICK)
-        elbow = next(c for c in bench.candidates if c.name == "viscous_damping@joint:elbow")
-        for size in (0.1, 0.03):
-            hypothesis = bench.base.with_effect(elbow, [size])
-            residuals = [side.windows.residuals([hypothesis])[0] for side in (bench.fit, bench.test)]
-            judged = SimpleNamespace(hypothesis=hypothesis, sides=(bench.fit, bench.test), residual=residuals[1])
-            change = bench.test.windows.residual - residuals[1]
-            along = bench.nuisance(bench.test, hypothesis)
-            left = np.array([(row**2).sum() for row in along.absorbed(change, bench.cut)])
-            usual = 15.0 + 3.0 * np.quantile(left, 0.8)
-            least = np.minimum(left, usual).sum() - min(left.max(), usual)
-            assert least / bench.dispersion - 1e-6 <= foreseen(bench, judged) <= left.sum() / bench.dispersion + 1e-6
-            gains.append((size, foreseen(bench, judged)))
-            if size == 0.1:
-                before, after = (along.profile(r, bench.cut) for r in (bench.test.windows.residual, residuals[1]))
-                assert bench.fall(before, after) == pytest.approx(foreseen(bench, judged), rel=0.3)
-    assert all(large > 5 * small for (_, large), (_, small) in zip(gains[::2], gains[1::2], strict=True))
+    assert fall(before, after, 1e4) == pytest.approx(19 * 2.0)
 
 
 def test_the_gap_closes_on_held_out_recordings(found):
@@ -202,10 +171,8 @@ def test_a_spring_on_one_side_is_not_called_a_spring(stiffness):
     assert (found.ranking[0].effect, found.ranking[0].location) == ("joint_stiffness", "joint:elbow")
     assert found.ranking[0].score > 5 * found.threshold
     assert found.verdict == "unexplained"
-    assert found.unexplained[0].startswith("joint:elbow: a spring on one side (τ = −k |q − q_spring|, stiffness ")
-    assert found.unexplained[0].endswith("explains what a spring does not (--effects all one_sided_spring names it)")
-    half = float(found.unexplained[0].partition("stiffness ")[2].split()[0])
-    assert abs(half) == pytest.approx(stiffness / 2, rel=0.15)  # as much again is the stiffness beside it
+    expected = "joint:elbow: a force there follows absolute position, as no effect that was tried does"
+    assert found.unexplained[0] == expected
 
 
 def test_a_spring_is_not_mistaken_for_what_it_is_not():
@@ -261,17 +228,8 @@ def test_hypotheses_keep_their_numbers_in_order():
     assert again.believed == (0.1,)
     assert len(unknowns(made, True).low) == 3
     assert made.name == f"{first.name} + {second.name}"
-    calibrated = dataclasses.replace(made, effects=made.effects[1:], calibration=made.effects[:1])
-    np.testing.assert_allclose(calibrated.values(True), [0.2, 0.004])
-    assert (calibrated.numbers, calibrated.name) == (1, second.name)
-    for other in (calibrated, calibrated.replaced(calibrated.values(True), True)):
-        assert other.calibration == made.effects[:1]
-        np.testing.assert_array_equal(*(bench.fit.windows.states([h])[0] for h in (made, other)))
     judged = bench.find()
     assert equivalent(judged)[0] == judged[0].name
-    (error,) = calibration_of([judged[0], dataclasses.replace(judged[0], hypothesis=calibrated)])
-    assert (f"{error.effect}@{error.location}", list(error.parameters.values())) == (first.name, [0.3])
-    assert calibration_of(judged[:1]) == calibration_of([]) == ()
 
 
 def test_uneven_samples_without_velocities():

@@ -15,7 +15,6 @@ from btr_mjx.gap.inference import Bench
 from btr_mjx.gap.inference.scoring.gains import robust_gain
 from btr_mjx.gap.inference.scoring.scanner import Lead
 from btr_mjx.gap.inference.scoring.screening import Entry
-from btr_mjx.gap.inference.search import contact_leaders
 from btr_mjx.gap.inference.search.contact_leaders import contact_scan, with_contacts
 from btr_mjx.gap.inference.search.leaders import pick, starts
 from btr_mjx.gap.inference.search.search_records import Side
@@ -37,10 +36,7 @@ def bench() -> Bench:
 
 
 @pytest.mark.parametrize(("every", "angle"), [(1, 0.02), (2, 0.02), (1, 0.12)])
-def test_a_scan_of_contacts_is_a_loop_over_candidates(
-    bench: Bench, every: int, angle: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(contact_leaders, "_BEST", 1)  # all go further, whoever is judged anew
+def test_a_scan_of_contacts_is_a_loop_over_candidates(bench: Bench, every: int, angle: float) -> None:
     if angle > 0.02:
         bench = Bench(dataset(partial(raised, angle=angle), seed=4, fit=3, test=1), OFFSETS, QUICK)
     moving = [c for c in bench.candidates if c.effect.name == "joint_offset"]
@@ -81,53 +77,53 @@ def test_a_scan_of_contacts_is_a_loop_over_candidates(
     np.testing.assert_allclose([gain for gain, _, _ in longer], [gain for gain, _, _ in found], rtol=0.05, atol=5.0)
 
 
-def test_a_limit_brings_those_of_its_group_along() -> None:
+def test_the_best_leads_are_refined_and_the_best_limit_beside_them() -> None:
+    """What a lead is worth is its gain less the price of its numbers; a limit looks like a weak motor from afar."""
     known = {c.name: c for c in candidates(arm(), Scales.of(arm()), EFFECTS)}
-    names = [("torque_limit@actuator:elbow", 90.0, True), ("viscous_damping@joint:elbow", 80.0, False)]
-    names += [("armature@joint:elbow", 70.0, False), ("torque_limit@actuator:shoulder", 5.0, True)]
-    names += [("torque_limit@all", -1.0, True)]  # in the linear picture the other motors speak against it
-    entries = [Entry(known[name], np.ones(len(known[name].parameters)), probe) for name, _, probe in names]
-    leads = [Lead(i, gain, known[name].null + 1.0) for i, (name, gain, _) in enumerate(names) if gain > 0]
-    picked = pick(leads, entries, Options(leaders=1), 10.0)
-    assert set(picked) == {"torque_limit@actuator:elbow", "torque_limit@all"}
-    (group,) = picked["torque_limit@all"]
-    assert entries[group.index].candidate.name == "torque_limit@all"
-    np.testing.assert_array_equal(group.values, leads[0].values)
-    # One that is not worth its price brings nobody: a robot that never comes near a limit says nothing of groups.
-    assert set(pick(leads, entries, Options(leaders=1), 100.0)) == {"torque_limit@actuator:elbow"}
+    rows = [("viscous_damping@joint:elbow", 80.0, False), ("payload@body:lower", 100.0, False)]
+    rows += [("armature@joint:elbow", 75.0, False), ("torque_limit@actuator:elbow", 40.0, True)]
+    rows += [("torque_limit@actuator:shoulder", 5.0, True)]
+    entries = [Entry(known[name], np.ones(len(known[name].parameters)), probe) for name, _, probe in rows]
+    leads = [Lead(i, gain, known[name].null + 1.0) for i, (name, gain, _) in enumerate(rows)]
+    numbers = len(known["payload@body:lower"].parameters)
+    assert numbers > 1
+
+    def picked(leaders: int, price: float) -> list[str]:
+        return list(pick(leads, entries, Options(leaders=leaders), price))
+
+    assert picked(1, 0.0) == ["payload@body:lower", "torque_limit@actuator:elbow"]
+    assert picked(1, 21.0 / (numbers - 1)) == ["viscous_damping@joint:elbow", "torque_limit@actuator:elbow"]
+    assert picked(3, 0.0) == [rows[i][0] for i in (1, 0, 2, 3)]
+    assert picked(4, 0.0) == picked(3, 0.0)  # a limit that leads by itself brings no other
+    assert picked(5, 0.0) == [row[0] for row in (rows[1], rows[0], *rows[2:])]
+    assert list(pick(leads[:3], entries, Options(leaders=1), 0.0)) == ["payload@body:lower"]
 
 
-def test_an_effect_that_leads_at_several_places_is_tried_at_all_of_them() -> None:
+def test_a_leader_starts_from_its_three_best_leads_probes_first() -> None:
     known = {c.name: c for c in candidates(arm(), Scales.of(arm()), EFFECTS)}
-    names = [f"dry_friction@{place}" for place in ("joint:elbow", "joint:shoulder", "all")] + ["armature@joint:elbow"]
-    entries = [Entry(known[name], np.ones(1)) for name in names]
-    leads = [Lead(i, gain, np.array([gain])) for i, gain in enumerate([90.0, 70.0, -50.0, 80.0])]
-    picked = pick(leads, entries, Options(leaders=3), 10.0)
-    assert set(picked) == set(names)
-    assert 90.0 in [lead.values[0] for lead in picked["dry_friction@all"]]
-    assert set(pick(leads, entries, Options(leaders=2), 10.0)) == {names[0], names[3]}  # one place says nothing of all
-    assert set(pick(leads, entries, Options(leaders=3), 80.0)) == {names[0], names[1], names[3]}  # the other is chance
-    ahead = [leads[0], leads[1], Lead(2, 100.0, np.ones(1))]
-    assert len(pick(ahead, entries, Options(leaders=3), 10.0)["dry_friction@all"]) == 1  # it leads by itself
-    assert set(pick(leads[:2], entries[:2], Options(), 10.0)) == set(names[:2])  # there is no such group
+    limit = known["torque_limit@actuator:elbow"]
+    entries = [Entry(limit, -np.ones(1), probe) for probe in (False, True, True, True)]
+    leads = [Lead(i, gain, np.array([gain])) for i, gain in enumerate((90.0, 10.0, 30.0, 20.0))]
+    (own,) = pick(leads, entries, Options(leaders=1), 10.0).values()
+    assert [lead.gain for lead in own] == [30.0, 20.0, 10.0]
+    (own,) = pick(leads[:2], entries, Options(leaders=1), 10.0).values()
+    assert [lead.gain for lead in own] == [10.0, 90.0]
 
 
-def test_a_limit_that_the_simulation_never_reaches_is_tried_where_all_is_far_away() -> None:
+def test_a_limit_is_refined_from_all_the_way_to_its_tightest() -> None:
     known = {c.name: c for c in candidates(arm(), Scales.of(arm()), EFFECTS)}
-    names = ["load_friction@joint:elbow", "torque_limit@actuator:elbow", "torque_limit@actuator:shoulder"]
-    entries = [Entry(known[name], -0.1 * known[name].null - 0.01, name.startswith("torque")) for name in names]
-    leads = [Lead(0, 90.0, known[names[0]].null + 0.1)]
-    assert set(pick(leads, entries, Options(leaders=2), 10.0)) == {names[0]}
-    picked = pick(leads, entries, Options(leaders=2), 10.0, far=True)
-    assert set(picked) == set(names[:2])
-    tried = starts(picked[names[1]], lambda lead: entries[lead.index])
-    first = known[names[1]].parameters[0]
-    share = (np.concatenate(tried) - first.null) / (first.low - first.null)
+    limit, friction = known["torque_limit@actuator:elbow"], known["load_friction@joint:elbow"]
+    entries = [Entry(limit, -0.1 * limit.null - 0.01, True), Entry(friction, np.ones(1))]
+    first = limit.parameters[0]
+    lead = Lead(0, 90.0, limit.null - 0.01)
+    own, *further = starts([lead], lambda one: entries[one.index])
+    np.testing.assert_array_equal(own, lead.values)
+    share = (np.concatenate(further) - first.null) / (first.low - first.null)
     assert share.max() > 0.95
     assert np.all((share > 0) & (share < 1))
-    fewer = starts(picked[names[1]], lambda lead: entries[lead.index], every=2)
-    np.testing.assert_array_equal(fewer[0], tried[0])
-    np.testing.assert_array_equal(fewer[1:], tried[1::2])
+    plain = Lead(1, 90.0, friction.null + 0.1)
+    (only,) = starts([plain], lambda one: entries[one.index])
+    np.testing.assert_array_equal(only, plain.values)
 
 
 def test_single_motors_have_no_clocks_of_their_own() -> None:

@@ -13,7 +13,6 @@ from gap_models import QUADRUPED
 from btr_mjx.gap.data import Believed, Dataset
 from btr_mjx.gap.report import draw_report
 from btr_mjx.gap.results import (
-    Calibrated,
     Confound,
     Diagnosis,
     DisagreementMap,
@@ -126,25 +125,6 @@ def test_the_mended_model_has_what_was_refitted(dataset: Dataset, tmp_path: Path
     assert model.actuator("hip0").biasprm[2] == pytest.approx(-1.575)
     terms = read_json(tmp_path / "run" / "mended.json")["terms"]
     assert [(t["effect"], t["parameters"]) for t in terms] == [("load_friction", {"coefficient": 0.31})]
-
-
-def test_the_mended_model_has_the_errors_of_calibration(dataset: Dataset, tmp_path: Path) -> None:
-    errors = (
-        Calibrated("link_length", "body:shank0", {"change": 0.004}),
-        Calibrated("joint_offset", "joint:knee0", {"offset": 0.002}),
-    )
-    folders = tmp_path / "without", tmp_path / "with"
-    for folder, calibration in zip(folders, ((), errors), strict=True):
-        result = save_diagnosis(replace(diagnosis(), calibration=calibration), dataset, folder)
-        assert [row["location"] for row in result["calibration"]] == [error.location for error in calibration]
-    without, mended = (mujoco.MjModel.from_xml_path(str(folder / "mended.xml")) for folder in folders)
-    assert mended.geom("foot0").pos[2] - without.geom("foot0").pos[2] == pytest.approx(-0.004, rel=0.01)
-    address = mended.joint("knee0").qposadr[0]
-    assert mended.qpos0[address] - without.qpos0[address] == pytest.approx(0.002, rel=0.01)
-    assert mended.dof_damping[mended.joint("knee0").dofadr[0]] == pytest.approx(0.21)
-    pages = [draw_report(folder).read_text(encoding="utf-8") for folder in folders]
-    assert "small errors of calibration" not in pages[0]
-    assert "another length of the link at body shank0 (change 0.004)" in pages[1]
 
 
 def test_meshes_are_found_from_anywhere(dataset: Dataset, tmp_path: Path) -> None:

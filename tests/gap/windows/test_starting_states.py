@@ -9,8 +9,8 @@ from gap_arm import SIGMA, arm, arm_windows, elbow_off, recording
 from scipy.optimize import least_squares
 
 from btr_mjx.gap.data import load
-from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.inference import Bench, Hypothesis
+from btr_mjx.gap.effects import EFFECTS, WORLD
+from btr_mjx.gap.inference import Bench
 from btr_mjx.gap.inference.search.contact_leaders import contact_scan, judged_anew
 from btr_mjx.gap.inference.search.search_records import Side
 from btr_mjx.gap.simulate import World
@@ -102,7 +102,6 @@ def test_base_states_are_not_simulated_again(windows: Windows) -> None:
     other = own.based(World.of)
     assert own.counter.steps > counted
     np.testing.assert_allclose(other.base, own.states([World.of])[0], atol=1e-12)
-    assert own.joined(other).make_base is None
 
 
 def test_converged_windows_are_not_simulated_again(windows: Windows) -> None:
@@ -188,92 +187,43 @@ def test_the_best_of_a_scan_are_looked_at_with_directions_of_their_own(bench: Be
     moving = [c for c in bench.candidates if c.effect.name == "joint_offset"]
     side = Side(bench.fit.windows, bench.free(bench.fit))
     found = contact_scan(side, bench.base, moving, bench.cut, bench.fit.windows.residual, 1)
-    model = bench.dataset.model
-    again = judged_anew(model, found, bench.base, bench.walks, 0.0)
+    again = judged_anew(found, bench.base, bench.walks, 0.0)
     assert {c.name for _, c, _ in again} == {c.name for _, c, _ in found}
+    assert [gain for gain, _, _ in again] == sorted((gain for gain, _, _ in again), reverse=True)
     first = {c.name: (gain, values) for gain, c, values in found}
     for gain, candidate, values in again:
         known, start = first[candidate.name]
-        tries = [bench.walks.gain(bench.base.with_effect(candidate, factor * start)) for factor in (1.0, 3.0)]
-        kin = found[0][0] > 100.0 and candidate is not found[0][1]  # the arm is one limb
-        assert gain == max(known, *tries[: 2 if tries[0] >= -60.0 or kin else 1])
-        assert values[0] in (start[0], 3.0 * start[0])
-    assert judged_anew(model, found, bench.base, bench.walks, 1e9) == found  # something else is far stronger
+        tries = {f: bench.walks.gain(bench.base.with_effect(candidate, f * start)) for f in (1.0, 3.0)}
+        assert gain == max(known, *tries.values())
+        factor = max(tries, key=lambda f: tries[f])
+        assert values[0] == (start[0] if gain == known else factor * start[0])
+    assert judged_anew(found, bench.base, bench.walks, 1e9) == found  # something else is far stronger
 
 
-def test_what_leads_has_its_limb_judged_anew(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Others on its limb are looked at, too, at both sizes, however little the scan thinks of them."""
-    moving = [c for c in bench.candidates if c.effect.name == "joint_offset"]
-    others = [c for c in bench.candidates if c.name in bench.delicate and c not in moving][:6]
-    rows = [(300.0, moving[0], moving[0].null + 0.005), *((50.0, c, c.null + 0.01) for c in others)]
-    rows.append((-500.0, moving[1], moving[1].null + 0.005))
-    asked = []
-    monkeypatch.setattr(bench.walks, "gain", lambda h: asked.append(h.name) or -1000.0)
-    judged_anew(bench.dataset.model, rows, bench.base, bench.walks, 0.0)
-    assert asked.count(moving[1].name) == 2
-    asked.clear()
-    weak = [(90.0, *rows[0][1:]), *rows[1:]]
-    judged_anew(bench.dataset.model, weak, bench.base, bench.walks, 0.0)
-    assert asked.count(moving[1].name) == 0
-    # What leads by as much only when it is looked at has its limb judged anew as well.
-    monkeypatch.setattr(bench.walks, "gain", lambda h: asked.append(h.name) or 150.0 * (h.name == moving[0].name))
-    judged_anew(bench.dataset.model, weak, bench.base, bench.walks, 0.0)
-    assert asked.count(moving[1].name) == 2
-    asked.clear()
-    judged_anew(bench.dataset.model, weak, bench.base, bench.walks, 900.0)  # something else is far stronger
-    assert asked.count(moving[1].name) == 0
-
-
-@pytest.mark.parametrize(("hope", "tried"), [(9.9, 2), (0.5, 1)])
-def test_what_the_linear_picture_shows_clearly_is_tried_larger(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, hope: float, tried: int
+@pytest.mark.parametrize(("strongest", "least", "least_of_world"), [(0.0, -60.0, -600.0), (2000.0, 140.0, -400.0)])
+def test_who_of_a_scan_is_looked_at_again(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, strongest: float, least: float, least_of_world: float
 ) -> None:
-    """Even if a small size is worse than nothing on some windows."""
-    moving = next(c for c in bench.candidates if c.effect.name == "joint_offset")
-    row = 20.0, moving, moving.null + 0.005
+    """The best six, and what acts on the world as a whole, unless something else is far stronger."""
     asked = []
-    monkeypatch.setattr(bench.walks, "gain", lambda h: asked.append(h.effects[-1][1][0]) or -175.0)
-    judged_anew(bench.dataset.model, [row], bench.base, bench.walks, 0.0, {moving.name: hope})
-    np.testing.assert_allclose(asked, [0.005, 0.015][:tried])
+    monkeypatch.setattr(bench.walks, "gain", lambda h: asked.append(h.name) or -1e9)
 
-
-def test_a_scan_that_is_sure_is_not_repeated(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No larger size of what it shows clearly, and fewer candidates on other limbs."""
-    moving = bench.candidates[:5]
-    asked = []
-    monkeypatch.setattr(bench.walks, "gain", lambda h: asked.append(h.effects[-1][1][0]) or 5000.0)
-    for gain, sizes in ((900.0, 2), (1100.0, 1)):
+    def looked_at(rows: list[tuple[float, str, bool]]) -> set[str]:
         asked.clear()
-        judged_anew(bench.dataset.model, [(gain, moving[0], moving[0].null + 0.005)], bench.base, bench.walks, 0.0)
-        assert len(asked) == sizes
-    monkeypatch.setattr("btr_mjx.gap.inference.search.contact_leaders.on_same_chain", lambda *_: False)
-    for gain, count in ((900.0, len(moving)), (1100.0, 3)):
-        asked.clear()
-        rows = [(gain, c, c.null + 0.005) for c in moving]
-        judged_anew(bench.dataset.model, rows, bench.base, bench.walks, 0.0)
-        assert len(asked) == count * (2 if gain < 1000.0 else 1)
+        nothing = np.zeros(1)
+        number = SimpleNamespace(null=0.0, low=-1.0, high=1.0)
+        stand_ins = [
+            (gain, SimpleNamespace(name=name, place=WORLD if world else None, parameters=(number,)), nothing)
+            for gain, name, world in rows
+        ]
+        assert judged_anew(stand_ins, bench.base, bench.walks, strongest) == stand_ins  # never worse than the scan
+        assert all(asked.count(name) == 2 for name in asked)
+        return set(asked)
 
-
-@pytest.mark.parametrize(
-    ("gain", "start", "expected"),
-    [(300.0, -0.045, -0.015), (90.0, -0.045, -0.045), (300.0, -0.005, -0.005), (300.0, -0.001, -0.001)],
-)
-def test_a_scan_that_went_too_far_is_taken_back(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, gain: float, start: float, expected: float
-) -> None:
-    """Where it shows much that directions of its own do not confirm, unless that is the smallest size already."""
-    moving = next(c for c in bench.candidates if c.effect.name == "joint_offset")
-    asked = []
-
-    def walked(hypothesis: Hypothesis) -> float:
-        asked.append(hypothesis.effects[-1][1][0])
-        return 500.0 if abs(asked[-1]) < 0.02 else -1000.0
-
-    monkeypatch.setattr(bench.walks, "gain", walked)
-    row = gain, moving, np.array([start])
-    ((found, _, values),) = judged_anew(bench.dataset.model, [row], bench.base, bench.walks, 0.0)
-    assert values[0] == pytest.approx(expected)
-    assert found == (500.0 if abs(expected) < 0.02 else gain)
+    assert looked_at([(least + 1.0, "a", False), (least - 1.0, "b", False)]) == {"a"}
+    many = [(900.0 - i, f"limb {i}", False) for i in range(7)]
+    rest = [(least_of_world + 1.0, "ground", True), (least_of_world - 1.0, "slope", True)]
+    assert looked_at([*many, *rest]) == {"ground", *(f"limb {i}" for i in range(6))}
 
 
 def test_some_windows_speak_for_all_but_their_luckiest_for_itself() -> None:

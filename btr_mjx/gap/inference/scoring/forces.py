@@ -5,7 +5,6 @@ these forces explain bounds what any effect could; what a named effect leaves of
 themselves say which joint the unknown acts on and which variable it follows.
 """
 
-import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -119,17 +118,14 @@ class ForceFit:
       columns: (W, nv * bins, R) their signatures, degree of freedom first.
     """
 
-    def __init__(self, windows: Windows, around: Circumstances, bins: int | None = None) -> None:
+    def __init__(self, windows: Windows, around: Circumstances) -> None:
         length = float(np.median(windows.since[:, -1]))
-        self.bins = min(bins or max(_BINS, round(length / _PART)), windows.k)
+        self.bins = min(max(_BINS, round(length / _PART)), windows.k)
         self.part = window_parts(windows.k, self.bins)
         columns = force_signatures(windows, around.inverse, self.bins)
         self.shape = (windows.nv, self.bins)
         self._shape = (len(windows), *self.shape)
         self.columns = np.ascontiguousarray(np.moveaxis(columns, 0, 1))  # (W, nv * bins, R)
-        self._invert()
-
-    def _invert(self) -> None:
         stacked = self.columns.astype(float)
         scale = np.sqrt((stacked**2).sum(2)) + 1e-300
         tall, square = np.linalg.qr(np.swapaxes(stacked / scale[..., None], 1, 2))
@@ -151,17 +147,6 @@ class ForceFit:
             return np.swapaxes(x.reshape(self._shape), 1, 2)
 
         return Forces(order(value), order(self._sigma), (inner**2).sum(1), self._rank)
-
-    def at(self, dofs: Sequence[int]) -> "ForceFit":
-        """The same with forces at some degrees of freedom only."""
-        other = copy.copy(self)
-        windows, rows = len(self.columns), self.columns.shape[-1]
-        other.shape = (len(dofs), self.bins)
-        other._shape = (windows, *other.shape)
-        own = self.columns.reshape(windows, *self.shape, rows)[:, list(dofs)]
-        other.columns = own.reshape(windows, len(dofs) * self.bins, rows)
-        other._invert()
-        return other
 
     def average(self, values: np.ndarray) -> np.ndarray:
         """Means (W, bins, ...) of values (W, k, ...) over the parts of a window."""

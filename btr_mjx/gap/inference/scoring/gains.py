@@ -35,13 +35,8 @@ def robust_gain(before: Fit, after: Fit, cut: float) -> float:
     price = (before.loss - float(bounded_loss(before.chi2, cut).sum())) - (
         after.loss - float(bounded_loss(after.chi2, cut).sum())
     )
-    return float(moderate(fall).sum()) + price
-
-
-def moderate(fall: np.ndarray) -> np.ndarray:
-    """What windows say (W,), none of them much more than most."""
     most = _most(fall)
-    return np.clip(fall, -most, most)
+    return float(np.clip(fall, -most, most).sum()) + price
 
 
 def _most(fall: np.ndarray) -> float:

@@ -27,13 +27,11 @@ class Hypothesis:
       parameters: what may be refitted.
       believed: (P,) their values.
       effects: candidates with their values.
-      calibration: the same of what needs no name: small errors that calibration leaves.
     """
 
     parameters: tuple[Believed, ...]
     believed: tuple[float, ...]
     effects: tuple[tuple[Candidate, tuple[float, ...]], ...] = ()
-    calibration: tuple[tuple[Candidate, tuple[float, ...]], ...] = ()
     _worlds: dict[int, tuple[mujoco.MjModel, World]] = field(
         default_factory=dict, init=False, repr=False, compare=False, hash=False
     )
@@ -50,7 +48,7 @@ class Hypothesis:
             parameter.write(world.model, value)
         if self.parameters:
             mujoco.mj_setConst(world.model, mujoco.MjData(world.model))
-        for candidate, values in (*self.calibration, *self.effects):
+        for candidate, values in self.effects:
             candidate.apply(world, np.array(values))
         world.frozen = True
         return world
@@ -121,8 +119,7 @@ def unknowns(hypothesis: Hypothesis, with_believed: bool, delicate: Collection[s
     def make(values: np.ndarray) -> MakeWorld:
         return hypothesis.replaced(values, with_believed)
 
-    size = len(low)
-    return Unknowns(np.array(low), np.array(high), np.array(step), make, np.zeros(size), np.zeros(size))
+    return Unknowns(np.array(low), np.array(high), np.array(step), make)
 
 
 def refitted(windows: Windows, base: Hypothesis, cut: float) -> Hypothesis:

@@ -111,16 +111,12 @@ class Unknowns:
       low, high: (P,) bounds.
       step: (P,) of finite differences.
       make: values (P,) -> the hypothesis' world maker.
-      precision: (P,) of a Gaussian prior around `centre`; zeros for none.
-      centre: (P,).
     """
 
     low: np.ndarray
     high: np.ndarray
     step: np.ndarray
     make: Callable[[np.ndarray], MakeWorld]
-    precision: np.ndarray
-    centre: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -205,7 +201,7 @@ def _search(
     """Gauss-Newton of one hypothesis; yields the values to simulate and where it is, and is sent their residuals."""
     tries = [np.clip(start, unknowns.low, unknowns.high) for start in starts]
     found = yield tries, None
-    scored = [_loss(unknowns, nuisance, cut, t, e, reference) for t, e in zip(tries, found, strict=True)]
+    scored = [_loss(nuisance, cut, residual, reference) for residual in found]
     best = int(np.argmin([loss for loss, _ in scored]))
     values, residual, (loss, chi2) = tries[best], found[best], scored[best]
     columns = np.zeros((len(values), *residual.shape), np.float32)
@@ -220,21 +216,20 @@ def _search(
         ends = np.full(data.n - size, np.inf)
         ahead = fit(
             data,
-            np.concatenate([unknowns.precision, nuisance.precision]),
+            np.concatenate([np.zeros(size), nuisance.precision]),
             cut,
             np.concatenate([unknowns.low - values, -ends]),
             np.concatenate([unknowns.high - values, ends]),
-            centre=np.concatenate([unknowns.centre - values, np.zeros(len(ends))]),
         )
         step = ahead.values[:size]
-        here = nuisance.profile(residual, cut).loss + _prior(unknowns, values)
+        here = nuisance.profile(residual, cut).loss
         if here - ahead.loss < enough or not np.any(np.abs(step) > 1e-3 * unknowns.step):
             break
         gained = 0.0
         for share in (1.0, 0.4):
             trial = np.clip(values + share * step, unknowns.low, unknowns.high)
             found = yield [trial], Refined(values, loss, residual, columns, chi2)
-            trial_loss, trial_chi2 = _loss(unknowns, nuisance, cut, trial, found[0], reference)
+            trial_loss, trial_chi2 = _loss(nuisance, cut, found[0], reference)
             if trial_loss < loss:
                 gained = loss - trial_loss
                 values, residual, loss, chi2 = trial, found[0], trial_loss, trial_chi2
@@ -244,21 +239,10 @@ def _search(
     return Refined(values, loss, residual, columns, chi2)
 
 
-def _loss(
-    unknowns: Unknowns,
-    nuisance: Nuisance,
-    cut: float,
-    values: np.ndarray,
-    residual: np.ndarray,
-    reference: Fit | None,
-) -> tuple[float, np.ndarray]:
+def _loss(nuisance: Nuisance, cut: float, residual: np.ndarray, reference: Fit | None) -> tuple[float, np.ndarray]:
     found = nuisance.profile(residual, cut)
     loss = found.loss if reference is None else reference.loss - robust_gain(reference, found, cut)
-    return loss + _prior(unknowns, values), found.chi2
-
-
-def _prior(unknowns: Unknowns, values: np.ndarray) -> float:
-    return float((unknowns.precision * (values - unknowns.centre) ** 2).sum())
+    return loss, found.chi2
 
 
 def answers(

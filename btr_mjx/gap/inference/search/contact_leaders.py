@@ -1,12 +1,11 @@
 """Which candidates that move contacts are refined, found by true simulation: linear pictures mislead there."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 
-import mujoco
 import numpy as np
 
-from btr_mjx.gap.effects import WORLD, Candidate, on_same_chain
+from btr_mjx.gap.effects import WORLD, Candidate
 from btr_mjx.gap.inference.scoring.gains import robust_gain
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
 from btr_mjx.gap.inference.search.search_records import Side
@@ -42,17 +41,8 @@ _WORSE = 60.0
 _ALL_WORSE = 600.0
 """The same of what acts on the world: all feet slip or touch at other times."""
 
-
-_HOPEFUL = 3.0
-"""Of `hopes`, beyond which a larger size is tried even where a small one is worse than nothing: a quarter of the
-windows are few, and one foot may touch at another time. A true softness had -175 there, 10 in the linear picture."""
-
-_KIN = 100.0
-"""Gain of the best of a scan from which on all others on its limb are judged anew, and a smaller size is tried of what
-does not keep what the scan promised."""
-
-_SURE = 1000.0
-"""Gain in the scan from which on fewer are judged anew, and no larger size is tried of a candidate."""
+_CLEAR = 100.0
+"""Gain beyond which a candidate is tried farther away as long as it gains by it."""
 
 
 def contact_scan(
@@ -111,88 +101,42 @@ def contact_scan(
         for row in attempt(further):
             name, before = row[1].name, best[row[1].name][0]
             best[name] = max(best[name], row, key=lambda r: r[0])
-            if row[0] > max(before, _KIN):  # a large one gains more the farther it goes
+            if row[0] > max(before, _CLEAR):  # a large one gains more the farther it goes
                 leading.append(row)
         if not leading:
             break
     return sorted(best.values(), key=lambda row: -row[0])
 
 
-def judged_anew(
-    model: mujoco.MjModel,
-    found: Sequence[_Try],
-    start: Hypothesis,
-    walks: Walks,
-    strongest: float,
-    hopes: Mapping[str, float] | None = None,
-) -> list[_Try]:
+def judged_anew(found: Sequence[_Try], start: Hypothesis, walks: Walks, strongest: float) -> list[_Try]:
     """The best of a scan of contacts, judged with directions of their own, at two sizes.
 
     Args:
-      model: the believed model.
       found: of the scan.
       start: the believed model.
       walks: of the search.
       strongest: gain of the best other candidate.
-      hopes: gain of candidates in a linear scan, less their price, in prices of a number, by name; None for none.
 
     Returns:
       The same as `contact_scan`, with the better of both gains.
     """
     needed = _SHARE * strongest
-    sure = bool(found) and found[0][0] > _SURE
-    worth = [row for row in found[: _BEST // 2 if sure else _BEST] if row[0] > needed - _WORSE]
-    worth += [
-        row
-        for row in found
-        if row[1].place == WORLD and row[0] > needed - _ALL_WORSE and all(row is not own for own in worth)
-    ]
-    # A strong effect lets a foot touch at another time and hides itself; others on its limb, which do less, show it.
-    kin = _kin(model, found, found[:1], strongest)
-    worth += [row for row in kin if all(row is not own for own in worth)]
-    best = {candidate.name: (gain, candidate, values) for gain, candidate, values in found}
+    worth = [row for row in found[:_BEST] if row[0] > needed - _WORSE]
+    worth += [row for row in found[_BEST:] if row[1].place == WORLD and row[0] > needed - _ALL_WORSE]
 
-    def judged(candidate: Candidate, values: np.ndarray, near: bool) -> list[_Try]:
+    def judged(candidate: Candidate, values: np.ndarray) -> list[_Try]:
         first, rows = candidate.parameters[0], list[_Try]()
-        related = near or (hopes or {}).get(candidate.name, 0.0) > _HOPEFUL
-        for factor in (1.0, _AGAIN, 1.0 / _AGAIN):
-            most = max((row[0] for row in rows), default=-np.inf)
-            if factor > 1.0 and most < -_WORSE and not related:
-                continue  # with directions of its own a small part of the truth is no worse than nothing
-            if factor > 1.0 and best[candidate.name][0] > _SURE:
-                continue  # the scan has been there
-            if factor < 1.0 and not _KIN < best[candidate.name][0] >= most:
-                break  # where it says less than a scan that shows much, that may have gone too far
+        for factor in (1.0, _AGAIN):
             value = float(np.clip(first.null + factor * (values[0] - first.null), first.low, first.high))
-            small = factor < 1.0 and abs(value - first.null) < 0.99 * abs(first.step)
-            if small or any(value == row[2][0] for row in rows):
-                continue
             tried = np.array([value, *values[1:]])
             rows.append((walks.gain(start.with_effect(candidate, tried)), candidate, tried))
         return rows
 
-    def judge(tries: Sequence[_Try]) -> None:
-        tasks = [partial(judged, c, values, any(c is row[1] for row in kin)) for _, c, values in tries]
-        for rows in run_in_threads(tasks):
-            name = rows[0][1].name
-            best[name] = max(best[name], *rows, key=lambda row: row[0])
-
-    judge(worth)
-    # What leads now may not have led the scan.
-    first = sorted((best[row[1].name] for row in worth), key=lambda row: -row[0])[:1]
-    kin = [row for row in _kin(model, found, first, strongest) if all(row is not own for own in worth)]
-    judge(kin)
+    best = {candidate.name: (gain, candidate, values) for gain, candidate, values in found}
+    for rows in run_in_threads([partial(judged, c, values) for _, c, values in worth]):
+        name = rows[0][1].name
+        best[name] = max(best[name], *rows, key=lambda row: row[0])
     return sorted(best.values(), key=lambda row: -row[0])
-
-
-def _kin(model: mujoco.MjModel, found: Sequence[_Try], leads: Sequence[_Try], strongest: float) -> list[_Try]:
-    """All others of a scan on the limb of what leads, where that leads by much."""
-    return [
-        row
-        for gain, leader, _ in leads
-        for row in found
-        if gain > max(_KIN, strongest) and row[1] is not leader and on_same_chain(model, leader.place, row[1].place)
-    ]
 
 
 def with_contacts(

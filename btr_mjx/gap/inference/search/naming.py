@@ -8,8 +8,6 @@ from collections.abc import Sequence
 
 from btr_mjx.gap.effects import WORLD
 from btr_mjx.gap.inference.scoring.screening import tolerance_of
-from btr_mjx.gap.inference.search.calibrated import limb_of
-from btr_mjx.gap.inference.search.held_out import foreseen, likely, unmoved, vouched
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Judged
 from btr_mjx.gap.inference.verdict.outcome import alike
@@ -20,9 +18,6 @@ THRESHOLD = 15.0
 CONTACT_THRESHOLD = 100.0
 """The same of what moves contacts, whose directions are found anew: near a touchdown these are a matter of chance. The
 best such candidate of a simulated robot that lacked no such thing came to 70."""
-
-LIMB_THRESHOLD = 40.0
-"""The same where calibration of a limb is asked whether it explains as much."""
 
 GROUND_THRESHOLD = 40.0
 """The same of what changes the ground for all feet: of a thousand simulated robots that lacked no such thing one came
@@ -117,11 +112,9 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None, share: float = 
       given: what was found before.
       share: of the first one's score that a second one needs where contacts move.
     """
-    if judged.explained:
-        return False
     score = judged.score - (given.score if given else 0.0)
     gain = judged.gain - (given.gain if given else 0.0)
-    held_out = judged.held_out + judged.fresh - (given.held_out if given else 0.0)
+    held_out = judged.held_out - (given.held_out if given else 0.0)
     expected = gain * len(bench.test.windows) / len(bench.fit.windows)
     needed, part, most = SECOND_THRESHOLD if given else THRESHOLD, HELD_OUT_SHARE, HELD_OUT_ENOUGH
     candidate = judged.hypothesis.effects[-1][0]
@@ -135,26 +128,16 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None, share: float = 
         # Beside another effect few windows held out need have a foot that touches or leaves where it matters.
         alone = GROUND_THRESHOLD if candidate.place == WORLD else CONTACT_THRESHOLD
         part, most = 0.0 if given else GROUND_SHARE if candidate.place == WORLD else CONTACT_SHARE, CONTACT_ENOUGH
-        if not given and len(limb_of(bench, judged)) > 1:
-            alone, part = LIMB_THRESHOLD, HELD_OUT_SHARE
         needed = max(needed, SECOND_CONTACT_THRESHOLD if given else alone)
-    if score < needed or gain + judged.fresh < HELD_OUT:
+    if score < needed or gain < HELD_OUT:
         return False
     enough = max(HELD_OUT, min(part * expected, most))
-    if held_out < enough and not (unmoved(judged, HELD_OUT) and vouched(bench, judged, THRESHOLD)):
-        if candidate.name in bench.delicate:
-            return False
-        hope = foreseen(bench, judged)
-        # Where hardly anything is to be expected of them it is enough that they do not speak against it.
-        agreed = hope < HELD_OUT and held_out >= 0 and vouched(bench, judged, THRESHOLD)
-        if held_out < max(HELD_OUT, min(enough, likely(hope))) and not agreed:
-            return False
-    return not within_calibration(bench, judged)
+    return held_out >= enough and not within_calibration(bench, judged)
 
 
 def within_calibration(bench: Bench, judged: Judged) -> bool:
     """Whether the last effect is no larger than what calibration leaves, or than any simulation of its kind errs."""
-    candidate, values = judged.widest.hypothesis.effects[-1]
+    candidate, values = judged.hypothesis.effects[-1]
     most = TOLERANCES * tolerance_of(candidate, bench.dataset.tolerances)
     # A slope may be along either axis.
     sizes = [(abs(value - p.null), p) for value, p in zip(values, candidate.parameters, strict=True) if not p.shape]

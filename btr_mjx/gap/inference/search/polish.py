@@ -11,12 +11,11 @@ from functools import partial
 
 import numpy as np
 
-from btr_mjx.gap.effects import WORLD
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.inference.scoring.refine import AGAIN, Refined, refine
 from btr_mjx.gap.inference.search.exchange import beside_the_best, exchanged
 from btr_mjx.gap.inference.search.search import Bench
-from btr_mjx.gap.inference.search.search_records import Judged, Side, among, nearest
+from btr_mjx.gap.inference.search.search_records import Judged, Side, nearest
 from btr_mjx.gap.inference.search.sizes import best_size
 from btr_mjx.gap.simulate import run_in_threads
 from btr_mjx.gap.windows import Fit
@@ -27,49 +26,14 @@ _HOPELESS = -5.0
 _CLOSE = 40.0
 """Leaders whose scores differ by less are judged again."""
 
-_LEADING = 1.5
-"""Gain, less its price and in prices of a number, that what leads the scan needs to be judged again in any case."""
+_WALKS = 3
+"""Candidates that move contacts whose size is walked over, at most."""
 
-_STRONG = 1000.0
-"""Score beside which the part of it below must be there already."""
-
-_WALKS = 4, 3
-"""Candidates that move contacts that are looked at again, leaders included; and where much has been spent already."""
-
-_WALKED = 3
-"""The best of them after that are judged again, and whatever came as near to the best of them as the following part."""
-
-_AS_GOOD = 0.85
-"""Where not much has been spent yet. A true offset had 684 on a quarter of the windows where three other numbers of its
-limb had 713 to 770."""
-
-_HOPE = 0.25
-"""Part of the best gain that such a candidate must have before its size is walked over."""
-
-_PROMISE = 0.5
-"""Part of the best gain that it must have afterwards to be judged again."""
-
-_WORTH = 0.0
-"""Score, beyond that of what was found, of a candidate for one more effect that is judged again."""
+_HOPE, _PROMISE = 0.25, 0.5
+"""Parts of the best gain that such a candidate must have before its walk, and afterwards."""
 
 _BESIDE = 100.0
-"""The same of one that moves contacts; or a gain so large that it had alone, beside what moves none."""
-
-_LEAST = 5.0
-"""Gain after the walk of a leader beside what was found, at least, to be judged again."""
-
-_LIKELY = 25.0
-"""Gain that what moves contacts needs alone before its size is walked over."""
-
-_ENOUGH = 60.0
-"""Gain that it needs afterwards: with much less on the recordings to fit it will not come to the score of a name."""
-
-_ENOUGH_OF_GROUND = 25.0
-"""The same of what changes the ground for all feet, which needs less."""
-
-_SURE = 50.0
-"""Score of a leader that is not given up for what a walk sees: a quarter of the windows to fit said nothing of three
-true offsets that had 61 to 101 in all windows, at sizes that were half of the true ones, and 120 to 300 with care."""
+"""Score or gain alone of one, beside what was found, that is walked over."""
 
 Settled = tuple[Hypothesis, Side, Refined]
 """A hypothesis with its best numbers, the side that suits it, and what the refinement found there."""
@@ -109,84 +73,28 @@ class Polisher:
 
     def _promising(self, judged: Sequence[Judged], most: int, given: Judged | None) -> list[tuple[Judged, Hypothesis]]:
         """Those that are judged again, see `__call__`, each with the hypothesis that it becomes before."""
-        bench = self.bench
         if not judged:
             return []
         already, known = (0.0, 0.0) if given is None else (given.score, given.gain)
         best = judged[0].score - already
-        close = [j for j in judged if judged[0].score - j.score <= max(_CLOSE, 0.1 * best) and best > _HOPELESS][:most]
+        fresh = [j for j in judged if given is None or j.name not in self._done]
+        close = [j for j in fresh if judged[0].score - j.score <= max(_CLOSE, 0.1 * best) and best > _HOPELESS]
+        plain = [j for j in close[:most] if not self._anew(j.hypothesis) and (given is None or j.score > already)]
+        hopes = {j.name: max(j.gain - known, self._alone(j, given)) for j in fresh if self._anew(j.hypothesis)}
+        moving = [j for j in fresh if j.name in hopes and (given is None or hopes[j.name] >= _BESIDE)]
+        moving = sorted(moving, key=lambda j: -hopes[j.name])[:_WALKS]
         rival = max(judged[0].gain - known, _CLOSE)
-        hopes = {j.name: max(j.gain - known, self._alone(j, given)) for j in judged if self._anew(j.hypothesis)}
-        plain = [j for j in close if j.name not in hopes]
-        # What leads in the linear picture and not in true simulation may lack starting states of its own.
-        scan = bench.hopes if given is None else bench.hopes_beside
-        first = max(scan, key=lambda name: scan[name], default="")
-        sure = scan.get(first, 0.0) > _LEADING
-        if given is None and best > _STRONG:
-            sure &= next((j.score for j in judged if j.name == first), 0.0) > _HOPE * best
-        leads = [j for j in judged if sure and j.hypothesis.effects[-1][0].name == first]
-        leading = [j for j in leads if j.name not in hopes]
-        plain += [j for j in leading if j not in close]
-        moving = [j for j in judged if j.name in hopes and (j in close or hopes[j.name] > _HOPE * rival)]
-        if given is not None:
-            plain = [j for j in plain if j.score - already >= _WORTH or j in leading]
-            plain = [j for j in plain if j.name not in self._done]
-            moving = [j for j in moving if max(j.score - already, self._alone(j, given)) >= _BESIDE]
-            moving = [j for j in moving if j.name not in self._done]
-        moving.sort(key=lambda j: -hopes[j.name])
-        floor = 0.0 if given is None or not moving else bench.walks.gain(given.hypothesis)
-
-        def walked(j: Judged) -> Hypothesis | None:
-            least = (-np.inf, floor + _LEAST) if j in close else (floor + _HOPE * rival, floor + _PROMISE * rival)
-            if given is None and j.gain >= least[0]:
-                least = -np.inf, least[1]  # with directions of its own only a larger size may show what this one has
-            sure = given is None and (j.gain >= _ENOUGH or j.score >= _SURE)
-            if given is None and not sure:
-                ground = j.hypothesis.effects[-1][0].place == WORLD
-                least = max(least[0], _LIKELY), max(least[1], _ENOUGH_OF_GROUND if ground else _ENOUGH)
-            found = bench.walks(j.hypothesis, *least)
-            # A walk sees some of the windows: what had enough in all of them is not given up for it.
-            return j.hypothesis if found is None and sure and j in close else found
-
-        tries = moving[: _WALKS[bench.costly()]]
-        ends = zip(tries, run_in_threads([partial(walked, j) for j in tries]), strict=True)
-        there = [(j, found) for j, found in ends if found is not None]
-        there.sort(key=lambda end: -bench.walks.best(end[1].name))
-        best_of = [bench.walks.best(found.name) for _, found in there]
-        as_good = sum(gain >= _AS_GOOD * best_of[0] for gain in best_of)
-        most_walked = _WALKED if bench.costly() else max(_WALKED, as_good)
-        return [(j, j.hypothesis) for j in plain] + there[:most_walked]
+        floor = 0.0 if given is None or not moving else self.bench.walks.gain(given.hypothesis)
+        least = floor + _HOPE * rival, floor + _PROMISE * rival
+        ends = run_in_threads([partial(self.bench.walks, j.hypothesis, *least) for j in moving])
+        walked = [(j, found) for j, found in zip(moving, ends, strict=True) if found is not None]
+        return [(j, j.hypothesis) for j in plain] + walked
 
     def _alone(self, judged: Judged, given: Judged | None) -> float:
         """Gain that what moves contacts had with directions of its own alone; -inf beside another that moves some."""
         if given is not None and self._anew(given.hypothesis):
             return -np.inf
         return self.bench.walks.best(judged.hypothesis.effects[-1][0].name)
-
-    def ground(self, judged: Sequence[Judged]) -> list[Judged]:
-        """Judge with care the best of what changes the ground for all feet, where that has not been done.
-
-        A quarter of the windows and a size that is off say little of it: of a softness that was worth 265 they said 19,
-        of a friction worth 53 less than nothing. It costs as much as a run-off, and of twenty simulated robots that
-        lacked nothing a scan led to it in one.
-
-        Args:
-          judged: a first round, best first.
-
-        Returns:
-          The same, best first.
-        """
-        worlds = [j for j in judged if self._anew(j.hypothesis) and j.hypothesis.effects[-1][0].place == WORLD]
-        best = next((j for j in worlds if j.name not in self._done), None)
-        if best is None:
-            return list(judged)
-        self._done.add(best.name)
-        again = self.again([best.hypothesis], None)
-        return among(judged, [best], again)
-
-    def believed(self) -> tuple[Side, Side]:
-        """Both sides of the split with starting states and directions that suit the believed model."""
-        return self._known(None, True)
 
     def beside(self, given: Judged, hypothesis: Hypothesis) -> Judged:
         """What was `given` with one more effect, whose numbers start as the hypothesis has them, refined and judged."""
@@ -213,7 +121,7 @@ class Polisher:
         fit = self._shared([before, *hypotheses], known[0])
         reference = along(fit[0], before).profile(fit[0].windows.residual, bench.cut)
         pairs = zip(hypotheses, fit[1:], strict=True)
-        few = len(moving) > _WALKED or bench.costly()
+        few = len(moving) > 1
         ends = run_in_threads([partial(self._settled, h, side, reference, few) for h, side in pairs])
         if len(moving) > 1:
             fit = exchanged([before, *(h for h, _, _ in ends)], [fit[0], *(side for _, side, _ in ends)], moving)
@@ -256,7 +164,7 @@ class Polisher:
     def _settled(self, hypothesis: Hypothesis, side: Side, reference: Fit, few: bool) -> Settled:
         """A hypothesis with its best numbers on a side to fit, what that became on the way, and how good it is."""
         if self._anew(hypothesis):
-            hypothesis, (side,) = best_size(self.bench, hypothesis, [side], [reference], few)
+            hypothesis, side = best_size(self.bench, hypothesis, side, reference, few)
         return self._refined(hypothesis, side, reference)
 
     def _refined(self, hypothesis: Hypothesis, side: Side, reference: Fit) -> Settled:

@@ -64,8 +64,7 @@ _FEW = 6
 """Up to so many believed numbers are refitted together with every leader."""
 
 _FAR = 3.0
-"""Chi^2 per degree of freedom of the best lead above which limits are tried that the linear picture cannot see: a limit
-of a third of what is asked for looked like a motor that is weak by two thirds, which left 3.3."""
+"""Chi^2 per degree of freedom of the best lead above which leaders are refined again."""
 
 _TIMES, _NEARER = 4, 0.7
 """Times that leaders are refined again where none comes near the noise, each of which must leave no more than this part
@@ -86,8 +85,6 @@ class Bench:
       counter: simulated steps so far.
       cut: chi^2 above which a window counts less.
       dispersion: chi^2 per degree of freedom of the best hypothesis, at least 1.
-      hopes: gain of candidates in the first scan, less their price, in prices of a number, by name.
-      hopes_beside: the same of the last scan for one more effect.
     """
 
     fit: Side
@@ -122,7 +119,7 @@ class Bench:
             entries = self._prepared(effects, tracks, note)
         note(f"signatures of {len(entries)} candidates")
         self._draws = tolerance_draws(self.base, self.candidates, dataset.tolerances, np.random.default_rng(0), _DRAWS)
-        self._known = known = [e for e in entries if not e.probe and tolerance_of(e.candidate, dataset.tolerances) > 0]
+        known = [e for e in entries if not e.probe and tolerance_of(e.candidate, dataset.tolerances) > 0]
         self._loose = {entry.candidate.name: FIRST_TOLERANCE + i for i, entry in enumerate(known)}
         bare = Hypothesis((), ())  # what may be refitted is refitted on the other side only
         sides = ((self.fit.windows, entries, self.base), (self.test.windows, known, bare))
@@ -135,8 +132,6 @@ class Bench:
         self.scanner = Scanner(found, nuisance)
         self.dispersion, self.cut = 1.0, _CUT * self.fit.windows.freedom
         self.settle(None)
-        self.hopes: dict[str, float] = {}
-        self.hopes_beside: dict[str, float] = {}
         self.walks = Walks(self.fit, self.base, self.free, self.fall, lambda: self.cut)
 
     def _prepared(self, effects: Sequence[Effect], tracks: Sequence[Track], note: Callable[[str], None]) -> list[Entry]:
@@ -184,13 +179,6 @@ class Bench:
         draws, cut = self._draws if self.survey.contact else [], _CUT * windows.freedom
         return softened(windows, base, screened, draws, self.dataset.tolerances, self.single, cut)
 
-    def side(self, windows: Windows) -> Side:
-        """More windows of the recordings to fit, around the believed model, with what is fitted along."""
-        linearise(windows, self.base, step=self.fit.windows.step)
-        windows = windows.linear_only()
-        screened = screen(windows, self.base, self._known, self.single)
-        return Side(windows, self._softened(windows, self.base, screened)[1])
-
     @property
     def joint(self) -> bool:
         """Whether the believed numbers are refitted together with every leader."""
@@ -231,7 +219,7 @@ class Bench:
           Judged leaders, best first, gains measured against the believed model.
         """
         start = self.base if given is None else given.hypothesis
-        options = self.options if given is None else self.options.fewer(self.costly())
+        options = self.options if given is None else self.options.fewer()
         sides = (self.fit, self.test) if given is None else given.sides
         residual = self.fit.windows.residual if given is None else given.refined.residual
         extra = None if given is None else given.refined.columns
@@ -241,18 +229,12 @@ class Bench:
         if given is None and leads:
             self.settle(self.scanner.best_left(leads[:5], residual, self.nuisance(self.fit), self.cut))
         price = np.log(self.fit.windows.residual.size) * self.dispersion
-        rows = ((self._entry(lead), lead.gain / price - len(lead.values)) for lead in leads)
-        hopes = {entry.candidate.name: hope for entry, hope in sorted(rows, key=lambda row: row[1])}
-        if given is None:
-            self.hopes = hopes
-        else:
-            self.hopes_beside = hopes
+        if given is not None:
             # Most robots lack one thing: what is not worth its price in the linear picture is not simulated as well.
             leads = [lead for lead in leads if lead.gain > price * len(lead.values)]
         entries = self.scanner.screened.entries
-        far = given is None and self.dispersion > _FAR
-        picked = pick(leads, entries, options, price, far)
-        starting = {own[0].index: starts(own, self._entry, options.starts) for own in picked.values()}
+        picked = pick(leads, entries, options, price)
+        starting = {own[0].index: starts(own, self._entry) for own in picked.values()}
         tries = [(entries[index].candidate, values) for index, values in starting.items()]
         strongest = max((lead.gain for lead in leads), default=0.0)
         moving = [c for c in self.candidates if c.name in self.delicate and c.name not in taken]
@@ -260,7 +242,7 @@ class Bench:
             side = Side(sides[0].windows, self.free(sides[0]))
             scanned = contact_scan(side, start, moving, self.cut, residual, options.every)
             if not start.effects:
-                scanned = judged_anew(self.dataset.model, scanned, start, self.walks, strongest, self.hopes)
+                scanned = judged_anew(scanned, start, self.walks, strongest)
             tries = with_contacts(tries, scanned, options.contact_leaders)
         if not tries:
             return []
@@ -322,9 +304,6 @@ class Bench:
         size = np.log(self.fit.windows.residual.size + self.test.windows.residual.size)
         reference = self.reference if references is None else references
         before = reference if given is None else given.fits
-        more = 0.0  # what fresh windows added to the score, see `runoff`
-        if given is not None:
-            more = given.score - (given.gain + given.held_out - size * given.hypothesis.numbers)
         for hypothesis, refined, residual in zip(hypotheses, found, held, strict=True):
             along = self.free(sides[0], hypothesis), self.nuisance(sides[1], hypothesis)
             own = along[0].profile(refined.residual, self.cut), along[1].profile(residual, self.cut)
@@ -332,21 +311,13 @@ class Bench:
             gain, held_out = (self.fall(a, b, even=even) for a, b in zip(before, own, strict=True))
             if given is not None:
                 gain, held_out = gain + given.gain, held_out + given.held_out
-            score = gain + held_out + more - size * hypothesis.numbers
-            out.append(Judged(hypothesis, refined, gain, held_out, score, residual, own, sides, reference, before))
+            score = gain + held_out - size * hypothesis.numbers
+            out.append(Judged(hypothesis, refined, gain, held_out, score, residual, own, sides, reference))
         return sorted(out, key=lambda judged: -judged.score)
 
     def fall(self, before: Fit, after: Fit, share: float = 1.0, even: bool = False) -> float:
         """Robust fall of the loss, see `gains.fall`, in units of the dispersion."""
         return fall(before, after, self.cut, share, even) / self.dispersion
-
-    def costly(self) -> bool:
-        """Whether so much has been spent that less is to be spent on what follows."""
-        return self.options.over_budget(self.counter.steps, self.fit.windows.nv)
-
-    def exhausted(self) -> bool:
-        """Whether so much has been spent that hardly anything may follow."""
-        return self.options.far_over_budget(self.counter.steps, self.fit.windows.nv)
 
     def _entry(self, lead: Lead) -> Entry:
         return self.scanner.screened.entries[lead.index]

@@ -1,4 +1,4 @@
-"""Records of the search: what it may cost, the two sides of the split, a judged hypothesis."""
+"""Records of the search: the two sides of the split, a judged hypothesis."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ import numpy as np
 
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
 from btr_mjx.gap.inference.scoring.refine import Nuisance, Refined
-from btr_mjx.gap.windows import Fit, MakeWorld, Windows, relinearised, select_rows, with_fitted_states, with_step_error
+from btr_mjx.gap.windows import Fit, MakeWorld, Windows, relinearised, select_rows, with_fitted_states
 
 MARGIN = 25.0
 """Candidates whose scores differ by less are called equivalent."""
@@ -38,10 +38,6 @@ class Side:
         """The same with another hypothesis as base of its windows, see `Windows.based`."""
         return Side(self.windows.based(make), self.nuisance)
 
-    def exactly(self, make: MakeWorld) -> "Side":
-        """The same with what the time step does in the other hypothesis' world, see `with_step_error`."""
-        return Side(with_step_error(self.windows, make), self.nuisance)
-
     def mixed(self, others: Sequence["Side"], chosen: np.ndarray) -> "Side":
         """The same with some windows as others have them, see `Windows.mixed`."""
         windows = self.windows.mixed([side.windows for side in others], chosen)
@@ -52,12 +48,6 @@ class Side:
             for name in ("columns", "gram")
         )
         return Side(windows, Nuisance(columns, self.nuisance.precision, gram))
-
-    def joined(self, other: "Side") -> "Side":
-        """These windows and others with the same tolerances."""
-        own, more = self.nuisance, other.nuisance
-        columns, gram = np.concatenate([own.columns, more.columns]), np.concatenate([own.gram, more.gram])
-        return Side(self.windows.joined(other.windows), Nuisance(columns, own.precision, gram))
 
     def some(self, index: np.ndarray) -> "Side":
         """Some of the windows."""
@@ -91,12 +81,6 @@ class Judged:
       fits: of both sides, with the tolerances at their best.
       sides: of the split, with the starting states that it was judged with.
       references: fits of the believed model on both sides, with starting states found in the same way.
-      before: the same of what it has one more effect than.
-      fresh: fall of the loss on windows that nobody had looked at when its numbers were found, see `runoff`;
-        0 where there was no need for them.
-      wide: it on those windows as well as on the others to fit, with numbers that suit all of them; None where there
-        was no need for it.
-      explained: whether calibration of its limb explains nearly as much, so that it is no name.
     """
 
     hypothesis: Hypothesis
@@ -108,28 +92,8 @@ class Judged:
     fits: tuple[Fit, Fit]
     sides: tuple[Side, Side]
     references: tuple[Fit, Fit]
-    before: tuple[Fit, Fit]
-    fresh: float = 0.0
-    wide: "Judged | None" = None
-    explained: bool = False
 
     @property
     def name(self) -> str:
         """The hypothesis' name."""
         return self.hypothesis.name
-
-    @property
-    def widest(self) -> "Judged":
-        """It on as many windows as it was judged on."""
-        return self.wide or self
-
-
-def among(judged: Sequence[Judged], before: Sequence[Judged], again: Sequence[Judged]) -> list[Judged]:
-    """A round in which some were judged again, best first.
-
-    Args:
-      judged: the round.
-      before: those that were judged again, as they were.
-      again: as they are.
-    """
-    return sorted([*again, *(j for j in judged if all(j is not own for own in before))], key=lambda j: -j.score)

@@ -1,7 +1,5 @@
 """The size of what moves contacts, tried with starting states of its own at each: derivatives lead nowhere there."""
 
-from collections.abc import Sequence
-
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Side
@@ -19,28 +17,26 @@ _NEAR = 0.03
 
 
 def best_size(
-    bench: Bench, hypothesis: Hypothesis, sides: Sequence[Side], references: Sequence[Fit], few: bool = False
-) -> tuple[Hypothesis, list[Side]]:
-    """A hypothesis with its last effect at a better size, where a parabola through three of them peaks, and its sides.
+    bench: Bench, hypothesis: Hypothesis, side: Side, reference: Fit, few: bool = False
+) -> tuple[Hypothesis, Side]:
+    """A hypothesis with its last effect at a better size, where a parabola through three of them peaks, and its side.
 
     Args:
       bench: of the search.
       hypothesis: its last effect moves contacts.
-      sides: that suit it: the side to fit, and the other one where that has a say as well.
-      references: fits of what it is compared with, on the same sides.
+      side: to fit, that suits it.
+      reference: fit of what it is compared with, on the same side.
       few: whether many others are tried as well.
     """
-    tried = {1.0: (hypothesis, list(sides))}
+    tried = {1.0: (hypothesis, side)}
 
     def gain(factor: float) -> float:
         own, there = tried[factor]
-        along = (bench.free, bench.nuisance)
-        fits = [free(s, own).profile(s.windows.residual, bench.cut) for s, free in zip(there, along, strict=False)]
-        return sum(bench.fall(before, fit) for before, fit in zip(references, fits, strict=True))
+        return bench.fall(reference, bench.free(there, own).profile(there.windows.residual, bench.cut))
 
     def attempt(factor: float) -> None:
         own = scaled(hypothesis, factor)
-        tried[factor] = own, [side.based(own).recentred(own, exact=False) for side in sides]
+        tried[factor] = own, side.based(own).recentred(own, exact=False)
 
     for factor in _SIZES:
         attempt(factor)

@@ -129,19 +129,16 @@ def vertex(known: Mapping[float, float]) -> float:
     return float(-b / (2 * a)) if a < 0 else at[best]
 
 
-def scaled(hypothesis: Hypothesis, factor: float, index: int = -1) -> Hypothesis:
-    """The same with one effect farther from its null, or nearer.
+def scaled(hypothesis: Hypothesis, factor: float) -> Hypothesis:
+    """The same with its last effect farther from its null, or nearer.
 
     Args:
       hypothesis: with an effect.
       factor: on the distance of its numbers; of those that only say where or how it acts, none.
-      index: of the effect.
     """
-    candidate, values = hypothesis.effects[index]
+    candidate, values = hypothesis.effects[-1]
     numbers = tuple(
         value if p.shape else float(np.clip(p.null + factor * (value - p.null), p.low, p.high))
         for p, value in zip(candidate.parameters, values, strict=True)
     )
-    effects = list(hypothesis.effects)
-    effects[index] = candidate, numbers
-    return replace(hypothesis, effects=tuple(effects))
+    return replace(hypothesis, effects=(*hypothesis.effects[:-1], (candidate, numbers)))

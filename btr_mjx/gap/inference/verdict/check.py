@@ -9,7 +9,6 @@ from functools import partial
 
 import numpy as np
 
-from btr_mjx.gap.inference.scoring.bodies import AtBody, Bodies, usual_needed
 from btr_mjx.gap.inference.scoring.calibration import tolerance_draws
 from btr_mjx.gap.inference.scoring.forces import (
     Circumstances,
@@ -23,11 +22,10 @@ from btr_mjx.gap.inference.scoring.forces import (
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
 from btr_mjx.gap.inference.scoring.leftover import Feature, Joints, Leftover, Middle, Told, features
 from btr_mjx.gap.inference.scoring.nulls import null_residual
-from btr_mjx.gap.inference.search.held_out import likely
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Judged
 from btr_mjx.gap.inference.verdict.disagreement import disagreement, place_names
-from btr_mjx.gap.inference.verdict.leftover_words import body_sentence, sentence, telling_sentence
+from btr_mjx.gap.inference.verdict.leftover_words import sentence, telling_sentence
 from btr_mjx.gap.results import DisagreementMap
 from btr_mjx.gap.simulate import run_in_threads
 from btr_mjx.gap.windows import Windows, bounded_loss
@@ -37,12 +35,6 @@ _NULLS = 5
 
 _LEAST_EXCESS = 5.5
 """Excess at one joint that may be chance, at least, in standard deviations."""
-
-_LEAST_AT_BODY = 2.5
-"""Excess at a body that floats that may be chance beside a name, at least. Of 110 simulated hexapods with nothing
-missing, or something in the library that was named, the most was 1.5, but for a strong limit that explains far more; of
-nine with a load that swings and that had been called a payload seven had 2.9 and more. A quadruped that lacked nothing,
-and light legs, had 5.7."""
 
 _LEAST_GAIN = 45.0
 """Gain by something that no effect follows that may be chance, at least."""
@@ -69,6 +61,9 @@ _COARSE = 5.0
 _BEYOND = 2.0
 """What may be chance, as a factor on the largest of the simulated nulls."""
 
+_USUAL = 1.0
+"""Excess that half of the windows must have where touchdowns are rough, in a window's own standard deviations."""
+
 _TRUST = 0.5
 """Part of what nulls leave on average by which real data may leave more: where state estimates fail, nulls show it
 roughly."""
@@ -79,9 +74,6 @@ class Check:
 
     Attributes:
       excess: largest excess at one joint that may be chance.
-      excess_at_body: largest excess at a body that floats that may be chance.
-      usual_at_body: what half of the windows must have there where touchdowns are rough. Elsewhere few of them may show
-        it: a load that swings in the trunk of a heavy robot does so as the trunk does.
       gain: largest gain by something that no effect follows that may be chance.
       rough: whether touchdowns are, so that the model's time step was divided.
       usual: the excess that half of the windows must have, in a window's own standard deviations. Where steps had to be
@@ -102,11 +94,9 @@ class Check:
         model, middle = bench.dataset.model, Middle.of(self.fits[0], self.around[0])
         self._known = [features(model, *own, middle) for own in zip(self.fits, self.around, strict=True)]
         self._joints = Joints(self.fits[0], bench.nuisance(bench.fit), self._known[0])
-        self._bodies = Bodies(model, self.fits)
-        self.null, left, bodies, self._held_out, self._spared = self._null(rng)
-        self.excess_at_body = max(_LEAST_AT_BODY, _BEYOND * max(one.excess for one in bodies))
+        self.null, left, self._held_out, self._spared = self._null(rng)
         self.rough = bench.fit.windows.data.refined_for_contact
-        self.usual, self.usual_at_body = usual_needed(self.rough, bodies)
+        self.usual = _USUAL if self.rough else -np.inf
         self.excess = max(_LEAST_EXCESS, _BEYOND * max(one.worst for one in left))
         self.gain = max(_LEAST_GAIN, _BEYOND * max(one.gain for one in left))
 
@@ -150,16 +140,14 @@ class Check:
         chi2 = (self._residual(1, judged) ** 2).sum(1)
         return floor * _spared(chi2, self._forces(1, judged), freedom) / self._spared
 
-    def _null(
-        self, rng: np.random.Generator
-    ) -> tuple[tuple[float, float], list[Leftover], list[AtBody], np.ndarray, float]:
+    def _null(self, rng: np.random.Generator) -> tuple[tuple[float, float], list[Leftover], np.ndarray, float]:
         """Where nothing is missing.
 
         Tolerances are drawn and truly simulated, because what they leave beyond the linear picture looks like a lack
         of fit; the sensors' noise is added.
 
         Returns:
-          Mean and spread of the lack of fit, what is left at single joints and at bodies that float, chi^2 (nulls, W)
+          Mean and spread of the lack of fit, what is left at single joints, chi^2 (nulls, W)
           of held-out windows and what unknown forces leave there per degree of freedom.
         """
         bench = self.bench
@@ -167,12 +155,11 @@ class Check:
         rngs = rng.spawn(len(self.sides))
         nulls = run_in_threads([partial(self._of_nulls, i, draws, own) for i, own in enumerate(rngs)])
         left = [found for _, found, _ in nulls[0] if found is not None]
-        bodies = [self._bodies([fit[2], test[2]]) for fit, test in zip(*nulls, strict=True)]
         held_out = np.stack([(residual**2).sum(1) for _, _, residual in nulls[1]])
         pairs = zip(held_out, nulls[1], strict=True)
         spared = [_spared(chi2, own, bench.test.windows.freedom) for chi2, (own, _, _) in pairs]
         fits = [lack_of_fit([fit[0], test[0]]) for fit, test in zip(*nulls, strict=True)]
-        return (float(np.mean(fits)), float(np.std(fits))), left, bodies, held_out, float(np.mean(spared))
+        return (float(np.mean(fits)), float(np.std(fits))), left, held_out, float(np.mean(spared))
 
     def _of_nulls(
         self, i: int, draws: Sequence[Hypothesis], rng: np.random.Generator
@@ -210,22 +197,6 @@ class Check:
         joints = Joints(self._fit(0, judged), bench.free(judged.sides[0], judged.hypothesis), self._known[0])
         return joints(judged.refined.residual, bench.cut, judged.refined.columns)
 
-    def at_body(self, judged: Judged | None) -> AtBody:
-        """What a name that moves no contacts leaves at bodies that float, on both sides of the split.
-
-        A light leg that strikes the ground at another time throws the whole robot, and a few nulls may not show it:
-        without such a name that is nothing to go by.
-        """
-        if judged is None or judged.hypothesis.effects[-1][0].name in self.bench.delicate:
-            return AtBody()
-        fits = [self._fit(i, judged) for i in (0, 1)]
-        bodies = self._bodies if fits == self.fits else Bodies(self.bench.dataset.model, fits)
-        return bodies([self._residual(i, judged) for i in (0, 1)])
-
-    def thrown(self, there: AtBody) -> bool:
-        """Whether forces and torques on a body explain more than chance, and do so in most windows."""
-        return there.excess > self.excess_at_body and there.usual > self.usual_at_body
-
     def told(self, judged: Judged | None) -> Feature | None:
         """Something that no effect follows and that held-out recordings know of as well.
 
@@ -256,7 +227,7 @@ class Check:
         part = len(self.sides[1].windows) / len(self.sides[0].windows)
 
         def enough(gain: float) -> float:
-            return min(likely(part * gain), _AGREED) if self.rough else -_DENIED * gain
+            return min(_DENIED * part * gain, _AGREED) if self.rough else -_DENIED * gain
 
         agreed = (one for one, held_out in self._asked(judged, self.gain) if held_out >= enough(one.gain))
         return next(agreed, None)
@@ -297,10 +268,6 @@ class Check:
         follows = self.follows(judged)
         feature = self.told(judged) if follows is None else self._known[0][follows.index]
         telling = [] if feature is None else [telling_sentence(feature, names)]
-        there = self.at_body(judged)
-        if not telling and there.body is not None and self.thrown(there):
-            # What acts at a joint acts on the trunk as well, and is told there.
-            telling = [body_sentence(there, self.bench.dataset.model)]
         return (*telling, *(sentence(d, names) for d in found))
 
 

@@ -24,7 +24,6 @@ from btr_mjx.gap.inference.verdict.check import Check
 from btr_mjx.gap.inference.verdict.confounds import confounds
 from btr_mjx.gap.inference.verdict.openloop import followed, following
 from btr_mjx.gap.inference.verdict.outcome import (
-    calibration_of,
     equivalent,
     gap_of,
     named_effects,
@@ -33,8 +32,7 @@ from btr_mjx.gap.inference.verdict.outcome import (
     refits,
     survivors,
 )
-from btr_mjx.gap.inference.verdict.twins import twin
-from btr_mjx.gap.results import Diagnosis, effect_title
+from btr_mjx.gap.results import Diagnosis
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.gap.windows import Options, time_step_notes
 
@@ -57,9 +55,6 @@ REST_SHARE = 0.5
 TOO_MUCH = 60.0
 """Score, of what moves no contacts, that is not chance though held-out recordings know nothing of it. The best of
 simulated robots that lacked nothing or little was 35."""
-
-TWIN = 15.0
-"""Score that a twin may have beside what was named."""
 
 DWARFED = 20.0, 5e-3
 """Chi^2 per degree of freedom beyond noise, in the median, from which on a name may leave this part of it whatever that
@@ -136,9 +131,7 @@ def name_missing(
     before, after = check.surprise(None), check.surprise(final)
     best = rounds[0][0] if rounds[0] else None
     verdict = "effect" if named else "none"
-    nearly = final or (best if best is not None and best.score > THRESHOLD and plain(bench, best) else None)
-    rival = twin(bench, nearly) if nearly is not None and bench.dispersion <= COARSE else None
-    surprised = missing(check, named, share, after, rival) if named else strange(check, best, rival)
+    surprised = missing(check, named, share, after) if named else strange(check, best)
     if surprised:
         verdict = "unexplained"
     said = named if verdict == "effect" else []
@@ -149,9 +142,8 @@ def name_missing(
         equivalent=undecided(bench, rounds[0], verdict),
         gap=gap_of(bench, base, said[-1] if said else None, check.floor(said[-1] if said else None)),
         disagreement=check.map(),
-        unexplained=(*twin_words(nearly, rival), *check.words(final)) if surprised else (),
+        unexplained=check.words(final) if surprised else (),
         believed=refits(bench, base, final),
-        calibration=calibration_of(said),
         confounds=confounds(bench, base, named if verdict == "effect" else []),
         overlays=overlays(bench, final),
         share=share,
@@ -176,11 +168,10 @@ def undecided(bench: Bench, first: Sequence[Judged], verdict: str) -> tuple[str,
       verdict: what was decided.
 
     Returns:
-      Of "effect" the one that is named and those like it. Of "none" what is not ruled out either: those that would have
-      been named if calibration of their limb did not explain nearly as much, or what explains more than chance and may
-      not be named for another reason, as held-out recordings that do not bear it out.
+      Of "effect" the one that is named and those like it. Of "none" what explains more than chance and may not be named
+      for another reason, such as held-out recordings that do not bear it out.
     """
-    if first and (verdict == "effect" or (verdict == "none" and first[0].explained)):
+    if first and verdict == "effect":
         return equivalent(first, bench.delicate)
     if verdict == "none":
         more = (j for j in first if j.score > THRESHOLD and not within_calibration(bench, j))
@@ -193,28 +184,7 @@ def plain(bench: Bench, judged: Judged) -> bool:
     return not any(candidate.name in bench.delicate for candidate, _ in judged.hypothesis.effects)
 
 
-def mistaken(judged: Judged, rival: Judged | None) -> bool:
-    """Whether the best twin of a hypothesis, judged beside it, explains what it does not."""
-    return rival is not None and rival.score - judged.score > TWIN
-
-
-def twin_words(named: Judged | None, rival: Judged | None) -> tuple[str, ...]:
-    """A twin that explains what was named better, in words."""
-    if named is None or rival is None or not mistaken(named, rival):
-        return ()
-    candidate, values = rival.hypothesis.effects[-1]
-    number = candidate.parameters[0]
-    here = [c.effect for c, _ in named.hypothesis.effects if any(e is candidate.effect for e in c.effect.similar)]
-    taken = " and ".join(effect_title(effect.name) for effect in here)
-    size = f"{number.name} {values[0]:.3g}" + ("" if number.unit == "1" else f" {number.unit}")
-    title = effect_title(candidate.effect.name)
-    return (
-        f"{candidate.place.label}: {title} ({candidate.effect.equation}, {size}) explains what "
-        f"{taken} does not (--effects all {candidate.effect.name} names it)",
-    )
-
-
-def missing(check: Check, named: Sequence[Judged], share: float, surprise: float, rival: Judged | None = None) -> bool:
+def missing(check: Check, named: Sequence[Judged], share: float, surprise: float) -> bool:
     """Whether what was named leaves so much that something else must be at work.
 
     Args:
@@ -222,12 +192,9 @@ def missing(check: Check, named: Sequence[Judged], share: float, surprise: float
       named: what was named, each beside those before.
       share: part of what unknown forces explain that the last one explains.
       surprise: lack of fit that it leaves, in standard deviations.
-      rival: its best twin, judged beside it.
     """
     if check.bench.dispersion > COARSE:
         return surprise > LEFT_OVER and share < COARSE_SHARE
-    if mistaken(named[-1], rival):
-        return True
     if dwarfed(check.bench, named[-1]):
         return False
     if len(named) > 1:
@@ -238,9 +205,6 @@ def missing(check: Check, named: Sequence[Judged], share: float, surprise: float
     if check.told(named[-1]) is not None:
         return True
     if plain(check.bench, named[-1]) and surprise > REST and share < REST_SHARE and check.spread(named[-1]):
-        return True
-    there = check.at_body(named[-1])
-    if check.thrown(there) and there.chi2 > LEFT_SHARE * (named[-1].gain + named[-1].held_out):
         return True
     left, most, follows = check.left(named[-1]), LEFT_SHARE * named[-1].gain, check.follows(named[-1])
     if follows is not None and follows.gain > most:
@@ -263,18 +227,17 @@ def dwarfed(bench: Bench, judged: Judged) -> bool:
     return True
 
 
-def strange(check: Check, best: Judged | None, rival: Judged | None = None) -> bool:
+def strange(check: Check, best: Judged | None) -> bool:
     """Whether something is missing though nothing may be named; what the best candidate explains is weak, not strange.
 
     Args:
       check: of the lack of fit.
       best: candidate of the first round.
-      rival: its best twin, judged beside it.
     """
     judged = best if best is not None and best.score > 0 else None
     if judged is not None:
         much = judged.score > TOO_MUCH and plain(check.bench, judged) and not within_calibration(check.bench, judged)
-        if much or mistaken(judged, rival):
+        if much:
             return True
     return (
         (check.surprise(judged) > SURPRISE and check.spread(judged))

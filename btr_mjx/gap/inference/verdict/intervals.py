@@ -1,23 +1,19 @@
 """Numbers of what was named, from all recordings, and intervals that do not assume a good fit.
 
 What was held out has done its work when a name stands: the numbers that are reported may use it, too. One Gauss-Newton
-step over all windows leads to them from those that were fitted, and is taken where true simulation agrees. Starting
-states that suit one size still speak for it, so that smaller and larger ones are tried with starting states of their
-own, which they then share. Intervals are those of the same linearised fit on resampled windows.
+step over all windows leads to them from those that were fitted, and is taken where true simulation agrees. Intervals
+are those of the same linearised fit on resampled windows.
 """
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.inference.scoring.refine import answers, nudges
 from btr_mjx.gap.inference.search.search import Bench
-from btr_mjx.gap.inference.search.search_records import Judged, Side, nearest
-from btr_mjx.gap.inference.search.walks import scaled
+from btr_mjx.gap.inference.search.search_records import Judged
 from btr_mjx.gap.results import Estimate
-from btr_mjx.gap.simulate import run_in_threads
 from btr_mjx.gap.windows import Evidence, fit, regularised, window_weight
 
 _DRAWS = 200
@@ -25,15 +21,6 @@ _QUANTILES = (0.05, 0.95)
 
 _SHARES = 1.0, 0.4
 """Parts of a step that are tried."""
-
-_SIZES = 0.8, 1.25
-"""Factors on an effect's size at which it is tried as well."""
-
-_BEYOND = 0.2
-"""Part of the range of these by which a better one may lie outside."""
-
-_STRONG = 400.0
-"""Gain beyond which these sizes differ by more than chance does."""
 
 _MANY = 6
 """So many recordings to fit are drawn as a whole."""
@@ -77,8 +64,6 @@ def intervals(bench: Bench, judged: Judged, rng: np.random.Generator, settled: b
     final = judged.hypothesis
     if not settled and not bench.joint:  # believed numbers would move along
         final = _stepped(bench, judged, centre)
-        if judged.gain + judged.held_out > _STRONG and not bench.costly():
-            final = _sized(bench, judged, final)
     out, first = [], size - final.numbers
     for candidate, values in final.effects:
         for parameter, value in zip(candidate.parameters, values, strict=True):
@@ -137,54 +122,3 @@ def _stepped(bench: Bench, judged: Judged, step: np.ndarray) -> Hypothesis:
         if _loss(bench, judged, [side.windows.residuals([there])[0] for side in judged.sides]) < before:
             return there
     return judged.hypothesis
-
-
-def _sized(bench: Bench, judged: Judged, hypothesis: Hypothesis) -> Hypothesis:
-    """The hypothesis with each effect at a better size; what moves contacts has been through sizes before."""
-    for index, (candidate, _) in enumerate(hypothesis.effects):
-        if candidate.name not in bench.delicate:
-            hypothesis = _resized(bench, judged, hypothesis, index)
-    return hypothesis
-
-
-def _resized(bench: Bench, judged: Judged, hypothesis: Hypothesis, index: int) -> Hypothesis:
-    """The hypothesis with one effect at the size, of those around it, that all recordings say most of.
-
-    Where a size goes, what the time step does goes along: it is found anew for each.
-    """
-    tries: list[Hypothesis] = []
-    pools: tuple[list[Side], list[Side]] = [], []
-
-    def attempt(factor: float) -> None:
-        own = scaled(hypothesis, factor, index)
-
-        def suited(side: Side, pool: list[Side]) -> Side:
-            start = nearest([other.based(own) for other in pool or [side]])
-            return nearest([start, start.recentred(own)])
-
-        found = run_in_threads([partial(suited, side, pool) for side, pool in zip(judged.sides, pools, strict=True)])
-        for pool, side in zip(pools, found, strict=True):
-            pool.append(side)
-        tries.append(own)
-
-    def losses() -> list[float]:
-        def loss(i: int) -> float:
-            # Those before it were looked at already.
-            pair = [nearest([pool[i], *(later.based(tries[i]) for later in pool[i + 1 :])]) for pool in pools]
-            return _loss(bench, judged, [side.windows.residual for side in pair])
-
-        return run_in_threads([partial(loss, i) for i in range(len(tries))])
-
-    for factor in (1.0, *_SIZES):
-        attempt(factor)
-    attempt(lowest((1.0, *_SIZES), losses()))
-    return tries[int(np.argmin(losses()))]
-
-
-def lowest(at: Sequence[float], losses: Sequence[float]) -> float:
-    """Where a parabola through three points is lowest, not far beyond them; the lowest of them where it is not bent."""
-    a, b, _ = np.polyfit(at, losses, 2)
-    reach = _BEYOND * (max(at) - min(at))
-    if a <= 0:
-        return at[int(np.argmin(losses))]
-    return float(np.clip(-b / (2 * a), min(at) - reach, max(at) + reach))

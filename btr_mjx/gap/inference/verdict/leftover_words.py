@@ -2,10 +2,6 @@
 
 from collections.abc import Sequence
 
-import mujoco
-
-from btr_mjx.gap.effects import body_place
-from btr_mjx.gap.inference.scoring.bodies import AtBody
 from btr_mjx.gap.inference.scoring.forces import Description
 from btr_mjx.gap.inference.scoring.leftover import Feature
 
@@ -14,15 +10,6 @@ def telling_sentence(feature: Feature, names: Sequence[str]) -> str:
     """A feature in words."""
     where = "" if feature.other is None else f" of {names[feature.other]}"
     return f"{names[feature.dof]}: a force there follows {feature.name}{where}, as no effect that was tried does"
-
-
-def body_sentence(there: AtBody, model: mujoco.MjModel) -> str:
-    """What is left at a body in words."""
-    assert there.body is not None
-    return (
-        f"{body_place(model, there.body).label}: forces and torques on the body explain {there.excess:.1f} standard "
-        "deviations more than chance, as no effect that was tried does"
-    )
 
 
 def sentence(description: Description, names: Sequence[str]) -> str:

@@ -10,7 +10,7 @@ from btr_mjx.gap.inference.search.search_records import MARGIN, Judged
 from btr_mjx.gap.inference.verdict.disagreement import place_names
 from btr_mjx.gap.inference.verdict.intervals import intervals
 from btr_mjx.gap.inference.verdict.openloop import open_loop
-from btr_mjx.gap.results import Calibrated, Gap, NamedEffect, Overlay, RankedCandidate, Refit
+from btr_mjx.gap.results import Gap, NamedEffect, Overlay, RankedCandidate, Refit
 from btr_mjx.gap.windows import bounded_loss
 
 SHARE = 0.01
@@ -28,7 +28,7 @@ def alike(judged: Sequence[Judged], delicate: Collection[str] = ()) -> list[Judg
       delicate: names of candidates that move contacts, whose scores are less certain.
     """
     best, out = judged[0], []
-    for j in (best, *(j for j in judged[1:] if not j.explained)):
+    for j in judged:
         names = [k.hypothesis.effects[-1][0].name for k in (best, j)]
         margin = max(MARGIN, (CONTACT_MARGIN if any(n in delicate for n in names) else SHARE) * best.score)
         if best.score - j.score <= margin and j.score > 0.3 * best.score:
@@ -60,7 +60,7 @@ def named_effects(
     if not named:
         return ()
     final = named[-1]
-    numbers = intervals(bench, final.widest, rng, settled)
+    numbers = intervals(bench, final, rng, settled)
     out, first, before = [], 0, None
     for i, (candidate, values) in enumerate(final.hypothesis.effects):
         parameters = {p.name: numbers[first + j] for j, p in enumerate(candidate.parameters)}
@@ -86,19 +86,6 @@ def named_effects(
     return tuple(out)
 
 
-def calibration_of(named: Sequence[Judged]) -> tuple[Calibrated, ...]:
-    """Small errors of calibration beside which something was named."""
-    errors = named[-1].hypothesis.calibration if named else ()
-    return tuple(
-        Calibrated(
-            candidate.effect.name,
-            candidate.place.label,
-            {p.name: value for p, value in zip(candidate.parameters, values, strict=True)},
-        )
-        for candidate, values in errors
-    )
-
-
 def ranking_of(rounds: Sequence[Sequence[Judged]]) -> tuple[RankedCandidate, ...]:
     """Rows of all rounds, best first in each."""
     rows = []
@@ -115,7 +102,6 @@ def ranking_of(rounds: Sequence[Sequence[Judged]]) -> tuple[RankedCandidate, ...
                     j.held_out,
                     {p.name: float(v) for p, v in zip(candidate.parameters, values, strict=True)},
                     tuple(c.name for c, _ in j.hypothesis.effects[:-1]),
-                    j.fresh,
                 )
             )
     return tuple(rows)
