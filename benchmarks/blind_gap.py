@@ -201,19 +201,19 @@ def _true_gains(bench: Bench, added: list[Any]) -> tuple[list[float], list[float
         for candidate, values in some:
             hypothesis = hypothesis.with_effect(candidate, values)
         hypotheses.append(hypothesis)
-    contact_sensitive = any(candidate.name in bench.delicate for candidate, _ in added)
+    contact_sensitive = any(candidate.name in bench.contact_sensitive for candidate, _ in added)
     plain, robust = np.zeros(len(added)), np.zeros(len(added))
     for side, free in ((bench.fit, bench.free), (bench.test, bench.nuisance)):
-        centres = [side.recentred(hypothesis) for hypothesis in hypotheses]
+        centres = [side.with_fitted_states(hypothesis) for hypothesis in hypotheses]
         if contact_sensitive:
-            centres += [own.redirected(h) for own, h in zip(centres, hypotheses, strict=True)]
+            centres += [own.with_own_directions(h) for own, h in zip(centres, hypotheses, strict=True)]
         fits = []
         for hypothesis in hypotheses:
             own = nearest([centre.based(hypothesis) for centre in centres])
             fits.append(free(own, hypothesis).profile(own.windows.residual, bench.cut))
         for i, ((candidate, _), without) in enumerate(zip(added, fits[1:], strict=True)):
             plain[i] += (without.loss - fits[0].loss) / bench.dispersion
-            robust[i] += bench.fall(without, fits[0], even=candidate.name not in bench.delicate)
+            robust[i] += bench.fall(without, fits[0], even=candidate.name not in bench.contact_sensitive)
     price = np.log(bench.fit.windows.residual.size + bench.test.windows.residual.size)
     numbers = np.array([len(values) for _, values in added])
     return plain.tolist(), (robust - price * numbers).tolist()

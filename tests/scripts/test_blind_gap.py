@@ -199,7 +199,7 @@ def test_gains_of_true_effects_against_separate_fits(monkeypatch: pytest.MonkeyP
     plain = 0.0
     for side, free in ((bench.fit, bench.free), (bench.test, bench.nuisance)):
         for sign, hypothesis in ((1.0, bench.base), (-1.0, bench.base.with_effect(*true))):
-            own = side.recentred(hypothesis)
+            own = side.with_fitted_states(hypothesis)
             plain += sign * free(own).profile(own.windows.residual, bench.cut).loss / bench.dispersion
     assert plain > 100
     gains, scores = blind_gap._true_gains(bench, [true])

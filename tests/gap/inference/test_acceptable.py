@@ -28,9 +28,9 @@ def test_of_what_is_alike_the_best_that_may_be_named_comes_first(monkeypatch, re
 
     monkeypatch.setattr("btr_mjx.gap.inference.search.naming.accepted", all_but(rejected))
     monkeypatch.setattr("btr_mjx.gap.inference.search.naming.within_calibration", lambda bench, j: False)
-    out = acceptable(SimpleNamespace(delicate=frozenset()), judged, None)
+    out = acceptable(SimpleNamespace(contact_sensitive=frozenset()), judged, None)
     assert "".join(j.hypothesis.effects[-1][0].name for j in out) == order
-    assert acceptable(SimpleNamespace(delicate=frozenset()), [], None) == []
+    assert acceptable(SimpleNamespace(contact_sensitive=frozenset()), [], None) == []
 
 
 def all_but(rejected):
@@ -38,7 +38,7 @@ def all_but(rejected):
 
 
 @pytest.mark.parametrize(
-    ("delicate", "rejected", "order"),
+    ("contact_sensitive", "rejected", "order"),
     [
         ("a", "a", "bacd"),
         ("ab", "ab", "cabd"),
@@ -48,10 +48,12 @@ def all_but(rejected):
         ("a", "", "abcd"),
     ],
 )
-def test_beside_another_effect_contacts_without_a_name_stand_in_nobodys_way(monkeypatch, delicate, rejected, order):
+def test_beside_another_effect_contacts_without_a_name_stand_in_nobodys_way(
+    monkeypatch, contact_sensitive, rejected, order
+):
     judged = [as_judged("a", 500.0), as_judged("b", 380.0), as_judged("c", 260.0), as_judged("d", 140.0)]
     monkeypatch.setattr("btr_mjx.gap.inference.search.naming.accepted", all_but(rejected))
-    out = acceptable(SimpleNamespace(delicate=frozenset(delicate)), judged, as_judged("given", 100.0))
+    out = acceptable(SimpleNamespace(contact_sensitive=frozenset(contact_sensitive)), judged, as_judged("given", 100.0))
     assert "".join(j.hypothesis.effects[-1][0].name for j in out) == order
 
 
@@ -72,7 +74,7 @@ def test_a_name_gives_way_to_what_calibration_leaves(monkeypatch, best, scores, 
         "btr_mjx.gap.inference.search.naming.within_calibration",
         lambda bench, j: j.hypothesis.effects[-1][0].name in usual,
     )
-    out = acceptable(SimpleNamespace(delicate=frozenset("m")), judged, None)
+    out = acceptable(SimpleNamespace(contact_sensitive=frozenset("m")), judged, None)
     assert out[0].hypothesis.effects[-1][0].name == first
     assert len(out) == 2
 
@@ -96,5 +98,5 @@ def test_contacts_without_a_name_give_way_to_what_held_out_recordings_say_more_o
     judged = [as_judged(*row) for row in zip("mnbc", scores, held_out, strict=True)]
     monkeypatch.setattr("btr_mjx.gap.inference.search.naming.accepted", all_but(rejected))
     monkeypatch.setattr("btr_mjx.gap.inference.search.naming.within_calibration", lambda bench, j: False)
-    out = acceptable(SimpleNamespace(delicate=frozenset("mn")), judged, None)
+    out = acceptable(SimpleNamespace(contact_sensitive=frozenset("mn")), judged, None)
     assert "".join(j.hypothesis.effects[-1][0].name for j in out) == order

@@ -94,5 +94,5 @@ def is_accepted(names, gain, held_out, negligible=0.0, size=1.0, place=None, str
     )
     side = SimpleNamespace(windows=range(20))
     data = SimpleNamespace(tolerances={})
-    bench = SimpleNamespace(delicate={"m", "n"}, dispersion=1.0, fit=side, test=side, dataset=data)
+    bench = SimpleNamespace(contact_sensitive={"m", "n"}, dispersion=1.0, fit=side, test=side, dataset=data)
     return accepted(bench, judged, given)

@@ -8,7 +8,7 @@ from gap_arm import dataset
 
 from btr_mjx.gap.effects import EFFECTS, Parameter
 from btr_mjx.gap.inference import Bench
-from btr_mjx.gap.inference.search.polish import Polisher
+from btr_mjx.gap.inference.search.finalists import Finalists
 from btr_mjx.gap.inference.search.search_records import Judged
 from btr_mjx.gap.inference.verdict.intervals import intervals
 from btr_mjx.gap.windows import Options, window_weight
@@ -22,7 +22,7 @@ def damped(model):
 
 
 def found(bench: Bench) -> Judged:
-    return next(j for j in Polisher(bench)(bench.find()) if j.name == "viscous_damping@joint:elbow")
+    return next(j for j in Finalists(bench)(bench.find()) if j.name == "viscous_damping@joint:elbow")
 
 
 @pytest.fixture(scope="module")

@@ -6,30 +6,32 @@ import numpy as np
 import pytest
 
 from btr_mjx.gap.effects import Parameter, Place
-from btr_mjx.gap.inference.scoring.leftover import Leftover, Told
+from btr_mjx.gap.inference.scoring.leftover import FeatureGain, Leftover
 from btr_mjx.gap.inference.verdict.check import Check
-from btr_mjx.gap.inference.verdict.identify import dwarfed, missing, strange, undecided
+from btr_mjx.gap.inference.verdict.identify import explains_nearly_all, left_beside_name, left_without_name, undecided
 
 
 @pytest.fixture(autouse=True)
 def comparable(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is left is not small beside what was explained."""
-    monkeypatch.setattr("btr_mjx.gap.inference.verdict.identify.dwarfed", lambda *_: False)
+    monkeypatch.setattr("btr_mjx.gap.inference.verdict.identify.explains_nearly_all", lambda *_: False)
 
 
-def left_by(gains, dispersion=1.0, told=None):
+def left_by(gains, dispersion=1.0, confirmed=None):
     """A check in which hypotheses leave given gains at one joint, of which 45 may be chance."""
     left = {gain: Leftover(*np.zeros((3, 1)), left, None) for gain, left in gains.items()}
-    bench = SimpleNamespace(dispersion=dispersion, delicate=frozenset())
+    bench = SimpleNamespace(dispersion=dispersion, contact_sensitive=frozenset())
     chance = SimpleNamespace(excess=5.5, usual=-np.inf)
     return SimpleNamespace(
         bench=bench,
         gain=45.0,
         spread=lambda _: True,
-        beyond=lambda there: Check.beyond(chance, there),  # type: ignore[arg-type]
+        excess_at_joint=lambda there: Check.excess_at_joint(chance, there),  # type: ignore[arg-type]
         left=lambda judged: left[judged.gain],
-        told=lambda _: told,
-        follows=lambda judged: Told(0, 1.0, left[judged.gain].gain) if left[judged.gain].gain > 45.0 else None,
+        confirmed_feature=lambda _: confirmed,
+        significant_feature=lambda judged: (
+            FeatureGain(0, 1.0, left[judged.gain].gain) if left[judged.gain].gain > 45.0 else None
+        ),
     )
 
 
@@ -49,7 +51,7 @@ def gained(gain):
 )
 def test_what_a_name_may_leave(left, expected):
     named = [gained(gain) for gain in left]
-    assert missing(left_by(left), named, 0.9, 0.0) is expected
+    assert left_beside_name(left_by(left), named, 0.9, 0.0) is expected
 
 
 @pytest.mark.parametrize(
@@ -64,17 +66,17 @@ def test_beside_a_name_that_explains_nearly_all_the_rest_is_small(before, after,
     side = SimpleNamespace(windows=SimpleNamespace(freedom=100.0))
     fits = [[SimpleNamespace(chi2=np.full(5, chi2)) for chi2 in sides] for sides in (before, after)]
     bench = SimpleNamespace(reference=fits[0], fit=side, test=side)
-    assert dwarfed(bench, SimpleNamespace(fits=fits[1])) is expected
+    assert explains_nearly_all(bench, SimpleNamespace(fits=fits[1])) is expected
 
 
 def test_a_name_must_explain_most_of_a_lack_of_fit():
     named = [gained(1000.0)]
     little = left_by({1000.0: 0.0})
-    assert missing(little, named, 0.3, 3.5)
-    assert not missing(little, named, 0.3, 1.0)  # chance
-    assert not missing(little, named, 0.8, 3.5)
+    assert left_beside_name(little, named, 0.3, 3.5)
+    assert not left_beside_name(little, named, 0.3, 1.0)  # chance
+    assert not left_beside_name(little, named, 0.8, 3.5)
     little.spread = lambda _: False  # in a few windows
-    assert not missing(little, named, 0.3, 3.5)
+    assert not left_beside_name(little, named, 0.3, 3.5)
 
 
 @pytest.mark.parametrize(
@@ -92,14 +94,14 @@ def test_what_a_name_may_leave_at_a_joint(excess, chi2, usual, rough, expected):
     left = Leftover(np.array([excess, 0.0]), np.array([chi2, 900.0]), np.array([usual, 9.0]), 0.0, None)
     check, named = left_by({}), gained(1000.0)
     chance = SimpleNamespace(excess=5.5, usual=1.0 if rough else -np.inf)
-    check.left, check.follows = (lambda _: left), (lambda _: None)
-    check.beyond = lambda there: Check.beyond(chance, there)  # type: ignore[arg-type]
-    assert missing(check, [named], 0.9, 0.0) is expected
+    check.left, check.significant_feature = (lambda _: left), (lambda _: None)
+    check.excess_at_joint = lambda there: Check.excess_at_joint(chance, there)  # type: ignore[arg-type]
+    assert left_beside_name(check, [named], 0.9, 0.0) is expected
 
 
 def test_a_name_is_none_where_held_out_recordings_know_of_something_else():
     named = [gained(1000.0)]
-    assert missing(left_by({1000.0: 0.0}, told="position cubed"), named, 0.9, 0.0)
+    assert left_beside_name(left_by({1000.0: 0.0}, confirmed="position cubed"), named, 0.9, 0.0)
 
 
 def unnamed(score, offset):
@@ -125,15 +127,15 @@ def test_what_may_not_be_named_may_still_be_missing(score, size, expected):
     check = left_by({})
     check.surprise = lambda _: 0.0
     check.left = lambda _: Leftover(*np.zeros((3, 1)), 0.0, None)
-    check.follows = lambda _: None
+    check.significant_feature = lambda _: None
     check.bench.dataset = SimpleNamespace(tolerances={"joint_stiffness": 0.01})
     best = None if score is None else unnamed(score, size)
-    assert strange(check, best) is expected
+    assert left_without_name(check, best) is expected
     if not expected:
-        check.told = lambda _: "position cubed"
-        assert strange(check, best)
-        check.told, check.follows = (lambda _: None), (lambda _: Told(0, 1.0, 50.0))
-        assert strange(check, best)
+        check.confirmed_feature = lambda _: "position cubed"
+        assert left_without_name(check, best)
+        check.confirmed_feature, check.significant_feature = (lambda _: None), (lambda _: FeatureGain(0, 1.0, 50.0))
+        assert left_without_name(check, best)
 
 
 @pytest.mark.parametrize(
@@ -151,18 +153,18 @@ def test_what_may_not_be_named_may_still_be_missing(score, size, expected):
 )
 def test_what_held_out_recordings_speak_against_is_not_strange(rough, held_out, expected):
     """Gains of 60 and 50 on the recordings to fit, of which 45 may be chance."""
-    told = (Told(0, 1.0, 60.0), Told(1, 1.0, 50.0), Told(2, 1.0, 40.0))
-    asked = list(zip(told, held_out, strict=False))
+    feature_gains = (FeatureGain(0, 1.0, 60.0), FeatureGain(1, 1.0, 50.0), FeatureGain(2, 1.0, 40.0))
+    asked = list(zip(feature_gains, held_out, strict=False))
     sides = [SimpleNamespace(windows=range(count)) for count in (50, 25)]  # 30 and 25 are to be expected held out
     stub = SimpleNamespace(gain=45.0, rough=rough, sides=sides, _asked=lambda judged, least: asked)
-    found = Check.follows(stub, None)  # type: ignore[arg-type]
+    found = Check.significant_feature(stub, None)  # type: ignore[arg-type]
     assert (found and found.index) == expected
 
 
 def test_real_machines_leave_more():
     named = [gained(1000.0)]
-    assert not missing(left_by({}, dispersion=50.0), named, 0.7, 30.0)
-    assert missing(left_by({}, dispersion=50.0), named, 0.3, 30.0)
+    assert not left_beside_name(left_by({}, dispersion=50.0), named, 0.7, 30.0)
+    assert left_beside_name(left_by({}, dispersion=50.0), named, 0.3, 30.0)
 
 
 @pytest.mark.parametrize(
@@ -178,15 +180,15 @@ def test_what_may_not_be_named_need_not_be_ruled_out(monkeypatch, verdict, expec
 
     monkeypatch.setattr("btr_mjx.gap.inference.verdict.identify.within_calibration", small)
     first = [one("a", 100.0), one("b", 90.0), one("c", 20.0), one("d", 16.0), one("e", 14.0)]
-    assert undecided(SimpleNamespace(delicate=()), first, verdict) == expected
-    assert undecided(SimpleNamespace(delicate=()), [], verdict) == ()
+    assert undecided(SimpleNamespace(contact_sensitive=()), first, verdict) == expected
+    assert undecided(SimpleNamespace(contact_sensitive=()), [], verdict) == ()
 
 
 @pytest.mark.parametrize(("held_out", "expected"), [(400.0, 0), (31.0, 0), (29.0, None)])
 def test_held_out_recordings_of_rough_touchdowns_need_not_know_of_all_that_is_strange(held_out, expected):
     """What is outside the library gained 9730 on the recordings to fit and 409 held out."""
     sides = [SimpleNamespace(windows=range(50))] * 2
-    asked = [(Told(0, 1.0, 9730.0), held_out)]
+    asked = [(FeatureGain(0, 1.0, 9730.0), held_out)]
     stub = SimpleNamespace(gain=45.0, rough=True, sides=sides, _asked=lambda judged, least: asked)
-    found = Check.follows(stub, None)  # type: ignore[arg-type]
+    found = Check.significant_feature(stub, None)  # type: ignore[arg-type]
     assert (found and found.index) == expected

@@ -17,11 +17,11 @@ class Stage:
       asked: names that were judged again.
     """
 
-    delicate = frozenset[str]()
+    contact_sensitive = frozenset[str]()
 
     def __init__(self, monkeypatch, scores, polished=None):
         self.scores, self.polished, self.asked = scores, polished or {}, []
-        monkeypatch.setattr(rounds, "Polisher", lambda bench: self)
+        monkeypatch.setattr(rounds, "Finalists", lambda bench: self)
         for module in (rounds, naming):
             monkeypatch.setattr(module, "accepted", self.accepted)
         monkeypatch.setattr(naming, "within_calibration", lambda bench, judged: False)

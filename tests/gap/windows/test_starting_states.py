@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from btr_mjx.gap.data import load
 from btr_mjx.gap.effects import EFFECTS, WORLD
 from btr_mjx.gap.inference import Bench
-from btr_mjx.gap.inference.search.contact_leaders import contact_scan, judged_anew
+from btr_mjx.gap.inference.search.contact_scan import contact_scan, with_line_search
 from btr_mjx.gap.inference.search.search_records import Side
 from btr_mjx.gap.simulate import World
 from btr_mjx.gap.windows import (
@@ -164,40 +164,40 @@ def test_a_walk_sees_what_all_windows_show(bench: Bench) -> None:
 
     def whole(value):
         hypothesis = bench.base.with_effect(elbow, [value])
-        sides = [bench.fit.recentred(h).redirected(h) for h in (bench.base, hypothesis)]
+        sides = [bench.fit.with_fitted_states(h).with_own_directions(h) for h in (bench.base, hypothesis)]
         return bench.fall(*(bench.free(s).profile(s.windows.residual, bench.cut) for s in sides))
 
     sizes = np.linspace(-0.04, 0.04, 17)
     gains = [whole(value) for value in sizes]
     best = sizes[int(np.argmax(gains))]
     assert abs(best) > 0.01
-    assert bench.walks.gain(bench.base.with_effect(elbow, [best])) == pytest.approx(max(gains), rel=0.5)
-    found = bench.walks(bench.base.with_effect(elbow, [best / 3]), hope=0.0, promise=0.0)
+    assert bench.line_search.gain(bench.base.with_effect(elbow, [best])) == pytest.approx(max(gains), rel=0.5)
+    found = bench.line_search(bench.base.with_effect(elbow, [best / 3]), hope=0.0, promise=0.0)
     assert found is not None
     assert found.effects[0][1][0] == pytest.approx(best, rel=0.2)
-    assert bench.walks.best(found.name) >= bench.walks.gain(bench.base.with_effect(elbow, [best / 3]))
+    assert bench.line_search.best(found.name) >= bench.line_search.gain(bench.base.with_effect(elbow, [best / 3]))
     counted = bench.counter.steps
-    bench.walks.gain(bench.base.with_effect(elbow, [best]))
+    bench.line_search.gain(bench.base.with_effect(elbow, [best]))
     assert bench.counter.steps == counted
-    assert bench.walks(bench.base.with_effect(elbow, [-best]), hope=1e9, promise=0.0) is None
-    assert bench.walks.best("nothing that was tried") == -np.inf
+    assert bench.line_search(bench.base.with_effect(elbow, [-best]), hope=1e9, promise=0.0) is None
+    assert bench.line_search.best("nothing that was tried") == -np.inf
 
 
 def test_the_best_of_a_scan_are_looked_at_with_directions_of_their_own(bench: Bench) -> None:
     moving = [c for c in bench.candidates if c.effect.name == "joint_offset"]
     side = Side(bench.fit.windows, bench.free(bench.fit))
     found = contact_scan(side, bench.base, moving, bench.cut, bench.fit.windows.residual, 1)
-    again = judged_anew(found, bench.base, bench.walks, 0.0)
+    again = with_line_search(found, bench.base, bench.line_search, 0.0)
     assert {c.name for _, c, _ in again} == {c.name for _, c, _ in found}
     assert [gain for gain, _, _ in again] == sorted((gain for gain, _, _ in again), reverse=True)
     first = {c.name: (gain, values) for gain, c, values in found}
     for gain, candidate, values in again:
         known, start = first[candidate.name]
-        tries = {f: bench.walks.gain(bench.base.with_effect(candidate, f * start)) for f in (1.0, 3.0)}
+        tries = {f: bench.line_search.gain(bench.base.with_effect(candidate, f * start)) for f in (1.0, 3.0)}
         assert gain == max(known, *tries.values())
         factor = max(tries, key=lambda f: tries[f])
         assert values[0] == (start[0] if gain == known else factor * start[0])
-    assert judged_anew(found, bench.base, bench.walks, 1e9) == found  # something else is far stronger
+    assert with_line_search(found, bench.base, bench.line_search, 1e9) == found  # something else is far stronger
 
 
 @pytest.mark.parametrize(("strongest", "least", "least_of_world"), [(0.0, -60.0, -600.0), (2000.0, 140.0, -400.0)])
@@ -206,7 +206,7 @@ def test_who_of_a_scan_is_looked_at_again(
 ) -> None:
     """The best six, and what acts on the world as a whole, unless something else is far stronger."""
     asked = []
-    monkeypatch.setattr(bench.walks, "gain", lambda h: asked.append(h.name) or -1e9)
+    monkeypatch.setattr(bench.line_search, "gain", lambda h: asked.append(h.name) or -1e9)
 
     def looked_at(rows: list[tuple[float, str, bool]]) -> set[str]:
         asked.clear()
@@ -216,7 +216,9 @@ def test_who_of_a_scan_is_looked_at_again(
             (gain, SimpleNamespace(name=name, place=WORLD if world else None, parameters=(number,)), nothing)
             for gain, name, world in rows
         ]
-        assert judged_anew(stand_ins, bench.base, bench.walks, strongest) == stand_ins  # never worse than the scan
+        assert (
+            with_line_search(stand_ins, bench.base, bench.line_search, strongest) == stand_ins
+        )  # never worse than the scan
         assert all(asked.count(name) == 2 for name in asked)
         return set(asked)
 

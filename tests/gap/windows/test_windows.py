@@ -166,17 +166,17 @@ def test_features_are_evaluated_on_held_out_windows(windows):
     pull = np.einsum("wb,wbr->wr", one.values, fit.columns.reshape(len(windows), *fit.shape, -1)[:, 0])
     pull *= 12.0 / np.linalg.norm(pull)
     joints = Joints(fit, nothing, known)
-    told = joints(noise_of(windows, 0) + pull, 1e4).told
-    assert known[told[0].index] is one
-    assert [one.gain for one in told] == sorted((one.gain for one in told), reverse=True)
+    feature_gains = joints(noise_of(windows, 0) + pull, 1e4).feature_gains
+    assert known[feature_gains[0].index] is one
+    assert [one.gain for one in feature_gains] == sorted((one.gain for one in feature_gains), reverse=True)
     other = noise_of(windows, 1)
     columns = fit.columns.reshape(len(windows), *fit.shape, -1)[:, 0]
-    moved = told[0].amplitude * sum(one.values[:, b, None] * columns[:, b] for b in range(one.values.shape[1]))
+    moved = feature_gains[0].amplitude * sum(one.values[:, b, None] * columns[:, b] for b in range(one.values.shape[1]))
     np.testing.assert_allclose(moved, -pull, atol=0.3 * np.abs(pull).max())
     expected = (other**2).sum() - ((other + moved) ** 2).sum()
     assert expected < 0  # no such force in these data
-    assert joints.held_out(other, 1e4, told[0]) == pytest.approx(expected, rel=1e-6)
-    assert joints.held_out(other + pull, 1e4, told[0]) > 60
+    assert joints.held_out(other, 1e4, feature_gains[0]) == pytest.approx(expected, rel=1e-6)
+    assert joints.held_out(other + pull, 1e4, feature_gains[0]) > 60
 
 
 def test_nuisances_are_not_attributed_to_forces(windows):

@@ -46,7 +46,7 @@ def tolerance_draws(
     return out
 
 
-def stubborn(windows: Windows, nuisance: Nuisance, draws: Sequence[Hypothesis], cut: float) -> np.ndarray:
+def nonlinear_directions(windows: Windows, nuisance: Nuisance, draws: Sequence[Hypothesis], cut: float) -> np.ndarray:
     """Directions in which tolerances leave the linear picture, scaled for a soft projection.
 
     Args:
@@ -68,7 +68,7 @@ def stubborn(windows: Windows, nuisance: Nuisance, draws: Sequence[Hypothesis], 
     return u * np.sqrt(shrink)[:, None, :]
 
 
-def softened(
+def with_nonlinear_tolerances(
     windows: Windows,
     base: Hypothesis,
     screened: Screen,
@@ -80,7 +80,7 @@ def softened(
     """Tolerances of some windows, after what they do to contacts has been taken into account there.
 
     Args:
-      windows: linearised; directions that are `stubborn` count less in them afterwards.
+      windows: linearised; directions that are `nonlinear_directions` count less in them afterwards.
       base: whose believed numbers may be refitted.
       screened: signatures of the candidates, tolerances among them.
       draws: worlds of `tolerance_draws`; none where nothing touches.
@@ -89,12 +89,12 @@ def softened(
       cut: chi^2 above which a window counts less.
 
     Returns:
-      Signatures without what is stubborn, and the tolerances as nuisances.
+      Signatures without what is nonlinear_directions, and the tolerances as nuisances.
     """
     nuisance = nuisances(windows, base, screened, given, single)
     if not draws or not len(nuisance.precision):
         return screened, nuisance
-    windows.project_partially(stubborn(windows, nuisance, draws, cut))
+    windows.project_partially(nonlinear_directions(windows, nuisance, draws, cut))
     columns = np.empty_like(screened.columns)
     for i, column in enumerate(screened.columns):
         columns[i] = project(column, windows.partial_basis)

@@ -96,13 +96,13 @@ def believed_steps(parameters: Sequence[Believed], values: Sequence[float]) -> n
     return np.array(steps)
 
 
-def unknowns(hypothesis: Hypothesis, with_believed: bool, delicate: Collection[str] = ()) -> Unknowns:
+def unknowns(hypothesis: Hypothesis, with_believed: bool, contact_sensitive: Collection[str] = ()) -> Unknowns:
     """The free numbers of a hypothesis with their bounds.
 
     Args:
       hypothesis: its values are where a search starts.
       with_believed: whether the believed numbers move along.
-      delicate: names of candidates that need smaller finite differences.
+      contact_sensitive: names of candidates that need smaller finite differences.
     """
     low, high, step = [], [], []
     if with_believed:
@@ -114,7 +114,7 @@ def unknowns(hypothesis: Hypothesis, with_believed: bool, delicate: Collection[s
         for own in candidate.parameters:
             low.append(own.low)
             high.append(own.high)
-            step.append(abs(own.step) * (DELICATE if candidate.name in delicate else 1.0))
+            step.append(abs(own.step) * (DELICATE if candidate.name in contact_sensitive else 1.0))
 
     def make(values: np.ndarray) -> MakeWorld:
         return hypothesis.replaced(values, with_believed)

@@ -45,7 +45,7 @@ class Feature:
 
 
 @dataclass(frozen=True)
-class Told:
+class FeatureGain:
     """What one feature explains.
 
     Attributes:
@@ -69,7 +69,7 @@ class Leftover:
       usual: (nv,) the excess of a window, in its own standard deviations, that half of them stay below.
       gain: fall of the loss by the most telling feature, robust.
       feature: that feature; None where nothing is left.
-      told: the most telling features, best first.
+      feature_gains: the most telling features, best first.
     """
 
     excess: np.ndarray
@@ -77,7 +77,7 @@ class Leftover:
     usual: np.ndarray
     gain: float
     feature: Feature | None
-    told: tuple[Told, ...] = ()
+    feature_gains: tuple[FeatureGain, ...] = ()
 
     @property
     def worst(self) -> float:
@@ -201,7 +201,7 @@ class Joints:
             push = values @ (w[:, None] * moment[:, dof]).ravel() - mixed @ (inverse @ pull)
             for i in np.flatnonzero((size_here > 0) & (rest > 1e-3 * size_here)):
                 found.append((push[i] ** 2 / rest[i], -push[i] / rest[i], mixed[i], here[i]))
-        told = []
+        gains = []
         reference = self.nuisance.profile(absorbed, cut)
         for _, amplitude, mixed, index in sorted(found, key=lambda row: -row[0])[:_LOOK]:
             moved = absorbed + self._moved(index, amplitude)
@@ -209,22 +209,22 @@ class Joints:
             moved = moved + np.einsum("pwr,p->wr", own, shift[:size])
             after = self.nuisance.profile(moved, cut)
             lucky = luckiest(bounded_loss(reference.chi2, cut) - bounded_loss(after.chi2, cut))
-            told.append(Told(index, float(amplitude), robust_gain(reference, after, cut) - lucky))
-        told.sort(key=lambda one: -one.gain)
-        left = bool(told) and told[0].gain > 0
-        feature = self.known[told[0].index] if left else None
-        return Leftover(excess, chi2, usual, told[0].gain if left else 0.0, feature, tuple(told))
+            gains.append(FeatureGain(index, float(amplitude), robust_gain(reference, after, cut) - lucky))
+        gains.sort(key=lambda one: -one.gain)
+        left = bool(gains) and gains[0].gain > 0
+        feature = self.known[gains[0].index] if left else None
+        return Leftover(excess, chi2, usual, gains[0].gain if left else 0.0, feature, tuple(gains))
 
-    def held_out(self, residual: np.ndarray, cut: float, told: Told) -> float:
-        """Fall of the loss, robust, by what a feature was told to do on other windows.
+    def held_out(self, residual: np.ndarray, cut: float, found: FeatureGain) -> float:
+        """Fall of the loss, robust, by a force that was found in other windows.
 
         Args:
           residual: (W, R).
           cut: chi^2 above which a window counts less.
-          told: of a call with windows of the other side and the same features.
+          found: of a call with windows of the other side and the same features.
         """
         before = self.nuisance.profile(residual, cut)
-        after = self.nuisance.profile(residual + self._moved(told.index, told.amplitude), cut)
+        after = self.nuisance.profile(residual + self._moved(found.index, found.amplitude), cut)
         return robust_gain(before, after, cut)
 
     def _moved(self, index: int, amplitude: float) -> np.ndarray:

@@ -75,25 +75,25 @@ def changed_fields(
     return out
 
 
-def moves_contact(fields: Collection[str]) -> bool:
+def is_contact_sensitive(fields: Collection[str]) -> bool:
     """Whether a change of these fields moves or alters contacts, where linear signatures mislead."""
     return not _SHAPES_CONTACT.isdisjoint(fields)
 
 
 def entries_of(
-    candidates: Sequence[Candidate], fields: Mapping[str, frozenset[str]], delicate: Collection[str] = ()
+    candidates: Sequence[Candidate], fields: Mapping[str, frozenset[str]], contact_sensitive: Collection[str] = ()
 ) -> list[Entry]:
     """Entries of candidates: each at its own steps, and limits at a few values of their own.
 
     Args:
       candidates: the candidates.
       fields: what each changes, by name.
-      delicate: names of those that need smaller steps.
+      contact_sensitive: names of those that need smaller steps.
     """
     out = []
     for candidate in candidates:
         steps = np.array([parameter.step for parameter in candidate.parameters])
-        if candidate.name in delicate:
+        if candidate.name in contact_sensitive:
             steps = steps * DELICATE
         out.append(Entry(candidate, steps))
         if not fields.get(candidate.name, frozenset()).isdisjoint(_CLAMPS):

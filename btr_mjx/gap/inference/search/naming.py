@@ -88,12 +88,12 @@ def acceptable(
       given: what was found before.
       share: of the first one's score that a second one needs where contacts move.
     """
-    close = alike(judged, bench.delicate) if judged else []
+    close = alike(judged, bench.contact_sensitive) if judged else []
     if not given:
         usual = next((j for j in close if within_calibration(bench, j)), None)
         if usual is not None:
             return [usual, *(j for j in judged if j is not usual)]
-    moving = (j.hypothesis.effects[-1][0].name in bench.delicate for j in judged)
+    moving = (j.hypothesis.effects[-1][0].name in bench.contact_sensitive for j in judged)
     ahead = next((i for i, moves in enumerate(moving) if not moves), len(judged))
     if given:
         close += list(judged)[: ahead + 1]
@@ -119,12 +119,12 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None, share: float = 
     needed, part, most = SECOND_THRESHOLD if given else THRESHOLD, HELD_OUT_SHARE, HELD_OUT_ENOUGH
     candidate = judged.hypothesis.effects[-1][0]
     if given:
-        moving = any(own.name in bench.delicate for own, _ in judged.hypothesis.effects)
+        moving = any(own.name in bench.contact_sensitive for own, _ in judged.hypothesis.effects)
         left = max(SECOND_PART, share if moving else 0.0) * given.score
-        needed = max(needed, left if candidate.name in bench.delicate else min(left, SECOND_ENOUGH))
+        needed = max(needed, left if candidate.name in bench.contact_sensitive else min(left, SECOND_ENOUGH))
     if given and bench.dispersion > COARSE:
         needed = max(needed, COARSE_SECOND * given.score)
-    if candidate.name in bench.delicate:
+    if candidate.name in bench.contact_sensitive:
         # Beside another effect few windows held out need have a foot that touches or leaves where it matters.
         alone = GROUND_THRESHOLD if candidate.place == WORLD else CONTACT_THRESHOLD
         part, most = 0.0 if given else GROUND_SHARE if candidate.place == WORLD else CONTACT_SHARE, CONTACT_ENOUGH

@@ -2,8 +2,8 @@
 
 from collections.abc import Callable
 
+from btr_mjx.gap.inference.search.finalists import Finalists
 from btr_mjx.gap.inference.search.naming import SECOND_THRESHOLD, acceptable, accepted
-from btr_mjx.gap.inference.search.polish import Polisher
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Judged
 
@@ -32,26 +32,26 @@ def search(bench: Bench, most: int, note: Callable[[str], None]) -> tuple[list[l
       Judged candidates of every round, best first, and those that are named, each beside those before.
     """
     note("leaders")
-    polish = Polisher(bench)
-    rounds = [acceptable(bench, polish(bench.find()), None)]
+    finalists = Finalists(bench)
+    rounds = [acceptable(bench, finalists(bench.find()), None)]
     named: list[Judged] = []
     while rounds[-1] and accepted(bench, rounds[-1][0], named[-1] if named else None):
         named.append(rounds[-1][0])
         if len(named) == 2:
-            rounds, named = _swapped(bench, polish, rounds, named, note)
+            rounds, named = _swapped(bench, finalists, rounds, named, note)
         if len(named) >= most or named[-1].score < SECOND_THRESHOLD:
             break
         note("one more effect")
-        rounds.append(_beside(bench, polish, named[-1]))
+        rounds.append(_beside(bench, finalists, named[-1]))
     return rounds, named
 
 
-def _beside(bench: Bench, polish: Polisher, given: Judged) -> list[Judged]:
+def _beside(bench: Bench, finalists: Finalists, given: Judged) -> list[Judged]:
     """One more effect beside what was found: judged candidates, best first."""
     judged = acceptable(bench, bench.find(given), given, share=0.0)
     # Who was not judged as strictly must not overtake who was.
     for _ in range(_POLISHED):
-        again = polish(judged, _ABREAST, given)
+        again = finalists(judged, _ABREAST, given)
         if again == judged:
             break
         judged = acceptable(bench, again, given)
@@ -59,7 +59,7 @@ def _beside(bench: Bench, polish: Polisher, given: Judged) -> list[Judged]:
 
 
 def _swapped(
-    bench: Bench, polish: Polisher, rounds: list[list[Judged]], named: list[Judged], note: Callable[[str], None]
+    bench: Bench, finalists: Finalists, rounds: list[list[Judged]], named: list[Judged], note: Callable[[str], None]
 ) -> tuple[list[list[Judged]], list[Judged]]:
     """Two rounds and what they named, or those with another first effect where the two of these explain more.
 
@@ -67,7 +67,7 @@ def _swapped(
 
     Args:
       bench: of the search.
-      polish: of the search.
+      finalists: of the search.
       rounds: two.
       named: two.
       note: called with a word on what is being done.
@@ -83,11 +83,11 @@ def _swapped(
         return rounds, named
     note("the first effect's rivals")
     joined = [(rival, rival.hypothesis.with_effect(candidate, values)) for rival in rivals[:_RIVALS]]
-    tries = [(polish.beside(rival, hypothesis), rival) for rival, hypothesis in joined]
+    tries = [(finalists.beside(rival, hypothesis), rival) for rival, hypothesis in joined]
     best, rival = max(tries, key=lambda row: row[0].score)
     if best.score <= both.score:
         return rounds, named
-    second = _beside(bench, polish, rival)
+    second = _beside(bench, finalists, rival)
     if not second or not accepted(bench, second[0], rival) or second[0].score <= both.score:
         return rounds, named
     return [[rival, *(j for j in rounds[0] if j is not rival)], second], [rival, second[0]]

@@ -14,7 +14,7 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, estimate_noise, reduced_noise
 from btr_mjx.gap.effects import Effect, candidates
-from btr_mjx.gap.inference.scoring.calibration import softened, tolerance_draws
+from btr_mjx.gap.inference.scoring.calibration import tolerance_draws, with_nonlinear_tolerances
 from btr_mjx.gap.inference.scoring.gains import fall
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis, refitted, unknowns
 from btr_mjx.gap.inference.scoring.refine import Nuisance, Refined, refine
@@ -25,14 +25,14 @@ from btr_mjx.gap.inference.scoring.screening import (
     Screen,
     changed_fields,
     entries_of,
-    moves_contact,
+    is_contact_sensitive,
     screen,
     tolerance_of,
 )
-from btr_mjx.gap.inference.search.contact_leaders import contact_scan, judged_anew, with_contacts
-from btr_mjx.gap.inference.search.leaders import pick, starts
+from btr_mjx.gap.inference.search.contact_scan import contact_scan, with_contacts, with_line_search
+from btr_mjx.gap.inference.search.line_search import LineSearch
 from btr_mjx.gap.inference.search.search_records import Judged, Side
-from btr_mjx.gap.inference.search.walks import Walks
+from btr_mjx.gap.inference.search.shortlist import pick, starts
 from btr_mjx.gap.simulate import Counter, run_in_threads
 from btr_mjx.gap.windows import (
     Fit,
@@ -125,14 +125,14 @@ class Bench:
         sides = ((self.fit.windows, entries, self.base), (self.test.windows, known, bare))
 
         def screened(windows: Windows, own: Sequence[Entry], refitted: Hypothesis) -> tuple[Screen, Nuisance]:
-            return self._softened(windows, refitted, screen(windows, self.base, own, self.single))
+            return self._with_nonlinear_tolerances(windows, refitted, screen(windows, self.base, own, self.single))
 
         (found, nuisance), (_, other) = run_in_threads([partial(screened, *side) for side in sides])
         self.fit, self.test = Side(self.fit.windows, nuisance), Side(self.test.windows, other)
         self.scanner = Scanner(found, nuisance)
         self.dispersion, self.cut = 1.0, _CUT * self.fit.windows.freedom
         self.settle(None)
-        self.walks = Walks(self.fit, self.base, self.free, self.fall, lambda: self.cut)
+        self.line_search = LineSearch(self.fit, self.base, self.free, self.fall, lambda: self.cut)
 
     def _prepared(self, effects: Sequence[Effect], tracks: Sequence[Track], note: Callable[[str], None]) -> list[Entry]:
         """Windows of both sides, linearised around the believed model, and what is to be tried there."""
@@ -146,8 +146,10 @@ class Bench:
         self.before = tuple(parameter.value(dataset.model) for parameter in dataset.parameters)
         self.base = Hypothesis(dataset.parameters, self.before)
         self.fields = changed_fields(self.candidates, model, self.base)
-        self.delicate = {name for name in self.fields if self.survey.contact and moves_contact(self.fields[name])}
-        entries = entries_of(self.candidates, self.fields, self.delicate)
+        self.contact_sensitive = {
+            name for name in self.fields if self.survey.contact and is_contact_sensitive(self.fields[name])
+        }
+        entries = entries_of(self.candidates, self.fields, self.contact_sensitive)
         note("windows")
         count = sum(len(entry.steps) for entry in entries)
         chosen = choose_windows(data, held, self.base, self.survey, count, self.options, self.counter)
@@ -174,10 +176,12 @@ class Bench:
             replace(side, windows=reliable_windows(side.windows, self.base, contact)) for side in sides
         )
 
-    def _softened(self, windows: Windows, base: Hypothesis, screened: Screen) -> tuple[Screen, Nuisance]:
+    def _with_nonlinear_tolerances(
+        self, windows: Windows, base: Hypothesis, screened: Screen
+    ) -> tuple[Screen, Nuisance]:
         """Nuisances of one side, after what tolerances do to contacts has been taken into account there."""
         draws, cut = self._draws if self.survey.contact else [], _CUT * windows.freedom
-        return softened(windows, base, screened, draws, self.dataset.tolerances, self.single, cut)
+        return with_nonlinear_tolerances(windows, base, screened, draws, self.dataset.tolerances, self.single, cut)
 
     @property
     def joint(self) -> bool:
@@ -237,12 +241,12 @@ class Bench:
         starting = {own[0].index: starts(own, self._entry) for own in picked.values()}
         tries = [(entries[index].candidate, values) for index, values in starting.items()]
         strongest = max((lead.gain for lead in leads), default=0.0)
-        moving = [c for c in self.candidates if c.name in self.delicate and c.name not in taken]
+        moving = [c for c in self.candidates if c.name in self.contact_sensitive and c.name not in taken]
         if moving:
             side = Side(sides[0].windows, self.free(sides[0]))
             scanned = contact_scan(side, start, moving, self.cut, residual, options.every)
             if not start.effects:
-                scanned = judged_anew(scanned, start, self.walks, strongest)
+                scanned = with_line_search(scanned, start, self.line_search, strongest)
             tries = with_contacts(tries, scanned, options.contact_leaders)
         if not tries:
             return []
@@ -251,7 +255,7 @@ class Bench:
             own = start.with_effect(candidate, values[0])
             head = own.values(self.joint)[: -len(values[0])]
             hypotheses.append((own, [np.concatenate([head, v]) for v in values]))
-        count = [1 if c.name in self.delicate else options.iterations for c, _ in tries]
+        count = [1 if c.name in self.contact_sensitive else options.iterations for c, _ in tries]
         found = self.refined(sides[0], hypotheses, count, (self.reference if given is None else given.fits)[0])
         if given is None:
             self.settle(min(found, key=lambda r: r.loss).chi2)
@@ -268,7 +272,7 @@ class Bench:
             side.windows,
             [self.free(side, own) for own, _ in hypotheses],
             self.cut,
-            [(unknowns(own, self.joint, self.delicate), tries) for own, tries in hypotheses],
+            [(unknowns(own, self.joint, self.contact_sensitive), tries) for own, tries in hypotheses],
             count,
             reference,
         )
@@ -307,7 +311,7 @@ class Bench:
         for hypothesis, refined, residual in zip(hypotheses, found, held, strict=True):
             along = self.free(sides[0], hypothesis), self.nuisance(sides[1], hypothesis)
             own = along[0].profile(refined.residual, self.cut), along[1].profile(residual, self.cut)
-            even = hypothesis.effects[-1][0].name not in self.delicate
+            even = hypothesis.effects[-1][0].name not in self.contact_sensitive
             gain, held_out = (self.fall(a, b, even=even) for a, b in zip(before, own, strict=True))
             if given is not None:
                 gain, held_out = gain + given.gain, held_out + given.held_out

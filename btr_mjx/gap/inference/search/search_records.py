@@ -25,12 +25,12 @@ class Side:
     windows: Windows
     nuisance: Nuisance
 
-    def recentred(self, make: MakeWorld, exact: bool = True) -> "Side":
+    def with_fitted_states(self, make: MakeWorld, exact: bool = True) -> "Side":
         """The same with starting states that suit another hypothesis, see `starting_states.with_fitted_states`."""
         return Side(with_fitted_states(self.windows, make, exact), self.nuisance)
 
-    def redirected(self, make: MakeWorld) -> "Side":
-        """The same, recentred around a hypothesis before, with what starting states could explain in its own world."""
+    def with_own_directions(self, make: MakeWorld) -> "Side":
+        """The same around a hypothesis whose starting states were fitted, with their directions in its own world."""
         windows = relinearised(self.windows, make)
         return Side(windows, self.nuisance.projected(windows.basis))
 

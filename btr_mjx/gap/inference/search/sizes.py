@@ -1,9 +1,9 @@
 """The size of what moves contacts, tried with starting states of its own at each: derivatives lead nowhere there."""
 
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
+from btr_mjx.gap.inference.search.line_search import scaled, vertex
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Side
-from btr_mjx.gap.inference.search.walks import scaled, vertex
 from btr_mjx.gap.windows import Fit
 
 _SIZES = 0.75, 1.3
@@ -36,7 +36,7 @@ def best_size(
 
     def attempt(factor: float) -> None:
         own = scaled(hypothesis, factor)
-        tried[factor] = own, side.based(own).recentred(own, exact=False)
+        tried[factor] = own, side.based(own).with_fitted_states(own, exact=False)
 
     for factor in _SIZES:
         attempt(factor)

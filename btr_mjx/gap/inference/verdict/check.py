@@ -20,7 +20,7 @@ from btr_mjx.gap.inference.scoring.forces import (
     usual_excess,
 )
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
-from btr_mjx.gap.inference.scoring.leftover import Feature, Joints, Leftover, Middle, Told, features
+from btr_mjx.gap.inference.scoring.leftover import Feature, FeatureGain, Joints, Leftover, Middle, features
 from btr_mjx.gap.inference.scoring.nulls import null_residual
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Judged
@@ -184,7 +184,7 @@ class Check:
         """Whether most windows show the lack of fit."""
         return usual_excess([self._forces(i, judged) for i in (0, 1)]) > self.usual
 
-    def beyond(self, left: Leftover) -> float:
+    def excess_at_joint(self, left: Leftover) -> float:
         """The most chi^2 at a joint where more is left than may be chance, and in most windows; else nothing."""
         there = (left.excess > self.excess) & (left.usual > self.usual)
         return float(left.chi2[there].max(initial=0.0))
@@ -197,7 +197,7 @@ class Check:
         joints = Joints(self._fit(0, judged), bench.free(judged.sides[0], judged.hypothesis), self._known[0])
         return joints(judged.refined.residual, bench.cut, judged.refined.columns)
 
-    def told(self, judged: Judged | None) -> Feature | None:
+    def confirmed_feature(self, judged: Judged | None) -> Feature | None:
         """Something that no effect follows and that held-out recordings know of as well.
 
         Args:
@@ -215,7 +215,7 @@ class Check:
                 best, most = self._known[0][one.index], one.gain + held_out
         return best
 
-    def follows(self, judged: Judged | None) -> Told | None:
+    def significant_feature(self, judged: Judged | None) -> FeatureGain | None:
         """The most telling thing that no effect follows and that held-out recordings do not speak against.
 
         Args:
@@ -232,16 +232,16 @@ class Check:
         agreed = (one for one, held_out in self._asked(judged, self.gain) if held_out >= enough(one.gain))
         return next(agreed, None)
 
-    def _asked(self, judged: Judged | None, least: float) -> list[tuple[Told, float]]:
+    def _asked(self, judged: Judged | None, least: float) -> list[tuple[FeatureGain, float]]:
         """What gains at least so much on the recordings to fit, best first, and what it gains on those held out."""
-        bench, told = self.bench, [one for one in self.left(judged).told if one.gain > least]
-        if not told:
+        bench, gains = self.bench, [one for one in self.left(judged).feature_gains if one.gain > least]
+        if not gains:
             return []
         side = bench.test if judged is None else judged.sides[1]
         residual = side.windows.residual if judged is None else judged.residual
         nuisance = bench.nuisance(side, None if judged is None else judged.hypothesis)
         joints = Joints(self._fit(1, judged), nuisance, self._known[1])
-        return [(one, joints.held_out(residual, bench.cut, one)) for one in told]
+        return [(one, joints.held_out(residual, bench.cut, one)) for one in gains]
 
     def share(self, judged: Judged | None) -> float:
         """Part of what unknown forces explain that a hypothesis explains, over both sides of the split."""
@@ -265,8 +265,8 @@ class Check:
         names = place_names(self.bench.dataset.model)
         fit = self._fit(0, judged)
         found = describe(fit, self._forces(0, judged), self.around[0])
-        follows = self.follows(judged)
-        feature = self.told(judged) if follows is None else self._known[0][follows.index]
+        follows = self.significant_feature(judged)
+        feature = self.confirmed_feature(judged) if follows is None else self._known[0][follows.index]
         telling = [] if feature is None else [telling_sentence(feature, names)]
         return (*telling, *(sentence(d, names) for d in found))
 

@@ -56,7 +56,7 @@ TOO_MUCH = 60.0
 """Score, of what moves no contacts, that is not chance though held-out recordings know nothing of it. The best of
 simulated robots that lacked nothing or little was 35."""
 
-DWARFED = 20.0, 5e-3
+NEARLY_ALL = 20.0, 5e-3
 """Chi^2 per degree of freedom beyond noise, in the median, from which on a name may leave this part of it whatever that
 is: a friction of a gear took it from 11331 to 2, and at another integrator's sticking something was left."""
 
@@ -131,7 +131,7 @@ def name_missing(
     before, after = check.surprise(None), check.surprise(final)
     best = rounds[0][0] if rounds[0] else None
     verdict = "effect" if named else "none"
-    surprised = missing(check, named, share, after) if named else strange(check, best)
+    surprised = left_beside_name(check, named, share, after) if named else left_without_name(check, best)
     if surprised:
         verdict = "unexplained"
     said = named if verdict == "effect" else []
@@ -172,7 +172,7 @@ def undecided(bench: Bench, first: Sequence[Judged], verdict: str) -> tuple[str,
       for another reason, such as held-out recordings that do not bear it out.
     """
     if first and verdict == "effect":
-        return equivalent(first, bench.delicate)
+        return equivalent(first, bench.contact_sensitive)
     if verdict == "none":
         more = (j for j in first if j.score > THRESHOLD and not within_calibration(bench, j))
         return tuple(j.hypothesis.effects[-1][0].name for j in more)
@@ -181,10 +181,10 @@ def undecided(bench: Bench, first: Sequence[Judged], verdict: str) -> tuple[str,
 
 def plain(bench: Bench, judged: Judged) -> bool:
     """Whether none of a hypothesis' effects moves contacts."""
-    return not any(candidate.name in bench.delicate for candidate, _ in judged.hypothesis.effects)
+    return not any(candidate.name in bench.contact_sensitive for candidate, _ in judged.hypothesis.effects)
 
 
-def missing(check: Check, named: Sequence[Judged], share: float, surprise: float) -> bool:
+def left_beside_name(check: Check, named: Sequence[Judged], share: float, surprise: float) -> bool:
     """Whether what was named leaves so much that something else must be at work.
 
     Args:
@@ -195,24 +195,24 @@ def missing(check: Check, named: Sequence[Judged], share: float, surprise: float
     """
     if check.bench.dispersion > COARSE:
         return surprise > LEFT_OVER and share < COARSE_SHARE
-    if dwarfed(check.bench, named[-1]):
+    if explains_nearly_all(check.bench, named[-1]):
         return False
     if len(named) > 1:
         # What a force of another shape explains better than the second name was never two effects.
         first = check.left(named[0])
         if first.gain > max(check.gain, named[1].gain - named[0].gain):
             return True
-    if check.told(named[-1]) is not None:
+    if check.confirmed_feature(named[-1]) is not None:
         return True
     if plain(check.bench, named[-1]) and surprise > REST and share < REST_SHARE and check.spread(named[-1]):
         return True
-    left, most, follows = check.left(named[-1]), LEFT_SHARE * named[-1].gain, check.follows(named[-1])
+    left, most, follows = check.left(named[-1]), LEFT_SHARE * named[-1].gain, check.significant_feature(named[-1])
     if follows is not None and follows.gain > most:
         return True
-    return check.beyond(left) > most
+    return check.excess_at_joint(left) > most
 
 
-def dwarfed(bench: Bench, judged: Judged) -> bool:
+def explains_nearly_all(bench: Bench, judged: Judged) -> bool:
     """Whether a name explains so much that whatever it leaves is small beside it, on either side of the split.
 
     Args:
@@ -222,12 +222,12 @@ def dwarfed(bench: Bench, judged: Judged) -> bool:
     for reference, fit, side in zip(bench.reference, judged.fits, (bench.fit, bench.test), strict=True):
         noise = side.windows.freedom
         before, after = reference.chi2 - noise, fit.chi2 - noise
-        if np.median(before) < DWARFED[0] * noise or after.sum() > DWARFED[1] * before.sum():
+        if np.median(before) < NEARLY_ALL[0] * noise or after.sum() > NEARLY_ALL[1] * before.sum():
             return False
     return True
 
 
-def strange(check: Check, best: Judged | None) -> bool:
+def left_without_name(check: Check, best: Judged | None) -> bool:
     """Whether something is missing though nothing may be named; what the best candidate explains is weak, not strange.
 
     Args:
@@ -241,7 +241,7 @@ def strange(check: Check, best: Judged | None) -> bool:
             return True
     return (
         (check.surprise(judged) > SURPRISE and check.spread(judged))
-        or check.follows(judged) is not None
-        or check.beyond(check.left(judged)) > 0
-        or check.told(judged) is not None
+        or check.significant_feature(judged) is not None
+        or check.excess_at_joint(check.left(judged)) > 0
+        or check.confirmed_feature(judged) is not None
     )

@@ -84,7 +84,7 @@ def intervals(bench: Bench, judged: Judged, rng: np.random.Generator, settled: b
 
 def _evidence(bench: Bench, judged: Judged) -> tuple[Evidence, np.ndarray, np.ndarray]:
     """Of both sides of the split, on a hypothesis' numbers, then the nuisances; their precisions, and weights (W,)."""
-    free = unknowns(judged.hypothesis, bench.joint, bench.delicate)
+    free = unknowns(judged.hypothesis, bench.joint, bench.contact_sensitive)
     values = judged.hypothesis.values(bench.joint)
     steps = nudges(free, values)
     found = judged.sides[1].windows.residuals([free.make(values + step) for step in steps])
@@ -114,7 +114,7 @@ def _loss(bench: Bench, judged: Judged, residuals: Sequence[np.ndarray]) -> floa
 
 def _stepped(bench: Bench, judged: Judged, step: np.ndarray) -> Hypothesis:
     """The hypothesis after a step of its numbers, or as it was where all recordings say less of it then."""
-    free = unknowns(judged.hypothesis, bench.joint, bench.delicate)
+    free = unknowns(judged.hypothesis, bench.joint, bench.contact_sensitive)
     before = _loss(bench, judged, (judged.refined.residual, judged.residual))
     for share in _SHARES:
         values = np.clip(judged.refined.values + share * step, free.low, free.high)

@@ -43,7 +43,7 @@ def followed(bench: Bench, hypothesis: Hypothesis) -> Hypothesis:
       hypothesis: where to start.
     """
     data = bench.fit.windows.data
-    free = unknowns(hypothesis, bench.joint, bench.delicate)
+    free = unknowns(hypothesis, bench.joint, bench.contact_sensitive)
     if not len(free.low):
         return hypothesis
     sigma = data.sigma[: bench.fit.windows.nv]

@@ -20,25 +20,25 @@ CONTACT_MARGIN = 0.1
 """The same where one of them moves contacts, at least, as a part of the best score."""
 
 
-def alike(judged: Sequence[Judged], delicate: Collection[str] = ()) -> list[Judged]:
+def alike(judged: Sequence[Judged], contact_sensitive: Collection[str] = ()) -> list[Judged]:
     """Those that the data cannot tell from the first one, which comes first.
 
     Args:
       judged: one round, best first.
-      delicate: names of candidates that move contacts, whose scores are less certain.
+      contact_sensitive: names of candidates that move contacts, whose scores are less certain.
     """
     best, out = judged[0], []
     for j in judged:
         names = [k.hypothesis.effects[-1][0].name for k in (best, j)]
-        margin = max(MARGIN, (CONTACT_MARGIN if any(n in delicate for n in names) else SHARE) * best.score)
+        margin = max(MARGIN, (CONTACT_MARGIN if any(n in contact_sensitive for n in names) else SHARE) * best.score)
         if best.score - j.score <= margin and j.score > 0.3 * best.score:
             out.append(j)
     return out
 
 
-def equivalent(judged: Sequence[Judged], delicate: Collection[str] = ()) -> tuple[str, ...]:
+def equivalent(judged: Sequence[Judged], contact_sensitive: Collection[str] = ()) -> tuple[str, ...]:
     """Names of those that are alike, see there."""
-    return tuple(j.hypothesis.effects[-1][0].name for j in alike(judged, delicate))
+    return tuple(j.hypothesis.effects[-1][0].name for j in alike(judged, contact_sensitive))
 
 
 def named_effects(
@@ -68,7 +68,7 @@ def named_effects(
         own = named[i]
         score = own.score - (before.score if before else 0.0)
         held_out = own.held_out - (before.held_out if before else 0.0)
-        others = tuple(name for name in equivalent(rounds[i], bench.delicate) if name != candidate.name)
+        others = tuple(name for name in equivalent(rounds[i], bench.contact_sensitive) if name != candidate.name)
         effect = candidate.effect
         out.append(
             NamedEffect(
@@ -159,7 +159,7 @@ def overlays(bench: Bench, final: Judged | None, count: int = 3) -> tuple[Overla
     side = bench.test
     windows, model = side.windows, bench.dataset.model
     before = windows.at(bench.base)
-    after = before if final is None else side.recentred(final.hypothesis, exact=False).windows.base
+    after = before if final is None else side.with_fitted_states(final.hypothesis, exact=False).windows.base
     other = np.concatenate([windows.target_q, windows.target_v], -1) if final is None else after
     away = windows.minus(before, other)[..., : windows.nv] / bench.sigma[: windows.nv]
     plain = np.flatnonzero(model.jnt_type[model.dof_jntid] >= 2)

@@ -13,7 +13,7 @@ import numpy as np
 
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.inference.scoring.refine import AGAIN, Refined, refine
-from btr_mjx.gap.inference.search.exchange import beside_the_best, exchanged
+from btr_mjx.gap.inference.search.pairwise import compare_with_best, share_starting_states
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Judged, Side, nearest
 from btr_mjx.gap.inference.search.sizes import best_size
@@ -39,7 +39,7 @@ Settled = tuple[Hypothesis, Side, Refined]
 """A hypothesis with its best numbers, the side that suits it, and what the refinement found there."""
 
 
-class Polisher:
+class Finalists:
     """Judges leaders of a search again.
 
     Attributes:
@@ -84,9 +84,9 @@ class Polisher:
         moving = [j for j in fresh if j.name in hopes and (given is None or hopes[j.name] >= _BESIDE)]
         moving = sorted(moving, key=lambda j: -hopes[j.name])[:_WALKS]
         rival = max(judged[0].gain - known, _CLOSE)
-        floor = 0.0 if given is None or not moving else self.bench.walks.gain(given.hypothesis)
+        floor = 0.0 if given is None or not moving else self.bench.line_search.gain(given.hypothesis)
         least = floor + _HOPE * rival, floor + _PROMISE * rival
-        ends = run_in_threads([partial(self.bench.walks, j.hypothesis, *least) for j in moving])
+        ends = run_in_threads([partial(self.bench.line_search, j.hypothesis, *least) for j in moving])
         walked = [(j, found) for j, found in zip(moving, ends, strict=True) if found is not None]
         return [(j, j.hypothesis) for j in plain] + walked
 
@@ -94,7 +94,7 @@ class Polisher:
         """Gain that what moves contacts had with directions of its own alone; -inf beside another that moves some."""
         if given is not None and self._anew(given.hypothesis):
             return -np.inf
-        return self.bench.walks.best(judged.hypothesis.effects[-1][0].name)
+        return self.bench.line_search.best(judged.hypothesis.effects[-1][0].name)
 
     def beside(self, given: Judged, hypothesis: Hypothesis) -> Judged:
         """What was `given` with one more effect, whose numbers start as the hypothesis has them, refined and judged."""
@@ -124,20 +124,22 @@ class Polisher:
         few = len(moving) > 1
         ends = run_in_threads([partial(self._settled, h, side, reference, few) for h, side in pairs])
         if len(moving) > 1:
-            fit = exchanged([before, *(h for h, _, _ in ends)], [fit[0], *(side for _, side, _ in ends)], moving)
+            fit = share_starting_states(
+                [before, *(h for h, _, _ in ends)], [fit[0], *(side for _, side, _ in ends)], moving
+            )
             reference = along(fit[0], before).profile(fit[0].windows.residual, bench.cut)
             pairs = zip((h for h, _, _ in ends), fit[1:], strict=True)
             ends = run_in_threads([partial(self._refined, h, side, reference) for h, side in pairs])
         hypotheses = [h for h, _, _ in ends]
 
-        test = exchanged([before, *hypotheses], self._shared([before, *hypotheses], known[1]), moving)
+        test = share_starting_states([before, *hypotheses], self._shared([before, *hypotheses], known[1]), moving)
         references = reference, bench.nuisance(test[0], before).profile(test[0].windows.residual, bench.cut)
         if given is not None:
             given, references = replace(given, fits=references), given.references
         out = []
         for (h, side, refined), far in zip(ends, test[1:], strict=True):
             out += bench.judge([h], [refined], (side, far), references, given)
-        return beside_the_best(bench, out)
+        return compare_with_best(bench, out)
 
     def _shared(self, hypotheses: Sequence[Hypothesis], known: Side) -> list[Side]:
         """A side for each of some hypotheses, which go on from what those before them have found.
@@ -151,8 +153,8 @@ class Polisher:
             start = nearest([side.based(h) for side in pool])
             # Rivals differ little: what the most hopeful one's directions and time step cost once serves the others.
             moves = self._anew(h)
-            own = start.recentred(h, exact=first or not moves)
-            pool.append(nearest([start, own, *([own.redirected(h)] if moves and first else [])]))
+            own = start.with_fitted_states(h, exact=first or not moves)
+            pool.append(nearest([start, own, *([own.with_own_directions(h)] if moves and first else [])]))
             first &= not moves
 
         def best(i: int) -> Side:
@@ -170,7 +172,7 @@ class Polisher:
     def _refined(self, hypothesis: Hypothesis, side: Side, reference: Fit) -> Settled:
         """The same without a look at other sizes."""
         bench = self.bench
-        free = unknowns(hypothesis, bench.joint, bench.delicate)
+        free = unknowns(hypothesis, bench.joint, bench.contact_sensitive)
         start = [hypothesis.values(bench.joint)]
         most = AGAIN[self._anew(hypothesis)]
         found = refine(side.windows, bench.free(side, hypothesis), bench.cut, [(free, start)], most, reference)[0]
@@ -178,7 +180,7 @@ class Polisher:
 
     def _anew(self, hypothesis: Hypothesis) -> bool:
         """Whether the last effect moves contacts; sides on which one is judged suit the effects before it."""
-        return hypothesis.effects[-1][0].name in self.bench.delicate
+        return hypothesis.effects[-1][0].name in self.bench.contact_sensitive
 
     def _known(self, given: Judged | None, anew: bool) -> tuple[Side, Side]:
         """Both sides of the split with the starting states of what hypotheses are compared with.
@@ -191,12 +193,12 @@ class Polisher:
         if (name, False) not in self._centres:
             if given is None:
                 base, pair = self.bench.base, (self.bench.fit, self.bench.test)
-                found = [nearest([side, side.recentred(base)]) for side in pair]
+                found = [nearest([side, side.with_fitted_states(base)]) for side in pair]
             else:
                 found = [side.based(given.hypothesis) for side in given.sides]
             self._centres[name, False] = found[0], found[1]
         if anew and (name, True) not in self._centres:
             make = self.bench.base if given is None else given.hypothesis
-            found = [nearest([side, side.redirected(make)]) for side in self._centres[name, False]]
+            found = [nearest([side, side.with_own_directions(make)]) for side in self._centres[name, False]]
             self._centres[name, True] = found[0], found[1]
         return self._centres[name, anew]

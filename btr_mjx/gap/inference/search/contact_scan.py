@@ -8,8 +8,8 @@ import numpy as np
 from btr_mjx.gap.effects import WORLD, Candidate
 from btr_mjx.gap.inference.scoring.gains import robust_gain
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
+from btr_mjx.gap.inference.search.line_search import LineSearch
 from btr_mjx.gap.inference.search.search_records import Side
-from btr_mjx.gap.inference.search.walks import Walks
 from btr_mjx.gap.simulate import run_in_threads
 from btr_mjx.gap.windows import project
 
@@ -46,14 +46,14 @@ _CLEAR = 100.0
 
 
 def contact_scan(
-    side: Side, start: Hypothesis, delicate: Sequence[Candidate], cut: float, residual: np.ndarray, every: int
+    side: Side, start: Hypothesis, contact_sensitive: Sequence[Candidate], cut: float, residual: np.ndarray, every: int
 ) -> list[_Try]:
     """Scan candidates that move contacts by true simulation, as linear signatures mislead there.
 
     Args:
       side: windows, and what is fitted along.
       start: what is there already.
-      delicate: the candidates.
+      contact_sensitive: the candidates.
       cut: chi^2 above which a window counts less.
       residual: (W, R) of what is there already.
       every: candidates are tried on one of so many windows.
@@ -90,8 +90,8 @@ def contact_scan(
                 best[candidate.name] = gain, candidate, values
         return sorted(best.values(), key=lambda row: -row[0])
 
-    firsts = {candidate.name: candidate.parameters[0] for candidate in delicate}
-    sides = [(c, firsts[c.name].null + sign * firsts[c.name].step) for c in delicate for sign in _EITHER_SIDE]
+    firsts = {candidate.name: candidate.parameters[0] for candidate in contact_sensitive}
+    sides = [(c, firsts[c.name].null + sign * firsts[c.name].step) for c in contact_sensitive for sign in _EITHER_SIDE]
     best = {row[1].name: row for row in attempt(sides)}
     nulls = {name: first.null for name, first in firsts.items()}
     leading = list(best.values())
@@ -108,7 +108,7 @@ def contact_scan(
     return sorted(best.values(), key=lambda row: -row[0])
 
 
-def judged_anew(found: Sequence[_Try], start: Hypothesis, walks: Walks, strongest: float) -> list[_Try]:
+def with_line_search(found: Sequence[_Try], start: Hypothesis, walks: LineSearch, strongest: float) -> list[_Try]:
     """The best of a scan of contacts, judged with directions of their own, at two sizes.
 
     Args:

@@ -12,8 +12,8 @@ from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.inference import Bench, nearest
 from btr_mjx.gap.inference.scoring.gains import robust_gain, trimmed_gain
 from btr_mjx.gap.inference.scoring.refine import Nuisance
-from btr_mjx.gap.inference.search.exchange import beside_the_best
-from btr_mjx.gap.inference.search.polish import Polisher
+from btr_mjx.gap.inference.search.finalists import Finalists
+from btr_mjx.gap.inference.search.pairwise import compare_with_best
 from btr_mjx.gap.inference.search.search_records import Side
 from btr_mjx.gap.inference.search.sizes import best_size
 from btr_mjx.gap.simulate import World
@@ -41,7 +41,11 @@ def sides_of(windows: Windows) -> list[Side]:
     rng = np.random.default_rng(0)
     columns = rng.standard_normal((2, *windows.residual.shape)).astype(np.float32)
     first = Side(windows, Nuisance.of(columns, np.ones(2)))
-    made = [first, first.recentred(damped(0.02)), first.recentred(damped(0.2)).redirected(damped(0.2))]
+    made = [
+        first,
+        first.with_fitted_states(damped(0.02)),
+        first.with_fitted_states(damped(0.2)).with_own_directions(damped(0.2)),
+    ]
     return [side.based(damped(0.02)) for side in made]
 
 
@@ -96,7 +100,7 @@ def bench() -> Bench:
 def test_leaders_share_their_starting_states(bench: Bench) -> None:
     """No window of a leader lies nearer with the starting states of the believed model, or of the other leader."""
     before = bench.find()
-    leaders = Polisher(bench).again([j.hypothesis for j in before[:2]], None)
+    leaders = Finalists(bench).again([j.hypothesis for j in before[:2]], None)
     assert [j.name for j in leaders] == [j.name for j in before[:2]]
     assert leaders[0].references == leaders[1].references
     for i, own in enumerate((bench.fit, bench.test)):
@@ -110,8 +114,8 @@ def test_leaders_share_their_starting_states(bench: Bench) -> None:
 def test_rivals_differ_by_what_tells_them_apart(bench: Bench) -> None:
     """Window by window between the two of them; the better one keeps its score."""
     before = bench.find()
-    polish = Polisher(bench)
-    leaders = polish.again([j.hypothesis for j in before[:2]], None)
+    finalists = Finalists(bench)
+    leaders = finalists.again([j.hypothesis for j in before[:2]], None)
     best, other = sorted(leaders, key=lambda j: -j.score)
     alone = bench.judge([best.hypothesis], [best.refined], best.sides, best.references)[0]
     assert best.score == pytest.approx(alone.score)
@@ -124,21 +128,21 @@ def test_rivals_differ_by_what_tells_them_apart(bench: Bench) -> None:
 
 def test_between_rivals_that_move_contacts_few_windows_say_nothing(bench: Bench) -> None:
     before = bench.find()
-    leaders = Polisher(bench).again([j.hypothesis for j in before[:2]], None)
+    leaders = Finalists(bench).again([j.hypothesis for j in before[:2]], None)
     touching = copy.copy(bench)
-    touching.delicate = {j.name for j in leaders}
-    best, other = sorted(beside_the_best(touching, leaders), key=lambda j: -j.score)
+    touching.contact_sensitive = {j.name for j in leaders}
+    best, other = sorted(compare_with_best(touching, leaders), key=lambda j: -j.score)
     parts = [trimmed_gain(b, a, bench.cut) / bench.dispersion for a, b in zip(best.fits, other.fits, strict=True)]
     assert best.score - other.score == pytest.approx(sum(parts))
-    touching.delicate = {best.name}
-    best, other = sorted(beside_the_best(touching, leaders), key=lambda j: -j.score)
+    touching.contact_sensitive = {best.name}
+    best, other = sorted(compare_with_best(touching, leaders), key=lambda j: -j.score)
     parts = [robust_gain(b, a, bench.cut) / bench.dispersion for a, b in zip(best.fits, other.fits, strict=True)]
     assert best.score - other.score == pytest.approx(sum(parts))
 
 
 def test_one_more_effect_is_compared_with_what_was_found(bench: Bench) -> None:
     """Its gains are those of the first, and what falls from there to it on the same windows."""
-    first = Polisher(bench)(bench.find())[0]
+    first = Finalists(bench)(bench.find())[0]
     second = bench.find(first)[0]
     names = {candidate.name for candidate, _ in second.hypothesis.effects}
     assert names == {"viscous_damping@joint:elbow", "armature@joint:shoulder"}
@@ -158,11 +162,11 @@ def test_a_size_that_is_off_is_mended_on_all_windows() -> None:
 
     own = Bench(dataset(turned, seed=4, fit=3, test=1), LIBRARY, Options(steps=4e4, leaders=2, contact_leaders=0))
     elbow = next(c for c in own.candidates if c.name == "joint_offset@joint:elbow")
-    own.delicate = {elbow.name}
+    own.contact_sensitive = {elbow.name}
 
     def judged(size):
         hypothesis = own.base.with_effect(elbow, [size])
-        side = own.fit.recentred(hypothesis)
+        side = own.fit.with_fitted_states(hypothesis)
         return own.fall(reference, own.free(side).profile(side.windows.residual, own.cut))
 
     reference = own.free(own.fit).profile(own.fit.windows.residual, own.cut)
@@ -171,17 +175,17 @@ def test_a_size_that_is_off_is_mended_on_all_windows() -> None:
     assert abs(best) > 0.01
     for start in (0.67 * best, 1.33 * best):
         hypothesis = own.base.with_effect(elbow, [start])
-        found, side = best_size(own, hypothesis, own.fit.recentred(hypothesis), reference)
+        found, side = best_size(own, hypothesis, own.fit.with_fitted_states(hypothesis), reference)
         assert found.effects[0][1][0] == pytest.approx(best, rel=0.15)  # the time step is not looked at again
         np.testing.assert_allclose(side.windows.residuals([found])[0], side.windows.residual, atol=1e-9)
 
 
 def test_an_effect_beside_another_ends_where_the_search_ends(bench: Bench) -> None:
-    polish = Polisher(bench)
-    first = polish(bench.find())[0]
-    second = polish(bench.find(first), 1, first)[0]
+    finalists = Finalists(bench)
+    first = finalists(bench.find())[0]
+    second = finalists(bench.find(first), 1, first)[0]
     candidate, values = second.hypothesis.effects[-1]
-    found = polish.beside(first, first.hypothesis.with_effect(candidate, [0.7 * value for value in values]))
+    found = finalists.beside(first, first.hypothesis.with_effect(candidate, [0.7 * value for value in values]))
     assert found.name == second.name
     assert found.hypothesis.effects[-1][1] == pytest.approx(values, rel=0.05)
     assert found.score == pytest.approx(second.score, rel=0.02)
@@ -189,11 +193,11 @@ def test_an_effect_beside_another_ends_where_the_search_ends(bench: Bench) -> No
 
 def test_all_that_were_judged_come_back_best_first(bench: Bench) -> None:
     before = bench.find()
-    again = Polisher(bench)(before)
+    again = Finalists(bench)(before)
     assert {j.name for j in again} == {j.name for j in before}
     assert [j.score for j in again] == sorted((j.score for j in again), reverse=True)
     assert any(j not in before for j in again)
-    assert Polisher(bench)([]) == []
+    assert Finalists(bench)([]) == []
 
 
 def stand_in(name, score, gain=None):
@@ -215,9 +219,9 @@ class Walked(dict):
         return hypothesis
 
 
-def bench_of(delicate: str, **more) -> SimpleNamespace:
+def bench_of(contact_sensitive: str, **more) -> SimpleNamespace:
     """A bench, as far as a choice of candidates needs one."""
-    return SimpleNamespace(delicate=set(delicate), **more)
+    return SimpleNamespace(contact_sensitive=set(contact_sensitive), **more)
 
 
 @pytest.mark.parametrize(
@@ -235,12 +239,12 @@ def bench_of(delicate: str, **more) -> SimpleNamespace:
     ],
 )
 def test_who_is_worth_another_look_beside_an_effect(given, score, alone, tried, then) -> None:
-    polish = Polisher(bench_of("mn", walks=Walked(alone)))
+    finalists = Finalists(bench_of("mn", walks=Walked(alone)))
     judged = [stand_in(name, value) for name, value in score.items()]
-    found = [own.name for own, _ in polish._promising(judged, 1, stand_in(given, 500.0))]
+    found = [own.name for own, _ in finalists._promising(judged, 1, stand_in(given, 500.0))]
     assert " ".join(found) == tried
-    polish._done |= set(found)
-    again = [own.name for own, _ in polish._promising(judged, 1, stand_in(given, 500.0))]
+    finalists._done |= set(found)
+    again = [own.name for own, _ in finalists._promising(judged, 1, stand_in(given, 500.0))]
     assert " ".join(again) == then
 
 
@@ -255,19 +259,19 @@ def test_who_is_worth_another_look_beside_an_effect(given, score, alone, tried, 
     ],
 )
 def test_who_is_worth_another_look_in_the_first_round(scores, tried) -> None:
-    polish = Polisher(bench_of("mn", walks=Walked({})))
+    finalists = Finalists(bench_of("mn", walks=Walked({})))
     judged = [stand_in(name, score) for name, score in scores.items()]
-    assert " ".join(own.name for own, _ in polish._promising(judged, 3, None)) == tried
+    assert " ".join(own.name for own, _ in finalists._promising(judged, 3, None)) == tried
 
 
 def test_the_best_three_that_move_contacts_are_walked_over() -> None:
     """By their gain where they were refined, or alone with directions of their own, whichever is larger."""
     gains = {"m": 300.0, "n": 900.0, "o": 500.0, "p": 700.0}
-    polish = Polisher(bench_of("mnop", walks=Walked(gains)))
+    finalists = Finalists(bench_of("mnop", walks=Walked(gains)))
     judged = [stand_in(name, 200.0 - i) for i, name in enumerate("mnop")]
-    assert [own.name for own, _ in polish._promising(judged, 3, None)] == ["n", "p", "o"]
+    assert [own.name for own, _ in finalists._promising(judged, 3, None)] == ["n", "p", "o"]
     judged[0].gain = 800.0
-    assert [own.name for own, _ in polish._promising(judged, 3, None)] == ["n", "m", "p"]
+    assert [own.name for own, _ in finalists._promising(judged, 3, None)] == ["n", "m", "p"]
 
 
 def test_a_walk_needs_a_part_of_the_best_gain_before_and_after() -> None:
@@ -282,14 +286,14 @@ def test_a_walk_needs_a_part_of_the_best_gain_before_and_after() -> None:
             return walked.get(hypothesis.name)
 
     asked, walked = {}, {"n": stand_in("n", 0.0).hypothesis}
-    polish = Polisher(bench_of("mn", walks=Walking({})))
+    finalists = Finalists(bench_of("mn", walks=Walking({})))
     first = [stand_in("a", 190.0, 200.0), stand_in("m", 20.0), stand_in("n", 10.0)]
-    found = polish._promising(first, 1, None)
+    found = finalists._promising(first, 1, None)
     assert asked == {"m": (50.0, 100.0), "n": (50.0, 100.0)}
     assert [(own.name, made) for own, made in found] == [("a", first[0].hypothesis), ("n", walked["n"])]
-    polish._promising([stand_in("m", 2.0, 20.0)], 1, None)
+    finalists._promising([stand_in("m", 2.0, 20.0)], 1, None)
     assert asked["m"] == (10.0, 20.0)  # however little the best one gains
-    polish._promising([stand_in("bm", 700.0, 800.0)], 1, stand_in("b", 500.0, 600.0))
+    finalists._promising([stand_in("bm", 700.0, 800.0)], 1, stand_in("b", 500.0, 600.0))
     assert asked["bm"] == (80.0, 130.0)
 
 

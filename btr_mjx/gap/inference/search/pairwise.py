@@ -16,7 +16,7 @@ from btr_mjx.gap.inference.search.search_records import Judged, Side, nearest
 from btr_mjx.gap.simulate import run_in_threads
 
 
-def exchanged(hypotheses: Sequence[Hypothesis], sides: Sequence[Side], moving: Sequence[int]) -> list[Side]:
+def share_starting_states(hypotheses: Sequence[Hypothesis], sides: Sequence[Side], moving: Sequence[int]) -> list[Side]:
     """Every window of every hypothesis from where it comes nearest to the data, of all that any of them found.
 
     Args:
@@ -32,7 +32,7 @@ def exchanged(hypotheses: Sequence[Hypothesis], sides: Sequence[Side], moving: S
     pool = list(sides)
     for i in moving:
         start = nearest([side.based(hypotheses[i]) for side in pool])
-        pool.append(nearest([start, start.recentred(hypotheses[i], exact=False)]))
+        pool.append(nearest([start, start.with_fitted_states(hypotheses[i], exact=False)]))
 
     def best(i: int) -> Side:
         # Its own comes first: it keeps what others have as well.
@@ -42,7 +42,7 @@ def exchanged(hypotheses: Sequence[Hypothesis], sides: Sequence[Side], moving: S
     return run_in_threads([partial(best, i) for i in range(len(sides))])
 
 
-def beside_the_best(bench: Bench, judged: Sequence[Judged]) -> list[Judged]:
+def compare_with_best(bench: Bench, judged: Sequence[Judged]) -> list[Judged]:
     """The same with scores that differ by how the best of them and each other one differ window by window.
 
     Most of what rivals gain they gain together; what tells them apart is lost in how much of that may be luck.
@@ -54,7 +54,7 @@ def beside_the_best(bench: Bench, judged: Sequence[Judged]) -> list[Judged]:
     """
     best = max(judged, key=lambda j: j.score)
     price = (best.gain + best.held_out - best.score) / best.hypothesis.numbers
-    moving = {j.name for j in judged if j.hypothesis.effects[-1][0].name in bench.delicate}
+    moving = {j.name for j in judged if j.hypothesis.effects[-1][0].name in bench.contact_sensitive}
     out = []
     for j in judged:
         compared = trimmed_gain if {best.name, j.name} <= moving else robust_gain

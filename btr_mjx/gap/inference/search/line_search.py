@@ -1,4 +1,4 @@
-"""Walks over the size of what moves contacts, on some of the windows, with directions of its own at every step.
+"""LineSearch over the size of what moves contacts, on some of the windows, with directions of its own at every step.
 
 Directions of the starting states found at one size mislead at another as soon as a foot touches, so that no derivative
 leads from one to the other, and the believed model's judge the truth worse than nothing. What the time step does is
@@ -17,7 +17,7 @@ from btr_mjx.gap.inference.search.search_records import Side, nearest
 from btr_mjx.gap.windows import Fit
 
 _EVERY = 4
-"""Walks see one of so many windows."""
+"""LineSearch see one of so many windows."""
 
 _STRIDE = 1.5
 """Factor on the size at every step of a walk."""
@@ -26,7 +26,7 @@ _STRIDES = 3
 """Steps of a walk in either direction, at most."""
 
 
-class Walks:
+class LineSearch:
     """Judges hypotheses on a part of the windows to fit, and remembers what it saw."""
 
     def __init__(
@@ -65,7 +65,7 @@ class Walks:
             start = few
             if hypothesis.name in self._nearest:
                 start = nearest([side.based(hypothesis) for side in (few, self._nearest[hypothesis.name])])
-            own = start.recentred(hypothesis, exact=False).redirected(hypothesis)
+            own = start.with_fitted_states(hypothesis, exact=False).with_own_directions(hypothesis)
             share = len(few.windows) / len(self._side.windows)
             gain = self._fall(self._profile(reference, self._base), self._profile(own, hypothesis), share)
             if gain > self.best(hypothesis.name):
@@ -78,7 +78,7 @@ class Walks:
         with self._lock:
             if self._start is None:
                 few = self._side.some(np.arange(0, len(self._side.windows), _EVERY))
-                self._start = few, few.recentred(self._base, exact=False).redirected(self._base)
+                self._start = few, few.with_fitted_states(self._base, exact=False).with_own_directions(self._base)
             return self._start
 
     def best(self, name: str) -> float:

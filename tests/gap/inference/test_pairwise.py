@@ -7,7 +7,7 @@ from gap_arm import arm_windows
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
 from btr_mjx.gap.inference import Hypothesis
 from btr_mjx.gap.inference.scoring.refine import Nuisance
-from btr_mjx.gap.inference.search.exchange import exchanged
+from btr_mjx.gap.inference.search.pairwise import share_starting_states
 from btr_mjx.gap.inference.search.search_records import Side
 
 
@@ -25,12 +25,12 @@ def rivals() -> tuple[list[Hypothesis], list[Side]]:
     offset = base.with_effect(found["joint_offset@joint:elbow"], [0.03])
     damping = base.with_effect(found["viscous_damping@joint:elbow"], [0.02])
     side = Side(windows, Nuisance.nothing(*windows.residual.shape)).based(base)
-    return [base, offset, damping], [side, side.recentred(offset), side.recentred(damping)]
+    return [base, offset, damping], [side, side.with_fitted_states(offset), side.with_fitted_states(damping)]
 
 
 def test_no_window_is_farther_from_the_data_than_from_any_state_that_a_rival_found(rivals) -> None:
     hypotheses, sides = rivals
-    shared = exchanged(hypotheses, sides, [1, 2])
+    shared = share_starting_states(hypotheses, sides, [1, 2])
     for h, own in zip(hypotheses, shared, strict=True):
         for other in sides:
             assert (raw(own) <= raw(other.based(h)) + 1e-9).all()
@@ -43,4 +43,4 @@ def test_no_window_is_farther_from_the_data_than_from_any_state_that_a_rival_fou
 def test_where_fewer_than_two_move_contacts_nothing_changes(rivals) -> None:
     hypotheses, sides = rivals
     for moving in ([], [1]):
-        assert all(a is b for a, b in zip(exchanged(hypotheses, sides, moving), sides, strict=True))
+        assert all(a is b for a, b in zip(share_starting_states(hypotheses, sides, moving), sides, strict=True))

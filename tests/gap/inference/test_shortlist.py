@@ -15,10 +15,10 @@ from btr_mjx.gap.inference import Bench
 from btr_mjx.gap.inference.scoring.gains import robust_gain
 from btr_mjx.gap.inference.scoring.scanner import Lead
 from btr_mjx.gap.inference.scoring.screening import Entry
-from btr_mjx.gap.inference.search.contact_leaders import contact_scan, with_contacts
-from btr_mjx.gap.inference.search.leaders import pick, starts
+from btr_mjx.gap.inference.search.contact_scan import contact_scan, with_contacts
+from btr_mjx.gap.inference.search.line_search import vertex
 from btr_mjx.gap.inference.search.search_records import Side
-from btr_mjx.gap.inference.search.walks import vertex
+from btr_mjx.gap.inference.search.shortlist import pick, starts
 from btr_mjx.gap.windows import Options
 
 OFFSETS = tuple(effect for effect in EFFECTS if effect.name in ("joint_offset", "armature"))
