@@ -49,6 +49,9 @@ _MORE: Mapping[str, tuple[str, str]] = {
 }
 """Effects whose first parameter may rise or fall: words for an increase and for a decrease."""
 
+TIMES_NOISE = 3.0
+"""A held-out gap beyond which the verdict says how much is left, in units of what simulated nulls leave."""
+
 REASON_NOT_NAMED = "small errors of calibration explain nearly as much, or held-out recordings do not bear it out"
 """Reason why a candidate is neither named nor ruled out."""
 
@@ -220,6 +223,7 @@ def verdict_sentence(result: Mapping[str, Any]) -> str:
         each = " and ".join(f"{effect_at_place(effect)} ({parameters_in_words(effect)})" for effect in effects)
         parts.append(f"{subject} {each}.")
         parts.append(_gap(result))
+        parts.append(_left_over(result))
         parts.append(_runner_up(result))
     elif verdict == "none":
         nothing = "Nothing need be missing" if result.get("equivalent") else "Nothing is missing"
@@ -261,6 +265,18 @@ def _gap(result: Mapping[str, Any]) -> str:
         f"Adding {many} shrinks the gap over short held-out stretches {fall}, but not {whole} which is {without} "
         f"without and {added} with {many}: where small differences grow, a motion can be followed over short "
         "stretches only."
+    )
+
+
+def _left_over(result: Mapping[str, Any]) -> str:
+    """What the named effects leave, where it is far more than noise."""
+    gap = result.get("gap") or {}
+    closed, after, nulls = (_float(gap.get(key)) for key in ("closed", "after", "nulls"))
+    if closed is None or after is None or not nulls or after < TIMES_NOISE * nulls:
+        return ""
+    return (
+        f"This explains {100 * closed:.0f} % of the held-out gap; {format_number(after / nulls)} times the noise is "
+        "left, so that something else is missing as well."
     )
 
 

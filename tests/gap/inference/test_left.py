@@ -8,7 +8,13 @@ import pytest
 from btr_mjx.gap.effects import Parameter, Place
 from btr_mjx.gap.inference.scoring.leftover import FeatureGain, Leftover
 from btr_mjx.gap.inference.verdict.check import Check
-from btr_mjx.gap.inference.verdict.identify import explains_nearly_all, left_beside_name, left_without_name, undecided
+from btr_mjx.gap.inference.verdict.identify import (
+    explains_nearly_all,
+    grows,
+    left_beside_name,
+    left_without_name,
+    undecided,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -192,3 +198,8 @@ def test_held_out_recordings_of_rough_touchdowns_need_not_know_of_all_that_is_st
     stub = SimpleNamespace(gain=45.0, rough=True, sides=sides, _asked=lambda judged, least: asked)
     found = Check.significant_feature(stub, None)  # type: ignore[arg-type]
     assert (found and found.index) == expected
+
+
+@pytest.mark.parametrize(("before", "after", "expected"), [(3.0, 2.9, False), (3.0, 3.0, True), (3.0, 3.4, True)])
+def test_a_name_with_which_the_gap_does_not_shrink_is_none(before, after, expected):
+    assert grows((before, after)) is expected

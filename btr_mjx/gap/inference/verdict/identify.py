@@ -26,6 +26,7 @@ from btr_mjx.gap.inference.verdict.openloop import followed, following
 from btr_mjx.gap.inference.verdict.outcome import (
     equivalent,
     gap_of,
+    held_out_chi2,
     named_effects,
     overlays,
     ranking_of,
@@ -123,6 +124,8 @@ def name_missing(
     if bench.dispersion > COARSE and not bench.survey.contact:
         note("whole recordings")
         base, named[-1:] = followed(bench, base), [following(bench, judged) for judged in named[-1:]]
+    while named and grows(held_out_chi2(bench, named[-1])):
+        named.pop()
     note("lack of fit")
     rng = np.random.default_rng([seed, 1])
     check = Check(bench, rng)
@@ -157,6 +160,12 @@ def name_missing(
         survivors=survivors(bench, rounds, named),
         notes=time_step_notes(bench.fit.windows),
     )
+
+
+def grows(gap: tuple[float, float]) -> bool:
+    """Whether a held-out gap (before, after) is no smaller with a name: such a name is no verdict."""
+    before, after = gap
+    return after >= before
 
 
 def undecided(bench: Bench, first: Sequence[Judged], verdict: str) -> tuple[str, ...]:

@@ -107,6 +107,16 @@ def ranking_of(rounds: Sequence[Sequence[Judged]]) -> tuple[RankedCandidate, ...
     return tuple(rows)
 
 
+def held_out_chi2(bench: Bench, judged: Judged | None) -> tuple[float, float]:
+    """Mean bounded chi^2 of a held-out window per degree of freedom, of the believed model and of a hypothesis."""
+    freedom = bench.test.windows.freedom
+    base = bench.nuisance(bench.test).profile(bench.test.windows.residual, bench.cut).chi2
+    cut = 3.0 * max(freedom, float(np.median(base)))
+    ends = base, base if judged is None else judged.fits[1].chi2
+    before, after = (float(bounded_loss(chi2, cut).mean() / freedom) for chi2 in ends)
+    return before, after
+
+
 def gap_of(bench: Bench, start: Hypothesis, judged: Judged | None, nulls: float) -> Gap:
     """The gap on held-out recordings.
 
@@ -116,17 +126,10 @@ def gap_of(bench: Bench, start: Hypothesis, judged: Judged | None, nulls: float)
       judged: what was named, all of it; None for nothing.
       nulls: what simulated nulls leave.
     """
-    windows, freedom = bench.test.windows, bench.test.windows.freedom
-    base = bench.nuisance(bench.test).profile(windows.residual, bench.cut).chi2
-    end = base if judged is None else judged.fits[1].chi2
-    cut = 3.0 * max(freedom, float(np.median(base)))
-
-    def mean(chi2: np.ndarray) -> float:
-        return float(bounded_loss(chi2, cut).mean() / freedom)
-
+    windows = bench.test.windows
+    before, after = held_out_chi2(bench, judged)
     residual = windows.residual if judged is None else judged.residual
     loops = open_loop(bench, [start, start if judged is None else judged.hypothesis])
-    before, after = mean(base), mean(end)
     return Gap(
         before,
         after,
