@@ -191,7 +191,18 @@ def judge(model: mujoco.MjModel, case: Case) -> dict[str, Any]:
         row["extra"] = len(named) > len(hidden)
         errors = [parameter_error(h, f[0]) for h, f in zip(hidden, found, strict=True) if f]
         row["error"] = max(errors, default=float("nan")) if row["right"] else float("nan")
+        inside = [inside_interval(model, h, f[0]) for h, f in zip(hidden, found, strict=True) if f]
+        row["inside"] = [one for each in inside for one in each]
     return row
+
+
+def inside_interval(model: mujoco.MjModel, missing: Mapping[str, Any], named: Mapping[str, Any]) -> list[bool]:
+    """Whether each true number of a correctly named effect lies within the interval that was reported."""
+    if missing["location"] != named["location"]:
+        return []  # the same effect by another label, such as one member of a group, has numbers of its own
+    parameters = named["parameters"]
+    truth = true_values(model, missing, list(parameters))
+    return [bool(p["low"] <= v <= p["high"]) for v, p in zip(truth, parameters.values(), strict=True)]
 
 
 def _share(rows: Sequence[Mapping[str, Any]], good: Callable[[Mapping[str, Any]], bool]) -> float | None:
@@ -208,6 +219,7 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     right = [r for r in seen if r["right"]]
     errors = np.array([r["error"] for r in right])
     explained = [r for r in rows if r["truth"] != "unexplained"]
+    inside = [one for r in (*effects, *pairs) for one in r["inside"]]
     seen_gaps = [r["gap_closed"] for r in right if r["gap_seen"]]
     numbers: dict[str, Any] = {
         "cases": len(rows),
@@ -231,6 +243,8 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "named_beside_the_truth": _share(seen, lambda r: r["extra"]),
         "parameter_error_median": float(np.median(errors)) if len(errors) else None,
         "parameter_error_90": float(np.percentile(errors, 90)) if len(errors) else None,
+        "numbers": len(inside),
+        "within_intervals": float(np.mean(inside)) if inside else None,
         "nulls_named": _share(nulls, lambda r: r["said"] == "effect"),
         "strong_outside": sum(r["strong"] for r in outside),
         "strong_outside_flagged": _share([r for r in outside if r["strong"]], lambda r: r["said"] == "unexplained"),

@@ -46,6 +46,7 @@ SHARES = (
     ("detectable effects right", "right_kind_and_place", "detectable"),
     ("both of a pair found", "pairs_both_found", "pairs_detectable"),
     ("truth in the equivalence set", "truth_in_equivalence_set", "detectable"),
+    ("numbers within intervals", "within_intervals", "numbers"),
     ("nulls named", "nulls_named", "nulls"),
     ("outside called unexplained", "outside_flagged", "outside"),
     ("false unexplained", "false_unexplained", "explained"),

@@ -36,7 +36,7 @@ def effect(kind: str, location: str, **values: float) -> dict[str, Any]:
 
 
 def said(kind: str, location: str, **values: float) -> dict[str, Any]:
-    parameters = {name: {"value": value, "null": 0.0} for name, value in values.items()}
+    parameters = {name: {"value": v, "low": v - 0.05, "high": v + 0.05, "null": 0.0} for name, v in values.items()}
     return {"effect": kind, "location": location, "parameters": parameters, "score": 80.0}
 
 
@@ -136,6 +136,7 @@ def test_summary_by_hand(scores: ModuleType) -> None:
     assert numbers["truth_in_equivalence_set"] == 0.5
     assert numbers["right_limb_or_body"] == 0.75
     assert numbers["parameter_error_median"] == pytest.approx(0.1)
+    assert (numbers["numbers"], numbers["within_intervals"]) == (3, pytest.approx(2 / 3))  # 1.1 ± 0.05 is not 1
     assert numbers["nulls_named"] == 0.5
     assert numbers["strong_outside_flagged"] == 1.0
     assert numbers["false_unexplained"] == pytest.approx(1 / 8)

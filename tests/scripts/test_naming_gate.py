@@ -27,7 +27,8 @@ def gate(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 def answer(kind: str | None = None, **more: Any) -> dict[str, Any]:
     named = {"effect": kind, "location": "joint:servo", "score": 80.0, "parameters": {}}
-    named["parameters"] = {"damping": {"value": 0.1, "null": 0.0}, "torque": {"value": 0.1, "null": 0.0}}
+    number = {"value": 0.1, "low": 0.05, "high": 0.15, "null": 0.0}
+    named["parameters"] = {"torque" if kind == "dry_friction" else "damping": number}
     gap = {"before": 3.0, "after": 1.5, "nulls": 1.0, "closed": 0.75}
     said = {"verdict": "effect" if kind else "none", "effects": [named] if kind else [], "equivalent": [], "gap": gap}
     return said | {"best_score": 5.0, "margin": 30.0, "steps": 1e5, "seconds": 9.0, "cpu_seconds": 8.0} | more
@@ -161,7 +162,8 @@ def test_versions_are_compared_by_case(
     gate.show(report)
     table = capsys.readouterr().out.splitlines()
     assert " ".join(table[2].split()) == "detectable effects right 1 of 1 0 of 1"
-    assert " ".join(table[5].split()) == "nulls named 1 of 1 0 of 1"
+    assert " ".join(table[5].split()) == "numbers within intervals 1 of 1 0 of 0"
+    assert " ".join(table[6].split()) == "nulls named 1 of 1 0 of 1"
     # An earlier version with fewer answers, from a file: both are compared on the cases that both answered.
     path = tmp_path / "before.json"
     saved = {files.name: json.loads(files.answer.read_text()) for files in files_of(gate, cases, code)[:2]}
