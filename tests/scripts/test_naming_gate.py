@@ -133,11 +133,20 @@ def test_unchanged_answers_are_not_computed_again(
     assert report["failed"] == []
 
 
-@pytest.mark.parametrize(("robot", "count"), [("hexapod", 40), ("quadruped", 20), ("arm", 20), ("pendulum", 20)])
-def test_baselines_answer_the_fixed_cases(gate: ModuleType, robot: Any, count: int) -> None:
-    file = Path(gate.__file__).parent / "baselines" / f"naming_gate-0.1.0-{robot}.json"
-    _, saved = gate.earlier(gate.Config(robot=robot, against=str(file)))
-    assert sorted(saved) == [f"{robot}-2026-{index:04d}" for index in range(count)]
+@pytest.mark.parametrize(
+    ("name", "prefix", "count"),
+    [
+        ("hexapod", "hexapod-2026", 40),
+        ("hexapod-pairs", "hexapod-2026-pairs", 12),
+        ("quadruped", "quadruped-2026", 20),
+        ("arm", "arm-2026", 20),
+        ("pendulum", "pendulum-2026", 20),
+    ],
+)
+def test_baselines_answer_the_fixed_cases(gate: ModuleType, name: str, prefix: str, count: int) -> None:
+    file = Path(gate.__file__).parent / "baselines" / f"naming_gate-0.1.0-{name}.json"
+    _, saved = gate.earlier(gate.Config(against=str(file)))
+    assert sorted(saved) == [f"{prefix}-{index:04d}" for index in range(count)]
     assert {answer["verdict"] for answer in saved.values()} <= {"effect", "none", "unexplained"}
 
 
