@@ -192,7 +192,7 @@ def judge(model: mujoco.MjModel, case: Case) -> dict[str, Any]:
         errors = [parameter_error(h, f[0]) for h, f in zip(hidden, found, strict=True) if f]
         row["error"] = max(errors, default=float("nan")) if row["right"] else float("nan")
         inside = [inside_interval(model, h, f[0]) for h, f in zip(hidden, found, strict=True) if f]
-        row["inside"] = [one for each in inside for one in each]
+        row["numbers"], row["numbers_inside"] = sum(map(len, inside)), sum(map(sum, inside))
     return row
 
 
@@ -219,7 +219,7 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     right = [r for r in seen if r["right"]]
     errors = np.array([r["error"] for r in right])
     explained = [r for r in rows if r["truth"] != "unexplained"]
-    inside = [one for r in (*effects, *pairs) for one in r["inside"]]
+    count, inside = (sum(r[key] for r in (*effects, *pairs)) for key in ("numbers", "numbers_inside"))
     seen_gaps = [r["gap_closed"] for r in right if r["gap_seen"]]
     numbers: dict[str, Any] = {
         "cases": len(rows),
@@ -243,8 +243,8 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "named_beside_the_truth": _share(seen, lambda r: r["extra"]),
         "parameter_error_median": float(np.median(errors)) if len(errors) else None,
         "parameter_error_90": float(np.percentile(errors, 90)) if len(errors) else None,
-        "numbers": len(inside),
-        "within_intervals": float(np.mean(inside)) if inside else None,
+        "numbers": count,
+        "within_intervals": inside / count if count else None,
         "nulls_named": _share(nulls, lambda r: r["said"] == "effect"),
         "strong_outside": sum(r["strong"] for r in outside),
         "strong_outside_flagged": _share([r for r in outside if r["strong"]], lambda r: r["said"] == "unexplained"),

@@ -239,7 +239,7 @@ def bench_of(contact_sensitive: str, **more) -> SimpleNamespace:
     ],
 )
 def test_who_is_worth_another_look_beside_an_effect(given, score, alone, tried, then) -> None:
-    finalists = Finalists(bench_of("mn", walks=Walked(alone)))
+    finalists = Finalists(bench_of("mn", line_search=Walked(alone)))
     judged = [stand_in(name, value) for name, value in score.items()]
     found = [own.name for own, _ in finalists._promising(judged, 1, stand_in(given, 500.0))]
     assert " ".join(found) == tried
@@ -259,7 +259,7 @@ def test_who_is_worth_another_look_beside_an_effect(given, score, alone, tried, 
     ],
 )
 def test_who_is_worth_another_look_in_the_first_round(scores, tried) -> None:
-    finalists = Finalists(bench_of("mn", walks=Walked({})))
+    finalists = Finalists(bench_of("mn", line_search=Walked({})))
     judged = [stand_in(name, score) for name, score in scores.items()]
     assert " ".join(own.name for own, _ in finalists._promising(judged, 3, None)) == tried
 
@@ -267,7 +267,7 @@ def test_who_is_worth_another_look_in_the_first_round(scores, tried) -> None:
 def test_the_best_three_that_move_contacts_are_walked_over() -> None:
     """By their gain where they were refined, or alone with directions of their own, whichever is larger."""
     gains = {"m": 300.0, "n": 900.0, "o": 500.0, "p": 700.0}
-    finalists = Finalists(bench_of("mnop", walks=Walked(gains)))
+    finalists = Finalists(bench_of("mnop", line_search=Walked(gains)))
     judged = [stand_in(name, 200.0 - i) for i, name in enumerate("mnop")]
     assert [own.name for own, _ in finalists._promising(judged, 3, None)] == ["n", "p", "o"]
     judged[0].gain = 800.0
@@ -286,7 +286,7 @@ def test_a_walk_needs_a_part_of_the_best_gain_before_and_after() -> None:
             return walked.get(hypothesis.name)
 
     asked, walked = {}, {"n": stand_in("n", 0.0).hypothesis}
-    finalists = Finalists(bench_of("mn", walks=Walking({})))
+    finalists = Finalists(bench_of("mn", line_search=Walking({})))
     first = [stand_in("a", 190.0, 200.0), stand_in("m", 20.0), stand_in("n", 10.0)]
     found = finalists._promising(first, 1, None)
     assert asked == {"m": (50.0, 100.0), "n": (50.0, 100.0)}

@@ -108,13 +108,13 @@ def contact_scan(
     return sorted(best.values(), key=lambda row: -row[0])
 
 
-def with_line_search(found: Sequence[_Try], start: Hypothesis, walks: LineSearch, strongest: float) -> list[_Try]:
+def with_line_search(found: Sequence[_Try], start: Hypothesis, line_search: LineSearch, strongest: float) -> list[_Try]:
     """The best of a scan of contacts, judged with directions of their own, at two sizes.
 
     Args:
       found: of the scan.
       start: the believed model.
-      walks: of the search.
+      line_search: of the search.
       strongest: gain of the best other candidate.
 
     Returns:
@@ -129,7 +129,7 @@ def with_line_search(found: Sequence[_Try], start: Hypothesis, walks: LineSearch
         for factor in (1.0, _AGAIN):
             value = float(np.clip(first.null + factor * (values[0] - first.null), first.low, first.high))
             tried = np.array([value, *values[1:]])
-            rows.append((walks.gain(start.with_effect(candidate, tried)), candidate, tried))
+            rows.append((line_search.gain(start.with_effect(candidate, tried)), candidate, tried))
         return rows
 
     best = {candidate.name: (gain, candidate, values) for gain, candidate, values in found}

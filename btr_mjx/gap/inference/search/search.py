@@ -80,7 +80,7 @@ class Bench:
       before: the believed values as given.
       fit, test: the two sides of the split.
       scanner: linear scans on the side that is fitted.
-      walks: judge what moves contacts with directions of its own.
+      line_search: judges what is contact-sensitive with directions of its own.
       survey: what the recordings go through.
       counter: simulated steps so far.
       cut: chi^2 above which a window counts less.
