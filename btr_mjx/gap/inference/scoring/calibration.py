@@ -80,7 +80,7 @@ def with_nonlinear_tolerances(
     """Tolerances of some windows, after what they do to contacts has been taken into account there.
 
     Args:
-      windows: linearised; directions that are `nonlinear_directions` count less in them afterwards.
+      windows: linearised; the `nonlinear_directions` count less in them afterwards.
       base: whose believed numbers may be refitted.
       screened: signatures of the candidates, tolerances among them.
       draws: worlds of `tolerance_draws`; none where nothing touches.
@@ -89,7 +89,7 @@ def with_nonlinear_tolerances(
       cut: chi^2 above which a window counts less.
 
     Returns:
-      Signatures without what is nonlinear_directions, and the tolerances as nuisances.
+      Signatures without these directions, and the tolerances as nuisances.
     """
     nuisance = nuisances(windows, base, screened, given, single)
     if not draws or not len(nuisance.precision):

@@ -12,7 +12,7 @@ from btr_mjx.gap.inference.scoring.refine import Nuisance, Unknowns, refine
 from btr_mjx.gap.simulate import World
 from btr_mjx.gap.windows import MakeWorld, Windows, typical_chi2
 
-DELICATE = 0.15
+CONTACT_STEP = 0.15
 """Finite-difference steps of candidates that move contacts are smaller by this factor."""
 
 _REFITS = 6
@@ -114,7 +114,7 @@ def unknowns(hypothesis: Hypothesis, with_believed: bool, contact_sensitive: Col
         for own in candidate.parameters:
             low.append(own.low)
             high.append(own.high)
-            step.append(abs(own.step) * (DELICATE if candidate.name in contact_sensitive else 1.0))
+            step.append(abs(own.step) * (CONTACT_STEP if candidate.name in contact_sensitive else 1.0))
 
     def make(values: np.ndarray) -> MakeWorld:
         return hypothesis.replaced(values, with_believed)

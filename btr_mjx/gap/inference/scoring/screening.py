@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.effects import Candidate
-from btr_mjx.gap.inference.scoring.hypotheses import DELICATE, Hypothesis, believed_steps
+from btr_mjx.gap.inference.scoring.hypotheses import CONTACT_STEP, Hypothesis, believed_steps
 from btr_mjx.gap.inference.scoring.refine import Nuisance
 from btr_mjx.gap.simulate import differing_fields, fingerprint
 from btr_mjx.gap.windows import MakeWorld, Windows, signatures, step_uncertainty
@@ -94,7 +94,7 @@ def entries_of(
     for candidate in candidates:
         steps = np.array([parameter.step for parameter in candidate.parameters])
         if candidate.name in contact_sensitive:
-            steps = steps * DELICATE
+            steps = steps * CONTACT_STEP
         out.append(Entry(candidate, steps))
         if not fields.get(candidate.name, frozenset()).isdisjoint(_CLAMPS):
             first = candidate.parameters[0]

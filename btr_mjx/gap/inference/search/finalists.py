@@ -79,8 +79,16 @@ class Finalists:
         best = judged[0].score - already
         fresh = [j for j in judged if given is None or j.name not in self._done]
         close = [j for j in fresh if judged[0].score - j.score <= max(_CLOSE, 0.1 * best) and best > _HOPELESS]
-        plain = [j for j in close[:most] if not self._anew(j.hypothesis) and (given is None or j.score > already)]
-        hopes = {j.name: max(j.gain - known, self._alone(j, given)) for j in fresh if self._anew(j.hypothesis)}
+        plain = [
+            j
+            for j in close[:most]
+            if not self._is_contact_sensitive(j.hypothesis) and (given is None or j.score > already)
+        ]
+        hopes = {
+            j.name: max(j.gain - known, self._alone(j, given))
+            for j in fresh
+            if self._is_contact_sensitive(j.hypothesis)
+        }
         moving = [j for j in fresh if j.name in hopes and (given is None or hopes[j.name] >= _BESIDE)]
         moving = sorted(moving, key=lambda j: -hopes[j.name])[:_WALKS]
         rival = max(judged[0].gain - known, _CLOSE)
@@ -92,7 +100,7 @@ class Finalists:
 
     def _alone(self, judged: Judged, given: Judged | None) -> float:
         """Gain that what moves contacts had with directions of its own alone; -inf beside another that moves some."""
-        if given is not None and self._anew(given.hypothesis):
+        if given is not None and self._is_contact_sensitive(given.hypothesis):
             return -np.inf
         return self.bench.line_search.best(judged.hypothesis.effects[-1][0].name)
 
@@ -114,7 +122,7 @@ class Finalists:
         """
         bench = self.bench
         before = bench.base if given is None else given.hypothesis
-        moving = [k for k, h in enumerate(hypotheses, 1) if self._anew(h)]
+        moving = [k for k, h in enumerate(hypotheses, 1) if self._is_contact_sensitive(h)]
         known = self._known(given, bool(moving))
         along = bench.nuisance if given is None else bench.free
 
@@ -152,7 +160,7 @@ class Finalists:
         for h in hypotheses[1:]:
             start = nearest([side.based(h) for side in pool])
             # Rivals differ little: what the most hopeful one's directions and time step cost once serves the others.
-            moves = self._anew(h)
+            moves = self._is_contact_sensitive(h)
             own = start.with_fitted_states(h, exact=first or not moves)
             pool.append(nearest([start, own, *([own.with_own_directions(h)] if moves and first else [])]))
             first &= not moves
@@ -165,7 +173,7 @@ class Finalists:
 
     def _settled(self, hypothesis: Hypothesis, side: Side, reference: Fit, few: bool) -> Settled:
         """A hypothesis with its best numbers on a side to fit, what that became on the way, and how good it is."""
-        if self._anew(hypothesis):
+        if self._is_contact_sensitive(hypothesis):
             hypothesis, side = best_size(self.bench, hypothesis, side, reference, few)
         return self._refined(hypothesis, side, reference)
 
@@ -174,11 +182,11 @@ class Finalists:
         bench = self.bench
         free = unknowns(hypothesis, bench.joint, bench.contact_sensitive)
         start = [hypothesis.values(bench.joint)]
-        most = AGAIN[self._anew(hypothesis)]
+        most = AGAIN[self._is_contact_sensitive(hypothesis)]
         found = refine(side.windows, bench.free(side, hypothesis), bench.cut, [(free, start)], most, reference)[0]
         return hypothesis.replaced(found.values, bench.joint), side, found
 
-    def _anew(self, hypothesis: Hypothesis) -> bool:
+    def _is_contact_sensitive(self, hypothesis: Hypothesis) -> bool:
         """Whether the last effect moves contacts; sides on which one is judged suit the effects before it."""
         return hypothesis.effects[-1][0].name in self.bench.contact_sensitive
 

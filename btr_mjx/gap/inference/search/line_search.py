@@ -1,4 +1,4 @@
-"""LineSearch over the size of what moves contacts, on some of the windows, with directions of its own at every step.
+"""Line searches over the size of what moves contacts, on some of the windows, with directions of its own at every step.
 
 Directions of the starting states found at one size mislead at another as soon as a foot touches, so that no derivative
 leads from one to the other, and the believed model's judge the truth worse than nothing. What the time step does is
@@ -17,7 +17,7 @@ from btr_mjx.gap.inference.search.search_records import Side, nearest
 from btr_mjx.gap.windows import Fit
 
 _EVERY = 4
-"""LineSearch see one of so many windows."""
+"""A line search sees one of so many windows."""
 
 _STRIDE = 1.5
 """Factor on the size at every step of a walk."""
