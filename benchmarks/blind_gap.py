@@ -34,7 +34,7 @@ from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.inference import Bench, name_missing, nearest
 from btr_mjx.gap.results import as_result
 from btr_mjx.runs import describe_environment, note, progress, read_json, to_plain, write_json, write_table
-from btr_mjx.testing import CaseSettings, Truth, case_robot, make_case
+from btr_mjx.testing import PER_JOINT_EFFECTS, CaseSettings, Truth, case_robot, make_case
 
 MIXED = ("hexapod", "hexapod", "hexapod", "quadruped", "arm", "pendulum")
 """Robots of a mixed benchmark, in turn."""
@@ -52,6 +52,8 @@ class Config:
     """Robot of the cases; mixed takes all in turn."""
     effects: int = 1
     """Number of missing effects in a case with effects of the library: 1 or 2."""
+    each: bool = False
+    """Only friction, damping and inertia of motors, with a number of their own for every joint."""
     only_effects: bool = False
     """Only cases with effects of the library: no nulls, nothing outside the library."""
     workers: int = 1
@@ -109,7 +111,10 @@ def make(config: Config, files: Files) -> None:
         seed,
         robot,
         CaseSettings(
-            verdict="effect" if config.only_effects else None, effects=config.effects, duration=config.duration
+            verdict="effect" if config.only_effects or config.each else None,
+            effects=(PER_JOINT_EFFECTS[files.index % len(PER_JOINT_EFFECTS)],) if config.each else config.effects,
+            each=config.each,
+            duration=config.duration,
         ),
     )
     shutil.rmtree(files.data, ignore_errors=True)

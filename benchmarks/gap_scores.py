@@ -35,7 +35,7 @@ Case = Mapping[str, Any]
 
 def joints_of(model: mujoco.MjModel, label: str) -> frozenset[str]:
     """Names of the hinges and slides at a place; empty for a body, a geom or the world."""
-    kind, _, name = label.partition(":")
+    kind, _, name = label.removeprefix("each:").partition(":")
     names = [model.joint(j).name for j in range(model.njnt) if model.jnt_type[j] >= _SLIDE]
     if kind == "all":
         return frozenset(names)
@@ -87,7 +87,10 @@ def _limb(model: mujoco.MjModel, body: int) -> int:
 
 def same_effect(model: mujoco.MjModel, one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
     """Whether two entries name the same kind at the same place."""
-    return one["effect"] == other["effect"] and same_place(model, one["location"], other["location"])
+    members = [entry["location"].startswith("each:") for entry in (one, other)]
+    # A number for each member says all that one number for the group says.
+    alike = members[0] <= members[1]
+    return one["effect"] == other["effect"] and alike and same_place(model, one["location"], other["location"])
 
 
 def _lag_for_delay(model: mujoco.MjModel, one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
@@ -137,6 +140,9 @@ def parameter_error(missing: Mapping[str, Any], named: Mapping[str, Any]) -> flo
         names: Sequence[str] = ["mass"]
     elif "x" in true:
         names = [name for name in "xyz" if name in true]
+    elif named["location"].startswith("each:"):
+        names = list(estimated)
+        true = {name: true.get(name, true.get(name.partition("[")[0])) for name in names}
     else:
         names = [next(iter(true))]
     null = [0.0 if name == "limit" else float(estimated[name].get("null", 0.0)) for name in names]

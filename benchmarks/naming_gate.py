@@ -66,6 +66,8 @@ class Config:
     """Seed of the cases."""
     effects: Literal[1, 2] = 1
     """Effects that are missing at once; with 2 there are no nulls and nothing outside the library."""
+    each: bool = False
+    """A number of its own for every joint is missing, nothing else."""
     workers: int = 2
     """Number of processes that make cases, and of those that solve them; several solvers get one core each."""
     out: Path = Path("runs/naming_gate")
@@ -137,7 +139,7 @@ CODE = code_digest(Path(str(btr_mjx.__file__)).parent)
 def make(config: Config, files: Files) -> None:
     """Make a case and write its truth; results from earlier recordings of the case are removed."""
     files.oracle.unlink(missing_ok=True)
-    drawn = {name: getattr(config, name) for name in ("seed", "robot", "duration", "effects")}
+    drawn = {name: getattr(config, name) for name in ("seed", "robot", "duration", "effects", "each")}
     blind_gap.make(blind_gap.Config(**drawn, only_effects=config.effects > 1), files)
 
 
@@ -268,7 +270,7 @@ def gate(config: Config) -> dict[str, Any]:
     if config.duration is not None and not config.duration > 0:
         raise InputError(f"--duration: got {config.duration}, expected more than 0 s")
     other = None if config.against is None else earlier(config)
-    prefix = f"{config.robot}-{config.seed}" + ("-pairs" if config.effects > 1 else "")
+    prefix = f"{config.robot}-{config.seed}" + ("-pairs" if config.effects > 1 else "-each" if config.each else "")
     prefix += f"-{config.duration:g}s" if config.duration else ""
     cases = [Files(config.out, index, prefix, CODE) for index in range(config.cases)]
     missing = [files for files in cases if cached(files) is None]

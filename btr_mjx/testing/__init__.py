@@ -5,12 +5,13 @@
 imports this one.
 """
 
-from btr_mjx.testing.case_sampling import Missing
+from btr_mjx.testing.case_sampling import PER_JOINT_EFFECTS, Missing
 from btr_mjx.testing.cases import CaseSettings, Truth, draw_reality, make_case
 from btr_mjx.testing.fitness_cases import FitnessCaseSettings, case_draw, make_fitness_case
 from btr_mjx.testing.robots import case_robot
 
 __all__ = [
+    "PER_JOINT_EFFECTS",
     "CaseSettings",
     "FitnessCaseSettings",
     "Missing",

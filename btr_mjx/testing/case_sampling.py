@@ -1,7 +1,7 @@
 """Random draws of a hidden case: effects with place and size, and small errors of calibration at every part."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import mujoco
@@ -28,6 +28,8 @@ _BODY_EFFECTS = ("payload", "link_length")
 _WORLD_EFFECTS = ("ground_friction", "ground_slope", "contact_softness", "air_drag", "constant_force")
 SINGLE_JOINT_EFFECTS = ("joint_stiffness", "joint_offset")
 """Effects that are drawn for a single joint only."""
+PER_JOINT_EFFECTS = ("viscous_damping", "dry_friction", "armature")
+"""Effects that may be drawn with a number for every joint."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,8 @@ class Missing:
     Attributes:
       effect: name of the effect.
       location: label of its place.
-      parameters: values by name, in SI units.
+      parameters: values by name, in SI units. Where calibration left an error of the same kind at the same place, they
+        are the sum of both, which is what recordings can show; of a group it is the mean of its members' errors.
     """
 
     effect: str
@@ -54,14 +57,18 @@ class Draw:
       rng: generator of everything that is drawn.
       motions: commands of the recordings.
       loads: peak torques, speeds, accelerations and travel in these motions.
+      each: joint effects that can have it have a number for every joint.
       background: reality with the small errors of calibration alone.
+      errors: small errors of calibration by effect and joint or body.
     """
 
     robot: CaseRobot
     rng: np.random.Generator
     motions: Sequence[MotionCommand]
     loads: Loads
+    each: bool = False
     background: HiddenReality = field(init=False)
+    errors: dict[tuple[str, str], float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.background = HiddenReality.of(self.robot)
@@ -85,19 +92,25 @@ def draw_background(draw: Draw, scale: float) -> Any:
     gain, offset, damping = (scale * s * rng.normal(size=n) for s in (3e-3, 5e-4, 4e-4))
     mass, length = scale * 4e-3 * rng.normal(size=len(heavy)), scale * 4e-4 * rng.normal(size=len(robot.links))
     friction, softness = scale * np.array([0.03, 2e-4]) * rng.normal(size=2)
+    for i, name in enumerate(joints):
+        believed = float(model.dof_damping[model.joint(name).dofadr[0]])
+        damping[i] = max(damping[i] * loads.torque[name] / loads.speed[name], -0.9 * believed)
+        draw.errors["actuator_gain", name] = float(gain[i])
+        draw.errors["joint_offset", name] = float(offset[i])
+        draw.errors["viscous_damping", name] = float(damping[i])
+    for i, body in enumerate(robot.links):
+        length[i] *= _length(robot, body)
+        draw.errors["link_length", body] = float(length[i])
 
     def add(reality: HiddenReality) -> None:
         for i, name in enumerate(joints):
             physics.actuator_gain(reality, [name], gain[i])
             physics.joint_offset(reality, [name], offset[i])
-            believed = float(np.array(reality.spec.joint(name).damping)[0])
-            physics.viscous_damping(
-                reality, [name], max(damping[i] * loads.torque[name] / loads.speed[name], -0.9 * believed)
-            )
+            physics.viscous_damping(reality, [name], damping[i])
         for body, share in zip(heavy, mass, strict=True):
             physics.scale_mass(reality, body, 1 + share)
         for body, share in zip(robot.links, length, strict=True):
-            physics.link_length(reality, body, share * _length(robot, body))
+            physics.link_length(reality, body, share)
         if robot.floor is not None:
             physics.ground_friction(reality, 1 + friction)
             physics.contact_softness(reality, softness)
@@ -148,8 +161,25 @@ def add_effects(draw: Draw, reality: HiddenReality, effects: Sequence[str] | int
             if len(draw.loads.torque) == 1:
                 break
         apply(reality)
-        missing.append(one)
+        missing.append(_with_errors(draw, one))
     return tuple(missing)
+
+
+def _with_errors(draw: Draw, missing: Missing) -> Missing:
+    """An effect with the errors of calibration of its kind at its place added to its numbers."""
+    kind, _, name = missing.location.partition(":")
+    everywhere = list(draw.loads.torque)
+    places = {"all": everywhere, "subtree": _below(draw.robot.model, name, everywhere) if kind == "subtree" else []}
+    own = [draw.errors.get((missing.effect, place), 0.0) for place in places.get(kind, [name])]
+    parameters = dict(missing.parameters)
+    if kind == "each":
+        errors = [draw.errors.get((missing.effect, place), 0.0) for place in everywhere]
+    else:
+        errors = [float(np.mean(own)), *np.zeros(len(parameters) - 1)]
+    for key, error in zip(parameters, errors, strict=True):
+        both = parameters[key] * error if missing.effect == "actuator_gain" else 0.0  # gains are factors
+        parameters[key] += error + both
+    return replace(missing, parameters=parameters)
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
@@ -186,6 +216,8 @@ def _drawn_effect(draw: Draw, name: str, reality: HiddenReality) -> tuple[Missin
         return _drawn_body(draw, name)
     if name in _WORLD_EFFECTS:
         return _drawn_world(draw, name, reality)
+    if draw.each and name in PER_JOINT_EFFECTS:
+        return _drawn_each(draw, name)
     place, joints = _joints_at(draw, name in SINGLE_JOINT_EFFECTS)
     location = place
     if place != "all" and not place.startswith("subtree:"):
@@ -193,6 +225,19 @@ def _drawn_effect(draw: Draw, name: str, reality: HiddenReality) -> tuple[Missin
     parameters = _joint_sizes(draw, name, joints)
     function = getattr(physics, name)
     return Missing(name, location, parameters), lambda reality: function(reality, joints, **parameters)
+
+
+def _drawn_each(draw: Draw, name: str) -> tuple[Missing, Any]:
+    """An effect with a number of its own for every joint, and a function that adds it to a reality."""
+    function = getattr(physics, name)
+    sizes = {joint: _joint_sizes(draw, name, [joint]) for joint in draw.loads.torque}
+    parameters = {f"{key}[{joint}]": value for joint, own in sizes.items() for key, value in own.items()}
+
+    def add(reality: HiddenReality) -> None:
+        for joint, own in sizes.items():
+            function(reality, [joint], **own)
+
+    return Missing(name, "each:all", parameters), add
 
 
 def _joint_sizes(draw: Draw, name: str, joints: Sequence[str]) -> dict[str, float]:

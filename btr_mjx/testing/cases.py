@@ -66,6 +66,7 @@ class CaseSettings:
       verdict: kind of case.
       effects: number of missing effects, or their names.
       outside: name of the effect outside the library.
+      each: joint effects have a number of their own for every joint.
       rate: samples per second; drawn from `RATES`.
       noise: factor on the robot's sensor noise; drawn from 1 to 3.
       recordings: numbers of recordings to fit and held out.
@@ -77,6 +78,7 @@ class CaseSettings:
     verdict: Verdict | None = None
     effects: Sequence[str] | int = 1
     outside: str | None = None
+    each: bool = False
     rate: int | None = None
     noise: float | None = None
     recordings: tuple[int, int] = (8, 4)
@@ -108,7 +110,7 @@ def make_case(folder: str | Path, seed: int, robot: str = "hexapod", settings: C
     drawn_rate, drawn_noise = int(rng.choice(RATES)), float(np.exp(rng.uniform(0, np.log(3))))
     rate, noise = settings.rate or drawn_rate, drawn_noise if settings.noise is None else settings.noise
     motions = [machine.draw_motion(rng) for _ in range(sum(settings.recordings))]
-    draw = Draw(machine, rng, motions, peak_loads(machine, motions[:3]))
+    draw = Draw(machine, rng, motions, peak_loads(machine, motions[:3]), settings.each)
     reality, missing, where = draw_reality(draw, chosen, settings.effects, settings.outside, settings.background)
     rows = [simulate_reality(reality, motion, machine.duration, rate) for motion in motions]
     visible = 0.0 if chosen == "none" else _visible(draw, rows[: settings.recordings[0]], rate, noise)

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.effects.effect import Effect, Parameter
+from btr_mjx.gap.effects.per_member import per_member
 from btr_mjx.gap.effects.places import Place, actuator_count, actuator_places
 from btr_mjx.gap.effects.ranges import Scales, unit_of
 from btr_mjx.gap.simulate import Command, World
@@ -156,14 +157,16 @@ ACTUATOR_LAG = Effect(
     native=_native_lag,
     equation="T u̇ = command − u",
 )
-ACTUATOR_GAIN = Effect(
-    "actuator_gain",
-    _linear,
-    _gain,
-    _apply_gain,
-    excited_by="loads and accelerations",
-    summable=True,
-    equation="force → (1 + change) force",
+ACTUATOR_GAIN = per_member(
+    Effect(
+        "actuator_gain",
+        _linear,
+        _gain,
+        _apply_gain,
+        excited_by="loads and accelerations",
+        summable=True,
+        equation="force → (1 + change) force",
+    )
 )
 TORQUE_LIMIT = Effect(
     "torque_limit",

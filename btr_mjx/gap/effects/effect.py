@@ -111,6 +111,12 @@ class Candidate:
         return f"{self.effect.name}@{self.place.label}"
 
     @property
+    def singles(self) -> tuple["Candidate", ...]:
+        """Itself, or the members of its group where each of them has a number of its own."""
+        pairs = zip(self.place.parts, self.parameters, strict=bool(self.place.parts))
+        return tuple(Candidate(self.effect, part, (own,)) for part, own in pairs) or (self,)
+
+    @property
     def null(self) -> np.ndarray:
         """(p,) values at which the effect is absent."""
         return np.array([parameter.null for parameter in self.parameters])

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.effects.effect import Effect, Parameter
+from btr_mjx.gap.effects.per_member import per_member
 from btr_mjx.gap.effects.places import Place, actuator_count, joint_of, joint_places
 from btr_mjx.gap.effects.ranges import Scales, smallest_believed, typical_scale, unit_of
 from btr_mjx.gap.simulate import Rows, World
@@ -111,32 +112,38 @@ def _driven(model: mujoco.MjModel) -> list[Place]:
     return joint_places(model, [j for j in joints if j is not None])
 
 
-VISCOUS_DAMPING = Effect(
-    "viscous_damping",
-    joint_places,
-    _damping,
-    _apply_damping,
-    excited_by="fast motion of the joint, at several speeds",
-    summable=True,
-    equation="τ = −d q̇",
+VISCOUS_DAMPING = per_member(
+    Effect(
+        "viscous_damping",
+        joint_places,
+        _damping,
+        _apply_damping,
+        excited_by="fast motion of the joint, at several speeds",
+        summable=True,
+        equation="τ = −d q̇",
+    )
 )
-DRY_FRICTION = Effect(
-    "dry_friction",
-    joint_places,
-    _friction,
-    _apply_friction,
-    excited_by="reversals of the joint's motion",
-    summable=True,
-    equation="|τ| ≤ f, against the motion",
+DRY_FRICTION = per_member(
+    Effect(
+        "dry_friction",
+        joint_places,
+        _friction,
+        _apply_friction,
+        excited_by="reversals of the joint's motion",
+        summable=True,
+        equation="|τ| ≤ f, against the motion",
+    )
 )
-LOAD_FRICTION = Effect(
-    "load_friction",
-    _driven,
-    _load,
-    _apply_load,
-    excited_by="motion under loads of several sizes",
-    summable=True,
-    equation="|τ| ≤ μ |τ_motor|, against the motion",
+LOAD_FRICTION = per_member(
+    Effect(
+        "load_friction",
+        _driven,
+        _load,
+        _apply_load,
+        excited_by="motion under loads of several sizes",
+        summable=True,
+        equation="|τ| ≤ μ |τ_motor|, against the motion",
+    )
 )
 STRIBECK_FRICTION = Effect(
     "stribeck_friction",

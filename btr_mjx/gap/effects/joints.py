@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.effects.effect import Effect, Parameter
+from btr_mjx.gap.effects.per_member import per_member
 from btr_mjx.gap.effects.places import Place, actuator_count, joint_of, joint_places
 from btr_mjx.gap.effects.ranges import Scales, integrator_inertia, smallest_believed, typical_scale, unit_of
 from btr_mjx.gap.simulate import Rows, World
@@ -129,23 +130,27 @@ def _apply_backlash(world: World, place: Place, values: np.ndarray) -> None:
     )
 
 
-ARMATURE = Effect(
-    "armature",
-    joint_places,
-    _armature,
-    _apply_armature,
-    excited_by="strong accelerations of the joint",
-    summable=True,
-    equation="τ = −I q̈",
+ARMATURE = per_member(
+    Effect(
+        "armature",
+        joint_places,
+        _armature,
+        _apply_armature,
+        excited_by="strong accelerations of the joint",
+        summable=True,
+        equation="τ = −I q̈",
+    )
 )
-JOINT_STIFFNESS = Effect(
-    "joint_stiffness",
-    joint_places,
-    _stiffness,
-    _apply_stiffness,
-    excited_by="large deflections of the joint, slow ones too",
-    summable=True,
-    equation="τ = −k (q − q_spring)",
+JOINT_STIFFNESS = per_member(
+    Effect(
+        "joint_stiffness",
+        joint_places,
+        _stiffness,
+        _apply_stiffness,
+        excited_by="large deflections of the joint, slow ones too",
+        summable=True,
+        equation="τ = −k (q − q_spring)",
+    )
 )
 JOINT_OFFSET = Effect(
     "joint_offset",
@@ -155,14 +160,16 @@ JOINT_OFFSET = Effect(
     excited_by="loads that depend on the true angle: weight, contact",
     equation="q_measured = q_true + offset",
 )
-BACKLASH = Effect(
-    "backlash",
-    _servo_joints,
-    _backlash,
-    _apply_backlash,
-    excited_by="reversals of the load and small motions",
-    summable=True,
-    equation="servo error e → e − clip(e, −b, b)",
+BACKLASH = per_member(
+    Effect(
+        "backlash",
+        _servo_joints,
+        _backlash,
+        _apply_backlash,
+        excited_by="reversals of the load and small motions",
+        summable=True,
+        equation="servo error e → e − clip(e, −b, b)",
+    )
 )
 
 JOINT_EFFECTS = (

@@ -1,7 +1,8 @@
 """Places where an effect may occur: joints, actuators, subtrees, bodies, geoms that can touch the ground, the world.
 
 Labels as in results: `joint:<name>`, `actuator:<name>`, `body:<name>`, `geom:<name>`,
-`subtree:<body>` (all joints of that body and its descendants), `all`, `world`.
+`subtree:<body>` (all joints of that body and its descendants), `all`, `each:<group>` (a number for each member of a
+group), `world`.
 """
 
 from collections.abc import Sequence
@@ -27,6 +28,7 @@ class Place:
       bodies: ids of its bodies.
       geoms: ids of its geoms.
       members: labels of the single places of a group; empty for a single place.
+      parts: these single places, where each of them has a number of its own, see `per_member`.
     """
 
     label: str
@@ -35,6 +37,7 @@ class Place:
     bodies: tuple[int, ...] = ()
     geoms: tuple[int, ...] = ()
     members: tuple[str, ...] = ()
+    parts: tuple["Place", ...] = ()
 
     def dofs(self, model: mujoco.MjModel) -> np.ndarray:
         """Addresses of the joints in qvel."""

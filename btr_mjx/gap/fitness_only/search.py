@@ -74,7 +74,7 @@ def identify_fitness(
     if responses is None:
         rows = fit[:SCREENING_TRIALS]
         step = screening_timestep(trials, rows, own[rows], wanted[rows])
-        responses = simulate_candidates(trials, candidates(model, trials.scales(fit[:3]), effects), rows, step, note)
+        responses = simulate_candidates(trials, _candidates(trials, fit, effects), rows, step, note)
     found = rank_by_fit(responses, wanted[responses.rows])
     note("leaders at other sizes")
     narrowed = _narrow(trials, responses, _pick(found), wanted)
@@ -93,10 +93,16 @@ def expected_steps(table: FitnessTable, effects: Sequence[Effect] = EFFECTS) -> 
     """Approximate number of simulated steps of a search."""
     trials = TrialSimulator(table)
     model, fit = table.head.model, np.flatnonzero(~table.test)
-    worlds = sum(2 * len(size_parameters(c)) - 1 for c in candidates(model, trials.scales(fit[:3]), effects))
+    worlds = sum(2 * len(size_parameters(c)) - 1 for c in _candidates(trials, fit, effects))
     per_trial = table.duration / float(model.opt.timestep)
     screened = min(SCREENING_TRIALS, len(fit)) / COARSE_FACTORS[0] * (worlds + LEADERS_RESIZED * len(SIZE_FACTORS))
     return per_trial * (screened + len(fit) * (LEADERS_REFINED + len(FINE_SIZE_FACTORS)) + 3 * len(table.fitness))
+
+
+def _candidates(trials: TrialSimulator, fit: np.ndarray, effects: Sequence[Effect]) -> list[Candidate]:
+    """Candidates with few numbers: one fitness a trial does not tell the joints of a group apart."""
+    found = candidates(trials.table.head.model, trials.scales(fit[:3]), effects)
+    return [candidate for candidate in found if not candidate.place.parts]
 
 
 def _delta(fitness: np.ndarray, real: np.ndarray, trials: TrialSimulator) -> float:

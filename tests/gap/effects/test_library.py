@@ -80,9 +80,12 @@ def test_places_of_a_robot() -> None:
     for candidate in candidates(model, Scales.of(model), KNOWN_EFFECTS):
         labels.setdefault(candidate.effect.name, []).append(candidate.place.label)
     legs = ["subtree:thigh0", "subtree:thigh1"]
-    assert labels["viscous_damping"] == ["joint:hip0", "joint:knee0", "joint:hip1", "joint:knee1", *legs, "all"]
+    each = ["each:subtree:thigh0", "each:subtree:thigh1", "each:all"]
+    singles = ["joint:hip0", "joint:knee0", "joint:hip1", "joint:knee1"]
+    assert labels["viscous_damping"] == [*singles, *legs, "all", *each]
     assert labels["actuator_delay"] == [f"actuator:{n}" for n in ("hip0", "knee0", "hip1", "knee1")] + [*legs, "all"]
-    assert labels["backlash"] == ["joint:hip0", "joint:knee0", "joint:knee1", "subtree:thigh0", "all"]
+    backlash = ["joint:hip0", "joint:knee0", "joint:knee1", "subtree:thigh0", "all"]
+    assert labels["backlash"] == [*backlash, "each:subtree:thigh0", "each:all"]
     assert labels["payload"] == [f"body:{n}" for n in ("torso", "head", "thigh0", "shank0", "thigh1", "shank1")]
     assert labels["link_length"] == [f"body:{n}" for n in ("thigh0", "shank0", "thigh1", "shank1")]
     assert labels["constant_force"] == [f"body:{n}" for n in ("torso", "shank0", "shank1")]
@@ -120,10 +123,14 @@ def test_group_edit_equals_edits_of_members() -> None:
         if not candidate.place.members:
             continue
         assert candidate.effect.summable
-        together = candidate.apply(World.of(model), moderate(candidate))
+        values = moderate(candidate)
+        if candidate.place.parts:
+            values *= np.linspace(0.2, 1.0, len(values))
+        together = candidate.apply(World.of(model), values)
         one_by_one = World.of(model)
-        for member in candidate.place.members:
-            every[f"{candidate.effect.name}@{member}"].apply(one_by_one, moderate(candidate))
+        for i, member in enumerate(candidate.place.members):
+            own = values[i : i + 1] if candidate.place.parts else values
+            every[f"{candidate.effect.name}@{member}"].apply(one_by_one, own)
         assert set(differing_fields(together, model)) == set(differing_fields(one_by_one, model))
         for field, values in differing_fields(together, model).items():
             np.testing.assert_allclose(values, getattr(one_by_one.model, field), err_msg=candidate.name)

@@ -79,10 +79,11 @@ def is_accepted(names, gain, held_out, negligible=0.0, size=1.0, place=None, str
     """Beside an effect of 4000 times `strength`; a number costs 10, is `size` and has a tolerance of 0.1."""
     first = [SimpleNamespace(null=0.0, tolerance=0.1, negligible=negligible, shape=False)]
     place = place or SimpleNamespace(members=())
-    effects = [
-        (SimpleNamespace(name=name, parameters=first, place=place, effect=SimpleNamespace(name=name)), (size,))
-        for name in names
-    ]
+    effects = []
+    for name in names:
+        single = SimpleNamespace(name=name, parameters=first, place=place, effect=SimpleNamespace(name=name))
+        single.singles = (single,)
+        effects.append((single, (size,)))
     given = SimpleNamespace(score=4000.0 * strength, gain=2500.0 * strength, held_out=1510.0 * strength)
     given = given if len(names) > 1 else None
     before = (given.score, given.gain, given.held_out) if given else (0.0, 0.0, 0.0)

@@ -117,6 +117,7 @@ def unnamed(score, offset):
     candidate = SimpleNamespace(
         name="joint_stiffness@elbow", effect=effect, parameters=(number,), null=np.zeros(1), place=Place("joint:elbow")
     )
+    candidate.singles = (candidate,)
     return SimpleNamespace(score=score, hypothesis=SimpleNamespace(effects=((candidate, (offset,)),)))
 
 

@@ -145,9 +145,13 @@ def screen(windows: Windows, base: Hypothesis, entries: Sequence[Entry], single:
             if index in first:
                 own.append((np.array([first[index] + i]), np.ones(1)))
                 continue
-            parts = [members[name] for name in _member_names(entry.candidate) if name in members]
-            factors = [entry.steps[i] / other.steps[i] for _, other in parts]
-            own.append((np.array([column + i for column, _ in parts], int), np.array(factors)))
+            names = _member_names(entry.candidate)
+            if entry.candidate.place.parts:
+                names = names[i : i + 1]
+            parts = [members[name] for name in names if name in members]
+            number = 0 if entry.candidate.place.parts else i
+            factors = [entry.steps[i] / other.steps[number] for _, other in parts]
+            own.append((np.array([column + number for column, _ in parts], int), np.array(factors)))
         groups.append(tuple(own))
     return Screen(tuple(entries), columns, tuple(groups))
 

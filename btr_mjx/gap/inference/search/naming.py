@@ -4,6 +4,7 @@ A name needs a score beyond its price on all data, a gain on held-out recordings
 leaves.
 """
 
+import itertools
 from collections.abc import Sequence
 
 from btr_mjx.gap.effects import WORLD
@@ -138,7 +139,7 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None, share: float = 
 def within_calibration(bench: Bench, judged: Judged) -> bool:
     """Whether the last effect is no larger than what calibration leaves, or than any simulation of its kind errs."""
     candidate, values = judged.hypothesis.effects[-1]
-    most = TOLERANCES * tolerance_of(candidate, bench.dataset.tolerances)
+    most = [TOLERANCES * tolerance_of(single, bench.dataset.tolerances) for single in candidate.singles]
     # A slope may be along either axis.
-    sizes = [(abs(value - p.null), p) for value, p in zip(values, candidate.parameters, strict=True) if not p.shape]
-    return all(size <= max(most, p.negligible) for size, p in sizes)
+    rows = zip(values, candidate.parameters, itertools.cycle(most), strict=False)
+    return all(abs(value - p.null) <= max(tolerance, p.negligible) for value, p, tolerance in rows if not p.shape)

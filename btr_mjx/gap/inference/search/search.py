@@ -210,7 +210,8 @@ class Bench:
           hypothesis: whose effects need no tolerance beside them; None for the believed model.
         """
         added = () if hypothesis is None else hypothesis.effects
-        own = [self._loose[candidate.name] for candidate, _ in added if candidate.name in self._loose]
+        singles = [single.name for candidate, _ in added for single in candidate.singles]
+        own = [self._loose[name] for name in singles if name in self._loose]
         return side.nuisance.against(self.dispersion).without(own)
 
     def find(self, given: Judged | None = None) -> list[Judged]:
