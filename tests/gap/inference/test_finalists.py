@@ -94,12 +94,12 @@ def bench() -> Bench:
         model.dof_damping[1] += 0.1
         model.dof_armature[0] += 0.02
 
-    return Bench(dataset(changed, seed=4, fit=3, test=1), LIBRARY, Options(steps=4e4, leaders=2, contact_leaders=0))
+    return Bench(dataset(changed, seed=4, fit=3, test=1), LIBRARY, Options(steps=4e4, leaders=4, contact_leaders=0))
 
 
 def test_leaders_share_their_starting_states(bench: Bench) -> None:
     """No window of a leader lies nearer with the starting states of the believed model, or of the other leader."""
-    before = bench.find()
+    before = [j for j in bench.find() if j.hypothesis.numbers == 1]
     leaders = Finalists(bench).again([j.hypothesis for j in before[:2]], None)
     assert [j.name for j in leaders] == [j.name for j in before[:2]]
     assert leaders[0].references == leaders[1].references
@@ -113,7 +113,7 @@ def test_leaders_share_their_starting_states(bench: Bench) -> None:
 
 def test_rivals_differ_by_what_tells_them_apart(bench: Bench) -> None:
     """Window by window between the two of them; the better one keeps its score."""
-    before = bench.find()
+    before = [j for j in bench.find() if j.hypothesis.numbers == 1]
     finalists = Finalists(bench)
     leaders = finalists.again([j.hypothesis for j in before[:2]], None)
     best, other = sorted(leaders, key=lambda j: -j.score)
@@ -127,7 +127,7 @@ def test_rivals_differ_by_what_tells_them_apart(bench: Bench) -> None:
 
 
 def test_between_rivals_that_move_contacts_few_windows_say_nothing(bench: Bench) -> None:
-    before = bench.find()
+    before = [j for j in bench.find() if j.hypothesis.numbers == 1]
     leaders = Finalists(bench).again([j.hypothesis for j in before[:2]], None)
     touching = copy.copy(bench)
     touching.contact_sensitive = {j.name for j in leaders}
@@ -142,8 +142,8 @@ def test_between_rivals_that_move_contacts_few_windows_say_nothing(bench: Bench)
 
 def test_one_more_effect_is_compared_with_what_was_found(bench: Bench) -> None:
     """Its gains are those of the first, and what falls from there to it on the same windows."""
-    first = Finalists(bench)(bench.find())[0]
-    second = bench.find(first)[0]
+    first = Finalists(bench)([j for j in bench.find() if j.hypothesis.numbers == 1])[0]
+    second = next(j for j in bench.find(first) if j.hypothesis.numbers == 2)
     names = {candidate.name for candidate, _ in second.hypothesis.effects}
     assert names == {"viscous_damping@joint:elbow", "armature@joint:shoulder"}
     fit, test = falls(bench, first.sides, first.hypothesis, second.hypothesis)

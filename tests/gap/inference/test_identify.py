@@ -219,14 +219,14 @@ def test_both_sides_of_the_split_are_needed():
 
 def test_hypotheses_keep_their_numbers_in_order():
     bench = Bench(dataset(damped, seed=1, fit=2, test=1), LIBRARY, QUICK)
-    first, second = bench.candidates[0], bench.candidates[-1]
+    first, second = bench.candidates[0], next(c for c in bench.candidates if c.effect.name == "actuator_gain")
     believed = (Believed("elbow damping", ("joint:elbow/damping",), 0.0, 1.0),)
     made = Hypothesis(believed, (0.2,)).with_effect(first, [0.3]).with_effect(second, [0.004])
     np.testing.assert_allclose(made.values(True), [0.2, 0.3, 0.004])
     again = made.replaced(np.array([0.1, 0.2, 0.3]), True)
     np.testing.assert_allclose(again.values(False), [0.2, 0.3])
     assert again.believed == (0.1,)
-    assert len(unknowns(made, True).low) == 3
+    assert unknowns(made, True).low.shape == made.values(True).shape
     assert made.name == f"{first.name} + {second.name}"
     judged = bench.find()
     assert equivalent(judged)[0] == judged[0].name

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from gap_arm import dataset
 
-from btr_mjx.gap.effects import EFFECTS, Parameter
+from btr_mjx.gap.effects import EFFECTS, Parameter, joint_places
 from btr_mjx.gap.inference import Bench
 from btr_mjx.gap.inference.search.finalists import Finalists
 from btr_mjx.gap.inference.search.search_records import Judged
@@ -82,7 +82,7 @@ def test_what_does_not_show_stays_where_it_is() -> None:
         damping.apply(world, place, values[:1])
         world.model.jnt_stiffness[0] = 1e-8 * values[1]
 
-    with_spring = replace(damping, parameters=parameters, apply=apply)
+    with_spring = replace(damping, places=joint_places, parameters=parameters, apply=apply)
     bench = Bench(dataset(damped, seed=4, fit=2, test=2), (with_spring,), QUICK)
     judged = found(bench)
     columns = judged.refined.columns
