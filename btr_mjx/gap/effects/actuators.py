@@ -1,4 +1,4 @@
-"""Effects of actuators: command delay, command lag, gain error, force limit."""
+"""Effects of actuators: delay, lag and rate limit of the command, gain error, force limit."""
 
 import math
 from collections.abc import Callable
@@ -8,7 +8,7 @@ import numpy as np
 
 from btr_mjx.gap.effects.effect import Effect, Parameter
 from btr_mjx.gap.effects.per_member import per_member
-from btr_mjx.gap.effects.places import Place, actuator_count, actuator_places
+from btr_mjx.gap.effects.places import Place, actuator_count, actuator_places, joint_of
 from btr_mjx.gap.effects.ranges import Scales, unit_of
 from btr_mjx.gap.simulate import Command, World
 
@@ -108,7 +108,7 @@ def _linear(model: mujoco.MjModel) -> list[Place]:
 
 
 def _gain(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("change", "1", -0.9, 1.0, -0.03, 0.003),)
+    return (Parameter("change", "1", -0.9, 9.0, -0.03, 0.003),)
 
 
 def _apply_gain(world: World, place: Place, values: np.ndarray) -> None:
@@ -135,6 +135,26 @@ def _apply_limit(world: World, place: Place, values: np.ndarray) -> None:
     actuators = list(place.actuators)
     world.model.actuator_forcelimited[actuators] = 1
     world.model.actuator_forcerange[actuators] = (-values[0], values[0])
+
+
+def _rate(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    peak = max(1.1 * float(scales.command_rate[place.controls(model)].max()), 1e-9)
+    joints = {joint_of(model, a) for a in place.actuators}
+    # The command of a position servo is an angle where the gear is 1.
+    servos = None not in joints and (model.actuator_biasprm[list(place.actuators), 1] < 0).all()
+    unit = f"{unit_of(model, place, 'rad', 'm')}/s" if servos else "1/s"
+    return (Parameter("limit", unit, _MIN_LIMIT * peak, peak, -0.3 * peak, null=peak),)
+
+
+def _slew(rate: np.ndarray) -> Callable[[Command], Command]:
+    return lambda command: command.rate_limited(rate)
+
+
+def _apply_rate(world: World, place: Place, values: np.ndarray) -> None:
+    """|du/dt| <= limit: the drive follows the command no faster, as with a profile velocity of servos."""
+    rate = np.full(world.model.nu, np.inf)
+    rate[place.controls(world.model)] = values[0]
+    world.command_edits.append(_slew(rate))
 
 
 ACTUATOR_DELAY = Effect(
@@ -168,14 +188,23 @@ ACTUATOR_GAIN = per_member(
         equation="force → (1 + change) force",
     )
 )
+COMMAND_RATE_LIMIT = Effect(
+    "command_rate_limit",
+    _controlled,
+    _rate,
+    _apply_rate,
+    excited_by="the fastest commands",
+    saturates=True,
+    equation="|du/dt| ≤ limit",
+)
 TORQUE_LIMIT = Effect(
     "torque_limit",
     actuator_places,
     _limit,
     _apply_limit,
     excited_by="the largest forces that the actuator is asked for",
-    summable=True,
+    saturates=True,
     equation="|force| ≤ limit",
 )
 
-ACTUATOR_EFFECTS = (ACTUATOR_DELAY, ACTUATOR_LAG, ACTUATOR_GAIN, TORQUE_LIMIT)
+ACTUATOR_EFFECTS = (ACTUATOR_DELAY, ACTUATOR_LAG, COMMAND_RATE_LIMIT, ACTUATOR_GAIN, TORQUE_LIMIT)

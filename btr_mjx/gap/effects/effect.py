@@ -76,6 +76,8 @@ class Effect:
       apply: edits a world in place. Its changes of model fields are also used for the mended model.
       excited_by: motion that excites the effect, for reports.
       summable: whether the signature of a group of places is the sum of those of its members.
+      saturates: whether the first parameter is a limit that does nothing at its null: what it does tighter is not
+        linear, and it is tried at several values.
       native: writes the part of the effect that is not in model fields (command edit, law, wrench) into an MjSpec;
         returns whether MuJoCo can represent it.
       equation: the effect in one line, for reports.
@@ -87,6 +89,7 @@ class Effect:
     apply: Apply
     excited_by: str = ""
     summable: bool = False
+    saturates: bool = False
     native: Native | None = None
     equation: str = ""
 

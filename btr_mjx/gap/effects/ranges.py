@@ -26,6 +26,7 @@ class Scales:
       amplitude: (nv,) half the range of motion [m or rad].
       inertia: (nv,) diagonal of the mass matrix [kg or kg m^2].
       force: (n_actuators,) peak force of each actuator [N or N m].
+      command_rate: (nu,) peak rate of each command [units of the control per s].
       time: typical ratio of amplitude to speed [s]; 1 / angular frequency for a sine.
       length: half the extent of the model [m].
       mass: total mass of moving bodies [kg].
@@ -37,6 +38,7 @@ class Scales:
     amplitude: np.ndarray
     inertia: np.ndarray
     force: np.ndarray
+    command_rate: np.ndarray
     time: float
     length: float
     mass: float
@@ -69,7 +71,7 @@ class Scales:
                 torque[dof] = max(torque[dof], force[a] * gear)
         touching = np.zeros(model.ngeom, bool)
         touching[ground_geoms(model)[0]] = True
-        return cls(torque, speed, amplitude, inertia, force, 0.1, *_sizes(model), touching)
+        return cls(torque, speed, amplitude, inertia, force, _command_rate(model), 0.1, *_sizes(model), touching)
 
     @classmethod
     def measured(
@@ -79,6 +81,7 @@ class Scales:
         qvel: np.ndarray,
         ctrl: np.ndarray,
         act: np.ndarray | None = None,
+        command_rate: np.ndarray | None = None,
     ) -> "Scales":
         """Scales of measured states, with the forces of the believed model at these states.
 
@@ -88,6 +91,7 @@ class Scales:
           qvel: (N, nv) velocities.
           ctrl: (N, nu) controls at the same times.
           act: (N, na) activation states of actuators; None for zeros.
+          command_rate: (nu,) peak rate of each command; None for a guess.
         """
         guess = cls.of(model)
         model = copy.copy(model)
@@ -130,11 +134,18 @@ class Scales:
             amplitude,
             mean_inertia,
             np.maximum(np.percentile(force, 99.5, axis=0), 1e-6 * guess.force),
+            guess.command_rate if command_rate is None else command_rate,
             time,
             guess.length,
             guess.mass,
             touching,
         )
+
+
+def _command_rate(model: mujoco.MjModel) -> np.ndarray:
+    """(nu,) a guess: the range of the control, or two units of it, in a tenth of a second."""
+    limited = model.actuator_ctrllimited.astype(bool)
+    return np.where(limited, np.ptp(model.actuator_ctrlrange, axis=1), 2.0) / 0.1
 
 
 def has_closed_loops(model: mujoco.MjModel) -> bool:

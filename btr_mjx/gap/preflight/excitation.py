@@ -112,6 +112,7 @@ def unexcited_effects(dataset: Dataset, joints: Sequence[JointTrack] | None = No
         "backlash": undriven or turns,
         "actuator_delay": constant or undriven,
         "actuator_lag": constant or undriven or one_tone,
+        "command_rate_limit": constant or undriven,
         "actuator_gain": undriven,
         "torque_limit": undriven,
         "ground_friction": ground,

@@ -18,6 +18,7 @@ EFFECT_TITLES: Mapping[str, str] = {
     "backlash": "backlash",
     "actuator_delay": "a delay of the command",
     "actuator_lag": "a first-order lag of the command",
+    "command_rate_limit": "a limit of the command's rate",
     "actuator_gain": "a change of the motor's strength",
     "torque_limit": "a torque limit",
     "payload": "a payload",

@@ -14,6 +14,7 @@ from scipy.interpolate import CubicSpline
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Interpolation
+from btr_mjx.gap.simulate.rate_limit import rate_limited
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,25 @@ class Command:
         if (constant < 0).any():
             raise InputError(f"time constant of a lag: got {constant.min()} s, expected 0 or more")
         return self._with(lags=(*self.lags, constant))
+
+    def rate_limited(self, rate: ArrayLike) -> "Command":
+        """The command behind a limit of its rate, before delays and lags.
+
+        Args:
+          rate: largest rate [units of the control per s], a number or (nu,); inf leaves a control unchanged.
+
+        Raises:
+          InputError: a rate that is not positive.
+        """
+        rate = np.broadcast_to(np.asarray(rate, float), (self.n,))
+        if not (rate > 0).all():
+            raise InputError(f"rate limit: got {rate.min()}, expected more than 0")
+        times, polynomial = rate_limited(self.times, self._polynomial, rate)
+        if times is self.times:
+            return self
+        other = replace(self, times=times, values=polynomial[0])
+        other.__dict__["_polynomial"] = polynomial
+        return other
 
     def plus(self, offset: ArrayLike) -> "Command":
         """The command plus a constant (nu,)."""

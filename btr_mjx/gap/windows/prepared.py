@@ -79,4 +79,10 @@ def scales_of(data: PreparedData) -> Scales:
         np.concatenate([smooth(model, track, i, data.sigma, data.span)[1] for _, track, _, i in rows]),
         np.concatenate([recording.ctrl[i] for recording, _, _, i in rows]),
         np.concatenate([act[i] for _, _, act, i in rows]) if model.na else None,
+        np.max([_peak_rate(recording) for recording in data.recordings], axis=0),
     )
+
+
+def _peak_rate(recording: Recording) -> np.ndarray:
+    """(nu,) largest rate of the commands between two samples."""
+    return np.abs(np.diff(recording.ctrl, axis=0) / np.diff(recording.time)[:, None]).max(axis=0)

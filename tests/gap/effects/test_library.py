@@ -122,7 +122,7 @@ def test_group_edit_equals_edits_of_members() -> None:
     for candidate in every.values():
         if not candidate.place.members:
             continue
-        assert candidate.effect.summable
+        assert candidate.effect.summable or candidate.effect.saturates
         values = moderate(candidate)
         if candidate.place.parts:
             values *= np.linspace(0.2, 1.0, len(values))
@@ -136,7 +136,9 @@ def test_group_edit_equals_edits_of_members() -> None:
             np.testing.assert_allclose(values, getattr(one_by_one.model, field), err_msg=candidate.name)
         stretch = windows(model, count=2)
         a, b = simulate([(together, stretch), (one_by_one, stretch)])
-        np.testing.assert_allclose(a, b, atol=1e-9, err_msg=candidate.name)
+        # A curved command behind a rate limit is taken as a chain of straight parts, which depend on where it is cut.
+        tolerance = 3e-3 if candidate.effect.name == "command_rate_limit" else 1e-9
+        np.testing.assert_allclose(a, b, rtol=tolerance, atol=tolerance, err_msg=candidate.name)
 
 
 def test_scales_of_measured_states() -> None:

@@ -73,3 +73,36 @@ def test_interpolation_and_extrapolation() -> None:
         Command(np.zeros(1), np.zeros((1, 1)), "steps")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="lag"):
         linear.filtered(-0.1)
+
+
+@pytest.mark.parametrize("interpolation", ["hold", "linear", "cubic"])
+def test_rate_limit_follows_as_fast_as_it_may(interpolation: str) -> None:
+    """Against small steps towards the command; a control without a limit stays what it was."""
+    sent, length = command(6, interpolation), 2e-6
+    if interpolation == "cubic":  # smooth between samples
+        grid = np.linspace(0.0, 0.4, 81)
+        sent = Command(grid, np.sin(np.stack([30 * grid, 17 * grid**1.5], 1)), interpolation)
+    rates = np.array([0.3, np.inf]) * np.abs(np.diff(sent.values, axis=0) / np.diff(sent.times)[:, None]).max()
+    limited = sent.rate_limited(rates)
+    times = np.arange(sent.times[0], sent.times[-1] + 0.05, length)
+    wanted, reached = sent.at(times + 0.5 * length)[:, 0], np.empty(len(times))
+    now = sent.values[0, 0]
+    for k, there in enumerate(wanted.tolist()):
+        now += np.clip(there - now, -rates[0] * length, rates[0] * length)
+        reached[k] = now
+    tolerance = 1e-3 * np.ptp(sent.values)
+    np.testing.assert_allclose(limited.at(times + length)[:, 0], reached, atol=tolerance)
+    assert np.abs(wanted - reached).max() > 0.1 * np.ptp(wanted)
+    np.testing.assert_allclose(limited.at(times)[:, 1], sent.at(times)[:, 1], atol=1e-12)
+    assert (np.abs(np.diff(limited.at(times)[:, 0])) <= rates[0] * length * (1 + 1e-6)).all()
+
+
+def test_rate_limits_beside_delays_and_lags() -> None:
+    sent = command(6, "linear")
+    slow = sent.rate_limited(1.0)
+    times = np.linspace(sent.times[0], sent.times[-1] + 0.1, 200)
+    np.testing.assert_array_equal(sent.filtered(0.02).rate_limited(1.0).at(times), slow.filtered(0.02).at(times))
+    np.testing.assert_array_equal(sent.shifted(0.02).rate_limited(1.0).at(times), slow.shifted(0.02).at(times))
+    assert sent.rate_limited(1e6) is sent
+    with pytest.raises(InputError, match="rate limit"):
+        sent.rate_limited(0.0)

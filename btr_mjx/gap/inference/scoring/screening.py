@@ -14,12 +14,11 @@ from btr_mjx.gap.windows import MakeWorld, Windows, signatures, step_uncertainty
 
 _SHAPES_CONTACT = frozenset({"geom_pos", "geom_quat", "geom_size", "body_pos", "body_quat", "jnt_pos", "qpos0"})
 _SHAPES_CONTACT |= {"geom_friction", "geom_solref", "geom_solimp", "geom_margin"}
-_CLAMPS = ("actuator_forcerange", "actuator_forcelimited", "actuator_ctrlrange", "jnt_actfrcrange")
 
 FIRST_TOLERANCE = 1
 """Column of `nuisances` from which on those of single places stand, in the order of their entries."""
 
-_CLAMP_PROBES = (0.15, 0.35, 0.6)
+_LIMIT_PROBES = (0.15, 0.35, 0.6, 0.8, 0.92)
 """Where a limit is tried, as parts of the way from where it does nothing to its tightest."""
 
 
@@ -80,14 +79,11 @@ def is_contact_sensitive(fields: Collection[str]) -> bool:
     return not _SHAPES_CONTACT.isdisjoint(fields)
 
 
-def entries_of(
-    candidates: Sequence[Candidate], fields: Mapping[str, frozenset[str]], contact_sensitive: Collection[str] = ()
-) -> list[Entry]:
+def entries_of(candidates: Sequence[Candidate], contact_sensitive: Collection[str] = ()) -> list[Entry]:
     """Entries of candidates: each at its own steps, and limits at a few values of their own.
 
     Args:
       candidates: the candidates.
-      fields: what each changes, by name.
       contact_sensitive: names of those that need smaller steps.
     """
     out = []
@@ -96,10 +92,10 @@ def entries_of(
         if candidate.name in contact_sensitive:
             steps = steps * CONTACT_STEP
         out.append(Entry(candidate, steps))
-        if not fields.get(candidate.name, frozenset()).isdisjoint(_CLAMPS):
+        if candidate.effect.saturates:
             first = candidate.parameters[0]
             tightest = first.low if first.step < 0 else first.high
-            for share in _CLAMP_PROBES:
+            for share in _LIMIT_PROBES:
                 probe = steps.copy()
                 probe[0] = share * (tightest - first.null)
                 if abs(probe[0]) > 1.5 * abs(first.step):

@@ -145,11 +145,9 @@ class Bench:
         self.candidates = candidates(model, self.scales, effects)
         self.before = tuple(parameter.value(dataset.model) for parameter in dataset.parameters)
         self.base = Hypothesis(dataset.parameters, self.before)
-        self.fields = changed_fields(self.candidates, model, self.base)
-        self.contact_sensitive = {
-            name for name in self.fields if self.survey.contact and is_contact_sensitive(self.fields[name])
-        }
-        entries = entries_of(self.candidates, self.fields, self.contact_sensitive)
+        fields = changed_fields(self.candidates, model, self.base) if self.survey.contact else {}
+        self.contact_sensitive = {name for name, changed in fields.items() if is_contact_sensitive(changed)}
+        entries = entries_of(self.candidates, self.contact_sensitive)
         note("windows")
         count = sum(len(entry.steps) for entry in entries)
         chosen = choose_windows(data, held, self.base, self.survey, count, self.options, self.counter)

@@ -8,7 +8,7 @@ from btr_mjx.gap.inference.scoring.scanner import Lead
 from btr_mjx.gap.inference.scoring.screening import Entry
 from btr_mjx.gap.windows import Options
 
-_CLAMP_SHARES = (0.1, 0.25, 0.4, 0.55, 0.7, 0.8, 0.87, 0.92, 0.96)
+_LIMIT_SHARES = (0.1, 0.25, 0.4, 0.55, 0.7, 0.8, 0.87, 0.92, 0.96)
 """Starts of a limit, as parts of the way from where it does nothing to its tightest."""
 
 
@@ -56,5 +56,5 @@ def starts(leads: Sequence[Lead], entry: Callable[[Lead], Entry]) -> list[np.nda
         return own
     first = entry(leads[0]).candidate.parameters[0]
     tightest = first.low if first.step < 0 else first.high
-    further = [first.null + share * (tightest - first.null) for share in _CLAMP_SHARES]
+    further = [first.null + share * (tightest - first.null) for share in _LIMIT_SHARES]
     return own + [np.array([value, *leads[0].values[1:]]) for value in further]
