@@ -78,7 +78,7 @@ class DiagnoseConfig:
     effects: tuple[str, ...] = ("all",)
     """Effects that may be named: "all", names of the library, or FILE.py:NAME for one of your own; "all FILE.py:NAME"
     adds that to the library."""
-    max_effects: int = 2
+    max_effects: int = 5
     """Name at most so many effects."""
     signal: Literal["trajectory", "fitness"] = "trajectory"
     """trajectory: recordings of the motion. fitness: a table of controllers and measured fitness, see

@@ -18,6 +18,7 @@ class Stage:
     """
 
     contact_sensitive = frozenset[str]()
+    base = SimpleNamespace(with_effect=lambda candidate, values: candidate.name)
 
     def __init__(self, monkeypatch, scores, polished=None):
         self.scores, self.polished, self.asked = scores, polished or {}, []
@@ -33,7 +34,11 @@ class Stage:
         scores = scores or self.scores
         effects = [(SimpleNamespace(name=letter), (1.0,)) for letter in name]
         hypothesis = SimpleNamespace(effects=effects, with_effect=lambda candidate, values: name + candidate.name)
-        return Standing(name, scores[name], hypothesis)
+        known = {frozenset(own): score for own, score in scores.items()}
+        return Standing(name, known.get(frozenset(name), 0.0), hypothesis)
+
+    def again(self, hypotheses, given):
+        return [self.judged(name) for name in hypotheses]
 
     def find(self, given=None):
         first = "" if given is None else given.name
@@ -41,7 +46,7 @@ class Stage:
         return sorted((self.judged(name) for name in own), key=lambda j: -j.score)
 
     def __call__(self, judged, most=3, given=None):
-        if given is not None:
+        if given is not None and judged:
             if judged[0].name in self.asked:
                 return list(judged)
             self.asked.append(judged[0].name)
@@ -51,8 +56,20 @@ class Stage:
     def beside(self, given, hypothesis):
         return self.judged(hypothesis)
 
-    def named(self):
-        return [j.name for j in rounds.search(self, 2, lambda word: None)[1]]
+    def named(self, most=2):
+        return [j.name for j in rounds.search(self, most, lambda word: None)[1]]
+
+
+def test_a_name_that_later_ones_make_worthless_is_dropped(monkeypatch):
+    """`a` stood for a part of `b` and `c`."""
+    scores = {"a": 500.0, "ab": 600.0, "abc": 1000.0, "b": 200.0, "bc": 990.0, "ac": 550.0}
+    stage = Stage(monkeypatch, scores)
+    found, named = rounds.search(stage, 3, lambda word: None)
+    assert [j.name for j in named] == ["b", "bc"]
+    assert [[j.name for j in one] for one in found] == [["b", "a"], ["bc"]]
+    stage.scores |= {"bc": 900.0}
+    assert stage.named(3) == ["a", "ab", "abc"]
+    assert stage.named(2) == ["a", "ab"]
 
 
 def test_the_first_effect_gives_way_to_a_rival_with_which_both_explain_more(monkeypatch):

@@ -1,7 +1,9 @@
 """Rounds of the search: who comes first, one more effect beside it, and its rivals beside that."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
+from btr_mjx.gap.effects import Candidate
+from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
 from btr_mjx.gap.inference.search.finalists import Finalists
 from btr_mjx.gap.inference.search.naming import SECOND_THRESHOLD, acceptable, accepted
 from btr_mjx.gap.inference.search.search import Bench
@@ -43,7 +45,41 @@ def search(bench: Bench, most: int, note: Callable[[str], None]) -> tuple[list[l
             break
         note("one more effect")
         rounds.append(_beside(bench, finalists, named[-1]))
+    note("each beside the others")
+    return _pruned(bench, finalists, rounds, named)
+
+
+def _pruned(
+    bench: Bench, finalists: Finalists, rounds: list[list[Judged]], named: list[Judged]
+) -> tuple[list[list[Judged]], list[Judged]]:
+    """Rounds and names without those that the names after them have made worthless: backward elimination."""
+    k = 0
+    while k < len(named) - 1:
+        effects = named[-1].hypothesis.effects
+        without = _judged_in_turn(finalists, bench.base, [*effects[:k], *effects[k + 1 :]])
+        rest = without[-1]
+        whole = finalists.beside(rest, rest.hypothesis.with_effect(*effects[k]))
+        if accepted(bench, whole, rest):
+            k += 1
+            continue
+        others = [own for i, own in enumerate(rounds) if i != k + 1]
+        for new, own in zip(without, others, strict=False):
+            last = new.hypothesis.effects[-1][0].name
+            own[:] = [new, *(j for j in own if j.hypothesis.effects[-1][0].name != last)]
+        rounds, named = others, without
     return rounds, named
+
+
+def _judged_in_turn(
+    finalists: Finalists, base: Hypothesis, effects: Sequence[tuple[Candidate, tuple[float, ...]]]
+) -> list[Judged]:
+    """Effects one after another, each refined and judged beside those before."""
+    out: list[Judged] = []
+    for candidate, values in effects:
+        given = out[-1] if out else None
+        start = given.hypothesis if given else base
+        out += finalists.again([start.with_effect(candidate, values)], given)
+    return out
 
 
 def _beside(bench: Bench, finalists: Finalists, given: Judged) -> list[Judged]:

@@ -68,7 +68,7 @@ COARSE_SHARE = 0.55
 def identify(
     dataset: Dataset,
     effects: Sequence[Effect] = EFFECTS,
-    max_effects: int = 2,
+    max_effects: int = 5,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
     options: Options | None = None,
@@ -100,7 +100,7 @@ def identify(
 
 def name_missing(
     bench: Bench,
-    max_effects: int = 2,
+    max_effects: int = 5,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
     begun: float | None = None,
