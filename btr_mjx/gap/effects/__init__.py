@@ -7,6 +7,7 @@ that is used by the search and for the mended model. A `Candidate` is an effect 
 from btr_mjx.gap.effects.effect import Candidate, Effect, Parameter, candidates
 from btr_mjx.gap.effects.library import EFFECTS, KNOWN_EFFECTS
 from btr_mjx.gap.effects.links import link_of
+from btr_mjx.gap.effects.per_member import EACH_MEMBER, per_member
 from btr_mjx.gap.effects.places import (
     WORLD,
     Place,
@@ -20,6 +21,7 @@ from btr_mjx.gap.effects.ranges import Scales, has_closed_loops
 from btr_mjx.gap.effects.selection import custom_effect_code, selected_effects
 
 __all__ = [
+    "EACH_MEMBER",
     "EFFECTS",
     "KNOWN_EFFECTS",
     "WORLD",
@@ -37,5 +39,6 @@ __all__ = [
     "joint_of",
     "joint_places",
     "link_of",
+    "per_member",
     "selected_effects",
 ]

@@ -15,7 +15,7 @@ from btr_mjx.gap.effects.places import Place
 from btr_mjx.gap.effects.ranges import Scales
 from btr_mjx.gap.simulate import World
 
-PREFIX = "each:"
+EACH_MEMBER = "each:"
 """Beginning of the label of a place with a number for each member."""
 
 
@@ -33,7 +33,7 @@ def per_member(effect: Effect) -> Effect:
         found = effect.places(model)
         singles = {place.label: place for place in found if not place.members}
         each = [
-            replace(place, label=PREFIX + place.label, parts=tuple(singles[label] for label in place.members))
+            replace(place, label=EACH_MEMBER + place.label, parts=tuple(singles[label] for label in place.members))
             for place in found
             if place.members
         ]

@@ -7,6 +7,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from btr_mjx.gap.effects import EACH_MEMBER
+
 EFFECT_TITLES: Mapping[str, str] = {
     "viscous_damping": "viscous damping",
     "dry_friction": "dry friction",
@@ -53,6 +55,9 @@ _MORE: Mapping[str, tuple[str, str]] = {
 TIMES_NOISE = 3.0
 """A held-out gap beyond which the verdict says how much is left, in units of what simulated nulls leave."""
 
+_FEW = 6
+"""So many numbers of the members of a group are written out in a sentence, at most."""
+
 REASON_NOT_NAMED = "small errors of calibration explain nearly as much, or held-out recordings do not bear it out"
 """Reason why a candidate is neither named nor ruled out."""
 
@@ -64,6 +69,8 @@ def effect_title(effect: str) -> str:
 
 def place_in_words(label: str) -> str:
     """A place in words, such as "joint knee" for "joint:knee"."""
+    if label.startswith(EACH_MEMBER):
+        return f"{place_in_words(label.removeprefix(EACH_MEMBER))}, each with its own number"
     kind, _, name = label.partition(":")
     if kind == "subtree":
         return f"every joint from body {name} down"
@@ -202,10 +209,15 @@ def _float(value: Any) -> float | None:
 
 
 def parameters_in_words(effect: Mapping[str, Any]) -> str:
-    """All parameters of an effect in result.json, with intervals."""
+    """All parameters of an effect in result.json, with intervals; the range of many numbers of one kind."""
     if effect["effect"] == "load_friction" and set(effect["parameters"]) == {"coefficient"}:
         return f"{format_estimate(effect['parameters']['coefficient'])} of the motor torque"
-    return ", ".join(f"{name.replace('_', ' ')} {format_estimate(p)}" for name, p in effect["parameters"].items())
+    parameters = effect["parameters"]
+    if str(effect["location"]).startswith(EACH_MEMBER) and len(parameters) > _FEW:
+        ends = [format_number(f([_float(p["value"]) or 0.0 for p in parameters.values()])) for f in (min, max)]
+        name, first = next(iter(parameters.items()))
+        return f"{name.partition('[')[0].replace('_', ' ')} {ends[0]} to {ends[1]} {first.get('unit', '')}".strip()
+    return ", ".join(f"{name.replace('_', ' ')} {format_estimate(p)}" for name, p in parameters.items())
 
 
 def verdict_sentence(result: Mapping[str, Any]) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, estimate_noise, reduced_noise
-from btr_mjx.gap.effects import Effect, candidates
+from btr_mjx.gap.effects import Candidate, Effect, candidates
 from btr_mjx.gap.inference.scoring.calibration import tolerance_draws, with_nonlinear_tolerances
 from btr_mjx.gap.inference.scoring.gains import fall
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis, refitted, unknowns
@@ -30,6 +30,7 @@ from btr_mjx.gap.inference.scoring.screening import (
     tolerance_of,
 )
 from btr_mjx.gap.inference.search.contact_scan import contact_scan, with_contacts, with_line_search
+from btr_mjx.gap.inference.search.far_away import nearer
 from btr_mjx.gap.inference.search.line_search import LineSearch
 from btr_mjx.gap.inference.search.search_records import Judged, Side
 from btr_mjx.gap.inference.search.shortlist import pick, starts
@@ -44,6 +45,7 @@ from btr_mjx.gap.windows import (
     choose_windows,
     linearise,
     prepare,
+    project,
     reliable_windows,
     scales_of,
     survey,
@@ -63,12 +65,8 @@ _QUIETER = 4
 _FEW = 6
 """Up to so many believed numbers are refitted together with every leader."""
 
-_FAR = 3.0
-"""Chi^2 per degree of freedom of the best lead above which leaders are refined again."""
-
-_TIMES, _NEARER = 4, 0.7
-"""Times that leaders are refined again where none comes near the noise, each of which must leave no more than this part
-of chi^2. A delay of 6 ms was 6.7 ms, and 69 was left of 932 where 2 is, after the first time."""
+Started = tuple[Hypothesis, list[np.ndarray]]
+"""A hypothesis, and the free numbers from which its refinement may start."""
 
 
 class Bench:
@@ -197,6 +195,19 @@ class Bench:
         self.dispersion, self.cut = usual / side.windows.freedom, _CUT * usual
         self.reference = self._reference(side), self._reference(self.test)
 
+    def linearise_around(self, hypothesis: Hypothesis) -> None:
+        """Starting states of all windows, and their directions, as they suit a hypothesis far from the believed one."""
+        sides = (self.fit, self.test)
+        moved = [
+            partial(lambda side: side.with_fitted_states(hypothesis).with_own_directions(hypothesis), side)
+            for side in sides
+        ]
+        self.fit, self.test = (side.based(self.base) for side in run_in_threads(moved))
+        screened = self.scanner.screened
+        columns = project(screened.columns, self.fit.windows.basis).astype(screened.columns.dtype)
+        self.scanner = Scanner(replace(screened, columns=columns), self.fit.nuisance)
+        self.line_search = LineSearch(self.fit, self.base, self.free, self.fall, lambda: self.cut)
+
     def _reference(self, side: Side) -> Fit:
         return self.nuisance(side).profile(side.windows.residual, self.cut)
 
@@ -227,7 +238,9 @@ class Bench:
         residual = self.fit.windows.residual if given is None else given.refined.residual
         extra = None if given is None else given.refined.columns
         taken = {candidate.name for candidate, _ in start.effects}
-        leads = self.scanner(residual, self.cut, extra, dispersion=self.dispersion)
+        leads = self.scanner(
+            residual, self.cut, extra, dispersion=self.dispersion, thorough=400 if given is None else 40
+        )
         leads = [lead for lead in leads if self._entry(lead).candidate.name not in taken]
         if given is None and leads:
             self.settle(self.scanner.best_left(leads[:5], residual, self.nuisance(self.fit), self.cut))
@@ -249,23 +262,23 @@ class Bench:
             tries = with_contacts(tries, scanned, options.contact_leaders)
         if not tries:
             return []
-        hypotheses = []
-        for candidate, values in tries:
-            own = start.with_effect(candidate, values[0])
-            head = own.values(self.joint)[: -len(values[0])]
-            hypotheses.append((own, [np.concatenate([head, v]) for v in values]))
+        hypotheses = [self.started(start, candidate, values) for candidate, values in tries]
         count = [1 if c.name in self.contact_sensitive else options.iterations for c, _ in tries]
         found = self.refined(sides[0], hypotheses, count, (self.reference if given is None else given.fits)[0])
         if given is None:
             self.settle(min(found, key=lambda r: r.loss).chi2)
-            if not self.survey.contact:
-                found = _refine_further(self, hypotheses, count, found)
+            hypotheses, found = nearer(self, leads, hypotheses, found)
+            sides = (self.fit, self.test)
         refined = [own.replaced(r.values, self.joint) for (own, _), r in zip(hypotheses, found, strict=True)]
         return self.judge(refined, found, sides, None if given is None else given.references, given)
 
-    def refined(
-        self, side: Side, hypotheses: Sequence[tuple[Hypothesis, list[np.ndarray]]], count: list[int], reference: Fit
-    ) -> list[Refined]:
+    def started(self, start: Hypothesis, candidate: Candidate, values: Sequence[np.ndarray]) -> Started:
+        """A hypothesis with one more effect, and all its free numbers for each of the effect's starting values."""
+        own = start.with_effect(candidate, values[0])
+        head = own.values(self.joint)[: -len(values[0])]
+        return own, [np.concatenate([head, v]) for v in values]
+
+    def refined(self, side: Side, hypotheses: Sequence[Started], count: Sequence[int], reference: Fit) -> list[Refined]:
         """Hypotheses refined on one side, each from the best of its starts."""
         return refine(
             side.windows,
@@ -324,34 +337,3 @@ class Bench:
 
     def _entry(self, lead: Lead) -> Entry:
         return self.scanner.screened.entries[lead.index]
-
-
-def _refine_further(
-    bench: "Bench",
-    hypotheses: Sequence[tuple[Hypothesis, list[np.ndarray]]],
-    count: list[int],
-    found: list[Refined],
-) -> list[Refined]:
-    """Leaders of the first round, refined on.
-
-    A few steps from far away do not lead to the best size, and while nothing comes near the noise what is left passes
-    for noise, which makes every further step look small. The dispersion of the bench is what is left in the end.
-
-    Args:
-      bench: of the search, of a robot that does not touch the world.
-      hypotheses: with their starts.
-      count: Gauss-Newton steps of each, at most, in one time.
-      found: what the first time led to.
-    """
-    for _ in range(_TIMES):
-        before = bench.dispersion
-        if before <= _FAR:
-            break
-        starts = [(own, [refined.values]) for (own, _), refined in zip(hypotheses, found, strict=True)]
-        further = bench.refined(bench.fit, starts, count, bench.reference[0])
-        best = min(further, key=lambda refined: refined.loss).chi2
-        if typical_chi2(best, bench.fit.windows.freedom) > _NEARER * before * bench.fit.windows.freedom:
-            break
-        found = further
-        bench.settle(best)
-    return found
