@@ -124,6 +124,11 @@ class Candidate:
         """(p,) values at which the effect is absent."""
         return np.array([parameter.null for parameter in self.parameters])
 
+    def covers(self, other: "Candidate") -> bool:
+        """Whether it has a number of its own for every place of another candidate of the same effect."""
+        theirs = other.place.members or (other.place.label,)
+        return self.effect is other.effect and bool(self.place.parts) and set(theirs) <= set(self.place.members)
+
     def apply(self, world: World, values: Sequence[float] | np.ndarray) -> World:
         """Edit a world in place and return it.
 

@@ -191,7 +191,7 @@ def scan_candidates(
     moment = weights @ data.moment
     if len(nuisance):
         across = gram[:, nuisance]
-        block = across[nuisance] + np.diag(precision) + 1e-12 * np.eye(len(nuisance))
+        block = regularised(across[nuisance] + np.diag(precision))
         solved = np.linalg.solve(block, np.column_stack([across.T, moment[nuisance]]))
         gram, moment = gram - across @ solved[:, :-1], moment - across @ solved[:, -1]
     gains, values = np.zeros(len(groups)), []

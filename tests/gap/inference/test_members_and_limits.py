@@ -20,10 +20,11 @@ def test_each_joint_has_a_number_of_its_own() -> None:
     (named,) = found.effects
     assert named.name == "armature@each:all"
     shoulder, elbow = named.parameters["armature[shoulder]"], named.parameters["armature[elbow]"]
-    assert shoulder.value == pytest.approx(0.05, rel=0.02)
-    assert elbow.value == pytest.approx(0.015, rel=0.02)
+    for estimate, truth in ((shoulder, 0.05), (elbow, 0.015)):
+        assert estimate.low < truth < estimate.high
+        assert estimate.high - estimate.low < 0.02 * truth
     assert found.gap.before > 1e3
-    assert found.gap.after < 1.5
+    assert found.gap.after < 1.2
 
 
 def test_one_number_is_enough_where_the_joints_are_alike() -> None:

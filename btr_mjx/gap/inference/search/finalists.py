@@ -35,6 +35,10 @@ _HOPE, _PROMISE = 0.25, 0.5
 _BESIDE = 100.0
 """Score or gain alone of one, beside what was found, that is walked over."""
 
+_ALTERNATIONS, _GAINED = 6, 0.002
+"""Times that starting states and numbers are fitted in turn of what is strong, and the part of the
+loss that each of them must gain for another one."""
+
 Settled = tuple[Hypothesis, Side, Refined]
 """A hypothesis with its best numbers, the side that suits it, and what the refinement found there."""
 
@@ -162,7 +166,8 @@ class Finalists:
             # Rivals differ little: what the most hopeful one's directions and time step cost once serves the others.
             moves = self._is_contact_sensitive(h)
             own = start.with_fitted_states(h, exact=first or not moves)
-            pool.append(nearest([start, own, *([own.with_own_directions(h)] if moves and first else [])]))
+            anew = (moves and first) or self.bench.strong
+            pool.append(nearest([start, own, *([own.with_own_directions(h)] if anew else [])]))
             first &= not moves
 
         def best(i: int) -> Side:
@@ -175,7 +180,15 @@ class Finalists:
         """A hypothesis with its best numbers on a side to fit, what that became on the way, and how good it is."""
         if self._is_contact_sensitive(hypothesis):
             hypothesis, side = best_size(self.bench, hypothesis, side, reference, few)
-        return self._refined(hypothesis, side, reference)
+        hypothesis, side, found = self._refined(hypothesis, side, reference)
+        for _ in range(_ALTERNATIONS if self.bench.strong else 0):
+            before = found.loss
+            own = side.with_fitted_states(hypothesis)
+            side = nearest([side.based(hypothesis), own, own.with_own_directions(hypothesis)])
+            hypothesis, side, found = self._refined(hypothesis, side, reference)
+            if before - found.loss < _GAINED * before:
+                break
+        return hypothesis, side, found
 
     def _refined(self, hypothesis: Hypothesis, side: Side, reference: Fit) -> Settled:
         """The same without a look at other sizes."""

@@ -69,6 +69,10 @@ Started = tuple[Hypothesis, list[np.ndarray]]
 """A hypothesis, and the free numbers from which its refinement may start."""
 
 
+_STRONG = 3.0
+"""Chi^2 that the believed model leaves, in units of what the best leaves, beyond which an effect is strong."""
+
+
 class Bench:
     """Everything a search needs about one dataset.
 
@@ -184,6 +188,12 @@ class Bench:
         """Whether the believed numbers are refitted together with every leader."""
         return 0 < len(self.base.parameters) <= _FEW
 
+    @property
+    def strong(self) -> bool:
+        """Whether what is missing is so strong that starting states of the believed model tell little beside it."""
+        usual = typical_chi2(self.reference[0].chi2, self.fit.windows.freedom)
+        return usual > _STRONG * self.dispersion * self.fit.windows.freedom
+
     def settle(self, best: np.ndarray | None) -> None:
         """Fit the dispersion to the best chi^2 (W,) so far, and the reference losses with it."""
         side, residual = self.fit, self.fit.windows.residual
@@ -237,7 +247,8 @@ class Bench:
         sides = (self.fit, self.test) if given is None else given.sides
         residual = self.fit.windows.residual if given is None else given.refined.residual
         extra = None if given is None else given.refined.columns
-        taken = {candidate.name for candidate, _ in start.effects}
+        # Numbers of each member leave nothing of the kind to be said of these members.
+        taken = {c.name for c in self.candidates for own, _ in start.effects if own is c or own.covers(c)}
         leads = self.scanner(
             residual, self.cut, extra, dispersion=self.dispersion, thorough=400 if given is None else 40
         )
