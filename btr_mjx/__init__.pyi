@@ -13,6 +13,7 @@ from .evaluation import (
     pair_fitness,
     pair_trajectory,
 )
+from .models import load_robot
 from .robots import Box, Robot, hexapod
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "coevolve",
     "evaluate",
     "hexapod",
+    "load_robot",
     "metrics",
     "model_leaves",
     "pair_fitness",

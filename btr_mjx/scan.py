@@ -53,7 +53,7 @@ def main(argv: Sequence[str] | None = None) -> None:
                 write_json(run.path / "result.json", result)
                 if config.figures:
                     draw_scan(run.path)
-        print(f"{config.parameter}: {arrays['delta'].shape[1]} behaviours, {config.grid} simulations")
+        print(f"{arrays['parameter']}: {arrays['delta'].shape[1]} behaviours, {config.grid} simulations")
         for name, value in result.items():
             print(f"  {name:20} {value if isinstance(value, int | str) else format(value, '.4f')}")
         if config.out is not None:

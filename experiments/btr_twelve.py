@@ -25,7 +25,7 @@ from btr_mjx.backtoreality import CoevolveConfig
 from btr_mjx.coevolve import coevolve
 from btr_mjx.errors import InputError, cli_errors
 from btr_mjx.evaluation import evaluate
-from btr_mjx.robots import robot_of
+from btr_mjx.models import chosen_robot
 from btr_mjx.runs import is_unused, read_json, write_json
 
 BY_FITNESS = replace(
@@ -95,7 +95,7 @@ def run_of(config: BtrConfig, folder: Path, seed: int) -> CoevolveConfig:
 
 def transfer(run: CoevolveConfig, result: dict[str, Any]) -> dict[str, float]:
     """The best controller of the last iteration in reality and in the identified simulation [m/s]."""
-    robot = robot_of(None, run.duration)
+    robot = chosen_robot(None, None, run.duration)
     simulation = robot.simulation_box.embed(
         robot.nominal_simulation, list(result["simulation"]), list(result["simulation"].values())
     )

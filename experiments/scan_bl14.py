@@ -27,7 +27,8 @@ def main(out: Path = Path("runs/fig2b")) -> None:
     curve, grid = delta.mean(axis=1), line[:, robot.simulation_box.index("bl_14")]
     arrays = {"parameter": "bl_14", "grid": grid, "truth": 1.6, "delta": delta, "delta_fitness": curve, "f_r": f_r}
     write_arrays(out / "scan.npz", arrays)
-    write_json(out / "result.json", btr.scan.curve_statistics(grid, curve, 1.6))
+    units = {"parameter_unit": "m", "fitness_unit": "m/s"}
+    write_json(out / "result.json", btr.scan.curve_statistics(grid, curve, 1.6) | units)
     draw_scan(out)
     print(f"Spearman's rho {btr.scan.curve_statistics(grid, curve, 1.6)['spearman']:.3f}; files in {out}")
 

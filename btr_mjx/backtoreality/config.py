@@ -11,7 +11,8 @@ from btr_mjx.backtoreality.reality.simulated import SimulatedReality
 from btr_mjx.backtoreality.state import BTRSettings, Problem, SearchSettings
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import MARKS, EngineSettings, fitness_function
-from btr_mjx.robots import PAPER_REALITIES, Robot, robot_of
+from btr_mjx.models import chosen_robot
+from btr_mjx.robots import PAPER_REALITIES, Robot
 
 
 @dataclass(frozen=True)
@@ -33,14 +34,17 @@ class CoevolveConfig:
     figures: bool = True
     """Draw the figures at the end."""
 
-    unknown: tuple[str, ...] = ("bl_5", "bl_14")
-    """Parameters of the simulation that are searched, or "all"; the others are known."""
+    robot: Path | None = None
+    """A robot.toml that describes another robot, see docs/robot_file.md; by default the hexapod of the paper."""
+    unknown: tuple[str, ...] = ("preset",)
+    """Parameters of the simulation that are searched, "all", or "preset" for the preset's own (quick: bl_5 bl_14); of
+    another robot that is all. The others are known."""
     truth: tuple[str, ...] = ("preset",)
-    """Hidden reality s_r: NAME=VALUE of unknown parameters [m], or "preset" for the preset's own values (quick:
+    """Hidden reality s_r: NAME=VALUE of unknown parameters, or "preset" for the preset's own values (quick:
     bl_5=0.88 bl_14=1.6, paper: bl_3=0.54 bl_5=0.54 bl_6=0.74 bl_8=0.74); unknown parameters not named are drawn from
-    the seed."""
+    the seed, all of them for another robot."""
     start: Literal["nominal", "random"] = "nominal"
-    """s_0: the nominal lengths, or random values of the unknown ones."""
+    """s_0: the nominal values, or random values of the unknown ones."""
 
     iterations: int = 3
     """At most so many iterations of Back-to-Reality."""
@@ -60,8 +64,9 @@ class CoevolveConfig:
     optimiser: Literal["ga", "cma"] = "ga"
     """How step 3 searches: the genetic algorithm (the paper), or CMA-ES, which finds many unknown parameters far better
     and ends early once it has converged."""
-    fitness: str = "distance"
-    """Fitness function: distance, forward_speed or energy_per_metre."""
+    fitness: str | None = None
+    """Fitness function: distance (the hexapod's), forward_speed, energy_per_metre, target_distance, or FILE.py:NAME; by
+    default the robot's own."""
 
     controllers: int = 48
     """M, population of controllers."""
@@ -88,8 +93,8 @@ class CoevolveConfig:
     """Another integrator of a native reality."""
     noise: float = 0.0
     """Relative standard deviation of the noise on measured fitness."""
-    duration: float = 1.7
-    """T_e, duration of a trial [s]."""
+    duration: float | None = None
+    """T_e, duration of a trial [s]; by default the robot's own (hexapod: 1.7)."""
     template: Path | None = None
     """Another MJCF template of the hexapod, with the same parameters and motors."""
 
@@ -98,7 +103,6 @@ PRESETS: dict[str, CoevolveConfig] = {
     "quick": CoevolveConfig(),
     "paper": CoevolveConfig(
         preset="paper",
-        unknown=("bl_3", "bl_5", "bl_6", "bl_8"),
         start="random",
         iterations=5,
         trials=15,
@@ -143,14 +147,18 @@ def build_problem(config: CoevolveConfig) -> Problem:
     Raises:
       InputError: a setting that is out of its range.
     """
-    robot = robot_of(config.template, config.duration)
+    robot = chosen_robot(config.robot, config.template, config.duration)
     box = robot.simulation_box
-    unknown = box.names if config.unknown == ("all",) else tuple(config.unknown)
+    unknown = tuple(config.unknown)
+    own = PAPER_REALITIES[_REALITY_OF_PRESET[config.preset]] if config.robot is None else {}
+    if unknown == ("all",) or (unknown == ("preset",) and config.robot is not None):
+        unknown = box.names
+    elif unknown == ("preset",):
+        unknown = tuple(own)
     indices = box.indices(unknown)
     named = [setting for setting in config.truth if setting != "preset"]
     given = parse_values(robot, named)
     if "preset" in config.truth:
-        own = PAPER_REALITIES[_REALITY_OF_PRESET[config.preset]]
         given = {name: value for name, value in own.items() if name in unknown} | given
     for name in given:
         if name not in unknown:
@@ -167,7 +175,7 @@ def build_problem(config: CoevolveConfig) -> Problem:
     if config.reality_timestep is not None and not 0 < config.reality_timestep <= 0.01:
         raise InputError(f"reality_timestep: got {config.reality_timestep}, expected a step within (0, 0.01] s")
     engine = None if config.engine == "auto" else config.engine
-    fitness = fitness_function(config.fitness)
+    fitness = fitness_function(config.fitness or robot.fitness, robot.target)
     return Problem(
         robot=robot,
         reality=SimulatedReality(

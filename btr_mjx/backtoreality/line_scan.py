@@ -20,9 +20,9 @@ from btr_mjx.evaluation import (
     fitness_function,
     metrics,
 )
-from btr_mjx.models import base_model
+from btr_mjx.models import base_model, chosen_robot
 from btr_mjx.optimise import mutate
-from btr_mjx.robots import PAPER_REALITIES, Robot, robot_of
+from btr_mjx.robots import PAPER_REALITIES, Robot
 
 
 def delta(
@@ -124,8 +124,10 @@ def curve_statistics(grid: ArrayLike, curve: ArrayLike, truth: float) -> dict[st
 class ScanConfig:
     """Settings of a scan; every field is a flag."""
 
-    parameter: str = "bl_14"
-    """Parameter of the simulation that is scanned."""
+    robot: Path | None = None
+    """A robot.toml that describes another robot, see docs/robot_file.md; by default the hexapod of the paper."""
+    parameter: str | None = None
+    """Parameter of the simulation that is scanned; by default bl_14, or the first of another robot."""
     grid: int = 49
     """Points over its whole range."""
     truth: float | None = None
@@ -152,10 +154,11 @@ class ScanConfig:
     """M, population of controllers."""
     generations: int = 10
     """Generations of the controllers' evolution."""
-    fitness: str = "distance"
-    """Fitness function: distance, forward_speed or energy_per_metre."""
-    duration: float = 1.7
-    """T_e, duration of a trial [s]."""
+    fitness: str | None = None
+    """Fitness function: distance (the hexapod's), forward_speed, energy_per_metre, target_distance, or FILE.py:NAME; by
+    default the robot's own."""
+    duration: float | None = None
+    """T_e, duration of a trial [s]; by default the robot's own (hexapod: 1.7)."""
     template: Path | None = None
     """Another MJCF template of the hexapod, with the same parameters and motors."""
 
@@ -167,7 +170,7 @@ def behaviours_of(config: ScanConfig, robot: Robot, simulation: np.ndarray, step
         return robot.controller_box.sample(rng, config.trials)
     settings = SearchSettings(config.controllers, config.generations, config.p_m)
     box = robot.controller_box.with_bits(settings.bits)
-    function = fitness_function(config.fitness)
+    function = fitness_function(config.fitness or robot.fitness, robot.target)
     genomes, scores = evolve_controllers(
         robot, simulation, settings, seed=config.seed, fitness=function, engine=_engine(config), progress=step
     )
@@ -193,17 +196,17 @@ def run_scan(config: ScanConfig, step: Progress | None = None) -> tuple[dict[str
       InputError: bad settings.
     """
     robot, truth = check_scan(config)
-    function = fitness_function(config.fitness)
-    line = along(robot, config.parameter, config.grid)
+    function, parameter = fitness_function(config.fitness or robot.fitness, robot.target), scanned(config, robot)
+    line = along(robot, parameter, config.grid)
     controllers = behaviours_of(config, robot, line[0], step)
-    reality = along(robot, config.parameter, [truth])
+    reality = along(robot, parameter, [truth])
     engine = _engine(config)
     f_r = evaluate(robot, reality, controllers, engine=engine, fitness=function, progress=step).fitness[0]
     evaluation = evaluate(robot, line, controllers, engine=engine, fitness=function, progress=step)
     deltas = delta_of(evaluation.fitness, f_r)
-    grid = line[:, robot.simulation_box.index(config.parameter)]
+    grid = line[:, robot.simulation_box.index(parameter)]
     arrays = {
-        "parameter": np.array(config.parameter),
+        "parameter": np.array(parameter),
         "grid": grid,
         "truth": np.array(truth),
         "controllers": controllers,
@@ -218,6 +221,8 @@ def run_scan(config: ScanConfig, step: Progress | None = None) -> tuple[dict[str
         "diverged": int(evaluation.diverged.sum()),
         "solver_capped_steps": int(evaluation.solver_capped.sum()),
         "engine": evaluation.engine,
+        "parameter_unit": robot.simulation_box.units[robot.simulation_box.index(parameter)],
+        "fitness_unit": function.unit,
     }
     return arrays, result
 
@@ -231,12 +236,12 @@ def check_scan(config: ScanConfig) -> tuple[Robot, float]:
     Raises:
       InputError: bad settings.
     """
-    robot = robot_of(config.template, config.duration)
-    index = robot.simulation_box.index(config.parameter)
-    truth = (
-        PAPER_REALITIES["fig2"].get(config.parameter, robot.nominal[index]) if config.truth is None else config.truth
-    )
-    along(robot, config.parameter, [truth])
+    robot = chosen_robot(config.robot, config.template, config.duration)
+    parameter = scanned(config, robot)
+    index = robot.simulation_box.index(parameter)
+    own = PAPER_REALITIES["fig2"] if config.robot is None else {}
+    truth = own.get(parameter, robot.nominal[index]) if config.truth is None else config.truth
+    along(robot, parameter, [truth])
     if config.grid < 2 or config.trials < 1:
         raise InputError(f"grid {config.grid} and trials {config.trials}: expected at least 2 and 1")
     if config.behaviours != "random":
@@ -245,9 +250,14 @@ def check_scan(config: ScanConfig) -> tuple[Robot, float]:
             raise InputError(
                 f"trials m = {config.trials}: expected fewer than the controller population M = {config.controllers}"
             )
-    fitness_function(config.fitness)
+    fitness_function(config.fitness or robot.fitness, robot.target)
     base_model(robot)
     return robot, float(truth)
+
+
+def scanned(config: ScanConfig, robot: Robot) -> str:
+    """Name of the parameter that is scanned."""
+    return config.parameter or ("bl_14" if config.robot is None else robot.simulation_box.names[0])
 
 
 def _engine(config: ScanConfig) -> Engine | None:

@@ -17,7 +17,8 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
     Returns:
       delta_fitness_first and _last: Delta_fitness of s_0 over the behaviours of iteration 1, and of the last simulation
       over those it was fitted to. parameter_error_first and _last: mean absolute error of the unknown parameters, None
-      for a reality that is not simulated. reality_evaluations, lp (learning performance) and its terms, the simulation,
+      for a reality that is not simulated. The fitness function's name, unit and direction; bounds and units of the
+      unknown parameters (space). reality_evaluations, lp (learning performance) and its terms, the simulation,
       the best controller and the stop criterion that was met.
     """
     trials, last = state.trials, state.iteration
@@ -30,7 +31,7 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
     delta = lambda s, iteration: float(  # noqa: E731
         whole_trial_delta(problem, s[None], trials, iteration)[0]
     )
-    indices = problem.robot.simulation_box.indices(problem.unknown)
+    indices, box = problem.robot.simulation_box.indices(problem.unknown), problem.simulation_box
     truth = getattr(problem.reality, "truth", None)
 
     def error(simulation: np.ndarray) -> float | None:
@@ -47,6 +48,12 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
             f_0 if np.isfinite(f_0) else 0.0, f_end, f_max, problem.controller_box.n, len(trials)
         ),
         "fitness": problem.fitness.name,
+        "fitness_unit": problem.fitness.unit,
+        "maximise": maximise,
+        "space": {
+            name: {"low": low, "high": high, "unit": unit}
+            for name, low, high, unit in zip(box.names, box.low.tolist(), box.high.tolist(), box.units, strict=True)
+        },
         "f_r_first_controller": f_0,
         "f_r_best_first_iteration": float(trials.f_r[best_index(np.where(first, trials.f_r, np.nan), maximise)]),
         "f_r_best": f_end,

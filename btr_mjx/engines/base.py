@@ -17,6 +17,10 @@ Leaves = Mapping[str, np.ndarray]
 """MjModel field name -> (..., *field shape): the fields in which the models of a batch differ."""
 
 
+Start = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""qpos (nq,), qvel (nv,) and act (na,) in which rollouts start."""
+
+
 class UnsupportedModel(InputError):
     """The model uses a feature that an engine does not compute; the message names it and an engine that does."""
 
@@ -47,6 +51,10 @@ class Stepper(Protocol):
 
     def initial(self, params: Any, chunk: int) -> Any:
         """State of `chunk` worlds at rest in the model's qpos0, with actuator activations zero."""
+        ...
+
+    def state(self, qpos: Any, qvel: Any, act: Any = None) -> Any:
+        """State of a chunk from MuJoCo's arrays (nq, C), (nv, C) and (na, C); activations are zero if None."""
         ...
 
     def step(self, params: Any, state: Any, ctrl: jax.Array) -> Any:

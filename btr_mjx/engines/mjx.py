@@ -70,14 +70,21 @@ class MjxStepper:
 
     def initial(self, params: dict[str, jax.Array], chunk: int) -> dict[str, jax.Array]:
         """See `Stepper.initial`."""
+        qpos = jnp.broadcast_to(params.get("qpos0", jnp.asarray(self._model.qpos0)), (chunk, self.nq))
+        return self.state(qpos.T, jnp.zeros((self.nv, chunk)))
+
+    def state(self, qpos: Any, qvel: Any, act: Any = None) -> dict[str, jax.Array]:
+        """See `Stepper.state`; activations are those of `pid` actuators."""
         dtype = jnp.result_type(float)
-        qpos = params.get("qpos0", jnp.asarray(self._model.qpos0))
-        zeros = lambda n: jnp.zeros((chunk, n), dtype)  # noqa: E731
+        chunk = qpos.shape[-1]
+        integral = jnp.zeros((chunk, self.nu), dtype)
+        if act is not None and len(act):
+            integral = integral.at[:, np.flatnonzero(self._pid)].set(jnp.asarray(act, dtype).T)
         return {
-            "qpos": jnp.broadcast_to(qpos, (chunk, self.nq)).astype(dtype),
-            "qvel": zeros(self.nv),
-            "warmstart": zeros(self.nv),
-            "integral": zeros(self.nu),
+            "qpos": jnp.asarray(qpos, dtype).T,
+            "qvel": jnp.asarray(qvel, dtype).T,
+            "warmstart": jnp.zeros((chunk, self.nv), dtype),
+            "integral": integral,
             "power": jnp.zeros(chunk, dtype),
             "residual": jnp.zeros(chunk, dtype),
         }

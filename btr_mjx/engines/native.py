@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from btr_mjx.engines.base import Leaves
+from btr_mjx.engines.base import Leaves, Start
 from btr_mjx.engines.program import Record
 from btr_mjx.robots import Signal
 from btr_mjx.runs import available_cores
@@ -53,6 +53,7 @@ def rollout_native(
     signal: Signal,
     base_address: tuple[int, int] | None,
     record_states: bool,
+    start: Start | None = None,
     settings: NativeSettings = NativeSettings(),
 ) -> Record:
     """Simulate pairs in native MuJoCo.
@@ -65,6 +66,7 @@ def rollout_native(
       signal: reference signal of the robot, sampled at the start of each step.
       base_address: addresses of the base's position in qpos and of its velocity in qvel, or None.
       record_states: whether qpos, qvel and act are recorded.
+      start: state in which the rollouts start; None for the model's qpos0 at rest.
       settings: time step, integrator and threads.
 
     Returns:
@@ -86,13 +88,15 @@ def rollout_native(
     qpos, qvel, act = (batch.bind(name) for name in ("qpos", "qvel", "act"))
     if "qpos0" in leaves:
         qpos[:] = leaves["qpos0"]
+    if start is not None:
+        qpos[:], qvel[:], act[:] = start
 
     def base() -> np.ndarray:
         if base_address is None:
             return np.zeros((count, 3))
         return np.array(qpos[:, base_address[0] : base_address[0] + 3])
 
-    start, energy, peak = base(), np.zeros(count), np.zeros(count)
+    origin, energy, peak = base(), np.zeros(count), np.zeros(count)
     capped, alive = np.zeros(count, np.int32), np.ones(count, bool)
     records: list[tuple] = []
     done = 0
@@ -115,7 +119,7 @@ def rollout_native(
         states = tuple(np.array(x if record_states else x[:, :0]) for x in (qpos, qvel, act))
         records.append((position, energy.copy(), *states))
     position, work, *recorded = (np.stack(column, axis=1) for column in zip(*records, strict=True))
-    return Record(start, position, work, peak, capped, *recorded)
+    return Record(origin, position, work, peak, capped, *recorded)
 
 
 _INVALID_STATE_WARNINGS = [

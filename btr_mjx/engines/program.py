@@ -16,7 +16,7 @@ import numpy as np
 from jax import lax
 from jax.sharding import AxisType, Mesh, PartitionSpec
 
-from btr_mjx.engines.base import Leaves, Stepper
+from btr_mjx.engines.base import Leaves, Start, Stepper
 from btr_mjx.robots import Signal
 
 
@@ -72,6 +72,7 @@ def rollout(
     params: Any,
     controllers: jax.Array,
     samples: jax.Array,
+    at: Start | None = None,
 ) -> Record:
     """Simulate one chunk (traced by JAX).
 
@@ -83,12 +84,16 @@ def rollout(
       params: the engine's parameters of this chunk.
       controllers: (n_c, C).
       samples: (K,) ascending step counts at which to record; the last one ends the rollout.
+      at: state in which the rollout starts; None for the model's qpos0 at rest.
 
     Returns:
       The record.
     """
     chunk = controllers.shape[1]
-    state = stepper.initial(params, chunk)
+    if at is None:
+        state = stepper.initial(params, chunk)
+    else:
+        state = stepper.state(*(jnp.broadcast_to(jnp.asarray(x)[:, None], (len(x), chunk)) for x in at))
     dtype = stepper.qpos(state).dtype
     zeros = jnp.zeros(chunk, dtype)
 
@@ -153,11 +158,12 @@ class Program:
         layout: Layout,
         record_states: bool,
         devices: list[jax.Device],
+        at: Start | None = None,
     ) -> None:
         self.stepper, self.layout = stepper, layout
 
         def one(params: Any, controllers: jax.Array, samples: jax.Array) -> Record:
-            return rollout(stepper, signal, base_address, record_states, params, controllers, samples)
+            return rollout(stepper, signal, base_address, record_states, params, controllers, samples, at)
 
         mesh = Mesh(np.array(devices), ("chunks",), axis_types=(AxisType.Auto,))
         sharded, copied = PartitionSpec("chunks"), PartitionSpec()

@@ -29,7 +29,8 @@ from btr_mjx.engines import (
 )
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation.fitness import DISTANCE, FitnessFunction, Outcome
-from btr_mjx.models import Models, base_model, compile_models, varying_fields
+from btr_mjx.evaluation.tracked_point import track_point
+from btr_mjx.models import Models, base_model, compile_models, start_of, varying_fields
 from btr_mjx.robots import Robot
 
 Engine = Literal["lanes", "mjx", "native"]
@@ -125,18 +126,20 @@ def evaluate(
         raise InputError(f"pairwise: got {len(s)} simulations and {len(c)} controllers, expected as many of each")
     shape = (len(s),) if pairwise else (len(s), len(c))
     chosen = engine or fastest_engine(robot)
+    recorded = states or fitness.needs_states or bool(robot.point)
     dt = settings.timestep if chosen == "native" and settings.timestep else float(base_model(robot).opt.timestep)
     samples = _sample_steps(robot, times, dt)
-    runner = _runner(robot, chosen, samples, states, settings)
+    runner = _runner(robot, chosen, samples, recorded, settings)
     records = []
     for rows, columns in _blocks(shape, runner.block):
         used, index = np.unique(rows, return_inverse=True)
         models = compile_models(robot, s[used])
-        records.append(runner.run(models, index, c[columns]))
+        record = runner.run(models, index, c[columns])
+        records.append(track_point(robot, models, index, record) if robot.point else record)
         if progress is not None:
             progress(len(rows))
     record = Record(*(np.concatenate(column) for column in zip(*records, strict=True)))
-    return _evaluation(robot, chosen, record, samples * dt, shape, fitness, states)
+    return _evaluation(robot, chosen, record, samples * dt, shape, fitness, recorded)
 
 
 def fastest_engine(robot: Robot) -> Engine:
@@ -217,6 +220,7 @@ def _runner(robot: Robot, engine: Engine, samples: np.ndarray, states: bool, set
             signal=robot.signal,
             base_address=address,
             record_states=states,
+            start=start_of(robot),
             settings=native.NativeSettings(settings.timestep, settings.integrator, settings.threads),
         )
         return _Runner(settings.chunk or 256, run_native)
@@ -279,4 +283,4 @@ def _program(robot: Robot, engine: Engine, samples: int, states: bool, chunk: in
     )
     capacity = int(np.clip(_TRACE_BYTES // record_bytes, 1, _CAPACITY if on_cpu else 4))
     layout = Layout(len(devices), capacity, width)
-    return Program(stepper, robot.signal, base_address(robot), layout, states, devices)
+    return Program(stepper, robot.signal, base_address(robot), layout, states, devices, start_of(robot))

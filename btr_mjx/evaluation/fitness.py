@@ -1,12 +1,14 @@
 """Fitness functions, delta_k and Delta_fitness (eq. 3 and 4 of the paper), learning performance."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from btr_mjx.errors import InputError
+from btr_mjx.runs import load_object
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,12 +43,14 @@ class FitnessFunction:
       unit: of the fitness.
       maximise: whether larger is better.
       function: the map; its result is NaN where the fitness is not defined.
+      needs_states: whether it reads qpos, qvel or act.
     """
 
     name: str
     unit: str
     maximise: bool
     function: Callable[[Outcome], np.ndarray]
+    needs_states: bool = False
 
     def __call__(self, outcome: Outcome) -> np.ndarray:
         """Fitness of each behaviour."""
@@ -82,15 +86,36 @@ DISTANCE = FITNESS_FUNCTIONS["distance"]
 """The fitness function of the paper: horizontal distance / T_e [m/s]."""
 
 
-def fitness_function(name: str) -> FitnessFunction:
-    """A built-in fitness function.
+def fitness_function(name: str, target: Sequence[float] = ()) -> FitnessFunction:
+    """A fitness function by name.
+
+    Args:
+      name: of a built-in one, "target_distance", or FILE.py:NAME for a `FitnessFunction` of one's own, or for a
+        function of an `Outcome` with states whose value is maximised.
+      target: (3,) point that "target_distance" refers to [m].
 
     Raises:
-      InputError: an unknown name.
+      InputError: an unknown name, no target, a file without such a function.
     """
+    if name == "target_distance":
+        if len(target) != 3:
+            raise InputError(f"fitness {name!r}: got the target {tuple(target)}, expected [x, y, z] in metres")
+        return FitnessFunction(name, "m", False, partial(_target_distance, np.array(target, float)))
+    if ".py:" in name:
+        own = load_object(name, "fitness")
+        if isinstance(own, FitnessFunction):
+            return own
+        if not callable(own):
+            raise InputError(f"fitness {name!r}: got {type(own).__name__}, expected a function or a FitnessFunction")
+        return FitnessFunction(name, "", True, own, needs_states=True)
     if name not in FITNESS_FUNCTIONS:
-        raise InputError(f"fitness: got {name!r}, expected one of: {', '.join(FITNESS_FUNCTIONS)}")
+        known = ", ".join([*FITNESS_FUNCTIONS, "target_distance", "FILE.py:NAME"])
+        raise InputError(f"fitness: got {name!r}, expected one of: {known}")
     return FITNESS_FUNCTIONS[name]
+
+
+def _target_distance(target: np.ndarray, outcome: Outcome) -> np.ndarray:
+    return np.linalg.norm(outcome.position[..., -1, :] - target, axis=-1)
 
 
 def delta_of(f_s: ArrayLike, f_r: ArrayLike) -> np.ndarray:

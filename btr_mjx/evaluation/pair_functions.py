@@ -32,7 +32,7 @@ from btr_mjx.evaluation.evaluation import Engine
 from btr_mjx.evaluation.fitness import DISTANCE, FitnessFunction, Outcome
 from btr_mjx.evaluation.rowwise import rowwise
 from btr_mjx.evaluation.traced import TracedArray, in_double
-from btr_mjx.models import base_model, compile_models
+from btr_mjx.models import base_model, compile_models, start_of
 from btr_mjx.robots import Robot
 
 ModelLeaves = dict[str, Any]
@@ -184,7 +184,7 @@ def _one_pair(
         # Fields that an engine needs but that do not influence motion have the nominal model's values.
         params = _packed(stepper, leaves, {name: x[0] for name, x in nominal.items() if name not in needed})
         wanted = controllers.T.astype(jnp.result_type(float))
-        return rollout(stepper, robot.signal, address, states, params, wanted, marks)
+        return rollout(stepper, robot.signal, address, states, params, wanted, marks, start_of(robot))
 
     one = rowwise(partial(kernel, roll=roll), width, devices)
 

@@ -4,24 +4,41 @@
 room also holds names and paths of a model's parts (`parse_path`) and differences of configurations (`difference`).
 """
 
-from btr_mjx.models.batch import Models, base_model, compile_mjcf, compile_models, varying_fields, why_compiled
-from btr_mjx.models.fields import read_field
+from btr_mjx.models.batch import (
+    Models,
+    base_model,
+    compile_mjcf,
+    compile_models,
+    start_of,
+    varying_fields,
+    why_compiled,
+)
+from btr_mjx.models.fields import read_field, write_field
+from btr_mjx.models.path_parameters import PathParameter, read_bounds, read_path_parameter
 from btr_mjx.models.paths import nearest_names, parse_path, part_names, set_values
+from btr_mjx.models.robot_file import chosen_robot, load_robot
 from btr_mjx.models.tangent import between, difference, integrate
 
 __all__ = [
     "Models",
+    "PathParameter",
     "base_model",
     "between",
+    "chosen_robot",
     "compile_mjcf",
     "compile_models",
     "difference",
     "integrate",
+    "load_robot",
     "nearest_names",
     "parse_path",
     "part_names",
+    "read_bounds",
     "read_field",
+    "read_path_parameter",
     "set_values",
+    "start_of",
     "varying_fields",
     "why_compiled",
+    "write_field",
 ]

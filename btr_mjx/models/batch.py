@@ -12,6 +12,7 @@ import copy
 import re
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -20,6 +21,7 @@ from numpy.typing import ArrayLike
 from btr_mjx.errors import InputError
 from btr_mjx.models.fields import PHYSICS, field_names, read_field, write_field
 from btr_mjx.models.geom_compiler import NotVectorisable
+from btr_mjx.models.paths import nearest_names
 from btr_mjx.models.template_compiler import TemplateCompiler, build_template_compiler
 from btr_mjx.robots import Robot
 
@@ -91,6 +93,8 @@ def why_compiled(robot: Robot) -> str:
 
 @lru_cache(maxsize=16)
 def _template_compiler(robot: Robot) -> TemplateCompiler | str:
+    if robot.edits or robot.folder:
+        return "its parameters are edits of the compiled model" if robot.edits else "it includes other files"
     try:
         return build_template_compiler(robot, base_model(robot), varying_fields(robot))
     except NotVectorisable as reason:
@@ -99,13 +103,34 @@ def _template_compiler(robot: Robot) -> TemplateCompiler | str:
 
 def _model_inputs(robot: Robot) -> Robot:
     """The robot reduced to what its models depend on, as a key of caches."""
-    return replace(robot, name="", duration=1.0, speed_limit=1.0, base_body=None)
+    return replace(robot, name="", duration=1.0, speed_limit=1.0, base_body=None, point="", target=(), keyframe="")
 
 
 @lru_cache(maxsize=16)
 def base_model(robot: Robot) -> mujoco.MjModel:
     """The compiled model of the nominal simulation (shared: do not edit it)."""
-    return compile_mjcf(robot, robot.render(robot.nominal))
+    return model_of(robot, robot.nominal_simulation)
+
+
+def model_of(robot: Robot, simulation: np.ndarray) -> mujoco.MjModel:
+    """The model of one simulation (n_s,): its rendered MJCF, compiled, with the robot's edits.
+
+    Raises:
+      InputError: a template that does not render, MJCF that MuJoCo does not accept, a number that cannot be set.
+    """
+    text = robot.render(simulation)
+    if not robot.edits:
+        return compile_mjcf(robot, text)
+    model = copy.copy(_compiled_text(robot, text))
+    for edit in robot.edits:
+        edit(model, simulation[robot.simulation_box.indices(edit.parameters)].tolist())
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model
+
+
+@lru_cache(maxsize=16)
+def _compiled_text(robot: Robot, text: str) -> mujoco.MjModel:
+    return compile_mjcf(robot, text)
 
 
 @lru_cache(maxsize=16)
@@ -119,8 +144,27 @@ def varying_fields(robot: Robot) -> tuple[str, ...]:
     rng = np.random.default_rng(0)
     probes = [box.low, box.high, *box.sample(rng, _PROBES)]
     base = base_model(robot)
-    models = [compile_mjcf(robot, robot.render(probe)) for probe in probes]
-    return tuple(name for name in field_names(base) if any(_differ(base, model, name) for model in models))
+    models = [model_of(robot, probe) for probe in probes]
+    found = tuple(name for name in field_names(base) if any(_differ(base, model, name) for model in models))
+    if not found:
+        raise InputError(f"{robot.template_path}: the model is the same for all of {', '.join(box.names)}")
+    return found
+
+
+def start_of(robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """The state in which trials start: qpos (nq,), qvel (nv,) and act (na,); None for the model's qpos0 at rest.
+
+    Raises:
+      InputError: a keyframe that the model does not have.
+    """
+    if not robot.keyframe:
+        return None
+    model = base_model(robot)
+    names = [model.key(i).name for i in range(model.nkey)]
+    if robot.keyframe not in names:
+        raise InputError(f"keyframe {robot.keyframe!r}: the model has {nearest_names(robot.keyframe, names)}")
+    i = names.index(robot.keyframe)
+    return model.key_qpos[i].copy(), model.key_qvel[i].copy(), model.key_act[i].copy()
 
 
 def compile_mjcf(robot: Robot, xml: str) -> mujoco.MjModel:
@@ -130,7 +174,11 @@ def compile_mjcf(robot: Robot, xml: str) -> mujoco.MjModel:
       InputError: MuJoCo rejects it; the message has the template's name, the line number and the line's text.
     """
     try:
-        return mujoco.MjModel.from_xml_string(xml)
+        if not robot.folder:
+            return mujoco.MjModel.from_xml_string(xml)
+        spec = mujoco.MjSpec.from_string(xml, include=_included_files(Path(robot.folder), xml))
+        spec.modelfiledir = robot.folder
+        return spec.compile()
     except ValueError as error:
         message = " ".join(str(error).split())
         found = re.search(r"[Ll]ine (?:number=)?(\d+)", message)  # two forms: MuJoCo's own and its XML parser's
@@ -140,10 +188,22 @@ def compile_mjcf(robot: Robot, xml: str) -> mujoco.MjModel:
         raise InputError(f"{robot.template_path}: MuJoCo does not accept the model: {message}{shown}") from None
 
 
+def _included_files(folder: Path, xml: str) -> dict[str, bytes]:
+    """Contents of the files that MJCF includes, and of those that these include, by the names it uses for them."""
+    found: dict[str, bytes] = {}
+    left = [xml]
+    while left:
+        for name in re.findall(r"<include[^>]*\sfile\s*=\s*[\"']([^\"']+)[\"']", left.pop()):
+            if name not in found and (folder / name).is_file():
+                found[name] = (folder / name).read_bytes()
+                left.append(found[name].decode("utf-8", "replace"))
+    return found
+
+
 @lru_cache(maxsize=20_000)
 def _compiled_row(robot: Robot, simulation: bytes) -> dict[str, np.ndarray]:
     values = np.frombuffer(simulation)
-    model = compile_mjcf(robot, robot.render(values))
+    model = model_of(robot, values)
     for name, expected in _constant_fields(robot).items():
         if not np.array_equal(read_field(model, name), expected):
             where = dict(zip(robot.simulation_box.names, values.tolist(), strict=True))

@@ -8,9 +8,9 @@ import numpy as np
 import polars as pl
 
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation import DISTANCE, FITNESS_FUNCTIONS
-from btr_mjx.robots import Box, Robot, robot_of
-from btr_mjx.runs import CONFIG_NAME, read_arrays, read_config_json, read_json, read_table
+from btr_mjx.models import chosen_robot
+from btr_mjx.robots import Box, Robot
+from btr_mjx.runs import read_arrays, read_config_json, read_json, read_table
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,15 +123,23 @@ def read_run(folder: Path) -> RunData:
     config = read_config_json(folder)
     result = _result(folder)
     names = list(result["simulation"])
-    function = FITNESS_FUNCTIONS.get(result["fitness"])
+    if "space" not in result:
+        raise InputError(f"{folder}: result.json has no 'space': another version wrote this run; draw it with that one")
+    space = result["space"]
     values = lambda key: np.array([float(result[key][name]) for name in names])  # noqa: E731
     count = int(result["iterations"])
     return RunData(
         fitness=result["fitness"],
-        unit=function.unit if function else "",
-        maximise=function.maximise if function else True,
-        # Other templates have the same parameters, and need not be available to draw curves.
-        box=robot_of().simulation_box.subspace(names).with_bits(config.get("simulation_bits", 8)),
+        unit=result["fitness_unit"],
+        maximise=bool(result["maximise"]),
+        # The robot's files need not be available to draw curves.
+        box=Box(
+            names,
+            [space[name]["low"] for name in names],
+            [space[name]["high"] for name in names],
+            bits=int(config.get("simulation_bits", 8)),
+            units=[space[name]["unit"] for name in names],
+        ),
         start=values("start"),
         identified=values("simulation"),
         truth=None if result["truth"] is None else values("truth"),
@@ -151,7 +159,8 @@ def read_robot(folder: Path) -> Robot:
       InputError: not a run folder, or the template of its config cannot be read.
     """
     config = read_config_json(folder)
-    return robot_of(config.get("template"), config.get("duration", robot_of().duration))
+    files = [None if config.get(key) is None else Path(config[key]) for key in ("robot", "template")]
+    return chosen_robot(files[0], files[1], config.get("duration"))
 
 
 def read_scan(folder: Path) -> ScanData:
@@ -160,15 +169,12 @@ def read_scan(folder: Path) -> ScanData:
     Raises:
       InputError: no scan, a scan that has not ended, or a damaged file.
     """
-    config = read_config_json(folder) if (folder / CONFIG_NAME).exists() else {"fitness": DISTANCE.name}
     result = _result(folder)
     arrays = read_arrays(folder / "scan.npz")
-    function, box = FITNESS_FUNCTIONS.get(config.get("fitness", "")), robot_of().simulation_box
-    parameter = str(arrays["parameter"])
     return ScanData(
-        parameter=parameter,
-        parameter_unit=box.units[box.index(parameter)] if parameter in box.names else "",
-        unit=function.unit if function else "",
+        parameter=str(arrays["parameter"]),
+        parameter_unit=result.get("parameter_unit", ""),
+        unit=result.get("fitness_unit", ""),
         grid=arrays["grid"],
         truth=float(arrays["truth"]),
         delta=arrays["delta"],

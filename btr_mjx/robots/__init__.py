@@ -5,16 +5,21 @@ robot is one more `Robot`; the commands take the hexapod unless another template
 """
 
 from btr_mjx.robots.hexapod import HEXAPOD, PAPER_REALITIES, hexapod, robot_of
-from btr_mjx.robots.robot import Robot, Signal, compiled_template
+from btr_mjx.robots.robot import Edit, Robot, Signal, compiled_template, read_template
+from btr_mjx.robots.signals import Sinusoids, Spline
 from btr_mjx.robots.spaces import Box
 
 __all__ = [
     "HEXAPOD",
     "PAPER_REALITIES",
     "Box",
+    "Edit",
     "Robot",
     "Signal",
+    "Sinusoids",
+    "Spline",
     "compiled_template",
     "hexapod",
+    "read_template",
     "robot_of",
 ]

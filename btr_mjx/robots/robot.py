@@ -1,6 +1,7 @@
 """Robot: an MJCF template, a space of simulations, a space of controllers and a reference signal.
 
-To define your own robot, write an MJCF file with Jinja2 variables for its unknown parameters and make a `Robot`:
+To define your own robot, write a robot.toml (`models.load_robot`), or an MJCF file with Jinja2 variables for its
+unknown parameters, and make a `Robot`:
 
     robot = Robot(
         name="monoped",
@@ -14,11 +15,11 @@ To define your own robot, write an MJCF file with Jinja2 variables for its unkno
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import jinja2
 import numpy as np
@@ -36,14 +37,32 @@ applied to the batch.
 """
 
 
+class Edit(Protocol):
+    """Changes numbers of a compiled model. Edits are compared and hashed, as they belong to the key of caches."""
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the parameters of S that it takes."""
+        ...
+
+    def __call__(self, model: Any, values: Sequence[float]) -> None:
+        """Change a model in place; `mj_setConst` is called after the last edit.
+
+        Args:
+          model: an `mujoco.MjModel`.
+          values: one per parameter.
+        """
+        ...
+
+
 @dataclass(frozen=True)
 class Robot:
     """A robot whose simulation is not fully known.
 
     Attributes:
       name: for run folders and figures.
-      template: Jinja2 text of the MJCF; its variables are the names of `simulation_box` and of `constants`, and the
-        functions sin, cos, radians, sqrt, min and max.
+      template: Jinja2 text of the MJCF; its variables are the names of `simulation_box` that no edit takes and of
+        `constants`, and the functions sin, cos, radians, sqrt, min and max.
       template_path: where the template came from, for messages.
       simulation_box: the space S of simulations.
       controller_box: the space C of controllers.
@@ -51,6 +70,13 @@ class Robot:
       nominal: the simulation assumed before any measurement, one value per parameter of S.
       constants: (name, value) pairs that the template needs in addition to the parameters of S.
       base_body: the body with the free joint whose position is measured; None for a robot with a fixed base.
+      edits: changes of the compiled model by the other parameters of S, in this order.
+      folder: folder of included files and meshes, "" for none.
+      plain: the text is MJCF as it stands, not a template.
+      keyframe: name of the keyframe in which trials start; "" for the model's qpos0.
+      point: site or body whose position is measured instead of the base's, for a robot with a fixed base.
+      fitness: name of the fitness function that commands use unless another is asked for.
+      target: point that the fitness function "target_distance" refers to [m].
       duration: T_e, duration of a trial [s].
       speed_limit: maximum plausible speed of the base [m/s]; a pair that exceeds it counts as diverged.
     """
@@ -64,6 +90,13 @@ class Robot:
     nominal: tuple[float, ...]
     constants: tuple[tuple[str, float], ...] = ()
     base_body: str | None = None
+    edits: tuple[Edit, ...] = ()
+    folder: str = ""
+    plain: bool = False
+    keyframe: str = ""
+    point: str = ""
+    fitness: str = "distance"
+    target: tuple[float, ...] = ()
     duration: float = 1.7
     speed_limit: float = 50.0
 
@@ -71,6 +104,8 @@ class Robot:
         self.simulation_box.validate(self.nominal, "nominal simulation")
         if not (self.duration > 0 and math.isfinite(self.duration)):
             raise InputError(f"duration: got {self.duration}, expected a positive time in seconds")
+        for edit in self.edits:
+            self.simulation_box.indices(edit.parameters)
 
     @property
     def nominal_simulation(self) -> np.ndarray:
@@ -94,11 +129,15 @@ class Robot:
             raise InputError(
                 f"simulation: got shape {values.shape}, expected one row of {self.simulation_box.n} values"
             )
-        names = dict(zip(self.simulation_box.names, values.tolist(), strict=True))
+        if self.plain:
+            return self.template
+        edited = {name for edit in self.edits for name in edit.parameters}
+        named = zip(self.simulation_box.names, values.tolist(), strict=True)
+        names = {name: value for name, value in named if name not in edited}
         try:
             return compiled_template(self.template).render(dict(self.constants) | names)
         except jinja2.UndefinedError as error:
-            known = ", ".join([*self.simulation_box.names, *dict(self.constants)])
+            known = ", ".join([*names, *dict(self.constants)])
             raise InputError(
                 f"{self.template_path}: {error.message}{_template_line(error)}; the template may use: {known}"
             ) from None

@@ -19,7 +19,9 @@ from btr_mjx.runs.files import (
     write_table,
 )
 from btr_mjx.runs.progress_bar import StopRequest, graceful_interrupt, note, progress
+from btr_mjx.runs.python_files import load_object
 from btr_mjx.runs.run_folder import IGNORED_FIELDS, RunFolder, is_unused, with_folder
+from btr_mjx.runs.toml_tables import check_keys, file_name, is_number, read_toml, toml_rows, toml_section
 
 __all__ = [
     "CONFIG_NAME",
@@ -28,18 +30,25 @@ __all__ = [
     "StopRequest",
     "atomic_write",
     "available_cores",
+    "check_keys",
     "config_to_json",
     "describe_environment",
     "differences",
+    "file_name",
     "graceful_interrupt",
+    "is_number",
     "is_unused",
+    "load_object",
     "note",
     "progress",
     "read_arrays",
     "read_config_json",
     "read_json",
     "read_table",
+    "read_toml",
     "to_plain",
+    "toml_rows",
+    "toml_section",
     "with_folder",
     "write_arrays",
     "write_figure",

@@ -240,8 +240,8 @@ def test_default_folders_do_not_collide(tmp_path: Path, monkeypatch: pytest.Monk
 def test_presets() -> None:
     paper = coevolve.parse(["--preset", "paper", "--seed", "5"])
     assert (paper.preset, paper.trials, paper.seed) == ("paper", 15, 5)
-    assert paper.unknown == ("bl_3", "bl_5", "bl_6", "bl_8")
-    assert coevolve.parse([]).unknown == ("bl_5", "bl_14")
+    assert coevolve.build_problem(paper).unknown == ("bl_3", "bl_5", "bl_6", "bl_8")
+    assert coevolve.build_problem(coevolve.parse([])).unknown == ("bl_5", "bl_14")
 
 
 def test_unknown_and_truth() -> None:

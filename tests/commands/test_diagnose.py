@@ -274,7 +274,7 @@ def test_effects_of_ones_own(tmp_path: Path) -> None:
         "backlash",
         "quadratic_damping",
     ]
-    with pytest.raises(InputError, match=r"NUMBER in .* is int, expected an Effect"):
+    with pytest.raises(InputError, match=r"NUMBER.*: got int, expected an Effect"):
         diagnose.selected_effects([f"{file}:NUMBER"])
 
 

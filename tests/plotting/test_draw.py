@@ -12,6 +12,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from btr_mjx.errors import InputError
+from btr_mjx.evaluation import FITNESS_FUNCTIONS
 from btr_mjx.plotting import draw as plots
 from btr_mjx.plotting import figures, pictures, robot_figure
 from btr_mjx.plotting.run_data import read_robot, read_run, read_scan
@@ -81,6 +82,11 @@ def write_run(
     )
     named = lambda values: dict(zip(unknown, values.tolist(), strict=True))  # noqa: E731
     result = {"fitness": fitness, "iterations": iterations, "start": named(start), "simulation": named(centre)}
+    function = FITNESS_FUNCTIONS[fitness]
+    result |= {"fitness_unit": function.unit, "maximise": function.maximise}
+    result["space"] = {
+        name: {"low": box.low[i], "high": box.high[i], "unit": box.units[i]} for i, name in enumerate(box.names)
+    }
     write_json(folder / "result.json", result | {"truth": named(real) if truth else None})
     write_json(folder / "config.json", {"template": None, "duration": 1.7, "simulation_bits": 8, "fitness": fitness})
     return folder
@@ -102,7 +108,8 @@ def write_scan(folder: Path, m=6, truth=1.6, nan=False) -> Path:
     arrays = {"parameter": np.array("bl_14"), "grid": grid, "truth": np.array(truth), "delta": delta}
     write_arrays(folder / "scan.npz", arrays | {"delta_fitness": delta.mean(axis=1)})
     numbers = {"spearman": 0.97, "spearman_left": 0.97, "spearman_right": float("nan"), "monotonicity": 0.9}
-    write_json(folder / "result.json", numbers | {"roughness": 1.2})
+    units = {"parameter_unit": "m", "fitness_unit": "m/s"}
+    write_json(folder / "result.json", numbers | {"roughness": 1.2} | units)
     write_json(folder / "config.json", {"parameter": "bl_14", "fitness": "distance"})
     return folder
 

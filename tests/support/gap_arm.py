@@ -5,10 +5,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.data import Believed, Dataset, Noise, Recording
+from btr_mjx.gap.data import Dataset, Noise, Recording
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.simulate import Command, World
 from btr_mjx.gap.windows import Options, Span, Windows, linearise, prepare
+from btr_mjx.models import PathParameter
 
 XML = """
 <mujoco>
@@ -81,7 +82,7 @@ def recording(
     return Recording(name, time, sent.at(time), seen[:, :2], seen[:, 2:], np.ones(2, bool), split, believed or arm())
 
 
-def dataset(change=None, seed=0, fit=3, test=2, parameters: tuple[Believed, ...] = (), noise=1.0):
+def dataset(change=None, seed=0, fit=3, test=2, parameters: tuple[PathParameter, ...] = (), noise=1.0):
     believed = arm()
     recordings = tuple(
         recording(f"r{i}", change, 100 * seed + i, "fit" if i < fit else "test", noise, believed, duration=0.7)

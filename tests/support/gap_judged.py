@@ -18,15 +18,8 @@ class Standing:
     held_out: float = 0.0
 
 
-def named(name, effect=None, numbers=1, each=False):
-    """A stand-in for a candidate, with a number for each member of its group or not, and its values."""
-    place = SimpleNamespace(parts=("member",) * numbers if each else ())
-    return SimpleNamespace(name=name, effect=effect or name, place=place), (1.0,) * numbers
-
-
-def as_judged(name, score, held_out=0.0, **more):
-    own = named(name, **more)
-    hypothesis = SimpleNamespace(effects=[own], numbers=len(own[1]))
+def as_judged(name, score, held_out=0.0):
+    hypothesis = SimpleNamespace(effects=[(SimpleNamespace(name=name), (1.0,))])
     return Standing(name, score, hypothesis, held_out)
 
 

@@ -1,38 +1,31 @@
 """Measured data: datasets, recordings, file formats, sensor noise.
 
 `open_dataset` detects the format of a folder and returns a `Dataset`: the believed (nominal) model, its `Recording`s,
-the parameters that may be refitted (`Believed`) and the standard deviation of the sensor noise. `save_dataset` writes
-one.
+the parameters that may be refitted (`models.PathParameter`) and the standard deviation of the sensor noise.
+`save_dataset` writes one.
 """
 
-from btr_mjx.gap.data.believed import Believed
 from btr_mjx.gap.data.columns import control_columns
 from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, load, noise_of, read_header
 from btr_mjx.gap.data.noise import Noise, estimate_noise, reduced_noise
 from btr_mjx.gap.data.recording import Recording
 from btr_mjx.gap.data.sources import open_dataset
-from btr_mjx.gap.data.toml_tables import check_keys, file_name, is_number, toml_section
 from btr_mjx.gap.data.writing import DatasetDescription, Format, save_dataset
 
 __all__ = [
     "DATASET_FILE",
-    "Believed",
     "Dataset",
     "DatasetDescription",
     "Format",
     "Interpolation",
     "Noise",
     "Recording",
-    "check_keys",
     "control_columns",
     "estimate_noise",
-    "file_name",
-    "is_number",
     "load",
     "noise_of",
     "open_dataset",
     "read_header",
     "reduced_noise",
     "save_dataset",
-    "toml_section",
 ]

@@ -41,10 +41,10 @@ from typing import Any, Literal
 import mujoco
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data.believed import Believed, read_believed
 from btr_mjx.gap.data.noise import Noise, estimate_noise, read_noise
 from btr_mjx.gap.data.recording import Recording, assign_splits, load_model, read_recording
-from btr_mjx.gap.data.toml_tables import check_keys, file_name, is_number, read_toml, toml_rows, toml_section
+from btr_mjx.models import PathParameter, read_path_parameter
+from btr_mjx.runs import check_keys, file_name, is_number, read_toml, toml_rows, toml_section
 
 DATASET_FILE = "dataset.toml"
 TABLES = ("model", "parameter", "recording", "control", "tolerances", "noise")
@@ -74,7 +74,7 @@ class Dataset:
     model: mujoco.MjModel
     model_file: Path
     spec_xml: str
-    parameters: tuple[Believed, ...]
+    parameters: tuple[PathParameter, ...]
     recordings: tuple[Recording, ...]
     interpolation: Interpolation = "linear"
     tolerances: Mapping[str, float] = field(default_factory=dict)
@@ -157,7 +157,7 @@ def read_header(folder: str | Path, more: Sequence[str] = ()) -> tuple[Dataset, 
         model_file=model_file,
         spec_xml=spec_xml,
         parameters=tuple(
-            read_believed(row, model, f"{path}: [[parameter]] {i + 1}", notes)
+            read_path_parameter(row, model, f"{path}: [[parameter]] {i + 1}", notes)
             for i, row in enumerate(toml_rows(table, "parameter", path))
         ),
         recordings=(),

@@ -13,8 +13,8 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns import SUFFIXES, state_columns
-from btr_mjx.gap.data.toml_tables import check_keys, is_number
 from btr_mjx.models import difference, part_names
+from btr_mjx.runs import check_keys, is_number
 
 NOISE_KEYS = ("qpos", "qvel", "position", "rotation", "velocity", "angular_velocity")
 DIFFERENCE_ORDER = 6

@@ -15,8 +15,8 @@ import numpy as np
 from btr_mjx.errors import InputError, one_line
 from btr_mjx.gap.data.columns import check_names, control_columns, read_columns, state_columns, ungroup_columns
 from btr_mjx.gap.data.samples import check_time, complete_rows, estimate_velocity, normalise_quaternions
-from btr_mjx.gap.data.toml_tables import check_keys, file_name, is_number
 from btr_mjx.models import set_values
+from btr_mjx.runs import check_keys, file_name, is_number
 
 MIN_SAMPLES = 20
 """Smallest number of samples of a recording."""

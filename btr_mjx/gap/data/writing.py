@@ -10,11 +10,11 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data.believed import Believed
 from btr_mjx.gap.data.columns import control_columns, state_columns
 from btr_mjx.gap.data.dataset import DATASET_FILE, Interpolation
 from btr_mjx.gap.data.noise import Noise, noise_as_table
 from btr_mjx.gap.data.recording import Recording
+from btr_mjx.models import PathParameter
 from btr_mjx.runs import atomic_write, write_arrays, write_table
 
 Format = Literal["npz", "csv", "parquet"]
@@ -46,7 +46,7 @@ class DatasetDescription:
       overrides: model numbers that differ in a recording, by recording name and path.
     """
 
-    parameters: Sequence[Believed] = ()
+    parameters: Sequence[PathParameter] = ()
     interpolation: Interpolation = "linear"
     tolerances: Mapping[str, float] | None = None
     noise: Noise | None = None

@@ -1,6 +1,5 @@
 """Selection of effects by name: from the library, or user-defined effects from a file."""
 
-import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -8,6 +7,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.effects.effect import Effect
 from btr_mjx.gap.effects.library import EFFECTS, KNOWN_EFFECTS
 from btr_mjx.models import nearest_names
+from btr_mjx.runs import load_object
 
 
 def selected_effects(names: Sequence[str]) -> tuple[Effect, ...]:
@@ -45,13 +45,7 @@ def custom_effect_code(names: Sequence[str]) -> bytes:
 
 
 def _own_effect(name: str) -> Effect:
-    file, _, attribute = name.rpartition(":")
-    spec = importlib.util.spec_from_file_location(Path(file).stem, file)
-    if spec is None or spec.loader is None or not Path(file).is_file():
-        raise InputError(f"effect {name!r}: there is no file {file}")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    effect = getattr(module, attribute, None)
+    effect = load_object(name, "effect")
     if not isinstance(effect, Effect):
-        raise InputError(f"effect {name!r}: {attribute} in {file} is {type(effect).__name__}, expected an Effect")
+        raise InputError(f"effect {name!r}: got {type(effect).__name__}, expected an Effect")
     return effect

@@ -25,9 +25,9 @@ import polars as pl
 
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import fitness_function
-from btr_mjx.gap.data import DATASET_FILE, Dataset, check_keys, file_name, is_number, read_header, toml_section
+from btr_mjx.gap.data import DATASET_FILE, Dataset, read_header
 from btr_mjx.models import nearest_names, part_names
-from btr_mjx.runs import atomic_write, read_table, write_table
+from btr_mjx.runs import atomic_write, check_keys, file_name, is_number, read_table, toml_section, write_table
 
 POSITION_FUNCTIONS = ("distance", "forward_speed")
 """Fitness functions that need the body's position only."""

@@ -1,34 +1,73 @@
 """The mended model as a robot of Back-to-Reality, whose space S is spanned by the parameters of the effects found.
 
-Each dimension of S is a parameter of an effect, within a multiple of its interval. The MJCF of the mended model is
-written at random points of that box. A number of the MJCF that depends on the parameters is replaced by a polynomial in
-them, fitted by least squares, in a Jinja2 template.
+Each dimension of S is a parameter of an effect, within a multiple of its interval. Every effect is an edit of the
+compiled model, the one that the search made, so that any engine simulates it.
 """
 
-import itertools
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.effects import KNOWN_EFFECTS, Effect, Scales
+from btr_mjx.gap.effects import KNOWN_EFFECTS, Effect, Place, Scales
 from btr_mjx.gap.results.mended_model import FoundEffect, mend, resolve_effect
 from btr_mjx.gap.results.transcribe import normalised
-from btr_mjx.robots import Box, Robot, Signal
+from btr_mjx.gap.simulate import World, differing_fields
+from btr_mjx.models import write_field
+from btr_mjx.robots import Box, Edit, Robot, Signal
 
-_NUMBER = re.compile(r'(?<=[" ])-?\d+(?:\.\d*)?(?:e[-+]?\d+)?(?=[" ])')
-_DEGREES = (1, 2, 3, 5)
-"""Degrees of the polynomials, tried in this order."""
 
-_TOLERANCE = 3e-5
-"""Largest relative error of a polynomial: MJCF that MuJoCo writes has six digits."""
+@dataclass(frozen=True)
+class EffectEdit:
+    """An effect at a place as an edit of a model, see `robots.Edit`.
 
-_MOST = 6
-"""Largest number of dimensions: the number of points at which the MJCF is written grows as their cube."""
+    Attributes:
+      effect: of the library.
+      place: in the model.
+      parameters: names of the parameters of S that are its numbers.
+    """
+
+    effect: Effect
+    place: Place
+    parameters: tuple[str, ...]
+
+    def __call__(self, model: mujoco.MjModel, values: Sequence[float]) -> None:
+        """Change the numbers of a model that the effect changes."""
+        world = World.of(model)
+        self.effect.apply(world, self.place, np.array(values))
+        for name, value in differing_fields(world, model).items():
+            write_field(model, name, value)
+
+
+@dataclass(frozen=True)
+class DelayOrLagEdit:
+    """A delay or a lag of commands as an edit of a model whose actuators have one.
+
+    Attributes:
+      field: of MjModel.
+      actuators: their ids.
+      believed: value of the field without the effect, by actuator.
+      parameters: name of the parameter of S, one.
+    """
+
+    field: str
+    actuators: tuple[int, ...]
+    believed: tuple[float, ...]
+    parameters: tuple[str, ...]
+
+    def __call__(self, model: mujoco.MjModel, values: Sequence[float]) -> None:
+        """Change delays or time constants."""
+        column = getattr(model, self.field).reshape(len(model.actuator_trntype), -1)[:, 0]
+        column[list(self.actuators)] = np.array(self.believed) + values[0]
+
+
+_COMMAND_FIELDS = {"actuator_delay": "actuator_delay", "actuator_lag": "actuator_dynprm"}
+"""Effects on commands that MuJoCo's actuators have themselves, and the fields with their sizes."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +112,7 @@ def mended_robot(
       The robot; its nominal simulation is the mended model.
 
     Raises:
-      InputError: an effect that MJCF cannot express, too many parameters, or numbers that no polynomial follows.
+      InputError: an effect that MJCF cannot express, or no parameters.
     """
     found = [FoundEffect.from_result(entry) for entry in effects_found]
     mended = mend(source, found, believed=believed, effects=effects)
@@ -81,25 +120,35 @@ def mended_robot(
         lacking = ", ".join(f"{term['effect']}@{term['location']}" for term in mended.terms)
         raise InputError(f"{lacking}: MJCF has no such term, so that it cannot be a simulation of Back-to-Reality")
     names, nominal, low, high = _box(source, found, effects_found, widen, effects)
-    if not names or len(names) > _MOST:
-        raise InputError(f"effects with {len(names)} parameters: expected 1 to {_MOST}")
-    point = np.array(nominal)
-
-    def text(values: np.ndarray) -> str:
-        rest = list(values.tolist())
-        items = [FoundEffect(i.effect, i.location, {key: rest.pop(0) for key in i.values}) for i in found]
-        return mend(source, items, believed=believed, effects=effects).xml
-
-    template = _template(text, names, np.array(low), np.array(high))
+    if not names:
+        raise InputError("effects: got none with parameters, expected at least one")
+    # Actuators have their delays and lags at compilation, at the largest size, which sets the length of the history.
+    of_command = [i for i, item in enumerate(found) if item.effect in _COMMAND_FIELDS]
+    first = np.cumsum([0, *(len(item.values) for item in found)])
+    largest = [replace(found[i], values={key: high[first[i]] for key in found[i].values}) for i in of_command]
+    base = mend(source, largest, believed=believed, effects=effects).xml
+    model, edits = normalised(source).compile(), list[Edit]()
+    for i, item in enumerate(found):
+        effect, place, _ = resolve_effect(model, item, effects)
+        own = tuple(names[first[i] : first[i + 1]])
+        if i in of_command:
+            field = _COMMAND_FIELDS[item.effect]
+            # A lag replaces no other: MuJoCo's default of an actuator without one is 1.
+            known = model.actuator_delay[list(place.actuators)] * (item.effect == "actuator_delay")
+            edits.append(DelayOrLagEdit(field, place.actuators, tuple(known.tolist()), own))
+        else:
+            edits.append(EffectEdit(effect, place, own))
     return Robot(
         name=name,
-        template=template,
-        template_path=f"{name}.xml.j2",
+        template=base,
+        template_path=f"{name}.xml",
         simulation_box=Box(names, low, high),
         controller_box=trial.controller_box,
         signal=trial.signal,
-        nominal=tuple(point.tolist()),
+        nominal=tuple(nominal),
         base_body=trial.base_body,
+        edits=tuple(edits),
+        plain=True,
         duration=trial.duration,
     )
 
@@ -126,74 +175,8 @@ def _box(
             parameter = bounds[key]
             reach = widen * max(abs(float(given.get(end, value)) - value) for end in ("low", "high"))
             reach = reach or 0.2 * abs(value) or abs(parameter.step)
-            names.append(re.sub(r"\W+", "_", f"{item.effect}_{item.location}_{key}"))
+            names.append(re.sub(r"\W+", "_", f"{item.effect}_{item.location}_{key}").strip("_"))
             nominal.append(value)
             low.append(max(value - reach, min(parameter.low, value)))
             high.append(min(value + reach, max(parameter.high, value)))
     return names, nominal, low, high
-
-
-def _template(text: Any, names: Sequence[str], low: np.ndarray, high: np.ndarray) -> str:
-    """Jinja2 template that renders to `text(values)`, up to rounding, at every point of the box."""
-    rng = np.random.default_rng(0)
-    count = 3 * len(_monomials(len(names), _DEGREES[-1])) if len(names) == 1 else 3 * len(_monomials(len(names), 3))
-    unit = np.concatenate(
-        [rng.uniform(-1, 1, (count, len(names))), 0.999 * np.sign(rng.uniform(-1, 1, (4, len(names))))]
-    )
-    texts = [text(low + (high - low) * (u + 1) / 2) for u in unit]
-    skeletons = {_NUMBER.sub("#", one) for one in texts}
-    if len(skeletons) != 1:
-        raise InputError("the mended MJCF changes its form within the box of the parameters; expected only its numbers")
-    tokens = np.array([[float(t) for t in _NUMBER.findall(one)] for one in texts])
-    written = _NUMBER.findall(texts[0])
-    out = []
-    for i, values in enumerate(tokens.T):
-        if (values == values[0]).all():
-            out.append(written[i])
-            continue
-        out.append(_expression(unit, values, names, low, high))
-    pieces = _NUMBER.split(texts[0])
-    # Names with "{{" are not supported: Jinja2 would read them as expressions.
-    return "".join(itertools.chain.from_iterable(itertools.zip_longest(pieces, out, fillvalue="")))
-
-
-def _monomials(variables: int, degree: int) -> list[tuple[int, ...]]:
-    powers = itertools.product(range(degree + 1), repeat=variables)
-    return sorted((p for p in powers if sum(p) <= degree), key=lambda p: (sum(p), p))
-
-
-def _expression(unit: np.ndarray, values: np.ndarray, names: Sequence[str], low: np.ndarray, high: np.ndarray) -> str:
-    """The polynomial of least degree that fits the values, as a Jinja2 expression."""
-    if np.isclose(values, np.round(values)).all() and float(np.ptp(values)) >= 1:
-        # A count, such as the length of a delay's history: the largest one is enough for the whole box.
-        return str(int(values.max()))
-    size = max(float(np.abs(values).max()), 1e-12)
-    for degree in _DEGREES:
-        monomials = _monomials(unit.shape[1], degree)
-        if 2 * len(monomials) > len(values):
-            break
-        columns = np.stack([np.prod(unit ** np.array(m), axis=1) for m in monomials], axis=1)
-        weights = np.linalg.lstsq(columns, values, rcond=None)[0]
-        if np.abs(columns @ weights - values).max() <= _TOLERANCE * size:
-            return _jinja(weights, monomials, names, low, high, size)
-    raise InputError(f"a number of the mended MJCF ({values.min():.6g} to {values.max():.6g}) follows no polynomial")
-
-
-def _jinja(
-    weights: np.ndarray,
-    monomials: Sequence[tuple[int, ...]],
-    names: Sequence[str],
-    low: np.ndarray,
-    high: np.ndarray,
-    size: float,
-) -> str:
-    centre, half = (low + high) / 2, (high - low) / 2
-    scaled = [f"(({n}) - ({c!r})) / ({h!r})" for n, c, h in zip(names, centre.tolist(), half.tolist(), strict=True)]
-    terms = []
-    for weight, powers in zip(weights.tolist(), monomials, strict=True):
-        if abs(weight) > 1e-9 * size:
-            factors = [f"({weight!r})"] + [
-                f"({x})" for x, power in zip(scaled, powers, strict=True) for _ in range(power)
-            ]
-            terms.append(" * ".join(factors))
-    return "{{ " + (" + ".join(terms) or "0") + " }}"

@@ -10,11 +10,11 @@ import pytest
 from gap_recordings import COUNT, MODEL, XML, smooth_recording
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data import Believed, DatasetDescription, Format, Noise, control_columns, load, noise_of, save_dataset
+from btr_mjx.gap.data import DatasetDescription, Format, Noise, control_columns, load, noise_of, save_dataset
 from btr_mjx.gap.data.columns import state_columns
 from btr_mjx.gap.data.samples import estimate_velocity
 from btr_mjx.gap.data.writing import recording_columns
-from btr_mjx.models import parse_path, part_names, set_values
+from btr_mjx.models import PathParameter, parse_path, part_names, set_values
 from btr_mjx.runs import write_arrays
 
 
@@ -30,8 +30,8 @@ def folder(tmp_path: Path, rng: np.random.Generator) -> Path:
 def test_write_read_round_trip(tmp_path: Path, rng: np.random.Generator, file_format: Format) -> None:
     recordings = [smooth_recording("one", rng), smooth_recording("two", rng, "test")]
     noise = Noise(np.array([1, 1, 1, 2, 2, 2, 3, 4, 4, 4]) * 1e-3, np.arange(1, 11) * 1e-2)
-    believed = Believed("hip damping", ("joint:hip/damping",), 0.1, 2.0)
-    pair = Believed("strength", ("actuator:hip_motor/kp", "actuator:hip_motor/kv"), 0.5, 2.0, relative=True)
+    believed = PathParameter("hip damping", ("joint:hip/damping",), 0.1, 2.0)
+    pair = PathParameter("strength", ("actuator:hip_motor/kp", "actuator:hip_motor/kv"), 0.5, 2.0, relative=True)
     save_dataset(
         tmp_path,
         XML,

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 from gap_judged import as_judged
 
-from btr_mjx.gap.inference.search.naming import acceptable, simplest
+from btr_mjx.gap.inference.search.naming import acceptable
 from btr_mjx.gap.inference.verdict.outcome import equivalent
 
 
@@ -100,13 +100,3 @@ def test_contacts_without_a_name_give_way_to_what_held_out_recordings_say_more_o
     monkeypatch.setattr("btr_mjx.gap.inference.search.naming.within_calibration", lambda bench, j: False)
     out = acceptable(SimpleNamespace(contact_sensitive=frozenset("mn")), judged, None)
     assert "".join(j.hypothesis.effects[-1][0].name for j in out) == order
-
-
-def test_one_number_is_named_where_a_number_for_each_joint_explains_no_more():
-    each = as_judged("friction@each:all", 15000.0, effect="friction", numbers=3, each=True)
-    single = as_judged("friction@joint:knee", 14950.0, effect="friction")
-    group = as_judged("friction@all", 14960.0, effect="friction")
-    other = as_judged("armature@joint:knee", 14980.0, effect="armature")
-    assert simplest([each, other, group, single]) is group
-    assert simplest([each, other]) is each
-    assert simplest([other, group]) is other

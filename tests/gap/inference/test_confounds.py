@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from gap_arm import QUICK, damped, dataset
 
-from btr_mjx.gap.data import Believed
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.inference import Bench
 from btr_mjx.gap.inference.search.search_records import Judged
 from btr_mjx.gap.inference.verdict.confounds import Rest, closest, confounds
 from btr_mjx.gap.results import confound_sentence, refit_sentence
+from btr_mjx.models import PathParameter
 
 
 @pytest.mark.parametrize("wide", [True, False], ids=["free nuisances", "held nuisances"])
@@ -51,7 +51,7 @@ def test_no_nuisances_leave_the_plain_correlation(rng: np.random.Generator) -> N
 
 def test_all_candidates_at_once_against_each_alone(rng: np.random.Generator) -> None:
     """What the scanner's inner products say of a signature is what its columns do."""
-    bench, leader = damping_found((Believed("servo kp", ("actuator:shoulder/kp",), 10.0, 30.0),))
+    bench, leader = damping_found((PathParameter("servo kp", ("actuator:shoulder/kp",), 10.0, 30.0),))
     weights = rng.uniform(0.2, 1.0, len(bench.fit.windows))
     signature, free = leader.refined.columns[-1], bench.free(bench.fit)
     gram = bench.scanner.left(signature, weights, free.precision)
@@ -66,7 +66,7 @@ def test_all_candidates_at_once_against_each_alone(rng: np.random.Generator) -> 
     assert checked > 2
 
 
-def damping_found(believed: tuple[Believed, ...]) -> tuple[Bench, Judged]:
+def damping_found(believed: tuple[PathParameter, ...]) -> tuple[Bench, Judged]:
     """A search among recordings of an arm with more damping at the elbow, and that leader."""
     library = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "armature", "load_friction"))
     bench = Bench(dataset(damped, seed=1, fit=2, test=1, parameters=believed), library, QUICK)
@@ -76,8 +76,8 @@ def damping_found(believed: tuple[Believed, ...]) -> tuple[Bench, Judged]:
 def test_servo_damping_is_mistaken_for_joint_damping() -> None:
     """A servo's velocity gain damps exactly as its joint does; its stiffness does not."""
     believed = (
-        Believed("servo kv", ("actuator:elbow/kv",), 0.0, 2.0),
-        Believed("servo kp", ("actuator:shoulder/kp",), 10.0, 30.0),
+        PathParameter("servo kv", ("actuator:elbow/kv",), 0.0, 2.0),
+        PathParameter("servo kp", ("actuator:shoulder/kp",), 10.0, 30.0),
     )
     bench, leader = damping_found(believed)
     found = confounds(bench, bench.base, [leader])
@@ -90,7 +90,7 @@ def test_servo_damping_is_mistaken_for_joint_damping() -> None:
 
 
 def test_a_believed_number_that_gave_way_is_told() -> None:
-    bench, leader = damping_found((Believed("elbow inertia", ("joint:elbow/armature",), 0.0, 0.05),))
+    bench, leader = damping_found((PathParameter("elbow inertia", ("joint:elbow/armature",), 0.0, 0.05),))
     before = bench.base.believed[0]
     for step, told in ((0.0, []), (0.0005, []), (0.01, [refit_sentence("elbow inertia", before, before + 0.01)])):
         went = dataclasses.replace(leader.hypothesis, believed=(before + step,))

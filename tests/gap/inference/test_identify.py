@@ -8,7 +8,6 @@ from gap_arm import LIBRARY, QUICK, damped, dataset, recording
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data import Believed
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.effects.similar import HARDENING_SPRING
 from btr_mjx.gap.inference import Bench, Hypothesis, identify
@@ -16,6 +15,7 @@ from btr_mjx.gap.inference.scoring.gains import fall, luckiest
 from btr_mjx.gap.inference.scoring.hypotheses import unknowns
 from btr_mjx.gap.inference.verdict.outcome import equivalent, overlays
 from btr_mjx.gap.windows import Fit
+from btr_mjx.models import PathParameter
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +129,7 @@ def test_the_noise_floor_is_that_of_the_data(noise):
 
 
 def test_believed_numbers_are_refitted_before_anything_is_called_missing():
-    believed = (Believed("elbow damping", ("joint:elbow/damping",), 0.0, 1.0),)
+    believed = (PathParameter("elbow damping", ("joint:elbow/damping",), 0.0, 1.0),)
     found = identify(dataset(damped, seed=1, parameters=believed), LIBRARY, options=QUICK)
     assert found.verdict == "none"
     (row,) = found.believed
@@ -220,7 +220,7 @@ def test_both_sides_of_the_split_are_needed():
 def test_hypotheses_keep_their_numbers_in_order():
     bench = Bench(dataset(damped, seed=1, fit=2, test=1), LIBRARY, QUICK)
     first, second = bench.candidates[0], next(c for c in bench.candidates if c.effect.name == "actuator_gain")
-    believed = (Believed("elbow damping", ("joint:elbow/damping",), 0.0, 1.0),)
+    believed = (PathParameter("elbow damping", ("joint:elbow/damping",), 0.0, 1.0),)
     made = Hypothesis(believed, (0.2,)).with_effect(first, [0.3]).with_effect(second, [0.004])
     np.testing.assert_allclose(made.values(True), [0.2, 0.3, 0.004])
     again = made.replaced(np.array([0.1, 0.2, 0.3]), True)

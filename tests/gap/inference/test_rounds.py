@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 import pytest
-from gap_judged import Standing, named
+from gap_judged import Standing
 
 from btr_mjx.gap.inference.search import naming, rounds
 
@@ -32,10 +32,8 @@ class Stage:
 
     def judged(self, name, scores=None):
         scores = scores or self.scores
-        effects = [named(letter) for letter in name]
-        hypothesis = SimpleNamespace(
-            effects=effects, numbers=len(name), with_effect=lambda candidate, values: name + candidate.name
-        )
+        effects = [(SimpleNamespace(name=letter), (1.0,)) for letter in name]
+        hypothesis = SimpleNamespace(effects=effects, with_effect=lambda candidate, values: name + candidate.name)
         known = {frozenset(own): score for own, score in scores.items()}
         return Standing(name, known.get(frozenset(name), 0.0), hypothesis)
 
@@ -58,7 +56,7 @@ class Stage:
     def beside(self, given, hypothesis):
         return self.judged(hypothesis)
 
-    def names(self, most=2):
+    def named(self, most=2):
         return [j.name for j in rounds.search(self, most, lambda word: None)[1]]
 
 
@@ -70,8 +68,8 @@ def test_a_name_that_later_ones_make_worthless_is_dropped(monkeypatch):
     assert [j.name for j in named] == ["b", "bc"]
     assert [[j.name for j in one] for one in found] == [["b", "a"], ["bc"]]
     stage.scores |= {"bc": 900.0}
-    assert stage.names(3) == ["a", "ab", "abc"]
-    assert stage.names(2) == ["a", "ab"]
+    assert stage.named(3) == ["a", "ab", "abc"]
+    assert stage.named(2) == ["a", "ab"]
 
 
 def test_the_first_effect_gives_way_to_a_rival_with_which_both_explain_more(monkeypatch):
@@ -93,15 +91,15 @@ def test_the_first_effect_gives_way_to_a_rival_with_which_both_explain_more(monk
 )
 def test_rivals_that_explain_no_more_change_nothing(monkeypatch, changed):
     scores = {"a": 500.0, "b": 450.0, "c": 100.0, "ac": 560.0, "bc": 700.0} | changed
-    assert Stage(monkeypatch, scores).names() == ["a", "ac"]
+    assert Stage(monkeypatch, scores).named() == ["a", "ac"]
 
 
 def test_one_rival_only_is_tried_again(monkeypatch):
     scores = {"a": 500.0, "d": 460.0, "b": 450.0, "c": 100.0, "ac": 560.0, "dc": 400.0, "bc": 700.0}
     stage = Stage(monkeypatch, scores)
-    assert stage.names() == ["a", "ac"]
+    assert stage.named() == ["a", "ac"]
     stage.scores |= {"d": 430.0}
-    assert stage.names() == ["b", "bc"]
+    assert stage.named() == ["b", "bc"]
 
 
 def test_beside_what_is_barely_seen_no_second_effect_is_sought(monkeypatch):
@@ -110,16 +108,16 @@ def test_beside_what_is_barely_seen_no_second_effect_is_sought(monkeypatch):
     assert [j.name for j in named] == ["a"]
     assert len(found) == 1
     stage.scores = {"a": 26.0, "ab": 90.0}
-    assert stage.names() == ["a", "ab"]
+    assert stage.named() == ["a", "ab"]
 
 
 def test_whoever_leads_beside_another_effect_has_been_judged_again(monkeypatch):
     scores = {"a": 500.0, "ab": 560.0, "ac": 550.0, "ad": 490.0}
     stage = Stage(monkeypatch, scores, {"ab": 540.0, "ac": 570.0})
-    assert stage.names() == ["a", "ac"]
+    assert stage.named() == ["a", "ac"]
     assert stage.asked == ["ab", "ac"]
     stage = Stage(monkeypatch, {"a": 500.0, "ab": 505.0, "ad": 490.0}, {"ab": 540.0})
-    assert stage.names() == ["a", "ab"]  # too weak for a name before
+    assert stage.named() == ["a", "ab"]  # too weak for a name before
     stage = Stage(monkeypatch, {"a": 500.0, "ab": 530.0, "ad": 490.0}, {"ab": 510.0})
-    assert stage.names() == ["a"]  # a name before, and none any more
+    assert stage.named() == ["a"]  # a name before, and none any more
     assert stage.asked == ["ab"]

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data import Believed, Dataset, Recording
+from btr_mjx.gap.data import Dataset, Recording
 from btr_mjx.gap.preflight import Finding, preflight, refuse_errors
+from btr_mjx.models import PathParameter
 from btr_mjx.testing import case_robot
 
 ROBOT = case_robot("arm")
@@ -129,7 +130,7 @@ def test_commands_after_responses_are_warned_about() -> None:
 
 
 def test_parameters_at_bounds_are_warnings() -> None:
-    data = dataclasses.replace(SOUND, parameters=(Believed("elbow damping", ("joint:elbow/damping",), 0.3, 2.0),))
+    data = dataclasses.replace(SOUND, parameters=(PathParameter("elbow damping", ("joint:elbow/damping",), 0.3, 2.0),))
     assert any("'elbow damping' starts at its bound" in message for message in of_level(preflight(data), "warning"))
 
 

@@ -22,6 +22,7 @@ def entry(effect: str, location: str, **values: tuple[float, float]) -> dict:
     return {"effect": effect, "location": location, "parameters": parameters}
 
 
+COMMANDS = ("actuator_delay", "actuator_dynprm", "dof_armature")
 CASES = {
     "damping": [entry("viscous_damping", "joint:knee0", damping=(0.6, 0.1))],
     "two": [
@@ -30,19 +31,33 @@ CASES = {
     ],
     "length": [entry("link_length", "body:shank0", change=(0.02, 0.004))],
     "payload": [entry("payload", "body:head", mass=(0.5, 0.1))],
+    "delay": [entry("actuator_delay", "all", delay=(0.01, 0.002))],
+    "lag": [entry("actuator_lag", "actuator:hip0", time_constant=(0.02, 0.004))],
+    "each": [
+        entry("armature", "each:subtree:thigh0", **{"armature[hip0]": (0.01, 0.002), "armature[knee0]": (0.02, 0.003)})
+    ],
 }
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_the_template_is_the_mended_model_at_every_point_of_its_box(case: str, rng: np.random.Generator) -> None:
+def test_a_simulation_is_the_mended_model_at_every_point_of_its_box(case: str, rng: np.random.Generator) -> None:
     robot = mended_robot(QUADRUPED, CASES[case], ControllerTrial(signal, CONTROLLERS, base_body="torso"))
     found = [FoundEffect.from_result(e) for e in CASES[case]]
     for values in [robot.nominal_simulation, *robot.simulation_box.sample(rng, 3)]:
         rest = list(values)
         items = [FoundEffect(f.effect, f.location, {name: rest.pop(0) for name in f.values}) for f in found]
         expected = mujoco.MjModel.from_xml_string(mend(QUADRUPED, items).xml)
-        ours = mujoco.MjModel.from_xml_string(robot.render(values))
-        for field in ("dof_damping", "body_mass", "body_pos", "body_ipos", "geom_pos", "geom_size", "actuator_gainprm"):
+        ours = compile_models(robot, values).row(0)
+        for field in (
+            "dof_damping",
+            "body_mass",
+            "body_pos",
+            "body_ipos",
+            "geom_pos",
+            "geom_size",
+            "actuator_gainprm",
+            *COMMANDS,
+        ):
             np.testing.assert_allclose(getattr(ours, field), getattr(expected, field), rtol=1e-4, atol=1e-6)
         np.testing.assert_allclose(ours.opt.gravity, expected.opt.gravity, rtol=1e-4, atol=1e-6)
         np.testing.assert_allclose(ours.dof_M0, expected.dof_M0, rtol=1e-4)

@@ -10,7 +10,7 @@ import polars as pl
 import pytest
 from gap_models import QUADRUPED
 
-from btr_mjx.gap.data import Believed, Dataset
+from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.report import draw_report
 from btr_mjx.gap.results import (
     Confound,
@@ -27,6 +27,7 @@ from btr_mjx.gap.results import (
     save_diagnosis,
 )
 from btr_mjx.gap.results.saved import place_of_disagreement
+from btr_mjx.models import PathParameter
 from btr_mjx.runs import read_arrays, read_json
 
 REGIMES = ("all", "slow", "fast", "low load", "high load", "contact", "air", "early", "late")
@@ -72,8 +73,8 @@ def dataset(tmp_path: Path) -> Dataset:
     file = tmp_path / "robot.xml"
     file.write_text(QUADRUPED)
     parameters = (
-        Believed("knee damping", ("joint:knee0/damping",), 0.0, 2.0),
-        Believed("hip gain", ("actuator:hip0/kp", "actuator:hip0/kv"), 0.5, 2.0, relative=True),
+        PathParameter("knee damping", ("joint:knee0/damping",), 0.0, 2.0),
+        PathParameter("hip gain", ("actuator:hip0/kp", "actuator:hip0/kv"), 0.5, 2.0, relative=True),
     )
     return Dataset(tmp_path, mujoco.MjModel.from_xml_string(QUADRUPED), file, QUADRUPED, parameters, ())
 

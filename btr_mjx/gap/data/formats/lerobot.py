@@ -28,9 +28,8 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns import SUFFIXES
 from btr_mjx.gap.data.dataset import Dataset, read_header
 from btr_mjx.gap.data.recording import Recording, assign_splits, make_recording
-from btr_mjx.gap.data.toml_tables import check_keys
 from btr_mjx.models import nearest_names, part_names
-from btr_mjx.runs import read_json, read_table
+from btr_mjx.runs import check_keys, read_json, read_table
 
 INFO = Path("meta") / "info.json"
 STATE, ACTION = "observation.state", "action"

@@ -23,10 +23,10 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import DamagedFile, InputError
-from btr_mjx.gap.data.believed import Believed
 from btr_mjx.gap.data.dataset import Dataset
 from btr_mjx.gap.data.recording import Recording, Split, assign_splits, make_recording
-from btr_mjx.gap.data.toml_tables import check_keys, is_number, read_toml, toml_section
+from btr_mjx.models import PathParameter
+from btr_mjx.runs import check_keys, is_number, read_toml, toml_section
 
 SERVO_FILE = "servo.toml"
 _TIMESTEP = 0.002
@@ -44,15 +44,15 @@ COLUMNS: Mapping[str, str] = {
 }
 """Column name by entry of the JSON file."""
 PARAMETERS = (
-    Believed(
+    PathParameter(
         "motor strength (torque per volt)",
         ("actuator:servo/kp", "actuator:servo/forcerange[0]", "actuator:servo/forcerange[1]"),
         0.5,
         2.0,
         relative=True,
     ),
-    Believed("back-EMF and viscous friction", ("joint:servo/damping",), 0.25, 4.0, relative=True),
-    Believed("rotor inertia", ("joint:servo/armature",), 0.25, 4.0, relative=True),
+    PathParameter("back-EMF and viscous friction", ("joint:servo/damping",), 0.25, 4.0, relative=True),
+    PathParameter("rotor inertia", ("joint:servo/armature",), 0.25, 4.0, relative=True),
 )
 """Parameters that may be refitted: factors on the nominal values."""
 
@@ -233,7 +233,7 @@ def _compile(servo: Servo, setting: Sequence[float], file: Path) -> mujoco.MjMod
         raise InputError(f"{file}: MuJoCo does not accept the servo that follows from its values: {error}") from None
 
 
-def _parameters(recordings: Sequence[Recording]) -> tuple[Believed, ...]:
+def _parameters(recordings: Sequence[Recording]) -> tuple[PathParameter, ...]:
     """The parameters whose nominal value is nonzero in every recording."""
     fitted = []
     for believed in PARAMETERS:

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field, replace
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.data import Believed
 from btr_mjx.gap.effects import Candidate
 from btr_mjx.gap.inference.scoring.refine import Nuisance, Unknowns, refine
 from btr_mjx.gap.simulate import World
 from btr_mjx.gap.windows import MakeWorld, Windows, typical_chi2
+from btr_mjx.models import PathParameter
 
 CONTACT_STEP = 0.15
 """Finite-difference steps of candidates that move contacts are smaller by this factor."""
@@ -29,7 +29,7 @@ class Hypothesis:
       effects: candidates with their values.
     """
 
-    parameters: tuple[Believed, ...]
+    parameters: tuple[PathParameter, ...]
     believed: tuple[float, ...]
     effects: tuple[tuple[Candidate, tuple[float, ...]], ...] = ()
     _worlds: dict[int, tuple[mujoco.MjModel, World]] = field(
@@ -85,7 +85,7 @@ class Hypothesis:
         return replace(self, believed=believed, effects=tuple(effects))
 
 
-def believed_steps(parameters: Sequence[Believed], values: Sequence[float]) -> np.ndarray:
+def believed_steps(parameters: Sequence[PathParameter], values: Sequence[float]) -> np.ndarray:
     """Finite-difference steps of what may be refitted (P,)."""
     steps = []
     for parameter, value in zip(parameters, values, strict=True):

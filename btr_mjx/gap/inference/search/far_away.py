@@ -5,17 +5,16 @@ heavy as believed look like springs, and the best six of a scan may all be sprin
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 import numpy as np
 
 from btr_mjx.gap.effects import Candidate
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
 from btr_mjx.gap.inference.scoring.refine import Refined
-from btr_mjx.gap.inference.scoring.scanner import Lead
-
-if TYPE_CHECKING:
-    from btr_mjx.gap.inference.search.search import Bench, Started
+from btr_mjx.gap.inference.scoring.scanner import Lead, Scanner
+from btr_mjx.gap.inference.search.search_records import Side, Started
+from btr_mjx.gap.windows import Fit, Options, Survey
 
 _FAR = 3.0
 """Chi^2 per degree of freedom of the best leader above which this is done."""
@@ -25,12 +24,46 @@ _TIMES, _NEARER = 4, 0.7
 another one. A delay of 6 ms was 6.7 ms, and 69 was left of 932 where 2 is, after the first time."""
 
 
+class Searching(Protocol):
+    """What is needed of a `search.Bench`."""
+
+    base: Hypothesis
+    candidates: list[Candidate]
+    dispersion: float
+    fit: Side
+    options: Options
+    reference: tuple[Fit, Fit]
+    scanner: Scanner
+    survey: Survey
+
+    @property
+    def joint(self) -> bool:
+        """See `Bench`."""
+        ...
+
+    def settle(self, best: Any) -> None:
+        """See `Bench`."""
+        ...
+
+    def started(self, start: Hypothesis, candidate: Candidate, values: Sequence[np.ndarray]) -> Started:
+        """See `Bench`."""
+        ...
+
+    def refined(self, side: Side, hypotheses: Sequence[Started], count: Sequence[int], reference: Fit) -> list[Refined]:
+        """See `Bench`."""
+        ...
+
+    def linearise_around(self, hypothesis: Hypothesis) -> None:
+        """See `Bench`."""
+        ...
+
+
 def nearer(
-    bench: "Bench",
+    bench: Searching,
     leads: Sequence[Lead],
-    hypotheses: Sequence["Started"],
+    hypotheses: Sequence[Started],
     found: list[Refined],
-) -> tuple[list["Started"], list[Refined]]:
+) -> tuple[list[Started], list[Refined]]:
     """Leaders of the first round after more has been done to come near the noise, if they were far from it.
 
     The dispersion of the bench is what is left in the end.
@@ -63,8 +96,8 @@ def nearer(
 
 
 def _with(
-    bench: "Bench", hypotheses: list["Started"], found: list[Refined], more: list["Started"]
-) -> tuple[list["Started"], list[Refined]]:
+    bench: Searching, hypotheses: list[Started], found: list[Refined], more: list[Started]
+) -> tuple[list[Started], list[Refined]]:
     """Leaders and more of them, refined, each candidate once; the dispersion is that of the best."""
     rows = {own.name: (own, refined) for (own, _), refined in zip(hypotheses, found, strict=True)}
     starts = {own.name: values for own, values in [*more, *hypotheses]}
@@ -76,7 +109,7 @@ def _with(
     return [(own, starts[own.name]) for own, _ in rows.values()], [refined for _, refined in rows.values()]
 
 
-def _at_other_places(bench: "Bench", leader: Hypothesis) -> list["Started"]:
+def _at_other_places(bench: Searching, leader: Hypothesis) -> list[Started]:
     """The leader's effect at places that share joints with its own, with its numbers there."""
     candidate, values = leader.effects[-1]
     moved = [(other, transferred(candidate, values, other)) for other in bench.candidates if other is not candidate]
@@ -106,7 +139,7 @@ def transferred(candidate: Candidate, values: Sequence[float], other: Candidate)
     return moved if other.place.parts else moved[[label in known for label in theirs]].mean(keepdims=True)
 
 
-def _refined_further(bench: "Bench", hypotheses: Sequence["Started"], found: list[Refined]) -> list[Refined]:
+def _refined_further(bench: Searching, hypotheses: Sequence[Started], found: list[Refined]) -> list[Refined]:
     """Leaders refined on, each time in windows that are linearised around the best, of a robot that touches nothing.
 
     A few steps from far away do not lead to the best size, starting states of the believed model tell little beside

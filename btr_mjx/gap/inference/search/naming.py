@@ -100,22 +100,8 @@ def acceptable(
         close += list(judged)[: ahead + 1]
     elif 0 < ahead < len(judged) and judged[ahead].held_out > max(j.held_out for j in judged[:ahead]):
         close.append(judged[ahead])
-    may_be_named = [j for j in close if accepted(bench, j, given, share)]
-    if not may_be_named:
-        return list(judged)
-    first = simplest(may_be_named)
-    return [first, *(j for j in judged if j is not first)]
-
-
-def simplest(close: Sequence[Judged]) -> Judged:
-    """The first of some candidates that are alike, or one of the same effect with fewer numbers.
-
-    Args:
-      close: best first, at least one.
-    """
-    (first, _), count = close[0].hypothesis.effects[-1], close[0].hypothesis.numbers
-    fewer = [j for j in close if j.hypothesis.effects[-1][0].effect is first.effect and j.hypothesis.numbers < count]
-    return min(fewer, key=lambda j: j.hypothesis.numbers, default=close[0]) if first.place.parts else close[0]
+    first = next((j for j in close if accepted(bench, j, given, share)), None)
+    return list(judged) if first is None else [first, *(j for j in judged if j is not first)]
 
 
 def accepted(bench: Bench, judged: Judged, given: Judged | None, share: float = SECOND_SHARE) -> bool:

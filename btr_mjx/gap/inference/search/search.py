@@ -32,7 +32,7 @@ from btr_mjx.gap.inference.scoring.screening import (
 from btr_mjx.gap.inference.search.contact_scan import contact_scan, with_contacts, with_line_search
 from btr_mjx.gap.inference.search.far_away import nearer
 from btr_mjx.gap.inference.search.line_search import LineSearch
-from btr_mjx.gap.inference.search.search_records import Judged, Side
+from btr_mjx.gap.inference.search.search_records import Judged, Side, Started
 from btr_mjx.gap.inference.search.shortlist import pick, starts
 from btr_mjx.gap.simulate import Counter, run_in_threads
 from btr_mjx.gap.windows import (
@@ -64,10 +64,6 @@ _QUIETER = 4
 
 _FEW = 6
 """Up to so many believed numbers are refitted together with every leader."""
-
-Started = tuple[Hypothesis, list[np.ndarray]]
-"""A hypothesis, and the free numbers from which its refinement may start."""
-
 
 _STRONG = 3.0
 """Chi^2 that the believed model leaves, in units of what the best leaves, beyond which an effect is strong."""
@@ -190,7 +186,12 @@ class Bench:
 
     @property
     def strong(self) -> bool:
-        """Whether what is missing is so strong that starting states of the believed model tell little beside it."""
+        """Whether what is missing is so strong that starting states of the believed model tell little beside it.
+
+        Where the robot touches the world, directions of their own are for what is contact-sensitive.
+        """
+        if self.survey.contact:
+            return False
         usual = typical_chi2(self.reference[0].chi2, self.fit.windows.freedom)
         return usual > _STRONG * self.dispersion * self.fit.windows.freedom
 

@@ -67,6 +67,10 @@ def nearest(sides: Sequence[Side]) -> Side:
     return sides[0].mixed(sides[1:], np.argmin(raw, 0))
 
 
+Started = tuple[Hypothesis, list[np.ndarray]]
+"""A hypothesis, and the free numbers from which its refinement may start."""
+
+
 @dataclass(frozen=True, eq=False)
 class Judged:
     """A refined hypothesis and what the data say of it.

@@ -1,0 +1,260 @@
+"""A robot from one file: `load_robot("robot.toml")`.
+
+    model = "robot.xml"            # MJCF, or a Jinja2 template (robot.xml.j2)
+    base_body = "trunk"            # or point = "hand" for a robot with a fixed base
+    duration = 2.0
+    keyframe = "home"
+
+    [[parameter]]                  # a dimension of the space of simulations
+    name = "knee damping"
+    path = ["joint:left_knee/damping", "joint:right_knee/damping"]
+    bounds = [0.0, 2.0]
+
+    [controller]
+    signal = "sinusoid"
+    frequency = 1.5
+
+docs/robot_file.md has all keys.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from btr_mjx.errors import InputError
+from btr_mjx.models.batch import base_model, start_of
+from btr_mjx.models.controller_table import controls_at_start, read_controller
+from btr_mjx.models.path_parameters import PathParameter, read_bounds, read_path_parameter
+from btr_mjx.models.paths import nearest_names
+from btr_mjx.robots import Box, Robot, Sinusoids, read_template, robot_of
+from btr_mjx.runs import file_name, is_number, read_toml, toml_rows, toml_section
+
+_KEYS = ("name", "model", "base_body", "point", "duration", "keyframe", "fitness", "target", "speed_limit")
+_TABLES = ("parameter", "controller", "constants")
+
+
+def load_robot(path: str | Path) -> Robot:
+    """The robot that a robot.toml describes.
+
+    Args:
+      path: the file, or a folder that holds a robot.toml.
+
+    Returns:
+      The robot.
+
+    Raises:
+      InputError: the file cannot be read, has an unknown key, or does not fit the model; the message names the place.
+    """
+    file = Path(path)
+    file = file / "robot.toml" if file.is_dir() else file
+    try:
+        table = read_toml(file)
+    except OSError as error:
+        raise InputError(f"robot {str(file)!r} cannot be read: {error}") from None
+    for key in table:
+        if key not in (*_KEYS, *_TABLES):
+            raise InputError(f"{file}: unknown key {key!r}; nearest: {nearest_names(key, (*_KEYS, *_TABLES))}")
+    source = file.parent / file_name(table, "model", str(file))
+    plain = source.suffix != ".j2"
+    rows = toml_rows(table, "parameter", file)
+    if not rows:
+        raise InputError(f"{file}: there is no [[parameter]]; name at least one unknown number of the model")
+    draft = _Draft(file, source, read_template(source), plain, _constants(table, file))
+    draft = draft.with_template_parameters([row for row in rows if "path" not in row])
+    model = draft.model()
+    parameters = [_parameter(draft, row, i, model) for i, row in enumerate(rows, 1)]
+    text, number = _of(table, str, "a text", file), _of(table, (int, float), "a number", file)
+    robot = Robot(
+        name=text("name", file.parent.resolve().name if file.stem == "robot" else file.stem),
+        template=draft.text,
+        template_path=str(source),
+        simulation_box=Box(
+            [p.name for p in parameters],
+            [p.low for p in parameters],
+            [p.high for p in parameters],
+            units=[p.unit for p in parameters],
+        ),
+        controller_box=Box(["none"], 0.0, 1.0),
+        signal=Sinusoids((), (), (), -1, 1.0, (), (), ()),
+        nominal=tuple(p.nominal for p in parameters),
+        constants=draft.constants,
+        base_body=_checked_base(model, text("base_body", ""), text("point", ""), file),
+        edits=tuple(p.edit for p in parameters if p.edit is not None),
+        folder=str(source.parent.resolve()),
+        plain=plain,
+        keyframe=text("keyframe", ""),
+        point=text("point", ""),
+        fitness=_fitness(text("fitness", "distance"), file),
+        target=_target(table.get("target", []), file),
+        duration=float(number("duration", 1.7)),
+        speed_limit=float(number("speed_limit", 50.0)),
+    )
+    _check_start(robot)
+    controls = controls_at_start(model, robot.keyframe)
+    box, signal = read_controller(toml_section(table, "controller", file), model, controls, robot.duration, file)
+    return replace(robot, controller_box=box, signal=signal)
+
+
+def chosen_robot(robot: Path | None, template: Path | None, duration: float | None) -> Robot:
+    """The robot of a command: that of a robot.toml, the hexapod, or the hexapod with another template.
+
+    Args:
+      robot: a robot.toml.
+      template: another template of the hexapod.
+      duration: T_e [s]; None for the robot's own.
+
+    Raises:
+      InputError: both files are given, a file that cannot be read or does not fit, a duration that is not positive.
+    """
+    if robot is None:
+        return robot_of(template, 1.7 if duration is None else duration)
+    if template is not None:
+        raise InputError("--robot and --template: got both; a robot.toml names its own template (model = ...)")
+    found = load_robot(robot)
+    return found if duration is None else replace(found, duration=duration)
+
+
+@dataclass(frozen=True)
+class _Draft:
+    """What is known of a robot before its model is compiled."""
+
+    file: Path
+    source: Path
+    text: str
+    plain: bool
+    constants: tuple[tuple[str, float], ...]
+    template_parameters: tuple["_Parameter", ...] = ()
+
+    def with_template_parameters(self, rows: list[Mapping[str, Any]]) -> "_Draft":
+        """The same with the parameters that are variables of the template."""
+        found = []
+        for row in rows:
+            where = f"{self.file}: [[parameter]] {row.get('name', '')}".rstrip()
+            known = ("name", "bounds", "low", "high", "unit", "nominal")
+            for key in row:
+                if key not in known:
+                    raise InputError(f"{where}: unknown key {key!r}; nearest: {nearest_names(key, (*known, 'path'))}")
+            if self.plain:
+                raise InputError(f'{where}: no path, and {self.source.name} is no template; add path = "..."')
+            low, high = read_bounds(row, where)
+            nominal = row.get("nominal", (low + high) / 2)
+            if not is_number(nominal) or not isinstance(row.get("name"), str):
+                raise InputError(f'{where}: expected name = "..." and a number for nominal, got {nominal!r}')
+            found.append(_Parameter(row["name"], low, high, float(nominal), str(row.get("unit", ""))))
+        return _Draft(self.file, self.source, self.text, self.plain, self.constants, tuple(found))
+
+    def model(self) -> mujoco.MjModel:
+        """The compiled model at the nominal values of the template's parameters."""
+        known = self.template_parameters or (_Parameter("none", 0.0, 1.0, 0.0, ""),)
+        robot = Robot(
+            name="draft",
+            template=self.text,
+            template_path=str(self.source),
+            simulation_box=Box([p.name for p in known], [p.low for p in known], [p.high for p in known]),
+            controller_box=Box(["none"], 0.0, 1.0),
+            signal=Sinusoids((), (), (), -1, 1.0, (), (), ()),
+            nominal=tuple(p.nominal for p in known),
+            constants=self.constants,
+            folder=str(self.source.parent.resolve()),
+            plain=self.plain,
+        )
+        return base_model(robot)
+
+
+@dataclass(frozen=True)
+class _Parameter:
+    name: str
+    low: float
+    high: float
+    nominal: float
+    unit: str
+    edit: PathParameter | None = None
+
+
+def _parameter(draft: _Draft, row: Mapping[str, Any], number: int, model: mujoco.MjModel) -> _Parameter:
+    if "path" not in row:
+        return next(p for p in draft.template_parameters if p.name == row["name"])
+    where, notes = f"{draft.file}: [[parameter]] {number}", list[str]()
+    edit = read_path_parameter(row, model, where, notes, ("nominal",))
+    if notes:
+        raise InputError(notes[0].replace(" was ignored", ""))
+    nominal = row.get("nominal", edit.value(model))
+    if not is_number(nominal):
+        raise InputError(f"{where}: nominal = {nominal!r}: expected a number")
+    return _Parameter(edit.name, edit.low, edit.high, float(nominal), edit.unit, edit)
+
+
+def _constants(table: Mapping[str, Any], file: Path) -> tuple[tuple[str, float], ...]:
+    """The numbers of [constants] that a template needs beside its parameters."""
+    given = table.get("constants", {})
+    if not isinstance(given, Mapping) or not all(is_number(value) for value in given.values()):
+        raise InputError(f"{file}: [constants]: expected NAME = NUMBER, got {given!r}")
+    return tuple((name, float(value)) for name, value in given.items())
+
+
+def _of(table: Mapping[str, Any], kind: Any, words: str, file: Path) -> Any:
+    """Reads entries of one kind."""
+
+    def get(key: str, default: Any) -> Any:
+        value = table.get(key, default)
+        if not isinstance(value, kind) or isinstance(value, bool):
+            raise InputError(f"{file}: {key} = {value!r}: expected {words}")
+        return value
+
+    return get
+
+
+def _fitness(name: str, file: Path) -> str:
+    """A fitness function's name; a file of one's own is looked for beside robot.toml."""
+    if ".py:" not in name:
+        return name
+    own, _, attribute = name.rpartition(":")
+    return f"{(file.parent / own).resolve()}:{attribute}"
+
+
+def _target(value: Any, file: Path) -> tuple[float, ...]:
+    if not isinstance(value, list) or len(value) not in (0, 3) or not all(is_number(v) for v in value):
+        raise InputError(f"{file}: target = {value!r}: expected [x, y, z] in metres")
+    return tuple(float(v) for v in value)
+
+
+def _checked_base(model: mujoco.MjModel, base: str, point: str, file: Path) -> str | None:
+    """The base body; a robot that is bolted down needs a point instead, or its fitness would always be 0."""
+    bodies = [model.body(i).name for i in range(1, model.nbody)]
+    free = [model.body(int(b)).name for b in model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]]
+    if base and base not in free:
+        near = nearest_names(base, free or bodies)
+        raise InputError(f"{file}: base_body = {base!r}: expected a body with a free joint; nearest: {near}")
+    if base or point:
+        return base or None
+    if len(free) != 1:
+        raise InputError(
+            f'{file}: neither base_body nor point is given: write base_body = "..." for the body that moves freely '
+            f'({", ".join(free) or "this model has none"}), or point = "..." for the site or body whose position counts'
+        )
+    return free[0]
+
+
+def _check_start(robot: Robot) -> None:
+    """Raise InputError where the model does not survive its first tenth of a second at rest."""
+    model, start = base_model(robot), start_of(robot)
+    data = mujoco.MjData(model)
+    if start is not None:
+        data.qpos[:], data.qvel[:], data.act[:] = start
+    for _ in range(max(1, int(0.1 / model.opt.timestep))):
+        mujoco.mj_step(model, data)
+        if not np.isfinite(data.qacc).all() or any(data.warning[i].number for i in _UNSTABLE):
+            raise InputError(
+                f"{robot.template_path}: the simulation becomes unstable within {data.time:.4g} s of its start, at a "
+                f"time step of {model.opt.timestep:g} s; choose a smaller one or another keyframe"
+            )
+
+
+_UNSTABLE = tuple(
+    int(kind)
+    for kind in (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+)
