@@ -28,21 +28,24 @@ def rate_limited(times: np.ndarray, polynomial: np.ndarray, rate: np.ndarray) ->
     """
     limited = {}
     for column in np.flatnonzero(np.isfinite(rate)).tolist():
-        track = _followed(*_straight(times, polynomial[:, :, column]), float(rate[column]))
-        if track is not None:
-            limited[column] = track
+        corners = _followed(*_straight(times, polynomial[:, :, column]), float(rate[column]))
+        if corners is not None:
+            limited[column] = corners
     if not limited:
         return times, polynomial
-    union = np.unique(np.concatenate([times, *(t for t, _ in limited.values())]))
+    union = np.unique(np.concatenate([times, *([t for t, _, _ in corners] for corners in limited.values())]))
     piece = np.clip(np.searchsorted(times, union, side="right") - 1, 0, len(times) - 1)
     out = _moved(polynomial[:, piece], (union - times[piece])[:, None])
     if len(out) < 2:
         out = np.concatenate([out, np.zeros_like(out)])
-    for column, (t, y) in limited.items():
-        value = np.interp(union, t, y)
-        out[:, :, column] = 0.0
-        out[0, :, column] = value
-        out[1, :-1, column] = np.diff(value) / np.diff(union)
+    for column, corners in limited.items():
+        t, y, follows = (np.array(x) for x in zip(*corners, strict=True))
+        corner = np.clip(np.searchsorted(t, union, side="right") - 1, 0, len(t) - 1)
+        line = ~follows[corner]
+        slope = np.diff(y, append=y[-1]) / np.maximum(np.diff(t, append=np.inf), 1e-300)
+        out[:, line, column] = 0.0
+        out[0, line, column] = (y[corner] + slope[corner] * (union - t[corner]))[line]
+        out[1, line, column] = slope[corner][line]
     return union, out
 
 
@@ -70,8 +73,12 @@ def _straight(times: np.ndarray, polynomial: np.ndarray) -> tuple[np.ndarray, np
     return starts, begin, end
 
 
-def _followed(starts: np.ndarray, begin: np.ndarray, end: np.ndarray, rate: float) -> tuple[np.ndarray, ...] | None:
-    """Corners of the response, times and values; None where the command is nowhere faster than the limit."""
+Corner = tuple[float, float, bool]
+"""Time, value of the response there, and whether it follows the command up to the next corner."""
+
+
+def _followed(starts: np.ndarray, begin: np.ndarray, end: np.ndarray, rate: float) -> list[Corner] | None:
+    """Corners of the response to straight pieces; None where the command is nowhere faster than the limit."""
     near = _NEAR * max(float(np.ptp(begin)), 1e-300)
     length = np.append(np.diff(starts), np.inf)
     slope = (end - begin) / length
@@ -79,42 +86,31 @@ def _followed(starts: np.ndarray, begin: np.ndarray, end: np.ndarray, rate: floa
     fast = np.flatnonzero(jumps | (np.abs(slope) > rate * (1 + 1e-9)))
     if not len(fast):
         return None
-    t, y = [float(starts[0])], [float(begin[0])]
+    corners: list[Corner] = []
     k, now = 0, float(begin[0])
     while k < len(starts):
-        if abs(now - begin[k]) <= near:  # it follows up to the next piece that is too fast
-            ahead = np.searchsorted(fast, k)
+        if abs(now - begin[k]) <= near and abs(slope[k]) <= rate * (1 + 1e-9):
+            ahead = np.searchsorted(fast, k + 1)
             after = int(fast[ahead]) if ahead < len(fast) else len(starts)
-            if after > k:
-                t += starts[k + 1 : after + 1].tolist()
-                y += end[k : min(after, len(starts) - 1)].tolist()
-                k, now = after, float(end[after - 1])
-                continue
-        now = _chase(float(starts[k]), float(length[k]), float(begin[k]), float(slope[k]), now, rate, t, y)
+            corners.append((float(starts[k]), float(begin[k]), True))
+            k, now = after, float(end[after - 1])
+            continue
+        away = begin[k] - now if abs(begin[k] - now) > near else slope[k]
+        sign = 1.0 if away > 0 else -1.0
+        corners.append((float(starts[k]), now, False))
+        reached = now + sign * rate * (starts[k:] - starts[k])
+        ahead_at_start = sign * (begin[k:] - reached)
+        ahead_at_end = sign * (end[k:] - reached) - rate * length[k:]
+        passed = ahead_at_end <= 0
+        passed[1:] |= ahead_at_start[1:] < 0  # a jump of the command to the other side
+        j = int(np.argmax(passed))
+        now, k = float(reached[j]), k + j
+        if j and ahead_at_start[j] < 0:
+            continue
+        since = float(max(ahead_at_start[j], 0.0) / (rate - sign * slope[k]))
+        follows = bool(abs(slope[k]) <= rate)
+        met = (float(starts[k]) + since, now + sign * rate * since, follows)
+        corners.append(met)
+        now = float(end[k]) if follows else met[1] - sign * rate * float(length[k] - since)
         k += 1
-    return np.array(t), np.array(y)
-
-
-def _chase(
-    start: float, length: float, command: float, slope: float, now: float, rate: float, t: list[float], y: list[float]
-) -> float:
-    """Move at the limit over one piece, and with the command from where it is met; returns the value at its end."""
-    away = command - now
-    if away == 0.0:
-        away = slope  # it begins to lag behind
-    speed = rate if away > 0 else -rate
-    meets = (command - now) / (speed - slope) if speed != slope else np.inf
-    if 0.0 < meets < length:
-        now += speed * meets
-        t.append(start + meets)
-        y.append(now)
-        if not np.isfinite(length):
-            return now
-        speed, length = (slope if abs(slope) <= rate else rate * np.sign(slope)), length - meets
-        start += meets
-    if not np.isfinite(length):
-        return now
-    now += speed * length
-    t.append(start + length)
-    y.append(now)
-    return now
+    return corners
