@@ -1,6 +1,6 @@
-"""Co-evolve a hexapod and its simulation: `python -m btr_mjx.coevolve`.
+"""Co-evolve a robot and its simulation: `python -m btr_mjx.coevolve`.
 
-A hidden simulation plays reality. The run folder holds:
+A hidden simulation plays reality, or a robot is reached through files (--reality folder). The run folder holds:
 
     config.json, environment.json   what was asked for, and with which versions and machine
     generations.parquet             one row per generation of either search
@@ -23,6 +23,7 @@ import tyro
 from btr_mjx.backtoreality import (
     PRESETS,
     CoevolveConfig,
+    Waiting,
     begin,
     build_problem,
     run_in_folder,
@@ -48,6 +49,7 @@ def coevolve(config: CoevolveConfig | None = None, **changes: Any) -> dict[str, 
 
     Raises:
       InputError: bad settings, or a folder that cannot take this run.
+      Waiting: measurements are missing in the exchange folder; continue with `resume` when they are there.
       Interrupted: a signal asked to stop; everything up to the last generation is saved.
     """
     config = _with_folder(dataclasses.replace(config or PRESETS[changes.get("preset", "quick")], **changes))
@@ -56,9 +58,9 @@ def coevolve(config: CoevolveConfig | None = None, **changes: Any) -> dict[str, 
     begin(problem)
     base_model(problem.robot)
     assert config.out is not None
-    ignore = (*IGNORED_FIELDS, "figures")
+    ignore = (*IGNORED_FIELDS, "figures", "wait")
     with RunFolder.create(config.out, config, config.resume, ignore=ignore) as run, graceful_interrupt() as stop:
-        state = run_in_folder(problem, run, stop, config.progress)
+        state = run_in_folder(problem, run, stop, config.progress, config.wait)
         result = summarise(problem, state)
         write_trials(run.path, state)
         write_json(run.path / "result.json", result)
@@ -89,8 +91,13 @@ def main(argv: Sequence[str] | None = None) -> None:
     config = parse(argv)
     with cli_errors():
         config = _with_folder(config)
-        with cli_errors(resume_command("btr_mjx.coevolve", argv, config.out)):
-            result = coevolve(config)
+        resume = resume_command("btr_mjx.coevolve", argv, config.out)
+        try:
+            with cli_errors(resume):
+                result = coevolve(config)
+        except Waiting as waiting:
+            print("\n".join([*waiting.complaints, str(waiting), f"then go on with: {resume}"]))
+            return
         assert config.out is not None
         print(summary_table(result, config.out))
 

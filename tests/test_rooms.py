@@ -17,9 +17,9 @@ import btr_mjx
 
 PACKAGE = Path(btr_mjx.__file__).parent
 ORDER = (
-    *("errors", "runs", "robots", "models", "engines", "evaluation", "optimise", "backtoreality", "plotting"),
+    *("errors", "runs", "robots", "models", "engines", "evaluation", "optimise"),
     *("gap.data", "gap.simulate", "gap.effects", "gap.preflight", "gap.windows", "gap.results", "gap.inference"),
-    *("gap.report", "gap.fitness_only", "gap.experiments", "gap", "testing", "commands"),
+    *("backtoreality", "plotting", "gap.report", "gap.fitness_only", "gap.experiments", "gap", "testing", "commands"),
 )
 """Rooms, each of which may import those before it."""
 

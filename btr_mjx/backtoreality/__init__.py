@@ -17,7 +17,7 @@ from btr_mjx.backtoreality.line_scan import (
     delta_fitness,
     run_scan,
 )
-from btr_mjx.backtoreality.reality.simulated import Reality, SimulatedReality
+from btr_mjx.backtoreality.reality import FolderReality, Reality, SimulatedReality, Waiting
 from btr_mjx.backtoreality.resumable import run_in_folder, write_trials
 from btr_mjx.backtoreality.state import (
     BTRSettings,
@@ -32,6 +32,7 @@ __all__ = [
     "PRESETS",
     "BTRSettings",
     "CoevolveConfig",
+    "FolderReality",
     "Problem",
     "Progress",
     "Reality",
@@ -39,6 +40,7 @@ __all__ = [
     "SearchSettings",
     "SimulatedReality",
     "State",
+    "Waiting",
     "along",
     "begin",
     "build_problem",

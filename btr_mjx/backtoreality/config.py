@@ -7,10 +7,10 @@ from typing import Literal
 
 import numpy as np
 
-from btr_mjx.backtoreality.reality.simulated import SimulatedReality
+from btr_mjx.backtoreality.reality import FolderReality, Reality, SimulatedReality
 from btr_mjx.backtoreality.state import BTRSettings, Problem, SearchSettings
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation import MARKS, EngineSettings, fitness_function
+from btr_mjx.evaluation import MARKS, EngineSettings, FitnessFunction, fitness_function
 from btr_mjx.models import chosen_robot
 from btr_mjx.robots import PAPER_REALITIES, Robot
 
@@ -85,6 +85,14 @@ class CoevolveConfig:
     simulation_bits: int = 10
     """Bits per unknown parameter."""
 
+    reality: Literal["simulation", "folder"] = "simulation"
+    """simulation: a hidden simulation plays reality. folder: a robot is reached through files in --exchange."""
+    exchange: Path | None = None
+    """Folder through which trials and measurements are exchanged; by default exchange in the run folder."""
+    wait: bool = False
+    """Wait for measurements; otherwise the command ends where some are missing, to be continued with --resume."""
+    signal_rate: float = 200.0
+    """Samples per second of the reference signals in --exchange."""
     reality_engine: Literal["same", "lanes", "mjx", "native"] = "same"
     """Engine that runs the hidden reality; native is float64 and shares no code with the others."""
     reality_timestep: float | None = None
@@ -176,17 +184,20 @@ def build_problem(config: CoevolveConfig) -> Problem:
         raise InputError(f"reality_timestep: got {config.reality_timestep}, expected a step within (0, 0.01] s")
     engine = None if config.engine == "auto" else config.engine
     fitness = fitness_function(config.fitness or robot.fitness, robot.target)
+    reality: Reality = SimulatedReality(
+        robot,
+        tuple(truth.tolist()),
+        engine if config.reality_engine == "same" else config.reality_engine,
+        EngineSettings(timestep=config.reality_timestep, integrator=config.reality_integrator),
+        fitness,
+        config.noise,
+        config.seed,
+    )
+    if config.reality == "folder":
+        reality = _folder_reality(config, robot, fitness)
     return Problem(
         robot=robot,
-        reality=SimulatedReality(
-            robot,
-            tuple(truth.tolist()),
-            engine if config.reality_engine == "same" else config.reality_engine,
-            EngineSettings(timestep=config.reality_timestep, integrator=config.reality_integrator),
-            fitness,
-            config.noise,
-            config.seed,
-        ),
+        reality=reality,
         unknown=unknown,
         start=start,
         settings=BTRSettings(
@@ -209,3 +220,21 @@ def build_problem(config: CoevolveConfig) -> Problem:
         engine=engine,
         seed=config.seed,
     )
+
+
+def _folder_reality(config: CoevolveConfig, robot: Robot, fitness: FitnessFunction) -> FolderReality:
+    """The reality behind a folder.
+
+    Raises:
+      InputError: settings of a simulated reality, no folder, a rate out of range.
+    """
+    hidden = [name for name in ("reality_timestep", "reality_integrator") if getattr(config, name) is not None]
+    hidden += ["noise"] * bool(config.noise) + ["truth"] * (config.truth != ("preset",))
+    if hidden:
+        raise InputError(f"--{hidden[0].replace('_', '-')} is for a simulated reality, and --reality is folder")
+    if not 1.0 <= config.signal_rate <= 1e5:
+        raise InputError(f"signal_rate: got {config.signal_rate}, expected 1 to 100000 samples per second")
+    folder = config.exchange or (config.out and config.out / "exchange")
+    if folder is None:
+        raise InputError("--reality folder: needs --exchange DIR or --out DIR")
+    return FolderReality(robot, folder, fitness, config.signal_rate)

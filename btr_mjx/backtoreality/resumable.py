@@ -1,17 +1,19 @@
 """Co-evolution in a run folder: saved after every piece of work, resumable from the last checkpoint."""
 
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from btr_mjx.backtoreality.algorithm import advance, begin
+from btr_mjx.backtoreality.algorithm import Report, advance, begin
+from btr_mjx.backtoreality.reality import Waiting
 from btr_mjx.backtoreality.state import Problem, State, state_from_arrays, state_to_arrays
-from btr_mjx.runs import RunFolder, StopRequest, progress, write_arrays
+from btr_mjx.runs import RunFolder, StopRequest, note, progress, write_arrays
 
 
-def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: bool) -> State:
+def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: bool, wait: bool = False) -> State:
     """Run a co-evolution from the last checkpoint of its folder to the end.
 
     Args:
@@ -19,11 +21,13 @@ def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: boo
       run: folder of checkpoints, generations.parquet, iterations.parquet and the archives of both searches.
       stop: checked after every piece of work.
       show: whether a progress bar is shown.
+      wait: whether measurements that are missing are waited for.
 
     Returns:
       The last state.
 
     Raises:
+      Waiting: measurements are missing, and not waited for; a resumed run asks for the same ones.
       Interrupted: a signal asked to stop; everything up to the last generation is saved.
     """
     checkpoint = run.load_latest()
@@ -44,7 +48,7 @@ def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: boo
         while state.phase != "done":
             bar.set_description(f"iteration {state.iteration}: {_PHASE_TEXTS[state.phase]}")
             phase = state.phase
-            state = advance(problem, state, report)
+            state = _advanced(problem, state, report, stop, wait)
             if phase == "simulations" != state.phase:  # the search may have converged early
                 bar.total = bar.n + _pairs_left(problem, state)
             run.save_checkpoint(step, *state_to_arrays(state))
@@ -52,6 +56,26 @@ def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: boo
             stop.checkpoint()
     return state
 
+
+def _advanced(problem: Problem, state: State, report: Report, stop: StopRequest, wait: bool) -> State:
+    """The next state; measurements that are missing are waited for where `wait` is set."""
+    told: tuple[Any, ...] = ()
+    while True:
+        try:
+            return advance(problem, state, report)
+        except Waiting as waiting:
+            if not wait:
+                raise
+            if told != (waiting.missing, waiting.complaints):
+                told = (waiting.missing, waiting.complaints)
+                for line in (*waiting.complaints, str(waiting)):
+                    note(line)
+        stop.checkpoint()
+        time.sleep(_POLL)
+
+
+_POLL = 0.5
+"""Time between two looks at the exchange folder [s]."""
 
 _PHASE_TEXTS = {
     "baseline": "first controller",

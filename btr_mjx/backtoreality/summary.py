@@ -1,5 +1,6 @@
 """Results of a finished co-evolution: the content of result.json, and the table that the command prints."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,8 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
       over those it was fitted to. parameter_error_first and _last: mean absolute error of the unknown parameters, None
       for a reality that is not simulated. The fitness function's name, unit and direction; bounds and units of the
       unknown parameters (space). reality_evaluations, lp (learning performance) and its terms, the simulation,
-      the best controller and the stop criterion that was met.
+      the best controller, the stop criterion that was met, and the noise of a single measurement where trials were
+      measured more than once.
     """
     trials, last = state.trials, state.iteration
     latest = trials.iteration == last
@@ -59,6 +61,7 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
         "f_r_best": f_end,
         "f_s_best": float(trials.f_s[best]),
         "failed_trials": int((~np.isfinite(trials.f_r)).sum()),
+        "measurement_noise": _finite(getattr(problem.reality, "noise", math.nan)) if truth is None else None,
         "iterations": last,
         "stop": state.stop,
         "start": values(problem.start),
@@ -66,6 +69,10 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
         "truth": None if truth is None else values(np.array(truth)),
         "best_controller": trials.controllers[best].tolist(),
     }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def summary_table(result: dict[str, Any], out: Path) -> str:

@@ -13,6 +13,7 @@ from .fitness import (
 )
 from .foot_forces import foot_bodies, foot_forces
 from .pair_functions import Trajectory, model_leaves, pair_fitness, pair_trajectory
+from .tracked_point import track_configurations
 
 __all__ = [
     "DISTANCE",
@@ -38,4 +39,5 @@ __all__ = [
     "multiscale_fitness",
     "pair_fitness",
     "pair_trajectory",
+    "track_configurations",
 ]

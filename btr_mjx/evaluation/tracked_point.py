@@ -29,6 +29,18 @@ def point_address(robot: Robot) -> tuple[str, int]:
     )
 
 
+def track_configurations(robot: Robot, qpos: np.ndarray) -> np.ndarray:
+    """Positions (K, 3) of the robot's point in configurations (K, nq) of its nominal model [m]."""
+    field, row = point_address(robot)
+    model = base_model(robot)
+    data, out = mujoco.MjData(model), np.empty((len(qpos), 3))
+    for k, configuration in enumerate(qpos):
+        data.qpos[:] = configuration
+        mujoco.mj_kinematics(model, data)
+        out[k] = getattr(data, field)[row]
+    return out
+
+
 def track_point(robot: Robot, models: Models, index: np.ndarray, record: Record) -> Record:
     """A record whose start and positions are those of the robot's point.
 

@@ -1,5 +1,6 @@
-"""Realities, in which the fitness of controllers is measured: the interface, and a simulated reality."""
+"""Realities, in which the fitness of controllers is measured: the interface, a simulated reality, a folder."""
 
+from btr_mjx.backtoreality.reality.folder import FolderReality, Waiting
 from btr_mjx.backtoreality.reality.simulated import Reality, SimulatedReality
 
-__all__ = ["Reality", "SimulatedReality"]
+__all__ = ["FolderReality", "Reality", "SimulatedReality", "Waiting"]

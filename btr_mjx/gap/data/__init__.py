@@ -5,10 +5,10 @@ the parameters that may be refitted (`models.PathParameter`) and the standard de
 `save_dataset` writes one.
 """
 
-from btr_mjx.gap.data.columns import control_columns
+from btr_mjx.gap.data.columns import control_columns, read_columns
 from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, load, noise_of, read_header
 from btr_mjx.gap.data.noise import Noise, estimate_noise, reduced_noise
-from btr_mjx.gap.data.recording import Recording
+from btr_mjx.gap.data.recording import Recording, make_recording
 from btr_mjx.gap.data.sources import open_dataset
 from btr_mjx.gap.data.writing import DatasetDescription, Format, save_dataset
 
@@ -23,8 +23,10 @@ __all__ = [
     "control_columns",
     "estimate_noise",
     "load",
+    "make_recording",
     "noise_of",
     "open_dataset",
+    "read_columns",
     "read_header",
     "reduced_noise",
     "save_dataset",

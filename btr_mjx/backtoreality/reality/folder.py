@@ -1,0 +1,224 @@
+"""Reality behind a folder: the program writes what is to be tried, a person or another program writes what came out.
+
+    exchange/
+      README.md             what to do
+      trials/001.csv        id and parameters of the controllers of iteration 1
+      signals/trial-7.csv   reference signal of trial 7: time and a column for each motor
+      measured/001.csv      id, fitness (and repeats, failed): written by whoever tries them
+      measured/trial-7.csv  or a recording of trial 7, from which the fitness is computed
+      used/001.csv          what the run went on with; it does not change any more
+
+Nothing that was measured is lost or asked for twice: a batch that is in `used` is read from there.
+"""
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from btr_mjx.backtoreality.reality.measurements import (
+    RECORDING_SUFFIXES,
+    Measured,
+    read_recorded_fitness,
+    read_table_of_fitness,
+)
+from btr_mjx.errors import InputError
+from btr_mjx.evaluation import DISTANCE, FitnessFunction
+from btr_mjx.models import base_model, part_names
+from btr_mjx.robots import Robot
+from btr_mjx.runs import atomic_write, note, read_json, write_json
+
+_BATCHES = "batches.json"
+
+
+class Waiting(Exception):
+    """Trials have not been measured yet.
+
+    Attributes:
+      missing: their ids.
+      complaints: what could not be used, a sentence each.
+      folder: where measurements are looked for.
+      table: the table that is looked for.
+    """
+
+    def __init__(self, missing: Sequence[int], complaints: Sequence[str], folder: Path, table: str) -> None:
+        self.missing, self.complaints, self.folder, self.table = tuple(missing), tuple(complaints), folder, table
+        few = ", ".join(map(str, missing[:12])) + (", ..." if len(missing) > 12 else "")
+        what = "1 measurement" if len(missing) == 1 else f"{len(missing)} measurements"
+        super().__init__(f"waiting for {what} (trials {few}) in {folder / table}")
+
+
+@dataclass(frozen=True)
+class FolderReality:
+    """A robot that is reached through files, see the module's docstring.
+
+    Attributes:
+      robot: the robot, whose signal is sampled for the trials.
+      folder: the exchange folder.
+      fitness: the fitness function, of recordings.
+      rate: samples per second of the reference signals.
+    """
+
+    robot: Robot
+    folder: Path
+    fitness: FitnessFunction = DISTANCE
+    rate: float = 200.0
+
+    def measure(self, controllers: np.ndarray, trial: int, times: tuple[float, ...]) -> np.ndarray:
+        """Fitness of controllers, see `Reality.measure`.
+
+        Raises:
+          Waiting: some have not been measured yet; the files that ask for them are there.
+          InputError: the folder is that of another run, or a measurement does not have what the run needs.
+        """
+        ids = range(trial, trial + len(controllers))
+        name = f"{self._batch(trial):03d}.csv"
+        self._ask(name, ids, controllers)
+        used = self.folder / "used" / name
+        if not used.is_file():
+            found, complaints = self._look(name, ids, times)
+            missing = [i for i in ids if i not in found]
+            if missing:
+                raise Waiting(missing, complaints, self.folder / "measured", name)
+            for complaint in complaints:
+                note(complaint)
+            self._write_used(used, ids, found, times)
+        return self._read_used(used, ids, times)
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of a single measurement, from all repeats so far; NaN where nothing was repeated."""
+        squares = [
+            float(row["scatter"]) ** 2
+            for path in sorted((self.folder / "used").glob("*.csv"))
+            for row in csv.DictReader(io.StringIO(path.read_text(encoding="utf-8")))
+            if row["scatter"] not in ("", "nan")
+        ]
+        return math.sqrt(sum(squares) / len(squares)) if squares else math.nan
+
+    def _batch(self, trial: int) -> int:
+        """Number of the batch that begins with a trial: 0 for the first controller, then that of the iteration."""
+        path = self.folder / _BATCHES
+        first = list(read_json(path)["first_trials"]) if path.is_file() else []
+        if trial not in first:
+            if first and trial < first[-1]:
+                raise self._foreign(f"trial {trial} begins no batch there")
+            first.append(trial)
+            write_json(path, {"first_trials": first})
+        return first.index(trial)
+
+    def _ask(self, name: str, ids: range, controllers: np.ndarray) -> None:
+        """Write the trials of a batch, their signals and the instructions, where they are not there yet."""
+        table = _table(
+            ["id", *self.robot.controller_box.names],
+            [[i, *map(repr, row.tolist())] for i, row in zip(ids, controllers, strict=True)],
+        )
+        path = self.folder / "trials" / name
+        if path.is_file() and path.read_bytes() != table:
+            raise self._foreign(f"{path} has other trials than this run asks for")
+        names = part_names(base_model(self.robot), "actuator")
+        time = np.arange(0.0, self.robot.duration + 0.5 / self.rate, 1.0 / self.rate)
+        for i, controller in zip(ids, controllers, strict=True):
+            signal = self.folder / "signals" / f"trial-{i}.csv"
+            if not signal.is_file():
+                values = np.stack([self.robot.signal(controller[:, None], t, np)[:, 0] for t in time])
+                rows = [[f"{t:.6g}", *(f"{v:.9g}" for v in row)] for t, row in zip(time, values, strict=True)]
+                _write(signal, _table(["time", *(f"ctrl/{motor}" for motor in names)], rows))
+        if not (self.folder / "README.md").is_file():
+            _write(self.folder / "README.md", self._readme().encode())
+        (self.folder / "measured").mkdir(parents=True, exist_ok=True)
+        if not path.is_file():
+            _write(path, table)
+
+    def _look(self, name: str, ids: range, times: tuple[float, ...]) -> tuple[dict[int, Measured], list[str]]:
+        """What has been measured of a batch, and what could not be used."""
+        folder, complaints = self.folder / "measured", list[str]()
+        found: dict[int, Measured] = {}
+        speed = self.fitness.unit == "m/s"
+        if (folder / name).is_file():
+            found, complaints = read_table_of_fitness(folder / name, ids, self.robot.speed_limit if speed else None)
+        for i in ids:
+            path = next((p for s in RECORDING_SUFFIXES if (p := folder / f"trial-{i}{s}").is_file()), None)
+            if path is None:
+                continue
+            measured, problem = read_recorded_fitness(path, self.robot, self.fitness, times)
+            if measured is None:
+                complaints.append(problem)
+            elif i in found:
+                complaints.append(f"trial {i} is in {name} and in {path.name}: the table counts")
+            else:
+                found[i] = measured
+        if len(times) > 1:
+            bare = [i for i, measured in found.items() if not measured.failed and len(measured.fitness[0]) < len(times)]
+            if bare:
+                raise InputError(
+                    f"{folder / name}: this run compares the fitness at {len(times)} times of a trial, which a table "
+                    f"of final fitness does not have (trial {bare[0]}); give recordings, or run with --distance fitness"
+                )
+        return found, complaints
+
+    def _write_used(self, path: Path, ids: range, found: dict[int, Measured], times: tuple[float, ...]) -> None:
+        head = ["id", *(f"fitness at {time:g} s" for time in times), "measurements", "scatter", "failed"]
+        rows = []
+        for i in ids:
+            own = found[i]
+            values = [math.nan] * len(times) if own.failed else own.mean.tolist()
+            rows.append([i, *map(repr, values), sum(own.weight), repr(own.scatter), int(own.failed)])
+        _write(path, _table(head, rows))
+
+    def _read_used(self, path: Path, ids: range, times: tuple[float, ...]) -> np.ndarray:
+        rows = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8"))))[1:]
+        try:
+            known = {int(row[0]): [float(value) for value in row[1 : 1 + len(times)]] for row in rows}
+            return np.array([known[i] for i in ids])
+        except (KeyError, ValueError, IndexError):
+            raise self._foreign(f"{path} does not hold the measurements of trials {ids[0]} to {ids[-1]}") from None
+
+    def _foreign(self, why: str) -> InputError:
+        return InputError(f"{self.folder}: this is the exchange folder of another run ({why}); give another --exchange")
+
+    def _readme(self) -> str:
+        return _README.format(
+            name=self.robot.name,
+            duration=f"{self.robot.duration:g}",
+            fitness=self.fitness.name,
+            unit=f" [{self.fitness.unit}]" if self.fitness.unit else "",
+            rate=f"{self.rate:g}",
+        )
+
+
+_README = """# Trials of {name}
+
+`trials/NNN.csv` lists controllers to be tried on the robot: an id, and the controller's parameters.
+
+1. Put the robot into its start pose.
+2. Play `signals/trial-ID.csv` on its motors: `time` [s] and one column for each motor, {rate} rows a second for
+   {duration} s.
+3. Write what came out, for every id, in one of these ways:
+
+   - `measured/NNN.csv` (the same number as in `trials/`) with the columns `id,fitness`. The fitness is
+     `{fitness}`{unit} over the {duration} s. Further rows of the same id are repeats: they are averaged, and their
+     scatter tells how exact a measurement is. A column `failed` with 1 marks a trial that failed (the robot fell, a
+     motor stopped).
+   - `measured/trial-ID.csv` (or .parquet, .npz): a recording with the columns `time`, `qpos/JOINT` of every joint and
+     `ctrl/MOTOR` of every motor, as for `python -m btr_mjx.diagnose`. The fitness is computed from it.
+
+4. Start the command again with `--resume`. It says what is still missing, and which rows it could not use.
+
+Do not change files in `trials/`, `signals/` and `used/`.
+"""
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> bytes:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([head, *rows])
+    return text.getvalue().encode()
+
+
+def _write(path: Path, content: bytes) -> None:
+    with atomic_write(path) as file:
+        file.write(content)
