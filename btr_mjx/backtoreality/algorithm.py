@@ -20,6 +20,7 @@ import numpy as np
 
 from btr_mjx.backtoreality import simulation_search
 from btr_mjx.backtoreality.controller_search import select_transferable
+from btr_mjx.backtoreality.growth import calibration_delta, entries_of_diagnosis, grown, seek
 from btr_mjx.backtoreality.simulation_search import delta_of_simulations, genetic_algorithm
 from btr_mjx.backtoreality.state import Problem, State, Trials
 from btr_mjx.errors import InputError
@@ -72,6 +73,7 @@ def advance(problem: Problem, state: State, report: Report | None = None) -> Sta
       The state after it; with phase "done" once a stop criterion is met.
     """
     report = report or (lambda kind, row: None)
+    problem = grown(problem, state.grown)
     if state.phase == "baseline":
         return try_first_controller(problem, state)
     if state.phase == "controllers":
@@ -80,6 +82,8 @@ def advance(problem: Problem, state: State, report: Report | None = None) -> Sta
         return test_in_reality(problem, state)
     if state.phase == "simulations":
         return search_simulations(problem, state, report)
+    if state.phase == "growth":
+        return seek_missing_effect(problem, state, report)
     return state
 
 
@@ -134,7 +138,16 @@ def test_in_reality(problem: Problem, state: State) -> State:
     trials = state.trials.add(controllers, measured, f_s, state.iteration)
     winner = genomes[best_index(f_r, problem.fitness.maximise)]
     before = delta_of_simulations(problem, state.simulation[None], trials, state.iteration)[0]
-    return State("simulations", state.iteration, state.simulation, winner, trials, delta_before=float(before))
+    return replace(
+        state,
+        phase="simulations",
+        genome=winner,
+        trials=trials,
+        search=None,
+        genomes=state.genomes[:0],
+        scores=state.scores[:0],
+        delta_before=float(before),
+    )
 
 
 def search_simulations(problem: Problem, state: State, report: Report) -> State:
@@ -193,13 +206,67 @@ def _finish_iteration(problem: Problem, state: State, report: Report) -> State:
         stop = "iterations"
     elif settings.max_evaluations is not None and len(state.trials) + settings.trials > settings.max_evaluations:
         stop = "max_evaluations"
-    return State(
-        "done" if stop else "controllers",
-        state.iteration + (0 if stop else 1),
-        simulation,
-        state.genome,
-        state.trials,
+    ended = replace(
+        state,
+        phase="done" if stop else "controllers",
+        iteration=state.iteration + (0 if stop else 1),
+        simulation=simulation,
+        search=None,
+        genomes=state.genomes[:0],
+        scores=state.scores[:0],
+        delta_before=np.nan,
         stop=stop,
+    )
+    if len(state.grown) < settings.most_effects and not any(
+        row["iteration"] == state.iteration for row in state.sought
+    ):
+        return replace(ended, phase="growth", iteration=state.iteration, delta_before=after, stop=stop)
+    return ended
+
+
+def seek_missing_effect(problem: Problem, state: State, report: Report) -> State:
+    """Growth: look for a missing effect where the best simulation leaves more than calibration explains.
+
+    What is found becomes a dimension of S, and step 3 of the same iteration goes on in the larger S.
+    """
+    after = replace(
+        state,
+        phase="done" if state.stop else "controllers",
+        iteration=state.iteration + (0 if state.stop else 1),
+        delta_before=np.nan,
+    )
+    row: dict[str, Any] = {"iteration": state.iteration, "delta_before": state.delta_before, "added": []}
+    row["calibration"] = calibration_delta(problem, state)
+    if not state.delta_before > row["calibration"]:
+        return replace(after, sought=(*state.sought, row | {"verdict": "within calibration"}))
+    record = getattr(problem.reality, "record", None)
+    rows = np.flatnonzero(np.isfinite(state.trials.f_r))
+    recordings = [] if record is None else record(state.trials.controllers[rows], rows)
+    if len(recordings) < 2:
+        return replace(after, sought=(*state.sought, row | {"verdict": "no recordings"}))
+    diagnosis = seek(problem, state, recordings, problem.seed)
+    entries = entries_of_diagnosis(diagnosis, problem, state, problem.settings.most_effects - len(state.grown))
+    row |= {
+        "verdict": diagnosis.verdict,
+        "named": [effect.name for effect in diagnosis.effects],
+        "added": [f"{entry['effect']}@{entry['location']}" for entry in entries],
+        "unexplained": list(diagnosis.unexplained),
+    }
+    report("growth", row)
+    if not entries:
+        return replace(after, sought=(*state.sought, row))
+    larger = grown(problem, entries)
+    values = [number["value"] for entry in entries for number in entry["numbers"].values()]
+    simulation = np.concatenate([state.simulation, values])
+    before = delta_of_simulations(larger, simulation[None], state.trials, state.iteration)[0]
+    return replace(
+        state,
+        phase="simulations",
+        simulation=simulation,
+        delta_before=float(before),
+        stop="",
+        grown=(*state.grown, *entries),
+        sought=(*state.sought, row | {"delta_after": float(before)}),
     )
 
 

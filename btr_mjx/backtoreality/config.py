@@ -85,6 +85,12 @@ class CoevolveConfig:
     simulation_bits: int = 10
     """Bits per unknown parameter."""
 
+    grow: bool = False
+    """Where the best simulation leaves more of Delta_fitness than errors of calibration do, look for the missing effect
+    in recordings of the trials, and add it to the simulator."""
+    max_effects: int = 2
+    """Effects that --grow adds, at most."""
+
     reality: Literal["simulation", "folder"] = "simulation"
     """simulation: a hidden simulation plays reality. folder: a robot is reached through files in --exchange."""
     exchange: Path | None = None
@@ -215,6 +221,7 @@ def build_problem(config: CoevolveConfig) -> Problem:
             distance=config.distance,
             marks=config.marks,
             optimiser=config.optimiser,
+            most_effects=config.max_effects if config.grow else 0,
         ),
         fitness=fitness,
         engine=engine,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from btr_mjx.backtoreality.algorithm import Report, advance, begin
+from btr_mjx.backtoreality.growth import grown, growth_sentence
 from btr_mjx.backtoreality.reality import Waiting
 from btr_mjx.backtoreality.state import Problem, State, state_from_arrays, state_to_arrays
 from btr_mjx.runs import RunFolder, StopRequest, note, progress, write_arrays
@@ -39,7 +40,9 @@ def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: boo
 
     def report(kind: str, row: dict[str, Any]) -> None:
         if kind == "archive":
-            _write_archive(run.path, problem, row)
+            _write_archive(run.path, grown(problem, state.grown), row)
+        elif kind == "growth":
+            note(growth_sentence(row))
         else:
             tables[kind].append(row)
 
@@ -82,6 +85,7 @@ _PHASE_TEXTS = {
     "controllers": "evolving controllers",
     "transfer": "trying controllers in reality",
     "simulations": "evolving simulations",
+    "growth": "looking for a missing effect",
 }
 
 

@@ -12,8 +12,8 @@ from btr_mjx.evaluation import DISTANCE, MARKS, Engine, FitnessFunction, evaluat
 from btr_mjx.optimise import GAState, ga_state_from_arrays, ga_state_to_arrays
 from btr_mjx.robots import Box, Robot
 
-Phase = Literal["baseline", "controllers", "transfer", "simulations", "done"]
-"""Next piece of work: the first controller in reality, step 1, step 2, step 3, none."""
+Phase = Literal["baseline", "controllers", "transfer", "simulations", "growth", "done"]
+"""Next piece of work: the first controller in reality, steps 1, 2 and 3, the search for a missing effect, none."""
 
 Distance = Literal["fitness", "multiscale"]
 """Distance that step 3 minimises, see `BTRSettings.distance`."""
@@ -70,6 +70,7 @@ class BTRSettings:
       marks: ascending times [s], before the end of the trial.
       optimiser: of step 3: "ga" is the genetic algorithm (the paper), "cma" is CMA-ES, which ignores p_m and bits and
         ends a search early once it has converged.
+      most_effects: effects that may be added to the simulator, see `growth`; 0 for a simulator that does not grow.
     """
 
     controllers: SearchSettings
@@ -82,6 +83,7 @@ class BTRSettings:
     distance: Distance = "fitness"
     marks: tuple[float, ...] = MARKS
     optimiser: Optimiser = "ga"
+    most_effects: int = 0
 
     def __post_init__(self) -> None:
         if not 1 <= self.trials < self.controllers.population:
@@ -211,6 +213,8 @@ class State:
       scores: (g, population) their fitness or distance.
       delta_before: the distance of s_(i-1) over the behaviours of iteration i.
       stop: the stop criterion that was met, "" before.
+      grown: effects that were added to the simulator, as JSON-able values; see `growth.grown`.
+      sought: growth events so far: iteration, verdict, what was added and Delta_fitness.
     """
 
     phase: Phase
@@ -223,6 +227,8 @@ class State:
     scores: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     delta_before: float = np.nan
     stop: str = ""
+    grown: tuple[dict[str, Any], ...] = ()
+    sought: tuple[dict[str, Any], ...] = ()
 
 
 def state_to_arrays(state: State) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -237,7 +243,8 @@ def state_to_arrays(state: State) -> tuple[dict[str, np.ndarray], dict[str, Any]
     }
     if state.search is not None:
         arrays |= {f"search/{name}": value for name, value in ga_state_to_arrays(state.search).items()}
-    return arrays, {"phase": state.phase, "iteration": state.iteration, "stop": state.stop}
+    named = {name: list(getattr(state, name)) for name in ("grown", "sought")}
+    return arrays, {"phase": state.phase, "iteration": state.iteration, "stop": state.stop, **named}
 
 
 def state_from_arrays(arrays: Mapping[str, np.ndarray], values: Mapping[str, Any]) -> State:
@@ -257,4 +264,6 @@ def state_from_arrays(arrays: Mapping[str, np.ndarray], values: Mapping[str, Any
         scores=arrays["scores"],
         delta_before=float(arrays["delta_before"]),
         stop=values["stop"],
+        grown=tuple(values["grown"]),
+        sought=tuple(values["sought"]),
     )

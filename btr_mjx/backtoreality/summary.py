@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from btr_mjx.backtoreality.algorithm import best_index
+from btr_mjx.backtoreality.growth import grown, growth_sentence
 from btr_mjx.backtoreality.simulation_search import whole_trial_delta
 from btr_mjx.backtoreality.state import Problem, State
 from btr_mjx.evaluation import learning_performance
@@ -23,6 +24,7 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
       the best controller, the stop criterion that was met, and the noise of a single measurement where trials were
       measured more than once.
     """
+    original, problem = problem, grown(problem, state.grown)
     trials, last = state.trials, state.iteration
     latest = trials.iteration == last
     first = trials.iteration == 1
@@ -36,8 +38,10 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
     indices, box = problem.robot.simulation_box.indices(problem.unknown), problem.simulation_box
     truth = getattr(problem.reality, "truth", None)
 
+    known = original.robot.simulation_box.indices(original.unknown)
+
     def error(simulation: np.ndarray) -> float | None:
-        return None if truth is None else float(np.abs(simulation - truth)[indices].mean())
+        return None if truth is None else float(np.abs(simulation[known] - np.array(truth)[known]).mean())
 
     values = lambda s: dict(zip(problem.unknown, np.asarray(s)[indices].tolist(), strict=True))  # noqa: E731
     return {
@@ -66,7 +70,9 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
         "stop": state.stop,
         "start": values(problem.start),
         "simulation": values(state.simulation),
-        "truth": None if truth is None else values(np.array(truth)),
+        "truth": None if truth is None else dict(zip(original.unknown, np.array(truth)[known].tolist(), strict=True)),
+        "growth": list(state.sought),
+        "effects": list(state.grown),
         "best_controller": trials.controllers[best].tolist(),
     }
 
@@ -86,8 +92,9 @@ def summary_table(result: dict[str, Any], out: Path) -> str:
     lines.append("")
     lines.append(f"{'parameter':34}{'start':>12}{'identified':>12}{'truth':>12}")
     for name, value in result["simulation"].items():
-        truth = "" if result["truth"] is None else f"{result['truth'][name]:12.4f}"
+        truth = "" if name not in (result["truth"] or {}) else f"{result['truth'][name]:12.4f}"
         lines.append(f"{name:34}{result['start'][name]:12.4f}{value:12.4f}{truth}")
+    lines += ["", *map(growth_sentence, result["growth"])] if result["growth"] else []
     lines.append("")
     lines.append(
         f"{result['reality_evaluations']} evaluations in reality ({result['failed_trials']} failed), "

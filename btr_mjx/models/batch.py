@@ -118,19 +118,22 @@ def model_of(robot: Robot, simulation: np.ndarray) -> mujoco.MjModel:
     Raises:
       InputError: a template that does not render, MJCF that MuJoCo does not accept, a number that cannot be set.
     """
-    text = robot.render(simulation)
-    if not robot.edits:
-        return compile_mjcf(robot, text)
-    model = copy.copy(_compiled_text(robot, text))
+    return general_model(robot, simulation) if robot.edits else compile_mjcf(robot, robot.render(simulation))
+
+
+def general_model(robot: Robot, simulation: np.ndarray) -> mujoco.MjModel:
+    """The same, compiled without MuJoCo's short cut for bodies of simple inertia, so that any edit is possible."""
+    model = copy.copy(_general_text(_model_inputs(replace(robot, edits=())), robot.render(simulation)))
     for edit in robot.edits:
-        edit(model, simulation[robot.simulation_box.indices(edit.parameters)].tolist())
+        index = [robot.simulation_box.index(name) for name in edit.parameters]
+        edit(model, simulation[index].tolist())
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
 
 
 @lru_cache(maxsize=16)
-def _compiled_text(robot: Robot, text: str) -> mujoco.MjModel:
-    return compile_mjcf(robot, text)
+def _general_text(robot: Robot, text: str) -> mujoco.MjModel:
+    return compile_mjcf(robot, text, general=True)
 
 
 @lru_cache(maxsize=16)
@@ -167,17 +170,25 @@ def start_of(robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     return model.key_qpos[i].copy(), model.key_qvel[i].copy(), model.key_act[i].copy()
 
 
-def compile_mjcf(robot: Robot, xml: str) -> mujoco.MjModel:
+def compile_mjcf(robot: Robot, xml: str, general: bool = False) -> mujoco.MjModel:
     """Compile rendered MJCF.
+
+    Args:
+      robot: for the folder of included files, and for messages.
+      xml: the rendered text.
+      general: no body counts as simple.
 
     Raises:
       InputError: MuJoCo rejects it; the message has the template's name, the line number and the line's text.
     """
     try:
-        if not robot.folder:
+        if not robot.folder and not general:
             return mujoco.MjModel.from_xml_string(xml)
-        spec = mujoco.MjSpec.from_string(xml, include=_included_files(Path(robot.folder), xml))
+        spec = mujoco.MjSpec.from_string(xml, include=_included_files(Path(robot.folder or "."), xml))
         spec.modelfiledir = robot.folder
+        if general:
+            for body in spec.bodies:
+                body.simple = 0
         return spec.compile()
     except ValueError as error:
         message = " ".join(str(error).split())

@@ -142,11 +142,11 @@ def read_run(folder: Path) -> RunData:
         ),
         start=values("start"),
         identified=values("simulation"),
-        truth=None if result["truth"] is None else values("truth"),
+        truth=None if result["truth"] is None else np.array([result["truth"].get(name, np.nan) for name in names]),
         iterations=read_table(folder / "iterations.parquet"),
         trials=read_arrays(folder / "trials.npz"),
         controllers=[_search(folder, "controllers", "fitness", i) for i in range(1, count + 1)],
-        simulations=[_search(folder, "simulations", "delta_fitness", i) for i in range(1, count + 1)],
+        simulations=[_search(folder, "simulations", "delta_fitness", i, names) for i in range(1, count + 1)],
         result=result,
         distance=config.get("distance", "fitness"),
     )
@@ -189,6 +189,11 @@ def _result(folder: Path) -> dict[str, Any]:
     return read_json(folder / "result.json")
 
 
-def _search(folder: Path, kind: str, score: str, iteration: int) -> Search:
+def _search(folder: Path, kind: str, score: str, iteration: int, names: list[str] | None = None) -> Search:
     arrays = read_arrays(folder / f"{kind}-{iteration:03d}.npz")
-    return Search(iteration, arrays["parameters"], arrays[score])
+    parameters = arrays["parameters"]
+    if names is not None:  # a simulator that grew later has no values of the numbers that came with it
+        own = [str(name) for name in arrays["names"]]
+        absent = np.full(parameters.shape[:-1], np.nan)
+        parameters = np.stack([parameters[..., own.index(n)] if n in own else absent for n in names], axis=-1)
+    return Search(iteration, parameters, arrays[score])

@@ -105,7 +105,8 @@ class Robot:
         if not (self.duration > 0 and math.isfinite(self.duration)):
             raise InputError(f"duration: got {self.duration}, expected a positive time in seconds")
         for edit in self.edits:
-            self.simulation_box.indices(edit.parameters)
+            for name in edit.parameters:
+                self.simulation_box.index(name)
 
     @property
     def nominal_simulation(self) -> np.ndarray:

@@ -8,11 +8,14 @@ another time step and integrator, reality does not share the simulator's numeric
 from dataclasses import dataclass, field
 from typing import Protocol
 
+import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import DISTANCE, Engine, EngineSettings, FitnessFunction, evaluate, fitness_at_marks
+from btr_mjx.gap.data import Recording
+from btr_mjx.models import base_model
 from btr_mjx.robots import Robot
 
 
@@ -45,6 +48,7 @@ class SimulatedReality:
       fitness: the fitness function.
       noise: standard deviation of the relative error of a measured fitness, 0.05 = 5 %.
       seed: of the noise.
+      recording_rate: samples per second of recordings.
     """
 
     robot: Robot
@@ -54,6 +58,7 @@ class SimulatedReality:
     fitness: FitnessFunction = DISTANCE
     noise: float = 0.0
     seed: int = 0
+    recording_rate: float = 400.0
 
     def __post_init__(self) -> None:
         self.robot.simulation_box.validate(self.truth, "hidden simulation")
@@ -78,3 +83,40 @@ class SimulatedReality:
         # the end of the trial is drawn first, so that it does not depend on the other times.
         draws = [np.random.default_rng([self.seed, trial + k]).normal(size=values.shape[1]) for k in range(len(values))]
         return values * (1.0 + self.noise * np.array(draws)[:, ::-1])
+
+    def record(self, controllers: ArrayLike, trials: ArrayLike) -> list[Recording]:
+        """Recordings of trials, with the noise of good sensors.
+
+        Args:
+          controllers: (m, n_c).
+          trials: (m,) their numbers, from which the noise is seeded.
+
+        Returns:
+          One recording for each trial that did not diverge; commands are those of the robot's signal.
+        """
+        model = base_model(self.robot)
+        count = int(self.robot.duration * self.recording_rate)
+        times = np.arange(1, count + 1) / self.recording_rate
+        rows = np.atleast_2d(np.asarray(controllers, float))
+        found = evaluate(
+            self.robot, [self.truth], rows, engine="native", settings=self.settings, times=times, states=True
+        )
+        assert found.outcome.qpos is not None
+        assert found.outcome.qvel is not None
+        sigma = np.array([_SIGMA[int(model.jnt_type[j]) == 0] for j in model.dof_jntid])
+        out = []
+        for i, trial in enumerate(np.asarray(trials).tolist()):
+            if found.diverged[0, i]:
+                continue
+            rng = np.random.default_rng([self.seed, 11, trial])
+            qpos = found.outcome.qpos[0, i].copy()
+            for k, error in enumerate(rng.normal(size=(count, model.nv)) * sigma[:, 0]):
+                mujoco.mj_integratePos(model, qpos[k], error, 1.0)
+            qvel = found.outcome.qvel[0, i] + rng.normal(size=(count, model.nv)) * sigma[:, 1]
+            ctrl = np.stack([self.robot.signal(rows[i][:, None], t, np)[:, 0] for t in times])
+            out.append(Recording(f"trial {trial}", times, ctrl, qpos, qvel, np.ones(model.nv, bool), "fit", model))
+        return out
+
+
+_SIGMA = (5e-4, 1e-2), (1e-3, 2e-2)
+"""Standard deviations of recorded positions and velocities [rad, m, per s]: of joints, and of a free body."""

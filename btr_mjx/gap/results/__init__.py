@@ -5,8 +5,8 @@ describes it in one paragraph. `mend` adds the effects that were found to the MJ
 cannot express to a simulation, and `mended_robot` makes a space of simulations for Back-to-Reality of them.
 """
 
-from btr_mjx.gap.results.mended_model import Callback, FoundEffect, MendedModel, mend
-from btr_mjx.gap.results.mended_space import ControllerTrial, mended_robot
+from btr_mjx.gap.results.mended_model import Callback, FoundEffect, MendedModel, mend, resolve_effect
+from btr_mjx.gap.results.mended_space import ControllerTrial, EffectEdit, is_model_edit, mended_robot
 from btr_mjx.gap.results.records import (
     Confound,
     Diagnosis,
@@ -41,6 +41,7 @@ __all__ = [
     "ControllerTrial",
     "Diagnosis",
     "DisagreementMap",
+    "EffectEdit",
     "Estimate",
     "FoundEffect",
     "Gap",
@@ -57,10 +58,12 @@ __all__ = [
     "effect_title",
     "estimate_cells",
     "format_number",
+    "is_model_edit",
     "mend",
     "mended_robot",
     "place_in_words",
     "refit_sentence",
+    "resolve_effect",
     "save_diagnosis",
     "verdict_sentence",
 ]

@@ -44,6 +44,14 @@ class EffectEdit:
             write_field(model, name, value)
 
 
+def is_model_edit(effect: Effect, model: mujoco.MjModel, place: Place, values: Sequence[float]) -> bool:
+    """Whether all that an effect does is to change numbers of a model, so that `EffectEdit` is the whole of it."""
+    world = World.of(model)
+    before = len(world.command_edits)
+    effect.apply(world, place, np.array(values))
+    return not world.laws and len(world.command_edits) == before and not world.wrench.any()
+
+
 @dataclass(frozen=True)
 class DelayOrLagEdit:
     """A delay or a lag of commands as an edit of a model whose actuators have one.

@@ -1,0 +1,147 @@
+"""A simulator that grows: what is added to it, when, and that it can be saved in between."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from btr_mjx.backtoreality import CoevolveConfig, build_problem, summarise
+from btr_mjx.backtoreality.algorithm import advance, begin
+from btr_mjx.backtoreality.growth import calibration_delta, entries_of_diagnosis, grown, growth_sentence
+from btr_mjx.backtoreality.state import Problem, State, state_from_arrays, state_to_arrays
+from btr_mjx.evaluation import evaluate
+from btr_mjx.gap.results import Estimate, NamedEffect
+from btr_mjx.models import compile_models
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SETTINGS = CoevolveConfig(
+    robot=EXAMPLES / "thrower",
+    engine="native",
+    reality_engine="native",
+    optimiser="cma",
+    iterations=1,
+    trials=6,
+    controllers=12,
+    controller_generations=2,
+    simulations=16,
+    simulation_generations=12,
+    grow=True,
+)
+
+
+def number(value: float, low: float, high: float, null: float = 0.0) -> dict:
+    return {"value": value, "low": low, "high": high, "null": null, "unit": "N m"}
+
+
+FRICTION = {
+    "effect": "dry_friction",
+    "location": "each:all",
+    "numbers": {"torque[shoulder]": number(0.5, 0.0, 1.0), "torque[elbow]": number(0.1, 0.0, 0.2)},
+    "iteration": 1,
+}
+
+
+def problem(hidden: str = "", grow: bool = True) -> Problem:
+    """The thrower, with something hidden at the shoulder of its reality."""
+    made = build_problem(replace(SETTINGS, grow=grow))
+    text = made.robot.template
+    assert '<joint name="shoulder" damping="0.3"/>' in text
+    real = text.replace('<joint name="shoulder" damping="0.3"/>', f'<joint name="shoulder" damping="0.3" {hidden}/>')
+    return replace(made, reality=replace(made.reality, robot=replace(made.robot, template=real)))
+
+
+def run(made: Problem, saved: bool = False) -> State:
+    """The last state; `saved`: every state goes through what a checkpoint holds."""
+    state = begin(made)
+    while state.phase != "done":
+        state = advance(made, state)
+        if saved:
+            state = state_from_arrays(*state_to_arrays(state))
+    return state
+
+
+@pytest.fixture(scope="module")
+def ended() -> tuple[Problem, State]:
+    made = problem('frictionloss="1.0"')
+    return made, run(made)
+
+
+def test_a_hidden_friction_becomes_a_dimension(ended: tuple[Problem, State]) -> None:
+    made, state = ended
+    (row,) = state.sought
+    assert row["verdict"] == "effect"
+    assert [name.split("@")[0] for name in row["added"]] == ["dry_friction"]
+    result = summarise(made, state)
+    shoulder = next(v for name, v in result["simulation"].items() if name.startswith("dry_friction"))
+    assert shoulder == pytest.approx(1.0, rel=0.25)
+    without = summarise(problem(grow=False), run(replace(problem('frictionloss="1.0"', grow=False))))
+    assert result["delta_fitness_last"] < 0.5 * without["delta_fitness_last"]
+    assert "now part of the simulator" in growth_sentence(row)
+    assert set(result["truth"]) == {"ball mass", "elbow damping"}
+
+
+def test_states_that_are_saved_give_the_same_result(ended: tuple[Problem, State]) -> None:
+    _, state = ended
+    again = run(problem('frictionloss="1.0"'), saved=True)
+    np.testing.assert_array_equal(again.simulation, state.simulation)
+    assert again.grown == state.grown
+    assert again.sought == state.sought
+
+
+def test_nothing_is_added_where_nothing_is_missing() -> None:
+    state = run(problem())
+    assert state.grown == ()
+    assert [row["verdict"] for row in state.sought] == ["within calibration"]
+    assert "nothing is sought" in growth_sentence(state.sought[0])
+
+
+def test_an_added_effect_is_an_edit_of_the_model() -> None:
+    """At its null the robot is what it was; elsewhere the joints have the friction."""
+    made = problem()
+    larger = grown(made, [FRICTION])
+    names = ("dry_friction each:all torque[shoulder]", "dry_friction each:all torque[elbow]")
+    assert larger.unknown == (*made.unknown, *names)
+    np.testing.assert_array_equal(larger.start[-2:], 0.0)
+    simulation = np.array([*made.start, 0.5, 0.1])
+    model = compile_models(larger.robot, simulation).row(0)
+    np.testing.assert_allclose(model.dof_frictionloss, [0.5, 0.1])
+    controllers = made.robot.controller_box.sample(np.random.default_rng(0), 3)
+    before = evaluate(made.robot, made.start, controllers, engine="native").fitness
+    same = evaluate(larger.robot, larger.start, controllers, engine="native").fitness
+    other = evaluate(larger.robot, simulation, controllers, engine="native").fitness
+    np.testing.assert_allclose(same, before, rtol=1e-9)
+    assert np.abs(other - before).min() > 1e-6
+
+
+def test_calibration_explains_little_but_something(ended: tuple[Problem, State]) -> None:
+    made, state = ended
+    left = calibration_delta(grown(made, state.grown), state)
+    assert 1e-4 < left < 0.05
+
+
+def test_bounds_of_new_dimensions(ended: tuple[Problem, State]) -> None:
+    """The null is possible, friction is not negative, and what no model can have is left out."""
+    made, state = ended
+    diagnosis = replace(
+        _diagnosis(),
+        effects=(
+            NamedEffect("load_friction", "all", {"coefficient": Estimate(0.2, 0.1, 0.3, "1")}, 1.0, 1.0),
+            NamedEffect("dry_friction", "joint:elbow", {"torque": Estimate(0.1, 0.05, 0.2, "N m")}, 1.0, 1.0),
+            NamedEffect("armature", "joint:elbow", {"armature": Estimate(0.1, 0.09, 0.12, "kg m^2")}, 1.0, 1.0),
+        ),
+    )
+    first, second = entries_of_diagnosis(diagnosis, made, replace(state, simulation=made.start), 5)
+    torque = first["numbers"]["torque"]
+    assert (torque["low"], torque["high"], torque["null"]) == (0.0, pytest.approx(0.4), 0.0)
+    armature = second["numbers"]["armature"]
+    assert (armature["low"], armature["high"]) == (0.0, pytest.approx(0.16))
+    assert len(entries_of_diagnosis(diagnosis, made, replace(state, simulation=made.start), 1)) == 1
+
+
+def _diagnosis():
+    from gap_arm import LIBRARY, QUICK, damped, dataset
+
+    from btr_mjx.gap.inference import identify
+
+    return identify(dataset(damped, seed=1, fit=2, test=1), LIBRARY[:1], max_effects=1, options=QUICK)
