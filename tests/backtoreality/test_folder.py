@@ -130,6 +130,9 @@ def test_fitness_is_computed_from_recordings(reality: FolderReality, controllers
     assert "lasts 0.39 s, a trial takes 0.6 s" in waiting.value.complaints[0]
     np.savetxt(file, rows, delimiter=",", header=",".join(names), comments="", fmt="%.9g")
     found = reality.measure(controllers, 0, marks)
+    recordings = reality.record(controllers, [0, 2, 5])
+    assert [r.name for r in recordings] == ["trial-0", "trial-2"]
+    np.testing.assert_allclose(recordings[0].qpos[1:], truth.outcome.qpos[0, 0], atol=1e-8)
     hand = truth.outcome.position[0][:, [29, 59]]
     np.testing.assert_allclose(found, np.linalg.norm(hand - ROBOT.target, axis=-1), atol=1e-8)
 

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from btr_mjx.backtoreality.reality.measurements import (
     RECORDING_SUFFIXES,
@@ -28,6 +29,7 @@ from btr_mjx.backtoreality.reality.measurements import (
 )
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import DISTANCE, FitnessFunction
+from btr_mjx.gap.data import Recording, make_recording, read_columns
 from btr_mjx.models import base_model, part_names
 from btr_mjx.robots import Robot
 from btr_mjx.runs import atomic_write, note, read_json, write_json
@@ -100,6 +102,22 @@ class FolderReality:
         ]
         return math.sqrt(sum(squares) / len(squares)) if squares else math.nan
 
+    def record(self, controllers: np.ndarray, trials: ArrayLike) -> list[Recording]:
+        """Recordings of trials, of those that were given one.
+
+        Args:
+          controllers: (m, n_c); the recordings have their commands.
+          trials: (m,) ids.
+        """
+        files = (self._recording(int(i)) for i in np.asarray(trials))
+        model = base_model(self.robot)
+        return [make_recording(read_columns(path), model, str(path), path.stem) for path in files if path is not None]
+
+    def _recording(self, trial: int) -> Path | None:
+        """The recording of a trial, if there is one."""
+        names = (self.folder / "measured" / f"trial-{trial}{suffix}" for suffix in RECORDING_SUFFIXES)
+        return next((path for path in names if path.is_file()), None)
+
     def _batch(self, trial: int) -> int:
         """Number of the batch that begins with a trial: 0 for the first controller, then that of the iteration."""
         path = self.folder / _BATCHES
@@ -142,7 +160,7 @@ class FolderReality:
         if (folder / name).is_file():
             found, complaints = read_table_of_fitness(folder / name, ids, self.robot.speed_limit if speed else None)
         for i in ids:
-            path = next((p for s in RECORDING_SUFFIXES if (p := folder / f"trial-{i}{s}").is_file()), None)
+            path = self._recording(i)
             if path is None:
                 continue
             measured, problem = read_recorded_fitness(path, self.robot, self.fitness, times)
