@@ -30,8 +30,9 @@ from btr_mjx.optimise import GAState
 class Report(Protocol):
     """Callback for results.
 
-    `kind` is "generation" or "iteration", with a row of a table, or "archive" at the end of a search, with iteration,
-    phase, and genomes (g, population, bits) and scores (g, population) of all generations.
+    `kind` is "generation" or "iteration", with a row of a table; "growth", with an entry of `State.sought`; or
+    "archive" at the end of a search, with iteration, phase, part (2 for step 3 in a simulator that grew in this
+    iteration), and genomes (g, population, bits) and scores (g, population) of all generations.
     """
 
     def __call__(self, kind: str, row: dict[str, Any]) -> None:
@@ -295,7 +296,10 @@ def _generation_row(state: State, phase: str, scores: np.ndarray, maximise: bool
 
 
 def _archive(state: State, phase: str) -> dict[str, Any]:
-    return {"iteration": state.iteration, "phase": phase, "genomes": state.genomes, "scores": state.scores}
+    grown_here = sum(row["iteration"] == state.iteration for row in state.sought)
+    part = 1 + (grown_here if phase == "simulations" else 0)
+    archive = {"iteration": state.iteration, "phase": phase, "part": part}
+    return archive | {"genomes": state.genomes, "scores": state.scores}
 
 
 def best_index(values: np.ndarray, maximise: bool) -> int:

@@ -1,7 +1,7 @@
 """Settings of a co-evolution, and the `Problem` that they define."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -11,8 +11,8 @@ from btr_mjx.backtoreality.reality import FolderReality, Reality, SimulatedReali
 from btr_mjx.backtoreality.state import BTRSettings, Problem, SearchSettings
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import MARKS, EngineSettings, FitnessFunction, fitness_function
-from btr_mjx.models import chosen_robot
-from btr_mjx.robots import PAPER_REALITIES, Robot
+from btr_mjx.models import chosen_robot, compile_mjcf, part_names
+from btr_mjx.robots import PAPER_REALITIES, Robot, read_template
 
 
 @dataclass(frozen=True)
@@ -99,6 +99,8 @@ class CoevolveConfig:
     """Wait for measurements; otherwise the command ends where some are missing, to be continued with --resume."""
     signal_rate: float = 200.0
     """Samples per second of the reference signals in --exchange."""
+    reality_model: Path | None = None
+    """Another MJCF or template for the hidden reality, with the same joints and motors: what the simulator lacks."""
     reality_engine: Literal["same", "lanes", "mjx", "native"] = "same"
     """Engine that runs the hidden reality; native is float64 and shares no code with the others."""
     reality_timestep: float | None = None
@@ -191,7 +193,7 @@ def build_problem(config: CoevolveConfig) -> Problem:
     engine = None if config.engine == "auto" else config.engine
     fitness = fitness_function(config.fitness or robot.fitness, robot.target)
     reality: Reality = SimulatedReality(
-        robot,
+        _real_robot(robot, config.reality_model),
         tuple(truth.tolist()),
         engine if config.reality_engine == "same" else config.reality_engine,
         EngineSettings(timestep=config.reality_timestep, integrator=config.reality_integrator),
@@ -229,13 +231,43 @@ def build_problem(config: CoevolveConfig) -> Problem:
     )
 
 
+def _real_robot(robot: Robot, model: Path | None) -> Robot:
+    """The robot of a hidden reality, with a model of its own perhaps.
+
+    Raises:
+      InputError: a file that cannot be read, or that does not have the robot's joints and motors.
+    """
+    if model is None:
+        return robot
+    real = replace(
+        robot,
+        template=read_template(model),
+        template_path=str(model),
+        plain=model.suffix != ".j2",
+        folder=str(model.parent.resolve()),
+    )
+    # Edits are left out here: what they change need not be there in another model.
+    ours, theirs = (compile_mjcf(r, r.render(r.nominal)) for r in (robot, real))
+    for kind in ("joint", "actuator"):
+        if part_names(ours, kind) != part_names(theirs, kind):
+            raise InputError(
+                f"reality_model {str(model)!r}: its {kind}s are {', '.join(part_names(theirs, kind))}, expected those "
+                f"of {robot.name}: {', '.join(part_names(ours, kind))}"
+            )
+    return real
+
+
 def _folder_reality(config: CoevolveConfig, robot: Robot, fitness: FitnessFunction) -> FolderReality:
     """The reality behind a folder.
 
     Raises:
       InputError: settings of a simulated reality, no folder, a rate out of range.
     """
-    hidden = [name for name in ("reality_timestep", "reality_integrator") if getattr(config, name) is not None]
+    hidden = [
+        name
+        for name in ("reality_model", "reality_timestep", "reality_integrator")
+        if getattr(config, name) is not None
+    ]
     hidden += ["noise"] * bool(config.noise) + ["truth"] * (config.truth != ("preset",))
     if hidden:
         raise InputError(f"--{hidden[0].replace('_', '-')} is for a simulated reality, and --reality is folder")

@@ -108,7 +108,8 @@ def _write_archive(folder: Path, problem: Problem, row: dict[str, Any]) -> None:
     box = problem.controller_box if row["phase"] == "controllers" else problem.simulation_box
     name = "fitness" if row["phase"] == "controllers" else "delta_fitness"
     arrays = {"parameters": box.decode(row["genomes"]), name: row["scores"], "names": np.array(box.names)}
-    write_arrays(folder / f"{row['phase']}-{row['iteration']:03d}.npz", arrays, compress=True)
+    part = "" if row["part"] == 1 else f"-{row['part']}"
+    write_arrays(folder / f"{row['phase']}-{row['iteration']:03d}{part}.npz", arrays, compress=True)
 
 
 def write_trials(folder: Path, state: State) -> None:

@@ -72,6 +72,7 @@ def generation_axis(
                 names.append(str(generation))
         if "t" in sides and i % math.ceil(1.2 * count / most) == 0:
             text = f"iteration {search.iteration}" if count <= most / 3 else str(search.iteration)
+            text += ", grown" if search.part > 1 else ""
             middle = offset + border + (last + spacing) / 2
             axes.annotate(text, (middle, 1), xycoords=("data", "axes fraction"), xytext=(0, 2), **ABOVE)
     for offset in offsets[1:]:

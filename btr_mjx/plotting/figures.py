@@ -5,6 +5,7 @@ the trials in reality that follow them. Missing values (diverged pairs, failed t
 """
 
 import math
+import textwrap
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -108,7 +109,10 @@ def parameter_values(run: RunData) -> Figure:
         end = offsets[-1] + len(run.simulations[-1].scores)
         axes.plot(end, run.identified[i], "s", color=SIMULATED, markersize=5.5, label="identified", **style)
         margin = 0.04 * box.span[i]
-        axes.set(ylim=(box.low[i] - margin, box.high[i] + margin), ylabel=with_unit(box.names[i], box.units[i]))
+        axes.set(
+            ylim=(box.low[i] - margin, box.high[i] + margin),
+            ylabel=textwrap.fill(with_unit(box.names[i], box.units[i]), 24),
+        )
         sides = ("t" if i < columns else "") + ("b" if i >= box.n - columns else "")
         generation_axis(axes, run.simulations, offsets, spacing, border=1 - 0.5 * (spacing + 1), most=9, sides=sides)
         axes.tick_params(labelbottom=i >= box.n - columns)

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from matplotlib.figure import Figure
 
-from btr_mjx.models import compile_mjcf
+from btr_mjx.models import compile_models
 from btr_mjx.plotting import pictures
 from btr_mjx.plotting.run_data import RunData
 from btr_mjx.robots import Robot
@@ -30,14 +30,17 @@ def morphologies(robot: Robot, run: RunData) -> Figure:
       The figure, with outlines instead of rendered pictures on a machine without OpenGL.
     """
     nominal = robot.nominal_simulation
-    indices = robot.simulation_box.indices(run.box.names)
-    shown = {"nominal": nominal[indices], "identified": run.identified, "reality": run.truth}
+    # Numbers of effects that were added to the simulator change no shape.
+    own = [i for i, name in enumerate(run.box.names) if name in robot.simulation_box.names]
+    names, indices = [run.box.names[i] for i in own], robot.simulation_box.indices(run.box.names[i] for i in own)
+    truth = None if run.truth is None else run.truth[own]
+    shown = {"nominal": nominal[indices], "identified": run.identified[own], "reality": truth}
     cases = {title: values for title, values in shown.items() if values is not None}
     models = []
     for values in cases.values():
         simulation = nominal.copy()
         simulation[indices] = values
-        models.append(compile_mjcf(robot, robot.render(simulation)))
+        models.append(compile_models(robot, simulation).row(0))
     searched = _searched_geoms(robot, indices)
     for model in models:
         model.geom_rgba[searched] = UNKNOWN
@@ -48,8 +51,8 @@ def morphologies(robot: Robot, run: RunData) -> Figure:
     draw_models(panels, models)
     for axes, title, values in zip(panels, cases, cases.values(), strict=True):
         axes.set_title(title, fontsize=11)
-        units = [f" {unit}" if unit else "" for unit in run.box.units]
-        lengths = [f"{n}: {v:.2f}{unit}" for n, v, unit in zip(run.box.names, values, units, strict=True)]
+        units = [f" {run.box.units[i]}" if run.box.units[i] else "" for i in own]
+        lengths = [f"{n}: {v:.2f}{unit}" for n, v, unit in zip(names, values, units, strict=True)]
         lines = [",  ".join(lengths[i : i + columns]) for i in range(0, len(lengths), columns)]
         axes.text(0.5, -0.03, "\n".join(lines), transform=axes.transAxes, ha="center", va="top", fontsize=size)
     return figure
@@ -71,5 +74,5 @@ def _searched_geoms(robot: Robot, indices: np.ndarray) -> np.ndarray:
     """Ids of the geoms whose size depends on the unknown parameters."""
     low, high = robot.nominal_simulation, robot.nominal_simulation
     low[indices], high[indices] = robot.simulation_box.low[indices], robot.simulation_box.high[indices]
-    sizes = [compile_mjcf(robot, robot.render(values)).geom_size for values in (low, high)]
+    sizes = [compile_models(robot, values).row(0).geom_size for values in (low, high)]
     return np.flatnonzero((sizes[0] != sizes[1]).any(axis=1))

@@ -21,11 +21,13 @@ class Search:
       iteration: 1, 2, ...
       parameters: (g, population, n) of every generation.
       scores: (g, population) their fitness or Delta_fitness; NaN for members that diverged.
+      part: 2 for the search of simulations after the simulator grew in this iteration.
     """
 
     iteration: int
     parameters: np.ndarray
     scores: np.ndarray
+    part: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +130,10 @@ def read_run(folder: Path) -> RunData:
     space = result["space"]
     values = lambda key: np.array([float(result[key][name]) for name in names])  # noqa: E731
     count = int(result["iterations"])
+    table = read_table(folder / "iterations.parquet")
+    # An iteration in which the simulator grew has a second search of simulations, and a second row.
+    numbers = table["iteration"].to_list()
+    searches = [(number, 1 + numbers[:k].count(number)) for k, number in enumerate(numbers)]
     return RunData(
         fitness=result["fitness"],
         unit=result["fitness_unit"],
@@ -143,10 +149,10 @@ def read_run(folder: Path) -> RunData:
         start=values("start"),
         identified=values("simulation"),
         truth=None if result["truth"] is None else np.array([result["truth"].get(name, np.nan) for name in names]),
-        iterations=read_table(folder / "iterations.parquet"),
+        iterations=table,
         trials=read_arrays(folder / "trials.npz"),
         controllers=[_search(folder, "controllers", "fitness", i) for i in range(1, count + 1)],
-        simulations=[_search(folder, "simulations", "delta_fitness", i, names) for i in range(1, count + 1)],
+        simulations=[_search(folder, "simulations", "delta_fitness", *search, names) for search in searches],
         result=result,
         distance=config.get("distance", "fitness"),
     )
@@ -189,11 +195,13 @@ def _result(folder: Path) -> dict[str, Any]:
     return read_json(folder / "result.json")
 
 
-def _search(folder: Path, kind: str, score: str, iteration: int, names: list[str] | None = None) -> Search:
-    arrays = read_arrays(folder / f"{kind}-{iteration:03d}.npz")
+def _search(
+    folder: Path, kind: str, score: str, iteration: int, part: int = 1, names: list[str] | None = None
+) -> Search:
+    arrays = read_arrays(folder / f"{kind}-{iteration:03d}{'' if part == 1 else f'-{part}'}.npz")
     parameters = arrays["parameters"]
     if names is not None:  # a simulator that grew later has no values of the numbers that came with it
         own = [str(name) for name in arrays["names"]]
         absent = np.full(parameters.shape[:-1], np.nan)
         parameters = np.stack([parameters[..., own.index(n)] if n in own else absent for n in names], axis=-1)
-    return Search(iteration, parameters, arrays[score])
+    return Search(iteration, parameters, arrays[score], part)

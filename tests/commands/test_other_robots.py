@@ -43,6 +43,10 @@ def test_a_scan_of_a_path(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     [
         (["--robot", "nowhere/robot.toml"], "nowhere"),
         (["--robot", str(EXAMPLES / "thrower"), "--template", "x.xml"], "got both"),
+        (
+            ["--robot", str(EXAMPLES / "thrower"), "--reality-model", str(EXAMPLES / "quadruped" / "robot.xml")],
+            "expected those of thrower: shoulder, elbow",
+        ),
         (["--robot", str(EXAMPLES / "thrower"), "--unknown", "ball mas"], "did you mean 'ball mass'"),
         (["--robot", str(EXAMPLES / "thrower"), "--truth", "ball mass=7"], "[0.05, 0.6] kg"),
     ],
