@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from btr_mjx.gap.effects import EACH_MEMBER
 from btr_mjx.gap.inference.scoring.scanner import Lead
 from btr_mjx.gap.inference.scoring.screening import Entry
 from btr_mjx.gap.windows import Options
@@ -38,9 +37,7 @@ def pick(
     for lead in sorted(leads, key=merit, reverse=True):
         by_name.setdefault(entry(lead).candidate.name, []).append(lead)
     names = list(by_name)
-    # One number for a group and one for each of its members take one place together.
-    places = list(dict.fromkeys(name.replace(EACH_MEMBER, "") for name in names))[: options.leaders]
-    chosen = [name for name in names if name.replace(EACH_MEMBER, "") in places]
+    chosen = names[: options.leaders]
     limits = [name for name in names if any(entry(lead).probe for lead in by_name[name])]
     # A limit looks like a weak motor from afar.
     picked = dict.fromkeys([*chosen, *limits[:1]])
