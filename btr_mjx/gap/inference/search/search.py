@@ -27,6 +27,7 @@ from btr_mjx.gap.inference.scoring.screening import (
     entries_of,
     is_contact_sensitive,
     screen,
+    simulated,
     tolerance_of,
 )
 from btr_mjx.gap.inference.search.contact_scan import contact_scan, with_contacts, with_line_search
@@ -147,7 +148,7 @@ class Bench:
         self.contact_sensitive = {name for name, changed in fields.items() if is_contact_sensitive(changed)}
         entries = entries_of(self.candidates, self.contact_sensitive)
         note("windows")
-        count = sum(len(entry.steps) for entry in entries)
+        count = sum(len(entry.steps) for entry in entries if simulated(entry.candidate))
         chosen = choose_windows(data, held, self.base, self.survey, count, self.options, self.counter)
         self.fit, self.test = (Side(own, Nuisance.nothing(0, 0)) for own in chosen.windows)
         self.single, self.options, self.survey = chosen.single, chosen.options, chosen.survey
