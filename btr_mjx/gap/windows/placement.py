@@ -150,7 +150,7 @@ def plan_windows(
       data: recordings to fit.
       held: recordings held out.
       span: length of a window [s].
-      count: total number of parameters of the candidates that are screened.
+      count: total number of parameters of the candidates whose signatures are simulated.
       options: budget.
       counter: adds up the simulated steps.
 
