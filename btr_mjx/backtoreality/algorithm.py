@@ -21,7 +21,7 @@ import numpy as np
 from btr_mjx.backtoreality import simulation_search
 from btr_mjx.backtoreality.controller_search import select_transferable
 from btr_mjx.backtoreality.growth import calibration_delta, entries_of_diagnosis, grown, seek
-from btr_mjx.backtoreality.simulation_search import delta_of_simulations, genetic_algorithm
+from btr_mjx.backtoreality.simulation_search import delta_of_simulations, genetic_algorithm, whole_trial_delta
 from btr_mjx.backtoreality.state import Problem, State, Trials
 from btr_mjx.errors import InputError
 from btr_mjx.optimise import GAState
@@ -236,9 +236,10 @@ def seek_missing_effect(problem: Problem, state: State, report: Report) -> State
         iteration=state.iteration + (0 if state.stop else 1),
         delta_before=np.nan,
     )
-    row: dict[str, Any] = {"iteration": state.iteration, "delta_before": state.delta_before, "added": []}
+    left = float(whole_trial_delta(problem, state.simulation[None], state.trials, state.iteration)[0])
+    row: dict[str, Any] = {"iteration": state.iteration, "delta_before": left, "added": []}
     row["calibration"] = calibration_delta(problem, state)
-    if not state.delta_before > row["calibration"]:
+    if not left > row["calibration"]:
         return replace(after, sought=(*state.sought, row | {"verdict": "within calibration"}))
     record = getattr(problem.reality, "record", None)
     rows = np.flatnonzero(np.isfinite(state.trials.f_r))
@@ -267,7 +268,7 @@ def seek_missing_effect(problem: Problem, state: State, report: Report) -> State
         delta_before=float(before),
         stop="",
         grown=(*state.grown, *entries),
-        sought=(*state.sought, row | {"delta_after": float(before)}),
+        sought=(*state.sought, row),
     )
 
 

@@ -17,6 +17,7 @@ ROBOTS = {
 }
 
 
+@pytest.mark.filterwarnings("ignore:compiler attribute:UserWarning")
 @pytest.mark.parametrize("name", ROBOTS)
 def test_a_public_model_is_co_evolved(name: str, tmp_path: Path) -> None:
     what, path, bounds, mass = ROBOTS[name]
