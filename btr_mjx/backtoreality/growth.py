@@ -37,7 +37,6 @@ _MOST_RECORDINGS = 12
 class _Calibration:
     """Small errors of calibration as an edit of a model; it takes no parameter of S."""
 
-    robot: Robot
     draw: int
     parameters: tuple[str, ...] = ()
 
@@ -99,7 +98,7 @@ def calibration_delta(problem: Problem, state: State) -> float:
     own = evaluate(problem.robot, state.simulation, controllers, fitness=problem.fitness, engine="native").fitness[0]
     left = []
     for draw in range(_DRAWS):
-        robot = replace(problem.robot, edits=(*problem.robot.edits, _Calibration(problem.robot, draw)))
+        robot = replace(problem.robot, edits=(*problem.robot.edits, _Calibration(draw)))
         other = evaluate(robot, state.simulation, controllers, fitness=problem.fitness, engine="native").fitness[0]
         left.append(float(np.nanmean(np.abs(other - own))))
     return max(left)

@@ -76,8 +76,15 @@ def read_controller(
             raise InputError(f"{where}: unknown key {key!r}; nearest: {nearest_names(key, known)}")
     if ".py:" in kind:
         return _own_signal(table, kind, model, file)
+    if model.nu == 0 or model.nu != len(model.actuator_trntype):
+        raise InputError(
+            f"{where}: the model has {len(model.actuator_trntype)} motors with {model.nu} controls; a built-in signal "
+            "needs motors with one control each, use a signal of your own (FILE.py:FUNCTION)"
+        )
     groups = _groups(table, model, file)
-    return (_sinusoids if kind == "sinusoid" else _spline)(table, groups, model, start, duration, where)
+    if kind == "sinusoid":
+        return _sinusoids(table, groups, model, start, where)
+    return _spline(table, groups, model, start, duration, where)
 
 
 def controls_at_start(model: mujoco.MjModel, keyframe: str) -> np.ndarray:
@@ -158,13 +165,14 @@ def _range(
     return default
 
 
+def _by_motor(groups: list[_Group], values: list[tuple[float, ...]]) -> tuple[float, ...]:
+    """Numbers of all groups in the order of the motors."""
+    pairs = [pair for group, own in zip(groups, values, strict=True) for pair in zip(group.motors, own, strict=True)]
+    return tuple(value for _, value in sorted(pairs))
+
+
 def _sinusoids(
-    table: Mapping[str, Any],
-    groups: list[_Group],
-    model: mujoco.MjModel,
-    start: np.ndarray,
-    duration: float,
-    where: str,
+    table: Mapping[str, Any], groups: list[_Group], model: mujoco.MjModel, start: np.ndarray, where: str
 ) -> tuple[Box, Signal]:
     rows: list[tuple[str, float, float, str]] = []
     frequency: Any = table.get("frequency")
@@ -186,10 +194,8 @@ def _sinusoids(
                 index[key][motor] = len(rows)
             rows.append((f"{key} {group.name}", low, high, "rad" if key == "phase" else ""))
     motors = range(model.nu)
-    sign = {m: s for g in groups for m, s in zip(g.motors, g.sign, strict=True)}
-    shift = {m: s for g in groups for m, s in zip(g.motors, g.shift, strict=True)}
     offset = index["offset"]
-    if offset and len(offset) < model.nu:  # motors without an offset point to none: one that stays at zero
+    if offset and len(offset) < model.nu:
         raise InputError(f"{where}: offset is given for some groups only; give [controller] an offset, or every group")
     signal = Sinusoids(
         amplitude=tuple(index["amplitude"][m] for m in motors),
@@ -198,8 +204,8 @@ def _sinusoids(
         frequency=0 if isinstance(frequency, list) else -1,
         hertz=1.0 if isinstance(frequency, list) else float(frequency),
         centre=tuple(start.tolist()),
-        sign=tuple(sign[m] for m in motors),
-        shift=tuple(shift[m] for m in motors),
+        sign=_by_motor(groups, [group.sign for group in groups]),
+        shift=_by_motor(groups, [group.shift for group in groups]),
     )
     return _box(rows), signal
 
@@ -222,9 +228,9 @@ def _spline(
         low, high = _range("range", table, group, None if room is None else (-room, room), where)
         knots |= {motor: tuple(range(len(rows), len(rows) + count)) for motor in group.motors}
         rows += [(f"knot {k + 1} {group.name}", low, high, "") for k in range(count)]
-    sign = {m: s for g in groups for m, s in zip(g.motors, g.sign, strict=True)}
     motors = range(model.nu)
-    signal = Spline(tuple(knots[m] for m in motors), duration, tuple(start.tolist()), tuple(sign[m] for m in motors))
+    sign = _by_motor(groups, [group.sign for group in groups])
+    signal = Spline(tuple(knots[m] for m in motors), duration, tuple(start.tolist()), sign)
     return _box(rows), signal
 
 

@@ -128,7 +128,7 @@ def _believed(bench: Bench, final: Judged, rest: Rest, signature: np.ndarray) ->
 
 
 def _moved(base: Hypothesis, final: Judged) -> list[Confound]:
-    """PathParameter numbers that moved when the effects entered."""
+    """Believed numbers that moved when the effects entered."""
     out = []
     last = final.hypothesis.believed
     for parameter, before, after in zip(base.parameters, base.believed, last, strict=True):
