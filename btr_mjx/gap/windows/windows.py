@@ -122,11 +122,11 @@ class Windows:
 
     @property
     def models(self) -> list[mujoco.MjModel]:
-        """PathParameter models, one per group of recordings that share one."""
+        """Believed models, one per group of recordings that share one."""
         return [model for model, _ in self.groups]
 
     def _by_model(self) -> list[tuple[mujoco.MjModel, np.ndarray]]:
-        """PathParameter models and the windows of each."""
+        """Believed models and the windows of each."""
         groups: dict[int, tuple[mujoco.MjModel, list[int]]] = {}
         for window, r in enumerate(self.recording):
             model = self.data.recordings[r].model
