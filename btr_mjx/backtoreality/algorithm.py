@@ -20,10 +20,13 @@ import numpy as np
 
 from btr_mjx.backtoreality import simulation_search
 from btr_mjx.backtoreality.controller_search import select_transferable
-from btr_mjx.backtoreality.growth import calibration_delta, entries_of_diagnosis, grown, seek
+from btr_mjx.backtoreality.fitness_growth import seek_by_fitness
+from btr_mjx.backtoreality.grown import grown
+from btr_mjx.backtoreality.growth import calibration_delta, entries_of_diagnosis, proposals, seek
 from btr_mjx.backtoreality.simulation_search import delta_of_simulations, genetic_algorithm, whole_trial_delta
 from btr_mjx.backtoreality.state import Problem, State, Trials
 from btr_mjx.errors import InputError
+from btr_mjx.gap.results import FoundEffect
 from btr_mjx.optimise import GAState
 
 
@@ -241,19 +244,8 @@ def seek_missing_effect(problem: Problem, state: State, report: Report) -> State
     row["calibration"] = calibration_delta(problem, state)
     if not left > row["calibration"]:
         return replace(after, sought=(*state.sought, row | {"verdict": "within calibration"}))
-    record = getattr(problem.reality, "record", None)
-    rows = np.flatnonzero(np.isfinite(state.trials.f_r))
-    recordings = [] if record is None else record(state.trials.controllers[rows], rows)
-    if len(recordings) < 2:
-        return replace(after, sought=(*state.sought, row | {"verdict": "no recordings"}))
-    diagnosis = seek(problem, state, recordings, problem.seed)
-    entries = entries_of_diagnosis(diagnosis, problem, state, problem.settings.most_effects - len(state.grown))
-    row |= {
-        "verdict": diagnosis.verdict,
-        "named": [effect.name for effect in diagnosis.effects],
-        "added": [f"{entry['effect']}@{entry['location']}" for entry in entries],
-        "unexplained": list(diagnosis.unexplained),
-    }
+    found, entries = _missing(problem, state)
+    row |= found | {"added": [f"{entry['effect']}@{entry['location']}" for entry in entries]}
     report("growth", row)
     if not entries:
         return replace(after, sought=(*state.sought, row))
@@ -270,6 +262,28 @@ def seek_missing_effect(problem: Problem, state: State, report: Report) -> State
         grown=(*state.grown, *entries),
         sought=(*state.sought, row),
     )
+
+
+def _missing(problem: Problem, state: State) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """What a search for a missing effect says, for `State.sought`, and what is to be added, for `State.grown`."""
+    most = problem.settings.most_effects - len(state.grown)
+    record = getattr(problem.reality, "record", None) if problem.settings.grow_from == "recordings" else None
+    rows = np.flatnonzero(np.isfinite(state.trials.f_r))
+    # A diagnosis starts from a model, in which effects of a simulator would be missing again.
+    recordings = record(state.trials.controllers[rows], rows) if record and problem.robot.simulator is None else []
+    found, proposed = dict[str, Any](), list[FoundEffect]()
+    if len(recordings) >= 2:
+        diagnosis = seek(problem, state, recordings, problem.seed)
+        found = {"from": "recordings", "verdict": diagnosis.verdict, "unexplained": list(diagnosis.unexplained)}
+        found["ranking"] = [f"{row.effect}@{row.location}" for row in diagnosis.ranking[:5]]
+        entries = entries_of_diagnosis(diagnosis, problem, state, most)
+        proposed = proposals(diagnosis)
+        if entries or not proposed:
+            return found, entries
+    search = seek_by_fitness(problem, state, proposed)
+    ranking = [f"{entry['effect']}@{entry['location']}" for entry in search.ranking]
+    added = list(search.ranking[:1]) if search.verdict == "effect" else []
+    return found | {"from": "fitness", "verdict": search.verdict, "ranking": ranking}, added
 
 
 def _after_generation(state: State, search: GAState | None, genomes: np.ndarray, scores: np.ndarray) -> State:

@@ -87,7 +87,10 @@ class CoevolveConfig:
 
     grow: bool = False
     """Where the best simulation leaves more of Delta_fitness than errors of calibration do, look for the missing effect
-    in recordings of the trials, and add it to the simulator."""
+    and add it to the simulator."""
+    grow_from: Literal["recordings", "fitness"] = "recordings"
+    """Look for it in recordings of the trials where reality gives them, else by fitness alone; or by fitness alone in
+    any case."""
     max_effects: int = 2
     """Effects that --grow adds, at most."""
 
@@ -224,6 +227,7 @@ def build_problem(config: CoevolveConfig) -> Problem:
             marks=config.marks,
             optimiser=config.optimiser,
             most_effects=config.max_effects if config.grow else 0,
+            grow_from=config.grow_from,
         ),
         fitness=fitness,
         engine=engine,

@@ -1,17 +1,17 @@
 """Growth: a simulator that lacks a physical effect gets it, and the space of simulations one dimension more.
 
 After step 3, what the best simulation leaves of Delta_fitness is compared with what small errors of calibration would
-leave. Where it is more, recordings of the trials are searched for the effect that is missing. A named effect becomes
-an edit of the model, its numbers become dimensions of S as wide as their intervals, and step 3 goes on in the larger S.
+leave. Where it is more, recordings of the trials are searched for the effect that is missing; where reality gives none,
+`fitness_growth` does with fitness. A named effect becomes part of the robot (`grown`), its numbers become dimensions of
+S as wide as their intervals, and step 3 goes on in the larger S.
 """
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from btr_mjx.backtoreality.state import Problem, State
@@ -19,12 +19,13 @@ from btr_mjx.evaluation import evaluate
 from btr_mjx.gap.data import Dataset, Recording
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
 from btr_mjx.gap.inference import identify
-from btr_mjx.gap.results import Diagnosis, EffectEdit, FoundEffect, is_model_edit, resolve_effect
-from btr_mjx.models import PathParameter, general_model
-from btr_mjx.robots import Box, Robot
+from btr_mjx.gap.results import Diagnosis, EffectEdit, FoundEffect, resolve_effect
+from btr_mjx.gap.simulate import World, differing_fields
+from btr_mjx.models import PathParameter, general_model, read_field, write_field
+from btr_mjx.robots import Robot
 
 _DRAWS = 8
-"""Simulated robots that differ by calibration alone; the largest Delta_fitness among them is not worth a search."""
+"""Simulated robots that differ by calibration alone; the median Delta_fitness among them is not worth a search."""
 
 _WIDER = 3.0
 """Width of a new dimension, in half-widths of the interval of its number."""
@@ -33,8 +34,12 @@ _MOST_RECORDINGS = 12
 """Recordings of a search: of the latest trials."""
 
 
+_MOST_PROPOSALS = 4
+"""Effects that recordings propose to a search by fitness."""
+
+
 @dataclass(frozen=True)
-class _Calibration:
+class Calibration:
     """Small errors of calibration as an edit of a model; it takes no parameter of S."""
 
     draw: int
@@ -52,56 +57,43 @@ class _Calibration:
                 EffectEdit(candidate.effect, candidate.place, ())(model, numbers.tolist())
 
 
-def grown(problem: Problem, entries: Sequence[Mapping[str, Any]]) -> Problem:
-    """The problem with the effects that were added to it.
+@dataclass(frozen=True)
+class _Unknown(PathParameter):
+    """An unknown parameter of S for a diagnosis: whatever it changes in the model of a simulation.
 
-    Args:
-      problem: as it began.
-      entries: of `State.grown`.
-
-    Returns:
-      The problem; its unknown parameters are those at the beginning, then the numbers of the effects.
+    Attributes:
+      robot: the robot.
+      simulation: the simulation whose model is diagnosed.
     """
-    if not entries:
-        return problem
-    robot = _grown_robot(problem.robot, json.dumps(list(entries)))
-    added = robot.simulation_box.names[problem.robot.simulation_box.n :]
-    start = np.concatenate([problem.start, robot.nominal[problem.robot.simulation_box.n :]])
-    return replace(problem, robot=robot, unknown=(*problem.unknown, *added), start=start)
 
+    robot: Robot = field(kw_only=True)
+    simulation: tuple[float, ...] = field(kw_only=True)
 
-@lru_cache(maxsize=16)
-def _grown_robot(robot: Robot, entries: str) -> Robot:
-    model = general_model(robot, robot.nominal_simulation)
-    box, nominal, edits = robot.simulation_box, list(robot.nominal), list(robot.edits)
-    names, low, high, units = list(box.names), box.low.tolist(), box.high.tolist(), list(box.units)
-    for entry in json.loads(entries):
-        found = FoundEffect(entry["effect"], entry["location"], {n: d["value"] for n, d in entry["numbers"].items()})
-        effect, place, _ = resolve_effect(model, found, EFFECTS)
-        own = tuple(f"{entry['effect']} {entry['location']} {name}" for name in entry["numbers"])
-        edits.append(EffectEdit(effect, place, own))
-        names += own
-        for number in entry["numbers"].values():
-            low.append(number["low"])
-            high.append(number["high"])
-            nominal.append(number["null"])
-            units.append(number["unit"])
-    bits = [*box.bits, *[max(box.bits)] * (len(names) - box.n)]
-    whole = Box(names, low, high, bits=bits, code=box.code, units=units)
-    return replace(robot, simulation_box=whole, nominal=tuple(nominal), edits=tuple(edits))
+    def value(self, model: mujoco.MjModel) -> float:
+        """Its value in the simulation."""
+        return self.simulation[self.robot.simulation_box.index(self.name)]
+
+    def write(self, model: mujoco.MjModel, value: float) -> None:
+        """Add what changes between the simulation and one with another value."""
+        here = np.array(self.simulation)
+        there = here.copy()
+        there[self.robot.simulation_box.index(self.name)] = value
+        before, after = (World.of(general_model(self.robot, s)) for s in (here, there))
+        for name, own in differing_fields(after, before.model).items():
+            write_field(model, name, read_field(model, name) + own - read_field(before.model, name))
 
 
 def calibration_delta(problem: Problem, state: State) -> float:
-    """Delta_fitness that errors of calibration alone leave over the present trials; the largest of a few draws."""
+    """Delta_fitness that errors of calibration alone leave over the present trials; the median of a few draws."""
     rows = np.isfinite(state.trials.f_r)
     controllers = state.trials.controllers[rows]
     own = evaluate(problem.robot, state.simulation, controllers, fitness=problem.fitness, engine="native").fitness[0]
     left = []
     for draw in range(_DRAWS):
-        robot = replace(problem.robot, edits=(*problem.robot.edits, _Calibration(draw)))
+        robot = replace(problem.robot, edits=(*problem.robot.edits, Calibration(draw)))
         other = evaluate(robot, state.simulation, controllers, fitness=problem.fitness, engine="native").fitness[0]
         left.append(float(np.nanmean(np.abs(other - own))))
-    return max(left)
+    return float(np.median(left))
 
 
 def seek(problem: Problem, state: State, recordings: Sequence[Recording], seed: int) -> Diagnosis:
@@ -117,27 +109,23 @@ def seek(problem: Problem, state: State, recordings: Sequence[Recording], seed: 
     used = recordings[-_MOST_RECORDINGS:]
     held_out = max(1, len(used) // 3)
     split = [replace(r, model=model, split="test" if i >= len(used) - held_out else "fit") for i, r in enumerate(used)]
-    values = dict(zip(problem.robot.simulation_box.names, state.simulation.tolist(), strict=True))
+    box, simulation = problem.robot.simulation_box, tuple(state.simulation.tolist())
     # What is searched in S may move along with an effect.
     believed = tuple(
-        edit
-        for edit in problem.robot.edits
-        if isinstance(edit, PathParameter) and edit.name in problem.unknown and not edit.relative
-        if edit.low <= values[edit.name] <= edit.high
+        _Unknown(box.names[i], (), float(box.low[i]), float(box.high[i]), robot=problem.robot, simulation=simulation)
+        for i in box.indices(problem.unknown)
     )
     data = Dataset(Path(), model, Path("robot.xml"), "", believed, tuple(split), "cubic")
     return identify(data, seed=seed)
 
 
 def entries_of_diagnosis(diagnosis: Diagnosis, problem: Problem, state: State, most: int) -> list[dict[str, Any]]:
-    """Effects of a diagnosis as entries of `State.grown`: those that a model can have, `most` of them at most."""
+    """Effects of a diagnosis as entries of `State.grown`, `most` of them at most."""
     entries: list[dict[str, Any]] = []
     model = general_model(problem.robot, state.simulation)
-    for effect in diagnosis.effects:
+    for effect in diagnosis.effects[:most]:
         sizes = {name: estimate.value for name, estimate in effect.parameters.items()}
-        own, place, values = resolve_effect(model, FoundEffect(effect.effect, effect.location, sizes), EFFECTS)
-        if len(entries) == most or not is_model_edit(own, model, place, values.tolist()):
-            continue
+        own, place, _ = resolve_effect(model, FoundEffect(effect.effect, effect.location, sizes), EFFECTS)
         lowest = {p.name: p.low for p in own.parameters(model, Scales.of(model), place)}
         numbers = {}
         for name, estimate in effect.parameters.items():
@@ -166,15 +154,20 @@ def entries_of_diagnosis(diagnosis: Diagnosis, problem: Problem, state: State, m
     return entries
 
 
+def proposals(diagnosis: Diagnosis) -> list[FoundEffect]:
+    """Effects that follow recordings better than the model, though none of them well enough to be named."""
+    if diagnosis.verdict == "none":
+        return []
+    rows = [row for row in diagnosis.ranking if row.score > 0 and not row.beside][:_MOST_PROPOSALS]
+    return [FoundEffect(row.effect, row.location, row.parameters) for row in rows]
+
+
 def growth_sentence(row: Mapping[str, Any]) -> str:
     """What a search for a missing effect came to, of an entry of `State.sought`."""
     where = f"iteration {row['iteration']}: Delta_fitness {row['delta_before']:.4g}"
     if row["verdict"] == "within calibration":
         return f"{where} is no more than errors of calibration leave ({row['calibration']:.4g}): nothing is sought"
-    if row["verdict"] == "no recordings":
-        return f"{where} is more than errors of calibration leave, but there are no recordings to search"
     if row["added"]:
         return f"{where}; missing: {', '.join(row['added'])}, now part of the simulator"
-    named = ", ".join(row.get("named", []))
-    why = f"; {named} cannot be part of a model" if named else ""
-    return f"{where}; the search for a missing effect says {row['verdict']}{why}"
+    data = "recordings" if row["from"] == "recordings" else "fitness alone"
+    return f"{where}; the search for a missing effect by {data} says {row['verdict']}"

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from btr_mjx.backtoreality.algorithm import Report, advance, begin
-from btr_mjx.backtoreality.growth import grown, growth_sentence
+from btr_mjx.backtoreality.grown import grown
+from btr_mjx.backtoreality.growth import growth_sentence
 from btr_mjx.backtoreality.reality import Waiting
 from btr_mjx.backtoreality.state import Problem, State, state_from_arrays, state_to_arrays
 from btr_mjx.runs import RunFolder, StopRequest, note, progress, write_arrays

@@ -18,6 +18,9 @@ Phase = Literal["baseline", "controllers", "transfer", "simulations", "growth", 
 Distance = Literal["fitness", "multiscale"]
 """Distance that step 3 minimises, see `BTRSettings.distance`."""
 
+GrowFrom = Literal["recordings", "fitness"]
+"""Data in which a missing effect is sought, see `BTRSettings.grow_from`."""
+
 Optimiser = Literal["ga", "cma"]
 """Optimiser of step 3, see `BTRSettings.optimiser`."""
 
@@ -71,6 +74,7 @@ class BTRSettings:
       optimiser: of step 3: "ga" is the genetic algorithm (the paper), "cma" is CMA-ES, which ignores p_m and bits and
         ends a search early once it has converged.
       most_effects: effects that may be added to the simulator, see `growth`; 0 for a simulator that does not grow.
+      grow_from: "recordings" of the trials where reality gives them, else their fitness; or "fitness" in any case.
     """
 
     controllers: SearchSettings
@@ -84,6 +88,7 @@ class BTRSettings:
     marks: tuple[float, ...] = MARKS
     optimiser: Optimiser = "ga"
     most_effects: int = 0
+    grow_from: GrowFrom = "recordings"
 
     def __post_init__(self) -> None:
         if not 1 <= self.trials < self.controllers.population:

@@ -9,7 +9,7 @@ pairs.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Literal, get_args
 
 import jax
@@ -134,7 +134,7 @@ def evaluate(
     for rows, columns in _blocks(shape, runner.block):
         used, index = np.unique(rows, return_inverse=True)
         models = compile_models(robot, s[used])
-        record = runner.run(models, index, c[columns])
+        record = runner.run(models, s[used], index, c[columns])
         records.append(track_point(robot, models, index, record) if robot.point else record)
         if progress is not None:
             progress(len(rows))
@@ -143,7 +143,12 @@ def evaluate(
 
 
 def fastest_engine(robot: Robot) -> Engine:
-    """The fastest engine that supports a robot: lanes; otherwise MJX on an accelerator or native on a CPU."""
+    """The fastest engine that supports a robot: lanes; otherwise MJX on an accelerator or native on a CPU.
+
+    A simulator of the robot's own counts as native.
+    """
+    if robot.simulator is not None:
+        return "native"
     try:
         _stepper(_program_inputs(robot), "lanes", bool(jax.config.read("jax_enable_x64")))
         return "lanes"
@@ -169,7 +174,9 @@ def _evaluation(
         whole["energy"],
         *(whole[name] if states else None for name in ("qpos", "qvel", "act")),
     )
-    finite = np.isfinite(outcome.position).all((-2, -1)) & np.isfinite(outcome.energy).all(-1)
+    finite = np.isfinite(outcome.position).all((-2, -1))
+    if robot.simulator is None:
+        finite &= np.isfinite(outcome.energy).all(-1)
     # NaN fails the comparison: an invalid speed counts as too fast.
     diverged = ~(finite & (whole["peak_speed"] <= robot.speed_limit))
     with np.errstate(invalid="ignore", over="ignore"):
@@ -199,10 +206,10 @@ def _blocks(shape: tuple[int, ...], size: int) -> Iterator[tuple[np.ndarray, np.
 
 @dataclass(frozen=True)
 class _Runner:
-    """Runs one block: `run(models, index of each pair's model, controllers (B, n_c))`."""
+    """Runs one block: `run(models, their simulations, index of each pair's model, controllers (B, n_c))`."""
 
     block: int
-    run: Callable[[Models, np.ndarray, np.ndarray], Record]
+    run: Callable[[Models, np.ndarray, np.ndarray, np.ndarray], Record]
 
 
 def _runner(robot: Robot, engine: Engine, samples: np.ndarray, states: bool, settings: EngineSettings) -> _Runner:
@@ -211,8 +218,15 @@ def _runner(robot: Robot, engine: Engine, samples: np.ndarray, states: bool, set
     if engine != "native" and (settings.timestep or settings.integrator or settings.threads):
         raise InputError(f"engine {engine!r}: another timestep, integrator or thread count needs engine='native'")
     address = base_address(robot)
+    if robot.simulator is not None:
+        if engine != "native" or settings.integrator or settings.threads:
+            raise InputError(
+                f"engine {engine!r}: {robot.name} has a simulator of its own, which counts as 'native' and takes no "
+                "other integrator or number of threads"
+            )
+        return _Runner(settings.chunk or 8192, partial(_run_simulator, robot, samples, settings.timestep))
     if engine == "native":
-        run_native = lambda models, index, controllers: native.rollout_native(  # noqa: E731
+        run_native = lambda models, _, index, controllers: native.rollout_native(  # noqa: E731
             models.base,
             {name: values[index] for name, values in models.leaves.items()},
             controllers,
@@ -227,10 +241,37 @@ def _runner(robot: Robot, engine: Engine, samples: np.ndarray, states: bool, set
     program = _program(
         _program_inputs(robot), engine, len(samples), states, settings.chunk, bool(jax.config.read("jax_enable_x64"))
     )
-    run = lambda models, index, controllers: program(  # noqa: E731
+    run = lambda models, _, index, controllers: program(  # noqa: E731
         {name: values[index] for name, values in models.leaves.items()}, controllers, samples
     )
     return _Runner(program.layout.pairs, run)
+
+
+def _run_simulator(
+    robot: Robot,
+    samples: np.ndarray,
+    timestep: float | None,
+    models: Models,
+    simulations: np.ndarray,
+    index: np.ndarray,
+    controllers: np.ndarray,
+) -> Record:
+    """Record of a robot's own simulator; without the work of the motors, and with the base's speed at the samples."""
+    assert robot.simulator is not None
+    dt, address, start = timestep or float(models.base.opt.timestep), base_address(robot), start_of(robot)
+    rows = [models.row(i) for i in range(len(models))]
+    qpos, qvel = robot.simulator(robot, rows, simulations, index, controllers, samples * dt, dt)
+    origin = np.stack([rows[i].qpos0 if start is None else start[0] for i in index])
+    count, position, peak = len(index), np.zeros((*qpos.shape[:2], 3)), np.zeros(len(index))
+    if address is not None:
+        position = qpos[..., address[0] : address[0] + 3]
+        origin = origin[:, address[0] : address[0] + 3]
+        peak = np.linalg.norm(qvel[..., address[1] : address[1] + 3], axis=-1).max(axis=1)
+    else:
+        position, origin = np.where(np.isfinite(qpos).all(-1)[..., None], position, np.nan), np.zeros((count, 3))
+    act = np.zeros((*qpos.shape[:2], models.base.na))
+    energy = np.full(qpos.shape[:2], np.nan)
+    return Record(origin, position, energy, peak, np.zeros(count, int), qpos, qvel, act)
 
 
 def base_address(robot: Robot) -> tuple[int, int] | None:

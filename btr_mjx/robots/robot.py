@@ -55,6 +55,39 @@ class Edit(Protocol):
         ...
 
 
+class Simulator(Protocol):
+    """Simulates pairs where the engines cannot: forces that depend on the state, edited commands, another simulator.
+
+    Simulators are compared and hashed.
+    """
+
+    def __call__(
+        self,
+        robot: "Robot",
+        models: Sequence[Any],
+        simulations: np.ndarray,
+        index: np.ndarray,
+        controllers: np.ndarray,
+        times: np.ndarray,
+        timestep: float,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Simulate the trials of B pairs.
+
+        Args:
+          robot: the robot.
+          models: (L,) `mujoco.MjModel`s of the simulations.
+          simulations: (L, n_s).
+          index: (B,) simulation of each pair.
+          controllers: (B, n_c) controller of each pair.
+          times: (K,) ascending sample times, whole time steps [s].
+          timestep: [s].
+
+        Returns:
+          qpos (B, K, nq) and qvel (B, K, nv); NaN from the first invalid state of a pair on.
+        """
+        ...
+
+
 @dataclass(frozen=True)
 class Robot:
     """A robot whose simulation is not fully known.
@@ -71,6 +104,7 @@ class Robot:
       constants: (name, value) pairs that the template needs in addition to the parameters of S.
       base_body: the body with the free joint whose position is measured; None for a robot with a fixed base.
       edits: changes of the compiled model by the other parameters of S, in this order.
+      simulator: in place of the engines; the work of the motors is not known then.
       folder: folder of included files and meshes, "" for none.
       plain: the text is MJCF as it stands, not a template.
       keyframe: name of the keyframe in which trials start; "" for the model's qpos0.
@@ -91,6 +125,7 @@ class Robot:
     constants: tuple[tuple[str, float], ...] = ()
     base_body: str | None = None
     edits: tuple[Edit, ...] = ()
+    simulator: Simulator | None = None
     folder: str = ""
     plain: bool = False
     keyframe: str = ""

@@ -8,7 +8,8 @@ import pytest
 
 from btr_mjx.backtoreality import CoevolveConfig, build_problem, summarise
 from btr_mjx.backtoreality.algorithm import advance, begin
-from btr_mjx.backtoreality.growth import calibration_delta, entries_of_diagnosis, grown, growth_sentence
+from btr_mjx.backtoreality.grown import grown
+from btr_mjx.backtoreality.growth import calibration_delta, entries_of_diagnosis, growth_sentence
 from btr_mjx.backtoreality.state import Problem, State, state_from_arrays, state_to_arrays
 from btr_mjx.evaluation import evaluate
 from btr_mjx.gap.results import Estimate, NamedEffect
@@ -120,13 +121,40 @@ def test_calibration_explains_little_but_something(ended: tuple[Problem, State])
     assert 1e-4 < left < 0.05
 
 
+BACKLASH = {
+    "effect": "backlash",
+    "location": "all",
+    "numbers": {"play": {"value": 0.05, "low": 0.0, "high": 0.2, "null": 0.0, "unit": "rad"}},
+    "iteration": 1,
+}
+
+
+def test_an_effect_that_no_model_has_is_simulated() -> None:
+    """Backlash beside friction: at their nulls the robot is what it was, with each alone it is not."""
+    made = problem()
+    larger = grown(replace(made, engine="lanes"), [FRICTION, BACKLASH])
+    assert larger.engine is None
+    controllers = made.robot.controller_box.sample(np.random.default_rng(0), 3)
+    before = evaluate(made.robot, made.start, controllers, engine="native").fitness
+    rows = np.tile(larger.start, (3, 1))
+    rows[1, -3] = 0.5
+    rows[2, -1] = 0.05
+    same, friction, play = evaluate(larger.robot, rows, controllers).fitness
+    np.testing.assert_allclose(same, before[0], rtol=1e-9)
+    assert np.abs(friction - before).max() > 1e-4
+    assert np.abs(play - before).max() > 1e-4
+    coefficient = {"value": 0.1, "low": 0.0, "high": 0.3, "null": 0.0, "unit": "1"}
+    loaded = {"effect": "load_friction", "location": "all", "numbers": {"coefficient": coefficient}}
+    twice = grown(grown(made, [BACKLASH]), [loaded])
+    assert len(twice.robot.simulator.effects) == 2
+
+
 def test_bounds_of_new_dimensions(ended: tuple[Problem, State]) -> None:
-    """The null is possible, friction is not negative, and what no model can have is left out."""
+    """The null is possible, and friction is not negative."""
     made, state = ended
     diagnosis = replace(
         _diagnosis(),
         effects=(
-            NamedEffect("load_friction", "all", {"coefficient": Estimate(0.2, 0.1, 0.3, "1")}, 1.0, 1.0),
             NamedEffect("dry_friction", "joint:elbow", {"torque": Estimate(0.1, 0.05, 0.2, "N m")}, 1.0, 1.0),
             NamedEffect("armature", "joint:elbow", {"armature": Estimate(0.1, 0.09, 0.12, "kg m^2")}, 1.0, 1.0),
         ),

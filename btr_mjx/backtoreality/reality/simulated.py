@@ -92,9 +92,11 @@ class SimulatedReality:
           trials: (m,) their numbers, from which the noise is seeded.
 
         Returns:
-          One recording for each trial that did not diverge; commands are those of the robot's signal.
+          One recording for each trial that did not diverge. Motors hold the robot's signal over every time step, so
+          that recorded commands are half a step late.
         """
         model = base_model(self.robot)
+        late = 0.5 * (self.settings.timestep or float(model.opt.timestep))
         count = int(self.robot.duration * self.recording_rate)
         times = np.arange(1, count + 1) / self.recording_rate
         rows = np.atleast_2d(np.asarray(controllers, float))
@@ -113,7 +115,7 @@ class SimulatedReality:
             for k, error in enumerate(rng.normal(size=(count, model.nv)) * sigma[:, 0]):
                 mujoco.mj_integratePos(model, qpos[k], error, 1.0)
             qvel = found.outcome.qvel[0, i] + rng.normal(size=(count, model.nv)) * sigma[:, 1]
-            ctrl = np.stack([self.robot.signal(rows[i][:, None], t, np)[:, 0] for t in times])
+            ctrl = np.stack([self.robot.signal(rows[i][:, None], t - late, np)[:, 0] for t in times])
             out.append(Recording(f"trial {trial}", times, ctrl, qpos, qvel, np.ones(model.nv, bool), "fit", model))
         return out
 

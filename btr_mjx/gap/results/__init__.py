@@ -5,8 +5,9 @@ describes it in one paragraph. `mend` adds the effects that were found to the MJ
 cannot express to a simulation, and `mended_robot` makes a space of simulations for Back-to-Reality of them.
 """
 
+from btr_mjx.gap.results.effect_simulator import EffectEdit, EffectSimulator, added_effects
 from btr_mjx.gap.results.mended_model import Callback, FoundEffect, MendedModel, mend, resolve_effect
-from btr_mjx.gap.results.mended_space import ControllerTrial, EffectEdit, is_model_edit, mended_robot
+from btr_mjx.gap.results.mended_space import ControllerTrial, mended_robot
 from btr_mjx.gap.results.records import (
     Confound,
     Diagnosis,
@@ -42,6 +43,7 @@ __all__ = [
     "Diagnosis",
     "DisagreementMap",
     "EffectEdit",
+    "EffectSimulator",
     "Estimate",
     "FoundEffect",
     "Gap",
@@ -52,13 +54,13 @@ __all__ = [
     "RankedCandidate",
     "Refit",
     "Verdict",
+    "added_effects",
     "as_result",
     "confound_sentence",
     "effect_at_place",
     "effect_title",
     "estimate_cells",
     "format_number",
-    "is_model_edit",
     "mend",
     "mended_robot",
     "place_in_words",
