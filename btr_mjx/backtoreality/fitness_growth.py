@@ -108,7 +108,8 @@ def seek_by_fitness(problem: Problem, state: State, proposed: Sequence[FoundEffe
     held_out = [np.abs(_fitness(c.problem, _best(c)[None], controllers[test])[0] - real[test]) for c in competitors]
     before = held_out[0]
     ranking = [
-        _entry(c, state.iteration, before.mean(), own.mean()) for c, own in zip(others, held_out[1:], strict=True)
+        _entry(c, state.iteration, float(before.mean()), float(own.mean()))
+        for c, own in zip(others, held_out[1:], strict=True)
     ]
     named = bool(others) and others[0].delta <= (1 - LEAST_FALL) * plain.delta and _falls(before, held_out[1])
     return FitnessSearch("effect" if named else "none", tuple(ranking))

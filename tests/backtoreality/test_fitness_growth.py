@@ -20,7 +20,7 @@ SETTINGS = CoevolveConfig(
 )
 
 
-def measured(hidden: str, count: int = 15) -> tuple[Problem, State]:
+def measured(hidden: str, count: int = 30) -> tuple[Problem, State]:
     """Trials of random controllers of a thrower whose other parameters are known."""
     problem = build_problem(replace(SETTINGS, grow_from="fitness"))
     text = problem.robot.template
