@@ -40,6 +40,7 @@ def worn() -> tuple[Problem, State, FitnessSearch]:
     return problem, state, seek_by_fitness(problem, state)
 
 
+@pytest.mark.slow
 def test_a_hidden_friction_is_found(worn: tuple[Problem, State, FitnessSearch]) -> None:
     problem, state, search = worn
     assert search.verdict == "effect"
@@ -55,11 +56,13 @@ def test_a_hidden_friction_is_found(worn: tuple[Problem, State, FitnessSearch]) 
     assert first["gap_before"] <= 1.5 * delta_fitness_of(plain.fitness[0, test], state.trials.f_r[test])
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_result(worn: tuple[Problem, State, FitnessSearch]) -> None:
     problem, state, search = worn
     assert seek_by_fitness(problem, state) == search
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_nothing_is_missing_or_known() -> None:
     """Random errors of measurements are no effect, and a handful of trials says nothing."""
     problem, state = measured("")
