@@ -124,7 +124,7 @@ def is_near(config: Config, row: dict[str, Any]) -> bool:
 def summary(config: Config, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Shares and medians over all cases.
 
-    `first_three` are cases whose effect is right or, where nothing was added, among the first three of a search.
+    `right_or_first_three` are cases whose effect was added or is among the first three of a search.
     """
     grown = [row for row in rows if row["grow"] and row["case"] != "nothing"]
     nulls = [row for row in rows if row["grow"] and row["case"] == "nothing"]
@@ -158,9 +158,8 @@ def main() -> None:
         rows = []
         with progress(total=len(wanted), description=config.robot, unit="runs", show=True) as bar:
             for name, seed, grow in wanted:
-                file = (
-                    config.out / f"{config.robot}-{name.replace(' ', '_')}-{seed}-{'grown' if grow else 'plain'}.json"
-                )
+                how = f"{config.iterations}-{config.grow_from if grow else 'plain'}"
+                file = config.out / f"{config.robot}-{name.replace(' ', '_')}-{seed}-{how}.json"
                 if not file.is_file():
                     write_json(file, case(config, name, seed, grow))
                 rows.append(read_json(file))

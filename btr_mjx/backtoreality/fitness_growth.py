@@ -62,7 +62,7 @@ class FitnessSearch:
     ranking: tuple[dict[str, Any], ...]
 
 
-@dataclass
+@dataclass(eq=False)
 class _Competitor:
     """The simulator with one more effect, or as it is, and its own step 3."""
 

@@ -33,7 +33,6 @@ _WIDER = 3.0
 _MOST_RECORDINGS = 12
 """Recordings of a search: of the latest trials."""
 
-
 _MOST_PROPOSALS = 4
 """Effects that recordings propose to a search by fitness."""
 
@@ -83,6 +82,15 @@ class _Unknown(PathParameter):
             write_field(model, name, read_field(model, name) + own - read_field(before.model, name))
 
 
+def unknown_parameters(problem: Problem, simulation: np.ndarray) -> tuple[PathParameter, ...]:
+    """The unknown parameters of S as parameters of a diagnosis of a simulation (n_s,)."""
+    box, values = problem.robot.simulation_box, tuple(simulation.tolist())
+    return tuple(
+        _Unknown(box.names[i], (), float(box.low[i]), float(box.high[i]), robot=problem.robot, simulation=values)
+        for i in box.indices(problem.unknown)
+    )
+
+
 def calibration_delta(problem: Problem, state: State) -> float:
     """Delta_fitness that errors of calibration alone leave over the present trials; the median of a few draws."""
     rows = np.isfinite(state.trials.f_r)
@@ -109,12 +117,8 @@ def seek(problem: Problem, state: State, recordings: Sequence[Recording], seed: 
     used = recordings[-_MOST_RECORDINGS:]
     held_out = max(1, len(used) // 3)
     split = [replace(r, model=model, split="test" if i >= len(used) - held_out else "fit") for i, r in enumerate(used)]
-    box, simulation = problem.robot.simulation_box, tuple(state.simulation.tolist())
     # What is searched in S may move along with an effect.
-    believed = tuple(
-        _Unknown(box.names[i], (), float(box.low[i]), float(box.high[i]), robot=problem.robot, simulation=simulation)
-        for i in box.indices(problem.unknown)
-    )
+    believed = unknown_parameters(problem, state.simulation)
     data = Dataset(Path(), model, Path("robot.xml"), "", believed, tuple(split), "cubic")
     return identify(data, seed=seed)
 

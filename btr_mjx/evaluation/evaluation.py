@@ -29,6 +29,7 @@ from btr_mjx.engines import (
 )
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation.fitness import DISTANCE, FitnessFunction, Outcome
+from btr_mjx.evaluation.own_simulator import run_simulator
 from btr_mjx.evaluation.tracked_point import track_point
 from btr_mjx.models import Models, base_model, compile_models, start_of, varying_fields
 from btr_mjx.robots import Robot
@@ -224,7 +225,7 @@ def _runner(robot: Robot, engine: Engine, samples: np.ndarray, states: bool, set
                 f"engine {engine!r}: {robot.name} has a simulator of its own, which counts as 'native' and takes no "
                 "other integrator or number of threads"
             )
-        return _Runner(settings.chunk or 8192, partial(_run_simulator, robot, samples, settings.timestep))
+        return _Runner(settings.chunk or 8192, partial(run_simulator, robot, address, samples, settings.timestep))
     if engine == "native":
         run_native = lambda models, _, index, controllers: native.rollout_native(  # noqa: E731
             models.base,
@@ -245,33 +246,6 @@ def _runner(robot: Robot, engine: Engine, samples: np.ndarray, states: bool, set
         {name: values[index] for name, values in models.leaves.items()}, controllers, samples
     )
     return _Runner(program.layout.pairs, run)
-
-
-def _run_simulator(
-    robot: Robot,
-    samples: np.ndarray,
-    timestep: float | None,
-    models: Models,
-    simulations: np.ndarray,
-    index: np.ndarray,
-    controllers: np.ndarray,
-) -> Record:
-    """Record of a robot's own simulator; without the work of the motors, and with the base's speed at the samples."""
-    assert robot.simulator is not None
-    dt, address, start = timestep or float(models.base.opt.timestep), base_address(robot), start_of(robot)
-    rows = [models.row(i) for i in range(len(models))]
-    qpos, qvel = robot.simulator(robot, rows, simulations, index, controllers, samples * dt, dt)
-    origin = np.stack([rows[i].qpos0 if start is None else start[0] for i in index])
-    count, position, peak = len(index), np.zeros((*qpos.shape[:2], 3)), np.zeros(len(index))
-    if address is not None:
-        position = qpos[..., address[0] : address[0] + 3]
-        origin = origin[:, address[0] : address[0] + 3]
-        peak = np.linalg.norm(qvel[..., address[1] : address[1] + 3], axis=-1).max(axis=1)
-    else:
-        position, origin = np.where(np.isfinite(qpos).all(-1)[..., None], position, np.nan), np.zeros((count, 3))
-    act = np.zeros((*qpos.shape[:2], models.base.na))
-    energy = np.full(qpos.shape[:2], np.nan)
-    return Record(origin, position, energy, peak, np.zeros(count, int), qpos, qvel, act)
 
 
 def base_address(robot: Robot) -> tuple[int, int] | None:

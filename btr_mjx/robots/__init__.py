@@ -5,7 +5,7 @@ robot is one more `Robot`; the commands take the hexapod unless another template
 """
 
 from btr_mjx.robots.hexapod import HEXAPOD, PAPER_REALITIES, hexapod, robot_of
-from btr_mjx.robots.robot import Edit, Robot, Signal, Simulator, compiled_template, read_template
+from btr_mjx.robots.robot import Edit, Pairs, Robot, Signal, Simulator, compiled_template, read_template
 from btr_mjx.robots.signals import Sinusoids, Spline
 from btr_mjx.robots.spaces import Box
 
@@ -14,6 +14,7 @@ __all__ = [
     "PAPER_REALITIES",
     "Box",
     "Edit",
+    "Pairs",
     "Robot",
     "Signal",
     "Simulator",

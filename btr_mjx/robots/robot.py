@@ -55,32 +55,35 @@ class Edit(Protocol):
         ...
 
 
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """B pairs (s, c) for a `Simulator`.
+
+    Attributes:
+      models: (L,) `mujoco.MjModel`s of the simulations.
+      simulations: (L, n_s).
+      index: (B,) simulation of each pair.
+      controllers: (B, n_c) controller of each pair.
+      times: (K,) ascending sample times, whole time steps [s].
+      timestep: [s].
+    """
+
+    models: Sequence[Any]
+    simulations: np.ndarray
+    index: np.ndarray
+    controllers: np.ndarray
+    times: np.ndarray
+    timestep: float
+
+
 class Simulator(Protocol):
     """Simulates pairs where the engines cannot: forces that depend on the state, edited commands, another simulator.
 
     Simulators are compared and hashed.
     """
 
-    def __call__(
-        self,
-        robot: "Robot",
-        models: Sequence[Any],
-        simulations: np.ndarray,
-        index: np.ndarray,
-        controllers: np.ndarray,
-        times: np.ndarray,
-        timestep: float,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Simulate the trials of B pairs.
-
-        Args:
-          robot: the robot.
-          models: (L,) `mujoco.MjModel`s of the simulations.
-          simulations: (L, n_s).
-          index: (B,) simulation of each pair.
-          controllers: (B, n_c) controller of each pair.
-          times: (K,) ascending sample times, whole time steps [s].
-          timestep: [s].
+    def __call__(self, robot: "Robot", pairs: Pairs) -> tuple[np.ndarray, np.ndarray]:
+        """Simulate the trials of pairs.
 
         Returns:
           qpos (B, K, nq) and qvel (B, K, nv); NaN from the first invalid state of a pair on.
@@ -104,7 +107,7 @@ class Robot:
       constants: (name, value) pairs that the template needs in addition to the parameters of S.
       base_body: the body with the free joint whose position is measured; None for a robot with a fixed base.
       edits: changes of the compiled model by the other parameters of S, in this order.
-      simulator: in place of the engines; the work of the motors is not known then.
+      simulator: in place of the engines; the work of the motors and their activations are not known then.
       folder: folder of included files and meshes, "" for none.
       plain: the text is MJCF as it stands, not a template.
       keyframe: name of the keyframe in which trials start; "" for the model's qpos0.

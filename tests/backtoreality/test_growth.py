@@ -3,17 +3,24 @@
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
 from btr_mjx.backtoreality import CoevolveConfig, build_problem, summarise
 from btr_mjx.backtoreality.algorithm import advance, begin
 from btr_mjx.backtoreality.grown import grown
-from btr_mjx.backtoreality.growth import calibration_delta, entries_of_diagnosis, growth_sentence
+from btr_mjx.backtoreality.growth import (
+    calibration_delta,
+    entries_of_diagnosis,
+    growth_sentence,
+    proposals,
+    unknown_parameters,
+)
 from btr_mjx.backtoreality.state import Problem, State, state_from_arrays, state_to_arrays
 from btr_mjx.evaluation import evaluate
-from btr_mjx.gap.results import Estimate, NamedEffect
-from btr_mjx.models import compile_models
+from btr_mjx.gap.results import Estimate, NamedEffect, RankedCandidate
+from btr_mjx.models import compile_models, general_model
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SETTINGS = CoevolveConfig(
@@ -147,6 +154,32 @@ def test_an_effect_that_no_model_has_is_simulated() -> None:
     loaded = {"effect": "load_friction", "location": "all", "numbers": {"coefficient": coefficient}}
     twice = grown(grown(made, [BACKLASH]), [loaded])
     assert len(twice.robot.simulator.effects) == 2
+
+
+@pytest.mark.parametrize("robot", [EXAMPLES / "thrower", EXAMPLES / "quadruped", None])
+def test_an_unknown_parameter_changes_what_it_does_in_S(robot: Path | None) -> None:
+    """Absolute and relative paths and variables of a template, against the model of the other simulation."""
+    made = build_problem(replace(SETTINGS, robot=robot))
+    box = made.robot.simulation_box
+    here, there = made.start, made.start.copy()
+    i = box.indices(made.unknown)
+    there[i] += 0.1 * (box.high - box.low)[i]
+    model, expected = general_model(made.robot, here), general_model(made.robot, there)
+    for unknown in unknown_parameters(made, here):
+        assert unknown.value(model) == here[box.index(unknown.name)]
+        unknown.write(model, there[box.index(unknown.name)])
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    for name in ("body_mass", "body_inertia", "body_pos", "geom_size", "geom_pos", "dof_damping", "actuator_gainprm"):
+        np.testing.assert_allclose(getattr(model, name), getattr(expected, name), rtol=1e-9, atol=1e-12, err_msg=name)
+    assert not np.array_equal(expected.dof_M0, general_model(made.robot, here).dof_M0)
+
+
+def test_recordings_propose_what_they_prefer(ended: tuple[Problem, State]) -> None:
+    row = RankedCandidate("dry_friction", "joint:elbow", 12.0, 0.0, 15.0, 6.0, {"torque": 0.1})
+    rows = (row, replace(row, beside=("armature@joint:elbow",)), replace(row, effect="backlash", score=-1.0))
+    diagnosis = replace(_diagnosis(), verdict="unexplained", ranking=rows)
+    assert [(one.effect, one.values) for one in proposals(diagnosis)] == [("dry_friction", {"torque": 0.1})]
+    assert proposals(replace(diagnosis, verdict="none")) == []
 
 
 def test_bounds_of_new_dimensions(ended: tuple[Problem, State]) -> None:

@@ -2,7 +2,8 @@
 
 `Diagnosis` holds everything that the page or result.json needs. `save_diagnosis` writes its files, `verdict_sentence`
 describes it in one paragraph. `mend` adds the effects that were found to the MJCF, `Callback` adds those that MJCF
-cannot express to a simulation, and `mended_robot` makes a space of simulations for Back-to-Reality of them.
+cannot express to a simulation. `added_effects` makes parts of a robot of effects, and `mended_robot` a space of
+simulations for Back-to-Reality.
 """
 
 from btr_mjx.gap.results.effect_simulator import EffectEdit, EffectSimulator, added_effects

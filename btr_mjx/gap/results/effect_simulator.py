@@ -16,7 +16,7 @@ from btr_mjx.gap.effects import Effect, Place
 from btr_mjx.gap.results.mended_model import FoundEffect, resolve_effect
 from btr_mjx.gap.simulate import Command, Segments, World, differing_fields, simulate
 from btr_mjx.models import start_of, write_field
-from btr_mjx.robots import Edit, Robot, Simulator
+from btr_mjx.robots import Edit, Pairs, Robot, Simulator
 
 
 @dataclass(frozen=True)
@@ -52,37 +52,29 @@ class EffectSimulator:
 
     effects: tuple[EffectEdit, ...]
 
-    def __call__(
-        self,
-        robot: Robot,
-        models: Sequence[mujoco.MjModel],
-        simulations: np.ndarray,
-        index: np.ndarray,
-        controllers: np.ndarray,
-        times: np.ndarray,
-        timestep: float,
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(self, robot: Robot, pairs: Pairs) -> tuple[np.ndarray, np.ndarray]:
         """See `robots.Simulator`. The signal is held over every step, as in the engines."""
+        times, timestep, nq = pairs.times, pairs.timestep, pairs.models[0].nq
         at = np.arange(round(float(times[-1]) / timestep)) * timestep
-        distinct, which = np.unique(controllers, axis=0, return_inverse=True)
+        distinct, which = np.unique(pairs.controllers, axis=0, return_inverse=True)
         columns = np.ascontiguousarray(distinct.T)
         control = np.stack([robot.signal(columns, t, np) for t in at])  # (steps, nu, controllers)
         commands = tuple(Command(at, control[:, :, i], "hold") for i in range(len(distinct)))
         start, jobs, rows = start_of(robot), [], []
-        for i, model in enumerate(models):
-            own = np.flatnonzero(index == i)
+        for i, model in enumerate(pairs.models):
+            own = np.flatnonzero(pairs.index == i)
             world = World.of(model)
             for effect in self.effects:
-                values = [simulations[i, robot.simulation_box.index(name)] for name in effect.parameters]
+                values = [pairs.simulations[i, robot.simulation_box.index(name)] for name in effect.parameters]
                 effect.effect.apply(world, effect.place, np.array(values))
             qpos, qvel, act = start or (model.qpos0, np.zeros(model.nv), np.zeros(model.na))
             qpos, qvel, act = (np.tile(values, (len(own), 1)) for values in (qpos, qvel, act))
             jobs.append((world, Segments(np.zeros(len(own)), qpos, qvel, times, commands, which[own], act)))
             rows.append(own)
-        found = np.empty((len(index), len(times), models[0].nq + models[0].nv))
+        found = np.empty((len(pairs.index), len(times), nq + pairs.models[0].nv))
         for own, states in zip(rows, simulate(jobs, timestep=timestep), strict=True):
             found[own] = states
-        return found[..., : models[0].nq], found[..., models[0].nq :]
+        return found[..., :nq], found[..., nq:]
 
 
 def added_effects(

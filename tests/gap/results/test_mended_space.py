@@ -83,6 +83,7 @@ def test_a_mended_robot_can_be_evaluated(rng: np.random.Generator) -> None:
 
 TERMS = {
     "delay": [entry("actuator_delay", "all", delay=(0.01, 0.002))],
+    "lag": [entry("actuator_lag", "actuator:hip0", time_constant=(0.02, 0.004))],
     "backlash": [entry("backlash", "all", play=(0.05, 0.01))],
     "force": [entry("constant_force", "body:torso", x=(3.0, 0.5), y=(1.0, 0.5), z=(0.0, 0.5))],
     "two": [
@@ -112,10 +113,14 @@ def test_effects_without_mjcf_are_simulated(case: str) -> None:
         model.actuator_delay[:] = 0.0  # MuJoCo's own starts from a control of zero
         for k in range(round(0.3 / model.opt.timestep)):
             data.ctrl[:] = signal(controller[:, None], max(k * model.opt.timestep - late, 0.0), np)[:, 0]
+            if k == 0 and model.na:
+                data.act[:] = data.ctrl[:1]  # a filter starts at rest
             missing(model, data)
             mujoco.mj_step(model, data)
         size = np.abs(wrong.outcome.qpos[0, row, -1] - data.qpos).max()
-        assert np.abs(result.outcome.qpos[0, row, -1] - data.qpos).max() < 0.05 * size
+        # MuJoCo's filter acts on the state at the start of a step, the simulator's in its middle.
+        share = 0.1 if case == "lag" else 0.05
+        assert np.abs(result.outcome.qpos[0, row, -1] - data.qpos).max() < share * size
         np.testing.assert_array_equal(result.outcome.position[0, row, -1], result.outcome.qpos[0, row, -1, :3])
 
 
