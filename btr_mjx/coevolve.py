@@ -3,6 +3,7 @@
 A hidden simulation plays reality, or a robot is reached through files (--reality folder). The run folder holds:
 
     config.json, environment.json   what was asked for, and with which versions and machine
+    inputs.json, SHA256SUMS         digests of the robot and the reality, and of all data files
     generations.parquet             one row per generation of either search
     iterations.parquet              one row per iteration of Back-to-Reality
     trials.npz                      every evaluation in reality: controllers, f_r, f_s, iteration
@@ -16,6 +17,7 @@ import dataclasses
 import sys
 import types
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from typing import Any
 
 import tyro
@@ -26,6 +28,7 @@ from btr_mjx.backtoreality import (
     Waiting,
     begin,
     build_problem,
+    inputs_of,
     run_in_folder,
     summarise,
     summary_table,
@@ -34,7 +37,7 @@ from btr_mjx.backtoreality import (
 from btr_mjx.errors import cli_errors, resume_command
 from btr_mjx.models import base_model
 from btr_mjx.plotting import draw_run
-from btr_mjx.runs import IGNORED_FIELDS, RunFolder, graceful_interrupt, with_folder, write_json
+from btr_mjx.runs import IGNORED_FIELDS, RunFolder, claimed_folder, graceful_interrupt, write_json
 
 
 def coevolve(config: CoevolveConfig | None = None, **changes: Any) -> dict[str, Any]:
@@ -52,25 +55,29 @@ def coevolve(config: CoevolveConfig | None = None, **changes: Any) -> dict[str, 
       Waiting: measurements are missing in the exchange folder; continue with `resume` when they are there.
       Interrupted: a signal asked to stop; everything up to the last generation is saved.
     """
-    config = _with_folder(dataclasses.replace(config or PRESETS[changes.get("preset", "quick")], **changes))
-    problem = build_problem(config)
-    # Bad input raises its error before anything is written.
-    begin(problem)
-    base_model(problem.robot)
-    assert config.out is not None
-    ignore = (*IGNORED_FIELDS, "figures", "wait")
-    with RunFolder.create(config.out, config, config.resume, ignore=ignore) as run, graceful_interrupt() as stop:
-        state = run_in_folder(problem, run, stop, config.progress, config.wait)
-        result = summarise(problem, state)
-        write_trials(run.path, state)
-        write_json(run.path / "result.json", result)
-        if config.figures:
-            draw_run(run.path)
+    config = dataclasses.replace(config or PRESETS[changes.get("preset", "quick")], **changes)
+    with _claimed(config) as config:
+        assert config.out is not None
+        problem = build_problem(config)
+        # Bad input raises its error before anything is written.
+        begin(problem)
+        base_model(problem.robot)
+        folder = RunFolder.create(
+            config.out, config, config.resume, ignore=(*IGNORED_FIELDS, "figures", "wait"), inputs=inputs_of(problem)
+        )
+        with folder as run, graceful_interrupt() as stop:
+            state = run_in_folder(problem, run, stop, config.progress, config.wait)
+            result = summarise(problem, state)
+            write_trials(run.path, state)
+            write_json(run.path / "result.json", result)
+            run.seal()
+            if config.figures:
+                draw_run(run.path)
     return result
 
 
-def _with_folder(config: CoevolveConfig) -> CoevolveConfig:
-    return with_folder(config, f"{config.preset}-{config.seed}")
+def _claimed(config: CoevolveConfig) -> AbstractContextManager[CoevolveConfig]:
+    return claimed_folder(config, f"{config.preset}-{config.seed}")
 
 
 def parse(argv: Sequence[str]) -> CoevolveConfig:
@@ -89,8 +96,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
     argv = sys.argv[1:] if argv is None else list(argv)
     config = parse(argv)
-    with cli_errors():
-        config = _with_folder(config)
+    with cli_errors(), _claimed(config) as config:
         resume = resume_command("btr_mjx.coevolve", argv, config.out)
         try:
             with cli_errors(resume):

@@ -21,6 +21,7 @@ The exit code is 0 for every verdict.
 import dataclasses
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -42,10 +43,12 @@ from btr_mjx.gap.windows import Options
 from btr_mjx.runs import (
     IGNORED_FIELDS,
     RunFolder,
+    claimed_folder,
+    content_digest,
     graceful_interrupt,
+    is_listed,
     progress,
     read_json,
-    with_folder,
     write_json,
     write_table,
 )
@@ -111,29 +114,34 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
       InputError: bad settings or data, or a folder that cannot take this run.
       Interrupted: a signal asked to stop; the run can be resumed.
     """
-    config = resolved(dataclasses.replace(config or DiagnoseConfig(), **changes))
+    config = dataclasses.replace(config or DiagnoseConfig(), **changes)
     check_diagnosis(config)
     library = selected_effects(config.effects)
     dataset: Dataset | FitnessTable | None = None
+    inputs = {}
     if not config.demo:
         assert config.dataset is not None
         dataset, findings = examine(config.dataset, library, config.signal)
         refuse_errors(findings)
-    assert config.out is not None
+        inputs = {"the dataset": content_digest(dataset)}
     ignore = (*IGNORED_FIELDS, "figures")
-    with RunFolder.create(config.out, config, config.resume, ignore=ignore) as run, graceful_interrupt() as stop:
-        if dataset is None:
-            _make_demo(run.path, config)
-            dataset, findings = examine(run.path / "demo", library, config.signal)
-            stop.checkpoint()
-        print_findings(findings)
-        write_table(run.path / "preflight.csv", [dataclasses.asdict(f) for f in findings])
-        if not (run.path / RESULT).is_file():
-            search_missing(dataset, library, config, run.path, stop.checkpoint)
-            stop.checkpoint()
-        if config.figures:
-            draw_report(run.path)
-        return read_json(run.path / RESULT)
+    with _claimed(config) as config:
+        assert config.out is not None
+        folder = RunFolder.create(config.out, config, config.resume, ignore=ignore, inputs=inputs)
+        with folder as run, graceful_interrupt() as stop:
+            if dataset is None:
+                _make_demo(run.path, config)
+                dataset, findings = examine(run.path / "demo", library, config.signal)
+                stop.checkpoint()
+            print_findings(findings)
+            write_table(run.path / "preflight.csv", [dataclasses.asdict(f) for f in findings])
+            if not is_listed(run.path / RESULT):  # the search has not ended
+                search_missing(dataset, library, config, run.path, stop.checkpoint)
+                run.seal()
+                stop.checkpoint()
+            if config.figures:
+                draw_report(run.path)
+            return read_json(run.path / RESULT)
 
 
 def check_diagnosis(config: DiagnoseConfig) -> None:
@@ -149,15 +157,10 @@ def check_diagnosis(config: DiagnoseConfig) -> None:
         raise InputError(f"max_effects: got {config.max_effects}, expected at least 1")
 
 
-def resolved(config: DiagnoseConfig) -> DiagnoseConfig:
-    """The config with its seed and its run folder filled in.
-
-    Raises:
-      InputError: `resume` without a folder.
-    """
-    if config.seed is None:
-        config = dataclasses.replace(config, seed=config.chosen_seed)
-    return with_folder(config, f"{'demo' if config.demo else 'diagnosis'}-{config.seed}")
+def _claimed(config: DiagnoseConfig) -> AbstractContextManager[DiagnoseConfig]:
+    """The config with its seed and its run folder filled in; see `claimed_folder`."""
+    config = dataclasses.replace(config, seed=config.chosen_seed)
+    return claimed_folder(config, f"{'demo' if config.demo else 'diagnosis'}-{config.seed}")
 
 
 def examine(folder: Path, library: Sequence[Effect], signal: str) -> tuple[Dataset | FitnessTable, list[Finding]]:
@@ -234,11 +237,9 @@ def search_missing(
 
 
 def _make_demo(folder: Path, config: DiagnoseConfig) -> None:
-    """Make the hidden case, unless it exists."""
-    if not (folder / "truth.json").is_file():
-        case = make_fitness_case if config.signal == "fitness" else make_case
-        truth = case(folder / "demo", config.chosen_seed, config.robot)
-        write_json(folder / "truth.json", truth)
+    """Make the hidden case; the same one again on resume, so that damaged files of it do no harm."""
+    case = make_fitness_case if config.signal == "fitness" else make_case
+    write_json(folder / "truth.json", case(folder / "demo", config.chosen_seed, config.robot))
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -246,8 +247,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     argv = sys.argv[1:] if argv is None else list(argv)
     config = tyro.cli(DiagnoseConfig, args=list(argv), description=__doc__, prog="btr_mjx.diagnose")
     mujoco.set_mju_user_warning(lambda _: None)  # unstable candidates are handled and reported by the search
-    with cli_errors():
-        config = resolved(config)
+    with cli_errors(), _claimed(config) as config:
         with cli_errors(resume_command("btr_mjx.diagnose", argv, config.out)):
             result = diagnose(config)
         assert config.out is not None

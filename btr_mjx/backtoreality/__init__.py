@@ -18,7 +18,7 @@ from btr_mjx.backtoreality.line_scan import (
     run_scan,
 )
 from btr_mjx.backtoreality.reality import FolderReality, Reality, SimulatedReality, Waiting
-from btr_mjx.backtoreality.resumable import run_in_folder, write_trials
+from btr_mjx.backtoreality.resumable import inputs_of, run_in_folder, write_trials
 from btr_mjx.backtoreality.state import (
     BTRSettings,
     Problem,
@@ -49,6 +49,7 @@ __all__ = [
     "delta",
     "delta_fitness",
     "evolve_controllers",
+    "inputs_of",
     "run_in_folder",
     "run_scan",
     "select_transferable",

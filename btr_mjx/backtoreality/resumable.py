@@ -10,9 +10,10 @@ import numpy as np
 from btr_mjx.backtoreality.algorithm import Report, advance, begin
 from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import growth_sentence
-from btr_mjx.backtoreality.reality import Waiting
+from btr_mjx.backtoreality.reality import SimulatedReality, Waiting
 from btr_mjx.backtoreality.state import Problem, State, state_from_arrays, state_to_arrays
-from btr_mjx.runs import RunFolder, StopRequest, note, progress, write_arrays
+from btr_mjx.models import robot_digest
+from btr_mjx.runs import RunFolder, StopRequest, content_digest, note, progress, write_arrays
 
 
 def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: bool, wait: bool = False) -> State:
@@ -41,7 +42,7 @@ def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: boo
 
     def report(kind: str, row: dict[str, Any]) -> None:
         if kind == "archive":
-            _write_archive(run.path, grown(problem, state.grown), row)
+            run.add_file(_write_archive(run.path, grown(problem, state.grown), row))
         elif kind == "growth":
             note(growth_sentence(row))
         else:
@@ -104,13 +105,23 @@ def _pairs_left(problem: Problem, state: State) -> int:
     return left
 
 
-def _write_archive(folder: Path, problem: Problem, row: dict[str, Any]) -> None:
-    """Write all members of one search; the same bytes if it is written again after a resume."""
+def _write_archive(folder: Path, problem: Problem, row: dict[str, Any]) -> str:
+    """Write all members of one search, the same bytes if it is written again after a resume; the file's name."""
     box = problem.controller_box if row["phase"] == "controllers" else problem.simulation_box
     name = "fitness" if row["phase"] == "controllers" else "delta_fitness"
     arrays = {"parameters": box.decode(row["genomes"]), name: row["scores"], "names": np.array(box.names)}
     part = "" if row["part"] == 1 else f"-{row['part']}"
-    write_arrays(folder / f"{row['phase']}-{row['iteration']:03d}{part}.npz", arrays, compress=True)
+    file = f"{row['phase']}-{row['iteration']:03d}{part}.npz"
+    write_arrays(folder / file, arrays, compress=True)
+    return file
+
+
+def inputs_of(problem: Problem) -> dict[str, str]:
+    """What a resumed run must find unchanged, in words -> its digest."""
+    inputs = {"the robot": robot_digest(problem.robot), "the fitness function": content_digest(problem.fitness)}
+    if isinstance(problem.reality, SimulatedReality):
+        inputs["the hidden reality"] = robot_digest(problem.reality.robot)
+    return inputs
 
 
 def write_trials(folder: Path, state: State) -> None:

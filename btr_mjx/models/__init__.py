@@ -17,6 +17,7 @@ from btr_mjx.models.batch import (
 from btr_mjx.models.fields import read_field, write_field
 from btr_mjx.models.path_parameters import PathParameter, read_bounds, read_path_parameter
 from btr_mjx.models.paths import nearest_names, parse_path, part_names, set_values
+from btr_mjx.models.robot_digest import robot_digest
 from btr_mjx.models.robot_file import chosen_robot, load_robot
 from btr_mjx.models.tangent import between, difference, integrate
 
@@ -38,6 +39,7 @@ __all__ = [
     "read_bounds",
     "read_field",
     "read_path_parameter",
+    "robot_digest",
     "set_values",
     "start_of",
     "varying_fields",

@@ -5,10 +5,12 @@ flushed and renamed, so that a file is either complete or absent. Long work repo
 `graceful_interrupt`.
 """
 
+from btr_mjx.runs.atomic import atomic_write
+from btr_mjx.runs.checksums import is_listed
 from btr_mjx.runs.config_json import CONFIG_NAME, config_to_json, differences, read_config_json
+from btr_mjx.runs.digests import content_digest
 from btr_mjx.runs.environment import available_cores, describe_environment
 from btr_mjx.runs.files import (
-    atomic_write,
     read_arrays,
     read_json,
     read_table,
@@ -20,7 +22,7 @@ from btr_mjx.runs.files import (
 )
 from btr_mjx.runs.progress_bar import StopRequest, graceful_interrupt, note, progress
 from btr_mjx.runs.python_files import load_object
-from btr_mjx.runs.run_folder import IGNORED_FIELDS, RunFolder, is_unused, with_folder
+from btr_mjx.runs.run_folder import IGNORED_FIELDS, RunFolder, claimed_folder, is_unused
 from btr_mjx.runs.toml_tables import check_keys, file_name, is_number, read_toml, toml_rows, toml_section
 
 __all__ = [
@@ -31,11 +33,14 @@ __all__ = [
     "atomic_write",
     "available_cores",
     "check_keys",
+    "claimed_folder",
     "config_to_json",
+    "content_digest",
     "describe_environment",
     "differences",
     "file_name",
     "graceful_interrupt",
+    "is_listed",
     "is_number",
     "is_unused",
     "load_object",
@@ -49,7 +54,6 @@ __all__ = [
     "to_plain",
     "toml_rows",
     "toml_section",
-    "with_folder",
     "write_arrays",
     "write_figure",
     "write_json",

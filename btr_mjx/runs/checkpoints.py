@@ -1,8 +1,9 @@
 """Checkpoints: the state of a run after a step, each in one file with its own checksum.
 
 `checkpoint-000012.npz` holds the arrays of step 12, a JSON text with everything else, and the SHA-256 of the whole
-file. Because it is one file, written atomically, arrays and text always belong to the same step. The last few
-checkpoints are kept, so that a file damaged on disk costs a few steps and not the run.
+file. Because it is one file, written atomically, everything in it belongs to the same step: the state, the tables of
+the run so far, and digests of the files that the run has finished. The last few checkpoints are kept, so that a file
+damaged on disk costs a few steps and not the run.
 
 The JSON text may hold NaN and infinities, which are read back as floats (only this module reads it). Tuples are read
 back as lists.
@@ -21,7 +22,7 @@ from btr_mjx.errors import DamagedFile
 from btr_mjx.runs.files import read_arrays, to_plain, write_arrays
 from btr_mjx.runs.progress_bar import note
 
-FORMAT = 1
+FORMAT = 2
 """Version of the file format."""
 
 META_NAME = "__meta__"
@@ -38,13 +39,15 @@ class Checkpoint:
       step: 0, 1, 2, ...
       arrays: name -> array.
       meta: JSON-able values.
-      rows: table name -> number of rows that belong to this step; see `btr_mjx.runs.run_folder.History`.
+      tables: table name -> its rows up to this step; see `btr_mjx.runs.run_folder.History`.
+      files: name of a file in the run folder -> its SHA-256, in hex.
     """
 
     step: int
     arrays: dict[str, np.ndarray]
     meta: dict[str, Any]
-    rows: dict[str, int]
+    tables: dict[str, list[dict[str, Any]]]
+    files: dict[str, str]
 
 
 def checkpoint_path(folder: str | Path, step: int) -> Path:
@@ -64,7 +67,8 @@ def save_checkpoint(
     arrays: Mapping[str, Any],
     meta: Mapping[str, Any] | None = None,
     *,
-    rows: Mapping[str, int] | None = None,
+    tables: Mapping[str, Any] | None = None,
+    files: Mapping[str, str] | None = None,
     keep: int = 2,
 ) -> Path:
     """Write the state after `step`, then delete what is no longer needed.
@@ -78,7 +82,8 @@ def save_checkpoint(
       arrays: name -> array; bools, integers and floats of any width, bit for bit. Names that begin with "__" are
         reserved.
       meta: JSON-able values; NaN and infinities are kept.
-      rows: number of rows per history table.
+      tables: rows of each table.
+      files: digests of files.
       keep: how many checkpoints stay, at least 2.
 
     Returns:
@@ -93,7 +98,7 @@ def save_checkpoint(
         raise ValueError(f"expected step >= 0 and keep >= 2, got step {step} and keep {keep}")
     if reserved := [name for name in arrays if name.startswith("__")]:
         raise ValueError(f"array names must not begin with '__', got {reserved}")
-    header = {"format": FORMAT, "step": step, "meta": dict(meta or {}), "rows": dict(rows or {})}
+    header = {"format": FORMAT, "step": step, "meta": meta or {}, "tables": tables or {}, "files": files or {}}
     text = json.dumps(to_plain(header, strict=False)).encode("utf-8")
     path = checkpoint_path(folder, step)
     write_arrays(path, {META_NAME: np.frombuffer(text, np.uint8), **arrays})
@@ -129,7 +134,7 @@ def read_checkpoint(path: str | Path) -> Checkpoint:
     match = _FILE_NAME.fullmatch(Path(path).name)
     if match and int(match.group(1)) != header["step"]:
         raise DamagedFile(f"{path}: was renamed, it holds step {header['step']}")
-    return Checkpoint(header["step"], arrays, header["meta"], header["rows"])
+    return Checkpoint(header["step"], arrays, header["meta"], header["tables"], header["files"])
 
 
 def load_latest(folder: str | Path, *, warn: Callable[[str], None] = note) -> Checkpoint | None:

@@ -1,7 +1,6 @@
 """Atomic writing and checked reading of files: JSON, arrays, tables and figures.
 
-Every write goes to a hidden temporary file in the same folder, is flushed to the disk and then renamed over the target,
-so that a reader (also after a kill -9 or a power cut) finds the old file or the new one, never a part.
+Every write is atomic, see `btr_mjx.runs.atomic`; every read compares with the SHA256SUMS of the folder, if it has one.
 
 Formats:
 
@@ -19,10 +18,8 @@ import hashlib
 import json
 import math
 import os
-import secrets
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from io import BytesIO
 from pathlib import Path, PurePath
 from typing import Any, BinaryIO
@@ -31,52 +28,14 @@ import numpy as np
 import polars as pl
 
 from btr_mjx.errors import DamagedFile, InputError
+from btr_mjx.runs.atomic import atomic_write
+from btr_mjx.runs.checksums import check_listed
 
 DIGEST_PREFIX = b"sha256:"
 """Start of the zip comment, before the digest."""
 
 DIGEST_LENGTH = 64
 """Hexadecimal digits of a SHA-256 digest."""
-
-
-def sync_folder(folder: Path) -> None:
-    """Flush a folder's entries to the disk (fsync), so that renames survive a power cut; a no-op on Windows."""
-    if not hasattr(os, "O_DIRECTORY"):
-        return
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def is_temporary(path: Path) -> bool:
-    """Whether this is a temporary file of `atomic_write`, which a killed process may have left behind."""
-    return path.name.startswith(".") and path.name.endswith(".tmp")
-
-
-@contextmanager
-def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
-    """Open a file that takes its name only when the block ends without an error.
-
-    Missing folders are made. The file is readable and seekable, and is fsynced before the rename.
-
-    Raises:
-      OSError: the folder cannot be written to; an existing file keeps its content.
-    """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.tmp")
-    try:
-        with temporary.open("x+b") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-    sync_folder(path.parent)
 
 
 def to_plain(value: Any, *, strict: bool = True) -> Any:
@@ -133,7 +92,8 @@ def read_json(path: str | Path) -> Any:
     """Read strict JSON. Numbers that are not finite are returned as the strings that were written.
 
     Raises:
-      DamagedFile: not strict JSON (NaN tokens are refused too); names line and column.
+      DamagedFile: not strict JSON (NaN tokens are refused too), names line and column; or not the file that its
+        folder's SHA256SUMS lists.
       OSError: the file cannot be read.
     """
 
@@ -141,6 +101,7 @@ def read_json(path: str | Path) -> Any:
         raise ValueError(f"{token} is not JSON")
 
     data = Path(path).read_bytes()
+    check_listed(path, data)
     try:
         return json.loads(data.decode("utf-8"), parse_constant=refuse)
     except ValueError as error:
@@ -246,11 +207,13 @@ def write_table(path: str | Path, table: pl.DataFrame | Mapping[str, Any] | Sequ
     """
     suffix = _suffix(path)
     frame = table if isinstance(table, pl.DataFrame) else pl.DataFrame(table, infer_schema_length=None)
+    content = BytesIO()  # polars does not report a full disk as an OSError
+    if suffix == ".parquet":
+        frame.write_parquet(content)
+    else:
+        frame.write_csv(content)
     with atomic_write(path) as file:
-        if suffix == ".parquet":
-            frame.write_parquet(file)
-        else:
-            frame.write_csv(file)
+        file.write(content.getbuffer())
 
 
 def read_table(path: str | Path) -> pl.DataFrame:
@@ -258,13 +221,14 @@ def read_table(path: str | Path) -> pl.DataFrame:
 
     Raises:
       InputError: another suffix.
-      DamagedFile: the content does not parse.
+      DamagedFile: the content does not parse, or is not what the folder's SHA256SUMS lists.
       OSError: the file cannot be read.
     """
     suffix = _suffix(path)
-    data = BytesIO(Path(path).read_bytes())
+    data = Path(path).read_bytes()
+    check_listed(path, data)
     try:
-        return pl.read_parquet(data) if suffix == ".parquet" else pl.read_csv(data, infer_schema_length=None)
+        return pl.read_parquet(BytesIO(data)) if suffix == ".parquet" else pl.read_csv(data, infer_schema_length=None)
     except Exception as error:  # polars has no common base class for what its readers raise
         raise DamagedFile(f"{path}: not a readable {suffix[1:]} table ({error})") from error
 

@@ -2,14 +2,17 @@
 
     runs/demo/
       config.json               the command's config, field by field
+      inputs.json               digests of what the config refers to: a robot, a dataset, ...
       environment.json          versions, machine and git commit, at the start and at each resume
       history.parquet           tables that grow row by row
       checkpoint-000012.npz     the state after step 12; the last few are kept
       result.json, *.npz, *.png what the command adds at its end
+      SHA256SUMS                digests of all data files, once the run has ended
       .lock                     locked while a process writes to the folder; its presence alone means nothing
 
 A run that is killed at any moment and resumed gives the same files as an uninterrupted run, except environment.json, if
-checkpoints and tables hold nothing that depends on the clock:
+checkpoints and tables hold nothing that depends on the clock. A file that was damaged in between is written again from
+the newest sound checkpoint, or is named in an error; it never changes a result.
 
     with RunFolder.create(config.out, config, resume=config.resume) as run, graceful_interrupt() as stop:
         checkpoint = run.load_latest()
@@ -21,12 +24,15 @@ checkpoints and tables hold nothing that depends on the clock:
             run.save_checkpoint(step, state.arrays, state.meta)  # writes the tables first
             stop.checkpoint()
         write_json(run.path / "result.json", summary(state))
+        run.seal()
 """
 
 import os
 import weakref
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Any, Self
 
@@ -34,14 +40,19 @@ import polars as pl
 
 from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.runs import checkpoints
+from btr_mjx.runs.atomic import is_temporary, sync_folder
 from btr_mjx.runs.checkpoints import Checkpoint
+from btr_mjx.runs.checksums import file_digest, write_sums
 from btr_mjx.runs.config_json import CONFIG_NAME, config_to_json, differences, read_config_json
 from btr_mjx.runs.environment import describe_environment, environment_changes
-from btr_mjx.runs.files import is_temporary, read_json, read_table, sync_folder, to_plain, write_json, write_table
+from btr_mjx.runs.files import read_json, to_plain, write_json, write_table
 from btr_mjx.runs.locks import LOCK_NAME, take_lock
 from btr_mjx.runs.progress_bar import note
 
 ENVIRONMENT_NAME = "environment.json"
+"""Name of the file in a run folder."""
+
+INPUTS_NAME = "inputs.json"
 """Name of the file in a run folder."""
 
 IGNORED_FIELDS = ("out", "resume", "progress")
@@ -120,6 +131,7 @@ class RunFolder:
         """True where config.json was there before."""
         self.keep = keep
         self._histories: dict[str, History] = {}
+        self._files: dict[str, str] = {}
         self._release = (lambda: None) if lock is None else weakref.finalize(self, os.close, lock)
 
     @classmethod
@@ -130,6 +142,7 @@ class RunFolder:
         resume: bool = False,
         *,
         ignore: Collection[str] = IGNORED_FIELDS,
+        inputs: Mapping[str, str] | None = None,
         devices: Sequence[Any] | None = None,
         keep: int = 2,
     ) -> Self:
@@ -143,28 +156,34 @@ class RunFolder:
           config: a dataclass, written to config.json; see `btr_mjx.runs.config_json`.
           resume: continue the run in the folder, which must have been started with an equal config.
           ignore: dotted names of config fields that may differ on resume since they do not affect results.
+          inputs: what the run reads, in words -> its digest (`content_digest`); a resumed run must be given the same.
           devices: jax devices to record; None records them only if jax is running already.
           keep: number of checkpoints to keep, at least 2.
 
         Raises:
           InputError: the folder is not empty (without `resume`), is no run folder, was begun with another config (every
-            field that differs is named with both values), or is in use by another process.
+            field that differs is named with both values) or other inputs, or is in use by another process.
           TypeError: the config cannot be saved as JSON.
           OSError: the folder cannot be made or written to.
         """
         path = Path(path)
         data = config_to_json(config)
-        _check(path, data, resume, ignore)
+        _check(path, data, resume, ignore, inputs or {})
         path.mkdir(parents=True, exist_ok=True)
         lock = take_lock(path)
         run = cls(path, (path / CONFIG_NAME).exists(), lock, keep)
         try:
-            _check(path, data, resume, ignore)  # again: another process may have been here before the lock
+            # Again: another process may have been here before the lock.
+            _check(path, data, resume, ignore, inputs or {})
             for leftover in [file for file in path.rglob("*") if is_temporary(file)]:
                 leftover.unlink(missing_ok=True)
             if not run.resumed:
-                write_json(path / CONFIG_NAME, data)
+                # A run whose first process was killed at once is begun by a resume, and is the same run.
+                write_json(path / CONFIG_NAME, data | ({"resume": False} if data.get("resume") else {}))
                 sync_folder(path.parent)
+            run.add_file(CONFIG_NAME)
+            if inputs:
+                run._record_inputs(inputs)
             run._record_environment(devices)
         except BaseException:
             run.close()
@@ -182,42 +201,67 @@ class RunFolder:
         self.close()
 
     def history(self, name: str, checkpoint: Checkpoint | None = None) -> History:
-        """A table of this folder as it was at `checkpoint`, empty where that is None.
+        """A table of this folder as it was at `checkpoint`, empty where that is None or did not have it.
 
-        Rows that were written after the checkpoint are dropped. `save_checkpoint` writes the table.
+        `save_checkpoint` stores the rows and writes the file, which is never read back: it may have been damaged, or
+        hold rows that were written after the checkpoint.
+        """
+        rows = [] if checkpoint is None else checkpoint.tables.get(name, [])
+        self._histories[name] = History(self.path / name, rows)
+        if rows:
+            self._histories[name].write()
+        return self._histories[name]
+
+    def add_file(self, name: str) -> None:
+        """Count a file of the folder as finished: checkpoints from now on hold its digest.
 
         Raises:
-          DamagedFile: rows that belong to the checkpoint are missing.
+          OSError: the file cannot be read.
         """
-        path = self.path / name
-        rows: list[dict[str, Any]] = []
-        if checkpoint is not None and (count := checkpoint.rows.get(name, 0)):
-            if not path.exists():
-                raise DamagedFile(f"{path}: missing, the checkpoint of step {checkpoint.step} needs it")
-            rows = read_table(path).head(count).to_dicts()
-            if len(rows) < count:
-                raise DamagedFile(f"{path}: holds {len(rows)} rows, the checkpoint counts on {count}")
-        self._histories[name] = History(path, rows)
-        return self._histories[name]
+        self._files[name] = file_digest(self.path / name)
 
     def save_checkpoint(self, step: int, arrays: Mapping[str, Any], meta: Mapping[str, Any] | None = None) -> Path:
         """Write the tables of `history`, then the state after `step`; see `checkpoints.save_checkpoint`."""
         for table in self._histories.values():
-            # Tables first: a kill in between leaves surplus rows, which a resume drops, never missing rows.
             table.write()
-        rows = {name: len(table) for name, table in self._histories.items()}
-        return checkpoints.save_checkpoint(self.path, step, arrays, meta, rows=rows, keep=self.keep)
+        tables = {name: table.rows for name, table in self._histories.items()}
+        return checkpoints.save_checkpoint(
+            self.path, step, arrays, meta, tables=tables, files=self._files, keep=self.keep
+        )
 
     def load_latest(self) -> Checkpoint | None:
         """The newest undamaged checkpoint, None where there is none yet; see `checkpoints.load_latest`.
 
         Surplus older checkpoints are deleted, such as one left by a kill between writing a checkpoint and deleting the
         checkpoint that it replaces.
+
+        Raises:
+          DamagedFile: every checkpoint is damaged, or a file that was finished before it is missing or was altered.
         """
         checkpoint = checkpoints.load_latest(self.path)
         if checkpoint is not None:
+            for name, digest in checkpoint.files.items():
+                path = self.path / name
+                if not path.is_file() or file_digest(path) != digest:
+                    what = "was altered" if path.is_file() else "is missing"
+                    raise DamagedFile(
+                        f"{path}: {what} since it was written; restore it, or start again with another --out"
+                    )
+            self._files |= checkpoint.files
             checkpoints.drop_older(self.path, checkpoint.step, self.keep)
         return checkpoint
+
+    def seal(self) -> None:
+        """Write SHA256SUMS, at the end of a run; see `btr_mjx.runs.checksums`."""
+        write_sums(self.path)
+
+    def _record_inputs(self, inputs: Mapping[str, str]) -> None:
+        path = self.path / INPUTS_NAME
+        if not path.exists():
+            if self.resumed:
+                note(f"warning: {path} is missing: whether {' and '.join(inputs)} are those of the start is not known")
+            write_json(path, inputs)
+        self.add_file(INPUTS_NAME)
 
     def _record_environment(self, devices: Sequence[Any] | None) -> None:
         path = self.path / ENVIRONMENT_NAME
@@ -225,13 +269,21 @@ class RunFolder:
         if not path.exists():
             write_json(path, {**now, "resumed": []})
             return
-        first = read_json(path)
+        try:
+            first = read_json(path)
+            if not isinstance(first, dict) or not isinstance(first.get("resumed", []), list):
+                raise DamagedFile(f"{path}: not the description of an environment")
+        except DamagedFile as error:  # no result depends on it
+            note(f"warning: {error}; written anew")
+            first = now
         for change in environment_changes(first, now):
             note(f"warning: {change} since {self.path} was started; results may differ in the last bits")
         write_json(path, {**first, "resumed": [*first.get("resumed", []), now]})
 
 
-def _check(path: Path, data: Mapping[str, Any], resume: bool, ignore: Collection[str]) -> None:
+def _check(
+    path: Path, data: Mapping[str, Any], resume: bool, ignore: Collection[str], inputs: Mapping[str, str]
+) -> None:
     """Refuse a folder that cannot take this run, without touching it."""
     if path.exists() and not path.is_dir():
         raise InputError(f"{path} is a file, not a run folder; choose another --out")
@@ -246,10 +298,22 @@ def _check(path: Path, data: Mapping[str, Any], resume: bool, ignore: Collection
         raise InputError(
             f"{path} was started with another config ({'; '.join(changed)}); give the saved values or another --out"
         )
+    if (path / INPUTS_NAME).exists():
+        saved = read_json(path / INPUTS_NAME)
+        other = [name for name, digest in inputs.items() if not isinstance(saved, dict) or saved.get(name) != digest]
+        if other:
+            raise InputError(
+                f"{path}: {' and '.join(other)} changed since the run was started; restore what was changed, or begin "
+                "another run with another --out"
+            )
 
 
-def with_folder[Config](config: Config, base: str) -> Config:
-    """A command's config with its run folder: the named one, or the first unused one of runs/BASE, runs/BASE-2, ...
+@contextmanager
+def claimed_folder[Config](config: Config, base: str) -> Iterator[Config]:
+    """A command's config with its run folder: the named one, or a new one of runs/BASE, runs/BASE-2, ...
+
+    A new folder is made at once, so that commands that begin together take different ones; it is removed again if it is
+    empty at the end.
 
     Args:
       config: a dataclass with the fields `out` (a path or None) and `resume`.
@@ -257,13 +321,22 @@ def with_folder[Config](config: Config, base: str) -> Config:
 
     Raises:
       InputError: `resume` without a folder.
+      OSError: the folder cannot be made.
     """
     settings: Any = config
     if settings.out is not None:
-        return config
+        yield config
+        return
     if settings.resume:
         raise InputError("--resume: say which run to continue with --out FOLDER")
-    found, number = Path("runs") / base, 2
-    while not is_unused(found):
-        found, number = Path("runs") / f"{base}-{number}", number + 1
-    return replace(settings, out=found)
+    Path("runs").mkdir(exist_ok=True)
+    for number in count(1):
+        folder = Path("runs") / (base if number == 1 else f"{base}-{number}")
+        with suppress(FileExistsError):
+            folder.mkdir()
+            break
+    try:
+        yield replace(settings, out=folder)
+    finally:
+        with suppress(OSError):  # not empty
+            folder.rmdir()

@@ -19,7 +19,7 @@ from btr_mjx.evaluation import evaluate
 from btr_mjx.plotting import draw_run
 from btr_mjx.plotting.run_data import read_run
 from btr_mjx.robots import hexapod
-from btr_mjx.runs import read_arrays, read_table, with_folder
+from btr_mjx.runs import read_arrays, read_table
 
 SMALL_RUN = (
     "--engine=native",
@@ -225,16 +225,6 @@ def test_broken_template(
     for word in words:
         assert word in line
     assert not (tmp_path / "never").exists()
-
-
-def test_default_folders_do_not_collide(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    config = coevolve.parse([])
-    first = with_folder(config, "quick-0").out
-    assert first == Path("runs/quick-0")
-    first.mkdir(parents=True)
-    (first / "config.json").write_text("{}")
-    assert with_folder(config, "quick-0").out == Path("runs/quick-0-2")
 
 
 def test_presets() -> None:

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from btr_mjx import diagnose
-from btr_mjx.diagnose import DiagnoseConfig
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import EFFECTS
@@ -276,13 +275,3 @@ def test_effects_of_ones_own(tmp_path: Path) -> None:
     ]
     with pytest.raises(InputError, match=r"NUMBER.*: got int, expected an Effect"):
         diagnose.selected_effects([f"{file}:NUMBER"])
-
-
-def test_a_run_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    config = DiagnoseConfig(demo=True, seed=4)
-    assert diagnose.resolved(config).out == Path("runs/demo-4")
-    (tmp_path / "runs" / "demo-4").mkdir(parents=True)
-    (tmp_path / "runs" / "demo-4" / "x").touch()
-    assert diagnose.resolved(config).out == Path("runs/demo-4-2")
-    assert diagnose.resolved(DiagnoseConfig(dataset=Path("a"))).out == Path("runs/diagnosis-0")

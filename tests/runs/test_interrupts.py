@@ -16,15 +16,12 @@ from btr_mjx.runs.config_json import read_config
 ROOT = Path(__file__).parents[2]
 
 WORKER = """
-import os, random, shutil, signal, sys, time
+import sys, time
 from dataclasses import dataclass
 from pathlib import Path
 import numpy as np
-from btr_mjx.runs.checkpoints import list_checkpoints
 from btr_mjx.errors import cli_errors
 from btr_mjx.runs import RunFolder, graceful_interrupt, write_json
-
-os.fsync = lambda descriptor: None  # slow, and against power cuts, not kills
 
 @dataclass(frozen=True)
 class Config:
@@ -32,8 +29,7 @@ class Config:
     steps: int = 80
 
 @cli_errors(resume="again")
-def work(folder, resume, pause=0.002):
-    config = Config()
+def work(folder, resume, config=Config(), pause=0.2):
     with RunFolder.create(folder, config, resume=resume) as run, graceful_interrupt() as stop:
         checkpoint = run.load_latest()
         history = run.history("history.parquet", checkpoint)
@@ -43,7 +39,7 @@ def work(folder, resume, pause=0.002):
             rng, state = np.random.default_rng(), checkpoint.arrays["state"]
             rng.bit_generator.state = checkpoint.meta["rng"]
             first = checkpoint.step + 1
-        print(f"first {first}\\n", end="", flush=True)  # in one piece, whenever the kill comes
+        print(f"first {first}\\n", end="", flush=True)
         for step in range(first, config.steps):
             state = np.sin(state + rng.standard_normal(2000))
             history.append({"step": step, "mean": float(state.mean()), "bad": np.nan if step % 3 else None})
@@ -52,47 +48,52 @@ def work(folder, resume, pause=0.002):
             time.sleep(pause)
         write_json(run.path / "result.json", {"mean": state.mean(), "draw": rng.random(), "rows": len(history)})
 
-def fork(folder, kill_after=None):
-    # A fresh process without the second that imports take. Returns whether it came to its end.
+if __name__ == "__main__":
+    work(sys.argv[2], sys.argv[1] == "resume")
+"""
+
+KILLS = """
+import os, signal, sys
+from pathlib import Path
+from worker import Config, work
+from btr_mjx.runs.checkpoints import list_checkpoints
+
+def fork(folder, resume, kill_at=None):
+    # A fresh process without the second that imports take, killed before its n-th change of the file system.
     pid = os.fork()
     if pid == 0:
+        count = 0
+        def counted(call):
+            def counting(*arguments, **options):
+                nonlocal count
+                count += 1
+                if count == kill_at:
+                    os.kill(os.getpid(), signal.SIGKILL)
+                return call(*arguments, **options)
+            return counting
+        os.fsync = counted(lambda descriptor: None)  # slow, and against power cuts, not kills
+        for name in ("replace", "unlink", "mkdir"):
+            setattr(os, name, counted(getattr(os, name)))
         code = 1
         try:
-            work(folder, Path(folder).exists())
+            work(folder, resume, Config(steps=4), pause=0)
             code = 0
         finally:
-            sys.stdout.flush()
             os._exit(code)
-    if kill_after is not None:
-        time.sleep(kill_after)
-        os.kill(pid, signal.SIGKILL)
     status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
     assert status in (0, -signal.SIGKILL), status
     return status == 0
 
-def kill_often(whole, killed):
-    start = time.monotonic()
-    assert fork(whole)
-    duration = time.monotonic() - start  # on this machine, under its present load
-    rng, kills = random.Random(3), 0
-    while kills < 10:
-        if Path(killed).exists():  # the machine has less to do than it had: kill sooner
-            shutil.rmtree(killed)
-            duration /= 2
-        print("killed", flush=True)
-        kills = 0
-        while not fork(killed, rng.choice([0.02, 0.1, 0.4]) * rng.random() * duration if kills < 24 else None):
-            kills += 1
-            if kills % 4 == 0 and len(found := list_checkpoints(killed)) == 2:
-                # a disk that loses the end of the newest file
-                found[-1][1].write_bytes(found[-1][1].read_bytes()[:200])
-                print("damaged", flush=True)
-    print("kills", kills, flush=True)
-
-if sys.argv[1] == "kill":
-    kill_often(*sys.argv[2:])
-else:
-    work(sys.argv[2], sys.argv[1] == "resume", pause=0.2)
+root = Path(sys.argv[1])
+assert fork(root / "whole", False)
+kills = 0
+while not fork(folder := root / f"killed-{kills}", False, kills + 1):
+    kills += 1
+    found = list_checkpoints(folder) if folder.exists() else []
+    if kills % 3 == 0 and len(found) > 1:  # a disk that loses the end of the newest file
+        found[-1][1].write_bytes(found[-1][1].read_bytes()[:200])
+    assert fork(folder, folder.exists())
+print(kills)
 """
 
 
@@ -100,11 +101,12 @@ else:
 def worker(tmp_path_factory):
     script = tmp_path_factory.mktemp("worker") / "worker.py"
     script.write_text(WORKER)
+    script.with_name("kills.py").write_text(KILLS)
     # Without git, whose three calls would take most of the time and of the kills
     settings = {"PYTHONPATH": str(ROOT), "PATH": "", "POLARS_MAX_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
-    def start(*arguments):
-        command = [sys.executable, str(script), *map(str, arguments)]
+    def start(*arguments, file="worker.py"):
+        command = [sys.executable, str(script.with_name(file)), *map(str, arguments)]
         return subprocess.Popen(
             command,
             env=os.environ | settings,
@@ -123,26 +125,22 @@ def outcome(folder):
     return {name: (folder / name).read_bytes() for name in sorted(names)}
 
 
-def test_killed_runs_resume_to_the_same_bytes(worker, tmp_path):
-    process = worker("kill", tmp_path / "whole", tmp_path / "killed")
-    output, problems = process.communicate(timeout=120)
-    assert process.returncode == 0, problems
-    lines = output.split("killed\n")[-1].splitlines()
-    starts = [int(line.split()[1]) for line in lines if line.startswith("first")]
-    assert int(lines[-1].removeprefix("kills ")) >= 10
-    assert len(set(starts)) >= 4, starts
-    assert "damaged" in lines
-    assert problems.count("trying the checkpoint before it") >= 1
+def test_runs_that_are_killed_at_any_moment_resume_to_the_same_bytes(worker, tmp_path):
+    output, problems = worker(tmp_path, file="kills.py").communicate(timeout=300)
+    kills = int(output.splitlines()[-1]) if output else 0
+    assert kills >= 40, problems
+    assert problems.count("trying the checkpoint before it") >= 3
     assert "Traceback" not in problems
     expected = outcome(tmp_path / "whole")
     assert list(expected) == [
-        "checkpoint-000078.npz",
-        "checkpoint-000079.npz",
+        "checkpoint-000002.npz",
+        "checkpoint-000003.npz",
         "config.json",
         "history.parquet",
         "result.json",
     ]
-    assert outcome(tmp_path / "killed") == expected
+    for kill in range(kills):
+        assert outcome(tmp_path / f"killed-{kill}") == expected, f"killed before change {kill + 1}"
 
 
 @dataclass(frozen=True)

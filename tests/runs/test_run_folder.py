@@ -1,5 +1,6 @@
 import math
 import os
+import subprocess
 import threading
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import pytest
 from run_configs import Coding, Config, Mutation
 
 from btr_mjx.errors import DamagedFile, InputError
-from btr_mjx.runs import RunFolder, config_to_json, files
+from btr_mjx.runs import RunFolder, claimed_folder, config_to_json, files
 from btr_mjx.runs.checkpoints import checkpoint_path, list_checkpoints
 from btr_mjx.runs.config_json import read_config
 from btr_mjx.runs.run_folder import History
@@ -64,12 +65,81 @@ def test_history_is_cut_to_the_checkpoint(tmp_path):
         assert [row["step"] for row in run.history("history.parquet", checkpoint).rows] == [0, 0, 1, 1]
         assert len(run.history("other.parquet", checkpoint)) == 0
         assert len(run.history("history.parquet", None)) == 0
-        files.write_table(run.path / "history.parquet", {"step": [0], "half": [0]})
-        with pytest.raises(DamagedFile, match="holds 1 rows, the checkpoint counts on 4"):
-            run.history("history.parquet", checkpoint)
-        (run.path / "history.parquet").unlink()
-        with pytest.raises(DamagedFile, match="missing, the checkpoint of step 1 needs it"):
-            run.history("history.parquet", checkpoint)
+        # The file is never read back: one that was damaged is written again.
+        (run.path / "history.parquet").write_bytes(b"PAR1")
+        run.history("history.parquet", checkpoint)
+        assert files.read_table(run.path / "history.parquet")["step"].to_list() == [0, 0, 1, 1]
+
+
+def test_finished_files_are_guarded_by_checkpoints(tmp_path):
+    with RunFolder.create(tmp_path / "run", Config()) as run:
+        files.write_arrays(run.path / "archive.npz", {"x": np.zeros(3)})
+        run.add_file("archive.npz")
+        run.save_checkpoint(0, {})
+    sound = (tmp_path / "run" / "archive.npz").read_bytes()
+    for name, damage, what in (
+        ("archive.npz", sound[:-1], "was altered"),
+        ("archive.npz", None, "is missing"),
+        ("config.json", b" ", "not"),
+    ):
+        path = tmp_path / "run" / name
+        before = path.read_bytes()
+        path.unlink() if damage is None else path.write_bytes(damage)
+        with pytest.raises(InputError, match=rf"{name}.* {what}"):  # noqa: SIM117
+            with RunFolder.create(tmp_path / "run", Config(), resume=True) as run:
+                run.load_latest()
+        path.write_bytes(before)
+    with RunFolder.create(tmp_path / "run", Config(), resume=True) as run:
+        assert run.load_latest().step == 0
+
+
+def test_a_resumed_run_needs_the_same_inputs(tmp_path, capsys):
+    RunFolder.create(tmp_path / "run", Config(), inputs={"the robot": "a", "the data": "b"}).close()
+    before = snapshot(tmp_path / "run")
+    with pytest.raises(InputError, match="the data changed since the run was started; restore"):
+        RunFolder.create(tmp_path / "run", Config(), resume=True, inputs={"the robot": "a", "the data": "c"})
+    assert snapshot(tmp_path / "run") == before
+    RunFolder.create(tmp_path / "run", Config(), resume=True, inputs={"the robot": "a", "the data": "b"}).close()
+    (tmp_path / "run" / "inputs.json").unlink()
+    capsys.readouterr()
+    RunFolder.create(tmp_path / "run", Config(), resume=True, inputs={"the robot": "a"}).close()
+    assert "inputs.json is missing: whether the robot" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[1]", b'{"resumed": 3}', b"\xff"])
+def test_a_damaged_description_of_the_environment_stops_no_run(tmp_path, capsys, content):
+    RunFolder.create(tmp_path / "run", Config()).close()
+    (tmp_path / "run" / "environment.json").write_bytes(content)
+    RunFolder.create(tmp_path / "run", Config(), resume=True).close()
+    assert "environment.json" in capsys.readouterr().err
+    assert len(files.read_json(tmp_path / "run" / "environment.json")["resumed"]) == 1
+
+
+def test_folders_are_claimed_one_by_one(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    named = Config(out=tmp_path / "mine")
+    with claimed_folder(named, "quick") as config:
+        assert config is named
+    with claimed_folder(Config(out=None), "quick") as first, claimed_folder(Config(out=None), "quick") as second:
+        assert (first.out, second.out) == (Path("runs/quick"), Path("runs/quick-2"))
+        (second.out / "config.json").touch()
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == ["quick-2"]  # an empty one is given back
+    with pytest.raises(InputError, match="--resume: say which run"), claimed_folder(Config(out=None, resume=True), "q"):
+        pass
+
+
+def test_sums_are_those_of_sha256sum(tmp_path):
+    with RunFolder.create(tmp_path / "run", Config()) as run:
+        files.write_json(run.path / "part" / "result.json", {"x": 1})
+        files.write_table(run.path / "table.csv", {"x": [1]})
+        (run.path / "figure.png").write_bytes(b"1")
+        run.seal()
+    checked = subprocess.run(["sha256sum", "-c", "SHA256SUMS"], cwd=tmp_path / "run", capture_output=True, text=True)
+    assert checked.stdout.split() == ["config.json:", "OK", "part/result.json:", "OK", "table.csv:", "OK"]
+    assert files.read_table(tmp_path / "run" / "table.csv")["x"].to_list() == [1]
+    (tmp_path / "run" / "table.csv").write_text("x\n2\n")
+    with pytest.raises(DamagedFile, match=r"table\.csv: the file was altered since SHA256SUMS was written"):
+        files.read_table(tmp_path / "run" / "table.csv")
 
 
 def test_a_kill_after_the_last_checkpoint_leaves_no_file_too_many(tmp_path, monkeypatch):

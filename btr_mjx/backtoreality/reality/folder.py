@@ -12,10 +12,12 @@ Nothing that was measured is lost or asked for twice: a batch that is in `used` 
 """
 
 import csv
+import hashlib
 import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -27,14 +29,15 @@ from btr_mjx.backtoreality.reality.measurements import (
     read_recorded_fitness,
     read_table_of_fitness,
 )
-from btr_mjx.errors import InputError
+from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.evaluation import DISTANCE, FitnessFunction
 from btr_mjx.gap.data import Recording, make_recording, read_columns
 from btr_mjx.models import base_model, part_names
 from btr_mjx.robots import Robot
-from btr_mjx.runs import atomic_write, note, read_json, write_json
+from btr_mjx.runs import atomic_write, note
 
-_BATCHES = "batches.json"
+_END = "# sha256 "
+"""Beginning of the last line of a table in `used`, before the digest of the lines above it."""
 
 
 class Waiting(Exception):
@@ -97,7 +100,7 @@ class FolderReality:
         squares = [
             float(row["scatter"]) ** 2
             for path in sorted((self.folder / "used").glob("*.csv"))
-            for row in csv.DictReader(io.StringIO(path.read_text(encoding="utf-8")))
+            for row in _used_rows(path)
             if row["scatter"] not in ("", "nan")
         ]
         return math.sqrt(sum(squares) / len(squares)) if squares else math.nan
@@ -120,14 +123,20 @@ class FolderReality:
 
     def _batch(self, trial: int) -> int:
         """Number of the batch that begins with a trial: 0 for the first controller, then that of the iteration."""
-        path = self.folder / _BATCHES
-        first = list(read_json(path)["first_trials"]) if path.is_file() else []
-        if trial not in first:
-            if first and trial < first[-1]:
-                raise self._foreign(f"trial {trial} begins no batch there")
-            first.append(trial)
-            write_json(path, {"first_trials": first})
-        return first.index(trial)
+        following = 0
+        for number in count():
+            path = self.folder / "trials" / f"{number:03d}.csv"
+            if not path.is_file():
+                break
+            ids = [row.partition(b",")[0] for row in path.read_bytes().splitlines()[1:]]
+            if not ids or not all(i.isdigit() for i in ids) or int(ids[0]) != following:
+                raise self._foreign(f"{path} does not begin with trial {following}")
+            if following == trial:
+                return number
+            following += len(ids)
+        if trial != following:
+            raise self._foreign(f"trial {trial} begins no batch there")
+        return number
 
     def _ask(self, name: str, ids: range, controllers: np.ndarray) -> None:
         """Write the trials of a batch, their signals and the instructions, where they are not there yet."""
@@ -141,16 +150,13 @@ class FolderReality:
         names = part_names(base_model(self.robot), "actuator")
         time = np.arange(0.0, self.robot.duration + 0.5 / self.rate, 1.0 / self.rate)
         for i, controller in zip(ids, controllers, strict=True):
-            signal = self.folder / "signals" / f"trial-{i}.csv"
-            if not signal.is_file():
-                values = np.stack([self.robot.signal(controller[:, None], t, np)[:, 0] for t in time])
-                rows = [[f"{t:.6g}", *(f"{v:.9g}" for v in row)] for t, row in zip(time, values, strict=True)]
-                _write(signal, _table(["time", *(f"ctrl/{motor}" for motor in names)], rows))
-        if not (self.folder / "README.md").is_file():
-            _write(self.folder / "README.md", self._readme().encode())
+            values = np.stack([self.robot.signal(controller[:, None], t, np)[:, 0] for t in time])
+            rows = [[f"{t:.6g}", *(f"{v:.9g}" for v in row)] for t, row in zip(time, values, strict=True)]
+            signal = _table(["time", *(f"ctrl/{motor}" for motor in names)], rows)
+            _write(self.folder / "signals" / f"trial-{i}.csv", signal)
+        _write(self.folder / "README.md", self._readme().encode())
         (self.folder / "measured").mkdir(parents=True, exist_ok=True)
-        if not path.is_file():
-            _write(path, table)
+        _write(path, table)  # last: a batch is there when its table is
 
     def _look(self, name: str, ids: range, times: tuple[float, ...]) -> tuple[dict[int, Measured], list[str]]:
         """What has been measured of a batch, and what could not be used."""
@@ -186,12 +192,13 @@ class FolderReality:
             own = found[i]
             values = [math.nan] * len(times) if own.failed else own.mean.tolist()
             rows.append([i, *map(repr, values), sum(own.weight), repr(own.scatter), int(own.failed)])
-        _write(path, _table(head, rows))
+        content = _table(head, rows)
+        _write(path, content + _END.encode() + hashlib.sha256(content).hexdigest().encode() + b"\n")
 
     def _read_used(self, path: Path, ids: range, times: tuple[float, ...]) -> np.ndarray:
-        rows = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8"))))[1:]
+        rows = [row.values() for row in _used_rows(path)]
         try:
-            known = {int(row[0]): [float(value) for value in row[1 : 1 + len(times)]] for row in rows}
+            known = {int(i): [float(value) for value in values[: len(times)]] for i, *values in rows}
             return np.array([known[i] for i in ids])
         except (KeyError, ValueError, IndexError):
             raise self._foreign(f"{path} does not hold the measurements of trials {ids[0]} to {ids[-1]}") from None
@@ -231,6 +238,20 @@ Do not change files in `trials/`, `signals/` and `used/`.
 """
 
 
+def _used_rows(path: Path) -> list[dict[str, str]]:
+    """Rows of a table in `used`.
+
+    Raises:
+      DamagedFile: the file was altered.
+    """
+    content, _, digest = path.read_bytes().rpartition(_END.encode())
+    if hashlib.sha256(content).hexdigest().encode() != digest.strip():
+        raise DamagedFile(
+            f"{path}: the file was altered; restore it, or delete it so that what was measured is read again"
+        )
+    return list(csv.DictReader(io.StringIO(content.decode("utf-8"))))
+
+
 def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> bytes:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([head, *rows])
@@ -238,5 +259,8 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> bytes:
 
 
 def _write(path: Path, content: bytes) -> None:
+    """Write a file, unless it is there with this content."""
+    if path.is_file() and path.read_bytes() == content:
+        return
     with atomic_write(path) as file:
         file.write(content)

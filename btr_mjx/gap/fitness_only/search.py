@@ -86,7 +86,7 @@ def identify_fitness(
     floor = float(np.nanmean(np.abs(half - own[test])))
     tried = {t.candidate.name for t in narrowed}
     rest = [*narrowed[LEADERS_REFINED:], *_unrefined(found, tried, before[0])]
-    return as_diagnosis(refined, ends, rest, before, floor, trials, time.monotonic() - begun)
+    return as_diagnosis(refined, ends, rest, before, floor, trials, time.monotonic() - begun + trials.counter.earlier)
 
 
 def expected_steps(table: FitnessTable, effects: Sequence[Effect] = EFFECTS) -> float:

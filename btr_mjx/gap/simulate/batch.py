@@ -45,9 +45,11 @@ class Counter:
     Attributes:
       steps: number of steps so far.
       lock: protects `steps`.
+      earlier: duration of the interrupted sessions of this search [s].
     """
 
     steps: int = 0
+    earlier: float = 0.0
     lock: Lock = field(default_factory=Lock, repr=False)
 
     def lookup(self, jobs: Sequence[Job], timestep: float | None) -> list[np.ndarray] | None:

@@ -10,11 +10,10 @@ this package. Calls may come from threads in any order.
 import hashlib
 import os
 import shutil
-from collections.abc import Callable, Mapping, Sequence
-from enum import Enum
-from functools import cache, partial
+import time
+from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
-from types import FunctionType, MethodType
 from typing import Any
 
 import mujoco
@@ -22,9 +21,8 @@ import numpy as np
 
 from btr_mjx.errors import DamagedFile
 from btr_mjx.gap.simulate.batch import Counter
-from btr_mjx.gap.simulate.segments import Job, Segments
-from btr_mjx.gap.simulate.world import World
-from btr_mjx.runs import read_arrays, write_arrays
+from btr_mjx.gap.simulate.segments import Job
+from btr_mjx.runs import content_digest, read_arrays, write_arrays
 
 
 class Journal(Counter):
@@ -44,7 +42,7 @@ class Journal(Counter):
         """
         super().__init__()
         self._folder, self._report = folder, report
-        self._code = _code() + code
+        self._code, self._begun = _code() + code, time.time()
         folder.mkdir(parents=True, exist_ok=True)
         mark = hashlib.sha256(self._code).hexdigest()
         if not (folder / mark).is_file():
@@ -62,6 +60,8 @@ class Journal(Counter):
         except DamagedFile:
             return None
         self.add(int(saved["steps"]))
+        if saved["begun"] != self._begun:
+            self.earlier = max(self.earlier, float(saved["seconds"]))
         return [saved[f"states_{i}"] for i in range(len(jobs))]
 
     def add(self, steps: int) -> None:
@@ -73,8 +73,9 @@ class Journal(Counter):
 
     def store(self, jobs: Sequence[Job], timestep: float | None, states: Sequence[np.ndarray], steps: int) -> None:
         """Write the states of these jobs to a file and count their steps."""
-        arrays = {f"states_{i}": own for i, own in enumerate(states)} | {"steps": np.array(steps)}
-        write_arrays(self._file(jobs, timestep), arrays)
+        arrays = {f"states_{i}": own for i, own in enumerate(states)}
+        seconds = time.time() - self._begun + self.earlier
+        write_arrays(self._file(jobs, timestep), arrays | {"steps": steps, "seconds": seconds, "begun": self._begun})
         self.add(steps)
 
     def close(self) -> None:
@@ -87,75 +88,25 @@ class Journal(Counter):
 
 def _key(code: bytes, jobs: Sequence[Job], timestep: float | None) -> str:
     """Digest of jobs, time step and code."""
-    digest = hashlib.sha256(code)
-    digest.update(repr(timestep).encode())
+    parts: list[Any] = [code, timestep]
     commands: dict[int, tuple] = {}
     for world, segments in jobs:
-        _add_segments(digest, segments)
-        _add_world(digest, world)
+        parts += [segments.start, segments.qpos, segments.qvel, segments.samples, segments.recording, segments.act]
+        parts += [world.model, world.offset, world.wrench, len(world.laws), len(world.command_edits)]
+        for law in world.laws:
+            try:
+                parts.append(content_digest(law, unknown=_random))
+            except RecursionError:  # a law that holds itself
+                parts.append(os.urandom(16))
         for command in commands.setdefault(id(segments.commands), segments.commands):
             changed = world.command(command)
-            _add(digest, changed.times, changed.values, changed.delay, changed.added, *changed.lags)
-            digest.update(changed.interpolation.encode())
-    return digest.hexdigest()
+            parts += [changed.times, changed.values, changed.delay, changed.added, *changed.lags, changed.interpolation]
+    return content_digest(parts)
 
 
-def _add_segments(digest: "hashlib._Hash", segments: Segments) -> None:
-    _add(digest, segments.start, segments.qpos, segments.qvel, segments.samples, segments.recording, segments.act)
-
-
-def _add_world(digest: "hashlib._Hash", world: World) -> None:
-    _add(
-        digest, _binary(world.model), world.offset, world.wrench, np.array([len(world.laws), len(world.command_edits)])
-    )
-    for law in world.laws:
-        try:
-            _add_value(digest, law)
-        except RecursionError:  # cyclic reference
-            digest.update(os.urandom(16))
-
-
-def _binary(model: mujoco.MjModel) -> np.ndarray:
-    binary = np.empty(mujoco.mj_sizeModel(model), np.uint8)
-    mujoco.mj_saveModel(model, None, binary)
-    return binary
-
-
-def _add_value(digest: "hashlib._Hash", value: Any) -> None:
-    """Add a law to the digest, with all values that it holds."""
-    digest.update(f"{type(value).__module__}.{type(value).__qualname__}".encode())
-    if isinstance(value, (str, bytes, bool, int, float, complex, type(None), Enum)):
-        digest.update(repr(value).encode())
-    elif isinstance(value, (np.ndarray, np.generic)):
-        _add(digest, np.asarray(value))
-    elif isinstance(value, mujoco.MjModel):
-        _add(digest, _binary(value))
-    elif isinstance(value, Mapping):
-        _add_value(digest, [part for pair in value.items() for part in pair])
-    elif isinstance(value, (list, tuple)):
-        digest.update(str(len(value)).encode())
-        for part in value:
-            _add_value(digest, part)
-    elif isinstance(value, (set, frozenset)):
-        _add_value(digest, sorted(value, key=repr))
-    elif isinstance(value, FunctionType):
-        cells = [cell.cell_contents for cell in value.__closure__ or ()]
-        _add_value(digest, [value.__code__.co_code, value.__defaults__, value.__kwdefaults__, cells])
-    elif isinstance(value, MethodType):
-        _add_value(digest, [value.__func__, value.__self__])
-    elif isinstance(value, partial):
-        _add_value(digest, [value.func, value.args, value.keywords])
-    elif hasattr(value, "__dict__") and not isinstance(value, type):
-        _add_value(digest, vars(value))
-    else:
-        digest.update(os.urandom(16))  # unknown content: never matches
-
-
-def _add(digest: "hashlib._Hash", *arrays: np.ndarray | None) -> None:
-    for array in arrays:
-        digest.update(b"-" if array is None else repr(array.shape).encode())
-        if array is not None:
-            digest.update(np.ascontiguousarray(array).tobytes())
+def _random(value: Any) -> bytes:
+    """Never matches: the content of the value is not known."""
+    return os.urandom(16)
 
 
 @cache

@@ -156,7 +156,7 @@ def name_missing(
         sigma=bench.sigma,
         windows=(len(bench.fit.windows), len(bench.test.windows), bench.fit.windows.k, bench.survey.span),
         steps=bench.counter.steps,
-        seconds=time.monotonic() - begun,
+        seconds=time.monotonic() - begun + bench.counter.earlier,
         survivors=survivors(bench, rounds, named),
         notes=time_step_notes(bench.fit.windows),
     )

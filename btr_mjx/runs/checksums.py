@@ -1,0 +1,66 @@
+"""SHA256SUMS: digests of the data files of a finished run.
+
+The file has the format of the command sha256sum, so that `sha256sum -c SHA256SUMS` checks a run folder without this
+package. Figures and pages may be drawn again at any time and are not listed, nor is environment.json, to which every
+resume adds. Files that are written once while a run goes on (`RunFolder.add_file`) are guarded by its checkpoints.
+"""
+
+import hashlib
+from pathlib import Path
+
+from btr_mjx.errors import DamagedFile
+from btr_mjx.runs.atomic import atomic_write, is_temporary
+
+SUMS_NAME = "SHA256SUMS"
+"""Name of the file in a run folder."""
+
+_NOT_LISTED = (SUMS_NAME, "environment.json", ".lock")
+_DRAWN = (".png", ".svg", ".pdf", ".html", ".gif", ".mp4")
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file, in hex."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def write_sums(folder: Path) -> None:
+    """Write SHA256SUMS with all data files of a folder and of the folders in it.
+
+    Raises:
+      OSError: a file cannot be read or written.
+    """
+    files = sorted(path for path in folder.rglob("*") if path.is_file() and not is_temporary(path))
+    listed = [path for path in files if path.name not in _NOT_LISTED and path.suffix not in _DRAWN]
+    text = "".join(f"{file_digest(path)}  {path.relative_to(folder).as_posix()}\n" for path in listed)
+    with atomic_write(folder / SUMS_NAME) as file:
+        file.write(text.encode("utf-8"))
+
+
+def is_listed(path: Path) -> bool:
+    """Whether the SHA256SUMS beside a file lists it."""
+    return path.name in _sums(path.parent)
+
+
+def check_listed(path: str | Path, content: bytes) -> None:
+    """Check the content of a file against the SHA256SUMS beside it; files that are not listed pass.
+
+    Raises:
+      DamagedFile: the content is another than the listed one.
+    """
+    path = Path(path)
+    digest = _sums(path.parent).get(path.name)
+    if digest is not None and digest != hashlib.sha256(content).hexdigest():
+        raise DamagedFile(
+            f"{path}: the file was altered since {SUMS_NAME} was written; restore it, or delete its line there if the "
+            "change was meant"
+        )
+
+
+def _sums(folder: Path) -> dict[str, str]:
+    """File name -> digest."""
+    try:
+        lines = (folder / SUMS_NAME).read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return {}
+    return {name.lstrip(" *"): digest for digest, _, name in (line.partition(" ") for line in lines)}

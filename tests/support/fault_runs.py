@@ -1,0 +1,87 @@
+"""Small runs of every command that writes a run folder."""
+
+import csv
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import faults
+
+from btr_mjx.testing import CaseSettings, make_case
+
+ROOT = Path(__file__).parents[2]
+THROWER = ROOT / "examples" / "thrower"
+
+TINY = [
+    *("--engine", "native", "--duration", "0.3", "--no-progress"),
+    *("--controllers", "8", "--controller-generations", "2", "--trials", "3", "--iterations", "2"),
+    *("--simulations", "8", "--simulation-generations", "2"),
+]
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run of a command.
+
+    Attributes:
+      module: the command.
+      words: its arguments, without the folder.
+      inputs: makes files that it reads in a folder, and returns the arguments that name them.
+      between: called between two sessions with the run folder.
+    """
+
+    module: str
+    words: tuple[str, ...]
+    inputs: Callable[[Path], tuple[str, ...]] = lambda folder: ()
+    between: Callable[[Path], None] | None = None
+
+    def prepared(self, folder: Path) -> "Run":
+        """The run with its files in a folder."""
+        return replace(self, words=(*self.words, *self.inputs(folder)))
+
+    def session(self, folder: Path, resume: bool = False, kill_at: int | None = None) -> faults.Session:
+        """One session in the run folder FOLDER/run; where measurements are waited for, sessions until all are there."""
+        changes = 0
+        while True:
+            left = None if kill_at is None else kill_at - changes
+            words = [*self.words, "--out", "run", *(["--resume"] if resume else [])]
+            session = faults.run_session(self.module, words, folder, left)
+            changes += session.changes
+            if session.code or self.between is None or "waiting for" not in session.text:
+                return replace(session, changes=changes)
+            self.between(folder / "run")
+            resume = True
+
+
+def measured(folder: Path) -> None:
+    """Write a fitness for every trial that is asked for."""
+    exchange = folder / "exchange"
+    for asked in sorted((exchange / "trials").glob("*.csv")):
+        rows = list(csv.DictReader(asked.read_text().splitlines()))
+        lines = [f"{row['id']},{0.4 + 0.01 * (7 * int(row['id']) % 5)}" for row in rows]
+        (exchange / "measured" / asked.name).write_text("\n".join(["id,fitness", *lines]) + "\n")
+
+
+def _thrower(folder: Path) -> tuple[str, ...]:
+    if not (folder / "thrower").exists():
+        shutil.copytree(THROWER, folder / "thrower")
+    return "--robot", str(folder / "thrower" / "robot.toml")
+
+
+def _dataset(folder: Path) -> tuple[str, ...]:
+    if not (folder / "pendulum").exists():
+        settings = CaseSettings(effects=("viscous_damping",), recordings=(2, 1), duration=0.8)
+        make_case(folder / "pendulum", 4, "pendulum", settings)
+    return (str(folder / "pendulum"),)
+
+
+RUNS = {
+    "coevolve": Run("btr_mjx.coevolve", (*TINY, "--no-figures"), _thrower),
+    "folder": Run("btr_mjx.coevolve", (*TINY, "--no-figures", "--reality", "folder"), _thrower, measured),
+    "diagnose": Run(
+        "btr_mjx.diagnose",
+        ("--effects", "viscous_damping", "--max-effects", "1", "--no-figures", "--no-progress"),
+        _dataset,
+    ),
+}
