@@ -2,7 +2,8 @@
 
 The file has the format of the command sha256sum, so that `sha256sum -c SHA256SUMS` checks a run folder without this
 package. Figures and pages may be drawn again at any time and are not listed, nor is environment.json, to which every
-resume adds. Files that are written once while a run goes on (`RunFolder.add_file`) are guarded by its checkpoints.
+resume adds, nor are checkpoints, which hold their own digest. Files that are written once while a run goes on
+(`RunFolder.add_file`) are guarded by its checkpoints.
 """
 
 import hashlib
@@ -15,6 +16,7 @@ SUMS_NAME = "SHA256SUMS"
 """Name of the file in a run folder."""
 
 _NOT_LISTED = (SUMS_NAME, "environment.json", ".lock")
+_CHECKPOINT = "checkpoint-*.npz"
 _DRAWN = (".png", ".svg", ".pdf", ".html", ".gif", ".mp4")
 
 
@@ -31,7 +33,11 @@ def write_sums(folder: Path) -> None:
       OSError: a file cannot be read or written.
     """
     files = sorted(path for path in folder.rglob("*") if path.is_file() and not is_temporary(path))
-    listed = [path for path in files if path.name not in _NOT_LISTED and path.suffix not in _DRAWN]
+    listed = [
+        path
+        for path in files
+        if path.name not in _NOT_LISTED and path.suffix not in _DRAWN and not path.match(_CHECKPOINT)
+    ]
     text = "".join(f"{file_digest(path)}  {path.relative_to(folder).as_posix()}\n" for path in listed)
     with atomic_write(folder / SUMS_NAME) as file:
         file.write(text.encode("utf-8"))

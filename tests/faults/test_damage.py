@@ -15,7 +15,7 @@ def outcomes(run: Run, start: Path, expected: dict[str, bytes], tmp_path: Path) 
         name = path.relative_to(start)
         if "measured" in name.parts:  # what people write is theirs to change
             continue
-        for what, content in faults.damages(path.read_bytes(), 3, rng):
+        for what, content in faults.damages(path.read_bytes(), 2, rng):
             folder = faults.copied(start, tmp_path / "damaged")
             (folder / name).unlink() if content is None else (folder / name).write_bytes(content)
             session = run.session(folder, resume=True)
