@@ -62,7 +62,8 @@ def resume_command(module: str, argv: Sequence[str] | None = None, out: str | Pa
     """The shell command that continues an interrupted run.
 
     A resumed run needs the config it began with, so every argument is repeated. Under `uv run` the command begins with
-    `uv run`, since Python alone would not find this package.
+    `uv run`, since Python alone would not find this package; where the command was started by its own name
+    (btr-coevolve), it is continued by that.
 
     Args:
       module: name of the command's module, e.g. "btr_mjx.coevolve".
@@ -76,7 +77,9 @@ def resume_command(module: str, argv: Sequence[str] | None = None, out: str | Pa
     if out is not None and not any(word == "--out" or word.startswith("--out=") for word in words):
         words += ["--out", str(out)]
     launcher = ["uv", "run"] if "UV_RUN_RECURSION_DEPTH" in os.environ else []
-    return shlex.join([*launcher, "python", "-m", module, *words, "--resume"])
+    script = module.replace("btr_mjx.", "btr-")
+    command = [script] if Path(sys.argv[0]).name == script else ["python", "-m", module]
+    return shlex.join([*launcher, *command, *words, "--resume"])
 
 
 @contextmanager

@@ -66,3 +66,5 @@ def test_resume_command(monkeypatch):
     assert resume_command("btr_mjx.scan", out="y") == "python -m btr_mjx.scan --out=y --resume"
     monkeypatch.setenv("UV_RUN_RECURSION_DEPTH", "1")
     assert resume_command("btr_mjx.scan", out="y") == "uv run python -m btr_mjx.scan --out=y --resume"
+    monkeypatch.setattr("sys.argv", ["/environment/bin/btr-scan", "--out=y"])
+    assert resume_command("btr_mjx.scan", out="y") == "uv run btr-scan --out=y --resume"

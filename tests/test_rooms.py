@@ -19,11 +19,21 @@ PACKAGE = Path(btr_mjx.__file__).parent
 ORDER = (
     *("errors", "runs", "robots", "models", "engines", "evaluation", "optimise"),
     *("gap.data", "gap.simulate", "gap.effects", "gap.preflight", "gap.windows", "gap.results", "gap.inference"),
-    *("backtoreality", "plotting", "gap.report", "gap.fitness_only", "gap.experiments", "gap", "testing", "commands"),
+    *(
+        "backtoreality",
+        "plotting",
+        "health",
+        "gap.report",
+        "gap.fitness_only",
+        "gap.experiments",
+        "gap",
+        "testing",
+        "commands",
+    ),
 )
 """Rooms, each of which may import those before it."""
 
-COMMANDS = ("", "coevolve", "scan", "diagnose", "plots")
+COMMANDS = ("", "coevolve", "scan", "diagnose", "doctor", "plots")
 """Modules at the top: the package itself and its commands."""
 
 FILES = {
@@ -155,7 +165,7 @@ def test_doors_name_what_they_import(room: str):
     assert sorted(imported) == sorted(listed)
 
 
-@pytest.mark.parametrize("command", ["diagnose", "plots"])
+@pytest.mark.parametrize("command", ["diagnose", "doctor", "plots"])
 def test_commands_that_need_no_jax_do_not_load_it(command: str):
     """Loading JAX takes seconds; whoever mistypes a flag should not wait for them."""
     code = f"import sys, btr_mjx.{command}; print('jax' in sys.modules)"

@@ -1,9 +1,10 @@
 """Figures of run folders, drawn from their saved files only, and pictures of robots.
 
 `draw_run` and `draw_scan` draw the figures of a folder, `draw_folder` those of either kind; `style` is the matplotlib
-style of all figures.
+style of all figures. `working_backend` tests whether robots can be rendered here, `sketch` draws one without OpenGL.
+Names load on first use, since pictures need MuJoCo.
 """
 
-from btr_mjx.plotting.draw import draw_folder, draw_run, draw_scan, style
+import lazy_loader
 
-__all__ = ["draw_folder", "draw_run", "draw_scan", "style"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
