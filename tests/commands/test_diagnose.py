@@ -15,7 +15,7 @@ from btr_mjx import diagnose
 from btr_mjx.diagnose import DiagnoseConfig
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset
-from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.effects import EFFECTS, selected_effects
 from btr_mjx.gap.results import (
     Confound,
     Diagnosis,
@@ -268,14 +268,14 @@ def test_effects_of_ones_own(tmp_path: Path) -> None:
         "MINE = Effect('quadratic_damping', joint_places, ranges, edit, summable=True)\n"
         "NUMBER = 3\n"
     )
-    library = diagnose.selected_effects(["all", f"{file}:MINE"])
+    library = selected_effects(["all", f"{file}:MINE"])
     assert [e.name for e in library] == [*(e.name for e in EFFECTS), "quadratic_damping"]
-    assert [e.name for e in diagnose.selected_effects(["backlash", f"{file}:MINE"])] == [
+    assert [e.name for e in selected_effects(["backlash", f"{file}:MINE"])] == [
         "backlash",
         "quadratic_damping",
     ]
     with pytest.raises(InputError, match=r"NUMBER.*: got int, expected an Effect"):
-        diagnose.selected_effects([f"{file}:NUMBER"])
+        selected_effects([f"{file}:NUMBER"])
 
 
 def test_a_run_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

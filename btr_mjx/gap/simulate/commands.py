@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Interpolation
@@ -201,6 +200,8 @@ def _polynomial(times: np.ndarray, values: np.ndarray, interpolation: Interpolat
         slope = np.zeros_like(values, float)
         slope[:-1] = np.diff(values, axis=0) / np.diff(times)[:, None]
         return np.stack([values.astype(float), slope])
+    from scipy.interpolate import CubicSpline  # takes a second to load, and few commands are splines
+
     spline = CubicSpline(times, values, axis=0).c[::-1]
     return np.concatenate([spline, np.stack([values[-1], *np.zeros((3, values.shape[1]))])[:, None]], axis=1)
 
