@@ -52,7 +52,7 @@ TABLES = ("model", "parameter", "recording", "control", "tolerances", "noise")
 """Tables that dataset.toml may hold."""
 
 Interpolation = Literal["hold", "linear", "cubic"]
-Progress = Callable[[int, int], None]
+ReadProgress = Callable[[int, int], None]
 """Called with the bytes that were read so far, and those of all files."""
 
 
@@ -95,7 +95,7 @@ class Dataset:
         return tuple(r for r in self.recordings if r.split == "test")
 
 
-def load(folder: str | Path, progress: Progress | None = None) -> Dataset:
+def load(folder: str | Path, progress: ReadProgress | None = None) -> Dataset:
     """Read a dataset.
 
     Args:
@@ -126,7 +126,7 @@ def load(folder: str | Path, progress: Progress | None = None) -> Dataset:
     return replace(head, recordings=tuple(parts), notes=tuple(notes))
 
 
-def _advance(files: Sequence[Path], progress: Progress | None) -> Advance:
+def _advance(files: Sequence[Path], progress: ReadProgress | None) -> Advance:
     """Adds up the bytes that were read."""
     total, done = sum(file.stat().st_size for file in files if file.is_file()), 0
 

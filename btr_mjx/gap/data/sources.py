@@ -3,12 +3,12 @@
 from pathlib import Path
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Progress, load
+from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, ReadProgress, load
 from btr_mjx.gap.data.formats.lerobot import INFO, is_lerobot_folder, load_lerobot
 from btr_mjx.gap.data.formats.servo import SERVO_FILE, is_servo_folder, load_servo
 
 
-def open_dataset(folder: str | Path, progress: Progress | None = None) -> Dataset:
+def open_dataset(folder: str | Path, progress: ReadProgress | None = None) -> Dataset:
     """Read a folder of recordings in any supported format.
 
     Formats: dataset.toml with tables, dataset.toml with LeRobot files, servo.toml with BAM JSON files.
