@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from btr_mjx.errors import InputError
@@ -200,9 +201,7 @@ def _polynomial(times: np.ndarray, values: np.ndarray, interpolation: Interpolat
         slope = np.zeros_like(values, float)
         slope[:-1] = np.diff(values, axis=0) / np.diff(times)[:, None]
         return np.stack([values.astype(float), slope])
-    from scipy.interpolate import CubicSpline  # takes a second to load, and few commands are splines
-
-    spline = CubicSpline(times, values, axis=0).c[::-1]
+    spline = scipy.interpolate.CubicSpline(times, values, axis=0).c[::-1]
     return np.concatenate([spline, np.stack([values[-1], *np.zeros((3, values.shape[1]))])[:, None]], axis=1)
 
 
