@@ -1,4 +1,4 @@
-"""Pairs per second of one engine on the device that JAX chooses: `uv run python benchmarks/accelerator.py --engine mjx`.
+"""Speed of one engine on the device that JAX chooses: `uv run python benchmarks/accelerator.py --engine mjx`.
 
 Each engine runs in a process of its own: where XLA does not come to an end with a program, the others are measured all
 the same. `native` runs on the processor, beside which the accelerator is to be judged:

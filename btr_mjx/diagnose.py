@@ -21,25 +21,14 @@ The exit code is 0 for every verdict.
 import dataclasses
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import mujoco
 import tyro
 
 from btr_mjx.errors import InputError, cli_errors, resume_command
-from btr_mjx.gap.data import Dataset, open_dataset
-from btr_mjx.gap.effects import Effect, custom_effect_code, selected_effects
-from btr_mjx.gap.experiments import propose
-from btr_mjx.gap.fitness_only import FitnessTable, expected_steps, identify_fitness, load_fitness, preflight_fitness
-from btr_mjx.gap.inference import identify
-from btr_mjx.gap.preflight import Finding, preflight, refuse_errors
-from btr_mjx.gap.report import draw_report, print_findings, print_result, print_truth
-from btr_mjx.gap.results import RESULT, as_result, save_diagnosis
-from btr_mjx.gap.simulate import Journal
-from btr_mjx.gap.windows import Options
 from btr_mjx.runs import (
     IGNORED_FIELDS,
     RunFolder,
@@ -52,10 +41,21 @@ from btr_mjx.runs import (
     write_json,
     write_table,
 )
-from btr_mjx.testing import make_case, make_fitness_case
+
+if TYPE_CHECKING:
+    from btr_mjx.gap.data import Dataset
+    from btr_mjx.gap.effects import Effect
+    from btr_mjx.gap.fitness_only import FitnessTable
+    from btr_mjx.gap.preflight import Finding
 
 JOURNAL = "search"
 """Folder of simulation results in a run folder, from which a search is resumed."""
+
+LONG_READING = 10_000_000
+"""Bytes of recordings from which on a bar is shown while they are read."""
+
+STEPS_PER_BUDGET = 2.0
+"""Estimated steps of a search per step of its budget, which pays for the windows of one round."""
 
 DEMO_SEEDS = {"hexapod": 38, "quadruped": 7, "arm": 6, "pendulum": 2}
 """Default seeds of `--demo` by robot: hidden cases with one detectable effect of the library."""
@@ -116,14 +116,22 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
     """
     config = dataclasses.replace(config or DiagnoseConfig(), **changes)
     check_diagnosis(config)
+    # Loading what a search needs takes seconds: arguments, and then the data, are checked before.
+    from btr_mjx.gap.effects import selected_effects
+
     library = selected_effects(config.effects)
     dataset: Dataset | FitnessTable | None = None
     inputs = {}
     if not config.demo:
         assert config.dataset is not None
-        dataset, findings = examine(config.dataset, library, config.signal)
+        dataset, findings = examine(config.dataset, library, config.signal, config.progress)
+        from btr_mjx.gap.preflight import refuse_errors
+
         refuse_errors(findings)
         inputs = {"the dataset": content_digest(dataset)}
+    from btr_mjx.gap.report import draw_report, print_findings
+    from btr_mjx.gap.results import RESULT
+
     ignore = (*IGNORED_FIELDS, "figures")
     with _claimed(config) as config:
         assert config.out is not None
@@ -131,7 +139,7 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
         with folder as run, graceful_interrupt() as stop:
             if dataset is None:
                 _make_demo(run.path, config)
-                dataset, findings = examine(run.path / "demo", library, config.signal)
+                dataset, findings = examine(run.path / "demo", library, config.signal, config.progress)
                 stop.checkpoint()
             print_findings(findings)
             write_table(run.path / "preflight.csv", [dataclasses.asdict(f) for f in findings])
@@ -148,11 +156,13 @@ def check_diagnosis(config: DiagnoseConfig) -> None:
     """Check settings.
 
     Raises:
-      InputError: neither or both of a dataset and `demo`, or `max_effects` below 1.
+      InputError: neither or both of a dataset and `demo`, a dataset that does not exist, or `max_effects` below 1.
     """
     if (config.dataset is None) != config.demo:
         what = "no dataset" if config.dataset is None else f"a dataset ({config.dataset}) and --demo"
         raise InputError(f"got {what}; give a folder of recordings, or --demo alone")
+    if config.dataset is not None and not config.dataset.exists():
+        raise InputError(f"{config.dataset}: there is no such folder")
     if config.max_effects < 1:
         raise InputError(f"max_effects: got {config.max_effects}, expected at least 1")
 
@@ -163,13 +173,16 @@ def _claimed(config: DiagnoseConfig) -> AbstractContextManager[DiagnoseConfig]:
     return claimed_folder(config, f"{'demo' if config.demo else 'diagnosis'}-{config.seed}")
 
 
-def examine(folder: Path, library: Sequence[Effect], signal: str) -> tuple[Dataset | FitnessTable, list[Finding]]:
+def examine(
+    folder: Path, library: "Sequence[Effect]", signal: str, show: bool = False
+) -> "tuple[Dataset | FitnessTable, list[Finding]]":
     """Read a dataset and check it before any fit.
 
     Args:
       folder: of the dataset.
       library: effects that may be named.
       signal: "trajectory" or "fitness", see `DiagnoseConfig.signal`.
+      show: show a progress bar while a long dataset is read.
 
     Returns:
       The dataset, and the findings of the preflight checks.
@@ -178,15 +191,34 @@ def examine(folder: Path, library: Sequence[Effect], signal: str) -> tuple[Datas
       InputError: the dataset cannot be read.
     """
     if signal == "fitness":
+        from btr_mjx.gap.fitness_only import load_fitness, preflight_fitness
+
         table = load_fitness(folder)
         return table, preflight_fitness(table)
-    dataset = open_dataset(folder)
-    return dataset, preflight(dataset, [effect.name for effect in library])
+    from btr_mjx.gap.data import open_dataset
+
+    with ExitStack() as stack:
+        bar = None
+
+        def report(done: int, total: int) -> None:
+            nonlocal bar
+            if bar is None and show and total >= LONG_READING:
+                bar = progress(total=total, description="reading", unit="B", unit_scale=True, show=True)
+                stack.enter_context(bar)
+            if bar is not None:
+                bar.update(done - bar.n)
+
+        dataset = open_dataset(folder, report)
+        if bar is not None:
+            bar.set_description("checks")
+        from btr_mjx.gap.preflight import preflight
+
+        return dataset, preflight(dataset, [effect.name for effect in library])
 
 
 def search_missing(
-    dataset: Dataset | FitnessTable,
-    library: Sequence[Effect],
+    dataset: "Dataset | FitnessTable",
+    library: "Sequence[Effect]",
     config: DiagnoseConfig,
     folder: Path,
     checkpoint: Callable[[], None] = lambda: None,
@@ -200,10 +232,18 @@ def search_missing(
       folder: the run folder.
       checkpoint: called often; raises Interrupted to stop the search.
     """
+    from btr_mjx.gap.effects import custom_effect_code
+    from btr_mjx.gap.experiments import propose
+    from btr_mjx.gap.fitness_only import FitnessTable, expected_steps, identify_fitness
+    from btr_mjx.gap.inference import identify
+    from btr_mjx.gap.results import as_result, save_diagnosis
+    from btr_mjx.gap.simulate import Journal
+    from btr_mjx.gap.windows import Options
+
     if isinstance(dataset, FitnessTable):
         total = expected_steps(dataset, library)
     else:
-        total = Options().budget(dataset.model.nv)
+        total = STEPS_PER_BUDGET * Options().budget(dataset.model.nv)
     with progress(
         total=round(total), description="search", unit="steps", unit_scale=True, show=config.progress or False
     ) as bar:
@@ -213,7 +253,8 @@ def search_missing(
             checkpoint()
 
         def count(steps: int) -> None:
-            bar.total = max(bar.total or 0, steps)  # the total is an estimate
+            if bar.total is not None and steps > bar.total:
+                bar.total = None  # more than was estimated: nothing is known of the time left
             bar.update(steps - bar.n)
             checkpoint()
 
@@ -232,12 +273,15 @@ def search_missing(
             )
             report_stage("next experiment")
             data, proposal = dataset, propose(diagnosis, dataset, config.chosen_seed, counter=journal)
+        bar.total = bar.n
     save_diagnosis(diagnosis, data, folder, effects=library, next_experiment=proposal, more=more)
     journal.close()
 
 
 def _make_demo(folder: Path, config: DiagnoseConfig) -> None:
     """Make the hidden case; the same one again on resume, so that damaged files of it do no harm."""
+    from btr_mjx.testing import make_case, make_fitness_case
+
     case = make_fitness_case if config.signal == "fitness" else make_case
     write_json(folder / "truth.json", case(folder / "demo", config.chosen_seed, config.robot))
 
@@ -246,10 +290,15 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
     argv = sys.argv[1:] if argv is None else list(argv)
     config = tyro.cli(DiagnoseConfig, args=list(argv), description=__doc__, prog="btr_mjx.diagnose")
-    mujoco.set_mju_user_warning(lambda _: None)  # unstable candidates are handled and reported by the search
     with cli_errors(), _claimed(config) as config:
+        check_diagnosis(config)
+        import mujoco
+
+        mujoco.set_mju_user_warning(lambda _: None)  # unstable candidates are handled and reported by the search
         with cli_errors(resume_command("btr_mjx.diagnose", argv, config.out)):
             result = diagnose(config)
+        from btr_mjx.gap.report import print_result, print_truth
+
         assert config.out is not None
         print_result(result, config.out)
         if config.demo:

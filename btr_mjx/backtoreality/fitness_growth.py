@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.optimize import nnls
+import scipy
 
 from btr_mjx.backtoreality.grown import grown, number_name
 from btr_mjx.backtoreality.state import Problem, State
@@ -161,7 +161,7 @@ def _promising(
         larger = grown(problem, [_as_entry(candidate, tried[0])])
         rows = np.concatenate([np.tile(simulation, (len(tried), 1)), candidate.null + tried], axis=1)
         change = np.nan_to_num(_fitness(larger, rows, controllers) - own)
-        share, left = nnls(np.concatenate([change, by_parameters, -by_parameters]).T, wanted)
+        share, left = scipy.optimize.nnls(np.concatenate([change, by_parameters, -by_parameters]).T, wanted)
         size = share[: len(tried)] @ tried
         if size.any():
             found.append((left, candidate, size))

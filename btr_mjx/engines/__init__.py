@@ -2,30 +2,10 @@
 
 `Stepper` is the interface of engines inside JAX, `Program` the compiled rollout around it; `native.rollout_native` runs
 MuJoCo's C code on threads. All agree with native MuJoCo to the tolerance of their precision.
+
+Names load on first use (`__init__.pyi` lists them): native MuJoCo does not load JAX.
 """
 
-from btr_mjx.engines import native
-from btr_mjx.engines.base import Stepper, UnsupportedModel
-from btr_mjx.engines.devices import use_all_cores, use_compilation_cache
-from btr_mjx.engines.lanes.fields import base_field, influences_motion
-from btr_mjx.engines.lanes.stepper import LanesStepper
-from btr_mjx.engines.mjx import MjxStepper
-from btr_mjx.engines.native import expand
-from btr_mjx.engines.program import Layout, Program, Record, rollout
+import lazy_loader
 
-__all__ = [
-    "LanesStepper",
-    "Layout",
-    "MjxStepper",
-    "Program",
-    "Record",
-    "Stepper",
-    "UnsupportedModel",
-    "base_field",
-    "expand",
-    "influences_motion",
-    "native",
-    "rollout",
-    "use_all_cores",
-    "use_compilation_cache",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -6,12 +6,14 @@ on its own threads.
 """
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-import jax
 import numpy as np
 
 from btr_mjx.errors import InputError
+
+if TYPE_CHECKING:
+    import jax
 
 Leaves = Mapping[str, np.ndarray]
 """MjModel field name -> (..., *field shape): the fields in which the models of a batch differ."""
@@ -57,26 +59,26 @@ class Stepper(Protocol):
         """State of a chunk from MuJoCo's arrays (nq, C), (nv, C) and (na, C); activations are zero if None."""
         ...
 
-    def step(self, params: Any, state: Any, ctrl: jax.Array) -> Any:
+    def step(self, params: Any, state: Any, ctrl: "jax.Array") -> Any:
         """State after one time step under controls of shape (nu, C)."""
         ...
 
-    def qpos(self, state: Any) -> jax.Array:
+    def qpos(self, state: Any) -> "jax.Array":
         """Generalised positions (nq, C), MuJoCo's order and conventions."""
         ...
 
-    def qvel(self, state: Any) -> jax.Array:
+    def qvel(self, state: Any) -> "jax.Array":
         """Generalised velocities (nv, C), MuJoCo's order and conventions."""
         ...
 
-    def act(self, state: Any) -> jax.Array:
+    def act(self, state: Any) -> "jax.Array":
         """Activations of the actuators (na, C), MuJoCo's order."""
         ...
 
-    def power(self, state: Any) -> jax.Array:
+    def power(self, state: Any) -> "jax.Array":
         """Sum over actuators of |force x velocity| in the last step [W], shape (C,)."""
         ...
 
-    def capped(self, state: Any) -> jax.Array:
+    def capped(self, state: Any) -> "jax.Array":
         """Whether the constraint solver reached its iteration limit in the last step, bool (C,)."""
         ...

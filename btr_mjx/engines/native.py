@@ -13,7 +13,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from btr_mjx.engines.base import Leaves, Start
-from btr_mjx.engines.program import Record
+from btr_mjx.engines.record import Record
 from btr_mjx.robots import Signal
 from btr_mjx.runs import available_cores
 

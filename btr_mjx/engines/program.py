@@ -8,7 +8,7 @@ so that one compilation serves every duration.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,31 +17,8 @@ from jax import lax
 from jax.sharding import AxisType, Mesh, PartitionSpec
 
 from btr_mjx.engines.base import Leaves, Start, Stepper
+from btr_mjx.engines.record import Record
 from btr_mjx.robots import Signal
-
-
-class Record(NamedTuple):
-    """Result of a rollout; inside the program the batch is the last axis of every array.
-
-    Attributes:
-      start: (3, C) base position at t = 0 [m].
-      position: (K, 3, C) base position at the sample times [m].
-      energy: (K, C) mechanical work of the motors up to the sample times, integral of sum |force x velocity| [J].
-      peak_speed: (C,) highest speed of the base at any step [m/s].
-      capped: (C,) number of steps in which the constraint solver reached its iteration limit.
-      qpos: (K, nq, C), or (K, 0, C) where states are not recorded.
-      qvel: (K, nv, C), likewise.
-      act: (K, na, C), likewise.
-    """
-
-    start: Any
-    position: Any
-    energy: Any
-    peak_speed: Any
-    capped: Any
-    qpos: Any
-    qvel: Any
-    act: Any
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ A NaN on a curve (a diverged simulation) is left out. A statistic that is not de
 """
 
 import numpy as np
-import scipy.stats
+import scipy
 from numpy.typing import ArrayLike
 
 from btr_mjx.errors import InputError

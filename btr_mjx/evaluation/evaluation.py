@@ -10,29 +10,22 @@ pairs.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
-import jax
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from btr_mjx.engines import (
-    Layout,
-    Program,
-    Record,
-    Stepper,
-    UnsupportedModel,
-    native,
-    use_all_cores,
-    use_compilation_cache,
-)
+from btr_mjx.engines import Record, UnsupportedModel, native
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation.fitness import DISTANCE, FitnessFunction, Outcome
 from btr_mjx.evaluation.own_simulator import run_simulator
 from btr_mjx.evaluation.tracked_point import track_point
 from btr_mjx.models import Models, base_model, compile_models, start_of, varying_fields
 from btr_mjx.robots import Robot
+
+if TYPE_CHECKING:
+    from btr_mjx.engines import Program, Stepper
 
 Engine = Literal["lanes", "mjx", "native"]
 """Name of a physics engine, see `btr_mjx.engines`."""
@@ -150,6 +143,8 @@ def fastest_engine(robot: Robot) -> Engine:
     """
     if robot.simulator is not None:
         return "native"
+    import jax  # takes seconds, which bad input should not
+
     try:
         _stepper(_program_inputs(robot), "lanes", bool(jax.config.read("jax_enable_x64")))
         return "lanes"
@@ -239,6 +234,8 @@ def _runner(robot: Robot, engine: Engine, samples: np.ndarray, states: bool, set
             settings=native.NativeSettings(settings.timestep, settings.integrator, settings.threads),
         )
         return _Runner(settings.chunk or 256, run_native)
+    import jax
+
     program = _program(
         _program_inputs(robot), engine, len(samples), states, settings.chunk, bool(jax.config.read("jax_enable_x64"))
     )
@@ -273,7 +270,7 @@ def _program_inputs(robot: Robot) -> Robot:
 
 
 @lru_cache(maxsize=16)
-def _stepper(robot: Robot, engine: Engine, x64: bool) -> Stepper:
+def _stepper(robot: Robot, engine: Engine, x64: bool) -> "Stepper":
     model, varying = base_model(robot), frozenset(varying_fields(robot))
     # Imported here, since each import takes a second.
     if engine == "lanes":
@@ -286,7 +283,11 @@ def _stepper(robot: Robot, engine: Engine, x64: bool) -> Stepper:
 
 
 @lru_cache(maxsize=16)
-def _program(robot: Robot, engine: Engine, samples: int, states: bool, chunk: int | None, x64: bool) -> Program:
+def _program(robot: Robot, engine: Engine, samples: int, states: bool, chunk: int | None, x64: bool) -> "Program":
+    import jax
+
+    from btr_mjx.engines import Layout, Program, use_all_cores, use_compilation_cache
+
     use_all_cores()
     use_compilation_cache()
     devices = jax.devices()

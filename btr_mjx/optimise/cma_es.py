@@ -10,12 +10,14 @@ generations and resumed bit for bit: `restored` tells them again, which takes li
 Vectors lie in the unit cube, to which parameters are scaled by the bounds of their `Box`.
 """
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import cmaes
 import numpy as np
 
 from btr_mjx.errors import InputError
+
+if TYPE_CHECKING:
+    import cmaes
 
 SIGMA = 0.125
 """Default initial step size, as a fraction of each parameter's range."""
@@ -26,7 +28,7 @@ CONVERGED = 5e-5
 
 def restored(
     start: np.ndarray, members: np.ndarray, scores: np.ndarray, *, population: int, sigma: float = SIGMA
-) -> cmaes.CMA:
+) -> "cmaes.CMA":
     """The state of the strategy after g generations.
 
     Args:
@@ -42,6 +44,8 @@ def restored(
     Raises:
       InputError: a start outside the unit cube, a step size that is not positive, fewer than 4 members.
     """
+    import cmaes  # loads scipy.stats and more, which takes a second
+
     start = np.array(start, np.float64)
     if not ((start >= 0) & (start <= 1)).all():
         raise InputError(f"start: got {start}, expected a point of the unit cube")
@@ -54,13 +58,13 @@ def restored(
     return strategy
 
 
-def ask(strategy: cmaes.CMA, seed: Any) -> np.ndarray:
+def ask(strategy: "cmaes.CMA", seed: Any) -> np.ndarray:
     """The next generation (L, n), drawn with its own seed: an integer or a list of integers, as of SeedSequence."""
     strategy.reseed_rng(int(np.random.SeedSequence(seed).generate_state(1)[0]))
     return np.array([strategy.ask() for _ in range(strategy.population_size)])
 
 
-def tell(strategy: cmaes.CMA, members: np.ndarray, scores: np.ndarray) -> None:
+def tell(strategy: "cmaes.CMA", members: np.ndarray, scores: np.ndarray) -> None:
     """Update the strategy with a generation; failed members get twice the worst finite score.
 
     Args:

@@ -11,10 +11,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from btr_mjx import diagnose
+from btr_mjx import diagnose, testing
 from btr_mjx.errors import InputError
+from btr_mjx.gap import inference, simulate
 from btr_mjx.gap.data import Dataset
-from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.effects import EFFECTS, selected_effects
 from btr_mjx.gap.results import (
     Confound,
     Diagnosis,
@@ -82,7 +83,7 @@ def searches(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         )
         return FOUND
 
-    monkeypatch.setattr(diagnose, "identify", stand_in)
+    monkeypatch.setattr(inference, "identify", stand_in)
     return calls
 
 
@@ -149,19 +150,19 @@ def test_an_interrupted_demo_goes_on(
 ) -> None:
     """The case is made once; the command that goes on is printed; the answer comes last."""
     run = tmp_path / "run"
-    monkeypatch.setattr(diagnose, "make_case", lambda *a: make_case(*a, CaseSettings(recordings=(2, 1), duration=0.8)))
+    monkeypatch.setattr(testing, "make_case", lambda *a: make_case(*a, CaseSettings(recordings=(2, 1), duration=0.8)))
 
     def interrupted(*args: Any, **more: Any) -> Any:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(diagnose, "identify", interrupted)
+    monkeypatch.setattr(inference, "identify", interrupted)
     argv = ["--demo", "--robot", "pendulum", "--seed", "6", "--out", str(run), "--no-progress", "--no-figures"]
     with pytest.raises(SystemExit) as stop:
         diagnose.main(argv)
     assert stop.value.code == 130
     assert f"--out {run} --no-progress --no-figures --resume" in capsys.readouterr().err
     truth = (run / "truth.json").read_bytes()
-    monkeypatch.setattr(diagnose, "identify", lambda *a, **k: NOTHING)
+    monkeypatch.setattr(inference, "identify", lambda *a, **k: NOTHING)
     diagnose.main([*argv, "--resume"])
     assert (run / "truth.json").read_bytes() == truth
     last = capsys.readouterr().out.strip().splitlines()[-1]
@@ -188,7 +189,7 @@ def test_a_killed_search_goes_on(
 
         return journal(path, count, code)
 
-    monkeypatch.setattr(diagnose, "Journal", killed)
+    monkeypatch.setattr(simulate, "Journal", killed)
     with pytest.raises(SystemExit):
         diagnose.main([*argv, "--out", str(run)])
     saved = {path: path.stat().st_mtime_ns for path in (run / "search").iterdir()}
@@ -204,7 +205,7 @@ def test_a_killed_search_goes_on(
 
         return journal(path, count, code)
 
-    monkeypatch.setattr(diagnose, "Journal", watched)
+    monkeypatch.setattr(simulate, "Journal", watched)
     diagnose.main([*argv, "--out", str(run), "--no-progress", "--resume"])
     assert set(kept) == {len(saved)}  # no answer was written again
     assert len(kept) > len(saved)
@@ -267,11 +268,11 @@ def test_effects_of_ones_own(tmp_path: Path) -> None:
         "MINE = Effect('quadratic_damping', joint_places, ranges, edit, summable=True)\n"
         "NUMBER = 3\n"
     )
-    library = diagnose.selected_effects(["all", f"{file}:MINE"])
+    library = selected_effects(["all", f"{file}:MINE"])
     assert [e.name for e in library] == [*(e.name for e in EFFECTS), "quadratic_damping"]
-    assert [e.name for e in diagnose.selected_effects(["backlash", f"{file}:MINE"])] == [
+    assert [e.name for e in selected_effects(["backlash", f"{file}:MINE"])] == [
         "backlash",
         "quadratic_damping",
     ]
     with pytest.raises(InputError, match=r"NUMBER.*: got int, expected an Effect"):
-        diagnose.selected_effects([f"{file}:NUMBER"])
+        selected_effects([f"{file}:NUMBER"])

@@ -75,9 +75,9 @@ def read_columns(path: str | Path) -> dict[str, np.ndarray]:
         columns = {name: _numbers(path, name, array) for name, array in read_arrays(path).items()}
     else:
         if suffix == ".csv":
-            _check_header(path)
+            check_header(path)
         frame = read_table(path.with_suffix(suffix) if path.suffix == suffix else path)
-        columns = {name.strip(): _series(path, frame[name]) for name in frame.columns}
+        columns = {name.strip(): numbers_of(path, frame[name]) for name in frame.columns}
     lengths = {name: len(array) for name, array in columns.items()}
     if not lengths or max(lengths.values()) == 0:
         raise InputError(f"{path}: it holds no rows")
@@ -98,7 +98,17 @@ def _numbers(path: Path, name: str, array: np.ndarray) -> np.ndarray:
     return array.astype(np.float64)
 
 
-def _series(path: Path, series: pl.Series) -> np.ndarray:
+def numbers_of(path: Path, series: pl.Series, first_row: int = 0) -> np.ndarray:
+    """Values (K,) of a column, NaN where there are none.
+
+    Args:
+      path: file, for messages.
+      series: the column.
+      first_row: number of rows of the file before it, for messages.
+
+    Raises:
+      InputError: it holds something else than numbers.
+    """
     if series.dtype.is_numeric() or series.dtype in (pl.Boolean, pl.Null):
         return series.cast(pl.Float64).fill_null(np.nan).to_numpy()
     if series.dtype != pl.String:
@@ -108,13 +118,18 @@ def _series(path: Path, series: pl.Series) -> np.ndarray:
     if bad.any():
         row = int(bad.arg_true()[0])
         raise InputError(
-            f"{path}: column {series.name!r} holds {series[row]!r} in row {row + 1} of the data; expected a number "
-            "(units belong into the documentation, not into a row)"
+            f"{path}: column {series.name!r} holds {series[row]!r} in row {first_row + row + 1} of the data; expected "
+            "a number (units belong into the documentation, not into a row)"
         )
     return values.fill_null(np.nan).to_numpy()
 
 
-def _check_header(path: Path) -> None:
+def check_header(path: Path) -> None:
+    """Check the first line of a CSV file.
+
+    Raises:
+      InputError: a name occurs twice.
+    """
     with path.open(encoding="utf-8", errors="replace", newline="") as file:
         names = [name.strip() for name in next(csv.reader(StringIO(file.readline())), [])]
     for name in names:

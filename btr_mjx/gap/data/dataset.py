@@ -33,7 +33,7 @@
 Velocities that were not measured are estimated by local cubic fits and marked in `Recording.qvel_measured`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -41,6 +41,7 @@ from typing import Any, Literal
 import mujoco
 
 from btr_mjx.errors import InputError
+from btr_mjx.gap.data.long_files import Advance, count_rows, shares
 from btr_mjx.gap.data.noise import Noise, estimate_noise, read_noise
 from btr_mjx.gap.data.recording import Recording, assign_splits, load_model, read_recording
 from btr_mjx.models import PathParameter, read_path_parameter
@@ -51,6 +52,8 @@ TABLES = ("model", "parameter", "recording", "control", "tolerances", "noise")
 """Tables that dataset.toml may hold."""
 
 Interpolation = Literal["hold", "linear", "cubic"]
+ReadProgress = Callable[[int, int], None]
+"""Called with the bytes that were read so far, and those of all files."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,14 +95,16 @@ class Dataset:
         return tuple(r for r in self.recordings if r.split == "test")
 
 
-def load(folder: str | Path) -> Dataset:
+def load(folder: str | Path, progress: ReadProgress | None = None) -> Dataset:
     """Read a dataset.
 
     Args:
       folder: the folder, or its dataset.toml.
+      progress: called while recordings are read.
 
     Returns:
-      The dataset, with all recordings loaded.
+      The dataset, with all recordings loaded, or stretches of them where they have more than
+      `long_files.MAX_SAMPLES` samples together; a note says which share is used.
 
     Raises:
       InputError: invalid content; one line with the value, its place and the remedy.
@@ -111,12 +116,36 @@ def load(folder: str | Path) -> Dataset:
     listed = toml_rows(table, "recording", path)
     if not listed:
         raise InputError(f'{path}: there is no [[recording]]; add one with file = "..."')
-    recordings = [
-        read_recording(head.folder, row, head.model, f"{path}: [[recording]] {i + 1}", notes)
-        for i, row in enumerate(listed)
+    files = [head.folder / str(row.get("file", "")) for row in listed]
+    advance = _advance(files, progress)
+    groups = [
+        read_recording(head.folder, row, head.model, f"{path}: [[recording]] {i + 1}", notes, share, advance)
+        for i, (row, share) in enumerate(zip(listed, shares([count_rows(file) for file in files]), strict=True))
     ]
-    parts = assign_splits(recordings, [row.get("split") for row in listed], str(path))
+    parts = _split(groups, [row.get("split") for row in listed], str(path))
     return replace(head, recordings=tuple(parts), notes=tuple(notes))
+
+
+def _advance(files: Sequence[Path], progress: ReadProgress | None) -> Advance:
+    """Adds up the bytes that were read."""
+    total, done = sum(file.stat().st_size for file in files if file.is_file()), 0
+
+    def advance(count: int) -> None:
+        nonlocal done
+        done += count
+        if progress is not None:
+            progress(done, total)
+
+    advance(0)
+    return advance
+
+
+def _split(groups: Sequence[Sequence[Recording]], given: Sequence[Any], where: str) -> list[Recording]:
+    """Recordings with their split, see `assign_splits`; that of a recording is that of its stretches."""
+    if len(groups) == 1 and given[0] is None:
+        return assign_splits(groups[0], [None] * len(groups[0]), where)
+    first = assign_splits([group[0] for group in groups], given, where)
+    return [replace(one, split=side.split) for group, side in zip(groups, first, strict=True) for one in group]
 
 
 def read_header(folder: str | Path, more: Sequence[str] = ()) -> tuple[Dataset, dict[str, Any]]:

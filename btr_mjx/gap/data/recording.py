@@ -14,6 +14,7 @@ import numpy as np
 
 from btr_mjx.errors import InputError, one_line
 from btr_mjx.gap.data.columns import check_names, control_columns, read_columns, state_columns, ungroup_columns
+from btr_mjx.gap.data.long_files import Advance, Share, read_stretches
 from btr_mjx.gap.data.samples import check_time, complete_rows, estimate_velocity, normalise_quaternions
 from btr_mjx.models import set_values
 from btr_mjx.runs import check_keys, file_name, is_number
@@ -100,8 +101,14 @@ def _compiled(path: Path) -> mujoco.MjModel:
 
 
 def read_recording(
-    folder: Path, row: Mapping[str, Any], base: mujoco.MjModel, where: str, notes: list[str]
-) -> Recording:
+    folder: Path,
+    row: Mapping[str, Any],
+    base: mujoco.MjModel,
+    where: str,
+    notes: list[str],
+    share: Share | None = None,
+    advance: Advance = lambda count: None,
+) -> list[Recording]:
     """Read one [[recording]] row of a dataset in `folder`.
 
     Args:
@@ -110,9 +117,11 @@ def read_recording(
       base: the dataset's model.
       where: the row's place, for messages.
       notes: warnings are appended here.
+      share: part of the recording that is used; None for all.
+      advance: called with numbers of bytes that were read.
 
     Returns:
-      The recording, with split "fit".
+      The recording, or stretches of it, with split "fit".
 
     Raises:
       InputError: see `dataset.load`.
@@ -135,7 +144,17 @@ def read_recording(
             set_values(model, overrides)
         except InputError as error:
             raise InputError(f"{where}: overrides: {error}") from None
-    return make_recording(read_columns(file), model, str(file), str(row.get("name", file.stem)))
+    name = str(row.get("name", file.stem))
+    if share is None:
+        recording = make_recording(read_columns(file), model, str(file), name)
+        advance(file.stat().st_size)
+        return [recording]
+    return [
+        make_recording(
+            columns, model, f"{file} from {columns['time'][0]:.6g} s on", f"{name} at {columns['time'][0]:.6g} s"
+        )
+        for columns in read_stretches(file, share, model, notes, advance)
+    ]
 
 
 def make_recording(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, where: str, name: str) -> Recording:

@@ -15,7 +15,9 @@ HALF_WIDTH = 3
 """Samples on either side that a velocity estimate uses."""
 
 
-def complete_rows(flat: Mapping[str, np.ndarray], needed: Sequence[str], where: str, notes: list[str]) -> np.ndarray:
+def complete_rows(
+    flat: Mapping[str, np.ndarray], needed: Sequence[str], where: str, notes: list[str], first_row: int = 0
+) -> np.ndarray:
     """Indices of the rows without missing values.
 
     Args:
@@ -23,6 +25,7 @@ def complete_rows(flat: Mapping[str, np.ndarray], needed: Sequence[str], where: 
       needed: names of the columns that are checked.
       where: file, for messages.
       notes: the number of dropped rows is appended here.
+      first_row: number of rows of the file before these, for messages.
 
     Returns:
       (N,) row indices.
@@ -39,7 +42,8 @@ def complete_rows(flat: Mapping[str, np.ndarray], needed: Sequence[str], where: 
         for begin, end in zip(edges[::2], edges[1::2], strict=True):
             if end - begin > MAX_MISSING_ROWS:
                 raise InputError(
-                    f"{where}: column {column!r} has no finite value in rows {begin + 1} to {end} (time "
+                    f"{where}: column {column!r} has no finite value in rows {first_row + begin + 1} to "
+                    f"{first_row + end} (time "
                     f"{flat['time'][begin]:.6g} s); cut the recording there into two files"
                 )
         bad |= missing
@@ -48,8 +52,8 @@ def complete_rows(flat: Mapping[str, np.ndarray], needed: Sequence[str], where: 
     return np.flatnonzero(~bad)
 
 
-def check_time(time: np.ndarray, where: str) -> None:
-    """Check that time (K,) [s] increases strictly.
+def check_time(time: np.ndarray, where: str, first_row: int = 0) -> None:
+    """Check that time (K,) [s] increases strictly; `first_row` rows of the file are before it.
 
     Raises:
       InputError: it does not; the message names the row and both times.
@@ -59,8 +63,8 @@ def check_time(time: np.ndarray, where: str) -> None:
         row = int(np.argmax(steps <= 0))
         what = "repeats" if steps[row] == 0 else "goes back"
         raise InputError(
-            f"{where}: time {what} from {time[row]:.9g} to {time[row + 1]:.9g} s in row {row + 2}; it has to increase: "
-            "sort the rows and drop duplicates"
+            f"{where}: time {what} from {time[row]:.9g} to {time[row + 1]:.9g} s in row {first_row + row + 2}; it has "
+            "to increase: sort the rows and drop duplicates"
         )
 
 

@@ -3,18 +3,19 @@
 from pathlib import Path
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, load
+from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, ReadProgress, load
 from btr_mjx.gap.data.formats.lerobot import INFO, is_lerobot_folder, load_lerobot
 from btr_mjx.gap.data.formats.servo import SERVO_FILE, is_servo_folder, load_servo
 
 
-def open_dataset(folder: str | Path) -> Dataset:
+def open_dataset(folder: str | Path, progress: ReadProgress | None = None) -> Dataset:
     """Read a folder of recordings in any supported format.
 
     Formats: dataset.toml with tables, dataset.toml with LeRobot files, servo.toml with BAM JSON files.
 
     Args:
       folder: the folder, or its dataset.toml or servo.toml.
+      progress: called with the bytes that were read so far, and those of all files; not for LeRobot's and BAM's forms.
 
     Returns:
       The dataset.
@@ -30,7 +31,7 @@ def open_dataset(folder: str | Path) -> Dataset:
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such folder")
     if (folder / DATASET_FILE).is_file():
-        return load_lerobot(folder) if is_lerobot_folder(folder) else load(folder)
+        return load_lerobot(folder) if is_lerobot_folder(folder) else load(folder, progress)
     if is_servo_folder(folder):
         return load_servo(folder)
     raise InputError(

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
+import scipy
 
 from btr_mjx.gap.effects import Candidate
 from btr_mjx.gap.fitness_only.trials import TrialSimulator
@@ -134,7 +134,7 @@ def rank_by_fit(responses: CandidateResponses, wanted: np.ndarray) -> list[Scree
         both = np.concatenate([tried, -tried]) if len(size_parameters(candidate)) == 1 else tried
         answer = np.concatenate([change, -change]) if len(size_parameters(candidate)) == 1 else change
         inside = ((candidate.null + 1e-9 * both >= low) & (candidate.null + 1e-9 * both <= high)).all(axis=1)
-        share = nnls(answer[inside].T, wanted)[0]
+        share = scipy.optimize.nnls(answer[inside].T, wanted)[0]
         share *= _within(candidate.null, share @ both[inside], low, high)
         left = wanted - share @ answer[inside]
         freedom = len(wanted) / max(1, len(wanted) - len(size_parameters(candidate)))

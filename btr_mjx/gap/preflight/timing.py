@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.signal import correlate
+import scipy
 
 from btr_mjx.gap.data import Dataset, Recording
 from btr_mjx.gap.preflight.excitation import JointTrack
@@ -122,6 +122,6 @@ def _shift(time: np.ndarray, command: np.ndarray, response: np.ndarray, step: fl
     if size == 0:
         return None
     reach = min(int(0.25 / step), len(even) // 4)
-    scores = correlate(b, a)[len(a) - 1 - reach : len(a) + reach] / size
+    scores = scipy.signal.correlate(b, a)[len(a) - 1 - reach : len(a) + reach] / size
     best = int(np.argmax(scores))
     return (best - reach) * step if scores[best] > 0.7 else None

@@ -9,8 +9,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Interpolation
@@ -201,7 +201,7 @@ def _polynomial(times: np.ndarray, values: np.ndarray, interpolation: Interpolat
         slope = np.zeros_like(values, float)
         slope[:-1] = np.diff(values, axis=0) / np.diff(times)[:, None]
         return np.stack([values.astype(float), slope])
-    spline = CubicSpline(times, values, axis=0).c[::-1]
+    spline = scipy.interpolate.CubicSpline(times, values, axis=0).c[::-1]
     return np.concatenate([spline, np.stack([values[-1], *np.zeros((3, values.shape[1]))])[:, None]], axis=1)
 
 

@@ -9,6 +9,7 @@ from mujoco.batch import Batch
 
 from btr_mjx.gap.simulate import Counter, World
 from btr_mjx.gap.windows.prepared import PreparedData
+from btr_mjx.gap.windows.rows import row_blocks
 from btr_mjx.runs import available_cores
 
 _CONTACT_WEIGHT = 0.15
@@ -32,21 +33,24 @@ def activity(data: PreparedData, counter: Counter) -> list[np.ndarray]:
     """
     out = []
     for recording, track, act in zip(data.recordings, data.tracks, data.acts, strict=True):
-        model = recording.model
-        batch = Batch(World.of(model).model, nsim=len(track.time), nthread=available_cores())
-        batch.bind("qpos")[:] = track.qpos
-        batch.bind("qvel")[:] = np.nan_to_num(track.qvel)
-        if model.nu:
-            batch.bind("ctrl")[:] = recording.ctrl
-        if model.na:
-            batch.bind("act")[:] = act
-        motors, constraints = batch.bind("qfrc_actuator"), batch.bind("qfrc_constraint")
-        batch.forward()
+        model = World.of(recording.model).model
+        features = np.empty((len(track.time), 3 * model.nv + 1))
+        for rows in row_blocks(len(track.time)):
+            batch = Batch(model, nsim=rows.stop - rows.start, nthread=available_cores())
+            batch.bind("qpos")[:] = track.qpos[rows]
+            batch.bind("qvel")[:] = np.nan_to_num(track.qvel[rows])
+            if model.nu:
+                batch.bind("ctrl")[:] = recording.ctrl[rows]
+            if model.na:
+                batch.bind("act")[:] = act[rows]
+            motors, constraints = batch.bind("qfrc_actuator"), batch.bind("qfrc_constraint")
+            batch.forward()
+            touch = np.abs(constraints) > 0
+            air = ~touch.any(1, keepdims=True)
+            parts = np.square(np.nan_to_num(track.qvel[rows])), np.nan_to_num(np.square(motors)), touch, air
+            features[rows] = np.concatenate([np.asarray(part, float) for part in parts], 1)
         counter.add(len(track.time))
-        touch = np.abs(constraints) > 0
-        air = ~touch.any(1, keepdims=True)
-        parts = np.square(np.nan_to_num(track.qvel)), np.nan_to_num(np.square(motors)), touch, air
-        out.append(np.concatenate([np.asarray(part, float) for part in parts], 1))
+        out.append(features)
     return out
 
 

@@ -10,6 +10,7 @@ from mujoco.batch import Batch
 
 from btr_mjx.gap.simulate import Counter, World
 from btr_mjx.gap.windows.prepared import PreparedData
+from btr_mjx.gap.windows.rows import row_blocks
 from btr_mjx.runs import available_cores
 
 _STOP_SIGMAS = 3.0
@@ -20,13 +21,15 @@ def contact_samples(data: PreparedData, counter: Counter) -> tuple[np.ndarray, .
     """Per recording (K,) bool: the believed model has a contact at the measured configuration."""
     out = []
     for recording, track in zip(data.recordings, data.tracks, strict=True):
-        world = World.of(recording.model)
-        batch = Batch(world.model, nsim=len(track.time), nthread=available_cores())
-        batch.bind("qpos")[:] = track.qpos
-        count = batch.bind("ncon")
-        batch.forward(stage=int(mujoco.mjtStage.mjSTAGE_POS))
+        world, touching = World.of(recording.model), np.zeros(len(track.time), bool)
+        for rows in row_blocks(len(track.time)):
+            batch = Batch(world.model, nsim=rows.stop - rows.start, nthread=available_cores())
+            batch.bind("qpos")[:] = track.qpos[rows]
+            count = batch.bind("ncon")
+            batch.forward(stage=int(mujoco.mjtStage.mjSTAGE_POS))
+            touching[rows] = np.array(count).reshape(-1) > 0
         counter.add(len(track.time))
-        out.append(np.array(count).reshape(-1) > 0)
+        out.append(touching)
     return tuple(out)
 
 

@@ -1,8 +1,11 @@
-"""Selection of rows from several arrays of equal shape."""
+"""Selection of rows from several arrays of equal shape, and blocks of rows."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
+
+MAX_BATCH = 2048
+"""Largest number of samples that are evaluated at once; bounds the memory, as each has an `mjData` of its own."""
 
 
 def select_rows(own: np.ndarray, others: Sequence[np.ndarray], chosen: np.ndarray) -> np.ndarray:
@@ -27,3 +30,9 @@ def select_rows(own: np.ndarray, others: Sequence[np.ndarray], chosen: np.ndarra
         rows = np.flatnonzero(chosen == i)
         out[rows] = arrays[i][rows]
     return out
+
+
+def row_blocks(count: int) -> Iterator[slice]:
+    """Blocks of at most `MAX_BATCH` of `count` rows, in order."""
+    for first in range(0, count, MAX_BATCH):
+        yield slice(first, min(first + MAX_BATCH, count))

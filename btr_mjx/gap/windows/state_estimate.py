@@ -12,6 +12,7 @@ from mujoco.batch import Batch
 
 from btr_mjx.gap.simulate import Command, World
 from btr_mjx.gap.windows.activation import activations
+from btr_mjx.gap.windows.rows import row_blocks
 from btr_mjx.models import difference, integrate
 from btr_mjx.runs import available_cores
 
@@ -140,11 +141,14 @@ def activation_histories(model: mujoco.MjModel, track: Track, command: Command) 
     if not np.isin(model.actuator_dyntype, [int(kind) for kind in plain]).all() or model.actuator_actlimited.any():
         return activations(world, command, track.time, track.qpos, np.where(track.measured, track.qvel, 0.0))
     # Pure integrators: the rate does not depend on the activation, so that all samples are evaluated at once.
-    batch = Batch(world.model, nsim=len(track.time), nthread=available_cores())
-    batch.bind("qpos")[:], batch.bind("qvel")[:] = track.qpos, np.where(track.measured, track.qvel, 0.0)
-    batch.bind("ctrl")[:] = world.command(command).at(track.time)
-    rate = batch.bind("act_dot")
-    batch.forward()
+    rate = np.empty((len(track.time), model.na))
+    qvel, ctrl = np.where(track.measured, track.qvel, 0.0), world.command(command).at(track.time)
+    for rows in row_blocks(len(track.time)):
+        batch = Batch(world.model, nsim=rows.stop - rows.start, nthread=available_cores())
+        batch.bind("qpos")[:], batch.bind("qvel")[:], batch.bind("ctrl")[:] = track.qpos[rows], qvel[rows], ctrl[rows]
+        own = batch.bind("act_dot")
+        batch.forward()
+        rate[rows] = own
     step = np.diff(track.time)[:, None]
     out = np.zeros((len(track.time), model.na))
     out[1:] = np.cumsum(0.5 * step * (rate[1:] + rate[:-1]), axis=0)

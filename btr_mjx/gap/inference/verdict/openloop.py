@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis, unknowns
 from btr_mjx.gap.inference.search.search import Bench
@@ -59,7 +59,7 @@ def followed(bench: Bench, hypothesis: Hypothesis) -> Hypothesis:
         return ((moved[1:] - moved[0]) / np.diag(steps)[:, None]).T
 
     start = np.clip(hypothesis.values(bench.joint), free.low, free.high)
-    found = least_squares(
+    found = scipy.optimize.least_squares(
         lambda values: errors([values])[0],
         start,
         slopes,

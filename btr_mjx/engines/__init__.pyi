@@ -1,0 +1,26 @@
+from . import native
+from .base import Stepper, UnsupportedModel
+from .devices import use_all_cores, use_compilation_cache
+from .lanes.fields import base_field, influences_motion
+from .lanes.stepper import LanesStepper
+from .mjx import MjxStepper
+from .native import expand
+from .program import Layout, Program, rollout
+from .record import Record
+
+__all__ = [
+    "LanesStepper",
+    "Layout",
+    "MjxStepper",
+    "Program",
+    "Record",
+    "Stepper",
+    "UnsupportedModel",
+    "base_field",
+    "expand",
+    "influences_motion",
+    "native",
+    "rollout",
+    "use_all_cores",
+    "use_compilation_cache",
+]

@@ -1,0 +1,273 @@
+"""Long recordings: all rows are checked, a bounded number of them is kept, in stretches spread evenly over the file.
+
+A search uses windows that last some seconds together, while an hour at 1 kHz takes several times the memory of its
+file. A CSV file is therefore parsed in blocks of rows, and a Parquet file column by column.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import polars as pl
+
+from btr_mjx.errors import DamagedFile
+from btr_mjx.gap.data.columns import (
+    check_header,
+    check_names,
+    control_columns,
+    numbers_of,
+    read_columns,
+    state_columns,
+    ungroup_columns,
+)
+from btr_mjx.gap.data.samples import MAX_MISSING_ROWS, check_time, complete_rows
+
+MAX_SAMPLES = 100_000
+"""Number of samples of a dataset up to which all of them are used."""
+KEPT_SAMPLES = 60_000
+"""Approximate number of samples that are used of a larger dataset."""
+MAX_STRETCHES = 24
+"""Largest number of stretches of a recording; some work is done once a stretch."""
+STRETCH_SECONDS = 2.5
+"""Shortest stretch [s]: windows last up to 1 s, and need twice their length."""
+BLOCK_BYTES = 1 << 24
+"""Bytes of a CSV file that are parsed at once."""
+
+Columns = Mapping[str, np.ndarray]
+"""Arrays (K,) by column name."""
+Advance = Callable[[int], None]
+"""Called with the number of bytes that were read since the last call."""
+
+
+def count_rows(path: Path) -> int:
+    """Number of rows of a recording, or one more; 0 for a file that cannot be read."""
+    try:
+        match path.suffix.lower():
+            case ".csv":
+                with path.open("rb") as file:
+                    return sum(block.count(b"\n") for block in iter(lambda: file.read(BLOCK_BYTES), b""))
+            case ".parquet":
+                return int(pl.scan_parquet(path).select(pl.len()).collect().item())
+            case ".npz":
+                with np.load(path, allow_pickle=False) as archive:
+                    return len(archive["time"])
+    except Exception:  # the reader of the file says what is wrong with it
+        return 0
+    return 0
+
+
+@dataclass(frozen=True)
+class Share:
+    """Part of a long recording that is used.
+
+    Attributes:
+      rows: number of rows of the recording, or one more.
+      kept: approximate number of samples to keep.
+    """
+
+    rows: int
+    kept: int
+
+
+def shares(rows: Sequence[int]) -> list[Share | None]:
+    """The part of each recording of a dataset that is used.
+
+    Args:
+      rows: number of rows of each recording.
+
+    Returns:
+      Shares in proportion to the rows; None for recordings of which everything is used.
+    """
+    total = sum(rows)
+    if total <= MAX_SAMPLES:
+        return [None] * len(rows)
+    return [Share(count, max(1, round(KEPT_SAMPLES * count / total))) for count in rows]
+
+
+def stretch_rows(share: Share, interval: float, from_start: bool = False) -> list[range]:
+    """Rows of the stretches of a recording: of equal length, each in the middle of an equal part of the rows.
+
+    Args:
+      share: to keep; more where stretches would be shorter than `STRETCH_SECONDS`.
+      interval: between two rows [s].
+      from_start: one stretch at the beginning instead.
+    """
+    shortest = STRETCH_SECONDS / interval
+    count = 1 if from_start else int(np.clip(share.kept / shortest + 1e-6, 1, MAX_STRETCHES))
+    part = share.rows // count
+    length = int(min(max(share.kept / count, shortest), part, MAX_SAMPLES))
+    first = 0 if from_start else (part - length) // 2
+    return [range(i * part + first, i * part + first + length) for i in range(count)]
+
+
+def read_stretches(
+    path: Path, share: Share, model: mujoco.MjModel, notes: list[str], advance: Advance
+) -> list[Columns]:
+    """Check all rows of a recording and keep some of them.
+
+    Args:
+      path: a .csv, .parquet or .npz file; the latter is read as a whole.
+      share: to keep, see `stretch_rows`.
+      model: the recording's model. Activations of its actuators are integrated from the start of the recording, so that
+        one stretch is kept there if it has any.
+      notes: which share is used, missing values and gaps in time are appended here.
+      advance: see `Advance`.
+
+    Returns:
+      The columns of each stretch, in the order of time.
+
+    Raises:
+      InputError: see `columns.read_columns`, `columns.check_names`, `samples.complete_rows` and `samples.check_time`.
+      DamagedFile: the content does not parse.
+      OSError: the file cannot be read.
+    """
+    found = _Collected(path, share, model)
+    match path.suffix.lower():
+        case ".csv":
+            _collect_csv(path, found, advance)
+        case ".parquet":
+            _collect_parquet(path, found, advance)
+        case _:
+            found.add(0, ungroup_columns(read_columns(path), model, str(path)))
+            advance(path.stat().st_size)
+    notes += found.notes()
+    return found.stretches()
+
+
+class _Collected:
+    """What is kept of the rows that were checked so far."""
+
+    def __init__(self, path: Path, share: Share, model: mujoco.MjModel) -> None:
+        self.model, self._path, self._share = model, path, share
+        self._needed = {"time", *control_columns(model), *(c for names in state_columns(model) for c in names)}
+        self._rows: list[range] = []
+        self._pieces: list[dict[str, list[np.ndarray]]] = []
+        self._bad = np.zeros(share.rows + 1, bool)
+        self._time: list[np.ndarray] = []
+
+    def add(self, first: int, columns: Columns, checked: int = 0, known: Sequence[str] = ()) -> None:
+        """Check and keep a block.
+
+        Args:
+          first: row of its first sample.
+          columns: of the block, with the time.
+          checked: number of its first samples that an earlier block had.
+          known: columns that an earlier block had.
+        """
+        time = columns["time"]
+        where = f"{self._path}, rows {first + 1} to {first + len(time)}"
+        if not self._rows:
+            interval = float(np.nanmedian(np.diff(time))) if len(time) > 1 else 0.0
+            self._rows = stretch_rows(
+                self._share, interval if interval > 0 else STRETCH_SECONDS, from_start=self.model.na > 0
+            )
+            self._pieces = [{} for _ in self._rows]
+        new = [name for name in columns if name not in known]
+        sound = complete_rows(columns, [name for name in new if name in self._needed], where, [], first)
+        bad = np.ones(len(time), bool)
+        bad[sound] = False
+        self._bad[first : first + len(time)] |= bad
+        if "time" in new:
+            check_time(time[sound], where, first)
+            self._time.append(time[checked:])
+        for rows, kept in zip(self._rows, self._pieces, strict=True):
+            own = slice(max(rows.start - first, checked), max(rows.stop - first, checked))
+            if own.start < min(own.stop, len(time)):
+                for name in new:
+                    kept.setdefault(name, []).append(columns[name][own].copy())
+
+    def stretches(self) -> list[Columns]:
+        return [{name: np.concatenate(parts) for name, parts in kept.items()} for kept in self._pieces if kept]
+
+    def notes(self) -> list[str]:
+        time = np.concatenate(self._time)
+        kept = sum(len(part) for parts in self._pieces for part in parts.get("time", ()))
+        where = f"in {len(self._rows)} stretches spread evenly over {np.ptp(time):.1f} s"
+        if self.model.na:
+            where = "from the beginning on, as activations of actuators are known there"
+        lines = [
+            f"{self._path.name}: {kept} of {len(time)} samples ({kept / len(time):.1%}) are used, {where}; time stamps "
+            "and missing values were checked in all rows"
+        ]
+        if self._bad.any():
+            lines.append(f"{self._path.name}: {int(self._bad.sum())} of all rows have missing values")
+        steps = np.diff(time[np.isfinite(time)])
+        gaps = np.flatnonzero(steps > 3 * np.median(steps))
+        if len(gaps):
+            k = int(gaps[np.argmax(steps[gaps])])
+            lines.append(
+                f"{self._path.name}: {len(gaps)} gaps of more than three intervals in all rows, the longest of "
+                f"{steps[k]:.4g} s"
+            )
+        return lines
+
+
+def _collect_csv(path: Path, found: _Collected, advance: Advance) -> None:
+    first, tail = 0, None
+    for frame in _csv_blocks(path, advance):
+        columns = {name.strip(): numbers_of(path, frame[name], first) for name in frame.columns}
+        if tail is None:
+            check_names(columns, found.model, str(path))
+            joined = columns
+        else:
+            joined = {name: np.concatenate([tail[name], values]) for name, values in columns.items()}
+        overlap = len(joined["time"]) - len(frame)
+        found.add(first - overlap, joined, overlap)
+        tail = {name: values[-MAX_MISSING_ROWS:] for name, values in joined.items()}
+        first += len(frame)
+
+
+def _csv_blocks(path: Path, advance: Advance) -> Iterator[pl.DataFrame]:
+    """Frames of whole lines of a CSV file."""
+    check_header(path)
+    with path.open("rb") as file:
+        header = file.readline()
+        rest = b""
+        while block := file.read(BLOCK_BYTES):
+            advance(len(block))
+            cut = block.rfind(b"\n") + 1
+            lines, rest = rest + block[:cut], block[cut:] if cut else rest + block
+            if lines:
+                yield _parsed(path, header + lines)
+        if rest.strip():
+            yield _parsed(path, header + rest)
+
+
+def _parsed(path: Path, text: bytes) -> pl.DataFrame:
+    try:
+        names = pl.read_csv(BytesIO(text), n_rows=0).columns
+        try:
+            return pl.read_csv(BytesIO(text), schema_overrides=dict.fromkeys(names, pl.Float64))
+        except pl.exceptions.PolarsError:  # text or booleans: `numbers_of` says where
+            return pl.read_csv(BytesIO(text), infer_schema_length=None)
+    except Exception as error:  # polars has no common base class for what its readers raise
+        raise DamagedFile(f"{path}: not a readable csv table ({error})") from error
+
+
+def _collect_parquet(path: Path, found: _Collected, advance: Advance) -> None:
+    names = _column_names(path)
+    check_names({name.strip(): np.empty(0) for name in names}, found.model, str(path))
+    time = np.empty(0)
+    for name in sorted(names, key=lambda name: name.strip() != "time"):
+        values = numbers_of(path, _parquet_column(path, name))
+        first = name.strip() == "time"
+        time = values if first else time
+        found.add(0, {"time": time, name.strip(): values}, known=() if first else ("time",))
+        advance(path.stat().st_size // len(names))
+
+
+def _column_names(path: Path) -> list[str]:
+    try:
+        return list(pl.read_parquet_schema(path))
+    except Exception as error:  # polars has no common base class for what its readers raise
+        raise DamagedFile(f"{path}: not a readable parquet table ({error})") from error
+
+
+def _parquet_column(path: Path, name: str) -> pl.Series:
+    try:
+        return pl.read_parquet(path, columns=[name], memory_map=False)[name]
+    except Exception as error:
+        raise DamagedFile(f"{path}: column {name!r} is not readable ({error})") from error
