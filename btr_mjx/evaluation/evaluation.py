@@ -282,6 +282,11 @@ def _stepper(robot: Robot, engine: Engine, x64: bool) -> "Stepper":
     return MjxStepper(model, varying)
 
 
+def default_chunk(on_cpu: bool) -> int:
+    """Pairs that are stepped together; see docs/performance.md."""
+    return 64 if on_cpu else 16384
+
+
 @lru_cache(maxsize=16)
 def _program(robot: Robot, engine: Engine, samples: int, states: bool, chunk: int | None, x64: bool) -> "Program":
     import jax
@@ -293,7 +298,7 @@ def _program(robot: Robot, engine: Engine, samples: int, states: bool, chunk: in
     devices = jax.devices()
     on_cpu = devices[0].platform == "cpu"
     stepper = _stepper(robot, engine, x64)
-    width = chunk or (64 if on_cpu else 4096)
+    width = chunk or default_chunk(on_cpu)
     record_bytes = (
         samples * (stepper.nq + stepper.nv + stepper.nu if states else 4) * width * len(devices) * (8 if x64 else 4)
     )
