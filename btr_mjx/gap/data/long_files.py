@@ -29,8 +29,9 @@ MAX_SAMPLES = 100_000
 """Number of samples of a dataset up to which all of them are used."""
 KEPT_SAMPLES = 60_000
 """Approximate number of samples that are used of a larger dataset."""
-MAX_STRETCHES = 24
-"""Largest number of stretches of a recording; some work is done once a stretch."""
+MAX_STRETCHES = 6
+"""Largest number of stretches of a recording. A search has at least one window in each, which at 30 joints and 1 kHz
+takes a tenth of a gigabyte and of the budget."""
 STRETCH_SECONDS = 2.5
 """Shortest stretch [s]: windows last up to 1 s, and need twice their length."""
 STRETCH_SAMPLES = 100
