@@ -7,6 +7,7 @@ resident memory of the process and its children, sampled 20 times a second. Need
 """
 
 import os
+import resource
 import select
 import subprocess
 import sys
@@ -157,9 +158,11 @@ def measure(folder: Path, out: Path, whole: bool) -> dict[str, float]:
                 break
     process.wait()
     print(said.decode())
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return {
         "first bar [s]": bar,
         "findings [s]": found,
+        "CPU [s]": used.ru_utime + used.ru_stime,
         "peak memory [GB]": peak / 1e9,
         **({"whole [s]": time.monotonic() - begun} if whole else {}),
     }

@@ -41,10 +41,10 @@ def draw_run(folder: Path) -> list[Path]:
     Raises:
       InputError: not a run folder, a run that has not ended, or a damaged file.
     """
-    from btr_mjx.plotting import figures, robot_figure
-
     folder = Path(folder)
     run = read_run(folder)
+    from btr_mjx.plotting import figures, robot_figure  # matplotlib takes seconds, which bad input should not
+
     curves = {
         "controller_fitness": figures.controller_fitness,
         "delta_fitness": figures.delta_fitness_curve,
@@ -62,10 +62,10 @@ def draw_run(folder: Path) -> list[Path]:
 
 def draw_scan(folder: Path) -> list[Path]:
     """Draw the figure of a run folder of `btr_mjx.scan`; returns and raises as `draw_run`."""
-    from btr_mjx.plotting import figures
-
     folder = Path(folder)
     data = read_scan(folder)
+    from btr_mjx.plotting import figures
+
     return [_save(folder / "scan.png", partial(figures.scan_curve, data))]
 
 

@@ -4,6 +4,7 @@ import dataclasses
 import json
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from btr_mjx.gap.results import (
     RankedCandidate,
 )
 from btr_mjx.gap.simulate import Journal
+from btr_mjx.runs import progress
 from btr_mjx.testing import CaseSettings, make_case
 
 TIME = np.linspace(0, 1, 20)
@@ -116,6 +118,36 @@ def test_a_run_folder(folder: Path, searches: list, capsys: pytest.CaptureFixtur
     assert "<li>More viscous damping.</li>" in (run / "report.html").read_text()
     names = {path.name for path in run.iterdir()}
     assert {"config.json", "environment.json", "preflight.csv", "ranking.csv", "report.html", "mended.xml"} <= names
+
+
+def test_reading_shows_a_bar(
+    folder: Path, searches: list, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Of long recordings only, in bytes."""
+    diagnose.main([str(folder), "--out", str(tmp_path / "short"), "--no-figures"])
+    assert "reading" not in capsys.readouterr().err
+    monkeypatch.setattr(diagnose, "LONG_READING", 1)
+    diagnose.main([str(folder), "--out", str(tmp_path / "long"), "--no-figures"])
+    size = sum(path.stat().st_size for path in folder.iterdir() if path.suffix in (".npz", ".csv", ".parquet"))
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0].startswith("reading: 0% 0.00/")
+    assert any(re.match(rf"checks: 100% {size / 1000:.3g}k", line) for line in lines), lines
+
+
+def test_a_search_that_takes_longer_than_estimated_shows_no_remaining_time(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    def stand_in(*args: Any, counter: Journal, **more: Any) -> Any:
+        for _ in range(4):
+            counter.add(1_000_000)
+        return NOTHING
+
+    monkeypatch.setattr(inference, "identify", stand_in)
+    monkeypatch.setattr(diagnose, "progress", partial(progress, interval=0.0))
+    diagnose.main([str(folder), "--out", str(tmp_path / "run"), "--no-figures"])
+    lines = capsys.readouterr().err.splitlines()
+    assert any("36% 1.00M/2.82M" in line for line in lines), lines
+    assert any("4.00M steps" in line and "%" not in line for line in lines), lines
 
 
 def test_a_finished_run_is_only_drawn_again(folder: Path, searches: list, tmp_path: Path) -> None:

@@ -29,12 +29,18 @@ MAX_SAMPLES = 100_000
 """Number of samples of a dataset up to which all of them are used."""
 KEPT_SAMPLES = 60_000
 """Approximate number of samples that are used of a larger dataset."""
-MAX_STRETCHES = 24
-"""Largest number of stretches of a recording; some work is done once a stretch."""
+MAX_STRETCHES = 6
+"""Largest number of stretches of a recording. A search has at least one window in each, which at 30 joints and 1 kHz
+takes a tenth of a gigabyte and of the budget."""
 STRETCH_SECONDS = 2.5
 """Shortest stretch [s]: windows last up to 1 s, and need twice their length."""
+STRETCH_SAMPLES = 100
+"""Fewest samples of a stretch."""
 BLOCK_BYTES = 1 << 24
 """Bytes of a CSV file that are parsed at once."""
+
+_READ_ERRORS = Exception, pl.exceptions.PanicException
+"""What polars' readers raise: they have no common base class."""
 
 Columns = Mapping[str, np.ndarray]
 """Arrays (K,) by column name."""
@@ -44,6 +50,8 @@ Advance = Callable[[int], None]
 
 def count_rows(path: Path) -> int:
     """Number of rows of a recording, or one more; 0 for a file that cannot be read."""
+    if not path.is_file():
+        return 0
     try:
         match path.suffix.lower():
             case ".csv":
@@ -54,7 +62,7 @@ def count_rows(path: Path) -> int:
             case ".npz":
                 with np.load(path, allow_pickle=False) as archive:
                     return len(archive["time"])
-    except Exception:  # the reader of the file says what is wrong with it
+    except _READ_ERRORS:  # the reader of the file says what is wrong with it
         return 0
     return 0
 
@@ -91,11 +99,11 @@ def stretch_rows(share: Share, interval: float, from_start: bool = False) -> lis
     """Rows of the stretches of a recording: of equal length, each in the middle of an equal part of the rows.
 
     Args:
-      share: to keep; more where stretches would be shorter than `STRETCH_SECONDS`.
+      share: to keep; more where stretches would be shorter than `STRETCH_SECONDS` or `STRETCH_SAMPLES`.
       interval: between two rows [s].
       from_start: one stretch at the beginning instead.
     """
-    shortest = STRETCH_SECONDS / interval
+    shortest = max(STRETCH_SECONDS / interval, STRETCH_SAMPLES)
     count = 1 if from_start else int(np.clip(share.kept / shortest + 1e-6, 1, MAX_STRETCHES))
     part = share.rows // count
     length = int(min(max(share.kept / count, shortest), part, MAX_SAMPLES))
@@ -243,7 +251,7 @@ def _parsed(path: Path, text: bytes) -> pl.DataFrame:
             return pl.read_csv(BytesIO(text), schema_overrides=dict.fromkeys(names, pl.Float64))
         except pl.exceptions.PolarsError:  # text or booleans: `numbers_of` says where
             return pl.read_csv(BytesIO(text), infer_schema_length=None)
-    except Exception as error:  # polars has no common base class for what its readers raise
+    except _READ_ERRORS as error:
         raise DamagedFile(f"{path}: not a readable csv table ({error})") from error
 
 
@@ -262,12 +270,12 @@ def _collect_parquet(path: Path, found: _Collected, advance: Advance) -> None:
 def _column_names(path: Path) -> list[str]:
     try:
         return list(pl.read_parquet_schema(path))
-    except Exception as error:  # polars has no common base class for what its readers raise
+    except _READ_ERRORS as error:
         raise DamagedFile(f"{path}: not a readable parquet table ({error})") from error
 
 
 def _parquet_column(path: Path, name: str) -> pl.Series:
     try:
         return pl.read_parquet(path, columns=[name], memory_map=False)[name]
-    except Exception as error:
+    except _READ_ERRORS as error:
         raise DamagedFile(f"{path}: column {name!r} is not readable ({error})") from error

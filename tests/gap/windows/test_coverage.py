@@ -9,8 +9,9 @@ from gap_arm import SIGMA, dataset, recording
 
 from btr_mjx.gap.data import Recording
 from btr_mjx.gap.simulate import Counter
-from btr_mjx.gap.windows import Span, prepare
+from btr_mjx.gap.windows import Span, prepare, rows
 from btr_mjx.gap.windows.coverage import activity, activity_weights, greedy_cover
+from btr_mjx.gap.windows.impacts import contact_samples
 from btr_mjx.gap.windows.placement import place_windows
 
 
@@ -98,3 +99,22 @@ def test_windows_cover_the_motion():
     recording_of, first, _ = place_windows(data, 0.1, 0.0, 10.0)
     assert recording_of.tolist() == [0, 1]
     assert first.tolist() == [busy, busy]
+
+
+def test_samples_are_evaluated_in_blocks_without_a_trace(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Memory is bounded by the blocks, and every sample has the same answer in a block of any size, bit for bit."""
+    one = bouncing()
+    driven = mujoco.MjSpec.from_string(BALL.replace("<motor ", '<intvelocity actrange="-9 9" kp="20" '))
+    driven.actuators[0].actlimited = 0
+    model = driven.compile()
+    assert model.na == 1
+    integrating = Recording("i", one.time, one.ctrl, one.qpos, one.qvel, one.qvel_measured, "fit", model)
+    answers = []
+    for most in (rows.MAX_BATCH, 7):
+        monkeypatch.setattr(rows, "MAX_BATCH", most)
+        made = prepare([one, integrating], "linear", SIGMA[:2], Span(5, 6))
+        answers.append((*made.acts, *activity(made, Counter()), *contact_samples(made, Counter())))
+    assert answers[0][3].any()
+    assert np.ptp(answers[0][1]) > 0
+    for whole, blocks in zip(*answers, strict=True):
+        np.testing.assert_array_equal(whole, blocks)
