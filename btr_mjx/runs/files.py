@@ -31,6 +31,10 @@ import numpy as np
 import polars as pl
 
 from btr_mjx.errors import DamagedFile, InputError
+from btr_mjx.runs.array_members import read_members
+from btr_mjx.runs.bounded_files import MAX_TABLE_BYTES, check_regular, parse_json, read_limited
+from btr_mjx.runs.parquet_check import check_parquet
+from btr_mjx.runs.parquet_digest import parquet_with_digest, verify_digest
 
 DIGEST_PREFIX = b"sha256:"
 """Start of the zip comment, before the digest."""
@@ -136,15 +140,7 @@ def read_json(path: str | Path) -> Any:
       DamagedFile: not strict JSON (NaN tokens are refused too); names line and column.
       OSError: the file cannot be read.
     """
-
-    def refuse(token: str) -> None:
-        raise ValueError(f"{token} is not JSON")
-
-    data = Path(path).read_bytes()
-    try:
-        return json.loads(data.decode("utf-8"), parse_constant=refuse)
-    except ValueError as error:
-        raise DamagedFile(f"{path}: not valid JSON ({error})") from error
+    return parse_json(read_limited(path), str(path))
 
 
 def _as_saved(name: str, value: Any) -> np.ndarray:
@@ -204,6 +200,7 @@ def read_arrays(path: str | Path, *, require_digest: bool = False) -> dict[str, 
       DamagedFile: cut short, altered, not a `.npz` file or holding Python objects.
       OSError: the file cannot be read.
     """
+    check_regular(Path(path), MAX_TABLE_BYTES)
     with Path(path).open("rb") as file:
         size = file.seek(0, os.SEEK_END)
         file.seek(-min(size, len(DIGEST_PREFIX) + DIGEST_LENGTH), os.SEEK_END)
@@ -213,15 +210,7 @@ def read_arrays(path: str | Path, *, require_digest: bool = False) -> dict[str, 
                 raise DamagedFile(f"{path}: the checksum does not match, the file was altered")
         elif require_digest:
             raise DamagedFile(f"{path}: no checksum at the end, the file was cut short or is of another origin")
-        file.seek(0)
-        try:
-            archive = np.load(file, allow_pickle=False)
-            if isinstance(archive, np.ndarray):
-                raise ValueError("it holds a single .npy array")
-            with archive:
-                return {name: archive[name] for name in archive.files}
-        except Exception as error:  # zipfile and numpy raise many types of errors for damaged bytes
-            raise DamagedFile(f"{path}: not a readable .npz file ({error})") from error
+        return read_members(file, Path(path))
 
 
 def _suffix(path: str | Path) -> str:
@@ -248,13 +237,17 @@ def write_table(path: str | Path, table: pl.DataFrame | Mapping[str, Any] | Sequ
     frame = table if isinstance(table, pl.DataFrame) else pl.DataFrame(table, infer_schema_length=None)
     with atomic_write(path) as file:
         if suffix == ".parquet":
-            frame.write_parquet(file)
+            file.write(parquet_with_digest(frame))
         else:
             frame.write_csv(file)
 
 
-def read_table(path: str | Path) -> pl.DataFrame:
+def read_table(path: str | Path, *, checked: bool = False) -> pl.DataFrame:
     """Read a `.parquet` or `.csv` table.
+
+    Args:
+      path: the file.
+      checked: `parquet_check` has read it already.
 
     Raises:
       InputError: another suffix.
@@ -262,10 +255,16 @@ def read_table(path: str | Path) -> pl.DataFrame:
       OSError: the file cannot be read.
     """
     suffix = _suffix(path)
-    data = BytesIO(Path(path).read_bytes())
+    content = read_limited(path, MAX_TABLE_BYTES)
+    if suffix == ".parquet" and not (verify_digest(content, Path(path)) or checked):
+        check_parquet([Path(path)])
+    data = BytesIO(content)
     try:
         return pl.read_parquet(data) if suffix == ".parquet" else pl.read_csv(data, infer_schema_length=None)
-    except Exception as error:  # polars has no common base class for what its readers raise
+    except (
+        Exception,
+        pl.exceptions.PanicException,
+    ) as error:  # polars has no common base class for what its readers raise
         raise DamagedFile(f"{path}: not a readable {suffix[1:]} table ({error})") from error
 
 
