@@ -155,9 +155,12 @@ class TemplateEnvironment(ImmutableSandboxedEnvironment):
     def call(__self, __context: Any, __obj: Any, *args: Any, **kwargs: Any) -> Any:
         """Call a function or a macro."""
         __context.step()
-        if __obj is not __self._printed:  # which has a limit of its own
-            for value in (*args, *kwargs.values()):
-                _bounded(value)
+        if __obj is __self._printed:  # which has a limit of its own
+            return __obj(__context, *args)
+        if __obj is __self._value:
+            return _bounded(args[0])
+        for value in (*args, *kwargs.values()):
+            _bounded(value)
         return _bounded(super().call(__context, __obj, *args, **kwargs))
 
     def call_binop(self, context: Any, operator: str, left: Any, right: Any) -> Any:
