@@ -145,8 +145,10 @@ def check_diagnosis(config: DiagnoseConfig) -> None:
     if (config.dataset is None) != config.demo:
         what = "no dataset" if config.dataset is None else f"a dataset ({config.dataset}) and --demo"
         raise InputError(f"got {what}; give a folder of recordings, or --demo alone")
-    if config.max_effects < 1:
-        raise InputError(f"max_effects: got {config.max_effects}, expected at least 1")
+    if not 1 <= config.max_effects <= 100:
+        raise InputError(f"max_effects: got {config.max_effects}, expected at least 1, at most 100")
+    if not 0 <= config.chosen_seed < 2**63:
+        raise InputError(f"seed: got {config.chosen_seed}, expected 0 or more, below 2**63")
 
 
 def resolved(config: DiagnoseConfig) -> DiagnoseConfig:
@@ -247,6 +249,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     config = tyro.cli(DiagnoseConfig, args=list(argv), description=__doc__, prog="btr_mjx.diagnose")
     mujoco.set_mju_user_warning(lambda _: None)  # unstable candidates are handled and reported by the search
     with cli_errors():
+        check_diagnosis(config)
         config = resolved(config)
         with cli_errors(resume_command("btr_mjx.diagnose", argv, config.out)):
             result = diagnose(config)

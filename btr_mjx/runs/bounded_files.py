@@ -53,11 +53,11 @@ def read_limited(path: str | Path, limit: int = MAX_TEXT_BYTES) -> bytes:
       OSError: the file cannot be read.
     """
     path = Path(path)
-    check_regular(path, limit)
+    size = check_regular(path, limit)
     with path.open("rb") as file:
-        data = file.read(limit + 1)
-    if len(data) > limit:  # it grew since
-        raise InputError(f"{path}: at most {_size(limit)} are read")
+        data = file.read(size + 1)
+    if len(data) > size:  # it grew since
+        raise InputError(f"{path}: it changes while it is read; wait until it is complete")
     return data
 
 

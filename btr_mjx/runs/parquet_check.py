@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from btr_mjx.errors import DamagedFile
+from btr_mjx.runs.bounded_files import MAX_TABLE_BYTES, check_regular
+from btr_mjx.runs.parquet_digest import has_digest
 
 SECONDS = 60.0
 """Time in which a child has to read a file that takes no longer than a moment by its size [s]."""
@@ -24,12 +26,15 @@ _CHILD = Path(__file__).with_name("parquet_child.py")
 
 
 def check_parquet(paths: Sequence[Path]) -> None:
-    """Check that files can be read.
+    """Check that files without a digest can be read; the others are verified when they are read.
 
     Raises:
-      DamagedFile: the first file that cannot.
+      InputError: a file that is too large, or no regular file.
+      DamagedFile: the first file that cannot be read.
     """
-    for path, problem in unreadable_parquet(paths).items():
+    for path in paths:
+        check_regular(path, MAX_TABLE_BYTES)
+    for path, problem in unreadable_parquet([path for path in paths if not has_digest(path)]).items():
         raise DamagedFile(f"{path}: not a readable parquet table ({problem})")
 
 

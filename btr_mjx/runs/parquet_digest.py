@@ -30,6 +30,13 @@ def parquet_with_digest(frame: pl.DataFrame) -> bytes:
     return data[:place] + b"sha256:" + hashlib.sha256(data).hexdigest().encode() + data[place + len(_BLANK) :]
 
 
+def has_digest(path: Path) -> bool:
+    """Whether a file says that it holds a digest."""
+    with path.open("rb") as file:
+        file.seek(max(0, file.seek(0, io.SEEK_END) - _FOOTER_BYTES))
+        return _KEY.encode() in file.read()
+
+
 def verify_digest(data: bytes, path: Path) -> bool:
     """Verify the digest of a file.
 
