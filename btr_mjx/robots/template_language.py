@@ -36,8 +36,8 @@ MAX_WEIGHT = 200_000
 MAX_INTEGER_BITS = 1024
 """Size of an integer that a float can hold."""
 
-MAX_SECONDS = 2.0
-"""Computing time of one rendering [s]; the hexapod's takes milliseconds."""
+MAX_SECONDS = 1.0
+"""Computing time of one rendering [s]; the hexapod's takes two milliseconds."""
 
 FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     "sin": math.sin,

@@ -1,6 +1,7 @@
 """Mutations of valid inputs: of bytes, of structured values, of MJCF and of templates."""
 
 import json
+import re
 from collections.abc import Callable, Sequence
 from random import Random
 from typing import Any
@@ -247,13 +248,13 @@ def mutate_mjcf(text: str, random: Random) -> str:
         elif kind == 2 and ends:
             place = random.choice(ends)
             text = text[:place] + random.choice(SNIPPETS) + text[place:]
-        elif kind == 3 and len(ends) > 1:
-            first = random.randrange(len(ends) - 1)
-            text = text[: ends[first]] + text[ends[first + 1] :]
-        elif len(ends) > 1:
-            first = random.randrange(len(ends) - 1)
-            piece, place = text[ends[first] : ends[first + 1]], random.choice(ends)
-            text = text[:place] + piece * random.choice((1, 2, 300)) + text[place:]
+        elif whole := re.findall(r"<[^<>]*/>", text):  # elements without children
+            piece = random.choice(whole)
+            if kind == 3:
+                text = text.replace(piece, "", 1)
+            else:
+                place = random.choice(ends)
+                text = text[:place] + piece * random.choice((1, 2, 300)) + text[place:]
     return text
 
 
