@@ -197,7 +197,7 @@ def _odd_columns(random: Random) -> dict[str, Any]:
             columns.pop(name, None)
         elif kind == 1:
             columns[f"{name}/x"] = values
-        elif kind == 2:
+        elif kind == 2 and values.dtype.kind in "biuf":
             columns[name] = values.astype(random.choice(("int8", "bool", "float16", "U8", "complex64")))
         elif kind == 3:
             columns[name] = values[: random.randrange(len(values) + 1)] if values.ndim else values
@@ -216,7 +216,7 @@ def _odd_columns(random: Random) -> dict[str, Any]:
         elif kind == 9 and values.size:
             columns[name] = np.repeat(values, 2)
         elif kind == 10:
-            columns[name] = values.astype("datetime64[s]") if values.dtype.kind == "i" else values.astype(object)
+            columns[name] = values.astype("datetime64[s]" if values.dtype.kind == "i" else object)
         else:
             columns[random.choice(("qpos", "qvel", "ctrl", "time"))] = np.zeros((len(values) if values.ndim else 1, 3))
     return columns
