@@ -163,8 +163,10 @@ def check_diagnosis(config: DiagnoseConfig) -> None:
         raise InputError(f"got {what}; give a folder of recordings, or --demo alone")
     if config.dataset is not None and not config.dataset.exists():
         raise InputError(f"{config.dataset}: there is no such folder")
-    if config.max_effects < 1:
-        raise InputError(f"max_effects: got {config.max_effects}, expected at least 1")
+    if not 1 <= config.max_effects <= 100:
+        raise InputError(f"max_effects: got {config.max_effects}, expected at least 1, at most 100")
+    if not 0 <= config.chosen_seed < 2**63:
+        raise InputError(f"seed: got {config.chosen_seed}, expected 0 or more, below 2**63")
 
 
 def _claimed(config: DiagnoseConfig) -> AbstractContextManager[DiagnoseConfig]:

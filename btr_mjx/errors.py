@@ -19,6 +19,9 @@ from pathlib import Path
 BAD_INPUT_CODE = 2
 """Exit code of a command after bad input."""
 
+MAX_LINE = 1000
+"""Most characters of a message; a longer one loses its middle."""
+
 INTERRUPTED_CODE = 130
 """Exit code of a command after an interrupt: 128 + SIGINT."""
 
@@ -49,13 +52,17 @@ def is_bad_input(error: BaseException) -> bool:
 
 
 def one_line(error: BaseException) -> str:
-    """The error's message on one line; for an OSError the file name comes first and the errno is left out."""
+    """The error's message on one line; for an OSError the file name comes first and the errno is left out.
+
+    Letters that are not printable, such as those that move a terminal's cursor, are escaped.
+    """
     if isinstance(error, OSError) and error.strerror:
         names = [os.fspath(name) for name in (error.filename, error.filename2) if isinstance(name, str | os.PathLike)]
         text = ": ".join([" -> ".join(names), error.strerror] if names else [error.strerror])
     else:
         text = str(error) or type(error).__name__
-    return " ".join(text.split())
+    text = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in " ".join(text.split()))
+    return text if len(text) <= MAX_LINE else f"{text[: MAX_LINE - 200]} ... {text[-190:]}"
 
 
 def resume_command(module: str, argv: Sequence[str] | None = None, out: str | Path | None = None) -> str:

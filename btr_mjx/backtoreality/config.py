@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from btr_mjx.backtoreality.reality import FolderReality, Reality, SimulatedReality
+from btr_mjx.backtoreality.setting_checks import check_settings
 from btr_mjx.backtoreality.state import BTRSettings, Problem, SearchSettings
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import MARKS, EngineSettings, FitnessFunction, fitness_function
@@ -167,6 +168,7 @@ def build_problem(config: CoevolveConfig) -> Problem:
       InputError: a setting that is out of its range.
     """
     robot = chosen_robot(config.robot, config.template, config.duration)
+    check_settings(config, robot)
     box = robot.simulation_box
     unknown = tuple(config.unknown)
     own = PAPER_REALITIES[_REALITY_OF_PRESET[config.preset]] if config.robot is None else {}

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from btr_mjx.backtoreality.controller_search import evolve_controllers, select_transferable
+from btr_mjx.backtoreality.setting_checks import check_settings
 from btr_mjx.backtoreality.state import Progress, SearchSettings
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import (
@@ -20,7 +21,7 @@ from btr_mjx.evaluation import (
     fitness_function,
     metrics,
 )
-from btr_mjx.models import base_model, chosen_robot
+from btr_mjx.models import chosen_robot
 from btr_mjx.optimise import mutate
 from btr_mjx.robots import PAPER_REALITIES, Robot
 
@@ -237,6 +238,7 @@ def check_scan(config: ScanConfig) -> tuple[Robot, float]:
       InputError: bad settings.
     """
     robot = chosen_robot(config.robot, config.template, config.duration)
+    check_settings(config, robot)
     parameter = scanned(config, robot)
     index = robot.simulation_box.index(parameter)
     own = PAPER_REALITIES["fig2"] if config.robot is None else {}
@@ -251,7 +253,6 @@ def check_scan(config: ScanConfig) -> tuple[Robot, float]:
                 f"trials m = {config.trials}: expected fewer than the controller population M = {config.controllers}"
             )
     fitness_function(config.fitness or robot.fitness, robot.target)
-    base_model(robot)
     return robot, float(truth)
 
 

@@ -15,17 +15,24 @@ from btr_mjx.models.batch import (
     why_compiled,
 )
 from btr_mjx.models.fields import read_field, write_field
+from btr_mjx.models.mjcf_checks import check_mjcf
+from btr_mjx.models.model_checks import COMPILE_ERRORS, check_model
 from btr_mjx.models.path_parameters import PathParameter, read_bounds, read_path_parameter
 from btr_mjx.models.paths import nearest_names, parse_path, part_names, set_values
+from btr_mjx.models.robot_checks import check_robot
 from btr_mjx.models.robot_digest import robot_digest
 from btr_mjx.models.robot_file import chosen_robot, load_robot
 from btr_mjx.models.tangent import between, difference, integrate
 
 __all__ = [
+    "COMPILE_ERRORS",
     "Models",
     "PathParameter",
     "base_model",
     "between",
+    "check_mjcf",
+    "check_model",
+    "check_robot",
     "chosen_robot",
     "compile_mjcf",
     "compile_models",

@@ -21,9 +21,12 @@ from numpy.typing import ArrayLike
 from btr_mjx.errors import InputError
 from btr_mjx.models.fields import PHYSICS, field_names, read_field, write_field
 from btr_mjx.models.geom_compiler import NotVectorisable
+from btr_mjx.models.mjcf_checks import check_mjcf
+from btr_mjx.models.model_checks import COMPILE_ERRORS, check_model
 from btr_mjx.models.paths import nearest_names
 from btr_mjx.models.template_compiler import TemplateCompiler, build_template_compiler
 from btr_mjx.robots import Robot
+from btr_mjx.runs import read_limited
 
 _PROBES = 12
 """Number of random simulations that are compiled once per robot to find the fields that depend on s."""
@@ -181,22 +184,31 @@ def compile_mjcf(robot: Robot, xml: str, general: bool = False) -> mujoco.MjMode
     Raises:
       InputError: MuJoCo rejects it; the message has the template's name, the line number and the line's text.
     """
+    check_mjcf(xml, robot.template_path, Path(robot.folder or "."))
     try:
         if not robot.folder and not general:
-            return mujoco.MjModel.from_xml_string(xml)
+            return _checked(mujoco.MjModel.from_xml_string(xml), robot)
         spec = mujoco.MjSpec.from_string(xml, include=_included_files(Path(robot.folder or "."), xml))
         spec.modelfiledir = robot.folder
         if general:
             for body in spec.bodies:
                 body.simple = 0
-        return spec.compile()
-    except ValueError as error:
+        return _checked(spec.compile(), robot)
+    except InputError:
+        raise
+    except COMPILE_ERRORS as error:
         message = " ".join(str(error).split())
         found = re.search(r"[Ll]ine (?:number=)?(\d+)", message)  # two forms: MuJoCo's own and its XML parser's
         shown = ""
         if found and 0 < int(found[1]) <= len(xml.splitlines()):
             shown = f"; line {found[1]} of the rendered MJCF reads: {xml.splitlines()[int(found[1]) - 1].strip()}"
         raise InputError(f"{robot.template_path}: MuJoCo does not accept the model: {message}{shown}") from None
+
+
+def _checked(model: mujoco.MjModel, robot: Robot) -> mujoco.MjModel:
+    """The model, whose numbers can be simulated."""
+    check_model(model, robot.template_path)
+    return model
 
 
 def _included_files(folder: Path, xml: str) -> dict[str, bytes]:
@@ -206,7 +218,7 @@ def _included_files(folder: Path, xml: str) -> dict[str, bytes]:
     while left:
         for name in re.findall(r"<include[^>]*\sfile\s*=\s*[\"']([^\"']+)[\"']", left.pop()):
             if name not in found and (folder / name).is_file():
-                found[name] = (folder / name).read_bytes()
+                found[name] = read_limited(folder / name)
                 left.append(found[name].decode("utf-8", "replace"))
     return found
 

@@ -1,5 +1,7 @@
 """Parameters of a model that are given by paths: numbers of the compiled model that one value sets."""
 
+import copy
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -7,6 +9,7 @@ from typing import Any
 import mujoco
 
 from btr_mjx.errors import InputError
+from btr_mjx.models.model_checks import check_model
 from btr_mjx.models.paths import parse_path
 from btr_mjx.runs import check_keys, is_number
 
@@ -93,6 +96,7 @@ def read_path_parameter(
         for one in texts:
             parse_path(model, one)
         value = parameter.value(model)
+        _check_bounds(parameter, model)
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
     if not low <= value <= high:
@@ -100,6 +104,14 @@ def read_path_parameter(
             f"{where}: the model's own value of {parameter.path!r} is {value:.6g}, outside its bounds [{low}, {high}]"
         )
     return parameter
+
+
+def _check_bounds(parameter: PathParameter, model: mujoco.MjModel) -> None:
+    """Raise InputError where a bound is a value that the model cannot have, such as a negative mass."""
+    for bound in (parameter.low, parameter.high):
+        edited = copy.copy(model)
+        parameter.write(edited, bound)
+        check_model(edited, f"bound {bound:g} of {parameter.path!r}")
 
 
 def read_bounds(row: Mapping[str, Any], where: str) -> tuple[float, float]:
@@ -112,6 +124,6 @@ def read_bounds(row: Mapping[str, Any], where: str) -> tuple[float, float]:
     if not isinstance(bounds, list) or len(bounds) != 2 or not all(is_number(b) for b in bounds):
         raise InputError(f"{where}: bounds {bounds!r}: expected [LOW, HIGH]")
     low, high = map(float, bounds)
-    if not low < high:
-        raise InputError(f"{where}: bounds {bounds!r}: expected LOW below HIGH")
+    if not (low < high and math.isfinite(high - low)):
+        raise InputError(f"{where}: bounds {bounds!r}: expected LOW below HIGH, by a finite difference")
     return low, high

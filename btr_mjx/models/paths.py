@@ -5,7 +5,8 @@ A path names one number of a model, with the names of the MJCF file:
     joint:knee/damping      an attribute of a named part: joint, body, geom, actuator, site or tendon
     geom:foot/friction[1]   one component of a vector; without an index the first
     option/density          an attribute of <option>
-    dof_damping[3]          a field of the compiled `mujoco.MjModel`, by index: dof_damping[3], geom_friction[2][0]
+    dof_damping[3]          a field of physical numbers of the compiled `mujoco.MjModel`, by index: dof_damping[3],
+                            geom_friction[2][0]; see `model_checks.FLOAT_FIELDS`
 
 `joint/knee/damping`, `joint:knee.damping` and `joint[@name='knee']/@damping` mean the same as the first line.
 
@@ -22,6 +23,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
+from btr_mjx.models.model_checks import FLOAT_FIELDS, check_model
 
 KINDS: Mapping[str, tuple[mujoco.mjtObj, str]] = {
     "joint": (mujoco.mjtObj.mjOBJ_JOINT, "njnt"),
@@ -55,14 +57,17 @@ ATTRIBUTES: Mapping[str, Mapping[str, str]] = {
 _PATH = re.compile(
     r"^(?P<kind>[a-z]+)(?:\[@name=['\"](?P<quoted>.*)['\"]\]|[:/](?P<name>.+))[/.]@?(?P<attribute>[a-z]+)$"
 )
-_INDEX = re.compile(r"^(?P<head>.*?)(?P<index>(?:\[\d+\])+)$")
+_INDEX = re.compile(r"^(?P<head>.*?)(?P<index>(?:\[[0-9]{1,9}\])+)$")
+_LONGEST = 400
+"""Characters of a path."""
 
 
 def nearest_names(name: str, known: Sequence[str], count: int = 3) -> str:
     """The known names most similar to `name`, quoted and joined, for error messages; the first ones if none is."""
     if not known:
         return "none"
-    close = difflib.get_close_matches(name, known, count, 0.4)
+    known = [k[:200] for k in list(known)[:2000]]  # the comparison takes the product of the lengths
+    close = difflib.get_close_matches(name[:200], known, count, 0.4)
     return ", ".join(repr(k) for k in (close or list(known)[: 2 * count]))
 
 
@@ -182,6 +187,8 @@ def parse_path(model: mujoco.MjModel, text: str) -> ModelPath:
       InputError: bad syntax, or a part, attribute, field or index that the model lacks; the message has the nearest
         ones.
     """
+    if len(text) > _LONGEST:
+        raise InputError(f"path {text[:40]!r}...: has {len(text)} characters, at most {_LONGEST} are read")
     match = _INDEX.match(text.strip())
     head, index = (match["head"], match["index"]) if match else (text.strip(), "")
     numbers = tuple(int(n) for n in re.findall(r"\d+", index))
@@ -189,11 +196,13 @@ def parse_path(model: mujoco.MjModel, text: str) -> ModelPath:
         head = "option:x/" + head.removeprefix("option/")
     found = _PATH.match(head)
     if found is None:
-        if head.isidentifier() and isinstance(getattr(model, head, None), np.ndarray):
+        if head in FLOAT_FIELDS:
             path = ModelPath(text, "", 0, head, numbers)
-        elif head.isidentifier() and index:
-            fields = [name for name in dir(model) if isinstance(getattr(model, name, None), np.ndarray)]
-            raise InputError(f"path {text!r}: MjModel has no array {head!r}; nearest: {nearest_names(head, fields)}")
+        elif head.isidentifier() and (index or hasattr(model, head)):
+            raise InputError(
+                f"path {text!r}: MjModel has no array {head!r} of physical numbers that may be set; nearest: "
+                f"{nearest_names(head, FLOAT_FIELDS)}"
+            )
         else:
             raise InputError(
                 f"path {text!r}: expected KIND:NAME/ATTRIBUTE such as 'joint:knee/damping', or a field of MjModel such "
@@ -231,4 +240,5 @@ def set_values(model: mujoco.MjModel, values: Mapping[str, float]) -> None:
     """
     for text, value in values.items():
         parse_path(model, text).write(model, float(value))
+    check_model(model, "with these values")
     mujoco.mj_setConst(model, mujoco.MjData(model))

@@ -93,6 +93,8 @@ def load_robot(path: str | Path) -> Robot:
         duration=float(number("duration", 1.7)),
         speed_limit=float(number("speed_limit", 50.0)),
     )
+    if not robot.speed_limit > 0:
+        raise InputError(f"{file}: speed_limit = {robot.speed_limit}: expected a speed above 0 [m/s]")
     _check_start(robot)
     controls = controls_at_start(model, robot.keyframe)
     box, signal = read_controller(toml_section(table, "controller", file), model, controls, robot.duration, file)

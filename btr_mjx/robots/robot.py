@@ -15,7 +15,7 @@ unknown parameters, and make a `Robot`:
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -23,11 +23,12 @@ from typing import Any, Protocol
 
 import jinja2
 import numpy as np
-from jinja2.sandbox import SandboxedEnvironment
 from numpy.typing import ArrayLike
 
-from btr_mjx.errors import InputError
+from btr_mjx.errors import InputError, one_line
 from btr_mjx.robots.spaces import Box
+from btr_mjx.robots.template_language import TemplateEnvironment
+from btr_mjx.runs import read_text
 
 Signal = Callable[[Any, Any, Any], Any]
 """signal(controller, time, xp): controls (n_u, ...) at one time [s] of controllers (n_c, ...).
@@ -180,8 +181,14 @@ class Robot:
             raise InputError(
                 f"{self.template_path}: {error.message}{_template_line(error)}; the template may use: {known}"
             ) from None
-        except (ArithmeticError, TypeError, jinja2.TemplateError) as error:
-            raise InputError(f"{self.template_path}: cannot be rendered: {error}{_template_line(error)}") from None
+        except RecursionError as error:
+            raise InputError(
+                f"{self.template_path}: cannot be rendered: macros call themselves too deeply{_template_line(error)}"
+            ) from None
+        except Exception as error:  # a template computes: sqrt of a negative number, a key that is not there, ...
+            raise InputError(
+                f"{self.template_path}: cannot be rendered: {_words(error)}{_template_line(error)}"
+            ) from None
 
     def with_constants(self, **constants: float) -> "Robot":
         """The same robot with some constants changed.
@@ -199,22 +206,15 @@ class Robot:
         return replace(self, constants=tuple((known | constants).items()))
 
 
-_TEMPLATE_FUNCTIONS: Mapping[str, Any] = {
-    "sin": math.sin,
-    "cos": math.cos,
-    "radians": math.radians,
-    "sqrt": math.sqrt,
-    "min": min,
-    "max": max,
-}
-
-
 @lru_cache(maxsize=64)
 def compiled_template(text: str) -> jinja2.Template:
     """The compiled Jinja2 template of a text, with the functions sin, cos, radians, sqrt, min and max."""
-    environment = SandboxedEnvironment(undefined=jinja2.StrictUndefined, autoescape=False)
-    environment.globals.update(_TEMPLATE_FUNCTIONS)
-    return environment.from_string(text)
+    return TemplateEnvironment().template(text)
+
+
+def _words(error: Exception) -> str:
+    """The error's message; without the place that a syntax error of Jinja2 repeats on lines of its own."""
+    return str(error.message if isinstance(error, jinja2.TemplateSyntaxError) else error) or type(error).__name__
 
 
 def _template_line(error: BaseException) -> str:
@@ -236,6 +236,6 @@ def read_template(path: str | Path) -> str:
       InputError: the file cannot be read as UTF-8 text.
     """
     try:
-        return Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"template {str(path)!r} cannot be read: {error}") from None
+        return read_text(path)
+    except (OSError, InputError) as error:
+        raise InputError(f"template {str(path)!r} cannot be read: {one_line(error)}") from None

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from btr_mjx.errors import DamagedFile
+from btr_mjx.runs.checkpoint_header import read_checkpoint_header
 from btr_mjx.runs.files import read_arrays, to_plain, write_arrays
 from btr_mjx.runs.progress_bar import note
 
@@ -128,7 +129,7 @@ def read_checkpoint(path: str | Path) -> Checkpoint:
     arrays = read_arrays(path, require_digest=True)
     if META_NAME not in arrays:
         raise DamagedFile(f"{path}: not a checkpoint")
-    header = json.loads(arrays.pop(META_NAME).tobytes())
+    header = read_checkpoint_header(arrays.pop(META_NAME), str(path))
     if header["format"] != FORMAT:
         raise DamagedFile(f"{path}: checkpoint format {header['format']}, this version reads {FORMAT}")
     match = _FILE_NAME.fullmatch(Path(path).name)

@@ -28,8 +28,12 @@ import numpy as np
 import polars as pl
 
 from btr_mjx.errors import DamagedFile, InputError
+from btr_mjx.runs.array_members import read_members
 from btr_mjx.runs.atomic import atomic_write
+from btr_mjx.runs.bounded_files import MAX_TABLE_BYTES, check_regular, parse_json, read_limited
 from btr_mjx.runs.checksums import check_listed
+from btr_mjx.runs.parquet_check import check_parquet
+from btr_mjx.runs.parquet_digest import parquet_with_digest, verify_digest
 
 DIGEST_PREFIX = b"sha256:"
 """Start of the zip comment, before the digest."""
@@ -96,16 +100,9 @@ def read_json(path: str | Path) -> Any:
         folder's SHA256SUMS lists.
       OSError: the file cannot be read.
     """
-
-    def refuse(token: str) -> None:
-        raise ValueError(f"{token} is not JSON")
-
-    data = Path(path).read_bytes()
+    data = read_limited(path)
     check_listed(path, data)
-    try:
-        return json.loads(data.decode("utf-8"), parse_constant=refuse)
-    except ValueError as error:
-        raise DamagedFile(f"{path}: not valid JSON ({error})") from error
+    return parse_json(data, str(path))
 
 
 def _as_saved(name: str, value: Any) -> np.ndarray:
@@ -165,6 +162,7 @@ def read_arrays(path: str | Path, *, require_digest: bool = False) -> dict[str, 
       DamagedFile: cut short, altered, not a `.npz` file or holding Python objects.
       OSError: the file cannot be read.
     """
+    check_regular(Path(path), MAX_TABLE_BYTES)
     with Path(path).open("rb") as file:
         size = file.seek(0, os.SEEK_END)
         file.seek(-min(size, len(DIGEST_PREFIX) + DIGEST_LENGTH), os.SEEK_END)
@@ -174,15 +172,7 @@ def read_arrays(path: str | Path, *, require_digest: bool = False) -> dict[str, 
                 raise DamagedFile(f"{path}: the checksum does not match, the file was altered")
         elif require_digest:
             raise DamagedFile(f"{path}: no checksum at the end, the file was cut short or is of another origin")
-        file.seek(0)
-        try:
-            archive = np.load(file, allow_pickle=False)
-            if isinstance(archive, np.ndarray):
-                raise ValueError("it holds a single .npy array")
-            with archive:
-                return {name: archive[name] for name in archive.files}
-        except Exception as error:  # zipfile and numpy raise many types of errors for damaged bytes
-            raise DamagedFile(f"{path}: not a readable .npz file ({error})") from error
+        return read_members(file, Path(path))
 
 
 def _suffix(path: str | Path) -> str:
@@ -207,17 +197,18 @@ def write_table(path: str | Path, table: pl.DataFrame | Mapping[str, Any] | Sequ
     """
     suffix = _suffix(path)
     frame = table if isinstance(table, pl.DataFrame) else pl.DataFrame(table, infer_schema_length=None)
-    content = BytesIO()  # polars does not report a full disk as an OSError
-    if suffix == ".parquet":
-        frame.write_parquet(content)
-    else:
-        frame.write_csv(content)
+    # Complete before it is written: polars does not report a full disk as an OSError.
+    content = parquet_with_digest(frame) if suffix == ".parquet" else frame.write_csv().encode()
     with atomic_write(path) as file:
-        file.write(content.getbuffer())
+        file.write(content)
 
 
-def read_table(path: str | Path) -> pl.DataFrame:
+def read_table(path: str | Path, *, checked: bool = False) -> pl.DataFrame:
     """Read a `.parquet` or `.csv` table.
+
+    Args:
+      path: the file.
+      checked: `parquet_check` has read it already.
 
     Raises:
       InputError: another suffix.
@@ -225,11 +216,15 @@ def read_table(path: str | Path) -> pl.DataFrame:
       OSError: the file cannot be read.
     """
     suffix = _suffix(path)
-    data = Path(path).read_bytes()
-    check_listed(path, data)
+    content = read_limited(path, MAX_TABLE_BYTES)
+    check_listed(path, content)
+    if suffix == ".parquet" and not (verify_digest(content, Path(path)) or checked):
+        check_parquet([Path(path)])
+    data = BytesIO(content)
     try:
-        return pl.read_parquet(BytesIO(data)) if suffix == ".parquet" else pl.read_csv(data, infer_schema_length=None)
-    except Exception as error:  # polars has no common base class for what its readers raise
+        return pl.read_parquet(data) if suffix == ".parquet" else pl.read_csv(data, infer_schema_length=None)
+    # polars has no common base class for what its readers raise.
+    except (Exception, pl.exceptions.PanicException) as error:
         raise DamagedFile(f"{path}: not a readable {suffix[1:]} table ({error})") from error
 
 

@@ -13,9 +13,7 @@ CSV, Parquet and NPZ files hold these columns. In NPZ, arrays `qpos` (K, nq), `q
 stand for all columns of their kind, and `qpos/<joint>` (K, 7) for those of a free joint.
 """
 
-import csv
 from collections.abc import Mapping
-from io import StringIO
 from pathlib import Path
 
 import mujoco
@@ -23,6 +21,7 @@ import numpy as np
 import polars as pl
 
 from btr_mjx.errors import DamagedFile, InputError
+from btr_mjx.gap.data.plausible import check_column_count, check_header
 from btr_mjx.models import nearest_names, part_names
 from btr_mjx.runs import read_arrays, read_table
 
@@ -78,6 +77,7 @@ def read_columns(path: str | Path) -> dict[str, np.ndarray]:
             check_header(path)
         frame = read_table(path.with_suffix(suffix) if path.suffix == suffix else path)
         columns = {name.strip(): numbers_of(path, frame[name]) for name in frame.columns}
+    check_column_count(len(columns), path)
     lengths = {name: len(array) for name, array in columns.items()}
     if not lengths or max(lengths.values()) == 0:
         raise InputError(f"{path}: it holds no rows")
@@ -122,19 +122,6 @@ def numbers_of(path: Path, series: pl.Series, first_row: int = 0) -> np.ndarray:
             "a number (units belong into the documentation, not into a row)"
         )
     return values.fill_null(np.nan).to_numpy()
-
-
-def check_header(path: Path) -> None:
-    """Check the first line of a CSV file.
-
-    Raises:
-      InputError: a name occurs twice.
-    """
-    with path.open(encoding="utf-8", errors="replace", newline="") as file:
-        names = [name.strip() for name in next(csv.reader(StringIO(file.readline())), [])]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"{path}: column {name!r} occurs {names.count(name)} times; keep one of them")
 
 
 def ungroup_columns(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, where: str) -> dict[str, np.ndarray]:

@@ -45,7 +45,7 @@ from btr_mjx.gap.data.long_files import Advance, count_rows, shares
 from btr_mjx.gap.data.noise import Noise, estimate_noise, read_noise
 from btr_mjx.gap.data.recording import Recording, assign_splits, load_model, read_recording
 from btr_mjx.models import PathParameter, read_path_parameter
-from btr_mjx.runs import check_keys, file_name, is_number, read_toml, toml_rows, toml_section
+from btr_mjx.runs import check_keys, file_inside, is_number, read_toml, toml_rows, toml_section
 
 DATASET_FILE = "dataset.toml"
 TABLES = ("model", "parameter", "recording", "control", "tolerances", "noise")
@@ -173,8 +173,8 @@ def read_header(folder: str | Path, more: Sequence[str] = ()) -> tuple[Dataset, 
     check_keys(table, (*TABLES, *more), f"{path}", notes)
     about = toml_section(table, "model", path)
     check_keys(about, ("file",), f"{path}: [model]", notes)
-    model_file = folder / file_name(about, "file", f"{path}: [model]")
-    model, spec_xml = load_model(model_file)
+    model_file = file_inside(about, "file", folder, f"{path}: [model]")
+    model, spec_xml = load_model(model_file, folder)
     control = table.get("control", {})
     check_keys(control, ("interpolation",), f"{path}: [control]", notes)
     interpolation = control.get("interpolation", "linear")

@@ -15,9 +15,10 @@ import numpy as np
 from btr_mjx.errors import InputError, one_line
 from btr_mjx.gap.data.columns import check_names, control_columns, read_columns, state_columns, ungroup_columns
 from btr_mjx.gap.data.long_files import Advance, Share, read_stretches
+from btr_mjx.gap.data.plausible import check_sizes, check_span
 from btr_mjx.gap.data.samples import check_time, complete_rows, estimate_velocity, normalise_quaternions
-from btr_mjx.models import set_values
-from btr_mjx.runs import check_keys, file_name, is_number
+from btr_mjx.models import COMPILE_ERRORS, check_mjcf, check_model, set_values
+from btr_mjx.runs import check_keys, file_inside, is_number, read_text
 
 MIN_SAMPLES = 20
 """Smallest number of samples of a recording."""
@@ -66,27 +67,34 @@ class Recording:
         )
 
 
-def load_model(path: Path) -> tuple[mujoco.MjModel, str]:
+def load_model(path: Path, inside: Path) -> tuple[mujoco.MjModel, str]:
     """Compile an MJCF file.
 
     Args:
       path: the file.
+      inside: folder of the dataset; the model may not name files outside of it.
 
     Returns:
       The model, and the file's text.
 
     Raises:
-      InputError: the file is absent, MuJoCo rejects it, or the model has no joint or no actuator.
+      InputError: the file is absent, MuJoCo rejects it, its numbers cannot be simulated, or the model has no joint or
+        no actuator.
+      DamagedFile: it is not UTF-8.
     """
     if not path.is_file():
         raise InputError(f"{path}: there is no such model file")
+    text = read_text(path)
+    check_mjcf(text, str(path), path.parent, inside)
     try:
         model = _compiled(path)
-    except ValueError as error:
+        mujoco.MjData(model)  # its memory can be taken
+    except COMPILE_ERRORS as error:
         raise InputError(f"{path}: MuJoCo does not load this model: {one_line(error)}") from None
     if model.nu == 0 or model.njnt == 0:
         raise InputError(f"{path}: the model has {model.njnt} joints and {model.nu} actuators; expected some of both")
-    return model, path.read_text(encoding="utf-8")
+    check_model(model, str(path))
+    return model, text
 
 
 def _compiled(path: Path) -> mujoco.MjModel:
@@ -127,12 +135,12 @@ def read_recording(
       InputError: see `dataset.load`.
     """
     check_keys(row, ("file", "split", "model", "overrides", "name"), where, notes)
-    file = folder / file_name(row, "file", where)
+    file = file_inside(row, "file", folder, where)
     if not file.is_file():
         raise InputError(f"{where}: there is no file {file}")
     model = base
     if "model" in row:
-        model, _ = load_model(folder / file_name(row, "model", where))
+        model, _ = load_model(file_inside(row, "model", folder, where), folder)
         if state_columns(model) != state_columns(base) or control_columns(model) != control_columns(base):
             raise InputError(f"{where}: model {row['model']!r} has other joints or actuators than the dataset's model")
     if row.get("overrides"):
@@ -144,7 +152,7 @@ def read_recording(
             set_values(model, overrides)
         except InputError as error:
             raise InputError(f"{where}: overrides: {error}") from None
-    name = str(row.get("name", file.stem))
+    name = _name(row, file.stem, where)
     if share is None:
         recording = make_recording(read_columns(file), model, str(file), name)
         advance(file.stat().st_size)
@@ -155,6 +163,13 @@ def read_recording(
         )
         for columns in read_stretches(file, share, model, notes, advance)
     ]
+
+
+def _name(row: Mapping[str, Any], default: str, where: str) -> str:
+    name = row.get("name", default)
+    if not isinstance(name, str) or not 0 < len(name) <= 200 or not name.isprintable():
+        raise InputError(f"{where}: name = {name!r}: expected a text of one line, at most 200 characters")
+    return name
 
 
 def make_recording(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, where: str, name: str) -> Recording:
@@ -180,6 +195,8 @@ def make_recording(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, whe
     flat = {key: value[sound] for key, value in flat.items()}
     time = flat["time"]
     check_time(time, where)
+    check_span(time, where)
+    check_sizes(flat, needed, where)
     if len(time) < MIN_SAMPLES:
         raise InputError(f"{where}: {len(time)} samples are too short for a window; expected at least {MIN_SAMPLES}")
     qpos = np.stack([flat[c] for c in positions], axis=1)

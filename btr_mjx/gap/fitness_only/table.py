@@ -27,7 +27,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.evaluation import fitness_function
 from btr_mjx.gap.data import DATASET_FILE, Dataset, read_header
 from btr_mjx.models import nearest_names, part_names
-from btr_mjx.runs import atomic_write, check_keys, file_name, is_number, read_table, toml_section, write_table
+from btr_mjx.runs import atomic_write, check_keys, file_inside, is_number, read_table, toml_section, write_table
 
 POSITION_FUNCTIONS = ("distance", "forward_speed")
 """Fitness functions that need the body's position only."""
@@ -96,7 +96,7 @@ def load_fitness(folder: str | Path) -> FitnessTable:
     body = str(about.get("body"))
     if body not in bodies:
         raise InputError(f"{where}: the model has no body {body!r}; nearest: {nearest_names(body, bodies)}")
-    file = head.folder / file_name(about, "file", where)
+    file = file_inside(about, "file", head.folder, where)
     if not file.is_file():
         raise InputError(f"{where}: there is no file {file}")
     table = read_table(file)

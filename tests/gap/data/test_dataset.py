@@ -227,7 +227,7 @@ BAD: list[tuple[str, Callable[[Path], None], str]] = [
     ("unknown split", edit_text("dataset.toml", '"test"', '"train"'), r"'train'.*'fit' or 'test'"),
     ("unknown interpolation", edit_text("dataset.toml", '"linear"', '"spline"'), r"'spline'.*'hold'"),
     ("no model", edit_text("dataset.toml", "model.xml", "robot.xml"), r"robot\.xml: there is no such model"),
-    ("broken model", edit_text("model.xml", "</body>", ""), r"model\.xml: MuJoCo does not load"),
+    ("broken model", edit_text("model.xml", "</body>", ""), r"model\.xml: not well-formed XML"),
     (
         "no actuators",
         edit_text("model.xml", '<position name="hip_motor" joint="hip" kp="20" kv="1"/>', ""),

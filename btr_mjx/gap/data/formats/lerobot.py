@@ -29,7 +29,7 @@ from btr_mjx.gap.data.columns import SUFFIXES
 from btr_mjx.gap.data.dataset import Dataset, read_header
 from btr_mjx.gap.data.recording import Recording, assign_splits, make_recording
 from btr_mjx.models import nearest_names, part_names
-from btr_mjx.runs import check_keys, read_json, read_table
+from btr_mjx.runs import check_keys, check_parquet, is_number, read_json, read_table
 
 INFO = Path("meta") / "info.json"
 STATE, ACTION = "observation.state", "action"
@@ -58,31 +58,44 @@ def load_lerobot(folder: str | Path) -> Dataset:
     about, notes = table.get("lerobot", {}), list(head.notes)
     where = f"{head.folder / 'dataset.toml'}: [lerobot]"
     check_keys(about, ("degrees", "joints", "actuators"), where, notes)
+    degrees = about.get("degrees", False)
+    if not isinstance(degrees, bool):
+        raise InputError(f"{where}: degrees = {degrees!r}: expected true or false")
     info_path = head.folder / INFO
     info = read_json(info_path)
-    joints = _targets(info, STATE, head.model, "joint", about.get("joints", {}), info_path)
-    motors = _targets(info, ACTION, head.model, "actuator", about.get("actuators", {}), info_path)
+    joints = _targets(info, STATE, head.model, "joint", _renamed(about, "joints", where), info_path)
+    motors = _targets(info, ACTION, head.model, "actuator", _renamed(about, "actuators", where), info_path)
     files = sorted((head.folder / "data").rglob("*.parquet"))
     if not files:
         raise InputError(f"{head.folder / 'data'}: there is no .parquet file")
+    check_parquet(files)
     recordings: list[Recording] = []
     for file in files:
-        recordings += _episodes(file, head.model, joints, motors, bool(about.get("degrees", False)))
+        recordings += _episodes(file, head.model, joints, motors, degrees)
     parts = assign_splits(recordings, [None] * len(recordings), str(head.folder))
     return replace(head, recordings=tuple(parts), notes=tuple(notes))
+
+
+def _renamed(about: Mapping[str, Any], key: str, where: str) -> Mapping[str, str]:
+    table = about.get(key, {})
+    if not isinstance(table, Mapping) or not all(isinstance(name, str) for name in table.values()):
+        raise InputError(f'{where}: {key} = {table!r}: expected a table of NAME = "NAME OF THE MODEL"')
+    return table
 
 
 def _targets(
     info: Any, feature: str, model: mujoco.MjModel, kind: str, renamed: Mapping[str, str], path: Path
 ) -> list[str]:
     """The joint or actuator of each number of a feature."""
-    names = info.get("features", {}).get(feature, {}).get("names") if isinstance(info, Mapping) else None
+    names = info
+    for key in ("features", feature, "names"):
+        names = names.get(key) if isinstance(names, Mapping) else None
     while isinstance(names, Mapping) and names:  # {"motors": [...]} in older files
         names = next(iter(names.values()))
-    if not isinstance(names, list) or not names:
-        raise InputError(f"{path}: features.{feature!r} has no names; add the list of {kind} names")
-    known, found = part_names(model, kind), []
-    for name in map(str, names):
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+        raise InputError(f"{path}: features.{feature!r} has no names; add the list of {kind} names, as texts")
+    known, found = part_names(model, kind), list[str]()
+    for name in names:
         short = name.removesuffix(".pos")
         target = renamed.get(name, renamed.get(short, name if name in known else short))
         if target not in known:
@@ -90,6 +103,8 @@ def _targets(
                 f"{path}: {feature} holds {name!r}, the model has no {kind} {target!r}; nearest: "
                 f"{nearest_names(target, known)}; name it in [lerobot.{kind}s] of dataset.toml"
             )
+        if target in found:
+            raise InputError(f"{path}: {feature} names the {kind} {target!r} twice; name each once")
         found.append(target)
     return found
 
@@ -97,32 +112,44 @@ def _targets(
 def _episodes(
     file: Path, model: mujoco.MjModel, joints: Sequence[str], motors: Sequence[str], degrees: bool
 ) -> list[Recording]:
-    frame = read_table(file)
+    frame = read_table(file, checked=True)
     for column in (STATE, ACTION, "timestamp", "episode_index"):
         if column not in frame.columns:
             raise InputError(f"{file}: there is no column {column!r}; nearest: {nearest_names(column, frame.columns)}")
+    if not frame["timestamp"].dtype.is_numeric():
+        raise InputError(f"{file}: column 'timestamp' holds {frame['timestamp'].dtype}, expected seconds")
     recordings = []
-    for episode in frame["episode_index"].unique(maintain_order=True):
-        rows = frame.filter(pl.col("episode_index") == episode)
-        columns = {"time": rows["timestamp"].cast(pl.Float64).to_numpy()}
+    for rows in frame.partition_by("episode_index", maintain_order=True):
+        episode = _episode_number(rows["episode_index"][0], file)
+        columns = {"time": rows["timestamp"].cast(pl.Float64).fill_null(np.nan).to_numpy()}
         columns |= _columns(rows, STATE, [f"qpos/{name}" for name in joints], file)
         columns |= _columns(rows, ACTION, [f"ctrl/{name}" for name in motors], file)
         if degrees:
             _to_radians(columns, model)
-        recordings.append(make_recording(columns, model, f"{file}, episode {episode}", f"episode_{int(episode):06d}"))
+        recordings.append(make_recording(columns, model, f"{file}, episode {episode}", f"episode_{episode:06d}"))
     return recordings
 
 
+def _episode_number(value: Any, file: Path) -> int:
+    if not is_number(value) or value != int(value) or value < 0:
+        raise InputError(f"{file}: episode_index holds {value!r}: expected whole numbers from 0 on")
+    return int(value)
+
+
 def _columns(rows: pl.DataFrame, feature: str, names: Sequence[str], file: Path) -> dict[str, np.ndarray]:
-    try:
-        values = np.array(rows[feature].to_list(), float)
-    except (TypeError, ValueError):
-        raise InputError(f"{file}: column {feature!r} holds rows of different lengths or no numbers") from None
-    if values.ndim != 2 or values.shape[1] != len(names):
+    """The columns of a feature: lists of numbers, or numbers where the robot has one joint or motor."""
+    series, kind = rows[feature], rows[feature].dtype
+    inner = kind.inner if isinstance(kind, pl.List | pl.Array) else kind
+    if not (isinstance(inner, pl.DataType) and inner.is_numeric()):
+        raise InputError(f"{file}: column {feature!r} holds {kind}, expected a list of numbers a row")
+    lists = [value if isinstance(value, list) else [value] for value in series.to_list()]
+    widths = {len(value) for value in lists}
+    if widths != {len(names)}:
         raise InputError(
-            f"{file}: column {feature!r} holds {values.shape[1:]} numbers a row, meta/info.json names {len(names)}"
+            f"{file}: column {feature!r} holds {', '.join(map(str, sorted(widths)[:5]))} numbers a row, meta/info.json "
+            f"names {len(names)}"
         )
-    return dict(zip(names, values.T, strict=True))
+    return dict(zip(names, np.array(lists, float).T, strict=True))
 
 
 def _to_radians(columns: dict[str, np.ndarray], model: mujoco.MjModel) -> None:

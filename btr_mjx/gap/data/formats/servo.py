@@ -13,20 +13,18 @@ kp and vin are given per recording, so each recording has its own model; the par
 Zero angle: the arm hangs straight down.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
 
-from btr_mjx.errors import DamagedFile, InputError
+from btr_mjx.errors import InputError
 from btr_mjx.gap.data.dataset import Dataset
 from btr_mjx.gap.data.recording import Recording, Split, assign_splits, make_recording
-from btr_mjx.models import PathParameter
-from btr_mjx.runs import check_keys, is_number, read_toml, toml_section
+from btr_mjx.models import COMPILE_ERRORS, PathParameter, check_model
+from btr_mjx.runs import check_keys, is_number, parse_json, read_limited, read_toml, toml_section
 
 SERVO_FILE = "servo.toml"
 _TIMESTEP = 0.002
@@ -36,6 +34,8 @@ _HOLD = 'solreffriction="0.004 1" solimpfriction="0.9999 0.9999 0.001"'
 1e-3 s times the acceleration that friction compensates; a geared servo does not."""
 SETTINGS = ("mass", "length", "kp", "vin")
 """Settings that each recording file states."""
+LARGEST_VALUE = 1e6
+"""Largest value of a servo or a setting, in SI units."""
 COLUMNS: Mapping[str, str] = {
     "timestamp": "time",
     "goal_position": "ctrl/servo",
@@ -192,25 +192,31 @@ def read_servo(path: Path, notes: list[str]) -> Servo:
             raise InputError(f"{path}: [servo] has no {name}; add it in SI units")
     values = {name: table[name] for name in names if name in table}
     for name, value in values.items():
-        if not is_number(value) or value < 0 or (value == 0 and name in ("kt", "resistance", "error_gain", "max_duty")):
-            raise InputError(f"{path}: [servo] {name} = {value!r}: expected a positive number in SI units")
+        needed = name in ("kt", "resistance", "error_gain", "max_duty")
+        good = is_number(value) and (1 / LARGEST_VALUE if needed else 0) <= value <= LARGEST_VALUE
+        if not good:
+            raise InputError(
+                f"{path}: [servo] {name} = {value!r}: expected a positive number in SI units, at most {LARGEST_VALUE:g}"
+            )
     return Servo(**{name: float(value) for name, value in values.items()})
 
 
 def _read_json(file: Path) -> tuple[dict[str, np.ndarray], tuple[float, ...]]:
     """Columns of a recording, and its settings in the order of `SETTINGS`."""
-    try:
-        content: Any = json.loads(file.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise DamagedFile(f"{file}: not valid JSON ({error})") from None
+    content = parse_json(read_limited(file), str(file))
     if not isinstance(content, Mapping) or not isinstance(content.get("entries"), list) or not content["entries"]:
         raise InputError(f'{file}: expected an object with a list "entries" of samples')
+    for sample in content["entries"]:
+        if not isinstance(sample, Mapping):
+            raise InputError(f"{file}: an entry is {sample!r}; expected an object with {', '.join(COLUMNS)}")
     for name in SETTINGS:
-        if not is_number(content.get(name)) or content[name] <= 0:
-            raise InputError(f"{file}: {name} = {content.get(name)!r}: expected a positive number")
+        if not is_number(content.get(name)) or not 0 < content[name] <= LARGEST_VALUE:
+            raise InputError(
+                f"{file}: {name} = {content.get(name)!r}: expected a positive number, at most {LARGEST_VALUE:g}"
+            )
     columns = {}
     for entry, column in COLUMNS.items():
-        values = [sample.get(entry) if isinstance(sample, Mapping) else None for sample in content["entries"]]
+        values = [sample.get(entry) for sample in content["entries"]]
         if all(value is None for value in values):
             if entry == "speed":
                 continue
@@ -228,9 +234,11 @@ def _read_json(file: Path) -> tuple[dict[str, np.ndarray], tuple[float, ...]]:
 
 def _compile(servo: Servo, setting: Sequence[float], file: Path) -> mujoco.MjModel:
     try:
-        return mujoco.MjModel.from_xml_string(servo_xml(servo, *setting))
-    except ValueError as error:
+        model = mujoco.MjModel.from_xml_string(servo_xml(servo, *setting))
+    except COMPILE_ERRORS as error:
         raise InputError(f"{file}: MuJoCo does not accept the servo that follows from its values: {error}") from None
+    check_model(model, f"{file}: the servo that follows from its values")
+    return model
 
 
 def _parameters(recordings: Sequence[Recording]) -> tuple[PathParameter, ...]:

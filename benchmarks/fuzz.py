@@ -1,0 +1,164 @@
+"""Feed hostile inputs to a reader of files: `python benchmarks/fuzz.py --parser csv --inputs 20000 --seed 0`.
+
+Inputs are read in worker processes, so that a crash or a hang costs one input. An input has to be accepted or refused
+in one line; a traceback, an ended process, or a time above --limit is reported, and the input is kept in --keep. Input
+i of a seed is always the same. The exit code is 1 where anything is reported.
+"""
+
+import os
+import random
+import shutil
+import sys
+import tempfile
+import traceback
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from unittest.mock import patch
+
+import mujoco
+import tyro
+from tqdm import tqdm
+
+from btr_mjx.runs.parquet_child import limit_memory
+from btr_mjx.testing.hostile import PARSERS, run_input, screen, write_input
+
+BATCH = 200
+"""Inputs that share a folder and a child process that reads Parquet."""
+
+
+@dataclass(frozen=True)
+class FuzzConfig:
+    """Settings; every field is a flag."""
+
+    parser: tuple[str, ...] = tuple(PARSERS)
+    """Readers to be tried."""
+    inputs: int = 20_000
+    """Inputs for each."""
+    first: int = 0
+    """Number of the first input."""
+    seed: int = 0
+    """Seed of the inputs."""
+    limit: float = 30.0
+    """Longest time for an input [s]."""
+    memory: float = 12.0
+    """Largest address space of a worker [GiB]."""
+    keep: Path = Path("fuzz-found")
+    """Folder of the inputs that are reported."""
+
+
+def source(parser: str, seed: int, number: int) -> random.Random:
+    """The source of random numbers of one input."""
+    return random.Random(f"{parser}/{seed}/{number}")
+
+
+def work(name: str, seed: int, first: int, end: int, memory: float, answers: Connection) -> None:
+    """Read inputs first..end-1; sends (number, None) before one is read and (number, outcome) after it."""
+    limit_memory(int(memory * 2**30))
+    mujoco.set_mju_user_warning(lambda _: None)
+    parser = PARSERS[name]
+    for start in range(first, end, BATCH):
+        numbers = range(start, min(start + BATCH, end))
+        with tempfile.TemporaryDirectory() as place, ExitStack() as stack:
+            folders = [Path(place) / str(number) for number in numbers]
+            for number, folder in zip(numbers, folders, strict=True):
+                write_input(parser.make(source(name, seed, number)), folder)
+            refused = screen(parser, folders)
+            answers.send((start, "ready"))
+            if parser.screened:  # the child has read what is left
+                stack.enter_context(patch("btr_mjx.runs.files.check_parquet"))
+            os.chdir(place)  # MuJoCo writes a log where it stands
+            errors = os.dup(2)
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+            for number, folder in zip(numbers, folders, strict=True):
+                answers.send((number, None))
+                try:
+                    outcome = "refused" if folder in refused or run_input(parser, folder) != "accepted" else "accepted"
+                except BaseException:
+                    outcome = traceback.format_exc()
+                answers.send((number, outcome))
+            os.dup2(errors, 2)
+            os.chdir("/")
+    answers.send((end, ""))
+
+
+def fuzz(name: str, config: FuzzConfig) -> Counter[str]:
+    """Run one reader; returns counts of outcomes."""
+    counts: Counter[str] = Counter()
+    number, end = config.first, config.first + config.inputs
+    current: int | None
+    context = get_context("spawn")
+    with tqdm(total=config.inputs, desc=name, mininterval=5) as bar:
+        while number < end:
+            answers, other = context.Pipe(duplex=False)
+            worker = context.Process(target=work, args=(name, config.seed, number, end, config.memory, other))
+            worker.start()
+            other.close()
+            problem, current, made = "", None, False
+            while not problem and number < end:
+                try:
+                    # A worker imports and makes a batch before its first answer.
+                    if not answers.poll(config.limit if current is not None else 600):
+                        problem = f"hang: more than {config.limit:g} s"
+                        worker.kill()
+                        break
+                    current, outcome = answers.recv()
+                except EOFError:
+                    worker.join()
+                    if current is None and not made:
+                        raise SystemExit(f"{name}: the inputs from {number} on could not be made") from None
+                    problem = f"crash: exit code {worker.exitcode}"
+                    break
+                if outcome == "ready":
+                    current, made = None, True
+                if outcome is None or outcome == "ready":
+                    continue
+                number, last = current + 1, current
+                current = None
+                if outcome == "":
+                    break
+                bar.update()
+                kind = outcome if outcome in ("accepted", "refused") else "traceback"
+                counts[kind] += 1
+                if kind == "traceback":
+                    report(name, config, last, outcome)
+            worker.join(5)
+            worker.kill()
+            if problem:
+                at = number if current is None else current
+                counts[problem.split(":")[0]] += 1
+                report(name, config, at, problem)
+                number = at + 1
+                bar.update()
+    return counts
+
+
+def report(name: str, config: FuzzConfig, number: int, problem: str) -> None:
+    """Keep an input and what it did."""
+    folder = config.keep / f"{name}-{config.seed}-{number}"
+    shutil.rmtree(folder, ignore_errors=True)
+    write_input(PARSERS[name].make(source(name, config.seed, number)), folder)
+    (folder / "problem.txt").write_text(problem)
+    tqdm.write(f"{folder}: {problem.strip().splitlines()[-1][:200]}")
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Entry point."""
+    config = tyro.cli(FuzzConfig, args=sys.argv[1:] if argv is None else list(argv), description=__doc__)
+    failed = False
+    for name in config.parser:
+        counts = fuzz(name, config)
+        failed |= bool(set(counts) - {"accepted", "refused"})
+        print(f"{name:12}" + "  ".join(f"{kind} {counts[kind]}" for kind in KINDS), flush=True)
+    raise SystemExit(int(failed))
+
+
+KINDS = ("accepted", "refused", "traceback", "crash", "hang")
+"""Outcomes of an input."""
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,101 @@
+"""Checks that times and numbers of a recording have plausible sizes: work and memory grow with them."""
+
+import csv
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+
+from btr_mjx.errors import DamagedFile, InputError
+
+MAX_COLUMNS = 5_000
+"""Most columns of a recording; a robot with a hundred joints and their sensors has fewer than a thousand."""
+
+MAX_HEADER_BYTES = 1 << 20
+"""Longest header line of a CSV file [bytes]."""
+
+LARGEST_MEASURED = 1e12
+"""Largest measured number in SI units."""
+
+MOST_EMPTY = 100
+"""Largest ratio of a recording's duration to what its rows cover at their median interval. Every check that samples
+evenly takes memory in proportion to it."""
+
+LONGEST_INTERVAL = 1000.0
+"""Longest median interval between samples [s]."""
+
+
+def check_header(path: Path) -> None:
+    """Check the header line of a CSV file.
+
+    Raises:
+      DamagedFile: no end of line within `MAX_HEADER_BYTES`.
+      InputError: too many columns, or a column that occurs twice.
+      OSError: the file cannot be read.
+    """
+    with path.open("rb") as file:
+        line = file.readline(MAX_HEADER_BYTES)
+    if len(line) == MAX_HEADER_BYTES:
+        raise DamagedFile(f"{path}: the first line has no end within {MAX_HEADER_BYTES} bytes; expected column names")
+    try:
+        head = next(csv.reader(StringIO(line.decode("utf-8-sig", "replace"))), [])
+    except csv.Error as error:
+        raise DamagedFile(f"{path}: the header cannot be read ({error})") from None
+    names = [name.strip() for name in head]
+    check_column_count(len(names), path)
+    name, count = Counter(names).most_common(1)[0] if names else ("", 1)
+    if count > 1:
+        raise InputError(f"{path}: column {name!r} occurs {count} times; keep one of them")
+
+
+def check_column_count(count: int, path: Path) -> None:
+    """Check the number of columns.
+
+    Raises:
+      InputError: more than `MAX_COLUMNS`.
+    """
+    if count > MAX_COLUMNS:
+        raise InputError(f"{path}: has {count} columns, at most {MAX_COLUMNS} are read; keep those of the robot")
+
+
+def check_span(time: np.ndarray, where: str) -> None:
+    """Check that times (K,) [s] that increase are seconds and leave no gap out of proportion.
+
+    Raises:
+      InputError: the median interval is beyond `LONGEST_INTERVAL`, or the duration is more than `MOST_EMPTY` times what
+        the rows cover.
+    """
+    if len(time) < 2:
+        return
+    with np.errstate(over="ignore"):
+        steps = np.diff(time)
+        usual, span = float(np.median(steps)), float(time[-1] - time[0])
+    if not usual <= LONGEST_INTERVAL:
+        unit = "nanoseconds" if usual >= 1e5 else "microseconds"
+        raise InputError(
+            f"{where}: samples are {usual:.6g} s apart, which looks like {unit}; the column time is in seconds"
+        )
+    if span > MOST_EMPTY * usual * len(time):
+        row = int(np.argmax(steps))
+        raise InputError(
+            f"{where}: time jumps from {time[row]:.9g} to {time[row + 1]:.9g} s in row {row + 2}, and samples are "
+            f"{usual:.3g} s apart elsewhere; correct the time stamp, or cut the recording there into two files"
+        )
+
+
+def check_sizes(columns: Mapping[str, np.ndarray], needed: Sequence[str], where: str) -> None:
+    """Check the sizes of numbers.
+
+    Raises:
+      InputError: a number beyond `LARGEST_MEASURED`.
+    """
+    for name in needed:
+        bad = np.abs(columns[name]) > LARGEST_MEASURED
+        if bad.any():
+            row = int(np.argmax(bad))
+            raise InputError(
+                f"{where}: column {name!r} holds {columns[name][row]:g} in row {row + 1}; expected at most "
+                f"{LARGEST_MEASURED:g}, in SI units"
+            )

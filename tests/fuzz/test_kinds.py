@@ -1,0 +1,395 @@
+"""Kinds of hostile input, each with a few of its inputs: one clear line, in seconds."""
+
+import io
+import os
+import time
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import polars as pl
+import pytest
+
+from btr_mjx.errors import DamagedFile, InputError, one_line
+from btr_mjx.gap.data import open_dataset
+from btr_mjx.gap.preflight import preflight
+from btr_mjx.models import check_mjcf, parse_path, set_values
+from btr_mjx.robots import Box, Robot, Sinusoids
+from btr_mjx.runs import read_arrays, read_json, read_table, read_toml, write_table
+from btr_mjx.testing.hostile.mutations import to_json, to_toml
+from btr_mjx.testing.hostile.parsers import DATASET, INFO, LEROBOT, SERVO, XML, write_input
+
+
+@pytest.fixture(autouse=True)
+def quick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """No input takes long, however it ends."""
+    monkeypatch.chdir(tmp_path)
+    mujoco.set_mju_user_warning(lambda _: None)
+    begin = time.process_time()
+    yield
+    assert time.process_time() - begin < 20
+
+
+def short(value: object) -> str:
+    """Name of a case."""
+    return (value if isinstance(value, str) else repr(value))[:30]
+
+
+TIME = 0.01 * np.arange(80)
+COLUMNS = {"time": TIME, "ctrl/servo": np.sin(5 * TIME), "qpos/servo": 0.5 * np.sin(5 * TIME - 0.2)}
+
+
+def dataset(folder: Path, *, toml: str = "", xml: str = XML, columns: dict[str, np.ndarray] | None = None) -> Path:
+    folder.mkdir(exist_ok=True)
+    (folder / "dataset.toml").write_text(toml or to_toml(dict(DATASET)))
+    (folder / "model.xml").write_text(xml)
+    write_table(folder / "one.csv", columns or COLUMNS)
+    write_table(folder / "two.csv", COLUMNS)
+    return folder
+
+
+def refusal(folder: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        preflight(open_dataset(folder))
+    line = one_line(caught.value)
+    assert len(line) <= 1000
+    assert line.isprintable()
+    return line
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["body_rootid[1]", "jnt_dofadr[0]", "geom_bodyid[0]", "actuator_trnid[0][0]", "dof_parentid[0]", "nq"],
+)
+def test_fields_that_are_no_physical_numbers_have_no_path(path: str) -> None:
+    model = mujoco.MjModel.from_xml_string(XML)
+    with pytest.raises(InputError, match=r"physical numbers|expected KIND"):
+        parse_path(model, path)
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("option/timestep", -0.5),
+        ("option/timestep", 1e-12),
+        ("option/timestep", float("nan")),
+        ("body:arm/mass", float("inf")),
+        ("joint:servo/armature", -1e-3),
+        ("joint:servo/damping", -1.0),
+        ("body_mass[1]", -2.0),
+        ("geom_friction[0][0]", -0.1),
+        ("actuator:servo/kp", 1e300),
+    ],
+)
+def test_numbers_that_cannot_be_simulated(path: str, value: float) -> None:
+    with pytest.raises(InputError, match="expected"):
+        set_values(mujoco.MjModel.from_xml_string(XML), {path: value})
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "named"),
+    [
+        ('timestep="0.002"', 'timestep="-inf"', "timestep"),
+        ('timestep="0.002"', 'timestep="1e-9"', "timestep"),
+        ('damping="0.04"', 'damping="nan"', "dof_damping"),
+        ('armature="0.002"', 'armature="-3"', "armature"),
+        ('kp="1.6"', 'kp="inf"', "actuator"),
+        ('damping="0.04"', 'damping="1e200"', "dof_damping"),
+        (
+            "<worldbody>",
+            '<worldbody><replicate count="500"><replicate count="400"><site/></replicate></replicate>',
+            "elements",
+        ),
+        ("<worldbody>", '<size memory="900G"/><worldbody>', "memory"),
+        ("<worldbody>", '<size nuserdata="2000000000"/><worldbody>', "nuserdata"),
+        ("<worldbody>", '<option iterations="2000000000"/><worldbody>', "iterations"),
+        (
+            "<worldbody>",
+            '<asset><texture name="t" builtin="flat" type="2d" width="90000" height="9"/></asset><worldbody>',
+            "w",
+        ),
+        ("<worldbody>", '<asset><mesh name="m" file="/dev/zero.obj"/></asset><worldbody>', "outside"),
+        ("<worldbody>", '<include file="../../secret.xml"/><worldbody>', "outside"),
+        ("<worldbody>", '<worldbody><flexcomp type="grid" count="99 99 99" spacing="1 1 1" name="f"/>', "elements"),
+        ("<worldbody>", "<worldbody>" + "<frame>" * 400 + "</frame>" * 400, "nested"),
+    ],
+    ids=short,
+)
+def test_mjcf(tmp_path: Path, old: str, new: str, named: str) -> None:
+    assert named in refusal(dataset(tmp_path / "d", xml=XML.replace(old, new)))
+
+
+def test_mjcf_in_another_encoding(tmp_path: Path) -> None:
+    folder = dataset(tmp_path / "d")
+    (folder / "model.xml").write_bytes(XML.replace('name="tip"', 'name="Spitze für Öl"').encode("cp1252"))
+    assert "UTF-8" in refusal(folder)
+
+
+def test_comments_with_two_hyphens_are_fine() -> None:
+    """XML forbids them, MuJoCo does not, and models have them."""
+    check_mjcf(XML.replace("<worldbody>", "<!-- a -- b --><worldbody>"), "x.xml", Path("."))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "named"),
+    [
+        ('"relative" = false', '"relative" = "yes"', "relative"),
+        ("[0.0, 2.0]", "[0, 0x" + "f" * 4000 + "]", "digits"),
+        ("[0.0, 2.0]", "[0, " + "8" * 5000 + "]", "TOML"),
+        ("[0.0, 2.0]", "[-1e308, 1e308]", "finite"),
+        ("[0.0, 2.0]", "[-1.0, 2.0]", "dof_damping"),
+        ('"body:arm/mass" = 0.5', '"body:arm/mass" = -0.5', "mass"),
+        ('"body:arm/mass" = 0.5', '"body_parentid[1]" = 0', "physical"),
+        ('"body:arm/mass" = 0.5', '"body:arm/mass" = true', "overrides"),
+        ('"one.csv"', '"/etc/hostname"', "inside"),
+        ('"one.csv"', '"a/../../one.csv"', "inside"),
+        ('"model.xml"', '"../model.xml"', "inside"),
+        ('"viscous_damping" = 0.1', '"viscous_damping" = nan', "tolerances"),
+        ('"model"]', '"model"]\na = ' + "{b = " * 400 + "1" + "}" * 400, "TOML|nested"),
+    ],
+    ids=short,
+)
+def test_dataset_toml(tmp_path: Path, old: str, new: str, named: str) -> None:
+    text = to_toml(dict(DATASET))
+    assert old in text
+    line = refusal(dataset(tmp_path / "d", toml=text.replace(old, new)))
+    assert any(word in line for word in named.split("|"))
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (lambda c: c | {"time": np.where(np.arange(80) == 60, 3e7, TIME)}, "time"),
+        (lambda c: c | {"time": np.concatenate([TIME[:-1], [5e6]])}, "jumps"),
+        (lambda c: c | {"time": 1.7e9 * 1e9 + 1e7 * np.arange(80)}, "nanoseconds"),
+        (lambda c: c | {"time": 1e4 * np.arange(80)}, "microseconds"),
+        (lambda c: c | {"qpos/servo": np.where(np.arange(80) == 7, -1e300, 0.1)}, "row 8"),
+        (lambda c: c | {f"sensor/{i}": TIME for i in range(7000)}, "columns"),
+    ],
+)
+def test_recordings(tmp_path: Path, change, named: str) -> None:
+    assert named in refusal(dataset(tmp_path / "d", columns=change(COLUMNS)))
+
+
+def test_a_recording_with_a_pause_is_read(tmp_path: Path) -> None:
+    """Twenty seconds of nothing are a gap, which preflight reports, and no reason to refuse the file."""
+    later = COLUMNS | {"time": np.where(np.arange(80) >= 40, TIME + 20, TIME)}
+    assert preflight(open_dataset(dataset(tmp_path / "d", columns=later)))
+
+
+def npz(path: Path, members: dict[str, bytes], compress: int = zipfile.ZIP_DEFLATED) -> Path:
+    with zipfile.ZipFile(path, "w", compress) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return path
+
+
+def head(shape: str, kind: str = "<f8") -> bytes:
+    text = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
+
+
+@pytest.mark.parametrize(
+    ("members", "named"),
+    [
+        ({"time.npy": b"just text"}, "no array"),
+        ({"notes.txt": b"x"}, "no array"),
+        ({"time.npy": head("(10**9,)")}, "not a readable"),
+        ({"time.npy": head("(999999999999,)")}, "cut short"),
+        ({"time.npy": head("(-1,)") + b"x" * 8}, "cut short"),
+        ({"time.npy": head("(1,)", "|O") + b"x" * 8}, "Object arrays"),
+        ({"time.npy": head("(" * 3000)}, "not a readable"),
+        ({f"{i}.npy": b"" for i in range(10_001)}, "arrays"),
+        ({"time.npy": bytes(300 << 20)}, "unpack"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else next(iter(value)),
+)
+def test_npz(tmp_path: Path, members: dict[str, bytes], named: str) -> None:
+    with pytest.raises(InputError, match=named):
+        read_arrays(npz(tmp_path / "a.npz", members))
+
+
+def test_every_flipped_bit_of_our_parquet_is_found(tmp_path: Path) -> None:
+    path = tmp_path / "a.parquet"
+    write_table(path, {"a": [1.0, 2.0, 3.0], "b": ["x", "y", None]})
+    assert read_table(path).equals(pl.DataFrame({"a": [1.0, 2.0, 3.0], "b": ["x", "y", None]}))
+    assert pl.read_parquet(path).shape == (3, 2)  # any reader of Parquet
+    data = path.read_bytes()
+    for place in range(0, len(data), 13):
+        flipped = bytearray(data)
+        flipped[place] ^= 4
+        path.write_bytes(flipped)
+        if b"btr_mjx.sha256" in flipped:  # else it is a file of another program
+            with pytest.raises(DamagedFile, match="checksum"):
+                read_table(path)
+
+
+def test_parquet_that_ends_the_process_or_panics_is_damaged(tmp_path: Path) -> None:
+    """Found by `benchmarks/fuzz.py`-like flips of a plain file: a child process reads it first."""
+    buffer = io.BytesIO()
+    pl.DataFrame(COLUMNS).write_parquet(buffer)
+    data, bad = buffer.getvalue(), 0
+    for place in range(4, len(data), len(data) // 12):
+        (tmp_path / "a.parquet").write_bytes(data[:place] + b"\xff\xff\xff\x7f" + data[place + 4 :])
+        try:
+            read_table(tmp_path / "a.parquet")
+        except DamagedFile:
+            bad += 1
+    assert bad > 0
+
+
+HEADER = {"dataset.toml": to_toml(dict(LEROBOT)).encode(), "model.xml": XML.encode()}
+
+
+@pytest.mark.parametrize(
+    "info",
+    [
+        None,
+        [],
+        {"features": []},
+        {"features": {"observation.state": None}},
+        {"features": {"observation.state": {"names": [1]}}},
+        {"features": {"observation.state": {"names": "servo"}, "action": 3}},
+        INFO | {"features": {"observation.state": {"names": ["servo", "servo"]}, "action": {"names": ["servo"]}}},
+    ],
+)
+def test_lerobot_info(tmp_path: Path, info: object) -> None:
+    write_input(
+        {
+            "dataset.toml": to_toml(dict(LEROBOT)).encode(),
+            "model.xml": XML.encode(),
+            "meta/info.json": to_json(info).encode(),
+        },
+        tmp_path,
+    )
+    write_table(tmp_path / "data" / "a.parquet", {"timestamp": [0.0]})
+    assert "info.json" in refusal(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "named"),
+    [
+        ("timestamp", [str(t) for t in TIME], "timestamp"),
+        ("episode_index", [float("nan")] * 80, "episode_index"),
+        ("episode_index", ["a"] * 80, "episode_index"),
+        ("episode_index", [-1] * 80, "episode_index"),
+        ("action", [[1.0, 2.0]] * 80, "numbers a row"),
+        ("action", [["x"]] * 80, "list of numbers"),
+        ("observation.state", [{"a": 1}] * 80, "list of numbers"),
+    ],
+)
+def test_lerobot_frames(tmp_path: Path, column: str, values: list, named: str) -> None:
+    toml = to_toml(dict(LEROBOT)).encode()
+    write_input(
+        {"dataset.toml": toml, "model.xml": XML.encode(), "meta/info.json": to_json(dict(INFO)).encode()}, tmp_path
+    )
+    frame = {
+        "timestamp": TIME,
+        "episode_index": [0] * 80,
+        "action": [[u] for u in COLUMNS["ctrl/servo"]],
+        "observation.state": [[q] for q in COLUMNS["qpos/servo"]],
+    }
+    write_table(tmp_path / "data" / "a.parquet", pl.DataFrame(frame | {column: values}))
+    assert named in refusal(tmp_path)
+
+
+def test_degrees_are_true_or_false(tmp_path: Path) -> None:
+    toml = to_toml(dict(LEROBOT)).replace("true", '"no"').encode()
+    write_input({"dataset.toml": toml, "model.xml": XML.encode(), "meta/info.json": b"{}"}, tmp_path)
+    assert "degrees" in refusal(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("mass", 1e150),
+        ("length", -1),
+        ("kp", None),
+        ("vin", "12"),
+        ("entries", [1, 2]),
+        ("entries", {}),
+        ("mass", 10**400),
+    ],
+    ids=short,
+)
+def test_servo(tmp_path: Path, name: str, value: object) -> None:
+    entries = [{"timestamp": t, "goal_position": u, "position": q} for t, u, q in zip(*COLUMNS.values(), strict=True)]
+    record = {"mass": 0.5, "length": 0.1, "kp": 32, "vin": 15.0, "entries": entries} | {name: value}
+    files = {"servo.toml": to_toml(dict(SERVO)).encode(), "a.json": to_json(record).encode()}
+    write_input(files, tmp_path)
+    assert "a.json" in refusal(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 100_000, "9" * 5000, '{"a": ' * 3000, "nul", "", "\ufeff{}", "[NaN]"], ids=short
+)
+def test_json(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(DamagedFile, match=r"a\.json"):
+        read_json(tmp_path / "a.json")
+
+
+def test_devices_and_pipes_are_no_files(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.toml")
+    for path in (tmp_path / "a.toml", Path("/dev/zero"), tmp_path):
+        with pytest.raises(InputError, match="expected a"):
+            read_toml(path)
+
+
+def template(text: str) -> Robot:
+    signal = Sinusoids((0,), (1,), (), -1, 1.0, (0.0,), (1.0,), (0.0,))
+    return Robot("r", text, "r.xml.j2", Box(["a", "b"], 0.1, 1.0), Box(["x", "y"], 0.0, 1.0), signal, (0.5, 0.5))
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("{{ sqrt(a - 5) }}", "domain"),
+        ("{{ max([]) }}", "empty"),
+        ("{{ '%s %s' % a }}", "format"),
+        ("{{ '%9999d' % 1 }}", "width"),
+        ("{{ '{:>99999999}'.format(a) }}", "unsafe"),
+        ("{{ 9 ** 9 ** 9 ** 9 }}", "integer"),
+        ("{{ 'ab' * 10 ** 11 }}", "characters"),
+        ("{{ [a] * 10 ** 11 }}", "characters"),
+        ("{% for i in range(3000) %}{% for j in 'x' * 9999 %}{% set z = i %}{% endfor %}{% endfor %}", "computes"),
+        ("{% for i in [1] * 9999 if [1] * 9999 == [i] * 9999 %}{% endfor %}" * 300, "computes"),
+        ("{% macro m(n) %}{{ m(n) }}{% endmacro %}{{ m(1) }}", "deeply"),
+        ("{% macro m(n) %}{% if n %}{{ m(n - 1) + m(n - 1) }}{% endif %}1{% endmacro %}{{ m(50) }}", "computes"),
+        ("{{ " + "(" * 900 + "a" + ")" * 900 + " }}", "nested"),
+        ("{{ " + "-" * 100_000 + "a }}", "words|nested"),
+        ("{% for i in range(30) %}" * 30 + "{% endfor %}" * 30, "nested"),
+        ("{% set x %}{% for i in range(99999) %}" + "y" * 999 + "{% endfor %}{% endset %}", "writes"),
+        ("{% set n = namespace(x='ab') %}{% for i in range(99) %}{% set n.x = n.x + n.x %}{% endfor %}", "characters"),
+        ("{% set n = namespace(x=[a]) %}{% for i in range(99) %}{% set n.x = (n.x, n.x) %}{% endfor %}", "characters"),
+        ("{{ cycler(1) }}", "undefined"),
+        ("{{ joiner() }}", "undefined"),
+        ("{{ lipsum(n=9) }}", "undefined"),
+        ("{% include 'x' %}", "not part"),
+        ("{% import 'x' as y %}", "not part"),
+        ("{{ a | pprint }}", "No filter"),
+        ("{{ a | center(10 ** 9) }}", "No filter"),
+        ("{{ 1 | round(10 ** 9) }}", "digits"),
+        ("{{ ''.__class__ }}", "unsafe"),
+        ("{{ " + "1" * 5000 + " }}", "digits"),
+        ("{{ {}['k'] }}", "no attribute"),
+        ("x" * 1_000_001, "read"),
+    ],
+    ids=short,
+)
+def test_templates(text: str, named: str) -> None:
+    with pytest.raises(InputError) as caught:
+        template(text).render([0.5, 0.5])
+    assert any(word in one_line(caught.value) for word in named.split("|")), one_line(caught.value)
+
+
+def test_what_templates_are_for_still_works() -> None:
+    text = """{% set legs = [(1, a), (-1, b)] %}{% set n = namespace(top=0) -%}
+{% macro part(x, y=2) %}<{{ x }}/{{ y }}>{% endmacro -%}
+{% for side, length in legs -%}
+{% set n.top = max(n.top, side * length) %}{{ loop.index }}{{ part(side) }} {% endfor -%}
+{{ n.top }} {{ '%.3f' % a }}
+{{ [1, 2] | join(',') }} {{ a ~ 'm' }} {{ (a * 2) | round(1) }} {{ -7 // 2 }} {{ 2 ** 3 }}"""
+    assert template(text).render([0.5, 0.25]) == "1<1/2> 2<-1/2> 0.5 0.500\n1,2 0.5m 1.0 -4 8"

@@ -1,0 +1,64 @@
+"""Every reader of files on hostile inputs: it ends without an error, or in one line of bad input.
+
+`benchmarks/fuzz.py` runs many thousands of the same inputs in worker processes.
+"""
+
+import random
+from pathlib import Path
+
+import mujoco
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from btr_mjx.testing.hostile import PARSERS, run_input, screen, write_input
+
+QUICK = settings(
+    max_examples=40, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck)
+)
+"""The same inputs in every run."""
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """MuJoCo writes a log into the folder where it runs."""
+    monkeypatch.chdir(tmp_path)
+    mujoco.set_mju_user_warning(lambda _: None)
+
+
+@pytest.mark.parametrize("name", [name for name in PARSERS if name != "parquet"])
+def test_readers_accept_or_refuse_in_one_line(name: str, tmp_path_factory: pytest.TempPathFactory) -> None:
+    @QUICK
+    @given(st.randoms(use_true_random=False))
+    def check(source: random.Random) -> None:
+        folder = tmp_path_factory.mktemp("input")
+        write_input(PARSERS[name].make(source), folder)
+        assert run_input(PARSERS[name], folder)
+
+    check()
+
+
+def test_parquet_is_read_in_one_child(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the child refuses is refused; what it reads is read here too, without an error that ends the process."""
+    folders = [tmp_path / str(i) for i in range(60)]
+    for i, folder in enumerate(folders):
+        write_input(PARSERS["parquet"].make(random.Random(i)), folder)
+    refused = screen(PARSERS["parquet"], folders)
+    assert 5 < len(refused) < 60
+    monkeypatch.setattr("btr_mjx.runs.files.check_parquet", lambda paths: None)
+    outcomes = [run_input(PARSERS["parquet"], folder) for folder in folders if folder not in refused]
+    assert "accepted" in outcomes
+
+
+@pytest.mark.parametrize("name", PARSERS)
+def test_seeds_are_valid(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a mutation every reader accepts its input; else the tests above would test nothing."""
+    monkeypatch.setattr("btr_mjx.testing.hostile.mutations.mutate_bytes", lambda data, source: data)
+    monkeypatch.setattr("btr_mjx.testing.hostile.mutations.mutate_value", lambda value, source: value)
+    monkeypatch.setattr("btr_mjx.testing.hostile.mutations.mutate_mjcf", lambda text, source: text)
+    monkeypatch.setattr("btr_mjx.testing.hostile.mutations.mutate_template", lambda text, source: text)
+    monkeypatch.setattr("btr_mjx.testing.hostile.parsers._bytes_or", lambda source, data, structured: data)
+    source = random.Random(1)
+    monkeypatch.setattr(source, "random", lambda: 0.1)
+    write_input(PARSERS[name].make(source), tmp_path / "input")
+    assert run_input(PARSERS[name], tmp_path / "input") == "accepted"
