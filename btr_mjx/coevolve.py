@@ -10,6 +10,7 @@ A hidden simulation plays reality, or a robot is reached through files (--realit
     controllers-001.npz, ...        all controllers of step 1 of iteration 1: parameters and fitness in simulation
     simulations-001.npz, ...        all simulations of step 3 of iteration 1: unknown parameters and Delta_fitness
     result.json                     the numbers that a script wants
+    parameters.csv, parameters.json the identified parameters for other programs
     *.png                           figures, drawn from these files
 """
 
@@ -28,6 +29,7 @@ from btr_mjx.backtoreality import (
     Waiting,
     begin,
     build_problem,
+    export_coevolution,
     inputs_of,
     run_in_folder,
     summarise,
@@ -70,6 +72,7 @@ def coevolve(config: CoevolveConfig | None = None, **changes: Any) -> dict[str, 
             result = summarise(problem, state)
             write_trials(run.path, state)
             write_json(run.path / "result.json", result)
+            export_coevolution(run.path)
             run.seal()
             if config.figures:
                 draw_run(run.path)

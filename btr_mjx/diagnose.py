@@ -11,6 +11,7 @@ The run folder holds:
     ranking.csv, believed.csv, disagreement.csv, *.npz   tables and arrays behind the page
     next_command.csv                what to command next, where the data cannot distinguish candidates
     mended.xml, mended.json         the believed model with what was found
+    parameters.csv, parameters.json, randomisation.json   the same numbers for other programs
     report.html, figures/           the page
     demo/, truth.json               with --demo: the case, and the answer
     search/                         what was simulated so far, until the search ends; --resume goes on from there

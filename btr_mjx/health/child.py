@@ -8,7 +8,8 @@ import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from btr_mjx.health.probes import MARK
+MARK = "btr_mjx.health: "
+"""Start of a line of measurements; libraries may print other lines."""
 
 
 class CannotCheck(Exception):

@@ -15,9 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from btr_mjx.errors import one_line
-
-MARK = "btr_mjx.health: "
-"""Start of a line of measurements; libraries may print other lines."""
+from btr_mjx.health.child import MARK
 
 TIMED_STEPS = 340
 """Steps of a trial whose speed is measured."""

@@ -16,7 +16,7 @@ import pytest
 
 from btr_mjx import doctor
 from btr_mjx.health import CHECKS, CheckResult, HealthSettings, checks, child, folders, machine, programs, versions
-from btr_mjx.health.probes import MARK
+from btr_mjx.health.child import MARK
 from btr_mjx.health.result import worst
 from btr_mjx.health.versions import SLOW_JAXLIB, judge_versions, measure_versions
 

@@ -12,6 +12,7 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, control_columns
 from btr_mjx.gap.effects import KNOWN_EFFECTS, Effect
+from btr_mjx.gap.results.exported import export_diagnosis
 from btr_mjx.gap.results.mended_model import FoundEffect, MendedModel, mend
 from btr_mjx.gap.results.records import Diagnosis, DisagreementMap, NextExperiment
 from btr_mjx.gap.results.wording import place_in_words, verdict_sentence
@@ -37,7 +38,7 @@ def save_diagnosis(
       diagnosis: the outcome of the search.
       dataset: the dataset that was searched.
       folder: folder for result.json, ranking.csv, disagreement.csv, disagreement.npz, overlays.npz, believed.csv and,
-        where an effect was named, mended.xml and mended.json.
+        where an effect was named, mended.xml and mended.json, parameters.csv, parameters.json and randomisation.json.
       effects: the library that was searched.
       next_experiment: proposal for next_command.csv; None if there is none.
       more: further entries of result.json.
@@ -61,6 +62,8 @@ def save_diagnosis(
     _write_tables(result, diagnosis.disagreement, folder)
     write_arrays(folder / "disagreement.npz", _map_arrays(diagnosis.disagreement))
     write_arrays(folder / "overlays.npz", _overlay_arrays(diagnosis, dataset.model))
+    found_again = lambda found: _mend(found, diagnosis, dataset, effects)  # noqa: E731
+    export_diagnosis(diagnosis, dataset, folder, found_again)
     write_json(folder / RESULT, result)
     return result
 
@@ -185,6 +188,13 @@ def _mended(diagnosis: Diagnosis, dataset: Dataset, effects: Sequence[Effect] = 
         FoundEffect(effect.effect, effect.location, {name: p.value for name, p in effect.parameters.items()})
         for effect in diagnosis.effects
     ]
+    return _mend(found, diagnosis, dataset, effects)
+
+
+def _mend(
+    found: Sequence[FoundEffect], diagnosis: Diagnosis, dataset: Dataset, effects: Sequence[Effect]
+) -> MendedModel:
+    """The believed model with refitted parameters and given effects; where that fails, the model with a note."""
     final = {refit.name: refit.final for refit in diagnosis.believed if refit.final != refit.believed}
     values: dict[str, float] = {}
     for parameter in dataset.parameters:

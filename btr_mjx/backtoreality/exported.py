@@ -1,0 +1,26 @@
+"""Identified parameters of a finished run for other programs."""
+
+from pathlib import Path
+
+from btr_mjx.exports import ExportedParameter, write_exports
+from btr_mjx.runs import read_json
+
+
+def export_coevolution(folder: Path) -> None:
+    """Write the exports of a run folder that holds result.json, see `btr_mjx.exports`.
+
+    A co-evolution gives values without intervals: the extent of the simulations that its trials cannot tell from the
+    best one is an extent of what was tried, and need not hold the truth.
+
+    Raises:
+      DamagedFile: result.json was altered.
+      OSError: a file cannot be read or written.
+    """
+    result = read_json(folder / "result.json")
+    parameters = [
+        ExportedParameter(
+            name, result["space"][name]["unit"], float(value), None, None, "best of the last simulation search"
+        )
+        for name, value in result["simulation"].items()
+    ]
+    write_exports(folder, parameters)

@@ -1,0 +1,53 @@
+"""Identified parameters as tables for other programs."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from btr_mjx.runs import write_json, write_table
+
+
+@dataclass(frozen=True)
+class ExportedParameter:
+    """One identified number.
+
+    Attributes:
+      name: of the parameter.
+      unit: of its value, "" where it is not known.
+      value: the best estimate.
+      low, high: its interval; None where there is none.
+      origin: how value and interval were found, in words.
+      paths: numbers of the compiled model that it moves, with their values at both ends of the interval; empty where
+        MJCF cannot express it.
+    """
+
+    name: str
+    unit: str
+    value: float
+    low: float | None
+    high: float | None
+    origin: str
+    paths: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+def write_exports(folder: Path, parameters: Sequence[ExportedParameter]) -> None:
+    """Write parameters.csv, parameters.json and, where there are ranges, randomisation.json.
+
+    Nothing is written where there are no parameters.
+
+    Args:
+      folder: the run folder.
+      parameters: what was identified. Those with paths and an interval get a range in randomisation.json.
+
+    Raises:
+      OSError: the folder cannot be written to.
+    """
+    if not parameters:
+        return
+    keys = ("name", "unit", "value", "low", "high", "origin")
+    rows = [{key: getattr(one, key) for key in keys} for one in parameters]
+    write_table(folder / "parameters.csv", rows)
+    write_json(folder / "parameters.json", rows)
+    ranges = {one.name: one.paths for one in parameters if one.paths and one.low is not None}
+    if ranges:
+        write_json(folder / "randomisation.json", ranges)

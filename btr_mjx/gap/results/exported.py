@@ -1,0 +1,72 @@
+"""Named effects and refitted parameters for other programs."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import mujoco
+
+from btr_mjx.exports import Ends, ExportedParameter, field_ends, is_linear, write_exports
+from btr_mjx.gap.data import Dataset
+from btr_mjx.gap.results.mended_model import FoundEffect, MendedModel
+from btr_mjx.gap.results.records import Diagnosis, NamedEffect
+
+Mend = Callable[[Sequence[FoundEffect]], MendedModel]
+"""The believed model with effects, see `mended_model.mend`."""
+
+
+def export_diagnosis(diagnosis: Diagnosis, dataset: Dataset, folder: Path, mended: Mend) -> None:
+    """Write the exports of a diagnosis, see `btr_mjx.exports`.
+
+    Args:
+      diagnosis: the outcome of the search.
+      dataset: the dataset that was searched.
+      folder: the run folder.
+      mended: adds effects to the believed model.
+
+    Raises:
+      OSError: the folder cannot be written to.
+    """
+    paths = {parameter.name: parameter for parameter in dataset.parameters}
+    exported = [
+        ExportedParameter(
+            refit.name, paths[refit.name].unit if refit.name in paths else "", refit.final, None, None, "refitted"
+        )
+        for refit in diagnosis.believed
+    ]
+    for effect in diagnosis.effects:
+        for name, estimate in effect.parameters.items():
+            ends = _ends(diagnosis.effects, effect, name, mended)
+            exported.append(
+                ExportedParameter(
+                    f"{effect.name} {name}",
+                    estimate.unit,
+                    estimate.value,
+                    estimate.low,
+                    estimate.high,
+                    "named effect; 90 % interval" + ("" if ends else "; needs mended.json in a simulation"),
+                    ends,
+                )
+            )
+    write_exports(folder, exported)
+
+
+def _ends(effects: Sequence[NamedEffect], chosen: NamedEffect, parameter: str, mended: Mend) -> Ends:
+    """Numbers of the mended model that a parameter moves within its interval; none where MJCF has no such term."""
+    estimate = chosen.parameters[parameter]
+    models = []
+    for value in (estimate.low, estimate.high, estimate.value):
+        found = []
+        for effect in effects:
+            values = {name: one.value for name, one in effect.parameters.items()}
+            changed = values | {parameter: value} if effect is chosen else values
+            found.append(FoundEffect(effect.effect, effect.location, changed))
+        made = mended(found)
+        if chosen.name not in made.native or made.notes:
+            return {}
+        try:
+            models.append(mujoco.MjModel.from_xml_string(made.xml))
+        except ValueError:  # an end of the interval that MuJoCo refuses, such as a negative mass
+            return {}
+    ends = field_ends(models[0], models[1])
+    share = (estimate.value - estimate.low) / (estimate.high - estimate.low) if estimate.high > estimate.low else 0.0
+    return ends if is_linear(ends, share, models[0], models[2]) else {}
