@@ -17,7 +17,7 @@ import btr_mjx
 
 PACKAGE = Path(btr_mjx.__file__).parent
 ORDER = (
-    *("errors", "runs", "robots", "models", "engines", "evaluation", "optimise"),
+    *("errors", "runs", "robots", "models", "engines", "evaluation", "cluster", "optimise"),
     *("gap.data", "gap.simulate", "gap.effects", "gap.preflight", "gap.windows", "gap.results", "gap.inference"),
     *("backtoreality", "plotting", "gap.report", "gap.fitness_only", "gap.experiments", "gap", "testing", "commands"),
 )
