@@ -3,19 +3,10 @@
 `evaluate_blocks` evaluates all pairs of (simulations, controllers) block by block; `iterate_blocks` yields the blocks,
 for tables that no memory holds. `connect` reaches a cluster by the text of --cluster, and `map_cases` maps any function
 over cases on it. Dask is needed only where a cluster is named (pip install "btr-mjx[cluster]").
+
+Names load on first use (`__init__.pyi` lists them): a scheduler, which loads tasks, does not load JAX.
 """
 
-from btr_mjx.cluster.blocks import BlockSettings, PairBlock, PairTable, evaluate_blocks, iterate_blocks
-from btr_mjx.cluster.connection import check_cluster, connect
-from btr_mjx.cluster.mapping import map_cases
+import lazy_loader
 
-__all__ = [
-    "BlockSettings",
-    "PairBlock",
-    "PairTable",
-    "check_cluster",
-    "connect",
-    "evaluate_blocks",
-    "iterate_blocks",
-    "map_cases",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

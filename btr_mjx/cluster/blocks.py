@@ -179,13 +179,13 @@ def iterate_blocks(
     elif left:
         expected = files_digest(robot)
         places = {f"block-{name}": (name, rows, columns) for name, rows, columns in left}
-        tasks = ((key, (s[rows], c[columns])) for key, (_, rows, columns) in places.items())
+        tasks = ((f"block-{name}", (s[rows], c[columns])) for name, rows, columns in left)
         with connect(blocks.cluster) as client:
             function = partial(_compute_there, expected, compute)
             for key, arrays in map_tasks(
                 client, function, tasks, limit=blocks.limit, jax_backend=chosen != "native", idle=lambda: step(0)
             ):
-                name, rows, columns = places.pop(key)
+                name, rows, columns = places[key]
                 files.write(name, arrays)
                 step(arrays["fitness"].size)
                 yield block(name, rows, columns, arrays)

@@ -68,7 +68,7 @@ def connect(cluster: Any, timeout: float = CONNECT_TIMEOUT) -> Iterator[Any]:
         return
     kind, value = check_cluster(cluster)
     with _local_client(int(value)) if kind == "local" else _remote_client(cluster, kind, value, timeout) as client:
-        note(f"cluster {cluster}: dashboard at {client.dashboard_link}")
+        note(f"cluster {cluster}: dashboard at {client.dashboard_link or '(off)'}")
         if not client.nthreads():
             note(f"cluster {cluster} has no workers yet: waiting for the first")
         yield client
@@ -81,13 +81,16 @@ def _local_client(workers: int) -> Iterator[Any]:
 
     from btr_mjx.cluster.core_share import CoreShare
 
-    settings = {"distributed.scheduler.allowed-failures": 100, "distributed.worker.multiprocessing-method": "spawn"}
+    settings = {"distributed.scheduler.allowed-failures": 10, "distributed.worker.multiprocessing-method": "spawn"}
     with (
         dask.config.set(settings),
-        _quiet("distributed.nanny", "distributed.scheduler", "distributed.worker"),
-        # A worker's memory is not limited: what JAX compiles would count, and blocks are small.
         LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=True, memory_limit=0, dashboard_address="127.0.0.1:0"
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=0,  # what JAX compiles would count, and blocks are small
+            dashboard_address="127.0.0.1:0",
+            silence_logs=logging.CRITICAL,  # lost workers are expected, and reported in one line where they matter
         ) as local,
         Client(local) as client,
     ):
@@ -101,8 +104,7 @@ def _remote_client(cluster: str, kind: str, value: str, timeout: float) -> Itera
 
     address = value if kind == "address" else _address_in(Path(value), timeout)
     try:
-        with _quiet("distributed.client"):
-            client = Client(address, timeout=timeout, set_as_default=False)
+        client = Client(address, timeout=timeout, set_as_default=False)
     except (OSError, ValueError, ImportError) as error:
         raise InputError(
             f"--cluster {cluster}: no scheduler answers at {address} within {timeout:g} s; start one with "
@@ -126,17 +128,3 @@ def _address_in(path: Path, timeout: float) -> str:
         return str(json.loads(path.read_bytes())["address"])
     except (ValueError, KeyError, TypeError):
         raise InputError(f'--cluster file:{path}: not a scheduler file, expected JSON with an "address"') from None
-
-
-@contextmanager
-def _quiet(*names: str) -> Iterator[None]:
-    """Only errors of some loggers: lost workers are expected here, and reported in one line where they matter."""
-    loggers = [logging.getLogger(name) for name in names]
-    before = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        for logger, level in zip(loggers, before, strict=True):
-            logger.setLevel(level)

@@ -22,8 +22,8 @@ from btr_mjx.runs import note
 _POLL = 1.0
 """Time between two looks at the cluster [s]."""
 
-_ATTEMPTS = 10
-"""Number of times that a task is sent after the workers that ran it were killed."""
+_ATTEMPTS = 4
+"""Number of times that a task is sent; each time Dask itself tries again after `allowed-failures` lost workers."""
 
 
 @dataclass
@@ -36,7 +36,12 @@ class _Task:
 
 
 def map_cases(
-    function: Callable[[Any], Any], cases: Iterable[Any], cluster: Any, *, limit: float | None = None
+    function: Callable[[Any], Any],
+    cases: Iterable[Any],
+    cluster: Any,
+    *,
+    limit: float | None = None,
+    jax_backend: bool = False,
 ) -> Iterator[tuple[Any, Any]]:
     """Map a function over cases on a cluster, or in this process.
 
@@ -46,6 +51,7 @@ def map_cases(
       cases: the cases; equal ones are computed once.
       cluster: see `connect`; None calls the function here.
       limit: time after which a case is given to another worker as well [s]; None for no limit.
+      jax_backend: whether results depend on JAX, so that its device and precision must be the client's.
 
     Yields:
       A case and its result, in the order in which they end.
@@ -60,7 +66,7 @@ def map_cases(
     named = {f"case-{digest_of(case)}": case for case in cases}
     with connect(cluster) as client:
         tasks = ((name, (case,)) for name, case in named.items())
-        for name, result in map_tasks(client, function, tasks, limit=limit, jax_backend=False):
+        for name, result in map_tasks(client, function, tasks, limit=limit, jax_backend=jax_backend):
             yield named[name], result
 
 
