@@ -79,7 +79,7 @@ def _local_client(workers: int) -> Iterator[Any]:
     import dask
     from distributed import Client, LocalCluster
 
-    from btr_mjx.cluster.core_share import CoreShare
+    from btr_mjx.cluster.local_worker import LocalWorker
 
     settings = {"distributed.scheduler.allowed-failures": 10, "distributed.worker.multiprocessing-method": "spawn"}
     with (
@@ -94,7 +94,7 @@ def _local_client(workers: int) -> Iterator[Any]:
         ) as local,
         Client(local) as client,
     ):
-        client.register_plugin(CoreShare(workers))
+        client.register_plugin(LocalWorker(workers))
         yield client
 
 
