@@ -1,8 +1,9 @@
-"""Speed of two local workers against one, and memory of large scans: `uv run python benchmarks/cluster.py`.
+"""Local workers against one, the rate of tasks, and memory of large scans: `uv run python benchmarks/cluster.py`.
 
 Speed: every worker owns one core. One and two workers evaluate tables of equal size in turn, so that other load on the
-machine affects both; the ratio is the median over the rounds. Memory: peak of the command `btr_mjx.scan` with 10^4 and
-10^6 pairs of ten steps, each in a process of its own.
+machine affects both; the ratio is the median over the rounds. Then tasks that do nothing, for the rate at which client
+and scheduler handle tasks, on the same two cores. Files: time to write a block and to read it again. Memory: peak of
+the command `btr_mjx.scan` with 10^4 and 10^6 pairs of ten steps, each in a process of its own.
 """
 
 import os
@@ -10,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +20,8 @@ from typing import Any
 import numpy as np
 import tyro
 
-from btr_mjx.cluster import BlockSettings, connect, evaluate_blocks
+from btr_mjx.cluster import BlockSettings, connect, evaluate_blocks, map_cases
+from btr_mjx.cluster.block_files import BlockFiles
 from btr_mjx.errors import InputError, cli_errors
 from btr_mjx.models import base_model
 from btr_mjx.robots import Robot, hexapod
@@ -27,6 +29,8 @@ from btr_mjx.runs import available_cores, describe_environment, write_json
 
 AIM = 1.7
 """Aim for the speed of two workers in units of that of one."""
+TASKS = 2000
+"""Tasks that do nothing."""
 GRIDS = (100, 1000)
 """Simulations, and as many controllers, of the scans whose memory is measured."""
 SCAN = ("--behaviours=random", "--duration=0.005", "--no-figures", "--no-progress")
@@ -45,7 +49,9 @@ class Config:
     rounds: int = 5
     """Rounds; one worker and two workers run once a round."""
     speed: bool = True
-    """Measure the speed."""
+    """Measure the speed and the rate of tasks."""
+    files: bool = True
+    """Measure the files of blocks."""
     memory: bool = True
     """Measure the memory."""
     json: Path | None = None
@@ -78,8 +84,16 @@ def speed(config: Config) -> dict[str, Any]:
             for name, client in clients.items():
                 took = seconds(robot, config.pairs, config.block, client, number)
                 rates[name].append(config.pairs / took)
+        begun = time.perf_counter()
+        empty = TASKS / (sum(1 for _ in map_cases(abs, range(TASKS), two)) and time.perf_counter() - begun)
     ratios = np.array(rates["two"]) / np.array(rates["one"])
-    return {"pairs_per_s": rates, "ratios": ratios.tolist(), "ratio": float(np.median(ratios)), "steps": config.steps}
+    return {
+        "pairs_per_s": rates,
+        "ratios": ratios.tolist(),
+        "ratio": float(np.median(ratios)),
+        "tasks_per_s": empty,
+        "steps": config.steps,
+    }
 
 
 def seconds(robot: Robot, pairs: int, block: int, client: Any, seed: int) -> float:
@@ -89,6 +103,27 @@ def seconds(robot: Robot, pairs: int, block: int, client: Any, seed: int) -> flo
     begun = time.perf_counter()
     evaluate_blocks(robot, simulations, controllers, engine="lanes", blocks=BlockSettings(size=block, cluster=client))
     return time.perf_counter() - begun
+
+
+def block_file(side: int, repeats: int = 20) -> dict[str, float]:
+    """Size [bytes] of the file of side x side pairs, and median times of writing and reading it [s]."""
+    arrays: dict[str, np.ndarray] = {
+        "fitness": np.zeros((side, side)),
+        "diverged": np.zeros((side, side), bool),
+        "solver_capped": np.zeros((side, side), np.int32),
+    }
+    times = []
+    with tempfile.TemporaryDirectory(dir=Path.cwd()) as folder:
+        kept = BlockFiles(Path(folder))
+        for name in (f"{i:064d}" for i in range(repeats)):
+            begun = time.perf_counter()
+            kept.write(name, arrays)
+            written = time.perf_counter()
+            kept.read(name)
+            times.append((written - begun, time.perf_counter() - written))
+        size = (Path(folder) / f"{name}.npz").stat().st_size
+    write, read = np.median(times, axis=0)
+    return {"bytes": size, "write_s": float(write), "read_s": float(read)}
 
 
 def memory() -> dict[str, float]:
@@ -117,7 +152,15 @@ def main(config: Config) -> None:
             for name, rates in found["pairs_per_s"].items():
                 print(f"{name} worker(s) of one core: {np.median(rates):,.0f} pairs/s of {config.steps} steps")
             low, high = min(found["ratios"]), max(found["ratios"])
+            print(f"{found['tasks_per_s']:,.0f} empty tasks per second")
             print(f"two are {found['ratio']:.2f} times as fast ({low:.2f} to {high:.2f} by round; aim {AIM})")
+        if config.files:
+            numbers["files"] = {str(side**2): block_file(side) for side in (64, 256)}
+            for pairs, one in numbers["files"].items():
+                print(
+                    f"file of a block of {pairs} pairs: {one['bytes'] / 2**10:,.0f} KiB, "
+                    f"written in {1e3 * one['write_s']:.1f} ms, read in {1e3 * one['read_s']:.1f} ms"
+                )
         if config.memory:
             numbers["peak_memory_mib"] = memory()
             for pairs, peak in numbers["peak_memory_mib"].items():

@@ -205,6 +205,7 @@ def tiles(rows: int, columns: int, size: int) -> Iterator[tuple[slice, slice]]:
     """Tiles of a table (rows, columns) of at most `size` pairs each, as square as its shape allows, row by row."""
     side = math.isqrt(size)
     wide = min(columns, max(side, size // min(rows, side)))
+    wide = math.ceil(columns / math.ceil(columns / wide))  # tiles of one width rather than a narrow last one
     tall = min(rows, size // wide)
     for top in range(0, rows, tall):
         for left in range(0, columns, wide):
