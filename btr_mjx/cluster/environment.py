@@ -18,18 +18,13 @@ class DifferentWorker(InputError):
     """A worker whose results could differ from those of the client in the last bits."""
 
 
-@cache
 def numerical_environment(jax_backend: bool) -> Mapping[str, str]:
     """What results depend on in this process.
 
     Args:
       jax_backend: also the device and precision of JAX, which starts its backend.
     """
-    versions = describe_environment([])["versions"]
-    found = {name: str(versions[name]) for name in ("btr-mjx", "mujoco", "jax", "jaxlib", "numpy")}
-    found["btr-mjx"] += f" (code {_code_digest()})"
-    found["python"] = "{}.{}".format(*sys.version_info)
-    found["processor"] = f"{platform.machine()} with {vector_width(_cpuinfo())}"
+    found = dict(_fixed())
     if jax_backend:
         import jax
 
@@ -61,6 +56,17 @@ def check_environment(client: Mapping[str, str], where: str) -> None:
         )
 
 
+@cache
+def _fixed() -> Mapping[str, str]:
+    """What does not change while a process runs."""
+    versions = describe_environment([])["versions"]
+    found = {name: str(versions[name]) for name in ("btr-mjx", "mujoco", "jax", "jaxlib", "numpy")}
+    found["btr-mjx"] += f" (code {_code_digest()})"
+    found["python"] = "{}.{}".format(*sys.version_info)
+    found["processor"] = f"{platform.machine()} with {vector_width(_cpuinfo())}"
+    return found
+
+
 def vector_width(cpuinfo: str) -> str:
     """Width of a processor's vectors, from the text of /proc/cpuinfo."""
     flags = next((set(line.split()) for line in cpuinfo.splitlines() if line.startswith(("flags", "Features"))), set())
@@ -74,7 +80,6 @@ def _cpuinfo() -> str:
         return ""
 
 
-@cache
 def _code_digest() -> str:
     """Digest of this package's modules: checkouts of different commits may have the same version."""
     package, total = Path(__file__).parent.parent, hashlib.sha256()

@@ -22,6 +22,9 @@ from btr_mjx.runs import note
 _POLL = 1.0
 """Time between two looks at the cluster [s]."""
 
+_FETCH_TIMEOUT = 60.0
+"""Time within which a finished result must arrive from its worker [s]; it may have hung just then."""
+
 _ATTEMPTS = 4
 """Number of times that a task is sent; each time Dask itself tries again after `allowed-failures` lost workers."""
 
@@ -29,8 +32,10 @@ _ATTEMPTS = 4
 @dataclass
 class _Task:
     arguments: bytes
+    sent: int = 0
+    """Number of attempts."""
     futures: dict[str, Any] = field(default_factory=dict)
-    """Key of an attempt -> its future."""
+    """Key of an attempt that has not failed -> its future."""
     begun: dict[str, tuple[str, float]] = field(default_factory=dict)
     """Key of an attempt -> the worker that has it, and since when [s]."""
 
@@ -103,8 +108,8 @@ def map_tasks(
 
     def send(name: str, workers: list[str] | None = None) -> None:
         task = waiting[name]
-        key = f"{name}-{call.digest}-{len(task.futures)}"
-        names[key] = name
+        key = f"{name}-{call.digest}-{task.sent}"
+        names[key], task.sent = name, task.sent + 1
         task.futures[key] = call.submit(key, task.arguments, workers)
         task.futures[key].add_done_callback(answers.put)
 
@@ -127,18 +132,19 @@ def map_tasks(
             if name not in waiting:
                 continue  # nothing, or a later answer
             task = waiting[name]
-            if future.status == "finished":
-                worker, result = future.result()
-                suspects.discard(worker)
-                del waiting[name]
-                for key, other in task.futures.items():
-                    if key != future.key:
-                        other.cancel()
-                del future, task  # the cluster need not keep the result
-                yield name, result
-            else:
-                _check_failure(future, name, len(task.futures))
-                send(name)
+            del task.futures[future.key]
+            answer = _answer(future, name, task.sent)
+            if answer is None:
+                if not task.futures:
+                    send(name)
+                continue
+            worker, result = answer
+            suspects.discard(worker)
+            del waiting[name]
+            for other in task.futures.values():
+                other.cancel()
+            del future, task, answer  # the cluster need not keep the result
+            yield name, result
 
 
 def _look(
@@ -186,16 +192,21 @@ class _Calls:
         )
 
 
-def _check_failure(future: Any, name: str, attempts: int) -> None:
-    """Raise the error of a failed task, unless it should be sent again."""
+def _answer(future: Any, name: str, attempts: int) -> tuple[str, Any] | None:
+    """A worker's address and its result; None where the task should be sent again. Raises a task's error."""
     from distributed import KilledWorker
 
+    if future.status == "finished":
+        try:
+            return future.result(timeout=_FETCH_TIMEOUT)
+        except TimeoutError:
+            return None
     if future.status != "error":
         raise InputError(_LOST)
     error = future.exception()
     if isinstance(error, KilledWorker):
         if attempts < _ATTEMPTS:
-            return
+            return None
         raise InputError(
             f"{name}: its workers were killed {attempts} times, perhaps for lack of memory; see their logs"
         )
