@@ -28,6 +28,7 @@ import mujoco
 import numpy as np
 import tyro
 
+from btr_mjx.cluster import check_cluster, map_cases
 from btr_mjx.errors import cli_errors
 from btr_mjx.gap.data import load
 from btr_mjx.gap.effects import EFFECTS
@@ -58,6 +59,8 @@ class Config:
     """Only cases with effects of the library: no nulls, nothing outside the library."""
     workers: int = 1
     """Number of processes that make cases, and of those that solve them; several solvers get one core each."""
+    cluster: str | None = None
+    """Use a Dask cluster whose workers see the same files: local:N, tcp://HOST:PORT or file:SCHEDULER.json."""
     out: Path | None = None
     """Folder of the files; by default runs/blind_gap-<robot>-<effects>-<seed>."""
     json: Path | None = None
@@ -252,7 +255,11 @@ def run(config: Config, folder: Path) -> Iterator[int]:
             yield index
         else:
             left.append(Files(folder, index))
-    yield from scheduled(left, partial(make, config), partial(work, config), config.workers, folder / "failed")
+    steps = (partial(make, config), partial(work, config))
+    if config.cluster is None:
+        yield from scheduled(left, *steps, config.workers, folder / "failed")
+    else:
+        yield from on_cluster(left, *steps, config.cluster, folder / "failed")
 
 
 def scheduled[F: Files](
@@ -299,14 +306,41 @@ def scheduled[F: Files](
                 stage, files = pending.pop(task)
                 failure = task.exception()
                 if failure is not None:
-                    note(f"case {files.name} failed: {type(failure).__name__}: {failure}")
-                    write_json(failed / f"{files.name}.json", {"error": f"{type(failure).__name__}: {failure}"})
+                    report_failure(files, f"{type(failure).__name__}: {failure}", failed)
                     feed()
                 elif stage == "made":
                     pending[solvers.submit(work, files)] = ("solved", files)
                 else:
                     yield files.index
                     feed()
+
+
+def on_cluster[F: Files](
+    left: Sequence[F], make: Callable[[F], None], work: Callable[[F], None], cluster: str, failed: Path
+) -> Iterator[int]:
+    """The same as `scheduled` on a cluster: one task makes a case, then solves it from its data alone."""
+    for files, failure in map_cases(partial(make_and_work, make, work), left, cluster):
+        if failure:
+            report_failure(files, failure, failed)
+        else:
+            yield files.index
+
+
+def make_and_work[F: Files](make: Callable[[F], None], work: Callable[[F], None], files: F) -> str:
+    """Make a case, unless that was done, and solve it; returns its error, which must not stop the other cases."""
+    try:
+        if not (files.truth.is_file() and files.data.is_dir()):
+            make(files)
+        work(files)
+    except Exception as error:
+        return f"{type(error).__name__}: {error}"
+    return ""
+
+
+def report_failure(files: Files, failure: str, failed: Path) -> None:
+    """Print and keep the error of a case."""
+    note(f"case {files.name} failed: {failure}")
+    write_json(failed / f"{files.name}.json", {"error": failure})
 
 
 def table(folder: Path, cases: int) -> list[dict[str, Any]]:
@@ -356,8 +390,12 @@ def main() -> None:
     """Entry point."""
     config = tyro.cli(Config, description=__doc__)
     with cli_errors():
+        if config.cluster is not None:
+            check_cluster(config.cluster)
         folder = config.out or Path("runs") / f"blind_gap-{config.robot}-{config.effects}-{config.seed}"
-        key = {k: v for k, v in to_plain(config).items() if k not in ("cases", "workers", "out", "json")}
+        folder = folder.absolute()  # workers may run in another folder
+        unrelated = ("cases", "workers", "cluster", "out", "json")
+        key = {k: v for k, v in to_plain(config).items() if k not in unrelated}
         if (folder / "config.json").is_file() and read_json(folder / "config.json") != key:
             print(f"error: {folder} holds cases of other settings; choose another --out", file=sys.stderr)
             raise SystemExit(2)

@@ -33,12 +33,13 @@ import tyro
 from scipy.stats import binomtest
 
 import btr_mjx
+from btr_mjx.cluster import check_cluster
 from btr_mjx.errors import InputError, cli_errors
 from btr_mjx.runs import describe_environment, progress, read_json, write_json
 from btr_mjx.testing import case_robot
 
 ROOMS_OUTSIDE_SEARCH = (
-    *("backtoreality", "engines", "evaluation", "optimise", "plotting", "testing"),
+    *("backtoreality", "cluster", "engines", "evaluation", "optimise", "plotting", "testing"),
     *("gap/experiments", "gap/fitness_only", "gap/preflight", "gap/report"),
 )
 """Rooms that the search does not import. It does not import the commands either, which are the files at the top."""
@@ -70,6 +71,8 @@ class Config:
     """A number of its own for every joint is missing, nothing else."""
     workers: int = 2
     """Number of processes that make cases, and of those that solve them; several solvers get one core each."""
+    cluster: str | None = None
+    """Use a Dask cluster whose workers see the same files: local:N, tcp://HOST:PORT or file:SCHEDULER.json."""
     out: Path = Path("runs/naming_gate")
     """Folder of the cases and of the answers of all versions."""
     against: str | None = None
@@ -269,13 +272,20 @@ def gate(config: Config) -> dict[str, Any]:
             raise InputError(f"--{name}: got {getattr(config, name)}, expected at least {least}")
     if config.duration is not None and not config.duration > 0:
         raise InputError(f"--duration: got {config.duration}, expected more than 0 s")
+    if config.cluster is not None:
+        check_cluster(config.cluster)
     other = None if config.against is None else earlier(config)
     prefix = f"{config.robot}-{config.seed}" + ("-pairs" if config.effects > 1 else "-each" if config.each else "")
     prefix += f"-{config.duration:g}s" if config.duration else ""
-    cases = [Files(config.out, index, prefix, CODE) for index in range(config.cases)]
+    folder = config.out.absolute()  # workers of a cluster may run in another folder
+    cases = [Files(folder, index, prefix, CODE) for index in range(config.cases)]
     missing = [files for files in cases if cached(files) is None]
     if missing:
-        solved = blind_gap.scheduled(missing, partial(make, config), work, config.workers, config.out / "failed" / CODE)
+        failed, steps = config.out / "failed" / CODE, (partial(make, config), work)
+        if config.cluster is None:
+            solved = blind_gap.scheduled(missing, *steps, config.workers, failed)
+        else:
+            solved = blind_gap.on_cluster(missing, *steps, config.cluster, failed)
         with progress(total=len(missing), description=f"code {CODE}", unit="cases", show=True) as bar:
             for _ in solved:
                 bar.update(1)

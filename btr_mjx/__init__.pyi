@@ -1,4 +1,4 @@
-from . import coevolve, scan
+from . import cluster, coevolve, scan
 from .backtoreality import Reality, SimulatedReality
 from .errors import InputError
 from .evaluation import (
@@ -27,6 +27,7 @@ __all__ = [
     "Robot",
     "SimulatedReality",
     "Trajectory",
+    "cluster",
     "coevolve",
     "evaluate",
     "hexapod",

@@ -10,7 +10,8 @@ In a notebook:
 One compiled program serves any number of simulations and controllers; what is compiled for one scan serves the next.
 
 The run folder of the command holds scan.npz (parameter, grid, truth, controllers, fitness, f_r, delta, delta_fitness),
-result.json (the statistics) and scan.png.
+result.json (the statistics), scan.png, and in blocks/ the fitness of blocks of pairs, written as they are done: a scan
+that was killed continues with --resume. With --cluster the blocks are computed on a Dask cluster (docs/scaling.md).
 """
 
 import sys
@@ -29,9 +30,9 @@ from btr_mjx.backtoreality import (
     delta_fitness,
     run_scan,
 )
-from btr_mjx.errors import cli_errors
+from btr_mjx.errors import InputError, cli_errors, resume_command
 from btr_mjx.plotting import draw_scan
-from btr_mjx.runs import RunFolder, progress, write_arrays, write_json
+from btr_mjx.runs import IGNORED_FIELDS, RunFolder, progress, write_arrays, write_json
 
 __all__ = ["ScanConfig", "along", "curve_statistics", "delta", "delta_fitness", "main", "run_scan"]
 
@@ -40,14 +41,18 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
     argv = sys.argv[1:] if argv is None else list(argv)
     config = tyro.cli(ScanConfig, args=list(argv), description=__doc__, prog="btr_mjx.scan")
-    with cli_errors():
+    resume = None if config.out is None else resume_command("btr_mjx.scan", argv)
+    with cli_errors(resume):
+        if config.resume and config.out is None:
+            raise InputError("--resume: say which scan to continue with --out FOLDER")
         check_scan(config)
         evolved = 0 if config.behaviours == "random" else config.controllers * config.generations
         total = evolved + config.trials * (config.grid + 1)
         if config.out is None:
             arrays, result = _with_bar(config, total)
         else:
-            with RunFolder.create(config.out, config) as run:
+            ignore = (*IGNORED_FIELDS, "cluster", "block_limit", "figures")
+            with RunFolder.create(config.out, config, config.resume, ignore=ignore) as run:
                 arrays, result = _with_bar(config, total)
                 write_arrays(run.path / "scan.npz", arrays)
                 write_json(run.path / "result.json", result)

@@ -48,6 +48,8 @@ class Config:
     """Show a progress bar."""
     engine: Literal["auto", "lanes", "mjx", "native"] = "auto"
     """How simulations are computed; auto takes the fastest that can."""
+    cluster: str | None = None
+    """Compute units on a Dask cluster: local:N, tcp://HOST:PORT or file:SCHEDULER.json."""
     duration: float = 1.7
     """T_e, duration of a trial [s]."""
     horizon: float = 0.2

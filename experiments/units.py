@@ -14,10 +14,12 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from common import Config
 
+from btr_mjx.cluster import map_cases
 from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.runs import (
     IGNORED_FIELDS,
@@ -37,7 +39,7 @@ from btr_mjx.runs import (
 Arrays = dict[str, np.ndarray]
 Step = Callable[[float], object]
 
-IGNORED = (*IGNORED_FIELDS, "seeds", "parts", "truths", "draw_only")
+IGNORED = (*IGNORED_FIELDS, "cluster", "seeds", "parts", "truths", "draw_only")
 """Settings that may differ on resume: more seeds, or parts, are more units."""
 
 ASSUMED_RATE = 400.0
@@ -164,12 +166,26 @@ def run_units(config: Config, units: Sequence[Unit], description: str) -> int:
             note(f"{description}: {len(left)} of {len(units)} units left, {estimate(total)}")
         with progress(total=round(total), description=description, unit="trials", show=config.progress) as bar:
             step = whole_steps(bar.update)
+            if config.cluster is not None:
+                units_by_name = {unit.name: unit for unit in left}
+                compute = lambda name: compute_whole(units_by_name[name])  # noqa: E731
+                for name, arrays in map_cases(compute, units_by_name, config.cluster, jax_backend=True):
+                    write_arrays(folder / f"{name}.npz", arrays)
+                    step(units_by_name[name].trials)
+                    stop.checkpoint()
+                return len(left)
             for unit in left:
                 bar.set_description(f"{description} {unit.name}")
                 arrays = unit.work(step, Journal(run, unit.name, step, stop))
                 write_arrays(folder / f"{unit.name}.npz", arrays)
                 stop.checkpoint()
     return len(left)
+
+
+def compute_whole(unit: Unit) -> Arrays:
+    """The arrays of a unit, computed without a journal; on a cluster a lost unit is computed again from its start."""
+    journal: Any = lambda compute, trials: np.asarray(compute())  # noqa: E731
+    return unit.work(lambda trials: None, journal)
 
 
 def whole_steps(update: Callable[[int], object]) -> Step:

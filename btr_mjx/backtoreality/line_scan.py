@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from btr_mjx.backtoreality.controller_search import evolve_controllers, select_transferable
 from btr_mjx.backtoreality.setting_checks import check_settings
 from btr_mjx.backtoreality.state import Progress, SearchSettings
+from btr_mjx.cluster import BlockSettings, evaluate_blocks
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import (
     DISTANCE,
@@ -135,6 +136,14 @@ class ScanConfig:
     """Its value in reality; by default the paper's for bl_14 (1.6) and bl_5 (0.88), else the nominal value."""
     out: Path | None = None
     """Run folder; without it the statistics are printed and nothing is saved."""
+    resume: bool = False
+    """Continue the scan in --out: blocks of pairs that are there are not computed again."""
+    block: int = 4096
+    """Pairs per block, the unit that is saved and, on a cluster, given to a worker."""
+    cluster: str | None = None
+    """Compute on a Dask cluster: local:N (N workers on this machine), tcp://HOST:PORT or file:SCHEDULER.json."""
+    block_limit: float = 900.0
+    """Time after which a block is given to another worker of the cluster as well [s]."""
     seed: int = 0
     """Seed of everything random."""
     engine: Literal["auto", "lanes", "mjx", "native"] = "auto"
@@ -203,15 +212,17 @@ def run_scan(config: ScanConfig, step: Progress | None = None) -> tuple[dict[str
     reality = along(robot, parameter, [truth])
     engine = _engine(config)
     f_r = evaluate(robot, reality, controllers, engine=engine, fitness=function, progress=step).fitness[0]
-    evaluation = evaluate(robot, line, controllers, engine=engine, fitness=function, progress=step)
-    deltas = delta_of(evaluation.fitness, f_r)
+    table = evaluate_blocks(
+        robot, line, controllers, engine=engine, fitness=function, blocks=block_settings(config), progress=step
+    )
+    deltas = delta_of(table.fitness, f_r)
     grid = line[:, robot.simulation_box.index(parameter)]
     arrays = {
         "parameter": np.array(parameter),
         "grid": grid,
         "truth": np.array(truth),
         "controllers": controllers,
-        "fitness": evaluation.fitness,
+        "fitness": table.fitness,
         "f_r": f_r,
         "delta": deltas,
         "delta_fitness": deltas.mean(axis=1),
@@ -219,9 +230,9 @@ def run_scan(config: ScanConfig, step: Progress | None = None) -> tuple[dict[str
     result = {
         **curve_statistics(grid, arrays["delta_fitness"], truth),
         "pairs": int(deltas.size),
-        "diverged": int(evaluation.diverged.sum()),
-        "solver_capped_steps": int(evaluation.solver_capped.sum()),
-        "engine": evaluation.engine,
+        "diverged": int(table.diverged.sum()),
+        "solver_capped_steps": int(table.solver_capped.sum()),
+        "engine": table.engine,
         "parameter_unit": robot.simulation_box.units[robot.simulation_box.index(parameter)],
         "fitness_unit": function.unit,
     }
@@ -253,7 +264,18 @@ def check_scan(config: ScanConfig) -> tuple[Robot, float]:
                 f"trials m = {config.trials}: expected fewer than the controller population M = {config.controllers}"
             )
     fitness_function(config.fitness or robot.fitness, robot.target)
+    block_settings(config)
     return robot, float(truth)
+
+
+def block_settings(config: ScanConfig) -> BlockSettings:
+    """How the pairs of a scan are divided; their blocks are kept in the run folder.
+
+    Raises:
+      InputError: bad settings, or a cluster without Dask.
+    """
+    folder = None if config.out is None else config.out / "blocks"
+    return BlockSettings(folder, config.block, config.cluster, config.block_limit)
 
 
 def scanned(config: ScanConfig, robot: Robot) -> str:

@@ -1,6 +1,6 @@
 from . import metrics
 from .distances import MARKS, fitness_at_marks, multiscale_fitness
-from .evaluation import Engine, EngineSettings, Evaluation, base_address, evaluate
+from .evaluation import Engine, EngineSettings, Evaluation, base_address, evaluate, fastest_engine
 from .fitness import (
     DISTANCE,
     FITNESS_FUNCTIONS,
@@ -29,6 +29,7 @@ __all__ = [
     "delta_fitness_of",
     "delta_of",
     "evaluate",
+    "fastest_engine",
     "fitness_at_marks",
     "fitness_function",
     "foot_bodies",

@@ -79,6 +79,33 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     assert "spearman" in capsys.readouterr().out
 
 
+def test_resume_computes_what_is_missing(
+    tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    flags = [*SMALL, "--block=6", "--no-figures", "--out=run"]
+    scan.main(flags)
+    saved = {path: path.read_bytes() for path in Path("run").rglob("*.*z*")}
+    blocks = sorted(Path("run/blocks").iterdir())
+    assert len(blocks) == 3
+    Path("run/scan.npz").unlink()
+    blocks[0].unlink()
+    blocks[1].write_bytes(b"damaged")
+    capsys.readouterr()
+    scan.main([*flags, "--resume"])
+    assert {path: path.read_bytes() for path in Path("run").rglob("*.*z*")} == saved
+    warnings = [line for line in capsys.readouterr().err.splitlines() if "warning" in line]
+    assert len(warnings) == 1
+    assert blocks[1].name in warnings[0]
+    for wrong, word in ((["--resume", "--trials=4"], "trials: saved 3, now 4"), ([], "--resume")):
+        with pytest.raises(SystemExit):
+            scan.main([*flags, *wrong])
+        assert word in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        scan.main([*SMALL, "--resume"])
+    assert "--out FOLDER" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("behaviours", ["mutants", "random"])
 def test_other_behaviours(behaviours: str, tmp_path: Path) -> None:
     scan.main([*SMALL, "--behaviours", behaviours, "--p-m", "0.2", "--out", str(tmp_path / "s"), "--no-figures"])
@@ -95,6 +122,9 @@ def test_other_behaviours(behaviours: str, tmp_path: Path) -> None:
         (["--trials", "6"], ["m = 6", "M = 6"]),
         (["--p-m", "2"], ["p_m", "2"]),
         (["--fitness", "beauty"], ["beauty", "distance"]),
+        (["--cluster", "slurm"], ["--cluster", "slurm", "local:N", "tcp://HOST:PORT"]),
+        (["--block", "0"], ["size 0", "at least 1"]),
+        (["--resume"], ["nothing to resume", "never"]),
     ],
 )
 def test_bad_input_is_one_line(

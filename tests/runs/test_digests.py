@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from btr_mjx.runs import content_digest
+from btr_mjx.errors import InputError
+from btr_mjx.runs import content_digest, load_object
 
 
 @dataclass(frozen=True)
@@ -84,10 +85,28 @@ def test_unknown_content():
     class Slot:
         __slots__ = ("x",)
 
-    assert content_digest(Slot()) == content_digest(Slot())
+    with pytest.raises(InputError, match="use a dataclass"):
+        content_digest(Slot())
     numbers = iter(range(9))
     assert len({content_digest(Slot(), unknown=lambda _: bytes([next(numbers)])) for _ in range(2)}) == 2
     loop: list = []
     loop.append(loop)
     with pytest.raises(RecursionError):
         content_digest(loop)
+
+
+def test_functions_count_by_what_they_do(tmp_path):
+    """Also through another function or a number of their file; not by lines around them."""
+    text = "FACTOR = {factor}\ndef helper(x):\n    return x {sign} 1\n"
+    text += "def own(outcome):\n    return FACTOR * helper(outcome)\n"
+
+    def digest(name, text):
+        (tmp_path / name).mkdir(exist_ok=True)
+        (tmp_path / name / "a.py").write_text(text)
+        return content_digest(load_object(f"{tmp_path / name / 'a.py'}:own", "fitness"))
+
+    first = digest("first", text.format(factor=1, sign="+"))
+    assert digest("again", "UNUSED = 3\n" + text.format(factor=1, sign="+")) == first
+    assert digest("factor", text.format(factor=2, sign="+")) != first
+    assert digest("sign", text.format(factor=1, sign="-")) != first
+    assert content_digest(partial(max, 1)) != content_digest(partial(max, 2))
