@@ -31,8 +31,10 @@ from btr_mjx.backtoreality import (
     run_scan,
 )
 from btr_mjx.errors import InputError, cli_errors, resume_command
+from btr_mjx.evaluation import fitness_function
+from btr_mjx.models import robot_digest
 from btr_mjx.plotting import draw_scan
-from btr_mjx.runs import IGNORED_FIELDS, RunFolder, progress, write_arrays, write_json
+from btr_mjx.runs import IGNORED_FIELDS, RunFolder, content_digest, progress, write_arrays, write_json
 
 __all__ = ["ScanConfig", "along", "curve_statistics", "delta", "delta_fitness", "main", "run_scan"]
 
@@ -45,17 +47,22 @@ def main(argv: Sequence[str] | None = None) -> None:
     with cli_errors(resume):
         if config.resume and config.out is None:
             raise InputError("--resume: say which scan to continue with --out FOLDER")
-        check_scan(config)
+        robot, _ = check_scan(config)
         evolved = 0 if config.behaviours == "random" else config.controllers * config.generations
         total = evolved + config.trials * (config.grid + 1)
         if config.out is None:
             arrays, result = _with_bar(config, total)
         else:
             ignore = (*IGNORED_FIELDS, "cluster", "block_limit", "figures")
-            with RunFolder.create(config.out, config, config.resume, ignore=ignore) as run:
+            inputs = {
+                "the robot": robot_digest(robot),
+                "the fitness function": content_digest(fitness_function(config.fitness or robot.fitness, robot.target)),
+            }
+            with RunFolder.create(config.out, config, config.resume, ignore=ignore, inputs=inputs) as run:
                 arrays, result = _with_bar(config, total)
                 write_arrays(run.path / "scan.npz", arrays)
                 write_json(run.path / "result.json", result)
+                run.seal()
                 if config.figures:
                     draw_scan(run.path)
         print(f"{arrays['parameter']}: {arrays['delta'].shape[1]} behaviours, {config.grid} simulations")

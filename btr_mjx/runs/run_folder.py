@@ -177,11 +177,11 @@ class RunFolder:
             _check(path, data, resume, ignore, inputs or {})
             for leftover in [file for file in path.rglob("*") if is_temporary(file)]:
                 leftover.unlink(missing_ok=True)
+            # Written on resume as well: only fields that do not affect results can differ, or be damaged. A run whose
+            # first process was killed at once is begun by a resume, and is the same run.
+            write_json(path / CONFIG_NAME, data | ({"resume": False} if data.get("resume") else {}))
             if not run.resumed:
-                # A run whose first process was killed at once is begun by a resume, and is the same run.
-                write_json(path / CONFIG_NAME, data | ({"resume": False} if data.get("resume") else {}))
                 sync_folder(path.parent)
-            run.add_file(CONFIG_NAME)
             if inputs:
                 run._record_inputs(inputs)
             run._record_environment(devices)
@@ -257,11 +257,9 @@ class RunFolder:
 
     def _record_inputs(self, inputs: Mapping[str, str]) -> None:
         path = self.path / INPUTS_NAME
-        if not path.exists():
-            if self.resumed:
-                note(f"warning: {path} is missing: whether {' and '.join(inputs)} are those of the start is not known")
-            write_json(path, inputs)
-        self.add_file(INPUTS_NAME)
+        if self.resumed and not path.exists():
+            note(f"warning: {path} is missing: whether {' and '.join(inputs)} are those of the start is not known")
+        write_json(path, inputs)
 
     def _record_environment(self, devices: Sequence[Any] | None) -> None:
         path = self.path / ENVIRONMENT_NAME

@@ -19,6 +19,11 @@ TINY = [
     *("--simulations", "8", "--simulation-generations", "2"),
 ]
 
+SMALL_SCAN = [
+    *("--engine", "native", "--duration", "0.3", "--no-progress"),
+    *("--grid", "9", "--trials", "4", "--behaviours", "random", "--block", "6"),
+]
+
 
 @dataclass(frozen=True)
 class Run:
@@ -79,6 +84,7 @@ def _dataset(folder: Path) -> tuple[str, ...]:
 RUNS = {
     "coevolve": Run("btr_mjx.coevolve", (*TINY, "--no-figures"), _thrower),
     "folder": Run("btr_mjx.coevolve", (*TINY, "--no-figures", "--reality", "folder"), _thrower, measured),
+    "scan": Run("btr_mjx.scan", (*SMALL_SCAN, "--no-figures"), _thrower),
     "diagnose": Run(
         "btr_mjx.diagnose",
         ("--effects", "viscous_damping", "--max-effects", "1", "--no-figures", "--no-progress"),
