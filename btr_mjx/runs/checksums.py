@@ -2,7 +2,7 @@
 
 The file has the format of the command sha256sum, so that `sha256sum -c SHA256SUMS` checks a run folder without this
 package. Figures and pages may be drawn again at any time and are not listed, nor is environment.json, to which every
-resume adds, nor are checkpoints, which hold their own digest. Files that are written once while a run goes on
+resume adds, nor are checkpoints and the files in folders of a run folder, which are guarded in other ways. Files that are written once while a run goes on
 (`RunFolder.add_file`) are guarded by its checkpoints.
 """
 
@@ -27,18 +27,18 @@ def file_digest(path: Path) -> str:
 
 
 def write_sums(folder: Path) -> None:
-    """Write SHA256SUMS with all data files of a folder and of the folders in it.
+    """Write SHA256SUMS with the data files of a folder.
 
     Raises:
       OSError: a file cannot be read or written.
     """
-    files = sorted(path for path in folder.rglob("*") if path.is_file() and not is_temporary(path))
+    files = sorted(path for path in folder.iterdir() if path.is_file() and not is_temporary(path))
     listed = [
         path
         for path in files
         if path.name not in _NOT_LISTED and path.suffix not in _DRAWN and not path.match(_CHECKPOINT)
     ]
-    text = "".join(f"{file_digest(path)}  {path.relative_to(folder).as_posix()}\n" for path in listed)
+    text = "".join(f"{file_digest(path)}  {path.name}\n" for path in listed)
     with atomic_write(folder / SUMS_NAME) as file:
         file.write(text.encode("utf-8"))
 

@@ -129,12 +129,12 @@ def test_folders_are_claimed_one_by_one(tmp_path, monkeypatch):
 
 def test_sums_are_those_of_sha256sum(tmp_path):
     with RunFolder.create(tmp_path / "run", Config()) as run:
-        files.write_json(run.path / "part" / "result.json", {"x": 1})
+        files.write_json(run.path / "result.json", {"x": 1})
         files.write_table(run.path / "table.csv", {"x": [1]})
         (run.path / "figure.png").write_bytes(b"1")
         run.seal()
     checked = subprocess.run(["sha256sum", "-c", "SHA256SUMS"], cwd=tmp_path / "run", capture_output=True, text=True)
-    assert checked.stdout.split() == ["config.json:", "OK", "part/result.json:", "OK", "table.csv:", "OK"]
+    assert checked.stdout.split() == ["config.json:", "OK", "result.json:", "OK", "table.csv:", "OK"]
     assert files.read_table(tmp_path / "run" / "table.csv")["x"].to_list() == [1]
     (tmp_path / "run" / "table.csv").write_text("x\n2\n")
     with pytest.raises(DamagedFile, match=r"table\.csv: the file was altered since SHA256SUMS was written"):

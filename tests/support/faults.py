@@ -121,8 +121,8 @@ def kill_points(changes: int, count: int) -> Iterator[int]:
 def content(folder: Path) -> dict[str, bytes]:
     """The results of a run: its files without those that tell of the time, and without checkpoints."""
     found = {}
-    for path in sorted(folder.rglob("*")):
-        name = path.relative_to(folder).as_posix()
+    for path in sorted(folder.iterdir()):
+        name = path.name
         if not path.is_file() or path.name in (".lock", "environment.json") or path.match("checkpoint-*"):
             continue
         found[name] = path.read_bytes()
