@@ -6,6 +6,7 @@ flushed and renamed, so that a file is either complete or absent. Long work repo
 """
 
 from btr_mjx.runs.bounded_files import check_plain, check_regular, parse_json, read_limited, read_text
+from btr_mjx.runs.checkpoints import read_checkpoint, save_checkpoint
 from btr_mjx.runs.config_json import CONFIG_NAME, config_to_json, differences, read_config_json
 from btr_mjx.runs.environment import available_cores, describe_environment
 from btr_mjx.runs.files import (
@@ -19,7 +20,7 @@ from btr_mjx.runs.files import (
     write_json,
     write_table,
 )
-from btr_mjx.runs.parquet_check import check_parquet
+from btr_mjx.runs.parquet_check import check_parquet, unreadable_parquet
 from btr_mjx.runs.progress_bar import StopRequest, graceful_interrupt, note, progress
 from btr_mjx.runs.python_files import load_object
 from btr_mjx.runs.run_folder import IGNORED_FIELDS, RunFolder, is_unused, with_folder
@@ -49,15 +50,18 @@ __all__ = [
     "parse_json",
     "progress",
     "read_arrays",
+    "read_checkpoint",
     "read_config_json",
     "read_json",
     "read_limited",
     "read_table",
     "read_text",
     "read_toml",
+    "save_checkpoint",
     "to_plain",
     "toml_rows",
     "toml_section",
+    "unreadable_parquet",
     "with_folder",
     "write_arrays",
     "write_figure",
