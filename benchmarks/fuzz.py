@@ -25,7 +25,7 @@ import tyro
 from tqdm import tqdm
 
 from btr_mjx.runs.parquet_child import limit_memory
-from btr_mjx.testing.hostile import PARSERS, run_input, screen, write_input
+from btr_mjx.testing.hostile import PARSERS, read_in_child, run_input, write_input
 
 BATCH = 200
 """Inputs that share a folder and a child process that reads Parquet."""
@@ -67,7 +67,7 @@ def work(name: str, seed: int, first: int, end: int, memory: float, answers: Con
             folders = [Path(place) / str(number) for number in numbers]
             for number, folder in zip(numbers, folders, strict=True):
                 write_input(parser.make(source(name, seed, number)), folder)
-            refused = screen(parser, folders)
+            refused = read_in_child(parser, folders)
             answers.send((start, "ready"))
             if parser.screened:  # the child has read what is left
                 stack.enter_context(patch("btr_mjx.runs.files.check_parquet"))
@@ -90,7 +90,6 @@ def fuzz(name: str, config: FuzzConfig) -> Counter[str]:
     """Run one reader; returns counts of outcomes."""
     counts: Counter[str] = Counter()
     number, end = config.first, config.first + config.inputs
-    current: int | None
     context = get_context("spawn")
     with tqdm(total=config.inputs, desc=name, mininterval=5) as bar:
         while number < end:
@@ -98,41 +97,36 @@ def fuzz(name: str, config: FuzzConfig) -> Counter[str]:
             worker = context.Process(target=work, args=(name, config.seed, number, end, config.memory, other))
             worker.start()
             other.close()
-            problem, current, made = "", None, False
+            problem, made, busy = "", False, False
             while not problem and number < end:
+                # A worker imports and makes a batch of inputs before it reads the first one.
+                if not answers.poll(config.limit if busy else 600):
+                    problem = f"hang: more than {config.limit:g} s"
+                    break
                 try:
-                    # A worker imports and makes a batch before its first answer.
-                    if not answers.poll(config.limit if current is not None else 600):
-                        problem = f"hang: more than {config.limit:g} s"
-                        worker.kill()
-                        break
                     current, outcome = answers.recv()
                 except EOFError:
                     worker.join()
-                    if current is None and not made:
+                    if not made:
                         raise SystemExit(f"{name}: the inputs from {number} on could not be made") from None
                     problem = f"crash: exit code {worker.exitcode}"
                     break
-                if outcome == "ready":
-                    current, made = None, True
-                if outcome is None or outcome == "ready":
+                made, busy = made or outcome == "ready", outcome is None
+                if outcome in (None, "ready", ""):
+                    number = current
                     continue
-                number, last = current + 1, current
-                current = None
-                if outcome == "":
-                    break
+                number = current + 1
                 bar.update()
                 kind = outcome if outcome in ("accepted", "refused") else "traceback"
                 counts[kind] += 1
                 if kind == "traceback":
-                    report(name, config, last, outcome)
-            worker.join(5)
+                    report(name, config, current, outcome)
             worker.kill()
+            worker.join()
             if problem:
-                at = number if current is None else current
                 counts[problem.split(":")[0]] += 1
-                report(name, config, at, problem)
-                number = at + 1
+                report(name, config, number, problem)
+                number += 1
                 bar.update()
     return counts
 

@@ -10,6 +10,7 @@ A hidden simulation plays reality, or a robot is reached through files (--realit
     controllers-001.npz, ...        all controllers of step 1 of iteration 1: parameters and fitness in simulation
     simulations-001.npz, ...        all simulations of step 3 of iteration 1: unknown parameters and Delta_fitness
     result.json                     the numbers that a script wants
+    simulation.xml                  the identified simulation as MJCF
     parameters.csv, parameters.json the identified parameters for other programs
     *.png                           figures, drawn from these files
 """
@@ -30,6 +31,7 @@ from btr_mjx.backtoreality import (
     begin,
     build_problem,
     export_coevolution,
+    export_simulation,
     inputs_of,
     run_in_folder,
     summarise,
@@ -72,6 +74,7 @@ def coevolve(config: CoevolveConfig | None = None, **changes: Any) -> dict[str, 
             result = summarise(problem, state)
             write_trials(run.path, state)
             write_json(run.path / "result.json", result)
+            export_simulation(run.path, problem, state)
             export_coevolution(run.path)
             run.seal()
             if config.figures:

@@ -35,6 +35,7 @@ class Claim:
       seeds: number of seeds that gave a number.
       p: p-value of the paired test, None where there is none.
       why: known reason if the claim does not hold.
+      whole: whether searches and seeds are as many as the claim needs. Fewer can confirm it and not refute it.
     """
 
     claim: str
@@ -47,14 +48,17 @@ class Claim:
     seeds: int
     p: float | None = None
     why: str = ""
+    whole: bool = True
 
     @property
     def verdict(self) -> str:
-        """The verdict of the interval: "holds", "does not" or "undecided", see `claims.py`."""
+        """The verdict of the interval: "holds", "does not", "undecided", "undecided at this size"; see `claims.py`."""
         if not (np.isfinite(self.low) and np.isfinite(self.high)):
             return "undecided"
         ends = [SENSES[self.sense](end, self.bound) for end in (self.low, self.high)]
-        return "holds" if all(ends) else "undecided" if any(ends) else "does not"
+        if all(ends):
+            return "holds"
+        return "undecided" if any(ends) else "does not" if self.whole else "undecided at this size"
 
     @property
     def row(self) -> dict[str, Any]:

@@ -8,7 +8,7 @@ replace it.
 from btr_mjx.backtoreality.algorithm import begin
 from btr_mjx.backtoreality.config import PRESETS, CoevolveConfig, build_problem
 from btr_mjx.backtoreality.controller_search import evolve_controllers, select_transferable
-from btr_mjx.backtoreality.exported import export_coevolution
+from btr_mjx.backtoreality.exported import export_coevolution, export_simulation
 from btr_mjx.backtoreality.line_scan import (
     ScanConfig,
     along,
@@ -51,6 +51,7 @@ __all__ = [
     "delta_fitness",
     "evolve_controllers",
     "export_coevolution",
+    "export_simulation",
     "inputs_of",
     "run_in_folder",
     "run_scan",

@@ -54,6 +54,7 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
         "lp": learning_performance(
             f_0 if np.isfinite(f_0) else 0.0, f_end, f_max, problem.controller_box.n, len(trials)
         ),
+        "distance": problem.settings.distance,
         "fitness": problem.fitness.name,
         "fitness_unit": problem.fitness.unit,
         "maximise": maximise,

@@ -188,8 +188,7 @@ def compile_mjcf(robot: Robot, xml: str, general: bool = False) -> mujoco.MjMode
     try:
         if not robot.folder and not general:
             return _checked(mujoco.MjModel.from_xml_string(xml), robot)
-        spec = mujoco.MjSpec.from_string(xml, include=_included_files(Path(robot.folder or "."), xml))
-        spec.modelfiledir = robot.folder
+        spec = mjcf_spec(robot, xml)
         if general:
             for body in spec.bodies:
                 body.simple = 0
@@ -203,6 +202,17 @@ def compile_mjcf(robot: Robot, xml: str, general: bool = False) -> mujoco.MjMode
         if found and 0 < int(found[1]) <= len(xml.splitlines()):
             shown = f"; line {found[1]} of the rendered MJCF reads: {xml.splitlines()[int(found[1]) - 1].strip()}"
         raise InputError(f"{robot.template_path}: MuJoCo does not accept the model: {message}{shown}") from None
+
+
+def mjcf_spec(robot: Robot, xml: str) -> mujoco.MjSpec:
+    """The specification of rendered MJCF, with the files that it includes.
+
+    Raises:
+      ValueError: MuJoCo rejects it.
+    """
+    spec = mujoco.MjSpec.from_string(xml, include=_included_files(Path(robot.folder or "."), xml))
+    spec.modelfiledir = robot.folder
+    return spec
 
 
 def _checked(model: mujoco.MjModel, robot: Robot) -> mujoco.MjModel:

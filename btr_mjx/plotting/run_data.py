@@ -154,7 +154,7 @@ def read_run(folder: Path) -> RunData:
         controllers=[_search(folder, "controllers", "fitness", i) for i in range(1, count + 1)],
         simulations=[_search(folder, "simulations", "delta_fitness", *search, names) for search in searches],
         result=result,
-        distance=config.get("distance", "fitness"),
+        distance=result.get("distance", "fitness"),
     )
 
 

@@ -7,6 +7,7 @@ flushed and renamed, so that a file is either complete or absent. Long work repo
 
 from btr_mjx.runs.atomic import atomic_write
 from btr_mjx.runs.bounded_files import check_plain, check_regular, parse_json, read_limited, read_text
+from btr_mjx.runs.checkpoints import read_checkpoint, save_checkpoint
 from btr_mjx.runs.checksums import is_listed
 from btr_mjx.runs.config_json import CONFIG_NAME, config_to_json, differences, read_config_json
 from btr_mjx.runs.digests import content_digest
@@ -21,7 +22,7 @@ from btr_mjx.runs.files import (
     write_json,
     write_table,
 )
-from btr_mjx.runs.parquet_check import check_parquet
+from btr_mjx.runs.parquet_check import check_parquet, unreadable_parquet
 from btr_mjx.runs.progress_bar import StopRequest, graceful_interrupt, note, progress
 from btr_mjx.runs.python_files import load_object
 from btr_mjx.runs.run_folder import IGNORED_FIELDS, RunFolder, claimed_folder, is_unused
@@ -54,15 +55,18 @@ __all__ = [
     "parse_json",
     "progress",
     "read_arrays",
+    "read_checkpoint",
     "read_config_json",
     "read_json",
     "read_limited",
     "read_table",
     "read_text",
     "read_toml",
+    "save_checkpoint",
     "to_plain",
     "toml_rows",
     "toml_section",
+    "unreadable_parquet",
     "write_arrays",
     "write_figure",
     "write_json",

@@ -2,8 +2,8 @@
 
 The file has the format of the command sha256sum, so that `sha256sum -c SHA256SUMS` checks a run folder without this
 package. Figures and pages may be drawn again at any time and are not listed, nor is environment.json, to which every
-resume adds, nor are checkpoints and the files in folders of a run folder, which are guarded in other ways. Files that are written once while a run goes on
-(`RunFolder.add_file`) are guarded by its checkpoints.
+resume adds, nor are checkpoints and the files in folders of a run folder, which are guarded in other ways. Files that
+are written once while a run goes on (`RunFolder.add_file`) are guarded by its checkpoints.
 """
 
 import hashlib

@@ -19,7 +19,7 @@ from btr_mjx.models import check_mjcf, parse_path, set_values
 from btr_mjx.robots import Box, Robot, Sinusoids
 from btr_mjx.runs import read_arrays, read_json, read_table, read_toml, write_table
 from btr_mjx.testing.hostile.mutations import to_json, to_toml
-from btr_mjx.testing.hostile.parsers import DATASET, INFO, LEROBOT, SERVO, XML, write_input
+from btr_mjx.testing.hostile.parsers import DATASET, LEROBOT, LEROBOT_INFO, SERVO, XML, write_input
 
 
 @pytest.fixture(autouse=True)
@@ -252,7 +252,8 @@ HEADER = {"dataset.toml": to_toml(dict(LEROBOT)).encode(), "model.xml": XML.enco
         {"features": {"observation.state": None}},
         {"features": {"observation.state": {"names": [1]}}},
         {"features": {"observation.state": {"names": "servo"}, "action": 3}},
-        INFO | {"features": {"observation.state": {"names": ["servo", "servo"]}, "action": {"names": ["servo"]}}},
+        LEROBOT_INFO
+        | {"features": {"observation.state": {"names": ["servo", "servo"]}, "action": {"names": ["servo"]}}},
     ],
 )
 def test_lerobot_info(tmp_path: Path, info: object) -> None:
@@ -281,10 +282,7 @@ def test_lerobot_info(tmp_path: Path, info: object) -> None:
     ],
 )
 def test_lerobot_frames(tmp_path: Path, column: str, values: list, named: str) -> None:
-    toml = to_toml(dict(LEROBOT)).encode()
-    write_input(
-        {"dataset.toml": toml, "model.xml": XML.encode(), "meta/info.json": to_json(dict(INFO)).encode()}, tmp_path
-    )
+    write_input(HEADER | {"meta/info.json": to_json(dict(LEROBOT_INFO)).encode()}, tmp_path)
     frame = {
         "timestamp": TIME,
         "episode_index": [0] * 80,

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from btr_mjx.testing.hostile import PARSERS, run_input, screen, write_input
+from btr_mjx.testing.hostile import PARSERS, read_in_child, run_input, write_input
 
 QUICK = settings(
     max_examples=40, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck)
@@ -43,7 +43,7 @@ def test_parquet_is_read_in_one_child(tmp_path: Path, monkeypatch: pytest.Monkey
     folders = [tmp_path / str(i) for i in range(60)]
     for i, folder in enumerate(folders):
         write_input(PARSERS["parquet"].make(random.Random(i)), folder)
-    refused = screen(PARSERS["parquet"], folders)
+    refused = read_in_child(PARSERS["parquet"], folders)
     assert 5 < len(refused) < 60
     monkeypatch.setattr("btr_mjx.runs.files.check_parquet", lambda paths: None)
     outcomes = [run_input(PARSERS["parquet"], folder) for folder in folders if folder not in refused]

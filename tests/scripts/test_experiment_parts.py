@@ -35,6 +35,8 @@ from btr_mjx.runs import read_arrays
 def test_verdicts(sense: Any, low: float, high: float, verdict: str) -> None:
     bound = 0.5 if sense == "at least" else 0.0
     assert verdicts.Claim("", "", sense, bound, 0.0, low, high, 3).verdict == verdict
+    short = verdicts.Claim("", "", sense, bound, 0.0, low, high, 3, whole=False).verdict
+    assert short == ("undecided at this size" if verdict == "does not" else verdict)
 
 
 def test_thirty_unknowns(tmp_path: Path) -> None:

@@ -150,7 +150,7 @@ def test_claims(folder: Path) -> None:
     rows = numbers(folder / "claims.json")
     assert len(rows) >= 12
     assert all(list(row)[:5] == ["claim", "statistic", "low", "high", "verdict"] for row in rows)
-    assert {row["verdict"] for row in rows} <= {"holds", "does not", "undecided"}
+    assert {row["verdict"] for row in rows} <= {"holds", "undecided", "undecided at this size"}  # tiny
     assert [row["verdict"] for row in rows[:2]] == ["holds", "holds"]  # Theorems 1 and 2, at any size
     text = (folder / "claims.md").read_text()
     assert all(row["claim"] in text for row in rows)

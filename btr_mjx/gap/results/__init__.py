@@ -23,6 +23,7 @@ from btr_mjx.gap.results.records import (
     Verdict,
 )
 from btr_mjx.gap.results.saved import RESULT, as_result, save_diagnosis
+from btr_mjx.gap.results.simulation_file import simulation_mjcf
 from btr_mjx.gap.results.wording import (
     REASON_NOT_NAMED,
     confound_sentence,
@@ -68,5 +69,6 @@ __all__ = [
     "refit_sentence",
     "resolve_effect",
     "save_diagnosis",
+    "simulation_mjcf",
     "verdict_sentence",
 ]

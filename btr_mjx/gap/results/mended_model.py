@@ -115,6 +115,28 @@ def mend(
     world = World.of(base)
     if believed:
         set_values(world.model, believed)
+    return written(spec, base, world, found, effects)
+
+
+def written(
+    spec: mujoco.MjSpec,
+    base: mujoco.MjModel,
+    world: World,
+    found: Sequence[FoundEffect],
+    effects: Sequence[Effect],
+) -> MendedModel:
+    """A world and effects as MJCF.
+
+    Args:
+      spec: specification of the base model, changed in place.
+      base: the model that it compiles to.
+      world: the base model with its changes so far, changed in place.
+      found: effects that are added, in this order.
+      effects: the library that they refer to.
+
+    Raises:
+      InputError: an effect, place or parameter that the library or the model does not have.
+    """
     terms, native = [], []
     for item in found:
         effect, place, values = resolve_effect(base, item, effects)
@@ -128,7 +150,7 @@ def mend(
             {
                 "effect": item.effect,
                 "location": item.location,
-                "parameters": dict(zip(_names(base, effect, place), values.tolist(), strict=True)),
+                "parameters": dict(zip(parameter_names(base, effect, place), values.tolist(), strict=True)),
                 "equation": effect.equation,
                 "why": "MJCF has no such term",
             }
@@ -168,7 +190,7 @@ def resolve_effect(
             f"nearest: {nearest_names(found.location, [*places])}"
         )
     place = places[found.location]
-    names = _names(model, effect, place)
+    names = parameter_names(model, effect, place)
     if set(names) != set(found.values):
         raise InputError(
             f"{found.effect}@{found.location}: got parameters {sorted(found.values)}, expected {sorted(names)}"
@@ -176,7 +198,8 @@ def resolve_effect(
     return effect, place, np.array([float(found.values[name]) for name in names])
 
 
-def _names(model: mujoco.MjModel, effect: Effect, place: Place) -> list[str]:
+def parameter_names(model: mujoco.MjModel, effect: Effect, place: Place) -> list[str]:
+    """Names of the parameters of an effect at a place."""
     return [parameter.name for parameter in effect.parameters(model, Scales.of(model), place)]
 
 

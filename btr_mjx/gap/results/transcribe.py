@@ -51,24 +51,25 @@ _PAIR = {"pair_friction": "friction", "pair_solref": "solref", "pair_solimp": "s
 _ACTUATOR = ("gainprm", "biasprm", "forcerange", "forcelimited", "gear", "ctrlrange")
 
 
-def normalised(source: str | Path) -> mujoco.MjSpec:
+def normalised(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
     """A specification in MuJoCo's own form: radians, poses and inertias as the compiler found them.
 
     Values that the compiler would compute again from an edited model are made explicit: velocity gains that follow from
     a damping ratio, masses that are scaled to a total.
 
     Args:
-      source: MJCF text, or a file; meshes and textures of a file are then referred to by absolute paths.
+      source: MJCF text, a file, or a specification, which is changed; meshes and textures of the last two are then
+        referred to by absolute paths.
 
     Returns:
       The compiled specification.
     """
-    if isinstance(source, Path):
-        spec = mujoco.MjSpec.from_file(str(source))
-        folder = source.resolve().parent
-        spec.meshdir, spec.texturedir = str(folder / spec.meshdir), str(folder / spec.texturedir)
-    else:
+    if isinstance(source, str):
         spec = mujoco.MjSpec.from_string(source)
+    else:
+        spec = mujoco.MjSpec.from_file(str(source)) if isinstance(source, Path) else source
+        folder = source.resolve().parent if isinstance(source, Path) else Path(spec.modelfiledir or ".").resolve()
+        spec.meshdir, spec.texturedir = str(folder / spec.meshdir), str(folder / spec.texturedir)
     model = spec.compile()
     spec = mujoco.MjSpec.from_string(spec.to_xml())
     again = spec.compile()

@@ -19,9 +19,7 @@ from btr_mjx.gap.fitness_only import load_fitness, preflight_fitness
 from btr_mjx.gap.preflight import preflight
 from btr_mjx.models import check_robot, load_robot
 from btr_mjx.robots import Box, Robot, Sinusoids, read_template
-from btr_mjx.runs import write_arrays, write_table
-from btr_mjx.runs.checkpoints import read_checkpoint, save_checkpoint
-from btr_mjx.runs.parquet_check import unreadable_parquet
+from btr_mjx.runs import read_checkpoint, save_checkpoint, unreadable_parquet, write_arrays, write_table
 from btr_mjx.testing.hostile import mutations as mutate
 
 XML = """<mujoco model="pendulum">
@@ -60,7 +58,7 @@ ROBOT: Mapping[str, Any] = {
     "parameter": [{"name": "damping", "path": ["joint:servo/damping"], "bounds": [0.0, 2.0], "unit": "N m s/rad"}],
     "controller": {"signal": "sinusoid", "frequency": 1.5, "group": [{"motors": ["servo"], "sign": [1], "name": "g"}]},
 }
-INFO: Mapping[str, Any] = {
+LEROBOT_INFO: Mapping[str, Any] = {
     "codebase_version": "v2.1",
     "fps": 50,
     "features": {"observation.state": {"names": ["servo.pos"]}, "action": {"names": {"motors": ["servo"]}}},
@@ -321,9 +319,9 @@ def _lerobot_frames() -> bytes:
 
 
 def _make_lerobot(random: Random) -> Mapping[str, bytes]:
-    info, toml = json.dumps(INFO).encode(), mutate.to_toml(dict(LEROBOT)).encode()
+    info, toml = json.dumps(LEROBOT_INFO).encode(), mutate.to_toml(dict(LEROBOT)).encode()
     if random.random() < 0.7:
-        info = _bytes_or(random, info, lambda: mutate.to_json(mutate.mutate_value(dict(INFO), random)).encode())
+        info = _bytes_or(random, info, lambda: mutate.to_json(mutate.mutate_value(dict(LEROBOT_INFO), random)).encode())
     else:
         toml = _bytes_or(random, toml, lambda: _toml(mutate.mutate_value(dict(LEROBOT), random)))
     files = {"dataset.toml": toml, "model.xml": XML.encode(), "meta/info.json": info}
@@ -398,7 +396,7 @@ PARSERS: Mapping[str, Parser] = {
 """Readers by name."""
 
 
-def screen(parser: Parser, folders: Sequence[Path]) -> Mapping[Path, str]:
+def read_in_child(parser: Parser, folders: Sequence[Path]) -> Mapping[Path, str]:
     """What the child process refuses of many inputs, by folder; see `Parser.screened`.
 
     Returns:

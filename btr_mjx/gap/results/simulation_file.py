@@ -1,0 +1,39 @@
+"""One simulation of a robot as plain MJCF, for programs that know nothing of templates, edits and effects."""
+
+from numpy.typing import ArrayLike
+
+from btr_mjx.gap.results.mended_model import FoundEffect, MendedModel, parameter_names, written
+from btr_mjx.gap.results.transcribe import normalised
+from btr_mjx.gap.simulate import World
+from btr_mjx.models import mjcf_spec
+from btr_mjx.robots import Robot
+
+
+def simulation_mjcf(robot: Robot, simulation: ArrayLike) -> MendedModel:
+    """One simulation of a robot as plain MJCF: edits are numbers in it, files that it includes are inside.
+
+    Args:
+      robot: the robot; its model is not a template any more.
+      simulation: (n_s,) parameters.
+
+    Returns:
+      The model; effects of an `EffectSimulator` that MJCF cannot express are its terms. Its numbers have the six digits
+      of MuJoCo's XML, its meshes and textures absolute paths.
+
+    Raises:
+      InputError: parameters outside the box, or a model that MuJoCo rejects.
+    """
+    values = robot.simulation_box.validate(simulation, "simulation")
+    number = lambda name: float(values[robot.simulation_box.index(name)])  # noqa: E731
+    spec = normalised(mjcf_spec(robot, robot.render(values)))
+    base = spec.compile()
+    world = World.of(base)
+    for edit in robot.edits:
+        edit(world.model, [number(name) for name in edit.parameters])
+    found, library = [], []
+    for one in getattr(robot.simulator, "effects", ()):
+        names = parameter_names(base, one.effect, one.place)
+        numbers = dict(zip(names, map(number, one.parameters), strict=True))
+        found.append(FoundEffect(one.effect.name, one.place.label, numbers))
+        library.append(one.effect)
+    return written(spec, base, world, found, library)
