@@ -91,7 +91,7 @@ def test_other_behaviours(behaviours: str, tmp_path: Path) -> None:
     [
         (["--parameter", "bl_2"], ["bl_2", "bl_3, bl_4"]),
         (["--truth", "1.7"], ["1.7", "bl_14", "[0.4, 1.6]"]),
-        (["--grid", "1"], ["grid 1"]),
+        (["--grid", "1"], ["grid: got 1"]),
         (["--trials", "6"], ["m = 6", "M = 6"]),
         (["--p-m", "2"], ["p_m", "2"]),
         (["--fitness", "beauty"], ["beauty", "distance"]),
