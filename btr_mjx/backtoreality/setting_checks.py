@@ -44,7 +44,7 @@ def check_settings(config: Any, robot: Robot) -> None:
     for name, (low, high) in _RANGES.items():
         value = getattr(config, name, None)
         if value is not None and not low <= value <= high:
-            raise InputError(f"{name}: got {_short(value)}, expected {low:.10g} to {high:.10g}")
+            raise InputError(f"{name}: got {_short(value)}, expected a value within [{low:.10g}, {high:.10g}]")
     for mark in getattr(config, "marks", ()):
         if not (math.isfinite(mark) and mark > 0):
             raise InputError(f"marks: got {mark}, expected times in seconds above 0")
