@@ -33,6 +33,7 @@ from btr_mjx.errors import InputError, cli_errors, resume_command
 from btr_mjx.runs import (
     IGNORED_FIELDS,
     RunFolder,
+    check_sums,
     claimed_folder,
     content_digest,
     graceful_interrupt,
@@ -144,7 +145,9 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
                 stop.checkpoint()
             print_findings(findings)
             write_table(run.path / "preflight.csv", [dataclasses.asdict(f) for f in findings])
-            if not is_listed(run.path / RESULT):  # the search has not ended
+            if is_listed(run.path / RESULT):
+                check_sums(run.path)
+            else:
                 search_missing(dataset, library, config, run.path, stop.checkpoint)
                 run.seal()
                 stop.checkpoint()

@@ -8,7 +8,7 @@ flushed and renamed, so that a file is either complete or absent. Long work repo
 from btr_mjx.runs.atomic import atomic_write
 from btr_mjx.runs.bounded_files import check_plain, check_regular, parse_json, read_limited, read_text
 from btr_mjx.runs.checkpoints import read_checkpoint, save_checkpoint
-from btr_mjx.runs.checksums import is_listed
+from btr_mjx.runs.checksums import check_sums, is_listed
 from btr_mjx.runs.config_json import CONFIG_NAME, config_to_json, differences, read_config_json
 from btr_mjx.runs.digests import content_digest
 from btr_mjx.runs.environment import available_cores, describe_environment
@@ -39,6 +39,7 @@ __all__ = [
     "check_parquet",
     "check_plain",
     "check_regular",
+    "check_sums",
     "claimed_folder",
     "config_to_json",
     "content_digest",

@@ -43,6 +43,19 @@ def write_sums(folder: Path) -> None:
         file.write(text.encode("utf-8"))
 
 
+def check_sums(folder: Path) -> None:
+    """Check all files that SHA256SUMS lists.
+
+    Raises:
+      DamagedFile: one is missing, or was altered.
+      OSError: a file cannot be read.
+    """
+    for name in _sums(folder):
+        if not (folder / name).is_file():
+            raise DamagedFile(f"{folder / name}: {SUMS_NAME} lists it and it is missing; restore it")
+        check_listed(folder / name, (folder / name).read_bytes())
+
+
 def is_listed(path: Path) -> bool:
     """Whether the SHA256SUMS beside a file lists it."""
     return path.name in _sums(path.parent)

@@ -211,7 +211,7 @@ def test_resume_with_another_config_names_the_field(capsys: pytest.CaptureFixtur
     [
         ("{{ kp }}", "{{ stiffness }}", ["robot.xml.j2", "stiffness", "line"]),
         ("<freejoint", "<freejiont", ["robot.xml.j2", "freejiont", "line"]),
-        ("</worldbody>", "", ["robot.xml.j2", "worldbody", "; line"]),
+        ("</worldbody>", "", ["not well-formed", "line"]),
     ],
 )
 def test_broken_template(

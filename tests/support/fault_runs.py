@@ -63,6 +63,8 @@ def measured(folder: Path) -> None:
     """Write a fitness for every trial that is asked for."""
     exchange = folder / "exchange"
     for asked in sorted((exchange / "trials").glob("*.csv")):
+        if (exchange / "measured" / asked.name).exists():
+            continue
         rows = list(csv.DictReader(asked.read_text().splitlines()))
         lines = [f"{row['id']},{0.4 + 0.01 * (7 * int(row['id']) % 5)}" for row in rows]
         (exchange / "measured" / asked.name).write_text("\n".join(["id,fitness", *lines]) + "\n")

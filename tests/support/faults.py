@@ -13,6 +13,7 @@ import random
 import shutil
 import signal
 import sys
+import tempfile
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -57,7 +58,7 @@ class Session:
 def run_session(module: str, words: Sequence[str], folder: Path, kill_at: int | None = None) -> Session:
     """Run a command in a process and a folder of its own; killed before its `kill_at`-th change of the file system."""
     folder.mkdir(parents=True, exist_ok=True)
-    log = folder.with_name(f"{folder.name}.log")
+    log = Path(tempfile.mkdtemp()) / "session.log"  # not on the disk that is full
     process = _context.Process(target=_work, args=(module, [*map(str, words)], folder, log, kill_at))
     process.start()
     process.join(LIMIT)
