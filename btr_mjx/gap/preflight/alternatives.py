@@ -39,6 +39,7 @@ class Alternative:
       remedy: what to do.
       topic: kind of convention.
       nuisance: physics instead of a convention: never reported, but a convention must do better.
+      elsewhere: only other coordinates may show it: a servo whose positions and commands are wrong alike follows well.
     """
 
     change: Change
@@ -47,6 +48,7 @@ class Alternative:
     remedy: str
     topic: str
     nuisance: bool = False
+    elsewhere: bool = False
 
 
 class Catalogue:
@@ -69,8 +71,11 @@ class Catalogue:
         """Alternatives for groups that the model predicts poorly, largest error first."""
         out = [*self._whole_robot(), *self._gravity(poor), *self._free(poor)]
         scalar = [g for g in poor if int(self._model.jnt_type[self._groups[g].joint]) in (_HINGE, _SLIDE)]
-        for g in scalar:
-            out += [*self._signs(g), *self._units(g), *self._nuisances(g)]
+        for g, group in enumerate(self._groups):
+            if poor and int(self._model.jnt_type[group.joint]) in (_HINGE, _SLIDE):
+                signs = list(self._signs(g))
+                out += signs if g in scalar else [a for a in signs if a.elsewhere]
+                out += [*self._units(g), *self._nuisances(g)]
         for g, h in combinations(scalar[:_SWAP_JOINTS], 2):
             out += self._swaps(g, h)
         return out
@@ -104,6 +109,7 @@ class Catalogue:
                 f"qpos/{name} and {names} both have the opposite sign of the model's joint",
                 f"negate both (and qvel/{name} with them), or turn the joint's axis in the model",
                 "sign",
+                elsewhere=True,
             )
 
     def _units(self, g: int) -> Iterator[Alternative]:
@@ -120,11 +126,11 @@ class Catalogue:
                 if servos:
                     both = Change(qpos, self._driven(servos, scale, offset))
                     text = f"qpos/{name} and ctrl/{self._actuators[servos[0]]} both: {words}"
-                    yield Alternative(both, (g,), text, remedy, "units")
+                    yield Alternative(both, (g,), text, remedy, "units", elsewhere=True)
             if loud:
                 ctrl = Change(self._no_qpos(), self._driven(loud, scale, offset))
                 yield Alternative(ctrl, (g,), f"ctrl/{self._actuators[loud[0]]} {words}", remedy, "units")
-        others = [a for a in drives if a not in servos]
+        others = [a for a in drives if a not in servos and self._command_reach[a] > 0]
         for a in others:
             for scale, words, remedy in self._command_units(a):
                 ctrl = Change(self._no_qpos(), self._driven([a], scale))
@@ -214,7 +220,7 @@ class Catalogue:
         if servos:
             both = Change(qpos, self._driven(servos, np.pi / 180))
             words = "the positions and commands of all hinges look like degrees"
-            yield Alternative(both, tuple(hinges), words, remedy, "units")
+            yield Alternative(both, tuple(hinges), words, remedy, "units", elsewhere=True)
 
     def _free(self, poor: Sequence[int]) -> Iterator[Alternative]:
         """Order and meaning of quaternions, and units of positions of free and ball joints."""

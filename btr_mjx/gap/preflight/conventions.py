@@ -31,6 +31,9 @@ _OWN_RATIO = 3.0
 """Ratio of variances for the columns that it changes: where those of a joint are wrong, its neighbours may show it more
 clearly than the joint itself."""
 
+_NOT_WORSE = 0.5
+"""The same where only other joints can show it, see `Alternative.elsewhere`."""
+
 _AGAINST_PHYSICS = 2.0
 """Smallest ratio of variances by which it must also do better than a motor without force."""
 
@@ -96,7 +99,8 @@ def _faults(dataset: Dataset, predictor: Predictor) -> list[_Fault]:
 def _screened(screen: Predictor, applied: Change, tried: Sequence[Alternative]) -> list[Alternative]:
     """The alternatives with the largest gain in few stretches, and the nuisances of their groups."""
     errors = screen.errors([applied, *(a.change.after(applied) for a in tried)])
-    gains = [_gain(errors[0], errors[i + 1], a.groups) for i, a in enumerate(tried)]
+    every = range(errors.shape[2])
+    gains = [_gain(errors[0], errors[i + 1], every if a.elsewhere else a.groups) for i, a in enumerate(tried)]
     ranked = [tried[i] for i in np.argsort(gains, kind="stable")[::-1] if gains[i] > 0 and not tried[i].nuisance]
     kept = ranked[:_SCREENED]
     groups = {g for a in kept for g in a.groups}
@@ -118,7 +122,11 @@ def _best(tried: Sequence[Alternative], now: np.ndarray, errors: np.ndarray) -> 
         own = list(alternative.groups)
         before, after = now[:, own].mean(axis=1), errors[i][:, own].mean(axis=1)
         found = compare(before, after)
-        if not found.decisive(_OWN_RATIO) or found.after**2 > _FIT:
+        if alternative.elsewhere:
+            own_fit = found.stretches == 0 or found.ratio > _NOT_WORSE
+        else:
+            own_fit = found.decisive(_OWN_RATIO)
+        if not own_fit or found.after**2 > _FIT:
             continue
         rivals = [errors[k] for k, a in enumerate(tried) if a.nuisance and set(a.groups) & set(own)]
         if any(float(np.median(rival[:, own].mean(axis=1) / after)) < _AGAINST_PHYSICS for rival in rivals):
@@ -128,7 +136,7 @@ def _best(tried: Sequence[Alternative], now: np.ndarray, errors: np.ndarray) -> 
             continue
         shown = max([found, *(compare(now[:, g], errors[i][:, g]) for g in range(now.shape[1]))], key=_strength)
         if shown.decisive(_RATIO):
-            decisive.append((total, i, _Fault(alternative, found if found.ratio >= _RATIO else shown, "")))
+            decisive.append((total, i, _Fault(alternative, found if found.decisive(_RATIO) else shown, "")))
     if not decisive:
         return None
     decisive.sort(key=lambda entry: entry[0])

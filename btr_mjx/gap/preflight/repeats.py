@@ -27,8 +27,8 @@ def held_positions(dataset: Dataset) -> list[Finding]:
         return []
     remedy = "log each row with new values of all joints, or interpolate each column between its changes"
     message = (
-        f"positions of {listed(stale)} change every {every:.3g}th row only and repeat in between, other joints at other "
-        f"rows: they are older than their time stamps; {remedy}"
+        f"positions of {listed(stale)} change every {every:.3g}th row only and repeat in between, other joints at "
+        f"other rows: they are older than their time stamps; {remedy}"
     )
     return [Finding("error", "repeats", message, remedy, {"rows_between_changes": every})]
 
@@ -41,18 +41,25 @@ def held_commands(dataset: Dataset) -> list[Finding]:
     interval = float(np.median(np.diff(dataset.recordings[0].commands[0])))
     remedy = 'interpolation = "hold" in [control] fits them'
     message = (
-        f"commands are stairs: they change every {found.every:.3g}th row ({1 / interval / found.every:.4g} Hz) and repeat "
-        f'in between, while dataset.toml says interpolation = "{dataset.interpolation}", which makes ramps of one interval '
-        f"of them and a delay of {500 * interval:.3g} ms; {remedy}"
+        f"commands are stairs: they change every {found.every:.3g}th row ({1 / interval / found.every:.4g} Hz) and "
+        f'repeat in between, while dataset.toml says interpolation = "{dataset.interpolation}", which makes ramps of '
+        f"one interval of them and a delay of {500 * interval:.3g} ms; {remedy}"
     )
     certain = len(found.rows) > _MIN_STEPS and not found.coarse
-    level = "error" if certain else "warning"
-    return [Finding(level, "repeats", message, remedy, {"rows_between_changes": found.every, "interval": interval})]
+    return [
+        Finding(
+            "error" if certain else "warning",
+            "repeats",
+            message,
+            remedy,
+            {"rows_between_changes": found.every, "interval": interval},
+        )
+    ]
 
 
 def angle_jumps(dataset: Dataset) -> list[Finding]:
     """Errors for hinges that jump by a turn and were not unwrapped: those with limits, and those in degrees."""
-    findings = {}
+    findings: dict[str, Finding] = {}
     for recording in dataset.recordings:
         for wrap in find_wraps(recording.model, recording.qpos):
             name = part_names(recording.model, "joint")[wrap.joint]

@@ -11,7 +11,7 @@ from btr_mjx.gap.preflight.findings import Finding, listed
 from btr_mjx.models import part_names
 
 _SLOWEST = 0.5
-"""Sampling interval [s] from which on time is taken to be in a smaller unit; no motion of a robot is sampled so slowly."""
+"""Sampling interval [s] from which on time is taken to be in a smaller unit: no robot's motion is sampled so slowly."""
 
 _FASTEST = 1e-6
 """Sampling interval [s] below which it is taken to be in a larger unit."""

@@ -119,8 +119,8 @@ def _judge(
     ):
         message = (
             f"{columns} does not follow the slope of {columns.replace('qvel', 'qpos')}: in half of the stretches its "
-            f"integral misses {100 * np.sqrt(np.median(now)):.0f} % of the motion or more; check its unit and clock, or "
-            "leave it out"
+            f"integral misses {100 * np.sqrt(np.median(now)):.0f} % of the motion or more; check its unit and clock, "
+            "or leave it out"
         )
         return Finding("warning", "channels", message)
     return None
@@ -173,16 +173,16 @@ def _readings(model: mujoco.MjModel, joint: int, block: slice) -> Iterator[Readi
                     linear and order != "wxyz" and frame == "world"
                 ):
                     continue
-                words = [order_words] if order_words else []
+                parts = [order_words] if order_words else []
                 remedies = [order_remedy] if order_remedy else []
                 if frame == other:
-                    words.append(f"are in the {other}'s frame, not in the {documented}'s")
+                    parts.append(f"are in the {other}'s frame, not in the {documented}'s")
                     turn = "R" if linear else "R^T"
                     remedies.append(f"turn them into the {documented}'s frame ({turn} v, with R of the quaternion)")
                 if scale != 1.0:
-                    words.append(f"are in {unit_words}")
+                    parts.append(f"are in {unit_words}")
                     remedies.append(f"multiply them by {scale:.6g}")
-                yield Reading(" and ".join(words), " and ".join(remedies), scale, frame, order)
+                yield Reading(" and ".join(parts), " and ".join(remedies), scale, frame, order)
 
 
 def _scalar_units(hinge: bool, name: str) -> Iterator[tuple[float, str, str]]:
