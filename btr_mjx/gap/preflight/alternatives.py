@@ -283,8 +283,9 @@ class Catalogue:
                 vector[axis] = sign * size
                 if np.linalg.norm(vector - now) > 0.5 * size:
                     chosen = (float(vector[0]), float(vector[1]), float(vector[2]))
-                    words = f"gravity of the model is ({now[0]:.4g}, {now[1]:.4g}, {now[2]:.4g}) m/s^2"
-                    remedy = f'the data fit gravity="{" ".join(f"{x:.4g}" for x in chosen)}" in <option>'
+                    own, wanted = (" ".join(f"{x:.4g}" for x in vector) for vector in (now, chosen))
+                    words = f'the data fit gravity="{wanted}", not the model\'s "{own}"'
+                    remedy = "change gravity in <option>, or turn the base in the model or in the data"
                     yield Alternative(
                         Change(self._no_qpos(), self._no_ctrl(), chosen), tuple(poor), words, remedy, "gravity"
                     )

@@ -22,6 +22,9 @@ from btr_mjx.gap.preflight.timing import response_delays, sampling
 from btr_mjx.gap.preflight.velocities import velocity_conventions
 from btr_mjx.models import part_names
 
+_FAULTS_OF_DATA = ("convention", "units", "repeats", "wrap", "clocks")
+"""Topics of errors that the data, rather than the robot, are to blame for."""
+
 
 def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Finding]:
     """Run all checks.
@@ -61,9 +64,12 @@ def refuse_errors(findings: Sequence[Finding]) -> None:
     Raises:
       InputError: with the message of the first error.
     """
-    for finding in findings:
-        if finding.level == "error":
-            raise InputError(finding.message)
+    errors = [finding for finding in findings if finding.level == "error"]
+    if errors:
+        first = errors[0]
+        start = "fix the data first: " if first.topic in _FAULTS_OF_DATA else ""
+        more = f" (and {len(errors) - 1} more errors: --check lists them)" if len(errors) > 1 else ""
+        raise InputError(f"{start}{first.message}{more}")
 
 
 def _summary(dataset: Dataset) -> list[str]:

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-import scipy
 
 from btr_mjx.gap.data import Dataset, Recording
 from btr_mjx.gap.preflight.excitation import JointTrack
@@ -151,6 +150,8 @@ def _shift(time: np.ndarray, command: np.ndarray, response: np.ndarray, step: fl
     if size == 0:
         return None
     reach = min(int(0.25 / step), len(even) // 4)
-    scores = scipy.signal.correlate(b, a)[len(a) - 1 - reach : len(a) + reach] / size
+    padded = 2 * len(even)  # so that the transform's circle does not close
+    products = np.fft.irfft(np.fft.rfft(b, padded) * np.conj(np.fft.rfft(a, padded)), padded)
+    scores = np.concatenate([products[padded - reach :], products[: reach + 1]]) / size
     best = int(np.argmax(scores))
     return (best - reach) * step if scores[best] > 0.7 else None
