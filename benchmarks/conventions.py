@@ -29,7 +29,7 @@ from btr_mjx.testing.robots import ARM_XML, quadruped_xml
 DRONE_XML = """<mujoco model="drone"><compiler angle="radian"/><option timestep="0.002" integrator="implicitfast"/>
 <worldbody><body name="body" pos="0 0 2"><freejoint name="root"/>
 <geom type="box" size="0.12 0.1 0.03" mass="0.8" contype="0" conaffinity="0"/>
-<geom type="box" size="0.02 0.02 0.02" pos="0.05 0.02 0.03" mass="0.2" contype="0" conaffinity="0"/>
+<geom type="box" size="0.02 0.02 0.02" pos="0 0 -0.03" mass="0.2" contype="0" conaffinity="0"/>
 <site name="s1" pos="0.15 0.15 0"/><site name="s2" pos="-0.15 0.15 0"/>
 <site name="s3" pos="-0.15 -0.15 0"/><site name="s4" pos="0.15 -0.15 0"/></body></worldbody>
 <actuator>
@@ -85,7 +85,7 @@ def motion(robot: str, rng: np.random.Generator) -> Callable[[float], np.ndarray
         case "legged":
             return waves(rng, np.tile([0.1, 0.3, 0.3], 4), 8, 18)
         case "drone":
-            wave = waves(rng, np.full(4, 0.5), 4, 15)
+            wave = waves(rng, np.full(4, 0.1), 4, 15)
             return lambda t: 2.45 + wave(t)
         case _:
             return waves(rng, np.array([4.0, 0.05]), 3, 10)

@@ -12,6 +12,9 @@ import numpy as np
 _MAX_ADJACENT = 0.05
 """Largest share of changes that directly follow another one; jitter of two clocks makes a few."""
 
+_TOGETHER = 0.6
+"""Columns are held together if they change, on average, in this share of the rows in which any of them does."""
+
 _MIN_CHANGES = 12
 """Fewest changes that show a rate."""
 
@@ -49,6 +52,9 @@ def held(columns: np.ndarray, fewest: int = _MIN_CHANGES) -> Held | None:
     changed = (steps > 0).any(axis=1)
     rows = np.flatnonzero(changed) + 1
     if len(rows) < fewest or np.mean(np.diff(rows) == 1) > _MAX_ADJACENT:
+        return None
+    moving = (steps > 0).sum(axis=0)
+    if moving[moving > 0].mean() < _TOGETHER * len(rows):
         return None
     counts = []
     for column in steps.T:

@@ -67,9 +67,14 @@ class Catalogue:
         rows = [np.abs(np.asarray(r.ctrl[:: max(1, len(r.ctrl) // 2000)])) for r in dataset.recordings]
         self._command_reach = np.max([x.max(axis=0) for x in rows], axis=0)
 
-    def alternatives(self, poor: Sequence[int]) -> list[Alternative]:
-        """Alternatives for groups that the model predicts poorly, largest error first."""
-        out = [*self._whole_robot(), *self._gravity(poor), *self._free(poor)]
+    def alternatives(self, poor: Sequence[int], base: Sequence[int]) -> list[Alternative]:
+        """Alternatives for groups that the model does not predict well.
+
+        Args:
+          poor: groups whose joints are questioned, largest error first.
+          base: groups by which gravity and free and ball joints are questioned.
+        """
+        out = [*self._whole_robot(), *self._gravity(base), *self._free(base)]
         scalar = [g for g in poor if int(self._model.jnt_type[self._groups[g].joint]) in (_HINGE, _SLIDE)]
         for g, group in enumerate(self._groups):
             if poor and int(self._model.jnt_type[group.joint]) in (_HINGE, _SLIDE):
@@ -122,7 +127,8 @@ class Catalogue:
             loud = [a for a in servos if self._command_reach[a] > _PLAUSIBLE_ANGLE]
             if large:
                 qpos = self._scaled([joint], scale, offset)
-                yield Alternative(Change(qpos, self._no_ctrl()), (g,), f"qpos/{name} {words}", remedy, "units")
+                alone = Change(qpos, self._no_ctrl())
+                yield Alternative(alone, (g,), f"qpos/{name} {words}", remedy, "units", elsewhere=True)
                 if servos:
                     both = Change(qpos, self._driven(servos, scale, offset))
                     text = f"qpos/{name} and ctrl/{self._actuators[servos[0]]} both: {words}"

@@ -88,7 +88,7 @@ def _conventions(
     """Signs, units, order and frames; only in data whose time and rows are sound."""
     if any(finding.level == "error" for finding in before):
         return []
-    return velocity_conventions(dataset, noise) + position_conventions(dataset, noise) or _units(joints)
+    return position_conventions(dataset, noise) + velocity_conventions(dataset, noise) or _units(joints)
 
 
 def _units(joints: Sequence[JointTrack]) -> list[Finding]:

@@ -20,8 +20,11 @@ STRETCHES = 32
 _SCREENED = 8
 """Stretches for the first look at all alternatives, and number of alternatives that are looked at again."""
 
-POOR = 0.02
+_POOR = 0.02
 """A group whose error variance is below this share of its motion is predicted well: its columns are not questioned."""
+
+_POOR_BASE = 5e-4
+"""The same for gravity and for the base: in a short flight it moves nearly straight on, whatever its frame is."""
 
 _RATIO = 9.0
 """An alternative must divide the error (rms) of some coordinate by three at least. Physical effects that resemble a
@@ -34,8 +37,9 @@ clearly than the joint itself."""
 _NOT_WORSE = 0.5
 """The same where only other joints can show it, see `Alternative.elsewhere`."""
 
-_AGAINST_PHYSICS = 2.0
-"""Smallest ratio of variances by which it must also do better than a motor without force."""
+_AGAINST_PHYSICS = 1.2
+"""Smallest ratio of variances by which it must also do better, and not by chance, than a motor without force: that is
+what a wrong sign or a tiny unit of a force resembles."""
 
 _FIT = 0.25
 """Largest error variance of an alternative, as a share of the motion."""
@@ -81,8 +85,9 @@ def _faults(dataset: Dataset, predictor: Predictor) -> list[_Fault]:
     now = predictor.errors([applied])[0]
     while len(out) < _MAX_FAULTS:
         middle = np.median(now, axis=0)
-        poor = [int(g) for g in np.argsort(-middle, kind="stable") if middle[g] > POOR]
-        tried = catalogue.alternatives(poor)
+        order = [int(g) for g in np.argsort(-middle, kind="stable")]
+        joints, base = ([g for g in order if middle[g] > limit] for limit in (_POOR, _POOR_BASE))
+        tried = catalogue.alternatives(joints, base)
         if not tried:
             break
         tried = _screened(screen, applied, tried)
@@ -129,7 +134,7 @@ def _best(tried: Sequence[Alternative], now: np.ndarray, errors: np.ndarray) -> 
         if not own_fit or found.after**2 > _FIT:
             continue
         rivals = [errors[k] for k, a in enumerate(tried) if a.nuisance and set(a.groups) & set(own)]
-        if any(float(np.median(rival[:, own].mean(axis=1) / after)) < _AGAINST_PHYSICS for rival in rivals):
+        if not all(_beats(after, rival[:, own].mean(axis=1)) for rival in rivals):
             continue
         total = float(np.mean(np.log(errors[i])))
         if total > float(np.mean(np.log(now))):
@@ -146,6 +151,12 @@ def _best(tried: Sequence[Alternative], now: np.ndarray, errors: np.ndarray) -> 
         if fault.found.after**2 > 0.5 * other.found.after**2 and other.alternative.groups == fault.alternative.groups:
             fault = replace(fault, as_well=f"; equally well: {other.alternative.words}")
     return index, fault
+
+
+def _beats(after: np.ndarray, rival: np.ndarray) -> bool:
+    """Whether errors of a convention are below those of a physical explanation, where the two differ."""
+    found = compare(rival, after)
+    return found.stretches == 0 or found.decisive(_AGAINST_PHYSICS)
 
 
 def _strength(found: Comparison) -> float:

@@ -54,7 +54,7 @@ def clock_drift(dataset: Dataset, noise: Noise) -> list[Finding]:
     # The same data with the clock mended must be predicted better, against the best constant delay of each recording.
     own = drift * since
     middle = np.array([np.mean(own[recording == i]) for i in recording])
-    base = np.array([starts[int(i)] for i in recording])
+    base = np.array([starts.get(int(i), 0.0) for i in recording])
     constant, mended = (predictor.errors(none, base + shift)[0].mean(axis=1) for shift in (middle, own))
     gain = compare(constant, mended)
     if gain.ratio < _RATIO or gain.chance > _CHANCE:

@@ -49,7 +49,7 @@ def stability(dataset: Dataset) -> list[Finding]:
         f"{len(ends)} stretches simulated from measured states blow up, the first in {recording.name!r} at {time:.4g} s"
     )
     remedy = "choose a smaller timestep in <option>"
-    if dataset.model.opt.integrator in (mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_RK4):
+    if recording.model.opt.integrator in (mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_RK4):
         remedy += ', or integrator="implicitfast"'
     return [Finding("error" if 2 * len(bad) >= len(ends) else "warning", "stability", f"{text}; {remedy}")]
 

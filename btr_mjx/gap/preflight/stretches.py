@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 
 from btr_mjx.gap.data import Dataset, Recording
@@ -9,6 +10,11 @@ from btr_mjx.models import difference
 
 _SHORTEST, _LONGEST = 0.02, 0.5
 """Bounds of the length of a stretch [s]."""
+
+_TURN = 1.0
+"""Largest rms rotation of a free or ball joint in a stretch [rad]: beyond half a turn rotations are ambiguous."""
+
+_TURNING = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
 
 _MIN_INTERVALS = 8
 """Smallest number of sampling intervals of a stretch."""
@@ -35,6 +41,15 @@ def motion_seconds(dataset: Dataset) -> float:
     Velocities are chords over at least 20 ms, which noise disturbs less than differences between neighbours.
     """
     found: list[np.ndarray] = []
+    turning = np.isin(dataset.model.jnt_type[dataset.model.dof_jntid], _TURNING)
+    turning &= np.array(
+        [
+            v - dataset.model.jnt_dofadr[j] >= 3 * (dataset.model.jnt_type[j] == _TURNING[0])
+            for v, j in enumerate(dataset.model.dof_jntid)
+        ],
+        bool,
+    )
+    longest = _LONGEST
     for recording in dataset.recordings[:12]:
         rows = slice(0, _SCALE_ROWS)
         time, qpos = recording.time[rows], recording.qpos[rows]
@@ -45,9 +60,11 @@ def motion_seconds(dataset: Dataset) -> float:
         chord = difference(recording.model, qpos[:-lag], qpos[lag:]) / (time[lag:] - time[:-lag])[:, None]
         speed = np.sqrt(np.mean(chord**2, axis=0))
         moving = speed > 0
+        if turning.any():
+            longest = min(longest, _TURN / max(float(np.linalg.norm(speed[turning])), 1e-12))
         found.append((np.std(place, axis=0) / np.where(moving, speed, 1.0))[moving])
     values = np.concatenate(found) if found else np.zeros(0)
-    return float(np.clip(1.2 * np.median(values), _SHORTEST, _LONGEST)) if len(values) else _LONGEST
+    return float(np.clip(1.2 * np.median(values) if len(values) else longest, _SHORTEST, max(longest, _SHORTEST)))
 
 
 def choose_stretches(dataset: Dataset, seconds: float, count: int, margin: float = 0.0) -> list[Stretch]:

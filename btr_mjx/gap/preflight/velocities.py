@@ -35,7 +35,7 @@ class Reading:
     """One way to read velocity columns.
 
     Attributes:
-      words: what the columns hold, for messages; "" as documented.
+      words: what the columns {columns} hold, for messages; "" as documented.
       remedy: what to do.
       scale: factor to SI units.
       frame: "world" or "body" of a vector.
@@ -127,7 +127,7 @@ def _judge(
 
 
 def _error(columns: str, reading: Reading, found: Comparison, kind: int) -> Finding:
-    message = f"{columns} {reading.words}: with that, {found.words()}; {reading.remedy}"
+    message = f"{reading.words.format(columns=columns)}: with that, {found.words()}; {reading.remedy}"
     return Finding("error", "convention", message, reading.remedy, found.evidence())
 
 
@@ -142,7 +142,7 @@ def _readings(model: mujoco.MjModel, joint: int, block: slice) -> Iterator[Readi
         for sign in (1.0, -1.0):
             if sign < 0:
                 yield Reading(
-                    "has the opposite sign of the slope of its positions",
+                    "{columns} has the opposite sign of the slope of its positions",
                     f"negate either of {both}, or leave the velocity out",
                     -1.0,
                 )
@@ -182,19 +182,23 @@ def _readings(model: mujoco.MjModel, joint: int, block: slice) -> Iterator[Readi
                 if scale != 1.0:
                     parts.append(f"are in {unit_words}")
                     remedies.append(f"multiply them by {scale:.6g}")
-                yield Reading(" and ".join(parts), " and ".join(remedies), scale, frame, order)
+                yield Reading("{columns} " + " and ".join(parts), " and ".join(remedies), scale, frame, order)
 
 
 def _scalar_units(hinge: bool, name: str) -> Iterator[tuple[float, str, str]]:
     if hinge:
-        yield DEGREE, "looks like degrees/s", "angular velocities are in rad/s: divide by 57.3"
-        position = f"looks like rad/s beside degrees in qpos/{name}"
+        yield DEGREE, "{columns} looks like degrees/s", "angular velocities are in rad/s: divide by 57.3"
+        position = f"qpos/{name} looks like degrees beside {{columns}} in rad/s"
         yield 1 / DEGREE, position, f"angles are in rad: divide qpos/{name} by 57.3"
-        yield 2 * np.pi / 60, "looks like revolutions per minute", "multiply by 0.10472 to have rad/s"
-        yield 2 * np.pi, "looks like revolutions per second", "multiply by 6.28319 to have rad/s"
+        yield 2 * np.pi / 60, "{columns} looks like revolutions per minute", "multiply by 0.10472 to have rad/s"
+        yield 2 * np.pi, "{columns} looks like revolutions per second", "multiply by 6.28319 to have rad/s"
     else:
-        yield 1e-3, "looks like mm/s", "velocities are in m/s: divide by 1000"
-        yield 1e3, f"looks like m/s beside mm in qpos/{name}", f"positions are in m: divide qpos/{name} by 1000"
+        yield 1e-3, "{columns} looks like mm/s", "velocities are in m/s: divide by 1000"
+        yield (
+            1e3,
+            f"qpos/{name} looks like millimetres beside {{columns}} in m/s",
+            f"positions are in m: divide qpos/{name} by 1000",
+        )
 
 
 def _moved(
