@@ -22,6 +22,9 @@ from btr_mjx.gap.preflight.timing import response_delays, sampling
 from btr_mjx.gap.preflight.velocities import velocity_conventions
 from btr_mjx.models import part_names
 
+_FEW_VALUES = 20
+"""Different positions of a joint below which its resolution is called coarse."""
+
 _FAULTS_OF_DATA = ("convention", "units", "repeats", "wrap", "clocks")
 """Topics of errors that the data, rather than the robot, are to blame for."""
 
@@ -88,7 +91,8 @@ def _conventions(
     """Signs, units, order and frames; only in data whose time and rows are sound."""
     if any(finding.level == "error" for finding in before):
         return []
-    return position_conventions(dataset, noise) + velocity_conventions(dataset, noise) or _units(joints)
+    found = position_conventions(dataset, noise) + velocity_conventions(dataset, noise)
+    return found if any(finding.level == "error" for finding in found) else found + _units(joints)
 
 
 def _units(joints: Sequence[JointTrack]) -> list[Finding]:
@@ -142,6 +146,14 @@ def _channels(dataset: Dataset, joints: Sequence[JointTrack], noise: Noise) -> l
             findings.append(
                 Finding("warning", "channels", f"qpos/{joint.name} stays at its extreme for {stuck:.0%} of the samples")
             )
+        values = np.unique(joint.qpos)
+        if 1 < len(values) <= _FEW_VALUES:
+            apart = float(np.median(np.diff(values)))
+            message = (
+                f"qpos/{joint.name} takes only {len(values)} different values, {apart:.3g} apart: its "
+                "resolution is coarse beside its motion; velocities and friction are hard to see"
+            )
+            findings.append(Finding("warning", "channels", message))
     for a, name in enumerate(actuators):
         if a < ctrl.shape[1] and model.actuator_ctrllimited[a]:
             low, high = model.actuator_ctrlrange[a]

@@ -223,3 +223,33 @@ def test_column_maps_compose() -> None:
     model = mujoco.MjModel.from_xml_string(CART)
     change = Change(ColumnMap.identity(2), ColumnMap.identity(1), (0.0, 0.0, 1.0), (0,))
     assert Change.none(model).after(change).gravity == (0.0, 0.0, 1.0)
+
+
+def test_advice_about_velocities_is_for_joints_that_move() -> None:
+    """A gripper that moves no further than its noise has a velocity that is noise: that is not a wrong sign."""
+
+    def still(arrays: Arrays) -> None:
+        rng = np.random.default_rng(6)
+        arrays["qpos"][:, 2] = 3e-4 * rng.normal(size=len(arrays["time"]))
+        arrays["qvel"][:, 2] = 5e-3 * rng.normal(size=len(arrays["time"]))
+        arrays["ctrl"][:, 2] = 0
+
+    findings = preflight(planted(SOUND["arm"], still))
+    assert not any("qvel/wrist" in f.message or "qpos/wrist" in f.message for f in findings)
+    assert any("no further than their noise: wrist" in f.message for f in findings)
+
+
+def test_thrusters_at_sites_show_their_gain() -> None:
+    rng = np.random.default_rng(7)
+    wave = sines(rng, [2.0])
+    data = dataset(FLYER, [log(FLYER, lambda t: 9.8 + wave(t), i, seconds=2.0) for i in range(2)])
+    blind = [f.message for f in preflight(data) if f.message.startswith("these data cannot show")]
+    assert not any("actuator_gain" in text or "actuator_delay" in text for text in blind)
+
+
+def test_a_coarse_encoder_is_a_warning() -> None:
+    def coarse(arrays: Arrays) -> None:
+        arrays["qpos"][:, 1] = np.round(arrays["qpos"][:, 1] / 0.2) * 0.2
+
+    warnings = [f.message for f in preflight(planted(SOUND["arm"], coarse)) if f.level == "warning"]
+    assert any("qpos/elbow takes only" in text and "0.2 apart" in text for text in warnings)
