@@ -100,8 +100,8 @@ def reality(robot: str, rng: np.random.Generator, imperfect: bool) -> mujoco.MjM
     if imperfect:
         match rng.integers(4):
             case 0:
-                first = 6 if model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE else 0
-                model.dof_frictionloss[first:] = rng.uniform(0.02, 0.3)
+                joints = model.jnt_type[model.dof_jntid] != mujoco.mjtJoint.mjJNT_FREE
+                model.dof_frictionloss[joints] = (rng.uniform(1, 10) * model.dof_M0)[joints]  # rad/s^2, m/s^2
             case 1:
                 gain = rng.uniform(0.5, 0.9)
                 model.actuator_gainprm[:, :3] *= gain
@@ -109,7 +109,8 @@ def reality(robot: str, rng: np.random.Generator, imperfect: bool) -> mujoco.MjM
             case 2:
                 model.body_mass[-1] += 0.3 * model.body_mass[1:].max()
             case 3:
-                model.dof_armature[:] += 0.2 * np.median(model.dof_M0)
+                joints = model.jnt_type[model.dof_jntid] != mujoco.mjtJoint.mjJNT_FREE
+                model.dof_armature[joints] += 0.3 * model.dof_M0[joints]
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
 

@@ -112,10 +112,17 @@ def _screened(screen: Predictor, applied: Change, tried: Sequence[Alternative]) 
     return kept + [a for a in tried if a.nuisance and set(a.groups) & groups]
 
 
+def _typical(errors: np.ndarray, groups: Sequence[int]) -> np.ndarray:
+    """Geometric mean (W,) of the errors (W, G) of some groups.
+
+    Its logarithm is, up to a factor, the log-likelihood of groups whose noise has unknown variances.
+    """
+    return np.exp(np.mean(np.log(errors[:, list(groups)]), axis=1))
+
+
 def _gain(now: np.ndarray, other: np.ndarray, groups: Sequence[int]) -> float:
-    """Median over stretches of the mean log ratio of the errors in some groups."""
-    own = list(groups)
-    return float(np.median(np.mean(np.log(now[:, own] / other[:, own]), axis=1)))
+    """Median over stretches of the log ratio of the typical errors in some groups."""
+    return float(np.median(np.log(_typical(now, groups) / _typical(other, groups))))
 
 
 def _best(tried: Sequence[Alternative], now: np.ndarray, errors: np.ndarray) -> tuple[int, _Fault] | None:
@@ -125,16 +132,16 @@ def _best(tried: Sequence[Alternative], now: np.ndarray, errors: np.ndarray) -> 
         if alternative.nuisance:
             continue
         own = list(alternative.groups)
-        before, after = now[:, own].mean(axis=1), errors[i][:, own].mean(axis=1)
-        found = compare(before, after)
+        found = compare(_typical(now, own), _typical(errors[i], own))
         if alternative.elsewhere:
             own_fit = found.stretches == 0 or found.ratio > _NOT_WORSE
         else:
             own_fit = found.decisive(_OWN_RATIO)
         if not own_fit or found.after**2 > _FIT:
             continue
+        judged = range(now.shape[1]) if alternative.elsewhere else own
         rivals = [errors[k] for k, a in enumerate(tried) if a.nuisance and set(a.groups) & set(own)]
-        if not all(_beats(after, rival[:, own].mean(axis=1)) for rival in rivals):
+        if not all(_beats(_typical(errors[i], judged), _typical(rival, judged)) for rival in rivals):
             continue
         total = float(np.mean(np.log(errors[i])))
         if total > float(np.mean(np.log(now))):
