@@ -20,6 +20,9 @@ STRETCHES = 32
 _SCREENED = 8
 """Stretches for the first look at all alternatives, and number of alternatives that are looked at again."""
 
+_FEWEST = 5
+"""Fewest stretches that can decide."""
+
 _POOR = 0.02
 """A group whose error variance is below this share of its motion is predicted well: its columns are not questioned."""
 
@@ -62,7 +65,7 @@ def position_conventions(dataset: Dataset, noise: Noise) -> list[Finding]:
       noise: of its sensors.
     """
     predictor = Predictor(dataset, noise, STRETCHES)
-    if len(predictor) < _SCREENED:
+    if len(predictor) < _FEWEST:
         return []
     faults = _faults(dataset, predictor)
     return [

@@ -96,7 +96,9 @@ def _of_recording(recording: Recording, index: int, seconds: float, count: int, 
     room = len(recording.time) - length - 2 * side - 1
     if room < 0:
         return []
-    firsts = np.unique(np.linspace(side, side + room, min(_CANDIDATES * count, room + 1)).round().astype(int))
+    # At least half a length apart: stretches that overlap more say the same thing twice.
+    candidates = min(_CANDIDATES * count, 2 * room // length + 1)
+    firsts = np.unique(np.linspace(side, side + room, candidates).round().astype(int))
     time = recording.time
     even = (time[firsts + length] - time[firsts]) < 1.5 * length * interval
     firsts = firsts[even]

@@ -203,16 +203,22 @@ def test_a_constant_delay_is_not_a_drift() -> None:
     assert errors(planted(SOUND["arm"], late)) == []
 
 
-def test_the_sign_test_counts_wins() -> None:
-    from scipy.stats import binomtest
+def test_chances_are_those_of_sign_test_and_t_test() -> None:
+    from scipy.stats import binomtest, ttest_1samp
 
-    now, other = np.full(30, 2.0), np.r_[np.full(26, 1.0), np.full(3, 3.0), 2.0]
+    now, other = np.full(30, 2.0), np.r_[np.full(26, 1.9), np.full(3, 9.0), 2.0]
     found = compare(now, other)
     assert (found.wins, found.stretches) == (26, 29)
-    assert found.ratio == 2.0
-    assert found.chance == pytest.approx(binomtest(26, 29, 0.5, "greater").pvalue)
+    assert found.ratio == pytest.approx(2 / 1.9)
+    assert found.chance == pytest.approx(2 * binomtest(26, 29, 0.5, "greater").pvalue)
+    assert found.decisive(1.0) == (found.chance < CHANCE)
+    assert not found.decisive(1.1)
     assert not compare(now, now).decisive(0.0)
-    assert found.decisive(1.9) == (found.chance < CHANCE)
+    few = np.random.default_rng(8).uniform(50, 200, 8)
+    found = compare(few, np.ones(8))
+    assert found.chance == pytest.approx(2 * ttest_1samp(np.log(few), 0, alternative="greater").pvalue)
+    assert found.decisive(9)
+    assert not compare(few[:3], np.ones(3)).decisive(9)
 
 
 def test_column_maps_compose() -> None:
