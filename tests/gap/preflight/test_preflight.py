@@ -90,7 +90,8 @@ def test_degrees_of_short_recordings_are_detected_from_limits_and_turns() -> Non
     """Recordings that are too short for predictions."""
 
     def short(change: Callable[[Recording], Recording]) -> Dataset:
-        return changed(lambda r: change(r).part(slice(100, 120), r.split, r.name))
+        cut = changed(lambda r: change(r).part(slice(100, 120), r.split, r.name))
+        return dataclasses.replace(cut, recordings=cut.recordings[1:])
 
     model = mujoco.MjModel.from_xml_string(ROBOT.xml)
     model.jnt_limited[:], model.jnt_range[:] = 1, (-1.5, 1.5)
