@@ -2,6 +2,7 @@
 
 DATASET is a folder with dataset.toml (see btr_mjx/gap/data/dataset.py), with BAM's JSON beside a servo.toml, or of
 LeRobot's form beside a dataset.toml. `python -m btr_mjx.diagnose --demo` makes a hidden case from a seed and solves it.
+`python -m btr_mjx.diagnose DATASET --check` only checks the data, within seconds, and writes nothing: docs/check.md.
 
 The run folder holds:
 
@@ -16,10 +17,11 @@ The run folder holds:
     demo/, truth.json               with --demo: the case, and the answer
     search/                         what was simulated so far, until the search ends; --resume goes on from there
 
-The exit code is 0 for every verdict.
+The exit code is 0 for every verdict, and 2 for data that are refused.
 """
 
 import dataclasses
+import json
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack
@@ -29,7 +31,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from btr_mjx.errors import InputError, cli_errors, resume_command
+from btr_mjx.errors import BAD_INPUT_CODE, InputError, cli_errors, is_bad_input, one_line, resume_command
 from btr_mjx.runs import (
     IGNORED_FIELDS,
     RunFolder,
@@ -79,6 +81,11 @@ class DiagnoseConfig:
     """Show a progress bar (lines now and then where there is no terminal)."""
     figures: bool = True
     """Draw the page and its figures."""
+
+    check: bool = False
+    """Only check the data and the model, without a search and without a run folder."""
+    json: bool = False
+    """With --check: print the findings as JSON."""
 
     effects: tuple[str, ...] = ("all",)
     """Effects that may be named: "all", names of the library, or FILE.py:NAME for one of your own; "all FILE.py:NAME"
@@ -144,7 +151,8 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
                 dataset, findings = examine(run.path / "demo", library, config.signal, config.progress)
                 stop.checkpoint()
             print_findings(findings)
-            write_table(run.path / "preflight.csv", [dataclasses.asdict(f) for f in findings])
+            rows = [dataclasses.asdict(f) | {"evidence": json.dumps(dict(f.evidence))} for f in findings]
+            write_table(run.path / "preflight.csv", rows)
             if is_listed(run.path / RESULT):
                 check_sums(run.path)
             else:
@@ -167,6 +175,10 @@ def check_diagnosis(config: DiagnoseConfig) -> None:
         raise InputError(f"got {what}; give a folder of recordings, or --demo alone")
     if config.dataset is not None and not config.dataset.exists():
         raise InputError(f"{config.dataset}: there is no such folder")
+    if config.check and config.demo:
+        raise InputError("got --check and --demo; --check takes a folder of recordings")
+    if config.json and not config.check:
+        raise InputError("got --json without --check; result.json in the run folder is for scripts")
     if not 1 <= config.max_effects <= 100:
         raise InputError(f"max_effects: got {config.max_effects}, expected at least 1, at most 100")
     if not 0 <= config.chosen_seed < 2**63:
@@ -220,6 +232,41 @@ def examine(
         from btr_mjx.gap.preflight import preflight
 
         return dataset, preflight(dataset, [effect.name for effect in library])
+
+
+def check_data(config: DiagnoseConfig) -> bool:
+    """Check a dataset and print the findings.
+
+    Args:
+      config: the settings.
+
+    Returns:
+      Whether the data can be used.
+
+    Raises:
+      InputError: the dataset cannot be read; with `json` it is printed as a finding instead.
+    """
+    from btr_mjx.gap.effects import selected_effects
+    from btr_mjx.gap.preflight import Finding
+
+    assert config.dataset is not None
+    library = selected_effects(config.effects)
+    try:
+        _, findings = examine(config.dataset, library, config.signal, config.progress and not config.json)
+    except Exception as error:
+        if not (config.json and is_bad_input(error)):
+            raise
+        findings = [Finding("error", "loading", one_line(error))]
+    usable = all(finding.level != "error" for finding in findings)
+    if config.json:
+        found = [dataclasses.asdict(f) | {"evidence": dict(f.evidence)} for f in findings]
+        print(json.dumps({"dataset": str(config.dataset), "usable": usable, "findings": found}, indent=2))
+    else:
+        from btr_mjx.gap.report import print_findings
+
+        print_findings(findings)
+        print("the data can be used" if usable else "refused: mend the errors first")
+    return usable
 
 
 def search_missing(
@@ -292,15 +339,27 @@ def _make_demo(folder: Path, config: DiagnoseConfig) -> None:
     write_json(folder / "truth.json", case(folder / "demo", config.chosen_seed, config.robot))
 
 
+def _silence_mujoco() -> None:
+    """No messages of MuJoCo: unstable candidates are handled and reported by checks and search."""
+    import mujoco
+
+    mujoco.set_mju_user_warning(lambda _: None)
+
+
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
     argv = sys.argv[1:] if argv is None else list(argv)
     config = tyro.cli(DiagnoseConfig, args=list(argv), description=__doc__, prog="btr_mjx.diagnose")
+    if config.check:
+        with cli_errors():
+            check_diagnosis(config)
+            _silence_mujoco()
+            if not check_data(config):
+                raise SystemExit(BAD_INPUT_CODE)
+        return
     with cli_errors(), _claimed(config) as config:
         check_diagnosis(config)
-        import mujoco
-
-        mujoco.set_mju_user_warning(lambda _: None)  # unstable candidates are handled and reported by the search
+        _silence_mujoco()
         with cli_errors(resume_command("btr_mjx.diagnose", argv, config.out)):
             result = diagnose(config)
         from btr_mjx.gap.report import print_result, print_truth

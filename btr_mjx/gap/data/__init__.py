@@ -7,9 +7,11 @@ the parameters that may be refitted (`models.PathParameter`) and the standard de
 
 from btr_mjx.gap.data.columns import control_columns, read_columns
 from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, load, noise_of, read_header
+from btr_mjx.gap.data.held import Held, held, stairs
 from btr_mjx.gap.data.noise import Noise, estimate_noise, reduced_noise
 from btr_mjx.gap.data.recording import Recording, make_recording
 from btr_mjx.gap.data.sources import open_dataset
+from btr_mjx.gap.data.wraps import Wrap, find_wraps
 from btr_mjx.gap.data.writing import DatasetDescription, Format, save_dataset
 
 __all__ = [
@@ -17,11 +19,15 @@ __all__ = [
     "Dataset",
     "DatasetDescription",
     "Format",
+    "Held",
     "Interpolation",
     "Noise",
     "Recording",
+    "Wrap",
     "control_columns",
     "estimate_noise",
+    "find_wraps",
+    "held",
     "load",
     "make_recording",
     "noise_of",
@@ -30,4 +36,5 @@ __all__ = [
     "read_header",
     "reduced_noise",
     "save_dataset",
+    "stairs",
 ]

@@ -16,7 +16,8 @@
     overrides = {"body:arm/mass" = 0.5} # optional: numbers that differ in this recording
 
     [control]
-    interpolation = "linear"            # of the command between samples: "hold", "linear" or "cubic"
+    interpolation = "linear"            # of the command between samples: "hold", "linear" or "cubic"; by default
+                                        # "hold" for commands that are stairs, else "linear"
 
     [tolerances]                        # optional: 1 sigma of residual calibration errors, by effect
     viscous_damping = 0.1
@@ -41,6 +42,7 @@ from typing import Any, Literal
 import mujoco
 
 from btr_mjx.errors import InputError
+from btr_mjx.gap.data.held import stairs
 from btr_mjx.gap.data.long_files import Advance, count_rows, shares
 from btr_mjx.gap.data.noise import Noise, estimate_noise, read_noise
 from btr_mjx.gap.data.recording import Recording, assign_splits, load_model, read_recording
@@ -123,7 +125,21 @@ def load(folder: str | Path, progress: ReadProgress | None = None) -> Dataset:
         for i, (row, share) in enumerate(zip(listed, shares([count_rows(file) for file in files]), strict=True))
     ]
     parts = _split(groups, [row.get("split") for row in listed], str(path))
-    return replace(head, recordings=tuple(parts), notes=tuple(notes))
+    given = "interpolation" in table.get("control", {})
+    interpolation = head.interpolation if given else _suitable_interpolation(parts, notes)
+    return replace(head, recordings=tuple(parts), interpolation=interpolation, notes=tuple(notes))
+
+
+def _suitable_interpolation(recordings: Sequence[Recording], notes: list[str]) -> Interpolation:
+    """The interpolation of commands for which dataset.toml names none."""
+    found = stairs([r.commands[1] for r in recordings])
+    if found is None:
+        return "linear"
+    notes.append(
+        f"commands are stairs (they change every {found.every:.3g}th row, never in two rows that follow each other): "
+        'interpolation = "hold" is used; put it into [control] to say so'
+    )
+    return "hold"
 
 
 def _advance(files: Sequence[Path], progress: ReadProgress | None) -> Advance:

@@ -14,9 +14,11 @@ import numpy as np
 
 from btr_mjx.errors import InputError, one_line
 from btr_mjx.gap.data.columns import check_names, control_columns, read_columns, state_columns, ungroup_columns
+from btr_mjx.gap.data.held import fresh_rows
 from btr_mjx.gap.data.long_files import Advance, Share, read_stretches
 from btr_mjx.gap.data.plausible import check_sizes, check_span
 from btr_mjx.gap.data.samples import check_time, complete_rows, estimate_velocity, normalise_quaternions
+from btr_mjx.gap.data.wraps import unwrap_hinges
 from btr_mjx.models import COMPILE_ERRORS, check_mjcf, check_model, set_values
 from btr_mjx.runs import check_keys, file_inside, is_number, read_text
 
@@ -41,6 +43,7 @@ class Recording:
       force: (K,) measured actuator forces by actuator.
       sensor: (K,) other measurements by name.
       notes: corrections made by the loader, reported by preflight.
+      sent: times (N,) [s] and commands (N, nu), where commands were logged at more times than states.
     """
 
     name: str
@@ -54,6 +57,12 @@ class Recording:
     force: Mapping[str, np.ndarray] = field(default_factory=dict)
     sensor: Mapping[str, np.ndarray] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    sent: tuple[np.ndarray, np.ndarray] | None = None
+
+    @property
+    def commands(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times (N,) [s] and commands (N, nu): all that are known."""
+        return (self.time, self.ctrl) if self.sent is None else self.sent
 
     def part(self, rows: slice, split: Split, name: str) -> "Recording":
         """A part of the recording, as a recording with another name and split."""
@@ -201,6 +210,19 @@ def make_recording(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, whe
         raise InputError(f"{where}: {len(time)} samples are too short for a window; expected at least {MIN_SAMPLES}")
     qpos = np.stack([flat[c] for c in positions], axis=1)
     normalise_quaternions(qpos, model, where)
+    ctrl = np.stack([flat[c] for c in control_columns(model)], axis=1)
+    unwrap_hinges(model, qpos, ctrl, notes)
+    sent = None
+    fresh = fresh_rows(qpos)
+    if fresh is not None and len(fresh.rows) >= MIN_SAMPLES:
+        rate = (len(fresh.rows) - 1) / (time[fresh.rows[-1]] - time[0])
+        notes.append(
+            f"positions change every {fresh.every:.3g}th row only ({rate:.4g} Hz) and repeat in between: the fresh "
+            "rows are used, commands in all rows"
+        )
+        sent = time, ctrl
+        time, qpos, ctrl = time[fresh.rows], qpos[fresh.rows], ctrl[fresh.rows]
+        flat = {key: value[fresh.rows] for key, value in flat.items()}
     qvel = np.empty((len(time), model.nv))
     if not measured.all():
         qvel = estimate_velocity(model, time, qpos)
@@ -211,7 +233,7 @@ def make_recording(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, whe
     return Recording(
         name=name,
         time=time,
-        ctrl=np.stack([flat[c] for c in control_columns(model)], axis=1),
+        ctrl=ctrl,
         qpos=qpos,
         qvel=qvel,
         qvel_measured=measured,
@@ -220,6 +242,7 @@ def make_recording(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, whe
         force={c.partition("/")[2]: v for c, v in flat.items() if c.startswith("force/")},
         sensor={c.partition("/")[2]: v for c, v in flat.items() if c.startswith("sensor/")},
         notes=tuple(notes),
+        sent=sent,
     )
 
 

@@ -12,11 +12,21 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, Noise, noise_of
-from btr_mjx.gap.preflight.excitation import JointTrack, joint_tracks, unexcited_effects
+from btr_mjx.gap.preflight.conventions import position_conventions
+from btr_mjx.gap.preflight.drift import clock_drift
+from btr_mjx.gap.preflight.excitation import JointTrack, joint_tracks, moves, unexcited_effects
 from btr_mjx.gap.preflight.findings import Finding, listed
+from btr_mjx.gap.preflight.repeats import angle_jumps, held_commands, held_positions
 from btr_mjx.gap.preflight.stability import stability
 from btr_mjx.gap.preflight.timing import response_delays, sampling
+from btr_mjx.gap.preflight.velocities import velocity_conventions
 from btr_mjx.models import part_names
+
+_FEW_VALUES = 20
+"""Different positions of a joint below which its resolution is called coarse."""
+
+_FAULTS_OF_DATA = ("convention", "units", "repeats", "wrap", "clocks")
+"""Topics of errors that the data, rather than the robot, are to blame for."""
 
 
 def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Finding]:
@@ -37,13 +47,16 @@ def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Fi
         names = [r.name for r in dataset.recordings if line in r.notes]
         findings.append(Finding("note", "loading", f"{line} ({listed(names)})"))
     findings += sampling(dataset)
-    findings += _units(joints)
+    findings += held_positions(dataset) + held_commands(dataset) + angle_jumps(dataset)
+    findings += _conventions(dataset, joints, noise, findings)
     findings += _channels(dataset, joints, noise)
     findings += response_delays(dataset, joints)
     findings += _parameter_bounds(dataset)
     findings += _excitation(dataset, joints, effects)
     if all(finding.level != "error" for finding in findings):
         findings += stability(dataset)
+    if all(finding.level != "error" for finding in findings):
+        findings += clock_drift(dataset, noise)
     order = {"error": 0, "warning": 1, "note": 2}
     return sorted(findings, key=lambda finding: order[finding.level])
 
@@ -54,9 +67,12 @@ def refuse_errors(findings: Sequence[Finding]) -> None:
     Raises:
       InputError: with the message of the first error.
     """
-    for finding in findings:
-        if finding.level == "error":
-            raise InputError(finding.message)
+    errors = [finding for finding in findings if finding.level == "error"]
+    if errors:
+        first = errors[0]
+        start = "fix the data first: " if first.topic in _FAULTS_OF_DATA else ""
+        more = f" (and {len(errors) - 1} more errors: --check lists them)" if len(errors) > 1 else ""
+        raise InputError(f"{start}{first.message}{more}")
 
 
 def _summary(dataset: Dataset) -> list[str]:
@@ -69,6 +85,16 @@ def _summary(dataset: Dataset) -> list[str]:
     ]
 
 
+def _conventions(
+    dataset: Dataset, joints: Sequence[JointTrack], noise: Noise, before: Sequence[Finding]
+) -> list[Finding]:
+    """Signs, units, order and frames; only in data whose time and rows are sound."""
+    if any(finding.level == "error" for finding in before):
+        return []
+    found = position_conventions(dataset, noise) + velocity_conventions(dataset, noise)
+    return found if any(finding.level == "error" for finding in found) else found + _units(joints)
+
+
 def _units(joints: Sequence[JointTrack]) -> list[Finding]:
     findings: list[Finding] = []
     remedy = "angles are in rad: divide by 57.3"
@@ -76,20 +102,6 @@ def _units(joints: Sequence[JointTrack]) -> list[Finding]:
         if not joint.hinge:
             continue
         peak = float(np.percentile(np.abs(joint.qpos), 98))
-        if joint.measured:
-            ours, theirs = (float(np.percentile(np.abs(x), 90)) for x in (joint.qvel, joint.slope))
-            ratio = ours / theirs if theirs > 0 else 1.0
-            moving = theirs > 0.1 and abs(float(np.corrcoef(joint.qvel, joint.slope)[0, 1])) > 0.8
-            if moving and (40 < ratio < 80 or 1 / 80 < ratio < 1 / 40):
-                which = f"qvel/{joint.name}" if ratio > 1 else f"qpos/{joint.name}"
-                findings.append(
-                    Finding(
-                        "error",
-                        "units",
-                        f"column {which!r} looks like degrees: qvel is {ratio:.3g} times the slope of qpos; {remedy}",
-                    )
-                )
-                continue
         limit = None if joint.limits is None else float(np.abs(joint.limits).max())
         if limit is not None and peak > 5 * limit + 1:
             text = f"reaches {peak:.4g}, its limit in the model is {limit:.4g} rad"
@@ -113,7 +125,7 @@ def _channels(dataset: Dataset, joints: Sequence[JointTrack], noise: Noise) -> l
     frozen = [j.name for j in joints if np.ptp(j.qpos) == 0]
     sigma = dict(zip(part_names(model, "joint"), noise.qpos[model.jnt_dofadr], strict=True))
     quiet = [j.name for j in joints if 0 < np.ptp(j.qpos) < 8 * sigma[j.name]]
-    if still and len(still) == len(actuators) and len(frozen) + len(quiet) == len(joints):
+    if len(still) == len(actuators) and len(frozen) + len(quiet) == len(joints) and not moves(dataset):
         findings.append(
             Finding(
                 "error",
@@ -134,6 +146,14 @@ def _channels(dataset: Dataset, joints: Sequence[JointTrack], noise: Noise) -> l
             findings.append(
                 Finding("warning", "channels", f"qpos/{joint.name} stays at its extreme for {stuck:.0%} of the samples")
             )
+        values = np.unique(joint.qpos)
+        if 1 < len(values) <= _FEW_VALUES:
+            apart = float(np.median(np.diff(values)))
+            message = (
+                f"qpos/{joint.name} takes only {len(values)} different values, {apart:.3g} apart: its "
+                "resolution is coarse beside its motion; velocities and friction are hard to see"
+            )
+            findings.append(Finding("warning", "channels", message))
     for a, name in enumerate(actuators):
         if a < ctrl.shape[1] and model.actuator_ctrllimited[a]:
             low, high = model.actuator_ctrlrange[a]
@@ -144,18 +164,6 @@ def _channels(dataset: Dataset, joints: Sequence[JointTrack], noise: Noise) -> l
                         "warning",
                         "channels",
                         f"ctrl/{name} is at or beyond its ctrlrange in {beyond:.0%} of the samples",
-                    )
-                )
-    for joint in joints:
-        if joint.measured and np.ptp(joint.slope) > 0 and np.ptp(joint.qvel) > 0 and joint.name not in quiet:
-            correlation = float(np.corrcoef(joint.qvel, joint.slope)[0, 1])
-            if correlation < 0.5:
-                findings.append(
-                    Finding(
-                        "warning",
-                        "channels",
-                        f"qvel/{joint.name} does not follow the slope of qpos/{joint.name} (correlation "
-                        f"{correlation:.2f}); check its sign and clock, or leave it out",
                     )
                 )
     return findings

@@ -78,6 +78,17 @@ def _slopes(recording: Recording) -> np.ndarray:
     return np.concatenate([inner[:1], inner, inner[-1:]])
 
 
+def moves(dataset: Dataset) -> bool:
+    """Whether a free or ball joint moves by more than 1e-3 rad or m."""
+    model = dataset.model
+    large = [j for j, kind in enumerate(model.jnt_type) if int(kind) not in (_HINGE, _SLIDE)]
+    if not large:
+        return False
+    own = np.isin(model.dof_jntid, large)
+    rows = [r.qpos[:: max(1, len(r.qpos) // 200)] for r in dataset.recordings]
+    return any(bool((np.ptp(difference(model, q[:1], q)[:, own], axis=0) > 1e-3).any()) for q in rows)
+
+
 def unexcited_effects(dataset: Dataset, joints: Sequence[JointTrack] | None = None) -> dict[str, str]:
     """Reason why these data do not excite an effect, for each effect that is checked.
 
@@ -94,8 +105,12 @@ def unexcited_effects(dataset: Dataset, joints: Sequence[JointTrack] | None = No
     driven = [j for j in moving if j.actuator is not None]
     reversals = [int(np.count_nonzero(np.diff(np.sign(j.slope)))) for j in moving]
     feet, _ = ground_geoms(model)
-    nothing = "" if moving else "no joint moves"
-    undriven = "" if driven else "no driven joint moves"
+    nothing = "" if moving else "no hinge or slide moves"
+    undriven = "" if driven else "no driven hinge or slide moves"
+    # Thrusters at sites and tendons drive without a joint of their own.
+    useless = (
+        "" if driven or (moves(dataset) and any(joint_of(model, a) is None for a in range(model.nu))) else undriven
+    )
     turns = "" if max(reversals, default=0) >= 4 else "no joint reverses its motion more than a few times"
     ground = "" if feet else "nothing can touch the ground"
     constant = "" if any(np.ptp(r.ctrl, axis=0).any() for r in dataset.recordings) else "every command is constant"
@@ -110,11 +125,11 @@ def unexcited_effects(dataset: Dataset, joints: Sequence[JointTrack] | None = No
         "joint_stiffness": nothing,
         "joint_offset": "" if feet or not fixed or np.linalg.norm(model.opt.gravity) > 0 else "no weight, no contact",
         "backlash": undriven or turns,
-        "actuator_delay": constant or undriven,
-        "actuator_lag": constant or undriven or one_tone,
-        "command_rate_limit": constant or undriven,
-        "actuator_gain": undriven,
-        "torque_limit": undriven,
+        "actuator_delay": constant or useless,
+        "actuator_lag": constant or useless or one_tone,
+        "command_rate_limit": constant or useless,
+        "actuator_gain": useless,
+        "torque_limit": useless,
         "ground_friction": ground,
         "ground_slope": "" if np.linalg.norm(model.opt.gravity) > 0 else "there is no gravity",
         "contact_softness": ground,

@@ -1,7 +1,7 @@
-"""Findings of the checks: one line about a dataset, with a level."""
+"""Findings of the checks: one line about a dataset, with a level, numbers and a remedy."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Literal
 
 Level = Literal["error", "warning", "note"]
@@ -16,12 +16,16 @@ class Finding:
     Attributes:
       level: "error", "warning" or "note".
       topic: one or two words.
-      message: one line of text.
+      message: one line of text, with the evidence and the remedy.
+      remedy: what to change, where one change mends it; "" otherwise.
+      evidence: numbers behind it, by name.
     """
 
     level: Level
     topic: str
     message: str
+    remedy: str = ""
+    evidence: Mapping[str, float] = field(default_factory=dict)
 
 
 def listed(names: Sequence[str]) -> str:

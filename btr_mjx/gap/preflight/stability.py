@@ -37,7 +37,7 @@ def stability(dataset: Dataset) -> list[Finding]:
     for i in range(_SEGMENTS):
         which, share = divmod(i * len(dataset.recordings) / _SEGMENTS, 1.0)
         recording = dataset.recordings[int(which)]
-        command = Command(recording.time, recording.ctrl, dataset.interpolation)
+        command = Command(*recording.commands, dataset.interpolation)
         ends.append((recording, instability_time(recording, int(share * (len(recording.time) - 2)), command)))
     bad = [(recording, time) for recording, time in ends if time is not None]
     if not bad:
@@ -48,7 +48,9 @@ def stability(dataset: Dataset) -> list[Finding]:
         f"{dataset.model_file.name}: the believed model is unstable at its time step of {step:g} s: {len(bad)} of "
         f"{len(ends)} stretches simulated from measured states blow up, the first in {recording.name!r} at {time:.4g} s"
     )
-    remedy = 'choose a smaller timestep in <option>, or integrator="implicitfast"'
+    remedy = "choose a smaller timestep in <option>"
+    if recording.model.opt.integrator in (mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_RK4):
+        remedy += ', or integrator="implicitfast"'
     return [Finding("error" if 2 * len(bad) >= len(ends) else "warning", "stability", f"{text}; {remedy}")]
 
 

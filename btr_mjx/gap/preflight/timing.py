@@ -3,38 +3,42 @@
 from collections.abc import Sequence
 
 import numpy as np
-import scipy
 
 from btr_mjx.gap.data import Dataset, Recording
 from btr_mjx.gap.preflight.excitation import JointTrack
 from btr_mjx.gap.preflight.findings import Finding, listed
 from btr_mjx.models import part_names
 
+_SLOWEST = 0.5
+"""Sampling interval [s] from which on time is taken to be in a smaller unit: no robot's motion is sampled so slowly."""
+
+_FASTEST = 1e-6
+"""Sampling interval [s] below which it is taken to be in a larger unit."""
+
+_UNITS = (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9))
+_USUAL = 5e-3
+"""Typical sampling interval [s]; the unit of time stamps is that in which theirs is nearest to it, by ratio."""
+
 
 def sampling(dataset: Dataset) -> list[Finding]:
-    """Check sampling rate, gaps, and samples per period of the commands."""
-    findings = []
+    """Check unit of time, sampling rate, gaps, and samples per period of the commands, in each recording."""
+    findings = [found for r in dataset.recordings for found in [_time_unit(r)] if found is not None]
+    if findings:
+        return findings[:1]
+    usual = {r.name: float(np.median(np.diff(r.time))) for r in dataset.recordings}
     steps = np.concatenate([np.diff(r.time) for r in dataset.recordings])
-    usual = float(np.median(steps))
-    if usual >= 0.5 or usual < 1e-6:
-        what = "milliseconds" if usual >= 0.5 else "another unit"
-        return [
-            Finding(
-                "error",
-                "units",
-                f"time: samples are {usual:.6g} s apart, which looks like {what}; the column time is in seconds",
-            )
-        ]
+    slow, fast = max(usual.values()), min(usual.values())
+    rates = f"{1 / slow:.1f}" if slow < 1.2 * fast else f"{1 / slow:.1f} to {1 / fast:.1f}"
     findings.append(
         Finding(
             "note",
             "sampling",
-            f"{1 / usual:.1f} samples per second; the middle 98 % of intervals is "
+            f"{rates} samples per second; the middle 98 % of intervals is "
             f"{1e3 * np.percentile(steps, 1):.3g} to {1e3 * np.percentile(steps, 99):.3g} ms",
         )
     )
     for recording in dataset.recordings:
-        gaps = np.flatnonzero(np.diff(recording.time) > 3 * usual)
+        gaps = np.flatnonzero(np.diff(recording.time) > 3 * usual[recording.name])
         if len(gaps):
             k = int(gaps[np.argmax(np.diff(recording.time)[gaps])])
             findings.append(
@@ -45,17 +49,18 @@ def sampling(dataset: Dataset) -> list[Finding]:
                     f"{recording.time[k]:.6g} to {recording.time[k + 1]:.6g} s",
                 )
             )
-    tempo = max((_command_frequency(r) for r in dataset.recordings), default=0.0)
-    if tempo > 0 and 1 / (tempo * usual) < 10:
+    sparse = [(f * usual[r.name], f) for r in dataset.recordings if (f := _command_frequency(r)) > 0]
+    share, tempo = max(sparse, default=(0.0, 0.0))
+    if share > 0.1:
         findings.append(
             Finding(
                 "warning",
                 "sampling",
-                f"commands turn over at {tempo:.3g} Hz, {1 / (tempo * usual):.1f} samples a period; delays and "
+                f"commands turn over at {tempo:.3g} Hz, {1 / share:.1f} samples a period; delays and "
                 "velocities are hard to see below ten",
             )
         )
-    if dataset.model.opt.timestep > usual:
+    if dataset.model.opt.timestep > 1.001 * fast:
         findings.append(
             Finding(
                 "warning",
@@ -64,6 +69,26 @@ def sampling(dataset: Dataset) -> list[Finding]:
             )
         )
     return findings
+
+
+def _time_unit(recording: Recording) -> Finding | None:
+    """An error where times of a recording are not in seconds."""
+    usual = float(np.median(np.diff(recording.time)))
+    if _FASTEST <= usual < _SLOWEST:
+        return None
+    what, factor = "another unit", 1.0
+    if usual >= _SLOWEST:
+        what, factor = min(_UNITS, key=lambda unit: abs(np.log(usual / unit[1] / _USUAL)))
+        if recording.time[0] / factor > 1e8:
+            what += " since 1970"
+    remedy = f"the column time is in seconds: divide by {factor:.0e}" if factor > 1 else "the column time is in seconds"
+    return Finding(
+        "error",
+        "units",
+        f"{recording.name}: time: samples are {usual:.6g} s apart, which looks like {what}; {remedy}",
+        remedy,
+        {"interval": usual},
+    )
 
 
 def _command_frequency(recording: Recording) -> float:
@@ -79,12 +104,15 @@ def _command_frequency(recording: Recording) -> float:
 def response_delays(dataset: Dataset, joints: Sequence[JointTrack]) -> list[Finding]:
     """Delay of the positions of servo joints behind their commands, servo dynamics included."""
     model, shifts = dataset.model, []
-    usual = float(np.median(np.concatenate([np.diff(r.time) for r in dataset.recordings])))
+    usual = max(float(np.median(np.diff(r.time))) for r in dataset.recordings)
     for joint in joints:
         if not joint.servo or joint.actuator is None or np.ptp(joint.ctrl) == 0:
             continue
         q = int(model.jnt_qposadr[part_names(model, "joint").index(joint.name)])
-        own = [_shift(r.time, r.ctrl[:, joint.actuator], r.qpos[:, q], usual) for r in dataset.recordings]
+        own = [
+            _shift(r.time, r.ctrl[:, joint.actuator], r.qpos[:, q], float(np.median(np.diff(r.time))))
+            for r in dataset.recordings
+        ]
         found = [s for s in own if s is not None]
         if found:
             shifts.append((joint.name, float(np.median(found))))
@@ -122,6 +150,8 @@ def _shift(time: np.ndarray, command: np.ndarray, response: np.ndarray, step: fl
     if size == 0:
         return None
     reach = min(int(0.25 / step), len(even) // 4)
-    scores = scipy.signal.correlate(b, a)[len(a) - 1 - reach : len(a) + reach] / size
+    padded = 2 * len(even)  # so that the transform's circle does not close
+    products = np.fft.irfft(np.fft.rfft(b, padded) * np.conj(np.fft.rfft(a, padded)), padded)
+    scores = np.concatenate([products[padded - reach :], products[: reach + 1]]) / size
     best = int(np.argmax(scores))
     return (best - reach) * step if scores[best] > 0.7 else None

@@ -12,7 +12,7 @@ from btr_mjx.gap.results import (
     format_number,
     verdict_sentence,
 )
-from btr_mjx.runs import read_json
+from btr_mjx.runs import read_json, read_table
 
 _CODE = """import json, mujoco
 from btr_mjx.gap.results import Callback
@@ -65,7 +65,19 @@ def content(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
         "next_experiment": _experiment(result.get("next_experiment")),
         "mended": _mended(folder),
         "notes": _lines(result.get("notes")),
+        "preflight": _preflight(folder),
         "footer": _footer(folder, result),
+    }
+
+
+def _preflight(folder: Path) -> dict[str, list[str]] | None:
+    """What was odd about the data before the search: warnings, and notes."""
+    if not (folder / "preflight.csv").is_file():
+        return None
+    rows = read_table(folder / "preflight.csv").select("level", "message").rows()
+    return {
+        "warnings": [str(message) for level, message in rows if level != "note"],
+        "notes": [str(message) for level, message in rows if level == "note"],
     }
 
 

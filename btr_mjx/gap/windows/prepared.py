@@ -53,7 +53,7 @@ def prepare(recordings: Sequence[Recording], interpolation: str, sigma: np.ndarr
       The recordings with commands and activation states.
     """
     tracks = tuple(track_of(r) for r in recordings)
-    commands = tuple(Command(r.time, r.ctrl, interpolation) for r in recordings)  # type: ignore[arg-type]
+    commands = tuple(Command(*r.commands, interpolation) for r in recordings)  # type: ignore[arg-type]
     acts = tuple(activation_histories(r.model, t, c) for r, t, c in zip(recordings, tracks, commands, strict=True))
     seen = np.stack([r.qvel_measured for r in recordings]).all(0)
     measured = np.concatenate([np.ones(recordings[0].model.nv, bool), seen])

@@ -73,10 +73,10 @@ DEGREES = 180 / np.pi
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (scaled("qpos", 2, DEGREES), r"'qpos/elbow' looks like degrees"),
-        (scaled("qvel", 2, DEGREES), r"'qvel/elbow' looks like degrees"),
-        (scaled("ctrl", 2, DEGREES), r"joint 'elbow' has a command.*degrees"),
-        (lambda r: scaled("qvel", 2, DEGREES)(scaled("qpos", 2, DEGREES)(r)), r"joint 'elbow' reaches .*degrees"),
+        (scaled("qpos", 2, DEGREES), r"qpos/elbow looks like degrees"),
+        (scaled("qvel", 2, DEGREES), r"qvel/elbow looks like degrees"),
+        (scaled("ctrl", 2, DEGREES), r"ctrl/elbow looks like degrees"),
+        (lambda r: scaled("qvel", 2, DEGREES)(scaled("qpos", 2, DEGREES)(r)), r"qpos/elbow looks like degrees"),
         (lambda r: dataclasses.replace(r, time=1000 * r.time), r"4 s apart, which looks like milliseconds"),
     ],
 )
@@ -86,13 +86,19 @@ def test_wrong_units_are_errors(change: Callable[[Recording], Recording], messag
         refuse_errors(findings)
 
 
-def test_degrees_are_detected_from_joint_limits() -> None:
-    model = ROBOT.model
+def test_degrees_of_short_recordings_are_detected_from_limits_and_turns() -> None:
+    """Recordings that are too short for predictions."""
+
+    def short(change: Callable[[Recording], Recording]) -> Dataset:
+        cut = changed(lambda r: change(r).part(slice(100, 120), r.split, r.name))
+        return dataclasses.replace(cut, recordings=cut.recordings[1:])
+
+    model = mujoco.MjModel.from_xml_string(ROBOT.xml)
     model.jnt_limited[:], model.jnt_range[:] = 1, (-1.5, 1.5)
-    data = dataclasses.replace(
-        changed(lambda r: scaled("qvel", 1, DEGREES)(scaled("qpos", 1, DEGREES)(r))), model=model
-    )
+    data = dataclasses.replace(short(scaled("qpos", 2, 10 * DEGREES)), model=model)
     assert any("its limit in the model is 1.5 rad" in message for message in of_level(preflight(data), "error"))
+    found = of_level(preflight(short(scaled("ctrl", 2, 10 * DEGREES))), "error")
+    assert any("joint 'elbow' has a command that reaches" in message for message in found)
 
 
 def test_no_excitation_is_an_error() -> None:
@@ -117,11 +123,11 @@ def test_gaps_and_constant_channels_are_warnings() -> None:
 
 
 def test_commands_after_responses_are_warned_about() -> None:
-    """Commands logged 60 ms late follow the response; a velocity of wrong sign does not fit its position."""
+    """Commands logged 60 ms late follow the response; a velocity that is another joint's does not fit its position."""
 
     def change(recording: Recording) -> Recording:
         late = np.stack([np.interp(recording.time - 0.12, recording.time, c) for c in recording.ctrl.T], 1)
-        qvel = recording.qvel * [1, 1, -1, 1, 1]
+        qvel = recording.qvel[:, [0, 1, 3, 3, 4]]
         return dataclasses.replace(recording, ctrl=late, qvel=qvel)
 
     warnings = " | ".join(of_level(preflight(changed(change)), "warning"))
@@ -159,3 +165,38 @@ def test_unstable_model_is_an_error() -> None:
         refuse_errors(findings)
     assert any("unstable" in text for text in of_level(preflight(with_unstable_servo(0, 1 / 3)), "warning"))
     assert not any("unstable" in finding.message for finding in preflight(SOUND))
+
+
+def test_each_recording_has_a_rate_of_its_own() -> None:
+    """A recording that is sampled more slowly than the others has no gaps."""
+    slow = SOUND.recordings[0].part(slice(None, None, 5), "fit", "slow")
+    findings = preflight(dataclasses.replace(SOUND, recordings=(slow, *SOUND.recordings[1:])))
+    assert not of_level(findings, "warning") + of_level(findings, "error")
+    assert any("50.0 to 250.0 samples per second" in message for message in of_level(findings, "note"))
+
+
+@pytest.mark.parametrize(
+    ("factor", "start", "words"),
+    [
+        (1e3, 0.0, "looks like milliseconds; the column time is in seconds: divide by 1e+03"),
+        (1e6, 0.0, "looks like microseconds"),
+        (1e9, 0.0, "looks like nanoseconds"),
+        (1e9, 1.7e9, "looks like nanoseconds since 1970"),
+    ],
+)
+def test_units_of_time_are_named(factor: float, start: float, words: str) -> None:
+    """Of one recording among others in seconds."""
+    first = SOUND.recordings[0]
+    strange = dataclasses.replace(first, time=factor * (first.time + start))
+    data = dataclasses.replace(SOUND, recordings=(strange, *SOUND.recordings[1:]))
+    with pytest.raises(InputError, match=r"fix the data first: r0: time: samples are .* s apart, which") as caught:
+        refuse_errors(preflight(data))
+    assert words in str(caught.value)
+
+
+def test_advice_is_not_what_the_model_has_already() -> None:
+    model = mujoco.MjModel.from_xml_string(ROBOT.xml)
+    model.opt.timestep = 0.5
+    data = dataclasses.replace(SOUND, recordings=tuple(dataclasses.replace(r, model=model) for r in SOUND.recordings))
+    for finding in preflight(data):
+        assert "implicitfast" not in finding.message

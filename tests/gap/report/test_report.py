@@ -16,7 +16,7 @@ from btr_mjx.gap.report.figures import ranking_bars
 from btr_mjx.gap.report.page import main
 from btr_mjx.gap.results import REASON_NOT_NAMED, FoundEffect, estimate_cells, format_number, mend, verdict_sentence
 from btr_mjx.gap.results.wording import format_estimate
-from btr_mjx.runs import read_arrays, write_arrays, write_json
+from btr_mjx.runs import read_arrays, write_arrays, write_json, write_table
 
 RESULT: dict[str, Any] = {
     "verdict": "effect",
@@ -286,3 +286,17 @@ def test_bars_show_the_difference_to_the_first_score() -> None:
     figure = ranking_bars(rows, [("load_friction", "joint:knee0")])
     notes = [text.get_text() for text in figure.axes[0].texts]
     assert notes[:4] == ["812", "900  (+88)", "800  (−12)", "402  (−410)"]
+
+
+def test_the_first_page_says_what_is_odd_about_the_data(folder: Path) -> None:
+    assert "What is odd about the data" not in Page(draw_report(folder).read_text(encoding="utf-8")).text
+    rows = [
+        {"level": "warning", "topic": "gaps", "message": "r1: 2 gaps <long>", "remedy": "", "evidence": "{}"},
+        {"level": "note", "topic": "sampling", "message": "250.0 samples per second", "remedy": "", "evidence": "{}"},
+    ]
+    write_table(folder / "preflight.csv", rows)
+    text = Page(draw_report(folder).read_text(encoding="utf-8")).text
+    assert text.index("What is odd about the data r1: 2 gaps <long>") < text.index("Where simulation")
+    assert "All that was looked at 250.0 samples per second" in text
+    write_table(folder / "preflight.csv", rows[1:])
+    assert "Nothing that matters was found" in Page(draw_report(folder).read_text(encoding="utf-8")).text

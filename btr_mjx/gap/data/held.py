@@ -1,0 +1,90 @@
+"""Columns that repeat: positions that a driver refreshes more slowly than they are logged, and commands like stairs.
+
+A column is held where its changes stand alone: a row that differs from the one before is hardly ever followed by
+another such row. Smooth motion changes in every row; a coarse encoder on a slow joint steps by one count at a time.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+_MAX_ADJACENT = 0.05
+"""Largest share of changes that directly follow another one; jitter of two clocks makes a few."""
+
+_TOGETHER = 0.6
+"""Columns are held together if they change, on average, in this share of the rows in which any of them does."""
+
+_MIN_CHANGES = 12
+"""Fewest changes that show a rate."""
+
+_MIN_COUNTS = 3.0
+"""Smallest median size of a change, in units of the smallest one: an encoder that moves by single counts holds
+nothing."""
+
+
+@dataclass(frozen=True)
+class Held:
+    """Columns that repeat between changes.
+
+    Attributes:
+      rows: (N,) rows in which they change, the first one included.
+      every: median number of rows between changes.
+      coarse: changes are as small as the resolution, so that it may be resolution instead of holding.
+    """
+
+    rows: np.ndarray
+    every: float
+    coarse: bool
+
+
+def held(columns: np.ndarray, fewest: int = _MIN_CHANGES) -> Held | None:
+    """Whether columns (K, n) are held together between changes.
+
+    Args:
+      columns: values, one row a sample; columns that never change do not count.
+      fewest: changes that are necessary.
+
+    Returns:
+      Where they change; None if they are not held.
+    """
+    steps = np.abs(np.diff(columns, axis=0))
+    changed = (steps > 0).any(axis=1)
+    rows = np.flatnonzero(changed) + 1
+    if len(rows) < fewest or np.mean(np.diff(rows) == 1) > _MAX_ADJACENT:
+        return None
+    moving = (steps > 0).sum(axis=0)
+    if moving[moving > 0].mean() < _TOGETHER * len(rows):
+        return None
+    counts = []
+    for column in steps.T:
+        sizes = column[column > 0]
+        if len(sizes):
+            counts.append(float(np.median(sizes)) / float(sizes.min()))
+    return Held(np.concatenate([[0], rows]), float(np.median(np.diff(rows))), max(counts) < _MIN_COUNTS)
+
+
+def fresh_rows(qpos: np.ndarray) -> Held | None:
+    """The rows in which positions (K, nq) were refreshed; None if in all of them, or if that cannot be told."""
+    found = held(qpos)
+    return None if found is None or found.coarse else found
+
+
+def stairs(controls: Sequence[np.ndarray]) -> Held | None:
+    """Whether the commands of all recordings are stairs.
+
+    Args:
+      controls: (K, nu) of each recording.
+
+    Returns:
+      The stairs of the column with the most changes; None if any command changes in consecutive rows, or none changes.
+    """
+    found = []
+    for ctrl in controls:
+        for column in ctrl.T:
+            if np.ptp(column) > 0:
+                one = held(column[:, None], fewest=1)
+                if one is None:
+                    return None
+                found.append(one)
+    return max(found, key=lambda one: len(one.rows), default=None)

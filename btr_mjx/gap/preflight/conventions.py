@@ -1,0 +1,173 @@
+"""Conventions of positions and commands: does the believed model follow the data much better under another one?
+
+Short predictions of the believed model are compared with the data as they are, and under every alternative of
+`alternatives.Catalogue`. One that wins by a wide margin is a fault of the data or the model's frame: no physical effect
+turns a sign, a unit or an axis. Alternatives are applied one after another, so that several faults are found.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from btr_mjx.gap.data import Dataset, Noise
+from btr_mjx.gap.preflight.alternatives import Alternative, Catalogue
+from btr_mjx.gap.preflight.comparison import Comparison, compare
+from btr_mjx.gap.preflight.findings import Finding
+from btr_mjx.gap.preflight.predictions import Change, Predictor
+
+STRETCHES = 32
+_SCREENED = 8
+"""Stretches for the first look at all alternatives, and number of alternatives that are looked at again."""
+
+_FEWEST = 5
+"""Fewest stretches that can decide."""
+
+_POOR = 0.02
+"""A group whose error variance is below this share of its motion is predicted well: its columns are not questioned."""
+
+_POOR_BASE = 5e-4
+"""The same for gravity and for the base: in a short flight it moves nearly straight on, whatever its frame is."""
+
+_RATIO = 9.0
+"""An alternative must divide the error (rms) of some coordinate by three at least. Physical effects that resemble a
+convention, such as a motor without force, compete and do not reach that."""
+
+_OWN_RATIO = 3.0
+"""Ratio of variances for the columns that it changes: where those of a joint are wrong, its neighbours may show it more
+clearly than the joint itself."""
+
+_NOT_WORSE = 0.5
+"""The same where only other joints can show it, see `Alternative.elsewhere`."""
+
+_AGAINST_PHYSICS = 1.2
+"""Smallest ratio of variances by which it must also do better, and not by chance, than a motor without force: that is
+what a wrong sign or a tiny unit of a force resembles."""
+
+_FIT = 0.25
+"""Largest error variance of an alternative, as a share of the motion."""
+
+_MAX_FAULTS = 8
+
+
+@dataclass(frozen=True)
+class _Fault:
+    alternative: Alternative
+    found: Comparison
+    as_well: str
+
+
+def position_conventions(dataset: Dataset, noise: Noise) -> list[Finding]:
+    """Errors for columns of positions and commands that follow another convention than the documented one.
+
+    Args:
+      dataset: the dataset.
+      noise: of its sensors.
+    """
+    predictor = Predictor(dataset, noise, STRETCHES)
+    if len(predictor) < _FEWEST:
+        return []
+    faults = _faults(dataset, predictor)
+    return [
+        Finding(
+            "error",
+            "convention",
+            f"{fault.alternative.words}: with that, the believed model predicts {predictor.seconds:.2g} s ahead with "
+            f"{fault.found.words()}; {fault.alternative.remedy}{fault.as_well}",
+            fault.alternative.remedy,
+            fault.found.evidence(),
+        )
+        for fault in faults
+    ]
+
+
+def _faults(dataset: Dataset, predictor: Predictor) -> list[_Fault]:
+    catalogue = Catalogue(dataset, predictor.groups)
+    screen = predictor.few(_SCREENED)
+    applied, out = Change.none(dataset.model), list[_Fault]()
+    now = predictor.errors([applied])[0]
+    while len(out) < _MAX_FAULTS:
+        middle = np.median(now, axis=0)
+        order = [int(g) for g in np.argsort(-middle, kind="stable")]
+        joints, base = ([g for g in order if middle[g] > limit] for limit in (_POOR, _POOR_BASE))
+        tried = catalogue.alternatives(joints, base)
+        if not tried:
+            break
+        tried = _screened(screen, applied, tried)
+        errors = predictor.errors([a.change.after(applied) for a in tried])
+        best = _best(tried, now, errors)
+        if best is None:
+            break
+        index, fault = best
+        out.append(fault)
+        applied, now = tried[index].change.after(applied), errors[index]
+    return out
+
+
+def _screened(screen: Predictor, applied: Change, tried: Sequence[Alternative]) -> list[Alternative]:
+    """The alternatives with the largest gain in few stretches, and the nuisances of their groups."""
+    errors = screen.errors([applied, *(a.change.after(applied) for a in tried)])
+    every = range(errors.shape[2])
+    gains = [_gain(errors[0], errors[i + 1], every if a.elsewhere else a.groups) for i, a in enumerate(tried)]
+    ranked = [tried[i] for i in np.argsort(gains, kind="stable")[::-1] if gains[i] > 0 and not tried[i].nuisance]
+    kept = ranked[:_SCREENED]
+    groups = {g for a in kept for g in a.groups}
+    return kept + [a for a in tried if a.nuisance and set(a.groups) & groups]
+
+
+def _typical(errors: np.ndarray, groups: Sequence[int]) -> np.ndarray:
+    """Geometric mean (W,) of the errors (W, G) of some groups.
+
+    Its logarithm is, up to a factor, the log-likelihood of groups whose noise has unknown variances.
+    """
+    return np.exp(np.mean(np.log(errors[:, list(groups)]), axis=1))
+
+
+def _gain(now: np.ndarray, other: np.ndarray, groups: Sequence[int]) -> float:
+    """Median over stretches of the log ratio of the typical errors in some groups."""
+    return float(np.median(np.log(_typical(now, groups) / _typical(other, groups))))
+
+
+def _best(tried: Sequence[Alternative], now: np.ndarray, errors: np.ndarray) -> tuple[int, _Fault] | None:
+    """The decisive alternative with the smallest error over all groups, and its index."""
+    decisive: list[tuple[float, int, _Fault]] = []
+    for i, alternative in enumerate(tried):
+        if alternative.nuisance:
+            continue
+        own = list(alternative.groups)
+        found = compare(_typical(now, own), _typical(errors[i], own))
+        if alternative.elsewhere:
+            own_fit = found.stretches == 0 or found.ratio > _NOT_WORSE
+        else:
+            own_fit = found.decisive(_OWN_RATIO)
+        if not own_fit or found.after**2 > _FIT:
+            continue
+        judged = range(now.shape[1]) if alternative.elsewhere else own
+        rivals = [errors[k] for k, a in enumerate(tried) if a.nuisance and set(a.groups) & set(own)]
+        if not all(_beats(_typical(errors[i], judged), _typical(rival, judged)) for rival in rivals):
+            continue
+        total = float(np.mean(np.log(errors[i])))
+        if total > float(np.mean(np.log(now))):
+            continue
+        shown = max([found, *(compare(now[:, g], errors[i][:, g]) for g in range(now.shape[1]))], key=_strength)
+        if shown.decisive(_RATIO):
+            decisive.append((total, i, _Fault(alternative, found if found.decisive(_RATIO) else shown, "")))
+    if not decisive:
+        return None
+    decisive.sort(key=lambda entry: entry[0])
+    _, index, fault = decisive[0]
+    if len(decisive) > 1:
+        other = decisive[1][2]
+        if fault.found.after**2 > 0.5 * other.found.after**2 and other.alternative.groups == fault.alternative.groups:
+            fault = replace(fault, as_well=f"; equally well: {other.alternative.words}")
+    return index, fault
+
+
+def _beats(after: np.ndarray, rival: np.ndarray) -> bool:
+    """Whether errors of a convention are below those of a physical explanation, where the two differ."""
+    found = compare(rival, after)
+    return found.stretches == 0 or found.decisive(_AGAINST_PHYSICS)
+
+
+def _strength(found: Comparison) -> float:
+    return found.ratio if found.decisive(_RATIO) else 0.0
