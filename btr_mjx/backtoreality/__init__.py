@@ -9,6 +9,8 @@ from btr_mjx.backtoreality.algorithm import begin
 from btr_mjx.backtoreality.config import PRESETS, CoevolveConfig, build_problem
 from btr_mjx.backtoreality.controller_search import evolve_controllers, select_transferable
 from btr_mjx.backtoreality.exported import export_coevolution
+from btr_mjx.backtoreality.grown import grown
+from btr_mjx.backtoreality.growth import growth_sentence
 from btr_mjx.backtoreality.line_scan import (
     ScanConfig,
     along,
@@ -51,6 +53,8 @@ __all__ = [
     "delta_fitness",
     "evolve_controllers",
     "export_coevolution",
+    "grown",
+    "growth_sentence",
     "inputs_of",
     "run_in_folder",
     "run_scan",
