@@ -31,9 +31,9 @@ class ReplayConfig:
     """Play the motions in MuJoCo's viewer instead, one after another; needs a display."""
     seconds: float = 6.0
     """Length of the film [s]: a trial is slowed down to it, of a longer recording this much is shown."""
-    rate: int = 20
+    rate: int = 15
     """Frames per second."""
-    width: int = 360
+    width: int = 320
     """Width of each panel [pixels]."""
     limit: float = 2.0
     """Largest size of a GIF [MB]; a film that is larger is made smaller, in pixels."""

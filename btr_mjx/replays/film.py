@@ -27,7 +27,7 @@ LABEL, FOOT, GAP = 40, 26, 6
 INK, SOFT, PAPER, LINE = "#111111", "#666666", "#ffffff", "#d0d0d0"
 """Colours of a film's labels."""
 
-COLOURS = 128
+COLOURS = 64
 """Colours of a GIF."""
 
 _VIEWS = 10
@@ -176,10 +176,11 @@ def _label(motion: Motion, width: int) -> Image.Image:
     """What a panel shows: title and number, and below them the detail."""
     picture = Image.new("RGB", (width, LABEL), PAPER)
     draw = ImageDraw.Draw(picture)
-    draw.text((width - 4, 4), motion.number, INK, _font(14, bold=True), anchor="ra")
-    room = width - 16 - draw.textlength(motion.number, _font(14, bold=True))
-    draw.text((4, 4), _fitting(motion.title, room, 14, bold=True), INK, _font(14, bold=True))
-    draw.text((4, 22), _fitting(motion.detail, width - 8, 12), SOFT, _font(12))
+    large, small = (14, 12) if width >= 300 else (12, 10)
+    draw.text((width - 4, 4), motion.number, INK, _font(large, bold=True), anchor="ra")
+    room = width - 16 - draw.textlength(motion.number, _font(large, bold=True))
+    draw.text((4, 4), _fitting(motion.title, room, large, bold=True), INK, _font(large, bold=True))
+    draw.text((4, 22), _fitting(motion.detail, width - 8, small), SOFT, _font(small))
     return picture
 
 
