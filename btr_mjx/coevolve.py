@@ -11,7 +11,7 @@ A hidden simulation plays reality, or a robot is reached through files (--realit
     simulations-001.npz, ...        all simulations of step 3 of iteration 1: unknown parameters and Delta_fitness
     result.json                     the numbers that a script wants
     parameters.csv, parameters.json the identified parameters for other programs
-    *.png                           figures, drawn from these files
+    report.html, *.png              page and figures, drawn from these files
 """
 
 import dataclasses
@@ -38,7 +38,7 @@ from btr_mjx.backtoreality import (
 )
 from btr_mjx.errors import cli_errors, resume_command
 from btr_mjx.models import base_model
-from btr_mjx.plotting import draw_run
+from btr_mjx.pages import draw_run_page
 from btr_mjx.runs import IGNORED_FIELDS, RunFolder, claimed_folder, graceful_interrupt, write_json
 
 
@@ -75,7 +75,7 @@ def coevolve(config: CoevolveConfig | None = None, **changes: Any) -> dict[str, 
             export_coevolution(run.path)
             run.seal()
             if config.figures:
-                draw_run(run.path)
+                draw_run_page(run.path)
     return result
 
 

@@ -17,6 +17,7 @@ from typing import Annotated
 import tyro
 
 from btr_mjx.errors import InputError, cli_errors
+from btr_mjx.report import report
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,7 @@ def replay(config: ReplayConfig) -> Path | None:
       InputError: bad settings, no run that can be shown, no display.
     """
     out = check_replay(config)
+    from btr_mjx.pages import PAGE
     from btr_mjx.replays import draw_film, read_replay, view_replay, write_film
     from btr_mjx.runs import progress
 
@@ -89,6 +91,8 @@ def replay(config: ReplayConfig) -> Path | None:
     with progress(total=total, description="film", unit="frames", show=config.progress) as bar:
         film = draw_film(shown, config.width, slowness, bar.update)
     write_film(out, film, config.rate, round(config.limit * 1e6))
+    if (config.run / PAGE).is_file() and out.resolve().parent == config.run.resolve():
+        report(config.run)
     return out
 
 
