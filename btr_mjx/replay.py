@@ -1,8 +1,8 @@
 """Film what a run found: `python -m btr_mjx.replay runs/quick-0`.
 
-Of a co-evolution: the first controller in the simulation of the start and in reality, and below them the best one in the
-identified simulation and in reality. Of a diagnosis: a held-out recording beside the believed model and the mended one,
-which start as it does and get its command. Trials are simulated again in native MuJoCo, in float64.
+Of a co-evolution: the first controller in the simulation of the start and in reality, and below them the best one in
+the identified simulation and in reality. Of a diagnosis: a held-out recording beside the believed model and the mended
+one, which start as it does and get its command. Trials are simulated again in native MuJoCo, in float64.
 
 The film is a GIF, or an MP4 with the extra `video`; its labels say what is shown, the time and the fitness. The page of
 the run (report.html) then holds the film too. Without OpenGL the robots are drawn as outlines.
@@ -32,7 +32,7 @@ class ReplayConfig:
     """Play the motions in MuJoCo's viewer instead, one after another; needs a display."""
     seconds: float = 6.0
     """Length of the film [s]: a trial is slowed down to it, of a longer recording this much is shown."""
-    rate: int = 15
+    rate: int = 12
     """Frames per second."""
     width: int = 320
     """Width of each panel [pixels]."""
@@ -83,7 +83,7 @@ def replay(config: ReplayConfig) -> Path | None:
 
     frames = max(2, round(config.seconds * config.rate))
     shown = read_replay(config.run, frames, config.seconds)
-    slowness = config.seconds / float(shown.times[-1])
+    slowness = len(shown.times) / config.rate / float(shown.times[-1])
     if config.view:
         view_replay(shown, slowness)
         return None

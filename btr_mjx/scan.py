@@ -10,8 +10,9 @@ In a notebook:
 One compiled program serves any number of simulations and controllers; what is compiled for one scan serves the next.
 
 The run folder of the command holds scan.npz (parameter, grid, truth, controllers, fitness, f_r, delta, delta_fitness),
-result.json (the statistics), report.html with scan.png, and in blocks/ the fitness of blocks of pairs, written as they are done: a scan
-that was killed continues with --resume. With --cluster the blocks are computed on a Dask cluster (docs/scaling.md).
+result.json (the statistics), report.html with scan.png, and in blocks/ the fitness of blocks of pairs, written as they
+are done: a scan that was killed continues with --resume. With --cluster the blocks are computed on a Dask cluster
+(docs/scaling.md).
 """
 
 import sys

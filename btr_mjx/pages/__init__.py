@@ -1,7 +1,7 @@
 """Self-contained HTML pages about runs, drawn from their saved files only.
 
-`draw_run_page` makes the page of a co-evolution, a scan or the claims of the paper. `write_page` renders a template that
-extends base.html.j2, which has the style, the folded settings and environment, and the films of the folder.
+`draw_run_page` makes the page of a co-evolution, a scan or the claims of the paper. `write_page` renders a template
+that extends base.html.j2, which has the style, the folded settings and environment, and the films of the folder.
 """
 
 from btr_mjx.pages.content import Figure, Section, Table

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from btr_mjx.pages.content import Section, Table
+from btr_mjx.pages.content import Section, Table, with_interval
 from btr_mjx.pages.page import embedded
 from btr_mjx.runs import read_json
 
@@ -24,19 +24,27 @@ def claims_content(folder: Path) -> dict[str, Any]:
     """Variables of the page, from claims.json and the PNG files in the folder and beside the experiments."""
     rows = read_json(folder / "claims.json")
     table = Table(
-        ["claim", "measured", "says", "bound", "statistic", "from", "to", "p", "seeds", "verdict"],
+        ["claim", "verdict", "statistic [95 %]", "claimed", "p", "seeds", "measured"],
         [
-            [row["claim"], row["measure"], row["sense"], *(_number(row[key]) for key in ("bound", "statistic"))]
-            + [*(_number(row[key]) for key in ("low", "high", "p")), row["seeds"], row["verdict"]]
+            [
+                row["claim"],
+                row["verdict"],
+                with_interval(*(float(row[key]) for key in ("statistic", "low", "high"))),
+                f"{row['sense']} {row['bound']:g}",
+                None if row["p"] is None else float(row["p"]),
+                row["seeds"],
+                row["measure"],
+            ]
             for row in rows
         ],
-        "From, to: 95 % bootstrap interval over seeds; the verdict follows from it alone. p: Wilcoxon's signed-rank test.",
+        "In brackets: 95 % bootstrap interval over seeds; the verdict follows from it alone. p: Wilcoxon's signed-rank "
+        "test.",
     )
     pictures = [*sorted(folder.glob("fig*.png")), *sorted(folder.glob("fig*_*/fig*.png"))]
     sections = [
         Section("Claims", tables=[table]),
         Section("Why not", [f"{row['claim']}. {row['why']}" for row in rows if row.get("why")]),
-        Section("Figures", figures=[embedded(path, path.stem, f"{path.name}") for path in pictures], folded=False),
+        Section("Figures", figures=[embedded(path, path.stem, path.name) for path in pictures]),
     ]
     if (folder / "claims.png").is_file():
         caption = "Intervals relative to the bound, scaled by their size; the claimed side is to the right."
@@ -49,7 +57,3 @@ def claims_content(folder: Path) -> dict[str, Any]:
         "sections": [part for part in sections if part.lines or part.figures or part.tables],
         "footer": ["Numbers: claims.json. Table: claims.md."],
     }
-
-
-def _number(value: Any) -> float | None:
-    return None if value is None else float(value)

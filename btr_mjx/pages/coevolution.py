@@ -47,7 +47,7 @@ def coevolution_sentence(run: RunData) -> str:
     if first is None or last is None:
         first, last = (float(result.get(f"delta_fitness_{when}", np.nan)) for when in ("first", "last"))
         what, own = "Delta_fitness, the mean difference between simulated and measured fitness,", unit
-    change = f"from {format_number(first)} to {format_number(last)}{own}"
+    change = f"from {format_number(first)}{own} to {format_number(last)}{own}"
     moved = f"falls {change}" if last < first else f"does not fall: it goes {change}"
     text = f"With {_count(tried, 'trial')} in reality, {what} {moved}."
     before, best = result.get("f_r_first_controller"), result.get("f_r_best")
@@ -126,7 +126,7 @@ def _parameters(run: RunData) -> Table:
 
 def _iterations(run: RunData) -> Table:
     """One row per iteration: the distance before and after, and the gap of the controllers that were tried."""
-    distance = with_unit("Delta_fitness" if run.distance == "fitness" else "multiscale distance", "")
+    distance = "Delta_fitness" if run.distance == "fitness" else "multiscale distance"
     rows: list[list[Any]] = []
     for row in run.iterations.iter_rows(named=True):
         own = run.trials["iteration"] == row["iteration"]
@@ -142,8 +142,10 @@ def _iterations(run: RunData) -> Table:
             [row["iteration"], int(own.sum()), cell, float(top), float(row["delta_before"]), float(row["delta_after"])]
         )
     return Table(
-        ["iteration", "trials", with_unit("mean |f_s − f_r|", run.unit), with_unit("best f_r", run.unit)]
-        + [f"{distance} before", f"{distance} after"],
+        [
+            *("iteration", "trials", with_unit("mean |f_s − f_r|", run.unit), with_unit("best f_r", run.unit)),
+            *(f"{distance} before", f"{distance} after"),
+        ],
         rows,
         "In brackets: 95 % bootstrap interval over the controllers of the iteration. f_s: fitness predicted by the "
         "simulation of that time, f_r: measured.",

@@ -1,11 +1,15 @@
 """Parts of a page: sections with figures, tables and lines of text."""
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from btr_mjx.gap.results import format_number
+
+_INTERVAL = r"[\N{MINUS SIGN}\d].* \[.*\]"
+"""Pattern of what `with_interval` writes."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +45,10 @@ class Table:
 
     @property
     def numeric(self) -> list[bool]:
-        """Whether each column holds numbers."""
-        kinds = [[cell for cell in column if cell is not None] for column in zip(*self.rows, strict=True)]
-        return [bool(cells) and all(isinstance(cell, int | float) for cell in cells) for cells in kinds]
+        """Whether each column holds numbers, or numbers with intervals."""
+        columns = list(zip(*self.rows, strict=True)) or [()] * len(self.columns)
+        kinds = [[cell for cell in column if cell is not None] for column in columns]
+        return [bool(cells) and all(map(_is_numeric, cells)) for cells in kinds]
 
 
 @dataclass(frozen=True)
@@ -63,6 +68,10 @@ class Section:
     figures: Sequence[Figure] = ()
     tables: Sequence[Table] = field(default=())
     folded: bool = False
+
+
+def _is_numeric(cell: Any) -> bool:
+    return isinstance(cell, int | float) or (isinstance(cell, str) and bool(re.fullmatch(_INTERVAL, cell)))
 
 
 def cell_text(value: Any) -> str:

@@ -1,6 +1,7 @@
 """Rendering of pages: templates, figures and films inside them, folded settings and environment."""
 
 import base64
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -38,7 +39,7 @@ def write_page(folder: Path, template: Path, variables: Mapping[str, Any]) -> Pa
     environment = Environment(
         loader=FileSystemLoader([template.parent, _HERE]), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
-    environment.filters |= {"cell": cell_text, "order": cell_order}
+    environment.filters |= {"cell": cell_text, "order": cell_order, "sentences": sentences}
     parts = {
         "films": _films(folder),
         "settings": _settings_table(folder / CONFIG_NAME, "setting"),
@@ -48,6 +49,11 @@ def write_page(folder: Path, template: Path, variables: Mapping[str, Any]) -> Pa
     with atomic_write(folder / PAGE) as file:
         file.write(html.encode("utf-8"))
     return folder / PAGE
+
+
+def sentences(text: str) -> list[str]:
+    """The sentences of a text; a full stop ends one where a space and a capital letter follow."""
+    return re.split(r"(?<=[.!?)]) (?=[A-Z])", text)
 
 
 def embedded(file: Path, alt: str, caption: str, photo: bool = False) -> Figure:

@@ -17,7 +17,7 @@ RESAMPLES = 999
 MOST_ROWS = 400
 """Rows of the table of the grid; of a larger grid every n-th is shown."""
 
-STATISTICS = {
+STATISTIC_WORDS = {
     "spearman": "Spearman's rank correlation of Delta_fitness with the error |s − s_r|; 1 orders all simulations",
     "spearman_left": "the same, below the truth",
     "spearman_right": "the same, above the truth",
@@ -59,19 +59,26 @@ def scan_content(folder: Path, data: ScanData, figures: Sequence[Path]) -> dict[
     minima = data.grid[np.argmin(np.where(np.isfinite(means), means, np.inf), axis=1)]
     finite = np.where(np.isfinite(data.delta_fitness), data.delta_fitness, np.inf)
     minimum = (float(data.grid[np.argmin(finite)]), *np.quantile(minima, ends).tolist())
-    low, high = np.nanquantile(means, ends, axis=0) if np.isfinite(means).any() else np.full((2, len(data.grid)), np.nan)
+    low, high = np.quantile(means, ends, axis=0)  # NaN where a pair diverged, as the mean itself
     step = -(-len(data.grid) // MOST_ROWS)
     rows = [
-        [float(data.grid[i]), with_interval(float(data.delta_fitness[i]), float(low[i]), float(high[i]))]
-        + [float(data.delta[i].min()), float(data.delta[i].max())]
+        [
+            float(data.grid[i]),
+            with_interval(float(data.delta_fitness[i]), float(low[i]), float(high[i])),
+            *(float(data.delta[i].min()), float(data.delta[i].max())),
+        ]
         for i in range(0, len(data.grid), step)
     ]
     numbers = [
         (name, format_number(float(data.result[key])))
-        for name, key in (("rank correlation", "spearman"), ("monotonicity", "monotonicity"), ("roughness", "roughness"))
+        for name, key in (
+            ("rank correlation", "spearman"),
+            ("monotonicity", "monotonicity"),
+            ("roughness", "roughness"),
+        )
         if np.isfinite(float(data.result.get(key, np.nan)))
     ]
-    statistics = [[key, _number(data.result[key]), text] for key, text in STATISTICS.items() if key in data.result]
+    statistics = [[key, _number(data.result[key]), text] for key, text in STATISTIC_WORDS.items() if key in data.result]
     names = [with_unit(data.parameter, data.parameter_unit), with_unit("Delta_fitness", data.unit)]
     table = Table(
         [*names, with_unit("least delta_k", data.unit), with_unit("largest delta_k", data.unit)],

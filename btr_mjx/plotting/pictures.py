@@ -98,7 +98,10 @@ def camera_for(
     view = Camera(np.zeros(3), 0.0, azimuth, elevation)
     shown = [[None] * len(models)] if poses is None else zip(*poses, strict=True)
     clouds = [
-        cloud for row in shown for model, qpos in zip(models, row, strict=True) for _, cloud in point_clouds(model, qpos)
+        cloud
+        for row in shown
+        for model, qpos in zip(models, row, strict=True)
+        for _, cloud in point_clouds(model, qpos)
     ]
     if any(map(has_ground, models)):
         clouds += [cloud * [1, 1, 0] for cloud in clouds]  # shadows of light from above

@@ -7,13 +7,13 @@ pictures.npy, (n, height, width, 3) uint8.
 This file does not import the package, so that the process starts fast.
 """
 
+import itertools
 import json
 import sys
 from pathlib import Path
 
 import mujoco
 import numpy as np
-
 
 BACKGROUND = (240, 241, 244)
 """Colour behind a model without a sky."""
@@ -31,7 +31,7 @@ def main(folder: Path) -> None:
     width, height = request["width"], request["height"]
     towards = np.array(request["lamp"])
     poses = np.load(folder / "poses.npy") if (folder / "poses.npy").is_file() else None
-    pictures = []
+    pictures: list[np.ndarray] = []
     for name in request["models"]:
         model = mujoco.MjModel.from_binary_path(str(folder / name))
         data = mujoco.MjData(model)
@@ -74,7 +74,7 @@ def _with_background(renderer: mujoco.Renderer) -> np.ndarray:
 
 def _draw_trail(scene: mujoco.MjvScene, points: list[list[float]], last: int) -> None:
     """Add a line on the ground through the points (n, 3) up to one of them."""
-    for start, end in zip(points[:last], points[1 : last + 1], strict=True):
+    for start, end in itertools.pairwise(points[: last + 1]):
         if scene.ngeom < scene.maxgeom and start != end:
             geom = scene.geoms[scene.ngeom]
             kind = mujoco.mjtGeom.mjGEOM_CAPSULE

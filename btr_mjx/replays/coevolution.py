@@ -7,13 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from btr_mjx.backtoreality import CoevolveConfig, FolderReality, Problem, SimulatedReality, build_problem, grown, inputs_of
+from btr_mjx.backtoreality import (
+    CoevolveConfig,
+    FolderReality,
+    Problem,
+    SimulatedReality,
+    build_problem,
+    grown,
+    inputs_of,
+)
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation import EngineSettings, FitnessFunction, evaluate
+from btr_mjx.evaluation import Engine, EngineSettings, FitnessFunction, evaluate
 from btr_mjx.gap.data import Recording
 from btr_mjx.models import base_model, compile_models, start_of
 from btr_mjx.plotting import highlight
-from btr_mjx.replays.motion import Motion, Replay, frame_times, held
+from btr_mjx.replays.motion import Replay, ReplayedMotion, frame_times, held
 from btr_mjx.robots import Robot
 from btr_mjx.runs import check_inputs, read_arrays, read_config, read_json
 
@@ -44,7 +52,7 @@ def coevolution_replay(folder: Path, frames: int) -> Replay:
     best = _best_trial(result, trials)
     start = "nominal" if np.array_equal(problem.start, problem.robot.nominal_simulation) else "initial"
     times = frame_times(problem.robot.duration, frames, float(base_model(problem.robot).opt.timestep))
-    rows: list[list[Motion]] = []
+    rows: list[list[ReplayedMotion]] = []
     for when, which, robot, simulation, words, trial in (
         ("before", "first controller", problem.robot, problem.start, f"{start} parameters", 0),
         ("after", "best controller", final.robot, identified, "identified parameters", best),
@@ -75,13 +83,13 @@ def _simulated(
     controller: np.ndarray,
     problem: Problem,
     times: np.ndarray,
-    settings: EngineSettings = EngineSettings(),
-) -> Motion:
+    settings: EngineSettings | None = None,
+) -> ReplayedMotion:
     """A trial of a robot, simulated again in native MuJoCo or its own simulator."""
-    engine = None if robot.simulator is not None else "native"
+    engine: Engine | None = None if robot.simulator is not None else "native"
     found = evaluate(
         robot, [simulation], [controller], engine=engine, fitness=problem.fitness, times=times, states=True,
-        settings=settings,
+        settings=settings or EngineSettings(),
     )  # fmt: skip
     assert found.outcome.qpos is not None
     model = compile_models(robot, simulation).row(0)
@@ -90,14 +98,14 @@ def _simulated(
     start = start_of(robot)
     first = model.qpos0 if start is None else start[0]
     number = _with_unit(float(found.fitness[0, 0]), problem.fitness)
-    return Motion("", "", number, model, held(np.concatenate([first[None], found.outcome.qpos[0, 0]])))
+    return ReplayedMotion("", "", number, model, held(np.concatenate([first[None], found.outcome.qpos[0, 0]])))
 
 
-def _real(problem: Problem, controller: np.ndarray, trial: int, times: np.ndarray, f_r: float) -> Motion | None:
+def _real(problem: Problem, controller: np.ndarray, trial: int, times: np.ndarray, f_r: float) -> ReplayedMotion | None:
     """A trial in reality; None where nothing of it can be shown."""
     reality = problem.reality
     if isinstance(reality, SimulatedReality):
-        settings = reality.settings if reality.engine == "native" else EngineSettings()
+        settings = reality.settings if reality.engine == "native" else None
         return _simulated(reality.robot, np.array(reality.truth), controller, problem, times, settings)
     recordings: Sequence[Recording] = []
     if isinstance(reality, FolderReality):
@@ -105,7 +113,7 @@ def _real(problem: Problem, controller: np.ndarray, trial: int, times: np.ndarra
     if not recordings:
         return None
     qpos = sampled(recordings[0], np.concatenate([[0.0], times]))
-    return Motion("", "", _with_unit(f_r, problem.fitness), recordings[0].model, qpos)
+    return ReplayedMotion("", "", _with_unit(f_r, problem.fitness), recordings[0].model, qpos)
 
 
 def sampled(recording: Recording, times: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from btr_mjx.gap.results import FoundEffect, resolve_effect
 from btr_mjx.gap.simulate import Command, Segments, World, simulate
 from btr_mjx.models import difference, parse_path
 from btr_mjx.replays.coevolution import sampled
-from btr_mjx.replays.motion import Motion, Replay, frame_times, held
+from btr_mjx.replays.motion import Replay, ReplayedMotion, frame_times, held
 from btr_mjx.runs import check_inputs, content_digest, read_config_json, read_json
 
 
@@ -24,7 +24,7 @@ def diagnosis_replay(folder: Path, frames: int, seconds: float) -> Replay:
 
     Args:
       folder: the run folder of a diagnosis that has ended.
-      frames: number of frames.
+      frames: number of frames for as long as `seconds`; fewer for a shorter recording.
       seconds: longest part of the recording that is shown [s].
 
     Returns:
@@ -43,6 +43,7 @@ def diagnosis_replay(folder: Path, frames: int, seconds: float) -> Replay:
     recording = (dataset.test or dataset.recordings)[0]
     model = recording.model
     length = min(seconds, float(recording.time[-1] - recording.time[0]))
+    frames = max(2, round(frames * length / seconds))
     times = np.concatenate([[0.0], frame_times(length, frames, float(model.opt.timestep))])
     measured = sampled(recording, times)
     worlds = {"believed model": World.of(model)}
@@ -52,12 +53,12 @@ def diagnosis_replay(folder: Path, frames: int, seconds: float) -> Replay:
         named = result["effects"]
         details.append(f"with {str(named[0]['effect']).replace('_', ' ')}" + (" and more" if len(named) > 1 else ""))
     unit = (result.get("gap") or {}).get("open_loop_unit", "")
-    row = [Motion("recording", recording.name, "", model, measured)]
+    row = [ReplayedMotion("recording", recording.name, "", model, measured)]
     for (title, world), detail in zip(worlds.items(), details, strict=True):
         qpos = open_loop_positions(world, recording, dataset.interpolation, times)
         error = np.abs(difference(model, measured, qpos)).mean()
         number = f"off by {error:.2g} {unit}".rstrip() if np.isfinite(error) else "diverged"
-        row.append(Motion(title, detail, number, model, held(qpos)))
+        row.append(ReplayedMotion(title, detail, number, model, held(qpos)))
     return Replay(times, [row])
 
 
@@ -77,9 +78,7 @@ def open_loop_positions(world: World, recording: Recording, interpolation: Any, 
     return simulate([(world, start)])[0][0, :, : recording.model.nq]
 
 
-def _mended_world(
-    dataset: Dataset, recording: Recording, result: Mapping[str, Any], names: Sequence[str]
-) -> World:
+def _mended_world(dataset: Dataset, recording: Recording, result: Mapping[str, Any], names: Sequence[str]) -> World:
     """The world of a recording's model with refitted parameters and the named effects."""
     model = copy.copy(recording.model)
     final = {row["name"]: float(row["final"]) for row in result.get("believed") or []}

@@ -8,7 +8,7 @@ import numpy as np
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class ReplayedMotion:
     """A motion of a model.
 
     Attributes:
@@ -36,10 +36,10 @@ class Replay:
     """
 
     times: np.ndarray
-    rows: Sequence[Sequence[Motion]]
+    rows: Sequence[Sequence[ReplayedMotion]]
 
     @property
-    def motions(self) -> list[Motion]:
+    def motions(self) -> list[ReplayedMotion]:
         """All motions, row by row."""
         return [motion for row in self.rows for motion in row]
 

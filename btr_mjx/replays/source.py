@@ -23,7 +23,9 @@ def read_replay(folder: str | Path, frames: int, seconds: float) -> Replay:
     """
     folder = Path(folder)
     if not (folder / "result.json").is_file():
-        raise InputError(f"{folder} holds no result.json: expected a run of btr_mjx.coevolve or diagnose that has ended")
+        raise InputError(
+            f"{folder} holds no result.json: expected a run of btr_mjx.coevolve or diagnose that has ended"
+        )
     result = read_json(folder / "result.json")
     if isinstance(result, dict) and "verdict" in result:
         from btr_mjx.replays.diagnosis import diagnosis_replay

@@ -4,8 +4,6 @@ import os
 import platform
 import time
 
-import mujoco
-
 from btr_mjx.errors import InputError
 from btr_mjx.replays.motion import Replay
 

@@ -57,8 +57,10 @@ def draw_report(folder: str | Path) -> Path:
 def _candidates(result: Mapping[str, Any]) -> Table:
     """All candidates of the ranking."""
     rows = [
-        [effect_title(row["effect"]), row["location"], row.get("score"), row.get("margin"), row.get("held_out")]
-        + [", ".join(_beside(row)) if row.get("beside") else ""]
+        [
+            *(effect_title(row["effect"]), row["location"], row.get("score"), row.get("margin"), row.get("held_out")),
+            ", ".join(_beside(row)) if row.get("beside") else "",
+        ]
         for row in result.get("ranking") or []
     ]
     return Table(
