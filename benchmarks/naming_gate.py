@@ -39,7 +39,7 @@ from btr_mjx.runs import describe_environment, progress, read_json, write_json
 from btr_mjx.testing import case_robot
 
 ROOMS_OUTSIDE_SEARCH = (
-    *("backtoreality", "cluster", "engines", "evaluation", "optimise", "plotting", "testing"),
+    *("backtoreality", "cluster", "engines", "evaluation", "optimise", "pages", "plotting", "replays", "testing"),
     *("gap/experiments", "gap/fitness_only", "gap/preflight", "gap/report"),
 )
 """Rooms that the search does not import. It does not import the commands either, which are the files at the top."""

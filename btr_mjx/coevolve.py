@@ -12,7 +12,7 @@ A hidden simulation plays reality, or a robot is reached through files (--realit
     result.json                     the numbers that a script wants
     simulation.xml                  the identified simulation as MJCF
     parameters.csv, parameters.json the identified parameters for other programs
-    *.png                           figures, drawn from these files
+    report.html, *.png              page and figures, drawn from these files
 """
 
 import dataclasses
@@ -40,7 +40,7 @@ from btr_mjx.backtoreality import (
 )
 from btr_mjx.errors import cli_errors, resume_command
 from btr_mjx.models import base_model
-from btr_mjx.plotting import draw_run
+from btr_mjx.pages import draw_run_page
 from btr_mjx.runs import IGNORED_FIELDS, RunFolder, claimed_folder, graceful_interrupt, write_json
 
 
@@ -78,7 +78,7 @@ def coevolve(config: CoevolveConfig | None = None, **changes: Any) -> dict[str, 
             export_coevolution(run.path)
             run.seal()
             if config.figures:
-                draw_run(run.path)
+                draw_run_page(run.path)
     return result
 
 

@@ -10,8 +10,9 @@ In a notebook:
 One compiled program serves any number of simulations and controllers; what is compiled for one scan serves the next.
 
 The run folder of the command holds scan.npz (parameter, grid, truth, controllers, fitness, f_r, delta, delta_fitness),
-result.json (the statistics), scan.png, and in blocks/ the fitness of blocks of pairs, written as they are done: a scan
-that was killed continues with --resume. With --cluster the blocks are computed on a Dask cluster (docs/scaling.md).
+result.json (the statistics), report.html with scan.png, and in blocks/ the fitness of blocks of pairs, written as they
+are done: a scan that was killed continues with --resume. With --cluster the blocks are computed on a Dask cluster
+(docs/scaling.md).
 """
 
 import sys
@@ -33,7 +34,7 @@ from btr_mjx.backtoreality import (
 from btr_mjx.errors import InputError, cli_errors, resume_command
 from btr_mjx.evaluation import fitness_function
 from btr_mjx.models import robot_digest
-from btr_mjx.plotting import draw_scan
+from btr_mjx.pages import draw_run_page
 from btr_mjx.runs import IGNORED_FIELDS, RunFolder, content_digest, progress, write_arrays, write_json
 
 __all__ = ["ScanConfig", "along", "curve_statistics", "delta", "delta_fitness", "main", "run_scan"]
@@ -64,7 +65,7 @@ def main(argv: Sequence[str] | None = None) -> None:
                 write_json(run.path / "result.json", result)
                 run.seal()
                 if config.figures:
-                    draw_scan(run.path)
+                    draw_run_page(run.path)
         print(f"{arrays['parameter']}: {arrays['delta'].shape[1]} behaviours, {config.grid} simulations")
         for name, value in result.items():
             print(f"  {name:20} {value if isinstance(value, int | str) else format(value, '.4f')}")

@@ -1,7 +1,7 @@
 """Every claim of the paper with its number: `uv run python experiments/claims.py --preset paper`.
 
 Computes the missing units of the figures' experiments (each in its own folder; interrupted runs are continued) and
-writes claims.json, claims.md and claims.png.
+writes claims.json, claims.md, claims.png and report.html.
 
 A row has a statistic and its 95 % bootstrap interval over seeds. A claim says on which side of a bound the statistic
 lies. The verdict follows from the interval alone:
@@ -41,6 +41,7 @@ from units import estimate, missing
 from verdicts import Claim
 
 from btr_mjx.errors import InputError, cli_errors
+from btr_mjx.pages import draw_claims_page
 from btr_mjx.runs import atomic_write, is_unused, note, read_json, write_json
 
 FIGURES: dict[str, Any] = {
@@ -180,6 +181,7 @@ def run(config: ClaimsConfig) -> list[Claim]:
     with atomic_write(folder / "claims.md") as file:
         file.write(table(claims).encode())
     draw_claims(folder / "claims.png", claims)
+    draw_claims_page(folder)
     if config.gallery is not None:
         config.gallery.mkdir(parents=True, exist_ok=True)
         pictures = [path for path in made if path.suffix == ".png"]

@@ -22,6 +22,8 @@ ORDER = (
     *(
         "backtoreality",
         "plotting",
+        "replays",
+        "pages",
         "health",
         "gap.report",
         "gap.fitness_only",
@@ -33,7 +35,7 @@ ORDER = (
 )
 """Rooms, each of which may import those before it."""
 
-COMMANDS = ("", "coevolve", "scan", "diagnose", "doctor", "plots")
+COMMANDS = ("", "coevolve", "scan", "diagnose", "doctor", "plots", "replay", "report")
 """Modules at the top: the package itself and its commands."""
 
 FILES = {
@@ -165,7 +167,7 @@ def test_doors_name_what_they_import(room: str):
     assert sorted(imported) == sorted(listed)
 
 
-@pytest.mark.parametrize("command", ["diagnose", "doctor", "plots"])
+@pytest.mark.parametrize("command", ["diagnose", "doctor", "plots", "replay", "report"])
 def test_commands_that_need_no_jax_do_not_load_it(command: str):
     """Loading JAX takes seconds; whoever mistypes a flag should not wait for them."""
     code = f"import sys, btr_mjx.{command}; print('jax' in sys.modules)"

@@ -9,6 +9,8 @@ from btr_mjx.backtoreality.algorithm import begin
 from btr_mjx.backtoreality.config import PRESETS, CoevolveConfig, build_problem
 from btr_mjx.backtoreality.controller_search import evolve_controllers, select_transferable
 from btr_mjx.backtoreality.exported import export_coevolution, export_simulation
+from btr_mjx.backtoreality.grown import grown
+from btr_mjx.backtoreality.growth import growth_sentence
 from btr_mjx.backtoreality.line_scan import (
     ScanConfig,
     along,
@@ -52,6 +54,8 @@ __all__ = [
     "evolve_controllers",
     "export_coevolution",
     "export_simulation",
+    "grown",
+    "growth_sentence",
     "inputs_of",
     "run_in_folder",
     "run_scan",

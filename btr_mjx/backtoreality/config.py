@@ -33,7 +33,7 @@ class CoevolveConfig:
     progress: bool = True
     """Show a progress bar (lines now and then where there is no terminal)."""
     figures: bool = True
-    """Draw the figures at the end."""
+    """Draw the page and its figures at the end."""
 
     robot: Path | None = None
     """A robot.toml that describes another robot, see docs/robot_file.md; by default the hexapod of the paper."""

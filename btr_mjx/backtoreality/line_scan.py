@@ -151,7 +151,7 @@ class ScanConfig:
     progress: bool = True
     """Show a progress bar."""
     figures: bool = True
-    """Draw the figure."""
+    """Draw the page and its figure at the end."""
 
     trials: int = 15
     """m, number of behaviours."""

@@ -12,9 +12,10 @@ import platform
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -29,7 +30,14 @@ AZIMUTH, ELEVATION = 145.0, -28.0
 """Default view [degrees]: from the front right and above."""
 
 TIMEOUT = 60.0
-"""Time after which a rendering process counts as failed [s]."""
+"""Time after which a rendering process counts as failed [s], beside that for its frames."""
+
+FRAME_TIMEOUT = 2.0
+"""Further time for each frame of a film [s]."""
+
+
+FRAMES_AT_ONCE = 40
+"""Frames of a film that one rendering process makes; progress is reported after each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +80,9 @@ def camera_for(
     azimuth: float = AZIMUTH,
     elevation: float = ELEVATION,
     margin: float = 0.06,
+    poses: Sequence[np.ndarray] | None = None,
 ) -> Camera:
-    """The nearest camera that shows all models completely in their default posture.
+    """The nearest camera that shows all models completely, in their default posture or in all of their poses.
 
     Args:
       models: models to be drawn to the same scale.
@@ -81,12 +90,19 @@ def camera_for(
       azimuth: see `Camera`.
       elevation: see `Camera`.
       margin: empty fraction of the picture at each side.
+      poses: (n, nq) generalised positions of each model; None for the default posture.
 
     Returns:
       The camera.
     """
     view = Camera(np.zeros(3), 0.0, azimuth, elevation)
-    clouds = [cloud for model in models for _, cloud in point_clouds(model)]
+    shown = [[None] * len(models)] if poses is None else zip(*poses, strict=True)
+    clouds = [
+        cloud
+        for row in shown
+        for model, qpos in zip(models, row, strict=True)
+        for _, cloud in point_clouds(model, qpos)
+    ]
     if any(map(has_ground, models)):
         clouds += [cloud * [1, 1, 0] for cloud in clouds]  # shadows of light from above
     points = np.concatenate(clouds)
@@ -147,6 +163,42 @@ def render_all(
     return None if pictures is None else list(pictures)
 
 
+def render_motion(
+    model: mujoco.MjModel,
+    qpos: np.ndarray,
+    width: int,
+    height: int,
+    camera: Camera,
+    progress: Callable[[int], object] | None = None,
+) -> np.ndarray | None:
+    """Render the frames of a motion.
+
+    Args:
+      model: the model.
+      qpos: (F, nq) generalised positions.
+      width: of each frame [pixels].
+      height: likewise.
+      camera: the view.
+      progress: called with the number of frames done since the last call.
+
+    Returns:
+      (F, height, width, 3) uint8, or None where nothing can be rendered.
+    """
+    backend = working_backend()
+    trail = base_trail(model, qpos).tolist()
+    frames = []
+    for first in range(0, len(qpos), FRAMES_AT_ONCE):
+        part = qpos[first : first + FRAMES_AT_ONCE]
+        more = {"trail": trail, "first": first}
+        made = None if backend is None else _render([model], width, height, camera, backend, part, more)
+        if made is None:
+            return None
+        frames.append(made)
+        if progress is not None:
+            progress(len(part))
+    return np.concatenate(frames)
+
+
 @functools.cache
 def working_backend() -> str | None:
     """Value of MUJOCO_GL with which rendering works, None if there is none (reported on stderr).
@@ -173,9 +225,18 @@ def working_backend() -> str | None:
 
 
 def _render(
-    models: Sequence[mujoco.MjModel], width: int, height: int, camera: Camera, backend: str
+    models: Sequence[mujoco.MjModel],
+    width: int,
+    height: int,
+    camera: Camera,
+    backend: str,
+    poses: np.ndarray | None = None,
+    more: Mapping[str, Any] = MappingProxyType({}),
 ) -> np.ndarray | None:
-    """Pictures (n, height, width, 3) rendered in another process, None if it fails."""
+    """Pictures (n, height, width, 3) rendered in another process, of every pose (n, nq) of one model where given.
+
+    `more` is added to the request. None if it fails.
+    """
     with tempfile.TemporaryDirectory(prefix="btr_mjx-") as name:
         folder = Path(name)
         names = [f"{i}.mjb" for i in range(len(models))]
@@ -186,6 +247,9 @@ def _render(
         request |= {"azimuth": camera.azimuth, "elevation": camera.elevation, "fovy": camera.fovy}
         lamp = camera.axes[0] + [0.0, 0.0, 2.5]  # direction to the lamp: above and to the right of the camera
         request["lamp"] = (lamp / np.linalg.norm(lamp)).tolist()
+        request |= more
+        if poses is not None:
+            np.save(folder / "poses.npy", poses)
         (folder / "request.json").write_text(json.dumps(request))
         worker = Path(__file__).with_name("render_worker.py")
         environment = {key: value for key, value in os.environ.items() if key != "PYOPENGL_PLATFORM"}
@@ -199,7 +263,7 @@ def _render(
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
-                timeout=TIMEOUT,
+                timeout=TIMEOUT + FRAME_TIMEOUT * (0 if poses is None else len(poses)),
                 check=True,
             )
             return np.load(folder / "pictures.npy", allow_pickle=False)
@@ -207,19 +271,34 @@ def _render(
             return None
 
 
+def base_trail(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
+    """Path (F, 3) on the ground of a robot with a free joint [m]; (0, 3) for a robot that stands fixed or flies."""
+    free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
+    if not len(free) or not has_ground(model):
+        return np.zeros((0, 3))
+    first = int(model.jnt_qposadr[free[0]])
+    return np.concatenate([qpos[:, first : first + 2], np.full((len(qpos), 1), 0.005)], axis=1)
+
+
 def has_ground(model: mujoco.MjModel) -> bool:
     """Whether a model has a plane."""
     return bool((model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any())
 
 
-def point_clouds(model: mujoco.MjModel) -> list[tuple[int, np.ndarray]]:
-    """Points whose convex hull approximates a geom, for each visible bounded geom, in the default posture.
+def point_clouds(model: mujoco.MjModel, qpos: np.ndarray | None = None) -> list[tuple[int, np.ndarray]]:
+    """Points whose convex hull approximates a geom, for each visible bounded geom.
+
+    Args:
+      model: the model.
+      qpos: (nq,) generalised positions; None for the default posture.
 
     Returns:
       (geom, (n, 3) points in the world [m]) pairs; planes, height fields and invisible geoms are left out.
     """
     data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    if qpos is not None:
+        data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
     kinds, clouds = mujoco.mjtGeom, []
     steps = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     rings = [(np.sin(t) * np.cos(steps), np.sin(t) * np.sin(steps), np.cos(t)) for t in np.linspace(0, np.pi, 8)]
@@ -265,14 +344,17 @@ def without_covered(model: mujoco.MjModel) -> mujoco.MjModel:
     return shown
 
 
-def sketch(axes: "Axes", model: mujoco.MjModel, camera: Camera, aspect: float = 4 / 3) -> None:
-    """Draw a model in its default posture as outlines with a shadow on the ground, without OpenGL.
+def sketch(
+    axes: "Axes", model: mujoco.MjModel, camera: Camera, aspect: float = 4 / 3, qpos: np.ndarray | None = None
+) -> None:
+    """Draw a model as outlines with a shadow on the ground, without OpenGL.
 
     Args:
       axes: the axes to draw in.
       model: the model.
       camera: the view.
       aspect: width over height of the picture.
+      qpos: (nq,) generalised positions; None for the default posture.
     """
     from matplotlib.collections import PolyCollection
     from scipy.spatial import ConvexHull
@@ -281,7 +363,7 @@ def sketch(axes: "Axes", model: mujoco.MjModel, camera: Camera, aspect: float = 
         flat, depth = camera.project(points)
         return flat[ConvexHull(flat).vertices], float(depth.mean())
 
-    clouds = point_clouds(without_covered(model))
+    clouds = point_clouds(without_covered(model), qpos)
     shadows = [outline(cloud * [1, 1, 0])[0] for _, cloud in clouds] if has_ground(model) else []
     axes.add_collection(PolyCollection(shadows, facecolor="0.88", edgecolor="none", zorder=1))
     shapes = [(*outline(cloud), tuple(0.35 + 0.65 * model.geom_rgba[geom, :3])) for geom, cloud in clouds]

@@ -41,10 +41,7 @@ def morphologies(robot: Robot, run: RunData) -> Figure:
         simulation = nominal.copy()
         simulation[indices] = values
         models.append(compile_models(robot, simulation).row(0))
-    searched = _searched_geoms(robot, indices)
-    for model in models:
-        model.geom_rgba[searched] = UNKNOWN
-        model.geom_matid[searched] = -1
+    highlight(robot, models, indices)
     columns, size = (2, 8.5) if run.box.n <= 4 else (3, 7.5)
     figure = Figure(figsize=(3.3 * len(cases), 3.2 + 0.18 * math.ceil(run.box.n / columns)))
     panels = figure.subplots(1, len(cases), squeeze=False)[0]
@@ -56,6 +53,20 @@ def morphologies(robot: Robot, run: RunData) -> Figure:
         lines = [",  ".join(lengths[i : i + columns]) for i in range(0, len(lengths), columns)]
         axes.text(0.5, -0.03, "\n".join(lines), transform=axes.transAxes, ha="center", va="top", fontsize=size)
     return figure
+
+
+def highlight(robot: Robot, models: Sequence[mujoco.MjModel], indices: np.ndarray) -> None:
+    """Colour the geoms whose size depends on some parameters, in place.
+
+    Args:
+      robot: the robot.
+      models: models of it.
+      indices: (k,) of the parameters in its simulation box.
+    """
+    searched = _searched_geoms(robot, indices)
+    for model in models:
+        model.geom_rgba[searched] = UNKNOWN
+        model.geom_matid[searched] = -1
 
 
 def draw_models(panels: Sequence, models: Sequence[mujoco.MjModel]) -> None:

@@ -9,7 +9,7 @@ from btr_mjx.runs.atomic import atomic_write
 from btr_mjx.runs.bounded_files import check_plain, check_regular, parse_json, read_limited, read_text
 from btr_mjx.runs.checkpoints import read_checkpoint, save_checkpoint
 from btr_mjx.runs.checksums import check_sums, is_listed
-from btr_mjx.runs.config_json import CONFIG_NAME, config_to_json, differences, read_config_json
+from btr_mjx.runs.config_json import CONFIG_NAME, config_to_json, differences, read_config, read_config_json
 from btr_mjx.runs.digests import content_digest
 from btr_mjx.runs.environment import available_cores, describe_environment
 from btr_mjx.runs.files import (
@@ -25,7 +25,7 @@ from btr_mjx.runs.files import (
 from btr_mjx.runs.parquet_check import check_parquet, unreadable_parquet
 from btr_mjx.runs.progress_bar import StopRequest, graceful_interrupt, note, progress
 from btr_mjx.runs.python_files import load_object
-from btr_mjx.runs.run_folder import IGNORED_FIELDS, RunFolder, claimed_folder, is_unused
+from btr_mjx.runs.run_folder import IGNORED_FIELDS, RunFolder, check_inputs, claimed_folder, is_unused
 from btr_mjx.runs.toml_tables import check_keys, file_inside, file_name, is_number, read_toml, toml_rows, toml_section
 
 __all__ = [
@@ -35,6 +35,7 @@ __all__ = [
     "StopRequest",
     "atomic_write",
     "available_cores",
+    "check_inputs",
     "check_keys",
     "check_parquet",
     "check_plain",
@@ -57,6 +58,7 @@ __all__ = [
     "progress",
     "read_arrays",
     "read_checkpoint",
+    "read_config",
     "read_config_json",
     "read_json",
     "read_limited",

@@ -296,6 +296,19 @@ def _check(
         raise InputError(
             f"{path} was started with another config ({'; '.join(changed)}); give the saved values or another --out"
         )
+    check_inputs(path, inputs)
+
+
+def check_inputs(path: Path, inputs: Mapping[str, str]) -> None:
+    """Compare what a run refers to with what it was when the run started.
+
+    Args:
+      path: the run folder.
+      inputs: see `RunFolder.create`.
+
+    Raises:
+      InputError: a robot, a dataset, ... that changed since.
+    """
     if (path / INPUTS_NAME).exists():
         saved = read_json(path / INPUTS_NAME)
         other = [name for name, digest in inputs.items() if not isinstance(saved, dict) or saved.get(name) != digest]

@@ -25,7 +25,7 @@ LIMIT = 300.0
 
 _context = multiprocessing.get_context("forkserver")
 _context.set_forkserver_preload(
-    ["btr_mjx.coevolve", "btr_mjx.diagnose", "btr_mjx.scan", "btr_mjx.plots", "btr_mjx.gap.report", "jax", "polars"]
+    ["btr_mjx.coevolve", "btr_mjx.diagnose", "btr_mjx.scan", "btr_mjx.plots", "btr_mjx.report", "jax", "polars"]
 )
 
 

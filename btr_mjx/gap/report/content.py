@@ -66,7 +66,7 @@ def content(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
         "mended": _mended(folder),
         "notes": _lines(result.get("notes")),
         "preflight": _preflight(folder),
-        "footer": _footer(folder, result),
+        "footer": _footer(result),
     }
 
 
@@ -199,7 +199,7 @@ def _mended(folder: Path) -> dict[str, Any] | None:
     return {"text": text, "terms": terms, "code": _CODE}
 
 
-def _footer(folder: Path, result: Mapping[str, Any]) -> list[str]:
+def _footer(result: Mapping[str, Any]) -> list[str]:
     lines = []
     spent = []
     if is_json_number(result.get("steps")):
@@ -210,9 +210,5 @@ def _footer(folder: Path, result: Mapping[str, Any]) -> list[str]:
         spent.append(f"seed {int(result['seed'])}")
     if spent:
         lines.append(", ".join(spent))
-    if (folder / "environment.json").is_file():
-        lines.append(
-            _in_words({k: v for k, v in read_json(folder / "environment.json").items() if v not in (None, [], {})})
-        )
     lines.append("Numbers: result.json. Figures: figures/. Tables: *.csv, *.npz.")
     return lines

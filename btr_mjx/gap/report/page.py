@@ -1,7 +1,5 @@
 """One self-contained HTML page about a diagnosis, drawn from its saved files only.
 
-    python -m btr_mjx.gap.report runs/diagnosis-0
-
 Files of a diagnosis folder, of which all but the first may be missing:
 
 - result.json: verdict, effects, ranking, equivalent, gap, next_experiment and other entries that the page shows;
@@ -11,26 +9,22 @@ Files of a diagnosis folder, of which all but the first may be missing:
 - mended.json beside mended.xml; environment.json.
 """
 
-import base64
-import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
 
-from btr_mjx.errors import InputError, cli_errors
+from btr_mjx.errors import InputError
 from btr_mjx.gap.report.content import content, is_json_number
-from btr_mjx.gap.results import REASON_NOT_NAMED, effect_at_place
+from btr_mjx.gap.results import REASON_NOT_NAMED, effect_at_place, effect_title
+from btr_mjx.pages import Figure, Table, embedded, write_page
 from btr_mjx.plotting import style
-from btr_mjx.runs import atomic_write, read_arrays, read_json, read_table, write_figure
+from btr_mjx.runs import read_arrays, read_json, read_table, write_figure
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib import figure as drawn
 
-PAGE = "report.html"
-"""File name of the page."""
 _TEMPLATE = Path(__file__).with_name("report.html.j2")
 _OVERLAYS = 6
 """Held-out stretches that the page shows, at most."""
@@ -53,13 +47,27 @@ def draw_report(folder: str | Path) -> Path:
     if not (folder / "result.json").is_file():
         raise InputError(f"{folder}: no result.json there; expected the folder of a diagnosis")
     result = read_json(folder / "result.json")
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
     with style():
         pictures = _pictures(folder, result)
-    html = environment.from_string(_TEMPLATE.read_text(encoding="utf-8")).render(content(folder, result) | pictures)
-    with atomic_write(folder / PAGE) as file:
-        file.write(html.encode("utf-8"))
-    return folder / PAGE
+    values = content(folder, result)
+    head = {"name": values["dataset"], "numbers": values["gap"], "candidates": _candidates(result)}
+    return write_page(folder, _TEMPLATE, head | values | pictures)
+
+
+def _candidates(result: Mapping[str, Any]) -> Table:
+    """All candidates of the ranking."""
+    rows = [
+        [
+            *(effect_title(row["effect"]), row["location"], row.get("score"), row.get("margin"), row.get("held_out")),
+            ", ".join(_beside(row)) if row.get("beside") else "",
+        ]
+        for row in result.get("ranking") or []
+    ]
+    return Table(
+        ["effect", "place", "score", "behind the first", "held-out gain", "beside"],
+        rows,
+        "Score: fall of the misfit (χ²), less a price for the effect's parameters.",
+    )
 
 
 def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
@@ -135,29 +143,11 @@ def _beside(row: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _picture(folder: Path, name: str, figure: "Figure", alt: str, caption: str) -> dict[str, str]:
+def _picture(folder: Path, name: str, figure: "drawn.Figure", alt: str, caption: str) -> Figure:
     file = folder / "figures" / f"{name}.png"
     write_figure(file, figure, dpi=160)
-    return {"data": base64.b64encode(file.read_bytes()).decode("ascii"), "alt": alt, "caption": caption}
+    return embedded(file, alt, caption)
 
 
 def _texts(values: np.ndarray) -> list[str]:
     return [str(value) for value in values]
-
-
-def main(argv: Sequence[str] | None = None) -> None:
-    """Entry point of the command."""
-    import tyro
-
-    def command(folders: Annotated[tuple[Path, ...], tyro.conf.Positional]) -> tuple[Path, ...]:
-        """Draw the pages of diagnoses again.
-
-        Args:
-          folders: folders of btr_mjx.diagnose.
-        """
-        return folders
-
-    folders = tyro.cli(command, args=sys.argv[1:] if argv is None else list(argv), prog="btr_mjx.gap.report")
-    with cli_errors():
-        for folder in folders:
-            print(draw_report(folder))

@@ -13,9 +13,9 @@ from gap_models import QUADRUPED
 from btr_mjx.errors import InputError
 from btr_mjx.gap.report import draw_report
 from btr_mjx.gap.report.figures import ranking_bars
-from btr_mjx.gap.report.page import main
 from btr_mjx.gap.results import REASON_NOT_NAMED, FoundEffect, estimate_cells, format_number, mend, verdict_sentence
 from btr_mjx.gap.results.wording import format_estimate
+from btr_mjx.report import main
 from btr_mjx.runs import read_arrays, write_arrays, write_json, write_table
 
 RESULT: dict[str, Any] = {

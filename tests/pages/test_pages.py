@@ -1,0 +1,248 @@
+"""Pages in a browser: light and dark, wide and narrow, without errors, sorted by a click."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from btr_mjx import coevolve, report, scan
+from btr_mjx.errors import InputError
+from btr_mjx.gap.results import verdict_sentence
+from btr_mjx.pages import Section, Table, kind_of_run, write_page
+from btr_mjx.pages.claims import claims_sentence
+from btr_mjx.pages.coevolution import coevolution_sentence
+from btr_mjx.pages.content import cell_text, flat_rows
+from btr_mjx.pages.page import sentences
+from btr_mjx.plotting import pictures, read_run
+from btr_mjx.runs import read_json, write_json
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine: pages are not opened")
+
+PROBE = """<script>
+window.faults = [];
+addEventListener("error", event => faults.push(String(event.message)));
+addEventListener("load", () => {
+  const tables = [...document.querySelectorAll("table.sortable")].map(table => {
+    const read = column => [...table.tBodies[0].rows].map(row => row.cells[column].textContent.trim());
+    const before = read(0).length, columns = [];
+    [...table.tHead.rows[0].cells].forEach((head, column) => {
+      const button = head.querySelector("button");
+      if (!button) return;
+      button.click();
+      const up = read(column), upward = head.getAttribute("aria-sort");
+      button.click();
+      columns.push({up, upward, down: read(column), downward: head.getAttribute("aria-sort")});
+    });
+    return {before, columns};
+  });
+  document.querySelectorAll("details").forEach(one => one.open = true);
+  const style = getComputedStyle(document.body);
+  parent.postMessage(JSON.stringify({
+    faults, tables, width: innerWidth, needed: document.documentElement.scrollWidth,
+    ink: style.color, paper: style.backgroundColor,
+    images: [...document.images].map(image => image.naturalWidth),
+  }), "*");
+});
+</script>"""
+
+
+@pytest.fixture(autouse=True)
+def no_gl(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pictures, "working_backend", lambda: None)
+
+
+def opened(page: Path, folder: Path, width: int, dark: bool) -> dict:
+    """What a browser says about a page, in a frame of a given width (its windows cannot be as narrow as a phone)."""
+    assert CHROMIUM is not None
+    text = page.read_text(encoding="utf-8").replace("<head>", "<head>" + PROBE, 1)
+    (folder / "page.html").write_text(text, encoding="utf-8")
+    (folder / "frame.html").write_text(
+        f'<iframe src="page.html" style="width:{width}px;height:900px;border:0"></iframe><pre id="said"></pre><script>'
+        'addEventListener("message", event => document.getElementById("said").textContent = event.data)</script>',
+        encoding="utf-8",
+    )
+    sandbox = ["--no-sandbox"] if os.geteuid() == 0 else []
+    done = subprocess.run(
+        [
+            *(CHROMIUM, "--headless", "--disable-gpu", *sandbox, f"--user-data-dir={folder / 'profile'}"),
+            *("--window-size=1300,1000", f"--blink-settings=preferredColorScheme={0 if dark else 1}"),
+            *("--virtual-time-budget=10000", "--dump-dom", (folder / "frame.html").as_uri()),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    said = re.search(r'<pre id="said">(.*?)</pre>', done.stdout, re.S)
+    assert said is not None
+    assert said[1], "the page sent nothing: its script failed"
+    return json.loads(said[1].replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&"))
+
+
+def make_coevolution(folder: Path) -> Path:
+    flags = "--engine=native --duration=0.05 --controllers=8 --controller-generations=2 --trials=3 --simulations=6"
+    coevolve.main([*flags.split(), "--simulation-generations=2", "--no-progress", f"--out={folder}"])
+    return folder
+
+
+def make_scan(folder: Path) -> Path:
+    flags = "--engine=native --duration=0.05 --grid=4 --trials=3 --behaviours=random --no-progress"
+    scan.main([*flags.split(), f"--out={folder}"])
+    return folder
+
+
+def make_claims(folder: Path) -> Path:
+    folder.mkdir()
+    gallery = Path(__file__).parents[2] / "docs" / "gallery"
+    for name in ("claims.json", "claims.png", "fig2.png"):
+        shutil.copyfile(gallery / name, folder / name)
+    report.report(folder)
+    return folder
+
+
+def make_diagnosis(folder: Path) -> Path:
+    folder.mkdir()
+    effect = {"effect": "payload", "location": "body:torso", "parameters": {"mass": {"value": 2.0, "unit": "kg"}}}
+    rows = [
+        {"effect": "payload", "location": f"body:{n}", "score": s, "margin": 9.0 - s, "held_out": 1.0}
+        for n, s in (("torso", 9.0), ("leg", -3.5), ("arm", 1e-7))
+    ]
+    result = {"verdict": "effect", "dataset": "d", "where": "joint knee", "effects": [effect], "ranking": rows}
+    result |= {"believed": [{"name": n, "before": v} for n, v in (("a", -0.5), ("b", 10.0), ("c", 2.0))]}
+    write_json(folder / "result.json", result | {"sentence": verdict_sentence(result)})
+    report.report(folder)
+    return folder
+
+
+MAKERS: dict[str, Callable[[Path], Path]] = {
+    "coevolve": make_coevolution,
+    "scan": make_scan,
+    "claims": make_claims,
+    "diagnose": make_diagnosis,
+}
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    made: dict[str, Path] = {}
+
+    def folder(kind: str) -> Path:
+        if kind not in made:
+            made[kind] = MAKERS[kind](tmp_path_factory.mktemp("runs") / kind)
+        return made[kind]
+
+    return folder
+
+
+def as_number(text: str) -> float | None:
+    plain = text.replace("\N{MINUS SIGN}", "-").replace("·10^", "e")
+    found = re.match(r"(-?\d+\.?\d*(?:e-?\d+)?)(?: |$)", plain)
+    return float(found[1]) if found else None
+
+
+@browser
+@pytest.mark.parametrize("kind", list(MAKERS))
+def test_pages_in_a_browser(folders: Callable[[str], Path], kind: str, tmp_path: Path) -> None:
+    page = folders(kind) / "report.html"
+    assert kind_of_run(folders(kind)) == kind
+    looks = set()
+    for width, dark in ((1200, False), (1200, True), (400, False), (400, True)):
+        said = opened(page, tmp_path, width, dark)
+        assert said["faults"] == []
+        assert said["width"] == width
+        assert said["needed"] <= width  # no scrolling sideways
+        assert all(said["images"])
+        light = [sum(map(int, re.findall(r"\d+", said[key])[:3])) for key in ("ink", "paper")]
+        assert (light[0] > light[1]) is dark
+        assert abs(light[0] - light[1]) > 400
+        looks.add((said["ink"], said["paper"]))
+    assert len(looks) == 2
+    sorted_columns = 0
+    for table in said["tables"]:
+        for column in table["columns"]:
+            assert (column["upward"], column["downward"]) == ("ascending", "descending")
+            assert sorted(column["up"]) == sorted(column["down"])  # no row is lost
+            assert len(column["up"]) == table["before"]
+            numbers = [as_number(text) for text in column["up"]]
+            if None not in numbers:
+                assert numbers == sorted(numbers)
+                assert [as_number(text) for text in column["down"]] == sorted(numbers, reverse=True)
+                sorted_columns += len(set(numbers)) > 1
+    assert sorted_columns > 0
+
+
+@pytest.mark.parametrize("kind", list(MAKERS))
+def test_pages_need_no_other_file_and_are_reproducible(folders: Callable[[str], Path], kind: str) -> None:
+    page = folders(kind) / "report.html"
+    text = page.read_text(encoding="utf-8")
+    assert not re.findall(r'(?:src|href)="(?!data:)[^"]*"', text)
+    assert report.report(folders(kind)) == page
+    assert page.read_text(encoding="utf-8") == text
+
+
+def test_a_film_in_the_folder_is_in_the_page(folders: Callable[[str], Path], tmp_path: Path) -> None:
+    folder = shutil.copytree(folders("coevolve"), tmp_path / "copy")
+    (folder / "replay.gif").write_bytes(b"GIF89a")
+    assert "data:image/gif;base64,R0lGODlh" in report.report(folder).read_text()
+    (folder / "replay.gif").rename(folder / "replay.mp4")
+    assert "<video" in report.report(folder).read_text()
+
+
+def test_the_verdict_of_a_coevolution(folders: Callable[[str], Path]) -> None:
+    folder = folders("coevolve")
+    run, result = read_run(folder), read_json(folder / "result.json")
+    text = coevolution_sentence(run)
+    assert len(sentences(text)) <= 2
+    assert text.startswith(f"With {result['reality_evaluations']} trials in reality, the mean error of 2 unknown")
+    fell = result["parameter_error_last"] < result["parameter_error_first"]
+    assert ("falls from" in text) is fell
+    run.result["parameter_error_last"] = 2 * result["parameter_error_first"]
+    assert "does not fall: it goes from 0.24 m to 0.48 m" in coevolution_sentence(run)
+
+
+def test_the_sentence_of_claims_counts() -> None:
+    rows = [{"verdict": word} for word in ("holds", "holds", "does not", "undecided")]
+    assert claims_sentence(rows) == "2 of 4 claims hold, 1 does not, 1 is undecided."
+    assert claims_sentence(rows[:2]) == "2 of 2 claims hold."
+
+
+def test_parts_of_a_page() -> None:
+    assert cell_text(-2) == "\N{MINUS SIGN}2"
+    assert cell_text(float("nan")) == "–"
+    assert cell_text(True) == "yes"
+    assert Table(["a", "b"], [["x", 1.0], ["y", None]]).numeric == [False, True]
+    assert Table(["a"], []).numeric == [False]
+    assert flat_rows({"a": {"b": 1, "c": None}, "d": [1, 2], "e": True}) == [["a.b", "1"], ["d", "1 2"], ["e", "true"]]
+    text = "Gears slip (0.3 [0.2, 0.4] N m). Their friction is 1.5 times that. Runner-up: dry friction."
+    assert sentences(text) == [text[:32], text[33:66], text[67:]]
+
+
+def test_text_is_escaped(tmp_path: Path) -> None:
+    (tmp_path / "page.html.j2").write_text('{% extends "base.html.j2" %}')
+    parts = {"heading": "<h>", "name": "<n>", "sentence": "<b>1</b>", "numbers": [("<l>", "<v>")], "footer": ["<f>"]}
+    text = write_page(tmp_path, tmp_path / "page.html.j2", parts).read_text()
+    for tag in ("<h>", "<n>", "<b>", "<l>", "<v>", "<f>"):
+        assert tag not in text
+    assert Section("title").folded is False
+
+
+def test_folders_without_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(InputError, match="--resume"):
+        report.report(tmp_path)
+    write_json(tmp_path / "result.json", [1])
+    with pytest.raises(SystemExit) as stopped:
+        report.main([str(tmp_path)])
+    assert stopped.value.code == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def test_no_figures_skips_the_page(tmp_path: Path) -> None:
+    flags = "--engine=native --duration=0.05 --grid=3 --trials=2 --behaviours=random --no-progress --no-figures"
+    scan.main([*flags.split(), f"--out={tmp_path / 'scan'}"])
+    assert not (tmp_path / "scan" / "report.html").exists()

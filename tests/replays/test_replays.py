@@ -1,0 +1,301 @@
+"""Films show what a run found: the right motions, labelled, in the right number of frames."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from PIL import Image
+
+from btr_mjx import coevolve, diagnose
+from btr_mjx.errors import InputError
+from btr_mjx.gap.data import Recording, control_columns
+from btr_mjx.gap.data.columns import state_columns
+from btr_mjx.gap.simulate import World
+from btr_mjx.models import base_model
+from btr_mjx.plotting import pictures
+from btr_mjx.replay import ReplayConfig, main, replay
+from btr_mjx.replays import Replay, ReplayedMotion, draw_film, read_replay, write_film
+from btr_mjx.replays.diagnosis import open_loop_positions
+from btr_mjx.replays.film import FOOT, LABEL, _Layout
+from btr_mjx.replays.motion import frame_times, held
+from btr_mjx.robots import hexapod
+from btr_mjx.runs import read_json, write_json, write_table
+
+SMALL_RUN = (
+    *("--engine=native", "--duration=0.2", "--controllers=8", "--controller-generations=2", "--trials=3"),
+    *("--simulations=6", "--simulation-generations=2", "--iterations=1", "--no-figures", "--no-progress"),
+)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("runs") / "small"
+    coevolve.main([*SMALL_RUN, "--out", str(folder)])
+    return folder
+
+
+@pytest.fixture
+def no_gl(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pictures, "working_backend", lambda: None)
+
+
+def frames_of(path: Path) -> np.ndarray:
+    with Image.open(path) as film:
+        frames = []
+        for k in range(film.n_frames):  # type: ignore[attr-defined]
+            film.seek(k)
+            frames.append(np.asarray(film.convert("RGB"), int))
+    return np.stack(frames)
+
+
+def test_a_coevolution_is_shown_before_and_after_in_simulation_and_reality(run: Path) -> None:
+    shown = read_replay(run, 9, 6.0)
+    titles = [[motion.title for motion in row] for row in shown.rows]
+    assert titles == [["before: simulation", "before: reality"], ["after: simulation", "after: reality"]]
+    assert len(shown.times) == 9
+    assert shown.times[0] == 0
+    assert shown.times[-1] == pytest.approx(0.2)
+    for motion in shown.motions:
+        assert motion.qpos.shape == (9, motion.model.nq)
+        np.testing.assert_array_equal(motion.qpos[0], motion.model.qpos0)
+    result = read_json(run / "result.json")
+    # Saved numbers of the run's own engine, native here: those of the film are the same.
+    numbers = [float(motion.number.split()[0]) for motion in shown.motions]
+    assert numbers[1] == pytest.approx(result["f_r_first_controller"], rel=5e-3)
+    assert numbers[3] == pytest.approx(result["f_r_best"], rel=5e-3)
+    assert shown.rows[1][0].detail == "best controller, identified parameters"
+
+
+def test_motions_are_those_of_a_loop_over_steps(run: Path) -> None:
+    """The first controller in the nominal simulation, stepped one by one."""
+    shown = read_replay(run, 5, 6.0)
+    robot = hexapod()
+    model = base_model(robot)
+    with np.load(run / "trials.npz") as trials:
+        controller = trials["controllers"][0]
+    data, dt = mujoco.MjData(model), model.opt.timestep
+    states = [data.qpos.copy()]
+    for k in range(round(0.2 / dt)):
+        data.ctrl[:] = robot.signal(controller[:, None], k * dt, np)[:, 0]
+        mujoco.mj_step(model, data)
+        if np.isclose(shown.times, (k + 1) * dt, atol=dt / 4).any():
+            states.append(data.qpos.copy())
+    np.testing.assert_allclose(shown.rows[0][0].qpos, states, atol=1e-6)
+
+
+@pytest.mark.usefixtures("no_gl")
+def test_the_film_has_its_frames_and_panels_differ_where_the_parameters_do(run: Path, tmp_path: Path) -> None:
+    out = replay(ReplayConfig(run, tmp_path / "film.gif", seconds=1.0, rate=5, width=160, progress=False))
+    assert out is not None
+    frames = frames_of(out)
+    layout = _Layout(2, 2, 160)
+    assert frames.shape == (5, layout.size[1], layout.size[0], 3)
+
+    def panel(row: int, column: int) -> np.ndarray:
+        left, top = layout.corner(row, column)
+        return frames[:, top + LABEL : top + LABEL + layout.height, left : left + layout.width]
+
+    # Nominal and hidden lengths differ by 0.24 m; what was identified differs from the nominal, too.
+    differing = lambda a, b: (np.abs(a - b).max(axis=-1) > 40).mean()  # noqa: E731
+    assert differing(panel(0, 0)[0], panel(0, 1)[0]) > 0.005
+    assert differing(panel(0, 0)[0], panel(0, 0)[-1]) > 0.002  # it moves
+    foot = frames[:, -FOOT:]
+    assert (foot[0] != foot[-1]).any()  # the time
+
+
+def test_equal_parameters_give_equal_panels() -> None:
+    model = base_model(hexapod())
+    poses = np.repeat(model.qpos0[None], 2, axis=0)
+    pair = [ReplayedMotion(title, "", "", model, poses) for title in ("a", "b")]
+    film = draw_film(Replay(np.array([0.0, 1.0]), [pair]), 120)
+    layout = _Layout(2, 1, 120)
+    left, right = (layout.corner(0, c)[0] for c in (0, 1))
+    rows = slice(LABEL, LABEL + layout.height)
+    np.testing.assert_array_equal(film[:, rows, left : left + 120], film[:, rows, right : right + 120])
+    assert film[:, rows, left : left + 120].std() > 5
+
+
+@pytest.mark.skipif(pictures.working_backend() is None, reason="no OpenGL here: robots are drawn as outlines")
+def test_rendered_frames_are_those_of_the_poses() -> None:
+    """Frames of a film equal pictures of the same poses, made one by one; chunks of frames change nothing."""
+    xml = """<mujoco><worldbody><light pos="0 0 3"/><body pos="0 0 1"><joint axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -.5" size=".05"/></body></worldbody></mujoco>"""
+    model = mujoco.MjModel.from_xml_string(xml)
+    poses = np.linspace(0, 1, pictures.FRAMES_AT_ONCE + 2)[:, None]
+    camera = pictures.camera_for([model], poses=[poses])
+    frames = pictures.render_motion(model, poses, 64, 48, camera)
+    assert frames is not None
+    assert frames.shape == (len(poses), 48, 64, 3)
+    for k in (0, len(poses) - 1):
+        alone = pictures.render_motion(model, poses[k : k + 1], 64, 48, camera)
+        assert alone is not None
+        np.testing.assert_array_equal(alone[0], frames[k])
+    assert (frames[0] != frames[-1]).any()
+    assert frames[0, 0, 0].min() > 200  # a light background where the model has no sky
+
+
+def test_camera_shows_every_pose() -> None:
+    model = base_model(hexapod())
+    poses = np.repeat(model.qpos0[None], 3, axis=0)
+    poses[1:, 0] += [1.0, 2.5]
+    camera = pictures.camera_for([model], 4 / 3, poses=[poses])
+    points = np.concatenate([cloud for qpos in poses for _, cloud in pictures.point_clouds(model, qpos)])
+    flat, depth = camera.project(points)
+    assert (depth > 0).all()
+    assert (np.abs(flat) <= [4 / 3, 1]).all()
+
+
+def test_a_gif_keeps_to_its_limit(tmp_path: Path, rng: np.random.Generator) -> None:
+    film = rng.integers(0, 256, (6, 200, 300, 3), dtype=np.uint8)
+    whole = write_film(tmp_path / "whole.gif", film, 10)
+    size = write_film(tmp_path / "small.gif", film, 10, limit=whole // 2)
+    assert size == (tmp_path / "small.gif").stat().st_size <= whole // 2
+    assert len(frames_of(tmp_path / "small.gif")) == 6
+
+
+def test_mp4(tmp_path: Path) -> None:
+    reader = pytest.importorskip("imageio_ffmpeg", reason="the extra 'video' is not installed")
+    film = np.zeros((7, 64, 96, 3), np.uint8)
+    film[3:] = 200
+    write_film(tmp_path / "film.mp4", film, 7)
+    frames = reader.read_frames(str(tmp_path / "film.mp4"))
+    about = next(frames)
+    pictures = [np.frombuffer(frame, np.uint8) for frame in frames]
+    assert about["size"] == (96, 64)
+    assert len(pictures) == 7
+    assert [picture.mean() > 100 for picture in pictures] == [False] * 3 + [True] * 4
+
+
+def test_frame_times_are_whole_steps() -> None:
+    times = frame_times(1.7, 72, 0.0005)
+    assert len(times) == 71
+    np.testing.assert_allclose(times / 0.0005, np.round(times / 0.0005), atol=1e-9)
+    assert times[-1] == pytest.approx(1.7)
+    assert len(frame_times(0.001, 72, 0.0005)) == 2
+
+
+def test_a_diverged_state_is_held() -> None:
+    qpos = np.array([[0.0], [1.0], [np.nan], [np.nan]])
+    np.testing.assert_array_equal(held(qpos)[:, 0], [0, 1, 1, 1])
+
+
+def test_open_loop_is_a_loop_over_steps() -> None:
+    xml = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="j" damping=".1"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -.5" size=".05"/></body></worldbody>
+      <actuator><motor joint="j"/></actuator></mujoco>"""
+    model = mujoco.MjModel.from_xml_string(xml)
+    time = np.arange(0, 0.5, 0.01)
+    ctrl = 0.3 * np.sin(8 * time)[:, None]
+    zeros = np.zeros((len(time), 1))
+    recording = Recording("r", time, ctrl, zeros + 0.2, zeros, np.ones(1, bool), "test", model)
+    found = open_loop_positions(World.of(model), recording, "linear", time[:40])
+    data = mujoco.MjData(model)
+    data.qpos[0] = 0.2
+    expected = [0.2]
+    for k in range(39 * 5):
+        data.ctrl[0] = np.interp((k + 0.5) * 0.002, time, ctrl[:, 0])
+        mujoco.mj_step(model, data)
+        if (k + 1) % 5 == 0:
+            expected.append(data.qpos[0])
+    np.testing.assert_allclose(found[:, 0], expected, atol=1e-9)
+
+
+@pytest.mark.usefixtures("no_gl")
+def test_what_cannot_be_shown_is_said_in_one_line(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    write_json(tmp_path / "result.json", {"spearman": 1.0})
+    for arguments, said in (
+        ([str(tmp_path / "nowhere")], "no result.json"),
+        ([str(tmp_path)], "only runs of btr_mjx.coevolve and btr_mjx.diagnose"),
+        ([str(run), "--out", "film.avi"], "ends in .gif or .mp4"),
+        ([str(run), "--view"], "there is no display"),
+        ([str(run), "--rate", "0"], "rate: got 0"),
+        ([str(run), "--seconds", "nan"], "seconds: got nan"),
+    ):
+        with pytest.raises(SystemExit) as stopped:
+            main(arguments)
+        assert stopped.value.code == 2
+        error = capsys.readouterr().err.strip()
+        assert said in error
+        assert len(error.splitlines()) == 1
+
+
+def test_a_robot_that_changed_is_refused(run: Path, tmp_path: Path) -> None:
+    copied = shutil.copytree(run, tmp_path / "copy")
+    (copied / "SHA256SUMS").unlink()
+    inputs = read_json(copied / "inputs.json")
+    write_json(copied / "inputs.json", inputs | {"the robot": "0" * 64})
+    with pytest.raises(InputError, match="the robot changed"):
+        read_replay(copied, 3, 6.0)
+
+
+def test_a_robot_behind_a_folder_is_shown_where_it_was_recorded(run: Path, tmp_path: Path) -> None:
+    copied = shutil.copytree(run, tmp_path / "copy")
+    for name in ("SHA256SUMS", "inputs.json"):
+        (copied / name).unlink()
+    config = read_json(copied / "config.json")
+    write_json(copied / "config.json", config | {"reality": "folder"})
+    shown = read_replay(copied, 4, 6.0)
+    assert [[motion.title for motion in row] for row in shown.rows] == [["before: simulation", "after: simulation"]]
+    model, real = base_model(hexapod()), read_replay(run, 41, 6.0).rows[0][1]
+    columns = {"time": read_replay(run, 41, 6.0).times}
+    columns |= dict(zip(state_columns(model)[0], real.qpos.T, strict=True))
+    columns |= {name: np.zeros(41) for name in control_columns(model)}
+    (copied / "exchange" / "measured").mkdir(parents=True)
+    write_table(copied / "exchange" / "measured" / "trial-0.csv", columns)
+    shown = read_replay(copied, 5, 6.0)
+    assert [len(row) for row in shown.rows] == [2, 1]
+    np.testing.assert_allclose(shown.rows[0][1].qpos, real.qpos[::10], atol=1e-12)
+
+
+@pytest.mark.slow
+def test_a_diagnosed_robot_is_shown_beside_its_recording(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    diagnose.main(["--demo", "--robot", "pendulum", "--out", str(folder), "--no-progress", "--no-figures"])
+    shown = read_replay(folder, 30, 3.0)
+    assert [motion.title for motion in shown.motions] == ["recording", "believed model", "mended model"]
+    measured, believed, mended = (motion.qpos for motion in shown.motions)
+    assert 0 < np.abs(mended - measured).mean() < np.abs(believed - measured).mean()
+    out = replay(ReplayConfig(folder, seconds=1.0, rate=5, width=120, progress=False))
+    assert out == folder / "replay.gif"
+    assert len(frames_of(out)) == 5
+
+
+def test_view_plays_every_motion(
+    run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import mujoco.viewer
+
+    from btr_mjx.replays import viewer
+
+    seen: list[np.ndarray] = []
+
+    class Window:
+        def __init__(self, data: Any) -> None:
+            self.data, self.open = data, True
+
+        def __enter__(self) -> "Window":
+            return self
+
+        def __exit__(self, *_: object) -> None: ...
+
+        def is_running(self) -> bool:
+            return self.open
+
+        def sync(self) -> None:
+            seen.append(self.data.qpos.copy())
+            self.open = self.data.time < 0.199
+
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(mujoco.viewer, "launch_passive", lambda model, data: Window(data))
+    monkeypatch.setattr(viewer.time, "sleep", lambda _: None)
+    shown = read_replay(run, 4, 6.0)
+    viewer.view_replay(shown)
+    np.testing.assert_array_equal(seen, np.concatenate([motion.qpos for motion in shown.motions]))
+    assert "after: reality" in capsys.readouterr().out
