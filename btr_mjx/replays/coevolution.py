@@ -21,7 +21,7 @@ from btr_mjx.evaluation import Engine, EngineSettings, FitnessFunction, evaluate
 from btr_mjx.gap.data import Recording
 from btr_mjx.models import base_model, compile_models, start_of
 from btr_mjx.plotting import highlight
-from btr_mjx.replays.motion import Replay, ReplayedMotion, frame_times, held
+from btr_mjx.replays.motion import Replay, ReplayedMotion, frame_times, hold_last_valid
 from btr_mjx.robots import Robot
 from btr_mjx.runs import check_inputs, read_arrays, read_config, read_json
 
@@ -98,7 +98,9 @@ def _simulated(
     start = start_of(robot)
     first = model.qpos0 if start is None else start[0]
     number = _with_unit(float(found.fitness[0, 0]), problem.fitness)
-    return ReplayedMotion("", "", number, model, held(np.concatenate([first[None], found.outcome.qpos[0, 0]])))
+    return ReplayedMotion(
+        "", "", number, model, hold_last_valid(np.concatenate([first[None], found.outcome.qpos[0, 0]]))
+    )
 
 
 def _real(problem: Problem, controller: np.ndarray, trial: int, times: np.ndarray, f_r: float) -> ReplayedMotion | None:

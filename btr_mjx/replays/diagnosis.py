@@ -15,7 +15,7 @@ from btr_mjx.gap.results import FoundEffect, resolve_effect
 from btr_mjx.gap.simulate import Command, Segments, World, simulate
 from btr_mjx.models import difference, parse_path
 from btr_mjx.replays.coevolution import sampled
-from btr_mjx.replays.motion import Replay, ReplayedMotion, frame_times, held
+from btr_mjx.replays.motion import Replay, ReplayedMotion, frame_times, hold_last_valid
 from btr_mjx.runs import check_inputs, content_digest, read_config_json, read_json
 
 
@@ -58,7 +58,7 @@ def diagnosis_replay(folder: Path, frames: int, seconds: float) -> Replay:
         qpos = open_loop_positions(world, recording, dataset.interpolation, times)
         error = np.abs(difference(model, measured, qpos)).mean()
         number = f"off by {error:.2g} {unit}".rstrip() if np.isfinite(error) else "diverged"
-        row.append(ReplayedMotion(title, detail, number, model, held(qpos)))
+        row.append(ReplayedMotion(title, detail, number, model, hold_last_valid(qpos)))
     return Replay(times, [row])
 
 

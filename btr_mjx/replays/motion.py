@@ -59,7 +59,7 @@ def frame_times(duration: float, frames: int, timestep: float) -> np.ndarray:
     return np.unique(np.round(np.linspace(0, steps, min(frames, steps + 1))[1:])) * timestep
 
 
-def held(qpos: np.ndarray) -> np.ndarray:
+def hold_last_valid(qpos: np.ndarray) -> np.ndarray:
     """Positions (F, nq) in which a state that is not finite is replaced by the last one before it."""
     valid = np.isfinite(qpos).all(axis=1)
     valid[0] = True
