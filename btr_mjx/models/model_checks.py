@@ -39,6 +39,13 @@ FLOAT_FIELDS = (
 """Fields of MjModel that hold physical numbers: those that a path may name by index, and that are checked. Fields of
 indices, types and addresses are not among them; MuJoCo reads memory that is not its own where they are wrong."""
 
+DERIVED_FIELDS = (
+    *("body_invweight0", "body_subtreemass", "dof_M0", "dof_invweight0", "dof_length", "geom_aabb", "geom_rbound"),
+    *("actuator_acc0", "actuator_length0", "tendon_length0", "tendon_invweight0"),
+    *("jnt_stiffnesspoly", "dof_dampingpoly", "tendon_stiffnesspoly", "tendon_dampingpoly"),
+)
+"""Fields that a path may name as well, most of which mj_setConst computes from the others."""
+
 _ALSO_CHECKED = (
     *("key_qpos", "key_qvel", "key_act", "key_ctrl", "actuator_delay", "sensor_delay", "sensor_interval"),
     *("dof_dampingpoly", "jnt_stiffnesspoly", "tendon_dampingpoly", "tendon_stiffnesspoly", "actuator_dampingpoly"),

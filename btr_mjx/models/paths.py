@@ -23,7 +23,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.models.model_checks import FLOAT_FIELDS, check_model
+from btr_mjx.models.model_checks import DERIVED_FIELDS, FLOAT_FIELDS, check_model
 
 KINDS: Mapping[str, tuple[mujoco.mjtObj, str]] = {
     "joint": (mujoco.mjtObj.mjOBJ_JOINT, "njnt"),
@@ -196,7 +196,7 @@ def parse_path(model: mujoco.MjModel, text: str) -> ModelPath:
         head = "option:x/" + head.removeprefix("option/")
     found = _PATH.match(head)
     if found is None:
-        if head in FLOAT_FIELDS:
+        if head in FLOAT_FIELDS or head in DERIVED_FIELDS:
             path = ModelPath(text, "", 0, head, numbers)
         elif head.isidentifier() and (index or hasattr(model, head)):
             raise InputError(

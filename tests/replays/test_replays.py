@@ -20,7 +20,7 @@ from btr_mjx.replay import ReplayConfig, main, replay
 from btr_mjx.replays import Replay, ReplayedMotion, draw_film, read_replay, write_film
 from btr_mjx.replays.diagnosis import open_loop_positions
 from btr_mjx.replays.film import FOOT, LABEL, _Layout
-from btr_mjx.replays.motion import frame_times, held
+from btr_mjx.replays.motion import frame_times, hold_last_valid
 from btr_mjx.robots import hexapod
 from btr_mjx.runs import read_json, write_json, write_table
 
@@ -179,7 +179,7 @@ def test_frame_times_are_whole_steps() -> None:
 
 def test_a_diverged_state_is_held() -> None:
     qpos = np.array([[0.0], [1.0], [np.nan], [np.nan]])
-    np.testing.assert_array_equal(held(qpos)[:, 0], [0, 1, 1, 1])
+    np.testing.assert_array_equal(hold_last_valid(qpos)[:, 0], [0, 1, 1, 1])
 
 
 def test_open_loop_is_a_loop_over_steps() -> None:

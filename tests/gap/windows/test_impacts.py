@@ -213,7 +213,7 @@ def test_payload_on_simple_bodies(tmp_path: Path) -> None:
     file = tmp_path / "robot.xml"
     file.write_text(xml.format(on_target="", on_drone=""))
     assert mujoco.MjModel.from_xml_path(str(file)).body_simple[1:].all()
-    model, text = load_model(file)
+    model, text = load_model(file, file.parent)
     assert not model.body_simple[1:].any()
     assert text == file.read_text()
     effect = next(e for e in EFFECTS if e.name == "payload")
