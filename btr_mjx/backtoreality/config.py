@@ -9,7 +9,7 @@ import numpy as np
 
 from btr_mjx.backtoreality.reality import FolderReality, Reality, SimulatedReality
 from btr_mjx.backtoreality.setting_checks import check_settings
-from btr_mjx.backtoreality.state import BTRSettings, Distance, Optimiser, Problem, SearchSettings
+from btr_mjx.backtoreality.state import BTRSettings, Distance, Problem, SearchSettings
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import MARKS, EngineSettings, FitnessFunction, fitness_function
 from btr_mjx.models import chosen_robot, compile_mjcf, part_names
@@ -63,10 +63,9 @@ class CoevolveConfig:
     simulated reality, for which the default marks are good; else fitness."""
     marks: tuple[float, ...] = MARKS
     """Marks of the multiscale distance [s]."""
-    optimiser: Literal["auto", "ga", "cma"] = "auto"
-    """How step 3 searches: the genetic algorithm (the paper), which finds its way among the valleys of Delta_fitness,
-    or CMA-ES, which finds many unknown parameters far better where the distance is smooth, and ends early once it has
-    converged. auto: CMA-ES with the multiscale distance, else the genetic algorithm."""
+    optimiser: Literal["ga", "cma"] = "ga"
+    """How step 3 searches: the genetic algorithm (the paper), or CMA-ES, which finds many unknown parameters far better
+    and ends early once it has converged."""
     fitness: str | None = None
     """Fitness function: distance (the hexapod's), forward_speed, energy_per_metre, target_distance, or FILE.py:NAME; by
     default the robot's own."""
@@ -126,7 +125,6 @@ PRESETS: dict[str, CoevolveConfig] = {
     "paper": CoevolveConfig(
         preset="paper",
         distance="fitness",
-        optimiser="ga",
         start="random",
         iterations=5,
         trials=15,
@@ -144,13 +142,12 @@ _REALITY_OF_PRESET = {"quick": "fig2", "paper": "fig4"}
 """Preset -> figure of the paper whose reality is hidden."""
 
 
-def step_three(config: CoevolveConfig) -> tuple[Distance, Optimiser]:
-    """What step 3 minimises, and how it searches; see `CoevolveConfig`."""
+def minimised_distance(config: CoevolveConfig) -> Distance:
+    """What step 3 minimises, see `CoevolveConfig.distance`."""
+    if config.distance != "auto":
+        return config.distance
     known = config.robot is None and config.template is None and config.reality == "simulation" and not config.grow
-    known = known and (config.duration is None or config.duration > config.marks[-1])
-    distance: Distance = ("multiscale" if known else "fitness") if config.distance == "auto" else config.distance
-    optimiser: Optimiser = "cma" if distance == "multiscale" else "ga"
-    return distance, optimiser if config.optimiser == "auto" else config.optimiser
+    return "multiscale" if known and (config.duration is None or config.duration > config.marks[-1]) else "fitness"
 
 
 def parse_values(robot: Robot, settings: Sequence[str]) -> dict[str, float]:
@@ -180,7 +177,6 @@ def build_problem(config: CoevolveConfig) -> Problem:
     Raises:
       InputError: a setting that is out of its range.
     """
-    distance, optimiser = step_three(config)
     robot = chosen_robot(config.robot, config.template, config.duration)
     check_settings(config, robot)
     box = robot.simulation_box
@@ -239,9 +235,9 @@ def build_problem(config: CoevolveConfig) -> Problem:
             max_evaluations=config.max_evaluations,
             target_delta=config.target_delta,
             behaviours=config.behaviours,
-            distance=distance,
+            distance=minimised_distance(config),
             marks=config.marks,
-            optimiser=optimiser,
+            optimiser=config.optimiser,
             most_effects=config.max_effects if config.grow else 0,
             grow_from=config.grow_from,
         ),
