@@ -145,11 +145,13 @@ def _shift(time: np.ndarray, command: np.ndarray, response: np.ndarray, step: fl
     if len(even) < 40 or np.ptp(command) == 0 or np.ptp(response) == 0:
         return None
     a, b = (np.interp(even, time, x) for x in (command, response))
+    # A periodic command fits again after a period, so that less than half of one is searched.
+    period = 2 * len(even) / max(np.count_nonzero(np.diff(a > np.mean(a))), 1)
     a, b = (np.gradient(x) - np.mean(np.gradient(x)) for x in (a, b))
     size = float(np.linalg.norm(a) * np.linalg.norm(b))
     if size == 0:
         return None
-    reach = min(int(0.25 / step), len(even) // 4)
+    reach = max(1, min(int(0.25 / step), len(even) // 4, int(0.45 * period)))
     padded = 2 * len(even)  # so that the transform's circle does not close
     products = np.fft.irfft(np.fft.rfft(b, padded) * np.conj(np.fft.rfft(a, padded)), padded)
     scores = np.concatenate([products[padded - reach :], products[: reach + 1]]) / size
