@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 PAGES = ("README.md", "docs/coevolution.md")
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.M | re.S)
 INLINE = re.compile(r"`((?:uv|python|pip) [^`]*)`")
-UV = ("pip install uv", "uv build", "uv pip install /path/to/this/checkout")
+UV = ("pip install uv", "uv build", "uv pip install /path/to/this/checkout", "uv run pytest")
 """Commands of uv itself."""
 
 
@@ -132,7 +132,7 @@ def test_the_notebook_recipe_runs(tmp_path: Path) -> None:
 def test_the_quick_commands_run(tmp_path: Path) -> None:
     """The recipe of a diagnosis, as it stands, and what draws the picture of a run."""
     ran = [line for line in commands("README.md") if re.search(r"diagnose .*runs/|replay runs/robot|doctor$", line)]
-    assert len(ran) == 4
+    assert len(ran) == 5
     for command in sorted(ran, key=lambda line: "replay" in line):
         argv = words_after(command, "uv", "run", "python")
         done = subprocess.run([sys.executable, *argv], cwd=tmp_path, capture_output=True, text=True, timeout=900)
