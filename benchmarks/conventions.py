@@ -101,7 +101,7 @@ def reality(robot: str, rng: np.random.Generator, imperfect: bool) -> mujoco.MjM
         match rng.integers(4):
             case 0:
                 joints = model.jnt_type[model.dof_jntid] != mujoco.mjtJoint.mjJNT_FREE
-                model.dof_frictionloss[joints] = (rng.uniform(1, 10) * model.dof_M0)[joints]  # rad/s^2, m/s^2
+                model.dof_frictionloss[joints] = (rng.uniform(0.2, 2) * model.dof_M0)[joints]  # rad/s^2, m/s^2
             case 1:
                 gain = rng.uniform(0.5, 0.9)
                 model.actuator_gainprm[:, :3] *= gain

@@ -146,7 +146,7 @@ def _shift(time: np.ndarray, command: np.ndarray, response: np.ndarray, step: fl
         return None
     a, b = (np.interp(even, time, x) for x in (command, response))
     # A periodic command fits again after a period, so that less than half of one is searched.
-    period = 2 * len(even) / max(np.count_nonzero(np.diff(a > np.mean(a))), 1)
+    period = 2 * len(even) / max(int(np.count_nonzero(np.diff(a > np.mean(a)))), 1)
     a, b = (np.gradient(x) - np.mean(np.gradient(x)) for x in (a, b))
     size = float(np.linalg.norm(a) * np.linalg.norm(b))
     if size == 0:
