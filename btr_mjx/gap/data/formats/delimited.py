@@ -1,0 +1,233 @@
+"""Text tables in any dialect: which separator, decimal sign, comments, names and units a file has, and its numbers.
+
+The rows of numbers come first: the separator and the decimal sign are those with which most lines in a row have equally
+many fields, mostly numbers. The line above them holds the names, with a row of units between if there is one; a comment
+sign in front of the names is taken off. Everything before is a comment.
+"""
+
+import csv
+import re
+from collections import Counter
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+
+import polars as pl
+
+from btr_mjx.errors import DamagedFile, InputError
+from btr_mjx.gap.data.plausible import MAX_HEADER_BYTES, check_column_count
+from btr_mjx.gap.data.units import is_unit_text, known_unit
+
+_DIALECTS = ((",", False), (";", False), (";", True), ("\t", False), ("\t", True), (" ", False), (" ", True))
+"""Separators and whether the decimal sign is a comma, in the order of preference."""
+_COMMENTS = ("#", "%", "//")
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_MISSING = ("", "nan", "na", "n/a", "null", "none", "-", "--", "inf", "-inf", "+inf", "true", "false")
+"""Texts, in lower case, that may stand where a number belongs."""
+_SAMPLE_LINES = 60
+"""Lines after the first line of numbers that decide about the dialect."""
+_READ_ERRORS = Exception, pl.exceptions.PanicException
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a file writes its table.
+
+    Attributes:
+      separator: between fields; " " stands for any number of spaces and tabs.
+      decimal_comma: whether numbers have a comma.
+      names: of the columns, "" where there is none; "1", "2", ... in a file without names.
+      units: of the columns, None where none is stated.
+      start: byte of the first row of numbers.
+      comment: sign that begins a comment line, or None.
+      first_line: number of lines before the numbers.
+    """
+
+    separator: str
+    decimal_comma: bool
+    names: tuple[str, ...]
+    units: tuple[str | None, ...]
+    start: int
+    comment: str | None
+    first_line: int
+
+    @property
+    def plain(self) -> bool:
+        """Whether this is the CSV that programs write: commas, names in the first line, nothing else."""
+        return self.separator == "," and self.first_line == 1 and self.comment is None and all(self.names)
+
+
+def read_dialect(path: Path) -> Dialect:
+    """Find the dialect of a text table from its first lines.
+
+    Raises:
+      DamagedFile: the file is empty, or no table; the message shows its first line.
+      InputError: too many columns, or a name that occurs twice.
+      OSError: the file cannot be read.
+    """
+    with path.open("rb") as file:
+        head = file.read(MAX_HEADER_BYTES)
+    if not head.strip():
+        raise DamagedFile(f"{path}: the file is empty")
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise DamagedFile(f"{path}: it is UTF-16; save the file as UTF-8")
+    if b"\n" not in head and len(head) == MAX_HEADER_BYTES:
+        raise DamagedFile(f"{path}: the first line has no end within {MAX_HEADER_BYTES} bytes; expected column names")
+    lines = head.splitlines(keepends=True) if b"\n" in head else [head]
+    if len(head) == MAX_HEADER_BYTES and len(lines) > 1:
+        lines.pop()  # cut
+    texts = [_decoded(line).strip("\r\n") for line in lines]
+    texts[0] = texts[0].removeprefix("\ufeff")
+    check_column_count(max(text.count(",") for text in texts[:3]) + 1, path)
+    separator, decimal_comma, first = _numbers_begin(path, texts)
+    fields = split_line(texts[first], separator) if first < len(texts) else split_line(texts[0], separator)
+    names, units = _names_above(texts[:first], separator, len(fields))
+    comment = next((sign for sign in _COMMENTS if any(text.lstrip().startswith(sign) for text in texts)), None)
+    for name, count in Counter(name for name in names if name).most_common(1):
+        if count > 1:
+            raise InputError(f"{path}: column {name!r} occurs {count} times; keep one of them")
+    start = sum(map(len, lines[:first]))
+    return Dialect(separator, decimal_comma, tuple(names), tuple(units), start, comment, first)
+
+
+def _decoded(line: bytes) -> str:
+    try:
+        return line.decode("utf-8")
+    except UnicodeDecodeError:  # programs on Windows write a degree sign in their own code page
+        return line.decode("cp1252", "replace")
+
+
+def split_line(line: str, separator: str) -> list[str]:
+    """Fields of a line, without spaces and quotes around them."""
+    if separator == " ":
+        return line.split()
+    try:
+        return [field.strip() for field in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
+    except csv.Error:
+        return []
+
+
+def _numeric(fields: list[str], decimal_comma: bool) -> int:
+    """Number of fields that are numbers or nothing; 0 if any number has the wrong decimal sign."""
+    count = 0
+    for field in fields:
+        text = field.replace(",", ".", 1) if decimal_comma else field
+        if decimal_comma and "." in field and _NUMBER.fullmatch(field):
+            return 0
+        count += _NUMBER.fullmatch(text) is not None
+    return count
+
+
+def _is_row(line: str, separator: str, decimal_comma: bool, width: int = 0) -> int:
+    """Width of a line of numbers: half of the fields that hold anything are numbers. 0 if it is none."""
+    fields = split_line(line, separator)
+    numbers = _numeric(fields, decimal_comma)
+    filled = sum(field.lower() not in _MISSING for field in fields)
+    sound = len(fields) > 1 and numbers > 0 and 2 * numbers >= filled and width in (0, len(fields))
+    return len(fields) if sound else 0
+
+
+def _numbers_begin(path: Path, texts: list[str]) -> tuple[str, bool, int]:
+    """Separator, whether there are decimal commas, and the first line of numbers."""
+    best: tuple[tuple[int, int], str, bool, int] | None = None
+    for separator, decimal_comma in _DIALECTS:
+        first = next((i for i, text in enumerate(texts) if _is_row(text, separator, decimal_comma)), None)
+        if first is None:
+            continue
+        width = _is_row(texts[first], separator, decimal_comma)
+        sample = [text for text in texts[first : first + _SAMPLE_LINES] if text.strip()]
+        rows = sum(_is_row(text, separator, decimal_comma, width) > 0 for text in sample)
+        commas = any("," in field for text in sample for field in split_line(text, separator))
+        if decimal_comma and not commas:
+            continue
+        if best is None or (rows, width) > best[0]:
+            best = (rows, width), separator, decimal_comma, first
+    if best is None:
+        shown = next((text for text in texts if text.strip()), "")[:80]
+        if all(len(split_line(text, ",")) > 1 for text in texts[:1]) and len([t for t in texts if t.strip()]) == 1:
+            raise InputError(f"{path}: it holds no rows below the names {shown!r}")
+        raise DamagedFile(
+            f"{path}: it holds no table: no line of two or more numbers separated by comma, semicolon, tab or spaces; "
+            f"its first line is {shown!r}"
+        )
+    return best[1:]
+
+
+def _names_above(above: list[str], separator: str, width: int) -> tuple[list[str], list[str | None]]:
+    """Names and units of the columns, from the lines above the numbers."""
+    units: list[str | None] = [None] * width
+    for text in reversed([text for text in above if text.strip()][-4:]):
+        line = _uncommented(text)
+        fields = next((f for s in (separator, ",", ";", "\t", " ") if _fits(f := split_line(line, s), width)), None)
+        if fields is None:
+            break
+        fields += [""] * (width - len(fields))
+        if all(map(is_unit_text, fields)) and any(map(known_unit, fields)):
+            units = [known_unit(field) for field in fields]
+            continue
+        return fields[:width], units
+    return [str(i + 1) for i in range(width)], units
+
+
+def _fits(fields: list[str], width: int) -> bool:
+    """Whether a line of names belongs to rows of this width; a separator at the end of either makes one more field."""
+    return len(fields) == width or len(fields) == width - 1 > 1 or (len(fields) == width + 1 and not fields[-1])
+
+
+def _uncommented(text: str) -> str:
+    text = text.strip()
+    for sign in _COMMENTS:
+        if text.startswith(sign):
+            return text.lstrip(sign).strip()
+    return text
+
+
+def parse_rows(path: Path, dialect: Dialect, text: bytes) -> pl.DataFrame:
+    """The columns of whole lines of numbers.
+
+    Args:
+      path: for messages.
+      dialect: of the file.
+      text: the lines.
+
+    Returns:
+      Columns with a name; of numbers, or of text where a field is none.
+
+    Raises:
+      DamagedFile: lines with more fields than there are columns, or text that does not parse.
+    """
+    if dialect.separator == " ":
+        text = b"\n".join(b" ".join(line.split()) for line in text.splitlines() if line.strip())
+    keys = [str(i) for i in range(len(dialect.names))]
+    options = {
+        "has_header": False,
+        "separator": dialect.separator,
+        "decimal_comma": dialect.decimal_comma,
+        "comment_prefix": dialect.comment,
+        "new_columns": keys,
+    }
+    try:
+        try:
+            frame = pl.read_csv(BytesIO(text), schema_overrides=[pl.Float64] * len(keys), **options)  # type: ignore[arg-type]
+        except pl.exceptions.NoDataError:
+            frame = pl.DataFrame(schema=dict.fromkeys(keys, pl.Float64))
+        except pl.exceptions.PolarsError:  # text, booleans, spaces
+            options["decimal_comma"] = False
+            frame = pl.read_csv(BytesIO(text), infer_schema_length=0, **options)  # type: ignore[arg-type]
+            frame = frame.with_columns(_as_numbers(pl.col(key), dialect.decimal_comma) for key in frame.columns)
+    except _READ_ERRORS as error:
+        raise DamagedFile(f"{path}: not a readable table of {len(keys)} columns ({error})") from None
+    if frame.width != len(keys):
+        raise DamagedFile(f"{path}: rows have {frame.width} fields, the names {len(keys)}; expected as many")
+    named = {key: name for key, name in zip(keys, dialect.names, strict=True) if name}
+    return frame.select(named).rename(named)
+
+
+def _as_numbers(column: pl.Expr, decimal_comma: bool) -> pl.Expr:
+    """Text of numbers in the form that polars reads; missing values are null."""
+    text = column.str.strip_chars()
+    lower = text.str.to_lowercase()
+    text = pl.when(lower.is_in(["true", "false"])).then((lower == "true").cast(pl.Int8).cast(pl.String)).otherwise(text)
+    if decimal_comma:
+        text = text.str.replace(",", ".", literal=True)
+    return pl.when(lower.is_in(["", "na", "n/a", "null", "none", "-", "--"])).then(None).otherwise(text).name.keep()
