@@ -1,12 +1,15 @@
-"""Name the effect that a simulation lacks: `python -m btr_mjx.diagnose DATASET --out RUN`.
+"""Name the effect that a simulation lacks: `python -m btr_mjx.diagnose MODEL.xml LOG [LOG ...] --out RUN`.
 
-DATASET is a folder with dataset.toml (see btr_mjx/gap/data/dataset.py), with BAM's JSON beside a servo.toml, or of
-LeRobot's form beside a dataset.toml. `python -m btr_mjx.diagnose --demo` makes a hidden case from a seed and solves it.
+MODEL.xml is the MJCF of the believed robot; a LOG is a CSV, Parquet, NPZ, HDF5, MCAP, rosbag2 or .pt file, see
+docs/logs.md. A folder may stand for them: one that holds both, one with a dataset.toml (see
+btr_mjx/gap/data/dataset.py), with BAM's JSON beside a servo.toml, or of LeRobot's form beside a dataset.toml.
+`python -m btr_mjx.diagnose --demo` makes a hidden case from a seed and solves it.
 
 The run folder holds:
 
     config.json, environment.json   what was asked for, and with which versions and machine
     preflight.csv                   what was found before any fit
+    dataset.toml                    what was inferred, where a model and logs were given
     result.json                     verdict, effects with intervals, ranking, gap, next experiment
     ranking.csv, believed.csv, disagreement.csv, *.npz   tables and arrays behind the page
     next_command.csv                what to command next, where the data cannot distinguish candidates
@@ -33,6 +36,7 @@ from btr_mjx.errors import InputError, cli_errors, resume_command
 from btr_mjx.runs import (
     IGNORED_FIELDS,
     RunFolder,
+    atomic_write,
     claimed_folder,
     content_digest,
     graceful_interrupt,
@@ -67,7 +71,9 @@ class DiagnoseConfig:
     """Settings of a diagnosis; every field is a flag."""
 
     dataset: Annotated[Path | None, tyro.conf.Positional] = None
-    """Folder of the recordings."""
+    """Folder of the recordings, or the MJCF file of the believed model, followed by logs."""
+    logs: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
+    """Logs of a model that was given as a file; each is a recording."""
     out: Path | None = None
     """Run folder; by default the first unused one of runs/diagnosis-<seed>, runs/diagnosis-<seed>-2, ..."""
     resume: bool = False
@@ -125,7 +131,7 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
     inputs = {}
     if not config.demo:
         assert config.dataset is not None
-        dataset, findings = examine(config.dataset, library, config.signal, config.progress)
+        dataset, findings = examine(config.dataset, library, config.signal, config.progress, config.logs)
         from btr_mjx.gap.preflight import refuse_errors
 
         refuse_errors(findings)
@@ -144,6 +150,9 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
                 stop.checkpoint()
             print_findings(findings)
             write_table(run.path / "preflight.csv", [dataclasses.asdict(f) for f in findings])
+            if inferred := getattr(dataset, "inferred", ""):
+                with atomic_write(run.path / "dataset.toml") as file:
+                    file.write(inferred.encode())
             if not is_listed(run.path / RESULT):  # the search has not ended
                 search_missing(dataset, library, config, run.path, stop.checkpoint)
                 run.seal()
@@ -164,6 +173,12 @@ def check_diagnosis(config: DiagnoseConfig) -> None:
         raise InputError(f"got {what}; give a folder of recordings, or --demo alone")
     if config.dataset is not None and not config.dataset.exists():
         raise InputError(f"{config.dataset}: there is no such folder")
+    if config.logs and config.dataset is not None and config.dataset.is_dir():
+        raise InputError(
+            f"{config.dataset}: is a folder and logs follow it; give the MJCF file of the robot before them"
+        )
+    if config.logs and config.signal == "fitness":
+        raise InputError("signal: fitness needs a folder with a dataset.toml and its table; got logs")
     if not 1 <= config.max_effects <= 100:
         raise InputError(f"max_effects: got {config.max_effects}, expected at least 1, at most 100")
     if not 0 <= config.chosen_seed < 2**63:
@@ -177,15 +192,16 @@ def _claimed(config: DiagnoseConfig) -> AbstractContextManager[DiagnoseConfig]:
 
 
 def examine(
-    folder: Path, library: "Sequence[Effect]", signal: str, show: bool = False
+    folder: Path, library: "Sequence[Effect]", signal: str, show: bool = False, logs: Sequence[Path] = ()
 ) -> "tuple[Dataset | FitnessTable, list[Finding]]":
     """Read a dataset and check it before any fit.
 
     Args:
-      folder: of the dataset.
+      folder: of the dataset, or a file: its dataset.toml, or the model that `logs` are of.
       library: effects that may be named.
       signal: "trajectory" or "fitness", see `DiagnoseConfig.signal`.
       show: show a progress bar while a long dataset is read.
+      logs: files of recordings.
 
     Returns:
       The dataset, and the findings of the preflight checks.
@@ -198,7 +214,7 @@ def examine(
 
         table = load_fitness(folder)
         return table, preflight_fitness(table)
-    from btr_mjx.gap.data import open_dataset
+    from btr_mjx.gap.data import open_dataset, open_logs
 
     with ExitStack() as stack:
         bar = None
@@ -211,7 +227,8 @@ def examine(
             if bar is not None:
                 bar.update(done - bar.n)
 
-        dataset = open_dataset(folder, report)
+        given_files = logs or (folder.is_file() and folder.suffix != ".toml")
+        dataset = open_logs(folder, logs, report) if given_files else open_dataset(folder, report)
         if bar is not None:
             bar.set_description("checks")
         from btr_mjx.gap.preflight import preflight

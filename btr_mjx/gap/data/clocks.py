@@ -116,8 +116,8 @@ def _signals(table: Mapping[str, np.ndarray]) -> list[_Signal]:
         own = np.any([np.isfinite(values) for values in dense.values()], axis=0) & stamped
         found = [_Signal(time[own], {name: values[own] for name, values in dense.items()}, False)]
     for group in sparse.values():
-        rows = np.isfinite(next(iter(group.values()))) & stamped
-        found.append(_Signal(time[rows], {name: values[rows] for name, values in group.items()}, True))
+        known = np.isfinite(next(iter(group.values()))) & stamped
+        found.append(_Signal(time[known], {name: values[known] for name, values in group.items()}, True))
     return found
 
 

@@ -49,6 +49,7 @@ def match_columns(
     model: mujoco.MjModel,
     given: Mapping[str, str],
     where: str,
+    hint: str = "",
     labelled: bool = False,
 ) -> Matched:
     """Match the columns of the tables of one recording.
@@ -58,6 +59,7 @@ def match_columns(
       model: the model.
       given: names of the model by name in the log, as stated in dataset.toml; these win.
       where: file, for messages.
+      hint: lines of dataset.toml that a remedy has to name besides.
       labelled: whether the labels of the tables say what they hold.
 
     Returns:
@@ -95,19 +97,87 @@ def match_columns(
         if len(chosen) > 1:
             raise InputError(
                 f"{where}: {', '.join(repr(column) for _, column in chosen[:4])} may all be {target!r}; "
-                f"{remedy(chosen[0][1], target)}"
+                f"{remedy(chosen[0][1], target, hint)}"
             )
         names[chosen[0]] = target
+        if best == 1 and target.startswith("ctrl/"):
+            notes.append(f"no column is named a command of {target[5:]!r}; {chosen[0][1]!r} is taken as its command")
+    _drop_partial_velocities(names, velocities, notes)
     notes += _spoken(names)
     return Matched(names, notes)
 
 
-def remedy(column: str, target: str) -> str:
+def _drop_partial_velocities(names: dict[tuple[int, str], str], velocities: Sequence[str], notes: list[str]) -> None:
+    """A gyroscope alone is not the velocity of a free joint; it is left out, unless it has MuJoCo's own names."""
+    joints = {column.split("/")[1] for column in velocities}
+    for joint in joints:
+        needed = {column for column in velocities if column.startswith(f"qvel/{joint}/")}
+        found = {key: target for key, target in names.items() if target in needed}
+        if 0 < len(set(found.values())) < len(needed) and all(key[1] != target for key, target in found.items()):
+            for key in found:
+                del names[key]
+            missing = ", ".join(sorted(needed - set(found.values())))
+            notes.append(f"velocities of {joint} are estimated: there are {len(found)} columns, without {missing}")
+
+
+def remedy(column: str, target: str, hint: str) -> str:
     """The lines of dataset.toml that match a column."""
-    return f'say which in dataset.toml:  [columns]  "{column}" = "{target}"'
+    return f'say which in dataset.toml:  {hint}[columns]  "{column}" = "{target}"'
 
 
-def _check_given(given: Mapping[str, str], tables: Sequence[tuple[str, Sequence[str]]], exact: set[str], where: str) -> None:
+def check_matched(
+    matched: Matched, tables: Sequence[tuple[str, Sequence[str]]], model: mujoco.MjModel, where: str, hint: str
+) -> None:
+    """Check that every required column of a model was found, and no name misspelt.
+
+    Args:
+      matched: the matches.
+      tables: label and column names of each table.
+      model: the model.
+      where: file, for messages.
+      hint: lines of dataset.toml that a remedy has to name besides.
+
+    Raises:
+      InputError: a required column that is absent, or a column of an unknown joint or actuator; the message lists the
+        nearest names.
+    """
+    found = set(matched.names.values())
+    known = [column for _, columns in tables for column in columns]
+    positions, velocities = state_columns(model)
+    controls = control_columns(model)
+    forces = [name.replace("ctrl/", "force/", 1) for name in controls]
+    families = {"qpos": positions, "qvel": velocities, "ctrl": controls, "force": forces}
+    for i, (_, columns) in enumerate(tables):
+        for column in columns:
+            kind = column.partition("/")[0]
+            if "/" in column and kind in families and (i, column) not in matched.names:
+                what = "actuator" if kind in ("ctrl", "force") else "joint"
+                near = nearest_names(column, families[kind])
+                raise InputError(f"{where}: column {column!r} names no {what} of the model; nearest: {near}")
+        used = [target for (table, _), target in matched.names.items() if table == i]
+        if used and "time" not in used:
+            raise InputError(
+                f"{where}: there is no column 'time'; nearest in the file: {nearest_names('time', list(columns))}; "
+                f"{remedy('NAME', 'time', hint)}"
+            )
+    free = [name for name in known if name not in {column for _, column in matched.names}]
+    for column in [*positions, *controls]:
+        kind, _, name = column.partition("/")
+        if not {column, kind, f"{kind}/{name.rpartition('/')[0]}"} & found:
+            near = nearest_names(name, free or known)
+            raise InputError(
+                f"{where}: there is no column {column!r}; nearest in the file: {near}; {remedy('NAME', column, hint)}"
+            )
+    for name in part_names(model, "joint"):
+        of_joint = [c for c in velocities if c == f"qvel/{name}" or c.startswith(f"qvel/{name}/")]
+        missing = [c for c in of_joint if c not in found]
+        if 0 < len(missing) < len(of_joint):
+            raise InputError(f"{where}: there is no column {missing[0]!r}; give all of a joint's velocities or none")
+
+
+def _check_given(
+    given: Mapping[str, str], tables: Sequence[tuple[str, Sequence[str]]], exact: set[str], where: str
+) -> None:
     known = [column for _, columns in tables for column in columns]
     for column, target in given.items():
         if target not in exact and not target.startswith("sensor/"):
@@ -292,7 +362,7 @@ def _match_numbers(model: mujoco.MjModel, finds: _Finds, taken: set[str], notes:
     """Columns with a number: joints with these numbers in their names, else as many joints in the model's order."""
     scalar = [n for n, k in zip(part_names(model, "joint"), model.jnt_type, strict=True) if int(k) not in SUFFIXES]
     actuators = part_names(model, "actuator")
-    for (command, quantity, i, rest), columns in finds.numbered.items():
+    for (command, quantity, i, _), columns in finds.numbered.items():
         effort = quantity == "effort" and not command
         family = actuators if command or effort else scalar
         order = sorted(columns)

@@ -53,7 +53,23 @@ _SPELLINGS: Mapping[str, str] = {
 _OTHER = ("", "-", "1", "a", "ma", "v", "mv", "w", "%", "c", "°c", "degc", "k", "hz", "pa", "bar", "g", "kg", "count")
 """What else may stand in a row of units: nothing is converted there."""
 
-_AS_SUFFIX = ("deg", "degrees", "rad", "mm", "cm", "rpm", "dps", "sec", "secs", "ms", "msec", "us", "usec", "ns", "nsec")
+_AS_SUFFIX = (
+    "deg",
+    "degrees",
+    "rad",
+    "mm",
+    "cm",
+    "rpm",
+    "dps",
+    "sec",
+    "secs",
+    "ms",
+    "msec",
+    "us",
+    "usec",
+    "ns",
+    "nsec",
+)
 """Units that the last word of a name may be; shorter ones are too often something else."""
 
 _TYPICAL = (("s", 0.5), ("ms", 200.0), ("us", 2e5), ("ns", 2e8))
@@ -83,11 +99,10 @@ def stated_unit(name: str) -> tuple[str, str | None]:
     """
     if match := re.fullmatch(r"(.*\S)\s*[\[(<]([^\[\]()<>]*)[\])>]\s*", name):
         unit = known_unit(match[2])
-        if unit or is_unit_text(match[2]) and not match[2].strip().isdigit():
+        if unit or (is_unit_text(match[2]) and not match[2].strip().isdigit()):
             return match[1], unit
-    if match := re.fullmatch(r"(.+?)[\s_./-]+([A-Za-z]+)", name):
-        if match[2].lower() in _AS_SUFFIX:
-            return match[1], known_unit(match[2])
+    if (match := re.fullmatch(r"(.+?)[\s_./-]+([A-Za-z]+)", name)) and match[2].lower() in _AS_SUFFIX:
+        return match[1], known_unit(match[2])
     return name, None
 
 

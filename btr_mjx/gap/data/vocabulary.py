@@ -3,29 +3,32 @@
 import re
 from collections.abc import Mapping
 
-POSITION = frozenset("q pos position positions qpos angle angles theta phi encoder enc".split())
-VELOCITY = frozenset("dq qd qdot vel velocity velocities qvel speed speeds omega dtheta thetadot".split())
-EFFORT = frozenset("tau torque torques effort efforts force forces trq".split())
-COMMAND = frozenset(
+
+def _set(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+POSITION = _set("q pos position positions qpos angle angles theta phi encoder enc")
+VELOCITY = _set("dq qd qdot vel velocity velocities qvel speed speeds omega dtheta thetadot")
+EFFORT = _set("tau torque torques effort efforts force forces trq")
+COMMAND = _set(
     "cmd command commands commanded ctrl control controls des desired ref reference target targets goal action actions "
-    "setpoint setpoints sp u".split()
+    "setpoint setpoints sp u"
 )
-NEUTRAL = frozenset(
+NEUTRAL = _set(
     "joint joints jnt dof dofs state states motor motors actuator actuators servo servos drive drives observation obs "
-    "measured meas measurement actual present data value values msg sensor sensors of the robot".split()
+    "measured meas measurement actual present data value values msg sensor sensors of the robot"
 )
 """Words that say nothing of what a column holds."""
-BASE = frozenset(
-    "base root trunk torso body pelvis odom odometry mocap pose twist link floating free imu vicon optitrack".split()
-)
+BASE = _set("base root trunk torso body pelvis odom odometry mocap pose twist link floating free imu vicon optitrack")
 """Words that stand for the free joint of a model that has one."""
 TIME = ("time", "timestamp", "timestamps", "times", "t", "stamp", "clock", "elapsed")
 """Words for time, in the order of preference."""
 
-_QUATERNION = frozenset("quat quaternion orientation orient ori rot rotation attitude".split())
-_ANGULAR = frozenset("angular ang gyro omega angvel".split())
-_LINEAR = frozenset("linear lin v vel velocity linvel speed".split())
-_PLACE = frozenset("pos position translation p".split())
+_QUATERNION = _set("quat quaternion orientation orient ori rot rotation attitude")
+_ANGULAR = _set("angular ang gyro omega angvel")
+_LINEAR = _set("linear lin v vel velocity linvel speed")
+_PLACE = _set("pos position translation p")
 
 
 def words(name: str) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ import polars as pl
 from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.gap.data.plausible import MAX_HEADER_BYTES, check_column_count
 from btr_mjx.gap.data.units import is_unit_text, known_unit
+from btr_mjx.runs import MAX_TABLE_BYTES, read_limited, read_table
 
 _DIALECTS = ((",", False), (";", False), (";", True), ("\t", False), ("\t", True), (" ", False), (" ", True))
 """Separators and whether the decimal sign is a comma, in the order of preference."""
@@ -50,6 +51,11 @@ class Dialect:
     start: int
     comment: str | None
     first_line: int
+
+    @property
+    def stated_units(self) -> dict[str, str]:
+        """Units by name, of the columns that have one in the row of units."""
+        return {name: unit for name, unit in zip(self.names, self.units, strict=True) if name and unit}
 
     @property
     def plain(self) -> bool:
@@ -214,13 +220,27 @@ def parse_rows(path: Path, dialect: Dialect, text: bytes) -> pl.DataFrame:
         except pl.exceptions.PolarsError:  # text, booleans, spaces
             options["decimal_comma"] = False
             frame = pl.read_csv(BytesIO(text), infer_schema_length=0, **options)  # type: ignore[arg-type]
-            frame = frame.with_columns(_as_numbers(pl.col(key), dialect.decimal_comma) for key in frame.columns)
+            texts = [_as_numbers(pl.col(key), dialect.decimal_comma) for key in frame.columns]
+            frame = frame.with_columns(texts)
     except _READ_ERRORS as error:
         raise DamagedFile(f"{path}: not a readable table of {len(keys)} columns ({error})") from None
     if frame.width != len(keys):
         raise DamagedFile(f"{path}: rows have {frame.width} fields, the names {len(keys)}; expected as many")
     named = {key: name for key, name in zip(keys, dialect.names, strict=True) if name}
-    return frame.select(named).rename(named)
+    return frame.select(list(named)).rename(named)
+
+
+def read_text_table(path: Path) -> tuple[pl.DataFrame, Dialect]:
+    """Read a whole text table.
+
+    Raises:
+      InputError, DamagedFile, OSError: see `read_dialect` and `parse_rows`.
+    """
+    dialect = read_dialect(path)
+    if dialect.plain and path.suffix == ".csv":
+        frame = read_table(path)  # also compares it with the folder's checksums
+        return frame.rename({name: name.strip() for name in frame.columns}), dialect
+    return parse_rows(path, dialect, read_limited(path, MAX_TABLE_BYTES)[dialect.start :]), dialect
 
 
 def _as_numbers(column: pl.Expr, decimal_comma: bool) -> pl.Expr:
