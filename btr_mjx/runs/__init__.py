@@ -15,7 +15,7 @@ from btr_mjx.runs.bounded_files import (
     read_limited,
     read_text,
 )
-from btr_mjx.runs.checksums import is_listed
+from btr_mjx.runs.checksums import check_listed, is_listed
 from btr_mjx.runs.config_json import CONFIG_NAME, config_to_json, differences, read_config_json
 from btr_mjx.runs.digests import content_digest
 from btr_mjx.runs.environment import available_cores, describe_environment
@@ -45,6 +45,7 @@ __all__ = [
     "atomic_write",
     "available_cores",
     "check_keys",
+    "check_listed",
     "check_parquet",
     "check_plain",
     "check_regular",

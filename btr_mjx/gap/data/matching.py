@@ -74,7 +74,7 @@ def match_columns(
     exact = {"time", "qpos", "qvel", "ctrl", *positions, *velocities, *controls, *forces}
     exact |= {f"{kind}/{name}" for kind in ("qpos", "qvel") for name in part_names(model, "joint")}
     _check_given(given, tables, exact, where)
-    aliases = _aliases(model)
+    aliases, sensors = _aliases(model), _sensors(model)
     finds, notes = _Finds(), list[str]()
     names: dict[tuple[int, str], str] = {}
     for i, (label, columns) in enumerate(tables):
@@ -84,6 +84,8 @@ def match_columns(
                 names[i, column] = given[column]
             elif column in exact or column.startswith("sensor/"):
                 names[i, column] = column
+            elif words(stated_unit(column)[0]) in sensors:
+                finds.ranked[sensors[words(stated_unit(column)[0])]].append((3, i, column))
             elif column.split("/", 1)[0] not in ("qpos", "qvel", "ctrl", "force"):  # a misspelt name stays an error
                 _match_one(i, column, words(label) if labelled else (), common, aliases, model, finds)
         _match_time(i, columns, names, notes)
@@ -232,12 +234,21 @@ def _aliases(model: mujoco.MjModel) -> Aliases:
             for form, owner in of_joint.items():
                 if owner == joint:
                     of_actuator.setdefault(form, name)
-    for i in range(model.nsensor):  # a sensor that reads a joint stands for it
-        kind, joint_id = int(model.sensor_type[i]), int(model.sensor_objid[i])
-        if kind in (mujoco.mjtSensor.mjSENS_JOINTPOS, mujoco.mjtSensor.mjSENS_JOINTVEL):
-            name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SENSOR, i) or ""
-            of_joint.setdefault(words(name), joints[joint_id])
     return {form: (of_joint.get(form), of_actuator.get(form)) for form in {*of_joint, *of_actuator} if form}
+
+
+def _sensors(model: mujoco.MjModel) -> Mapping[Words, str]:
+    """Columns of the model that sensors of its joints read, by the words of the sensor's name."""
+    kinds = {int(mujoco.mjtSensor.mjSENS_JOINTPOS): "qpos", int(mujoco.mjtSensor.mjSENS_JOINTVEL): "qvel"}
+    joints = part_names(model, "joint")
+    return {
+        words(mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SENSOR, i) or ""): f"{kind}/{joints[joint]}"
+        for i, (kind, joint) in enumerate(
+            (kinds.get(int(kind)), int(joint))
+            for kind, joint in zip(model.sensor_type, model.sensor_objid, strict=True)
+        )
+        if kind is not None
+    }
 
 
 def _forms(name: str, family: Sequence[str]) -> set[Words]:

@@ -1,8 +1,8 @@
 """Text tables in any dialect: which separator, decimal sign, comments, names and units a file has, and its numbers.
 
-The rows of numbers come first: the separator and the decimal sign are those with which most lines in a row have equally
-many fields, mostly numbers. The line above them holds the names, with a row of units between if there is one; a comment
-sign in front of the names is taken off. Everything before is a comment.
+The rows of numbers are found first: the separator and the decimal sign are those with which the most fields are
+numbers, and the most lines in a row have equally many. The line above them holds the names, with a row of units between
+if there is one; a comment sign in front of the names is taken off. Everything before is a comment.
 """
 
 import csv
@@ -14,10 +14,10 @@ from pathlib import Path
 
 import polars as pl
 
-from btr_mjx.errors import DamagedFile, InputError
+from btr_mjx.errors import DamagedFile, InputError, one_line
 from btr_mjx.gap.data.plausible import MAX_HEADER_BYTES, check_column_count
 from btr_mjx.gap.data.units import is_unit_text, known_unit
-from btr_mjx.runs import MAX_TABLE_BYTES, read_limited, read_table
+from btr_mjx.runs import MAX_TABLE_BYTES, check_listed, read_limited
 
 _DIALECTS = ((",", False), (";", False), (";", True), ("\t", False), ("\t", True), (" ", False), (" ", True))
 """Separators and whether the decimal sign is a comma, in the order of preference."""
@@ -25,8 +25,8 @@ _COMMENTS = ("#", "%", "//")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _MISSING = ("", "nan", "na", "n/a", "null", "none", "-", "--", "inf", "-inf", "+inf", "true", "false")
 """Texts, in lower case, that may stand where a number belongs."""
-_SAMPLE_LINES = 60
-"""Lines after the first line of numbers that decide about the dialect."""
+_SAMPLE_LINES = 200
+"""Lines at the beginning that decide about the dialect."""
 _READ_ERRORS = Exception, pl.exceptions.PanicException
 
 
@@ -57,11 +57,6 @@ class Dialect:
         """Units by name, of the columns that have one in the row of units."""
         return {name: unit for name, unit in zip(self.names, self.units, strict=True) if name and unit}
 
-    @property
-    def plain(self) -> bool:
-        """Whether this is the CSV that programs write: commas, names in the first line, nothing else."""
-        return self.separator == "," and self.first_line == 1 and self.comment is None and all(self.names)
-
 
 def read_dialect(path: Path) -> Dialect:
     """Find the dialect of a text table from its first lines.
@@ -86,8 +81,7 @@ def read_dialect(path: Path) -> Dialect:
     texts[0] = texts[0].removeprefix("\ufeff")
     check_column_count(max(text.count(",") for text in texts[:3]) + 1, path)
     separator, decimal_comma, first = _numbers_begin(path, texts)
-    fields = split_line(texts[first], separator) if first < len(texts) else split_line(texts[0], separator)
-    names, units = _names_above(texts[:first], separator, len(fields))
+    names, units = _names_above(texts[:first], separator, len(split_line(texts[first], separator)))
     comment = next((sign for sign in _COMMENTS if any(text.lstrip().startswith(sign) for text in texts)), None)
     for name, count in Counter(name for name in names if name).most_common(1):
         if count > 1:
@@ -113,44 +107,47 @@ def split_line(line: str, separator: str) -> list[str]:
         return []
 
 
-def _numeric(fields: list[str], decimal_comma: bool) -> int:
-    """Number of fields that are numbers or nothing; 0 if any number has the wrong decimal sign."""
+def _numbers_in(fields: list[str], decimal_comma: bool) -> int:
+    """Number of fields that are numbers; 0 if one has another decimal sign than the others should."""
     count = 0
     for field in fields:
-        text = field.replace(",", ".", 1) if decimal_comma else field
         if decimal_comma and "." in field and _NUMBER.fullmatch(field):
             return 0
-        count += _NUMBER.fullmatch(text) is not None
+        count += _NUMBER.fullmatch(field.replace(",", ".", 1) if decimal_comma else field) is not None
     return count
-
-
-def _is_row(line: str, separator: str, decimal_comma: bool, width: int = 0) -> int:
-    """Width of a line of numbers: half of the fields that hold anything are numbers. 0 if it is none."""
-    fields = split_line(line, separator)
-    numbers = _numeric(fields, decimal_comma)
-    filled = sum(field.lower() not in _MISSING for field in fields)
-    sound = len(fields) > 1 and numbers > 0 and 2 * numbers >= filled and width in (0, len(fields))
-    return len(fields) if sound else 0
 
 
 def _numbers_begin(path: Path, texts: list[str]) -> tuple[str, bool, int]:
     """Separator, whether there are decimal commas, and the first line of numbers."""
-    best: tuple[tuple[int, int], str, bool, int] | None = None
+    best: tuple[tuple[float, int, int], str, bool, int] | None = None
+    lines = [(i, text) for i, text in enumerate(texts[:_SAMPLE_LINES]) if text.strip()]
+    lines = [(i, text) for i, text in lines if not text.lstrip().startswith(_COMMENTS)]
     for separator, decimal_comma in _DIALECTS:
-        first = next((i for i, text in enumerate(texts) if _is_row(text, separator, decimal_comma)), None)
-        if first is None:
+        rows = [(i, split_line(text, separator)) for i, text in lines]
+        if decimal_comma and not any("," in field for _, fields in rows for field in fields):
             continue
-        width = _is_row(texts[first], separator, decimal_comma)
-        sample = [text for text in texts[first : first + _SAMPLE_LINES] if text.strip()]
-        rows = sum(_is_row(text, separator, decimal_comma, width) > 0 for text in sample)
-        commas = any("," in field for text in sample for field in split_line(text, separator))
-        if decimal_comma and not commas:
-            continue
-        if best is None or (rows, width) > best[0]:
-            best = (rows, width), separator, decimal_comma, first
+        run, numbers, filled = 0, 0, 0
+        runs: list[tuple[int, int, int, int, int]] = []  # rows, first line, width, numbers, fields with content
+        width = 0
+        for i, fields in rows:
+            found = _numbers_in(fields, decimal_comma)
+            content = sum(field.lower() not in _MISSING for field in fields)
+            if len(fields) < 2 or not found or 2 * found < content:
+                width = 0
+                continue
+            if len(fields) != width:
+                run, numbers, filled, width = 0, 0, 0, len(fields)
+                runs.append((0, i, width, 0, 0))
+            run, numbers, filled = run + 1, numbers + found, filled + content
+            runs[-1] = run, runs[-1][1], width, numbers, filled
+        if runs:
+            count, first, width, numbers, filled = max(runs, key=lambda one: (one[0], -one[1]))
+            score = numbers / filled, count, width
+            if best is None or score > best[0]:
+                best = score, separator, decimal_comma, first
     if best is None:
         shown = next((text for text in texts if text.strip()), "")[:80]
-        if all(len(split_line(text, ",")) > 1 for text in texts[:1]) and len([t for t in texts if t.strip()]) == 1:
+        if len(lines) == 1 and len(split_line(lines[0][1], ",")) > 1:
             raise InputError(f"{path}: it holds no rows below the names {shown!r}")
         raise DamagedFile(
             f"{path}: it holds no table: no line of two or more numbers separated by comma, semicolon, tab or spaces; "
@@ -223,11 +220,22 @@ def parse_rows(path: Path, dialect: Dialect, text: bytes) -> pl.DataFrame:
             texts = [_as_numbers(pl.col(key), dialect.decimal_comma) for key in frame.columns]
             frame = frame.with_columns(texts)
     except _READ_ERRORS as error:
-        raise DamagedFile(f"{path}: not a readable table of {len(keys)} columns ({error})") from None
+        wrong = _first_of_other_width(dialect, text)
+        raise DamagedFile(
+            f"{path}: not a readable table of {len(keys)} columns ({wrong or one_line(error)})"  # type: ignore[arg-type]
+        ) from None
     if frame.width != len(keys):
         raise DamagedFile(f"{path}: rows have {frame.width} fields, the names {len(keys)}; expected as many")
     named = {key: name for key, name in zip(keys, dialect.names, strict=True) if name}
     return frame.select(list(named)).rename(named)
+
+
+def _first_of_other_width(dialect: Dialect, text: bytes) -> str:
+    """The first line with more fields than there are columns, for messages."""
+    for line in map(_decoded, text.splitlines()):
+        if len(split_line(line, dialect.separator)) > len(dialect.names):
+            return f"a line has {len(split_line(line, dialect.separator))} fields: {line[:60]!r}"
+    return ""
 
 
 def read_text_table(path: Path) -> tuple[pl.DataFrame, Dialect]:
@@ -237,10 +245,9 @@ def read_text_table(path: Path) -> tuple[pl.DataFrame, Dialect]:
       InputError, DamagedFile, OSError: see `read_dialect` and `parse_rows`.
     """
     dialect = read_dialect(path)
-    if dialect.plain and path.suffix == ".csv":
-        frame = read_table(path)  # also compares it with the folder's checksums
-        return frame.rename({name: name.strip() for name in frame.columns}), dialect
-    return parse_rows(path, dialect, read_limited(path, MAX_TABLE_BYTES)[dialect.start :]), dialect
+    content = read_limited(path, MAX_TABLE_BYTES)
+    check_listed(path, content)
+    return parse_rows(path, dialect, content[dialect.start :]), dialect
 
 
 def _as_numbers(column: pl.Expr, decimal_comma: bool) -> pl.Expr:
