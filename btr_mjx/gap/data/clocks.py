@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from scipy.interpolate import Akima1DInterpolator
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns import SUFFIXES, control_columns, state_columns
@@ -168,6 +167,8 @@ def _interpolate(axis: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.n
     """Local cubics through the samples; NaN where the samples on both sides are too far apart."""
     if len(time) < 3:
         return np.full(len(axis), np.nan)
+    from scipy.interpolate import Akima1DInterpolator  # takes a second to load, and most logs have one clock
+
     found = Akima1DInterpolator(time, values, method="makima")(axis)
     after = np.searchsorted(time, axis, side="left").clip(0, len(time) - 1)
     before = np.where(time[after] == axis, after, after - 1).clip(0)

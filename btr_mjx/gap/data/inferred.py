@@ -56,7 +56,7 @@ def open_logs(model: str | Path, logs: Sequence[str | Path], progress: ReadProgr
     text = _written(names[0], names[1:])
     table = tomllib.loads(text)
     where = folder / DATASET_FILE
-    hint = f"[model]  file = {_quoted(names[0])}  [[recording]]  file = {_quoted(names[1])}  "
+    hint = f"model = {{ file = {_quoted(names[0])} }} | recording = [{{ file = {_quoted(names[1])} }}]"
     data = load_table(header_of(table, folder, where), table, where, progress, hint)
     notes = (f"there is no {DATASET_FILE}; what was inferred is in {DATASET_FILE} of the run folder", *data.notes)
     told = [line for one in data.recordings for line in one.notes]

@@ -123,8 +123,10 @@ def _drop_partial_velocities(names: dict[tuple[int, str], str], velocities: Sequ
 
 
 def remedy(column: str, target: str, hint: str) -> str:
-    """The lines of dataset.toml that match a column."""
-    return f'say which in dataset.toml:  {hint}[columns]  "{column}" = "{target}"'
+    """The lines of dataset.toml that match a column: three, separated by bars, where there is no such file yet."""
+    if hint:
+        return f'say which in a file dataset.toml beside it: {hint} | columns = {{ "{column}" = "{target}" }}'
+    return f'say which in dataset.toml: [columns] "{column}" = "{target}"'
 
 
 def check_matched(
@@ -275,6 +277,9 @@ def _match_one(
     said = words(stated_unit(column)[0])
     if _named_by(said, aliases, model) is None and said[: len(common)] == common:
         said = said[len(common) :]
+    if _named_by(said, aliases, model) is None and column.startswith("/") and column.count("/") > 2:
+        space = words(column.split("/")[1])  # of a topic: the robot's, e.g. in /arm/commands/data.0
+        said = said[len(space) :] if said[: len(space)] == space and not _speaks(space) else said
     hint = frozenset(label) if not _speaks(said) else frozenset[str]()
     best = _named_by(said, aliases, model)
     numbers = [word for word in said if word.isdigit()]

@@ -184,7 +184,7 @@ def to_seconds(time: np.ndarray, unit: str | None, notes: list[str]) -> tuple[fl
     start = float(finite[0]) * factor if len(finite) else 0.0
     origin = start if abs(start) >= _EPOCH[0] / 1000 else 0.0  # keeps the digits of the intervals
     if found != "s":
-        reason = "as stated" if unit else f"told by intervals of {np.median(np.abs(np.diff(finite))):.6g}"
+        reason = "as stated" if unit else f"told by intervals of {np.median(np.abs(np.diff(finite))):.3g}"
         notes.append(f"time stamps are in {found} ({reason}) and were converted to s")
     if origin:
         notes.append(f"time counts from the first sample, at {start:.3f} s")
