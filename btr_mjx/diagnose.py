@@ -1,13 +1,16 @@
-"""Name the effect that a simulation lacks: `python -m btr_mjx.diagnose DATASET --out RUN`.
+"""Name the effect that a simulation lacks: `python -m btr_mjx.diagnose MODEL.xml LOG [LOG ...] --out RUN`.
 
-DATASET is a folder with dataset.toml (see btr_mjx/gap/data/dataset.py), with BAM's JSON beside a servo.toml, or of
-LeRobot's form beside a dataset.toml. `python -m btr_mjx.diagnose --demo` makes a hidden case from a seed and solves it.
-`python -m btr_mjx.diagnose DATASET --check` only checks the data, within seconds, and writes nothing: docs/check.md.
+MODEL.xml is the MJCF of the believed robot; a LOG is a CSV, Parquet, NPZ, HDF5, MCAP, rosbag2 or .pt file, see
+docs/logs.md. A folder may stand for them: one that holds both, one with a dataset.toml (see
+btr_mjx/gap/data/dataset.py), with BAM's JSON beside a servo.toml, or of LeRobot's form beside a dataset.toml.
+`python -m btr_mjx.diagnose --demo` makes a hidden case from a seed and solves it.
+With --check it only checks the data, within seconds, and writes nothing: docs/check.md.
 
 The run folder holds:
 
     config.json, environment.json   what was asked for, and with which versions and machine
     preflight.csv                   what was found before any fit
+    dataset.toml                    what was inferred, where a model and logs were given
     result.json                     verdict, effects with intervals, ranking, gap, next experiment
     ranking.csv, believed.csv, disagreement.csv, *.npz   tables and arrays behind the page
     next_command.csv                what to command next, where the data cannot distinguish candidates
@@ -35,6 +38,7 @@ from btr_mjx.errors import BAD_INPUT_CODE, InputError, cli_errors, is_bad_input,
 from btr_mjx.runs import (
     IGNORED_FIELDS,
     RunFolder,
+    atomic_write,
     check_sums,
     claimed_folder,
     content_digest,
@@ -70,7 +74,9 @@ class DiagnoseConfig:
     """Settings of a diagnosis; every field is a flag."""
 
     dataset: Annotated[Path | None, tyro.conf.Positional] = None
-    """Folder of the recordings."""
+    """Folder of the recordings, or the MJCF file of the believed model, followed by logs."""
+    logs: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
+    """Logs of a model that was given as a file; each is a recording."""
     out: Path | None = None
     """Run folder; by default the first unused one of runs/diagnosis-<seed>, runs/diagnosis-<seed>-2, ..."""
     resume: bool = False
@@ -133,7 +139,7 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
     inputs = {}
     if not config.demo:
         assert config.dataset is not None
-        dataset, findings = examine(config.dataset, library, config.signal, config.progress)
+        dataset, findings = examine(config.dataset, library, config.signal, config.progress, config.logs)
         from btr_mjx.gap.preflight import refuse_errors
 
         refuse_errors(findings)
@@ -153,6 +159,9 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
             print_findings(findings)
             rows = [dataclasses.asdict(f) | {"evidence": json.dumps(dict(f.evidence))} for f in findings]
             write_table(run.path / "preflight.csv", rows)
+            if inferred := getattr(dataset, "inferred", ""):
+                with atomic_write(run.path / "dataset.toml") as file:
+                    file.write(inferred.encode())
             if is_listed(run.path / RESULT):
                 check_sums(run.path)
             else:
@@ -179,6 +188,12 @@ def check_diagnosis(config: DiagnoseConfig) -> None:
         raise InputError("got --check and --demo; --check takes a folder of recordings")
     if config.json and not config.check:
         raise InputError("got --json without --check; result.json in the run folder is for scripts")
+    if config.logs and config.dataset is not None and config.dataset.is_dir():
+        raise InputError(
+            f"{config.dataset}: is a folder and logs follow it; give the MJCF file of the robot before them"
+        )
+    if config.logs and config.signal == "fitness":
+        raise InputError("signal: fitness needs a folder with a dataset.toml and its table; got logs")
     if not 1 <= config.max_effects <= 100:
         raise InputError(f"max_effects: got {config.max_effects}, expected at least 1, at most 100")
     if not 0 <= config.chosen_seed < 2**63:
@@ -192,15 +207,16 @@ def _claimed(config: DiagnoseConfig) -> AbstractContextManager[DiagnoseConfig]:
 
 
 def examine(
-    folder: Path, library: "Sequence[Effect]", signal: str, show: bool = False
+    folder: Path, library: "Sequence[Effect]", signal: str, show: bool = False, logs: Sequence[Path] = ()
 ) -> "tuple[Dataset | FitnessTable, list[Finding]]":
     """Read a dataset and check it before any fit.
 
     Args:
-      folder: of the dataset.
+      folder: of the dataset, or a file: its dataset.toml, or the model that `logs` are of.
       library: effects that may be named.
       signal: "trajectory" or "fitness", see `DiagnoseConfig.signal`.
       show: show a progress bar while a long dataset is read.
+      logs: files of recordings.
 
     Returns:
       The dataset, and the findings of the preflight checks.
@@ -213,7 +229,7 @@ def examine(
 
         table = load_fitness(folder)
         return table, preflight_fitness(table)
-    from btr_mjx.gap.data import open_dataset
+    from btr_mjx.gap.data import open_dataset, open_logs
 
     with ExitStack() as stack:
         bar = None
@@ -226,7 +242,8 @@ def examine(
             if bar is not None:
                 bar.update(done - bar.n)
 
-        dataset = open_dataset(folder, report)
+        given_files = logs or (folder.is_file() and folder.suffix != ".toml")
+        dataset = open_logs(folder, logs, report) if given_files else open_dataset(folder, report)
         if bar is not None:
             bar.set_description("checks")
         from btr_mjx.gap.preflight import preflight
@@ -252,7 +269,7 @@ def check_data(config: DiagnoseConfig) -> bool:
     assert config.dataset is not None
     library = selected_effects(config.effects)
     try:
-        _, findings = examine(config.dataset, library, config.signal, config.progress and not config.json)
+        _, findings = examine(config.dataset, library, config.signal, config.progress and not config.json, config.logs)
     except Exception as error:
         if not (config.json and is_bad_input(error)):
             raise

@@ -6,9 +6,17 @@ flushed and renamed, so that a file is either complete or absent. Long work repo
 """
 
 from btr_mjx.runs.atomic import atomic_write
-from btr_mjx.runs.bounded_files import check_plain, check_regular, parse_json, read_limited, read_text
+from btr_mjx.runs.bounded_files import (
+    MAX_TABLE_BYTES,
+    MAX_TEXT_BYTES,
+    check_plain,
+    check_regular,
+    parse_json,
+    read_limited,
+    read_text,
+)
 from btr_mjx.runs.checkpoints import read_checkpoint, save_checkpoint
-from btr_mjx.runs.checksums import check_sums, is_listed
+from btr_mjx.runs.checksums import check_listed, check_sums, is_listed
 from btr_mjx.runs.config_json import CONFIG_NAME, config_to_json, differences, read_config, read_config_json
 from btr_mjx.runs.digests import content_digest
 from btr_mjx.runs.environment import available_cores, describe_environment
@@ -31,12 +39,15 @@ from btr_mjx.runs.toml_tables import check_keys, file_inside, file_name, is_numb
 __all__ = [
     "CONFIG_NAME",
     "IGNORED_FIELDS",
+    "MAX_TABLE_BYTES",
+    "MAX_TEXT_BYTES",
     "RunFolder",
     "StopRequest",
     "atomic_write",
     "available_cores",
     "check_inputs",
     "check_keys",
+    "check_listed",
     "check_parquet",
     "check_plain",
     "check_regular",

@@ -280,13 +280,13 @@ def test_bad_settings_are_one_line(
 def test_unusable_data_are_one_line(folder: Path, searches: list, capsys: pytest.CaptureFixture[str]) -> None:
     with np.load(folder / "behaviour_01.npz") as archive:
         columns = dict(archive)
-    columns["time"] = columns["time"] * 1000
+    columns = {name: values if name == "time" else np.degrees(values) for name, values in columns.items()}
     for name in ("behaviour_01", "behaviour_02", "behaviour_03"):
         np.savez(folder / f"{name}.npz", **columns)
     with pytest.raises(SystemExit) as stop:
         diagnose.main([str(folder), "--out", str(folder.parent / "run")])
     assert stop.value.code == 2
-    assert "looks like milliseconds" in capsys.readouterr().err
+    assert "looks like degrees" in capsys.readouterr().err
 
 
 def test_effects_of_ones_own(tmp_path: Path) -> None:

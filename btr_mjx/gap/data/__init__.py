@@ -1,13 +1,14 @@
 """Measured data: datasets, recordings, file formats, sensor noise.
 
-`open_dataset` detects the format of a folder and returns a `Dataset`: the believed (nominal) model, its `Recording`s,
-the parameters that may be refitted (`models.PathParameter`) and the standard deviation of the sensor noise.
-`save_dataset` writes one.
+`open_dataset` detects the format of a folder, `open_logs` reads a model and logs. Both return a `Dataset`: the believed
+(nominal) model, its `Recording`s, the parameters that may be refitted (`models.PathParameter`) and the standard
+deviation of the sensor noise. `save_dataset` writes one.
 """
 
 from btr_mjx.gap.data.columns import control_columns, read_columns
 from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, load, noise_of, read_header
 from btr_mjx.gap.data.held import Held, held, stairs
+from btr_mjx.gap.data.inferred import open_logs
 from btr_mjx.gap.data.noise import Noise, estimate_noise, reduced_noise
 from btr_mjx.gap.data.recording import Recording, make_recording
 from btr_mjx.gap.data.sources import open_dataset
@@ -32,6 +33,7 @@ __all__ = [
     "make_recording",
     "noise_of",
     "open_dataset",
+    "open_logs",
     "read_columns",
     "read_header",
     "reduced_noise",

@@ -21,11 +21,14 @@ import numpy as np
 import polars as pl
 
 from btr_mjx.errors import DamagedFile, InputError
-from btr_mjx.gap.data.plausible import check_column_count, check_header
+from btr_mjx.gap.data.formats.delimited import read_text_table
+from btr_mjx.gap.data.plausible import check_column_count
 from btr_mjx.models import nearest_names, part_names
 from btr_mjx.runs import read_arrays, read_table
 
 FORMATS = (".csv", ".parquet", ".npz")
+MISSING_TEXTS = ("", "-", "--", "na", "n/a", "nan", "null", "none")
+"""Texts, in lower case, that stand for a missing value."""
 _QUAT, _SPIN = ("qw", "qx", "qy", "qz"), ("wx", "wy", "wz")
 _FREE, _BALL = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL
 SUFFIXES: Mapping[int, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -73,9 +76,7 @@ def read_columns(path: str | Path) -> dict[str, np.ndarray]:
     if suffix == ".npz":
         columns = {name: _numbers(path, name, array) for name, array in read_arrays(path).items()}
     else:
-        if suffix == ".csv":
-            check_header(path)
-        frame = read_table(path.with_suffix(suffix) if path.suffix == suffix else path)
+        frame = read_text_table(path)[0] if suffix == ".csv" else read_table(path)
         columns = {name.strip(): numbers_of(path, frame[name]) for name in frame.columns}
     check_column_count(len(columns), path)
     lengths = {name: len(array) for name, array in columns.items()}
@@ -114,7 +115,7 @@ def numbers_of(path: Path, series: pl.Series, first_row: int = 0) -> np.ndarray:
     if series.dtype != pl.String:
         raise InputError(f"{path}: column {series.name!r} holds {series.dtype}, expected numbers")
     values = series.str.strip_chars().cast(pl.Float64, strict=False)
-    bad = values.is_null() & series.is_not_null() & (series.str.strip_chars() != "")
+    bad = values.is_null() & series.is_not_null() & ~series.str.strip_chars().str.to_lowercase().is_in(MISSING_TEXTS)
     if bad.any():
         row = int(bad.arg_true()[0])
         raise InputError(

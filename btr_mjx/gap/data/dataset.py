@@ -10,7 +10,7 @@
     relative = false                    # true: the value is a factor on the number in each recording's model
 
     [[recording]]
-    file = "walk_1.csv"                 # .csv, .parquet or .npz, columns as in `columns`
+    file = "walk_1.csv"                 # any of `logs.LOG_SUFFIXES`; a list of files that were written together
     split = "fit"                       # or "test" (held out); default: the last third is held out
     model = "heavy.xml"                 # optional: its own model, with the same joints and actuators
     overrides = {"body:arm/mass" = 0.5} # optional: numbers that differ in this recording
@@ -21,6 +21,12 @@
 
     [tolerances]                        # optional: 1 sigma of residual calibration errors, by effect
     viscous_damping = 0.1
+
+    [columns]                           # optional: names of the log = names of the model, see `matching`
+    "Hip angle" = "qpos/hip"
+
+    [topics]                            # optional: of ROS recordings, see `formats.ros_bag`
+    joint_states = "/joint_states"
 
     [noise]                             # optional: 1 sigma of the sensors; default: estimated
     qpos = 0.001                        # hinges [rad] and slides [m]
@@ -42,15 +48,25 @@ from typing import Any, Literal
 import mujoco
 
 from btr_mjx.errors import InputError
+from btr_mjx.gap.data.formats.ros_bag import TOPICS
 from btr_mjx.gap.data.held import stairs
+from btr_mjx.gap.data.logs import LogOptions
 from btr_mjx.gap.data.long_files import Advance, count_rows, shares
 from btr_mjx.gap.data.noise import Noise, estimate_noise, read_noise
-from btr_mjx.gap.data.recording import Recording, assign_splits, load_model, read_recording
+from btr_mjx.gap.data.recording import (
+    Reading,
+    Recording,
+    assign_splits,
+    load_model,
+    read_recording,
+    recording_files,
+    split_parts,
+)
 from btr_mjx.models import PathParameter, read_path_parameter
 from btr_mjx.runs import check_keys, file_inside, is_number, read_toml, toml_rows, toml_section
 
 DATASET_FILE = "dataset.toml"
-TABLES = ("model", "parameter", "recording", "control", "tolerances", "noise")
+TABLES = ("model", "parameter", "recording", "control", "tolerances", "noise", "columns", "topics")
 """Tables that dataset.toml may hold."""
 
 Interpolation = Literal["hold", "linear", "cubic"]
@@ -73,6 +89,7 @@ class Dataset:
       tolerances: 1 sigma of residual calibration errors, by effect name.
       noise: sensor noise as given; None if it must be estimated.
       notes: warnings of the loader, reported by preflight.
+      inferred: text of the dataset.toml that was inferred from the logs; "" where there is one.
     """
 
     folder: Path
@@ -85,6 +102,7 @@ class Dataset:
     tolerances: Mapping[str, float] = field(default_factory=dict)
     noise: Noise | None = None
     notes: tuple[str, ...] = ()
+    inferred: str = ""
 
     @property
     def fit(self) -> tuple[Recording, ...]:
@@ -114,24 +132,50 @@ def load(folder: str | Path, progress: ReadProgress | None = None) -> Dataset:
       OSError: a file that cannot be read.
     """
     head, table = read_header(folder)
-    path, notes = head.folder / DATASET_FILE, list(head.notes)
+    return load_table(head, table, head.folder / DATASET_FILE, progress)
+
+
+def load_table(
+    head: Dataset, table: Mapping[str, Any], path: Path, progress: ReadProgress | None = None, hint: str = ""
+) -> Dataset:
+    """Read the recordings of a dataset whose header was read.
+
+    Args:
+      head: the dataset without recordings.
+      table: content of dataset.toml.
+      path: of dataset.toml, for messages.
+      progress: called while recordings are read.
+      hint: lines of dataset.toml that a remedy has to name besides.
+
+    Raises:
+      InputError, DamagedFile, OSError: see `load`.
+    """
+    notes = list(head.notes)
     listed = toml_rows(table, "recording", path)
     if not listed:
         raise InputError(f'{path}: there is no [[recording]]; add one with file = "..."')
-    files = [head.folder / str(row.get("file", "")) for row in listed]
-    advance = _advance(files, progress)
+    stated = table.get("control", {}).get("interpolation")
+    options = LogOptions(_texts(table, "columns", path), _topics(table, path, notes), hint)
+    reading = Reading(options, hold=stated in (None, "hold"))
+    places = [f"{path}: [[recording]] {i + 1}" for i in range(len(listed))]
+    files = [recording_files(row, head.folder, where) for row, where in zip(listed, places, strict=True)]
+    advance = _advance([file for group in files for file in group], progress)
+    rows = [max(count_rows(file) for file in group) for group in files]
     groups = [
-        read_recording(head.folder, row, head.model, f"{path}: [[recording]] {i + 1}", notes, share, advance)
-        for i, (row, share) in enumerate(zip(listed, shares([count_rows(file) for file in files]), strict=True))
+        read_recording(head.folder, row, head.model, where, notes, share, advance, reading)
+        for row, where, share in zip(listed, places, shares(rows), strict=True)
     ]
-    parts = _split(groups, [row.get("split") for row in listed], str(path))
-    given = "interpolation" in table.get("control", {})
-    interpolation = head.interpolation if given else _suitable_interpolation(parts, notes)
-    return replace(head, recordings=tuple(parts), interpolation=interpolation, notes=tuple(notes))
+    whole = sum(rows) == 0 or all(share is None for share in shares(rows))
+    parts = _split(groups, [row.get("split") for row in listed], str(path), whole)
+    interpolation = head.interpolation if stated else _suitable_interpolation(parts, notes)
+    return replace(head, recordings=tuple(parts), notes=tuple(notes), interpolation=interpolation)
 
 
 def _suitable_interpolation(recordings: Sequence[Recording], notes: list[str]) -> Interpolation:
     """The interpolation of commands for which dataset.toml names none."""
+    if any(one.held_commands for one in recordings):
+        notes.append('commands come at a rate of their own: interpolation = "hold" was chosen')
+        return "hold"
     found = stairs([r.commands[1] for r in recordings])
     if found is None:
         return "linear"
@@ -140,6 +184,19 @@ def _suitable_interpolation(recordings: Sequence[Recording], notes: list[str]) -
         'interpolation = "hold" is used; put it into [control] to say so'
     )
     return "hold"
+
+
+def _texts(table: Mapping[str, Any], key: str, path: Path) -> Mapping[str, str]:
+    found = table.get(key, {})
+    if not isinstance(found, Mapping) or not all(isinstance(value, str) for value in found.values()):
+        raise InputError(f'{path}: [{key}]: expected lines of "NAME" = "NAME", got {found!r}')
+    return found
+
+
+def _topics(table: Mapping[str, Any], path: Path, notes: list[str]) -> Mapping[str, str]:
+    found = _texts(table, "topics", path)
+    check_keys(found, tuple(TOPICS), f"{path}: [topics]", notes)
+    return found
 
 
 def _advance(files: Sequence[Path], progress: ReadProgress | None) -> Advance:
@@ -156,8 +213,10 @@ def _advance(files: Sequence[Path], progress: ReadProgress | None) -> Advance:
     return advance
 
 
-def _split(groups: Sequence[Sequence[Recording]], given: Sequence[Any], where: str) -> list[Recording]:
-    """Recordings with their split, see `assign_splits`; that of a recording is that of its stretches."""
+def _split(groups: Sequence[Sequence[Recording]], given: Sequence[Any], where: str, whole: bool) -> list[Recording]:
+    """Recordings with their split, see `assign_splits`; that of a recording is that of its parts or stretches."""
+    if len(groups) == 1 and given[0] is None and whole:
+        return split_parts(groups[0], where)
     if len(groups) == 1 and given[0] is None:
         return assign_splits(groups[0], [None] * len(groups[0]), where)
     first = assign_splits([group[0] for group in groups], given, where)
@@ -185,6 +244,21 @@ def read_header(folder: str | Path, more: Sequence[str] = ()) -> tuple[Dataset, 
     if not path.is_file():
         raise InputError(f"{folder}: it holds no {DATASET_FILE}; see btr_mjx/gap/data/dataset.py for its form")
     table = read_toml(path)
+    return header_of(table, folder, path, more), table
+
+
+def header_of(table: Mapping[str, Any], folder: Path, path: Path, more: Sequence[str] = ()) -> Dataset:
+    """The dataset without recordings that the tables of a dataset.toml describe.
+
+    Args:
+      table: content of the file.
+      folder: of the files that it names.
+      path: of the file, for messages.
+      more: names of further tables that it may hold.
+
+    Raises:
+      InputError, DamagedFile, OSError: see `load`.
+    """
     notes: list[str] = []
     check_keys(table, (*TABLES, *more), f"{path}", notes)
     about = toml_section(table, "model", path)
@@ -196,7 +270,7 @@ def read_header(folder: str | Path, more: Sequence[str] = ()) -> tuple[Dataset, 
     interpolation = control.get("interpolation", "linear")
     if interpolation not in ("hold", "linear", "cubic"):
         raise InputError(f"{path}: interpolation {interpolation!r}: expected 'hold', 'linear' or 'cubic'")
-    head = Dataset(
+    return Dataset(
         folder=folder,
         model=model,
         model_file=model_file,
@@ -211,7 +285,6 @@ def read_header(folder: str | Path, more: Sequence[str] = ()) -> tuple[Dataset, 
         noise=read_noise(table.get("noise", {}), model, f"{path}: [noise]", notes),
         notes=tuple(notes),
     )
-    return head, table
 
 
 def noise_of(dataset: Dataset) -> Noise:

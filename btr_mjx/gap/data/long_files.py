@@ -6,7 +6,6 @@ file. A CSV file is therefore parsed in blocks of rows, and a Parquet file colum
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 
 import mujoco
@@ -14,16 +13,14 @@ import numpy as np
 import polars as pl
 
 from btr_mjx.errors import DamagedFile
-from btr_mjx.gap.data.columns import (
-    check_header,
-    check_names,
-    control_columns,
-    numbers_of,
-    read_columns,
-    state_columns,
-    ungroup_columns,
-)
-from btr_mjx.gap.data.samples import MAX_MISSING_ROWS, check_time, complete_rows
+from btr_mjx.gap.data.clocks import on_one_clock
+from btr_mjx.gap.data.columns import control_columns, numbers_of, state_columns, ungroup_columns
+from btr_mjx.gap.data.formats.delimited import Dialect, parse_rows, read_dialect
+from btr_mjx.gap.data.formats.hdf5 import count_hdf5_rows
+from btr_mjx.gap.data.formats.ros_bag import count_messages, is_ros_folder
+from btr_mjx.gap.data.logs import HDF5, ROS, TEXT, LogOptions, Plan, plan_tables, read_log
+from btr_mjx.gap.data.samples import MAX_MISSING_ROWS, check_time
+from btr_mjx.gap.data.units import to_seconds
 
 MAX_SAMPLES = 100_000
 """Number of samples of a dataset up to which all of them are used."""
@@ -50,11 +47,15 @@ Advance = Callable[[int], None]
 
 def count_rows(path: Path) -> int:
     """Number of rows of a recording, or one more; 0 for a file that cannot be read."""
+    if is_ros_folder(path) or path.suffix.lower() in ROS:
+        return count_messages(path)
     if not path.is_file():
         return 0
     try:
         match path.suffix.lower():
-            case ".csv":
+            case suffix if suffix in HDF5:
+                return count_hdf5_rows(path)
+            case suffix if suffix in TEXT:
                 with path.open("rb") as file:
                     return sum(block.count(b"\n") for block in iter(lambda: file.read(BLOCK_BYTES), b""))
             case ".parquet":
@@ -112,35 +113,46 @@ def stretch_rows(share: Share, interval: float, from_start: bool = False) -> lis
 
 
 def read_stretches(
-    path: Path, share: Share, model: mujoco.MjModel, notes: list[str], advance: Advance
+    paths: Path | Sequence[Path],
+    share: Share,
+    model: mujoco.MjModel,
+    notes: list[str],
+    advance: Advance,
+    options: LogOptions | None = None,
+    hold: bool = True,
 ) -> list[Columns]:
     """Check all rows of a recording and keep some of them.
 
     Args:
-      path: a .csv, .parquet or .npz file; the latter is read as a whole.
+      paths: its file or files. A single text table is read in blocks, a single Parquet file column by column, the
+        others as a whole.
       share: to keep, see `stretch_rows`.
       model: the recording's model. Activations of its actuators are integrated from the start of the recording, so that
         one stretch is kept there if it has any.
-      notes: which share is used, missing values and gaps in time are appended here.
+      notes: choices, which share is used, missing values and gaps in time are appended here.
       advance: see `Advance`.
+      options: what the dataset says about columns and topics.
+      hold: hold commands of a slower clock between their samples, instead of interpolating them.
 
     Returns:
       The columns of each stretch, in the order of time.
 
     Raises:
-      InputError: see `columns.read_columns`, `columns.check_names`, `samples.complete_rows` and `samples.check_time`.
+      InputError: see `logs.read_log` and `samples.check_time`.
       DamagedFile: the content does not parse.
       OSError: the file cannot be read.
     """
-    found = _Collected(path, share, model)
-    match path.suffix.lower():
-        case ".csv":
-            _collect_csv(path, found, advance)
-        case ".parquet":
-            _collect_parquet(path, found, advance)
-        case _:
-            found.add(0, ungroup_columns(read_columns(path), model, str(path)))
-            advance(path.stat().st_size)
+    options = options or LogOptions()
+    paths = [paths] if isinstance(paths, Path) else list(paths)
+    path, suffix = paths[0], paths[0].suffix.lower() if len(paths) == 1 else ""
+    if suffix in TEXT or suffix == ".parquet":
+        found = _Collected(path, share, model)
+        (_collect_text if suffix in TEXT else _collect_parquet)(path, found, options, notes, advance)
+    else:
+        tables = [ungroup_columns(table, model, str(path)) for table in read_log(paths, model, options, notes, advance)]
+        columns, _ = on_one_clock(tables, model, hold, str(path), notes)
+        found = _Collected(path, Share(len(columns["time"]), share.kept), model)
+        found.add(0, columns)
     notes += found.notes()
     return found.stretches()
 
@@ -174,12 +186,11 @@ class _Collected:
             )
             self._pieces = [{} for _ in self._rows]
         new = [name for name in columns if name not in known]
-        sound = complete_rows(columns, [name for name in new if name in self._needed], where, [], first)
-        bad = np.ones(len(time), bool)
-        bad[sound] = False
-        self._bad[first : first + len(time)] |= bad
+        for name in new:
+            if name in self._needed:
+                self._bad[first : first + len(time)] |= ~np.isfinite(columns[name])
         if "time" in new:
-            check_time(time[sound], where, first)
+            check_time(time[np.isfinite(time)], where, first)
             self._time.append(time[checked:])
         for rows, kept in zip(self._rows, self._pieces, strict=True):
             own = slice(max(rows.start - first, checked), max(rows.stop - first, checked))
@@ -213,14 +224,17 @@ class _Collected:
         return lines
 
 
-def _collect_csv(path: Path, found: _Collected, advance: Advance) -> None:
-    first, tail = 0, None
-    for frame in _csv_blocks(path, advance):
-        columns = {name.strip(): numbers_of(path, frame[name], first) for name in frame.columns}
-        if tail is None:
-            check_names(columns, found.model, str(path))
-            joined = columns
-        else:
+def _collect_text(path: Path, found: _Collected, options: LogOptions, notes: list[str], advance: Advance) -> None:
+    dialect = read_dialect(path)
+    names = [name for name in dialect.names if name]
+    plan = plan_tables([(path.stem, names, dialect.stated_units)], found.model, options, str(path), notes)[0]
+    first, tail, clock = 0, None, None
+    for frame in _text_blocks(path, dialect, advance):
+        raw = {name: numbers_of(path, frame[name], first) for name in frame.columns if name in plan.names}
+        clock = clock or to_seconds(raw[plan.time[0]], plan.time[1], notes)
+        columns = ungroup_columns(plan.apply(raw, clock), found.model, str(path))
+        joined = columns
+        if tail is not None:
             joined = {name: np.concatenate([tail[name], values]) for name, values in columns.items()}
         overlap = len(joined["time"]) - len(frame)
         found.add(first - overlap, joined, overlap)
@@ -228,43 +242,36 @@ def _collect_csv(path: Path, found: _Collected, advance: Advance) -> None:
         first += len(frame)
 
 
-def _csv_blocks(path: Path, advance: Advance) -> Iterator[pl.DataFrame]:
-    """Frames of whole lines of a CSV file."""
-    check_header(path)
+def _text_blocks(path: Path, dialect: Dialect, advance: Advance) -> Iterator[pl.DataFrame]:
+    """Frames of whole lines of a text table."""
     with path.open("rb") as file:
-        header = file.readline()
+        file.seek(dialect.start)
         rest = b""
         while block := file.read(BLOCK_BYTES):
             advance(len(block))
             cut = block.rfind(b"\n") + 1
             lines, rest = rest + block[:cut], block[cut:] if cut else rest + block
-            if lines:
-                yield _parsed(path, header + lines)
+            if lines.strip():
+                yield parse_rows(path, dialect, lines)
         if rest.strip():
-            yield _parsed(path, header + rest)
+            yield parse_rows(path, dialect, rest)
 
 
-def _parsed(path: Path, text: bytes) -> pl.DataFrame:
-    try:
-        names = pl.read_csv(BytesIO(text), n_rows=0).columns
-        try:
-            return pl.read_csv(BytesIO(text), schema_overrides=dict.fromkeys(names, pl.Float64))
-        except pl.exceptions.PolarsError:  # text or booleans: `numbers_of` says where
-            return pl.read_csv(BytesIO(text), infer_schema_length=None)
-    except _READ_ERRORS as error:
-        raise DamagedFile(f"{path}: not a readable csv table ({error})") from error
-
-
-def _collect_parquet(path: Path, found: _Collected, advance: Advance) -> None:
+def _collect_parquet(path: Path, found: _Collected, options: LogOptions, notes: list[str], advance: Advance) -> None:
     names = _column_names(path)
-    check_names({name.strip(): np.empty(0) for name in names}, found.model, str(path))
-    time = np.empty(0)
-    for name in sorted(names, key=lambda name: name.strip() != "time"):
-        values = numbers_of(path, _parquet_column(path, name))
-        first = name.strip() == "time"
-        time = values if first else time
-        found.add(0, {"time": time, name.strip(): values}, known=() if first else ("time",))
-        advance(path.stat().st_size // len(names))
+    shown = {name.strip(): name for name in names}
+    plan: Plan = plan_tables([(path.stem, list(shown), {})], found.model, options, str(path), notes)[0]
+    size = path.stat().st_size // len(names)
+    stamps = numbers_of(path, _parquet_column(path, shown[plan.time[0]]))
+    clock = to_seconds(stamps, plan.time[1], notes)
+    time = plan.apply({plan.time[0]: stamps}, clock)
+    found.add(0, time)
+    for name in plan.names:
+        if name != plan.time[0]:
+            values = numbers_of(path, _parquet_column(path, shown[name]))
+            columns = ungroup_columns(plan.apply({name: values}, clock), found.model, str(path))
+            found.add(0, time | columns, known=("time",))
+        advance(size)
 
 
 def _column_names(path: Path) -> list[str]:

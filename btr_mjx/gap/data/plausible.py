@@ -1,20 +1,17 @@
 """Checks that times and numbers of a recording have plausible sizes: work and memory grow with them."""
 
-import csv
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
-from btr_mjx.errors import DamagedFile, InputError
+from btr_mjx.errors import InputError
 
 MAX_COLUMNS = 5_000
 """Most columns of a recording; a robot with a hundred joints and their sensors has fewer than a thousand."""
 
 MAX_HEADER_BYTES = 1 << 20
-"""Longest header line of a CSV file [bytes]."""
+"""Bytes at the beginning of a text table from which its form is told; a line of names has fewer."""
 
 LARGEST_MEASURED = 1e12
 """Largest measured number in SI units."""
@@ -25,29 +22,6 @@ evenly takes memory in proportion to it."""
 
 LONGEST_INTERVAL = 1000.0
 """Longest median interval between samples [s]."""
-
-
-def check_header(path: Path) -> None:
-    """Check the header line of a CSV file.
-
-    Raises:
-      DamagedFile: no end of line within `MAX_HEADER_BYTES`.
-      InputError: too many columns, or a column that occurs twice.
-      OSError: the file cannot be read.
-    """
-    with path.open("rb") as file:
-        line = file.readline(MAX_HEADER_BYTES)
-    if len(line) == MAX_HEADER_BYTES:
-        raise DamagedFile(f"{path}: the first line has no end within {MAX_HEADER_BYTES} bytes; expected column names")
-    try:
-        head = next(csv.reader(StringIO(line.decode("utf-8-sig", "replace"))), [])
-    except csv.Error as error:
-        raise DamagedFile(f"{path}: the header cannot be read ({error})") from None
-    names = [name.strip() for name in head]
-    check_column_count(len(names), path)
-    name, count = Counter(names).most_common(1)[0] if names else ("", 1)
-    if count > 1:
-        raise InputError(f"{path}: column {name!r} occurs {count} times; keep one of them")
 
 
 def check_column_count(count: int, path: Path) -> None:

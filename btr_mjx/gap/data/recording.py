@@ -13,11 +13,13 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError, one_line
-from btr_mjx.gap.data.columns import check_names, control_columns, read_columns, state_columns, ungroup_columns
+from btr_mjx.gap.data.clocks import on_one_clock
+from btr_mjx.gap.data.columns import check_names, control_columns, state_columns, ungroup_columns
 from btr_mjx.gap.data.held import fresh_rows
+from btr_mjx.gap.data.logs import LogOptions, is_log, read_log
 from btr_mjx.gap.data.long_files import Advance, Share, read_stretches
 from btr_mjx.gap.data.plausible import check_sizes, check_span
-from btr_mjx.gap.data.samples import check_time, complete_rows, estimate_velocity, normalise_quaternions
+from btr_mjx.gap.data.samples import check_time, complete_rows, estimate_velocity, normalise_quaternions, whole_parts
 from btr_mjx.gap.data.wraps import unwrap_hinges
 from btr_mjx.models import COMPILE_ERRORS, check_mjcf, check_model, set_values
 from btr_mjx.runs import check_keys, file_inside, is_number, read_text
@@ -44,6 +46,7 @@ class Recording:
       sensor: (K,) other measurements by name.
       notes: corrections made by the loader, reported by preflight.
       sent: times (N,) [s] and commands (N, nu), where commands were logged at more times than states.
+      held_commands: whether commands of a slower clock were held between their samples.
     """
 
     name: str
@@ -58,6 +61,7 @@ class Recording:
     sensor: Mapping[str, np.ndarray] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     sent: tuple[np.ndarray, np.ndarray] | None = None
+    held_commands: bool = False
 
     @property
     def commands(self) -> tuple[np.ndarray, np.ndarray]:
@@ -87,8 +91,7 @@ def load_model(path: Path, inside: Path) -> tuple[mujoco.MjModel, str]:
       The model, and the file's text.
 
     Raises:
-      InputError: the file is absent, MuJoCo rejects it, its numbers cannot be simulated, or the model has no joint or
-        no actuator.
+      InputError: the file is absent, MuJoCo rejects it, its numbers cannot be simulated, or the model has no joint.
       DamagedFile: it is not UTF-8.
     """
     if not path.is_file():
@@ -100,8 +103,8 @@ def load_model(path: Path, inside: Path) -> tuple[mujoco.MjModel, str]:
         mujoco.MjData(model)  # its memory can be taken
     except COMPILE_ERRORS as error:
         raise InputError(f"{path}: MuJoCo does not load this model: {one_line(error)}") from None
-    if model.nu == 0 or model.njnt == 0:
-        raise InputError(f"{path}: the model has {model.njnt} joints and {model.nu} actuators; expected some of both")
+    if model.njnt == 0:
+        raise InputError(f"{path}: the model has no joint; expected one that moves")
     check_model(model, str(path))
     return model, text
 
@@ -117,6 +120,35 @@ def _compiled(path: Path) -> mujoco.MjModel:
     return spec.compile()
 
 
+@dataclass(frozen=True)
+class Reading:
+    """How the recordings of a dataset are read.
+
+    Attributes:
+      options: what the dataset says about columns and topics.
+      hold: hold commands of a slower clock between their samples, instead of interpolating them.
+    """
+
+    options: LogOptions = field(default_factory=LogOptions)
+    hold: bool = True
+
+
+def recording_files(row: Mapping[str, Any], folder: Path, where: str) -> list[Path]:
+    """The files of a [[recording]] row: one, or several that were written at the same time.
+
+    Raises:
+      InputError: no name or list of names, a name that leads out of the folder, or no such file.
+    """
+    listed = row["file"] if isinstance(row.get("file"), list) else [row.get("file")]
+    if not 0 < len(listed) <= 100:
+        raise InputError(f"{where}: file lists {len(listed)} names; expected 1 to 100")
+    files = [file_inside({"file": name}, "file", folder, where) for name in listed]
+    for file in files:
+        if not is_log(file) and not file.is_file():
+            raise InputError(f"{where}: there is no file {file}")
+    return files
+
+
 def read_recording(
     folder: Path,
     row: Mapping[str, Any],
@@ -125,6 +157,7 @@ def read_recording(
     notes: list[str],
     share: Share | None = None,
     advance: Advance = lambda count: None,
+    reading: Reading = Reading(),
 ) -> list[Recording]:
     """Read one [[recording]] row of a dataset in `folder`.
 
@@ -136,17 +169,16 @@ def read_recording(
       notes: warnings are appended here.
       share: part of the recording that is used; None for all.
       advance: called with numbers of bytes that were read.
+      reading: how columns are matched and commands brought to the clock of the states.
 
     Returns:
-      The recording, or stretches of it, with split "fit".
+      The recording, or parts of it between holes, or stretches of it, with split "fit".
 
     Raises:
       InputError: see `dataset.load`.
     """
     check_keys(row, ("file", "split", "model", "overrides", "name"), where, notes)
-    file = file_inside(row, "file", folder, where)
-    if not file.is_file():
-        raise InputError(f"{where}: there is no file {file}")
+    files = recording_files(row, folder, where)
     model = base
     if "model" in row:
         model, _ = load_model(file_inside(row, "model", folder, where), folder)
@@ -161,17 +193,22 @@ def read_recording(
             set_values(model, overrides)
         except InputError as error:
             raise InputError(f"{where}: overrides: {error}") from None
-    name = _name(row, file.stem, where)
+    name, file = _name(row, files[0].stem, where), ", ".join(map(str, files))
     if share is None:
-        recording = make_recording(read_columns(file), model, str(file), name)
-        advance(file.stat().st_size)
-        return [recording]
-    return [
-        make_recording(
-            columns, model, f"{file} from {columns['time'][0]:.6g} s on", f"{name} at {columns['time'][0]:.6g} s"
-        )
-        for columns in read_stretches(file, share, model, notes, advance)
-    ]
+        said: list[str] = []
+        tables = read_log(files, model, reading.options, said, advance)
+        found = make_recordings(tables, model, file, name, reading.hold)
+        return [replace(one, notes=(*said, *one.notes)) for one in found]
+    found = []
+    for columns in read_stretches(files, share, model, notes, advance, reading.options, reading.hold):
+        start = float(columns["time"][0])
+        try:
+            found += make_recordings([columns], model, f"{file} from {start:.6g} s on", f"{name} at {start:.6g} s")
+        except EmptyRecording as error:
+            notes.append(f"left out: {error}")
+    if not found:
+        raise InputError(f"{file}: no stretch of it has {MIN_SAMPLES} rows in a row with all values")
+    return found
 
 
 def _name(row: Mapping[str, Any], default: str, where: str) -> str:
@@ -181,37 +218,90 @@ def _name(row: Mapping[str, Any], default: str, where: str) -> str:
     return name
 
 
+class EmptyRecording(InputError):
+    """A recording, or a stretch of one, in which too few rows have all values."""
+
+
 def make_recording(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, where: str, name: str) -> Recording:
-    """Build a recording from the columns of a table.
+    """Build a recording without holes from the columns of a table; see `make_recordings`.
+
+    Raises:
+      InputError: see `make_recordings`; also holes.
+    """
+    found = make_recordings([columns], model, where, name)
+    if len(found) > 1:
+        raise InputError(f"{where}: {found[0].notes[-1]}; expected a recording without holes")
+    return found[0]
+
+
+def make_recordings(
+    tables: Sequence[Mapping[str, np.ndarray]], model: mujoco.MjModel, where: str, name: str, hold: bool = True
+) -> list[Recording]:
+    """Build the recordings of one log: one, or one for each part between holes.
 
     Args:
-      columns: arrays by name, as `columns.read_columns` returns them.
+      tables: arrays by name, as `columns.read_columns` returns them, for each table with a clock of its own.
       model: the recording's model.
       where: file, for messages.
       name: the recording's name.
+      hold: hold commands of a slower clock between their samples, instead of interpolating them.
 
     Raises:
-      InputError: missing or unknown columns, time that does not increase, gaps of missing values, quaternions that
-        are not of unit length, too few samples.
+      InputError: missing or unknown columns, time that does not increase, quaternions that are not of unit length.
+      EmptyRecording: no part has `MIN_SAMPLES` samples.
     """
-    flat = ungroup_columns(columns, model, where)
-    ignored = check_names(flat, model, where)
-    notes = [f"columns without a use: {', '.join(ignored[:8])}{', ...' if len(ignored) > 8 else ''}"] if ignored else []
+    notes: list[str] = []
+    merged, held = on_one_clock([ungroup_columns(table, model, where) for table in tables], model, hold, where, notes)
+    ignored = check_names(merged, model, where)
+    notes += (
+        [f"columns without a use: {', '.join(ignored[:8])}{', ...' if len(ignored) > 8 else ''}"] if ignored else []
+    )
     positions, velocities = state_columns(model)
-    measured = np.array([c in flat for c in velocities])
-    needed = ["time", *positions, *control_columns(model), *(c for c in velocities if c in flat)]
-    sound = complete_rows(flat, needed, where, notes)
-    flat = {key: value[sound] for key, value in flat.items()}
-    time = flat["time"]
-    check_time(time, where)
-    check_span(time, where)
+    needed = ["time", *positions, *control_columns(model), *(c for c in velocities if c in merged)]
+    sound = complete_rows(merged, needed, where, notes)
+    flat = {key: value[sound] for key, value in merged.items()}
+    check_time(flat["time"], where)
     check_sizes(flat, needed, where)
-    if len(time) < MIN_SAMPLES:
-        raise InputError(f"{where}: {len(time)} samples are too short for a window; expected at least {MIN_SAMPLES}")
+    if len(sound) < MIN_SAMPLES:
+        raise EmptyRecording(
+            f"{where}: {len(sound)} samples are too short for a window; expected at least {MIN_SAMPLES}"
+        )
     qpos = np.stack([flat[c] for c in positions], axis=1)
     normalise_quaternions(qpos, model, where)
-    ctrl = np.stack([flat[c] for c in control_columns(model)], axis=1)
+    controls = control_columns(model)
+    ctrl = np.stack([flat[c] for c in controls], axis=1) if controls else np.empty((len(sound), 0))
     unwrap_hinges(model, qpos, ctrl, notes)
+    parts = whole_parts(sound, flat["time"], MIN_SAMPLES, notes)
+    if not parts:
+        raise EmptyRecording(f"{where}: {notes[-1]}; expected at least {MIN_SAMPLES} samples in a row with all values")
+    return [
+        _recording(
+            {key: value[part] for key, value in flat.items()},
+            qpos[part],
+            ctrl[part],
+            model,
+            where,
+            name if len(parts) == 1 else f"{name} (part {i + 1})",
+            notes,
+            held,
+        )
+        for i, part in enumerate(parts)
+    ]
+
+
+def _recording(
+    flat: Mapping[str, np.ndarray],
+    qpos: np.ndarray,
+    ctrl: np.ndarray,
+    model: mujoco.MjModel,
+    where: str,
+    name: str,
+    notes: Sequence[str],
+    held: bool,
+) -> Recording:
+    """The recording of rows without a hole."""
+    time, notes = flat["time"], list(notes)
+    check_span(time, where)
     sent = None
     fresh = fresh_rows(qpos)
     if fresh is not None and len(fresh.rows) >= MIN_SAMPLES:
@@ -223,6 +313,8 @@ def make_recording(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, whe
         sent = time, ctrl
         time, qpos, ctrl = time[fresh.rows], qpos[fresh.rows], ctrl[fresh.rows]
         flat = {key: value[fresh.rows] for key, value in flat.items()}
+    _, velocities = state_columns(model)
+    measured = np.array([c in flat for c in velocities])
     qvel = np.empty((len(time), model.nv))
     if not measured.all():
         qvel = estimate_velocity(model, time, qpos)
@@ -243,6 +335,7 @@ def make_recording(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, whe
         sensor={c.partition("/")[2]: v for c, v in flat.items() if c.startswith("sensor/")},
         notes=tuple(notes),
         sent=sent,
+        held_commands=held,
     )
 
 
@@ -286,3 +379,31 @@ def assign_splits(recordings: Sequence[Recording], given: Sequence[Any], where: 
         only.part(slice(None, cut), "fit", f"{only.name} (first part)"),
         only.part(slice(cut, None), "test", f"{only.name} (last third)"),
     ]
+
+
+def split_parts(parts: Sequence[Recording], where: str) -> list[Recording]:
+    """Hold out the last third of the samples of the only recording, which is in several parts.
+
+    A part is cut where the last third begins, if both pieces are long enough.
+
+    Raises:
+      InputError: a single part that is too short, see `assign_splits`.
+    """
+    if len(parts) == 1:
+        return assign_splits(parts, [None], where)
+    total, done = sum(len(part.time) for part in parts), 0
+    found: list[Recording] = []
+    for part in parts:
+        count = len(part.time)
+        cut = round(2 / 3 * total) - done
+        done += count
+        if min(cut, count - cut) >= max(MIN_SAMPLES, total // 20):
+            found.append(part.part(slice(None, cut), "fit", f"{part.name} (first part)"))
+            found.append(part.part(slice(cut, None), "test", f"{part.name} (rest)"))
+        else:
+            found.append(replace(part, split="fit" if 2 * cut >= count else "test"))
+    if len({one.split for one in found}) == 1:  # one part has nearly everything
+        found[-1 if found[0].split == "fit" else 0] = replace(
+            found[-1 if found[0].split == "fit" else 0], split="test" if found[0].split == "fit" else "fit"
+        )
+    return found

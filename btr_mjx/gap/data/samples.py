@@ -1,23 +1,25 @@
 """Cleaning of samples: missing values, time stamps, quaternions, estimation of velocities."""
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 
 import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
+from btr_mjx.gap.data.clocks import CLOSE, usual_interval
 from btr_mjx.gap.data.columns import SUFFIXES
 from btr_mjx.models import difference, part_names
 
 MAX_MISSING_ROWS = 2
-"""Longest run of rows with a missing value that is dropped; a longer run is an error."""
+"""Longest run of rows with a missing value that is dropped; a longer run splits the recording."""
 HALF_WIDTH = 3
 """Samples on either side that a velocity estimate uses."""
+MAX_PARTS = 12
+"""Most parts of a recording that is split at holes; the longest are kept. Each costs the search a window."""
 
 
-def complete_rows(
-    flat: Mapping[str, np.ndarray], needed: Sequence[str], where: str, notes: list[str], first_row: int = 0
-) -> np.ndarray:
+def complete_rows(flat: Mapping[str, np.ndarray], needed: Sequence[str], where: str, notes: list[str]) -> np.ndarray:
     """Indices of the rows without missing values.
 
     Args:
@@ -25,31 +27,57 @@ def complete_rows(
       needed: names of the columns that are checked.
       where: file, for messages.
       notes: the number of dropped rows is appended here.
-      first_row: number of rows of the file before these, for messages.
 
     Returns:
       (N,) row indices.
 
     Raises:
-      InputError: a column without any value, or a run of missing values longer than `MAX_MISSING_ROWS`.
+      InputError: a column without any value, or no row in which all have one.
     """
     bad = np.zeros(len(flat["time"]), bool)
     for column in needed:
         missing = ~np.isfinite(flat[column])
         if missing.all():
             raise InputError(f"{where}: column {column!r} holds no finite number")
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], missing, [0]])))
-        for begin, end in zip(edges[::2], edges[1::2], strict=True):
-            if end - begin > MAX_MISSING_ROWS:
-                raise InputError(
-                    f"{where}: column {column!r} has no finite value in rows {first_row + begin + 1} to "
-                    f"{first_row + end} (time "
-                    f"{flat['time'][begin]:.6g} s); cut the recording there into two files"
-                )
         bad |= missing
+    if bad.all():
+        raise InputError(f"{where}: no row has values of all of {', '.join(needed[:6])}; are their times of one clock?")
     if bad.any():
         notes.append(f"{int(bad.sum())} rows with missing values dropped")
     return np.flatnonzero(~bad)
+
+
+def whole_parts(rows: np.ndarray, time: np.ndarray, shortest: int, notes: list[str]) -> list[slice]:
+    """Parts of a recording without a hole: a run of missing rows, or a gap in time.
+
+    Args:
+      rows: (N,) indices of the complete rows.
+      time: (N,) their times [s].
+      shortest: number of samples; shorter parts are dropped.
+      notes: how the recording is split is appended here.
+
+    Returns:
+      Slices of the N rows, in the order of time: all parts, or the `MAX_PARTS` longest ones.
+    """
+    steps = np.diff(time)
+    holes = (np.diff(rows) > MAX_MISSING_ROWS + 1) | (steps > CLOSE * usual_interval(time))
+    if not holes.any():
+        return [slice(0, len(rows))]
+    edges = [0, *(np.flatnonzero(holes) + 1).tolist(), len(rows)]
+    parts = [slice(begin, end) for begin, end in pairwise(edges)]
+    long = [part for part in parts if part.stop - part.start >= shortest]
+    kept = sorted(sorted(long, key=lambda part: part.start - part.stop)[:MAX_PARTS], key=lambda part: part.start)
+    k = int(np.argmax(np.where(holes, steps, -np.inf)))
+    left_out = len(rows) - sum(part.stop - part.start for part in kept)
+    text = (
+        f"split into {len(kept)} parts at {int(holes.sum())} holes, the longest from {time[k]:.6g} to "
+        f"{time[k + 1]:.6g} s"
+    )
+    if left_out:
+        why = f"parts shorter than {shortest} samples" if len(long) <= MAX_PARTS else f"all but the {MAX_PARTS} longest"
+        text += f"; {left_out} of {len(rows)} samples are left out ({why})"
+    notes.append(text)
+    return kept
 
 
 def check_time(time: np.ndarray, where: str, first_row: int = 0) -> None:

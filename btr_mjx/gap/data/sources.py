@@ -6,12 +6,14 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, ReadProgress, load
 from btr_mjx.gap.data.formats.lerobot import INFO, is_lerobot_folder, load_lerobot
 from btr_mjx.gap.data.formats.servo import SERVO_FILE, is_servo_folder, load_servo
+from btr_mjx.gap.data.inferred import logs_in, open_logs
 
 
 def open_dataset(folder: str | Path, progress: ReadProgress | None = None) -> Dataset:
     """Read a folder of recordings in any supported format.
 
-    Formats: dataset.toml with tables, dataset.toml with LeRobot files, servo.toml with BAM JSON files.
+    Formats: dataset.toml with logs, dataset.toml with LeRobot files, servo.toml with BAM JSON files, one MJCF file with
+    logs.
 
     Args:
       folder: the folder, or its dataset.toml or servo.toml.
@@ -34,7 +36,12 @@ def open_dataset(folder: str | Path, progress: ReadProgress | None = None) -> Da
         return load_lerobot(folder) if is_lerobot_folder(folder) else load(folder, progress)
     if is_servo_folder(folder):
         return load_servo(folder)
-    raise InputError(
-        f"{folder}: it holds no recordings that are known here; expected {DATASET_FILE} (with {INFO} for LeRobot's "
-        f"form) or {SERVO_FILE} beside .json files"
-    )
+    if is_lerobot_folder(folder):
+        raise InputError(
+            f'{folder}: {INFO} needs a {DATASET_FILE} beside it that names the model: [model] file = "..."'
+        )
+    try:
+        model, logs = logs_in(folder)
+    except InputError as error:
+        raise InputError(f"{error}; or {SERVO_FILE} beside .json files") from None
+    return open_logs(model, logs, progress)

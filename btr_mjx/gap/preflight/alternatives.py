@@ -9,7 +9,7 @@ import numpy as np
 
 from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import joint_of
-from btr_mjx.gap.preflight.predictions import Change, ColumnMap, Group
+from btr_mjx.gap.preflight.predictions import Change, ColumnMap, CoordinateGroup
 from btr_mjx.models import part_names
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -54,7 +54,7 @@ class Alternative:
 class Catalogue:
     """Builds alternatives for a dataset."""
 
-    def __init__(self, dataset: Dataset, groups: Sequence[Group]) -> None:
+    def __init__(self, dataset: Dataset, groups: Sequence[CoordinateGroup]) -> None:
         self._dataset, self._model, self._groups = dataset, dataset.model, groups
         self._joints, self._actuators = part_names(self._model, "joint"), part_names(self._model, "actuator")
         self._drives: dict[int, list[int]] = {}

@@ -87,7 +87,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Group:
+class CoordinateGroup:
     """Coordinates that are judged together: a hinge or slide, or position or rotation of a free or ball joint.
 
     Attributes:
@@ -99,17 +99,17 @@ class Group:
     dofs: slice
 
 
-def groups_of(model: mujoco.MjModel) -> list[Group]:
+def groups_of(model: mujoco.MjModel) -> list[CoordinateGroup]:
     """The groups of a model, in the order of its coordinates."""
     out = []
     for joint, (kind, v) in enumerate(zip(model.jnt_type.tolist(), model.jnt_dofadr.tolist(), strict=True)):
         match kind:
             case mujoco.mjtJoint.mjJNT_FREE:
-                out += [Group(joint, slice(v, v + 3)), Group(joint, slice(v + 3, v + 6))]
+                out += [CoordinateGroup(joint, slice(v, v + 3)), CoordinateGroup(joint, slice(v + 3, v + 6))]
             case mujoco.mjtJoint.mjJNT_BALL:
-                out.append(Group(joint, slice(v, v + 3)))
+                out.append(CoordinateGroup(joint, slice(v, v + 3)))
             case _:
-                out.append(Group(joint, slice(v, v + 1)))
+                out.append(CoordinateGroup(joint, slice(v, v + 1)))
     return out
 
 

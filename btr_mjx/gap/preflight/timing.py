@@ -60,7 +60,7 @@ def sampling(dataset: Dataset) -> list[Finding]:
                 "velocities are hard to see below ten",
             )
         )
-    if dataset.model.opt.timestep > 1.001 * fast:
+    if dataset.model.opt.timestep > 1.001 * fast:  # time stamps are rounded
         findings.append(
             Finding(
                 "warning",

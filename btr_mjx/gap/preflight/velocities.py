@@ -31,7 +31,7 @@ DEGREE = float(np.pi / 180)
 
 
 @dataclass(frozen=True)
-class Reading:
+class VelocityReading:
     """One way to read velocity columns.
 
     Attributes:
@@ -93,7 +93,7 @@ def _judge(
     """The finding about one block of velocity columns."""
     model = dataset.model
     kind = int(model.jnt_type[joint])
-    errors: list[tuple[Reading, np.ndarray]] = []
+    errors: list[tuple[VelocityReading, np.ndarray]] = []
     for reading in _readings(model, joint, block):
         pairs = [_moved(dataset.recordings[s.recording], s, joint, block, reading) for s in stretches]
         if not pairs:
@@ -126,35 +126,35 @@ def _judge(
     return None
 
 
-def _error(columns: str, reading: Reading, found: Comparison, kind: int) -> Finding:
+def _error(columns: str, reading: VelocityReading, found: Comparison, kind: int) -> Finding:
     message = f"{reading.words.format(columns=columns)}: with that, {found.words()}; {reading.remedy}"
     return Finding("error", "convention", message, reading.remedy, found.evidence())
 
 
-def _readings(model: mujoco.MjModel, joint: int, block: slice) -> Iterator[Reading]:
+def _readings(model: mujoco.MjModel, joint: int, block: slice) -> Iterator[VelocityReading]:
     """The documented reading first, then the alternatives."""
     kind, name = int(model.jnt_type[joint]), part_names(model, "joint")[joint]
     free = kind == mujoco.mjtJoint.mjJNT_FREE
     if kind in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
-        yield Reading("", "")
+        yield VelocityReading("", "")
         hinge = kind == mujoco.mjtJoint.mjJNT_HINGE
         both = f"qpos/{name} and qvel/{name}"
         for sign in (1.0, -1.0):
             if sign < 0:
-                yield Reading(
+                yield VelocityReading(
                     "{columns} has the opposite sign of the slope of its positions",
                     f"negate either of {both}, or leave the velocity out",
                     -1.0,
                 )
             turned = "" if sign > 0 else " and has the opposite sign of its positions"
             for scale, words, remedy in _scalar_units(hinge, name):
-                yield Reading(f"{words}{turned}", remedy, sign * scale)
+                yield VelocityReading(f"{words}{turned}", remedy, sign * scale)
         return
     linear = free and block.start == 0
     documented = "world" if linear else "body"
     other = "body" if linear else "world"
     unit = ((1e-3, "mm/s"), (1e3, "units of 1000 m/s")) if linear else ((DEGREE, "degrees/s"),)
-    yield Reading("", "", frame=documented)
+    yield VelocityReading("", "", frame=documented)
     orders = {
         "wxyz": ("", ""),
         "xyzw": (
@@ -182,7 +182,7 @@ def _readings(model: mujoco.MjModel, joint: int, block: slice) -> Iterator[Readi
                 if scale != 1.0:
                     parts.append(f"are in {unit_words}")
                     remedies.append(f"multiply them by {scale:.6g}")
-                yield Reading("{columns} " + " and ".join(parts), " and ".join(remedies), scale, frame, order)
+                yield VelocityReading("{columns} " + " and ".join(parts), " and ".join(remedies), scale, frame, order)
 
 
 def _scalar_units(hinge: bool, name: str) -> Iterator[tuple[float, str, str]]:
@@ -202,7 +202,7 @@ def _scalar_units(hinge: bool, name: str) -> Iterator[tuple[float, str, str]]:
 
 
 def _moved(
-    recording: Recording, stretch: Stretch, joint: int, block: slice, reading: Reading
+    recording: Recording, stretch: Stretch, joint: int, block: slice, reading: VelocityReading
 ) -> tuple[np.ndarray, np.ndarray]:
     """Displacement over a stretch, and integral of the velocity columns, in the world's frame for vectors."""
     model, rows = recording.model, slice(stretch.first, stretch.last + 1)

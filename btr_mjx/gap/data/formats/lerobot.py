@@ -27,7 +27,7 @@ import polars as pl
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns import SUFFIXES
 from btr_mjx.gap.data.dataset import Dataset, read_header
-from btr_mjx.gap.data.recording import Recording, assign_splits, make_recording
+from btr_mjx.gap.data.recording import Recording, assign_splits, make_recordings
 from btr_mjx.models import nearest_names, part_names
 from btr_mjx.runs import check_keys, check_parquet, is_number, read_json, read_table
 
@@ -51,7 +51,7 @@ def load_lerobot(folder: str | Path) -> Dataset:
 
     Raises:
       InputError: names that are not joints or actuators of the model, missing columns, no frames, or an error of
-        `recording.make_recording`.
+        `recording.make_recordings`.
       DamagedFile: a file that does not parse.
     """
     head, table = read_header(folder, more=("lerobot",))
@@ -126,7 +126,7 @@ def _episodes(
         columns |= _columns(rows, ACTION, [f"ctrl/{name}" for name in motors], file)
         if degrees:
             _to_radians(columns, model)
-        recordings.append(make_recording(columns, model, f"{file}, episode {episode}", f"episode_{episode:06d}"))
+        recordings += make_recordings([columns], model, f"{file}, episode {episode}", f"episode_{episode:06d}")
     return recordings
 
 

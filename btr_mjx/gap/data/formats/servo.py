@@ -22,7 +22,7 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.dataset import Dataset
-from btr_mjx.gap.data.recording import Recording, Split, assign_splits, make_recording
+from btr_mjx.gap.data.recording import Recording, Split, assign_splits, make_recordings
 from btr_mjx.models import COMPILE_ERRORS, PathParameter, check_model
 from btr_mjx.runs import check_keys, is_number, parse_json, read_limited, read_toml, toml_section
 
@@ -143,7 +143,7 @@ def load_servo(folder: str | Path) -> Dataset:
       The dataset, one recording per JSON file.
 
     Raises:
-      InputError: no recordings, a missing or invalid value, or an error of `recording.make_recording`.
+      InputError: no recordings, a missing or invalid value, or an error of `recording.make_recordings`.
       DamagedFile: a file that does not parse.
     """
     folder = Path(folder)
@@ -156,8 +156,9 @@ def load_servo(folder: str | Path) -> Dataset:
     for file in files:
         entries, setting = _read_json(file)
         model = _compile(servo, setting, file)
-        recordings.append(make_recording(entries, model, str(file), file.stem))
-        settings.append(setting)
+        parts = make_recordings([entries], model, str(file), file.stem)
+        recordings += parts
+        settings += [setting] * len(parts)
     nominal = servo_xml(servo, *settings[0])
     return Dataset(
         folder=folder,

@@ -1,0 +1,170 @@
+"""Names of columns matched to a model: what they mean, what is asked for, and units."""
+
+import mujoco
+import numpy as np
+import pytest
+from robot_logs import ARM, FLOATER
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.data.matching import check_matched, match_columns
+from btr_mjx.gap.data.units import TIME_UNITS, conversion, stated_unit, time_unit, to_seconds
+
+MODEL, FLOATING = mujoco.MjModel.from_xml_string(ARM), mujoco.MjModel.from_xml_string(FLOATER)
+DRIVES = (
+    '<position name="shoulder" joint="shoulder" kp="20" kv="0.5"/>',
+    '<position name="elbow" joint="elbow" kp="10" kv="0.3"/>',
+)
+MOTORS = mujoco.MjModel.from_xml_string(
+    ARM.replace(DRIVES[0], '<motor name="m1" joint="shoulder"/>').replace(DRIVES[1], '<motor name="m2" joint="elbow"/>')
+)
+
+
+def names_of(columns: list[str], model: mujoco.MjModel = MODEL) -> dict[str, str]:
+    return {
+        column: target for (_, column), target in match_columns([("log", columns)], model, {}, "log.csv").names.items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("columns", "target"),
+    [
+        ("q_shoulder|Shoulder|pos_shoulder|shoulder.position|joint_states/shoulder/position|shoulderPos|shoulder [deg]"
+         "|/joint_states/position/shoulder|measured_shoulder_pos|observation.state.shoulder.pos|SHOULDER_joint_pos_deg",
+         "qpos/shoulder"),
+        ("dq_shoulder|qd_shoulder|shoulder_vel|joint_velocities/shoulder|shoulder_speed [rpm]|shoulder/qdot",
+         "qvel/shoulder"),
+        ("shoulder_cmd|cmd/shoulder|des_pos_shoulder|shoulder_ref|u_shoulder|action.shoulder.pos|target_q_shoulder",
+         "ctrl/shoulder"),
+        ("tau_shoulder|shoulder_torque|joint_states/effort/shoulder", "force/shoulder"),
+        ("shoulder_temperature|shoulder_error|shoulder_acceleration|des_vel_shoulder|shoulderx|battery", None),
+    ],
+)  # fmt: skip
+def test_names_of_the_field(columns: str, target: str | None) -> None:
+    for column in columns.split("|"):
+        found = names_of(["time", column, "elbow"])
+        assert found.get(column) == target, column
+        assert found["elbow"] == "qpos/elbow"
+
+
+@pytest.mark.parametrize(
+    ("columns", "target"),
+    [
+        ("base_x|odom/pose/pose/position/x|pose.position.x|trunk_pos_x|root x|x|base_px", "qpos/root/x"),
+        ("base_qw|pose.orientation.w|trunk_quat_w|qw|/odom/pose/pose/orientation/w", "qpos/root/qw"),
+        ("base_qx|orientation_x|qx", "qpos/root/qx"),
+    ],
+)
+def test_names_of_a_free_joint(columns: str, target: str) -> None:
+    for column in columns.split("|"):
+        assert names_of(["time", column, "hip"], FLOATING).get(column) == target, column
+
+
+def test_velocities_of_a_free_joint_are_all_or_none() -> None:
+    spin = ["gyro_x", "angular_velocity.y", "base_wz"]
+    move = ["twist.linear.x", "lin_vel_y", "base_vz"]
+    whole = names_of(["time", *spin, *move], FLOATING)
+    assert [whole[c] for c in spin + move] == [f"qvel/root/{part}" for part in ("wx", "wy", "wz", "vx", "vy", "vz")]
+    matched = match_columns([("log", ["time", *spin])], FLOATING, {}, "log.csv")
+    assert not [target for target in matched.names.values() if target.startswith("qvel/")]
+    assert any("estimated" in note for note in matched.notes)
+
+
+def test_numbers_are_taken_in_the_order_of_the_model_and_said() -> None:
+    matched = match_columns([("log", ["t", "q1", "q2", "dof_vel/0", "dof_vel/1", "u[0]", "u[1]"])], MODEL, {}, "x")
+    found = {column: target for (_, column), target in matched.names.items()}
+    assert (found["q1"], found["q2"], found["u[1]"]) == ("qpos/shoulder", "qpos/elbow", "ctrl/elbow")
+    assert found["dof_vel/0"] == "qvel/shoulder"
+    assert sum("order of the model" in note for note in matched.notes) == 3
+
+
+def test_numbers_of_joints_win_over_their_order() -> None:
+    model = mujoco.MjModel.from_xml_string(ARM.replace('"shoulder"', '"joint2"').replace('"elbow"', '"joint1"'))
+    assert names_of(["t", "q1", "q2"], model) == {"t": "time", "q1": "qpos/joint1", "q2": "qpos/joint2"}
+    assert "qpos/joint1" not in names_of(["t", "q0", "q1", "q2"], model).values()
+
+
+def test_torques_are_the_commands_of_motors_where_none_is_named_so() -> None:
+    alone = match_columns([("log", ["t", "tau_shoulder", "elbow_torque"])], MOTORS, {}, "log.csv")
+    assert set(alone.names.values()) == {"time", "ctrl/m1", "ctrl/m2"}
+    assert any("'tau_shoulder' is taken as its command" in note for note in alone.notes)
+    both = names_of(["t", "tau_shoulder", "tau_des_shoulder"], MOTORS)
+    assert both["tau_des_shoulder"] == "ctrl/m1"
+
+
+def test_labels_of_tables_say_what_bare_names_are() -> None:
+    tables = [("commands", ["time", "shoulder", "elbow"]), ("joints", ["time", "shoulder", "elbow"])]
+    found = match_columns(tables, MODEL, {}, "x", labelled=True).names
+    assert found[0, "elbow"] == "ctrl/elbow"
+    assert found[1, "elbow"] == "qpos/elbow"
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        (
+            ["t", "pos_elbow", "enc_elbow", "shoulder"],
+            "'pos_elbow', 'enc_elbow' may all be 'qpos/elbow'.*\\[columns\\]",
+        ),
+        (["t", "shoulder", "elbw", "u1", "u2"], "no column 'qpos/elbow'; nearest in the file: 'elbw'.*\"NAME\" ="),
+        (["t", "shoulder", "elbow"], "no column 'ctrl/shoulder'"),
+        (["frame", "shoulder", "elbow", "u1", "u2"], "no column 'time'"),
+        (["t", "qpos/shoulder", "qpos/elbows"], "'qpos/elbows' names no joint.*'qpos/elbow'"),
+    ],
+)
+def test_what_is_missing_or_ambiguous_is_asked_for(columns: list[str], message: str) -> None:
+    tables = [("log", columns)]
+    with pytest.raises(InputError, match=message):
+        check_matched(match_columns(tables, MODEL, {}, "log.csv"), tables, MODEL, "log.csv", "")
+
+
+def test_given_names_win() -> None:
+    tables = [("log", ["t", "a", "pos_elbow", "enc_elbow"])]
+    found = match_columns(tables, MODEL, {"a": "qpos/shoulder", "enc_elbow": "qpos/elbow"}, "x").names
+    assert (found[0, "a"], found[0, "enc_elbow"]) == ("qpos/shoulder", "qpos/elbow")
+    assert (0, "pos_elbow") not in found
+    for wrong in ({"b": "qpos/elbow"}, {"a": "qpos/elbows"}):
+        with pytest.raises(InputError, match="nearest"):
+            match_columns(tables, MODEL, wrong, "x")
+
+
+@pytest.mark.parametrize("unit", TIME_UNITS)
+@pytest.mark.parametrize("rate", [20, 50, 100, 240, 1000, 4000])
+@pytest.mark.parametrize("epoch", [0.0, 1.75e9])
+def test_units_of_time_by_interval_and_epoch(unit: str, rate: int, epoch: float) -> None:
+    true = np.arange(200) / rate
+    stamps = (true + epoch) / TIME_UNITS[unit]
+    if (unit, rate, epoch) == ("ms", 4000, 0.0):
+        pytest.skip("a quarter of a millisecond could be a quarter of a second")
+    assert time_unit(stamps) == unit
+    notes: list[str] = []
+    factor, origin = to_seconds(stamps, None, notes)
+    np.testing.assert_allclose(stamps * factor - origin, true, atol=6e-7)
+    assert bool(notes) == (unit != "s" or epoch > 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("q_hip [deg]", ("q_hip", "deg")),
+        ("q_hip (°)", ("q_hip", "deg")),
+        ("hip_deg", ("hip", "deg")),
+        ("time_ms", ("time", "ms")),
+        ("time [s]", ("time", "s")),
+        ("u[0]", ("u[0]", None)),
+        ("wheel_m", ("wheel_m", None)),
+        ("speed (rpm)", ("speed", "rpm")),
+    ],
+)
+def test_stated_units(name: str, expected: tuple[str, str | None]) -> None:
+    assert stated_unit(name) == expected
+
+
+def test_conversions() -> None:
+    assert conversion("qpos/hip", "deg", FLOATING, "") == pytest.approx(np.pi / 180)
+    assert conversion("qvel/hip", "rpm", FLOATING, "") == pytest.approx(2 * np.pi / 60)
+    assert conversion("qpos/root/x", "mm", FLOATING, "") == pytest.approx(1e-3)
+    assert conversion("ctrl/hip", "deg", FLOATING, "") == pytest.approx(np.pi / 180)
+    assert conversion("ctrl/m1", "mnm", MOTORS, "") == pytest.approx(1e-3)
+    assert conversion("ctrl/m1", "deg", MOTORS, "") == 1.0
+    with pytest.raises(InputError, match="is in mm, 'qpos/hip' needs"):
+        conversion("qpos/hip", "mm", FLOATING, "log.csv: column 'hip'")
