@@ -78,8 +78,7 @@ def load_model(path: Path, inside: Path) -> tuple[mujoco.MjModel, str]:
       The model, and the file's text.
 
     Raises:
-      InputError: the file is absent, MuJoCo rejects it, its numbers cannot be simulated, or the model has no joint or
-        no actuator.
+      InputError: the file is absent, MuJoCo rejects it, its numbers cannot be simulated, or the model has no joint.
       DamagedFile: it is not UTF-8.
     """
     if not path.is_file():
@@ -91,8 +90,8 @@ def load_model(path: Path, inside: Path) -> tuple[mujoco.MjModel, str]:
         mujoco.MjData(model)  # its memory can be taken
     except COMPILE_ERRORS as error:
         raise InputError(f"{path}: MuJoCo does not load this model: {one_line(error)}") from None
-    if model.nu == 0 or model.njnt == 0:
-        raise InputError(f"{path}: the model has {model.njnt} joints and {model.nu} actuators; expected some of both")
+    if model.njnt == 0:
+        raise InputError(f"{path}: the model has no joints, so that nothing can move; expected at least one")
     check_model(model, str(path))
     return model, text
 
@@ -211,7 +210,7 @@ def make_recording(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, whe
     return Recording(
         name=name,
         time=time,
-        ctrl=np.stack([flat[c] for c in control_columns(model)], axis=1),
+        ctrl=np.array([flat[c] for c in control_columns(model)]).reshape(model.nu, len(time)).T,
         qpos=qpos,
         qvel=qvel,
         qvel_measured=measured,

@@ -48,10 +48,10 @@ def propose(
       counter: counts the simulated steps.
 
     Returns:
-      The proposal; None where fewer than two hypotheses survived.
+      The proposal; None where fewer than two hypotheses survived, or where nothing takes a command.
     """
     survivors = diagnosis.survivors[:3]
-    if len(survivors) < 2:
+    if len(survivors) < 2 or not dataset.model.nu:
         return None
     rng = np.random.default_rng(seed)
     commands = commands or random_commands(dataset, rng, _RANDOM_COMMANDS)

@@ -7,8 +7,11 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.data import Dataset, Recording
-from btr_mjx.gap.effects import ground_geoms, joint_of
+from btr_mjx.gap.effects import actuator_count, ground_geoms, joint_of
 from btr_mjx.models import difference, part_names
+
+_LEAST_MOTION = 1e-4
+"""Range of a coordinate beyond which it moves [rad or m]."""
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 
@@ -44,7 +47,7 @@ class JointTrack:
 def joint_tracks(dataset: Dataset) -> list[JointTrack]:
     """The samples of every hinge and slide of a dataset."""
     model = dataset.model
-    driven = {joint_of(model, a): a for a in range(model.nu)}
+    driven = {joint_of(model, a): a for a in range(actuator_count(model))}
     slopes = [_slopes(r) for r in dataset.recordings]
     out = []
     for j, name in enumerate(part_names(model, "joint")):
@@ -90,36 +93,53 @@ def unexcited_effects(dataset: Dataset, joints: Sequence[JointTrack] | None = No
     """
     joints = joint_tracks(dataset) if joints is None else joints
     model = dataset.model
-    moving = [j for j in joints if np.ptp(j.qpos) > 1e-4]
+    moving = [j for j in joints if np.ptp(j.qpos) > _LEAST_MOTION]
     driven = [j for j in moving if j.actuator is not None]
     reversals = [int(np.count_nonzero(np.diff(np.sign(j.slope)))) for j in moving]
+    anything = bool(moving) or _bodies_move(dataset)
     feet, _ = ground_geoms(model)
-    nothing = "" if moving else "no joint moves"
-    undriven = "" if driven else "no driven joint moves"
+    nothing = "" if anything else "nothing moves"
+    jointless = "" if joints else "the model has no hinge or slide"
+    still = jointless or ("" if moving else "no joint moves")
+    unpowered = "" if actuator_count(model) else "the model has no actuators"
+    # Thrusters act at sites, cables at tendons: they drive what they are attached to, not one joint.
+    elsewhere = any(joint_of(model, a) is None for a in range(actuator_count(model)))
+    undriven = unpowered or ("" if driven or (elsewhere and anything) else "no driven joint moves")
+    undriven_joints = unpowered or ("" if driven else "no joint that an actuator drives directly moves")
     turns = "" if max(reversals, default=0) >= 4 else "no joint reverses its motion more than a few times"
     ground = "" if feet else "nothing can touch the ground"
-    constant = "" if any(np.ptp(r.ctrl, axis=0).any() for r in dataset.recordings) else "every command is constant"
-    fixed = "" if (model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).any() else "the robot is bolted down"
-    one_tone = _one_tone(dataset)
+    commanded = any(np.ptp(r.ctrl, axis=0).any() for r in dataset.recordings)
+    constant = unpowered or ("" if commanded else "every command is constant")
+    weight = np.linalg.norm(model.opt.gravity) > 0
     return {
-        "viscous_damping": nothing,
-        "dry_friction": nothing or turns,
-        "load_friction": undriven or turns,
-        "stribeck_friction": nothing or turns,
-        "armature": nothing,
-        "joint_stiffness": nothing,
-        "joint_offset": "" if feet or not fixed or np.linalg.norm(model.opt.gravity) > 0 else "no weight, no contact",
-        "backlash": undriven or turns,
+        "viscous_damping": still,
+        "dry_friction": still or turns,
+        "load_friction": undriven_joints or turns,
+        "stribeck_friction": still or turns,
+        "armature": still,
+        "joint_stiffness": still,
+        "joint_offset": jointless or ("" if feet or weight else "no weight, no contact"),
+        "backlash": undriven_joints or turns,
         "actuator_delay": constant or undriven,
-        "actuator_lag": constant or undriven or one_tone,
+        "actuator_lag": constant or undriven or _one_tone(dataset),
         "command_rate_limit": constant or undriven,
         "actuator_gain": undriven,
         "torque_limit": undriven,
         "ground_friction": ground,
-        "ground_slope": "" if np.linalg.norm(model.opt.gravity) > 0 else "there is no gravity",
+        "ground_slope": "" if weight else "there is no gravity",
         "contact_softness": ground,
-        "air_drag": nothing if fixed else "",
+        "air_drag": nothing,
     }
+
+
+def _bodies_move(dataset: Dataset) -> bool:
+    """Whether a free or ball joint moves in a recording."""
+    model = dataset.model
+    others = ~np.isin(model.jnt_type[model.dof_jntid], (_HINGE, _SLIDE))
+    if not others.any():
+        return False
+    away = (np.ptp(difference(model, r.qpos[:1], r.qpos)[:, others], axis=0) for r in dataset.recordings)
+    return any((far > _LEAST_MOTION).any() for far in away)
 
 
 def _one_tone(dataset: Dataset) -> str:
