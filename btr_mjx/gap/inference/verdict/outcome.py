@@ -10,6 +10,7 @@ from btr_mjx.gap.inference.search.search_records import MARGIN, Judged
 from btr_mjx.gap.inference.verdict.disagreement import place_names
 from btr_mjx.gap.inference.verdict.intervals import intervals
 from btr_mjx.gap.inference.verdict.openloop import open_loop
+from btr_mjx.gap.inference.verdict.profile import profiled
 from btr_mjx.gap.results import Gap, NamedEffect, Overlay, RankedCandidate, Refit
 from btr_mjx.gap.windows import bounded_loss
 
@@ -60,14 +61,15 @@ def named_effects(
     if not named:
         return ()
     final = named[-1]
-    numbers = intervals(bench, final, rng, settled)
+    profile = profiled(bench, final, rng) if bench.tossed else None
+    numbers = intervals(bench, final, rng, settled) if profile is None else [profile]
     out, first, before = [], 0, None
     for i, (candidate, values) in enumerate(final.hypothesis.effects):
         parameters = {p.name: numbers[first + j] for j, p in enumerate(candidate.parameters)}
         first += len(values)
-        own = named[i]
-        score = own.score - (before.score if before else 0.0)
-        held_out = own.held_out - (before.held_out if before else 0.0)
+        step = named[i]
+        score = step.score - (before.score if before else 0.0)
+        held_out = step.held_out - (before.held_out if before else 0.0)
         others = tuple(name for name in equivalent(rounds[i], bench.contact_sensitive) if name != candidate.name)
         effect = candidate.effect
         out.append(
@@ -82,7 +84,7 @@ def named_effects(
                 effect.equation,
             )
         )
-        before = own
+        before = step
     return tuple(out)
 
 
