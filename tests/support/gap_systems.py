@@ -1,13 +1,13 @@
 """Systems of many kinds, simulated: without actuators, tossed, driven at sites or by cables, measured in part."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.data import Dataset, Noise, Recording
+from btr_mjx.gap.data import Dataset, Recording
 from btr_mjx.models import integrate
 
 STEP = 1e-4
@@ -76,7 +76,6 @@ class System:
       sigma: noise of positions and of velocities.
       seconds, rate: of a recording [s], [1/s].
       measured: whether velocities are measured.
-      library: names of effects that are tried in a small search.
     """
 
     xml: str
@@ -90,7 +89,6 @@ class System:
     seconds: float = 1.5
     rate: float = 200.0
     measured: bool = True
-    library: tuple[str, ...] = field(default=("viscous_damping", "dry_friction", "armature"))
 
     def recording(self, name: str, seed: int, split: str, believed: mujoco.MjModel) -> Recording:
         """A recording of reality."""
@@ -164,8 +162,8 @@ SYSTEMS: Mapping[str, System] = {
         "ground_friction@world",
         0.18,
         start=_tossed,
+        sigma=(1e-3, 0.05),
         seconds=0.8,
-        library=("ground_friction", "air_drag", "contact_softness"),
     ),
     "torque control": System(
         _links('<actuator><motor joint="shoulder" gear="2"/><motor joint="elbow"/></actuator>'),
@@ -190,7 +188,6 @@ SYSTEMS: Mapping[str, System] = {
         amplitude=0.2,
         offset=0.5 * 9.81 / 4,
         seconds=0.8,
-        library=("actuator_gain", "air_drag", "actuator_delay"),
     ),
     "cables": System(
         CABLES,
@@ -198,6 +195,5 @@ SYSTEMS: Mapping[str, System] = {
         "actuator_gain@actuator:long",
         -0.1,
         amplitude=20.0,
-        library=("actuator_gain", "viscous_damping", "actuator_delay"),
     ),
 }

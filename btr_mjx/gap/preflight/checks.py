@@ -112,6 +112,7 @@ def _channels(dataset: Dataset, joints: Sequence[JointTrack], noise: Noise) -> l
     still = [name for name, column in zip(actuators, ctrl.T, strict=False) if np.ptp(column) == 0]
     frozen = [j.name for j in joints if np.ptp(j.qpos) == 0]
     sigma = dict(zip(part_names(model, "joint"), noise.qpos[model.jnt_dofadr], strict=True))
+    interval = float(np.median(np.concatenate([np.diff(r.time) for r in dataset.recordings])))
     quiet = [j.name for j in joints if 0 < np.ptp(j.qpos) < 8 * sigma[j.name]]
     if still and len(still) == len(actuators) and len(frozen) + len(quiet) == len(joints):
         findings.append(
@@ -147,7 +148,9 @@ def _channels(dataset: Dataset, joints: Sequence[JointTrack], noise: Noise) -> l
                     )
                 )
     for joint in joints:
-        if joint.measured and np.ptp(joint.slope) > 0 and np.ptp(joint.qvel) > 0 and joint.name not in quiet:
+        # The slope of positions that hardly change is noise, which no velocity follows.
+        fast = np.std(joint.slope) > 2 * sigma[joint.name] / interval and np.ptp(joint.qvel) > 0
+        if joint.measured and fast and joint.name not in quiet:
             correlation = float(np.corrcoef(joint.qvel, joint.slope)[0, 1])
             if correlation < 0.5:
                 findings.append(
