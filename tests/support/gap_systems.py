@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.data import Dataset, Recording
+from btr_mjx.gap.data.writing import recording_columns
 from btr_mjx.models import integrate
 
 STEP = 1e-4
@@ -197,3 +198,18 @@ SYSTEMS: Mapping[str, System] = {
         amplitude=20.0,
     ),
 }
+
+
+PASSIVE_ELBOW = System(
+    _links('<actuator><motor joint="shoulder" gear="2"/></actuator>'),
+    _set("dof_damping", 1, 0.02),
+    "viscous_damping@joint:elbow",
+    0.02,
+    amplitude=0.5,
+)
+"""A motor at the shoulder; the elbow moves by itself."""
+
+
+def without_encoder(recording: Recording, joint: str) -> dict[str, np.ndarray]:
+    """Columns of a recording without those of a joint."""
+    return {n: v for n, v in recording_columns(recording).items() if n not in (f"qpos/{joint}", f"qvel/{joint}")}

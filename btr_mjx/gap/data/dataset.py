@@ -39,10 +39,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import mujoco
+import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.long_files import Advance, count_rows, shares
-from btr_mjx.gap.data.noise import Noise, estimate_noise, read_noise
+from btr_mjx.gap.data.noise import Noise, estimate_noise, read_noise, without_sensor
 from btr_mjx.gap.data.recording import Recording, assign_splits, load_model, read_recording
 from btr_mjx.models import PathParameter, read_path_parameter
 from btr_mjx.runs import check_keys, file_inside, is_number, read_toml, toml_rows, toml_section
@@ -200,9 +201,11 @@ def read_header(folder: str | Path, more: Sequence[str] = ()) -> tuple[Dataset, 
 
 def noise_of(dataset: Dataset) -> Noise:
     """The sensor noise: as given in the dataset, else estimated from all recordings."""
+    seen = np.all([r.seen for r in dataset.recordings], axis=0)
     if dataset.noise is not None:
-        return dataset.noise
-    return estimate_noise(dataset.model, [(r.time, r.qpos, r.qvel, r.qvel_measured) for r in dataset.recordings])
+        return without_sensor(dataset.noise, seen)
+    tracks = [(r.time, r.qpos, r.qvel, r.qvel_measured) for r in dataset.recordings]
+    return without_sensor(estimate_noise(dataset.model, tracks), seen)
 
 
 def _tolerances(table: Any, path: Path) -> dict[str, float]:

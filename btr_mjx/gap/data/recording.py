@@ -17,7 +17,8 @@ from btr_mjx.gap.data.columns import check_names, control_columns, read_columns,
 from btr_mjx.gap.data.long_files import Advance, Share, read_stretches
 from btr_mjx.gap.data.plausible import check_sizes, check_span
 from btr_mjx.gap.data.samples import check_time, complete_rows, estimate_velocity, normalise_quaternions
-from btr_mjx.models import COMPILE_ERRORS, check_mjcf, check_model, set_values
+from btr_mjx.gap.data.unmeasured import estimate_motion, unmeasured_joints
+from btr_mjx.models import COMPILE_ERRORS, check_mjcf, check_model, part_names, set_values
 from btr_mjx.runs import check_keys, file_inside, is_number, read_text
 
 MIN_SAMPLES = 20
@@ -36,6 +37,7 @@ class Recording:
       ctrl: (K, nu) commands.
       qpos: (K, nq), qvel: (K, nv) measured states in MuJoCo's conventions.
       qvel_measured: (nv,) bool; False where the velocity was estimated from positions.
+      qpos_measured: (nv,) bool; False at joints without an encoder, whose states are estimated; None for all measured.
       split: "fit" or "test" (held out).
       model: the believed model of this recording, with its overrides.
       force: (K,) measured actuator forces by actuator.
@@ -54,6 +56,12 @@ class Recording:
     force: Mapping[str, np.ndarray] = field(default_factory=dict)
     sensor: Mapping[str, np.ndarray] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    qpos_measured: np.ndarray | None = None
+
+    @property
+    def seen(self) -> np.ndarray:
+        """(nv,) bool: which positions were measured."""
+        return np.ones(self.model.nv, bool) if self.qpos_measured is None else self.qpos_measured
 
     def part(self, rows: slice, split: Split, name: str) -> "Recording":
         """A part of the recording, as a recording with another name and split."""
@@ -186,9 +194,11 @@ def make_recording(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, whe
     """
     flat = ungroup_columns(columns, model, where)
     ignored = check_names(flat, model, where)
+    unmeasured = unmeasured_joints(flat, model, where)
     notes = [f"columns without a use: {', '.join(ignored[:8])}{', ...' if len(ignored) > 8 else ''}"] if ignored else []
     positions, velocities = state_columns(model)
     measured = np.array([c in flat for c in velocities])
+    positions = [c for c in positions if c in flat]
     needed = ["time", *positions, *control_columns(model), *(c for c in velocities if c in flat)]
     sound = complete_rows(flat, needed, where, notes)
     flat = {key: value[sound] for key, value in flat.items()}
@@ -198,19 +208,30 @@ def make_recording(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, whe
     check_sizes(flat, needed, where)
     if len(time) < MIN_SAMPLES:
         raise InputError(f"{where}: {len(time)} samples are too short for a window; expected at least {MIN_SAMPLES}")
-    qpos = np.stack([flat[c] for c in positions], axis=1)
+    qpos = np.tile(model.qpos0, (len(time), 1))
+    seen_q = np.delete(np.arange(model.nq), model.jnt_qposadr[unmeasured])
+    qpos[:, seen_q] = np.stack([flat[c] for c in positions], axis=1)
+    ctrl = np.array([flat[c] for c in control_columns(model)]).reshape(model.nu, len(time)).T
     normalise_quaternions(qpos, model, where)
     qvel = np.empty((len(time), model.nv))
     if not measured.all():
         qvel = estimate_velocity(model, time, qpos)
-        names = sorted({c.split("/")[1] for c, m in zip(velocities, measured, strict=True) if not m})
+        hidden = {part_names(model, "joint")[j] for j in unmeasured}
+        if hidden:
+            notes.append(f"joints without an encoder, whose states are estimated: {', '.join(sorted(hidden))}")
+        names = sorted({c.split("/")[1] for c, m in zip(velocities, measured, strict=True) if not m} - hidden)
+    if not measured.all() and names:
         notes.append(f"velocity estimated from positions: {', '.join(names[:8])}{', ...' if len(names) > 8 else ''}")
     for i in np.flatnonzero(measured):
         qvel[:, i] = flat[velocities[i]]
+    encoders = np.ones(model.nv, bool)
+    if unmeasured:
+        encoders[model.jnt_dofadr[unmeasured]] = False
+        estimate_motion(model, time, ctrl, qpos, qvel, unmeasured)
     return Recording(
         name=name,
         time=time,
-        ctrl=np.array([flat[c] for c in control_columns(model)]).reshape(model.nu, len(time)).T,
+        ctrl=ctrl,
         qpos=qpos,
         qvel=qvel,
         qvel_measured=measured,
@@ -219,6 +240,7 @@ def make_recording(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, whe
         force={c.partition("/")[2]: v for c, v in flat.items() if c.startswith("force/")},
         sensor={c.partition("/")[2]: v for c, v in flat.items() if c.startswith("sensor/")},
         notes=tuple(notes),
+        qpos_measured=encoders,
     )
 
 

@@ -52,7 +52,7 @@ def joint_tracks(dataset: Dataset) -> list[JointTrack]:
     out = []
     for j, name in enumerate(part_names(model, "joint")):
         kind = int(model.jnt_type[j])
-        if kind not in (_HINGE, _SLIDE):
+        if kind not in (_HINGE, _SLIDE) or not all(r.seen[model.jnt_dofadr[j]] for r in dataset.recordings):
             continue
         q, v = int(model.jnt_qposadr[j]), int(model.jnt_dofadr[j])
         a = driven.get(j)

@@ -209,7 +209,7 @@ BAD: list[tuple[str, Callable[[Path], None], str]] = [
         r"no actuator.*ctrl/hip_motor",
     ),
     ("missing time", edit_table(lambda t: t.drop("time")), r"no column 'time'"),
-    ("missing joint", edit_table(lambda t: t.drop("qpos/hip")), r"no column 'qpos/hip'; nearest in the file"),
+    ("missing joint", edit_table(lambda t: t.drop("qpos/hip")), r"no column 'qpos/hip', but one of its velocity"),
     ("half a velocity", edit_table(lambda t: t.drop("qvel/root/vx")), r"'qvel/root/vx'; give all"),
     ("time goes back", with_rows("time", slice(20, 21), 0.01), r"time goes back.*row 21"),
     ("run of NaN", with_rows("qpos/hip", slice(20, 27), np.nan), r"'qpos/hip'.*rows 21 to 27.*cut"),
@@ -231,7 +231,7 @@ BAD: list[tuple[str, Callable[[Path], None], str]] = [
     (
         "no actuators",
         edit_text("model.xml", '<position name="hip_motor" joint="hip" kp="20" kv="1"/>', ""),
-        r"0 actuators",
+        r"'ctrl/hip_motor' names no actuator of the model",
     ),
     ("single brackets", edit_text("dataset.toml", "[[recording]]", "[recording]"), r"valid TOML|double brackets"),
 ]

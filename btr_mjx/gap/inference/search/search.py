@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data import Dataset, estimate_noise, reduced_noise
+from btr_mjx.gap.data import Dataset, noise_of, reduced_noise
 from btr_mjx.gap.effects import Candidate, Effect, candidates
 from btr_mjx.gap.inference.scoring.calibration import tolerance_draws, with_nonlinear_tolerances
 from btr_mjx.gap.inference.scoring.gains import fall
@@ -104,9 +104,8 @@ class Bench:
             if not side:
                 raise InputError(f"{dataset.folder}: no recording is in split {name!r}")
         note("state estimates")
-        model = dataset.fit[0].model
         tracks = [track_of(r) for r in dataset.recordings]
-        noise = dataset.noise or estimate_noise(model, [(t.time, t.qpos, t.qvel, t.measured) for t in tracks])
+        noise = noise_of(dataset)
         self.sigma = np.concatenate([noise.qpos, noise.qvel])
         entries = self._prepared(effects, tracks, note)
         for _ in range(_QUIETER if dataset.noise is None else 0):

@@ -167,7 +167,7 @@ def overlays(bench: Bench, final: Judged | None, count: int = 3) -> tuple[Overla
     after = before if final is None else side.with_fitted_states(final.hypothesis, exact=False).windows.base
     other = np.concatenate([windows.target_q, windows.target_v], -1) if final is None else after
     away = windows.minus(before, other)[..., : windows.nv] / bench.sigma[: windows.nv]
-    plain = np.flatnonzero(model.jnt_type[model.dof_jntid] >= 2)
+    plain = np.flatnonzero((model.jnt_type[model.dof_jntid] >= 2) & windows.data.measured[: windows.nv])
     if not len(plain):
         return ()
     far = np.nan_to_num((away[..., plain] ** 2).sum(1), posinf=0.0)  # (W, joints)

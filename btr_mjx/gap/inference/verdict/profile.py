@@ -44,10 +44,11 @@ def profiled(bench: Bench, judged: Judged, rng: np.random.Generator) -> Estimate
         return None
     (candidate, (value,)) = judged.hypothesis.effects[0]
     (parameter,) = candidate.parameters
+    head = judged.hypothesis.values(bench.joint)[:-1]
     for scale in _SCALES:
         step = scale * CONTACT_STEP * abs(parameter.step)
         sizes = np.unique(np.clip(value + step * _STEPS, parameter.low, parameter.high))
-        worlds = [judged.hypothesis.replaced([size], bench.joint) for size in sizes]
+        worlds = [judged.hypothesis.replaced(np.append(head, size), bench.joint) for size in sizes]
         loss = np.array(run_in_threads([partial(_losses, bench, judged, world) for world in worlds]))  # (sizes, W)
         centre = _lowest(sizes, loss.sum(1)) if len(sizes) >= _FEWEST else None
         if centre is not None:
