@@ -159,3 +159,20 @@ def test_unstable_model_is_an_error() -> None:
         refuse_errors(findings)
     assert any("unstable" in text for text in of_level(preflight(with_unstable_servo(0, 1 / 3)), "warning"))
     assert not any("unstable" in finding.message for finding in preflight(SOUND))
+
+
+def test_a_joint_that_hardly_moves_gets_no_advice_on_its_sign() -> None:
+    """A gripper that creeps: the slope of its positions is noise, which its velocity does not follow."""
+    rng = np.random.default_rng(5)
+
+    def creeping(recording: Recording) -> Recording:
+        qpos, qvel = recording.qpos.copy(), recording.qvel.copy()
+        sigma = ROBOT.sigma(ROBOT.model)
+        qpos[:, 2] = np.linspace(0, 30 * sigma[0], len(qpos)) + sigma[0] * rng.normal(size=len(qpos))
+        qvel[:, 2] = sigma[1] * rng.normal(size=len(qvel))
+        return dataclasses.replace(recording, qpos=qpos, qvel=qvel)
+
+    assert not any("check its sign" in message for message in of_level(preflight(changed(creeping)), "warning"))
+    assert any(
+        "check its sign" in message for message in of_level(preflight(changed(scaled("qvel", 2, -1.0))), "warning")
+    )
