@@ -167,7 +167,7 @@ def test_a_joint_that_hardly_moves_gets_no_advice_on_its_sign() -> None:
 
     def creeping(recording: Recording) -> Recording:
         qpos, qvel = recording.qpos.copy(), recording.qvel.copy()
-        sigma = ROBOT.sigma(ROBOT.model)
+        sigma = [values[2] for values in ROBOT.sigma(ROBOT.model)]
         qpos[:, 2] = np.linspace(0, 30 * sigma[0], len(qpos)) + sigma[0] * rng.normal(size=len(qpos))
         qvel[:, 2] = sigma[1] * rng.normal(size=len(qvel))
         return dataclasses.replace(recording, qpos=qpos, qvel=qvel)
