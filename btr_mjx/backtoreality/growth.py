@@ -19,7 +19,7 @@ from btr_mjx.evaluation import evaluate
 from btr_mjx.gap.data import Dataset, Recording
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
 from btr_mjx.gap.inference import identify
-from btr_mjx.gap.results import Diagnosis, EffectEdit, FoundEffect, resolve_effect
+from btr_mjx.gap.results import Diagnosis, EffectEdit, FoundEffect, hypothesis_in_words, resolve_effect
 from btr_mjx.gap.simulate import World, differing_fields
 from btr_mjx.models import PathParameter, general_model, read_field, write_field
 from btr_mjx.robots import Robot
@@ -172,6 +172,6 @@ def growth_sentence(row: Mapping[str, Any]) -> str:
     if row["verdict"] == "within calibration":
         return f"{where} is no more than errors of calibration leave ({row['calibration']:.4g}): nothing is sought"
     if row["added"]:
-        return f"{where}; missing: {', '.join(row['added'])}, now part of the simulator"
+        return f"{where}; missing: {', '.join(map(hypothesis_in_words, row['added']))}, now part of the simulator"
     data = "recordings" if row["from"] == "recordings" else "fitness alone"
     return f"{where}; the search for a missing effect by {data} says {row['verdict']}"

@@ -15,6 +15,7 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from btr_mjx.gap.results import number_in_words
 from btr_mjx.plotting.axes import (
     ABOVE,
     block_offsets,
@@ -111,7 +112,9 @@ def parameter_values(run: RunData) -> Figure:
         margin = 0.04 * box.span[i]
         axes.set(
             ylim=(box.low[i] - margin, box.high[i] + margin),
-            ylabel=textwrap.fill(with_unit(box.names[i], box.units[i].replace(" ", "\N{NO-BREAK SPACE}")), 24),
+            ylabel=textwrap.fill(
+                with_unit(number_in_words(box.names[i]), box.units[i].replace(" ", "\N{NO-BREAK SPACE}")), 24
+            ),
         )
         sides = ("t" if i < columns else "") + ("b" if i >= box.n - columns else "")
         generation_axis(axes, run.simulations, offsets, spacing, border=1 - 0.5 * (spacing + 1), most=9, sides=sides)

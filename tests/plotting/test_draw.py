@@ -1,5 +1,6 @@
 """Figures show what the run folder holds, nothing else, and can be drawn whatever went wrong in the run."""
 
+import dataclasses
 import functools
 import subprocess
 import sys
@@ -16,7 +17,7 @@ from btr_mjx.evaluation import FITNESS_FUNCTIONS
 from btr_mjx.plotting import draw as plots
 from btr_mjx.plotting import figures, pictures, robot_figure
 from btr_mjx.plotting.run_data import read_robot, read_run, read_scan
-from btr_mjx.robots import hexapod
+from btr_mjx.robots import Box, hexapod
 from btr_mjx.runs import write_arrays, write_json, write_table
 
 ROBOT = hexapod()
@@ -210,6 +211,14 @@ def test_limb_lengths(tmp_path, truth):
         drawn = [one.get_ydata()[0] for one in axes.lines if one.get_label() == "truth"]
         assert drawn == ([run.truth[i]] if truth else [])
         assert axes.get_ylabel() == f"{run.box.names[i]} [m]"
+
+
+def test_a_number_of_a_simulator_that_grew_is_written_in_words(tmp_path):
+    run = read_run(write_run(tmp_path))
+    names = ["bl_5", "dry_friction joint:shoulder torque"]
+    grown = dataclasses.replace(run, box=Box(names, run.box.low, run.box.high, units=["m", "N m"]))
+    labels = [" ".join(axes.get_ylabel().split()) for axes in figures.parameter_values(grown).axes]
+    assert labels == ["bl_5 [m]", "dry friction at joint shoulder [N m]"]
 
 
 def test_members_are_darker_the_worse_they_are(tmp_path):

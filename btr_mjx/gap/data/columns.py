@@ -185,10 +185,14 @@ def check_names(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, where:
             what = "actuator" if kind in ("ctrl", "force") else "joint"
             near = nearest_names(column, known[kind])
             raise InputError(f"{where}: column {column!r} names no {what} of the model; nearest: {near}")
-    for column in ["time", *positions, *controls]:
+    # A joint without any column has no encoder, see `unmeasured`.
+    joints = part_names(model, "joint")
+    begun = {name for name in joints if any(c == f"qpos/{name}" or c.startswith(f"qpos/{name}/") for c in columns)}
+    needed = [c for c in positions if any(c == f"qpos/{name}" or c.startswith(f"qpos/{name}/") for name in begun)]
+    for column in ["time", *needed, *controls]:
         if column not in columns:
             raise InputError(f"{where}: there is no column {column!r}; nearest in the file: {_near(column, columns)}")
-    for name in part_names(model, "joint"):
+    for name in joints:
         of_joint = [c for c in velocities if c == f"qvel/{name}" or c.startswith(f"qvel/{name}/")]
         missing = [c for c in of_joint if c not in columns]
         if 0 < len(missing) < len(of_joint):

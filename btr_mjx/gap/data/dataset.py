@@ -2,6 +2,7 @@
 
     [model]
     file = "robot.xml"                  # MJCF of the believed model
+    unmeasured = ["passive_knee"]       # optional: joints without an encoder
 
     [[parameter]]                       # parameters that may be refitted (any number, or none)
     name = "knee damping"
@@ -46,13 +47,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 import mujoco
+import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.formats.ros_bag import TOPICS
 from btr_mjx.gap.data.held import stairs
 from btr_mjx.gap.data.logs import LogOptions
 from btr_mjx.gap.data.long_files import Advance, count_rows, shares
-from btr_mjx.gap.data.noise import Noise, estimate_noise, read_noise
+from btr_mjx.gap.data.noise import Noise, estimate_noise, read_noise, without_sensor
 from btr_mjx.gap.data.recording import (
     Reading,
     Recording,
@@ -62,7 +64,7 @@ from btr_mjx.gap.data.recording import (
     recording_files,
     split_parts,
 )
-from btr_mjx.models import PathParameter, read_path_parameter
+from btr_mjx.models import PathParameter, part_names, read_path_parameter
 from btr_mjx.runs import check_keys, file_inside, is_number, read_toml, toml_rows, toml_section
 
 DATASET_FILE = "dataset.toml"
@@ -157,7 +159,9 @@ def load_table(
     if not listed:
         raise InputError(f'{path}: there is no [[recording]]; add one with file = "..."')
     stated = table.get("control", {}).get("interpolation")
-    options = LogOptions(_texts(table, "columns", path), _topics(table, path, notes), hint)
+    options = LogOptions(
+        _texts(table, "columns", path), _topics(table, path, notes), _unmeasured(table, head.model, path), hint
+    )
     reading = Reading(options, hold=stated in (None, "hold"))
     places = [f"{path}: [[recording]] {i + 1}" for i in range(len(listed))]
     files = [recording_files(row, head.folder, where) for row, where in zip(listed, places, strict=True)]
@@ -192,6 +196,14 @@ def _texts(table: Mapping[str, Any], key: str, path: Path) -> Mapping[str, str]:
     found = table.get(key, {})
     if not isinstance(found, Mapping) or not all(isinstance(value, str) for value in found.values()):
         raise InputError(f'{path}: [{key}]: expected lines of "NAME" = "NAME", got {found!r}')
+    return found
+
+
+def _unmeasured(table: Mapping[str, Any], model: mujoco.MjModel, path: Path) -> Sequence[str]:
+    """Names of the joints that are said to have no encoder."""
+    found, names = toml_section(table, "model", path).get("unmeasured", []), part_names(model, "joint")
+    if not isinstance(found, list) or not all(name in names for name in found):
+        raise InputError(f"{path}: [model] unmeasured = {found!r}: expected a list of joints, of {', '.join(names)}")
     return found
 
 
@@ -264,7 +276,7 @@ def header_of(table: Mapping[str, Any], folder: Path, path: Path, more: Sequence
     notes: list[str] = []
     check_keys(table, (*TABLES, *more), f"{path}", notes)
     about = toml_section(table, "model", path)
-    check_keys(about, ("file",), f"{path}: [model]", notes)
+    check_keys(about, ("file", "unmeasured"), f"{path}: [model]", notes)
     model_file = file_inside(about, "file", folder, f"{path}: [model]")
     model, spec_xml = load_model(model_file, folder)
     control = table.get("control", {})
@@ -291,9 +303,11 @@ def header_of(table: Mapping[str, Any], folder: Path, path: Path, more: Sequence
 
 def noise_of(dataset: Dataset) -> Noise:
     """The sensor noise: as given in the dataset, else estimated from all recordings."""
+    seen = np.all([r.seen for r in dataset.recordings], axis=0)
     if dataset.noise is not None:
-        return dataset.noise
-    return estimate_noise(dataset.model, [(r.time, r.qpos, r.qvel, r.qvel_measured) for r in dataset.recordings])
+        return without_sensor(dataset.noise, seen)
+    tracks = [(r.time, r.qpos, r.qvel, r.qvel_measured) for r in dataset.recordings]
+    return without_sensor(estimate_noise(dataset.model, tracks), seen)
 
 
 def _tolerances(table: Any, path: Path) -> dict[str, float]:

@@ -1,6 +1,6 @@
 """Logs of any format: their tables, and the columns of a model that follow from them."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -34,11 +34,13 @@ class LogOptions:
     Attributes:
       columns: names of the model by name in the log.
       topics: topics by key of `formats.ros_bag.TOPICS`.
+      unmeasured: names of joints that are said to have no encoder.
       hint: lines of dataset.toml that a remedy has to name besides, where there is no such file yet.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
     topics: Mapping[str, str] = field(default_factory=dict)
+    unmeasured: Collection[str] = ()
     hint: str = ""
 
 
@@ -164,7 +166,7 @@ def plan_tables(
     """
     named = [(label, names) for label, names, _ in tables]
     matched = match_columns(named, model, options.columns, where, options.hint, labelled=len(tables) > 1)
-    check_matched(matched, named, model, where, options.hint)
+    check_matched(matched, named, model, where, options.unmeasured, options.hint)
     notes += matched.notes
     plans = []
     for i, (_, names, units) in enumerate(tables):

@@ -7,7 +7,7 @@ taken in the order of the model, if there are as many. Whatever stays ambiguous 
 """
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import mujoco
@@ -130,15 +130,24 @@ def remedy(column: str, target: str, hint: str) -> str:
 
 
 def check_matched(
-    matched: Matched, tables: Sequence[tuple[str, Sequence[str]]], model: mujoco.MjModel, where: str, hint: str
+    matched: Matched,
+    tables: Sequence[tuple[str, Sequence[str]]],
+    model: mujoco.MjModel,
+    where: str,
+    unmeasured: Collection[str] = (),
+    hint: str = "",
 ) -> None:
     """Check that every required column of a model was found, and no name misspelt.
+
+    A hinge or slide without a column has no encoder only where that is said, or where no column of the log is left
+    that may be its own.
 
     Args:
       matched: the matches.
       tables: label and column names of each table.
       model: the model.
       where: file, for messages.
+      unmeasured: names of joints that are said to have no encoder.
       hint: lines of dataset.toml that a remedy has to name besides.
 
     Raises:
@@ -168,9 +177,13 @@ def check_matched(
     for column in [*positions, *controls]:
         kind, _, name = column.partition("/")
         if not {column, kind, f"{kind}/{name.rpartition('/')[0]}"} & found:
+            if kind == "qpos" and "/" not in name and (name in unmeasured or not free):
+                continue
             near = nearest_names(name, free or known)
+            hidden = f', or, without an encoder, [model] unmeasured = ["{name}"]' if kind == "qpos" else ""
             raise InputError(
-                f"{where}: there is no column {column!r}; nearest in the file: {near}; {remedy('NAME', column, hint)}"
+                f"{where}: there is no column {column!r}; nearest in the file: {near}; "
+                f"{remedy('NAME', column, hint)}{hidden}"
             )
     for name in part_names(model, "joint"):
         of_joint = [c for c in velocities if c == f"qvel/{name}" or c.startswith(f"qvel/{name}/")]

@@ -13,6 +13,7 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns import SUFFIXES, state_columns
+from btr_mjx.gap.data.unmeasured import POSITION_SIGMA, VELOCITY_SIGMA
 from btr_mjx.models import difference, part_names
 from btr_mjx.runs import check_keys, is_number
 
@@ -116,6 +117,18 @@ def estimate_noise(model: mujoco.MjModel, tracks: Sequence[_Samples]) -> Noise:
     left = np.abs(np.concatenate(qvel))[:, ever]
     sigma_v[ever] = np.maximum(np.nanmedian(left, axis=0) / 0.6745, floor[1, ever])
     return Noise(sigma_q, sigma_v)
+
+
+def without_sensor(noise: Noise, seen: np.ndarray) -> Noise:
+    """The noise, with the steps by which states are varied at joints without an encoder.
+
+    Args:
+      noise: of all coordinates.
+      seen: (nv,) bool: positions that were measured.
+    """
+    if seen.all():
+        return noise
+    return Noise(np.where(seen, noise.qpos, POSITION_SIGMA), np.where(seen, noise.qvel, VELOCITY_SIGMA))
 
 
 def reduced_noise(sigma: np.ndarray, channels: np.ndarray, residual: np.ndarray, freedom: float) -> np.ndarray | None:

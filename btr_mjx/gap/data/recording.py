@@ -20,8 +20,9 @@ from btr_mjx.gap.data.logs import LogOptions, is_log, read_log
 from btr_mjx.gap.data.long_files import Advance, Share, read_stretches
 from btr_mjx.gap.data.plausible import check_sizes, check_span
 from btr_mjx.gap.data.samples import check_time, complete_rows, estimate_velocity, normalise_quaternions, whole_parts
+from btr_mjx.gap.data.unmeasured import estimate_motion, unmeasured_joints
 from btr_mjx.gap.data.wraps import unwrap_hinges
-from btr_mjx.models import COMPILE_ERRORS, check_mjcf, check_model, set_values
+from btr_mjx.models import COMPILE_ERRORS, check_mjcf, check_model, part_names, set_values
 from btr_mjx.runs import check_keys, file_inside, is_number, read_text
 
 MIN_SAMPLES = 20
@@ -40,6 +41,7 @@ class Recording:
       ctrl: (K, nu) commands.
       qpos: (K, nq), qvel: (K, nv) measured states in MuJoCo's conventions.
       qvel_measured: (nv,) bool; False where the velocity was estimated from positions.
+      qpos_measured: (nv,) bool; False at joints without an encoder, whose states are estimated; None for all measured.
       split: "fit" or "test" (held out).
       model: the believed model of this recording, with its overrides.
       force: (K,) measured actuator forces by actuator.
@@ -62,11 +64,17 @@ class Recording:
     notes: tuple[str, ...] = ()
     sent: tuple[np.ndarray, np.ndarray] | None = None
     held_commands: bool = False
+    qpos_measured: np.ndarray | None = None
 
     @property
     def commands(self) -> tuple[np.ndarray, np.ndarray]:
         """Times (N,) [s] and commands (N, nu): all that are known."""
         return (self.time, self.ctrl) if self.sent is None else self.sent
+
+    @property
+    def seen(self) -> np.ndarray:
+        """(nv,) bool: which positions were measured."""
+        return np.ones(self.model.nv, bool) if self.qpos_measured is None else self.qpos_measured
 
     def part(self, rows: slice, split: Split, name: str) -> "Recording":
         """A part of the recording, as a recording with another name and split."""
@@ -104,7 +112,7 @@ def load_model(path: Path, inside: Path) -> tuple[mujoco.MjModel, str]:
     except COMPILE_ERRORS as error:
         raise InputError(f"{path}: MuJoCo does not load this model: {one_line(error)}") from None
     if model.njnt == 0:
-        raise InputError(f"{path}: the model has no joint; expected one that moves")
+        raise InputError(f"{path}: the model has no joints, so that nothing can move; expected at least one")
     check_model(model, str(path))
     return model, text
 
@@ -253,10 +261,12 @@ def make_recordings(
     notes: list[str] = []
     merged, held = on_one_clock([ungroup_columns(table, model, where) for table in tables], model, hold, where, notes)
     ignored = check_names(merged, model, where)
+    unmeasured = unmeasured_joints(merged, model, where)
     notes += (
         [f"columns without a use: {', '.join(ignored[:8])}{', ...' if len(ignored) > 8 else ''}"] if ignored else []
     )
     positions, velocities = state_columns(model)
+    positions = [c for c in positions if c in merged]
     needed = ["time", *positions, *control_columns(model), *(c for c in velocities if c in merged)]
     sound = complete_rows(merged, needed, where, notes)
     flat = {key: value[sound] for key, value in merged.items()}
@@ -266,7 +276,9 @@ def make_recordings(
         raise EmptyRecording(
             f"{where}: {len(sound)} samples are too short for a window; expected at least {MIN_SAMPLES}"
         )
-    qpos = np.stack([flat[c] for c in positions], axis=1)
+    qpos = np.tile(model.qpos0, (len(sound), 1))
+    seen = np.delete(np.arange(model.nq), model.jnt_qposadr[unmeasured])
+    qpos[:, seen] = np.stack([flat[c] for c in positions], axis=1)
     normalise_quaternions(qpos, model, where)
     controls = control_columns(model)
     ctrl = np.stack([flat[c] for c in controls], axis=1) if controls else np.empty((len(sound), 0))
@@ -284,6 +296,7 @@ def make_recordings(
             name if len(parts) == 1 else f"{name} (part {i + 1})",
             notes,
             held,
+            unmeasured,
         )
         for i, part in enumerate(parts)
     ]
@@ -298,6 +311,7 @@ def _recording(
     name: str,
     notes: Sequence[str],
     held: bool,
+    unmeasured: list[int],
 ) -> Recording:
     """The recording of rows without a hole."""
     time, notes = flat["time"], list(notes)
@@ -318,10 +332,18 @@ def _recording(
     qvel = np.empty((len(time), model.nv))
     if not measured.all():
         qvel = estimate_velocity(model, time, qpos)
-        names = sorted({c.split("/")[1] for c, m in zip(velocities, measured, strict=True) if not m})
+        hidden = {part_names(model, "joint")[j] for j in unmeasured}
+        if hidden:
+            notes.append(f"joints without an encoder, whose states are estimated: {', '.join(sorted(hidden))}")
+        names = sorted({c.split("/")[1] for c, m in zip(velocities, measured, strict=True) if not m} - hidden)
+    if not measured.all() and names:
         notes.append(f"velocity estimated from positions: {', '.join(names[:8])}{', ...' if len(names) > 8 else ''}")
     for i in np.flatnonzero(measured):
         qvel[:, i] = flat[velocities[i]]
+    encoders = np.ones(model.nv, bool)
+    if unmeasured:
+        encoders[model.jnt_dofadr[unmeasured]] = False
+        estimate_motion(model, time, ctrl, qpos, qvel, unmeasured)
     return Recording(
         name=name,
         time=time,
@@ -336,6 +358,7 @@ def _recording(
         notes=tuple(notes),
         sent=sent,
         held_commands=held,
+        qpos_measured=encoders,
     )
 
 

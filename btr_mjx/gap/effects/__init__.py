@@ -11,6 +11,7 @@ from btr_mjx.gap.effects.per_member import EACH_MEMBER, per_member
 from btr_mjx.gap.effects.places import (
     WORLD,
     Place,
+    actuator_count,
     actuator_places,
     body_place,
     ground_geoms,
@@ -30,6 +31,7 @@ __all__ = [
     "Parameter",
     "Place",
     "Scales",
+    "actuator_count",
     "actuator_places",
     "body_place",
     "candidates",

@@ -16,7 +16,7 @@ import numpy as np
 from btr_mjx.gap.data import Dataset, Recording
 from btr_mjx.gap.experiments.trial_commands import random_commands
 from btr_mjx.gap.inference import Hypothesis
-from btr_mjx.gap.results import Diagnosis, NextExperiment
+from btr_mjx.gap.results import Diagnosis, NextExperiment, hypothesis_in_words
 from btr_mjx.gap.simulate import Command, Counter, Segments, simulate
 from btr_mjx.gap.windows import Span, Windows, linearise, prepare
 from btr_mjx.models import integrate
@@ -48,10 +48,10 @@ def propose(
       counter: counts the simulated steps.
 
     Returns:
-      The proposal; None where fewer than two hypotheses survived.
+      The proposal; None where fewer than two hypotheses survived, or where nothing takes a command.
     """
     survivors = diagnosis.survivors[:3]
-    if len(survivors) < 2:
+    if len(survivors) < 2 or not dataset.model.nu:
         return None
     rng = np.random.default_rng(seed)
     commands = commands or random_commands(dataset, rng, _RANDOM_COMMANDS)
@@ -65,7 +65,8 @@ def propose(
     names = survivors[pair[0]].name, survivors[pair[1]].name
     middle = float(np.median(values))
     reason = (
-        f"one recording of it is expected to separate {names[0]} from {names[1]} by {values[best]:.0f} "
+        f"one recording of it is expected to separate {hypothesis_in_words(names[0])} from "
+        f"{hypothesis_in_words(names[1])} by a score of {values[best]:.0f} "
         f"(a typical command: {middle:.0f}; {DECISIVE_MARGIN:.0f} are needed)"
     )
     return NextExperiment(

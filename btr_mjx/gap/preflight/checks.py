@@ -15,7 +15,7 @@ from btr_mjx.gap.data import Dataset, Noise, noise_of
 from btr_mjx.gap.preflight.conventions import position_conventions
 from btr_mjx.gap.preflight.drift import clock_drift
 from btr_mjx.gap.preflight.excitation import JointTrack, joint_tracks, moves, unexcited_effects
-from btr_mjx.gap.preflight.findings import Finding, listed
+from btr_mjx.gap.preflight.findings import Finding, Level, listed
 from btr_mjx.gap.preflight.repeats import angle_jumps, held_commands, held_positions
 from btr_mjx.gap.preflight.stability import stability
 from btr_mjx.gap.preflight.timing import response_delays, sampling
@@ -45,7 +45,8 @@ def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Fi
     findings += [Finding("warning" if "unknown key" in line else "note", "loading", line) for line in dataset.notes]
     for line in dict.fromkeys(note for recording in dataset.recordings for note in recording.notes):
         names = [r.name for r in dataset.recordings if line in r.notes]
-        findings.append(Finding("note", "loading", f"{line} ({listed(names)})"))
+        level: Level = "warning" if line.startswith("joints without an encoder") else "note"
+        findings.append(Finding(level, "loading", f"{line} ({listed(names)})"))
     findings += sampling(dataset)
     findings += held_positions(dataset) + held_commands(dataset) + angle_jumps(dataset)
     findings += _conventions(dataset, joints, noise, findings)

@@ -7,8 +7,11 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.data import Dataset, Recording
-from btr_mjx.gap.effects import ground_geoms, joint_of
+from btr_mjx.gap.effects import actuator_count, ground_geoms, joint_of
 from btr_mjx.models import difference, part_names
+
+_LEAST_MOTION = 1e-4
+"""Range of a coordinate beyond which it moves [rad or m]."""
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 
@@ -44,12 +47,12 @@ class JointTrack:
 def joint_tracks(dataset: Dataset) -> list[JointTrack]:
     """The samples of every hinge and slide of a dataset."""
     model = dataset.model
-    driven = {joint_of(model, a): a for a in range(model.nu)}
+    driven = {joint_of(model, a): a for a in range(actuator_count(model))}
     slopes = [_slopes(r) for r in dataset.recordings]
     out = []
     for j, name in enumerate(part_names(model, "joint")):
         kind = int(model.jnt_type[j])
-        if kind not in (_HINGE, _SLIDE):
+        if kind not in (_HINGE, _SLIDE) or not all(r.seen[model.jnt_dofadr[j]] for r in dataset.recordings):
             continue
         q, v = int(model.jnt_qposadr[j]), int(model.jnt_dofadr[j])
         a = driven.get(j)
@@ -78,17 +81,6 @@ def _slopes(recording: Recording) -> np.ndarray:
     return np.concatenate([inner[:1], inner, inner[-1:]])
 
 
-def moves(dataset: Dataset) -> bool:
-    """Whether a free or ball joint moves by more than 1e-3 rad or m."""
-    model = dataset.model
-    large = [j for j, kind in enumerate(model.jnt_type) if int(kind) not in (_HINGE, _SLIDE)]
-    if not large:
-        return False
-    own = np.isin(model.dof_jntid, large)
-    rows = [r.qpos[:: max(1, len(r.qpos) // 200)] for r in dataset.recordings]
-    return any(bool((np.ptp(difference(model, q[:1], q)[:, own], axis=0) > 1e-3).any()) for q in rows)
-
-
 def unexcited_effects(dataset: Dataset, joints: Sequence[JointTrack] | None = None) -> dict[str, str]:
     """Reason why these data do not excite an effect, for each effect that is checked.
 
@@ -101,40 +93,53 @@ def unexcited_effects(dataset: Dataset, joints: Sequence[JointTrack] | None = No
     """
     joints = joint_tracks(dataset) if joints is None else joints
     model = dataset.model
-    moving = [j for j in joints if np.ptp(j.qpos) > 1e-4]
+    moving = [j for j in joints if np.ptp(j.qpos) > _LEAST_MOTION]
     driven = [j for j in moving if j.actuator is not None]
     reversals = [int(np.count_nonzero(np.diff(np.sign(j.slope)))) for j in moving]
+    anything = bool(moving) or moves(dataset)
     feet, _ = ground_geoms(model)
-    nothing = "" if moving else "no hinge or slide moves"
-    undriven = "" if driven else "no driven hinge or slide moves"
-    # Thrusters at sites and tendons drive without a joint of their own.
-    useless = (
-        "" if driven or (moves(dataset) and any(joint_of(model, a) is None for a in range(model.nu))) else undriven
-    )
+    nothing = "" if anything else "nothing moves"
+    jointless = "" if joints else "the model has no hinge or slide"
+    still = jointless or ("" if moving else "no joint moves")
+    unpowered = "" if actuator_count(model) else "the model has no actuators"
+    # Thrusters act at sites, cables at tendons: they drive what they are attached to, not one joint.
+    elsewhere = any(joint_of(model, a) is None for a in range(actuator_count(model)))
+    undriven = unpowered or ("" if driven or (elsewhere and anything) else "no driven joint moves")
+    undriven_joints = unpowered or ("" if driven else "no joint that an actuator drives directly moves")
     turns = "" if max(reversals, default=0) >= 4 else "no joint reverses its motion more than a few times"
     ground = "" if feet else "nothing can touch the ground"
-    constant = "" if any(np.ptp(r.ctrl, axis=0).any() for r in dataset.recordings) else "every command is constant"
-    fixed = "" if (model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).any() else "the robot is bolted down"
-    one_tone = _one_tone(dataset)
+    commanded = any(np.ptp(r.ctrl, axis=0).any() for r in dataset.recordings)
+    constant = unpowered or ("" if commanded else "every command is constant")
+    weight = np.linalg.norm(model.opt.gravity) > 0
     return {
-        "viscous_damping": nothing,
-        "dry_friction": nothing or turns,
-        "load_friction": undriven or turns,
-        "stribeck_friction": nothing or turns,
-        "armature": nothing,
-        "joint_stiffness": nothing,
-        "joint_offset": "" if feet or not fixed or np.linalg.norm(model.opt.gravity) > 0 else "no weight, no contact",
-        "backlash": undriven or turns,
-        "actuator_delay": constant or useless,
-        "actuator_lag": constant or useless or one_tone,
-        "command_rate_limit": constant or useless,
-        "actuator_gain": useless,
-        "torque_limit": useless,
+        "viscous_damping": still,
+        "dry_friction": still or turns,
+        "load_friction": undriven_joints or turns,
+        "stribeck_friction": still or turns,
+        "armature": still,
+        "joint_stiffness": still,
+        "joint_offset": jointless or ("" if feet or weight else "no weight, no contact"),
+        "backlash": undriven_joints or turns,
+        "actuator_delay": constant or undriven,
+        "actuator_lag": constant or undriven or _one_tone(dataset),
+        "command_rate_limit": constant or undriven,
+        "actuator_gain": undriven,
+        "torque_limit": undriven,
         "ground_friction": ground,
-        "ground_slope": "" if np.linalg.norm(model.opt.gravity) > 0 else "there is no gravity",
+        "ground_slope": "" if weight else "there is no gravity",
         "contact_softness": ground,
-        "air_drag": nothing if fixed else "",
+        "air_drag": nothing,
     }
+
+
+def moves(dataset: Dataset) -> bool:
+    """Whether a free or ball joint moves in a recording."""
+    model = dataset.model
+    others = ~np.isin(model.jnt_type[model.dof_jntid], (_HINGE, _SLIDE))
+    if not others.any():
+        return False
+    away = (np.ptp(difference(model, r.qpos[:1], r.qpos)[:, others], axis=0) for r in dataset.recordings)
+    return any((far > _LEAST_MOTION).any() for far in away)
 
 
 def _one_tone(dataset: Dataset) -> str:

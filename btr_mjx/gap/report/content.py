@@ -6,10 +6,13 @@ from typing import Any
 
 from btr_mjx.gap.results import (
     REASON_NOT_NAMED,
+    detail_sentences,
     effect_at_place,
     effect_title,
     estimate_cells,
     format_number,
+    in_percent,
+    place_in_words,
     verdict_sentence,
 )
 from btr_mjx.runs import read_json, read_table
@@ -39,18 +42,20 @@ def content(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
     effects = [
         {
             "effect": effect_title(effect["effect"]),
-            "location": effect["location"],
+            "location": place_in_words(str(effect["location"])),
             "name": name.replace("_", " "),
             **estimate_cells(parameter),
             "unit": _unit(parameter.get("unit")),
         }
         for effect in result.get("effects") or []
-        for name, parameter in effect["parameters"].items()
+        for name, given in effect["parameters"].items()
+        for parameter in [in_percent(name, given)]
     ]
     return {
         "heading": "Simulation against data",
         "dataset": str(result.get("dataset") or folder.name),
         "sentence": verdict_sentence(result),
+        "details": detail_sentences(result),
         "gap": _gap(result.get("gap") or {}, bool(effects)),
         "effects": effects,
         "interval_note": str(
@@ -185,7 +190,11 @@ def _mended(folder: Path) -> dict[str, Any] | None:
     if (folder / "mended.json").is_file():
         saved = read_json(folder / "mended.json")
         terms = [
-            {"effect": effect_title(t["effect"]), "location": t["location"], "equation": str(t.get("equation", ""))}
+            {
+                "effect": effect_title(t["effect"]),
+                "location": place_in_words(t["location"]),
+                "equation": str(t.get("equation", "")),
+            }
             for t in saved.get("terms", [])
         ]
         native = [

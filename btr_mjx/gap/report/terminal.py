@@ -19,7 +19,7 @@ def print_findings(findings: Sequence[Finding]) -> None:
 
 
 def print_result(result: Mapping[str, Any], folder: Path) -> None:
-    """Print the verdict and the first six candidates of the ranking.
+    """Print the verdict, the first six candidates of the ranking, and what else there is to say.
 
     Args:
       result: content of result.json.
@@ -31,6 +31,10 @@ def print_result(result: Mapping[str, Any], folder: Path) -> None:
         print(f"\n{'candidate':60}{'score':>12}{'held-out gain':>16}")
     for row in rows:
         print(f"{effect_at_place(row):60}{row['score']:12.1f}{row['held_out']:16.1f}")
+    if rows and result.get("details"):
+        print()
+    for line in result.get("details") or []:
+        print(textwrap.fill(line, 110, initial_indent="  - ", subsequent_indent="    "))
     print(f"\nall files in {folder}")
 
 

@@ -1,9 +1,9 @@
 """Results of a diagnosis: records, sentences, files, and the mended model.
 
 `Diagnosis` holds everything that the page or result.json needs. `save_diagnosis` writes its files, `verdict_sentence`
-describes it in one paragraph. `mend` adds the effects that were found to the MJCF, `Callback` adds those that MJCF
-cannot express to a simulation. `added_effects` makes parts of a robot of effects, and `mended_robot` a space of
-simulations for Back-to-Reality.
+says it in two sentences, `detail_sentences` the rest. `mend` adds the effects that were found to the MJCF, `Callback`
+adds those that MJCF cannot express to a simulation. `added_effects` makes parts of a robot of effects, and
+`mended_robot` a space of simulations for Back-to-Reality.
 """
 
 from btr_mjx.gap.results.effect_simulator import EffectEdit, EffectSimulator, added_effects
@@ -24,6 +24,7 @@ from btr_mjx.gap.results.records import (
 )
 from btr_mjx.gap.results.saved import RESULT, as_result, save_diagnosis
 from btr_mjx.gap.results.simulation_file import simulation_mjcf
+from btr_mjx.gap.results.verdict_words import detail_sentences, verdict_sentence
 from btr_mjx.gap.results.wording import (
     REASON_NOT_NAMED,
     confound_sentence,
@@ -31,9 +32,11 @@ from btr_mjx.gap.results.wording import (
     effect_title,
     estimate_cells,
     format_number,
+    hypothesis_in_words,
+    in_percent,
+    number_in_words,
     place_in_words,
     refit_sentence,
-    verdict_sentence,
 )
 
 __all__ = [
@@ -59,12 +62,16 @@ __all__ = [
     "added_effects",
     "as_result",
     "confound_sentence",
+    "detail_sentences",
     "effect_at_place",
     "effect_title",
     "estimate_cells",
     "format_number",
+    "hypothesis_in_words",
+    "in_percent",
     "mend",
     "mended_robot",
+    "number_in_words",
     "place_in_words",
     "refit_sentence",
     "resolve_effect",

@@ -15,7 +15,8 @@ from btr_mjx.gap.effects import KNOWN_EFFECTS, Effect
 from btr_mjx.gap.results.exported import export_diagnosis
 from btr_mjx.gap.results.mended_model import FoundEffect, MendedModel, mend
 from btr_mjx.gap.results.records import Diagnosis, DisagreementMap, NextExperiment
-from btr_mjx.gap.results.wording import place_in_words, verdict_sentence
+from btr_mjx.gap.results.verdict_words import detail_sentences, verdict_sentence
+from btr_mjx.gap.results.wording import place_in_words
 from btr_mjx.models import parse_path, part_names
 from btr_mjx.runs import atomic_write, write_arrays, write_json, write_table
 
@@ -58,7 +59,7 @@ def save_diagnosis(
         _write_text(folder / "mended.xml", mended.xml)
         write_json(folder / "mended.json", mended.as_json())
         result["mended"] = "mended.xml"
-    result["sentence"] = verdict_sentence(result)
+    result["sentence"], result["details"] = verdict_sentence(result), detail_sentences(result)
     _write_tables(result, diagnosis.disagreement, folder)
     write_arrays(folder / "disagreement.npz", _map_arrays(diagnosis.disagreement))
     write_arrays(folder / "overlays.npz", _overlay_arrays(diagnosis, dataset.model))

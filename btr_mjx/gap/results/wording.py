@@ -1,10 +1,10 @@
-"""The results of a diagnosis in sentences: the verdict, effects, places, and numbers with their intervals.
+"""Words for effects, places, and numbers with their intervals, as sentences, tables and figures have them.
 
-Every function returns text and computes nothing else. The sentences are part of result.json and of the page.
+Every function returns text and computes nothing else. `verdict_words` builds the sentences of a verdict of them.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from btr_mjx.gap.effects import EACH_MEMBER
@@ -52,11 +52,11 @@ _MORE: Mapping[str, tuple[str, str]] = {
 }
 """Effects whose first parameter may rise or fall: words for an increase and for a decrease."""
 
-TIMES_NOISE = 3.0
-"""A held-out gap beyond which the verdict says how much is left, in units of what simulated nulls leave."""
-
-_FEW = 6
+_FEW = 3
 """So many numbers of the members of a group are written out in a sentence, at most."""
+
+_SEVERAL_NUMBERS = ("stribeck_friction", "payload", "com_shift", "constant_force", "ground_slope")
+"""Effects with several numbers, whose names say which one is meant."""
 
 REASON_NOT_NAMED = "small errors of calibration explain nearly as much, or held-out recordings do not bear it out"
 """Reason why a candidate is neither named nor ruled out."""
@@ -82,6 +82,15 @@ def place_in_words(label: str) -> str:
 def effect_at_place(row: Mapping[str, Any]) -> str:
     """Effect and place of an entry of results, in words."""
     return f"{effect_title(str(row['effect']))} at {place_in_words(str(row['location']))}"
+
+
+def hypothesis_in_words(name: str) -> str:
+    """Effects of a hypothesis in words, such as "dry friction at joint knee" for "dry_friction@joint:knee"."""
+    parts = [part.partition("@") for part in name.split(" + ")]
+    return " and ".join(
+        effect_at_place({"effect": effect, "location": location}) if location else effect
+        for effect, _, location in parts
+    )
 
 
 def confound_sentence(effect: str, location: str, change: float, correlation: float) -> str:
@@ -152,9 +161,8 @@ def format_estimate(parameter: Mapping[str, Any]) -> str:
     Returns:
       "0.31 ± 0.03 N m" where the interval is nearly symmetric, otherwise value and both ends: "2 [1, 4] kg".
     """
-    value, low, high = (_float(parameter.get(key)) for key in ("value", "low", "high"))
-    unit = str(parameter.get("unit", "") or "")
-    unit = "" if unit in ("1", "") else f" {unit}"
+    value, low, high = (as_float(parameter.get(key)) for key in ("value", "low", "high"))
+    unit = _unit_words(parameter)
     if value is None:
         return "–"
     if parameter.get("edge"):
@@ -191,7 +199,7 @@ def estimate_cells(parameter: Mapping[str, Any]) -> dict[str, str]:
     Returns:
       Text for the keys value, low and high.
     """
-    found = {key: _float(parameter.get(key)) for key in ("value", "low", "high")}
+    found = {key: as_float(parameter.get(key)) for key in ("value", "low", "high")}
     known = [v for v in found.values() if v is not None]
     apart = [abs(v - known[0]) for v in known[1:] if v != known[0]]
     if len(known) < len(found) or not apart or max(map(abs, known)) >= 1e6 or _decimals(min(apart)) > 8:
@@ -200,7 +208,8 @@ def estimate_cells(parameter: Mapping[str, Any]) -> dict[str, str]:
     return {key: f"{value:.{decimals}f}".replace("-", "−") for key, value in found.items()}
 
 
-def _float(value: Any) -> float | None:
+def as_float(value: Any) -> float | None:
+    """A finite number of result.json; None for anything else."""
     try:
         out = float(value)
     except (TypeError, ValueError):
@@ -210,142 +219,58 @@ def _float(value: Any) -> float | None:
 
 def parameters_in_words(effect: Mapping[str, Any]) -> str:
     """All parameters of an effect in result.json, with intervals; the range of many numbers of one kind."""
-    if effect["effect"] == "load_friction" and set(effect["parameters"]) == {"coefficient"}:
-        return f"{format_estimate(effect['parameters']['coefficient'])} of the motor torque"
     parameters = effect["parameters"]
+    if effect["effect"] == "load_friction" and set(parameters) == {"coefficient"}:
+        return f"{format_estimate(parameters['coefficient'])} of the motor torque"
     if str(effect["location"]).startswith(EACH_MEMBER) and len(parameters) > _FEW:
-        ends = [format_number(f([_float(p["value"]) or 0.0 for p in parameters.values()])) for f in (min, max)]
-        name, first = next(iter(parameters.items()))
-        return f"{name.partition('[')[0].replace('_', ' ')} {ends[0]} to {ends[1]} {first.get('unit', '')}".strip()
-    return ", ".join(f"{name.replace('_', ' ')} {format_estimate(p)}" for name, p in parameters.items())
+        rows = [in_percent(name, p) for name, p in parameters.items()]
+        ends = [format_number(f([as_float(p["value"]) or 0.0 for p in rows])) for f in (min, max)]
+        unit = _unit_words(rows[0])
+        return f"{_member_of(next(iter(parameters)))[0]} from {ends[0]}{unit} to {ends[1]}{unit}"
+    return ", ".join(_number_words(name, p) for name, p in parameters.items())
 
 
-def verdict_sentence(result: Mapping[str, Any]) -> str:
-    """The outcome of a diagnosis in one paragraph.
+def _number_words(name: str, parameter: Mapping[str, Any]) -> str:
+    kind, member = _member_of(name)
+    return f"{kind}{f' at {member}' if member else ''} {format_estimate(in_percent(name, parameter))}"
+
+
+def _member_of(name: str) -> tuple[str, str]:
+    """Kind and member of a number, such as ("armature", "knee") of "armature[knee]"."""
+    kind, _, member = name.partition("[")
+    return kind.replace("_", " "), member.removesuffix("]")
+
+
+def in_percent(name: str, parameter: Mapping[str, Any]) -> dict[str, Any]:
+    """An estimate with its numbers in per cent where it is a relative change.
 
     Args:
-      result: content of result.json.
-
-    Returns:
-      Where simulation and data disagree, the verdict, the held-out gap, and what is equivalent.
+      name: of the parameter.
+      parameter: an entry of `parameters` in result.json.
     """
-    parts = [_where(result)]
-    verdict, effects = result.get("verdict"), list(result.get("effects") or [])
-    if verdict == "effect" and effects:
-        subject = "The missing effect is" if len(effects) == 1 else "The missing effects are"
-        each = " and ".join(f"{effect_at_place(effect)} ({parameters_in_words(effect)})" for effect in effects)
-        parts.append(f"{subject} {each}.")
-        parts.append(_gap(result))
-        parts.append(_left_over(result))
-        parts.append(_runner_up(result))
-    elif verdict == "none":
-        nothing = "Nothing need be missing" if result.get("equivalent") else "Nothing is missing"
-        parts = [f"{nothing}: simulation and data agree within the noise and the usual tolerances."]
-        parts.append(_noise_floor(result))
-    else:
-        parts.append("Something is missing that none of the known effects explains.")
-        looks = _description(result)
-        parts.append(f"It looks like this: {looks}" if looks else "")
-        parts.append(_noise_floor(result))
-    parts.append(_equivalent(result))
-    return " ".join(part for part in parts if part)
+    if not name.startswith("change") or parameter.get("unit") != "1":
+        return dict(parameter)
+    found = {key: as_float(parameter.get(key)) for key in ("value", "low", "high")}
+    return dict(parameter) | {key: None if v is None else 100 * v for key, v in found.items()} | {"unit": "%"}
 
 
-def _where(result: Mapping[str, Any]) -> str:
-    where = result.get("where")
-    return f"Simulation and data disagree most at {where}." if isinstance(where, str) and where else ""
+def _unit_words(parameter: Mapping[str, Any]) -> str:
+    unit = str(parameter.get("unit") or "")
+    return "" if unit in ("1", "") else f" {unit}"
 
 
-def _gap(result: Mapping[str, Any]) -> str:
-    gap = result.get("gap") or {}
-    before, after, floor = (_float(gap.get(key)) for key in ("before", "after", "noise_floor"))
-    if before is None or after is None:
-        return ""
-    many = "them" if len(result.get("effects") or []) > 1 else "it"
-    inside = [f"noise floor {format_number(floor)}"] if floor is not None else []
-    inside += [str(gap["unit"])] if gap.get("unit") else []
-    fall = f"from {format_number(before)} to {format_number(after)}" + (f" ({'; '.join(inside)})" if inside else "")
-    start, end = _float(gap.get("open_loop_before")), _float(gap.get("open_loop_after"))
-    if start is None or end is None:
-        return f"Adding {many} shrinks the held-out gap {fall}."
-    unit = gap.get("open_loop_unit", "rad")
-    whole = "the position error over whole held-out recordings, simulated from their first sample,"
-    if end < start:
-        path = f"from {format_number(start)} to {format_number(end)} {unit}"
-        return f"Adding {many} shrinks {whole} {path}, and the gap over short stretches {fall}."
-    without, added = (f"{format_number(error)} {unit}" for error in (start, end))
-    return (
-        f"Adding {many} shrinks the gap over short held-out stretches {fall}, but not {whole} which is {without} "
-        f"without and {added} with {many}: where small differences grow, a motion can be followed over short "
-        "stretches only."
-    )
+def number_in_words(name: str) -> str:
+    """A number of a simulator that grew in words: "dry friction at joint knee" for "dry_friction joint:knee torque".
 
-
-def _left_over(result: Mapping[str, Any]) -> str:
-    """What the named effects leave, where it is far more than noise."""
-    gap = result.get("gap") or {}
-    closed, after, nulls = (_float(gap.get(key)) for key in ("closed", "after", "nulls"))
-    if closed is None or after is None or not nulls or after < TIMES_NOISE * nulls:
-        return ""
-    return (
-        f"This explains {100 * closed:.0f} % of the held-out gap; {format_number(after / nulls)} times the noise is "
-        "left, so that something else is missing as well."
-    )
-
-
-def _noise_floor(result: Mapping[str, Any]) -> str:
-    gap = result.get("gap") or {}
-    before, floor = _float(gap.get("before")), _float(gap.get("noise_floor"))
-    if before is None:
-        return ""
-    unit = f" ({gap['unit']})" if gap.get("unit") else ""
-    return f"The held-out gap is {format_number(before)}{unit}" + (
-        f", the noise floor {format_number(floor)}." if floor else "."
-    )
-
-
-def _runner_up(result: Mapping[str, Any]) -> str:
-    same = {_key(effect) for effect in result.get("effects") or []}
-    rows = [row for row in result.get("ranking") or [] if not row.get("beside")]
-    others = [row for row in rows if _key(row) not in same and not row.get("equivalent")]
-    ranked = [row for row in rows if _key(row) in same]
-    if not others:
-        return ""
-    best, second = (_float(ranked[0].get("score")) if ranked else None), _float(others[0].get("score"))
-    if best is None or second is None or best <= 0:
-        return f"Runner-up: {effect_at_place(others[0])}."
-    share = second / best
-    how = "far behind" if share < 0.6 else "behind" if share < 0.9 else "close behind"
-    return f"Runner-up: {effect_at_place(others[0])}, {how} ({100 * max(share, 0):.0f} % of the score)."
-
-
-def _key(row: Mapping[str, Any]) -> tuple[str, str]:
-    return str(row["effect"]), str(row["location"])
-
-
-def _equivalent(result: Mapping[str, Any]) -> str:
-    """Candidates that these data cannot distinguish, and a pointer to the next experiment."""
-    same = {_key(effect) for effect in result.get("effects") or []}
-    others = []
-    for entry in result.get("equivalent") or []:
-        members = entry if isinstance(entry, Sequence) and not isinstance(entry, str | Mapping) else [entry]
-        others += [m for m in members if isinstance(m, Mapping) and "effect" in m and _key(m) not in same]
-    if not others:
-        return ""
-    which = " or ".join(effect_at_place(m) for m in others[:4]) + (
-        f" (and {len(others) - 4} more)" if len(others) > 4 else ""
-    )
-    text = f"These data cannot tell it apart from {which}"
-    if result.get("verdict") == "none":
-        text = f"Nor is {which} ruled out, but {REASON_NOT_NAMED}"
-    return text + (": run the experiment below next." if result.get("next_experiment") else ".")
-
-
-def _description(result: Mapping[str, Any]) -> str:
-    looks = result.get("unexplained")
-    if isinstance(looks, Mapping):
-        looks = looks.get("description") or looks.get("text")
-    if isinstance(looks, Sequence) and not isinstance(looks, str):
-        looks = "; ".join(str(item.get("text", item)) if isinstance(item, Mapping) else str(item) for item in looks)
-    text = str(looks or "").strip()
-    return text if not text or text.endswith(".") else f"{text}."
+    Args:
+      name: effect, place and parameter; any other name is returned as it is.
+    """
+    effect, _, rest = name.partition(" ")
+    location, _, parameter = rest.rpartition(" ")
+    if effect not in EFFECT_TITLES or not location:
+        return name
+    kind, member = _member_of(parameter)
+    if location.startswith(EACH_MEMBER) and member:
+        return f"{effect_title(effect)} at {member}"
+    words = effect_at_place({"effect": effect, "location": location})
+    return f"{words}, {kind}" if effect in _SEVERAL_NUMBERS else words

@@ -124,7 +124,7 @@ def _smooth_span(data: PreparedData, counter: Counter) -> float:
         stray.append(np.abs(difference(model, track.qpos[at], states[..., : model.nq])))
     away = np.nan_to_num(np.concatenate(stray), nan=np.inf)  # (windows, marks, nv)
     typical = np.median(away, axis=0) / np.maximum(spread, 1e-9)
-    moving = spread > 10 * data.sigma[: model.nv]
+    moving = (spread > 10 * data.sigma[: model.nv]) & data.measured[: model.nv]
     if not moving.any():
         raise InputError("the recordings hold no motion beyond the noise; nothing can be told from them")
     curved = np.quantile(

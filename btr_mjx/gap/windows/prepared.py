@@ -56,7 +56,7 @@ def prepare(recordings: Sequence[Recording], interpolation: str, sigma: np.ndarr
     commands = tuple(Command(*r.commands, interpolation) for r in recordings)  # type: ignore[arg-type]
     acts = tuple(activation_histories(r.model, t, c) for r, t, c in zip(recordings, tracks, commands, strict=True))
     seen = np.stack([r.qvel_measured for r in recordings]).all(0)
-    measured = np.concatenate([np.ones(recordings[0].model.nv, bool), seen])
+    measured = np.concatenate([np.stack([r.seen for r in recordings]).all(0), seen])
     return PreparedData(tuple(recordings), tracks, commands, acts, sigma, measured, span)
 
 

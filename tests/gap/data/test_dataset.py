@@ -209,7 +209,7 @@ BAD: list[tuple[str, Callable[[Path], None], str]] = [
         r"no actuator.*ctrl/hip_motor",
     ),
     ("missing time", edit_table(lambda t: t.drop("time")), r"no column 'time'"),
-    ("missing joint", edit_table(lambda t: t.drop("qpos/hip")), r"no column 'qpos/hip'; nearest in the file"),
+    ("missing joint", edit_table(lambda t: t.drop("qpos/hip")), r"no column 'qpos/hip', but one of its velocity"),
     ("half a velocity", edit_table(lambda t: t.drop("qvel/root/vx")), r"'qvel/root/vx'; give all"),
     ("time goes back", with_rows("time", slice(20, 21), 0.01), r"time goes back.*row 21"),
     (
@@ -232,6 +232,11 @@ BAD: list[tuple[str, Callable[[Path], None], str]] = [
     ("unknown interpolation", edit_text("dataset.toml", '"linear"', '"spline"'), r"'spline'.*'hold'"),
     ("no model", edit_text("dataset.toml", "model.xml", "robot.xml"), r"robot\.xml: there is no such model"),
     ("broken model", edit_text("model.xml", "</body>", ""), r"model\.xml: not well-formed XML"),
+    (
+        "unknown joint without an encoder",
+        edit_text("dataset.toml", "[model]", '[model]\nunmeasured = ["hipp"]'),
+        r"unmeasured = \['hipp'\]: expected a list of joints, of root, hip",
+    ),
     ("single brackets", edit_text("dataset.toml", "[[recording]]", "[recording]"), r"valid TOML|double brackets"),
 ]
 

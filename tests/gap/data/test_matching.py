@@ -114,7 +114,17 @@ def test_labels_of_tables_say_what_bare_names_are() -> None:
 def test_what_is_missing_or_ambiguous_is_asked_for(columns: list[str], message: str) -> None:
     tables = [("log", columns)]
     with pytest.raises(InputError, match=message):
-        check_matched(match_columns(tables, MODEL, {}, "log.csv"), tables, MODEL, "log.csv", "")
+        check_matched(match_columns(tables, MODEL, {}, "log.csv"), tables, MODEL, "log.csv")
+
+
+def test_a_joint_has_no_encoder_where_no_column_is_left_or_it_is_said() -> None:
+    whole, spare = ["t", "shoulder", "u1", "u2"], ["t", "shoulder", "u1", "u2", "battery"]
+    for columns, unmeasured in ((whole, ()), (spare, ("elbow",))):
+        tables = [("log", columns)]
+        check_matched(match_columns(tables, MODEL, {}, "log.csv"), tables, MODEL, "log.csv", unmeasured)
+    tables = [("log", spare)]
+    with pytest.raises(InputError, match=r'no column \'qpos/elbow\'.*\[model\] unmeasured = \["elbow"\]'):
+        check_matched(match_columns(tables, MODEL, {}, "log.csv"), tables, MODEL, "log.csv")
 
 
 def test_given_names_win() -> None:

@@ -13,6 +13,7 @@ from btr_mjx.gap.effects.similar import HARDENING_SPRING
 from btr_mjx.gap.inference import Bench, Hypothesis, identify
 from btr_mjx.gap.inference.scoring.gains import fall, luckiest
 from btr_mjx.gap.inference.scoring.hypotheses import unknowns
+from btr_mjx.gap.inference.verdict import identify as naming
 from btr_mjx.gap.inference.verdict.outcome import equivalent, overlays
 from btr_mjx.gap.windows import Fit
 from btr_mjx.models import PathParameter
@@ -137,6 +138,38 @@ def test_believed_numbers_are_refitted_before_anything_is_called_missing():
     assert row.refitted == pytest.approx(0.15, rel=0.1)
 
 
+@pytest.mark.parametrize(
+    ("gaps", "kept"),
+    [
+        ([(9.0, 3.0), (9.0, 2.0)], 2),
+        ([(9.0, 3.0), (9.0, 4.0)], 1),  # the second one makes the first one's gap grow
+        ([(9.0, 9.5), (9.0, 2.0)], 0),
+        ([(9.0, 9.0)], 0),
+        ([(9.0, np.nan)], 0),
+        ([], 0),
+    ],
+)
+def test_names_end_where_the_held_out_gap_does_not_fall(monkeypatch, gaps, kept):
+    names = [f"name {i}" for i in range(len(gaps))]
+    monkeypatch.setattr(naming, "held_out_chi2", lambda bench, judged: gaps[names.index(judged)])
+    assert naming.without_growth(None, names) == names[:kept]
+
+
+def test_a_name_whose_held_out_gap_grows_is_no_verdict(monkeypatch):
+    """Whatever the search found, and however it came to it."""
+    real = naming.held_out_chi2
+
+    def grown(bench, judged):
+        before, after = real(bench, judged)
+        return (before, after) if judged is None else (before, 1.01 * before)
+
+    monkeypatch.setattr(naming, "held_out_chi2", grown)
+    found = identify(dataset(damped, seed=1), LIBRARY, max_effects=2, options=QUICK)
+    assert found.verdict == "unexplained"
+    assert not found.effects
+    assert found.gap.after == found.gap.before
+
+
 def test_something_outside_the_library_is_called_unexplained():
     def spring(model):
         model.jnt_stiffness[0] = 4.0
@@ -146,7 +179,7 @@ def test_something_outside_the_library_is_called_unexplained():
     found = identify(dataset(spring, seed=3), only, options=QUICK)
     assert found.verdict == "unexplained"
     assert not found.effects
-    assert found.unexplained[0].startswith("joint:shoulder")
+    assert found.unexplained[0].startswith("joint shoulder: ")
 
 
 SPRINGS = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "joint_stiffness", "armature"))
@@ -171,7 +204,7 @@ def test_a_spring_on_one_side_is_not_called_a_spring(stiffness):
     assert (found.ranking[0].effect, found.ranking[0].location) == ("joint_stiffness", "joint:elbow")
     assert found.ranking[0].score > 5 * found.threshold
     assert found.verdict == "unexplained"
-    expected = "joint:elbow: a force there follows absolute position, as no effect that was tried does"
+    expected = "joint elbow: a force there follows the absolute value of its position, as no effect that was tried does"
     assert found.unexplained[0] == expected
 
 

@@ -200,3 +200,21 @@ def test_advice_is_not_what_the_model_has_already() -> None:
     data = dataclasses.replace(SOUND, recordings=tuple(dataclasses.replace(r, model=model) for r in SOUND.recordings))
     for finding in preflight(data):
         assert "implicitfast" not in finding.message
+
+
+def test_a_joint_that_hardly_moves_gets_no_advice_on_its_sign() -> None:
+    """A gripper that creeps: the slope of its positions is noise, which its velocity does not follow."""
+    rng = np.random.default_rng(5)
+
+    def creeping(recording: Recording) -> Recording:
+        qpos, qvel = recording.qpos.copy(), recording.qvel.copy()
+        sigma = [values[2] for values in ROBOT.sigma(ROBOT.model)]
+        qpos[:, 2] = np.linspace(0, 30 * sigma[0], len(qpos)) + sigma[0] * rng.normal(size=len(qpos))
+        qvel[:, 2] = sigma[1] * rng.normal(size=len(qvel))
+        return dataclasses.replace(recording, qpos=qpos, qvel=qvel)
+
+    def about_sign(data: Dataset) -> bool:
+        return any("opposite sign" in finding.message for finding in preflight(data))
+
+    assert not about_sign(changed(creeping))
+    assert about_sign(changed(scaled("qvel", 2, -1.0)))

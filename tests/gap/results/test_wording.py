@@ -1,32 +1,168 @@
 """Sentences of a verdict."""
 
+import re
+from typing import Any
+
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from btr_mjx.gap.results import verdict_sentence
-from btr_mjx.gap.results.wording import effect_at_place, parameters_in_words
+from btr_mjx.gap.effects import KNOWN_EFFECTS
+from btr_mjx.gap.results import detail_sentences, hypothesis_in_words, number_in_words, verdict_sentence
+from btr_mjx.gap.results.wording import EFFECT_TITLES, effect_at_place, parameters_in_words
 
 
-def result(after: float, nulls: float) -> dict:
+def result(after: float, nulls: float, before: float = 180.0) -> dict[str, Any]:
     damping = {"value": 0.4, "low": 0.3, "high": 0.5, "unit": "N m s/rad", "null": 0.0, "edge": False}
     effect = {"effect": "viscous_damping", "location": "joint:elbow", "parameters": {"damping": damping}}
-    gap = {"before": 180.0, "after": after, "noise_floor": min(nulls, after), "nulls": nulls}
-    return {"verdict": "effect", "effects": [effect], "gap": gap | {"closed": (180.0 - after) / 180.0}}
+    gap = {"before": before, "after": after, "noise_floor": min(nulls, after), "nulls": nulls}
+    return {"verdict": "effect", "effects": [effect], "gap": gap | {"unit": "χ² per degree of freedom"}}
 
 
-@pytest.mark.parametrize(("after", "expected"), [(23.0, "23 times the noise"), (2.9, ""), (1.0, "")])
-def test_a_name_says_how_much_it_leaves(after: float, expected: str) -> None:
+@pytest.mark.parametrize(
+    ("after", "subject", "rest"),
+    [
+        (54.7, "A part of what is missing is", "It explains 70 % of the disagreement on recordings that were not used"),
+        (
+            54.7,
+            "viscous damping at joint elbow (damping 0.40 ± 0.10 N m s/rad)",
+            "the rest is not noise but 54.7 times",
+        ),
+        (2.9, "The missing effect is", "what is left is 2.9 times the noise"),
+        (
+            1.0,
+            "The missing effect is",
+            "It explains 100 % of the disagreement on recordings that were not used; the rest",
+        ),
+        (1.0, "The missing effect is", "the rest is noise."),
+    ],
+)
+def test_a_name_says_how_much_it_explains_and_leaves(after: float, subject: str, rest: str) -> None:
     text = verdict_sentence(result(after, 1.0))
-    assert "The missing effect is" in text
-    assert ("of the held-out gap; " in text) == bool(expected)
-    assert expected in text
-    assert ("This explains 87 %" in text) == bool(expected)
+    assert subject in text
+    assert rest in text
+
+
+def test_a_gap_that_grows_is_never_said_to_shrink() -> None:
+    text = verdict_sentence(result(6415.0, 1.0, before=3323.0))
+    details = " ".join(detail_sentences(result(6415.0, 1.0, before=3323.0)))
+    assert "the gap does not fall with it: do not rely on this name." in text
+    assert "explains" not in text
+    assert "The held-out gap grows from 3323 χ² per degree of freedom to 6415 χ² per degree of freedom" in details
+
+
+def test_fitness_has_no_noise() -> None:
+    one = result(0.1, 0.0, before=0.4)
+    one["gap"] |= {"unit": "m/s of Delta_fitness"}
+    assert verdict_sentence(one).endswith("It explains 75 % of Delta_fitness on trials that were not used.")
 
 
 def test_members_with_a_number_each() -> None:
-    rows = {f"armature[j{i}]": {"value": 0.1 * i, "low": 0.1 * i - 0.01, "high": 0.1 * i + 0.01} for i in range(1, 8)}
+    rows = {
+        f"armature[j{i}]": {"value": 0.1 * i, "low": 0.1 * i - 0.01, "high": 0.1 * i + 0.01, "unit": "kg m^2"}
+        for i in range(1, 8)
+    }
     entry = {"effect": "armature", "location": "each:subtree:leg", "parameters": rows}
     place = "every joint from body leg down, each with its own number"
     assert effect_at_place(entry) == f"rotor inertia (armature) at {place}"
-    assert parameters_in_words(entry) == "armature 0.1 to 0.7"
+    assert parameters_in_words(entry) == "armature from 0.1 kg m^2 to 0.7 kg m^2"
     few = entry | {"parameters": dict(list(rows.items())[:2])}
-    assert parameters_in_words(few) == "armature[j1] 0.100 ± 0.010, armature[j2] 0.200 ± 0.010"
+    assert parameters_in_words(few) == "armature at j1 0.100 ± 0.010 kg m^2, armature at j2 0.200 ± 0.010 kg m^2"
+
+
+def test_a_relative_change_is_in_per_cent() -> None:
+    change = {"value": -0.1, "low": -0.11, "high": -0.09, "unit": "1"}
+    entry = {"effect": "actuator_gain", "location": "actuator:c", "parameters": {"change": change}}
+    assert parameters_in_words(entry) == "change −10.0 ± 1.0 %"
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("dry_friction joint:shoulder torque", "dry friction at joint shoulder"),
+        ("dry_friction joint:left knee torque", "dry friction at joint left knee"),
+        ("payload body:torso mass", "a payload at body torso, mass"),
+        ("armature each:all armature[knee]", "rotor inertia (armature) at knee"),
+        ("link length [m]", "link length [m]"),
+        ("bl_14", "bl_14"),
+    ],
+)
+def test_numbers_of_a_simulator_that_grew(name: str, words: str) -> None:
+    assert number_in_words(name) == words
+
+
+def test_hypotheses_in_words() -> None:
+    name = "dry_friction@joint:knee + payload@body:torso"
+    assert hypothesis_in_words(name) == "dry friction at joint knee and a payload at body torso"
+    assert hypothesis_in_words("nothing") == "nothing"
+
+
+def test_every_effect_has_a_title() -> None:
+    assert {effect.name for effect in KNOWN_EFFECTS} <= set(EFFECT_TITLES)
+
+
+UNITS = ("N m", "N", "rad", "m", "kg", "s", "N m s/rad", "kg m^2")
+PLACES = ("joint:knee", "joint:leg.knee", "body:torso", "world", "all", "subtree:leg", "actuator:c", "each:all")
+_SIZE = st.floats(1e-7, 1e7)
+
+
+@st.composite
+def results(draw: st.DrawFn) -> dict[str, Any]:
+    """Results of every kind of verdict."""
+    verdict = draw(st.sampled_from(["effect", "none", "unexplained"]))
+    entry = st.fixed_dictionaries(
+        {"effect": st.sampled_from(sorted(EFFECT_TITLES)), "location": st.sampled_from(PLACES), "score": _SIZE}
+    )
+    effects = []
+    for row in draw(st.lists(entry, min_size=1, max_size=5)) if verdict == "effect" else []:
+        count = draw(st.integers(1, 24)) if row["location"] == "each:all" else draw(st.integers(1, 2))
+        unit, parameters = draw(st.sampled_from(UNITS)), {}
+        for i in range(count):
+            value, error = draw(_SIZE), draw(_SIZE)
+            ends = {"value": value, "low": value - error, "high": value + draw(_SIZE), "edge": draw(st.booleans())}
+            parameters[f"number[{'abcdefghijklmnopqrstuvwxyz'[i]}]"] = ends | {"unit": unit}
+        effects.append(row | {"parameters": parameters})
+    gap = {key: draw(st.none() | _SIZE) for key in ("before", "after", "nulls", "open_loop_before", "open_loop_after")}
+    gap |= {"noise_floor": gap["nulls"], "unit": "χ² per degree of freedom", "open_loop_unit": "rad and m"}
+    return {
+        "verdict": verdict,
+        "effects": effects,
+        "gap": gap,
+        "where": draw(st.sampled_from(["", "joint leg.knee, when it moves fast"])),
+        "ranking": draw(st.lists(entry, max_size=4)),
+        "equivalent": draw(st.lists(entry, max_size=6)),
+        "share": draw(st.none() | st.floats(-1, 1)),
+        "unexplained": draw(st.lists(st.just("joint knee: 41 % of the unexplained force, 0.2 N m"), max_size=3)),
+        "next_experiment": draw(st.none() | st.just({"text": "x"})),
+    }
+
+
+def sentences(text: str) -> list[str]:
+    return [part for part in re.split(r"[.!?](?:\s|$)", text) if part.strip()]
+
+
+UNIT = r"(?:N m|N|rad|m|kg|s|times|of the motor torque|%)(?=\W|$)"
+
+
+@settings(max_examples=300, deadline=None)
+@given(results())
+def test_verdicts_are_two_sentences_with_units(one: dict[str, Any]) -> None:
+    text, details = verdict_sentence(one), detail_sentences(one)
+    assert 1 <= len(sentences(text)) <= 2
+    assert all(len(sentences(line)) == 1 for line in details)
+    everything = " ".join([text, *details])
+    assert "SI" not in everything
+    before, after = one["gap"]["before"], one["gap"]["after"]
+    falls = one["verdict"] == "effect" and before is not None and after is not None and after < before
+    assert ("shrink" in everything) == falls
+    assert ("explains" in text or "explain " in text) <= (falls or "none of the known effects explains" in text)
+    assert not numbers_without_unit(text)
+
+
+def numbers_without_unit(text: str) -> list[str]:
+    """Numbers of a sentence that no unit follows; those of an interval share the unit behind it."""
+    number = r"−?\d+(?:\.\d+)?(?:·10\^−?\d+)?"
+    text = re.sub(rf"{number} \[{number}, {number}\]", "7", text)
+    text = re.sub(rf"{number} ± {number}", "7", text)
+    text = re.sub(r"\d+ more", "more", text).replace("m^2", "m")  # candidates are counted
+    return [m[0] for m in re.finditer(number, text) if not re.match(rf" {UNIT}", text[m.end() :])]

@@ -29,6 +29,9 @@ _FURTHER = 3
 _LONGEST = 2
 """Time steps of the model that one step of the scan takes, at most."""
 
+_WHOLE_RANGE = (-9.0, -3.0, -1.0, 1.0, 3.0, 6.0, 9.0)
+"""Factors on a candidate's value where it is tried over its whole range, on either side of its null."""
+
 _BEST = 6
 """So many of them are judged anew, and whatever acts on the world as a whole."""
 
@@ -108,7 +111,9 @@ def contact_scan(
     return sorted(best.values(), key=lambda row: -row[0])
 
 
-def with_line_search(found: Sequence[_Try], start: Hypothesis, line_search: LineSearch, strongest: float) -> list[_Try]:
+def with_line_search(
+    found: Sequence[_Try], start: Hypothesis, line_search: LineSearch, strongest: float, wide: bool = False
+) -> list[_Try]:
     """The best of a scan of contacts, judged with directions of their own, at two sizes.
 
     Args:
@@ -116,6 +121,7 @@ def with_line_search(found: Sequence[_Try], start: Hypothesis, line_search: Line
       start: the believed model.
       line_search: of the search.
       strongest: gain of the best other candidate.
+      wide: whether what acts on the world is tried over its whole range, whatever the scan says of it.
 
     Returns:
       The same as `contact_scan`, with the better of both gains.
@@ -123,10 +129,14 @@ def with_line_search(found: Sequence[_Try], start: Hypothesis, line_search: Line
     needed = _SHARE * strongest
     worth = [row for row in found[:_BEST] if row[0] > needed - _WORSE]
     worth += [row for row in found[_BEST:] if row[1].place == WORLD and row[0] > needed - _ALL_WORSE]
+    if wide:
+        known = {row[1].name for row in worth}
+        worth += [row for row in found if row[1].place == WORLD and row[1].name not in known]
 
     def judged(candidate: Candidate, values: np.ndarray) -> list[_Try]:
         first, rows = candidate.parameters[0], list[_Try]()
-        for factor in (1.0, _AGAIN):
+        factors = _WHOLE_RANGE if wide and candidate.place == WORLD else (1.0, _AGAIN)
+        for factor in factors:
             value = float(np.clip(first.null + factor * (values[0] - first.null), first.low, first.high))
             tried = np.array([value, *values[1:]])
             rows.append((line_search.gain(start.with_effect(candidate, tried)), candidate, tried))

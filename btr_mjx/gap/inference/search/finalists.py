@@ -178,7 +178,7 @@ class Finalists:
 
     def _settled(self, hypothesis: Hypothesis, side: Side, reference: Fit, few: bool) -> Settled:
         """A hypothesis with its best numbers on a side to fit, what that became on the way, and how good it is."""
-        if self._is_contact_sensitive(hypothesis):
+        if self._is_contact_sensitive(hypothesis) and not self.bench.tossed:  # else the line search saw all windows
             hypothesis, side = best_size(self.bench, hypothesis, side, reference, few)
         hypothesis, side, found = self._refined(hypothesis, side, reference)
         for _ in range(_ALTERNATIONS if self.bench.strong else 0):

@@ -10,13 +10,14 @@ from dataclasses import replace
 from threading import Lock
 
 import numpy as np
+import scipy
 
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
 from btr_mjx.gap.inference.scoring.refine import Nuisance
 from btr_mjx.gap.inference.search.search_records import Side, nearest
 from btr_mjx.gap.windows import Fit
 
-_EVERY = 4
+EVERY = 4
 """A line search sees one of so many windows."""
 
 _STRIDE = 1.5
@@ -24,6 +25,9 @@ _STRIDE = 1.5
 
 _STRIDES = 3
 """Steps of a walk in either direction, at most."""
+
+_NARROWINGS, _NARROW = 12, 3e-3
+"""Evaluations, at most, by which a size is narrowed down where every window is seen, and the factor that is enough."""
 
 
 class LineSearch:
@@ -36,6 +40,7 @@ class LineSearch:
         free: Callable[[Side, Hypothesis], Nuisance],
         fall: Callable[[Fit, Fit, float], float],
         cut: Callable[[], float],
+        every: int = EVERY,
     ) -> None:
         """Prepare for walks.
 
@@ -45,8 +50,10 @@ class LineSearch:
           free: what is fitted along with a hypothesis on a side.
           fall: of the loss, from one fit to another, given the share of all windows that they see.
           cut: chi^2 above which a window counts less.
+          every: one of so many windows is seen.
         """
         self._side, self._base, self._free, self._fall, self._cut = side, base, free, fall, cut
+        self._every = every
         self._lock = Lock()
         self._start: tuple[Side, Side] | None = None
         self._nearest: dict[str, Side] = {}
@@ -77,7 +84,7 @@ class LineSearch:
         """Some of the windows, and these as they suit the believed model; hypotheses may be judged in threads."""
         with self._lock:
             if self._start is None:
-                few = self._side.some(np.arange(0, len(self._side.windows), _EVERY))
+                few = self._side.some(np.arange(0, len(self._side.windows), self._every))
                 self._start = few, few.with_fitted_states(self._base, exact=False).with_own_directions(self._base)
             return self._start
 
@@ -111,11 +118,27 @@ class LineSearch:
         for stride in (_STRIDE, 1.0 / _STRIDE):
             factor = 1.0
             for _ in range(_STRIDES):
-                known[factor * stride] = self.gain(scaled(hypothesis, factor * stride))
-                if known[factor * stride] < known[factor]:
+                there = factor_within_bounds(hypothesis, factor * stride)
+                known[there] = self.gain(scaled(hypothesis, there))
+                if there == factor or known[there] < known[factor]:
                     break
-                factor *= stride
-        return scaled(hypothesis, vertex(known)) if max(known.values()) > promise else None
+                factor = there
+        if max(known.values()) <= promise:
+            return None
+        return scaled(hypothesis, vertex(known)) if self._every > 1 else self._narrowed(hypothesis, known)
+
+    def _narrowed(self, hypothesis: Hypothesis, known: Mapping[float, float]) -> Hypothesis:
+        """The hypothesis at the size that gains most between the neighbours of the best factor known."""
+        at = sorted(known)
+        best = max(range(len(at)), key=lambda i: known[at[i]])
+        ends = at[max(best - 1, 0)], at[min(best + 1, len(at) - 1)]
+        found = scipy.optimize.minimize_scalar(
+            lambda factor: -self.gain(scaled(hypothesis, factor)),
+            bounds=ends,
+            method="bounded",
+            options={"maxiter": _NARROWINGS, "xatol": _NARROW},
+        )
+        return scaled(hypothesis, float(found.x)) if -found.fun > known[at[best]] else scaled(hypothesis, at[best])
 
 
 def vertex(known: Mapping[float, float]) -> float:
@@ -142,3 +165,22 @@ def scaled(hypothesis: Hypothesis, factor: float) -> Hypothesis:
         for p, value in zip(candidate.parameters, values, strict=True)
     )
     return replace(hypothesis, effects=(*hypothesis.effects[:-1], (candidate, numbers)))
+
+
+def factor_within_bounds(hypothesis: Hypothesis, factor: float) -> float:
+    """The factor by which `scaled` moves the last effect away from its null, which bounds may reduce.
+
+    A parabola through sizes beyond a bound, all of them the same world, would peak anywhere.
+
+    Args:
+      hypothesis: with an effect.
+      factor: on the distance of its numbers.
+    """
+    candidate, values = hypothesis.effects[-1]
+    rows = zip(candidate.parameters, values, scaled(hypothesis, factor).effects[-1][1], strict=True)
+    away = np.array(
+        [((v - p.null) / (p.high - p.low), (w - p.null) / (p.high - p.low)) for p, v, w in rows if not p.shape]
+    )
+    size = float(away[:, 0] @ away[:, 0])
+    reached = float(away[:, 0] @ away[:, 1]) / size if size > 0 else factor
+    return factor if abs(reached - factor) < 1e-9 else reached

@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data import Dataset, estimate_noise, reduced_noise
+from btr_mjx.gap.data import Dataset, noise_of, reduced_noise
 from btr_mjx.gap.effects import Candidate, Effect, candidates
 from btr_mjx.gap.inference.scoring.calibration import tolerance_draws, with_nonlinear_tolerances
 from btr_mjx.gap.inference.scoring.gains import fall
@@ -32,7 +32,7 @@ from btr_mjx.gap.inference.scoring.screening import (
 )
 from btr_mjx.gap.inference.search.contact_scan import contact_scan, with_contacts, with_line_search
 from btr_mjx.gap.inference.search.far_away import nearer
-from btr_mjx.gap.inference.search.line_search import LineSearch
+from btr_mjx.gap.inference.search.line_search import EVERY, LineSearch
 from btr_mjx.gap.inference.search.search_records import Judged, Side, Started
 from btr_mjx.gap.inference.search.shortlist import pick, starts
 from btr_mjx.gap.simulate import Counter, run_in_threads
@@ -104,9 +104,8 @@ class Bench:
             if not side:
                 raise InputError(f"{dataset.folder}: no recording is in split {name!r}")
         note("state estimates")
-        model = dataset.fit[0].model
         tracks = [track_of(r) for r in dataset.recordings]
-        noise = dataset.noise or estimate_noise(model, [(t.time, t.qpos, t.qvel, t.measured) for t in tracks])
+        noise = noise_of(dataset)
         self.sigma = np.concatenate([noise.qpos, noise.qvel])
         entries = self._prepared(effects, tracks, note)
         for _ in range(_QUIETER if dataset.noise is None else 0):
@@ -131,7 +130,11 @@ class Bench:
         self.scanner = Scanner(found, nuisance)
         self.dispersion, self.cut = 1.0, _CUT * self.fit.windows.freedom
         self.settle(None)
-        self.line_search = LineSearch(self.fit, self.base, self.free, self.fall, lambda: self.cut)
+        self.line_search = self._line_search()
+
+    def _line_search(self) -> LineSearch:
+        every = 1 if self.tossed else EVERY
+        return LineSearch(self.fit, self.base, self.free, self.fall, lambda: self.cut, every)
 
     def _prepared(self, effects: Sequence[Effect], tracks: Sequence[Track], note: Callable[[str], None]) -> list[Entry]:
         """Windows of both sides, linearised around the believed model, and what is to be tried there."""
@@ -186,13 +189,22 @@ class Bench:
         return 0 < len(self.base.parameters) <= _FEW
 
     @property
+    def tossed(self) -> bool:
+        """Whether contacts are all that drives the system.
+
+        Where a body slides that was believed to tumble, the believed model's starting states and their directions tell
+        little, and its few windows are all needed.
+        """
+        return self.survey.contact and not self.dataset.model.nu
+
+    @property
     def strong(self) -> bool:
         """Whether what is missing is so strong that starting states of the believed model tell little beside it.
 
-        Where the robot touches the world, directions of their own are for what is contact-sensitive.
+        Where a robot touches the world, directions of their own are for what is contact-sensitive.
         """
         if self.survey.contact:
-            return False
+            return self.tossed
         usual = typical_chi2(self.reference[0].chi2, self.fit.windows.freedom)
         return usual > _STRONG * self.dispersion * self.fit.windows.freedom
 
@@ -218,7 +230,7 @@ class Bench:
         screened = self.scanner.screened
         columns = project(screened.columns, self.fit.windows.basis).astype(screened.columns.dtype)
         self.scanner = Scanner(replace(screened, columns=columns), self.fit.nuisance)
-        self.line_search = LineSearch(self.fit, self.base, self.free, self.fall, lambda: self.cut)
+        self.line_search = self._line_search()
 
     def _reference(self, side: Side) -> Fit:
         return self.nuisance(side).profile(side.windows.residual, self.cut)
@@ -269,9 +281,9 @@ class Bench:
         moving = [c for c in self.candidates if c.name in self.contact_sensitive and c.name not in taken]
         if moving:
             side = Side(sides[0].windows, self.free(sides[0]))
-            scanned = contact_scan(side, start, moving, self.cut, residual, options.every)
+            scanned = contact_scan(side, start, moving, self.cut, residual, 1 if self.tossed else options.every)
             if not start.effects:
-                scanned = with_line_search(scanned, start, self.line_search, strongest)
+                scanned = with_line_search(scanned, start, self.line_search, strongest, self.tossed)
             tries = with_contacts(tries, scanned, options.contact_leaders)
         if not tries:
             return []

@@ -1,7 +1,7 @@
 """The size of what moves contacts, tried with starting states of its own at each: derivatives lead nowhere there."""
 
 from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
-from btr_mjx.gap.inference.search.line_search import scaled, vertex
+from btr_mjx.gap.inference.search.line_search import factor_within_bounds, scaled, vertex
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Side
 from btr_mjx.gap.windows import Fit
@@ -39,12 +39,13 @@ def best_size(
         tried[factor] = own, side.based(own).with_fitted_states(own, exact=False)
 
     for factor in _SIZES:
-        attempt(factor)
+        attempt(factor_within_bounds(hypothesis, factor))
     found = {factor: gain(factor) for factor in tried}
     for _ in range(_MORE[few]):
         best = max(found, key=lambda factor: found[factor])
         # On the way up there is nothing to draw a parabola through yet.
         there = best * _SIZES[0] if best == min(found) else best * _SIZES[1] if best == max(found) else vertex(found)
+        there = factor_within_bounds(hypothesis, there)
         if min(abs(there / factor - 1.0) for factor in found) < _NEAR:
             break
         attempt(there)

@@ -24,8 +24,8 @@ from btr_mjx.gap.inference.scoring.leftover import Feature, FeatureGain, Joints,
 from btr_mjx.gap.inference.scoring.nulls import null_residual
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Judged
-from btr_mjx.gap.inference.verdict.disagreement import disagreement, place_names
-from btr_mjx.gap.inference.verdict.leftover_words import sentence, telling_sentence
+from btr_mjx.gap.inference.verdict.disagreement import disagreement
+from btr_mjx.gap.inference.verdict.leftover_words import dof_places, sentence, telling_sentence
 from btr_mjx.gap.results import DisagreementMap
 from btr_mjx.gap.simulate import run_in_threads
 from btr_mjx.gap.windows import Windows, bounded_loss
@@ -262,13 +262,13 @@ class Check:
 
     def words(self, judged: Judged | None) -> tuple[str, ...]:
         """The best description of what is left."""
-        names = place_names(self.bench.dataset.model)
+        places = dof_places(self.bench.dataset.model)
         fit = self._fit(0, judged)
         found = describe(fit, self._forces(0, judged), self.around[0])
         follows = self.significant_feature(judged)
         feature = self.confirmed_feature(judged) if follows is None else self._known[0][follows.index]
-        telling = [] if feature is None else [telling_sentence(feature, names)]
-        return (*telling, *(sentence(d, names) for d in found))
+        telling = [] if feature is None else [telling_sentence(feature, places)]
+        return (*telling, *(sentence(d, places) for d in found))
 
 
 def _spared(chi2: np.ndarray, forces: Forces, freedom: int) -> float:

@@ -124,8 +124,7 @@ def name_missing(
     if bench.dispersion > COARSE and not bench.survey.contact:
         note("whole recordings")
         base, named[-1:] = followed(bench, base), [following(bench, judged) for judged in named[-1:]]
-    while named and grows(held_out_chi2(bench, named[-1])):
-        named.pop()
+    named = without_growth(bench, named)
     note("lack of fit")
     rng = np.random.default_rng([seed, 1])
     check = Check(bench, rng)
@@ -162,10 +161,26 @@ def name_missing(
     )
 
 
+def without_growth(bench: Bench, named: Sequence[Judged]) -> list[Judged]:
+    """The first of some names, each beside those before, up to one with which the held-out gap does not fall.
+
+    Args:
+      bench: of the search.
+      named: what was found.
+    """
+    out: list[Judged] = []
+    for judged in named:
+        gap, reached = held_out_chi2(bench, judged), held_out_chi2(bench, out[-1])[1] if out else np.inf
+        if grows(gap) or grows((reached, gap[1])):
+            break
+        out.append(judged)
+    return out
+
+
 def grows(gap: tuple[float, float]) -> bool:
     """Whether a held-out gap (before, after) is no smaller with a name: such a name is no verdict."""
     before, after = gap
-    return after >= before
+    return not after < before
 
 
 def undecided(bench: Bench, first: Sequence[Judged], verdict: str) -> tuple[str, ...]:

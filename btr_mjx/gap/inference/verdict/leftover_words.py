@@ -1,25 +1,74 @@
-"""What a hypothesis leaves, in words: where it acts and what it follows."""
+"""What a hypothesis leaves, in words: where it acts, how large it is, and what it follows."""
 
 from collections.abc import Sequence
 
+import mujoco
+
 from btr_mjx.gap.inference.scoring.forces import Description
 from btr_mjx.gap.inference.scoring.leftover import Feature
+from btr_mjx.models import part_names
+
+_FEATURES = {
+    "absolute position": "the absolute value of {} position",
+    "position cubed": "the cube of {} position",
+    "ripple": "a ripple over {} position",
+    "load growing with time": "{} load, more and more with time (a drift)",
+    "time": "time (a drift)",
+}
+"""Variables that are no plain quantity of a joint; "{}" is whose they are."""
+
+_AXES = "xyz"
 
 
-def telling_sentence(feature: Feature, names: Sequence[str]) -> str:
-    """A feature in words."""
-    where = "" if feature.other is None else f" of {names[feature.other]}"
-    return f"{names[feature.dof]}: a force there follows {feature.name}{where}, as no effect that was tried does"
+def dof_places(model: mujoco.MjModel) -> list[tuple[str, str]]:
+    """Where the generalised force of every degree of freedom (nv,) acts, in words, and its unit."""
+    joints, bodies = part_names(model, "joint"), part_names(model, "body")
+    out = []
+    for joint, kind in enumerate(model.jnt_type):
+        where = f"joint {joints[joint]}"
+        if kind == mujoco.mjtJoint.mjJNT_FREE:
+            where = f"body {bodies[model.jnt_bodyid[joint]]}"
+            out += [(f"{where}, force along {axis}", "N") for axis in _AXES]
+        if kind in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
+            out += [(f"{where}, torque about {axis}", "N m") for axis in _AXES]
+        else:
+            out.append((where, "N" if kind == mujoco.mjtJoint.mjJNT_SLIDE else "N m"))
+    return out
 
 
-def sentence(description: Description, names: Sequence[str]) -> str:
-    """A description in words."""
-    text = f"{names[description.dof]}: {100 * description.share:.0f} % of the unexplained force"
-    text += f", root mean square {description.size:.3g} (SI)"
+def telling_sentence(feature: Feature, places: Sequence[tuple[str, str]]) -> str:
+    """A feature in words.
+
+    Args:
+      feature: what a force follows.
+      places: of `dof_places`.
+    """
+    follows = _variable(feature.name, feature.other, places)
+    return f"{places[feature.dof][0]}: a force there follows {follows}, as no effect that was tried does"
+
+
+def sentence(description: Description, places: Sequence[tuple[str, str]]) -> str:
+    """A description in words.
+
+    Args:
+      description: of an unknown force.
+      places: of `dof_places`.
+    """
+    where, unit = places[description.dof]
+    text = f"{where}: {100 * description.share:.0f} % of the unexplained force"
+    text += f", {description.size:.3g} {unit} (root mean square)"
     if description.follows:
-        parts = []
-        for name, dof, correlation in description.follows:
-            where = "" if dof is None or dof == description.dof else f" of {names[dof]}"
-            parts.append(f"{name}{where} (correlation {correlation:+.2f})")
+        parts = [
+            f"{_variable(name, None if dof == description.dof else dof, places)} (correlation {correlation:+.2f})"
+            for name, dof, correlation in description.follows
+        ]
         text += ", follows " + " and ".join(parts)
     return text
+
+
+def _variable(name: str, other: int | None, places: Sequence[tuple[str, str]]) -> str:
+    """A variable in words, of the same degree of freedom or of another one."""
+    if name in _FEATURES:
+        whose = "its" if other is None else f"{places[other][0].partition(',')[0]}'s"
+        return _FEATURES[name].format(whose)
+    return f"its {name}" if other is None else f"the {name} of {places[other][0].partition(',')[0]}"

@@ -46,7 +46,7 @@ def followed(bench: Bench, hypothesis: Hypothesis) -> Hypothesis:
     free = unknowns(hypothesis, bench.joint, bench.contact_sensitive)
     if not len(free.low):
         return hypothesis
-    sigma = data.sigma[: bench.fit.windows.nv]
+    sigma = np.where(data.measured, data.sigma, np.inf)[: bench.fit.windows.nv]
 
     def errors(many: Sequence[np.ndarray]) -> np.ndarray:
         """(n, N) position errors in units of the noise."""
@@ -89,7 +89,8 @@ def following(bench: Bench, judged: Judged) -> Judged:
 def recording_errors(data: PreparedData, makes: Sequence[MakeWorld], counter: Counter | None = None) -> np.ndarray:
     """Mean absolute position error of hypotheses over whole recordings (hypotheses, recordings) [rad or m]."""
     errors = _errors(data, makes, counter)
-    return np.array([[float(np.mean(np.abs(e))) for e in row] for row in errors])
+    seen = data.measured[: data.recordings[0].model.nv]
+    return np.array([[float(np.mean(np.abs(e[:, seen]))) for e in row] for row in errors])
 
 
 def _errors(data: PreparedData, makes: Sequence[MakeWorld], counter: Counter | None) -> list[list[np.ndarray]]:

@@ -10,6 +10,7 @@ from btr_mjx.gap.inference.search.search_records import MARGIN, Judged
 from btr_mjx.gap.inference.verdict.disagreement import place_names
 from btr_mjx.gap.inference.verdict.intervals import intervals
 from btr_mjx.gap.inference.verdict.openloop import open_loop
+from btr_mjx.gap.inference.verdict.profile import profiled
 from btr_mjx.gap.results import Gap, NamedEffect, Overlay, RankedCandidate, Refit
 from btr_mjx.gap.windows import bounded_loss
 
@@ -60,14 +61,15 @@ def named_effects(
     if not named:
         return ()
     final = named[-1]
-    numbers = intervals(bench, final, rng, settled)
+    profile = profiled(bench, final, rng) if bench.tossed else None
+    numbers = intervals(bench, final, rng, settled) if profile is None else [profile]
     out, first, before = [], 0, None
     for i, (candidate, values) in enumerate(final.hypothesis.effects):
         parameters = {p.name: numbers[first + j] for j, p in enumerate(candidate.parameters)}
         first += len(values)
-        own = named[i]
-        score = own.score - (before.score if before else 0.0)
-        held_out = own.held_out - (before.held_out if before else 0.0)
+        step = named[i]
+        score = step.score - (before.score if before else 0.0)
+        held_out = step.held_out - (before.held_out if before else 0.0)
         others = tuple(name for name in equivalent(rounds[i], bench.contact_sensitive) if name != candidate.name)
         effect = candidate.effect
         out.append(
@@ -82,7 +84,7 @@ def named_effects(
                 effect.equation,
             )
         )
-        before = own
+        before = step
     return tuple(out)
 
 
@@ -165,7 +167,7 @@ def overlays(bench: Bench, final: Judged | None, count: int = 3) -> tuple[Overla
     after = before if final is None else side.with_fitted_states(final.hypothesis, exact=False).windows.base
     other = np.concatenate([windows.target_q, windows.target_v], -1) if final is None else after
     away = windows.minus(before, other)[..., : windows.nv] / bench.sigma[: windows.nv]
-    plain = np.flatnonzero(model.jnt_type[model.dof_jntid] >= 2)
+    plain = np.flatnonzero((model.jnt_type[model.dof_jntid] >= 2) & windows.data.measured[: windows.nv])
     if not len(plain):
         return ()
     far = np.nan_to_num((away[..., plain] ** 2).sum(1), posinf=0.0)  # (W, joints)

@@ -1,0 +1,236 @@
+"""The verdict of a diagnosis in at most two sentences, and what else there is to say, one sentence a line.
+
+Every function returns text and computes nothing else. Both are part of result.json and of the page.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from btr_mjx.gap.results.wording import (
+    REASON_NOT_NAMED,
+    as_float,
+    effect_at_place,
+    format_number,
+    parameters_in_words,
+)
+
+TIMES_NOISE = 3.0
+"""A held-out gap beyond which the rest is not noise, in units of what simulated nulls leave."""
+
+_LITTLE = 1.3
+"""The same beyond which more than noise is left."""
+
+_LISTED = 3
+"""Effects and candidates that a sentence lists, at most; the others are counted."""
+
+_UNUSED = "recordings that were not used"
+
+
+def verdict_sentence(result: Mapping[str, Any]) -> str:
+    """The outcome of a diagnosis in one sentence or two.
+
+    Args:
+      result: content of result.json.
+
+    Returns:
+      What is missing where, how large it is, and how much of the disagreement on held-out data it explains.
+    """
+    verdict, effects = result.get("verdict"), list(result.get("effects") or [])
+    if verdict == "effect" and effects:
+        return f"{_named(result, effects)} {_explained(result)}".strip()
+    if verdict == "none":
+        nothing = "Nothing need be missing" if result.get("equivalent") else "Nothing is missing"
+        others = _others(result)
+        more = f" {_capital(others)} is not ruled out." if others else ""
+        return f"{nothing}: simulation and data agree within the noise and the usual tolerances.{more}"
+    where = f", most of it at {result['where']}" if _text(result.get("where")) else ""
+    looks = _lines(result.get("unexplained"))
+    more = f" It looks like this: {looks[0].rstrip('.')}." if looks else ""
+    return f"Something is missing that none of the known effects explains{where}.{more}"
+
+
+def detail_sentences(result: Mapping[str, Any]) -> list[str]:
+    """What else there is to say of a verdict, one sentence a line.
+
+    Args:
+      result: content of result.json.
+
+    Returns:
+      Where simulation and data disagree, the gap before and after, the next best candidate, and what is equivalent.
+    """
+    verdict = result.get("verdict")
+    where = result.get("where") if verdict == "effect" else None
+    lines = [
+        f"Simulation and data disagree most at {where}." if _text(where) else "",
+        _gap(result) if verdict == "effect" else _gap_as_it_is(result),
+        _whole_recordings(result) if verdict == "effect" else "",
+        _runner_up(result) if verdict == "effect" else "",
+        _best_candidate(result) if verdict == "unexplained" else "",
+        _equivalent(result),
+    ]
+    return [line for line in lines if line]
+
+
+def _named(result: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> str:
+    each = [f"{effect_at_place(effect)} ({parameters_in_words(effect)})" for effect in effects[:_LISTED]]
+    if len(effects) > _LISTED:
+        each.append(f"{len(effects) - _LISTED} more effects, listed in the table")
+    if _leaves_much(result):
+        return f"A part of what is missing is {' and '.join(each)}."
+    return f"The missing effect{'s are' if len(effects) > 1 else ' is'} {' and '.join(each)}."
+
+
+def _levels(result: Mapping[str, Any]) -> tuple[float | None, float | None, float | None]:
+    """The held-out gap before and after, and what noise leaves."""
+    gap = result.get("gap") or {}
+    before, after, nulls, floor = (as_float(gap.get(key)) for key in ("before", "after", "nulls", "noise_floor"))
+    return before, after, nulls if nulls else floor
+
+
+def _leaves_much(result: Mapping[str, Any]) -> bool:
+    _, after, noise = _levels(result)
+    return after is not None and bool(noise) and after > TIMES_NOISE * noise  # type: ignore[operator]
+
+
+def _explained(result: Mapping[str, Any]) -> str:
+    """How much of the disagreement on held-out data the named effects explain, and what the rest is."""
+    before, after, noise = _levels(result)
+    if before is None or after is None:
+        return ""
+    many = len(result.get("effects") or []) > 1
+    it, explains = ("They", "explain") if many else ("It", "explains")
+    unit = str((result.get("gap") or {}).get("unit") or "")
+    if after >= before:
+        return f"On {_UNUSED} the gap does not fall with {'them' if many else 'it'}: do not rely on this name."
+    if "Delta_fitness" in unit:
+        return f"{it} {explains} {_percent(1 - after / before)} of Delta_fitness on trials that were not used."
+    if not noise:
+        return f"{it} {explains} {_percent(1 - after / before)} of the disagreement on {_UNUSED}."
+    if before <= _LITTLE * noise:
+        return f"On {_UNUSED} the disagreement is close to the noise with and without {'them' if many else 'it'}."
+    share = (before - after) / (before - min(noise, after))
+    left = after / noise
+    rest = "the rest is noise"
+    if left > TIMES_NOISE:
+        rest = f"the rest is not noise but {format_number(left)} times as much"
+    elif left > _LITTLE:
+        rest = f"what is left is {format_number(left, 2)} times the noise"
+    return f"{it} {explains} {_percent(share)} of the disagreement on {_UNUSED}; {rest}."
+
+
+def _percent(share: float) -> str:
+    """A share in per cent; what is not all is not rounded to all."""
+    value = 100 * min(share, 1.0)
+    return f"{value:.0f} %" if value >= 1 else f"{format_number(value, 1)} %"
+
+
+def _gap(result: Mapping[str, Any]) -> str:
+    before, after, noise = _levels(result)
+    if before is None or after is None:
+        return ""
+    if after == before:
+        return _gap_as_it_is(result)
+    unit = _unit(result)
+    word = "shrinks" if after < before else "grows"
+    ends = f"from {format_number(before)}{unit} to {format_number(after)}{unit}"
+    return f"The held-out gap {word} {ends}{_noise(result, noise)}."
+
+
+def _gap_as_it_is(result: Mapping[str, Any]) -> str:
+    before, _, noise = _levels(result)
+    if before is None:
+        return ""
+    return f"The held-out gap is {format_number(before)}{_unit(result)}{_noise(result, noise)}."
+
+
+def _unit(result: Mapping[str, Any]) -> str:
+    unit = (result.get("gap") or {}).get("unit")
+    return f" {unit}" if unit else ""
+
+
+def _noise(result: Mapping[str, Any], noise: float | None) -> str:
+    return f"; noise leaves {format_number(noise)}{_unit(result)}" if noise else ""
+
+
+def _whole_recordings(result: Mapping[str, Any]) -> str:
+    """How well whole recordings are followed."""
+    gap = result.get("gap") or {}
+    start, end = as_float(gap.get("open_loop_before")), as_float(gap.get("open_loop_after"))
+    if start is None or end is None:
+        return ""
+    ends = [f"{format_number(error)} {gap.get('open_loop_unit', 'rad')}" for error in (start, end)]
+    whole = "over whole held-out recordings, simulated from their first sample"
+    if end < start:
+        return f"The mean position error {whole}, falls from {ends[0]} to {ends[1]}."
+    return (
+        f"The mean position error {whole}, is {ends[0]} without and {ends[1]} with it: where small differences grow, a "
+        "motion can be followed over short stretches only."
+    )
+
+
+def _runner_up(result: Mapping[str, Any]) -> str:
+    same = {_key(effect) for effect in result.get("effects") or []}
+    rows = [row for row in result.get("ranking") or [] if not row.get("beside")]
+    others = [row for row in rows if _key(row) not in same and not row.get("equivalent")]
+    ranked = [row for row in rows if _key(row) in same]
+    if not others:
+        return ""
+    best, second = (as_float(ranked[0].get("score")) if ranked else None), as_float(others[0].get("score"))
+    if best is None or second is None or best <= 0:
+        return f"Runner-up: {effect_at_place(others[0])}."
+    share = second / best
+    how = "far behind" if share < 0.6 else "behind" if share < 0.9 else "close behind"
+    return f"Runner-up: {effect_at_place(others[0])}, {how} ({100 * max(share, 0):.0f} % of the score)."
+
+
+def _best_candidate(result: Mapping[str, Any]) -> str:
+    """The candidate that comes nearest where nothing is named."""
+    rows = [row for row in result.get("ranking") or [] if not row.get("beside")]
+    score, share = (as_float(rows[0].get("score")) if rows else None), as_float(result.get("share"))
+    if score is None or score <= 0:
+        return ""
+    part = f" explains {_percent(share)} of the unknown force and" if share is not None and share > 0 else ""
+    return f"The best candidate, {effect_at_place(rows[0])},{part} leaves too much to be named."
+
+
+def _key(row: Mapping[str, Any]) -> tuple[str, str]:
+    return str(row["effect"]), str(row["location"])
+
+
+def _others(result: Mapping[str, Any]) -> str:
+    """Candidates that these data cannot distinguish from what is named, in words."""
+    same = {_key(effect) for effect in result.get("effects") or []}
+    others = []
+    for entry in result.get("equivalent") or []:
+        members = entry if isinstance(entry, Sequence) and not isinstance(entry, str | Mapping) else [entry]
+        others += [m for m in members if isinstance(m, Mapping) and "effect" in m and _key(m) not in same]
+    more = f" (and {len(others) - _LISTED} more)" if len(others) > _LISTED else ""
+    return " or ".join(effect_at_place(m) for m in others[:_LISTED]) + more
+
+
+def _equivalent(result: Mapping[str, Any]) -> str:
+    """Candidates that these data cannot distinguish, and a pointer to the next experiment."""
+    others = _others(result)
+    if not others:
+        return ""
+    then = ": run the experiment below next." if result.get("next_experiment") else "."
+    if result.get("verdict") == "none":
+        return f"{_capital(others)} explains more than chance, but {REASON_NOT_NAMED}{then}"
+    return f"These data cannot tell it apart from {others}{then}"
+
+
+def _lines(looks: Any) -> list[str]:
+    """The description of what is unexplained as lines of text."""
+    if isinstance(looks, Mapping):
+        looks = looks.get("description") or looks.get("text")
+    if isinstance(looks, Sequence) and not isinstance(looks, str):
+        return [str(item.get("text", item)) if isinstance(item, Mapping) else str(item) for item in looks]
+    return [str(looks).strip()] if looks else []
+
+
+def _text(value: Any) -> bool:
+    return isinstance(value, str) and bool(value)
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
