@@ -1,9 +1,9 @@
 # %% [markdown]
 # # Co-evolve a controller and a simulation
 #
-# Back-to-Reality repeats three steps: evolve controllers in the best simulation so far; try the best of them in reality;
-# evolve simulations until they predict what was measured. Here a hidden simulation of the hexapod plays reality: a femur
-# and a tibia have other lengths than the first simulation believes.
+# Back-to-Reality repeats three steps: evolve controllers in the best simulation so far; try the best of them in
+# reality; evolve simulations until they predict what was measured. Here a hidden simulation of the hexapod plays
+# reality: a femur and a tibia have other lengths than the first simulation believes.
 
 # %%
 import tempfile

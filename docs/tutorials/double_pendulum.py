@@ -97,6 +97,8 @@ print(result["sentence"])
 # %%
 (effect,) = result["effects"]
 ((name, size),) = effect["parameters"].items()
-print(f"{effect['effect']} at {effect['location']}: {name} {size['value']:.4f}, 90 % {size['low']:.4f} .. {size['high']:.4f}")
+print(
+    f"{effect['effect']} at {effect['location']}: {name} {size['value']:.4f}, 90 % {size['low']:.4f} .. {size['high']:.4f}"
+)
 assert effect["effect"] == "dry_friction" and "elbow" in effect["location"]
 assert abs(size["value"] - 0.08) < 0.008

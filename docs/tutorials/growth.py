@@ -29,7 +29,9 @@ grown = btr.coevolve(**settings, out=out / "grown", grow=True)
 
 # %%
 for row in grown["growth"]:
-    print(row["iteration"], f"{row['delta_before']:.4f} m, calibration leaves {row['calibration']:.4f} m:", row["verdict"])
+    print(
+        row["iteration"], f"{row['delta_before']:.4f} m, calibration leaves {row['calibration']:.4f} m:", row["verdict"]
+    )
 assert "dry_friction" in grown["effects"][0]["effect"]
 
 # %%

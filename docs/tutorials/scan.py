@@ -63,4 +63,4 @@ print(f"least Delta_fitness {delta_fitness.min():.3g} m/s at bl_14 = {best:.2f} 
 #     uv run python -m btr_mjx.scan --parameter bl_14 --grid 49 --out runs/scan
 #
 # More: [the function `evaluate`](../api/btr_mjx.md), [scans on a cluster](../scaling.md),
-# [the paper's scans](../claims.md).
+# [the paper's scans](../paper.md).
