@@ -90,6 +90,7 @@ def executed(script: Path) -> tuple[str, dict[str, bytes]]:
     import nbclient
     import nbconvert
     import nbformat
+    from jupyter_client import AsyncKernelManager
 
     digest = hashlib.sha256(script.read_bytes())
     for source in [*sorted(PACKAGE.rglob("*.py")), *EXAMPLES]:
@@ -99,8 +100,9 @@ def executed(script: Path) -> tuple[str, dict[str, bytes]]:
         notebook = nbformat.read(kept, as_version=4)
     else:
         notebook = jupytext.read(script)
+        kernel = AsyncKernelManager(kernel_name="python3", transport="ipc")  # no open ports
         where = {"metadata": {"path": str(ROOT)}}
-        nbclient.NotebookClient(notebook, timeout=600, kernel_name="python3", resources=where).execute()
+        nbclient.NotebookClient(notebook, km=kernel, timeout=600, resources=where).execute()
         CACHE.mkdir(parents=True, exist_ok=True)
         nbformat.write(notebook, kept)
     text, resources = nbconvert.MarkdownExporter().from_notebook_node(notebook, {"unique_key": script.stem})

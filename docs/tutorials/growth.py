@@ -29,14 +29,14 @@ grown = btr.coevolve(**settings, out=out / "grown", grow=True)
 
 # %%
 for row in grown["growth"]:
-    print(
-        row["iteration"], f"{row['delta_before']:.4f} m, calibration leaves {row['calibration']:.4f} m:", row["verdict"]
-    )
+    limit = f"{row['delta_before']:.4f} m, calibration leaves {row['calibration']:.4f} m"
+    print(f"iteration {row['iteration']}: {limit}: {row['verdict']}", *row["added"])
 assert "dry_friction" in grown["effects"][0]["effect"]
 
 # %%
 for name, result in {"fixed": fixed, "grown": grown}.items():
-    print(f"{name}: Delta_fitness {result['delta_fitness_last']:.4f} m, unknowns", result["simulation"])
+    found = ", ".join(f"{unknown} {value:.3f}" for unknown, value in result["simulation"].items())
+    print(f"{name}: Delta_fitness {result['delta_fitness_last']:.4f} m at {found}")
 
 # %% [markdown]
 # How often the right effect is added: [how well it works](../gap_measured.md).

@@ -6,6 +6,7 @@
 # robot, an arm that swings a ball to a point; its ball is heavier, and its elbow has more damping, than believed.
 
 # %%
+import contextlib
 import subprocess
 import sys
 import tempfile
@@ -52,10 +53,8 @@ result = None
 while result is None:
     robot = [sys.executable, "examples/robot_in_the_next_room.py", str(settings["exchange"]), "--once"]
     print(subprocess.run(robot, capture_output=True, text=True, check=True).stdout.strip())
-    try:
+    with contextlib.suppress(Waiting):
         result = btr.coevolve(**settings, resume=True)
-    except Waiting:
-        pass
 print(*sorted(folder.glob("exchange/measured/*.csv"))[0].read_text().splitlines()[:3], sep="\n")
 
 # %% [markdown]

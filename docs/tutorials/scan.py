@@ -11,7 +11,8 @@ import numpy as np
 import btr_mjx as btr
 
 robot = btr.hexapod()
-robot.simulation_box.names, robot.controller_box.n
+print(*robot.simulation_box.names)
+print(robot.controller_box.n, "parameters of a controller")
 
 # %% [markdown]
 # `evaluate` computes the fitness of all pairs: here 3 simulations and 15 controllers, drawn at random. The first call
@@ -49,8 +50,8 @@ axes.legend()
 plt.show()
 
 # %% [markdown]
-# A single delta_k (grey) may touch zero away from the truth; their mean does so at the truth only. Below about 1.1 m the
-# foot does not reach the ground, so that the length hardly matters: a plateau.
+# A single delta_k (grey) may touch zero away from the truth; their mean does so at the truth only. Below about 1.1 m
+# the foot does not reach the ground, so that the length hardly matters: a plateau.
 
 # %%
 best = grid[np.argmin(delta_fitness)]
