@@ -135,7 +135,7 @@ class Plan:
         for name, values in columns.items():
             target = self.names.get(name)
             if target == "time":
-                found[target] = values if clock == (1.0, 0.0) else values * clock[0] - clock[1]
+                found[target] = values if clock == (1.0, 0.0) else (values - clock[1]) * clock[0]
             elif target is not None:
                 factor = self.factors.get(target, 1.0)
                 found[target] = values if factor == 1 else values * factor
@@ -231,5 +231,9 @@ def read_log(
     own: list[str] = []
     clocks = [to_seconds(table.columns[plan.time[0]], plan.time[1], own) for table, plan in used]
     notes += dict.fromkeys(own)
-    origin = min((clock[1] for clock in clocks), default=0.0)
-    return [plan.apply(table.columns, (clock[0], origin)) for (table, plan), clock in zip(used, clocks, strict=True)]
+    origin, scale = min(((start * factor, factor) for factor, start in clocks), default=(0.0, 1.0))
+    starts = [start if factor == scale and start * factor == origin else origin / factor for factor, start in clocks]
+    return [
+        plan.apply(table.columns, (factor, start))
+        for (table, plan), (factor, _), start in zip(used, clocks, starts, strict=True)
+    ]

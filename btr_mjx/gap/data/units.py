@@ -171,7 +171,7 @@ def quantity_of(column: str, model: mujoco.MjModel) -> str | None:
 
 
 def to_seconds(time: np.ndarray, unit: str | None, notes: list[str]) -> tuple[float, float]:
-    """Factor and origin with which time stamps become seconds: (time * factor) - origin.
+    """Factor and origin with which time stamps become seconds: (time - origin) * factor.
 
     Args:
       time: (K,) stamps; the first ones of a recording are enough.
@@ -182,7 +182,7 @@ def to_seconds(time: np.ndarray, unit: str | None, notes: list[str]) -> tuple[fl
     factor = TIME_UNITS[found]
     finite = time[np.isfinite(time)]
     start = float(finite[0]) * factor if len(finite) else 0.0
-    origin = start if abs(start) >= _EPOCH[0] / 1000 else 0.0  # keeps the digits of the intervals
+    origin = float(finite[0]) if abs(start) >= _EPOCH[0] / 1000 else 0.0  # keeps the digits of the intervals
     if found != "s":
         reason = "as stated" if unit else f"told by intervals of {np.median(np.abs(np.diff(finite))):.3g}"
         notes.append(f"time stamps are in {found} ({reason}) and were converted to s")

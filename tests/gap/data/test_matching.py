@@ -148,7 +148,7 @@ def test_units_of_time_by_interval_and_epoch(unit: str, rate: int, epoch: float)
     assert time_unit(stamps) == unit
     notes: list[str] = []
     factor, origin = to_seconds(stamps, None, notes)
-    np.testing.assert_allclose(stamps * factor - origin, true, atol=6e-7)
+    np.testing.assert_allclose((stamps - origin) * factor, true, atol=6e-7)
     assert bool(notes) == (unit != "s" or epoch > 0)
 
 
