@@ -98,6 +98,6 @@ def with_recording(name: str, content: bytes) -> Mapping[str, bytes]:
     return files | {name: content}
 
 
-def scratch_folder() -> Path:
+def input_folder() -> Path:
     """A folder for files that are made on the way."""
     return Path(tempfile.mkdtemp(prefix="btr_mjx-hostile-"))

@@ -21,7 +21,7 @@ from btr_mjx.testing.hostile.inputs import (
     base_csv,
     bytes_or,
     dataset_files,
-    scratch_folder,
+    input_folder,
     toml_bytes,
     with_recording,
 )
@@ -152,7 +152,7 @@ def _lerobot_frames() -> bytes:
             "action": [[u] for u in np.degrees([*columns["ctrl/servo"]] * 2)],
         }
     )
-    path = scratch_folder() / "frames.parquet"
+    path = input_folder() / "frames.parquet"
     write_table(path, frame)
     return path.read_bytes()
 

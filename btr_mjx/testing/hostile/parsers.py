@@ -22,7 +22,7 @@ from btr_mjx.testing.hostile.inputs import (
     XML,
     bytes_or,
     dataset_files,
-    scratch_folder,
+    input_folder,
     toml_bytes,
 )
 from btr_mjx.testing.hostile.logs import make_csv, make_lerobot, make_npz, make_parquet, make_servo
@@ -95,7 +95,7 @@ def _run_template(folder: Path) -> None:
 
 
 def _make_checkpoint(random: Random) -> Mapping[str, bytes]:
-    buffer_folder = scratch_folder()
+    buffer_folder = input_folder()
     path = save_checkpoint(buffer_folder, 3, {"x": np.arange(5.0)}, {"rng": [1, 2**100], "best": float("nan")})
     data = path.read_bytes()
     if random.random() < 0.5:
