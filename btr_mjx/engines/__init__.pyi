@@ -5,7 +5,7 @@ from .lanes.fields import base_field, influences_motion
 from .lanes.stepper import LanesStepper
 from .mjx import MjxStepper
 from .native import expand
-from .program import Layout, Program, rollout
+from .program import Layout, Program, rollout_chunk
 from .record import Record
 
 __all__ = [
@@ -20,7 +20,7 @@ __all__ = [
     "expand",
     "influences_motion",
     "native",
-    "rollout",
+    "rollout_chunk",
     "use_all_cores",
     "use_compilation_cache",
 ]

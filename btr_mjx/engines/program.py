@@ -41,7 +41,7 @@ class Layout:
         return self.devices * self.capacity * self.chunk
 
 
-def rollout(
+def rollout_chunk(
     stepper: Stepper,
     signal: Signal,
     base_address: tuple[int, int] | None,
@@ -107,7 +107,7 @@ def rollout(
     ended, sampled = lax.scan(segment, carry, bounds)
     position, energy, *states = sampled
     peak, capped = ended[2:]
-    return Record(start, position, energy, peak, capped, *states)
+    return Record(start, position, energy, peak, capped, stepper.tripped(ended[0]), *states)
 
 
 def _run_chunks(one: Callable[..., Record], params: Any, controllers: Any, samples: Any, active: Any) -> Record:
@@ -140,7 +140,7 @@ class Program:
         self.stepper, self.layout = stepper, layout
 
         def one(params: Any, controllers: jax.Array, samples: jax.Array) -> Record:
-            return rollout(stepper, signal, base_address, record_states, params, controllers, samples, at)
+            return rollout_chunk(stepper, signal, base_address, record_states, params, controllers, samples, at)
 
         mesh = Mesh(np.array(devices), ("chunks",), axis_types=(AxisType.Auto,))
         sharded, copied = PartitionSpec("chunks"), PartitionSpec()

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.engines.base import Leaves
+from btr_mjx.engines.guards.watch import Pose, crossed, plan_guards
 from btr_mjx.engines.lanes import support
 from btr_mjx.engines.lanes.actuation import actuate, group_rows, springs
 from btr_mjx.engines.lanes.cones import Contact
@@ -23,7 +24,7 @@ from btr_mjx.engines.lanes.dynamics import (
     opposing_forces,
     world_rates,
 )
-from btr_mjx.engines.lanes.fields import VARYING, Fields, base_field, influences_motion
+from btr_mjx.engines.lanes.fields import VARYING, Fields, base_field, influences_motion, rigid_root
 from btr_mjx.engines.lanes.fluid import drag
 from btr_mjx.engines.lanes.integrate import Damping, integrate_step
 from btr_mjx.engines.lanes.kinematics import Motion, motions
@@ -56,6 +57,8 @@ class LanesState:
     """Sum over actuators of |force x velocity| in the last step [W], (C,)."""
     capped: jax.Array
     """Whether the solver reached its iteration limit in the last step, bool (C,)."""
+    tripped: jax.Array
+    """Whether the bound of a guarded pair was crossed at the start of some step, bool (C,)."""
 
 
 class LanesStepper:
@@ -72,6 +75,7 @@ class LanesStepper:
         *,
         max_newton: int = 20,
         dtype: Any = None,
+        guards: bool = False,
     ):
         """Prepare the engine for one model structure.
 
@@ -82,6 +86,8 @@ class LanesStepper:
             motion (colours, bounding boxes, ...) are ignored.
           max_newton: maximum number of solver iterations per step.
           dtype: float32 or float64; None for JAX's default.
+          guards: whether a model with contacts that are not computed is accepted. Each of them is guarded: `tripped`
+            tells the worlds in which it may have taken part; their states are not MuJoCo's.
 
         Raises:
           UnsupportedModel: the model uses something that this engine does not compute, or a field of `varying` may
@@ -92,16 +98,17 @@ class LanesStepper:
         self.nq, self.nv, self.nu = int(model.nq), int(model.nv), int(model.nu)
         self._elliptic = bool(model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC)
         self.timestep = float(model.opt.timestep)
-        pairs = support.require_supported(model)
+        contacts = support.require_supported(model, guards)
+        self.guards = plan_guards(model, [guarded.pair for guarded in contacts.guarded])
         self._masks = self._read_masks(varying)
         friction = (np.asarray(model.dof_frictionloss) != 0) | self._masks.get(
             "dof_frictionloss", np.zeros(self.nv, bool)
         )
         if support.disabled(model, "CONSTRAINT") or support.disabled(model, "FRICTIONLOSS"):
             friction = np.zeros(self.nv, bool)
-        self.plan = make_plan(model, pairs, friction)
+        self.plan = make_plan(model, contacts.computed, friction)
         twice = {name: np.stack([base_field(model, name)] * 2)[None] for name in self._masks}
-        table = derive(model, self.plan, Fields(model, self._masks, twice))
+        table = derive(model, self.plan, Fields(model, self._masks, twice), self.guards.geoms)
         self._constants, arrays = split_constants(table)
         self._varying_names = frozenset(arrays)
         self._zone_layout: list[tuple[int, int]] = []
@@ -112,6 +119,8 @@ class LanesStepper:
         """Field name -> bool array of the field's shape."""
         masks = {}
         for name in sorted(varying):
+            if self.guards.pairs and name.startswith(("mesh_vert", "hfield_", "pair_")):
+                raise support.refuse(f"a field {name!r} of guarded contacts that differs between worlds")
             if not influences_motion(name):
                 continue
             if name not in VARYING:
@@ -145,7 +154,9 @@ class LanesStepper:
         for name, where in (("jnt_stiffness", free), ("dof_frictionloss", free[self._model.dof_jntid])):
             if name in self._masks and np.any(leaves[name][..., where]):
                 raise support.refuse(f"{name} of a free joint")
-        _, arrays = split_constants(derive(self._model, self.plan, Fields(self._model, self._masks, leaves)))
+        _, arrays = split_constants(
+            derive(self._model, self.plan, Fields(self._model, self._masks, leaves), self.guards.geoms)
+        )
         return {key: [column.astype(self._dtype) for column in columns] for key, columns in arrays.items()}
 
     def _shape(self, size: int, chunk: int) -> tuple[int, ...]:
@@ -186,9 +197,8 @@ class LanesStepper:
         """State of `chunk` worlds at rest in the model's qpos0, with actuator activations zero."""
         q, v, acts = self._rest(Parameters(self._constants, params), chunk)
         lanes = jnp.zeros(chunk, self._dtype)
-        return LanesState(
-            q, v, acts, self._no_history(chunk), [jnp.zeros_like(x) for x in v], self._no_zones(chunk), lanes, lanes > 0
-        )
+        still, zones = [jnp.zeros_like(x) for x in v], self._no_zones(chunk)
+        return LanesState(q, v, acts, self._no_history(chunk), still, zones, lanes, lanes > 0, lanes > 0)
 
     def _rest(
         self, parameters: Parameters, chunk: int
@@ -227,10 +237,8 @@ class LanesStepper:
                         jnp.zeros_like(v[-1]) if act is None else group_rows(jnp.asarray(act, self._dtype), adr)
                     )
         lanes = jnp.zeros(qpos.shape[-1], self._dtype)
-        zones = self._no_zones(qpos.shape[-1])
-        return LanesState(
-            q, v, acts, self._no_history(qpos.shape[-1]), [jnp.zeros_like(x) for x in v], zones, lanes, lanes > 0
-        )
+        still, zones = [jnp.zeros_like(x) for x in v], self._no_zones(qpos.shape[-1])
+        return LanesState(q, v, acts, self._no_history(qpos.shape[-1]), still, zones, lanes, lanes > 0, lanes > 0)
 
     def step(self, params: Mapping[str, list[jax.Array]], state: LanesState, ctrl: jax.Array) -> LanesState:
         """State after one time step under controls of shape (nu, C)."""
@@ -261,10 +269,23 @@ class LanesStepper:
         slopes = Damping(damping, actuation.damping, medium and medium[1])
         following = integrate_step(model, plan, moving, q, v, bodies, slopes, found)
         power = total(group_sum(p, size) for p, size in actuation.power)
-        rates = local_rates(plan, moving, found)
-        return LanesState(
-            *following, actuation.act, actuation.history, rates, zones, array(power, capped.shape, self._dtype), capped
+        rates, power = local_rates(plan, moving, found), array(power, capped.shape, self._dtype)
+        tripped = (
+            state.tripped | self._crossed(parameters, moving, state.power.shape[-1])
+            if self.guards.pairs
+            else state.tripped
         )
+        return LanesState(*following, actuation.act, actuation.history, rates, zones, power, capped, tripped)
+
+    def _crossed(self, parameters: Parameters, moving: Sequence[Motion], lanes: int) -> jax.Array:
+        """Worlds in which the bound of a guarded pair is crossed, bool (C,)."""
+        poses: list[Pose | None] = []
+        for geom in self.guards.geoms:
+            root = rigid_root(self._model, int(self._model.geom_bodyid[geom]))
+            carrier = next((link for link in self.plan.links if root in link.bodies), None)
+            m = moving[carrier.index] if carrier else None
+            poses.append((m.rotation, m.position, carrier.bodies.index(root)) if carrier and m else None)
+        return crossed(self.guards, parameters, poses, lanes, self._dtype)
 
     def qpos(self, state: LanesState) -> jax.Array:
         """Generalised positions (nq, C), MuJoCo's order and conventions."""
@@ -313,6 +334,10 @@ class LanesStepper:
     def capped(self, state: LanesState) -> jax.Array:
         """Whether the constraint solver reached its iteration limit in the last step, bool (C,)."""
         return state.capped
+
+    def tripped(self, state: LanesState) -> jax.Array:
+        """Whether the bound of a guarded pair was crossed at the start of some step so far, bool (C,)."""
+        return state.tripped
 
 
 def _in_order(rows: Sequence[tuple[int, jax.Array, int]]) -> jax.Array:
