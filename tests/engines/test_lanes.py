@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from lanes_models import CASES, FAST, QUADRUPED_SERVOS, biped, chain, mjcf, plain_box, quadruped, snake
+from lanes_models import CASES, FAST, QUADRUPED_SERVOS, SERVOS, biped, chain, mjcf, plain_box, quadruped, snake
 
 from btr_mjx.engines import LanesStepper, UnsupportedModel
 from btr_mjx.engines.lanes.tree import HINGE
@@ -247,7 +247,8 @@ def test_energy_is_conserved_without_damping(rng: np.random.Generator) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (mjcf(plain_box(), option='integrator="RK4"'), ["RK4", "integrator"]),
+        (mjcf(plain_box(), option='integrator="implicit"'), ["IMPLICIT", "integrator"]),
+        (mjcf(chain(4), option='integrator="RK4"', actuators=SERVOS), ["RK4", "activations"]),
         (mjcf(plain_box().replace("<freejoint/>", '<joint name="shoulder" type="ball"/>')), ["ball", "shoulder"]),
         (mjcf(plain_box().replace('conaffinity="0"', ""), floor='condim="6"'), ["condim 6", "floor"]),
         (mjcf(plain_box() + plain_box().replace("0 0 1", "3 0 1").replace("<geom", '<geom contype="1"')), ["contact"]),

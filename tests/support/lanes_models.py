@@ -132,4 +132,7 @@ CASES = {
     "biped": mjcf(biped(), actuators='<motor joint="hip-0.1"/><motor joint="hip0.1"/>'),
     "snake": mjcf(snake(20)),
     "stops": mjcf(stops()),
+    "quadruped_rk4": mjcf(quadruped(), option='integrator="RK4"', actuators=QUADRUPED_SERVOS),
+    "spheres_box_in_water_rk4": mjcf(spheres_box(), option=f'integrator="RK4" cone="elliptic" {WATER}'),
+    "pendulum_rk4": mjcf(chain(4), option='integrator="RK4"', actuators='<motor joint="p0" gear="3"/>'),
 }

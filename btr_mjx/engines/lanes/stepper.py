@@ -1,22 +1,24 @@
 """The `Stepper` of the lanes engine: one MuJoCo step for a chunk of worlds, with the batch in the SIMD lanes."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from jax import lax
 
 from btr_mjx.engines.base import Leaves
 from btr_mjx.engines.guards.watch import Pose, crossed, plan_guards
 from btr_mjx.engines.lanes import support
-from btr_mjx.engines.lanes.actuation import actuate, group_rows, springs
+from btr_mjx.engines.lanes.actuation import Actuation, actuate, group_rows, springs
 from btr_mjx.engines.lanes.cones import Contact
 from btr_mjx.engines.lanes.contacts import contact_points
 from btr_mjx.engines.lanes.dof_constraints import DofConstraint, dof_constraints
 from btr_mjx.engines.lanes.dynamics import (
+    System,
     bias_wrenches,
     dof_system,
     inertia_system,
@@ -26,11 +28,11 @@ from btr_mjx.engines.lanes.dynamics import (
 )
 from btr_mjx.engines.lanes.fields import VARYING, Fields, base_field, influences_motion, rigid_root
 from btr_mjx.engines.lanes.fluid import drag
-from btr_mjx.engines.lanes.integrate import Damping, integrate_step
+from btr_mjx.engines.lanes.integrate import Damping, integrate_step, moved_coordinates
 from btr_mjx.engines.lanes.kinematics import Motion, motions
 from btr_mjx.engines.lanes.linesearch import ConstraintProblem
 from btr_mjx.engines.lanes.parameters import Parameters, derive, split_constants
-from btr_mjx.engines.lanes.scalars import add, array, group_sum, total, vadd, vsub
+from btr_mjx.engines.lanes.scalars import add, array, group_sum, scale, total, vadd, vsub
 from btr_mjx.engines.lanes.solver import Zones, constrained_acceleration
 from btr_mjx.engines.lanes.tree import FREE, make_plan
 from btr_mjx.engines.rewriting import retrace
@@ -59,6 +61,24 @@ class LanesState:
     """Whether the solver reached its iteration limit in the last step, bool (C,)."""
     tripped: jax.Array
     """Whether the bound of a guarded pair was crossed at the start of some step, bool (C,)."""
+
+
+@dataclass(frozen=True)
+class _Forward:
+    """Forces and accelerations at a state."""
+
+    moving: Sequence[Motion]
+    inertia: System
+    damping: System
+    """Of joint dampers."""
+    actuation: Actuation
+    medium: System | None
+    """Minus the derivative of the fluid's drag by velocity."""
+    found: list[jax.Array]
+    """Accelerations per dof, with world axes."""
+    capped: jax.Array
+    zones: Zones
+    tripped: jax.Array
 
 
 class LanesStepper:
@@ -245,8 +265,20 @@ class LanesStepper:
         return retrace(self._step, threshold=16)(params, state, ctrl)
 
     def _step(self, params: Mapping[str, list[jax.Array]], state: LanesState, ctrl: jax.Array) -> LanesState:
-        model, plan = self._model, self.plan
         parameters = Parameters(self._constants, params)
+        if self._model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+            return self._runge_kutta(parameters, state, ctrl)
+        model, plan, q, v = self._model, self.plan, state.q, state.v
+        f = self._forward(parameters, state, ctrl)
+        slopes = Damping(f.damping, f.actuation.damping, f.medium)
+        following = integrate_step(model, plan, f.moving, q, v, f.inertia, slopes, f.found)
+        power = total(group_sum(p, size) for p, size in f.actuation.power)
+        rates, power = local_rates(plan, f.moving, f.found), array(power, f.capped.shape, self._dtype)
+        return LanesState(*following, f.actuation.act, f.actuation.history, rates, f.zones, power, f.capped, f.tripped)
+
+    def _forward(self, parameters: Parameters, state: LanesState, ctrl: jax.Array) -> _Forward:
+        """Accelerations at a state (mj_forward)."""
+        model, plan = self._model, self.plan
         q, v = state.q, state.v
         moving = motions(plan, parameters, q, v)
         bodies = inertia_system(plan, parameters, moving)
@@ -266,16 +298,34 @@ class LanesStepper:
         found, capped, zones = constrained_acceleration(
             ConstraintProblem(plan, moving, constraints, bodies, wrenches, tau), guess, state.zones, self._max_newton
         )
-        slopes = Damping(damping, actuation.damping, medium and medium[1])
-        following = integrate_step(model, plan, moving, q, v, bodies, slopes, found)
-        power = total(group_sum(p, size) for p, size in actuation.power)
-        rates, power = local_rates(plan, moving, found), array(power, capped.shape, self._dtype)
-        tripped = (
-            state.tripped | self._crossed(parameters, moving, state.power.shape[-1])
-            if self.guards.pairs
-            else state.tripped
-        )
-        return LanesState(*following, actuation.act, actuation.history, rates, zones, power, capped, tripped)
+        tripped = state.tripped
+        if self.guards.pairs:
+            tripped = tripped | self._crossed(parameters, moving, tripped.shape[-1])
+        return _Forward(moving, bodies, damping, actuation, medium and medium[1], found, capped, zones, tripped)
+
+    def _runge_kutta(self, parameters: Parameters, state: LanesState, ctrl: jax.Array) -> LanesState:
+        """One step of the classical Runge-Kutta method of fourth order (mj_RungeKutta)."""
+        plan, dt = self.plan, self.timestep
+        ahead, weights = (jnp.asarray(x, self._dtype) for x in ([0.5, 0.5, 1, 0], [1 / 6, 1 / 3, 1 / 3, 1 / 6]))
+
+        def stage(i: jax.Array, carry: tuple) -> tuple:
+            here, speed, rate, capped = carry
+            f = self._forward(parameters, here, ctrl)
+            rates = [
+                array(x, v.shape, self._dtype)
+                for x, v in zip(local_rates(plan, f.moving, f.found), here.v, strict=True)
+            ]
+            speed, rate = (vadd(sums, scale(weights[i], x)) for sums, x in ((speed, here.v), (rate, rates)))
+            q = moved_coordinates(plan, state.q, here.v, ahead[i] * dt)
+            power = array(total(group_sum(p, size) for p, size in f.actuation.power), capped.shape, self._dtype)
+            v = vadd(state.v, scale(ahead[i] * dt, rates))
+            following = LanesState(q, v, state.act, state.history, rates, f.zones, power, f.capped, f.tripped)
+            return following, speed, rate, capped | f.capped
+
+        still = [jnp.zeros_like(x) for x in state.v]
+        end, speed, rate, capped = lax.fori_loop(0, 4, stage, (state, still, still, jnp.zeros_like(state.capped)))
+        q, v = moved_coordinates(plan, state.q, speed, dt), vadd(state.v, scale(dt, rate))
+        return replace(end, q=q, v=v, capped=capped)
 
     def _crossed(self, parameters: Parameters, moving: Sequence[Motion], lanes: int) -> jax.Array:
         """Worlds in which the bound of a guarded pair is crossed, bool (C,)."""

@@ -78,9 +78,10 @@ def refusals(model: mujoco.MjModel) -> Iterator[str]:
 
 
 def _check_options(m: mujoco.MjModel) -> Iterator[str]:
-    integrators = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
-    if m.opt.integrator not in integrators:
-        yield f"the {mujoco.mjtIntegrator(m.opt.integrator).name} integrator (only Euler and implicitfast)"
+    if m.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICIT:
+        yield f"the {mujoco.mjtIntegrator(m.opt.integrator).name} integrator (only Euler, implicitfast and RK4)"
+    if m.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 and (m.na or np.any(m.actuator_history[:, 0])):
+        yield f"the RK4 integrator together with activations or delays ({m.nu} actuators)"
     for flag in ("OVERRIDE", "SLEEP", "DIAGEXACT", "IPC"):
         bit = getattr(_ENABLE, f"mjENBL_{flag}", None)
         if bit is not None and m.opt.enableflags & int(bit):
