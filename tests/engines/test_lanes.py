@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from lanes_models import CASES, FAST, QUADRUPED_SERVOS, SERVOS, biped, chain, mjcf, plain_box, quadruped, snake
+from lanes_models import CASES, FAST, QUADRUPED_SERVOS, SERVOS, biped, chain, mjcf, plain_box, quadruped, snake, tendons
 
 from btr_mjx.engines import LanesStepper, UnsupportedModel
 from btr_mjx.engines.lanes.tree import HINGE
@@ -260,6 +260,8 @@ def test_energy_is_conserved_without_damping(rng: np.random.Generator) -> None:
             mjcf(chain(2)).replace("</mujoco>", '<equality><joint joint1="p0" joint2="p1"/></equality></mujoco>'),
             ["equality"],
         ),
+        (tendons(mjcf(biped())).replace('name="all"', 'name="all" limited="true" range="-1 1"'), ["limits", "all"]),
+        (tendons(mjcf(biped(), option=FAST)), ["damping of tendons", "all"]),
     ],
 )
 def test_what_is_not_computed_is_refused_by_name(text: str, words: list[str]) -> None:

@@ -250,6 +250,9 @@ def derive(model: mujoco.MjModel, plan: TreePlan, fields: Fields, guarded: Seque
         for n, touch in enumerate(link.touches):
             geoms = zip(link.bodies, touch.geoms, strict=True)
             put(f"{link.index}/touch{n}", [_touch(model, fields, b, touch, g) for b, g in geoms])
+    for tendon in plan.tendons:
+        for k, actuator in enumerate(tendon.actuators):
+            put(f"tendon{tendon.id}/actuator{k}", [_actuator(fields, a) for a in actuator.ids])
     if guarded:
         put("guards", [_guarded_geom(model, fields, g) for g in guarded])
     return table

@@ -13,7 +13,7 @@ from jax import lax
 from btr_mjx.engines.base import Leaves
 from btr_mjx.engines.guards.watch import Pose, crossed, plan_guards
 from btr_mjx.engines.lanes import support
-from btr_mjx.engines.lanes.actuation import Actuation, actuate, group_rows, springs
+from btr_mjx.engines.lanes.actuation import Actuation, actuate, group_rows, springs, tendon_forces
 from btr_mjx.engines.lanes.cones import Contact
 from btr_mjx.engines.lanes.contacts import contact_points
 from btr_mjx.engines.lanes.dof_constraints import DofConstraint, dof_constraints
@@ -139,6 +139,8 @@ class LanesStepper:
         """Field name -> bool array of the field's shape."""
         masks = {}
         for name in sorted(varying):
+            if self._model.ntendon and name.startswith(("tendon_", "wrap_")):
+                raise support.refuse(f"a field {name!r} of tendons that differs between worlds")
             if self.guards.pairs and name.startswith(("mesh_vert", "hfield_", "pair_")):
                 raise support.refuse(f"a field {name!r} of guarded contacts that differs between worlds")
             if not influences_motion(name):
@@ -291,7 +293,8 @@ class LanesStepper:
         medium = drag(plan, parameters, moving)
         if medium is not None:
             wrenches = [(vadd(f, g), vadd(n, o)) for (f, n), (g, o) in zip(wrenches, medium[0], strict=True)]
-        for force in (actuation.force, springs(plan, parameters, q)):
+        passive = tendon_forces(model, plan, q, v) if plan.tendons else {}
+        for force in (actuation.force, springs(plan, parameters, q), passive):
             tau = {k: add(tau.get(k, 0.0), force.get(k, 0.0)) for k in sorted(tau.keys() | force.keys())}
         constraints = self._constraints(parameters, q, v, moving)
         guess = world_rates(plan, moving, state.acceleration)

@@ -10,6 +10,8 @@ from btr_mjx.engines.base import UnsupportedModel
 from btr_mjx.engines.guards.pairs import BOX, CAPSULE, PLANE, SPHERE, GeomPair, geom_pairs
 
 _JOINT, _DYN, _GAIN, _BIAS = mujoco.mjtJoint, mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
+_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
+_JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _DISABLE, _ENABLE = mujoco.mjtDisableBit, mujoco.mjtEnableBit
 
 
@@ -75,6 +77,7 @@ def refusals(model: mujoco.MjModel) -> Iterator[str]:
     yield from _check_elements(model)
     yield from _check_joints(model)
     yield from _check_actuators(model)
+    yield from _check_tendons(model)
 
 
 def _check_options(m: mujoco.MjModel) -> Iterator[str]:
@@ -98,7 +101,6 @@ def _check_options(m: mujoco.MjModel) -> Iterator[str]:
 def _check_elements(m: mujoco.MjModel) -> Iterator[str]:
     obj = mujoco.mjtObj
     for count, kind, what in (
-        (m.ntendon, obj.mjOBJ_TENDON, "tendons"),
         (m.neq, obj.mjOBJ_EQUALITY, "equality constraints"),
         (m.nflex, obj.mjOBJ_FLEX, "flexes"),
         (m.nplugin, obj.mjOBJ_PLUGIN, "plugins"),
@@ -143,10 +145,11 @@ def _check_joints(m: mujoco.MjModel) -> Iterator[str]:
 def _check_actuators(m: mujoco.MjModel) -> Iterator[str]:
     for a in range(m.nu):
         where = name(m, mujoco.mjtObj.mjOBJ_ACTUATOR, a)
-        if m.actuator_trntype[a] not in (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)):
+        if m.actuator_trntype[a] not in (*_JOINT_TRANSMISSIONS, _TENDON):
             yield f"transmission {mujoco.mjtTrn(m.actuator_trntype[a]).name} ({where})"
             continue
-        if m.jnt_type[m.actuator_trnid[a, 0]] == _JOINT.mjJNT_FREE:
+        on_joint = m.actuator_trntype[a] != _TENDON
+        if on_joint and m.jnt_type[m.actuator_trnid[a, 0]] == _JOINT.mjJNT_FREE:
             yield f"actuation of a free joint ({where})"
         dynamics, gain, bias = int(m.actuator_dyntype[a]), int(m.actuator_gaintype[a]), int(m.actuator_biastype[a])
         if dynamics not in (
@@ -167,6 +170,47 @@ def _check_actuators(m: mujoco.MjModel) -> Iterator[str]:
             yield f"actuators with several inputs, outputs or states ({where})"
         if m.actuator_actearly[a]:
             yield f"actearly ({where})"
+
+
+def moving_tendons(m: mujoco.MjModel) -> list[int]:
+    """Tendons that exert forces; the others have no influence on motion."""
+    if not m.ntendon:
+        return []
+    own = (m.tendon_limited != 0) | (m.tendon_frictionloss != 0) | (m.tendon_armature != 0)
+    own |= (m.tendon_stiffness != 0) | (m.tendon_damping != 0)
+    for field in ("tendon_stiffnesspoly", "tendon_dampingpoly"):
+        own |= np.any(getattr(m, field).reshape(m.ntendon, -1) != 0, axis=1)
+    driven = m.actuator_trnid[m.actuator_trntype == _TENDON, 0]
+    return sorted(set(np.flatnonzero(own).tolist()) | set(driven.tolist()))
+
+
+def _check_tendons(m: mujoco.MjModel) -> Iterator[str]:
+    implicit = m.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    for t in moving_tendons(m):
+        where = name(m, mujoco.mjtObj.mjOBJ_TENDON, t)
+        wraps = slice(int(m.tendon_adr[t]), int(m.tendon_adr[t] + m.tendon_num[t]))
+        if np.any(m.wrap_type[wraps] != mujoco.mjtWrap.mjWRAP_JOINT):
+            yield f"spatial tendons ({where})"
+            continue
+        for field, what in (
+            ("limited", "limits"),
+            ("frictionloss", "friction loss"),
+            ("armature", "armature"),
+            ("stiffnesspoly", "polynomial stiffness"),
+            ("dampingpoly", "polynomial damping"),
+            ("actfrclimited", "force limits"),
+        ):
+            if np.any(getattr(m, f"tendon_{field}")[t]):
+                yield f"{what} of tendons ({where})"
+        if implicit and m.tendon_damping[t]:
+            yield f"damping of tendons with the implicitfast integrator ({where})"
+        driving = np.flatnonzero((m.actuator_trntype == _TENDON) & (m.actuator_trnid[:, 0] == t))
+        if np.any(m.actuator_actnum[driving]) or np.any(m.actuator_history[driving, 0]):
+            yield f"activations and delays of actuators on tendons ({where})"
+        if implicit and (np.any(m.actuator_gainprm[driving, 2]) or np.any(m.actuator_biasprm[driving, 2])):
+            yield f"velocity gains of actuators on tendons with the implicitfast integrator ({where})"
+        if len(driving) and np.any(m.jnt_actfrclimited[m.wrap_objid[wraps]]):
+            yield f"force limits of joints on driven tendons ({where})"
 
 
 def possible_contacts(m: mujoco.MjModel) -> Contacts:
