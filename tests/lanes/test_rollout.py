@@ -1,6 +1,7 @@
 """`lanes.rollout` against `mujoco.rollout`, for models that lanes computes, guards and refuses."""
 
 import logging
+from pathlib import Path
 
 import jax
 import mujoco
@@ -108,7 +109,7 @@ def test_native_computes_everything_where_lanes_does_not_pay(
     np.testing.assert_array_equal(found.state, native(model, states, controls))
 
 
-def test_coverage_names_what_is_computed_guarded_and_refused(tmp_path) -> None:
+def test_coverage_names_what_is_computed_guarded_and_refused(tmp_path: Path) -> None:
     found = lanes.coverage(
         ARM.format(
             extra='<body mocap="true" name="goal"><geom name="goal" contype="0" conaffinity="0" size=".1"/></body>'
@@ -125,6 +126,19 @@ def test_coverage_names_what_is_computed_guarded_and_refused(tmp_path) -> None:
     assert "guarded (2)" in str(lanes.coverage(path))
     free = ARM.format(extra="").replace('name="ball" size', 'name="ball" contype="0" conaffinity="0" size')
     assert lanes.coverage(free).verdict == "computed"
+
+
+def test_the_example_of_the_docs_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (Path(__file__).parents[2] / "docs/lanes.md").read_text(encoding="utf-8")
+    code = text.split("```python\n")[1].split("```")[0]
+    assert len(code.split("\n\n")[1].splitlines()) <= 10
+    assert code.count("4096, 500") == 2
+    (tmp_path / "robot.xml").write_text(ARM.format(extra=""), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    exec(code.replace("(4096, 500", "(20, 30"), names)
+    assert names["rolled"].state.shape == (20, 30, 19)
+    assert names["rolled"].note == ""
 
 
 @pytest.mark.parametrize(
