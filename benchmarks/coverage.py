@@ -35,8 +35,8 @@ class Config:
     """Folder with the installed wheels; by default they are installed in a temporary one."""
     run: bool = True
     """Whether models that are not refused are rolled out."""
-    match: str = ""
-    """Roll out only models whose path contains this text."""
+    match: tuple[str, ...] = ()
+    """Roll out only models whose path contains one of these texts."""
     seconds: float = 1.0
     """Length of the rollouts [s]."""
     worlds: int = 512
@@ -126,7 +126,7 @@ def tabulate(folder: Path, config: Config) -> list[dict]:
         # A reason without the elements that it names.
         reasons = sorted({text.split(" (")[0] for text in covered.refused or covered.guarded})
         row: dict = {"model": path, "verdict": covered.verdict, "guards": len(covered.guarded), "reasons": reasons}
-        if config.run and not covered.refused and config.match in path:
+        if config.run and not covered.refused and (not config.match or any(text in path for text in config.match)):
             row |= measure(model, config)
         table.append(row)
         numbers = "  ".join(f"{key} {row[key]:.2f}" for key in ("handed over", "ratio", "first call [s]") if key in row)

@@ -149,6 +149,13 @@ CASES = {
     "biped": mjcf(biped(), actuators='<motor joint="hip-0.1"/><motor joint="hip0.1"/>'),
     "snake": mjcf(snake(20)),
     "stops": mjcf(stops()),
+    "cylinder": mjcf(plain_box().replace('type="box"', 'type="cylinder"')),
+    "cylinder_slope": mjcf(
+        plain_box().replace('type="box"', 'type="cylinder"'),
+        option='cone="elliptic"',
+        floor='euler="10 -15 20" pos="0 0 0.2"',
+    ),
+    "ellipsoid": mjcf(plain_box().replace('type="box"', 'type="ellipsoid"'), floor='euler="10 -15 20" pos="0 0 0.2"'),
     "tendons": tendons(mjcf(biped(), actuators='<motor joint="hip-0.1"/>' + TENDON_MOTORS)),
     "tendons_implicitfast": tendons(mjcf(biped(), option=FAST, actuators=TENDON_SERVO), damping=0),
     "pendulum_tendons_rk4": tendons(

@@ -97,13 +97,16 @@ def _touch(model: mujoco.MjModel, fields: Fields, body: int, touch: Touch, geom:
     size = fields("geom_size", geom)
     if touch.kind != support.SPHERE:
         matrix = matrix @ rotation_matrices(fields("geom_quat", geom))
-    if touch.kind == support.CAPSULE:
+    if touch.kind in (support.CAPSULE, support.CYLINDER):
         result["axis"] = matrix[..., 2]
         result["half"] = size[..., 1:2]
-    if touch.kind == support.BOX:
+    if touch.kind == support.CYLINDER:
+        result |= {"side": matrix[..., 0], "rim": size[..., 0:1]}
+    if touch.kind in (support.BOX, support.ELLIPSOID):
         edges = matrix * size[..., None, :]
         result["edges"] = np.swapaxes(edges, -1, -2).reshape(*edges.shape[:2], 9)
-    result["radius"] = np.zeros((1, 1, 1)) if touch.kind == support.BOX else size[..., 0:1]
+    rounded = touch.kind in (support.SPHERE, support.CAPSULE)
+    result["radius"] = size[..., 0:1] if rounded else np.zeros((1, 1, 1))
     first, second = model.geom_priority[plane], model.geom_priority[geom]
     both = {
         key: (fields(f"geom_{key}", plane), fields(f"geom_{key}", geom)) for key in ("solref", "solimp", "friction")

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.engines.base import UnsupportedModel
-from btr_mjx.engines.guards.pairs import BOX, CAPSULE, PLANE, SPHERE, GeomPair, geom_pairs
+from btr_mjx.engines.guards.pairs import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE, GeomPair, geom_pairs
 
 _JOINT, _DYN, _GAIN, _BIAS = mujoco.mjtJoint, mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
@@ -240,7 +240,7 @@ def _not_computed(m: mujoco.MjModel, pair: GeomPair, condim: int) -> str:
         return "explicit contact pairs"
     if m.geom_type[pair.first] != PLANE or m.body_weldid[m.geom_bodyid[pair.first]] != 0:
         return "contact other than with a plane fixed to the world"
-    if m.geom_type[pair.second] not in (SPHERE, CAPSULE, BOX):
+    if m.geom_type[pair.second] not in (SPHERE, CAPSULE, BOX, CYLINDER, ELLIPSOID):
         kind = mujoco.mjtGeom(m.geom_type[pair.second]).name
-        return f"contact of {kind} with a plane, only sphere, capsule and box"
+        return f"contact of {kind} with a plane"
     return "" if condim in (1, 3) else f"condim {condim}, torsional and rolling friction"

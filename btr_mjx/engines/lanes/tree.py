@@ -54,7 +54,7 @@ class Touch:
     geoms: tuple[int, ...]
     """MuJoCo geom of each member."""
     kind: int
-    """mujoco.mjtGeom: sphere, capsule or box."""
+    """mujoco.mjtGeom: sphere, capsule, box, cylinder or ellipsoid."""
     condim: int
     """1 or 3, after MuJoCo's mixing of both geoms."""
 
