@@ -39,7 +39,7 @@ class Config:
     """Roll out only models whose path contains one of these texts."""
     seconds: float = 1.0
     """Length of the rollouts [s]."""
-    worlds: int = 512
+    worlds: int = 2048
     """Worlds of a rollout."""
     command: float = 0.1
     """Size of the commands, as a part of the control range (of 1 where there is none)."""

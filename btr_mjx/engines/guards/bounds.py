@@ -122,6 +122,8 @@ def _edges(s: Shapes) -> list[Three]:
 def _candidates(a: Shapes, b: Shapes) -> Iterator[tuple[Three, bool]]:
     """Directions, of any length, and whether both signs of them are candidates."""
     yield _nearest_of_segments(a, b), False
+    if a.kind in (SPHERE, CAPSULE) and b.kind in (SPHERE, CAPSULE):
+        return
     yield _sub(b.centre, a.centre), False
     for shape in (a, b):
         if _is_boxed(shape) or shape.kind in (CYLINDER, ELLIPSOID):

@@ -1,6 +1,6 @@
 """Evaluation of guards in a step: which worlds of a chunk have a guarded pair that may touch."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from jax import lax
 
 from btr_mjx.engines.guards import bounds
 from btr_mjx.engines.guards.pairs import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE, GeomPair
@@ -69,31 +70,22 @@ def plan_guards(model: mujoco.MjModel, pairs: Sequence[GeomPair]) -> GuardPlan:
     return GuardPlan(geoms, tuple(groups))
 
 
-def _rows(values: Sequence[Any], count: int) -> list[Any]:
-    """Parameters of the plan's geoms as arrays (geoms, 1 or C); constants stay NumPy arrays."""
+def _member(x: Any, i: int) -> Any:
+    """The row of a member of a group; numbers and rows of single links stay as they are."""
+    return x[i] if np.ndim(x) == 2 else x
+
+
+def _place(numbers: Mapping[str, list[Any]], pose: Pose | None) -> list[Any]:
+    """Twelve numbers of a geom in the world: its centre and its three axes, one after the other."""
+    local = [numbers["centre"], *(numbers["axes"][k::3] for k in range(3))]
+    if pose is None:
+        return [x for vector in local for x in vector]
+    rotation = [[_member(x, pose[2]) for x in row] for row in pose[0]]
     found = []
-    for x in values:
-        xp = jnp if isinstance(x, jax.Array) else np
-        rows = xp.reshape(x, (1, -1)) if np.ndim(x) < 2 else x
-        found.append(xp.broadcast_to(rows, (count, rows.shape[-1])))
-    return found
-
-
-def _poses(poses: Sequence[Pose | None], lanes: int, dtype: Any) -> list[jax.Array]:
-    """The twelve numbers of each geom's link (rotation row by row, position), stacked to (geoms, C)."""
-    at_rest = ([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], [0.0, 0.0, 0.0], 0)
-
-    def member(x: Any, i: int) -> jax.Array:
-        own = x[i] if np.ndim(x) == 2 else x
-        return jnp.broadcast_to(jnp.asarray(own, dtype), (lanes,))
-
-    found = []
-    for entry in range(12):
-        column = []
-        for rotation, position, i in (pose or at_rest for pose in poses):
-            column.append(member(rotation[entry // 3][entry % 3] if entry < 9 else position[entry - 9], i))
-        found.append(jnp.stack(column))
-    return found
+    for vector in local:
+        found += [sum(r * v for r, v in zip(row, vector, strict=True)) for row in rotation]
+    position = [_member(x, pose[2]) for x in pose[1]]
+    return [*(c + p for c, p in zip(found[:3], position, strict=True)), *found[3:]]
 
 
 def crossed(
@@ -112,31 +104,35 @@ def crossed(
     Returns:
       bool (C,); also where the pose of a guarded geom is not finite.
     """
-    count = len(plan.geoms)
-    local = {key: _rows(parameters[f"guards/{key}"], count) for key in ("centre", "axes", "size", "margin")}
-    r = _poses(poses, lanes, dtype)
+    numbers = []
+    for k, pose in enumerate(poses):
+        own = {key: [_number(x, k, dtype) for x in parameters[f"guards/{key}"]] for key in _KEYS}
+        numbers.append(own | {"place": _place(own, pose)})
 
-    def turned(vector: Sequence[Any]) -> list[jax.Array]:
-        v = [jnp.asarray(x, dtype) for x in vector]
-        return [r[3 * i] * v[0] + r[3 * i + 1] * v[1] + r[3 * i + 2] * v[2] for i in range(3)]
-
-    centre = [x + y for x, y in zip(r[9:], turned(local["centre"]), strict=True)]
-    axes = [turned(local["axes"][k::3]) for k in range(3)]
-
-    def taken(x: Any, index: np.ndarray) -> jax.Array:
-        if len(set(np.diff(index).tolist()) - {1}) == 0:
-            return jnp.asarray(x[index[0] : index[-1] + 1], dtype)
-        return jnp.asarray(x[index], dtype)
+    def stacked(key: str, entry: int, index: np.ndarray) -> jax.Array:
+        """One number of the geoms of a group's pairs, (P, C)."""
+        rows = [jnp.broadcast_to(jnp.asarray(numbers[i][key][entry], dtype), (lanes,)) for i in index]
+        # Without the barrier XLA fuses the concatenation into its consumers, as a chain of branches for every element.
+        return lax.optimization_barrier(jnp.stack(rows))
 
     def shapes(kind: int, index: np.ndarray) -> bounds.Shapes:
-        take = lambda xs: [taken(x, index) for x in xs]  # noqa: E731
-        return bounds.Shapes(kind, take(centre), [take(axis) for axis in axes], take(local["size"]))
+        vectors = [[stacked("place", 3 * k + i, index) for i in range(3)] for k in range(4)]
+        return bounds.Shapes(kind, vectors[0], vectors[1:], [stacked("size", i, index) for i in range(3)])
 
     tripped = jnp.zeros(lanes, bool)
     for group in plan.groups:
         a, b = shapes(group.kinds[0], group.first), shapes(group.kinds[1], group.second)
-        margin = taken(local["margin"][0], group.first) + taken(local["margin"][0], group.second)
+        margin = stacked("margin", 0, group.first) + stacked("margin", 0, group.second)
         limit = jnp.maximum(margin, jnp.asarray(group.explicit, dtype)) + bounds.rounding(a, b)
         # A bound that is not a number is not larger than the limit either.
         tripped = tripped | jnp.any(~(bounds.lower_bound(a, b) > limit), axis=0)
     return tripped
+
+
+_KEYS = ("centre", "axes", "size", "margin")
+
+
+def _number(x: Any, k: int, dtype: Any) -> Any:
+    """The number of the k-th geom: a constant of the computation's precision, or a row (C,)."""
+    own = x[k] if np.ndim(x) == 2 else x
+    return own if isinstance(own, jax.Array) else np.asarray(own, dtype).reshape(-1)[0]
