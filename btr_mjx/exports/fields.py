@@ -31,7 +31,7 @@ def field_ends(low: mujoco.MjModel, high: mujoco.MjModel) -> dict[str, tuple[flo
       high: likewise at the high end.
 
     Returns:
-      Values at both ends by path: "option/density", "dof_damping[3]", "geom_friction[2][0]".
+      Values at both ends by path: `option/density`, `dof_damping[3]`, `geom_friction[2][0]`.
     """
     found = {}
     for name in _fields(low):

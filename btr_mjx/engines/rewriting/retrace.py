@@ -44,7 +44,6 @@ def _words(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
-# Cost of one equation per element, in simple arithmetic operations. Primitives that are not listed cost 1.
 DEFAULT_COSTS: Mapping[str, float] = MappingProxyType(
     # XLA folds data movement into the indexing of the loop that reads the elements.
     dict.fromkeys(_words("broadcast_in_dim convert_element_type copy reshape rev slice squeeze transpose"), 0.0)
@@ -53,6 +52,7 @@ DEFAULT_COSTS: Mapping[str, float] = MappingProxyType(
     | dict.fromkeys(_words("expm1 lgamma log log1p logistic pow sin sinh tan tanh argmax argmin"), 30.0)
     | dict.fromkeys(_words("reduce_and reduce_max reduce_min reduce_or reduce_prod reduce_sum reduce_xor"), 30.0)
 )
+"""Cost of one equation per element, in simple arithmetic operations. Primitives that are not listed cost 1."""
 
 # XLA always writes the results of these primitives to memory and never recomputes them.
 _OPAQUE = _words(

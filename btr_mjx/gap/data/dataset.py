@@ -68,10 +68,12 @@ from btr_mjx.models import PathParameter, part_names, read_path_parameter
 from btr_mjx.runs import check_keys, file_inside, is_number, read_toml, toml_rows, toml_section
 
 DATASET_FILE = "dataset.toml"
+"""Name of the file that describes a dataset folder."""
 TABLES = ("model", "parameter", "recording", "control", "tolerances", "noise", "columns", "topics")
 """Tables that dataset.toml may hold."""
 
 Interpolation = Literal["hold", "linear", "cubic"]
+"""The command between two samples: that of the earlier one, a straight line, a cubic spline."""
 ReadProgress = Callable[[int, int], None]
 """Called with the bytes that were read so far, and those of all files."""
 

@@ -18,6 +18,7 @@ from btr_mjx.models import PathParameter
 from btr_mjx.runs import atomic_write, write_arrays, write_table
 
 Format = Literal["npz", "csv", "parquet"]
+"""Formats in which recordings are written."""
 
 
 def recording_columns(recording: Recording) -> dict[str, np.ndarray]:

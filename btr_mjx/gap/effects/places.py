@@ -52,6 +52,7 @@ class Place:
 
 
 WORLD = Place("world")
+"""The place of effects that act on the whole world: air, ground, gravity."""
 
 
 def joint_of(model: mujoco.MjModel, actuator: int) -> int | None:
