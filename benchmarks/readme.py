@@ -55,10 +55,13 @@ def steps_of(text: str) -> list[list[str]]:
 def _newcomer(folder: Path) -> Mapping[str, str]:
     """Environment variables of somebody who has Python and git only."""
     venv.create(folder / "python", with_pip=True)
-    kept = {key: value for key, value in os.environ.items() if key in ("LANG", "TERM", "MUJOCO_GL")}
+    network = ("UV_", "PIP_", "SSL_", "HTTP", "http", "NO_PROXY", "no_proxy")  # how packages are reached from here
+    kept = {k: v for k, v in os.environ.items() if k in ("LANG", "TERM", "MUJOCO_GL") or k.startswith(network)}
+    kept.pop("UV_CACHE_DIR", None)
     home = folder / "home"
     home.mkdir()
-    path = os.pathsep.join([str(folder / "python" / "bin"), "/usr/local/bin", "/usr/bin", "/bin"])
+    own = [folder / "python" / "bin", Path(sys.base_prefix) / "bin"]
+    path = os.pathsep.join([*map(str, own), "/usr/local/bin", "/usr/bin", "/bin"])
     return kept | {"HOME": str(home), "PATH": path, "XDG_CACHE_HOME": str(home / ".cache")}
 
 

@@ -91,6 +91,25 @@ def test_one_step_equals_native_mujoco(case: str, rng: np.random.Generator) -> N
     assert touching > 5 or "pendulum" in case or case == "stops"
 
 
+@pytest.mark.parametrize("delay", ["", 'delay="0.03" nsample="5"'])
+def test_a_damper_with_commands_beyond_its_range(delay: str, rng: np.random.Generator) -> None:
+    """implicitfast derives its force, of the clamped and delayed command, by velocity."""
+    body = '<body><joint name="hinge" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/></body>'
+    damper = f'<actuator><damper joint="hinge" kv="2" ctrlrange="0 1" {delay}/></actuator>'
+    option = '<option timestep="0.01" integrator="implicitfast"/>'
+    model = mujoco.MjModel.from_xml_string(f"<mujoco>{option}<worldbody>{body}</worldbody>{damper}</mujoco>")
+    data = mujoco.MjData(model)
+    data.qvel[:] = 1
+    with jax.enable_x64(True):
+        stepper = LanesStepper(model)
+        state = stepper.state(data.qpos[:, None], data.qvel[:, None])
+        for command in rng.uniform(-1, 2, 12):
+            data.ctrl[:] = command
+            mujoco.mj_step(model, data)
+            state = stepper.step({}, state, jnp.full((1, 1), command))
+            np.testing.assert_allclose(np.asarray(stepper.qvel(state))[:, 0], data.qvel, rtol=1e-10)
+
+
 def test_a_cylinder_that_stands_upright_touches_where_native_does(rng: np.random.Generator) -> None:
     """Its rim is parallel to the floor: no point is the lowest, and MuJoCo takes that along the cylinder's x axis."""
     body = '<body pos="0 0 0.195"><freejoint/><geom type="cylinder" size="0.1 0.2"/></body>'

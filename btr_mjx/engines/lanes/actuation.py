@@ -210,10 +210,7 @@ def _actuator(
         drive = act[actuator.state] if actuator.state >= 0 else u
         if model.actuator_gaintype[a] == _GAIN.mjGAIN_AFFINE:
             factor = dot(gain, state)
-            source = (
-                act[actuator.state] if actuator.state >= 0 else raw
-            )  # MuJoCo's derivative uses the unclamped control
-            damping = sub(damping, mul(gain[2], source))
+            damping = sub(damping, mul(gain[2], drive))
         else:
             factor = gain[0]
         force = add(mul(factor, drive), dot(bias, state))
