@@ -1,4 +1,4 @@
-from . import cluster, coevolve, scan
+from . import cluster, coevolve, lanes, scan
 from .backtoreality import Reality, SimulatedReality
 from .errors import InputError
 from .evaluation import (
@@ -31,6 +31,7 @@ __all__ = [
     "coevolve",
     "evaluate",
     "hexapod",
+    "lanes",
     "load_robot",
     "metrics",
     "model_leaves",

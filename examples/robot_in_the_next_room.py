@@ -65,6 +65,9 @@ def serve(exchange: Path) -> int:
 
 def main() -> None:
     """Measure whatever is asked for, once or until it is stopped."""
+    if len(sys.argv) < 2 or "--help" in sys.argv:
+        print(__doc__)
+        return
     exchange, once = Path(sys.argv[1]), "--once" in sys.argv
     while True:
         count = serve(exchange)

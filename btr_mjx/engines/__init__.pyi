@@ -1,17 +1,21 @@
 from . import native
 from .base import Stepper, UnsupportedModel
+from .controlled import ControlledProgram, Motions
 from .devices import use_all_cores, use_compilation_cache
 from .lanes.fields import base_field, influences_motion
 from .lanes.stepper import LanesStepper
+from .lanes.support import possible_contacts, refusals
 from .mjx import MjxStepper
 from .native import expand
-from .program import Layout, Program, rollout
+from .program import Layout, Program, rollout_chunk
 from .record import Record
 
 __all__ = [
+    "ControlledProgram",
     "LanesStepper",
     "Layout",
     "MjxStepper",
+    "Motions",
     "Program",
     "Record",
     "Stepper",
@@ -20,7 +24,9 @@ __all__ = [
     "expand",
     "influences_motion",
     "native",
-    "rollout",
+    "possible_contacts",
+    "refusals",
+    "rollout_chunk",
     "use_all_cores",
     "use_compilation_cache",
 ]

@@ -82,3 +82,7 @@ class Stepper(Protocol):
     def capped(self, state: Any) -> "jax.Array":
         """Whether the constraint solver reached its iteration limit in the last step, bool (C,)."""
         ...
+
+    def tripped(self, state: Any) -> "jax.Array":
+        """Whether a contact that the engine does not compute may have taken part so far, bool (C,)."""
+        ...

@@ -138,6 +138,10 @@ class MjxStepper:
         """See `Stepper.capped`: MJX does not report iterations, so the residual is tested instead."""
         return state["residual"] > _RESIDUAL_LIMIT
 
+    def tripped(self, state: dict[str, jax.Array]) -> jax.Array:
+        """See `Stepper.tripped`: MJX computes all contacts of the models that it accepts."""
+        return jnp.zeros(state["residual"].shape, bool)
+
 
 def _leaf(model: mjx.Model, name: str) -> Any:
     """The numpy leaf of an mjx.Model with a field's name, or None where MJX does not hold that field."""

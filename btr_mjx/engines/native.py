@@ -119,7 +119,7 @@ def rollout_native(
         states = tuple(np.array(x if record_states else x[:, :0]) for x in (qpos, qvel, act))
         records.append((position, energy.copy(), *states))
     position, work, *recorded = (np.stack(column, axis=1) for column in zip(*records, strict=True))
-    return Record(origin, position, work, peak, capped, *recorded)
+    return Record(origin, position, work, peak, capped, np.zeros(count, bool), *recorded)
 
 
 _INVALID_STATE_WARNINGS = [

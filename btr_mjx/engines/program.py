@@ -40,8 +40,32 @@ class Layout:
         """Pairs that one block holds."""
         return self.devices * self.capacity * self.chunk
 
+    def places(self, count: int) -> tuple[np.ndarray, int]:
+        """Where `count` pairs go: index of a pair for each lane, (devices x active, chunk), and active chunks a device.
 
-def rollout(
+        Lanes without a pair of their own repeat the last one.
+        """
+        used = -(-count // self.chunk)
+        active = -(-used // self.devices)
+        # Chunk i of the batch is the (i // devices)-th of device i % devices, so that few chunks still use every
+        # device.
+        place = np.arange(self.devices * active * self.chunk).reshape(active, self.devices, self.chunk)
+        return np.minimum(place.transpose(1, 0, 2), count - 1).reshape(-1, self.chunk), active
+
+    def padded(self, x: np.ndarray, active: int) -> np.ndarray:
+        """The chunks in use (devices x active, ...), padded with zeros to the shape of a block."""
+        whole = np.zeros((self.devices, self.capacity, *x.shape[1:]), x.dtype)
+        whole[:, :active] = x.reshape(self.devices, active, *x.shape[1:])
+        return whole.reshape(self.devices * self.capacity, *x.shape[1:])
+
+    def in_order(self, x: jax.Array, count: int) -> np.ndarray:
+        """A result of a block (chunks, ..., chunk) for its first `count` pairs, batch first: (count, ...)."""
+        blocks = np.asarray(x).reshape(self.devices, self.capacity, *x.shape[1:]).swapaxes(0, 1)
+        batch_first = np.moveaxis(blocks, -1, 2)
+        return batch_first.reshape(self.pairs, *batch_first.shape[3:])[:count]
+
+
+def rollout_chunk(
     stepper: Stepper,
     signal: Signal,
     base_address: tuple[int, int] | None,
@@ -107,21 +131,46 @@ def rollout(
     ended, sampled = lax.scan(segment, carry, bounds)
     position, energy, *states = sampled
     peak, capped = ended[2:]
-    return Record(start, position, energy, peak, capped, *states)
+    return Record(start, position, energy, peak, capped, stepper.tripped(ended[0]), *states)
 
 
-def _run_chunks(one: Callable[..., Record], params: Any, controllers: Any, samples: Any, active: Any) -> Record:
-    """Chunks 0 .. active - 1 of one device in turn; the others stay zero."""
-    first = lambda tree: jax.tree.map(lambda x: x[0], tree)  # noqa: E731
-    shapes = jax.eval_shape(one, first(params), controllers[0], samples)
-    out = jax.tree.map(lambda s: jnp.zeros((controllers.shape[0], *s.shape), s.dtype), shapes)
+def run_chunks(one: Callable[..., Any], chunked: tuple, active: Any) -> Any:
+    """Chunks 0 .. active - 1 of one device in turn; the results of the others stay zero.
 
-    def body(i: jax.Array, out: Record) -> Record:
+    Args:
+      one: computes one chunk from slices of `chunked`.
+      chunked: arguments with the chunks as leading axis.
+      active: number of chunks in use.
+    """
+    shapes = jax.eval_shape(one, *jax.tree.map(lambda x: x[0], chunked))
+    chunks = jax.tree.leaves(chunked)[0].shape[0]
+    out = jax.tree.map(lambda s: jnp.zeros((chunks, *s.shape), s.dtype), shapes)
+
+    def body(i: jax.Array, out: Any) -> Any:
         take = lambda x: lax.dynamic_index_in_dim(x, i, keepdims=False)  # noqa: E731
-        result = one(jax.tree.map(take, params), take(controllers), samples)
+        result = one(*jax.tree.map(take, chunked))
         return jax.tree.map(lambda x, y: lax.dynamic_update_index_in_dim(x, y, i, 0), out, result)
 
     return lax.fori_loop(0, active, body, out)
+
+
+def on_all_devices(
+    devices: list[jax.Device], function: Callable[..., Any], chunked: int, shared: int
+) -> jax.stages.Wrapped:
+    """Compile a function for blocks of chunks that are sharded over devices.
+
+    Args:
+      devices: the devices.
+      function: its first `chunked` arguments and its results have the chunks as leading axis.
+      chunked: number of such arguments.
+      shared: number of the arguments that follow, copied to every device.
+    """
+    mesh = Mesh(np.array(devices), ("chunks",), axis_types=(AxisType.Auto,))
+    sharded, copied = PartitionSpec("chunks"), PartitionSpec()
+    specs = (sharded,) * chunked + (copied,) * shared
+    mapped = jax.shard_map(function, mesh=mesh, in_specs=specs, out_specs=sharded, check_vma=False)
+    wide = {"xla_cpu_prefer_vector_width": "512"} if devices[0].platform == "cpu" else {}
+    return jax.jit(mapped, compiler_options=wide)
 
 
 class Program:
@@ -140,19 +189,12 @@ class Program:
         self.stepper, self.layout = stepper, layout
 
         def one(params: Any, controllers: jax.Array, samples: jax.Array) -> Record:
-            return rollout(stepper, signal, base_address, record_states, params, controllers, samples, at)
+            return rollout_chunk(stepper, signal, base_address, record_states, params, controllers, samples, at)
 
-        mesh = Mesh(np.array(devices), ("chunks",), axis_types=(AxisType.Auto,))
-        sharded, copied = PartitionSpec("chunks"), PartitionSpec()
-        mapped = jax.shard_map(
-            lambda *args: _run_chunks(one, *args),
-            mesh=mesh,
-            in_specs=(sharded, sharded, copied, copied),
-            out_specs=sharded,
-            check_vma=False,
-        )
-        wide = {"xla_cpu_prefer_vector_width": "512"} if devices[0].platform == "cpu" else {}
-        self.function = jax.jit(mapped, compiler_options=wide)
+        def block(params: Any, controllers: jax.Array, samples: jax.Array, active: jax.Array) -> Record:
+            return run_chunks(lambda p, c: one(p, c, samples), (params, controllers), active)
+
+        self.function = on_all_devices(devices, block, 2, 2)
 
     def arguments(self, leaves: Leaves, controllers: np.ndarray, samples: np.ndarray) -> tuple:
         """Arrange up to `layout.pairs` pairs as the block that `function` takes.
@@ -165,35 +207,15 @@ class Program:
         Returns:
           Arguments of `function`: the engine's parameters, controllers, samples and number of chunks per device.
         """
-        devices, capacity, chunk = self.layout.devices, self.layout.capacity, self.layout.chunk
-        count = len(controllers)
-        used = -(-count // chunk)
-        active = -(-used // devices)
-        # Chunk i of the batch is the (i // devices)-th of device i % devices, so that few chunks still use every
-        # device.
-        place = np.arange(devices * active * chunk).reshape(active, devices, chunk).transpose(1, 0, 2)
-        index = np.minimum(place, count - 1).reshape(-1, chunk)
-
-        def block(x: np.ndarray) -> np.ndarray:
-            """The chunks in use, padded with zeros to the shape of a block."""
-            whole = np.zeros((devices, capacity, *x.shape[1:]), x.dtype)
-            whole[:, :active] = x.reshape(devices, active, *x.shape[1:])
-            return whole.reshape(devices * capacity, *x.shape[1:])
-
+        index, active = self.layout.places(len(controllers))
         packed = self.stepper.pack({name: values[index] for name, values in leaves.items()})
         controls = np.moveaxis(controllers[index], 2, 1).astype(jnp.result_type(float))
-        return jax.tree.map(block, packed), block(controls), np.asarray(samples, np.int32), np.int32(active)
+        packed, controls = jax.tree.map(lambda x: self.layout.padded(x, active), (packed, controls))
+        return packed, controls, np.asarray(samples, np.int32), np.int32(active)
 
     def unpack(self, record: Record, count: int) -> Record:
         """The record of the first `count` pairs as batch-first numpy arrays."""
-        devices, capacity = self.layout.devices, self.layout.capacity
-
-        def pairs(x: jax.Array) -> np.ndarray:
-            blocks = np.asarray(x).reshape(devices, capacity, *x.shape[1:]).swapaxes(0, 1)
-            batch_first = np.moveaxis(blocks, -1, 2)
-            return batch_first.reshape(self.layout.pairs, *batch_first.shape[3:])[:count]
-
-        return Record(*(pairs(x) for x in record))
+        return Record(*(self.layout.in_order(x, count) for x in record))
 
     def __call__(self, leaves: Leaves, controllers: np.ndarray, samples: np.ndarray) -> Record:
         """The record of up to `layout.pairs` pairs, batch first: (B, ...), (B, K, ...); arguments as of `arguments`."""

@@ -12,6 +12,7 @@ class Record(NamedTuple):
       energy: (K, C) mechanical work of the motors up to the sample times, integral of sum |force x velocity| [J].
       peak_speed: (C,) highest speed of the base at any step [m/s].
       capped: (C,) number of steps in which the constraint solver reached its iteration limit.
+      tripped: (C,) whether a contact that the engine does not compute may have taken part; the record is not MuJoCo's.
       qpos: (K, nq, C), or (K, 0, C) where states are not recorded.
       qvel: (K, nv, C), likewise.
       act: (K, na, C), likewise.
@@ -22,6 +23,7 @@ class Record(NamedTuple):
     energy: Any
     peak_speed: Any
     capped: Any
+    tripped: Any
     qpos: Any
     qvel: Any
     act: Any

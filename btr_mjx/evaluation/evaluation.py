@@ -7,6 +7,7 @@ memory does not grow. For a fixed chunk size, the result of a pair is bit-identi
 pairs.
 """
 
+import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -30,6 +31,11 @@ if TYPE_CHECKING:
 Engine = Literal["lanes", "mjx", "native"]
 """Name of a physics engine, see `btr_mjx.engines`."""
 
+_LOG = logging.getLogger(__name__)
+
+_MAX_TRIPPED = 0.25
+"""Part of the first block that guards may hand to native MuJoCo before it evaluates everything."""
+
 _CAPACITY = 16
 """Chunks per device and block."""
 
@@ -48,6 +54,8 @@ class Evaluation:
       peak_speed: highest speed of the base [m/s].
       outcome: data from which the fitness was computed.
       engine: the engine that ran.
+      tripped: pairs of which `engine` does not compute a contact that may have taken part, as its guards found; native
+        MuJoCo has evaluated them instead.
     """
 
     fitness: np.ndarray
@@ -56,6 +64,7 @@ class Evaluation:
     peak_speed: np.ndarray
     outcome: Outcome
     engine: Engine
+    tripped: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -95,7 +104,9 @@ def evaluate(
       simulations: (L, n_s) parameters inside the robot's simulation box.
       controllers: (M, n_c) parameters inside the robot's controller box.
       pairwise: evaluate row i with row i (L = M = B) rather than every simulation with every controller.
-      engine: "lanes", "mjx" or "native"; None for the fastest one that supports this robot.
+      engine: "lanes", "mjx" or "native"; None for the fastest one that supports this robot. Pairs in which a contact
+        may take part that "lanes" does not compute are evaluated by native MuJoCo, see `Evaluation.tripped`; where
+        None is given and more than a quarter of the first block are such pairs, native MuJoCo evaluates all.
       fitness: the fitness function.
       times: (K,) sample times in (0, T_e] [s] for the outcome, rounded to steps; None for the end alone. The last one
         ends the trial.
@@ -124,12 +135,33 @@ def evaluate(
     dt = settings.timestep if chosen == "native" and settings.timestep else float(base_model(robot).opt.timestep)
     samples = _sample_steps(robot, times, dt)
     runner = _runner(robot, chosen, samples, recorded, settings)
-    records = []
+    records: list[Record] = []
     for rows, columns in _blocks(shape, runner.block):
         used, index = np.unique(rows, return_inverse=True)
         models = compile_models(robot, s[used])
-        record = runner.run(models, s[used], index, c[columns])
-        records.append(track_point(robot, models, index, record) if robot.point else record)
+        block = _Block(robot, models, s[used], index, c[columns])
+        record = block.run(runner)
+        tripped = np.flatnonzero(record.tripped)
+        if len(tripped) and engine is None and not records and len(tripped) > _MAX_TRIPPED * len(rows):
+            _LOG.warning(
+                "%s: lanes does not compute contacts of %d of the first %d pairs; native MuJoCo evaluates all",
+                *(robot.name, len(tripped), len(rows)),
+            )
+            return evaluate(
+                robot,
+                s,
+                c,
+                pairwise=pairwise,
+                engine="native",
+                fitness=fitness,
+                times=times,
+                states=states,
+                progress=progress,
+            )
+        if len(tripped):
+            native_runner = _runner(robot, "native", samples, recorded, EngineSettings())
+            record = _replace_rows(record, tripped, block.subset(tripped).run(native_runner))
+        records.append(record)
         if progress is not None:
             progress(len(rows))
     record = Record(*(np.concatenate(column) for column in zip(*records, strict=True)))
@@ -146,7 +178,7 @@ def fastest_engine(robot: Robot) -> Engine:
     import jax  # takes seconds, which bad input should not
 
     try:
-        _stepper(_program_inputs(robot), "lanes", bool(jax.config.read("jax_enable_x64")))
+        _stepper(_program_inputs(robot), "lanes", bool(jax.config.read("jax_enable_x64")), guards=True)
         return "lanes"
     except UnsupportedModel:
         return "native" if jax.default_backend() == "cpu" else "mjx"
@@ -177,7 +209,8 @@ def _evaluation(
     diverged = ~(finite & (whole["peak_speed"] <= robot.speed_limit))
     with np.errstate(invalid="ignore", over="ignore"):
         values = np.where(diverged, np.nan, fitness(outcome))
-    return Evaluation(values, diverged, whole["capped"].astype(int), whole["peak_speed"], outcome, engine)
+    counts, tripped = whole["capped"].astype(int), whole["tripped"].astype(bool)
+    return Evaluation(values, diverged, counts, whole["peak_speed"], outcome, engine, tripped)
 
 
 def _sample_steps(robot: Robot, times: ArrayLike | None, timestep: float) -> np.ndarray:
@@ -206,6 +239,37 @@ class _Runner:
 
     block: int
     run: Callable[[Models, np.ndarray, np.ndarray, np.ndarray], Record]
+
+
+@dataclass(frozen=True)
+class _Block:
+    """Pairs that are simulated together; arguments of `_Runner.run`."""
+
+    robot: Robot
+    models: Models
+    simulations: np.ndarray
+    index: np.ndarray
+    controllers: np.ndarray
+
+    def run(self, runner: _Runner) -> Record:
+        """The record, with the position of the robot's tracked point if it has one."""
+        record = runner.run(self.models, self.simulations, self.index, self.controllers)
+        return track_point(self.robot, self.models, self.index, record) if self.robot.point else record
+
+    def subset(self, rows: np.ndarray) -> "_Block":
+        """Some of the pairs."""
+        return replace(self, index=self.index[rows], controllers=self.controllers[rows])
+
+
+def _replace_rows(record: Record, rows: np.ndarray, other: Record) -> Record:
+    """The record with rows of another engine; they stay marked as tripped."""
+
+    def merged(mine: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+        result = np.array(mine, np.result_type(mine, theirs))
+        result[rows] = theirs
+        return result
+
+    return Record(*map(merged, record, other._replace(tripped=np.ones(len(rows), bool))))
 
 
 def _runner(robot: Robot, engine: Engine, samples: np.ndarray, states: bool, settings: EngineSettings) -> _Runner:
@@ -270,13 +334,13 @@ def _program_inputs(robot: Robot) -> Robot:
 
 
 @lru_cache(maxsize=16)
-def _stepper(robot: Robot, engine: Engine, x64: bool) -> "Stepper":
+def _stepper(robot: Robot, engine: Engine, x64: bool, guards: bool = False) -> "Stepper":
     model, varying = base_model(robot), frozenset(varying_fields(robot))
     # Imported here, since each import takes a second.
     if engine == "lanes":
         from btr_mjx.engines import LanesStepper
 
-        return LanesStepper(model, varying)
+        return LanesStepper(model, varying, guards=guards)
     from btr_mjx.engines import MjxStepper
 
     return MjxStepper(model, varying)
@@ -297,7 +361,7 @@ def _program(robot: Robot, engine: Engine, samples: int, states: bool, chunk: in
     use_compilation_cache()
     devices = jax.devices()
     on_cpu = devices[0].platform == "cpu"
-    stepper = _stepper(robot, engine, x64)
+    stepper = _stepper(robot, engine, x64, guards=True)
     width = chunk or default_chunk(on_cpu)
     record_bytes = (
         samples * (stepper.nq + stepper.nv + stepper.nu if states else 4) * width * len(devices) * (8 if x64 else 4)

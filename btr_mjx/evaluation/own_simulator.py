@@ -46,4 +46,5 @@ def run_simulator(
         origin = np.stack([(rows[i].qpos0 if start is None else start[0])[at] for i in index])
         position, peak = qpos[..., at], np.linalg.norm(qvel[..., speed], axis=-1).max(axis=1)
     unknown = np.full((*shape, 1 + models.base.na), np.nan)
-    return Record(origin, position, unknown[..., 0], peak, np.zeros(len(index), int), qpos, qvel, unknown[..., 1:])
+    capped, tripped = np.zeros(len(index), int), np.zeros(len(index), bool)
+    return Record(origin, position, unknown[..., 0], peak, capped, tripped, qpos, qvel, unknown[..., 1:])

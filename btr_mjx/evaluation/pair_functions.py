@@ -25,7 +25,7 @@ import numpy as np
 from jax import lax
 from numpy.typing import ArrayLike
 
-from btr_mjx.engines import Record, Stepper, rollout, use_all_cores, use_compilation_cache
+from btr_mjx.engines import Record, Stepper, UnsupportedModel, rollout_chunk, use_all_cores, use_compilation_cache
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import evaluation as behaviour
 from btr_mjx.evaluation.evaluation import Engine, default_chunk
@@ -184,7 +184,7 @@ def _one_pair(
         # Fields that an engine needs but that do not influence motion have the nominal model's values.
         params = _packed(stepper, leaves, {name: x[0] for name, x in nominal.items() if name not in needed})
         wanted = controllers.T.astype(jnp.result_type(float))
-        return rollout(stepper, robot.signal, address, states, params, wanted, marks, start_of(robot))
+        return rollout_chunk(stepper, robot.signal, address, states, params, wanted, marks, start_of(robot))
 
     one = rowwise(partial(kernel, roll=roll), width, devices)
 
@@ -198,7 +198,12 @@ def _one_pair(
 
 
 def _engine(robot: Robot) -> Engine:
-    return "lanes" if behaviour.fastest_engine(robot) == "lanes" else "mjx"
+    """The fastest engine without guards: a compiled function cannot hand a pair to native MuJoCo."""
+    try:
+        _stepper(robot, "lanes")
+    except UnsupportedModel:
+        return "mjx"
+    return "lanes"
 
 
 def _stepper(robot: Robot, engine: Engine) -> Stepper:

@@ -97,7 +97,8 @@ print(result["sentence"])
 # %%
 (effect,) = result["effects"]
 ((name, size),) = effect["parameters"].items()
-print(f"{name} {size['value']:.4f} N m, 90 % interval {size['low']:.4f} to {size['high']:.4f}; truth 0.08")
+interval = f"90 % {size['low']:.4f} .. {size['high']:.4f}"
+print(f"{effect['effect']} at {effect['location']}: {name} {size['value']:.4f}, {interval}")
 assert effect["effect"] == "dry_friction"
 assert "elbow" in effect["location"]
 assert abs(size["value"] - 0.08) < 0.008

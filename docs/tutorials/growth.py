@@ -29,8 +29,9 @@ grown = btr.coevolve(**settings, out=out / "grown", grow=True)
 
 # %%
 for row in grown["growth"]:
-    limit = f"{row['delta_before']:.4f} m, calibration leaves {row['calibration']:.4f} m"
-    print(f"iteration {row['iteration']}: {limit}: {row['verdict']}", *row["added"])
+    print(
+        row["iteration"], f"{row['delta_before']:.4f} m, calibration leaves {row['calibration']:.4f} m:", row["verdict"]
+    )
 assert "dry_friction" in grown["effects"][0]["effect"]
 
 # %%

@@ -1,8 +1,8 @@
 # %% [markdown]
 # # A robot of your own
 #
-# A robot is an MJCF and a robot.toml that says what is unknown of it and what a controller can ask of it. Here: a worm
-# of three links that pushes itself along; how far the ground slopes and how strong the motors are is not known.
+# A robot is an MJCF and a robot.toml that says what is unknown of it and what a controller can ask of it. Here: a
+# worm of three links that pushes itself along; how far the ground slopes and how strong the motors are is not known.
 
 # %%
 import tempfile

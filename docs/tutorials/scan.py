@@ -11,8 +11,7 @@ import numpy as np
 import btr_mjx as btr
 
 robot = btr.hexapod()
-print(*robot.simulation_box.names)
-print(robot.controller_box.n, "parameters of a controller")
+print(*robot.simulation_box.names, robot.controller_box.n)
 
 # %% [markdown]
 # `evaluate` computes the fitness of all pairs: here 3 simulations and 15 controllers, drawn at random. The first call
@@ -64,4 +63,4 @@ print(f"least Delta_fitness {delta_fitness.min():.3g} m/s at bl_14 = {best:.2f} 
 #     uv run python -m btr_mjx.scan --parameter bl_14 --grid 49 --out runs/scan
 #
 # More: [the function `evaluate`](../api/btr_mjx.md), [scans on a cluster](../scaling.md),
-# [the paper's scans](../paper.md).
+# [the paper's scans](../gallery/claims.md).

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from lanes_models import CASES, FAST, QUADRUPED_SERVOS, biped, chain, mjcf, plain_box, quadruped, snake
+from lanes_models import CASES, FAST, QUADRUPED_SERVOS, SERVOS, biped, chain, mjcf, plain_box, quadruped, snake, tendons
 
 from btr_mjx.engines import LanesStepper, UnsupportedModel
 from btr_mjx.engines.lanes.tree import HINGE
@@ -48,6 +48,10 @@ def _lowest(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float:
         mujoco.mjtGeom.mjGEOM_SPHERE: size[0],
         mujoco.mjtGeom.mjGEOM_CAPSULE: size[0] + size[1] * abs(normal @ axes[:, 2]),
         mujoco.mjtGeom.mjGEOM_BOX: float(np.abs(normal @ axes) @ size),
+        mujoco.mjtGeom.mjGEOM_ELLIPSOID: float(np.linalg.norm((normal @ axes) * size)),
+        mujoco.mjtGeom.mjGEOM_CYLINDER: float(
+            size[1] * abs(normal @ axes[:, 2]) + size[0] * np.hypot(*(normal @ axes[:, :2]))
+        ),
     }[mujoco.mjtGeom(model.geom_type[geom])]
     return float(normal @ (data.geom_xpos[geom] - data.geom_xpos[0]) - reach) / float(normal[2])
 
@@ -85,6 +89,40 @@ def test_one_step_equals_native_mujoco(case: str, rng: np.random.Generator) -> N
     with jax.enable_x64(True):
         touching = compare(LanesStepper(model), [model] * WORLDS, {}, rng)
     assert touching > 5 or "pendulum" in case or case == "stops"
+
+
+@pytest.mark.parametrize("delay", ["", 'delay="0.03" nsample="5"'])
+def test_a_damper_with_commands_beyond_its_range(delay: str, rng: np.random.Generator) -> None:
+    """implicitfast derives its force, of the clamped and delayed command, by velocity."""
+    body = '<body><joint name="hinge" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/></body>'
+    damper = f'<actuator><damper joint="hinge" kv="2" ctrlrange="0 1" {delay}/></actuator>'
+    option = '<option timestep="0.01" integrator="implicitfast"/>'
+    model = mujoco.MjModel.from_xml_string(f"<mujoco>{option}<worldbody>{body}</worldbody>{damper}</mujoco>")
+    data = mujoco.MjData(model)
+    data.qvel[:] = 1
+    with jax.enable_x64(True):
+        stepper = LanesStepper(model)
+        state = stepper.state(data.qpos[:, None], data.qvel[:, None])
+        for command in rng.uniform(-1, 2, 12):
+            data.ctrl[:] = command
+            mujoco.mj_step(model, data)
+            state = stepper.step({}, state, jnp.full((1, 1), command))
+            np.testing.assert_allclose(np.asarray(stepper.qvel(state))[:, 0], data.qvel, rtol=1e-10)
+
+
+def test_a_cylinder_that_stands_upright_touches_where_native_does(rng: np.random.Generator) -> None:
+    """Its rim is parallel to the floor: no point is the lowest, and MuJoCo takes that along the cylinder's x axis."""
+    body = '<body pos="0 0 0.195"><freejoint/><geom type="cylinder" size="0.1 0.2"/></body>'
+    model = mujoco.MjModel.from_xml_string(mjcf(body))
+    data = mujoco.MjData(model)
+    data.qvel[:] = rng.normal(size=6)
+    with jax.enable_x64(True):
+        stepper = LanesStepper(model)
+        state = stepper.state(data.qpos[:, None], data.qvel[:, None])
+        after = jax.jit(stepper.step, compiler_options=QUICK)({}, state, jnp.zeros((0, 1)))
+    native_step(model, data)
+    assert data.ncon == 3  # the fourth point, at the other end, is far above the floor
+    np.testing.assert_allclose(np.asarray(stepper.qacc(after))[:, 0], data.qacc, rtol=1e-9)
 
 
 def test_one_step_of_the_hexapod_with_many_morphologies(robot: Robot, rng: np.random.Generator) -> None:
@@ -247,18 +285,26 @@ def test_energy_is_conserved_without_damping(rng: np.random.Generator) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (mjcf(plain_box(), option='integrator="RK4"'), ["RK4", "integrator"]),
+        (mjcf(plain_box(), option='integrator="implicit"'), ["IMPLICIT", "integrator"]),
+        (mjcf(chain(4), option='integrator="RK4"', actuators=SERVOS), ["RK4", "activations"]),
         (mjcf(plain_box().replace("<freejoint/>", '<joint name="shoulder" type="ball"/>')), ["ball", "shoulder"]),
         (mjcf(plain_box().replace('conaffinity="0"', ""), floor='condim="6"'), ["condim 6", "floor"]),
         (mjcf(plain_box() + plain_box().replace("0 0 1", "3 0 1").replace("<geom", '<geom contype="1"')), ["contact"]),
         (mjcf(plain_box() + '<geom name="step" type="box" size="1 1 1" contype="1"/>'), ["contact", "step"]),
-        (mjcf(plain_box().replace('type="box"', 'type="ellipsoid"')), ["ELLIPSOID"]),
+        (
+            mjcf(plain_box().replace('type="box"', 'type="mesh" mesh="tip"')).replace(
+                "<worldbody>", '<asset><mesh name="tip" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset><worldbody>'
+            ),
+            ["MESH"],
+        ),
         (mjcf(chain(1), actuators='<muscle name="biceps" joint="p0" lengthrange="0 1"/>'), ["MUSCLE", "biceps"]),
         (mjcf(chain(1).replace("<body ", '<body gravcomp="1" name="arm" ', 1)), ["gravity compensation", "arm"]),
         (
             mjcf(chain(2)).replace("</mujoco>", '<equality><joint joint1="p0" joint2="p1"/></equality></mujoco>'),
             ["equality"],
         ),
+        (tendons(mjcf(biped())).replace('name="all"', 'name="all" limited="true" range="-1 1"'), ["limits", "all"]),
+        (tendons(mjcf(biped(), option=FAST)), ["damping of tendons", "all"]),
     ],
 )
 def test_what_is_not_computed_is_refused_by_name(text: str, words: list[str]) -> None:

@@ -57,7 +57,9 @@ def test_seeds_are_valid(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("btr_mjx.testing.hostile.mutations.mutate_value", lambda value, source: value)
     monkeypatch.setattr("btr_mjx.testing.hostile.mutations.mutate_mjcf", lambda text, source: text)
     monkeypatch.setattr("btr_mjx.testing.hostile.mutations.mutate_template", lambda text, source: text)
-    monkeypatch.setattr("btr_mjx.testing.hostile.parsers._bytes_or", lambda source, data, structured: data)
+    for module in ("parsers", "logs"):
+        name_of = f"btr_mjx.testing.hostile.{module}.bytes_or"
+        monkeypatch.setattr(name_of, lambda source, data, structured: data)
     source = random.Random(1)
     monkeypatch.setattr(source, "random", lambda: 0.1)
     write_input(PARSERS[name].make(source), tmp_path / "input")

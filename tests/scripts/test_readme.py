@@ -22,7 +22,13 @@ ROOT = Path(__file__).parents[2]
 PAGES = ("README.md", "docs/coevolution.md")
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.M | re.S)
 INLINE = re.compile(r"`((?:uv|python|pip) [^`]*)`")
-UV = ("pip install uv", "uv build", "uv pip install /path/to/this/checkout", "uv run pytest")
+UV = (
+    "pip install uv",
+    "uv build",
+    "uv pip install /path/to/this/checkout",
+    "uv run pytest",
+    "uv run --group docs mkdocs serve",
+)
 """Commands of uv itself."""
 
 

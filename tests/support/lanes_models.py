@@ -115,6 +115,23 @@ def stops() -> str:
 WATER = 'density="1000" viscosity="0.5" wind="1 2 3"'
 FAST = 'integrator="implicitfast"'
 
+TENDON_MOTORS = (
+    """<motor tendon="all" gear="3"/><position tendon="first" kp="20" kv="1" gear="0.7" forcerange="-1 1"/>"""
+)
+TENDON_SERVO = '<position tendon="all" kp="20" gear="0.7"/>'
+
+
+def tendons(text: str, joints: tuple[str, ...] = ("hip-0.1", "hip0.1"), damping: float = 0.3) -> str:
+    """The model with fixed tendons over some of its joints: a spring, a damper, and one without influence."""
+    both = "".join(f'<joint joint="{joint}" coef="{1 - 1.7 * i}"/>' for i, joint in enumerate(joints))
+    return text.replace(
+        "<actuator>",
+        f"""<tendon><fixed name="all" stiffness="4" damping="{damping}" springlength="-0.05 0.03">{both}</fixed>
+        <fixed name="first" stiffness="3"><joint joint="{joints[0]}" coef="2"/></fixed><fixed name="idle">{both}</fixed>
+        </tendon><actuator>""",
+    )
+
+
 CASES = {
     "pendulum_euler": mjcf(chain(4), actuators=SERVOS),
     "pendulum_implicitfast": mjcf(chain(4), option=FAST, actuators=SERVOS),
@@ -132,4 +149,19 @@ CASES = {
     "biped": mjcf(biped(), actuators='<motor joint="hip-0.1"/><motor joint="hip0.1"/>'),
     "snake": mjcf(snake(20)),
     "stops": mjcf(stops()),
+    "cylinder": mjcf(plain_box().replace('type="box"', 'type="cylinder"')),
+    "cylinder_slope": mjcf(
+        plain_box().replace('type="box"', 'type="cylinder"'),
+        option='cone="elliptic"',
+        floor='euler="10 -15 20" pos="0 0 0.2"',
+    ),
+    "ellipsoid": mjcf(plain_box().replace('type="box"', 'type="ellipsoid"'), floor='euler="10 -15 20" pos="0 0 0.2"'),
+    "tendons": tendons(mjcf(biped(), actuators='<motor joint="hip-0.1"/>' + TENDON_MOTORS)),
+    "tendons_implicitfast": tendons(mjcf(biped(), option=FAST, actuators=TENDON_SERVO), damping=0),
+    "pendulum_tendons_rk4": tendons(
+        mjcf(chain(4), option='integrator="RK4"', actuators=TENDON_MOTORS), ("p0", "p1", "p3")
+    ),
+    "quadruped_rk4": mjcf(quadruped(), option='integrator="RK4"', actuators=QUADRUPED_SERVOS),
+    "spheres_box_in_water_rk4": mjcf(spheres_box(), option=f'integrator="RK4" cone="elliptic" {WATER}'),
+    "pendulum_rk4": mjcf(chain(4), option='integrator="RK4"', actuators='<motor joint="p0" gear="3"/>'),
 }

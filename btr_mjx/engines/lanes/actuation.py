@@ -3,7 +3,7 @@
 Source: google-deepmind/mujoco, mj_fwdActuation, mj_nextActivation and mjd_actuator_vel.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import jax
@@ -15,7 +15,7 @@ from btr_mjx.engines.lanes import support
 from btr_mjx.engines.lanes.delays import delayed
 from btr_mjx.engines.lanes.parameters import Parameters
 from btr_mjx.engines.lanes.scalars import Scalar, add, dot, is_zero, mul, sub, total
-from btr_mjx.engines.lanes.tree import FREE, Actuator, TreePlan
+from btr_mjx.engines.lanes.tree import FREE, Actuator, Tendon, TreePlan
 
 _DYN, _GAIN, _BIAS = mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
 
@@ -112,7 +112,65 @@ def actuate(
             if model.jnt_actfrclimited[joint.ids[0]]:
                 force = _clip(force, parameters[f"{key}/actfrcrange"])
             result.force[dof] = force
+    pulls: dict[Tendon, Scalar] = {}
+    for tendon in plan.tendons:
+        length, velocity = _tendon_motion(plan, tendon, q, v)
+        for k, actuator in enumerate(tendon.actuators):
+            key = f"tendon{tendon.id}/actuator{k}"
+            one = _actuator(model, parameters, _JointActuator(key, actuator, length, velocity), act, ctrl, result)
+            gear = parameters.one(f"{key}/gear")
+            result.power.append((jnp.abs(mul(one[0], mul(gear, velocity))), 1))
+            pulls[tendon] = add(pulls.get(tendon, 0.0), mul(gear, one[0]))
+    for dof, force in _pulled(plan, pulls).items():
+        result.force[dof] = add(result.force.get(dof, 0.0), force)
     return result
+
+
+def _tendon_motion(
+    plan: TreePlan, tendon: Tendon, q: Sequence[Sequence[jax.Array]], v: Sequence[jax.Array]
+) -> tuple[Scalar, Scalar]:
+    """Length [m or rad] and velocity of a fixed tendon, (C,)."""
+    weights = dict(tendon.joints)
+    length: Scalar = 0.0
+    velocity: Scalar = 0.0
+    joints = [joint for link in plan.links for joint in link.joints]
+    for joint, here in zip(joints, q, strict=True):
+        for member, j in enumerate(joint.ids):
+            if j in weights:
+                row = lambda x: x[member] if x.ndim == 2 else x  # noqa: B023, E731
+                length = add(length, mul(weights[j], row(here[0])))
+                velocity = add(velocity, mul(weights[j], row(v[joint.dofs[0]])))
+    return length, velocity
+
+
+def _pulled(plan: TreePlan, pulls: Mapping[Tendon, jax.Array]) -> dict[int, Scalar]:
+    """Generalised forces per dof of forces along fixed tendons."""
+    found: dict[int, Scalar] = {}
+    for joint in (joint for link in plan.links for joint in link.joints):
+        rows = [total(mul(dict(t.joints).get(j, 0.0), pull) for t, pull in pulls.items()) for j in joint.ids]
+        if any(not is_zero(row) for row in rows):
+            like = next(iter(pulls.values()))
+            full = [jnp.zeros_like(like) if is_zero(row) else row for row in rows]
+            found[joint.dofs[0]] = full[0] if len(full) == 1 else jnp.stack(full)
+    return found
+
+
+def tendon_forces(
+    model: mujoco.MjModel, plan: TreePlan, q: Sequence[Sequence[jax.Array]], v: Sequence[jax.Array]
+) -> dict[int, Scalar]:
+    """Generalised forces per dof of the springs and dampers of fixed tendons (mj_passive)."""
+    pulls = {}
+    for tendon in plan.tendons:
+        stiffness, damping = float(model.tendon_stiffness[tendon.id]), float(model.tendon_damping[tendon.id])
+        length, velocity = _tendon_motion(plan, tendon, q, v)
+        low, high = model.tendon_lengthspring[tendon.id].tolist()
+        stretch = jnp.maximum(length - high, 0) + jnp.minimum(length - low, 0)
+        spring = 0.0 if support.disabled(model, "SPRING") else mul(-stiffness, stretch)
+        drag = 0.0 if support.disabled(model, "DAMPER") else mul(-damping, velocity)
+        pull = add(spring, drag)
+        if not is_zero(pull):
+            pulls[tendon] = pull
+    return _pulled(plan, pulls)
 
 
 def _actuator(
@@ -152,10 +210,7 @@ def _actuator(
         drive = act[actuator.state] if actuator.state >= 0 else u
         if model.actuator_gaintype[a] == _GAIN.mjGAIN_AFFINE:
             factor = dot(gain, state)
-            source = (
-                act[actuator.state] if actuator.state >= 0 else raw
-            )  # MuJoCo's derivative uses the unclamped control
-            damping = sub(damping, mul(gain[2], source))
+            damping = sub(damping, mul(gain[2], drive))
         else:
             factor = gain[0]
         force = add(mul(factor, drive), dot(bias, state))

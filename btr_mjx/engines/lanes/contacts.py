@@ -1,7 +1,7 @@
-"""Contact points of spheres, capsules and boxes with fixed planes.
+"""Contact points of spheres, capsules, boxes, cylinders and ellipsoids with fixed planes.
 
-Source: google-deepmind/mujoco, mjc_PlaneSphere, mjc_PlaneCapsule, mjc_PlaneBox; impedance and reference acceleration as
-in mj_makeImpedance and mj_referenceConstraint.
+Source: google-deepmind/mujoco, mjc_PlaneSphere, mjc_PlaneCapsule, mjc_PlaneBox, mjc_PlaneCylinder; impedance and
+reference acceleration as in mj_makeImpedance and mj_referenceConstraint.
 """
 
 from collections.abc import Sequence
@@ -32,6 +32,7 @@ from btr_mjx.engines.lanes.scalars import (
     scale,
     sub,
     total,
+    transpose,
     vadd,
     vsub,
 )
@@ -46,12 +47,38 @@ def _points(parameters: Parameters, key: str, touch: Touch, m: Motion) -> list[t
     if touch.kind == support.CAPSULE:
         segment = scale(parameters.one(f"{key}/half"), matvec(m.rotation, parameters[f"{key}/axis"]))
         return [(vadd(centre, segment), None), (vsub(centre, segment), None)]
+    normal = parameters.matrix(f"plane{touch.plane}/frame")[0]
+    if touch.kind == support.CYLINDER:
+        return [(vadd(centre, point), None) for point in _rim_points(parameters, key, normal, m)]
     edges = [matvec(m.rotation, row) for row in parameters.matrix(f"{key}/edges")]
+    if touch.kind == support.ELLIPSOID:
+        along = [dot(edge, normal) for edge in edges]
+        inverse = jax.lax.rsqrt(dot(along, along))
+        lowest = [mul(inverse, dot(along, row)) for row in transpose(edges)]
+        return [(vsub(centre, lowest), None)]
     corners = []
     for signs in product((-1.0, 1.0), repeat=3):
         corner = [total(mul(sign, edge[i]) for sign, edge in zip(signs, edges, strict=True)) for i in range(3)]
         corners.append((vadd(centre, corner), corner))
     return corners
+
+
+def _rim_points(parameters: Parameters, key: str, normal: Vector, m: Motion) -> list[list[Scalar]]:
+    """The four points of a cylinder that can touch, from its centre (mjc_PlaneCylinder)."""
+    axis, rim = matvec(m.rotation, parameters[f"{key}/axis"]), parameters.one(f"{key}/rim")
+    along = dot(normal, axis)
+    turn = jnp.where(along > 0, -1.0, 1.0)  # the axis points to the plane
+    axis, along = scale(turn, axis), mul(turn, along)
+    down = vsub(scale(along, axis), normal)
+    square = dot(down, down)
+    upright = square < 1e-30  # the rim is parallel to the plane: MuJoCo uses the x axis of the cylinder
+    inverse = jax.lax.rsqrt(jnp.where(upright, 1.0, square))
+    side = matvec(m.rotation, parameters[f"{key}/side"])
+    down = [mul(rim, jnp.where(upright, s, mul(inverse, x))) for s, x in zip(side, down, strict=True)]
+    across = scale(0.5 * np.sqrt(3.0), cross(down, axis))  # |down| is the radius, and it is normal to the axis
+    axis = scale(parameters.one(f"{key}/half"), axis)
+    far = vsub(axis, scale(0.5, down))
+    return [vadd(down, axis), vsub(down, axis), vadd(far, across), vsub(far, across)]
 
 
 def _contact_frame(parameters: Parameters, key: str, touch: Touch, m: Motion) -> Matrix:

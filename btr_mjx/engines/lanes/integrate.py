@@ -95,15 +95,22 @@ def integrate_step(
     acceleration = [array(x, a.shape, a.dtype) for x, a in zip(following, acceleration, strict=True)]
     rates = local_rates(plan, motions, acceleration)
     velocities = vadd(v, scale(dt, rates))
+    return moved_coordinates(plan, q, velocities, dt), velocities
+
+
+def moved_coordinates(
+    plan: TreePlan, q: Sequence[Sequence[jax.Array]], v: Sequence[Scalar], dt: Scalar
+) -> list[list[jax.Array]]:
+    """Coordinates per joint after moving for `dt` at constant velocities (mj_integratePos)."""
     coordinates = []
     joints = [joint for link in plan.links for joint in link.joints]
     for joint, old in zip(joints, q, strict=True):
-        speed = [velocities[k] for k in joint.dofs]
+        speed = [v[k] for k in joint.dofs]
         moved = vadd(old[: min(3, len(old))], scale(dt, speed[: min(3, len(old))]))
         if joint.kind == FREE:
             moved += _turned(unit_quaternion(old[3:]), speed[3:], dt)
         coordinates.append(moved)
-    return coordinates, velocities
+    return coordinates
 
 
 def _gyroscopic(inertia: Block, damping: Block, m: Motion, a: Spatial, dt: float) -> list[Scalar]:
@@ -129,7 +136,7 @@ def _gyroscopic(inertia: Block, damping: Block, m: Motion, a: Spatial, dt: float
     return lu_solve(rows, scale(-1.0, [*right[0], *right[1]]))
 
 
-def _turned(q: Sequence[jax.Array], spin: Sequence[jax.Array], dt: float) -> list[jax.Array]:
+def _turned(q: Sequence[jax.Array], spin: Sequence[jax.Array], dt: Scalar) -> list[jax.Array]:
     """Unit quaternion after rotating for `dt` at a constant angular velocity in link axes (mju_quatIntegrate)."""
     square = spin[0] * spin[0] + spin[1] * spin[1] + spin[2] * spin[2]
     half = (0.25 * dt * dt) * square  # square of the half angle

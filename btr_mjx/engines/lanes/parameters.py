@@ -6,13 +6,14 @@ otherwise. Equal parameters become constants of the traced program, the others i
 Source of the contact parameters: google-deepmind/mujoco, mj_contactParam, mj_makeImpedance, getsolparam.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
 import mujoco
 import numpy as np
 
+from btr_mjx.engines.guards.watch import shape_kind
 from btr_mjx.engines.lanes import support
 from btr_mjx.engines.lanes.fields import Fields, apply_matrix, rigid_pose, rigid_root, rotation_matrices
 from btr_mjx.engines.lanes.scalars import Scalar, constant
@@ -96,13 +97,16 @@ def _touch(model: mujoco.MjModel, fields: Fields, body: int, touch: Touch, geom:
     size = fields("geom_size", geom)
     if touch.kind != support.SPHERE:
         matrix = matrix @ rotation_matrices(fields("geom_quat", geom))
-    if touch.kind == support.CAPSULE:
+    if touch.kind in (support.CAPSULE, support.CYLINDER):
         result["axis"] = matrix[..., 2]
         result["half"] = size[..., 1:2]
-    if touch.kind == support.BOX:
+    if touch.kind == support.CYLINDER:
+        result |= {"side": matrix[..., 0], "rim": size[..., 0:1]}
+    if touch.kind in (support.BOX, support.ELLIPSOID):
         edges = matrix * size[..., None, :]
         result["edges"] = np.swapaxes(edges, -1, -2).reshape(*edges.shape[:2], 9)
-    result["radius"] = np.zeros((1, 1, 1)) if touch.kind == support.BOX else size[..., 0:1]
+    rounded = touch.kind in (support.SPHERE, support.CAPSULE)
+    result["radius"] = size[..., 0:1] if rounded else np.zeros((1, 1, 1))
     first, second = model.geom_priority[plane], model.geom_priority[geom]
     both = {
         key: (fields(f"geom_{key}", plane), fields(f"geom_{key}", geom)) for key in ("solref", "solimp", "friction")
@@ -196,13 +200,28 @@ def _plane(model: mujoco.MjModel, fields: Fields, geom: int) -> dict[str, np.nda
     return {"frame": frame, "offset": (normal * position).sum(-1, keepdims=True)}
 
 
-def derive(model: mujoco.MjModel, plan: TreePlan, fields: Fields) -> dict[str, np.ndarray]:
+def _guarded_geom(model: mujoco.MjModel, fields: Fields, geom: int) -> dict[str, np.ndarray]:
+    """Pose in its link, size and margin of a geom of guarded pairs; its bounding box if it is not a primitive."""
+    body = int(model.geom_bodyid[geom])
+    position, matrix = rigid_pose(model, fields, body, rigid_root(model, body))
+    position = position + apply_matrix(matrix, fields("geom_pos", geom))
+    matrix = matrix @ rotation_matrices(fields("geom_quat", geom))
+    size = fields("geom_size", geom)
+    if shape_kind(model, geom) != model.geom_type[geom]:
+        box = model.geom_aabb[geom]
+        position, size = position + apply_matrix(matrix, box[None, None, :3]), box[None, None, 3:]
+    margin = (fields("geom_margin", geom) + fields("geom_gap", geom))[..., None]
+    return {"centre": position, "axes": matrix.reshape(*matrix.shape[:2], 9), "size": size, "margin": margin}
+
+
+def derive(model: mujoco.MjModel, plan: TreePlan, fields: Fields, guarded: Sequence[int] = ()) -> dict[str, np.ndarray]:
     """All parameters of a step.
 
     Args:
       model: the base model.
       plan: the static plan.
       fields: view of the fields of the batch.
+      guarded: geoms of guarded pairs; they are the members of the group "guards".
 
     Returns:
       name -> (N, C, G, k) where the worlds differ, else (1, 1, G, k), for k components of G group members.
@@ -234,6 +253,11 @@ def derive(model: mujoco.MjModel, plan: TreePlan, fields: Fields) -> dict[str, n
         for n, touch in enumerate(link.touches):
             geoms = zip(link.bodies, touch.geoms, strict=True)
             put(f"{link.index}/touch{n}", [_touch(model, fields, b, touch, g) for b, g in geoms])
+    for tendon in plan.tendons:
+        for k, actuator in enumerate(tendon.actuators):
+            put(f"tendon{tendon.id}/actuator{k}", [_actuator(fields, a) for a in actuator.ids])
+    if guarded:
+        put("guards", [_guarded_geom(model, fields, g) for g in guarded])
     return table
 
 

@@ -1,21 +1,24 @@
 """The `Stepper` of the lanes engine: one MuJoCo step for a chunk of worlds, with the batch in the SIMD lanes."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from jax import lax
 
 from btr_mjx.engines.base import Leaves
+from btr_mjx.engines.guards.watch import Pose, crossed, plan_guards
 from btr_mjx.engines.lanes import support
-from btr_mjx.engines.lanes.actuation import actuate, group_rows, springs
+from btr_mjx.engines.lanes.actuation import Actuation, actuate, group_rows, springs, tendon_forces
 from btr_mjx.engines.lanes.cones import Contact
 from btr_mjx.engines.lanes.contacts import contact_points
 from btr_mjx.engines.lanes.dof_constraints import DofConstraint, dof_constraints
 from btr_mjx.engines.lanes.dynamics import (
+    System,
     bias_wrenches,
     dof_system,
     inertia_system,
@@ -23,13 +26,13 @@ from btr_mjx.engines.lanes.dynamics import (
     opposing_forces,
     world_rates,
 )
-from btr_mjx.engines.lanes.fields import VARYING, Fields, base_field, influences_motion
+from btr_mjx.engines.lanes.fields import VARYING, Fields, base_field, influences_motion, rigid_root
 from btr_mjx.engines.lanes.fluid import drag
-from btr_mjx.engines.lanes.integrate import Damping, integrate_step
+from btr_mjx.engines.lanes.integrate import Damping, integrate_step, moved_coordinates
 from btr_mjx.engines.lanes.kinematics import Motion, motions
 from btr_mjx.engines.lanes.linesearch import ConstraintProblem
 from btr_mjx.engines.lanes.parameters import Parameters, derive, split_constants
-from btr_mjx.engines.lanes.scalars import add, array, group_sum, total, vadd, vsub
+from btr_mjx.engines.lanes.scalars import add, array, group_sum, scale, total, vadd, vsub
 from btr_mjx.engines.lanes.solver import Zones, constrained_acceleration
 from btr_mjx.engines.lanes.tree import FREE, make_plan
 from btr_mjx.engines.rewriting import retrace
@@ -56,6 +59,26 @@ class LanesState:
     """Sum over actuators of |force x velocity| in the last step [W], (C,)."""
     capped: jax.Array
     """Whether the solver reached its iteration limit in the last step, bool (C,)."""
+    tripped: jax.Array
+    """Whether the bound of a guarded pair was crossed at the start of some step, bool (C,)."""
+
+
+@dataclass(frozen=True)
+class _Forward:
+    """Forces and accelerations at a state."""
+
+    moving: Sequence[Motion]
+    inertia: System
+    damping: System
+    """Of joint dampers."""
+    actuation: Actuation
+    medium: System | None
+    """Minus the derivative of the fluid's drag by velocity."""
+    found: list[jax.Array]
+    """Accelerations per dof, with world axes."""
+    capped: jax.Array
+    zones: Zones
+    tripped: jax.Array
 
 
 class LanesStepper:
@@ -72,6 +95,7 @@ class LanesStepper:
         *,
         max_newton: int = 20,
         dtype: Any = None,
+        guards: bool = False,
     ):
         """Prepare the engine for one model structure.
 
@@ -82,6 +106,8 @@ class LanesStepper:
             motion (colours, bounding boxes, ...) are ignored.
           max_newton: maximum number of solver iterations per step.
           dtype: float32 or float64; None for JAX's default.
+          guards: whether a model with contacts that are not computed is accepted. Each of them is guarded: `tripped`
+            tells the worlds in which it may have taken part; their states are not MuJoCo's.
 
         Raises:
           UnsupportedModel: the model uses something that this engine does not compute, or a field of `varying` may
@@ -92,16 +118,17 @@ class LanesStepper:
         self.nq, self.nv, self.nu = int(model.nq), int(model.nv), int(model.nu)
         self._elliptic = bool(model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC)
         self.timestep = float(model.opt.timestep)
-        pairs = support.require_supported(model)
+        contacts = support.require_supported(model, guards)
+        self.guards = plan_guards(model, [guarded.pair for guarded in contacts.guarded])
         self._masks = self._read_masks(varying)
         friction = (np.asarray(model.dof_frictionloss) != 0) | self._masks.get(
             "dof_frictionloss", np.zeros(self.nv, bool)
         )
         if support.disabled(model, "CONSTRAINT") or support.disabled(model, "FRICTIONLOSS"):
             friction = np.zeros(self.nv, bool)
-        self.plan = make_plan(model, pairs, friction)
+        self.plan = make_plan(model, contacts.computed, friction)
         twice = {name: np.stack([base_field(model, name)] * 2)[None] for name in self._masks}
-        table = derive(model, self.plan, Fields(model, self._masks, twice))
+        table = derive(model, self.plan, Fields(model, self._masks, twice), self.guards.geoms)
         self._constants, arrays = split_constants(table)
         self._varying_names = frozenset(arrays)
         self._zone_layout: list[tuple[int, int]] = []
@@ -112,6 +139,10 @@ class LanesStepper:
         """Field name -> bool array of the field's shape."""
         masks = {}
         for name in sorted(varying):
+            if self._model.ntendon and name.startswith(("tendon_", "wrap_")):
+                raise support.refuse(f"a field {name!r} of tendons that differs between worlds")
+            if self.guards.pairs and name.startswith(("mesh_vert", "hfield_", "pair_")):
+                raise support.refuse(f"a field {name!r} of guarded contacts that differs between worlds")
             if not influences_motion(name):
                 continue
             if name not in VARYING:
@@ -145,7 +176,9 @@ class LanesStepper:
         for name, where in (("jnt_stiffness", free), ("dof_frictionloss", free[self._model.dof_jntid])):
             if name in self._masks and np.any(leaves[name][..., where]):
                 raise support.refuse(f"{name} of a free joint")
-        _, arrays = split_constants(derive(self._model, self.plan, Fields(self._model, self._masks, leaves)))
+        _, arrays = split_constants(
+            derive(self._model, self.plan, Fields(self._model, self._masks, leaves), self.guards.geoms)
+        )
         return {key: [column.astype(self._dtype) for column in columns] for key, columns in arrays.items()}
 
     def _shape(self, size: int, chunk: int) -> tuple[int, ...]:
@@ -186,9 +219,8 @@ class LanesStepper:
         """State of `chunk` worlds at rest in the model's qpos0, with actuator activations zero."""
         q, v, acts = self._rest(Parameters(self._constants, params), chunk)
         lanes = jnp.zeros(chunk, self._dtype)
-        return LanesState(
-            q, v, acts, self._no_history(chunk), [jnp.zeros_like(x) for x in v], self._no_zones(chunk), lanes, lanes > 0
-        )
+        still, zones = [jnp.zeros_like(x) for x in v], self._no_zones(chunk)
+        return LanesState(q, v, acts, self._no_history(chunk), still, zones, lanes, lanes > 0, lanes > 0)
 
     def _rest(
         self, parameters: Parameters, chunk: int
@@ -227,18 +259,28 @@ class LanesStepper:
                         jnp.zeros_like(v[-1]) if act is None else group_rows(jnp.asarray(act, self._dtype), adr)
                     )
         lanes = jnp.zeros(qpos.shape[-1], self._dtype)
-        zones = self._no_zones(qpos.shape[-1])
-        return LanesState(
-            q, v, acts, self._no_history(qpos.shape[-1]), [jnp.zeros_like(x) for x in v], zones, lanes, lanes > 0
-        )
+        still, zones = [jnp.zeros_like(x) for x in v], self._no_zones(qpos.shape[-1])
+        return LanesState(q, v, acts, self._no_history(qpos.shape[-1]), still, zones, lanes, lanes > 0, lanes > 0)
 
     def step(self, params: Mapping[str, list[jax.Array]], state: LanesState, ctrl: jax.Array) -> LanesState:
         """State after one time step under controls of shape (nu, C)."""
         return retrace(self._step, threshold=16)(params, state, ctrl)
 
     def _step(self, params: Mapping[str, list[jax.Array]], state: LanesState, ctrl: jax.Array) -> LanesState:
-        model, plan = self._model, self.plan
         parameters = Parameters(self._constants, params)
+        if self._model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+            return self._runge_kutta(parameters, state, ctrl)
+        model, plan, q, v = self._model, self.plan, state.q, state.v
+        f = self._forward(parameters, state, ctrl)
+        slopes = Damping(f.damping, f.actuation.damping, f.medium)
+        following = integrate_step(model, plan, f.moving, q, v, f.inertia, slopes, f.found)
+        power = total(group_sum(p, size) for p, size in f.actuation.power)
+        rates, power = local_rates(plan, f.moving, f.found), array(power, f.capped.shape, self._dtype)
+        return LanesState(*following, f.actuation.act, f.actuation.history, rates, f.zones, power, f.capped, f.tripped)
+
+    def _forward(self, parameters: Parameters, state: LanesState, ctrl: jax.Array) -> _Forward:
+        """Accelerations at a state (mj_forward)."""
+        model, plan = self._model, self.plan
         q, v = state.q, state.v
         moving = motions(plan, parameters, q, v)
         bodies = inertia_system(plan, parameters, moving)
@@ -251,20 +293,52 @@ class LanesStepper:
         medium = drag(plan, parameters, moving)
         if medium is not None:
             wrenches = [(vadd(f, g), vadd(n, o)) for (f, n), (g, o) in zip(wrenches, medium[0], strict=True)]
-        for force in (actuation.force, springs(plan, parameters, q)):
+        passive = tendon_forces(model, plan, q, v) if plan.tendons else {}
+        for force in (actuation.force, springs(plan, parameters, q), passive):
             tau = {k: add(tau.get(k, 0.0), force.get(k, 0.0)) for k in sorted(tau.keys() | force.keys())}
         constraints = self._constraints(parameters, q, v, moving)
         guess = world_rates(plan, moving, state.acceleration)
         found, capped, zones = constrained_acceleration(
             ConstraintProblem(plan, moving, constraints, bodies, wrenches, tau), guess, state.zones, self._max_newton
         )
-        slopes = Damping(damping, actuation.damping, medium and medium[1])
-        following = integrate_step(model, plan, moving, q, v, bodies, slopes, found)
-        power = total(group_sum(p, size) for p, size in actuation.power)
-        rates = local_rates(plan, moving, found)
-        return LanesState(
-            *following, actuation.act, actuation.history, rates, zones, array(power, capped.shape, self._dtype), capped
-        )
+        tripped = state.tripped
+        if self.guards.pairs:
+            tripped = tripped | self._crossed(parameters, moving, tripped.shape[-1])
+        return _Forward(moving, bodies, damping, actuation, medium and medium[1], found, capped, zones, tripped)
+
+    def _runge_kutta(self, parameters: Parameters, state: LanesState, ctrl: jax.Array) -> LanesState:
+        """One step of the classical Runge-Kutta method of fourth order (mj_RungeKutta)."""
+        plan, dt = self.plan, self.timestep
+        ahead, weights = (jnp.asarray(x, self._dtype) for x in ([0.5, 0.5, 1, 0], [1 / 6, 1 / 3, 1 / 3, 1 / 6]))
+
+        def stage(i: jax.Array, carry: tuple) -> tuple:
+            here, speed, rate, capped = carry
+            f = self._forward(parameters, here, ctrl)
+            rates = [
+                array(x, v.shape, self._dtype)
+                for x, v in zip(local_rates(plan, f.moving, f.found), here.v, strict=True)
+            ]
+            speed, rate = (vadd(sums, scale(weights[i], x)) for sums, x in ((speed, here.v), (rate, rates)))
+            q = moved_coordinates(plan, state.q, here.v, ahead[i] * dt)
+            power = array(total(group_sum(p, size) for p, size in f.actuation.power), capped.shape, self._dtype)
+            v = vadd(state.v, scale(ahead[i] * dt, rates))
+            following = LanesState(q, v, state.act, state.history, rates, f.zones, power, f.capped, f.tripped)
+            return following, speed, rate, capped | f.capped
+
+        still = [jnp.zeros_like(x) for x in state.v]
+        end, speed, rate, capped = lax.fori_loop(0, 4, stage, (state, still, still, jnp.zeros_like(state.capped)))
+        q, v = moved_coordinates(plan, state.q, speed, dt), vadd(state.v, scale(dt, rate))
+        return replace(end, q=q, v=v, capped=capped)
+
+    def _crossed(self, parameters: Parameters, moving: Sequence[Motion], lanes: int) -> jax.Array:
+        """Worlds in which the bound of a guarded pair is crossed, bool (C,)."""
+        poses: list[Pose | None] = []
+        for geom in self.guards.geoms:
+            root = rigid_root(self._model, int(self._model.geom_bodyid[geom]))
+            carrier = next((link for link in self.plan.links if root in link.bodies), None)
+            m = moving[carrier.index] if carrier else None
+            poses.append((m.rotation, m.position, carrier.bodies.index(root)) if carrier and m else None)
+        return crossed(self.guards, parameters, poses, lanes, self._dtype)
 
     def qpos(self, state: LanesState) -> jax.Array:
         """Generalised positions (nq, C), MuJoCo's order and conventions."""
@@ -313,6 +387,10 @@ class LanesStepper:
     def capped(self, state: LanesState) -> jax.Array:
         """Whether the constraint solver reached its iteration limit in the last step, bool (C,)."""
         return state.capped
+
+    def tripped(self, state: LanesState) -> jax.Array:
+        """Whether the bound of a guarded pair was crossed at the start of some step so far, bool (C,)."""
+        return state.tripped
 
 
 def _in_order(rows: Sequence[tuple[int, jax.Array, int]]) -> jax.Array:

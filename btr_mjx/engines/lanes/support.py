@@ -1,16 +1,17 @@
 """Check of which models the lanes engine supports; unsupported features raise an error that names them."""
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 import mujoco
 import numpy as np
 
 from btr_mjx.engines.base import UnsupportedModel
-
-SPHERE = int(mujoco.mjtGeom.mjGEOM_SPHERE)
-CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
-BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
-PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+from btr_mjx.engines.guards.pairs import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE, GeomPair, geom_pairs
 
 _JOINT, _DYN, _GAIN, _BIAS = mujoco.mjtJoint, mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
+_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
+_JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _DISABLE, _ENABLE = mujoco.mjtDisableBit, mujoco.mjtEnableBit
 
 
@@ -31,52 +32,83 @@ def disabled(model: mujoco.MjModel, flag: str) -> bool:
     return bool(model.opt.disableflags & int(getattr(_DISABLE, f"mjDSBL_{flag}")))
 
 
-def require_supported(model: mujoco.MjModel) -> dict[int, list[tuple[int, int]]]:
+@dataclass(frozen=True)
+class Guarded:
+    """A pair of geoms whose contact this engine does not compute."""
+
+    pair: GeomPair
+    reason: str
+    """What is not computed, and the names of both geoms."""
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """The pairs of geoms that MuJoCo can collide."""
+
+    computed: dict[int, list[tuple[int, int]]]
+    """Geom -> (plane geom, condim) of each contact that this engine computes."""
+    guarded: list[Guarded]
+
+
+def require_supported(model: mujoco.MjModel, guards: bool = False) -> Contacts:
     """Check that this engine supports a model.
 
+    Args:
+      model: the model.
+      guards: whether contacts that are not computed are guarded rather than refused.
+
     Returns:
-      Geom -> (plane geom, condim) of each possible contact.
+      The possible contacts.
 
     Raises:
       UnsupportedModel: the message names the feature and the element that uses it.
     """
-    _check_options(model)
-    _check_elements(model)
-    _check_joints(model)
-    _check_actuators(model)
-    return _contact_pairs(model)
+    for feature in refusals(model):
+        raise refuse(feature)
+    contacts = possible_contacts(model)
+    if contacts.guarded and not guards:
+        raise refuse(contacts.guarded[0].reason)
+    return contacts
 
 
-def _check_options(m: mujoco.MjModel) -> None:
-    integrators = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
-    if m.opt.integrator not in integrators:
-        raise refuse(f"the {mujoco.mjtIntegrator(m.opt.integrator).name} integrator (only Euler and implicitfast)")
+def refusals(model: mujoco.MjModel) -> Iterator[str]:
+    """Features of a model that this engine does not compute, contacts aside, with the elements that use them."""
+    yield from _check_options(model)
+    yield from _check_elements(model)
+    yield from _check_joints(model)
+    yield from _check_actuators(model)
+    yield from _check_tendons(model)
+
+
+def _check_options(m: mujoco.MjModel) -> Iterator[str]:
+    if m.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICIT:
+        yield f"the {mujoco.mjtIntegrator(m.opt.integrator).name} integrator (only Euler, implicitfast and RK4)"
+    if m.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 and (m.na or np.any(m.actuator_history[:, 0])):
+        yield f"the RK4 integrator together with activations or delays ({m.nu} actuators)"
     for flag in ("OVERRIDE", "SLEEP", "DIAGEXACT", "IPC"):
         bit = getattr(_ENABLE, f"mjENBL_{flag}", None)
         if bit is not None and m.opt.enableflags & int(bit):
-            raise refuse(f"the enable flag {flag.lower()}")
+            yield f"the enable flag {flag.lower()}"
     if m.opt.noslip_iterations > 0:
-        raise refuse("the noslip solver (option noslip_iterations)")
+        yield "the noslip solver (option noslip_iterations)"
     if m.opt.disableactuator:
-        raise refuse("disabled actuator groups (option actuatorgroupdisable)")
+        yield "disabled actuator groups (option actuatorgroupdisable)"
     if (m.opt.density or m.opt.viscosity) and m.ngeom and np.any(m.geom_fluid[:, 0] > 0):
         geom = int(np.argmax(m.geom_fluid[:, 0] > 0))
-        raise refuse(f"the ellipsoid fluid model ({name(m, mujoco.mjtObj.mjOBJ_GEOM, geom)})")
+        yield f"the ellipsoid fluid model ({name(m, mujoco.mjtObj.mjOBJ_GEOM, geom)})"
 
 
-def _check_elements(m: mujoco.MjModel) -> None:
+def _check_elements(m: mujoco.MjModel) -> Iterator[str]:
     obj = mujoco.mjtObj
     for count, kind, what in (
-        (m.ntendon, obj.mjOBJ_TENDON, "tendons"),
         (m.neq, obj.mjOBJ_EQUALITY, "equality constraints"),
-        (m.npair, obj.mjOBJ_PAIR, "explicit contact pairs"),
         (m.nflex, obj.mjOBJ_FLEX, "flexes"),
         (m.nplugin, obj.mjOBJ_PLUGIN, "plugins"),
     ):
         if count:
-            raise refuse(f"{what} ({name(m, kind, 0)})")
+            yield f"{what} ({name(m, kind, 0)})"
     if m.nmocap:
-        raise refuse(f"mocap bodies ({name(m, obj.mjOBJ_BODY, int(np.argmax(m.body_mocapid >= 0)))})")
+        yield f"mocap bodies ({name(m, obj.mjOBJ_BODY, int(np.argmax(m.body_mocapid >= 0)))})"
     for field, kind, what in (
         ("body_gravcomp", obj.mjOBJ_BODY, "gravity compensation"),
         ("geom_adhesion", obj.mjOBJ_GEOM, "adhesion"),
@@ -93,30 +125,32 @@ def _check_elements(m: mujoco.MjModel) -> None:
         )
         if len(bad):
             where = f"dof number {bad[0]}" if kind == obj.mjOBJ_DOF else name(m, kind, bad[0])
-            raise refuse(f"{what} ({where})")
+            yield f"{what} ({where})"
 
 
-def _check_joints(m: mujoco.MjModel) -> None:
+def _check_joints(m: mujoco.MjModel) -> Iterator[str]:
     for j in range(m.njnt):
         where = name(m, mujoco.mjtObj.mjOBJ_JOINT, j)
         if m.jnt_type[j] == _JOINT.mjJNT_BALL:
-            raise refuse(f"ball joints ({where})")
+            yield f"ball joints ({where})"
         if m.jnt_type[j] != _JOINT.mjJNT_FREE:
             continue
         dofs = slice(int(m.jnt_dofadr[j]), int(m.jnt_dofadr[j]) + 6)
         if m.jnt_stiffness[j]:
-            raise refuse(f"stiffness of a free joint ({where})")
+            yield f"stiffness of a free joint ({where})"
         if m.dof_frictionloss[dofs].any():
-            raise refuse(f"friction loss of a free joint ({where})")
+            yield f"friction loss of a free joint ({where})"
 
 
-def _check_actuators(m: mujoco.MjModel) -> None:
+def _check_actuators(m: mujoco.MjModel) -> Iterator[str]:
     for a in range(m.nu):
         where = name(m, mujoco.mjtObj.mjOBJ_ACTUATOR, a)
-        if m.actuator_trntype[a] not in (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)):
-            raise refuse(f"transmission {mujoco.mjtTrn(m.actuator_trntype[a]).name} ({where})")
-        if m.jnt_type[m.actuator_trnid[a, 0]] == _JOINT.mjJNT_FREE:
-            raise refuse(f"actuation of a free joint ({where})")
+        if m.actuator_trntype[a] not in (*_JOINT_TRANSMISSIONS, _TENDON):
+            yield f"transmission {mujoco.mjtTrn(m.actuator_trntype[a]).name} ({where})"
+            continue
+        on_joint = m.actuator_trntype[a] != _TENDON
+        if on_joint and m.jnt_type[m.actuator_trnid[a, 0]] == _JOINT.mjJNT_FREE:
+            yield f"actuation of a free joint ({where})"
         dynamics, gain, bias = int(m.actuator_dyntype[a]), int(m.actuator_gaintype[a]), int(m.actuator_biastype[a])
         if dynamics not in (
             _DYN.mjDYN_NONE,
@@ -125,61 +159,88 @@ def _check_actuators(m: mujoco.MjModel) -> None:
             _DYN.mjDYN_FILTEREXACT,
             _DYN.mjDYN_PID,
         ):
-            raise refuse(f"actuator dynamics {_DYN(dynamics).name} ({where})")
+            yield f"actuator dynamics {_DYN(dynamics).name} ({where})"
         if gain not in (_GAIN.mjGAIN_FIXED, _GAIN.mjGAIN_AFFINE, _GAIN.mjGAIN_PID):
-            raise refuse(f"actuator gain {_GAIN(gain).name} ({where})")
+            yield f"actuator gain {_GAIN(gain).name} ({where})"
         if bias not in (_BIAS.mjBIAS_NONE, _BIAS.mjBIAS_AFFINE):
-            raise refuse(f"actuator bias {_BIAS(bias).name} ({where})")
+            yield f"actuator bias {_BIAS(bias).name} ({where})"
         if gain == _GAIN.mjGAIN_PID and (m.actuator_ctrlspec[a] != 1 or m.actuator_dynprm[a, 1] > 0):
-            raise refuse(f"pid inputs other than the position, and slew limits ({where})")
+            yield f"pid inputs other than the position, and slew limits ({where})"
         if m.actuator_ctrlnum[a] != 1 or m.actuator_outnum[a] != 1 or m.actuator_actnum[a] > 1:
-            raise refuse(f"actuators with several inputs, outputs or states ({where})")
+            yield f"actuators with several inputs, outputs or states ({where})"
         if m.actuator_actearly[a]:
-            raise refuse(f"actearly ({where})")
+            yield f"actearly ({where})"
 
 
-def _contact_pairs(m: mujoco.MjModel) -> dict[int, list[tuple[int, int]]]:
-    """Possible contacts of moving geoms with fixed planes; all other possible contacts raise UnsupportedModel."""
-    pairs: dict[int, list[tuple[int, int]]] = {}
-    if disabled(m, "CONTACT") or disabled(m, "CONSTRAINT"):
-        return pairs
-    excluded = {int(s) for s in np.asarray(m.exclude_signature)}
-    for g1 in range(m.ngeom):
-        for g2 in range(g1 + 1, m.ngeom):
-            if not _may_touch(m, g1, g2, excluded):
-                continue
-            plane, geom = (g1, g2) if m.geom_type[g1] == PLANE else (g2, g1)
-            _check_pair(m, plane, geom)
-            if m.geom_priority[plane] != m.geom_priority[geom]:
-                condim = int(m.geom_condim[plane if m.geom_priority[plane] > m.geom_priority[geom] else geom])
-            else:
-                condim = int(max(m.geom_condim[plane], m.geom_condim[geom]))
-            if condim not in (1, 3):
-                raise refuse(f"condim {condim}, torsional and rolling friction ({_both(m, plane, geom)})")
-            pairs.setdefault(geom, []).append((plane, condim))
-    return pairs
+def moving_tendons(m: mujoco.MjModel) -> list[int]:
+    """Tendons that exert forces; the others have no influence on motion."""
+    if not m.ntendon:
+        return []
+    own = (m.tendon_limited != 0) | (m.tendon_frictionloss != 0) | (m.tendon_armature != 0)
+    own |= (m.tendon_stiffness != 0) | (m.tendon_damping != 0)
+    for field in ("tendon_stiffnesspoly", "tendon_dampingpoly"):
+        own |= np.any(getattr(m, field).reshape(m.ntendon, -1) != 0, axis=1)
+    driven = m.actuator_trnid[m.actuator_trntype == _TENDON, 0]
+    return sorted(set(np.flatnonzero(own).tolist()) | set(driven.tolist()))
+
+
+def _check_tendons(m: mujoco.MjModel) -> Iterator[str]:
+    implicit = m.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    for t in moving_tendons(m):
+        where = name(m, mujoco.mjtObj.mjOBJ_TENDON, t)
+        wraps = slice(int(m.tendon_adr[t]), int(m.tendon_adr[t] + m.tendon_num[t]))
+        if np.any(m.wrap_type[wraps] != mujoco.mjtWrap.mjWRAP_JOINT):
+            yield f"spatial tendons ({where})"
+            continue
+        for field, what in (
+            ("limited", "limits"),
+            ("frictionloss", "friction loss"),
+            ("armature", "armature"),
+            ("stiffnesspoly", "polynomial stiffness"),
+            ("dampingpoly", "polynomial damping"),
+            ("actfrclimited", "force limits"),
+        ):
+            if np.any(getattr(m, f"tendon_{field}")[t]):
+                yield f"{what} of tendons ({where})"
+        if implicit and m.tendon_damping[t]:
+            yield f"damping of tendons with the implicitfast integrator ({where})"
+        driving = np.flatnonzero((m.actuator_trntype == _TENDON) & (m.actuator_trnid[:, 0] == t))
+        if np.any(m.actuator_actnum[driving]) or np.any(m.actuator_history[driving, 0]):
+            yield f"activations and delays of actuators on tendons ({where})"
+        if implicit and (np.any(m.actuator_gainprm[driving, 2]) or np.any(m.actuator_biasprm[driving, 2])):
+            yield f"velocity gains of actuators on tendons with the implicitfast integrator ({where})"
+        if len(driving) and np.any(m.jnt_actfrclimited[m.wrap_objid[wraps]]):
+            yield f"force limits of joints on driven tendons ({where})"
+
+
+def possible_contacts(m: mujoco.MjModel) -> Contacts:
+    """The pairs of geoms that MuJoCo can collide: moving geoms with fixed planes are computed, all others guarded."""
+    found = Contacts({}, [])
+    for pair in geom_pairs(m):
+        plane, geom = pair.first, pair.second
+        if m.geom_priority[plane] != m.geom_priority[geom]:
+            condim = int(m.geom_condim[plane if m.geom_priority[plane] > m.geom_priority[geom] else geom])
+        else:
+            condim = int(max(m.geom_condim[plane], m.geom_condim[geom]))
+        reason = _not_computed(m, pair, condim)
+        if reason:
+            found.guarded.append(Guarded(pair, f"{reason} ({_both(m, plane, geom)})"))
+        else:
+            found.computed.setdefault(geom, []).append((plane, condim))
+    return found
 
 
 def _both(m: mujoco.MjModel, g1: int, g2: int) -> str:
     return f"{name(m, mujoco.mjtObj.mjOBJ_GEOM, g1)} and {name(m, mujoco.mjtObj.mjOBJ_GEOM, g2)}"
 
 
-def _may_touch(m: mujoco.MjModel, g1: int, g2: int, excluded: set[int]) -> bool:
-    """MuJoCo's collision filters: contype and conaffinity, welded bodies, parent and child, excluded body pairs."""
-    affine = (m.geom_contype[g1] & m.geom_conaffinity[g2]) or (m.geom_contype[g2] & m.geom_conaffinity[g1])
-    b1, b2 = int(m.geom_bodyid[g1]), int(m.geom_bodyid[g2])
-    w1, w2 = int(m.body_weldid[b1]), int(m.body_weldid[b2])
-    if not affine or w1 == w2:
-        return False
-    if (min(b1, b2) << 16) + max(b1, b2) in excluded:
-        return False
-    up1, up2 = (int(m.body_weldid[m.body_parentid[w]]) for w in (w1, w2))
-    return disabled(m, "FILTERPARENT") or w1 == 0 or w2 == 0 or (w1 != up2 and w2 != up1)
-
-
-def _check_pair(m: mujoco.MjModel, plane: int, geom: int) -> None:
-    if m.geom_type[plane] != PLANE or m.body_weldid[m.geom_bodyid[plane]] != 0:
-        raise refuse(f"contact other than with a plane fixed to the world ({_both(m, plane, geom)})")
-    if m.geom_type[geom] not in (SPHERE, CAPSULE, BOX):
-        kind = mujoco.mjtGeom(m.geom_type[geom]).name
-        raise refuse(f"contact of {kind} with a plane, only sphere, capsule and box ({_both(m, plane, geom)})")
+def _not_computed(m: mujoco.MjModel, pair: GeomPair, condim: int) -> str:
+    """Why a contact is not computed; empty if it is."""
+    if pair.explicit >= 0:
+        return "explicit contact pairs"
+    if m.geom_type[pair.first] != PLANE or m.body_weldid[m.geom_bodyid[pair.first]] != 0:
+        return "contact other than with a plane fixed to the world"
+    if m.geom_type[pair.second] not in (SPHERE, CAPSULE, BOX, CYLINDER, ELLIPSOID):
+        kind = mujoco.mjtGeom(m.geom_type[pair.second]).name
+        return f"contact of {kind} with a plane"
+    return "" if condim in (1, 3) else f"condim {condim}, torsional and rolling friction"

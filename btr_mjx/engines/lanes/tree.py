@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from btr_mjx.engines.lanes.support import moving_tendons
+
 FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 
@@ -52,7 +54,7 @@ class Touch:
     geoms: tuple[int, ...]
     """MuJoCo geom of each member."""
     kind: int
-    """mujoco.mjtGeom: sphere, capsule or box."""
+    """mujoco.mjtGeom: sphere, capsule, box, cylinder or ellipsoid."""
     condim: int
     """1 or 3, after MuJoCo's mixing of both geoms."""
 
@@ -80,6 +82,16 @@ class Link:
 
 
 @dataclass(frozen=True)
+class Tendon:
+    """A fixed tendon: its length is a weighted sum of joint coordinates."""
+
+    id: int
+    joints: tuple[tuple[int, float], ...]
+    """MuJoCo joint and its weight."""
+    actuators: tuple[Actuator, ...]
+
+
+@dataclass(frozen=True)
 class TreePlan:
     """Static structure of all trees of a model. One dof of the plan stands for `dof_size` dofs of MuJoCo."""
 
@@ -89,6 +101,8 @@ class TreePlan:
     """Number of activation states of the plan."""
     histories: tuple[tuple[int, int], ...]
     """Number of samples and group size of every history of controls."""
+    tendons: tuple[Tendon, ...] = ()
+    """Fixed tendons that exert forces."""
 
 
 def rigid_members(model: mujoco.MjModel, body: int) -> list[int]:
@@ -138,7 +152,7 @@ class _Builder:
         self.histories: list[tuple[int, int]] = []
         self.members = {b: rigid_members(model, b) for b in range(model.nbody) if b == 0 or model.body_jntnum[b]}
         joint_actuators: dict[int, list[int]] = {}
-        for a in range(model.nu):
+        for a in np.flatnonzero(model.actuator_trntype != mujoco.mjtTrn.mjTRN_TENDON).tolist():
             joint_actuators.setdefault(int(model.actuator_trnid[a, 0]), []).append(a)
         self.actuators = joint_actuators
         self.signatures: dict[int, str] = {}
@@ -236,7 +250,15 @@ class _Builder:
 
     def build(self) -> TreePlan:
         self._descend(-1, (0,))
-        return TreePlan(tuple(self.links), tuple(self.dof_size), self.states, tuple(self.histories))
+        tendons = tuple(self._tendon(t) for t in moving_tendons(self.model))
+        return TreePlan(tuple(self.links), tuple(self.dof_size), self.states, tuple(self.histories), tendons)
+
+    def _tendon(self, t: int) -> Tendon:
+        m = self.model
+        wraps = range(int(m.tendon_adr[t]), int(m.tendon_adr[t] + m.tendon_num[t]))
+        driving = (m.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON) & (m.actuator_trnid[:, 0] == t)
+        actuators = tuple(Actuator((a,), -1, -1) for a in np.flatnonzero(driving).tolist())
+        return Tendon(t, tuple((int(m.wrap_objid[w]), float(m.wrap_prm[w])) for w in wraps), actuators)
 
 
 def make_plan(model: mujoco.MjModel, pairs: Mapping[int, list[tuple[int, int]]], friction: np.ndarray) -> TreePlan:

@@ -83,7 +83,14 @@ def on_one_clock(
         for name in names:
             known = np.isfinite(signal.values[name])
             use = _hold if hold and name in commands else _interpolate
-            columns[name] = use(axis.time, signal.time[known], signal.values[name][known])
+            try:
+                with np.errstate(all="ignore"):  # slopes that are not finite are refused
+                    columns[name] = use(axis.time, signal.time[known], signal.values[name][known])
+            except ValueError:
+                raise InputError(
+                    f"{where}: column {name!r} cannot be interpolated on the clock of {_listed(list(axis.values))}: "
+                    "its numbers are too large or its times too close together"
+                ) from None
         how = "held" if hold and set(names) <= commands else "interpolated"
         notes.append(
             f"{_listed(names)}, sampled every {1e3 * usual_interval(signal.time):.3g} ms, {how} on the clock of "

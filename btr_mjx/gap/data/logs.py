@@ -177,10 +177,11 @@ def plan_tables(
         time: tuple[str, str | None] = ("", None)
         for name, target in own.items():
             unit = units.get(name) or stated_unit(name)[1]
+            factor = conversion(target, unit, model, f"{where}: column {name!r}") if unit else 1.0
             if target == "time":
                 time = name, unit
             elif unit:
-                factors[target] = conversion(target, unit, model, f"{where}: column {name!r}")
+                factors[target] = factor
                 told += [f"{name} from {unit}"] if factors[target] != 1 else []
         if told:
             notes.append(f"converted to SI units: {', '.join(told[:20])}")

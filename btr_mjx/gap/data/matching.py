@@ -180,10 +180,10 @@ def check_matched(
             if kind == "qpos" and "/" not in name and (name in unmeasured or not free):
                 continue
             near = nearest_names(name, free or known)
-            hidden = f', or, without an encoder, [model] unmeasured = ["{name}"]' if kind == "qpos" else ""
+            hidden = f'a joint without an encoder is named by [model] unmeasured = ["{name}"]; else '
             raise InputError(
                 f"{where}: there is no column {column!r}; nearest in the file: {near}; "
-                f"{remedy('NAME', column, hint)}{hidden}"
+                f"{hidden if kind == 'qpos' and '/' not in name else ''}{remedy('NAME', column, hint)}"
             )
     for name in part_names(model, "joint"):
         of_joint = [c for c in velocities if c == f"qvel/{name}" or c.startswith(f"qvel/{name}/")]

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from btr_mjx.gap.effects import EACH_MEMBER
 from btr_mjx.gap.results import (
     REASON_NOT_NAMED,
     detail_sentences,
@@ -12,7 +13,9 @@ from btr_mjx.gap.results import (
     estimate_cells,
     format_number,
     in_percent,
+    parameter_in_words,
     place_in_words,
+    unit_in_words,
     verdict_sentence,
 )
 from btr_mjx.runs import read_json, read_table
@@ -42,10 +45,10 @@ def content(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
     effects = [
         {
             "effect": effect_title(effect["effect"]),
-            "location": place_in_words(str(effect["location"])),
-            "name": name.replace("_", " "),
+            "location": place_in_words(str(effect["location"]).removeprefix(EACH_MEMBER)),
+            "name": parameter_in_words(name),
             **estimate_cells(parameter),
-            "unit": _unit(parameter.get("unit")),
+            "unit": unit_in_words(parameter.get("unit")),
         }
         for effect in result.get("effects") or []
         for name, given in effect["parameters"].items()
@@ -84,10 +87,6 @@ def _preflight(folder: Path) -> dict[str, list[str]] | None:
         "warnings": [str(message) for level, message in rows if level != "note"],
         "notes": [str(message) for level, message in rows if level == "note"],
     }
-
-
-def _unit(unit: Any) -> str:
-    return "" if unit in (None, "1") else str(unit)
 
 
 def _gap(gap: Mapping[str, Any], mended: bool) -> list[tuple[str, str]]:

@@ -35,8 +35,10 @@ from btr_mjx.gap.results.wording import (
     hypothesis_in_words,
     in_percent,
     number_in_words,
+    parameter_in_words,
     place_in_words,
     refit_sentence,
+    unit_in_words,
 )
 
 __all__ = [
@@ -72,10 +74,12 @@ __all__ = [
     "mend",
     "mended_robot",
     "number_in_words",
+    "parameter_in_words",
     "place_in_words",
     "refit_sentence",
     "resolve_effect",
     "save_diagnosis",
     "simulation_mjcf",
+    "unit_in_words",
     "verdict_sentence",
 ]

@@ -6,6 +6,7 @@ Every function returns text and computes nothing else. Both are part of result.j
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from btr_mjx.gap.effects import EACH_MEMBER
 from btr_mjx.gap.results.wording import (
     REASON_NOT_NAMED,
     as_float,
@@ -72,7 +73,10 @@ def detail_sentences(result: Mapping[str, Any]) -> list[str]:
 
 
 def _named(result: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> str:
-    each = [f"{effect_at_place(effect)} ({parameters_in_words(effect)})" for effect in effects[:_LISTED]]
+    each = []
+    for effect in effects[:_LISTED]:  # the numbers say that each member has its own
+        place = {**effect, "location": str(effect["location"]).removeprefix(EACH_MEMBER)}
+        each.append(f"{effect_at_place(place)} ({parameters_in_words(effect)})")
     if len(effects) > _LISTED:
         each.append(f"{len(effects) - _LISTED} more effects, listed in the table")
     if _leaves_much(result):
@@ -130,17 +134,16 @@ def _gap(result: Mapping[str, Any]) -> str:
         return ""
     if after == before:
         return _gap_as_it_is(result)
-    unit = _unit(result)
     word = "shrinks" if after < before else "grows"
-    ends = f"from {format_number(before)}{unit} to {format_number(after)}{unit}"
-    return f"The held-out gap {word} {ends}{_noise(result, noise)}."
+    ends = f"from {format_number(before)} to {format_number(after)}{_unit(result)}"
+    return f"The held-out gap {word} {ends}{_noise(noise)}."
 
 
 def _gap_as_it_is(result: Mapping[str, Any]) -> str:
     before, _, noise = _levels(result)
     if before is None:
         return ""
-    return f"The held-out gap is {format_number(before)}{_unit(result)}{_noise(result, noise)}."
+    return f"The held-out gap is {format_number(before)}{_unit(result)}{_noise(noise)}."
 
 
 def _unit(result: Mapping[str, Any]) -> str:
@@ -148,8 +151,8 @@ def _unit(result: Mapping[str, Any]) -> str:
     return f" {unit}" if unit else ""
 
 
-def _noise(result: Mapping[str, Any], noise: float | None) -> str:
-    return f"; noise leaves {format_number(noise)}{_unit(result)}" if noise else ""
+def _noise(noise: float | None) -> str:
+    return f"; noise leaves {format_number(noise)}" if noise else ""
 
 
 def _whole_recordings(result: Mapping[str, Any]) -> str:
@@ -158,13 +161,14 @@ def _whole_recordings(result: Mapping[str, Any]) -> str:
     start, end = as_float(gap.get("open_loop_before")), as_float(gap.get("open_loop_after"))
     if start is None or end is None:
         return ""
-    ends = [f"{format_number(error)} {gap.get('open_loop_unit', 'rad')}" for error in (start, end)]
+    unit = gap.get("open_loop_unit", "rad")
+    ends = [format_number(start), f"{format_number(end)} {unit}"]
     whole = "over whole held-out recordings, simulated from their first sample"
     if end < start:
         return f"The mean position error {whole}, falls from {ends[0]} to {ends[1]}."
     return (
-        f"The mean position error {whole}, is {ends[0]} without and {ends[1]} with it: where small differences grow, a "
-        "motion can be followed over short stretches only."
+        f"The mean position error {whole}, is {ends[0]} {unit} without and {ends[1]} with it: where small differences "
+        "grow, a motion can be followed over short stretches only."
     )
 
 

@@ -225,14 +225,16 @@ def parameters_in_words(effect: Mapping[str, Any]) -> str:
     if str(effect["location"]).startswith(EACH_MEMBER) and len(parameters) > _FEW:
         rows = [in_percent(name, p) for name, p in parameters.items()]
         ends = [format_number(f([as_float(p["value"]) or 0.0 for p in rows])) for f in (min, max)]
-        unit = _unit_words(rows[0])
-        return f"{_member_of(next(iter(parameters)))[0]} from {ends[0]}{unit} to {ends[1]}{unit}"
-    return ", ".join(_number_words(name, p) for name, p in parameters.items())
+        return f"{_member_of(next(iter(parameters)))[0]} from {ends[0]} to {ends[1]}{_unit_words(rows[0])}"
+    return ", ".join(
+        f"{parameter_in_words(name)} {format_estimate(in_percent(name, p))}" for name, p in parameters.items()
+    )
 
 
-def _number_words(name: str, parameter: Mapping[str, Any]) -> str:
+def parameter_in_words(name: str) -> str:
+    """A parameter's name in words, such as "armature at knee" for "armature[knee]"."""
     kind, member = _member_of(name)
-    return f"{kind}{f' at {member}' if member else ''} {format_estimate(in_percent(name, parameter))}"
+    return f"{kind} at {member}" if member else kind
 
 
 def _member_of(name: str) -> tuple[str, str]:
@@ -255,8 +257,14 @@ def in_percent(name: str, parameter: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _unit_words(parameter: Mapping[str, Any]) -> str:
-    unit = str(parameter.get("unit") or "")
-    return "" if unit in ("1", "") else f" {unit}"
+    unit = unit_in_words(parameter.get("unit"))
+    return f" {unit}" if unit else ""
+
+
+def unit_in_words(unit: Any) -> str:
+    """A unit as people write it, such as "kg m²" for "kg m^2"; "" for numbers without one."""
+    text = str(unit or "")
+    return "" if text == "1" else text.replace("^2", "²").replace("^3", "³")
 
 
 def number_in_words(name: str) -> str:

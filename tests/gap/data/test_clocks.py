@@ -93,6 +93,16 @@ def test_the_dataset_holds_commands_unless_it_says_otherwise(tmp_path: Path) -> 
     np.testing.assert_allclose(found, log.ctrl[rows], atol=2e-3)
 
 
+def test_numbers_that_cannot_be_interpolated_are_refused() -> None:
+    time, huge = np.arange(40.0), np.full(20, 1e308)
+    huge[::2] *= -1
+    tables = [{"time": time, "qpos/shoulder": time, "qpos/elbow": time}, {"time": 2 * time[:20], "qvel/elbow": huge}]
+    with pytest.raises(
+        InputError, match="'qvel/elbow' cannot be interpolated on the clock of qpos/shoulder, qpos/elbow"
+    ):
+        on_one_clock(tables, MODEL, True, "log.csv", [])
+
+
 def test_clocks_without_common_times_are_refused() -> None:
     log = simulated_log(ARM, 1.0)
     tables = [

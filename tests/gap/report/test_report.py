@@ -128,7 +128,7 @@ def test_the_page_is_complete_and_self_contained(folder: Path) -> None:
         "It explains 79 % of the disagreement on recordings that were not used; what is left is 1.3 times the noise"
         in page.text
     )
-    assert "The held-out gap shrinks from 0.054 rad to 0.027 rad; noise leaves 0.02 rad." in page.text
+    assert "The held-out gap shrinks from 0.054 to 0.027 rad; noise leaves 0.02." in page.text
     assert "Runner-up: dry friction at joint knee0, far behind" in page.text
     assert "quadruped <left>" in page.text  # escaped in the source
     for heading in ("What is missing", "Where simulation", "Candidates", "Before and after", "Believed", "mistaken"):
@@ -232,7 +232,7 @@ def test_candidates_that_are_not_ruled_out_are_listed(folder: Path) -> None:
 def test_whole_recordings_are_said_apart() -> None:
     gap = {"before": 9.0, "after": 2.0, "noise_floor": 1.0, "open_loop_before": 0.054, "open_loop_after": 0.027}
     text = " ".join(detail_sentences(RESULT | {"gap": gap}))
-    assert "simulated from their first sample, falls from 0.054 rad to 0.027 rad." in text
+    assert "simulated from their first sample, falls from 0.054 to 0.027 rad." in text
     assert "The held-out gap shrinks from 9 to 2; noise leaves 1." in text
 
 

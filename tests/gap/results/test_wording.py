@@ -48,7 +48,7 @@ def test_a_gap_that_grows_is_never_said_to_shrink() -> None:
     details = " ".join(detail_sentences(result(6415.0, 1.0, before=3323.0)))
     assert "the gap does not fall with it: do not rely on this name." in text
     assert "explains" not in text
-    assert "The held-out gap grows from 3323 χ² per degree of freedom to 6415 χ² per degree of freedom" in details
+    assert "The held-out gap grows from 3323 to 6415 χ² per degree of freedom" in details
 
 
 def test_fitness_has_no_noise() -> None:
@@ -65,9 +65,12 @@ def test_members_with_a_number_each() -> None:
     entry = {"effect": "armature", "location": "each:subtree:leg", "parameters": rows}
     place = "every joint from body leg down, each with its own number"
     assert effect_at_place(entry) == f"rotor inertia (armature) at {place}"
-    assert parameters_in_words(entry) == "armature from 0.1 kg m^2 to 0.7 kg m^2"
+    assert parameters_in_words(entry) == "armature from 0.1 to 0.7 kg m²"
     few = entry | {"parameters": dict(list(rows.items())[:2])}
-    assert parameters_in_words(few) == "armature at j1 0.100 ± 0.010 kg m^2, armature at j2 0.200 ± 0.010 kg m^2"
+    assert parameters_in_words(few) == "armature at j1 0.100 ± 0.010 kg m², armature at j2 0.200 ± 0.010 kg m²"
+
+    named = verdict_sentence(result(1.0, 1.0) | {"effects": [few]})
+    assert "is rotor inertia (armature) at every joint from body leg down (armature at j1 0.100" in named
 
 
 def test_a_relative_change_is_in_per_cent() -> None:
@@ -160,9 +163,10 @@ def test_verdicts_are_two_sentences_with_units(one: dict[str, Any]) -> None:
 
 
 def numbers_without_unit(text: str) -> list[str]:
-    """Numbers of a sentence that no unit follows; those of an interval share the unit behind it."""
+    """Numbers of a sentence that no unit follows; those of an interval or a range share the unit behind it."""
     number = r"−?\d+(?:\.\d+)?(?:·10\^−?\d+)?"
     text = re.sub(rf"{number} \[{number}, {number}\]", "7", text)
     text = re.sub(rf"{number} ± {number}", "7", text)
-    text = re.sub(r"\d+ more", "more", text).replace("m^2", "m")  # candidates are counted
+    text = re.sub(rf"from {number} to {number}", "7", text)
+    text = re.sub(r"\d+ more", "more", text).replace("m²", "m")  # candidates are counted
     return [m[0] for m in re.finditer(number, text) if not re.match(rf" {UNIT}", text[m.end() :])]

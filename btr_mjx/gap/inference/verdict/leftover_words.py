@@ -24,7 +24,7 @@ def dof_places(model: mujoco.MjModel) -> list[tuple[str, str]]:
     """Where the generalised force of every degree of freedom (nv,) acts, in words, and its unit."""
     joints, bodies = part_names(model, "joint"), part_names(model, "body")
     out = []
-    for joint, kind in enumerate(model.jnt_type):
+    for joint, kind in enumerate(model.jnt_type.tolist()):  # MuJoCo's enumerations equal int, not numpy's integers
         where = f"joint {joints[joint]}"
         if kind == mujoco.mjtJoint.mjJNT_FREE:
             where = f"body {bodies[model.jnt_bodyid[joint]]}"

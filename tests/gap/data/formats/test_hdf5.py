@@ -72,6 +72,15 @@ def test_what_cannot_be_read_is_one_line(folder: Path) -> None:
         opened(folder)
 
 
+def test_a_time_in_degrees_is_refused(folder: Path) -> None:
+    with h5py.File(folder / "log.h5", "w") as file:
+        file["time"] = 0.01 * np.arange(50)
+        file["time"].attrs["units"] = "deg"
+        file["qpos"], file["ctrl"] = np.zeros((50, 2)), np.zeros((50, 2))
+    with pytest.raises(InputError, match="column 'time': is in deg, 'time' needs a unit of time"):
+        opened(folder)
+
+
 def test_data_outside_the_file_are_not_read(folder: Path) -> None:
     (folder / "secret.bin").write_bytes(bytes(8 * 1500))
     with h5py.File(folder / "log.h5", "w") as file:

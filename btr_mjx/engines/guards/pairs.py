@@ -1,0 +1,59 @@
+"""Which pairs of geoms MuJoCo can collide: its static filters (mj_collision), applied to a model."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+PLANE, HFIELD = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD)
+SPHERE, CAPSULE = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+ELLIPSOID, CYLINDER = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID), int(mujoco.mjtGeom.mjGEOM_CYLINDER)
+BOX, MESH = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_MESH)
+
+
+@dataclass(frozen=True)
+class GeomPair:
+    """Two geoms that MuJoCo can collide; a plane comes first."""
+
+    first: int
+    second: int
+    explicit: int
+    """Number of the <pair> element that names them, -1 if none does."""
+
+
+def geom_pairs(model: mujoco.MjModel) -> Iterator[GeomPair]:
+    """All pairs of geoms that MuJoCo can collide.
+
+    Pairs that can never meet are left out: both geoms fixed to the world or to one rigid body, filtered by contype and
+    conaffinity, by parent and child, or by an <exclude>, and two geoms of which neither has a volume.
+    """
+    flags = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    if model.opt.disableflags & int(flags):
+        return
+    named = {
+        (min(g1, g2), max(g1, g2)): p
+        for p, (g1, g2) in enumerate(zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True))
+    }
+    excluded = {int(s) for s in np.asarray(model.exclude_signature)}
+    flat = [kind in (PLANE, HFIELD) for kind in model.geom_type]
+    for g1 in range(model.ngeom):
+        for g2 in range(g1 + 1, model.ngeom):
+            explicit = named.get((g1, g2), -1)
+            if (flat[g1] and flat[g2]) or (explicit < 0 and not _passes_filters(model, g1, g2, excluded)):
+                continue
+            yield GeomPair(g2, g1, explicit) if model.geom_type[g2] == PLANE else GeomPair(g1, g2, explicit)
+
+
+def _passes_filters(m: mujoco.MjModel, g1: int, g2: int, excluded: set[int]) -> bool:
+    """MuJoCo's filters: contype and conaffinity, welded bodies, parent and child, excluded body pairs."""
+    affine = (m.geom_contype[g1] & m.geom_conaffinity[g2]) or (m.geom_contype[g2] & m.geom_conaffinity[g1])
+    b1, b2 = int(m.geom_bodyid[g1]), int(m.geom_bodyid[g2])
+    w1, w2 = int(m.body_weldid[b1]), int(m.body_weldid[b2])
+    if not affine or w1 == w2:
+        return False
+    if (min(b1, b2) << 16) + max(b1, b2) in excluded:
+        return False
+    up1, up2 = (int(m.body_weldid[m.body_parentid[w]]) for w in (w1, w2))
+    unfiltered = m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
+    return bool(unfiltered) or w1 == 0 or w2 == 0 or (w1 != up2 and w2 != up1)

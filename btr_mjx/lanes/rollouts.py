@@ -1,0 +1,242 @@
+"""Rollouts of any MuJoCo model from many states, as `mujoco.rollout`: by lanes where it can, else by native MuJoCo.
+
+Worlds in which a contact may take part that lanes does not compute are found by guards and evaluated by native MuJoCo
+instead, so that every answer is MuJoCo's to the tolerance of the engine's precision.
+"""
+
+import copy
+import hashlib
+import logging
+import pickle
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import ArrayLike
+
+from btr_mjx.engines import UnsupportedModel, base_field, expand
+from btr_mjx.errors import InputError
+from btr_mjx.lanes.coverage import as_model
+from btr_mjx.runs import available_cores
+
+if TYPE_CHECKING:
+    from btr_mjx.engines import ControlledProgram
+
+_LOG = logging.getLogger(__name__)
+
+_MAX_TRIPPED = 0.25
+"""Part of the first block that guards may hand to native MuJoCo before it evaluates everything."""
+
+_SEGMENT = 100
+"""Steps of one call of the compiled program."""
+
+_CAPACITY = 16
+"""Chunks per device and block."""
+
+_FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_PARTS = {
+    "time": mujoco.mjtState.mjSTATE_TIME,
+    "qpos": mujoco.mjtState.mjSTATE_QPOS,
+    "qvel": mujoco.mjtState.mjSTATE_QVEL,
+    "act": mujoco.mjtState.mjSTATE_ACT,
+    "history": mujoco.mjtState.mjSTATE_HISTORY,
+    "plugin_state": mujoco.mjtState.mjSTATE_PLUGIN,
+}
+"""Parts of mjSTATE_FULLPHYSICS, in order."""
+
+
+@dataclass(frozen=True, eq=False)
+class LanesRollout:
+    """Result of `rollout` for B worlds and T steps.
+
+    Attributes:
+      state: (B, T, n) states after each step, mjSTATE_FULLPHYSICS as `mujoco.rollout` returns them.
+      engine: (B,) the engine that computed each world, "lanes" or "native".
+      note: why native MuJoCo computed everything; empty if it did not.
+    """
+
+    state: np.ndarray
+    engine: np.ndarray
+    note: str
+
+    @property
+    def native_share(self) -> float:
+        """Part of the worlds that native MuJoCo computed."""
+        return float(np.mean(self.engine == "native"))
+
+
+def rollout(
+    model: mujoco.MjModel | str | Path,
+    initial_states: ArrayLike,
+    controls: ArrayLike | None = None,
+    *,
+    steps: int | None = None,
+    varying: Mapping[str, ArrayLike] | None = None,
+    chunk: int = 64,
+) -> LanesRollout:
+    """Simulate a model from many states under given controls.
+
+    Args:
+      model: an MjModel, the path of an MJCF file or MJCF text.
+      initial_states: (B, n) or (1, n) states, mjSTATE_FULLPHYSICS: time, qpos, qvel, act, ...
+      controls: (B, T, nu), each of B and T may be 1; None for zeros.
+      steps: number T of steps; None for that of the controls.
+      varying: MjModel field -> (B, *field shape), fields in which the worlds differ ("opt.gravity" for options).
+        Constants that MuJoCo derives from them (such as body_invweight0) follow, unless they are given as well.
+      chunk: worlds that lanes steps together; results are bit-identical for a fixed chunk size only.
+
+    Returns:
+      The states after every step. Worlds of lanes have JAX's default precision, those of native double precision.
+      Where lanes refuses the model, or its guards hand more than a quarter of the first block to native MuJoCo, that
+      computes all worlds; `LanesRollout.note` and a warning of the log say why.
+
+    Raises:
+      InputError: MuJoCo cannot read the model, or a shape is wrong.
+    """
+    m = as_model(model)
+    start, control, leaves = _checked(m, initial_states, controls, steps, varying or {})
+    count = len(start)
+    note, program = "", None
+    if mujoco.mj_stateSize(m, mujoco.mjtState.mjSTATE_HISTORY):
+        note = "states with history buffers (delays)"
+    else:
+        try:
+            leaves = _with_constants(m, count, leaves)
+            program = _program(m, tuple(sorted(leaves)), chunk)
+        except UnsupportedModel as error:
+            note = str(error).split(";")[0]
+    if program is None:
+        return _all_native(m, start, control, leaves, note)
+    parts, size = _split(m, start), program.layout.pairs
+    state, engine = np.zeros((count, control.shape[1], start.shape[1])), np.full(count, "lanes", dtype="U6")
+    for first in range(0, count, size):
+        rows = np.arange(first, min(first + size, count))
+        moved = program(
+            {name: x[rows] for name, x in leaves.items()},
+            (parts["qpos"][rows], parts["qvel"][rows], parts["act"][rows]),
+            control[rows],
+        )
+        tripped = rows[moved.tripped]
+        if not first and len(tripped) > _MAX_TRIPPED * len(rows):
+            text = f"guards found possible contacts that lanes does not compute in {len(tripped)} of {len(rows)} worlds"
+            return _all_native(m, start, control, leaves, text)
+        times = parts["time"][rows, None] + m.opt.timestep * np.arange(1, control.shape[1] + 1)[:, None]
+        state[rows] = np.concatenate([times, moved.qpos, moved.qvel, moved.act], axis=-1)
+        if len(tripped):
+            some = {name: x[tripped] for name, x in leaves.items()}
+            state[tripped] = _native(m, start[tripped], control[tripped], some)
+            engine[tripped] = "native"
+    return LanesRollout(state, engine, "")
+
+
+def _checked(
+    m: mujoco.MjModel,
+    initial_states: ArrayLike,
+    controls: ArrayLike | None,
+    steps: int | None,
+    varying: Mapping[str, ArrayLike],
+) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    """States (B, n), controls (B, T, nu) and fields (B, ...), all of full size."""
+    start, size = np.atleast_2d(np.asarray(initial_states, np.float64)), mujoco.mj_stateSize(m, _FULL)
+    control = np.zeros((1, steps or 0, m.nu)) if controls is None else np.asarray(controls, np.float64)
+    if start.ndim != 2 or start.shape[1] != size:
+        raise InputError(f"initial_states: got {start.shape}, expected (B, {size}): mjSTATE_FULLPHYSICS of the model")
+    if control.ndim != 3 or control.shape[2] != m.nu:
+        raise InputError(f"controls: got {control.shape}, expected (B, T, {m.nu}), one column for each actuator")
+    if control.shape[1] == 1 and steps:
+        control = np.repeat(control, steps, axis=1)
+    if not control.shape[1] or (steps and control.shape[1] != steps):
+        raise InputError(f"steps: got {steps} and controls of {control.shape[1]} steps, expected a number above 0")
+    leaves = {name: np.asarray(value, np.float64) for name, value in varying.items()}
+    sizes = {"initial_states": len(start), "controls": len(control), **{name: len(x) for name, x in leaves.items()}}
+    count = max(sizes.values())
+    wrong = {name: n for name, n in sizes.items() if n not in (1, count)}
+    if wrong:
+        raise InputError(f"{', '.join(wrong)}: got {', '.join(map(str, wrong.values()))} rows, expected 1 or {count}")
+    for name, value in leaves.items():
+        owner, word = (m.opt, name[4:]) if name.startswith("opt.") else (m, name)
+        if not hasattr(owner, word):
+            raise InputError(f"varying: got {name!r}, expected a field of MjModel, or of its options as 'opt.<name>'")
+        if value.shape[1:] != (shape := base_field(m, name).shape):
+            raise InputError(
+                f"varying: got {name!r} of shape {value.shape}, expected (B, {', '.join(map(str, shape))})"
+            )
+    full = lambda x: np.broadcast_to(x, (count, *x.shape[1:]))  # noqa: E731
+    return full(start), full(control), {name: full(value) for name, value in leaves.items()}
+
+
+def _split(m: mujoco.MjModel, state: np.ndarray) -> dict[str, np.ndarray]:
+    """Parts of mjSTATE_FULLPHYSICS (B, n)."""
+    sizes = [mujoco.mj_stateSize(m, part) for part in _PARTS.values()]
+    return dict(zip(_PARTS, np.split(state, np.cumsum(sizes)[:-1], axis=1), strict=True))
+
+
+def _all_native(
+    m: mujoco.MjModel, start: np.ndarray, control: np.ndarray, leaves: Mapping[str, np.ndarray], note: str
+) -> LanesRollout:
+    _LOG.warning("native MuJoCo computes all worlds: %s", note)
+    return LanesRollout(_native(m, start, control, leaves), np.full(len(start), "native"), note)
+
+
+def _native(m: mujoco.MjModel, start: np.ndarray, control: np.ndarray, leaves: Mapping[str, np.ndarray]) -> np.ndarray:
+    """States (B, T, n) by native MuJoCo, on all cores."""
+    batch = _batch(m, len(start), leaves)
+    batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+    for name, values in _split(m, start).items():
+        if values.shape[1]:
+            bound = batch.bind(name)
+            bound[...] = values.reshape(bound.shape)
+    return batch.rollout(control.shape[1], control, record=(_FULL,))[_FULL]
+
+
+def _batch(m: mujoco.MjModel, count: int, leaves: Mapping[str, np.ndarray]) -> Batch:
+    """Simulations whose models have the given fields, and the constants that follow from them."""
+    batch = Batch(m, nsim=count, nthread=available_cores())
+    expand(batch, leaves)
+    if leaves:
+        batch.set_const()
+        expand(batch, leaves)
+    return batch
+
+
+def _with_constants(m: mujoco.MjModel, count: int, leaves: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The fields in which worlds differ, with the weights that MuJoCo derives from them."""
+    if not leaves:
+        return leaves
+    batch = _batch(m, count, leaves)
+    return {name: np.array(batch.expand(name)) for name in ("body_invweight0", "dof_invweight0")} | leaves
+
+
+@dataclass(frozen=True)
+class _Structure:
+    """A model as a key of caches, which compares by its bytes."""
+
+    digest: str
+    model: mujoco.MjModel = field(compare=False)
+
+
+def _program(m: mujoco.MjModel, varying: tuple[str, ...], chunk: int) -> "ControlledProgram":
+    """The compiled program of a model."""
+    import jax  # takes seconds, which bad input should not
+
+    digest = hashlib.sha256(pickle.dumps(m)).hexdigest()
+    return _compiled(_Structure(digest, m), varying, chunk, bool(jax.config.read("jax_enable_x64")))
+
+
+@lru_cache(maxsize=16)
+def _compiled(structure: _Structure, varying: tuple[str, ...], chunk: int, x64: bool) -> "ControlledProgram":
+    import jax
+
+    from btr_mjx.engines import ControlledProgram, LanesStepper, Layout, use_all_cores, use_compilation_cache
+
+    use_all_cores()
+    use_compilation_cache()
+    devices = jax.devices()
+    # The caller may change the model later; what is traced then must not.
+    stepper = LanesStepper(copy.copy(structure.model), varying, guards=True)
+    return ControlledProgram(stepper, Layout(len(devices), _CAPACITY, chunk), devices, _SEGMENT)

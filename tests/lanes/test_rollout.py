@@ -1,0 +1,159 @@
+"""`lanes.rollout` against `mujoco.rollout`, for models that lanes computes, guards and refuses."""
+
+import logging
+from pathlib import Path
+
+import jax
+import mujoco
+import mujoco.rollout
+import numpy as np
+import pytest
+
+from btr_mjx import lanes
+from btr_mjx.errors import InputError
+
+ARM = """<mujoco><option timestep="0.002"/><worldbody><geom name="floor" type="plane" size="1 1 .1" pos="0 0 -0.45"/>
+<body name="upper"><joint name="shoulder" axis="0 1 0" damping="0.1"/>
+  <geom name="upper" type="capsule" fromto="0 0 0 0 0 -0.25" size="0.03" mass="0.5"/>
+  <body name="lower" pos="0 0 -0.25"><joint name="elbow" axis="0 1 0" damping="0.05"/>
+    <geom name="lower" type="capsule" fromto="0 0 0 0.1 0 -0.2" size="0.02" mass="0.3"/></body></body>
+<body name="ball" pos="1 0 -0.3"><freejoint/><geom name="ball" size="0.05" mass="0.2"/></body>{extra}</worldbody>
+<actuator><motor joint="shoulder" gear="2"/>
+<general joint="elbow" dyntype="filter" dynprm="0.02" gainprm="1"/></actuator>
+</mujoco>"""
+FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
+
+
+def starts(model: mujoco.MjModel, count: int, rng: np.random.Generator, near: float) -> np.ndarray:
+    """States (count, n) at random times; in a part `near` of them the ball lies where the arm swings."""
+    found = np.zeros((count, mujoco.mj_stateSize(model, FULL)))
+    data = mujoco.MjData(model)
+    for i in range(count):
+        mujoco.mj_resetData(model, data)
+        data.time = rng.uniform(0, 5)
+        data.qpos[:2] = rng.uniform(-0.5, 0.5, 2)
+        data.qpos[2] = 0.2 if i < near * count else 3
+        data.qvel[:] = rng.normal(size=model.nv)
+        data.act[:] = rng.normal(size=model.na)
+        mujoco.mj_getState(model, data, found[i], FULL)
+    return found
+
+
+def native(model: mujoco.MjModel, states: np.ndarray, controls: np.ndarray) -> np.ndarray:
+    return mujoco.rollout.rollout(model, [mujoco.MjData(model)], states, controls)[0]
+
+
+def test_every_world_has_the_answer_of_mujoco_rollout(rng: np.random.Generator) -> None:
+    model = mujoco.MjModel.from_xml_string(ARM.format(extra=""))
+    model.opt.tolerance = 0
+    states, controls = starts(model, 70, rng, near=0.15), rng.uniform(-1, 1, (70, 130, 2))
+    expected = native(model, states, controls)
+    with jax.enable_x64(True):
+        found = lanes.rollout(model, states, controls)
+    tripped = found.engine == "native"
+    assert found.state.shape == expected.shape
+    assert 5 <= tripped.sum() <= 11
+    assert tripped[:5].any()
+    np.testing.assert_array_equal(found.state[tripped], expected[tripped])
+    np.testing.assert_allclose(found.state, expected, rtol=0, atol=1e-8)
+    assert found.native_share == tripped.mean()
+    assert found.note == ""
+    single = lanes.rollout(model, states, controls)
+    assert np.abs(single.state - expected).max() < 1e-3
+    again = lanes.rollout(model, states[::-1], controls[::-1])
+    np.testing.assert_array_equal(again.state[::-1], single.state)
+
+
+def test_without_the_guard_the_answer_would_be_wrong(rng: np.random.Generator) -> None:
+    model = mujoco.MjModel.from_xml_string(ARM.format(extra=""))
+    states, controls = starts(model, 8, rng, near=1), np.ones((8, 130, 2))
+    expected = native(model, states, controls)
+    model.geom_contype[:3], model.geom_conaffinity[:3] = (1, 2, 2), (0, 1, 1)  # the arm no longer meets the ball
+    model.geom_contype[3], model.geom_conaffinity[3] = 0, 1
+    assert np.abs(native(model, states, controls) - expected).max() > 0.05
+
+
+def test_fields_may_differ_between_worlds(rng: np.random.Generator) -> None:
+    model = mujoco.MjModel.from_xml_string(ARM.format(extra=""))
+    model.opt.tolerance = 0
+    states, controls = starts(model, 6, rng, near=0.2), rng.uniform(-1, 1, (1, 1, 2))
+    mass = model.body_mass * rng.uniform(0.5, 2, (6, model.nbody))
+    with jax.enable_x64(True):
+        found = lanes.rollout(model, states, controls, steps=40, varying={"body_mass": mass})
+    assert set(found.engine) == {"lanes", "native"}
+    for i in range(6):
+        model.body_mass[:] = mass[i]
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        expected = native(model, states[i : i + 1], np.repeat(controls, 40, 1))
+        np.testing.assert_allclose(found.state[i], expected[0], rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("extra", "near", "words"),
+    [
+        ('<body mocap="true" pos="0 0 5"><geom size="0.1"/></body>', 0.0, "mocap"),
+        ("", 1.0, "guards found possible contacts"),
+    ],
+)
+def test_native_computes_everything_where_lanes_does_not_pay(
+    extra: str, near: float, words: str, rng: np.random.Generator, caplog: pytest.LogCaptureFixture
+) -> None:
+    text = ARM.format(extra=extra)
+    model = mujoco.MjModel.from_xml_string(text)
+    states, controls = starts(model, 6, rng, near), np.ones((6, 100, 2))
+    with caplog.at_level(logging.WARNING):
+        found = lanes.rollout(text, states, controls)
+    assert words in found.note
+    assert words in caplog.text
+    assert found.native_share == 1
+    np.testing.assert_array_equal(found.state, native(model, states, controls))
+
+
+def test_coverage_names_what_is_computed_guarded_and_refused(tmp_path: Path) -> None:
+    found = lanes.coverage(
+        ARM.format(
+            extra='<body mocap="true" name="goal"><geom name="goal" contype="0" conaffinity="0" size=".1"/></body>'
+        )
+    )
+    assert found.verdict == "refused"
+    assert set(found.computed) == {"upper and floor", "lower and floor", "ball and floor"}
+    assert any("'upper'" in line and "'ball'" in line for line in found.guarded)
+    assert not any("'upper'" in line and "'lower'" in line for line in found.guarded)  # parent and child
+    assert [line for line in found.refused if "goal" in line]
+    path = tmp_path / "arm.xml"
+    path.write_text(ARM.format(extra=""))
+    assert lanes.coverage(path).verdict == "guarded"
+    assert "guarded (2)" in str(lanes.coverage(path))
+    free = ARM.format(extra="").replace('name="ball" size', 'name="ball" contype="0" conaffinity="0" size')
+    assert lanes.coverage(free).verdict == "computed"
+
+
+def test_the_example_of_the_docs_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (Path(__file__).parents[2] / "docs/lanes.md").read_text(encoding="utf-8")
+    code = text.split("```python\n")[1].split("```")[0]
+    assert len(code.split("\n\n")[1].splitlines()) <= 10
+    assert code.count("4096, 500") == 2
+    (tmp_path / "robot.xml").write_text(ARM.format(extra=""), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    exec(code.replace("(4096, 500", "(20, 30"), names)
+    assert names["rolled"].state.shape == (20, 30, 19)
+    assert names["rolled"].note == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((np.zeros((2, 5)), np.zeros((2, 3, 2))), "initial_states"),
+        ((np.zeros((2, 19)), np.zeros((2, 3, 4))), "controls"),
+        ((np.zeros((2, 19)), np.zeros((3, 3, 2))), "rows"),
+        ((np.zeros((2, 19)),), "steps"),
+    ],
+)
+def test_bad_input_is_named(arguments: tuple, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        lanes.rollout(ARM.format(extra=""), *arguments)
+    with pytest.raises(InputError, match="mass_of_body"):
+        lanes.rollout(ARM.format(extra=""), np.zeros((1, 19)), steps=2, varying={"mass_of_body": [[1.0]]})
+    with pytest.raises(InputError, match="nothing"):
+        lanes.coverage("nothing.xml")
