@@ -1,11 +1,11 @@
 """Back-to-Reality on batched MuJoCo: co-evolve a robot's controller and its simulation.
 
-import btr_mjx as btr
+    import btr_mjx as btr
 
-robot = btr.Robot(...)                                         # or btr.hexapod(), the robot of the paper
-evaluation = btr.evaluate(robot, simulations, controllers)     # fitness (L, M)
-btr.scan.delta_fitness(robot, simulations, controllers, f_r)   # (L,)
-btr.coevolve(preset="quick", out="runs/demo")                  # a complete run, as the command does it
+    robot = btr.Robot(...)                                         # or btr.hexapod(), the robot of the paper
+    evaluation = btr.evaluate(robot, simulations, controllers)     # fitness (L, M)
+    btr.scan.delta_fitness(robot, simulations, controllers, f_r)   # (L,)
+    btr.coevolve(preset="quick", out="runs/demo")                  # a complete run, as the command does it
 
 Names load on first use (`__init__.pyi` lists them): importing the package costs nothing.
 """

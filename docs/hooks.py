@@ -7,6 +7,7 @@ script, the package and the examples: a second build without changes executes no
 
 import hashlib
 import importlib
+import re
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -69,9 +70,16 @@ def on_files(files: Files, config: Any) -> Files:
     return files
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
-    """In the site, the examples lie beside the pages."""
-    return markdown.replace("](../examples/", "](examples/")
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Name pages by their titles; in the site, the examples lie beside them."""
+
+    def titled(link: re.Match[str]) -> str:
+        target = Path(page.file.abs_src_path or ROOT).parent / link[1]
+        return f"[{target.read_text(encoding='utf-8').partition('\n')[0].lstrip('# ')}]({link[1]})"
+
+    return re.sub(r"\[(?:docs/)?(?=(\w+\.md)\]\(\1\))[^\]]*\]\([^)]*\)", titled, markdown).replace(
+        "](../examples/", "](examples/"
+    )
 
 
 def executed(script: Path) -> tuple[str, dict[str, bytes]]:
@@ -90,7 +98,7 @@ def executed(script: Path) -> tuple[str, dict[str, bytes]]:
     import nbclient
     import nbconvert
     import nbformat
-    from jupyter_client import AsyncKernelManager
+    from traitlets.config import Config
 
     digest = hashlib.sha256(script.read_bytes())
     for source in [*sorted(PACKAGE.rglob("*.py")), *EXAMPLES]:
@@ -100,9 +108,9 @@ def executed(script: Path) -> tuple[str, dict[str, bytes]]:
         notebook = nbformat.read(kept, as_version=4)
     else:
         notebook = jupytext.read(script)
-        kernel = AsyncKernelManager(kernel_name="python3", transport="ipc")  # no open ports
         where = {"metadata": {"path": str(ROOT)}}
-        nbclient.NotebookClient(notebook, km=kernel, timeout=600, resources=where).execute()
+        ports = Config({"KernelManager": {"transport": "ipc"}})  # none are opened
+        nbclient.NotebookClient(notebook, timeout=600, kernel_name="python3", resources=where, config=ports).execute()
         CACHE.mkdir(parents=True, exist_ok=True)
         nbformat.write(notebook, kept)
     text, resources = nbconvert.MarkdownExporter().from_notebook_node(notebook, {"unique_key": script.stem})

@@ -93,6 +93,19 @@ def test_the_page_on_excitation_says_what_the_library_says() -> None:
     assert rows == [(effect.name, effect.excited_by) for effect in KNOWN_EFFECTS]
 
 
+@pytest.mark.slow
+def test_the_page_on_excitation_shows_what_the_benchmark_prints() -> None:
+    command = [sys.executable, ROOT / "benchmarks/excitation.py"]
+    printed = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300).stdout
+    cells = re.compile(r"^\| `([\w@:]+)` \| `([\w@:]+)` \| ([\d. |]+) \|$", re.M)
+    expected = {(a, b): numbers.split(" | ") for a, b, numbers in cells.findall(printed)}
+    shown = {(a, b): n.split(" | ") for a, b, n in cells.findall((DOCS / "excitation.md").read_text(encoding="utf-8"))}
+    assert len(expected) == 15
+    assert shown.keys() == expected.keys()
+    for pair, numbers in expected.items():  # other processors differ in the last digits
+        assert [float(n) for n in shown[pair]] == pytest.approx([float(n) for n in numbers], abs=0.03), pair
+
+
 def test_nothing_is_fetched_by_a_reader() -> None:
     text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
     assert "http" not in text
