@@ -11,7 +11,7 @@ Robots: a servo arm, a legged robot on a floor, a free body with propellers, a c
 
 import dataclasses
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -261,8 +261,8 @@ PLANTS: Mapping[str, Mapping[str, Plant]] = {
 }
 
 
-def findings_of(robot: str, logs: list[Log], folder: Path) -> list[Finding]:
-    """Write and check a dataset; a refusal by the reader counts as an error."""
+def save_logs(robot: str, logs: Sequence[Log], folder: Path) -> None:
+    """Write a dataset: the first recording to fit, the others held out."""
     model = mujoco.MjModel.from_xml_string(XML[robot])
     measured = np.isfinite(logs[0].qvel).all(axis=0)
     recordings = [
@@ -270,6 +270,11 @@ def findings_of(robot: str, logs: list[Log], folder: Path) -> list[Finding]:
         for i, g in enumerate(logs)
     ]
     save_dataset(folder, XML[robot], recordings, DatasetDescription())
+
+
+def findings_of(robot: str, logs: list[Log], folder: Path) -> list[Finding]:
+    """Write and check a dataset; a refusal by the reader counts as an error."""
+    save_logs(robot, logs, folder)
     try:
         return preflight(open_dataset(folder))
     except InputError as error:
