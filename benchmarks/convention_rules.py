@@ -4,8 +4,8 @@
 
 The cases are those of `benchmarks/conventions.py`: planted errors, and clean logs, each of which is tried once more
 with a coarse encoder (4096 counts a turn, 1 mm). A rule is taken away by the value of its constant that makes it say
-nothing. The table counts the planted cases that are named and the clean ones that are accused only with, or only without
-it; a rule pays where the difference exceeds two standard errors, the root of the number of cases that differ.
+nothing. The table counts the planted cases that are named and the clean ones that are accused only with, or only
+without it; a rule pays where the difference exceeds two standard errors, the root of the number of cases that differ.
 """
 
 import importlib

@@ -7,7 +7,6 @@ instead, so that every answer is MuJoCo's to the tolerance of the engine's preci
 import copy
 import hashlib
 import logging
-import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -224,7 +223,9 @@ def _program(m: mujoco.MjModel, varying: tuple[str, ...], chunk: int) -> "Contro
     """The compiled program of a model."""
     import jax  # takes seconds, which bad input should not
 
-    digest = hashlib.sha256(pickle.dumps(m)).hexdigest()
+    content = np.empty(mujoco.mj_sizeModel(m), np.uint8)
+    mujoco.mj_saveModel(m, None, content)
+    digest = hashlib.sha256(content).hexdigest()
     return _compiled(_Structure(digest, m), varying, chunk, bool(jax.config.read("jax_enable_x64")))
 
 

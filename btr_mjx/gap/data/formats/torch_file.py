@@ -33,6 +33,12 @@ _STORAGES: Mapping[str, str] = {
     "ByteStorage": "<u1",
     "BoolStorage": "?",
 }
+_OPERATIONS = """
+    PROTO FRAME STOP MARK GLOBAL STACK_GLOBAL REDUCE BINPERSID PUT BINPUT LONG_BINPUT MEMOIZE BINGET LONG_BINGET
+    NONE NEWTRUE NEWFALSE BININT BININT1 BININT2 LONG1 BINFLOAT BINUNICODE SHORT_BINUNICODE
+    EMPTY_DICT SETITEM SETITEMS EMPTY_LIST APPEND APPENDS EMPTY_TUPLE TUPLE TUPLE1 TUPLE2 TUPLE3
+"""
+"""What torch.save writes for dictionaries, lists, numbers, texts and tensors, in protocols 2 to 5."""
 _NAMES = ("joint_names", "joint_order", "dof_names", "names")
 
 
@@ -76,8 +82,13 @@ def read_torch(path: Path) -> list[LogTable]:
 
 
 def _check_program(program: bytes) -> None:
-    """Refuse numbers of the unpickler's memory for which it would take more of it than the program has bytes."""
+    """Refuse operations that plain data do not need, and memory beyond the size of the program.
+
+    BUILD, for one, sets attributes of whatever was named before: also of a function of this module.
+    """
     for operation, argument, _ in pickletools.genops(program):
+        if operation.name not in _OPERATIONS.split():
+            raise _Refused(f"the operation {operation.name}")
         if operation.name in ("LONG_BINPUT", "PUT") and int(argument or 0) > len(program):
             raise _Refused(f"a memo of {argument} objects")
 

@@ -14,6 +14,7 @@ from robot_logs import ARM, simulated_log
 
 from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.gap.data import open_logs
+from btr_mjx.gap.data.formats import torch_file
 from btr_mjx.gap.data.formats.torch_file import read_torch
 
 LOG = simulated_log(ARM, 1.2).every(2)
@@ -61,9 +62,11 @@ class TorchPickler(pickle._Pickler):  # the one in Python: it lets names be writ
     dispatch[type] = save_global
 
 
-def write_torch(path: Path, content: Any, tensors: list[Tensor], compression: int = zipfile.ZIP_STORED) -> Path:
+def write_torch(
+    path: Path, content: Any, tensors: list[Tensor], compression: int = zipfile.ZIP_STORED, protocol: int = 2
+) -> Path:
     program = io.BytesIO()
-    TorchPickler(program, protocol=2).dump(content)
+    TorchPickler(program, protocol=protocol).dump(content)
     with zipfile.ZipFile(path, "w", compression) as archive:
         archive.writestr("archive/data.pkl", program.getvalue())
         archive.writestr("archive/version", "3\n")
@@ -72,11 +75,13 @@ def write_torch(path: Path, content: Any, tensors: list[Tensor], compression: in
     return path
 
 
-def chirp(path: Path, **more: Any) -> Path:
+def chirp(path: Path, protocol: int = 2, **more: Any) -> Path:
     """PACE's chirp_data.pt; positions are written column after column, as a transposed tensor is."""
     time, sent = Tensor(0, LOG.time), Tensor(2, LOG.ctrl)
     flipped = Tensor(1, np.ascontiguousarray(LOG.qpos.T), (1, len(LOG.time)), LOG.qpos.shape)
-    return write_torch(path, {"time": time, "dof_pos": flipped, "des_dof_pos": sent, **more}, [time, flipped, sent])
+    return write_torch(
+        path, {"time": time, "dof_pos": flipped, "des_dof_pos": sent, **more}, [time, flipped, sent], protocol=protocol
+    )
 
 
 def test_a_chirp_is_read_without_torch(tmp_path: Path) -> None:
@@ -105,6 +110,25 @@ def test_nothing_of_the_file_is_run(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"holds the object posix\.mkdir; save a dictionary of tensors"):
         read_torch(file)
     assert not Path("/tmp/btr-was-here").exists()
+
+
+def test_nothing_of_this_process_is_changed(tmp_path: Path) -> None:
+    """BUILD would set an attribute of the function that is named before it."""
+    file = tmp_path / "x.pt"
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("a/data.pkl", b"\x80\x02ctorch._utils\n_rebuild_tensor_v2\n}X\x04\0\0\0evilK\x01sb0}.")
+    with pytest.raises(InputError, match="holds the operation BUILD"):
+        read_torch(file)
+    assert not hasattr(torch_file._rebuild, "evil")
+
+
+@pytest.mark.parametrize("protocol", [2, 3, 4, 5])
+def test_all_protocols_of_torch_are_read(tmp_path: Path, protocol: int) -> None:
+    about = {"rate": 1000.5, "steps": 2**40, "joint_names": ["shoulder", "elbow"], "nested": {"a": (True, None)}}
+    file = chirp(tmp_path / "x.pt", protocol, **about)
+    assert set(read_torch(file)[0].columns) == {"time", "dof_pos/shoulder", "dof_pos/elbow"} | {
+        f"des_dof_pos/{name}" for name in ("shoulder", "elbow")
+    }
 
 
 @pytest.mark.parametrize("size", [(10**9, 10**9), (601, 2), (-1, 2)])
