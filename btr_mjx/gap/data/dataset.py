@@ -23,7 +23,7 @@
     [tolerances]                        # optional: 1 sigma of residual calibration errors, by effect
     viscous_damping = 0.1
 
-    [columns]                           # optional: names of the log = names of the model, see `matching`
+    [columns]                           # optional: names of the log = names of the model, see `names`
     "Hip angle" = "qpos/hip"
 
     [topics]                            # optional: of ROS recordings, see `formats.ros_bag`
@@ -54,16 +54,11 @@ from btr_mjx.gap.data.formats.ros_bag import TOPICS
 from btr_mjx.gap.data.held import stairs
 from btr_mjx.gap.data.logs import LogOptions
 from btr_mjx.gap.data.long_files import Advance, count_rows, shares
+from btr_mjx.gap.data.model_file import load_model
 from btr_mjx.gap.data.noise import Noise, estimate_noise, read_noise, without_sensor
-from btr_mjx.gap.data.recording import (
-    Reading,
-    Recording,
-    assign_splits,
-    load_model,
-    read_recording,
-    recording_files,
-    split_parts,
-)
+from btr_mjx.gap.data.reading import Reading, read_recording, recording_files
+from btr_mjx.gap.data.recording import Recording
+from btr_mjx.gap.data.splits import assign_splits, split_parts
 from btr_mjx.models import PathParameter, part_names, read_path_parameter
 from btr_mjx.runs import check_keys, file_inside, is_number, read_toml, toml_rows, toml_section
 

@@ -15,9 +15,10 @@ from btr_mjx.gap.data.formats.hdf5 import read_hdf5
 from btr_mjx.gap.data.formats.ros_bag import is_ros_folder, read_ros
 from btr_mjx.gap.data.formats.sysid import is_time_series, time_series_table
 from btr_mjx.gap.data.formats.torch_file import read_torch
-from btr_mjx.gap.data.matching import check_matched, match_columns
+from btr_mjx.gap.data.names.matching import match_columns
+from btr_mjx.gap.data.names.required import check_matched
+from btr_mjx.gap.data.names.units import conversion, stated_unit, to_seconds
 from btr_mjx.gap.data.tables import LogTable, log_table
-from btr_mjx.gap.data.units import conversion, stated_unit, to_seconds
 from btr_mjx.runs import read_arrays, read_table
 
 TEXT = (".csv", ".tsv", ".txt", ".dat", ".log")

@@ -19,8 +19,8 @@ from btr_mjx.gap.data.formats.delimited import Dialect, parse_rows, read_dialect
 from btr_mjx.gap.data.formats.hdf5 import count_hdf5_rows
 from btr_mjx.gap.data.formats.ros_bag import count_messages, is_ros_folder
 from btr_mjx.gap.data.logs import HDF5, ROS, TEXT, LogOptions, Plan, plan_tables, read_log
+from btr_mjx.gap.data.names.units import to_seconds
 from btr_mjx.gap.data.samples import MAX_MISSING_ROWS, check_time
-from btr_mjx.gap.data.units import to_seconds
 
 MAX_SAMPLES = 100_000
 """Number of samples of a dataset up to which all of them are used."""

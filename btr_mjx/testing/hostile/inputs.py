@@ -10,21 +10,11 @@ import numpy as np
 import polars as pl
 
 from btr_mjx.testing.hostile import mutations as mutate
+from btr_mjx.testing.robots import PENDULUM_XML
 
-XML = """<mujoco model="pendulum">
-  <compiler angle="radian"/>
-  <option timestep="0.002" integrator="implicitfast"/>
-  <worldbody>
-    <body name="arm">
-      <joint name="servo" axis="0 -1 0" damping="0.04" armature="0.002"/>
-      <geom name="rod" type="capsule" fromto="0 0 0 0 0 -0.12" size="0.008" mass="0.03" contype="0" conaffinity="0"/>
-      <geom name="weight" type="sphere" pos="0 0 -0.12" size="0.02" mass="0.4" contype="0" conaffinity="0"/>
-      <site name="tip" pos="0 0 -0.12"/>
-    </body>
-  </worldbody>
-  <actuator><position name="servo" joint="servo" kp="1.6" forcerange="-0.8 0.8" ctrlrange="-1 1"/></actuator>
-</mujoco>
-"""
+XML = PENDULUM_XML.replace("</body>", '<site name="tip" pos="0 0 -0.12"/></body>').replace(
+    'forcerange="-0.8 0.8"', 'forcerange="-0.8 0.8" ctrlrange="-1 1"'
+)
 TEMPLATE = XML.replace('mass="0.4"', 'mass="{{ a }}"').replace('kp="1.6"', 'kp="{{ 2 * b + 1 }}"')
 DATASET: Mapping[str, Any] = {
     "model": {"file": "model.xml"},

@@ -13,8 +13,9 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.data import load
 from btr_mjx.gap.data.clocks import CLOSE, on_one_clock
 from btr_mjx.gap.data.columns import state_columns
-from btr_mjx.gap.data.recording import make_recordings, split_parts
+from btr_mjx.gap.data.recording import make_recordings
 from btr_mjx.gap.data.samples import MAX_PARTS, whole_parts
+from btr_mjx.gap.data.splits import split_parts
 from btr_mjx.runs import write_table
 
 MODEL, FLOATING = mujoco.MjModel.from_xml_string(ARM), mujoco.MjModel.from_xml_string(FLOATER)

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from btr_mjx.gap.data import Recording
-from btr_mjx.gap.data.recording import load_model
+from btr_mjx.gap.data.model_file import load_model
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
 from btr_mjx.gap.inference import Hypothesis
 from btr_mjx.gap.simulate import Command, Counter, World

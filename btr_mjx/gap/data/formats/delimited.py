@@ -15,8 +15,8 @@ from pathlib import Path
 import polars as pl
 
 from btr_mjx.errors import DamagedFile, InputError, one_line
+from btr_mjx.gap.data.names.units import is_unit_text, known_unit
 from btr_mjx.gap.data.plausible import MAX_HEADER_BYTES, check_column_count
-from btr_mjx.gap.data.units import is_unit_text, known_unit
 from btr_mjx.runs import MAX_TABLE_BYTES, check_listed, read_limited
 
 _DIALECTS = ((",", False), (";", False), (";", True), ("\t", False), ("\t", True), (" ", False), (" ", True))

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from btr_mjx.errors import DamagedFile, InputError, one_line
+from btr_mjx.gap.data.names.units import known_unit, stated_unit
+from btr_mjx.gap.data.names.vocabulary import TIME, words
 from btr_mjx.gap.data.tables import LogTable, check_log_size, log_table, missing_extra
-from btr_mjx.gap.data.units import known_unit, stated_unit
-from btr_mjx.gap.data.vocabulary import TIME, words
 from btr_mjx.runs import MAX_TABLE_BYTES, check_regular
 
 _NAMES = ("joint_names", "names", "columns", "actuator_names")

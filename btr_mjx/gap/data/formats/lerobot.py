@@ -27,7 +27,8 @@ import polars as pl
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns import SUFFIXES
 from btr_mjx.gap.data.dataset import Dataset, read_header
-from btr_mjx.gap.data.recording import Recording, assign_splits, make_recordings
+from btr_mjx.gap.data.recording import Recording, make_recordings
+from btr_mjx.gap.data.splits import assign_splits
 from btr_mjx.models import nearest_names, part_names
 from btr_mjx.runs import check_keys, check_parquet, is_number, read_json, read_table
 

@@ -37,8 +37,8 @@ from btr_mjx.gap.data.formats.ros_messages import (
     stamp_of,
     twist_numbers,
 )
+from btr_mjx.gap.data.names.vocabulary import COMMAND, words
 from btr_mjx.gap.data.tables import LogTable, check_log_size, log_table, missing_extra
-from btr_mjx.gap.data.vocabulary import COMMAND, words
 
 TOPICS: Mapping[str, Sequence[str]] = {
     "joint_states": JOINTS,

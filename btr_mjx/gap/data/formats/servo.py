@@ -22,7 +22,8 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.dataset import Dataset
-from btr_mjx.gap.data.recording import Recording, Split, assign_splits, make_recordings
+from btr_mjx.gap.data.recording import Recording, Split, make_recordings
+from btr_mjx.gap.data.splits import assign_splits
 from btr_mjx.models import COMPILE_ERRORS, PathParameter, check_model
 from btr_mjx.runs import check_keys, is_number, parse_json, read_limited, read_toml, toml_section
 

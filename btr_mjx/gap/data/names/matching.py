@@ -1,0 +1,161 @@
+"""Columns of a log matched to joints and actuators of a model, by name.
+
+Case, separators, units and words for the quantity do not count: "q_hip [deg]", "hip.position", "joint_states/hip/pos"
+and "HipPos" all are the position of the joint "hip", "hip_cmd" and "des_pos_hip" the command of its actuator. Every
+word of a name has to be known, so that "hip_temperature" is none of them. Columns with numbers instead of names are
+taken in the order of the model, if there are as many. Whatever stays ambiguous is asked for.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.data.columns import control_columns, state_columns
+from btr_mjx.gap.data.names.one_column import (
+    Candidates,
+    aliases_of,
+    common_words,
+    match_numbers,
+    match_one,
+    sensor_columns,
+)
+from btr_mjx.gap.data.names.units import stated_unit
+from btr_mjx.gap.data.names.vocabulary import TIME, words
+from btr_mjx.models import nearest_names, part_names
+
+
+@dataclass(frozen=True)
+class Matched:
+    """Which column of a log is which column of a model.
+
+    Attributes:
+      names: column of the model, by number of the table and name in the table.
+      notes: choices that were made.
+    """
+
+    names: Mapping[tuple[int, str], str]
+    notes: Sequence[str] = ()
+
+
+def match_columns(
+    tables: Sequence[tuple[str, Sequence[str]]],
+    model: mujoco.MjModel,
+    given: Mapping[str, str],
+    where: str,
+    hint: str = "",
+    labelled: bool = False,
+) -> Matched:
+    """Match the columns of the tables of one recording.
+
+    Args:
+      tables: label and column names of each table.
+      model: the model.
+      given: names of the model by name in the log, as stated in dataset.toml; these win.
+      where: file, for messages.
+      hint: lines of dataset.toml that a remedy has to name besides.
+      labelled: whether the labels of the tables say what they hold.
+
+    Returns:
+      The matches. Columns of the log that are none of the model's are left out.
+
+    Raises:
+      InputError: two columns that could be the same one of the model, or a name in `given` that is none.
+    """
+    positions, velocities = state_columns(model)
+    controls = control_columns(model)
+    forces = [name.replace("ctrl/", "force/", 1) for name in controls]
+    exact = {"time", "qpos", "qvel", "ctrl", *positions, *velocities, *controls, *forces}
+    exact |= {f"{kind}/{name}" for kind in ("qpos", "qvel") for name in part_names(model, "joint")}
+    _check_given(given, tables, exact, where)
+    aliases, sensors = aliases_of(model), sensor_columns(model)
+    finds, notes = Candidates(), list[str]()
+    names: dict[tuple[int, str], str] = {}
+    for i, (label, columns) in enumerate(tables):
+        common = common_words([c for c in columns if c not in exact])
+        for column in columns:
+            if column in given:
+                names[i, column] = given[column]
+            elif column in exact or column.startswith("sensor/"):
+                names[i, column] = column
+            elif words(stated_unit(column)[0]) in sensors:
+                finds.ranked[sensors[words(stated_unit(column)[0])]].append((3, i, column))
+            elif column.split("/", 1)[0] not in ("qpos", "qvel", "ctrl", "force"):  # a misspelt name stays an error
+                match_one(i, column, words(label) if labelled else (), common, aliases, model, finds)
+        _match_time(i, columns, names, notes)
+    taken = {names[key] for key in names}
+    match_numbers(model, finds, taken, notes)
+    for target, found in sorted(finds.ranked.items()):
+        if target in taken:
+            continue
+        best = max(rank for rank, _, _ in found)
+        chosen = [(i, column) for rank, i, column in found if rank == best]
+        if len(chosen) > 1:
+            raise InputError(
+                f"{where}: {', '.join(repr(column) for _, column in chosen[:4])} may all be {target!r}; "
+                f"{remedy(chosen[0][1], target, hint)}"
+            )
+        names[chosen[0]] = target
+        if best == 1 and target.startswith("ctrl/"):
+            notes.append(f"no column is named a command of {target[5:]!r}; {chosen[0][1]!r} is taken as its command")
+    _drop_partial_velocities(names, velocities, notes)
+    notes += _spoken(names)
+    return Matched(names, notes)
+
+
+def _drop_partial_velocities(names: dict[tuple[int, str], str], velocities: Sequence[str], notes: list[str]) -> None:
+    """A gyroscope alone is not the velocity of a free joint; it is left out, unless it has MuJoCo's own names."""
+    joints = {column.split("/")[1] for column in velocities}
+    for joint in joints:
+        needed = {column for column in velocities if column.startswith(f"qvel/{joint}/")}
+        found = {key: target for key, target in names.items() if target in needed}
+        if 0 < len(set(found.values())) < len(needed) and all(key[1] != target for key, target in found.items()):
+            for key in found:
+                del names[key]
+            missing = ", ".join(sorted(needed - set(found.values())))
+            notes.append(f"velocities of {joint} are estimated: there are {len(found)} columns, without {missing}")
+
+
+def remedy(column: str, target: str, hint: str) -> str:
+    """The lines of dataset.toml that match a column: three, separated by bars, where there is no such file yet."""
+    if hint:
+        return f'say which in a file dataset.toml beside it: {hint} | columns = {{ "{column}" = "{target}" }}'
+    return f'say which in dataset.toml: [columns] "{column}" = "{target}"'
+
+
+def _check_given(
+    given: Mapping[str, str], tables: Sequence[tuple[str, Sequence[str]]], exact: set[str], where: str
+) -> None:
+    known = [column for _, columns in tables for column in columns]
+    for column, target in given.items():
+        if target not in exact and not target.startswith("sensor/"):
+            near = nearest_names(target, sorted(exact))
+            raise InputError(f"{where}: [columns] {column!r} = {target!r}: is no column of the model; nearest: {near}")
+        if column not in known:
+            near = nearest_names(column, known)
+            raise InputError(f"{where}: [columns] {column!r}: there is no such column; nearest in the file: {near}")
+
+
+def _match_time(i: int, columns: Sequence[str], names: dict[tuple[int, str], str], notes: list[str]) -> None:
+    """Find the column of time, unless one is named already."""
+    if any(names.get((i, column)) == "time" for column in columns):
+        return
+    found = []
+    for place, column in enumerate(columns):
+        named = [word for word in words(stated_unit(column)[0]) if word not in ("header", "s", "sec", "ros", "log")]
+        if named and (i, column) not in names and named[-1] in TIME:
+            found.append((len(named), TIME.index(named[-1]), place, column))
+    if found:
+        column = min(found)[-1]
+        names[i, column] = "time"
+        if len(found) > 1:
+            others = ", ".join(repr(one[-1]) for one in sorted(found)[1:4])
+            notes.append(f"time is column {column!r}, not {others}")
+
+
+def _spoken(names: Mapping[tuple[int, str], str]) -> list[str]:
+    """A note that lists the choices of columns whose name is another than the model's."""
+    lines = [f"{column} = {target}" for (_, column), target in names.items() if column != target]
+    lines = lines[:40] + ([f"and {len(lines) - 40} more"] if len(lines) > 40 else [])
+    return [f"columns matched by name: {', '.join(lines)}"] if lines else []
