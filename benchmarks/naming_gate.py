@@ -25,6 +25,7 @@ from typing import Any, Literal
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import blind_gap
+import case_runs
 import gap_scores as scores
 import mujoco
 import numpy as np
@@ -84,7 +85,7 @@ class Config:
 
 
 @dataclass(frozen=True)
-class Files(blind_gap.Files):
+class Files(case_runs.Files):
     """Paths of the files of a case and of its answer by one version of the code."""
 
     prefix: str
@@ -283,9 +284,9 @@ def gate(config: Config) -> dict[str, Any]:
     if missing:
         failed, steps = config.out / "failed" / CODE, (partial(make, config), work)
         if config.cluster is None:
-            solved = blind_gap.scheduled(missing, *steps, config.workers, failed)
+            solved = case_runs.scheduled(missing, *steps, config.workers, failed)
         else:
-            solved = blind_gap.on_cluster(missing, *steps, config.cluster, failed)
+            solved = case_runs.on_cluster(missing, *steps, config.cluster, failed)
         with progress(total=len(missing), description=f"code {CODE}", unit="cases", show=True) as bar:
             for _ in solved:
                 bar.update(1)

@@ -122,7 +122,7 @@ def test_unchanged_answers_are_not_computed_again(
             put(gate, files, answer("dry_friction"))
             yield files.index
 
-    monkeypatch.setattr(gate.blind_gap, "scheduled", scheduled)
+    monkeypatch.setattr(gate.case_runs, "scheduled", scheduled)
     assert gate.gate(cases)["versions"][0]["numbers"]["cases"] == 4
     assert asked == []
     files_of(gate, cases)[2].answer.unlink()
