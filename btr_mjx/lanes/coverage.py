@@ -66,4 +66,5 @@ def coverage(model: mujoco.MjModel | str | Path) -> Coverage:
     contacts = possible_contacts(m)
     name = lambda g: m.geom(g).name or f"geom number {g}"  # noqa: E731
     computed = [f"{name(g)} and {name(plane)}" for g, planes in contacts.computed.items() for plane, _ in planes]
+    computed += [f"{name(pair.first)} and {name(pair.second)}" for pair in contacts.between]
     return Coverage(tuple(computed), tuple(guarded.reason for guarded in contacts.guarded), tuple(refusals(m)))

@@ -62,10 +62,8 @@ def tripping(model: mujoco.MjModel) -> tuple[Callable[[np.ndarray], np.ndarray],
     crossed = lambda q: stepper.tripped(  # noqa: E731
         stepper.step({}, stepper.state(q, np.zeros((model.nv, q.shape[1]))), np.zeros((model.nu, q.shape[1])))
     )
-    geoms = stepper.guards.geoms
-    pairs = {
-        (geoms[i], geoms[j]) for group in stepper.guards.groups for i, j in zip(group.first, group.second, strict=True)
-    }
+    geoms = stepper.geoms
+    pairs = {(geoms[i], geoms[j]) for group in stepper.guards for i, j in zip(group.first, group.second, strict=True)}
     return jax.jit(crossed, compiler_options=QUICK), pairs
 
 

@@ -167,5 +167,6 @@ def rounding(a: Shapes, b: Shapes) -> jax.Array:
     """What the bounds are widened by [m]: for the size of the geoms, and the precision of their positions."""
     sizes = [*b.size, *(() if a.kind == PLANE else a.size)]
     places = [*a.centre, *b.centre]
-    extent, far = (jnp.abs(jnp.stack(jnp.broadcast_arrays(*x))).sum(axis=0) for x in (sizes, places))
+    # Sums of many terms are fast on the CPU, reductions of stacked arrays are not.
+    extent, far = (reduce(jnp.add, [jnp.abs(x) for x in numbers]) for numbers in (sizes, places))
     return SKIN * extent + 16 * float(jnp.finfo(far.dtype).eps) * far

@@ -1,6 +1,6 @@
 """Which pairs of geoms MuJoCo can collide: its static filters (mj_collision), applied to a model."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -57,3 +57,75 @@ def _passes_filters(m: mujoco.MjModel, g1: int, g2: int, excluded: set[int]) -> 
     up1, up2 = (int(m.body_weldid[m.body_parentid[w]]) for w in (w1, w2))
     unfiltered = m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
     return bool(unfiltered) or w1 == 0 or w2 == 0 or (w1 != up2 and w2 != up1)
+
+
+@dataclass(frozen=True)
+class PairGroup:
+    """Pairs of geoms that are computed together."""
+
+    kinds: tuple[int, int]
+    """mujoco.mjtGeom that the first and the second geom of every pair count as; a plane comes first."""
+    condim: int
+    """Of their contact; 0 where it does not matter."""
+    first: tuple[int, ...]
+    """Index into a list of geoms, of each pair."""
+    second: tuple[int, ...]
+    explicit: np.ndarray
+    """(P, 1) margin of the <pair> element that names the geoms [m], -inf where none does."""
+
+
+def shape_kind(model: mujoco.MjModel, geom: int) -> int:
+    """The kind of shape that a geom counts as: itself for a primitive, else its bounding box."""
+    kind = int(model.geom_type[geom])
+    return kind if kind in (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER) else BOX
+
+
+def mixed_condim(model: mujoco.MjModel, pair: GeomPair) -> int:
+    """The condim of a contact of two geoms that no <pair> element names (mj_contactParam)."""
+    dims, ranks = (
+        [int(field[g]) for g in (pair.first, pair.second)] for field in (model.geom_condim, model.geom_priority)
+    )
+    return max(dims) if ranks[0] == ranks[1] else dims[0 if ranks[0] > ranks[1] else 1]
+
+
+def group_by_kinds(model: mujoco.MjModel, pairs: Sequence[GeomPair], geoms: Sequence[int]) -> list[PairGroup]:
+    """Sort pairs into groups of the same two kinds of geoms.
+
+    Args:
+      model: the model.
+      pairs: the pairs.
+      geoms: all their geoms; the groups refer to positions in this list.
+    """
+    groups: dict[tuple[int, int], list[tuple[int, int, int]]] = {}
+    place = {geom: k for k, geom in enumerate(geoms)}
+    for pair in pairs:
+        (one, a), (other, b) = sorted((shape_kind(model, g), place[g]) for g in (pair.first, pair.second))
+        groups.setdefault((one, other), []).append((a, b, pair.explicit))
+    margins = model.pair_margin + model.pair_gap
+    found = []
+    for kinds, alike in sorted(groups.items()):
+        first, second, explicit = zip(*alike, strict=True)
+        own = np.array([[margins[p] if p >= 0 else -np.inf] for p in explicit])
+        found.append(PairGroup(kinds, 0, first, second, own))
+    return found
+
+
+def group_by_condim(model: mujoco.MjModel, pairs: Sequence[GeomPair], geoms: Sequence[int]) -> list[PairGroup]:
+    """Sort pairs of spheres and capsules, which no <pair> element names, into groups of the same condim.
+
+    A sphere counts as a capsule without length.
+
+    Args:
+      model: the model.
+      pairs: the pairs.
+      geoms: all their geoms; the groups refer to positions in this list.
+    """
+    groups: dict[int, list[tuple[int, int]]] = {}
+    place = {geom: k for k, geom in enumerate(geoms)}
+    for pair in pairs:
+        groups.setdefault(mixed_condim(model, pair), []).append((place[pair.first], place[pair.second]))
+    found = []
+    for condim, alike in sorted(groups.items()):
+        first, second = zip(*alike, strict=True)
+        found.append(PairGroup((CAPSULE, CAPSULE), condim, first, second, np.full((len(alike), 1), -np.inf)))
+    return found

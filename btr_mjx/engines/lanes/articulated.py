@@ -6,16 +6,17 @@ number of links (Featherstone 2008, Rigid Body Dynamics Algorithms, chapter 7).
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from btr_mjx.engines.lanes.kinematics import Motion
 from btr_mjx.engines.lanes.scalars import (
+    Matrix,
     Scalar,
     Vector,
     add,
     cross,
     dot,
     full,
-    is_zero,
     mul,
     scale,
     sub,
@@ -27,6 +28,94 @@ from btr_mjx.engines.lanes.spatial import Block, Spatial, acceleration_from_pare
 from btr_mjx.engines.lanes.tree import FREE, TreePlan
 
 
+@dataclass(frozen=True)
+class Factors:
+    """The matrix J^T B J + diag, factored."""
+
+    plan: TreePlan
+    motions: Sequence[Motion]
+    eliminated: Mapping[int, tuple[Spatial, Scalar]]
+    """Per dof of hinges and slides: articulated inertia times the dof's column, and the inverse of its own inertia."""
+    roots: Mapping[int, Matrix]
+    """Per link with a free joint: rows of the factor L below the diagonal, then the row of inverse pivots."""
+
+
+def factorise(
+    plan: TreePlan, motions: Sequence[Motion], blocks: Sequence[Block], diagonal: Mapping[int, Scalar]
+) -> Factors:
+    """Factor the matrix in a sweep to the roots.
+
+    Args:
+      plan: the static plan.
+      motions: poses and velocities of the links.
+      blocks: B, per link, about its origin.
+      diagonal: diag, per dof; dofs of free joints have none (it belongs into the block of the root link).
+    """
+    inner = list(blocks)
+    eliminated: dict[int, tuple[Spatial, Scalar]] = {}
+    roots: dict[int, Matrix] = {}
+    for link, m in reversed(list(zip(plan.links, motions, strict=True))):
+        block = inner[link.index]
+        if link.joints[0].kind == FREE:
+            roots[link.index] = ldl_factor(_dense(block))
+            continue
+        for k, column in reversed(list(zip(link.dofs, m.columns, strict=True))):
+            u = block @ column
+            inverse = 1.0 / add(generalised_force(column, u), diagonal.get(k, 0.0))
+            eliminated[k] = u, inverse
+            block = block.rank_one_downdate(u, inverse)
+        if link.parent >= 0:
+            up = sum_over_group(plan, link, block.shifted(m.arm).scalars())
+            inner[link.parent] = inner[link.parent] + Block.of(up)
+    return Factors(plan, motions, eliminated, roots)
+
+
+def solve_factored(
+    factors: Factors, wrenches: Sequence[Spatial], tau: Mapping[int, Scalar]
+) -> tuple[list[Scalar], list[Spatial]]:
+    """Accelerations of dofs and links.
+
+    Args:
+      factors: the matrix.
+      wrenches: f, per link, about its origin.
+      tau: forces along single dofs, none on free joints.
+
+    Returns:
+      x per dof, and the spatial acceleration J x per link.
+    """
+    plan, motions = factors.plan, factors.motions
+    outer = list(wrenches)
+    forces: dict[int, Scalar] = {}
+    for link, m in reversed(list(zip(plan.links, motions, strict=True))):
+        wrench = outer[link.index]
+        if link.joints[0].kind == FREE:
+            continue
+        for k, column in reversed(list(zip(link.dofs, m.columns, strict=True))):
+            u, inverse = factors.eliminated[k]
+            forces[k] = force = mul(add(generalised_force(column, wrench), tau.get(k, 0.0)), inverse)
+            wrench = vsub(wrench[0], scale(force, u[0])), vsub(wrench[1], scale(force, u[1]))
+        if link.parent >= 0:
+            torque = vadd(wrench[1], cross(m.arm, wrench[0]))
+            up = sum_over_group(plan, link, [*wrench[0], *torque])
+            above = outer[link.parent]
+            outer[link.parent] = vadd(above[0], up[:3]), vadd(above[1], up[3:])
+    x: list[Scalar] = []
+    found: list[Spatial] = []
+    for link, m in zip(plan.links, motions, strict=True):
+        if link.joints[0].kind == FREE:
+            six = ldl_apply(factors.roots[link.index], [*outer[link.index][0], *outer[link.index][1]])
+            x += six
+            found.append((six[:3], six[3:]))
+            continue
+        linear, angular = acceleration_from_parent(link, m, found)
+        for k, (v, w) in zip(link.dofs, m.columns, strict=True):
+            (f, n), inverse = factors.eliminated[k]
+            x.append(sub(forces[k], mul(inverse, add(dot(f, linear), dot(n, angular)))))
+            linear, angular = vadd(linear, scale(x[k], v)), vadd(angular, scale(x[k], w))
+        found.append((linear, angular))
+    return x, found
+
+
 def solve_articulated(
     plan: TreePlan,
     motions: Sequence[Motion],
@@ -35,81 +124,45 @@ def solve_articulated(
     diagonal: Mapping[int, Scalar],
     tau: Mapping[int, Scalar],
 ) -> tuple[list[Scalar], list[Spatial]]:
-    """Accelerations of dofs and links.
-
-    Args:
-      plan: the static plan.
-      motions: poses and velocities of the links.
-      blocks: B, per link, about its origin.
-      wrenches: f, per link, about its origin.
-      diagonal: diag, per dof; dofs of free joints have none (it belongs into the block of the root link).
-      tau: forces along single dofs, none on free joints.
-
-    Returns:
-      x per dof, and the spatial acceleration J x per link.
-    """
-    inner, outer = list(blocks), list(wrenches)
-    eliminated: dict[int, tuple[Spatial, Scalar, Scalar]] = {}
-    for link, m in reversed(list(zip(plan.links, motions, strict=True))):
-        block, wrench = inner[link.index], outer[link.index]
-        if link.joints[0].kind == FREE:
-            continue
-        for k, column in reversed(list(zip(link.dofs, m.columns, strict=True))):
-            u = block @ column
-            inverse = 1.0 / add(generalised_force(column, u), diagonal.get(k, 0.0))
-            force = mul(add(generalised_force(column, wrench), tau.get(k, 0.0)), inverse)
-            eliminated[k] = u, inverse, force
-            block = block.rank_one_downdate(u, inverse)
-            wrench = vsub(wrench[0], scale(force, u[0])), vsub(wrench[1], scale(force, u[1]))
-        if link.parent >= 0:
-            torque = vadd(wrench[1], cross(m.arm, wrench[0]))
-            up = sum_over_group(plan, link, [*block.shifted(m.arm).scalars(), *wrench[0], *torque])
-            inner[link.parent] = inner[link.parent] + Block.of(up[:21])
-            above = outer[link.parent]
-            outer[link.parent] = vadd(above[0], up[21:24]), vadd(above[1], up[24:])
-    x: list[Scalar] = []
-    found: list[Spatial] = []
-    for link, m in zip(plan.links, motions, strict=True):
-        if link.joints[0].kind == FREE:
-            six = _solve_six(inner[link.index], outer[link.index])
-            x += six
-            found.append((six[:3], six[3:]))
-            continue
-        linear, angular = acceleration_from_parent(link, m, found)
-        for k, (v, w) in zip(link.dofs, m.columns, strict=True):
-            (f, n), inverse, force = eliminated[k]
-            x.append(sub(force, mul(inverse, add(dot(f, linear), dot(n, angular)))))
-            linear, angular = vadd(linear, scale(x[k], v)), vadd(angular, scale(x[k], w))
-        found.append((linear, angular))
-    return x, found
+    """Accelerations of dofs and links, see `factorise` and `solve_factored`."""
+    return solve_factored(factorise(plan, motions, blocks, diagonal), wrenches, tau)
 
 
-def _solve_six(block: Block, wrench: Spatial) -> list[Scalar]:
-    """Acceleration of a free link from its articulated inertia, by a dense 6x6 LDL^T decomposition."""
+def _dense(block: Block) -> list[list[Scalar]]:
+    """Rows of the lower triangle of a 6x6 block."""
     linear, angular = full(block.linear), full(block.angular)
     matrix = [list(linear[i][: i + 1]) for i in range(3)]
-    matrix += [[*(block.mixed[j][i] for j in range(3)), *angular[i][: i + 1]] for i in range(3)]
-    return ldl_solve(matrix, [*wrench[0], *wrench[1]])
+    return matrix + [[*(block.mixed[j][i] for j in range(3)), *angular[i][: i + 1]] for i in range(3)]
 
 
-def ldl_solve(lower: Sequence[Sequence[Scalar]], right: Vector) -> list[Scalar]:
-    """Solution (n,) of a symmetric positive definite system, given by the rows of its lower triangle (LDL^T)."""
-    n = len(right)
-    factor: list[list[Scalar]] = [[0.0] * n for _ in range(n)]  # L
+def ldl_factor(lower: Sequence[Sequence[Scalar]]) -> list[list[Scalar]]:
+    """Factor L D L^T of a symmetric positive definite matrix, given by the rows of its lower triangle.
+
+    Returns:
+      The n rows of L below the diagonal, then the row of the inverses of D.
+    """
+    n = len(lower)
+    factor: list[list[Scalar]] = [[0.0] * i for i in range(n)]
     scaled: list[list[Scalar]] = [[0.0] * n for _ in range(n)]  # L D
     inverse: list[Scalar] = []
-    y: list[Scalar] = []
     for j in range(n):
         for i in range(j, n):
-            done = total(mul(factor[j][k], scaled[i][k]) for k in range(j))
-            scaled[i][j] = sub(lower[i][j], done)
+            scaled[i][j] = sub(lower[i][j], total(mul(factor[j][k], scaled[i][k]) for k in range(j)))
         inverse.append(1.0 / scaled[j][j])
         for i in range(j + 1, n):
             factor[i][j] = mul(scaled[i][j], inverse[j])
-        y.append(sub(right[j], total(mul(factor[j][k], y[k]) for k in range(j) if not is_zero(factor[j][k]))))
-    x: list[Scalar] = [0.0] * n
-    for i in reversed(range(n)):
-        x[i] = sub(mul(y[i], inverse[i]), total(mul(factor[k][i], x[k]) for k in range(i + 1, n)))
+    return [*factor, inverse]
+
+
+def ldl_apply(factors: Matrix, right: Vector) -> list[Scalar]:
+    """Solution (n,) of a system whose matrix `ldl_factor` has factored."""
+    *factor, inverse = factors
+    y: list[Scalar] = []
+    for row, value in zip(factor, right, strict=True):
+        y.append(sub(value, total(mul(a, b) for a, b in zip(row, y, strict=True))))
+    x: list[Scalar] = [0.0] * len(y)
+    for i in reversed(range(len(y))):
+        x[i] = sub(mul(y[i], inverse[i]), total(mul(factor[k][i], x[k]) for k in range(i + 1, len(y))))
     return x
 
 

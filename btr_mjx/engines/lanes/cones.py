@@ -9,10 +9,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from btr_mjx.engines.lanes.scalars import (
     Matrix,
@@ -34,7 +35,7 @@ from btr_mjx.engines.lanes.spatial import Block, Spatial, point_block
 from btr_mjx.engines.lanes.tree import Link
 
 type ZoneModel = tuple[jax.Array, ...]
-"""Coefficients that identify the zone of a constraint and determine its force, see `Contact.linear`."""
+"""Coefficients that identify the zone of a constraint and determine its force, see `Cone.linear`."""
 
 
 def impedance(parameters: Sequence[Scalar], depth: Scalar) -> Scalar:
@@ -73,12 +74,9 @@ def _below(x: jax.Array, limit: Scalar) -> jax.Array:
 
 
 @dataclass
-class Contact(ABC):
-    """One contact point of one link; inactive in worlds where `weight` is zero."""
+class Cone(ABC):
+    """The force law of contact points, one for each element; inactive in worlds where `weight` is zero."""
 
-    link: Link
-    x: Vector
-    """Contact point relative to the link's origin, world axes [m]."""
     frame: Matrix
     """Rows: normal and two tangents."""
     friction: Scalar
@@ -89,6 +87,8 @@ class Contact(ABC):
 
     flags: ClassVar[int] = 0
     """Number of coefficients of a zone if each is either the weight or zero (they can be stored as bools); else 0."""
+    quadratic: ClassVar[bool] = True
+    """Whether the cost is quadratic within a zone."""
 
     @abstractmethod
     def model(self, a: Vector) -> ZoneModel:
@@ -102,20 +102,8 @@ class Contact(ABC):
         """Whether two zones are the same."""
         return reduce(jnp.logical_and, [x == y for x, y in zip(old, new, strict=True)])
 
-    def acceleration(self, spatial: Spatial) -> list[Scalar]:
-        """Contact-frame acceleration of the point from the spatial acceleration of its link."""
-        linear, angular = spatial
-        return matvec(self.frame, vadd(linear, cross(angular, self.x)))
 
-    def effect(self, model: ZoneModel) -> tuple[Block, Spatial]:
-        """Stiffness block and wrench about the link's origin for a zone."""
-        stiffness, force = self.linear(model)
-        across = transpose(self.frame)
-        f = matvec(across, force)
-        return point_block(sandwich(across, stiffness), self.x), (f, cross(self.x, f))
-
-
-class Frictionless(Contact):
+class Frictionless(Cone):
     """A contact with a normal row only."""
 
     flags: ClassVar[int] = 1
@@ -125,12 +113,12 @@ class Frictionless(Contact):
         return (jnp.where(sub(a[0], self.reference[0]) < 0, self.weight, 0),)
 
     def linear(self, model: ZoneModel) -> tuple[Symmetric, Vector]:
-        """See `Contact.linear`."""
+        """See `Cone.linear`."""
         return [model[0], 0.0, 0.0, 0.0, 0.0, 0.0], [mul(model[0], self.reference[0]), 0.0, 0.0]
 
 
 @dataclass
-class Pyramid(Contact):
+class Pyramid(Cone):
     """A contact with the four edges of a friction pyramid."""
 
     flags: ClassVar[int] = 4
@@ -149,7 +137,7 @@ class Pyramid(Contact):
         return tuple(jnp.where(sub(edge, reference) < 0, self.weight, 0) for edge, reference in edges)
 
     def linear(self, model: ZoneModel) -> tuple[Symmetric, Vector]:
-        """See `Contact.linear`."""
+        """See `Cone.linear`."""
         mu, (w0, w1, w2, w3) = self.friction, model
         pair1, pair2, skew1, skew2 = add(w0, w1), add(w2, w3), mul(mu, sub(w0, w1)), mul(mu, sub(w2, w3))
         square = mul(mu, mu)
@@ -158,12 +146,14 @@ class Pyramid(Contact):
 
 
 @dataclass
-class Ellipse(Contact):
+class Ellipse(Cone):
     """A contact with an elliptic cone (mj_constraintUpdate); in the sliding zone the cost is not quadratic."""
 
     impratio: Scalar
     tolerance: float
     """Relative change of stiffness and force below which two zones count as equal."""
+
+    quadratic: ClassVar[bool] = False
 
     def model(self, a: Vector) -> ZoneModel:
         """Stiffness (six coefficients) and force (three), linearised at `a`."""
@@ -200,7 +190,7 @@ class Ellipse(Contact):
         return tuple(jnp.where(separated, 0, jnp.where(sticks, x, y)) for x, y in pairs)
 
     def linear(self, model: ZoneModel) -> tuple[Symmetric, Vector]:
-        """See `Contact.linear`."""
+        """See `Cone.linear`."""
         return model[:6], model[6:]
 
     def same_zone(self, old: ZoneModel, new: ZoneModel) -> jax.Array:
@@ -211,3 +201,53 @@ class Ellipse(Contact):
             change = reduce(jnp.maximum, [jnp.abs(x - y) for x, y in zip(old[part], new[part], strict=True)])
             same.append(~(change > self.tolerance * size))
         return same[0] & same[1]
+
+
+@dataclass
+class Contact:
+    """One contact point of one link with the world."""
+
+    link: Link
+    x: Vector
+    """Contact point relative to the link's origin, world axes [m]."""
+    cone: Cone
+
+    def acceleration(self, spatial: Spatial) -> list[Scalar]:
+        """Contact-frame acceleration of the point from the spatial acceleration of its link."""
+        linear, angular = spatial
+        return matvec(self.cone.frame, vadd(linear, cross(angular, self.x)))
+
+    def effect(self, model: ZoneModel) -> tuple[Block, Spatial]:
+        """Stiffness block and wrench about the link's origin for a zone."""
+        stiffness, force = self.cone.linear(model)
+        across = transpose(self.cone.frame)
+        f = matvec(across, force)
+        return point_block(sandwich(across, stiffness), self.x), (f, cross(self.x, f))
+
+
+def make_cone(
+    condim: int,
+    frame: Matrix,
+    friction: Scalar,
+    weight: Scalar,
+    reference: Vector,
+    impratio: Scalar | None,
+    dtype: Any,
+) -> Cone:
+    """The force law of contact points of condim 1 or 3.
+
+    Args:
+      condim: 1 for a normal force only.
+      frame: rows: normal and two tangents.
+      friction: coefficient of both tangents.
+      weight: inverse regularisation of each row; zero where inactive.
+      reference: reference acceleration along the rows of the frame.
+      impratio: MuJoCo's option, for an elliptic cone; None for a pyramidal one.
+      dtype: of the computation.
+    """
+    numbers = (frame, friction, weight, reference)
+    if condim == 1:
+        return Frictionless(*numbers)
+    if impratio is None:
+        return Pyramid(*numbers)
+    return Ellipse(*numbers, impratio, float(np.sqrt(np.finfo(dtype).eps)))

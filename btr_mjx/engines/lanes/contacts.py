@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from btr_mjx.engines.lanes import support
-from btr_mjx.engines.lanes.cones import Contact, Ellipse, Frictionless, Pyramid, impedance
+from btr_mjx.engines.lanes.cones import Contact, impedance, make_cone
 from btr_mjx.engines.lanes.kinematics import Motion, point_velocity
 from btr_mjx.engines.lanes.parameters import Parameters
 from btr_mjx.engines.lanes.scalars import (
@@ -164,10 +164,6 @@ def _contact(
     weight = jnp.where(active, strength, 0)
     if is_zero(weight):
         weight = array(weight, beyond.shape, dtype)
-    numbers = (geom.link, x, frame, parameters.one(f"{key}/friction"), weight, reference)
-    if geom.touch.condim == 1:
-        return Frictionless(*numbers)
-    if not elliptic:
-        return Pyramid(*numbers)
-    tolerance = float(np.sqrt(np.finfo(dtype).eps))
-    return Ellipse(*numbers, parameters.one("world/impratio"), tolerance)
+    impratio = parameters.one("world/impratio") if elliptic else None
+    cone = make_cone(geom.touch.condim, frame, parameters.one(f"{key}/friction"), weight, reference, impratio, dtype)
+    return Contact(geom.link, x, cone)

@@ -21,7 +21,9 @@ class DofConstraint(ABC):
     dof: int
     weight: Scalar
     flags: ClassVar[int] = 0
-    """See `Contact.flags`."""
+    """See `Cone.flags`."""
+    quadratic: ClassVar[bool] = True
+    """See `Cone.quadratic`."""
 
     @abstractmethod
     def model(self, a: jax.Array) -> ZoneModel:
@@ -64,6 +66,7 @@ class Friction(DofConstraint):
     loss: Scalar
     weight: Scalar
     reference: Scalar
+    quadratic: ClassVar[bool] = False
 
     def model(self, a: jax.Array) -> ZoneModel:
         """Stiffness and force: a stiff damper within the bound (sticking), a constant force outside (slipping)."""

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from btr_mjx.engines.lanes.body_contacts import BodyContacts
 from btr_mjx.engines.lanes.cones import Contact
 from btr_mjx.engines.lanes.dof_constraints import DofConstraint
 from btr_mjx.engines.lanes.dynamics import System
@@ -35,7 +36,7 @@ _MAX_ITERATIONS = 10
 _SLOPE_TOLERANCE = 1e-3
 """Slope at which the search stops, relative to the slope at its start."""
 
-type Constraints = Sequence[Contact | DofConstraint]
+type Constraint = Contact | BodyContacts | DofConstraint
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class ConstraintProblem:
     plan: TreePlan
     motions: Sequence[Motion]
     """Poses and velocities of the links."""
-    constraints: Constraints
+    constraints: Sequence[Constraint]
     """Contacts, limits and friction rows."""
     inertia: System
     """Of all links, with armature."""
@@ -53,6 +54,13 @@ class ConstraintProblem:
     """All forces on links except constraint forces, about the links' origins."""
     tau: Mapping[int, Scalar]
     """All forces along single dofs except constraint forces."""
+
+
+def _summed(plan: TreePlan, c: Constraint, x: Scalar) -> Scalar:
+    """Sum over the members of a constraint's group, or over its slots."""
+    if isinstance(c, BodyContacts):
+        return jnp.sum(x, axis=0)
+    return group_sum(x, plan.dof_size[c.dof] if isinstance(c, DofConstraint) else c.link.size)
 
 
 def step_length(problem: ConstraintProblem, old: Sequence[jax.Array], new: Sequence[jax.Array]) -> jax.Array:
@@ -85,6 +93,8 @@ def step_length(problem: ConstraintProblem, old: Sequence[jax.Array], new: Seque
     for c in constraints:
         if isinstance(c, Contact):
             rays.append((c.acceleration(at[c.link.index]), c.acceleration(links[c.link.index])))
+        elif isinstance(c, BodyContacts):
+            rays.append((c.acceleration(at), c.acceleration(links)))
         else:
             rays.append(([old[c.dof]], [direction[c.dof]]))
 
@@ -93,15 +103,14 @@ def step_length(problem: ConstraintProblem, old: Sequence[jax.Array], new: Seque
         first, second = add(slope, mul(length, curve)), curve
         for c, (start, d) in zip(constraints, rays, strict=True):
             here = vadd(start, scale(length, d))
-            size = c.link.size if isinstance(c, Contact) else plan.dof_size[c.dof]
-            if isinstance(c, Contact):
-                stiffness, push = c.linear(c.model(here))
-                force, bent = vsub(push, matvec(full(stiffness), here)), matvec(full(stiffness), d)
-            else:
+            if isinstance(c, DofConstraint):
                 single, pull = c.effect(c.model(here[0]))
                 force, bent = [sub(pull, mul(single, here[0]))], [mul(single, d[0])]
-            first = add(first, group_sum(neg(dot(force, d)), size))
-            second = add(second, group_sum(dot(bent, d), size))
+            else:
+                stiffness, push = c.cone.linear(c.cone.model(here))
+                force, bent = vsub(push, matvec(full(stiffness), here)), matvec(full(stiffness), d)
+            first = add(first, _summed(plan, c, neg(dot(force, d))))
+            second = add(second, _summed(plan, c, dot(bent, d)))
         lanes = length.shape
         return array(first, lanes, length.dtype), array(second, lanes, length.dtype)
 

@@ -13,7 +13,7 @@ import jax
 import mujoco
 import numpy as np
 
-from btr_mjx.engines.guards.watch import shape_kind
+from btr_mjx.engines.guards.pairs import PairGroup, shape_kind
 from btr_mjx.engines.lanes import support
 from btr_mjx.engines.lanes.fields import Fields, apply_matrix, rigid_pose, rigid_root, rotation_matrices
 from btr_mjx.engines.lanes.scalars import Scalar, constant
@@ -89,7 +89,7 @@ def _row(solref: np.ndarray, solimp: np.ndarray, model: mujoco.MjModel) -> dict[
 
 
 def _touch(model: mujoco.MjModel, fields: Fields, body: int, touch: Touch, geom: int) -> dict[str, np.ndarray]:
-    """Geometry and mixed contact parameters of one geom against one plane (mj_contactParam, mj_makeImpedance)."""
+    """Geometry and mixed contact parameters of one geom against one plane."""
     plane = touch.plane
     owner = int(model.geom_bodyid[geom])
     position, matrix = rigid_pose(model, fields, owner, body)
@@ -107,24 +107,29 @@ def _touch(model: mujoco.MjModel, fields: Fields, body: int, touch: Touch, geom:
         result["edges"] = np.swapaxes(edges, -1, -2).reshape(*edges.shape[:2], 9)
     rounded = touch.kind in (support.SPHERE, support.CAPSULE)
     result["radius"] = size[..., 0:1] if rounded else np.zeros((1, 1, 1))
-    first, second = model.geom_priority[plane], model.geom_priority[geom]
+    return result | _contact_parameters(model, fields, plane, geom, touch.condim)
+
+
+def _contact_parameters(
+    model: mujoco.MjModel, fields: Fields, first: int, second: int, condim: int
+) -> dict[str, np.ndarray]:
+    """Mixed parameters of the contact of two geoms (mj_contactParam, mj_makeImpedance)."""
+    rank = model.geom_priority[first], model.geom_priority[second]
     both = {
-        key: (fields(f"geom_{key}", plane), fields(f"geom_{key}", geom)) for key in ("solref", "solimp", "friction")
+        key: (fields(f"geom_{key}", first), fields(f"geom_{key}", second)) for key in ("solref", "solimp", "friction")
     }
-    if first != second:
-        chosen = {key: value[0 if first > second else 1] for key, value in both.items()}
+    if rank[0] != rank[1]:
+        chosen = {key: value[0 if rank[0] > rank[1] else 1] for key, value in both.items()}
     else:
-        chosen = _mix(fields("geom_solmix", plane)[..., None], fields("geom_solmix", geom)[..., None], both)
+        chosen = _mix(fields("geom_solmix", first)[..., None], fields("geom_solmix", second)[..., None], both)
     mu = np.maximum(_MINMU, chosen["friction"][..., 0:1])
-    weight = (
-        fields("body_invweight0", owner)[..., 0:1] + fields("body_invweight0", int(model.geom_bodyid[plane]))[..., 0:1]
-    )
-    if touch.condim == 3 and model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL:
+    owners = [int(model.geom_bodyid[geom]) for geom in (first, second)]
+    weight = fields("body_invweight0", owners[0])[..., 0:1] + fields("body_invweight0", owners[1])[..., 0:1]
+    if condim == 3 and model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL:
         weight = weight * 2 * mu**2 * (1 + mu**2) / np.maximum(_MINVAL, fields("opt.impratio")[..., None])
-    result |= {"friction": mu, "scale": 1 / np.maximum(_MINVAL, weight)}
+    result = {"friction": mu, "scale": 1 / np.maximum(_MINVAL, weight)}
     result |= _row(chosen["solref"], chosen["solimp"], model)
-    result["margin"] = (fields("geom_margin", plane) + fields("geom_margin", geom))[..., None]
-    return result
+    return result | {"margin": (fields("geom_margin", first) + fields("geom_margin", second))[..., None]}
 
 
 def _mix(
@@ -200,8 +205,8 @@ def _plane(model: mujoco.MjModel, fields: Fields, geom: int) -> dict[str, np.nda
     return {"frame": frame, "offset": (normal * position).sum(-1, keepdims=True)}
 
 
-def _guarded_geom(model: mujoco.MjModel, fields: Fields, geom: int) -> dict[str, np.ndarray]:
-    """Pose in its link, size and margin of a geom of guarded pairs; its bounding box if it is not a primitive."""
+def _placed_geom(model: mujoco.MjModel, fields: Fields, geom: int) -> dict[str, np.ndarray]:
+    """Pose in its link, size and margin of a geom that may meet others; its bounding box if it is not a primitive."""
     body = int(model.geom_bodyid[geom])
     position, matrix = rigid_pose(model, fields, body, rigid_root(model, body))
     position = position + apply_matrix(matrix, fields("geom_pos", geom))
@@ -214,14 +219,21 @@ def _guarded_geom(model: mujoco.MjModel, fields: Fields, geom: int) -> dict[str,
     return {"centre": position, "axes": matrix.reshape(*matrix.shape[:2], 9), "size": size, "margin": margin}
 
 
-def derive(model: mujoco.MjModel, plan: TreePlan, fields: Fields, guarded: Sequence[int] = ()) -> dict[str, np.ndarray]:
+def derive(
+    model: mujoco.MjModel,
+    plan: TreePlan,
+    fields: Fields,
+    geoms: Sequence[int] = (),
+    between: Sequence[PairGroup] = (),
+) -> dict[str, np.ndarray]:
     """All parameters of a step.
 
     Args:
       model: the base model.
       plan: the static plan.
       fields: view of the fields of the batch.
-      guarded: geoms of guarded pairs; they are the members of the group "guards".
+      geoms: geoms that may meet others than planes; they are the members of the group "geoms".
+      between: pairs of them whose contact is computed; those of the n-th are the members of the group "between<n>".
 
     Returns:
       name -> (N, C, G, k) where the worlds differ, else (1, 1, G, k), for k components of G group members.
@@ -251,13 +263,16 @@ def derive(model: mujoco.MjModel, plan: TreePlan, fields: Fields, guarded: Seque
             for k, actuator in enumerate(joint.actuators):
                 put(f"{link.index}/joint{n}/actuator{k}", [_actuator(fields, a) for a in actuator.ids])
         for n, touch in enumerate(link.touches):
-            geoms = zip(link.bodies, touch.geoms, strict=True)
-            put(f"{link.index}/touch{n}", [_touch(model, fields, b, touch, g) for b, g in geoms])
+            both = zip(link.bodies, touch.geoms, strict=True)
+            put(f"{link.index}/touch{n}", [_touch(model, fields, b, touch, g) for b, g in both])
     for tendon in plan.tendons:
         for k, actuator in enumerate(tendon.actuators):
             put(f"tendon{tendon.id}/actuator{k}", [_actuator(fields, a) for a in actuator.ids])
-    if guarded:
-        put("guards", [_guarded_geom(model, fields, g) for g in guarded])
+    if geoms:
+        put("geoms", [_placed_geom(model, fields, g) for g in geoms])
+    for n, group in enumerate(between):
+        named = [(geoms[a], geoms[b]) for a, b in zip(group.first, group.second, strict=True)]
+        put(f"between{n}", [_contact_parameters(model, fields, a, b, group.condim) for a, b in named])
     return table
 
 

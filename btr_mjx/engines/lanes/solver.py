@@ -18,32 +18,63 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from btr_mjx.engines.lanes.articulated import solve_articulated
-from btr_mjx.engines.lanes.cones import Contact, Ellipse, ZoneModel
-from btr_mjx.engines.lanes.dof_constraints import Friction
-from btr_mjx.engines.lanes.linesearch import ConstraintProblem, Constraints, step_length
+from btr_mjx.engines.lanes.articulated import factorise, solve_articulated, solve_factored
+from btr_mjx.engines.lanes.body_contacts import BodyContacts
+from btr_mjx.engines.lanes.cones import Cone, Contact, ZoneModel
+from btr_mjx.engines.lanes.coupled import solve_coupled
+from btr_mjx.engines.lanes.dof_constraints import DofConstraint
+from btr_mjx.engines.lanes.linesearch import Constraint, ConstraintProblem, step_length
 from btr_mjx.engines.lanes.scalars import Scalar, add, array, vadd
 from btr_mjx.engines.lanes.spatial import Spatial, propagate
+from btr_mjx.engines.lanes.tree import TreePlan
 from btr_mjx.engines.rewriting import retrace
 
 type Zones = list[tuple[jax.Array, ...]]
 """Per constraint, which of its rows were active in the last step: `flags` bool arrays of the constraint's shape."""
 
 
-def _models(constraints: Constraints, a: Sequence[jax.Array], links: Sequence[Spatial]) -> list[ZoneModel]:
+def _law(c: Constraint) -> Cone | DofConstraint:
+    """What a constraint's force depends on."""
+    return c if isinstance(c, DofConstraint) else c.cone
+
+
+def zone_shape(plan: TreePlan, c: Constraint, lanes: int) -> tuple[int, ...]:
+    """Shape of a coefficient of a constraint's zone."""
+    if isinstance(c, BodyContacts):
+        return c.slots, lanes
+    size = c.link.size if isinstance(c, Contact) else plan.dof_size[c.dof]
+    return (lanes,) if size == 1 else (size, lanes)
+
+
+def zone_flags(c: Constraint) -> int:
+    """Number of flags that describe a constraint's zone, see `Cone.flags`."""
+    return _law(c).flags
+
+
+def _models(constraints: Sequence[Constraint], a: Sequence[jax.Array], links: Sequence[Spatial]) -> list[ZoneModel]:
     """Zone of every constraint at accelerations `a` of the dofs and `links` of the links."""
-    return [
-        c.model(c.acceleration(links[c.link.index])) if isinstance(c, Contact) else c.model(a[c.dof])
-        for c in constraints
-    ]
+    found = []
+    for c in constraints:
+        if isinstance(c, DofConstraint):
+            found.append(c.model(a[c.dof]))
+        elif isinstance(c, Contact):
+            found.append(c.cone.model(c.acceleration(links[c.link.index])))
+        else:
+            found.append(c.cone.model(c.acceleration(links)))
+    return found
 
 
-def _minimum_on_zones(problem: ConstraintProblem, models: Sequence[ZoneModel]) -> tuple[list[Scalar], list[Spatial]]:
+def _minimum_on_zones(
+    problem: ConstraintProblem, models: Sequence[ZoneModel], like: Sequence[jax.Array]
+) -> tuple[list[Scalar], list[Spatial]]:
     """Minimum of the cost for given zones, where it is quadratic: accelerations of dofs and links."""
     blocks, outer = list(problem.inertia.blocks), list(problem.wrenches)
     diagonal, forces = dict(problem.inertia.diagonal), dict(problem.tau)
+    couplings = []
     for c, model in zip(problem.constraints, models, strict=True):
-        if isinstance(c, Contact):
+        if isinstance(c, BodyContacts):
+            couplings.append((c, model))
+        elif isinstance(c, Contact):
             block, (force, torque) = c.effect(model)
             at = c.link.index
             blocks[at] = blocks[at] + block
@@ -52,19 +83,27 @@ def _minimum_on_zones(problem: ConstraintProblem, models: Sequence[ZoneModel]) -
             stiffness, push = c.effect(model)
             diagonal[c.dof] = add(diagonal.get(c.dof, 0.0), stiffness)
             forces[c.dof] = add(forces.get(c.dof, 0.0), push)
-    return solve_articulated(problem.plan, problem.motions, blocks, outer, diagonal, forces)
+    factors = factorise(problem.plan, problem.motions, blocks, diagonal)
+    if not couplings:
+        return solve_factored(factors, outer, forces)
+    return solve_coupled(factors, couplings, outer, forces, like)
 
 
-def _zones_changed(constraints: Constraints, old: Sequence[ZoneModel], new: Sequence[ZoneModel]) -> jax.Array:
+def _zones_changed(constraints: Sequence[Constraint], old: Sequence[ZoneModel], new: Sequence[ZoneModel]) -> jax.Array:
     """Worlds, bool (C,), in which the zone of some constraint has changed."""
     flags = []
     for c, before, after in zip(constraints, old, new, strict=True):
-        flag = ~c.same_zone(before, after)
-        flags += [flag[i] for i in range(flag.shape[0])] if flag.ndim == 2 else [flag]
+        flag = ~_law(c).same_zone(before, after)
+        if isinstance(c, BodyContacts):
+            flags.append(jnp.any(flag, axis=0))
+        else:
+            flags += [flag[i] for i in range(flag.shape[0])] if flag.ndim == 2 else [flag]
     return reduce(jnp.logical_or, flags)
 
 
-def _zones_of_last_step(constraints: Constraints, zones: Zones, models: Sequence[ZoneModel]) -> list[ZoneModel]:
+def _zones_of_last_step(
+    constraints: Sequence[Constraint], zones: Zones, models: Sequence[ZoneModel]
+) -> list[ZoneModel]:
     """Zones of the last step for constraints that were active then; `models` for the others."""
     found: list[ZoneModel] = []
     for c, flags, model in zip(constraints, zones, models, strict=True):
@@ -73,7 +112,7 @@ def _zones_of_last_step(constraints: Constraints, zones: Zones, models: Sequence
             continue
         pushed = reduce(jnp.logical_or, flags)
         pairs = zip(flags, model, strict=True)
-        found.append(tuple(jnp.where(pushed, jnp.where(flag, c.weight, 0), x) for flag, x in pairs))
+        found.append(tuple(jnp.where(pushed, jnp.where(flag, _law(c).weight, 0), x) for flag, x in pairs))
     return found
 
 
@@ -99,16 +138,15 @@ def constrained_acceleration(
     if not constraints:
         solution, _ = solve_articulated(plan, motions, inertia.blocks, problem.wrenches, inertia.diagonal, problem.tau)
         return [array(x, g.shape, g.dtype) for x, g in zip(solution, guess, strict=True)], jnp.zeros(lanes, bool), []
-    search = any(isinstance(c, Ellipse | Friction) for c in constraints)
+    search = not all(_law(c).quadratic for c in constraints)
 
     def shaped(models: Sequence[ZoneModel]) -> list[ZoneModel]:
-        shapes = [(c.link.size if isinstance(c, Contact) else plan.dof_size[c.dof]) for c in constraints]
-        full = [(lanes,) if size == 1 else (size, lanes) for size in shapes]
-        return [tuple(array(x, s, guess[0].dtype) for x in model) for model, s in zip(models, full, strict=True)]
+        shapes = [zone_shape(plan, c, lanes) for c in constraints]
+        return [tuple(array(x, s, guess[0].dtype) for x in model) for model, s in zip(models, shapes, strict=True)]
 
     def body(carry: tuple) -> tuple:
         count, moving, old, models = carry
-        x, links = _minimum_on_zones(problem, models)
+        x, links = _minimum_on_zones(problem, models, guess)
         a = [array(x_k, g.shape, g.dtype) for x_k, g in zip(x, guess, strict=True)]
         if search:
             length = step_length(problem, old, a)
@@ -131,5 +169,5 @@ def constrained_acceleration(
     carry = (jnp.int32(0), jnp.ones(lanes, bool), list(guess), start)
     # The loop takes most of a step's time: a lower threshold than elsewhere pays, at the cost of compile time.
     _, moved, solution, last = lax.while_loop(searching, retrace(body, threshold=8), carry)
-    pushing = [tuple(x != 0 for x in model[: c.flags]) for c, model in zip(constraints, last, strict=True)]
+    pushing = [tuple(x != 0 for x in model[: zone_flags(c)]) for c, model in zip(constraints, last, strict=True)]
     return solution, moved, pushing

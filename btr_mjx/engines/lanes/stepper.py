@@ -11,12 +11,14 @@ import numpy as np
 from jax import lax
 
 from btr_mjx.engines.base import Leaves
-from btr_mjx.engines.guards.watch import Pose, crossed, plan_guards
+from btr_mjx.engines.guards.pairs import group_by_condim, group_by_kinds
+from btr_mjx.engines.guards.places import PlacedGeoms, Pose
+from btr_mjx.engines.guards.watch import crossed
 from btr_mjx.engines.lanes import support
 from btr_mjx.engines.lanes.actuation import Actuation, actuate, group_rows, springs, tendon_forces
-from btr_mjx.engines.lanes.cones import Contact
+from btr_mjx.engines.lanes.body_contacts import Member, body_contacts
 from btr_mjx.engines.lanes.contacts import contact_points
-from btr_mjx.engines.lanes.dof_constraints import DofConstraint, dof_constraints
+from btr_mjx.engines.lanes.dof_constraints import dof_constraints
 from btr_mjx.engines.lanes.dynamics import (
     System,
     bias_wrenches,
@@ -30,10 +32,10 @@ from btr_mjx.engines.lanes.fields import VARYING, Fields, base_field, influences
 from btr_mjx.engines.lanes.fluid import drag
 from btr_mjx.engines.lanes.integrate import Damping, integrate_step, moved_coordinates
 from btr_mjx.engines.lanes.kinematics import Motion, motions
-from btr_mjx.engines.lanes.linesearch import ConstraintProblem
+from btr_mjx.engines.lanes.linesearch import Constraint, ConstraintProblem
 from btr_mjx.engines.lanes.parameters import Parameters, derive, split_constants
 from btr_mjx.engines.lanes.scalars import add, array, group_sum, scale, total, vadd, vsub
-from btr_mjx.engines.lanes.solver import Zones, constrained_acceleration
+from btr_mjx.engines.lanes.solver import Zones, constrained_acceleration, zone_flags, zone_shape
 from btr_mjx.engines.lanes.tree import FREE, make_plan
 from btr_mjx.engines.rewriting import retrace
 
@@ -84,8 +86,9 @@ class _Forward:
 class LanesStepper:
     """MuJoCo steps for chunks of worlds whose models differ only in the values of some fields.
 
-    Supports trees of free, hinge and slide joints in contact with planes; see `support.require_supported`. The solver
-    runs to convergence, independent of the model's iteration limits and tolerances.
+    Supports trees of free, hinge and slide joints in contact with planes and with each other; see
+    `support.require_supported`. The solver runs to convergence, independent of the model's iteration limits and
+    tolerances.
     """
 
     def __init__(
@@ -119,7 +122,10 @@ class LanesStepper:
         self._elliptic = bool(model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC)
         self.timestep = float(model.opt.timestep)
         contacts = support.require_supported(model, guards)
-        self.guards = plan_guards(model, [guarded.pair for guarded in contacts.guarded])
+        guarded = [guarded.pair for guarded in contacts.guarded]
+        self.geoms = tuple(sorted({g for pair in (*guarded, *contacts.between) for g in (pair.first, pair.second)}))
+        self.guards = group_by_kinds(model, guarded, self.geoms)
+        self.between = group_by_condim(model, contacts.between, self.geoms)
         self._masks = self._read_masks(varying)
         friction = (np.asarray(model.dof_frictionloss) != 0) | self._masks.get(
             "dof_frictionloss", np.zeros(self.nv, bool)
@@ -128,10 +134,11 @@ class LanesStepper:
             friction = np.zeros(self.nv, bool)
         self.plan = make_plan(model, contacts.computed, friction)
         twice = {name: np.stack([base_field(model, name)] * 2)[None] for name in self._masks}
-        table = derive(model, self.plan, Fields(model, self._masks, twice), self.guards.geoms)
+        self._carriers = [self._carrier(geom) for geom in self.geoms]
+        table = derive(model, self.plan, Fields(model, self._masks, twice), self.geoms, self.between)
         self._constants, arrays = split_constants(table)
         self._varying_names = frozenset(arrays)
-        self._zone_layout: list[tuple[int, int]] = []
+        self._zone_layout: list[tuple[int, tuple[int, ...]]] = []
         sample = {key: [np.asarray(column[0], self._dtype) for column in columns] for key, columns in arrays.items()}
         jax.eval_shape(self._record_zone_layout, sample)
 
@@ -141,7 +148,7 @@ class LanesStepper:
         for name in sorted(varying):
             if self._model.ntendon and name.startswith(("tendon_", "wrap_")):
                 raise support.refuse(f"a field {name!r} of tendons that differs between worlds")
-            if self.guards.pairs and name.startswith(("mesh_vert", "hfield_", "pair_")):
+            if self.guards and name.startswith(("mesh_vert", "hfield_", "pair_")):
                 raise support.refuse(f"a field {name!r} of guarded contacts that differs between worlds")
             if not influences_motion(name):
                 continue
@@ -177,24 +184,29 @@ class LanesStepper:
             if name in self._masks and np.any(leaves[name][..., where]):
                 raise support.refuse(f"{name} of a free joint")
         _, arrays = split_constants(
-            derive(self._model, self.plan, Fields(self._model, self._masks, leaves), self.guards.geoms)
+            derive(self._model, self.plan, Fields(self._model, self._masks, leaves), self.geoms, self.between)
         )
         return {key: [column.astype(self._dtype) for column in columns] for key, columns in arrays.items()}
 
     def _shape(self, size: int, chunk: int) -> tuple[int, ...]:
         return (chunk,) if size == 1 else (size, chunk)
 
+    def _carrier(self, geom: int) -> Member | None:
+        """The link that carries a geom; None for the world."""
+        root = rigid_root(self._model, int(self._model.geom_bodyid[geom]))
+        link = next((link for link in self.plan.links if root in link.bodies), None)
+        return (link.index, link.bodies.index(root)) if link else None
+
     def _record_zone_layout(self, params: Mapping[str, list[jax.Array]]) -> None:
-        """Record, while traced, the number of flags of each constraint and the size of its group."""
+        """Record, while traced, the number of flags of each constraint and the shape of its group."""
         parameters = Parameters(self._constants, params)
         q, v, _ = self._rest(parameters, 2)
-        for c in self._constraints(parameters, q, v, motions(self.plan, parameters, q, v)):
-            self._zone_layout.append((c.flags, c.link.size if isinstance(c, Contact) else self.plan.dof_size[c.dof]))
+        moving = motions(self.plan, parameters, q, v)
+        found, _ = self._constraints(parameters, q, v, moving, self._placed(parameters, moving, 2))
+        self._zone_layout += [(zone_flags(c), zone_shape(self.plan, c, 2)[:-1]) for c in found]
 
     def _no_zones(self, chunk: int) -> Zones:
-        return [
-            tuple(jnp.zeros(self._shape(size, chunk), bool) for _ in range(count)) for count, size in self._zone_layout
-        ]
+        return [tuple(jnp.zeros((*shape, chunk), bool) for _ in range(count)) for count, shape in self._zone_layout]
 
     def _no_history(self, chunk: int) -> list[list[jax.Array]]:
         """Controls before the first step: zero."""
@@ -209,11 +221,17 @@ class LanesStepper:
         q: list[list[jax.Array]],
         v: list[jax.Array],
         moving: Sequence[Motion],
-    ) -> list[Contact | DofConstraint]:
-        return [
+        placed: PlacedGeoms,
+    ) -> tuple[list[Constraint], jax.Array]:
+        """All constraints, and worlds with contacts between bodies that are not computed, bool (C,)."""
+        groups = [(group, self._carriers) for group in self.between]
+        between, doubtful = body_contacts(groups, parameters, placed, moving, self._elliptic, self._dtype)
+        found: list[Constraint] = [
             *dof_constraints(self.plan, parameters, q, v),
             *contact_points(self.plan, parameters, moving, self._elliptic, self._dtype),
+            *between,
         ]
+        return found, doubtful
 
     def initial(self, params: Mapping[str, list[jax.Array]], chunk: int) -> LanesState:
         """State of `chunk` worlds at rest in the model's qpos0, with actuator activations zero."""
@@ -296,14 +314,13 @@ class LanesStepper:
         passive = tendon_forces(model, plan, q, v) if plan.tendons else {}
         for force in (actuation.force, springs(plan, parameters, q), passive):
             tau = {k: add(tau.get(k, 0.0), force.get(k, 0.0)) for k in sorted(tau.keys() | force.keys())}
-        constraints = self._constraints(parameters, q, v, moving)
+        placed = self._placed(parameters, moving, state.tripped.shape[-1])
+        constraints, doubtful = self._constraints(parameters, q, v, moving, placed)
         guess = world_rates(plan, moving, state.acceleration)
         found, capped, zones = constrained_acceleration(
             ConstraintProblem(plan, moving, constraints, bodies, wrenches, tau), guess, state.zones, self._max_newton
         )
-        tripped = state.tripped
-        if self.guards.pairs:
-            tripped = tripped | self._crossed(parameters, moving, tripped.shape[-1])
+        tripped = state.tripped | doubtful | crossed(self.guards, placed, self._dtype)
         return _Forward(moving, bodies, damping, actuation, medium and medium[1], found, capped, zones, tripped)
 
     def _runge_kutta(self, parameters: Parameters, state: LanesState, ctrl: jax.Array) -> LanesState:
@@ -330,15 +347,13 @@ class LanesStepper:
         q, v = moved_coordinates(plan, state.q, speed, dt), vadd(state.v, scale(dt, rate))
         return replace(end, q=q, v=v, capped=capped)
 
-    def _crossed(self, parameters: Parameters, moving: Sequence[Motion], lanes: int) -> jax.Array:
-        """Worlds in which the bound of a guarded pair is crossed, bool (C,)."""
+    def _placed(self, parameters: Parameters, moving: Sequence[Motion], lanes: int) -> PlacedGeoms:
+        """The geoms that may meet others than planes, in the world."""
         poses: list[Pose | None] = []
-        for geom in self.guards.geoms:
-            root = rigid_root(self._model, int(self._model.geom_bodyid[geom]))
-            carrier = next((link for link in self.plan.links if root in link.bodies), None)
-            m = moving[carrier.index] if carrier else None
-            poses.append((m.rotation, m.position, carrier.bodies.index(root)) if carrier and m else None)
-        return crossed(self.guards, parameters, poses, lanes, self._dtype)
+        for carrier in self._carriers:
+            m = moving[carrier[0]] if carrier else None
+            poses.append((m.rotation, m.position, carrier[1]) if carrier and m else None)
+        return PlacedGeoms(parameters, poses, lanes, self._dtype)
 
     def qpos(self, state: LanesState) -> jax.Array:
         """Generalised positions (nq, C), MuJoCo's order and conventions."""

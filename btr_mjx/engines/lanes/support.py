@@ -7,7 +7,17 @@ import mujoco
 import numpy as np
 
 from btr_mjx.engines.base import UnsupportedModel
-from btr_mjx.engines.guards.pairs import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE, GeomPair, geom_pairs
+from btr_mjx.engines.guards.pairs import (
+    BOX,
+    CAPSULE,
+    CYLINDER,
+    ELLIPSOID,
+    PLANE,
+    SPHERE,
+    GeomPair,
+    geom_pairs,
+    mixed_condim,
+)
 
 _JOINT, _DYN, _GAIN, _BIAS = mujoco.mjtJoint, mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
@@ -46,7 +56,9 @@ class Contacts:
     """The pairs of geoms that MuJoCo can collide."""
 
     computed: dict[int, list[tuple[int, int]]]
-    """Geom -> (plane geom, condim) of each contact that this engine computes."""
+    """Geom -> (plane geom, condim) of each contact with a plane that this engine computes."""
+    between: list[GeomPair]
+    """Other pairs whose contact this engine computes."""
     guarded: list[Guarded]
 
 
@@ -214,19 +226,17 @@ def _check_tendons(m: mujoco.MjModel) -> Iterator[str]:
 
 
 def possible_contacts(m: mujoco.MjModel) -> Contacts:
-    """The pairs of geoms that MuJoCo can collide: moving geoms with fixed planes are computed, all others guarded."""
-    found = Contacts({}, [])
+    """The pairs of geoms that MuJoCo can collide, with what this engine does with them."""
+    found = Contacts({}, [], [])
     for pair in geom_pairs(m):
-        plane, geom = pair.first, pair.second
-        if m.geom_priority[plane] != m.geom_priority[geom]:
-            condim = int(m.geom_condim[plane if m.geom_priority[plane] > m.geom_priority[geom] else geom])
-        else:
-            condim = int(max(m.geom_condim[plane], m.geom_condim[geom]))
+        condim = mixed_condim(m, pair)
         reason = _not_computed(m, pair, condim)
         if reason:
-            found.guarded.append(Guarded(pair, f"{reason} ({_both(m, plane, geom)})"))
+            found.guarded.append(Guarded(pair, f"{reason} ({_both(m, pair.first, pair.second)})"))
+        elif m.geom_type[pair.first] == PLANE:
+            found.computed.setdefault(pair.second, []).append((pair.first, condim))
         else:
-            found.computed.setdefault(geom, []).append((plane, condim))
+            found.between.append(pair)
     return found
 
 
@@ -238,9 +248,12 @@ def _not_computed(m: mujoco.MjModel, pair: GeomPair, condim: int) -> str:
     """Why a contact is not computed; empty if it is."""
     if pair.explicit >= 0:
         return "explicit contact pairs"
-    if m.geom_type[pair.first] != PLANE or m.body_weldid[m.geom_bodyid[pair.first]] != 0:
-        return "contact other than with a plane fixed to the world"
-    if m.geom_type[pair.second] not in (SPHERE, CAPSULE, BOX, CYLINDER, ELLIPSOID):
-        kind = mujoco.mjtGeom(m.geom_type[pair.second]).name
-        return f"contact of {kind} with a plane"
+    kinds = {int(m.geom_type[g]) for g in (pair.first, pair.second)}
+    if PLANE in kinds:
+        if m.body_weldid[m.geom_bodyid[pair.first]] != 0:
+            return "contact with a plane that moves"
+        if m.geom_type[pair.second] not in (SPHERE, CAPSULE, BOX, CYLINDER, ELLIPSOID):
+            return f"contact of {mujoco.mjtGeom(m.geom_type[pair.second]).name} with a plane"
+    elif not kinds <= {SPHERE, CAPSULE}:
+        return "contact between geoms other than spheres, capsules and planes"
     return "" if condim in (1, 3) else f"condim {condim}, torsional and rolling friction"
