@@ -1,6 +1,7 @@
 """Geoms in the world, stacked for many pairs of them: what guards and contacts between bodies start from."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import reduce
 from typing import Any, Protocol
 
 import jax
@@ -56,6 +57,17 @@ def stack_rows(rows: Sequence[Any], lanes: int, dtype: Any) -> jax.Array:
     full = [jnp.broadcast_to(jnp.asarray(row, dtype), (lanes,)) for row in rows]
     # Without the barrier XLA fuses the concatenation into its consumers, as a chain of branches for every element.
     return lax.optimization_barrier(jnp.stack(full))
+
+
+def fold_rows(combine: Callable[[jax.Array, jax.Array], jax.Array], x: jax.Array) -> jax.Array:
+    """All rows of an array (P, C) combined, (C,): by halves, which is elementwise, while XLA's reductions are not."""
+    rest = []
+    while len(x) > 1:
+        half = len(x) // 2
+        rest += [x[2 * half :]] if len(x) % 2 else []
+        x = combine(x[:half], x[half : 2 * half])
+        x = lax.optimization_barrier(x) if half > 8 else x
+    return reduce(combine, [*rest, x])[0]
 
 
 def member(x: Any, i: int) -> Any:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from btr_mjx.engines.guards import bounds
 from btr_mjx.engines.guards.pairs import PairGroup
-from btr_mjx.engines.guards.places import PlacedGeoms
+from btr_mjx.engines.guards.places import PlacedGeoms, fold_rows
 
 
 def crossed(groups: Sequence[PairGroup], geoms: PlacedGeoms, dtype: Any) -> jax.Array:
@@ -28,5 +28,5 @@ def crossed(groups: Sequence[PairGroup], geoms: PlacedGeoms, dtype: Any) -> jax.
         margin = geoms.stacked("margin", group.first) + geoms.stacked("margin", group.second)
         limit = jnp.maximum(margin, jnp.asarray(group.explicit, dtype)) + bounds.rounding(a, b)
         # A bound that is not a number is not larger than the limit either.
-        tripped = tripped | jnp.any(~(bounds.lower_bound(a, b) > limit), axis=0)
+        tripped = tripped | fold_rows(jnp.logical_or, ~(bounds.lower_bound(a, b) > limit))
     return tripped

@@ -1,8 +1,8 @@
 """Contact of spheres and capsules with each other: constraints that couple two bodies.
 
-Distances are computed for all pairs side by side, as rows of arrays (P, C). Few of them touch at a time: the contacts of
-each world are moved into K slots, arrays (K, C), so that the solver does not depend on the number of pairs. A sphere is
-a capsule without length.
+Distances are computed for all pairs side by side, as rows of arrays (P, C). Few of them touch at a time: the contacts
+of each world are moved into K slots, arrays (K, C), so that the solver does not depend on the number of pairs. A sphere
+is a capsule without length.
 
 Source: google-deepmind/mujoco, mjraw_SphereSphere, mjraw_SphereCapsule, mjraw_CapsuleCapsule.
 """
@@ -13,11 +13,13 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
+from jax import lax
 
 from btr_mjx.engines.guards.bounds import Shapes
 from btr_mjx.engines.guards.pairs import PairGroup
-from btr_mjx.engines.guards.places import PlacedGeoms, member
+from btr_mjx.engines.guards.places import PlacedGeoms, fold_rows, member
 from btr_mjx.engines.lanes.cones import Cone, impedance, make_cone
 from btr_mjx.engines.lanes.kinematics import Motion
 from btr_mjx.engines.lanes.parameters import Parameters
@@ -27,97 +29,107 @@ from btr_mjx.engines.lanes.scalars import (
     add,
     cross,
     dot,
-    matvec,
+    group_sum,
     mul,
     neg,
     scale,
     sub,
-    transpose,
+    total,
     vadd,
     vsub,
 )
-from btr_mjx.engines.lanes.spatial import Spatial
+from btr_mjx.engines.lanes.tree import TreePlan
 
 MAX_TOUCHING = 8
 """Pairs of one condim that may touch at a time in a world; worlds with more are marked."""
 
-type Member = tuple[int, int]
-"""Index of a link, and the member of its group."""
-
 
 @dataclass(frozen=True)
-class Side:
-    """The first or the second body of the contacts in the slots."""
+class Column:
+    """A dof of a member of a group, and the bodies that it moves."""
 
-    body: jax.Array
-    """Position in the list of bodies, -1 for the world, (K, C)."""
-    arm: Vector
-    """Contact point relative to the origin of the body's link, world axes [m], (K, C)."""
+    dof: int
+    """Of the plan."""
+    link: int
+    member: int
+    axis: int
+    """Position among the dofs of its link."""
+    first: int
+    """The bodies that it moves are MuJoCo's numbers from `first` to `last`."""
+    last: int
 
-    def movement(self, bodies: Sequence[Member], links: Sequence[Spatial]) -> list[Scalar]:
-        """Velocity or acceleration of the contact points, without centripetal terms, from those of the links."""
-        six = [_chosen(self.body, bodies, [[*v, *w][i] for v, w in links]) for i in range(6)]
-        return vadd(six[:3], cross(six[3:], self.arm))
+
+def columns(model: mujoco.MjModel, plan: TreePlan) -> list[Column]:
+    """All dofs of a model, with the bodies that they move: MuJoCo numbers a subtree without gaps."""
+    last = np.arange(model.nbody)
+    for body in range(model.nbody - 1, 0, -1):
+        parent = model.body_parentid[body]
+        last[parent] = max(last[parent], last[body])
+    return [
+        Column(dof, link.index, which, axis, body, int(last[body]))
+        for link in plan.links
+        for which, body in enumerate(link.bodies)
+        for axis, dof in enumerate(link.dofs)
+    ]
 
 
 @dataclass(frozen=True)
 class BodyContacts:
     """Contacts of pairs of one condim; empty slots have weight zero."""
 
-    bodies: tuple[Member, ...]
-    """Bodies that may take part."""
-    first: Side
-    second: Side
+    columns: Sequence[Column]
+    """Dofs that move one body of some pair and not the other."""
+    jacobian: Sequence[Vector]
+    """Per row of the cone that is not always zero and per column, (K, C): motion of the second body's contact point
+    relative to the first's in the contact frame, per unit of the dof's velocity (of a free joint in world axes)."""
     cone: Cone
     """Its normal points from the first to the second body."""
-    rows: int
-    """Rows of the cone that are not always zero: 1 or 3."""
 
     @property
     def slots(self) -> int:
         """Number K of slots."""
-        return self.first.body.shape[0]
+        return self.cone.weight.shape[0]
 
-    def acceleration(self, links: Sequence[Spatial]) -> list[Scalar]:
-        """Relative acceleration of the bodies at the contact points in contact frames, from that of their links."""
-        between = vsub(self.second.movement(self.bodies, links), self.first.movement(self.bodies, links))
-        return [*matvec(self.cone.frame[: self.rows], between), 0.0, 0.0][:3]
+    @property
+    def rows(self) -> int:
+        """Rows of the cone that are not always zero: 1 or 3."""
+        return len(self.jacobian)
 
-    def wrenches(self, force: Vector) -> list[tuple[Member, list[jax.Array]]]:
-        """What contact forces in contact frames exert on bodies, about their links' origins: six arrays (C,) each."""
-        world = matvec(transpose(self.cone.frame[: self.rows]), force[: self.rows])
-        sides = ((self.first, -1.0), (self.second, 1.0))
-        parts = [(side, scale(sign, [*world, *cross(side.arm, world)])) for side, sign in sides]
-        found = []
-        for n, body in enumerate(self.bodies):
-            own = [[jnp.where(side.body == n, x, 0) for x in six] for side, six in parts]
-            found.append((body, [jnp.sum(x, axis=0) for x in vadd(*own)]))
-        return found
+    def acceleration(self, a: Sequence[Scalar]) -> list[Scalar]:
+        """Relative acceleration of the bodies at the contact points in contact frames, from that of the dofs."""
+        own = [member(a[column.dof], column.member) for column in self.columns]
+        return [*(dot(row, own) for row in self.jacobian), 0.0, 0.0][:3]
 
-
-def _chosen(body: jax.Array, bodies: Sequence[Member], table: Sequence[Scalar]) -> jax.Array:
-    """One number of the link of each slot's body, (K, C); zero for the world."""
-    found = jnp.zeros(())
-    for n, (link, which) in enumerate(bodies):
-        found = jnp.where(body == n, member(table[link], which), found)
-    return jnp.broadcast_to(found, body.shape)
+    def forces(self, force: Vector) -> list[tuple[Column, Scalar]]:
+        """Forces along dofs, (C,), of contact forces in contact frames."""
+        along = [
+            total(mul(row[n], f) for row, f in zip(self.jacobian, force, strict=False))
+            for n in range(len(self.columns))
+        ]
+        return [(column, group_sum(x, self.slots)) for column, x in zip(self.columns, along, strict=True)]
 
 
 def body_contacts(
-    groups: Sequence[tuple[PairGroup, Sequence[Member | None]]],
+    groups: Sequence[PairGroup],
+    owners: Sequence[int],
+    moving: Sequence[Column],
     parameters: Parameters,
     geoms: PlacedGeoms,
     motions: Sequence[Motion],
+    v: Sequence[jax.Array],
     elliptic: bool,
     dtype: Any,
 ) -> tuple[list[BodyContacts], jax.Array]:
     """Contacts between bodies, with MuJoCo's reference accelerations and weights.
 
     Args:
-      groups: pairs, and the link of each geom.
+      groups: the pairs.
+      owners: the body of each geom, MuJoCo's number of the one that carries the joints; 0 for the world.
+      moving: all dofs.
       parameters: of this chunk.
       geoms: the geoms in the world.
-      motions: poses and velocities of the links.
+      motions: poses of the links.
+      v: velocity per dof, of free joints in world axes.
       elliptic: whether friction cones are elliptic rather than pyramidal.
       dtype: of the computation.
 
@@ -126,27 +138,27 @@ def body_contacts(
       may touch are parallel, where MuJoCo finds two contacts.
     """
     found, marked = [], jnp.zeros(geoms.lanes, bool)
-    for n, (group, carriers) in enumerate(groups):
+    for n, group in enumerate(groups):
         a, b = (geoms.shapes(kind, index) for kind, index in zip(group.kinds, (group.first, group.second), strict=True))
         pairs = _Touching(f"between{n}", group.condim, parameters, a, b, float(jnp.finfo(dtype).eps))
         slot, overflow = _slots(pairs.beyond < 0)
         marked = marked | overflow | pairs.doubtful
-        both = [[carriers[i] for i in index] for index in (group.first, group.second)]
-        bodies = tuple(sorted({body for side in both for body in side if body}))
-        places = [np.array([bodies.index(body) if body else -1 for body in side]) for side in both]
-        found.append(pairs.contacts(slot, bodies, places, motions, elliptic, dtype))
+        bodies = np.array([[owners[i] for i in index] for index in (group.first, group.second)])
+        moves = [(bodies >= column.first) & (bodies <= column.last) for column in moving]
+        chosen = [column for column, (one, other) in zip(moving, moves, strict=True) if np.any(one != other)]
+        found.append(pairs.contacts(slot, bodies, chosen, motions, v, elliptic, dtype))
     return found, marked
 
 
 def _slots(touching: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The pairs (K, C) that touch, in order, of flags (P, C); P where a slot is empty. And bool (C,), whether more do."""
+    """The pairs (K, C) that touch, of flags (P, C), and P where a slot is empty; and bool (C,), whether more touch."""
     count = len(touching)
     number = jnp.arange(count, dtype=jnp.int32)[:, None]
     if count <= MAX_TOUCHING:
         return jnp.where(touching, number, count), jnp.zeros(touching.shape[1], bool)
     found, last = [], jnp.full(touching.shape[1], -1, jnp.int32)
     for _ in range(MAX_TOUCHING + 1):
-        last = jnp.min(jnp.where(touching & (number > last), number, count), axis=0)
+        last = fold_rows(jnp.minimum, lax.optimization_barrier(jnp.where(touching & (number > last), number, count)))
         found.append(last)
     return jnp.stack(found[:-1]), last < count
 
@@ -164,14 +176,15 @@ class _Touching:
         distance = sub(mul(square, inverse), add(a.size[0], b.size[0]))
         self.beyond = sub(distance, parameters.one(f"{key}/margin"))
         self.point = vadd(one, scale(add(a.size[0], mul(0.5, distance)), self.normal))
-        self.doubtful = jnp.any(parallel & (self.beyond < slack), axis=0)
+        self.doubtful = fold_rows(jnp.logical_or, parallel & (self.beyond < slack))
 
     def contacts(
         self,
         slot: jax.Array,
-        bodies: tuple[Member, ...],
-        places: Sequence[np.ndarray],
+        bodies: np.ndarray,
+        moving: Sequence[Column],
         motions: Sequence[Motion],
+        v: Sequence[jax.Array],
         elliptic: bool,
         dtype: Any,
     ) -> BodyContacts:
@@ -179,9 +192,10 @@ class _Touching:
 
         Args:
           slot: pair of each slot (K, C), P where it is empty.
-          bodies: that take part.
-          places: position in this list, -1 for the world, of the first and the second body of each pair.
+          bodies: (2, P) the first and the second body of each pair.
+          moving: dofs that move one of them.
           motions: of the links.
+          v: velocity per dof.
           elliptic: whether friction cones are elliptic.
           dtype: of the computation.
         """
@@ -203,20 +217,26 @@ class _Touching:
         frame = [normal, *_tangents(normal)]
         imp = impedance(given("impedance"), beyond)
         weight = jnp.where(filled, mul(given("scale")[0], imp / (1.0 - imp)), 0).astype(dtype)
-        sides = []
-        for place in places:
-            body = jnp.asarray(place)[index]
-            sides.append(
-                Side(body, vsub(point, [_chosen(body, bodies, [m.position[i] for m in motions]) for i in range(3)]))
+        one, other = (jnp.asarray(side, jnp.int32)[index] for side in bodies)
+        rows = frame[: 1 if self.condim == 1 else 3]
+        jacobian: list[list[Scalar]] = [[] for _ in rows]
+        for column in moving:
+            linear, angular = (
+                [member(x, column.member) for x in part] for part in motions[column.link].columns[column.axis]
             )
-        moves = [(m.velocity, m.angular_velocity) for m in motions]
+            origin = [member(x, column.member) for x in motions[column.link].position]
+            moved = vadd(linear, cross(angular, vsub(point, origin)))
+            first, second = ((body >= column.first) & (body <= column.last) for body in (one, other))
+            sign = second.astype(dtype) - first.astype(dtype)
+            for row, axis in zip(jacobian, rows, strict=True):
+                row.append(mul(sign, dot(axis, moved)))
         stiffness, damping = given("reference")
-        velocity = matvec(frame, vsub(sides[1].movement(bodies, moves), sides[0].movement(bodies, moves)))
-        reference = scale(neg(damping), velocity)
+        velocity = [dot(row, [member(v[column.dof], column.member) for column in moving]) for row in jacobian]
+        reference = [*scale(neg(damping), velocity), 0.0, 0.0][:3]
         reference[0] = sub(reference[0], mul(mul(stiffness, imp), beyond))
         impratio = self.parameters.one("world/impratio") if elliptic else None
         cone = make_cone(self.condim, frame, given("friction")[0], weight, reference, impratio, dtype)
-        return BodyContacts(bodies, sides[0], sides[1], cone, 1 if self.condim == 1 else 3)
+        return BodyContacts(moving, jacobian, cone)
 
 
 def _tangents(normal: Vector) -> list[list[Scalar]]:

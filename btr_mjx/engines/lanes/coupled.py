@@ -2,8 +2,8 @@
 
 Constraints of single links and dofs keep the matrix H of the tree, which the articulated-body sweep solves directly.
 Those between links add J^T K J, of low rank because few pairs touch at a time. Conjugate gradients with H as the
-preconditioner need about as many iterations as there are active rows, and none where nothing touches. All residuals
-are J^T times forces of the pairs, so that only these forces are kept.
+preconditioner need about as many iterations as there are active rows, and one where nothing touches. All residuals are
+J^T times forces of the contacts, so that only these forces are kept.
 
 Source: Saad 2003, Iterative Methods for Sparse Linear Systems, algorithm 9.1.
 """
@@ -14,11 +14,13 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from btr_mjx.engines.guards.places import fold_rows
 from btr_mjx.engines.lanes.articulated import Factors, solve_factored
-from btr_mjx.engines.lanes.body_contacts import BodyContacts, Member
+from btr_mjx.engines.lanes.body_contacts import BodyContacts, Column
 from btr_mjx.engines.lanes.cones import ZoneModel
-from btr_mjx.engines.lanes.scalars import Scalar, array, dot, full, matvec, vadd
+from btr_mjx.engines.lanes.scalars import Scalar, add, array, dot, full, group_sum, matvec, vadd
 from btr_mjx.engines.lanes.spatial import Spatial, propagate
+from btr_mjx.engines.lanes.tree import FREE, TreePlan
 
 _MAX_ITERATIONS = 60
 
@@ -38,7 +40,7 @@ def solve_coupled(
     Args:
       factors: matrix of the tree, with the constraints of single links and dofs.
       coupled: contacts between links, each with its zone.
-      wrenches: per link, about its origin, without those of the couplings.
+      wrenches: per link, about its origin, without those of the contacts between links.
       tau: forces along single dofs.
       like: arrays of the accelerations' shapes.
 
@@ -46,17 +48,16 @@ def solve_coupled(
       Acceleration per dof, spatial acceleration per link. They are a function of the zones of each world alone.
     """
     plan = factors.plan
-    sizes = [link.size for link in plan.links]
-    couplings, linear = [c for c, _ in coupled], [c.cone.linear(model) for c, model in coupled]
+    contacts, linear = [c for c, _ in coupled], [c.cone.linear(model) for c, model in coupled]
     lanes, dtype = like[0].shape[-1], like[0].dtype
     tolerance = float(jnp.finfo(dtype).eps) ** 2
 
-    def pushed(forces: Sequence[Sequence[Scalar]], onto: Sequence[Spatial]) -> list[Spatial]:
-        return add_wrenches(onto, sizes, [w for c, f in zip(couplings, forces, strict=True) for w in c.wrenches(f)])
+    def pulled(rows: Sequence[Sequence[Scalar]]) -> tuple[dict[int, Spatial], dict[int, Scalar]]:
+        return member_forces(plan, [w for c, own in zip(contacts, rows, strict=True) for w in c.forces(own)])
 
     def shaped(rows: Sequence[Sequence[Scalar]]) -> _Rows:
         return [
-            [array(x, (c.slots, lanes), dtype) for x in own[: c.rows]] for c, own in zip(couplings, rows, strict=True)
+            [array(x, (c.slots, lanes), dtype) for x in own[: c.rows]] for c, own in zip(contacts, rows, strict=True)
         ]
 
     def stiff(rows: _Rows) -> _Rows:
@@ -64,61 +65,77 @@ def solve_coupled(
         return shaped([matvec(full(k), [*own, 0.0, 0.0][:3]) for (k, _), own in zip(linear, rows, strict=True)])
 
     def inner(a: _Rows, b: _Rows) -> jax.Array:
-        return sum((jnp.sum(dot(x, y), axis=0) for x, y in zip(a, b, strict=True)), jnp.zeros(lanes, dtype))
+        parts = [group_sum(dot(x, y), c.slots) for c, x, y in zip(contacts, a, b, strict=True)]
+        return array(sum(part.reshape(lanes) for part in parts), (lanes,), dtype)
 
-    def mixed(a: _Rows, length: jax.Array, b: _Rows) -> _Rows:
+    def mixed(a: _Rows, length: Scalar, b: _Rows) -> _Rows:
         return [[x + length * y for x, y in zip(*pair, strict=True)] for pair in zip(a, b, strict=True)]
-
-    nothing: list[Spatial] = [([0.0] * 3, [0.0] * 3) for _ in sizes]
-    x, links = solve_factored(factors, pushed([push for _, push in linear], wrenches), tau)
-    start = [array(x_k, g.shape, dtype) for x_k, g in zip(x, like, strict=True)]
-    residual = [[-y for y in own] for own in stiff(shaped([c.acceleration(links) for c in couplings]))]
-    still, empty = jax.tree.map(jnp.zeros_like, (start, residual))
 
     def body(carry: tuple) -> tuple:
         count, going, x, residual, p, rows, image, last, first = carry
-        z, links = solve_factored(factors, pushed(residual, nothing), {})
-        moved = shaped([c.acceleration(links) for c in couplings])
+        # The first iteration solves without the stiffness between links, the others correct it.
+        begin = lambda value: jnp.where(count == 0, value, 0)  # noqa: E731
+        pushes = shaped([push for _, push in linear])
+        outer, forces = pulled(
+            [[f + begin(y) for f, y in zip(*own, strict=True)] for own in zip(residual, pushes, strict=True)]
+        )
+        onto = [([begin(y) for y in force], [begin(y) for y in torque]) for force, torque in wrenches]
+        for n, (force, torque) in outer.items():
+            onto[n] = vadd(onto[n][0], force), vadd(onto[n][1], torque)
+        along = {k: begin(t) for k, t in tau.items()}
+        along |= {k: add(along.get(k, 0.0), f) for k, f in forces.items()}
+        z, _ = solve_factored(factors, onto, along)
+        z = [array(z_k, g.shape, dtype) for z_k, g in zip(z, like, strict=True)]
+        moved = shaped([c.acceleration(z) for c in contacts])
         size = inner(residual, moved)
-        first = jnp.where(count == 0, size, first)
-        going = going & (size > tolerance * first)
-        back = jnp.where(count == 0, 0, size / jnp.where(last > 0, last, 1))
-        p = [array(z_k, p_k.shape, dtype) + back * p_k for z_k, p_k in zip(z, p, strict=True)]
+        first = jnp.where(count == 1, size, first)
+        going = going & ((count < 2) | (size > tolerance * first))
+        back = jnp.where(count <= 1, 0, size / jnp.where(last > 0, last, 1))
+        p = [z_k + back * p_k for z_k, p_k in zip(z, p, strict=True)]
         rows, image = mixed(moved, back, rows), mixed(residual, back, image)
-        applied = mixed(image, jnp.ones(lanes, dtype), stiff(rows))
+        applied = mixed(image, 1.0, stiff(rows))
         curve = inner(rows, applied)
         length = jnp.where(going & (curve > 0), size / jnp.where(curve > 0, curve, 1), 0)
+        length = jnp.where(count == 0, 1, length)
         x = [x_k + length * p_k for x_k, p_k in zip(x, p, strict=True)]
-        return count + 1, going, x, mixed(residual, -length, applied), p, rows, image, size, first
+        residual = mixed(residual, -length, applied)
+        going = going & fold_rows(jnp.logical_or, jnp.concatenate([y != 0 for own in residual for y in own]))
+        return count + 1, going, x, residual, p, rows, image, size, first
 
     def working(carry: tuple) -> jax.Array:
         return jnp.any(carry[1]) & (carry[0] < _MAX_ITERATIONS)
 
-    none = jnp.zeros(lanes, dtype)
-    going = jnp.any(jnp.stack([jnp.any(x != 0, axis=0) for own in residual for x in own]), axis=0)
-    carry = (jnp.int32(0), going, start, residual, still, empty, empty, none, none)
+    none, still = jnp.zeros(lanes, dtype), [jnp.zeros_like(g) for g in like]
+    empty = shaped([[0.0] * 3] * len(contacts))
+    carry = (jnp.int32(0), jnp.ones(lanes, bool), still, empty, still, empty, empty, none, none)
     found = lax.while_loop(working, body, carry)[2]
     return list(found), propagate(plan, factors.motions, found)
 
 
-def add_wrenches(
-    links: Sequence[Spatial], sizes: Sequence[int], more: Sequence[tuple[Member, list[jax.Array]]]
-) -> list[Spatial]:
-    """Wrenches of links, with further ones of single members of their groups added.
+def member_forces(
+    plan: TreePlan, forces: Sequence[tuple[Column, Scalar]]
+) -> tuple[dict[int, Spatial], dict[int, Scalar]]:
+    """Forces along dofs of members of groups, as forces along dofs of the plan.
 
     Args:
-      links: wrench per link.
-      sizes: members of each link's group.
-      more: link and member, and six arrays (C,).
+      plan: the static plan.
+      forces: dof of a member, and the force (C,); several are added.
+
+    Returns:
+      Per link with a free joint, the wrench about its origin; and per other dof, the force, (C,) or (G, C).
     """
-    parts: dict[int, dict[int, list[Scalar]]] = {}
-    for (link, which), six in more:
-        known = parts.setdefault(link, {})
-        known[which] = vadd(known[which], six) if which in known else six
-    found = list(links)
-    for link, known in parts.items():
-        nothing = [jnp.zeros_like(x) for x in next(iter(known.values()))]
-        members = [known.get(which, nothing) for which in range(sizes[link])]
-        six = [jnp.stack(column) if sizes[link] > 1 else column[0] for column in zip(*members, strict=True)]
-        found[link] = vadd(found[link][0], six[:3]), vadd(found[link][1], six[3:])
-    return found
+    parts: dict[int, dict[int, Scalar]] = {}
+    for column, force in forces:
+        own = parts.setdefault(column.dof, {})
+        own[column.member] = add(own.get(column.member, 0.0), force)
+    tau: dict[int, Scalar] = {}
+    for dof, own in parts.items():
+        size = plan.dof_size[dof]
+        nothing = jnp.zeros_like(next(iter(own.values())))
+        tau[dof] = jnp.stack([own.get(n, nothing) for n in range(size)]) if size > 1 else own[0]
+    wrenches: dict[int, Spatial] = {}
+    for link in plan.links:
+        if link.joints[0].kind == FREE and any(k in tau for k in link.dofs):
+            six = [tau.pop(k, 0.0) for k in link.dofs]
+            wrenches[link.index] = six[:3], six[3:]
+    return wrenches, tau

@@ -59,7 +59,7 @@ class ConstraintProblem:
 def _summed(plan: TreePlan, c: Constraint, x: Scalar) -> Scalar:
     """Sum over the members of a constraint's group, or over its slots."""
     if isinstance(c, BodyContacts):
-        return jnp.sum(x, axis=0)
+        return group_sum(x, c.slots).reshape(x.shape[-1])
     return group_sum(x, plan.dof_size[c.dof] if isinstance(c, DofConstraint) else c.link.size)
 
 
@@ -94,7 +94,7 @@ def step_length(problem: ConstraintProblem, old: Sequence[jax.Array], new: Seque
         if isinstance(c, Contact):
             rays.append((c.acceleration(at[c.link.index]), c.acceleration(links[c.link.index])))
         elif isinstance(c, BodyContacts):
-            rays.append((c.acceleration(at), c.acceleration(links)))
+            rays.append((c.acceleration(old), c.acceleration(direction)))
         else:
             rays.append(([old[c.dof]], [direction[c.dof]]))
 

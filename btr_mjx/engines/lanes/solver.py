@@ -60,7 +60,7 @@ def _models(constraints: Sequence[Constraint], a: Sequence[jax.Array], links: Se
         elif isinstance(c, Contact):
             found.append(c.cone.model(c.acceleration(links[c.link.index])))
         else:
-            found.append(c.cone.model(c.acceleration(links)))
+            found.append(c.cone.model(c.acceleration(a)))
     return found
 
 

@@ -16,7 +16,7 @@ from btr_mjx.engines.guards.places import PlacedGeoms, Pose
 from btr_mjx.engines.guards.watch import crossed
 from btr_mjx.engines.lanes import support
 from btr_mjx.engines.lanes.actuation import Actuation, actuate, group_rows, springs, tendon_forces
-from btr_mjx.engines.lanes.body_contacts import Member, body_contacts
+from btr_mjx.engines.lanes.body_contacts import body_contacts, columns
 from btr_mjx.engines.lanes.contacts import contact_points
 from btr_mjx.engines.lanes.dof_constraints import dof_constraints
 from btr_mjx.engines.lanes.dynamics import (
@@ -134,7 +134,8 @@ class LanesStepper:
             friction = np.zeros(self.nv, bool)
         self.plan = make_plan(model, contacts.computed, friction)
         twice = {name: np.stack([base_field(model, name)] * 2)[None] for name in self._masks}
-        self._carriers = [self._carrier(geom) for geom in self.geoms]
+        self._owners = [rigid_root(model, int(model.geom_bodyid[geom])) for geom in self.geoms]
+        self._columns = columns(model, self.plan)
         table = derive(model, self.plan, Fields(model, self._masks, twice), self.geoms, self.between)
         self._constants, arrays = split_constants(table)
         self._varying_names = frozenset(arrays)
@@ -191,12 +192,6 @@ class LanesStepper:
     def _shape(self, size: int, chunk: int) -> tuple[int, ...]:
         return (chunk,) if size == 1 else (size, chunk)
 
-    def _carrier(self, geom: int) -> Member | None:
-        """The link that carries a geom; None for the world."""
-        root = rigid_root(self._model, int(self._model.geom_bodyid[geom]))
-        link = next((link for link in self.plan.links if root in link.bodies), None)
-        return (link.index, link.bodies.index(root)) if link else None
-
     def _record_zone_layout(self, params: Mapping[str, list[jax.Array]]) -> None:
         """Record, while traced, the number of flags of each constraint and the shape of its group."""
         parameters = Parameters(self._constants, params)
@@ -224,8 +219,10 @@ class LanesStepper:
         placed: PlacedGeoms,
     ) -> tuple[list[Constraint], jax.Array]:
         """All constraints, and worlds with contacts between bodies that are not computed, bool (C,)."""
-        groups = [(group, self._carriers) for group in self.between]
-        between, doubtful = body_contacts(groups, parameters, placed, moving, self._elliptic, self._dtype)
+        speeds = world_rates(self.plan, moving, v)
+        between, doubtful = body_contacts(
+            self.between, self._owners, self._columns, parameters, placed, moving, speeds, self._elliptic, self._dtype
+        )
         found: list[Constraint] = [
             *dof_constraints(self.plan, parameters, q, v),
             *contact_points(self.plan, parameters, moving, self._elliptic, self._dtype),
@@ -350,9 +347,10 @@ class LanesStepper:
     def _placed(self, parameters: Parameters, moving: Sequence[Motion], lanes: int) -> PlacedGeoms:
         """The geoms that may meet others than planes, in the world."""
         poses: list[Pose | None] = []
-        for carrier in self._carriers:
-            m = moving[carrier[0]] if carrier else None
-            poses.append((m.rotation, m.position, carrier[1]) if carrier and m else None)
+        for owner in self._owners:
+            link = next((link for link in self.plan.links if owner in link.bodies), None)
+            m = moving[link.index] if link else None
+            poses.append((m.rotation, m.position, link.bodies.index(owner)) if link and m else None)
         return PlacedGeoms(parameters, poses, lanes, self._dtype)
 
     def qpos(self, state: LanesState) -> jax.Array:
