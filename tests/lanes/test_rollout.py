@@ -17,7 +17,7 @@ ARM = """<mujoco><option timestep="0.002"/><worldbody><geom name="floor" type="p
   <geom name="upper" type="capsule" fromto="0 0 0 0 0 -0.25" size="0.03" mass="0.5"/>
   <body name="lower" pos="0 0 -0.25"><joint name="elbow" axis="0 1 0" damping="0.05"/>
     <geom name="lower" type="capsule" fromto="0 0 0 0.1 0 -0.2" size="0.02" mass="0.3"/></body></body>
-<body name="ball" pos="1 0 -0.3"><freejoint/><geom name="ball" size="0.05" mass="0.2"/></body>{extra}</worldbody>
+<body name="ball" pos="1 0 -0.3"><freejoint/><geom name="ball" type="ellipsoid" size="0.05 0.05 0.05" mass="0.2"/></body>{extra}</worldbody>
 <actuator><motor joint="shoulder" gear="2"/>
 <general joint="elbow" dyntype="filter" dynprm="0.02" gainprm="1"/></actuator>
 </mujoco>"""
@@ -124,8 +124,11 @@ def test_coverage_names_what_is_computed_guarded_and_refused(tmp_path: Path) -> 
     path.write_text(ARM.format(extra=""))
     assert lanes.coverage(path).verdict == "guarded"
     assert "guarded (2)" in str(lanes.coverage(path))
-    free = ARM.format(extra="").replace('name="ball" size', 'name="ball" contype="0" conaffinity="0" size')
+    free = ARM.format(extra="").replace('name="ball" type', 'name="ball" contype="0" conaffinity="0" type')
     assert lanes.coverage(free).verdict == "computed"
+    round_ball = lanes.coverage(ARM.format(extra="").replace("ellipsoid", "sphere"))
+    assert round_ball.verdict == "computed"
+    assert {"upper and ball", "lower and ball"} < set(round_ball.computed)
 
 
 def test_the_example_of_the_docs_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

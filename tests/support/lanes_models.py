@@ -112,6 +112,22 @@ def stops() -> str:
     </body></body>"""
 
 
+def tangle(condim: int = 3, friction: float = 0.0) -> str:
+    """Two alike arms and two free bodies, spheres and capsules that touch each other and a fixed capsule."""
+    arms = ""
+    for x in (-0.15, 0.15):
+        arms += f"""<body pos="{x} 0 0.4"><joint name="shoulder{x}" axis="0 1 0.1" frictionloss="{friction}"/>
+        <geom type="capsule" fromto="0 0 0 0 0.05 -0.2" size="0.04" condim="{condim}" friction="0.6"/>
+        <body pos="0 0.05 -0.2"><joint axis="1 0 0.3" damping="0.01"/>
+        <geom type="capsule" fromto="0 0 0 {-1.5 * x} 0 -0.1" size="0.05" condim="{condim}" solmix="0.3"/>
+        <geom pos="{-2 * x} 0 0" size="0.04" condim="{condim}" margin="0.01" solref="0.03 0.8" mass="0.1"/>
+        </body></body>"""
+    beam = f'<geom type="capsule" fromto="-0.1 0.1 0.5 0.1 0 0.45" size="0.06" condim="{condim}" priority="1"/>'
+    return f"""{arms}{beam}
+    <body pos="0 0 0.3"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/>
+    <geom size="0.08" condim="{condim}" mass="0.3"/></body>"""
+
+
 WATER = 'density="1000" viscosity="0.5" wind="1 2 3"'
 FAST = 'integrator="implicitfast"'
 
@@ -133,6 +149,10 @@ def tendons(text: str, joints: tuple[str, ...] = ("hip-0.1", "hip0.1"), damping:
 
 
 CASES = {
+    "tangle": mjcf(tangle(), option=FAST),
+    "tangle_condim1_rk4": mjcf(tangle(condim=1), option='integrator="RK4"'),
+    "tangle_elliptic": mjcf(tangle(), option='cone="elliptic" impratio="3"'),
+    "tangle_friction": mjcf(tangle(friction=0.2)),
     "pendulum_euler": mjcf(chain(4), actuators=SERVOS),
     "pendulum_implicitfast": mjcf(chain(4), option=FAST, actuators=SERVOS),
     "pendulum_states": mjcf(chain(3), option='gravity="1 -2 -9"', flags='eulerdamp="disable"', actuators=GENERAL),
