@@ -93,6 +93,17 @@ def test_parallel_capsules_are_marked_where_they_touch(turn: float) -> None:
     np.testing.assert_array_equal(marked, [True, False])
 
 
+def test_capsules_whose_axes_cross_are_marked() -> None:
+    """The direction of their contact is lost in rounding."""
+    rods = "".join(f'<body euler="{a} 0 0"><freejoint/><geom type="capsule" size="0.05 0.2"/></body>' for a in (0, 90))
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{rods}</worldbody></mujoco>")
+    crossing, apart = mujoco.MjData(model), mujoco.MjData(model)
+    apart.qpos[7] = 0.01
+    found, expected, marked = step(model, [crossing, apart])
+    np.testing.assert_array_equal(marked, [True, False])
+    np.testing.assert_allclose(found[:, 1], expected[:, 1], rtol=1e-9, atol=1e-9)
+
+
 def test_trajectories_with_contact_equal_native(rng: np.random.Generator) -> None:
     model = mujoco.MjModel.from_xml_string(mjcf(tangle(), option=f'{FAST} tolerance="0" iterations="100"'))
     full = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -101,11 +112,11 @@ def test_trajectories_with_contact_equal_native(rng: np.random.Generator) -> Non
     expected = np.zeros((6, 500, starts.shape[1]))
     for i in range(6):
         mujoco.mj_resetData(model, data)
-        data.qvel[:] = rng.normal(size=model.nv)
+        data.qpos[:], data.qvel[:] = 0.05 * rng.normal(size=model.nq), rng.normal(size=model.nv)
         mujoco.mj_getState(model, data, starts[i], full)
         for k in range(500):
             mujoco.mj_step(model, data)
-            touched[i] += data.ncon > 0
+            touched[i] += (model.geom_type[data.contact.geom] != mujoco.mjtGeom.mjGEOM_PLANE).all(axis=1).any()
             mujoco.mj_getState(model, data, expected[i, k], full)
     assert touched.min() > 50
     with jax.enable_x64(True):

@@ -17,10 +17,12 @@ ARM = """<mujoco><option timestep="0.002"/><worldbody><geom name="floor" type="p
   <geom name="upper" type="capsule" fromto="0 0 0 0 0 -0.25" size="0.03" mass="0.5"/>
   <body name="lower" pos="0 0 -0.25"><joint name="elbow" axis="0 1 0" damping="0.05"/>
     <geom name="lower" type="capsule" fromto="0 0 0 0.1 0 -0.2" size="0.02" mass="0.3"/></body></body>
-<body name="ball" pos="1 0 -0.3"><freejoint/><geom name="ball" type="ellipsoid" size="0.05 0.05 0.05" mass="0.2"/></body>{extra}</worldbody>
+<body name="ball" pos="1 0 -0.3"><freejoint/>
+  <geom name="ball" type="ellipsoid" size="0.05 0.05 0.05" mass="0.2"/></body>{extra}</worldbody>
 <actuator><motor joint="shoulder" gear="2"/>
 <general joint="elbow" dyntype="filter" dynprm="0.02" gainprm="1"/></actuator>
 </mujoco>"""
+EQUALITY = """</worldbody><equality><joint name="coupling" joint1="elbow" joint2="shoulder"/></equality><worldbody>"""
 FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
@@ -73,6 +75,22 @@ def test_without_the_guard_the_answer_would_be_wrong(rng: np.random.Generator) -
     assert np.abs(native(model, states, controls) - expected).max() > 0.05
 
 
+def test_mocap_bodies_stay_where_the_model_puts_them(rng: np.random.Generator) -> None:
+    goal = (
+        '<body mocap="true" pos="0 0.02 -0.35" euler="0 90 0"><geom type="capsule" size="0.03 0.05" condim="1"/></body>'
+    )
+    model = mujoco.MjModel.from_xml_string(ARM.format(extra=goal))
+    model.opt.tolerance = 0
+    states, controls = starts(model, 5, rng, near=0), rng.uniform(-1, 1, (5, 200, 2))
+    with jax.enable_x64(True):
+        found = lanes.rollout(model, states, controls)
+    assert set(found.engine) == {"lanes"}
+    expected = native(model, states, controls)
+    np.testing.assert_allclose(found.state, expected, rtol=0, atol=1e-8)
+    model.geom_contype[-1] = model.geom_conaffinity[-1] = 0
+    assert np.abs(native(model, states, controls) - expected).max() > 0.05
+
+
 def test_fields_may_differ_between_worlds(rng: np.random.Generator) -> None:
     model = mujoco.MjModel.from_xml_string(ARM.format(extra=""))
     model.opt.tolerance = 0
@@ -91,7 +109,7 @@ def test_fields_may_differ_between_worlds(rng: np.random.Generator) -> None:
 @pytest.mark.parametrize(
     ("extra", "near", "words"),
     [
-        ('<body mocap="true" pos="0 0 5"><geom size="0.1"/></body>', 0.0, "mocap"),
+        (EQUALITY, 0.0, "equality"),
         ("", 1.0, "guards found possible contacts"),
     ],
 )
@@ -110,16 +128,12 @@ def test_native_computes_everything_where_lanes_does_not_pay(
 
 
 def test_coverage_names_what_is_computed_guarded_and_refused(tmp_path: Path) -> None:
-    found = lanes.coverage(
-        ARM.format(
-            extra='<body mocap="true" name="goal"><geom name="goal" contype="0" conaffinity="0" size=".1"/></body>'
-        )
-    )
+    found = lanes.coverage(ARM.format(extra=EQUALITY))
     assert found.verdict == "refused"
     assert set(found.computed) == {"upper and floor", "lower and floor", "ball and floor"}
     assert any("'upper'" in line and "'ball'" in line for line in found.guarded)
     assert not any("'upper'" in line and "'lower'" in line for line in found.guarded)  # parent and child
-    assert [line for line in found.refused if "goal" in line]
+    assert [line for line in found.refused if "coupling" in line]
     path = tmp_path / "arm.xml"
     path.write_text(ARM.format(extra=""))
     assert lanes.coverage(path).verdict == "guarded"

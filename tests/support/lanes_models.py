@@ -115,17 +115,18 @@ def stops() -> str:
 def tangle(condim: int = 3, friction: float = 0.0) -> str:
     """Two alike arms and two free bodies, spheres and capsules that touch each other and a fixed capsule."""
     arms = ""
-    for x in (-0.15, 0.15):
+    for x in (-0.2, 0.2):
         arms += f"""<body pos="{x} 0 0.4"><joint name="shoulder{x}" axis="0 1 0.1" frictionloss="{friction}"/>
-        <geom type="capsule" fromto="0 0 0 0 0.05 -0.2" size="0.04" condim="{condim}" friction="0.6"/>
+        <geom type="capsule" fromto="0 0 0 0 0.05 -0.2" size="0.03" condim="{condim}" friction="0.6"/>
         <body pos="0 0.05 -0.2"><joint axis="1 0 0.3" damping="0.01"/>
-        <geom type="capsule" fromto="0 0 0 {-1.5 * x} 0 -0.1" size="0.05" condim="{condim}" solmix="0.3"/>
-        <geom pos="{-2 * x} 0 0" size="0.04" condim="{condim}" margin="0.01" solref="0.03 0.8" mass="0.1"/>
+        <geom type="capsule" fromto="0 0 0 {-x} 0 -0.1" size="0.04" condim="{condim}" solmix="0.3"/>
+        <geom pos="{-x} 0 0" size="0.03" condim="{condim}" margin="0.01" solref="0.03 0.8" mass="0.1"/>
         </body></body>"""
-    beam = f'<geom type="capsule" fromto="-0.1 0.1 0.5 0.1 0 0.45" size="0.06" condim="{condim}" priority="1"/>'
-    return f"""{arms}{beam}
+    beam = f'<geom type="capsule" fromto="-0.1 0.1 0.4 0.1 0 0.45" size="0.04" condim="{condim}" priority="1"/>'
+    bodies = f"""{arms}{beam}
     <body pos="0 0 0.3"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/>
     <geom size="0.08" condim="{condim}" mass="0.3"/></body>"""
+    return bodies.replace("<geom", '<geom contype="1"')
 
 
 WATER = 'density="1000" viscosity="0.5" wind="1 2 3"'

@@ -14,6 +14,9 @@ from btr_mjx.engines.guards.bounds import Shapes
 type Pose = tuple[Sequence[Sequence[Any]], Sequence[Any], int]
 """Rotation and position of a link in the world, scalars of shape (C,) or (G, C), and the member of the group."""
 
+_MANY = 150
+"""Pairs above which their numbers are read by index."""
+
 _KEYS = ("centre", "axes", "size", "margin")
 
 
@@ -37,6 +40,7 @@ class PlacedGeoms:
           dtype: of the computation.
         """
         self.lanes, self._dtype = lanes, dtype
+        self._stacks: dict[tuple[str, int], jax.Array] = {}
         self._numbers: list[dict[str, list[Any]]] = []
         for k, pose in enumerate(poses):
             own = {key: [_number(x, k, dtype) for x in parameters[f"geoms/{key}"]] for key in _KEYS}
@@ -44,7 +48,15 @@ class PlacedGeoms:
 
     def stacked(self, key: str, index: Sequence[int], entry: int = 0) -> jax.Array:
         """One number of some geoms, (P, C)."""
-        return stack_rows([self._numbers[i][key][entry] for i in index], self.lanes, self._dtype)
+        rows = [self._numbers[i][key][entry] for i in index]
+        if len(rows) <= _MANY:
+            return stack_rows(rows, self.lanes, self._dtype)
+        # Reading by index is slower than a stack of its own, which takes too long to compile for many pairs.
+        every = (key, entry)
+        if every not in self._stacks:
+            own = [numbers[key][entry] for numbers in self._numbers]
+            self._stacks[every] = stack_rows(own, self.lanes, self._dtype)
+        return self._stacks[every][np.array(index)]
 
     def shapes(self, kind: int, index: Sequence[int]) -> Shapes:
         """Some geoms, all of one kind."""

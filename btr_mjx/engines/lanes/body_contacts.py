@@ -106,7 +106,12 @@ class BodyContacts:
             total(mul(row[n], f) for row, f in zip(self.jacobian, force, strict=False))
             for n in range(len(self.columns))
         ]
-        return [(column, group_sum(x, self.slots)) for column, x in zip(self.columns, along, strict=True)]
+        return [(column, over_slots(x)) for column, x in zip(self.columns, along, strict=True)]
+
+
+def over_slots(x: jax.Array) -> jax.Array:
+    """Sum over the slots, (C,), of an array (K, C)."""
+    return group_sum(x, len(x)).reshape(x.shape[-1])
 
 
 def body_contacts(
@@ -134,8 +139,8 @@ def body_contacts(
       dtype: of the computation.
 
     Returns:
-      The contacts of each group; and bool (C,), worlds in which more pairs touch than there are slots, or capsules that
-      may touch are parallel, where MuJoCo finds two contacts.
+      The contacts of each group; and bool (C,), worlds in which more pairs touch than there are slots, capsules that
+      may touch are parallel, where MuJoCo finds two contacts, or the axes of capsules cross.
     """
     found, marked = [], jnp.zeros(geoms.lanes, bool)
     for n, group in enumerate(groups):
@@ -173,10 +178,12 @@ class _Touching:
         square = dot(apart, apart)
         inverse = jax.lax.rsqrt(jnp.maximum(square, 1e-30))
         self.normal = scale(inverse, apart)
-        distance = sub(mul(square, inverse), add(a.size[0], b.size[0]))
+        radii = add(a.size[0], b.size[0])
+        distance = sub(mul(square, inverse), radii)
         self.beyond = sub(distance, parameters.one(f"{key}/margin"))
         self.point = vadd(one, scale(add(a.size[0], mul(0.5, distance)), self.normal))
-        self.doubtful = fold_rows(jnp.logical_or, parallel & (self.beyond < slack))
+        crossing = square < eps * radii * radii  # the direction of the normal is lost in rounding
+        self.doubtful = fold_rows(jnp.logical_or, (parallel & (self.beyond < slack)) | crossing)
 
     def contacts(
         self,

@@ -16,9 +16,9 @@ from jax import lax
 
 from btr_mjx.engines.guards.places import fold_rows
 from btr_mjx.engines.lanes.articulated import Factors, solve_factored
-from btr_mjx.engines.lanes.body_contacts import BodyContacts, Column
+from btr_mjx.engines.lanes.body_contacts import BodyContacts, Column, over_slots
 from btr_mjx.engines.lanes.cones import ZoneModel
-from btr_mjx.engines.lanes.scalars import Scalar, add, array, dot, full, group_sum, matvec, vadd
+from btr_mjx.engines.lanes.scalars import Scalar, add, array, dot, full, matvec, total, vadd
 from btr_mjx.engines.lanes.spatial import Spatial, propagate
 from btr_mjx.engines.lanes.tree import FREE, TreePlan
 
@@ -65,8 +65,7 @@ def solve_coupled(
         return shaped([matvec(full(k), [*own, 0.0, 0.0][:3]) for (k, _), own in zip(linear, rows, strict=True)])
 
     def inner(a: _Rows, b: _Rows) -> jax.Array:
-        parts = [group_sum(dot(x, y), c.slots) for c, x, y in zip(contacts, a, b, strict=True)]
-        return array(sum(part.reshape(lanes) for part in parts), (lanes,), dtype)
+        return array(total(over_slots(dot(x, y)) for x, y in zip(a, b, strict=True)), (lanes,), dtype)
 
     def mixed(a: _Rows, length: Scalar, b: _Rows) -> _Rows:
         return [[x + length * y for x, y in zip(*pair, strict=True)] for pair in zip(a, b, strict=True)]

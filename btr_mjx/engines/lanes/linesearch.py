@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from btr_mjx.engines.lanes.body_contacts import BodyContacts
+from btr_mjx.engines.lanes.body_contacts import BodyContacts, over_slots
 from btr_mjx.engines.lanes.cones import Contact
 from btr_mjx.engines.lanes.dof_constraints import DofConstraint
 from btr_mjx.engines.lanes.dynamics import System
@@ -59,7 +59,7 @@ class ConstraintProblem:
 def _summed(plan: TreePlan, c: Constraint, x: Scalar) -> Scalar:
     """Sum over the members of a constraint's group, or over its slots."""
     if isinstance(c, BodyContacts):
-        return group_sum(x, c.slots).reshape(x.shape[-1])
+        return over_slots(x)
     return group_sum(x, plan.dof_size[c.dof] if isinstance(c, DofConstraint) else c.link.size)
 
 

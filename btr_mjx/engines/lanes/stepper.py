@@ -109,8 +109,9 @@ class LanesStepper:
             motion (colours, bounding boxes, ...) are ignored.
           max_newton: maximum number of solver iterations per step.
           dtype: float32 or float64; None for JAX's default.
-          guards: whether a model with contacts that are not computed is accepted. Each of them is guarded: `tripped`
-            tells the worlds in which it may have taken part; their states are not MuJoCo's.
+          guards: whether a model with contacts that may not be computed is accepted: those of other geoms are guarded,
+            those of spheres and capsules with each other have a limited number of slots. `tripped` tells the worlds in
+            which such a contact may have taken part; their states are not MuJoCo's.
 
         Raises:
           UnsupportedModel: the model uses something that this engine does not compute, or a field of `varying` may

@@ -67,7 +67,8 @@ def require_supported(model: mujoco.MjModel, guards: bool = False) -> Contacts:
 
     Args:
       model: the model.
-      guards: whether contacts that are not computed are guarded rather than refused.
+      guards: whether native MuJoCo can take over the worlds that the engine marks; otherwise contacts that may have to
+        be marked are refused.
 
     Returns:
       The possible contacts.
@@ -78,8 +79,11 @@ def require_supported(model: mujoco.MjModel, guards: bool = False) -> Contacts:
     for feature in refusals(model):
         raise refuse(feature)
     contacts = possible_contacts(model)
-    if contacts.guarded and not guards:
-        raise refuse(contacts.guarded[0].reason)
+    if not guards:
+        for guarded in contacts.guarded:
+            raise refuse(guarded.reason)
+        for pair in contacts.between:  # many of them at a time, or parallel capsules, are left to native MuJoCo
+            raise refuse(f"every contact between bodies ({_both(model, pair.first, pair.second)})")
     return contacts
 
 
@@ -119,8 +123,6 @@ def _check_elements(m: mujoco.MjModel) -> Iterator[str]:
     ):
         if count:
             yield f"{what} ({name(m, kind, 0)})"
-    if m.nmocap:
-        yield f"mocap bodies ({name(m, obj.mjOBJ_BODY, int(np.argmax(m.body_mocapid >= 0)))})"
     for field, kind, what in (
         ("body_gravcomp", obj.mjOBJ_BODY, "gravity compensation"),
         ("geom_adhesion", obj.mjOBJ_GEOM, "adhesion"),
