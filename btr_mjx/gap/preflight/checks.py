@@ -15,7 +15,7 @@ from btr_mjx.gap.data import Dataset, Noise, noise_of
 from btr_mjx.gap.preflight.conventions import position_conventions
 from btr_mjx.gap.preflight.drift import clock_drift
 from btr_mjx.gap.preflight.excitation import JointTrack, joint_tracks, moves, unexcited_effects
-from btr_mjx.gap.preflight.findings import Finding, Level, listed
+from btr_mjx.gap.preflight.findings import DEGREES_REMEDY, Finding, Level, listed
 from btr_mjx.gap.preflight.repeats import angle_jumps, held_commands, held_positions
 from btr_mjx.gap.preflight.stability import stability
 from btr_mjx.gap.preflight.timing import response_delays, sampling
@@ -98,7 +98,6 @@ def _conventions(
 
 def _units(joints: Sequence[JointTrack]) -> list[Finding]:
     findings: list[Finding] = []
-    remedy = "angles are in rad: divide by 57.3"
     for joint in joints:
         if not joint.hinge:
             continue
@@ -114,7 +113,7 @@ def _units(joints: Sequence[JointTrack]) -> list[Finding]:
             )
         else:
             continue
-        findings.append(Finding("error", "units", f"joint {joint.name!r} {text}; this looks like degrees, {remedy}"))
+        findings.append(Finding("error", "units", f"joint {joint.name!r} {text}; this looks like degrees; {DEGREES_REMEDY}"))
     return findings
 
 
