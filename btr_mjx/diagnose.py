@@ -281,7 +281,7 @@ def check_data(config: DiagnoseConfig) -> bool:
         from btr_mjx.gap.report import print_findings
 
         print_findings(findings)
-        print("the data can be used" if usable else "refused: mend the errors first")
+        print("the data can be used" if usable else "refused: the errors above have to be mended")
     return usable
 
 

@@ -59,7 +59,10 @@ def open_logs(model: str | Path, logs: Sequence[str | Path], progress: ReadProgr
     data = load_table(header_of(table, folder, where), table, where, progress, text)
     unread = f"{where} was not read, as the model and logs were given; to use it, give {folder}"
     first = unread if where.is_file() else f"there is no {DATASET_FILE}"
-    notes = (f"{first}; what was inferred is in {DATASET_FILE} of the run folder", *data.notes)
+    notes = (
+        f"{first}; what was inferred is listed here, and written as {DATASET_FILE} into the folder of a run",
+        *data.notes,
+    )
     told = [line for one in data.recordings for line in one.notes]
     header = [
         f"# Inferred from the files. To change it, copy it to {folder} and give that folder to diagnose.",

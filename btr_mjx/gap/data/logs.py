@@ -16,7 +16,7 @@ from btr_mjx.gap.data.formats.ros_bag import is_ros_folder, read_ros
 from btr_mjx.gap.data.formats.sysid import is_time_series, time_series_table
 from btr_mjx.gap.data.formats.torch_file import read_torch
 from btr_mjx.gap.data.names.matching import match_columns
-from btr_mjx.gap.data.names.remedy import Answer
+from btr_mjx.gap.data.names.remedy import NO_FILE, Answer
 from btr_mjx.gap.data.names.required import check_matched
 from btr_mjx.gap.data.names.units import conversion, stated_unit, to_seconds
 from btr_mjx.gap.data.tables import LogTable, log_table
@@ -46,7 +46,7 @@ class LogOptions:
     topics: Mapping[str, str] = field(default_factory=dict)
     unmeasured: Collection[str] = ()
     units: Mapping[str, str] = field(default_factory=dict)
-    answer: Answer = Answer()
+    answer: Answer = NO_FILE
 
 
 def is_log(path: Path) -> bool:

@@ -10,9 +10,7 @@ from btr_mjx.gap.data.formats.servo import SERVO_FILE, is_servo_folder, load_ser
 from btr_mjx.gap.data.inferred import logs_in, open_logs
 
 
-def open_dataset(
-    folder: str | Path, progress: ReadProgress | None = None, logs: Sequence[str | Path] = ()
-) -> Dataset:
+def open_dataset(folder: str | Path, progress: ReadProgress | None = None, logs: Sequence[str | Path] = ()) -> Dataset:
     """Read a folder of recordings in any supported format, or a model and its logs.
 
     Formats: dataset.toml with logs, dataset.toml with LeRobot files, servo.toml with BAM JSON files, one MJCF file with

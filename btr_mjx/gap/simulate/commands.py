@@ -17,7 +17,6 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Interpolation
 from btr_mjx.gap.simulate.rate_limit import rate_limited
 
-
 _WITHOUT_FILTER = int(mujoco.mjtDyn.mjDYN_NONE), int(mujoco.mjtDyn.mjDYN_PID)
 """Kinds of actuators whose force depends on the command itself."""
 

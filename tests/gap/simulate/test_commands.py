@@ -71,7 +71,8 @@ def test_step_control_is_mean_of_held_command(lags: Sequence[list[float]], delay
 def test_commands_act_when_integrators_need_them(integrator: str, actuator: str) -> None:
     """At a coarse step, positions are near those of a fine one, and nearer than with commands half a step later."""
     xml = f"""<mujoco><option timestep="0.004" integrator="{integrator}"/><worldbody><body>
-      <joint name="j" axis="0 1 0" damping="0.05" stiffness="4"/><geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.5"/>
+      <joint name="j" axis="0 1 0" damping="0.05" stiffness="4"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.5"/>
       </body></worldbody><actuator>{actuator}</actuator></mujoco>"""
     model = mujoco.MjModel.from_xml_string(xml)
     times = np.arange(0.0, 3.001, 0.02)

@@ -21,7 +21,7 @@ from btr_mjx.gap.data.names.one_column import (
     match_one,
     sensor_columns,
 )
-from btr_mjx.gap.data.names.remedy import Answer, quoted
+from btr_mjx.gap.data.names.remedy import NO_FILE, Answer, quoted
 from btr_mjx.gap.data.names.units import stated_unit
 from btr_mjx.gap.data.names.vocabulary import TIME, words
 from btr_mjx.models import nearest_names, part_names
@@ -45,7 +45,7 @@ def match_columns(
     model: mujoco.MjModel,
     given: Mapping[str, str],
     where: str,
-    answer: Answer = Answer(),
+    answer: Answer = NO_FILE,
     labelled: bool = False,
 ) -> Matched:
     """Match the columns of the tables of one recording.

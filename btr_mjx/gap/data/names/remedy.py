@@ -36,8 +36,8 @@ class Answer:
           An error with the lines to write and the command to run then.
         """
         lines = [
-            f"{quoted(f'NAME {i + 1}')} = {quoted(target)}  # nearest: {nearest_names(target.split('/', 1)[-1], columns)}"
-            for i, target in enumerate(targets)
+            f'"NAME {i}" = {quoted(target)}  # nearest: {nearest_names(target.partition("/")[2] or target, columns)}'
+            for i, target in enumerate(targets, 1)
         ]
         return self.error(message, lines, joints)
 
@@ -59,6 +59,10 @@ class Answer:
         run = f"then run: {command_line('btr_mjx.diagnose', [str(self.file.parent)])}"
         block = [f"{where}{fill}:", "", *head, "[columns]", *lines, "", *without, run]
         return InputError(f"{message}; name them in [columns] of {self.file}", lines=block)
+
+
+NO_FILE = Answer()
+"""Where nothing is known of a dataset.toml."""
 
 
 def quoted(text: str) -> str:

@@ -7,7 +7,7 @@ import mujoco
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns import control_columns, state_columns
 from btr_mjx.gap.data.names.matching import Matched
-from btr_mjx.gap.data.names.remedy import Answer
+from btr_mjx.gap.data.names.remedy import NO_FILE, Answer
 from btr_mjx.models import nearest_names, part_names
 
 _LISTED = 20
@@ -20,7 +20,7 @@ def check_matched(
     model: mujoco.MjModel,
     where: str,
     unmeasured: Collection[str] = (),
-    answer: Answer = Answer(),
+    answer: Answer = NO_FILE,
 ) -> None:
     """Check that every required column of a model was found, and no name misspelt.
 
