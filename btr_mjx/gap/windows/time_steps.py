@@ -4,8 +4,8 @@ The discretisation error of a first-order integrator acts like damping. Residual
 difference between the chosen and a fine step is simulated once per base hypothesis and added (`step_error`). With
 contacts this correction depends on the starting state; if it exceeds the noise, the step is divided (`refinement`).
 
-Measured data have no time step, simulated data may have that of the model. With stiff servos a difference of some tens
-of microseconds is visible, so that the step of the data is a nuisance parameter (`step_uncertainty`).
+Measured data have no time step, simulated data have a short one. With stiff servos a difference of some tens of
+microseconds is visible, so that the step of the data is a nuisance parameter (`step_uncertainty`).
 """
 
 import copy
@@ -24,8 +24,8 @@ _FINE = 1.25e-4
 
 _DATA_STEP = 1e-4
 _DATA_STEP_SIGMA = 1e-4
-"""Assumed time step of the data, and the smallest standard deviation of it [s]: measured data have none, and implicit
-and explicit integrators have errors of opposite sign."""
+"""Assumed time step of the data, and its standard deviation [s]: measured data have none, and implicit and explicit
+integrators have errors of opposite sign."""
 
 _MAX_EFFECT, _MAX_RATIO = 3.0, 3.0
 """Largest RMS effect of this uncertainty on a window: in units of the noise, and relative to the median window."""
@@ -73,10 +73,7 @@ def step_error(windows: Windows, make: Callable[[mujoco.MjModel], World], base: 
 
 
 def step_uncertainty(windows: Windows, make: Callable[[mujoco.MjModel], World] = World.of) -> np.ndarray:
-    """Change of the residual for one standard deviation of the time step of the data, that of the model.
-
-    Data that a simulator made with the model's own step differ from motion in continuous time by an apparent inertia
-    of half a step times the damping, for instance; with this nuisance it is no effect.
+    """Change of the residual for one standard deviation of the time step of the data.
 
     For models with a Runge-Kutta integrator, the error of a first-order integrator is simulated instead, as it is the
     likely one of simulated data.
@@ -88,8 +85,7 @@ def step_uncertainty(windows: Windows, make: Callable[[mujoco.MjModel], World] =
     Returns:
       (W, R) in units of the noise, with the starting states projected out.
     """
-    own = max(1.0, float(windows.models[0].opt.timestep) / _DATA_STEP_SIGMA)
-    return own * project(_step_uncertainty(windows, make), windows.basis)
+    return project(_step_uncertainty(windows, make), windows.basis)
 
 
 def reliable_windows(windows: Windows, make: Callable[[mujoco.MjModel], World], contact: bool) -> Windows:
