@@ -229,7 +229,7 @@ def examine(
 
         table = load_fitness(folder)
         return table, preflight_fitness(table)
-    from btr_mjx.gap.data import open_dataset, open_logs
+    from btr_mjx.gap.data import open_dataset
 
     with ExitStack() as stack:
         bar = None
@@ -242,8 +242,7 @@ def examine(
             if bar is not None:
                 bar.update(done - bar.n)
 
-        given_files = logs or (folder.is_file() and folder.suffix != ".toml")
-        dataset = open_logs(folder, logs, report) if given_files else open_dataset(folder, report)
+        dataset = open_dataset(folder, report, logs)
         if bar is not None:
             bar.set_description("checks")
         from btr_mjx.gap.preflight import preflight
@@ -282,7 +281,7 @@ def check_data(config: DiagnoseConfig) -> bool:
         from btr_mjx.gap.report import print_findings
 
         print_findings(findings)
-        print("the data can be used" if usable else "refused: mend the errors first")
+        print("the data can be used" if usable else "refused: the errors above have to be mended")
     return usable
 
 

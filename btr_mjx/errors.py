@@ -1,8 +1,8 @@
 """Errors of bad input and of interrupts, and how commands report them.
 
 Three outcomes of a command are not bugs: bad input (exit code 2), a file or folder the operating system refuses (2) and
-an interrupt (130). `cli_errors` turns these into one line on stderr; everything else is a bug and keeps its traceback.
-Set `BTR_MJX_TRACEBACK=1` to see the traceback of bad input as well.
+an interrupt (130). `cli_errors` turns these into one line on stderr, with what to write below it where that takes more;
+everything else is a bug and keeps its traceback. Set `BTR_MJX_TRACEBACK=1` to see the traceback of bad input as well.
 
 Inside the package, raise `InputError` (or another ValueError subclass of the package) for whatever a caller can
 correct: the message names what was given, what was expected and the remedy. A bare ValueError counts as a bug, because
@@ -27,7 +27,15 @@ INTERRUPTED_CODE = 130
 
 
 class InputError(ValueError):
-    """Bad input: the message names what was given, what was expected and the remedy."""
+    """Bad input: the message names what was given, what was expected and the remedy.
+
+    Attributes:
+      lines: what to write or to run, where that takes more than the message; commands print it below the message.
+    """
+
+    def __init__(self, *message: object, lines: Sequence[str] = ()) -> None:
+        super().__init__(*message)
+        self.lines = tuple(lines)
 
 
 class DamagedFile(InputError):
@@ -61,16 +69,34 @@ def one_line(error: BaseException) -> str:
         text = ": ".join([" -> ".join(names), error.strerror] if names else [error.strerror])
     else:
         text = str(error) or type(error).__name__
-    text = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in " ".join(text.split()))
+    text = _printable(" ".join(text.split()))
     return text if len(text) <= MAX_LINE else f"{text[: MAX_LINE - 200]} ... {text[-190:]}"
+
+
+def _printable(text: str) -> str:
+    return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
+
+
+def command_line(module: str, words: Sequence[str]) -> str:
+    """The shell command that runs a command of this package.
+
+    Under `uv run` it begins with `uv run`, since Python alone would not find this package; where the command was
+    started by its own name (btr-coevolve), it has that.
+
+    Args:
+      module: name of the command's module, e.g. "btr_mjx.coevolve".
+      words: its arguments.
+    """
+    launcher = ["uv", "run"] if "UV_RUN_RECURSION_DEPTH" in os.environ else []
+    script = module.replace("btr_mjx.", "btr-")
+    command = [script] if Path(sys.argv[0]).name == script else ["python", "-m", module]
+    return shlex.join([*launcher, *command, *words])
 
 
 def resume_command(module: str, argv: Sequence[str] | None = None, out: str | Path | None = None) -> str:
     """The shell command that continues an interrupted run.
 
-    A resumed run needs the config it began with, so every argument is repeated. Under `uv run` the command begins with
-    `uv run`, since Python alone would not find this package; where the command was started by its own name
-    (btr-coevolve), it is continued by that.
+    A resumed run needs the config it began with, so every argument is repeated; see `command_line`.
 
     Args:
       module: name of the command's module, e.g. "btr_mjx.coevolve".
@@ -83,10 +109,7 @@ def resume_command(module: str, argv: Sequence[str] | None = None, out: str | Pa
     words = [word for word in (sys.argv[1:] if argv is None else argv) if word not in ("--resume", "--no-resume")]
     if out is not None and not any(word == "--out" or word.startswith("--out=") for word in words):
         words += ["--out", str(out)]
-    launcher = ["uv", "run"] if "UV_RUN_RECURSION_DEPTH" in os.environ else []
-    script = module.replace("btr_mjx.", "btr-")
-    command = [script] if Path(sys.argv[0]).name == script else ["python", "-m", module]
-    return shlex.join([*launcher, *command, *words, "--resume"])
+    return command_line(module, [*words, "--resume"])
 
 
 @contextmanager
@@ -112,4 +135,6 @@ def cli_errors(resume: str | None = None) -> Iterator[None]:
         if not is_bad_input(error) or os.environ.get("BTR_MJX_TRACEBACK", "") not in ("", "0"):
             raise
         print(f"error: {one_line(error)}", file=sys.stderr)
+        for line in getattr(error, "lines", ()):
+            print(_printable(line), file=sys.stderr)
         raise SystemExit(BAD_INPUT_CODE) from None

@@ -31,12 +31,12 @@ def randomizer(file: str | Path) -> Callable[[mjx.Model, jax.Array], tuple[mjx.M
     """A function (model, rng) -> (model with a leading axis in the fields that vary, in_axes for `jax.vmap`).
 
     Args:
-      file: randomisation.json: parameter -> path -> [value at its low end, value at its high end].
+      file: randomisation.json; its "parameters" are parameter -> path -> [value at its low end, value at its high end].
 
     Returns:
       The function. Its `rng` holds one key for each world.
     """
-    parameters = list(json.loads(Path(file).read_text(encoding="utf-8")).values())
+    parameters = list(json.loads(Path(file).read_text(encoding="utf-8"))["parameters"].values())
 
     def randomize(model: mjx.Model, rng: jax.Array) -> tuple[mjx.Model, Any]:
         def has(name: str) -> bool:

@@ -30,6 +30,14 @@ class ExportedParameter:
     paths: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
+_USE = (
+    "Draw one share in [0, 1] for each parameter and set all of its numbers together: low + share * (high - low). "
+    "The first value of a number belongs to the low end of the parameter, the second to its high end, whichever is "
+    "larger. Intervals are statistical only: widen them for wear, temperature and other robots of the series."
+)
+"""How randomisation.json is read, as its reader needs it."""
+
+
 def write_exports(folder: Path, parameters: Sequence[ExportedParameter]) -> None:
     """Write parameters.csv, parameters.json and, where there are ranges, randomisation.json.
 
@@ -50,4 +58,4 @@ def write_exports(folder: Path, parameters: Sequence[ExportedParameter]) -> None
     write_json(folder / "parameters.json", rows)
     ranges = {one.name: one.paths for one in parameters if one.paths and one.low is not None}
     if ranges:
-        write_json(folder / "randomisation.json", ranges)
+        write_json(folder / "randomisation.json", {"use": _USE, "parameters": ranges})

@@ -36,7 +36,9 @@ def diagnosis_replay(folder: Path, frames: int, seconds: float) -> Replay:
     config, result = read_config_json(folder), read_json(folder / "result.json")
     if config.get("signal", "trajectory") != "trajectory":
         raise InputError(f"{folder}: a table of fitness was diagnosed, which holds no motion that could be shown")
-    dataset = open_dataset(folder / "demo" if config.get("demo") else Path(config["dataset"]))
+    dataset = open_dataset(
+        folder / "demo" if config.get("demo") else Path(config["dataset"]), logs=config.get("logs") or ()
+    )
     assert isinstance(dataset, Dataset)
     if not config.get("demo"):
         check_inputs(folder, {"the dataset": content_digest(dataset)})

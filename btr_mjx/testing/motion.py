@@ -162,18 +162,21 @@ def _place_on_ground(model: mujoco.MjModel, data: mujoco.MjData, believed: mujoc
 
 
 def _delayed_commands(reality: HiddenReality, motion: MotionCommand, steps: int, timestep: float) -> np.ndarray:
-    """Commands (steps, nu) at the middle of each step, after delay and lag; constant before the start."""
-    times = (np.arange(steps) + 0.5) * timestep
+    """Commands (steps, nu) at the start of each step, after delay and lag; constant before the start.
+
+    Semi-implicit Euler is of second order with the command at the start of a step, see `command_phase`.
+    """
+    times = np.arange(steps) * timestep
     commands = motion(times)
     for i in np.flatnonzero(reality.delay):
         commands[:, i] = motion(np.maximum(times - reality.delay[i], 0.0))[:, i]
     for i in np.flatnonzero(reality.lag):
-        # First-order lag, exact for a command that is linear between the middles of two steps, from a state of rest.
+        # First-order lag, exact for a command that is linear between two steps, from a state of rest.
         constant = float(reality.lag[i])
         last = state = float(motion(np.zeros(1))[0, i])
-        for k in range(steps):
-            span, command = (timestep if k else timestep / 2), float(commands[k, i])
-            ramp = constant * (command - last) / span
-            state = command - ramp + (state - last + ramp) * np.exp(-span / constant)
+        for k in range(1, steps):
+            command = float(commands[k, i])
+            ramp = constant * (command - last) / timestep
+            state = command - ramp + (state - last + ramp) * np.exp(-timestep / constant)
             last, commands[k, i] = command, state
     return commands

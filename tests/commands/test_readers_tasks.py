@@ -4,6 +4,7 @@ Each log is of a small robot in which nothing is missing or whose elbow has dry 
 before the search, and one searches.
 """
 
+import shlex
 from pathlib import Path
 
 import h5py
@@ -142,25 +143,50 @@ def test_a_free_swing_in_nanoseconds(tmp_path: Path) -> None:
     np.testing.assert_allclose(dataset.recordings[0].time, 1e-3 * np.arange(2000), atol=6e-7)
 
 
-def test_a_name_that_is_missing_is_asked_for_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Then three lines of dataset.toml answer it."""
-    log = simulated_log(ARM, 2.0)
+def test_names_that_are_missing_are_asked_for_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The printed dataset.toml, with the names filled in, and the printed command answer it."""
+    log, logs = simulated_log(ARM, 2.0), tmp_path / "logs"
+    logs.mkdir()
     (tmp_path / "arm.xml").write_text(ARM)
     rows = [f"{t:.4f},{q[0]},{q[1]},{u[0]},{u[1]}" for t, q, u in zip(log.time, log.qpos, log.ctrl, strict=True)]
-    (tmp_path / "log.csv").write_text("\n".join(["t,shoulder,elbw_angle,shoulder_cmd,elbow_cmd", *rows]))
+    (logs / "log.csv").write_text("\n".join(["t,kanal_a,kanal_b,kanal_c,kanal_d", *rows]))
     with pytest.raises(SystemExit) as stop:
-        diagnose.main([str(tmp_path / "arm.xml"), str(tmp_path / "log.csv"), "--out", str(tmp_path / "run")])
+        diagnose.main([str(tmp_path / "arm.xml"), str(logs / "log.csv"), "--out", str(tmp_path / "run")])
     assert stop.value.code == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert "no column 'qpos/elbow'; nearest in the file: 'elbw_angle'" in error
+    message, _, remedy = capsys.readouterr().err.partition("\n")
+    assert "no column 'qpos/shoulder', 'qpos/elbow', 'ctrl/shoulder', 'ctrl/elbow'" in message
+    assert "columns of the file: 't', 'kanal_a', 'kanal_b', 'kanal_c', 'kanal_d'" in message
     assert not (tmp_path / "run").exists()
-    lines = error.partition("beside it: ")[2].strip().split(" | ")
-    assert len(lines) == 3
-    (tmp_path / "dataset.toml").write_text("\n".join(lines).replace("NAME", "elbw_angle"))
-    dataset, findings = findings_of(tmp_path)
+    where, _, lines = remedy.partition("\n")
+    text, _, command = lines.partition("(a joint without")
+    for number, name in enumerate("abcd", 1):
+        text = text.replace(f"NAME {number}", f"kanal_{name}")
+    file = Path(where.removeprefix("Write this to ").partition(", with names")[0])
+    file.write_text(text)
+    words = shlex.split(command.partition("then run: ")[2])
+    diagnose.main([*words[words.index("btr_mjx.diagnose") + 1 :], "--check"])
+    dataset, findings = findings_of(file.parent)
     same_motion(dataset, log, 1e-12)
-    assert told(findings, "elbw_angle = qpos/elbow")
+    assert told(findings, "kanal_b = qpos/elbow")
+
+
+def test_units_that_no_name_states(tmp_path: Path) -> None:
+    log = simulated_log(ARM, 2.0)
+    (tmp_path / "arm.xml").write_text(ARM)
+    scale = np.array([1e3, *np.rad2deg(np.ones(2)), *np.rad2deg(np.ones(2))])
+    rows = np.column_stack([log.time, log.qpos, log.ctrl]) * scale
+    np.savetxt(tmp_path / "log.csv", rows, "%.12g", ",", header="t,a,b,c,d", comments="")
+    units = "\n".join(f'{name} = "deg"' for name in "abcd")
+    columns = 'a = "qpos/shoulder"\nb = "qpos/elbow"\nc = "ctrl/shoulder"\nd = "ctrl/elbow"'
+    head = f'[model]\nfile = "arm.xml"\n[[recording]]\nfile = "log.csv"\n[columns]\n{columns}\n[units]\n'
+    (tmp_path / "dataset.toml").write_text(f'{head}t = "ms"\n{units}\n')
+    dataset, findings = findings_of(tmp_path)
+    same_motion(dataset, log, 1e-9)
+    assert told(findings, "converted to SI units: a from deg")
+    for wrong, message in (('a = "furlong"', "expected one of s, ms"), ('x = "deg"', "nearest in the file")):
+        (tmp_path / "dataset.toml").write_text(f"{head}{wrong}\n")
+        with pytest.raises(InputError, match=message):
+            findings_of(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,9 @@ def test_files(tmp_path: Path) -> None:
     assert table.columns == ["name", "unit", "value", "low", "high", "origin"]
     assert table["low"].to_list() == [None, 0.2, 0.2]
     assert [row["name"] for row in json.loads((tmp_path / "parameters.json").read_text())] == table["name"].to_list()
-    assert json.loads((tmp_path / "randomisation.json").read_text()) == {"damping": {"dof_damping[0]": [0.2, 0.4]}}
+    assert json.loads((tmp_path / "randomisation.json").read_text())["parameters"] == {
+        "damping": {"dof_damping[0]": [0.2, 0.4]}
+    }
     write_exports(tmp_path / "nothing", [])
     assert not (tmp_path / "nothing").exists()
 
@@ -89,7 +91,7 @@ def exported(folder: Path, *effects: NamedEffect) -> dict[str, Any]:
     diagnosis: Any = SimpleNamespace(believed=(), effects=effects)
     dataset: Any = SimpleNamespace(parameters=())
     export_diagnosis(diagnosis, dataset, folder, lambda found: mend(gap_arm.XML, found))
-    return json.loads((folder / "randomisation.json").read_text())
+    return json.loads((folder / "randomisation.json").read_text())["parameters"]
 
 
 DAMPING = NamedEffect("viscous_damping", "joint:elbow", {"damping": Estimate(0.3, 0.2, 0.5, "N m s/rad")}, 9.0, 3.0)

@@ -8,10 +8,11 @@ import mujoco
 import numpy as np
 import pytest
 from PIL import Image
+from robot_logs import ARM, simulated_log
 
 from btr_mjx import coevolve, diagnose
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data import Recording, control_columns
+from btr_mjx.gap.data import Recording, control_columns, open_dataset
 from btr_mjx.gap.data.columns import state_columns
 from btr_mjx.gap.simulate import World
 from btr_mjx.models import base_model
@@ -22,7 +23,7 @@ from btr_mjx.replays.diagnosis import open_loop_positions
 from btr_mjx.replays.film import FOOT, LABEL, _Layout
 from btr_mjx.replays.motion import frame_times, hold_last_valid
 from btr_mjx.robots import hexapod
-from btr_mjx.runs import read_json, write_json, write_table
+from btr_mjx.runs import RunFolder, content_digest, read_json, write_json, write_table
 
 SMALL_RUN = (
     *("--engine=native", "--duration=0.2", "--controllers=8", "--controller-generations=2", "--trials=3"),
@@ -196,7 +197,7 @@ def test_open_loop_is_a_loop_over_steps() -> None:
     data.qpos[0] = 0.2
     expected = [0.2]
     for k in range(39 * 5):
-        data.ctrl[0] = np.interp((k + 0.5) * 0.002, time, ctrl[:, 0])
+        data.ctrl[0] = np.interp(k * 0.002, time, ctrl[:, 0])
         mujoco.mj_step(model, data)
         if (k + 1) % 5 == 0:
             expected.append(data.qpos[0])
@@ -252,6 +253,22 @@ def test_a_robot_behind_a_folder_is_shown_where_it_was_recorded(run: Path, tmp_p
     shown = read_replay(copied, 5, 6.0)
     assert [len(row) for row in shown.rows] == [2, 1]
     np.testing.assert_allclose(shown.rows[0][1].qpos, real.qpos[::10], atol=1e-12)
+
+
+def test_a_diagnosis_of_a_model_and_its_logs_is_shown(tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").write_text(ARM)
+    log = simulated_log(ARM, 3.0)
+    columns = {"time": log.time, "shoulder": log.qpos[:, 0], "elbow": log.qpos[:, 1]}
+    write_table(tmp_path / "log.csv", columns | {"u1": log.ctrl[:, 0], "u2": log.ctrl[:, 1]})
+    given = diagnose.DiagnoseConfig(tmp_path / "arm.xml", (tmp_path / "log.csv",), out=tmp_path / "run")
+    inputs = {"the dataset": content_digest(open_dataset(tmp_path / "arm.xml", logs=given.logs))}
+    assert given.out is not None
+    with RunFolder.create(given.out, given, inputs=inputs) as run:
+        write_json(run.path / "result.json", {"verdict": "none", "effects": []})
+        run.seal()
+    shown = read_replay(given.out, 10, 1.0)
+    assert [motion.title for motion in shown.motions] == ["recording", "believed model"]
+    assert np.abs(shown.motions[0].qpos - shown.motions[1].qpos).max() < 0.05
 
 
 @pytest.mark.slow

@@ -116,7 +116,7 @@ def loop(model: mujoco.MjModel, segments: Segments, row: int, act, steps: int) -
     data = mujoco.MjData(model)
     data.time, data.qpos[:], data.qvel[:] = segments.start[row], segments.qpos[row], segments.qvel[row]
     for k in range(steps):
-        t = segments.start[row] + (k + 0.5) * model.opt.timestep
+        t = segments.start[row] + k * model.opt.timestep
         data.ctrl[:] = segments.commands[0].at(t)
         if k == 0:
             mujoco.mj_forward(model, data)

@@ -26,6 +26,9 @@
     [columns]                           # optional: names of the log = names of the model, see `names`
     "Hip angle" = "qpos/hip"
 
+    [units]                             # optional: units of columns whose names state none
+    "Hip angle" = "deg"
+
     [topics]                            # optional: of ROS recordings, see `formats.ros_bag`
     joint_states = "/joint_states"
 
@@ -55,6 +58,8 @@ from btr_mjx.gap.data.held import stairs
 from btr_mjx.gap.data.logs import LogOptions
 from btr_mjx.gap.data.long_files import Advance, count_rows, shares
 from btr_mjx.gap.data.model_file import load_model
+from btr_mjx.gap.data.names.remedy import Answer
+from btr_mjx.gap.data.names.units import UNITS, known_unit
 from btr_mjx.gap.data.noise import Noise, estimate_noise, read_noise, without_sensor
 from btr_mjx.gap.data.reading import Reading, read_recording, recording_files
 from btr_mjx.gap.data.recording import Recording
@@ -64,7 +69,7 @@ from btr_mjx.runs import check_keys, file_inside, is_number, read_toml, toml_row
 
 DATASET_FILE = "dataset.toml"
 """Name of the file that describes a dataset folder."""
-TABLES = ("model", "parameter", "recording", "control", "tolerances", "noise", "columns", "topics")
+TABLES = ("model", "parameter", "recording", "control", "tolerances", "noise", "columns", "units", "topics")
 """Tables that dataset.toml may hold."""
 
 Interpolation = Literal["hold", "linear", "cubic"]
@@ -135,7 +140,7 @@ def load(folder: str | Path, progress: ReadProgress | None = None) -> Dataset:
 
 
 def load_table(
-    head: Dataset, table: Mapping[str, Any], path: Path, progress: ReadProgress | None = None, hint: str = ""
+    head: Dataset, table: Mapping[str, Any], path: Path, progress: ReadProgress | None = None, text: str = ""
 ) -> Dataset:
     """Read the recordings of a dataset whose header was read.
 
@@ -144,7 +149,7 @@ def load_table(
       table: content of dataset.toml.
       path: of dataset.toml, for messages.
       progress: called while recordings are read.
-      hint: lines of dataset.toml that a remedy has to name besides.
+      text: of dataset.toml, where there is no such file yet.
 
     Raises:
       InputError, DamagedFile, OSError: see `load`.
@@ -155,7 +160,11 @@ def load_table(
         raise InputError(f'{path}: there is no [[recording]]; add one with file = "..."')
     stated = table.get("control", {}).get("interpolation")
     options = LogOptions(
-        _texts(table, "columns", path), _topics(table, path, notes), _unmeasured(table, head.model, path), hint
+        _texts(table, "columns", path),
+        _topics(table, path, notes),
+        _unmeasured(table, head.model, path),
+        _units(table, path),
+        Answer(path, text),
     )
     reading = Reading(options, hold=stated in (None, "hold"))
     places = [f"{path}: [[recording]] {i + 1}" for i in range(len(listed))]
@@ -192,6 +201,15 @@ def _texts(table: Mapping[str, Any], key: str, path: Path) -> Mapping[str, str]:
     if not isinstance(found, Mapping) or not all(isinstance(value, str) for value in found.values()):
         raise InputError(f'{path}: [{key}]: expected lines of "NAME" = "NAME", got {found!r}')
     return found
+
+
+def _units(table: Mapping[str, Any], path: Path) -> Mapping[str, str]:
+    """Units by name in the log, as `UNITS` names them."""
+    found = {name: known_unit(text) for name, text in _texts(table, "units", path).items()}
+    for name, unit in found.items():
+        if unit is None:
+            raise InputError(f"{path}: [units] {name!r} = {table['units'][name]!r}: expected one of {', '.join(UNITS)}")
+    return {name: unit for name, unit in found.items() if unit}
 
 
 def _unmeasured(table: Mapping[str, Any], model: mujoco.MjModel, path: Path) -> Sequence[str]:

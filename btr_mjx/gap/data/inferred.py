@@ -1,6 +1,5 @@
 """Datasets without a dataset.toml: a model and its logs, with what could be inferred written as a dataset.toml."""
 
-import json
 import os
 import tomllib
 from collections.abc import Sequence
@@ -10,6 +9,7 @@ from pathlib import Path
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, ReadProgress, header_of, load_table
 from btr_mjx.gap.data.logs import LOG_SUFFIXES, is_log
+from btr_mjx.gap.data.names.remedy import quoted
 
 _MODELS = (".xml", ".mjcf")
 _NO_LOGS = ("readme.txt", "license.txt", "requirements.txt")
@@ -32,8 +32,8 @@ def open_logs(model: str | Path, logs: Sequence[str | Path], progress: ReadProgr
       The dataset; `Dataset.inferred` is the dataset.toml that says the same.
 
     Raises:
-      InputError: a file that does not exist or is no recording, or columns that cannot be matched to the model; one
-        line with the nearest names and what to write.
+      InputError: a file that does not exist or is no recording, or columns that cannot be matched to the model; with
+        what to write and to run.
       DamagedFile: a file that does not parse.
       OSError: a file that cannot be read.
     """
@@ -56,15 +56,19 @@ def open_logs(model: str | Path, logs: Sequence[str | Path], progress: ReadProgr
     text = _written(names[0], names[1:])
     table = tomllib.loads(text)
     where = folder / DATASET_FILE
-    hint = f"model = {{ file = {_quoted(names[0])} }} | recording = [{{ file = {_quoted(names[1])} }}]"
-    data = load_table(header_of(table, folder, where), table, where, progress, hint)
-    notes = (f"there is no {DATASET_FILE}; what was inferred is in {DATASET_FILE} of the run folder", *data.notes)
+    data = load_table(header_of(table, folder, where), table, where, progress, text)
+    unread = f"{where} was not read, as the model and logs were given; to use it, give {folder}"
+    first = unread if where.is_file() else f"there is no {DATASET_FILE}"
+    notes = (
+        f"{first}; what was inferred is listed here, and written as {DATASET_FILE} into the folder of a run",
+        *data.notes,
+    )
     told = [line for one in data.recordings for line in one.notes]
     header = [
         f"# Inferred from the files. To change it, copy it to {folder} and give that folder to diagnose.",
         *(f"# {line}" for line in dict.fromkeys([*data.notes, *told])),
     ]
-    interpolation = ["", "[control]", f"interpolation = {_quoted(data.interpolation)}"]
+    interpolation = ["", "[control]", f"interpolation = {quoted(data.interpolation)}"]
     inferred = "\n".join([*header, "", text.rstrip(), *interpolation]) + "\n"
     return replace(data, notes=notes, inferred=inferred)
 
@@ -89,11 +93,7 @@ def logs_in(folder: Path) -> tuple[Path, list[Path]]:
 
 def _written(model: str, logs: Sequence[str]) -> str:
     """The dataset.toml of a model and its logs, without what is in their columns."""
-    lines = ["[model]", f"file = {_quoted(model)}"]
+    lines = ["[model]", f"file = {quoted(model)}"]
     for log in logs:
-        lines += ["", "[[recording]]", f"file = {_quoted(log)}"]
+        lines += ["", "[[recording]]", f"file = {quoted(log)}"]
     return "\n".join(lines) + "\n"
-
-
-def _quoted(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False)

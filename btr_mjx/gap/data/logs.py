@@ -16,9 +16,11 @@ from btr_mjx.gap.data.formats.ros_bag import is_ros_folder, read_ros
 from btr_mjx.gap.data.formats.sysid import is_time_series, time_series_table
 from btr_mjx.gap.data.formats.torch_file import read_torch
 from btr_mjx.gap.data.names.matching import match_columns
+from btr_mjx.gap.data.names.remedy import NO_FILE, Answer
 from btr_mjx.gap.data.names.required import check_matched
 from btr_mjx.gap.data.names.units import conversion, stated_unit, to_seconds
 from btr_mjx.gap.data.tables import LogTable, log_table
+from btr_mjx.models import nearest_names
 from btr_mjx.runs import read_arrays, read_table
 
 TEXT = (".csv", ".tsv", ".txt", ".dat", ".log")
@@ -36,13 +38,15 @@ class LogOptions:
       columns: names of the model by name in the log.
       topics: topics by key of `formats.ros_bag.TOPICS`.
       unmeasured: names of joints that are said to have no encoder.
-      hint: lines of dataset.toml that a remedy has to name besides, where there is no such file yet.
+      units: units by name in the log.
+      answer: where a user says what columns are.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
     topics: Mapping[str, str] = field(default_factory=dict)
     unmeasured: Collection[str] = ()
-    hint: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
+    answer: Answer = NO_FILE
 
 
 def is_log(path: Path) -> bool:
@@ -166,8 +170,13 @@ def plan_tables(
       InputError: columns that are missing or ambiguous, or a unit that does not fit.
     """
     named = [(label, names) for label, names, _ in tables]
-    matched = match_columns(named, model, options.columns, where, options.hint, labelled=len(tables) > 1)
-    check_matched(matched, named, model, where, options.unmeasured, options.hint)
+    known = [name for _, names in named for name in names]
+    for name in options.units:
+        if name not in known:
+            near = nearest_names(name, known)
+            raise InputError(f"{where}: [units] {name!r}: there is no such column; nearest in the file: {near}")
+    matched = match_columns(named, model, options.columns, where, options.answer, labelled=len(tables) > 1)
+    check_matched(matched, named, model, where, options.unmeasured, options.answer)
     notes += matched.notes
     plans = []
     for i, (_, names, units) in enumerate(tables):
@@ -177,7 +186,7 @@ def plan_tables(
         factors, told = {}, []
         time: tuple[str, str | None] = ("", None)
         for name, target in own.items():
-            unit = units.get(name) or stated_unit(name)[1]
+            unit = options.units.get(name) or units.get(name) or stated_unit(name)[1]
             factor = conversion(target, unit, model, f"{where}: column {name!r}") if unit else 1.0
             if target == "time":
                 time = name, unit

@@ -1,5 +1,6 @@
 """Detection of the format of a folder of recordings."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from btr_mjx.errors import InputError
@@ -9,15 +10,16 @@ from btr_mjx.gap.data.formats.servo import SERVO_FILE, is_servo_folder, load_ser
 from btr_mjx.gap.data.inferred import logs_in, open_logs
 
 
-def open_dataset(folder: str | Path, progress: ReadProgress | None = None) -> Dataset:
-    """Read a folder of recordings in any supported format.
+def open_dataset(folder: str | Path, progress: ReadProgress | None = None, logs: Sequence[str | Path] = ()) -> Dataset:
+    """Read a folder of recordings in any supported format, or a model and its logs.
 
     Formats: dataset.toml with logs, dataset.toml with LeRobot files, servo.toml with BAM JSON files, one MJCF file with
     logs.
 
     Args:
-      folder: the folder, or its dataset.toml or servo.toml.
+      folder: the folder, or its dataset.toml or servo.toml; or the model that `logs` are of.
       progress: called with the bytes that were read so far, and those of all files; not for LeRobot's and BAM's forms.
+      logs: files of recordings.
 
     Returns:
       The dataset.
@@ -30,6 +32,8 @@ def open_dataset(folder: str | Path, progress: ReadProgress | None = None) -> Da
     folder = Path(folder)
     if folder.is_file() and folder.name in (DATASET_FILE, SERVO_FILE):
         folder = folder.parent
+    if logs or folder.is_file():
+        return open_logs(folder, logs, progress)
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such folder")
     if (folder / DATASET_FILE).is_file():

@@ -12,6 +12,8 @@ from btr_mjx.gap.effects.ranges import Scales, integrator_inertia, smallest_beli
 from btr_mjx.gap.simulate import Rows, World
 
 AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
+_INERTIA_ERROR = 0.01
+"""Negligible armature, as a fraction of the inertia that the joint moves: masses of models are not better known."""
 
 
 def _armature(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
@@ -20,11 +22,8 @@ def _armature(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Para
     # The reflected inertia of a rotor may exceed that of a light link; the bound is what the motors can accelerate.
     torque, amplitude, speed = (typical_scale(x, place, model) for x in (scales.torque, scales.amplitude, scales.speed))
     most = max(5.0 * size, 3.0 * torque * amplitude / speed**2)
-    return (
-        Parameter(
-            "armature", unit, -believed, most, 0.05 * size, 0.01 * believed, negligible=integrator_inertia(model, place)
-        ),
-    )
+    negligible = max(integrator_inertia(model, place), _INERTIA_ERROR * size)
+    return (Parameter("armature", unit, -believed, most, 0.05 * size, 0.01 * believed, negligible=negligible),)
 
 
 def _apply_armature(world: World, place: Place, values: np.ndarray) -> None:

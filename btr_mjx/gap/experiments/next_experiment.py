@@ -30,6 +30,9 @@ _MAX_WINDOWS = 5
 DECISIVE_MARGIN = 25.0
 """Difference of scores from which on two hypotheses count as separated, in units of twice the log-likelihood."""
 
+LEAST_MARGIN = 1.0
+"""Expected difference of scores below which a command is not proposed: noise moves the difference by more."""
+
 
 def propose(
     diagnosis: Diagnosis,
@@ -48,7 +51,8 @@ def propose(
       counter: counts the simulated steps.
 
     Returns:
-      The proposal; None where fewer than two hypotheses survived, or where nothing takes a command.
+      The proposal; None where fewer than two hypotheses survived, where nothing takes a command, or where no command
+      is expected to separate them by `LEAST_MARGIN`.
     """
     survivors = diagnosis.survivors[:3]
     if len(survivors) < 2 or not dataset.model.nu:
@@ -60,6 +64,8 @@ def propose(
     # A command is rated by the pair that it separates least.
     values = np.array([min(pairs.values()) for pairs in found])
     best = int(np.argmax(values))
+    if values[best] < LEAST_MARGIN:
+        return None
     pair = min(found[best], key=lambda key: found[best][key])
     command = commands[best]
     names = survivors[pair[0]].name, survivors[pair[1]].name

@@ -9,6 +9,7 @@ import numpy as np
 
 from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import joint_of
+from btr_mjx.gap.preflight.findings import DEGREES_REMEDY
 from btr_mjx.gap.preflight.predictions import Change, ColumnMap, CoordinateGroup
 from btr_mjx.models import part_names
 
@@ -148,7 +149,7 @@ class Catalogue:
             yield 1e-3, 0.0, "looks like millimetres", "positions of slides are in m: divide by 1000"
             yield 1e-2, 0.0, "looks like centimetres", "positions of slides are in m: divide by 100"
         else:
-            yield np.pi / 180, 0.0, "looks like degrees", "angles are in rad: divide by 57.3"
+            yield np.pi / 180, 0.0, "looks like degrees", DEGREES_REMEDY
             yield 2 * np.pi / _TICKS, 0.0, f"looks like encoder counts, {_TICKS} a turn", "multiply by 2 pi / 4096"
             words = f"looks like encoder counts, {_TICKS} a turn with 2048 in the middle"
             yield 2 * np.pi / _TICKS, -np.pi, words, "subtract 2048, then multiply by 2 pi / 4096"
@@ -215,18 +216,17 @@ class Catalogue:
             return
         qpos = self._scaled(joints, np.pi / 180)
         servos = [a for j in joints for a in self._drives.get(j, []) if self._is_servo(a)]
-        remedy = "angles are in rad: divide by 57.3"
         yield Alternative(
             Change(qpos, self._no_ctrl()),
             tuple(hinges),
             "the positions of all hinges look like degrees",
-            remedy,
+            DEGREES_REMEDY,
             "units",
         )
         if servos:
             both = Change(qpos, self._driven(servos, np.pi / 180))
             words = "the positions and commands of all hinges look like degrees"
-            yield Alternative(both, tuple(hinges), words, remedy, "units", elsewhere=True)
+            yield Alternative(both, tuple(hinges), words, DEGREES_REMEDY, "units", elsewhere=True)
 
     def _free(self, poor: Sequence[int]) -> Iterator[Alternative]:
         """Order and meaning of quaternions, and units of positions of free and ball joints."""

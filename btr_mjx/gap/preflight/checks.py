@@ -14,8 +14,8 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, Noise, noise_of
 from btr_mjx.gap.preflight.conventions import position_conventions
 from btr_mjx.gap.preflight.drift import clock_drift
-from btr_mjx.gap.preflight.excitation import JointTrack, joint_tracks, moves, unexcited_effects
-from btr_mjx.gap.preflight.findings import Finding, Level, listed
+from btr_mjx.gap.preflight.excitation import NO_GROUND, JointTrack, joint_tracks, moves, unexcited_effects
+from btr_mjx.gap.preflight.findings import DEGREES_REMEDY, Finding, Level, listed
 from btr_mjx.gap.preflight.repeats import angle_jumps, held_commands, held_positions
 from btr_mjx.gap.preflight.stability import stability
 from btr_mjx.gap.preflight.timing import response_delays, sampling
@@ -25,6 +25,14 @@ from btr_mjx.models import part_names
 _FEW_VALUES = 20
 """Different positions of a joint below which its resolution is called coarse."""
 
+_BETWEEN = {
+    key: f'{words} ("{key}"; interpolation in [control] of dataset.toml changes it)'
+    for key, words in (
+        ("hold", "the last one is held until the next"),
+        ("linear", "a straight line from one to the next"),
+        ("cubic", "a cubic spline through all"),
+    )
+}
 _FAULTS_OF_DATA = ("convention", "units", "repeats", "wrap", "clocks")
 """Topics of errors that the data, rather than the robot, are to blame for."""
 
@@ -80,9 +88,11 @@ def _summary(dataset: Dataset) -> list[str]:
     model, times = dataset.model, [r.time for r in dataset.recordings]
     seconds = sum(float(t[-1] - t[0]) for t in times)
     return [
-        f"{len(dataset.fit)} recordings to fit and {len(dataset.test)} held out, {seconds:.1f} s, "
+        f"{len(dataset.fit)} recording{'s' if len(dataset.fit) > 1 else ''} to fit and {len(dataset.test)} held out, "
+        f"{seconds:.1f} s, "
         f"{sum(map(len, times))} samples of {model.njnt} joints and {model.nu} commands",
         "held out: " + listed([r.name for r in dataset.test]),
+        *([f"commands between samples: {_BETWEEN[dataset.interpolation]}"] if model.nu else []),
     ]
 
 
@@ -98,7 +108,6 @@ def _conventions(
 
 def _units(joints: Sequence[JointTrack]) -> list[Finding]:
     findings: list[Finding] = []
-    remedy = "angles are in rad: divide by 57.3"
     for joint in joints:
         if not joint.hinge:
             continue
@@ -114,7 +123,9 @@ def _units(joints: Sequence[JointTrack]) -> list[Finding]:
             )
         else:
             continue
-        findings.append(Finding("error", "units", f"joint {joint.name!r} {text}; this looks like degrees, {remedy}"))
+        findings.append(
+            Finding("error", "units", f"joint {joint.name!r} {text}; this looks like degrees; {DEGREES_REMEDY}")
+        )
     return findings
 
 
@@ -193,10 +204,10 @@ def _parameter_bounds(dataset: Dataset) -> list[Finding]:
 
 
 def _excitation(dataset: Dataset, joints: Sequence[JointTrack], effects: Sequence[str] | None) -> list[Finding]:
-    """A note for each effect that these data do not excite."""
+    """A note for each effect that these data do not excite, though the model could have it."""
     blind = unexcited_effects(dataset, joints)
     return [
         Finding("note", "excitation", f"these data cannot show {name}: {reason}")
         for name, reason in blind.items()
-        if reason and (effects is None or name in effects)
+        if reason not in ("", NO_GROUND) and (effects is None or name in effects)
     ]

@@ -10,6 +10,9 @@ from btr_mjx.gap.data import Dataset, Recording
 from btr_mjx.gap.effects import actuator_count, ground_geoms, joint_of
 from btr_mjx.models import difference, part_names
 
+NO_GROUND = "nothing can touch the ground"
+"""Reason of effects that the model itself rules out, whatever is recorded."""
+
 _LEAST_MOTION = 1e-4
 """Range of a coordinate beyond which it moves [rad or m]."""
 
@@ -107,7 +110,7 @@ def unexcited_effects(dataset: Dataset, joints: Sequence[JointTrack] | None = No
     undriven = unpowered or ("" if driven or (elsewhere and anything) else "no driven joint moves")
     undriven_joints = unpowered or ("" if driven else "no joint that an actuator drives directly moves")
     turns = "" if max(reversals, default=0) >= 4 else "no joint reverses its motion more than a few times"
-    ground = "" if feet else "nothing can touch the ground"
+    ground = "" if feet else NO_GROUND
     commanded = any(np.ptp(r.ctrl, axis=0).any() for r in dataset.recordings)
     constant = unpowered or ("" if commanded else "every command is constant")
     weight = np.linalg.norm(model.opt.gravity) > 0

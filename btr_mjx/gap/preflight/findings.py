@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 Level = Literal["error", "warning", "note"]
+DEGREES_REMEDY = 'angles are in rad: name the column ..._deg, or put "COLUMN" = "deg" into [units] of dataset.toml'
 _MAX_NAMES = 6
 """Names listed in one finding; the rest is counted."""
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from btr_mjx.gap.data import Dataset, Recording
 from btr_mjx.gap.preflight.findings import Finding
-from btr_mjx.gap.simulate import Command
+from btr_mjx.gap.simulate import Command, command_phase
 from btr_mjx.models import difference
 
 _SEGMENTS = 8
@@ -72,10 +72,10 @@ def instability_time(recording: Recording, row: int, command: Command) -> float 
     data.qpos[:] = recording.qpos[row]
     slope = difference(model, recording.qpos[row], recording.qpos[row + 1]) / np.diff(recording.time[row : row + 2])
     data.qvel[:] = np.where(np.isfinite(recording.qvel[row]), recording.qvel[row], slope)
-    step = model.opt.timestep
+    step, phase = model.opt.timestep, command_phase(model)
     last = min(data.time + _SECONDS, recording.time[-1])
     for _ in range(min(_STEPS, int((last - data.time) / step))):
-        data.ctrl[:] = command.over_step(data.time, step)
+        data.ctrl[:] = command.over_step(data.time, step, phase)
         mujoco.mj_step(model, data)
         if any(data.warning[int(kind)].number for kind in _BAD):
             return float(data.time)

@@ -33,8 +33,7 @@ def sampling(dataset: Dataset) -> list[Finding]:
         Finding(
             "note",
             "sampling",
-            f"{rates} samples per second; the middle 98 % of intervals is "
-            f"{1e3 * np.percentile(steps, 1):.3g} to {1e3 * np.percentile(steps, 99):.3g} ms",
+            f"{rates} samples per second, {_intervals(*np.percentile(1e3 * steps, [1, 99]))}",
         )
     )
     for recording in dataset.recordings:
@@ -69,6 +68,12 @@ def sampling(dataset: Dataset) -> list[Finding]:
             )
         )
     return findings
+
+
+def _intervals(least: float, most: float) -> str:
+    """The middle 98 % of intervals [ms] in words."""
+    low, high = f"{least:.3g}", f"{most:.3g}"
+    return f"one every {low} ms" if low == high else f"{low} to {high} ms apart (the middle 98 %)"
 
 
 def _time_unit(recording: Recording) -> Finding | None:

@@ -32,6 +32,15 @@ while data.time < 1.0:
     mujoco.mj_step(model, data)"""
 
 
+_BETWEEN = {
+    "hold": "Commands were held from one sample to the next, as a loop that sets data.ctrl at each sample does.",
+    "linear": "Between samples, commands were taken as straight lines: before each step, set data.ctrl to their value "
+    "at data.time.",
+    "cubic": "Between samples, commands were taken as a cubic spline: before each step, set data.ctrl to its value at "
+    "data.time.",
+}
+
+
 def content(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
     """Everything on the page but the figures.
 
@@ -71,7 +80,7 @@ def content(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
         "believed": _table(result.get("believed")),
         "confounds": _lines(result.get("confounds")),
         "next_experiment": _experiment(result.get("next_experiment")),
-        "mended": _mended(folder),
+        "mended": _mended(folder, result.get("interpolation")),
         "notes": _lines(result.get("notes")),
         "preflight": _preflight(folder),
         "footer": _footer(result),
@@ -93,10 +102,13 @@ def _gap(gap: Mapping[str, Any], mended: bool) -> list[tuple[str, str]]:
     """Figures under the verdict."""
     loop = f" {gap.get('open_loop_unit', 'rad')}"
     unit = f" [{gap['unit']}]" if gap.get("unit") else ""
+    chi2 = str(gap.get("unit") or "").startswith("χ²")
+    held_out = "held-out misfit (1 = noise)" if chi2 else "held-out gap"
     rows = (
         (f"open-loop error{' before' if mended else ''}", "open_loop_before", loop),
         ("after", "open_loop_after" if mended else "", loop),
-        (f"held-out gap{' before' if mended else ''}{unit}", "before", ""),
+        ("noise alone", "open_loop_noise" if is_json_number(gap.get("open_loop_before")) else "", loop),
+        (f"{held_out}{' before' if mended else ''}{'' if chi2 else unit}", "before", ""),
         ("after", "after" if mended else "", ""),
         ("noise floor", "noise_floor", ""),
     )
@@ -181,10 +193,14 @@ def _cell(value: Any) -> str:
     return format_number(value) if is_json_number(value) else str("" if value is None else value)
 
 
-def _mended(folder: Path) -> dict[str, Any] | None:
+def _mended(folder: Path, interpolation: Any = None) -> dict[str, Any] | None:
     if not (folder / "mended.xml").is_file():
         return None
-    text = "mended.xml is the believed model with the missing effects; plain MuJoCo loads it."
+    path = folder / "mended.xml"
+    text = f"{path} is the believed model with the missing effects; plain MuJoCo loads it."
+    between = _BETWEEN.get(str(interpolation), "")
+    load = f'model = mujoco.MjModel.from_xml_path("{path}")'
+    changes: list[dict[str, str]] = []
     terms: list[dict[str, str]] = []
     if (folder / "mended.json").is_file():
         saved = read_json(folder / "mended.json")
@@ -201,10 +217,23 @@ def _mended(folder: Path) -> dict[str, Any] | None:
             for name in saved.get("native", [])
         ]
         text += f" It contains {' and '.join(native)}." if native else ""
+        changes = [
+            {
+                "part": str(c["part"]),
+                "field": str(c["field"]),
+                "believed": _cell(c["believed"]),
+                "mended": _cell(c["mended"]),
+            }
+            for c in saved.get("changes", [])
+        ]
         text += " ".join(["", *saved.get("notes", [])])
     if terms:
         text += " Effects without a term in MJCF are in mended.json; this code adds them to a simulation:"
-    return {"text": text, "terms": terms, "code": _CODE}
+    ranges = (folder / "randomisation.json").is_file()
+    return {"text": text, "terms": terms, "code": _CODE, "load": load, "changes": changes} | {
+        "between": between,
+        "ranges": ranges,
+    }
 
 
 def _footer(result: Mapping[str, Any]) -> list[str]:

@@ -191,6 +191,6 @@ def commands(time: np.ndarray, values: np.ndarray, names: Sequence[str], most: i
     for k, style in zip(chosen, ("-", "--", ":", "-.", (0, (6, 2, 1, 2, 1, 2))), strict=False):
         axes.plot(time, values[:, k], linestyle=style, linewidth=1.1, label=names[k])
     axes.set_xlabel("time [s]")
-    axes.set_ylabel("command [the actuator's unit]")
+    axes.set_ylabel("command\n[own unit]")
     figure.legend(loc="outside upper left", ncols=5)
     return figure

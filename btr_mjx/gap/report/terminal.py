@@ -29,13 +29,18 @@ def print_result(result: Mapping[str, Any], folder: Path) -> None:
     rows = [row for row in result["ranking"] if not row["beside"]][:6]
     if rows:
         print(f"\n{'candidate':60}{'score':>12}{'held-out gain':>16}")
+        print(
+            "(score: gain over the believed model, twice the log-likelihood; held-out gain: on data that were not used)"
+        )
     for row in rows:
         print(f"{effect_at_place(row):60}{row['score']:12.1f}{row['held_out']:16.1f}")
     if rows and result.get("details"):
         print()
     for line in result.get("details") or []:
         print(textwrap.fill(line, 110, initial_indent="  - ", subsequent_indent="    "))
-    print(f"\nall files in {folder}")
+    ends = (("page", "report.html"), ("mended model", "mended.xml"), ("ranges for randomisation", "randomisation.json"))
+    there = [f"{what} {folder / name}" for what, name in ends if (folder / name).is_file()]
+    print(f"\n{'; '.join(there) or f'all files in {folder}'}")
 
 
 def print_truth(truth: Mapping[str, Any]) -> None:

@@ -26,7 +26,7 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.effects import KNOWN_EFFECTS, Effect, Place, Scales
-from btr_mjx.gap.results.transcribe import normalised, write_changes
+from btr_mjx.gap.results.transcribe import changed_numbers, normalised, write_changes
 from btr_mjx.gap.simulate import Command, Rows, World
 from btr_mjx.models import nearest_names, read_field, set_values
 
@@ -68,16 +68,24 @@ class MendedModel:
       terms: the other effects, for JSON: effect, location, parameters, equation, and why MJCF cannot express them.
       native: "effect@location" of the effects inside `xml`.
       notes: remarks for the reader, such as fields that could not be written.
+      changes: numbers that differ from the believed model: part, field, and both values.
     """
 
     xml: str
     terms: list[dict[str, Any]] = field(default_factory=list)
     native: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    changes: tuple[dict[str, Any], ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """Content of mended.json."""
-        return {"terms": self.terms, "native": list(self.native), "notes": list(self.notes), "use": _USE}
+        return {
+            "terms": self.terms,
+            "native": list(self.native),
+            "notes": list(self.notes),
+            "changes": list(self.changes),
+            "use": _USE if self.terms else "nothing has to be added: mended.xml holds everything that was found",
+        }
 
 
 _USE = (
@@ -157,8 +165,8 @@ def written(
         )
     left = write_changes(spec, world, base)
     notes = tuple(f"{name} differs from the believed model and cannot be written as MJCF" for name in left)
-    spec.compile()
-    return MendedModel(spec.to_xml(), terms, tuple(native), notes)
+    changes = changed_numbers(base, spec.compile())
+    return MendedModel(spec.to_xml(), terms, tuple(native), notes, changes)
 
 
 def resolve_effect(

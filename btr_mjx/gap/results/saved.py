@@ -69,6 +69,13 @@ def save_diagnosis(
     return result
 
 
+def _mean_noise(diagnosis: Diagnosis, model: mujoco.MjModel) -> float | None:
+    """Mean absolute error that the sensors' noise alone makes in positions; None where it is not known."""
+    sigma = np.asarray(diagnosis.sigma, float)[: model.nv]
+    sigma = sigma[np.isfinite(sigma)]
+    return float(np.sqrt(2 / np.pi) * sigma.mean()) if len(sigma) else None
+
+
 def _position_unit(model: mujoco.MjModel) -> str:
     """Unit of a mean over the positions of all degrees of freedom."""
     kinds = set(model.jnt_type.tolist())
@@ -118,13 +125,14 @@ def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
     return {
         "verdict": diagnosis.verdict,
         "dataset": dataset.folder.name or str(dataset.folder),
+        "interpolation": dataset.interpolation,
         "where": place_of_disagreement(diagnosis.disagreement),
         "effects": named,
         "ranking": ranking,
         "equivalent": [_entry(name) for name in diagnosis.equivalent],
         "gap": asdict(diagnosis.gap)
         | {"closed": diagnosis.gap.closed, "unit": "χ² per degree of freedom"}
-        | {"open_loop_unit": _position_unit(dataset.model)},
+        | {"open_loop_unit": _position_unit(dataset.model), "open_loop_noise": _mean_noise(diagnosis, dataset.model)},
         "unexplained": list(diagnosis.unexplained),
         "believed": [asdict(refit) for refit in diagnosis.believed],
         "confounds": [asdict(confound) for confound in diagnosis.confounds],

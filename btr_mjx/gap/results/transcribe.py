@@ -5,11 +5,14 @@ elements of the specification (joints, geoms, bodies, actuators, options) from w
 """
 
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 
+from btr_mjx.exports import field_ends
 from btr_mjx.gap.simulate import World, differing_fields
+from btr_mjx.models import part_names
 
 _UNSET = float("nan")
 
@@ -51,6 +54,37 @@ _PAIR = {"pair_friction": "friction", "pair_solref": "solref", "pair_solimp": "s
 _ACTUATOR = ("gainprm", "biasprm", "forcerange", "forcelimited", "gear", "ctrlrange")
 
 
+_PARTS = {"jnt": "joint", "body": "body", "geom": "geom", "site": "site", "actuator": "actuator", "tendon": "tendon"}
+"""Kinds of parts by the beginning of the names of their fields."""
+
+
+def changed_numbers(believed: mujoco.MjModel, mended: mujoco.MjModel) -> tuple[dict[str, Any], ...]:
+    """Numbers that a mended model has instead of those of the believed one, without those that MuJoCo derives.
+
+    Args:
+      believed: the model before.
+      mended: a model of the same structure.
+
+    Returns:
+      For each number `part`, such as "joint knee", `field` with indices, and its values `believed` and `mended`.
+    """
+    out = []
+    for path, (before, after) in field_ends(believed, mended).items():
+        field, _, rest = path.partition("[")
+        if field in _DERIVED:
+            continue
+        kind, index = field.partition("_")[0], int(rest.partition("]")[0]) if rest else 0
+        if kind == "dof":
+            part = f"joint {part_names(believed, 'joint')[int(believed.dof_jntid[index])]}"
+        elif kind in _PARTS:
+            named = believed.names[getattr(believed, f"name_{kind}adr")[index] :].split(b"\0", 1)[0].decode()
+            part = f"{_PARTS[kind]} {named or index}"
+        else:
+            part = "model"
+        out.append({"part": part, "field": path, "believed": before, "mended": after})
+    return tuple(out)
+
+
 def normalised(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
     """A specification in MuJoCo's own form: radians, poses and inertias as the compiler found them.
 
@@ -69,7 +103,10 @@ def normalised(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
     else:
         spec = mujoco.MjSpec.from_file(str(source)) if isinstance(source, Path) else source
         folder = source.resolve().parent if isinstance(source, Path) else Path(spec.modelfiledir or ".").resolve()
-        spec.meshdir, spec.texturedir = str(folder / spec.meshdir), str(folder / spec.texturedir)
+        if [*spec.meshes, *spec.hfields, *spec.skins]:
+            spec.meshdir = str(folder / spec.meshdir)
+        if [*spec.textures]:
+            spec.texturedir = str(folder / spec.texturedir)
     model = spec.compile()
     spec = mujoco.MjSpec.from_string(spec.to_xml())
     again = spec.compile()

@@ -21,6 +21,9 @@ TIMES_NOISE = 3.0
 _LITTLE = 1.3
 """The same beyond which more than noise is left."""
 
+_ABSENT = 0.05
+"""Number of a joint, as a share of that of the joint that is named, below which nothing was found there."""
+
 _LISTED = 3
 """Effects and candidates that a sentence lists, at most; the others are counted."""
 
@@ -41,7 +44,7 @@ def verdict_sentence(result: Mapping[str, Any]) -> str:
         return f"{_named(result, effects)} {_explained(result)}".strip()
     if verdict == "none":
         nothing = "Nothing need be missing" if result.get("equivalent") else "Nothing is missing"
-        others = _others(result)
+        others = _alternatives(_others(result))
         more = f" {_capital(others)} is not ruled out." if others else ""
         return f"{nothing}: simulation and data agree within the noise and the usual tolerances.{more}"
     where = f", most of it at {result['where']}" if _text(result.get("where")) else ""
@@ -164,11 +167,13 @@ def _whole_recordings(result: Mapping[str, Any]) -> str:
     unit = gap.get("open_loop_unit", "rad")
     ends = [format_number(start), f"{format_number(end)} {unit}"]
     whole = "over whole held-out recordings, simulated from their first sample"
+    noise = as_float(gap.get("open_loop_noise"))
+    leaves = f"; the sensors' noise alone makes {format_number(noise)}" if noise else ""
     if end < start:
-        return f"The mean position error {whole}, falls from {ends[0]} to {ends[1]}."
+        return f"The mean position error {whole}, falls from {ends[0]} to {ends[1]}{leaves}."
     return (
-        f"The mean position error {whole}, is {ends[0]} {unit} without and {ends[1]} with it: where small differences "
-        "grow, a motion can be followed over short stretches only."
+        f"The mean position error {whole}, is {ends[0]} {unit} without and {ends[1]} with it{leaves}: where small "
+        "differences grow, a motion can be followed over short stretches only."
     )
 
 
@@ -184,7 +189,12 @@ def _runner_up(result: Mapping[str, Any]) -> str:
         return f"Runner-up: {effect_at_place(others[0])}."
     share = second / best
     how = "far behind" if share < 0.6 else "behind" if share < 0.9 else "close behind"
-    return f"Runner-up: {effect_at_place(others[0])}, {how} ({100 * max(share, 0):.0f} % of the score)."
+    first = (
+        "The next best that is not equivalent"
+        if any(row.get("equivalent") for row in rows if _key(row) not in same)
+        else "Runner-up"
+    )
+    return f"{first}: {effect_at_place(others[0])}, {how} ({100 * max(share, 0):.0f} % of the score)."
 
 
 def _best_candidate(result: Mapping[str, Any]) -> str:
@@ -201,15 +211,36 @@ def _key(row: Mapping[str, Any]) -> tuple[str, str]:
     return str(row["effect"]), str(row["location"])
 
 
-def _others(result: Mapping[str, Any]) -> str:
-    """Candidates that these data cannot distinguish from what is named, in words."""
+def _others(result: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Candidates that these data cannot distinguish from what is named."""
     same = {_key(effect) for effect in result.get("effects") or []}
     others = []
     for entry in result.get("equivalent") or []:
         members = entry if isinstance(entry, Sequence) and not isinstance(entry, str | Mapping) else [entry]
         others += [m for m in members if isinstance(m, Mapping) and "effect" in m and _key(m) not in same]
+    return others
+
+
+def _alternatives(others: Sequence[Mapping[str, Any]]) -> str:
     more = f" (and {len(others) - _LISTED} more)" if len(others) > _LISTED else ""
     return " or ".join(effect_at_place(m) for m in others[:_LISTED]) + more
+
+
+def _absent_members(result: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+    """What a candidate with a number for every joint finds beside the named joint, where that is next to nothing."""
+    effects = result.get("effects") or []
+    if len(effects) != 1 or effects[0]["effect"] != other["effect"] or not other["location"].startswith(EACH_MEMBER):
+        return ""
+    named = str(effects[0]["location"]).partition(":")[2]
+    rows = [row for row in result.get("ranking") or [] if _key(row) == _key(other) and not row.get("beside")]
+    found = {name: as_float(value) for name, value in (rows[0].get("parameters") or {}).items()} if rows else {}
+    own = [value for name, value in found.items() if name.endswith(f"[{named}]")]
+    rest = {name: value for name, value in found.items() if not name.endswith(f"[{named}]")}
+    if not own or own[0] is None or not rest:
+        return ""
+    if not all(value is not None and abs(value) < _ABSENT * abs(own[0]) for value in rest.values()):
+        return ""
+    return ", ".join(f"{name} = {format_number(value, 2)}" for name, value in list(rest.items())[:_LISTED])
 
 
 def _equivalent(result: Mapping[str, Any]) -> str:
@@ -219,8 +250,20 @@ def _equivalent(result: Mapping[str, Any]) -> str:
         return ""
     then = ": run the experiment below next." if result.get("next_experiment") else "."
     if result.get("verdict") == "none":
-        return f"{_capital(others)} explains more than chance, but {REASON_NOT_NAMED}{then}"
-    return f"These data cannot tell it apart from {others}{then}"
+        return f"{_capital(_alternatives(others))} explains more than chance, but {REASON_NOT_NAMED}{then}"
+    nothing = {id(other): _absent_members(result, other) for other in others}
+    lines = [
+        f"{_capital(effect_at_place(other))}, contains it; none was found at the other ones ({nothing[id(other)]}): "
+        "take the simpler one."
+        for other in others
+        if nothing[id(other)]
+    ]
+    rivals = [other for other in others if not nothing[id(other)]]
+    if rivals:
+        if not result.get("next_experiment"):
+            then = ", and none of the commands that were tried separates them: take the simpler one."
+        lines.append(f"These data cannot tell it apart from {_alternatives(rivals)}{then}")
+    return " ".join(lines)
 
 
 def _lines(looks: Any) -> list[str]:

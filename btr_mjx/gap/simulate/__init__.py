@@ -6,7 +6,7 @@ runs `Job`s (a world over `Segments` of recordings) in batches on threads. `Coun
 """
 
 from btr_mjx.gap.simulate.batch import Counter, simulate
-from btr_mjx.gap.simulate.commands import Command
+from btr_mjx.gap.simulate.commands import Command, command_phase
 from btr_mjx.gap.simulate.journal import Journal
 from btr_mjx.gap.simulate.laws import Rows
 from btr_mjx.gap.simulate.segments import Job, Segments
@@ -21,6 +21,7 @@ __all__ = [
     "Rows",
     "Segments",
     "World",
+    "command_phase",
     "differing_fields",
     "fingerprint",
     "run_in_threads",

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+import mujoco
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike
@@ -15,6 +16,9 @@ from numpy.typing import ArrayLike
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Interpolation
 from btr_mjx.gap.simulate.rate_limit import rate_limited
+
+_WITHOUT_FILTER = int(mujoco.mjtDyn.mjDYN_NONE), int(mujoco.mjtDyn.mjDYN_PID)
+"""Kinds of actuators whose force depends on the command itself."""
 
 
 @dataclass(frozen=True)
@@ -105,21 +109,23 @@ class Command:
             out += self.added
         return out.reshape(*times.shape, self.n)
 
-    def over_step(self, times: ArrayLike, length: float) -> np.ndarray:
-        """Control of simulation steps: the value in the middle of a step, or the mean over it for a held command.
+    def over_step(self, times: ArrayLike, length: float, phase: ArrayLike = 0.0) -> np.ndarray:
+        """Control of simulation steps: the value within a step, or the mean over it for a held command.
 
-        A held command jumps; its value in the middle of a step is late by up to half a step, its mean is not.
+        A held command jumps, also inside a step, and its mean keeps the time of the jump.
 
         Args:
           times: (...) starts of the steps [s].
           length: of a step [s].
+          phase: of the value, as a fraction of the step, a number or (nu,); see `command_phase`. Not for held commands.
 
         Returns:
           (..., nu) controls.
         """
         times = np.asarray(times, float)
         if self.interpolation != "hold":
-            return self.at(times + 0.5 * length)
+            phase = np.asarray(phase, float)
+            return (self.shifted(-length * phase) if phase.any() else self).at(times)
         flat = times.reshape(-1)
         out = np.empty((flat.size, self.n))
         delays = self._delay
@@ -191,6 +197,28 @@ class Command:
         for constant in self.lags:
             polynomial, exponentials = _lagged(self.times, polynomial, exponentials, constant)
         return polynomial, exponentials
+
+
+def command_phase(model: mujoco.MjModel) -> np.ndarray:
+    """When within a step MuJoCo's integrators need the value of a command, as a fraction of the step.
+
+    Semi-implicit Euler, q_{k+1} - 2 q_k + q_{k-1} = h^2 a(q_k, u_k), is of second order in the positions with u_k at
+    the start of the step; a later value would be early. Runge-Kutta holds u_k over the whole step, and so does the
+    state of a filter or an integrator between two steps: there the middle is of second order.
+
+    Args:
+      model: the model.
+
+    Returns:
+      (nu,) 0 or 0.5.
+    """
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        return np.full(model.nu, 0.5)
+    phase = np.zeros(model.nu)
+    for actuator, first in enumerate(model.actuator_ctrladr):
+        if int(model.actuator_dyntype[actuator]) not in _WITHOUT_FILTER:
+            phase[first : first + model.actuator_ctrlnum[actuator]] = 0.5
+    return phase
 
 
 def _polynomial(times: np.ndarray, values: np.ndarray, interpolation: Interpolation) -> np.ndarray:

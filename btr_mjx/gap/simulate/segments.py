@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.simulate.commands import Command
+from btr_mjx.gap.simulate.commands import Command, command_phase
 from btr_mjx.gap.simulate.world import World
 from btr_mjx.models import between
 
@@ -198,11 +198,11 @@ class Controls:
         for key, (world, segments) in zip(self._keys, self._pieces, strict=True):
             if key in self._filled:
                 continue
-            values = np.empty((count, len(segments), self._nu))
+            values, phase = np.empty((count, len(segments), self._nu)), command_phase(world.model)
             for recording in np.unique(segments.recording):
                 own = np.flatnonzero(np.asarray(segments.recording) == recording)
                 name = (id(segments.commands), int(recording), *key[3:])
                 if name not in self._edited:
                     self._edited[name] = world.command(segments.commands[recording])
-                values[:, own] = self._edited[name].over_step(since[:, None] + segments.start[own], self._dt)
+                values[:, own] = self._edited[name].over_step(since[:, None] + segments.start[own], self._dt, phase)
             self._filled[key] = values

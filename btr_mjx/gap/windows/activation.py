@@ -8,7 +8,7 @@ import copy
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.simulate import Command, World
+from btr_mjx.gap.simulate import Command, World, command_phase
 from btr_mjx.models import between, integrate
 
 
@@ -40,7 +40,7 @@ def activations(
     if not model.na:
         return out
     true = integrate(model, qpos, -world.offset) if world.offset.any() else qpos
-    sent, data = world.command(command), mujoco.MjData(model)
+    sent, data, phase = world.command(command), mujoco.MjData(model), command_phase(model)
     data.act[:] = out[0]
     for k in range(1, len(time)):
         length = time[k] - time[k - 1]
@@ -54,7 +54,7 @@ def activations(
             fractions,
             length,
         )
-        controls = sent.over_step(time[k - 1] + fractions * length, length / steps)
+        controls = sent.over_step(time[k - 1] + fractions * length, length / steps, phase)
         for q, v, u in zip(path_q, path_v, controls, strict=True):
             data.qpos[:], data.qvel[:], data.ctrl[:] = q, v, u
             mujoco.mj_step(model, data)

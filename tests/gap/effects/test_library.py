@@ -209,7 +209,7 @@ def test_user_defined_effect() -> None:
     stretch = windows(model)
     effects = (*EFFECTS, native, law)
     worlds = [one(model, f"{n}@all", effects).apply(World.of(model), [0.001]) for n in ("quadratic_damping", "gust")]
-    a, b, plain = simulate([*((world, stretch) for world in worlds), (World.of(model), stretch)])
+    a, b, plain = simulate([*((world, stretch) for world in worlds), (World.of(model), stretch)], timestep=1e-4)
     assert np.abs(a - plain).max() > 1e-3
     np.testing.assert_allclose(a, b, atol=0.05 * np.abs(a - plain).max())
     with pytest.raises(InputError, match="same name"):

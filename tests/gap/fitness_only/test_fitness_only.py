@@ -50,14 +50,15 @@ def plain(model: mujoco.MjModel, amplitude: float, phase: float) -> float:
     """Fitness of one controller by a loop over mj_step."""
     data = mujoco.MjData(model)
     for k in range(round(SPAN / model.opt.timestep)):
-        data.ctrl[0] = amplitude * np.sin(OMEGA * (k + 0.5) * model.opt.timestep + phase)
+        data.ctrl[0] = amplitude * np.sin(OMEGA * k * model.opt.timestep + phase)
         mujoco.mj_step(model, data)
     return float(np.hypot(*(data.qpos[:2] - model.qpos0[:2]))) / SPAN
 
 
 @pytest.fixture
-def folder(tmp_path: Path, rng: np.random.Generator) -> Path:
+def folder(tmp_path: Path) -> Path:
     """Trials of a cart whose ground has less friction than believed."""
+    rng = np.random.default_rng(2)
     amplitude, phase = rng.uniform(0.3, 1.2, 24), rng.uniform(0, 3, 24)
     real = mujoco.MjModel.from_xml_string(XML.replace('friction="0.6"', 'friction="0.25"'))
     fitness = [plain(real, a, p) for a, p in zip(amplitude, phase, strict=True)]

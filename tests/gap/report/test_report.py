@@ -129,7 +129,7 @@ def test_the_page_is_complete_and_self_contained(folder: Path) -> None:
         in page.text
     )
     assert "The held-out gap shrinks from 0.054 to 0.027 rad; noise leaves 0.02." in page.text
-    assert "Runner-up: dry friction at joint knee0, far behind" in page.text
+    assert "The next best that is not equivalent: dry friction at joint knee0, far behind" in page.text
     assert "quadruped <left>" in page.text  # escaped in the source
     for heading in ("What is missing", "Where simulation", "Candidates", "Before and after", "Believed", "mistaken"):
         assert heading in page.text

@@ -36,7 +36,7 @@ def by_hand(mended: MendedModel, segments: Segments, row: int, steps: int) -> np
             data.qpos[:], data.qvel[:] = segments.qpos[row], segments.qvel[row]
             data.qacc_warmstart[:] = 0
             mujoco.mj_forward(model, data)
-        data.ctrl[:] = sent.at(segments.start[row] + (k + 0.5) * step)
+        data.ctrl[:] = sent.at(segments.start[row] + k * step)
         missing(model, data)
         mujoco.mj_step(model, data)
     return np.r_[data.qpos, data.qvel]

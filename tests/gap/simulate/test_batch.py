@@ -70,7 +70,7 @@ def stepped(model: mujoco.MjModel, world: World, windows: Segments, row: int, st
     sent = world.command(windows.commands[windows.recording[row]])
     states = [np.r_[data.qpos, data.qvel]]
     for k in range(steps):
-        data.ctrl[:] = sent.at(windows.start[row] + (k + 0.5) * model.opt.timestep)
+        data.ctrl[:] = sent.at(windows.start[row] + k * model.opt.timestep)
         data.xfrc_applied[:] = world.wrench
         mujoco.mj_step(model, data)
         states.append(np.r_[data.qpos, data.qvel])
@@ -162,7 +162,7 @@ def ruled_loop(model: mujoco.MjModel, windows: Segments, row: int, times: int) -
     data.time, data.qpos[:], data.qvel[:] = windows.start[row], windows.qpos[row], windows.qvel[row]
     sent = windows.commands[windows.recording[row]]
     for k in range(20):
-        data.ctrl[:] = sent.at(windows.start[row] + (k + 0.5) * 0.001)
+        data.ctrl[:] = sent.at(windows.start[row] + k * 0.001)
         if k == 0:
             mujoco.mj_forward(model, data)
         data.ctrl[1] += times * data.time
@@ -339,7 +339,7 @@ def test_activations_follow_from_measured_motion() -> None:
     time, rows = 0.001 * np.arange(151), []
     for t in time:
         rows.append((data.qpos.copy(), data.qvel.copy(), data.act.copy()))
-        data.ctrl[:] = world.command(sent).at(t + 0.0005)
+        data.ctrl[:] = world.command(sent).over_step(t, 0.001, [0.0, 0.5])  # the filter in the middle of a step
         mujoco.mj_step(model, data)
     qpos, qvel, act = (np.array(column) for column in zip(*rows, strict=True))
     np.testing.assert_allclose(activations(world, sent, time, qpos, qvel), act, atol=1e-12)

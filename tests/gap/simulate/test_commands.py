@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 
+import mujoco
 import numpy as np
 import pytest
 from gap_models import command
 from scipy.integrate import solve_ivp
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.simulate import Command
+from btr_mjx.gap.simulate import Command, Segments, World, simulate
 
 
 def lag_by_integration(sent: Command, constants: Sequence[float], times: np.ndarray) -> np.ndarray:
@@ -50,7 +51,42 @@ def test_step_control_is_mean_of_held_command(lags: Sequence[list[float]], delay
     fine = np.stack([sent.at(starts + (k + 0.5) * length / parts) for k in range(parts)]).mean(0)
     np.testing.assert_allclose(sent.over_step(starts, length), fine, atol=2 * np.ptp(sent.values) / parts)
     smooth = command(5, "cubic").shifted(delay)
-    np.testing.assert_array_equal(smooth.over_step(starts, length), smooth.at(starts + 0.5 * length))
+    np.testing.assert_array_equal(smooth.over_step(starts, length), smooth.at(starts))
+    later = smooth.over_step(starts, length, [0.5, 0.0])
+    np.testing.assert_allclose(later[:, 0], smooth.at(starts + 0.5 * length)[:, 0], atol=1e-12)
+    np.testing.assert_allclose(later[:, 1], smooth.at(starts)[:, 1], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("integrator", "actuator"),
+    [
+        ("Euler", '<position joint="j" kp="8" kv="0.1"/>'),
+        ("implicitfast", '<position joint="j" kp="8" kv="0.1"/>'),
+        ("implicit", '<motor joint="j" gear="2"/>'),
+        ("RK4", '<position joint="j" kp="8" kv="0.1"/>'),
+        ("Euler", '<position joint="j" kp="8" timeconst="0.05"/>'),
+        ("implicitfast", '<intvelocity joint="j" kp="8" actrange="-2 2"/>'),
+    ],
+)
+def test_commands_act_when_integrators_need_them(integrator: str, actuator: str) -> None:
+    """At a coarse step, positions are near those of a fine one, and nearer than with commands half a step later."""
+    xml = f"""<mujoco><option timestep="0.004" integrator="{integrator}"/><worldbody><body>
+      <joint name="j" axis="0 1 0" damping="0.05" stiffness="4"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.5"/>
+      </body></worldbody><actuator>{actuator}</actuator></mujoco>"""
+    model = mujoco.MjModel.from_xml_string(xml)
+    times = np.arange(0.0, 3.001, 0.02)
+    sent = Command(times, np.sin(4 * times)[:, None] * np.minimum(times, 1)[:, None], "cubic")
+
+    def positions(timestep: float, delay: float = 0.0) -> np.ndarray:
+        start = Segments(
+            np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1)), times[None], (sent.shifted(delay),), np.array([0])
+        )
+        return simulate([(World.of(model), start)], timestep=timestep)[0][0, :, 0]
+
+    fine = positions(2e-5)
+    chosen, early, late = (np.abs(positions(0.004, delay) - fine).mean() for delay in (0.0, -0.002, 0.002))
+    assert chosen < 0.35 * min(early, late)
 
 
 def test_interpolation_and_extrapolation() -> None:

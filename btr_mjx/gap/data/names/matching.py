@@ -21,6 +21,7 @@ from btr_mjx.gap.data.names.one_column import (
     match_one,
     sensor_columns,
 )
+from btr_mjx.gap.data.names.remedy import NO_FILE, Answer, quoted
 from btr_mjx.gap.data.names.units import stated_unit
 from btr_mjx.gap.data.names.vocabulary import TIME, words
 from btr_mjx.models import nearest_names, part_names
@@ -44,7 +45,7 @@ def match_columns(
     model: mujoco.MjModel,
     given: Mapping[str, str],
     where: str,
-    hint: str = "",
+    answer: Answer = NO_FILE,
     labelled: bool = False,
 ) -> Matched:
     """Match the columns of the tables of one recording.
@@ -54,7 +55,7 @@ def match_columns(
       model: the model.
       given: names of the model by name in the log, as stated in dataset.toml; these win.
       where: file, for messages.
-      hint: lines of dataset.toml that a remedy has to name besides.
+      answer: where a user says what columns are.
       labelled: whether the labels of the tables say what they hold.
 
     Returns:
@@ -92,10 +93,9 @@ def match_columns(
         best = max(rank for rank, _, _ in found)
         chosen = [(i, column) for rank, i, column in found if rank == best]
         if len(chosen) > 1:
-            raise InputError(
-                f"{where}: {', '.join(repr(column) for _, column in chosen[:4])} may all be {target!r}; "
-                f"{remedy(chosen[0][1], target, hint)}"
-            )
+            these = [repr(column) for _, column in chosen[:4]]
+            line = f"{quoted(chosen[0][1])} = {quoted(target)}  # or {', '.join(these[1:])}"
+            raise answer.error(f"{where}: {', '.join(these)} may all be {target!r}", [line])
         names[chosen[0]] = target
         if best == 1 and target.startswith("ctrl/"):
             notes.append(f"no column is named a command of {target[5:]!r}; {chosen[0][1]!r} is taken as its command")
@@ -115,13 +115,6 @@ def _drop_partial_velocities(names: dict[tuple[int, str], str], velocities: Sequ
                 del names[key]
             missing = ", ".join(sorted(needed - set(found.values())))
             notes.append(f"velocities of {joint} are estimated: there are {len(found)} columns, without {missing}")
-
-
-def remedy(column: str, target: str, hint: str) -> str:
-    """The lines of dataset.toml that match a column: three, separated by bars, where there is no such file yet."""
-    if hint:
-        return f'say which in a file dataset.toml beside it: {hint} | columns = {{ "{column}" = "{target}" }}'
-    return f'say which in dataset.toml: [columns] "{column}" = "{target}"'
 
 
 def _check_given(

@@ -1,4 +1,4 @@
-"""Whether the columns of a log are all that a model needs; what is missing is asked for in one line."""
+"""Whether the columns of a log are all that a model needs; what is missing is asked for at once."""
 
 from collections.abc import Collection, Sequence
 
@@ -6,8 +6,12 @@ import mujoco
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns import control_columns, state_columns
-from btr_mjx.gap.data.names.matching import Matched, remedy
+from btr_mjx.gap.data.names.matching import Matched
+from btr_mjx.gap.data.names.remedy import NO_FILE, Answer
 from btr_mjx.models import nearest_names, part_names
+
+_LISTED = 20
+"""Columns that a message lists, at most."""
 
 
 def check_matched(
@@ -16,7 +20,7 @@ def check_matched(
     model: mujoco.MjModel,
     where: str,
     unmeasured: Collection[str] = (),
-    hint: str = "",
+    answer: Answer = NO_FILE,
 ) -> None:
     """Check that every required column of a model was found, and no name misspelt.
 
@@ -29,11 +33,11 @@ def check_matched(
       model: the model.
       where: file, for messages.
       unmeasured: names of joints that are said to have no encoder.
-      hint: lines of dataset.toml that a remedy has to name besides.
+      answer: where a user says what columns are.
 
     Raises:
-      InputError: a required column that is absent, or a column of an unknown joint or actuator; the message lists the
-        nearest names.
+      InputError: required columns that are absent, all of them, with the lines of dataset.toml that name them; or a
+        column of an unknown joint or actuator.
     """
     found = set(matched.names.values())
     known = [column for _, columns in tables for column in columns]
@@ -50,24 +54,24 @@ def check_matched(
                 raise InputError(f"{where}: column {column!r} names no {what} of the model; nearest: {near}")
         used = [target for (table, _), target in matched.names.items() if table == i]
         if used and "time" not in used:
-            raise InputError(
-                f"{where}: there is no column 'time'; nearest in the file: {nearest_names('time', list(columns))}; "
-                f"{remedy('NAME', 'time', hint)}"
-            )
+            where_time = f"{where}: there is no column 'time' beside {', '.join(map(repr, columns[:8]))}"
+            raise answer.asked(where_time, ["time"], columns)
     free = [name for name in known if name not in {column for _, column in matched.names}]
+    missing, hidden = [] if "time" in found else ["time"], list[str]()
     for column in [*positions, *controls]:
         kind, _, name = column.partition("/")
         if not {column, kind, f"{kind}/{name.rpartition('/')[0]}"} & found:
-            if kind == "qpos" and "/" not in name and (name in unmeasured or not free):
-                continue
-            near = nearest_names(name, free or known)
-            hidden = f'a joint without an encoder is named by [model] unmeasured = ["{name}"]; else '
-            raise InputError(
-                f"{where}: there is no column {column!r}; nearest in the file: {near}; "
-                f"{hidden if kind == 'qpos' and '/' not in name else ''}{remedy('NAME', column, hint)}"
-            )
+            if kind == "qpos" and "/" not in name:
+                if name in unmeasured or not free:
+                    continue
+                hidden.append(name)
+            missing.append(column)
+    if missing:
+        some = ", ".join(map(repr, known[:_LISTED])) + (", ..." if len(known) > _LISTED else "")
+        message = f"{where}: there is no column {', '.join(map(repr, missing[:_LISTED]))}; columns of the file: {some}"
+        raise answer.asked(message, missing, free or known, hidden)
     for name in part_names(model, "joint"):
         of_joint = [c for c in velocities if c == f"qvel/{name}" or c.startswith(f"qvel/{name}/")]
-        missing = [c for c in of_joint if c not in found]
-        if 0 < len(missing) < len(of_joint):
-            raise InputError(f"{where}: there is no column {missing[0]!r}; give all of a joint's velocities or none")
+        left = [c for c in of_joint if c not in found]
+        if 0 < len(left) < len(of_joint):
+            raise InputError(f"{where}: there is no column {left[0]!r}; give all of a joint's velocities or none")

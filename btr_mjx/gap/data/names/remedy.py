@@ -1,0 +1,70 @@
+"""What to write into dataset.toml where columns cannot be matched by their names."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from btr_mjx.errors import InputError, command_line
+from btr_mjx.models import nearest_names
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The dataset.toml in which a user says what the columns of a log are.
+
+    Attributes:
+      file: where it is, or has to be written.
+      head: what it begins with where there is none yet: the model and the recordings.
+    """
+
+    file: Path = Path("dataset.toml")
+    head: str = ""
+
+    def asked(
+        self, message: str, targets: Sequence[str], columns: Sequence[str], joints: Sequence[str] = ()
+    ) -> InputError:
+        """The error that asks for columns.
+
+        Args:
+          message: what is wrong, in one line.
+          targets: the model's columns for which a column of the file has to be named.
+          columns: of the file that may be these.
+          joints: those of `targets` that may have no encoder.
+
+        Returns:
+          An error with the lines to write and the command to run then.
+        """
+        lines = [
+            f'"NAME {i}" = {quoted(target)}  # nearest: {nearest_names(target.partition("/")[2] or target, columns)}'
+            for i, target in enumerate(targets, 1)
+        ]
+        return self.error(message, lines, joints)
+
+    def error(self, message: str, lines: Sequence[str], joints: Sequence[str] = ()) -> InputError:
+        """An error with lines of the table [columns].
+
+        Args:
+          message: what is wrong, in one line.
+          lines: of the table.
+          joints: that may have no encoder.
+        """
+        where = f"Write this to {self.file}" if self.head else f"Add this to {self.file}"
+        fill = ", with names of the file in place of NAME 1, ..." if any("NAME " in line for line in lines) else ""
+        head = [*self.head.rstrip().splitlines(), ""] if self.head else []
+        without = [
+            f"(a joint without an encoder has no line there, but below [model]: unmeasured = [{quoted(joint)}])"
+            for joint in joints[:1]
+        ]
+        run = f"then run: {command_line('btr_mjx.diagnose', [str(self.file.parent)])}"
+        block = [f"{where}{fill}:", "", *head, "[columns]", *lines, "", *without, run]
+        return InputError(f"{message}; name them in [columns] of {self.file}", lines=block)
+
+
+NO_FILE = Answer()
+"""Where nothing is known of a dataset.toml."""
+
+
+def quoted(text: str) -> str:
+    """A text as a string of TOML."""
+    return json.dumps(text, ensure_ascii=False)
