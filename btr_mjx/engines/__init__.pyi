@@ -4,7 +4,7 @@ from .controlled import ControlledProgram, Motions
 from .devices import use_all_cores, use_compilation_cache
 from .lanes.fields import base_field, influences_motion
 from .lanes.stepper import LanesStepper
-from .lanes.support import possible_contacts, refusals
+from .lanes.support import possible_contacts, refusals, require_supported
 from .mjx import MjxStepper
 from .native import expand
 from .program import Layout, Program, rollout_chunk
@@ -26,6 +26,7 @@ __all__ = [
     "native",
     "possible_contacts",
     "refusals",
+    "require_supported",
     "rollout_chunk",
     "use_all_cores",
     "use_compilation_cache",

@@ -18,7 +18,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import ArrayLike
 
-from btr_mjx.engines import UnsupportedModel, base_field, expand
+from btr_mjx.engines import UnsupportedModel, base_field, expand, possible_contacts, require_supported
 from btr_mjx.errors import InputError
 from btr_mjx.lanes.coverage import as_model
 from btr_mjx.runs import available_cores
@@ -30,6 +30,9 @@ _LOG = logging.getLogger(__name__)
 
 _MAX_TRIPPED = 0.25
 """Part of the first block that guards may hand to native MuJoCo before it evaluates everything."""
+
+_SAMPLE = 8
+"""Worlds that native MuJoCo tries first, where contacts are guarded."""
 
 _SEGMENT = 100
 """Steps of one call of the compiled program."""
@@ -106,7 +109,9 @@ def rollout(
     else:
         try:
             leaves = _with_constants(m, count, leaves)
-            program = _program(m, tuple(sorted(leaves)), chunk)
+            require_supported(m, guards=True)
+            note = _touching_at_once(m, start, control, leaves)
+            program = None if note else _program(m, tuple(sorted(leaves)), chunk)
         except UnsupportedModel as error:
             note = str(error).split(";")[0]
     if program is None:
@@ -131,6 +136,45 @@ def rollout(
             state[tripped] = _native(m, start[tripped], control[tripped], some)
             engine[tripped] = "native"
     return LanesRollout(state, engine, "")
+
+
+def _touching_at_once(
+    m: mujoco.MjModel, start: np.ndarray, control: np.ndarray, leaves: Mapping[str, np.ndarray]
+) -> str:
+    """Why guards would hand over most worlds, from native rollouts of a few; empty if they need not.
+
+    Compiling takes longer than this, and would be in vain.
+    """
+    guarded = np.zeros((m.ngeom, m.ngeom), bool)
+    for own in possible_contacts(m).guarded:
+        guarded[own.pair.first, own.pair.second] = guarded[own.pair.second, own.pair.first] = True
+    rows = np.unique(np.linspace(0, len(start) - 1, _SAMPLE).astype(int))
+    touching = 0
+    for row in rows if guarded.any() else ():
+        model = _with_fields(m, {name: values[row] for name, values in leaves.items()})
+        data = mujoco.MjData(model)
+        mujoco.mj_setState(model, data, start[row], _FULL)
+        for control_row in control[row]:
+            data.ctrl[:] = control_row
+            mujoco.mj_step(model, data)
+            if guarded[tuple(data.contact.geom.T)].any():
+                touching += 1
+                break
+    if touching <= _MAX_TRIPPED * len(rows):
+        return ""
+    return f"bodies whose contact lanes does not compute touch in {touching} of {len(rows)} worlds that were tried"
+
+
+def _with_fields(m: mujoco.MjModel, fields: Mapping[str, np.ndarray]) -> mujoco.MjModel:
+    """A copy of the model with other values of some fields."""
+    model = copy.copy(m)
+    for name, value in fields.items():
+        owner, word = (model.opt, name[4:]) if name.startswith("opt.") else (model, name)
+        if value.ndim:
+            getattr(owner, word)[:] = value
+        else:
+            setattr(owner, word, float(value))
+    return model
 
 
 def _checked(

@@ -110,7 +110,7 @@ def test_fields_may_differ_between_worlds(rng: np.random.Generator) -> None:
     ("extra", "near", "words"),
     [
         (EQUALITY, 0.0, "equality"),
-        ("", 1.0, "guards found possible contacts"),
+        ("", 1.0, "worlds that were tried"),
     ],
 )
 def test_native_computes_everything_where_lanes_does_not_pay(
@@ -124,6 +124,23 @@ def test_native_computes_everything_where_lanes_does_not_pay(
     assert words in found.note
     assert words in caplog.text
     assert found.native_share == 1
+    np.testing.assert_array_equal(found.state, native(model, states, controls))
+
+
+def test_guards_hand_over_most_worlds_where_the_tried_ones_stay_clear(
+    rng: np.random.Generator, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The bound of a mesh is that of its box: the ball never touches it, but comes near."""
+    text = ARM.format(extra='<body pos="1 0 -0.3"><joint/><geom type="mesh" mesh="tip" mass="1"/></body>').replace(
+        "<worldbody>",
+        '<asset><mesh name="tip" vertex="0 0 0 .2 0 0 0 .2 0 0 0 .2"/></asset><worldbody>',
+    )
+    model = mujoco.MjModel.from_xml_string(text)
+    states, controls = starts(model, 6, rng, 0), np.ones((6, 5, 2))
+    states[:, 3:6] = model.body("ball").pos + np.full(3, 0.14)  # qpos of the ball, beyond the slanted face
+    states[:, 1 + model.nq :] = 0
+    found = lanes.rollout(text, states, controls)
+    assert "guards found possible contacts" in found.note
     np.testing.assert_array_equal(found.state, native(model, states, controls))
 
 

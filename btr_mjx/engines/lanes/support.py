@@ -18,6 +18,10 @@ from btr_mjx.engines.guards.pairs import (
     geom_pairs,
     mixed_condim,
 )
+from btr_mjx.engines.lanes.tree import make_plan, moving_tendons
+
+MAX_DOFS = 45
+"""Dofs of the plan above which the program takes many minutes to compile."""
 
 _JOINT, _DYN, _GAIN, _BIAS = mujoco.mjtJoint, mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
@@ -89,11 +93,14 @@ def require_supported(model: mujoco.MjModel, guards: bool = False) -> Contacts:
 
 def refusals(model: mujoco.MjModel) -> Iterator[str]:
     """Features of a model that this engine does not compute, contacts aside, with the elements that use them."""
-    yield from _check_options(model)
-    yield from _check_elements(model)
-    yield from _check_joints(model)
-    yield from _check_actuators(model)
-    yield from _check_tendons(model)
+    found = [
+        *_check_options(model),
+        *_check_elements(model),
+        *_check_joints(model),
+        *_check_actuators(model),
+        *_check_tendons(model),
+    ]
+    yield from found or _check_size(model)
 
 
 def _check_options(m: mujoco.MjModel) -> Iterator[str]:
@@ -186,18 +193,6 @@ def _check_actuators(m: mujoco.MjModel) -> Iterator[str]:
             yield f"actearly ({where})"
 
 
-def moving_tendons(m: mujoco.MjModel) -> list[int]:
-    """Tendons that exert forces; the others have no influence on motion."""
-    if not m.ntendon:
-        return []
-    own = (m.tendon_limited != 0) | (m.tendon_frictionloss != 0) | (m.tendon_armature != 0)
-    own |= (m.tendon_stiffness != 0) | (m.tendon_damping != 0)
-    for field in ("tendon_stiffnesspoly", "tendon_dampingpoly"):
-        own |= np.any(getattr(m, field).reshape(m.ntendon, -1) != 0, axis=1)
-    driven = m.actuator_trnid[m.actuator_trntype == _TENDON, 0]
-    return sorted(set(np.flatnonzero(own).tolist()) | set(driven.tolist()))
-
-
 def _check_tendons(m: mujoco.MjModel) -> Iterator[str]:
     implicit = m.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     for t in moving_tendons(m):
@@ -225,6 +220,12 @@ def _check_tendons(m: mujoco.MjModel) -> Iterator[str]:
             yield f"velocity gains of actuators on tendons with the implicitfast integrator ({where})"
         if len(driving) and np.any(m.jnt_actfrclimited[m.wrap_objid[wraps]]):
             yield f"force limits of joints on driven tendons ({where})"
+
+
+def _check_size(m: mujoco.MjModel) -> Iterator[str]:
+    dofs = len(make_plan(m, possible_contacts(m).computed, m.dof_frictionloss != 0).dof_size)
+    if dofs > MAX_DOFS:
+        yield f"trees of more than {MAX_DOFS} dofs, alike branches counted once (this one has {dofs})"
 
 
 def possible_contacts(m: mujoco.MjModel) -> Contacts:

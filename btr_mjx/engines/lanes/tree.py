@@ -5,13 +5,12 @@ as the legs of a robot) become one *group*: a single chain of links whose scalar
 nested; inside a group every link has the same G.
 """
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-
-from btr_mjx.engines.lanes.support import moving_tendons
 
 FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -134,6 +133,18 @@ def has_joints_below(model: mujoco.MjModel, body: int) -> bool:
     return any(model.body_jntnum[b] for b in below[1:])
 
 
+def moving_tendons(m: mujoco.MjModel) -> list[int]:
+    """Tendons that exert forces; the others have no influence on motion."""
+    if not m.ntendon:
+        return []
+    own = (m.tendon_limited != 0) | (m.tendon_frictionloss != 0) | (m.tendon_armature != 0)
+    own |= (m.tendon_stiffness != 0) | (m.tendon_damping != 0)
+    for field in ("tendon_stiffnesspoly", "tendon_dampingpoly"):
+        own |= np.any(getattr(m, field).reshape(m.ntendon, -1) != 0, axis=1)
+    driven = m.actuator_trnid[m.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON, 0]
+    return sorted(set(np.flatnonzero(own).tolist()) | set(driven.tolist()))
+
+
 class _Builder:
     """Traverses the kinematic tree once; `build` returns the plan."""
 
@@ -175,7 +186,7 @@ class _Builder:
         ]
 
     def _signature(self, body: int) -> str:
-        """Text that is equal for subtrees that can form a group."""
+        """Text that is equal for subtrees that can form a group: a digest, since it contains those of the children."""
         m = self.model
         joints = []
         for j in self._joints(body):
@@ -205,7 +216,8 @@ class _Builder:
             )
         touches = [(int(m.geom_type[g]), self.pairs[g]) for g in self._touching(body)] if body else []
         own = (is_free_body(m, body), len(massive_members(m, body))) if body else ()
-        return repr((joints, touches, own, [self.signatures[b] for b in self._children(body)]))
+        whole = repr((joints, touches, own, [self.signatures[b] for b in self._children(body)]))
+        return hashlib.sha256(whole.encode()).hexdigest()
 
     def _add(self, parent: int, bodies: tuple[int, ...]) -> None:
         """Append the link of the bodies of a group, then its descendants."""
@@ -265,7 +277,7 @@ def make_plan(model: mujoco.MjModel, pairs: Mapping[int, list[tuple[int, int]]],
     """Make the static plan of a model.
 
     Args:
-      model: the model; must have passed `support.require_supported`.
+      model: the model; must have passed `support.refusals`.
       pairs: geom -> (plane geom, condim) of all its possible contacts (from `support.require_supported`).
       friction: bool (nv,), dofs that have or may have friction loss.
 
