@@ -20,7 +20,7 @@ from btr_mjx.engines.guards.pairs import (
 )
 from btr_mjx.engines.lanes.tree import make_plan, moving_tendons
 
-MAX_DOFS = 45
+MAX_DOFS = 32
 """Dofs of the plan above which the program takes many minutes to compile."""
 
 _JOINT, _DYN, _GAIN, _BIAS = mujoco.mjtJoint, mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
