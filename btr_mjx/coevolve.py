@@ -34,6 +34,7 @@ from btr_mjx.backtoreality import (
     export_simulation,
     inputs_of,
     run_in_folder,
+    similar_ranges,
     summarise,
     summary_table,
     write_trials,
@@ -72,6 +73,7 @@ def coevolve(config: CoevolveConfig | None = None, **changes: Any) -> dict[str, 
         with folder as run, graceful_interrupt() as stop:
             state = run_in_folder(problem, run, stop, config.progress, config.wait)
             result = summarise(problem, state)
+            result["similar_range"] = similar_ranges(run.path, result)
             write_trials(run.path, state)
             write_json(run.path / "result.json", result)
             export_simulation(run.path, problem, state)

@@ -1,7 +1,8 @@
 """Film what a run found: `python -m btr_mjx.replay runs/quick-0`.
 
-Of a co-evolution: the first controller in the simulation of the start and in reality, and below them the best one in
-the identified simulation and in reality. Of a diagnosis: a held-out recording beside the believed model and the mended
+Of a co-evolution: the controller of iteration 1 that the simulation of the start predicts to be the best, there and in
+reality, and below them the one that was best in reality in the last iteration, in the identified simulation and in
+reality. Of a diagnosis: a held-out recording beside the believed model and the mended
 one, which start as it does and get its command. Trials are simulated again in native MuJoCo, in float64.
 
 The film is a GIF, or an MP4 with the extra `video`; its labels say what is shown, the time and the fitness. The page of

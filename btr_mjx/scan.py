@@ -68,7 +68,9 @@ def main(argv: Sequence[str] | None = None) -> None:
                     draw_run_page(run.path)
         print(f"{arrays['parameter']}: {arrays['delta'].shape[1]} behaviours, {config.grid} simulations")
         for name, value in result.items():
-            print(f"  {name:20} {value if isinstance(value, int | str) else format(value, '.4f')}")
+            print(
+                f"  {name:20} {format(value, '.4f') if isinstance(value, float) else '-' if value is None else value}"
+            )
         if config.out is not None:
             print(f"all files in {config.out}")
 

@@ -27,13 +27,11 @@ from units import Arrays, Journal, Step, Unit, load, run_units
 from btr_mjx import scan
 from btr_mjx.backtoreality import evolve_controllers, select_transferable
 from btr_mjx.evaluation import delta_of
+from btr_mjx.robots import PAPER_STARTS
 from btr_mjx.runs import write_json
 
 TRUTHS = {"bl_14": 1.6, "bl_5": 0.88}
 """The paper's realities [m]."""
-
-START = {"bl_14": 0.4, "bl_5": 0.64}
-"""Their values in s_0, where controllers evolve [m]: the paper's, and the femurs' default."""
 
 PLATEAUS = {"bl_14": (0.4, 1.1), "bl_5": (1.3, 1.6)}
 """Ranges in which the paper finds no influence of the parameter [m]: the foot does not reach the ground."""
@@ -84,7 +82,7 @@ def work(config: Fig2Config, seed: int, step: Step, journal: Journal) -> Arrays:
     arrays: Arrays = {}
     for parameter, truth in TRUTHS.items():
         grid, line, reality = line_of(bench, parameter, config.grid)
-        start = scan.along(bench.robot, parameter, [START[parameter]])
+        start = scan.along(bench.robot, parameter, [PAPER_STARTS[parameter]])
         genomes, scores = evolve(bench, config, start[0], seed)
         controllers = bench.robot.controller_box.with_bits(config.search.bits).decode(genomes)
         # Reality is evaluated separately, so that zero distance at the truth is a result and not an assumption.

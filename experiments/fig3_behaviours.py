@@ -24,7 +24,7 @@ from bench import Bench
 from common import TINY, Config, command
 from curves import Draws, curve_numbers, influence, interval, multiscale_curve, noise_numbers, subset_numbers
 from drawing import delta_panel, figure_of, letter, save, shades, truth_line, white_legend
-from fig2_scans import START, TRUTHS, evolve, line_of
+from fig2_scans import TRUTHS, evolve, line_of
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from units import Arrays, Journal, Step, Unit, load, run_units
@@ -33,6 +33,7 @@ from btr_mjx import scan
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import delta_of, metrics
 from btr_mjx.optimise import mutate
+from btr_mjx.robots import PAPER_STARTS
 from btr_mjx.runs import write_json
 
 PARAMETER = "bl_5"
@@ -83,7 +84,7 @@ def work(config: Fig3Config, seed: int, step: Step, journal: Journal) -> Arrays:
     """All simulations of one seed."""
     bench = Bench.of(config, step)
     grid, line, reality = line_of(bench, PARAMETER, config.grid)
-    start = scan.along(bench.robot, PARAMETER, [START[PARAMETER]])
+    start = scan.along(bench.robot, PARAMETER, [PAPER_STARTS[PARAMETER]])
     box = bench.robot.controller_box.with_bits(config.search.bits)
     best = journal(lambda: evolve(bench, config, start[0], seed)[0][0], config.population * config.generations)
     rng = np.random.default_rng([seed, 3])

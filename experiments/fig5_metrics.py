@@ -25,7 +25,7 @@ from bench import Bench
 from common import TINY, Config, command
 from curves import curve_numbers, interval, multiscale_curve
 from drawing import figure_of, letter, save, shades, truth_line, white_legend
-from fig2_scans import START, TRUTHS, evolve, line_of
+from fig2_scans import TRUTHS, evolve, line_of
 from matplotlib.axes import Axes
 from units import Arrays, Journal, Step, Unit, load, run_units
 
@@ -43,7 +43,7 @@ from btr_mjx.evaluation import (
     metrics,
 )
 from btr_mjx.models import base_model
-from btr_mjx.robots import Robot
+from btr_mjx.robots import PAPER_STARTS, Robot
 from btr_mjx.runs import write_json
 
 PARAMETER = "bl_5"
@@ -106,7 +106,7 @@ def work(config: Fig5Config, longer: int, seed: int, step: Step, journal: Journa
     """All simulations of one seed, in trials `longer` times as long."""
     bench = Bench.of(config, step)
     grid, line, reality = line_of(bench, PARAMETER, config.grid)
-    start = scan.along(bench.robot, PARAMETER, [START[PARAMETER]])[0]
+    start = scan.along(bench.robot, PARAMETER, [PAPER_STARTS[PARAMETER]])[0]
     genomes = journal(lambda: evolve(bench, config, start, seed)[0], config.population * config.generations)
     controllers = bench.robot.controller_box.with_bits(config.search.bits).decode(genomes)
     duration = longer * config.duration

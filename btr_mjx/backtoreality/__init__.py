@@ -29,7 +29,7 @@ from btr_mjx.backtoreality.state import (
     SearchSettings,
     State,
 )
-from btr_mjx.backtoreality.summary import summarise, summary_table
+from btr_mjx.backtoreality.summary import bound_words, similar_ranges, summarise, summary_table
 
 __all__ = [
     "PRESETS",
@@ -46,6 +46,7 @@ __all__ = [
     "Waiting",
     "along",
     "begin",
+    "bound_words",
     "build_problem",
     "check_scan",
     "curve_statistics",
@@ -60,6 +61,7 @@ __all__ = [
     "run_in_folder",
     "run_scan",
     "select_transferable",
+    "similar_ranges",
     "summarise",
     "summary_table",
     "write_trials",

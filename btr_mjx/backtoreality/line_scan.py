@@ -24,7 +24,7 @@ from btr_mjx.evaluation import (
 )
 from btr_mjx.models import chosen_robot
 from btr_mjx.optimise import mutate
-from btr_mjx.robots import PAPER_REALITIES, Robot
+from btr_mjx.robots import PAPER_REALITIES, PAPER_STARTS, Robot
 
 
 def delta(
@@ -134,6 +134,9 @@ class ScanConfig:
     """Points over its whole range."""
     truth: float | None = None
     """Its value in reality; by default the paper's for bl_14 (1.6) and bl_5 (0.88), else the nominal value."""
+    start: float | None = None
+    """Its value in the simulation in which the controllers evolve; by default the paper's for bl_14 (0.4) and bl_5
+    (0.64), else its lowest value."""
     out: Path | None = None
     """Run folder; without it the statistics are printed and nothing is saved."""
     resume: bool = False
@@ -156,7 +159,7 @@ class ScanConfig:
     trials: int = 15
     """m, number of behaviours."""
     behaviours: Literal["evolved", "mutants", "random"] = "evolved"
-    """evolved: the m best that evolution finds where the parameter has its lowest value (Fig. 2); mutants: m mutants of
+    """evolved: the m best that evolution finds in the simulation of --start (Fig. 2); mutants: m mutants of
     the best of them, with --p-m (Fig. 3); random: drawn from the controller box."""
     p_m: float = 0.02
     """Probability per bit of flipping a controller's bit."""
@@ -208,7 +211,8 @@ def run_scan(config: ScanConfig, step: Progress | None = None) -> tuple[dict[str
     robot, truth = check_scan(config)
     function, parameter = fitness_function(config.fitness or robot.fitness, robot.target), scanned(config, robot)
     line = along(robot, parameter, config.grid)
-    controllers = behaviours_of(config, robot, line[0], step)
+    start = start_value(config, robot)
+    controllers = behaviours_of(config, robot, along(robot, parameter, [start])[0], step)
     reality = along(robot, parameter, [truth])
     engine = _engine(config)
     f_r = evaluate(robot, reality, controllers, engine=engine, fitness=function, progress=step).fitness[0]
@@ -233,6 +237,7 @@ def run_scan(config: ScanConfig, step: Progress | None = None) -> tuple[dict[str
         "diverged": int(table.diverged.sum()),
         "solver_capped_steps": int(table.solver_capped.sum()),
         "engine": table.engine,
+        "evolved_at": None if config.behaviours == "random" else start,
         "parameter_unit": robot.simulation_box.units[robot.simulation_box.index(parameter)],
         "fitness_unit": function.unit,
     }
@@ -255,6 +260,9 @@ def check_scan(config: ScanConfig) -> tuple[Robot, float]:
     own = PAPER_REALITIES["fig2"] if config.robot is None else {}
     truth = own.get(parameter, robot.nominal[index]) if config.truth is None else config.truth
     along(robot, parameter, [truth])
+    if config.start is not None and config.behaviours == "random":
+        raise InputError(f"start {config.start:g}: controllers evolve there, and --behaviours random evolves none")
+    along(robot, parameter, [start_value(config, robot)])
     if config.grid < 2 or config.trials < 1:
         raise InputError(f"grid {config.grid} and trials {config.trials}: expected at least 2 and 1")
     if config.behaviours != "random":
@@ -281,6 +289,15 @@ def block_settings(config: ScanConfig) -> BlockSettings:
 def scanned(config: ScanConfig, robot: Robot) -> str:
     """Name of the parameter that is scanned."""
     return config.parameter or ("bl_14" if config.robot is None else robot.simulation_box.names[0])
+
+
+def start_value(config: ScanConfig, robot: Robot) -> float:
+    """The parameter's value in the simulation in which the controllers evolve, see `ScanConfig.start`."""
+    if config.start is not None:
+        return config.start
+    parameter, box = scanned(config, robot), robot.simulation_box
+    own = PAPER_STARTS if config.robot is None else {}
+    return float(own.get(parameter, box.low[box.index(parameter)]))
 
 
 def _engine(config: ScanConfig) -> Engine | None:

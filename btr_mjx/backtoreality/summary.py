@@ -10,20 +10,28 @@ from btr_mjx.backtoreality.algorithm import best_index
 from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import growth_sentence
 from btr_mjx.backtoreality.simulation_search import whole_trial_delta
-from btr_mjx.backtoreality.state import Problem, State
+from btr_mjx.backtoreality.state import Problem, State, Trials
 from btr_mjx.evaluation import learning_performance
+from btr_mjx.runs import read_arrays
+
+_SIMILAR = 2.0
+"""Largest distance of a simulation that counts as fitting similarly well, over the least one."""
+
+_AT_BOUND = 0.005
+"""Part of its range within which a value counts as being at the bound."""
 
 
 def summarise(problem: Problem, state: State) -> dict[str, Any]:
     """Results of a finished run, as in result.json.
 
     Returns:
-      delta_fitness_first and _last: Delta_fitness of s_0 over the behaviours of iteration 1, and of the last simulation
-      over those it was fitted to. parameter_error_first and _last: mean absolute error of the unknown parameters, None
-      for a reality that is not simulated. The fitness function's name, unit and direction; bounds and units of the
-      unknown parameters (space). reality_evaluations, lp (learning performance) and its terms, the simulation,
-      the best controller, the stop criterion that was met, and the noise of a single measurement where trials were
-      measured more than once.
+      prediction_error_first and _last: mean |f_s - f_r| over the controllers that were new in the first and the last
+      iteration, f_s as predicted before they were tried. delta_fitness_first and _last: Delta_fitness of s_0 over the
+      behaviours of iteration 1, and of the last simulation over those it was fitted to. parameter_error_first and
+      _last: mean absolute error of the unknown parameters, None for a reality that is not simulated. The fitness
+      function's name, unit and direction; bounds and units of the unknown parameters (space). reality_evaluations, lp
+      (learning performance) and its terms, the simulation, the best controller, the stop criterion that was met, and
+      the noise of a single measurement where trials were measured more than once.
     """
     original, problem = problem, grown(problem, state.grown)
     trials, last = state.trials, state.iteration
@@ -46,6 +54,8 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
 
     values = lambda s: dict(zip(problem.unknown, np.asarray(s)[indices].tolist(), strict=True))  # noqa: E731
     return {
+        "prediction_error_first": prediction_error(trials, 1),
+        "prediction_error_last": prediction_error(trials, last),
         "delta_fitness_first": delta(problem.start, 1),
         "delta_fitness_last": delta(state.simulation, last),
         "parameter_error_first": error(problem.start),
@@ -83,19 +93,68 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
+def prediction_error(trials: Trials, iteration: int) -> float:
+    """Mean |f_s - f_r| over the trials of an iteration, whose f_s was predicted before; NaN where all failed."""
+    gap = np.abs(trials.f_s - trials.f_r)[trials.iteration == iteration]
+    return float(gap[np.isfinite(gap)].mean()) if np.isfinite(gap).any() else math.nan
+
+
+def similar_ranges(folder: Path, result: dict[str, Any]) -> dict[str, list[float]]:
+    """What the trials leave open: extent of the simulations that fit them nearly as well as the identified one.
+
+    Of the last search of step 3, since distances to other trials cannot be compared.
+
+    Args:
+      folder: the run folder, with its archives of simulations.
+      result: from `summarise`.
+
+    Returns:
+      Unknown parameter -> [lowest, highest] value among all simulations tried whose distance is at most twice the
+      least, and the identified one. It is no confidence interval: it depends on what was tried.
+    """
+    archives = [read_arrays(path) for path in folder.glob(f"simulations-{result['iterations']:03d}*.npz")]
+    archive = max(archives, key=lambda arrays: len(arrays["names"]))  # the search after a growth has more numbers
+    scores = np.where(np.isnan(archive["delta_fitness"]), np.inf, archive["delta_fitness"])
+    tried = archive["parameters"][scores <= _SIMILAR * scores.min()]
+    identified = [result["simulation"][str(name)] for name in archive["names"]]
+    rows = np.concatenate([tried.reshape(-1, len(identified)), [identified]])
+    ends = zip(rows.min(axis=0).tolist(), rows.max(axis=0).tolist(), strict=True)
+    return {str(name): [low, high] for name, (low, high) in zip(archive["names"], ends, strict=True)}
+
+
+def bound_words(value: float, low: float, high: float) -> str:
+    """Which bound of its range a value is at; "" for none."""
+    near = _AT_BOUND * (high - low)
+    return "at its lower bound" if value <= low + near else "at its upper bound" if value >= high - near else ""
+
+
 def summary_table(result: dict[str, Any], out: Path) -> str:
     """The table that the command prints at its end."""
-    lines = [f"{'':34}{'first':>12}{'last':>12}"]
-    for label, name in (("Delta_fitness", "delta_fitness"), ("mean error of unknown parameters", "parameter_error")):
-        first, last = result[f"{name}_first"], result[f"{name}_last"]
-        if first is not None:
-            lines.append(f"{label:34}{first:12.4f}{last:12.4f}")
-    lines.append(f"{'best fitness in reality':34}{result['f_r_best_first_iteration']:12.4f}{result['f_r_best']:12.4f}")
+    unit = f" [{result['fitness_unit']}]" if result["fitness_unit"] else ""
+    last = result["iterations"]
+    lines = [f"{'':46}{'iteration 1':>14}{f'iteration {last}':>14}"]
+    for label, keys in (
+        ("prediction error on new controllers", ("prediction_error_first", "prediction_error_last")),
+        ("best fitness in reality", ("f_r_best_first_iteration", "f_r_best")),
+    ):
+        lines.append(f"{label + unit:46}" + "".join(f"{result[key]:14.4f}" for key in keys))
+    fitted = f"{result['delta_fitness_last']:.4f}{unit}"
+    lines.append(f"fitted: Delta_fitness of the final simulation, over the trials it was fitted to: {fitted}")
     lines.append("")
-    lines.append(f"{'parameter':34}{'start':>12}{'identified':>12}{'truth':>12}")
+    lines.append(f"{'parameter':34}{'start':>11}{'identified':>11}  {'similar fit from, to':>21}{'truth':>11}")
     for name, value in result["simulation"].items():
-        truth = "" if name not in (result["truth"] or {}) else f"{result['truth'][name]:12.4f}"
-        lines.append(f"{name:34}{result['start'][name]:12.4f}{value:12.4f}{truth}")
+        space, truth = result["space"][name], (result["truth"] or {}).get(name)
+        label = f"{name} [{space['unit']}]" if space["unit"] else name
+        low, high = result["similar_range"][name]
+        line = f"{label:34}{result['start'][name]:11.4g}{value:11.4g}  {low:10.4g} {high:10.4g}"
+        line += (
+            f"{'' if truth is None else format(truth, '.4g'):>11}  {bound_words(value, space['low'], space['high'])}"
+        )
+        lines.append(line.rstrip())
+    lines.append(
+        "similar fit: simulations tried in the last step 3 whose distance is at most twice the least; no confidence "
+        "interval"
+    )
     lines += ["", *map(growth_sentence, result["growth"])] if result["growth"] else []
     lines.append("")
     lines.append(

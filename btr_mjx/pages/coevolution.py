@@ -6,26 +6,48 @@ from typing import Any
 
 import numpy as np
 
-from btr_mjx.backtoreality import growth_sentence
+from btr_mjx.backtoreality import bound_words, growth_sentence
 from btr_mjx.evaluation import metrics
 from btr_mjx.gap.results import format_number
 from btr_mjx.pages.content import Section, Table, with_interval
 from btr_mjx.pages.page import embedded
 from btr_mjx.plotting import RunData, with_unit
 
+DISTANCE_WORDS: Mapping[str, str] = {
+    "fitness": "It is Delta_fitness, the mean of |f_s − f_r|.",
+    "multiscale": "It is the multiscale distance: the mean of |f_s − f_r| over several early marks of a trial and its "
+    "end, each divided by the spread of f_r at that mark; it has no unit.",
+}
+"""What step 3 minimises, in words."""
+
+LEARNING_WORDS = (
+    "Learning performance: (best fitness of the last iteration − fitness of the first controller c_0) / largest "
+    "fitness measured, times the number of controller parameters over the number of trials; larger is better."
+)
+"""The paper's LP in words."""
+
+FILM_CAPTION = (
+    "Before: the controller of iteration 1 with the best predicted fitness, in the simulation of the start and in "
+    "reality. After: the controller of the last iteration with the best measured fitness, in the identified simulation, "
+    "which was fitted to this trial as well, and in reality. Numbers: fitness. Yellow: parts whose size is unknown; the "
+    "line on the ground: path of the base."
+)
+"""What a film of `btr_mjx.replay` shows."""
+
 CAPTIONS: Mapping[str, tuple[str, str]] = {
     "controller_fitness": (
         "Fitness of controllers over the generations, and of those tried in reality",
         "Fitness in simulation over the generations of step 1, and of the controllers tried: circles as simulated, "
-        "diamonds as measured. The line between them is the reality gap of a controller.",
+        "diamonds as measured. The line between them is the reality gap of a controller. c_0: the first controller, "
+        "tried before anything was learned.",
     ),
     "delta_fitness": (
         "Distance between simulation and reality over the generations",
         "What step 3 minimises, over its generations, before and after each search.",
     ),
-    "limb_lengths": (
+    "parameters": (
         "Unknown parameters over the generations",
-        "Every simulation that was tried, by unknown parameter.",
+        "Every simulation that was tried, by unknown parameter; the darker, the better it fits.",
     ),
     "sim_versus_reality": (
         "Fitness in simulation against fitness in reality",
@@ -36,27 +58,65 @@ CAPTIONS: Mapping[str, tuple[str, str]] = {
 """Figure -> what it shows, and its caption."""
 
 
+MOST_NAMED = 3
+"""Parameters whose values the verdict gives one by one; of more it says the mean error."""
+
+
 def coevolution_sentence(run: RunData) -> str:
-    """The verdict of a co-evolution, two sentences at most."""
+    """The verdict of a co-evolution, two sentences at most.
+
+    The first says how well new controllers were predicted in the first and in the last iteration, and what was
+    identified; the second what the best controller does, as predicted and as measured.
+    """
     result, unit = run.result, f" {run.unit}".rstrip()
-    tried = result.get("reality_evaluations", len(run.trials["f_r"]))
-    first, last = (result.get(f"parameter_error_{when}") for when in ("first", "last"))
-    lengths = set(run.box.units)
-    own = f" {next(iter(lengths))}".rstrip() if len(lengths) == 1 else ""
-    what = f"the mean error of {_count(run.box.n, 'unknown parameter')}"
-    if first is None or last is None:
-        first, last = (float(result.get(f"delta_fitness_{when}", np.nan)) for when in ("first", "last"))
-        what, own = "Delta_fitness, the mean difference between simulated and measured fitness,", unit
-    change = f"from {format_number(first)}{own} to {format_number(last)}{own}"
-    moved = f"falls {change}" if last < first else f"does not fall: it goes {change}"
-    text = f"With {_count(tried, 'trial')} in reality, {what} {moved}."
-    before, best = result.get("f_r_first_controller"), result.get("f_r_best")
-    if isinstance(before, float) and isinstance(best, float):
+    tried, last = result.get("reality_evaluations", len(run.trials["f_r"])), int(run.trials["iteration"].max())
+    before, after = prediction_errors(run)[[0, -1]]
+    values = [format_number(before) + unit, format_number(after) + unit]
+    text = f"With {_count(tried, 'trial')} in reality, the mean error of the predicted fitness of new controllers "
+    if last == 1:
+        text += f"is {values[0]} in the only iteration"
+    elif after < before:
+        text += f"falls from {values[0]} (iteration 1) to {values[1]} (iteration {last})"
+    else:
+        text += f"does not fall: it goes from {values[0]} (iteration 1) to {values[1]} (iteration {last})"
+    text += f"; {_identified(run)}."
+    measured, predicted = result.get("f_r_best"), result.get("f_s_best")
+    if isinstance(measured, float) and isinstance(predicted, float):
         text += (
-            f" The best controller reaches {format_number(best)}{unit} in reality; the first one reached "
-            f"{format_number(before)}{unit}."
+            f" The best controller reaches {format_number(measured)}{unit} in reality, "
+            f"{format_number(predicted)}{unit} were predicted"
         )
+        first = result.get("f_r_first_controller")
+        text += f"; the first one reached {format_number(first)}{unit}." if isinstance(first, float) else "."
     return text
+
+
+def prediction_errors(run: RunData) -> np.ndarray:
+    """(iterations,) mean |f_s - f_r| of the controllers of each iteration; NaN where all trials failed."""
+    gap, iteration = np.abs(run.trials["f_s"] - run.trials["f_r"]), run.trials["iteration"]
+    own = [gap[(iteration == k) & np.isfinite(gap)] for k in range(1, int(iteration.max()) + 1)]
+    return np.array([values.mean() if len(values) else np.nan for values in own])
+
+
+def _identified(run: RunData) -> str:
+    """What became of the unknown parameters, in each one's unit or in percent of the ranges."""
+    if run.box.n <= MOST_NAMED:
+        parts = []
+        for i, name in enumerate(run.box.names):
+            unit = f" {run.box.units[i]}".rstrip()
+            start, end = (format_number(float(values[i])) for values in (run.start, run.identified))
+            part = f"{name} goes from {start} to {end}{unit}"
+            if run.truth is not None and np.isfinite(run.truth[i]):
+                part += f" (truth: {format_number(float(run.truth[i]))}{unit})"
+            parts.append(part)
+        return ", ".join(parts)
+    if run.truth is None:
+        return f"{run.box.n} parameters were identified"
+    first, last = (np.nanmean(np.abs(values - run.truth) / run.box.span) for values in (run.start, run.identified))
+    return (
+        f"the mean error of {run.box.n} parameters goes from {format_number(100 * first, 2)} % to "
+        f"{format_number(100 * last, 2)} % of their ranges"
+    )
 
 
 def coevolution_content(folder: Path, run: RunData, figures: Sequence[Path]) -> dict[str, Any]:
@@ -69,25 +129,29 @@ def coevolution_content(folder: Path, run: RunData, figures: Sequence[Path]) -> 
     """
     result = run.result
     unit = f" {run.unit}".rstrip()
-    numbers = []
+    last, errors = int(run.trials["iteration"].max()), prediction_errors(run)
+    numbers = [("prediction error, iteration 1", f"{format_number(errors[0])}{unit}")]
+    if last > 1:
+        numbers.append((f"prediction error, iteration {last}", f"{format_number(errors[-1])}{unit}"))
     for label, key, of in (
-        ("Delta_fitness, first", "delta_fitness_first", unit),
-        ("Delta_fitness, last", "delta_fitness_last", unit),
-        ("best fitness in reality, first iteration", "f_r_best_first_iteration", unit),
-        ("last iteration", "f_r_best", unit),
+        ("fitted: Delta_fitness of the final simulation", "delta_fitness_last", unit),
+        ("best fitness in reality, iteration 1", "f_r_best_first_iteration", unit),
+        (f"best fitness in reality, iteration {last}", "f_r_best", unit),
         ("learning performance", "lp", ""),
     ):
         if isinstance(result.get(key), float):
             numbers.append((label, f"{format_number(result[key])}{of}"))
+    of_distance = CAPTIONS["delta_fitness"]
+    captions = {**CAPTIONS, "delta_fitness": (of_distance[0], f"{of_distance[1]} {DISTANCE_WORDS[run.distance]}")}
     shown = {path.stem: path for path in figures}
     made = {
         name: embedded(shown[name], alt, caption, photo=name == "robot")
-        for name, (alt, caption) in CAPTIONS.items()
+        for name, (alt, caption) in captions.items()
         if name in shown
     }
     pick = lambda *names: [made[name] for name in names if name in made]  # noqa: E731
     sections = [
-        Section("Identified parameters", figures=pick("robot", "limb_lengths"), tables=[_parameters(run)]),
+        Section("Identified parameters", figures=pick("robot", "parameters"), tables=[_parameters(run)]),
         Section("Controllers in simulation and in reality", figures=pick("controller_fitness", "sim_versus_reality")),
         Section("Iterations", figures=pick("delta_fitness"), tables=[_iterations(run)]),
         Section("All trials in reality", tables=[_trials(run)], folded=True),
@@ -100,9 +164,11 @@ def coevolution_content(folder: Path, run: RunData, figures: Sequence[Path]) -> 
         "sentence": coevolution_sentence(run),
         "numbers": numbers,
         "sections": sections,
+        "film_caption": FILM_CAPTION,
         "footer": [
             f"Stopped by {result.get('stop', 'iterations')}, {result.get('failed_trials', 0)} failed trials. Numbers: "
-            "result.json, iterations.parquet, generations.parquet. Arrays: *.npz."
+            "result.json, iterations.parquet, generations.parquet. Arrays: *.npz.",
+            LEARNING_WORDS,
         ],
     }
 
@@ -111,22 +177,33 @@ def _count(number: int, word: str) -> str:
     return f"{number} {word}{'' if number == 1 else 's'}"
 
 
+SIMILAR_NOTE = (
+    "Similar fit: extent of the simulations tried in the last step 3 whose distance from the fitted trials is at most "
+    "twice the least. It is no confidence interval: it depends on what was tried, and need not hold the truth. Where "
+    "it is wide, these trials do not determine the parameter: make more trials, or search with --optimiser cma "
+    "--simulation-generations 30."
+)
+"""What the column of similar fits is."""
+
+
 def _parameters(run: RunData) -> Table:
-    columns = ["parameter", "start", "identified", "lowest", "highest", "unit"]
+    columns = ["parameter", "start", "identified", "similar fit", "lowest", "highest", "unit", ""]
+    ranges = run.result.get("similar_range", {})
     rows: list[list[Any]] = []
     for i, name in enumerate(run.box.names):
-        row = [name, float(run.start[i]), float(run.identified[i])]
+        value, low, high = float(run.identified[i]), float(run.box.low[i]), float(run.box.high[i])
+        similar = " to ".join(format_number(end, 4) for end in ranges[name]) if name in ranges else None
+        row = [name, float(run.start[i]), value, similar]
         if run.truth is not None:
-            row += [float(run.truth[i]), float(run.identified[i] - run.truth[i])]
-        rows.append([*row, float(run.box.low[i]), float(run.box.high[i]), run.box.units[i]])
+            row += [float(run.truth[i]), float(value - run.truth[i])]
+        rows.append([*row, low, high, run.box.units[i], bound_words(value, low, high)])
     if run.truth is not None:
-        columns[3:3] = ["truth", "error"]
-    return Table(columns, rows, "A co-evolution gives values without intervals. Lowest, highest: bounds of the search.")
+        columns[4:4] = ["truth", "error"]
+    return Table(columns, rows, f"Lowest, highest: bounds of the search. {SIMILAR_NOTE}")
 
 
 def _iterations(run: RunData) -> Table:
     """One row per iteration: the distance before and after, and the gap of the controllers that were tried."""
-    distance = "Delta_fitness" if run.distance == "fitness" else "multiscale distance"
     rows: list[list[Any]] = []
     for row in run.iterations.iter_rows(named=True):
         own = run.trials["iteration"] == row["iteration"]
@@ -142,13 +219,11 @@ def _iterations(run: RunData) -> Table:
             [row["iteration"], int(own.sum()), cell, float(top), float(row["delta_before"]), float(row["delta_after"])]
         )
     return Table(
-        [
-            *("iteration", "trials", with_unit("mean |f_s − f_r|", run.unit), with_unit("best f_r", run.unit)),
-            *(f"{distance} before", f"{distance} after"),
-        ],
+        ["no.", "trials", "mean |f_s − f_r|", "best f_r", "before", "after"],
         rows,
-        "In brackets: 95 % bootstrap interval over the controllers of the iteration. f_s: fitness predicted by the "
-        "simulation of that time, f_r: measured.",
+        f"f_s: fitness predicted by the simulation of that time, f_r: measured{f' [{run.unit}]' if run.unit else ''}. "
+        "In brackets: 95 % bootstrap interval over the controllers of the iteration. Before, after: the distance that "
+        f"step 3 minimised, over the trials it was fitted to. {DISTANCE_WORDS[run.distance]}",
     )
 
 

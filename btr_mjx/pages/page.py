@@ -41,7 +41,7 @@ def write_page(folder: Path, template: Path, variables: Mapping[str, Any]) -> Pa
     )
     environment.filters |= {"cell": cell_text, "order": cell_order, "sentences": sentences}
     parts = {
-        "films": _films(folder),
+        "films": _films(folder, str(variables.get("film_caption", ""))),
         "settings": _settings_table(folder / CONFIG_NAME, "setting"),
         "environment": _settings_table(folder / "environment.json", "of the machine"),
     }
@@ -68,13 +68,13 @@ def _settings_table(file: Path, name: str) -> Table | None:
     return Table([name, "value"], rows) if rows else None
 
 
-def _films(folder: Path) -> list[dict[str, str]]:
-    """The films of a folder: name, kind and, of those that are not too large, the address of their data."""
+def _films(folder: Path, caption: str = "") -> list[dict[str, str]]:
+    """The films of a folder: name, kind, caption and, of those that are not too large, the address of their data."""
     found = []
     for file in sorted(folder.iterdir()):
         kind = _FILMS.get(file.suffix.lower())
         if kind is not None and file.is_file():
             size = file.stat().st_size
             data = base64.b64encode(file.read_bytes()).decode("ascii") if size <= LARGEST_FILM else ""
-            found.append({"name": file.name, "kind": kind, "data": data})
+            found.append({"name": file.name, "kind": kind, "data": data, "caption": caption or file.name})
     return found

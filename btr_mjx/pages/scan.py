@@ -37,12 +37,24 @@ def scan_sentence(data: ScanData, minimum: tuple[float, float, float]) -> str:
       minimum: where Delta_fitness is least, and the ends of its interval.
     """
     unit = f" {data.parameter_unit}".rstrip()
-    at = f"{data.parameter} = {with_interval(*minimum)}{unit}"
-    text = f"Over {data.delta.shape[1]} behaviours, Delta_fitness is least at {at}"
+    at, low, high = minimum
+    text = f"Over {data.delta.shape[1]} behaviours, Delta_fitness is least at {data.parameter} = "
+    text += format_number(at) + unit if low == at == high else f"{with_interval(*minimum)}{unit}"
     if np.isfinite(data.truth):
         text += f"; the truth is {format_number(data.truth)}{unit}"
-    rho = float(data.result.get("spearman", np.nan))
-    if np.isfinite(rho):
+        nearest = float(data.grid[np.argmin(np.abs(data.grid - data.truth))])
+        spacing = format_number(float(np.diff(data.grid).mean()), 2)
+        if np.isclose(at, nearest) and not np.isclose(nearest, data.truth):
+            text += f", and this is the nearest point of the grid, whose spacing is {spacing}{unit}"
+        elif not np.isclose(at, nearest):
+            text += f" (spacing of the grid: {spacing}{unit})"
+    rho, left, right = (float(data.result.get(f"spearman{side}", np.nan)) for side in ("", "_left", "_right"))
+    if np.isfinite(left) and np.isfinite(right):
+        text += (
+            ". It orders the simulations by their error with a rank correlation of "
+            f"{format_number(left)} below and {format_number(right)} above the truth"
+        )
+    elif np.isfinite(rho):
         text += f". It orders the simulations by their error with a rank correlation of {format_number(rho)}"
     return f"{text}."
 
@@ -79,6 +91,13 @@ def scan_content(folder: Path, data: ScanData, figures: Sequence[Path]) -> dict[
         if np.isfinite(float(data.result.get(key, np.nan)))
     ]
     statistics = [[key, _number(data.result[key]), text] for key, text in STATISTIC_WORDS.items() if key in data.result]
+    evolved_at = data.result.get("evolved_at")
+    origin = (
+        "The behaviours are random controllers."
+        if evolved_at is None
+        else f"The controllers evolved where {data.parameter} = {format_number(float(evolved_at))}"
+        f"{f' {data.parameter_unit}'.rstrip()}."
+    )
     names = [with_unit(data.parameter, data.parameter_unit), with_unit("Delta_fitness", data.unit)]
     table = Table(
         [*names, with_unit("least delta_k", data.unit), with_unit("largest delta_k", data.unit)],
@@ -92,7 +111,11 @@ def scan_content(folder: Path, data: ScanData, figures: Sequence[Path]) -> dict[
         "sentence": scan_sentence(data, minimum),
         "numbers": numbers,
         "sections": [
-            Section("Delta_fitness over the parameter", figures=[embedded(f, caption, caption) for f in figures]),
+            Section(
+                "Delta_fitness over the parameter",
+                [origin] if "evolved_at" in data.result else [],
+                figures=[embedded(f, caption, caption) for f in figures],
+            ),
             Section("Statistics", tables=[Table(["statistic", "value", "meaning"], statistics)]),
             Section("Values", tables=[table], folded=True),
         ],

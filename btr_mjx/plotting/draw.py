@@ -48,7 +48,7 @@ def draw_run(folder: Path) -> list[Path]:
     curves = {
         "controller_fitness": figures.controller_fitness,
         "delta_fitness": figures.delta_fitness_curve,
-        "limb_lengths": figures.parameter_values,
+        "parameters": figures.parameter_values,
         "sim_versus_reality": figures.sim_versus_reality,
     }
     saved = [_save(folder / f"{name}.png", partial(make, run)) for name, make in curves.items()]

@@ -96,7 +96,7 @@ def parameter_values(run: RunData) -> Figure:
     x, values, darkness = _members(run.simulations, offsets)
     size = float(np.clip(4000 / len(x), 2.0, 7.0))
     for i, axes in enumerate(panels[: box.n]):
-        label = f"simulations, darker for a larger {run.distance_symbol}"
+        label = f"simulations, darker for a smaller {run.distance_symbol}"
         shades: dict[str, Any] = {"c": darkness, "cmap": "Greys", "vmin": 0, "vmax": 1}
         axes.scatter(x, values[:, i], s=size, linewidths=0, zorder=1, label=label, **shades)
         for number, (search, offset) in enumerate(zip(run.simulations, offsets, strict=True)):
@@ -187,13 +187,17 @@ def scan_curve(data: ScanData) -> Figure:
     axes.set_ylim(0 - 0.03 * (finite.max() if len(finite) else 1.0), None)
     numbers = {name: float(data.result.get(name, np.nan)) for name in ("spearman", "spearman_left", "spearman_right")}
     parts = [rf"Spearman's $\rho$ = {numbers['spearman']:.2f}"] if np.isfinite(numbers["spearman"]) else []
+    inside = np.isfinite(data.truth) and data.grid.min() < data.truth < data.grid.max()
     for side in ("left", "right"):
-        if np.isfinite(numbers[f"spearman_{side}"]):
+        if np.isfinite(numbers[f"spearman_{side}"]) and inside:
             parts.append(f"{side} of the truth {numbers[f'spearman_{side}']:.2f}")
-    for name in ("monotonicity", "roughness"):
-        if np.isfinite(float(data.result.get(name, np.nan))):
-            parts.append(f"{name} {float(data.result[name]):.2f}")
-    axes.set_title(", ".join(parts), loc="left", color="0.3")
+    more = [
+        f"{name} {float(data.result[name]):.2f}"
+        for name in ("monotonicity", "roughness")
+        if np.isfinite(float(data.result.get(name, np.nan)))
+    ]
+    # Two lines: one would be wider than the figure.
+    axes.set_title("\n".join(", ".join(words) for words in (parts, more) if words), loc="left", color="0.3")
     legend_above(figure, axes)
     return figure
 
@@ -204,7 +208,7 @@ def _slot(run: RunData) -> float:
 
 
 def _members(searches: Sequence[Search], offsets: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Position, parameters and grey level of every member; darker for a larger distance, as in the paper."""
+    """Position, parameters and grey level of every member; darker for a smaller distance."""
     places, values, scores = [], [], []
     for search, offset in zip(searches, offsets, strict=True):
         generations, population = search.scores.shape
@@ -214,7 +218,7 @@ def _members(searches: Sequence[Search], offsets: list[float]) -> tuple[np.ndarr
     score = np.concatenate(scores)
     # By rank, since outliers would compress the scale. Diverged simulations rank last.
     rank = np.argsort(np.argsort(np.where(np.isnan(score), np.inf, score), kind="stable"), kind="stable")
-    return np.concatenate(places), np.concatenate(values), 0.18 + 0.5 * rank / max(len(rank) - 1, 1)
+    return np.concatenate(places), np.concatenate(values), 0.68 - 0.5 * rank / max(len(rank) - 1, 1)
 
 
 def _member_best(search: Search, generation: int) -> np.ndarray:

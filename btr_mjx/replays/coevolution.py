@@ -27,10 +27,11 @@ from btr_mjx.runs import check_inputs, read_arrays, read_config, read_json
 
 
 def coevolution_replay(folder: Path, frames: int) -> Replay:
-    """The first and the best controller of a run, in the simulation of that time and in reality.
+    """What the simulation promised at first and what became of it: two controllers, in simulation and in reality.
 
-    The trials are simulated again in native MuJoCo. Of a reality behind a folder those trials are shown of which it
-    holds a recording.
+    Before: the controller of iteration 1 with the best predicted fitness, in the simulation of the start. After: the
+    controller of the last iteration with the best measured fitness, in the identified simulation. The trials are
+    simulated again in native MuJoCo. Of a reality behind a folder those trials are shown of which it holds a recording.
 
     Args:
       folder: the run folder of a co-evolution that has ended.
@@ -49,23 +50,30 @@ def coevolution_replay(folder: Path, frames: int) -> Replay:
     final = grown(problem, result["effects"])
     identified = final.robot.nominal_simulation
     identified[final.robot.simulation_box.indices(result["simulation"])] = list(result["simulation"].values())
-    best = _best_trial(result, trials)
+    best, promised = _best_trial(result, trials), _promised_trial(trials, problem.fitness.maximise)
+    last = int(trials["iteration"].max())
     start = "nominal" if np.array_equal(problem.start, problem.robot.nominal_simulation) else "initial"
     times = frame_times(problem.robot.duration, frames, float(base_model(problem.robot).opt.timestep))
     rows: list[list[ReplayedMotion]] = []
     for when, which, robot, simulation, words, trial in (
-        ("before", "first controller", problem.robot, problem.start, f"{start} parameters", 0),
-        ("after", "best controller", final.robot, identified, "identified parameters", best),
+        ("before", "best predicted, iteration 1", problem.robot, problem.start, f"{start} parameters", promised),
+        ("after", f"best measured, iteration {last}", final.robot, identified, "identified parameters", best),
     ):
         controller = trials["controllers"][trial]
         simulated = _simulated(robot, simulation, controller, problem, times)
-        row = [replace(simulated, title=f"{when}: simulation", detail=f"{which}, {words}")]
+        row = [replace(simulated, title=f"{when}: simulation", detail=f"{words}; {which}")]
         real = _real(problem, controller, trial, times, float(trials["f_r"][trial]))
         if real is not None:
             row.append(replace(real, title=f"{when}: reality", detail=which))
         rows.append(row)
     shown = np.concatenate([[0.0], times])
     return Replay(shown, rows if any(len(row) > 1 for row in rows) else [[row[0] for row in rows]])
+
+
+def _promised_trial(trials: dict[str, np.ndarray], maximise: bool) -> int:
+    """Index of the trial of iteration 1 whose predicted fitness is best."""
+    f_s = np.where(trials["iteration"] == 1, trials["f_s"], np.nan)
+    return int(np.nanargmax(f_s) if maximise else np.nanargmin(f_s))
 
 
 def _best_trial(result: dict[str, Any], trials: dict[str, np.ndarray]) -> int:

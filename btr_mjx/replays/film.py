@@ -30,6 +30,9 @@ INK, SOFT, PAPER, LINE = "#111111", "#666666", "#ffffff", "#d0d0d0"
 COLOURS = 64
 """Colours of a GIF."""
 
+NOTHING = "no recording of this trial"
+"""What the panel of a trial in reality says where nothing of it can be shown."""
+
 _VIEWS = 10
 """Poses of a motion that its camera is fitted to."""
 
@@ -101,6 +104,9 @@ def draw_film(
             panel = _frames(motion, layout, camera, progress)
             top += LABEL
             film[:, top : top + layout.height, left : left + layout.width] = panel
+        for c in range(len(row), layout.columns):
+            left, top = layout.corner(r, c)
+            film[:, top : top + LABEL, left : left + layout.width] = np.asarray(_title(NOTHING, layout.width))
     for frame, time in zip(film, replay.times, strict=True):
         frame[-FOOT:] = np.asarray(_foot(float(time), float(replay.times[-1]), slowness, layout.size[0]))
     return film
@@ -171,6 +177,14 @@ def _frames(
 def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
     return ImageFont.truetype(str(Path(matplotlib.get_data_path(), "fonts", "ttf", name)), size)
+
+
+def _title(text: str, width: int) -> Image.Image:
+    """The label of an empty panel."""
+    picture = Image.new("RGB", (width, LABEL), PAPER)
+    size = 12 if width >= 300 else 10
+    ImageDraw.Draw(picture).text((4, 6), _fitting(text, width - 8, size), SOFT, _font(size))
+    return picture
 
 
 def _label(motion: ReplayedMotion, width: int) -> Image.Image:

@@ -4,7 +4,7 @@
 robot is one more `Robot`; the commands take the hexapod unless another template is given.
 """
 
-from btr_mjx.robots.hexapod import HEXAPOD, PAPER_REALITIES, hexapod, robot_of
+from btr_mjx.robots.hexapod import HEXAPOD, PAPER_REALITIES, PAPER_STARTS, hexapod, robot_of
 from btr_mjx.robots.robot import Edit, Pairs, Robot, Signal, Simulator, compiled_template, read_template
 from btr_mjx.robots.signals import Sinusoids, Spline
 from btr_mjx.robots.spaces import Box
@@ -12,6 +12,7 @@ from btr_mjx.robots.spaces import Box
 __all__ = [
     "HEXAPOD",
     "PAPER_REALITIES",
+    "PAPER_STARTS",
     "Box",
     "Edit",
     "Pairs",

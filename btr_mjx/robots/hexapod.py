@@ -96,6 +96,9 @@ def hexapod(**constants: float) -> Robot:
     ).with_constants(**constants)
 
 
+PAPER_STARTS: Mapping[str, float] = {"bl_14": 0.4, "bl_5": 0.64}
+"""Parameter -> its value in the simulation of Fig. 2 in which the controllers evolve [m]."""
+
 PAPER_REALITIES: Mapping[str, Mapping[str, float]] = {
     "fig2": {"bl_5": 0.88, "bl_14": 1.6},
     "fig4": {"bl_3": 0.54, "bl_5": 0.54, "bl_6": 0.74, "bl_8": 0.74},

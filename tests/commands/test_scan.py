@@ -10,6 +10,7 @@ import scipy.stats
 
 import btr_mjx as btr
 from btr_mjx import scan
+from btr_mjx.backtoreality import SearchSettings, evolve_controllers, select_transferable
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import evaluate
 from btr_mjx.robots import Robot, hexapod
@@ -77,6 +78,22 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     numbers = scan.curve_statistics(arrays["grid"], arrays["delta_fitness"], 0.88)
     assert result["spearman"] == pytest.approx(numbers["spearman"])
     assert "spearman" in capsys.readouterr().out
+    assert result["evolved_at"] == 0.64  # as in experiments/fig2_scans.py
+
+
+@pytest.mark.parametrize(("flags", "start"), [(["--parameter=bl_3"], 0.4), (["--start=1.0"], 1.0), ([], 0.4)])
+def test_controllers_evolve_where_the_scan_says(tmp_path: Path, flags: list[str], start: float) -> None:
+    """Against the search itself, in the simulation that was named."""
+    scan.main([*SMALL, *flags, "--out", str(tmp_path / "s"), "--no-figures"])
+    assert json.loads((tmp_path / "s/result.json").read_text())["evolved_at"] == start
+    found = dataclasses.replace(hexapod(), duration=0.03)
+    parameter = flags[0].partition("=")[2] if flags and "bl" in flags[0] else "bl_14"
+    genomes, scores = evolve_controllers(
+        found, scan.along(found, parameter, [start])[0], SearchSettings(6, 2), seed=0, engine="native"
+    )
+    best, _ = select_transferable(genomes, scores, 3, maximise=True)
+    box = found.controller_box.with_bits(SearchSettings(6, 2).bits)
+    np.testing.assert_array_equal(read_arrays(tmp_path / "s/scan.npz")["controllers"], box.decode(best))
 
 
 def test_resume_computes_what_is_missing(
@@ -118,6 +135,8 @@ def test_other_behaviours(behaviours: str, tmp_path: Path) -> None:
     [
         (["--parameter", "bl_2"], ["bl_2", "bl_3, bl_4"]),
         (["--truth", "1.7"], ["1.7", "bl_14", "[0.4, 1.6]"]),
+        (["--start", "1.7"], ["1.7", "bl_14", "[0.4, 1.6]"]),
+        (["--start", "1.0", "--behaviours", "random"], ["start 1", "random"]),
         (["--grid", "1"], ["grid: got 1"]),
         (["--trials", "6"], ["m = 6", "M = 6"]),
         (["--p-m", "2"], ["p_m", "2"]),

@@ -6,19 +6,24 @@ import re
 import shutil
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from btr_mjx import coevolve, report, scan
+from btr_mjx.backtoreality import bound_words
 from btr_mjx.errors import InputError
-from btr_mjx.gap.results import verdict_sentence
+from btr_mjx.gap.results import format_number, verdict_sentence
 from btr_mjx.pages import Section, Table, kind_of_run, write_page
 from btr_mjx.pages.claims import claims_sentence
-from btr_mjx.pages.coevolution import coevolution_sentence
+from btr_mjx.pages.coevolution import coevolution_sentence, prediction_errors
 from btr_mjx.pages.content import cell_text, flat_rows
 from btr_mjx.pages.page import sentences
-from btr_mjx.plotting import pictures, read_run
+from btr_mjx.pages.scan import scan_sentence
+from btr_mjx.plotting import ScanData, pictures, read_run
+from btr_mjx.robots import Box
 from btr_mjx.runs import read_json, write_json
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -199,11 +204,57 @@ def test_the_verdict_of_a_coevolution(folders: Callable[[str], Path]) -> None:
     run, result = read_run(folder), read_json(folder / "result.json")
     text = coevolution_sentence(run)
     assert len(sentences(text)) <= 2
-    assert text.startswith(f"With {result['reality_evaluations']} trials in reality, the mean error of 2 unknown")
-    fell = result["parameter_error_last"] < result["parameter_error_first"]
-    assert ("falls from" in text) is fell
-    run.result["parameter_error_last"] = 2 * result["parameter_error_first"]
-    assert "does not fall: it goes from 0.24 m to 0.48 m" in coevolution_sentence(run)
+    trials = run.trials
+    errors = [np.abs(trials["f_s"] - trials["f_r"])[trials["iteration"] == k].mean() for k in (1, 2, 3)]
+    np.testing.assert_allclose(prediction_errors(run), errors)
+    assert result["prediction_error_first"] == pytest.approx(errors[0])
+    assert result["prediction_error_last"] == pytest.approx(errors[2])
+    assert text.startswith(f"With {result['reality_evaluations']} trials in reality, the mean error of the predicted")
+    assert ("falls from" in text) is bool(errors[2] < errors[0])
+    assert f"bl_14 goes from 1.36 to {format_number(result['simulation']['bl_14'])} m (truth: 1.6 m)." in text
+    assert f"{format_number(result['f_s_best'])} m/s were predicted" in text
+    run.trials["f_s"][trials["iteration"] == 3] += 10.0
+    assert "does not fall: it goes from" in coevolution_sentence(run)
+
+
+def test_the_verdict_of_many_parameters_is_in_percent_of_their_ranges(folders: Callable[[str], Path]) -> None:
+    """Metres and kilograms have no mean."""
+    run = read_run(folders("coevolve"))
+    names, low, high = ["a", "b", "c", "d"], [0.0, 0.0, 0.0, 0.0], [1.0, 100.0, 10.0, 2.0]
+    box = Box(names, low, high, units=["m", "kg", "m", "s"])
+    start, truth = np.zeros(4), np.array([0.5, 50.0, 5.0, 1.0])
+    many = replace(run, box=box, start=start, truth=truth, identified=0.9 * truth)
+    assert "the mean error of 4 parameters goes from 50 % to 5 % of their ranges." in coevolution_sentence(many)
+
+
+def test_similar_fits_are_those_of_a_loop(folders: Callable[[str], Path]) -> None:
+    folder = folders("coevolve")
+    result = read_json(folder / "result.json")
+    with np.load(folder / "simulations-003.npz") as archive:
+        scores, tried = archive["delta_fitness"].ravel(), archive["parameters"].reshape(-1, 2)
+    near = [row for row, score in zip(tried, scores, strict=True) if score <= 2 * scores.min()]
+    near.append(np.array(list(result["simulation"].values())))
+    for i, (low, high) in enumerate(result["similar_range"].values()):
+        assert (low, high) == (min(row[i] for row in near), max(row[i] for row in near))
+
+
+def test_values_at_a_bound_are_marked() -> None:
+    words = [bound_words(value, 0.4, 1.6) for value in (0.4, 0.41, 1.0, 1.6)]
+    assert words == ["at its lower bound", "", "", "at its upper bound"]
+
+
+def test_the_verdict_of_a_scan_knows_its_grid() -> None:
+    grid = np.linspace(0.4, 1.6, 49)
+    delta = np.abs(grid - 0.88)[:, None] * np.ones(3)
+    numbers = {"spearman": 0.9, "spearman_left": 0.97, "spearman_right": 0.99}
+    data = ScanData("bl_5", "m", "m/s", grid, 0.88, delta, delta[:, 0], numbers)
+    text = scan_sentence(data, (0.875, 0.875, 0.875))
+    assert "least at bl_5 = 0.875 m; the truth is 0.88 m, and this is the nearest point of the grid, whose" in text
+    assert "spacing is 0.025 m. " in text
+    assert text.endswith("rank correlation of 0.97 below and 0.99 above the truth.")
+    text = scan_sentence(replace(data, truth=1.6, result={"spearman": 0.9, "spearman_left": 0.9}), (1.6, 1.575, 1.6))
+    assert "least at bl_5 = 1.6 [1.57, 1.6] m; the truth is 1.6 m. It orders" in text
+    assert text.endswith("correlation of 0.9.")
 
 
 def test_the_sentence_of_claims_counts() -> None:

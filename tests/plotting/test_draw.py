@@ -134,7 +134,7 @@ def no_gl(monkeypatch):
 @pytest.mark.usefixtures("no_gl")
 def test_draw_run_writes_every_figure(tmp_path):
     paths = plots.draw_run(write_run(tmp_path))
-    names = ["controller_fitness", "delta_fitness", "limb_lengths", "sim_versus_reality", "robot"]
+    names = ["controller_fitness", "delta_fitness", "parameters", "sim_versus_reality", "robot"]
     assert [path.name for path in paths] == [f"{name}.png" for name in names]
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
     assert sorted(path.name for path in tmp_path.glob("*.png")) == sorted(path.name for path in paths)
@@ -221,11 +221,11 @@ def test_a_number_of_a_simulator_that_grew_is_written_in_words(tmp_path):
     assert labels == ["bl_5 [m]", "dry friction at joint shoulder [N m]"]
 
 
-def test_members_are_darker_the_worse_they_are(tmp_path):
+def test_members_are_darker_the_better_they_are(tmp_path):
     run = read_run(write_run(tmp_path))
     darkness = figures.parameter_values(run).axes[0].collections[0].get_array()
     scores = np.concatenate([search.scores.ravel() for search in run.simulations])
-    assert (np.diff(darkness[np.argsort(scores)]) > 0).all()
+    assert (np.diff(darkness[np.argsort(scores)]) < 0).all()
 
 
 def test_sim_versus_reality_shows_every_trial(tmp_path):
