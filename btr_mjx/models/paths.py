@@ -217,7 +217,10 @@ def parse_path(model: mujoco.MjModel, text: str) -> ModelPath:
             raise InputError(f"path {text!r}: the model has no {kind} {name!r}; nearest: {nearest_names(name, names)}")
         if attribute not in ATTRIBUTES[kind]:
             known = ", ".join(ATTRIBUTES[kind])
-            raise InputError(f"path {text!r}: a {kind}'s attributes here are {known}; got {attribute!r}")
+            raise InputError(
+                f"path {text!r}: a {kind}'s attributes here are {known}; got {attribute!r}. A number that several "
+                "elements share is a variable of a template: docs/robot_file.md"
+            )
         path = ModelPath(text, kind, names.index(name), attribute, numbers or (0,))
     try:
         value = path.read(model)

@@ -139,7 +139,10 @@ class _Draft:
             known = ("name", "bounds", "low", "high", "unit", "nominal")
             for key in row:
                 if key not in known:
-                    raise InputError(f"{where}: unknown key {key!r}; nearest: {nearest_names(key, (*known, 'path'))}")
+                    raise InputError(
+                        f"{where}: unknown key {key!r}; expected {', '.join(known)} or path; without a path, name is a "
+                        "variable of the template"
+                    )
             if self.plain:
                 raise InputError(f'{where}: no path, and {self.source.name} is no template; add path = "..."')
             low, high = read_bounds(row, where)
@@ -229,8 +232,10 @@ def _checked_base(model: mujoco.MjModel, base: str, point: str, file: Path) -> s
     bodies = [model.body(i).name for i in range(1, model.nbody)]
     free = [model.body(int(b)).name for b in model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]]
     if base and base not in free:
-        near = nearest_names(base, free or bodies)
-        raise InputError(f"{file}: base_body = {base!r}: expected a body with a free joint; nearest: {near}")
+        hint = f"nearest: {nearest_names(base, free or bodies)}"
+        if not free and base in bodies:
+            hint = f'a robot that is bolted down or planar has point = "{base}" instead'
+        raise InputError(f"{file}: base_body = {base!r}: expected a body with a free joint; {hint}")
     if base or point:
         return base or None
     if len(free) != 1:

@@ -220,3 +220,35 @@ def test_a_parameter_that_changes_nothing_is_refused(folder: Path) -> None:
     )
     with pytest.raises(InputError, match="the model is the same for all of leg"):
         compile_models(load_robot(folder), [0.25])
+
+
+def test_the_template_of_the_docs_is_a_robot(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[2] / "docs/robot_file.md").read_text(encoding="utf-8")
+    part = text.split("## A length that several elements share")[1]
+    leg = part.split("```xml\n")[1].split("```")[0] + "</body></body>"
+    shin = '<geom type="capsule" fromto="0 0 0 0 0 -0.28" size="0.02"/></body></body>'
+    leg = leg.replace("</body></body>", shin)
+    (tmp_path / "biped.xml.j2").write_text(
+        '<mujoco><worldbody><body name="torso" pos="0 0 1"><joint type="slide" axis="1 0 0"/><geom size="0.1"/>'
+        f'{leg}</body></worldbody><actuator><position joint="hip_l"/><position joint="knee_l"/></actuator></mujoco>'
+    )
+    (tmp_path / "robot.toml").write_text(part.split("```toml\n")[1].split("```")[0])
+    robot = load_robot(tmp_path)
+    assert robot.simulation_box.names == ("thigh_l", "trunk mass")
+    model = mujoco.MjModel.from_xml_string(robot.render([0.31, 3.6]))
+    np.testing.assert_allclose(model.body("shin_l").pos, [0, 0, -0.31])
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ('variable = "thigh_l"', "expected name, bounds, low, high, unit, nominal or path"),
+        ('path = "body:thigh/length"', "variable of a template"),
+    ],
+)
+def test_a_template_is_named_where_a_path_does_not_do(folder: Path, line: str, message: str) -> None:
+    rest = ROBOT.replace("[controller]", f'[[parameter]]\nname = "a"\nbounds = [1.0, 2.0]\n{line}\n[controller]', 1)
+    (folder / "robot.toml").write_text(rest)
+    with pytest.raises(InputError) as error:
+        load_robot(folder)
+    assert message in str(error.value)

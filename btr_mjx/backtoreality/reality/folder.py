@@ -211,6 +211,8 @@ class FolderReality:
             name=self.robot.name,
             duration=f"{self.robot.duration:g}",
             fitness=self.fitness.name,
+            pose=f"the keyframe {self.robot.keyframe!r} of its model" if self.robot.keyframe else "qpos0 of its model",
+            followed=self.robot.point or self.robot.base_body or "the robot",
             unit=f" [{self.fitness.unit}]" if self.fitness.unit else "",
             rate=f"{self.rate:g}",
         )
@@ -220,15 +222,20 @@ _README = """# Trials of {name}
 
 `trials/NNN.csv` lists controllers to be tried on the robot: an id, and the controller's parameters.
 
-1. Put the robot into its start pose.
+1. Put the robot into its start pose, {pose}.
 2. Play `signals/trial-ID.csv` on its motors: `time` [s] and one column for each motor, {rate} rows a second for
    {duration} s.
 3. Write what came out, for every id, in one of these ways:
 
    - `measured/NNN.csv` (the same number as in `trials/`) with the columns `id,fitness`. The fitness is
-     `{fitness}`{unit} over the {duration} s. Further rows of the same id are repeats: they are averaged, and their
-     scatter tells how exact a measurement is. A column `failed` with 1 marks a trial that failed (the robot fell, a
-     motor stopped).
+     `{fitness}`{unit} over the {duration} s, of `{followed}`. Further rows of the same id are repeats: they are
+     averaged, and their scatter tells how exact a measurement is. A column `failed` with 1 marks a trial without a
+     valid measurement (a motor stopped, the robot hit a wall). A fall is no failure where it counts in the simulation:
+     write its fitness.
+     For example:
+
+         id,fitness
+         0,0.35
    - `measured/trial-ID.csv` (or .parquet, .npz): a recording with the columns `time`, `qpos/JOINT` of every joint and
      `ctrl/MOTOR` of every motor, as for `python -m btr_mjx.diagnose`. The fitness is computed from it.
 
