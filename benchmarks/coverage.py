@@ -3,10 +3,12 @@
 Installs the wheels of gymnasium, dm_control and robosuite in a temporary folder, loads every MJCF file that loads and
 has degrees of freedom, and prints a table: computed, guarded or refused, with the reasons; for what is not refused, the
 part of worlds that guards hand to native MuJoCo within a second of small random commands around the start, and the
-speed relative to `mujoco.rollout` on as many threads. Every model takes 10 to 60 s to compile; `--no-run` leaves the
-rollouts out.
+speed relative to `mujoco.rollout` on as many threads. Every model takes 1 s to some minutes to compile; `--no-run`
+leaves the rollouts out. `--oracle` compares single steps in double precision from random states with native MuJoCo,
+whose solver runs to convergence, in worlds that no guard marks.
 """
 
+import copy
 import json
 import subprocess
 import tempfile
@@ -15,15 +17,20 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
+import jax
 import mujoco
 import mujoco.rollout
 import numpy as np
 import tyro
 
 from btr_mjx import lanes
+from btr_mjx.engines import LanesStepper
 from btr_mjx.runs import available_cores
 
 WHEELS = ("gymnasium", "dm_control", "robosuite")
+STATES = 32
+"""Random states of `--oracle`."""
+NUMBERS = ("handed over", "ratio", "first call [s]", "error", "marked")
 FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
@@ -35,8 +42,10 @@ class Config:
     """Folder with the installed wheels; by default they are installed in a temporary one."""
     run: bool = True
     """Whether models that are not refused are rolled out."""
+    oracle: bool = False
+    """Whether accelerations of single steps are compared with native MuJoCo."""
     match: tuple[str, ...] = ()
-    """Roll out only models whose path contains one of these texts."""
+    """Roll out (and compare) only models whose path contains one of these texts."""
     seconds: float = 1.0
     """Length of the rollouts [s]."""
     worlds: int = 2048
@@ -103,6 +112,31 @@ def measure(model: mujoco.MjModel, config: Config) -> dict[str, float]:
     return {"handed over": share, "ratio": min(times["native"]) / min(times["lanes"]), "first call [s]": first}
 
 
+def compare(model: mujoco.MjModel) -> dict[str, float]:
+    """Largest relative error of the acceleration in a step from random states, and the part that guards mark."""
+    rng, states = np.random.default_rng(0), []
+    for _ in range(STATES):
+        data = mujoco.MjData(model)
+        mujoco.mj_setState(model, data, start_state(model)[0], FULL)
+        mujoco.mj_integratePos(model, data.qpos, 0.2 * rng.normal(size=model.nv), 1.0)
+        data.qvel[:], data.ctrl[:] = rng.normal(size=model.nv), rng.uniform(-0.5, 0.5, model.nu)
+        states.append(data)
+    with jax.enable_x64(True):
+        stepper = LanesStepper(model, guards=True)
+        before = stepper.state(*(np.stack([getattr(d, name) for d in states], 1) for name in ("qpos", "qvel", "act")))
+        step = jax.jit(stepper.step, compiler_options={"xla_backend_optimization_level": 0})
+        after = step({}, before, np.stack([d.ctrl for d in states], 1))
+        found, marked = np.asarray(stepper.qacc(after)), np.asarray(stepper.tripped(after))
+    exact = copy.copy(model)
+    exact.opt.iterations, exact.opt.ls_iterations, exact.opt.tolerance = 100, 100, 0
+    errors = [0.0]
+    for i in np.flatnonzero(~marked):
+        mujoco.mj_step(exact, states[i])
+        true = states[i].qacc
+        errors.append(float(np.linalg.norm(found[:, i] - true) / max(np.linalg.norm(true), 1e-3)))
+    return {"error": max(errors), "marked": float(marked.mean())}
+
+
 def main(config: Config) -> None:
     """Print the table and its sums."""
     if config.folder is None:
@@ -128,8 +162,10 @@ def tabulate(folder: Path, config: Config) -> list[dict]:
         row: dict = {"model": path, "verdict": covered.verdict, "guards": len(covered.guarded), "reasons": reasons}
         if config.run and not covered.refused and (not config.match or any(text in path for text in config.match)):
             row |= measure(model, config)
+        if config.oracle and not covered.refused and (not config.match or any(text in path for text in config.match)):
+            row |= compare(model)
         table.append(row)
-        numbers = "  ".join(f"{key} {row[key]:.2f}" for key in ("handed over", "ratio", "first call [s]") if key in row)
+        numbers = "  ".join(f"{key} {row[key]:.3g}" for key in NUMBERS if key in row)
         print(f"{path:70s} {covered.verdict:9s} {len(covered.guarded):4d}  {numbers}  {'; '.join(reasons)}", flush=True)
     return table
 
