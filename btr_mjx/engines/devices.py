@@ -7,15 +7,7 @@ from pathlib import Path
 import jax
 import jaxlib
 
-from btr_mjx.runs import available_cores
-
-_COMPILER_FLAG = "--xla_backend_extra_options="
-_COMPILER_OPTIONS = "xla_slp_vectorizer_disabled,xla_cpu_disable_loop_unrolling"
-"""Compiler options that switch off LLVM's loop unrolling and SLP vectoriser.
-
-A step of `lanes` is one function of hundreds of short loops that are vectorised already: these passes double the
-machine code and the compile time, and the larger code runs slower since it exceeds the instruction cache.
-"""
+from btr_mjx.runs import COMPILER_OPTIONS, available_cores
 
 
 def use_all_cores() -> None:
@@ -36,8 +28,8 @@ def use_all_cores() -> None:
         return
     counted = number != -1 or "xla_force_host_platform_device_count" in flags
     jax.config.update("jax_num_cpu_devices", number if counted else available_cores())
-    if _COMPILER_FLAG not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} {_COMPILER_FLAG}{_COMPILER_OPTIONS}".strip()
+    if COMPILER_OPTIONS.split("=")[0] not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} {COMPILER_OPTIONS}".strip()
 
 
 def use_compilation_cache() -> None:

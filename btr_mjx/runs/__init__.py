@@ -19,7 +19,7 @@ from btr_mjx.runs.checkpoints import read_checkpoint, save_checkpoint
 from btr_mjx.runs.checksums import check_listed, check_sums, is_listed
 from btr_mjx.runs.config_json import CONFIG_NAME, config_to_json, differences, read_config, read_config_json
 from btr_mjx.runs.digests import content_digest
-from btr_mjx.runs.environment import available_cores, describe_environment
+from btr_mjx.runs.environment import COMPILER_OPTIONS, available_cores, describe_environment
 from btr_mjx.runs.files import (
     read_arrays,
     read_json,
@@ -37,6 +37,7 @@ from btr_mjx.runs.run_folder import IGNORED_FIELDS, RunFolder, check_inputs, cla
 from btr_mjx.runs.toml_tables import check_keys, file_inside, file_name, is_number, read_toml, toml_rows, toml_section
 
 __all__ = [
+    "COMPILER_OPTIONS",
     "CONFIG_NAME",
     "IGNORED_FIELDS",
     "MAX_TABLE_BYTES",

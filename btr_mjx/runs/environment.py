@@ -22,6 +22,14 @@ def available_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+COMPILER_OPTIONS = "--xla_backend_extra_options=xla_slp_vectorizer_disabled,xla_cpu_disable_loop_unrolling"
+"""Options that this package adds to XLA_FLAGS: without LLVM's loop unrolling and SLP vectoriser.
+
+A step of `lanes` is one function of hundreds of short loops that are vectorised already: these passes double the
+machine code and the compile time, and the larger code runs slower since it exceeds the instruction cache.
+"""
+
+
 def describe_environment(devices: Sequence[Any] | None = None) -> dict[str, Any]:
     """Describe this process and the machine it runs on, without importing jax or starting a device.
 
@@ -43,12 +51,18 @@ def describe_environment(devices: Sequence[Any] | None = None) -> dict[str, Any]
         "cpus": os.cpu_count(),
         "cpus_usable": available_cores(),
         "devices": None if found is None else [_device(device) for device in found],
-        "settings": {name: os.environ[name] for name in sorted(os.environ) if name.startswith(("XLA_", "JAX_"))},
+        "settings": _settings(),
         "git": git_state(Path(__file__).parent),
         "start": datetime.now(UTC).isoformat(timespec="seconds"),
         "argv": list(sys.argv),
         "pid": os.getpid(),
     }
+
+
+def _settings() -> dict[str, str]:
+    """Environment variables of JAX and XLA, without the options that this package adds when it starts JAX."""
+    own = {name: os.environ[name].replace(COMPILER_OPTIONS, "").strip() for name in sorted(os.environ)}
+    return {name: value for name, value in own.items() if name.startswith(("XLA_", "JAX_")) and value}
 
 
 def environment_changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:

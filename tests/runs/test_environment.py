@@ -3,7 +3,7 @@ import subprocess
 
 import numpy as np
 
-from btr_mjx.runs import describe_environment
+from btr_mjx.runs import COMPILER_OPTIONS, describe_environment
 from btr_mjx.runs.environment import environment_changes, git_state
 
 
@@ -41,3 +41,12 @@ def test_git_state(tmp_path, monkeypatch):
     assert git_state(tmp_path / "site")["dirty"] is True
     monkeypatch.setenv("PATH", "")
     assert git_state(tmp_path / "site") is None
+
+
+def test_options_that_the_package_adds_are_no_change_of_the_environment(monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", "")
+    before = describe_environment([])
+    monkeypatch.setenv("XLA_FLAGS", COMPILER_OPTIONS)
+    assert not environment_changes(before, describe_environment([]))
+    monkeypatch.setenv("XLA_FLAGS", f"--xla_cpu_max_isa=AVX2 {COMPILER_OPTIONS}")
+    assert describe_environment([])["settings"]["XLA_FLAGS"] == "--xla_cpu_max_isa=AVX2"
