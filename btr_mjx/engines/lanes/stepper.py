@@ -23,19 +23,25 @@ from btr_mjx.engines.lanes.dynamics import (
     System,
     bias_wrenches,
     dof_system,
+    drag,
     inertia_system,
     local_rates,
     opposing_forces,
     world_rates,
 )
 from btr_mjx.engines.lanes.fields import VARYING, Fields, base_field, influences_motion, rigid_root
-from btr_mjx.engines.lanes.fluid import drag
 from btr_mjx.engines.lanes.integrate import Damping, integrate_step, moved_coordinates
 from btr_mjx.engines.lanes.kinematics import Motion, motions
-from btr_mjx.engines.lanes.linesearch import Constraint, ConstraintProblem
 from btr_mjx.engines.lanes.parameters import Parameters, derive, split_constants
 from btr_mjx.engines.lanes.scalars import add, array, group_sum, scale, total, vadd, vsub
-from btr_mjx.engines.lanes.solver import Zones, constrained_acceleration, zone_flags, zone_shape
+from btr_mjx.engines.lanes.solver import (
+    Constraint,
+    ConstraintProblem,
+    Zones,
+    constrained_acceleration,
+    zone_flags,
+    zone_shape,
+)
 from btr_mjx.engines.lanes.tree import FREE, make_plan
 from btr_mjx.engines.rewriting import retrace
 
