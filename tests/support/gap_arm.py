@@ -65,8 +65,8 @@ def recording(
     mujoco.mj_setConst(model, mujoco.MjData(model))
     data = mujoco.MjData(model)
     steps = round(sent.times[-1] / 1e-4)
-    middle = (np.arange(steps) + 0.5) * 1e-4
-    controls = sent.at(middle) if arrive is None else arrive(sent, middle)
+    starts = np.arange(steps) * 1e-4
+    controls = sent.at(starts) if arrive is None else arrive(sent, starts)
     states = np.empty((steps + 1, 4))
     states[0] = 0.0
     for i in range(steps):

@@ -112,7 +112,7 @@ class System:
         for k in range(count):
             qpos[k], qvel[k] = data.qpos, data.qvel
             for i in range(every):
-                data.ctrl[:] = ctrl((k * every + i + 0.5) * STEP)
+                data.ctrl[:] = ctrl((k * every + i) * STEP)
                 mujoco.mj_step(model, data)
         qpos = integrate(model, qpos, self.sigma[0] * rng.standard_normal(qvel.shape))
         qvel = qvel + self.sigma[1] * rng.standard_normal(qvel.shape)

@@ -273,18 +273,21 @@ def _step_length(problem: ConstraintProblem, old: Sequence[jax.Array], new: Sequ
         lanes = length.shape
         return array(first, lanes, length.dtype), array(second, lanes, length.dtype)
 
-    def newton_step(_: jax.Array, carry: tuple) -> tuple:
-        length, low, high = carry
+    def newton_step(carry: tuple) -> tuple:
+        count, _, length, low, high = carry
         first, second = evaluate(length)
         up = first > 0
         low, high = jnp.where(up, low, length), jnp.where(up, length, high)
         newton = length - first / jnp.where(second > 0, second, 1.0)
         inside = (newton > low) & (newton < high)
         halved = jnp.where(jnp.isfinite(high), 0.5 * (low + high), 2.0 * length)
-        better = jnp.where(inside, newton, halved)
-        return jnp.where(jnp.abs(first) > _SLOPE_TOLERANCE * steepest, better, length), low, high
+        going = jnp.abs(first) > _SLOPE_TOLERANCE * steepest
+        return count + 1, going, jnp.where(going, jnp.where(inside, newton, halved), length), low, high
+
+    def searching(carry: tuple) -> jax.Array:
+        return jnp.any(carry[1]) & (carry[0] < _LINE_ITERATIONS)
 
     lanes = jnp.ones(old[0].shape[-1], old[0].dtype)
     steepest = jnp.abs(evaluate(0.0 * lanes)[0])
-    length, _, _ = lax.fori_loop(0, _LINE_ITERATIONS, newton_step, (lanes, 0.0 * lanes, jnp.inf * lanes))
-    return length
+    start = (jnp.int32(0), lanes > 0, lanes, 0.0 * lanes, jnp.inf * lanes)
+    return lax.while_loop(searching, newton_step, start)[2]

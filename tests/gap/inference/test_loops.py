@@ -45,7 +45,7 @@ def recording(seed: int, believed: mujoco.MjModel) -> Recording:
     speed, phase = 2 * np.pi * rng.uniform(0.4, 3, 3), rng.uniform(0, 6.28, 3)
     command = Command(time, 0.25 * np.sin(time[:, None] * speed + phase).sum(1, keepdims=True), "cubic")
     data, states = mujoco.MjData(model), np.empty((len(time), 6))
-    controls = command.at((np.arange(40 * len(time)) + 0.5) * 1e-4)
+    controls = command.at(np.arange(40 * len(time)) * 1e-4)
     for i, control in enumerate(controls):
         if i % 40 == 0:
             states[i // 40] = [*data.qpos, *data.qvel]
