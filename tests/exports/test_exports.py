@@ -166,7 +166,7 @@ def test_randomised_models(example: ModuleType, tmp_path: Path) -> None:
     ranges = exported(tmp_path, DAMPING)
     ranges["mass"] = {"body_mass[2]": [0.4, 0.6], "body_inertia[2][0]": [0.004, 0.006], "dof_M0[1]": [0.1, 0.2]}
     ranges["more mass"] = {"body_mass[2]": [0.5, 0.7]}
-    write_json(tmp_path / "all.json", ranges)
+    write_json(tmp_path / "all.json", {"parameters": ranges})
     keys = jax.random.split(jax.random.key(0), 200)
     put = mjx.put_model(model)
     batched, in_axes = example.randomizer(tmp_path / "all.json")(put, keys)
