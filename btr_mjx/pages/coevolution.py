@@ -28,9 +28,9 @@ LEARNING_WORDS = (
 
 FILM_CAPTION = (
     "Before: the controller of iteration 1 with the best predicted fitness, in the simulation of the start and in "
-    "reality. After: the controller of the last iteration with the best measured fitness, in the identified simulation, "
-    "which was fitted to this trial as well, and in reality. Numbers: fitness. Yellow: parts whose size is unknown; the "
-    "line on the ground: path of the base."
+    "reality. After: the controller of the last iteration with the best measured fitness, in the identified "
+    "simulation, which was fitted to this trial as well, and in reality. Numbers: fitness. Yellow: parts whose size is "
+    "unknown; the line on the ground: path of the base."
 )
 """What a film of `btr_mjx.replay` shows."""
 

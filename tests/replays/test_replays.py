@@ -69,8 +69,8 @@ def test_a_coevolution_is_shown_before_and_after_in_simulation_and_reality(run: 
         assert numbers[0] == pytest.approx(trials["f_s"][promised], rel=5e-3)
         assert numbers[1] == pytest.approx(trials["f_r"][promised], rel=5e-3)
     assert numbers[3] == pytest.approx(result["f_r_best"], rel=5e-3)
-    assert shown.rows[0][0].detail == "nominal parameters; best predicted, iteration 1"
-    assert shown.rows[1][0].detail == "identified parameters; best measured, iteration 1"
+    assert shown.rows[0][0].detail == "nominal parameters, iteration 1"
+    assert shown.rows[1][1].detail == "best measured, iteration 1"
 
 
 def test_motions_are_those_of_a_loop_over_steps(run: Path) -> None:
