@@ -178,7 +178,14 @@ def test_a_template_with_includes_and_paths(folder: Path) -> None:
         (("[1.0, 3.0]", "0.0"), "frequency = 0.0"),
         (('"sinusoid"', '"sinus"'), "signal = 'sinus'"),
         (('"robot.xml"', '"other.xml"'), "other.xml"),
-        (("duration = 0.2", 'base_body = "shank"'), "expected a body with a free joint; nearest: 'trunk'"),
+        (("duration = 0.2", 'base_body = "shank"'), "write point = 'shank' instead; bodies with a free joint: trunk"),
+        (("duration = 0.2", 'base_body = "trnk"'), "expected a body with a free joint; nearest: 'trunk'"),
+        (("duration", "durration"), "valid keys: name, model, base_body, point, duration, keyframe"),
+        (
+            ('unit = "N m s/rad"', 'colour = "red"'),
+            "valid keys: name, path, bounds, low, high, relative, unit, nominal",
+        ),
+        (("joint:hip/damping", "geom:geom1/fromto[5]"), "is a variable of a template (docs/robot_file.md)"),
         (("duration = 0.2", 'fitness = "target_distance"\ntarget = [1]'), "expected [x, y, z] in metres"),
     ],
 )
