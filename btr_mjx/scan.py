@@ -1,6 +1,6 @@
 """Delta_fitness over a line of simulations: `python -m btr_mjx.scan --parameter bl_14 --grid 49`.
 
-In a notebook:
+A robot of your own: `python -m btr_mjx.scan --robot my_robot/robot.toml --parameter "trunk mass"`. In a notebook:
 
     robot = btr.hexapod()
     line = btr.scan.along(robot, "bl_14", 49)                       # (49, 12) simulations
