@@ -63,7 +63,7 @@ class CoevolveConfig:
     many unknown parameters from few trials, in a fraction of the time. auto: multiscale for the hexapod against a
     simulated reality, for which the default marks are good; else fitness."""
     marks: tuple[float, ...] = MARKS
-    """Marks of the multiscale distance [s]."""
+    """Marks of the multiscale distance [s]; no other distance uses them."""
     optimiser: Literal["ga", "cma"] = "ga"
     """How step 3 searches: the genetic algorithm (the paper), or CMA-ES, which finds many unknown parameters far better
     and ends early once it has converged."""

@@ -260,6 +260,16 @@ def test_a_robot_behind_a_folder_is_shown_where_it_was_recorded(run: Path, tmp_p
     np.testing.assert_allclose(shown.rows[0][1].qpos, real.qpos[::10], atol=1e-12)
 
 
+@pytest.mark.usefixtures("no_gl")
+def test_a_panel_without_a_recording_says_so(run: Path) -> None:
+    shown = read_replay(run, 2, 6.0)
+    film = draw_film(Replay(shown.times, [shown.rows[0], shown.rows[1][:1]]), 160)
+    layout = _Layout(2, 2, 160)
+    left, top = layout.corner(1, 1)
+    assert film[:, top : top + LABEL, left : left + 160].min() < 128
+    assert (film[:, top + LABEL : top + LABEL + layout.height, left : left + 160] == 255).all()
+
+
 @pytest.mark.slow
 def test_a_diagnosed_robot_is_shown_beside_its_recording(tmp_path: Path) -> None:
     folder = tmp_path / "run"
