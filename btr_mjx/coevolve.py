@@ -1,6 +1,10 @@
 """Co-evolve a robot and its simulation: `python -m btr_mjx.coevolve`.
 
-A hidden simulation plays reality, or a robot is reached through files (--reality folder). The run folder holds:
+A hidden simulation plays reality, or a robot is reached through files (--reality folder). A robot of your own:
+
+    python -m btr_mjx.coevolve --robot my_robot/robot.toml --truth "trunk mass=3.6" --out runs/mine
+
+The run folder holds:
 
     config.json, environment.json   what was asked for, and with which versions and machine
     inputs.json, SHA256SUMS         digests of the robot and the reality, and of all data files

@@ -1,6 +1,6 @@
 """Delta_fitness over a line of simulations: `python -m btr_mjx.scan --parameter bl_14 --grid 49`.
 
-In a notebook:
+A robot of your own: `python -m btr_mjx.scan --robot my_robot/robot.toml --parameter "trunk mass"`. In a notebook:
 
     robot = btr.hexapod()
     line = btr.scan.along(robot, "bl_14", 49)                       # (49, 12) simulations
@@ -35,7 +35,7 @@ from btr_mjx.errors import InputError, cli_errors, resume_command
 from btr_mjx.evaluation import fitness_function
 from btr_mjx.models import robot_digest
 from btr_mjx.pages import draw_run_page
-from btr_mjx.runs import IGNORED_FIELDS, RunFolder, content_digest, progress, write_arrays, write_json
+from btr_mjx.runs import IGNORED_FIELDS, RunFolder, content_digest, progress, say_progress, write_arrays, write_json
 
 __all__ = ["ScanConfig", "along", "curve_statistics", "delta", "delta_fitness", "main", "run_scan"]
 
@@ -77,7 +77,14 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 def _with_bar(config: ScanConfig, total: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     with progress(total=total, description="scan", unit="pairs", show=config.progress) as bar:
-        return run_scan(config, bar.update)
+        say_progress(bar, "scan (compiling)", numbers=False)
+
+        def update(pairs: int) -> None:
+            if bar.bar_format:  # the first pairs are done
+                say_progress(bar, "scan")
+            bar.update(pairs)
+
+        return run_scan(config, update)
 
 
 if __name__ == "__main__":

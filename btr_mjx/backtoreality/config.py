@@ -7,10 +7,11 @@ from typing import Literal
 
 import numpy as np
 
-from btr_mjx.backtoreality.reality import FolderReality, Reality, SimulatedReality
+from btr_mjx.backtoreality.command_line import flags_of
+from btr_mjx.backtoreality.reality import FolderReality, Reality, Rounds, SimulatedReality
 from btr_mjx.backtoreality.setting_checks import check_settings
 from btr_mjx.backtoreality.state import BTRSettings, Distance, Problem, SearchSettings
-from btr_mjx.errors import InputError
+from btr_mjx.errors import InputError, resume_command
 from btr_mjx.evaluation import MARKS, EngineSettings, FitnessFunction, fitness_function
 from btr_mjx.models import chosen_robot, compile_mjcf, part_names
 from btr_mjx.robots import PAPER_REALITIES, Robot, read_template
@@ -62,7 +63,7 @@ class CoevolveConfig:
     many unknown parameters from few trials, in a fraction of the time. auto: multiscale for the hexapod against a
     simulated reality, for which the default marks are good; else fitness."""
     marks: tuple[float, ...] = MARKS
-    """Marks of the multiscale distance [s]."""
+    """Marks of the multiscale distance [s]; no other distance uses them."""
     optimiser: Literal["ga", "cma"] = "ga"
     """How step 3 searches: the genetic algorithm (the paper), or CMA-ES, which finds many unknown parameters far better
     and ends early once it has converged."""
@@ -292,4 +293,6 @@ def _folder_reality(config: CoevolveConfig, robot: Robot, fitness: FitnessFuncti
     folder = config.exchange or (config.out and config.out / "exchange")
     if folder is None:
         raise InputError("--reality folder: needs --exchange DIR or --out DIR")
-    return FolderReality(robot, folder, fitness, config.signal_rate)
+    flags = flags_of(config, PRESETS[config.preset], leave_out=("resume", "preset"))
+    command = resume_command("btr_mjx.coevolve", ["--preset", config.preset, *flags])
+    return FolderReality(robot, folder, fitness, config.signal_rate, Rounds(config.iterations, config.trials, command))

@@ -13,7 +13,7 @@ from btr_mjx.backtoreality.growth import growth_sentence
 from btr_mjx.backtoreality.reality import SimulatedReality, Waiting
 from btr_mjx.backtoreality.state import Problem, State, state_from_arrays, state_to_arrays
 from btr_mjx.models import robot_digest
-from btr_mjx.runs import RunFolder, StopRequest, content_digest, note, progress, write_arrays
+from btr_mjx.runs import RunFolder, StopRequest, content_digest, note, progress, say_progress, write_arrays
 
 
 def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: bool, wait: bool = False) -> State:
@@ -40,6 +40,8 @@ def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: boo
     else:
         state, step = state_from_arrays(checkpoint.arrays, checkpoint.meta), checkpoint.step + 1
 
+    first = step
+
     def report(kind: str, row: dict[str, Any]) -> None:
         if kind == "archive":
             run.add_file(_write_archive(run.path, grown(problem, state.grown), row))
@@ -51,10 +53,12 @@ def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: boo
     with progress(total=_pairs_left(problem, state), description="pairs", unit="pairs", show=show or False) as bar:
         problem = replace(problem, progress=bar.update)
         while state.phase != "done":
-            bar.set_description(f"iteration {state.iteration}: {_PHASE_TEXTS[state.phase]}")
-            phase = state.phase
-            state = _advanced(problem, state, report, stop, wait)
-            if phase == "simulations" != state.phase:  # the search may have converged early
+            phase, text = state.phase, f"iteration {state.iteration}: {_PHASE_TEXTS[state.phase]}"
+            # Programs are compiled in the first controller's trial and the first generation: their rate says nothing.
+            compiling = phase == "baseline" or (phase == "controllers" and step <= first + 1)
+            say_progress(bar, f"{text} (compiling)" if compiling else text, numbers=not compiling)
+            state = _advanced(problem, state, report, stop, bar if wait else None)
+            if phase == "simulations" != state.phase:  # the search may have converged early, or a target is met
                 bar.total = bar.n + _pairs_left(problem, state)
             run.save_checkpoint(step, *state_to_arrays(state))
             step += 1
@@ -62,15 +66,18 @@ def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: boo
     return state
 
 
-def _advanced(problem: Problem, state: State, report: Report, stop: StopRequest, wait: bool) -> State:
-    """The next state; measurements that are missing are waited for where `wait` is set."""
+def _advanced(problem: Problem, state: State, report: Report, stop: StopRequest, bar: Any) -> State:
+    """The next state; measurements that are missing are waited for where there is a bar that can say so."""
     told: tuple[Any, ...] = ()
     while True:
         try:
             return advance(problem, state, report)
         except Waiting as waiting:
-            if not wait:
+            if bar is None:
                 raise
+            names = ", ".join(map(str, waiting.missing[:6])) + (", ..." if len(waiting.missing) > 6 else "")
+            plural = "s" if len(waiting.missing) > 1 else ""
+            say_progress(bar, f"iteration {state.iteration}: waiting for trial{plural} {names}", numbers=False)
             if told != (waiting.missing, waiting.complaints):
                 told = (waiting.missing, waiting.complaints)
                 for line in (*waiting.complaints, str(waiting)):
@@ -94,8 +101,10 @@ _PHASE_TEXTS = {
 def _pairs_left(problem: Problem, state: State) -> int:
     """Pairs that remain to be simulated if no stop criterion is met early (an estimate after a resume)."""
     settings = problem.settings
+    if state.phase == "done":
+        return 0
     left = 0 if state.phase != "baseline" else 1
-    for iteration in range(state.iteration, settings.iterations + 1):
+    for iteration in range(state.iteration + (state.phase == "growth"), settings.iterations + 1):
         behaviours = settings.trials * (iteration if settings.behaviours == "all" else 1)
         done = len(state.scores) if iteration == state.iteration else 0
         if iteration > state.iteration or state.phase in ("baseline", "controllers"):

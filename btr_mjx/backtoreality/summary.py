@@ -17,6 +17,8 @@ from btr_mjx.runs import read_arrays
 _SIMILAR = 2.0
 """Largest distance of a simulation that counts as fitting similarly well, over the least one."""
 
+_DISTANCES = {"fitness": "Delta_fitness", "multiscale": "the multiscale distance"}
+
 _AT_BOUND = 0.005
 """Part of its range within which a value counts as being at the bound."""
 
@@ -157,6 +159,7 @@ def summary_table(result: dict[str, Any], out: Path) -> str:
     )
     lines += ["", *map(growth_sentence, result["growth"])] if result["growth"] else []
     lines.append("")
+    lines.append(f"step 3 minimised {_DISTANCES[result['distance']]} (--distance)")
     lines.append(
         f"{result['reality_evaluations']} evaluations in reality ({result['failed_trials']} failed), "
         f"learning performance {result['lp']:.3f}, stopped by {result['stop']}; all files in {out}"

@@ -52,8 +52,10 @@ def write_exports(folder: Path, parameters: Sequence[ExportedParameter]) -> None
     """
     if not parameters:
         return
-    keys = ("name", "unit", "value", "low", "high", "origin")
-    rows = [{key: getattr(one, key) for key in keys} for one in parameters]
+    # Not low and high: these would be read as bounds of the parameter.
+    keys = {"name": "name", "unit": "unit", "value": "value", "interval_low": "low", "interval_high": "high"}
+    keys |= {"origin": "origin"}
+    rows = [{column: getattr(one, key) for column, key in keys.items()} for one in parameters]
     write_table(folder / "parameters.csv", rows)
     write_json(folder / "parameters.json", rows)
     ranges = {one.name: one.paths for one in parameters if one.paths and one.low is not None}

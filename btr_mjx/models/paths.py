@@ -58,6 +58,7 @@ _PATH = re.compile(
     r"^(?P<kind>[a-z]+)(?:\[@name=['\"](?P<quoted>.*)['\"]\]|[:/](?P<name>.+))[/.]@?(?P<attribute>[a-z]+)$"
 )
 _INDEX = re.compile(r"^(?P<head>.*?)(?P<index>(?:\[[0-9]{1,9}\])+)$")
+_SHARED_LENGTH = "; a length that several elements share is a variable of a template (docs/robot_file.md)"
 _LONGEST = 400
 """Characters of a path."""
 
@@ -217,10 +218,8 @@ def parse_path(model: mujoco.MjModel, text: str) -> ModelPath:
             raise InputError(f"path {text!r}: the model has no {kind} {name!r}; nearest: {nearest_names(name, names)}")
         if attribute not in ATTRIBUTES[kind]:
             known = ", ".join(ATTRIBUTES[kind])
-            raise InputError(
-                f"path {text!r}: a {kind}'s attributes here are {known}; got {attribute!r}. A number that several "
-                "elements share is a variable of a template: docs/robot_file.md"
-            )
+            more = "" if attribute != "fromto" else _SHARED_LENGTH
+            raise InputError(f"path {text!r}: a {kind}'s attributes here are {known}; got {attribute!r}{more}")
         path = ModelPath(text, kind, names.index(name), attribute, numbers or (0,))
     try:
         value = path.read(model)

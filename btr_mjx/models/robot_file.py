@@ -17,7 +17,7 @@
 docs/robot_file.md has all keys.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.models.batch import base_model, start_of
 from btr_mjx.models.controller_table import controls_at_start, read_controller
-from btr_mjx.models.path_parameters import PathParameter, read_bounds, read_path_parameter
+from btr_mjx.models.path_parameters import KEYS, PathParameter, read_bounds, read_path_parameter
 from btr_mjx.models.paths import nearest_names
 from btr_mjx.robots import Box, Robot, Sinusoids, read_template, robot_of
 from btr_mjx.runs import file_name, is_number, read_toml, toml_rows, toml_section
@@ -57,7 +57,7 @@ def load_robot(path: str | Path) -> Robot:
         raise InputError(f"robot {str(file)!r} cannot be read: {error}") from None
     for key in table:
         if key not in (*_KEYS, *_TABLES):
-            raise InputError(f"{file}: unknown key {key!r}; nearest: {nearest_names(key, (*_KEYS, *_TABLES))}")
+            raise _unknown_key(str(file), key, (*_KEYS, *_TABLES))
     source = file.parent / file_name(table, "model", str(file))
     plain = source.suffix != ".j2"
     rows = toml_rows(table, "parameter", file)
@@ -139,10 +139,7 @@ class _Draft:
             known = ("name", "bounds", "low", "high", "unit", "nominal")
             for key in row:
                 if key not in known:
-                    raise InputError(
-                        f"{where}: unknown key {key!r}; expected {', '.join(known)} or path; without a path, name is a "
-                        "variable of the template"
-                    )
+                    raise _unknown_key(where, key, (*known, "path"))
             if self.plain:
                 raise InputError(f'{where}: no path, and {self.source.name} is no template; add path = "..."')
             low, high = read_bounds(row, where)
@@ -186,11 +183,17 @@ def _parameter(draft: _Draft, row: Mapping[str, Any], number: int, model: mujoco
     where, notes = f"{draft.file}: [[parameter]] {number}", list[str]()
     edit = read_path_parameter(row, model, where, notes, ("nominal",))
     if notes:
-        raise InputError(notes[0].replace(" was ignored", ""))
+        raise InputError(f"{notes[0].replace(' was ignored', '')}; valid keys: {', '.join((*KEYS, 'nominal'))}")
     nominal = row.get("nominal", edit.value(model))
     if not is_number(nominal):
         raise InputError(f"{where}: nominal = {nominal!r}: expected a number")
     return _Parameter(edit.name, edit.low, edit.high, float(nominal), edit.unit, edit)
+
+
+def _unknown_key(where: str, key: str, known: Sequence[str]) -> InputError:
+    return InputError(
+        f"{where}: unknown key {key!r}; nearest: {nearest_names(key, known)}; valid keys: {', '.join(known)}"
+    )
 
 
 def _constants(table: Mapping[str, Any], file: Path) -> tuple[tuple[str, float], ...]:
@@ -232,10 +235,14 @@ def _checked_base(model: mujoco.MjModel, base: str, point: str, file: Path) -> s
     bodies = [model.body(i).name for i in range(1, model.nbody)]
     free = [model.body(int(b)).name for b in model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]]
     if base and base not in free:
-        hint = f"nearest: {nearest_names(base, free or bodies)}"
-        if not free and base in bodies:
-            hint = f'a robot that is bolted down or planar has point = "{base}" instead'
-        raise InputError(f"{file}: base_body = {base!r}: expected a body with a free joint; {hint}")
+        if base in bodies:
+            raise InputError(
+                f"{file}: base_body = {base!r}: this body has no free joint; for a planar robot (slide joints) and for "
+                f"one that is bolted down write point = {base!r} instead; bodies with a free joint: "
+                f"{', '.join(free) or 'none'}"
+            )
+        near = nearest_names(base, free or bodies)
+        raise InputError(f"{file}: base_body = {base!r}: expected a body with a free joint; nearest: {near}")
     if base or point:
         return base or None
     if len(free) != 1:

@@ -187,18 +187,24 @@ SIMILAR_NOTE = (
 
 
 def _parameters(run: RunData) -> Table:
-    columns = ["parameter", "start", "identified", "similar fit", "lowest", "highest", "unit", ""]
+    columns = ["parameter", "start", "identified", "similar fit", "lowest", "highest", "unit", "note"]
     ranges = run.result.get("similar_range", {})
     rows: list[list[Any]] = []
     for i, name in enumerate(run.box.names):
         value, low, high = float(run.identified[i]), float(run.box.low[i]), float(run.box.high[i])
-        similar = " to ".join(format_number(end, 4) for end in ranges[name]) if name in ranges else None
+        similar = (
+            "\N{NO-BREAK SPACE}to\N{NO-BREAK SPACE}".join(format_number(end, 4) for end in ranges[name])
+            if name in ranges
+            else None
+        )
         row = [name, float(run.start[i]), value, similar]
         if run.truth is not None:
             row += [float(run.truth[i]), float(value - run.truth[i])]
         rows.append([*row, low, high, run.box.units[i], bound_words(value, low, high)])
     if run.truth is not None:
         columns[4:4] = ["truth", "error"]
+    if not any(row[-1] for row in rows):
+        columns, rows = columns[:-1], [row[:-1] for row in rows]
     return Table(columns, rows, f"Lowest, highest: bounds of the search. {SIMILAR_NOTE}")
 
 

@@ -56,15 +56,15 @@ def coevolution_replay(folder: Path, frames: int) -> Replay:
     times = frame_times(problem.robot.duration, frames, float(base_model(problem.robot).opt.timestep))
     rows: list[list[ReplayedMotion]] = []
     for when, which, robot, simulation, words, trial in (
-        ("before", "best predicted, iteration 1", problem.robot, problem.start, f"{start} parameters", promised),
-        ("after", f"best measured, iteration {last}", final.robot, identified, "identified parameters", best),
+        ("before", ("best predicted", 1), problem.robot, problem.start, f"{start} parameters", promised),
+        ("after", ("best measured", last), final.robot, identified, "identified parameters", best),
     ):
         controller = trials["controllers"][trial]
         simulated = _simulated(robot, simulation, controller, problem, times)
-        row = [replace(simulated, title=f"{when}: simulation", detail=f"{words}; {which}")]
+        row = [replace(simulated, title=f"{when}: simulation", detail=f"{words}, iteration {which[1]}")]
         real = _real(problem, controller, trial, times, float(trials["f_r"][trial]))
         if real is not None:
-            row.append(replace(real, title=f"{when}: reality", detail=which))
+            row.append(replace(real, title=f"{when}: reality", detail=f"{which[0]}, iteration {which[1]}"))
         rows.append(row)
     shown = np.concatenate([[0.0], times])
     return Replay(shown, rows if any(len(row) > 1 for row in rows) else [[row[0] for row in rows]])

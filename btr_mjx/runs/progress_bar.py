@@ -63,6 +63,18 @@ def progress(
     return _LineBar(file=_Lines(stream), mininterval=interval, miniters=1, position=0, leave=True, **scaled)
 
 
+def say_progress(bar: Any, text: str, numbers: bool = True) -> None:
+    """Change what a bar says.
+
+    Args:
+      bar: of `progress`.
+      text: in front of the numbers.
+      numbers: whether count, rate and time left are shown; not where they would mean nothing.
+    """
+    bar.bar_format = None if numbers else "{desc}"
+    (bar.set_description if numbers else bar.set_description_str)(text)
+
+
 class _Lines:
     """A stream for tqdm in which every redraw is a line of its own and cursor movements are dropped."""
 
@@ -102,6 +114,8 @@ class _LineBar(tqdm):
     @staticmethod
     def format_meter(n: Any, total: Any, elapsed: float, **options: Any) -> str:
         description = (options.get("prefix") or "").removesuffix(": ")  # set_description() has appended ": "
+        if options.get("bar_format"):
+            return tqdm.format_meter(n, total, elapsed, **options)
         head = "{desc}{percentage:.0f}% {n_fmt}/{total_fmt}" if total else "{desc}{n_fmt} {unit}"
         tail = " [{elapsed}<{remaining}, {rate_fmt}{postfix}]" if total else " [{elapsed}, {rate_fmt}{postfix}]"
         options |= {"prefix": description and f"{description}: ", "bar_format": head + tail, "ncols": None}

@@ -1,22 +1,29 @@
 """Reality behind a folder: what is asked, what is used, and what is said of rows that cannot be."""
 
+import dataclasses
 import json
 import os
+import re
+import shlex
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
 from btr_mjx import coevolve
-from btr_mjx.backtoreality import FolderReality, Waiting
+from btr_mjx.backtoreality import PRESETS, FolderReality, Waiting
+from btr_mjx.backtoreality.command_line import flags_of
+from btr_mjx.backtoreality.reality.instructions import command_kinds, instructions
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import evaluate, fitness_function
 from btr_mjx.gap.data import control_columns
 from btr_mjx.models import base_model, load_robot
+from btr_mjx.robots import hexapod
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 ROBOT = load_robot(EXAMPLES / "thrower")
@@ -135,6 +142,53 @@ def test_fitness_is_computed_from_recordings(reality: FolderReality, controllers
     np.testing.assert_allclose(recordings[0].qpos[1:], truth.outcome.qpos[0, 0], atol=1e-8)
     hand = truth.outcome.position[0][:, [29, 59]]
     np.testing.assert_allclose(found, np.linalg.norm(hand - ROBOT.target, axis=-1), atol=1e-8)
+
+
+def test_the_instructions_say_what_a_person_needs() -> None:
+    config = coevolve.parse(
+        [*("--robot", str(EXAMPLES / "thrower"), "--reality", "folder", "--out", "runs/a b", "--trials", "4")]
+    )
+    reality = coevolve.build_problem(config).reality
+    assert isinstance(reality, FolderReality)
+    text = instructions(reality.robot, reality.fitness, reality.rate, reality.rounds)
+    assert "At most 3 rounds of 4 controllers follow" in text
+    assert "distance of `hand` from the point [0.35, 0.0, 1.3] m at t = 0.6 s [m]; smaller is better" in text
+    assert "`ctrl/shoulder`: position of joint `shoulder` [rad]" in text
+    assert "   - `elbow`: 0 rad" in text
+    assert re.search(r"`hand` is then at x y z = [-\d.]+ [-\d.]+ [-\d.]+ m", text)
+    assert "A fall is not a failure" in text
+    line = next(one for one in text.splitlines() if "--resume" in one)
+    words = shlex.split(line)
+    assert coevolve.parse(words[words.index("--preset") :]) == dataclasses.replace(config, resume=True)
+
+
+@pytest.mark.parametrize(
+    "flags",
+    [
+        ["--preset", "paper", "--truth", "bl_3=0.5", "bl_5=0.6", "--no-progress", "--marks", "0.1", "0.2"],
+        ["--unknown", "all", "--truth", "--duration", "0.5", "--wait", "--max-evaluations", "40"],
+    ],
+)
+def test_flags_make_their_config_again(flags: list[str]) -> None:
+    config = coevolve.parse(flags)
+    words = flags_of(config, PRESETS[config.preset], leave_out=("preset",))
+    assert coevolve.parse(["--preset", config.preset, *words]) == config
+
+
+def test_commands_of_every_kind_of_motor() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><body><joint name="a"/><geom size="0.1"/><body><joint name="b" type="slide"/>
+        <geom size="0.1"/></body></body></worldbody><actuator><motor name="m" joint="a"/><motor name="g" joint="a"
+        gear="9"/><position name="p" joint="b" kp="20"/><velocity name="v" joint="a" kv="3"/>
+        <motor name="s" joint="b"/></actuator></mujoco>"""
+    )
+    kinds = command_kinds(model)
+    assert kinds["m"] == "torque of joint `a` [N m]"
+    assert kinds["g"].startswith("control of joint `a`")
+    assert kinds["p"] == "position of joint `b` [m]"
+    assert kinds["v"] == "velocity of joint `a` [rad/s]"
+    assert kinds["s"] == "force of joint `b` [N]"
+    assert all(kind.startswith("position of joint") for kind in command_kinds(base_model(hexapod())).values())
 
 
 def test_marks_need_recordings(reality: FolderReality, controllers: np.ndarray) -> None:

@@ -3,6 +3,7 @@
 import json
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -69,6 +70,17 @@ def test_run_folder(finished: Path) -> None:
     error = np.mean([abs(result["simulation"][n] - result["truth"][n]) for n in ("bl_5", "bl_14")])
     assert result["parameter_error_last"] == pytest.approx(error)
     assert not list(finished.glob("*.png"))
+
+
+def test_progress_ends_at_the_total_that_was_announced(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    flags = [flag for flag in SMALL_RUN if flag != "--no-progress"]
+    coevolve.main([*flags, "--distance", "fitness", "--out", str(tmp_path / "run")])
+    lines = [line for line in capsys.readouterr().err.splitlines() if "pairs" in line]
+    totals = [re.search(r"(\d+)% (\d+)/(\d+)", line) for line in lines]
+    counts = [tuple(map(int, found.groups())) for found in totals if found]
+    assert counts[0][:2] == (0, 0)
+    assert counts[-1][0] == 100
+    assert {total for _, _, total in counts} == {counts[-1][1]}
 
 
 def test_library_face(finished: Path, tmp_path: Path) -> None:

@@ -76,8 +76,8 @@ def test_files(tmp_path: Path) -> None:
     hidden = dataclasses.replace(ranged, name="backlash", paths={})
     write_exports(tmp_path, [fixed, ranged, hidden])
     table = pl.read_csv(tmp_path / "parameters.csv")
-    assert table.columns == ["name", "unit", "value", "low", "high", "origin"]
-    assert table["low"].to_list() == [None, 0.2, 0.2]
+    assert table.columns == ["name", "unit", "value", "interval_low", "interval_high", "origin"]
+    assert table["interval_low"].to_list() == [None, 0.2, 0.2]
     assert [row["name"] for row in json.loads((tmp_path / "parameters.json").read_text())] == table["name"].to_list()
     assert json.loads((tmp_path / "randomisation.json").read_text())["parameters"] == {
         "damping": {"dof_damping[0]": [0.2, 0.4]}
@@ -117,7 +117,7 @@ def test_effects_without_mjcf_have_no_ranges(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         exported(tmp_path, play)
     (row,) = json.loads((tmp_path / "parameters.json").read_text())
-    assert (row["low"], row["high"]) == (0.01, 0.03)
+    assert (row["interval_low"], row["interval_high"]) == (0.01, 0.03)
     assert "mended.json" in row["origin"]
 
 
@@ -126,7 +126,7 @@ def test_a_finished_run(tmp_path: Path) -> None:
     write_json(tmp_path / "result.json", {"simulation": {"bl_5": 0.9, "added": 2.0}, "space": space})
     export_coevolution(tmp_path)
     rows = json.loads((tmp_path / "parameters.json").read_text())
-    assert [(row["name"], row["unit"], row["value"], row["low"]) for row in rows] == [
+    assert [(row["name"], row["unit"], row["value"], row["interval_low"]) for row in rows] == [
         ("bl_5", "m", 0.9, None),
         ("added", "N m", 2.0, None),
     ]

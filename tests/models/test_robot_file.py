@@ -178,7 +178,14 @@ def test_a_template_with_includes_and_paths(folder: Path) -> None:
         (("[1.0, 3.0]", "0.0"), "frequency = 0.0"),
         (('"sinusoid"', '"sinus"'), "signal = 'sinus'"),
         (('"robot.xml"', '"other.xml"'), "other.xml"),
-        (("duration = 0.2", 'base_body = "shank"'), "expected a body with a free joint; nearest: 'trunk'"),
+        (("duration = 0.2", 'base_body = "shank"'), "write point = 'shank' instead; bodies with a free joint: trunk"),
+        (("duration = 0.2", 'base_body = "trnk"'), "expected a body with a free joint; nearest: 'trunk'"),
+        (("duration", "durration"), "valid keys: name, model, base_body, point, duration, keyframe"),
+        (
+            ('unit = "N m s/rad"', 'colour = "red"'),
+            "valid keys: name, path, bounds, low, high, relative, unit, nominal",
+        ),
+        (("joint:hip/damping", "geom:geom1/fromto[5]"), "is a variable of a template (docs/robot_file.md)"),
         (("duration = 0.2", 'fitness = "target_distance"\ntarget = [1]'), "expected [x, y, z] in metres"),
     ],
 )
@@ -224,31 +231,17 @@ def test_a_parameter_that_changes_nothing_is_refused(folder: Path) -> None:
 
 def test_the_template_of_the_docs_is_a_robot(tmp_path: Path) -> None:
     text = (Path(__file__).parents[2] / "docs/robot_file.md").read_text(encoding="utf-8")
-    part = text.split("## A length that several elements share")[1]
-    leg = part.split("```xml\n")[1].split("```")[0] + "</body></body>"
-    shin = '<geom type="capsule" fromto="0 0 0 0 0 -0.28" size="0.02"/></body></body>'
-    leg = leg.replace("</body></body>", shin)
-    (tmp_path / "biped.xml.j2").write_text(
-        '<mujoco><worldbody><body name="torso" pos="0 0 1"><joint type="slide" axis="1 0 0"/><geom size="0.1"/>'
-        f'{leg}</body></worldbody><actuator><position joint="hip_l"/><position joint="knee_l"/></actuator></mujoco>'
+    part = text.split("## Unknown lengths: a template")[1].split("\n## ")[0]
+    leg, table = part.split("```xml\n")[1].split("```")[0], part.split("```toml\n")[1].split("```")[0]
+    (tmp_path / "robot.xml.j2").write_text(
+        '<mujoco><worldbody><body name="trunk" pos="0 0 1"><joint type="slide" axis="1 0 0"/><geom size="0.1"/></body>'
+        f'{leg}</worldbody><actuator><position joint="hip"/><position joint="knee"/></actuator></mujoco>'
     )
-    (tmp_path / "robot.toml").write_text(part.split("```toml\n")[1].split("```")[0])
+    rest = '[controller]\nsignal = "sinusoid"\nfrequency = 1.0\namplitude = [0.0, 0.3]\n'
+    (tmp_path / "robot.toml").write_text('point = "trunk"\n' + table + rest)
     robot = load_robot(tmp_path)
-    assert robot.simulation_box.names == ("thigh_l", "trunk mass")
-    model = mujoco.MjModel.from_xml_string(robot.render([0.31, 3.6]))
-    np.testing.assert_allclose(model.body("shin_l").pos, [0, 0, -0.31])
-
-
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ('variable = "thigh_l"', "expected name, bounds, low, high, unit, nominal or path"),
-        ('path = "body:thigh/length"', "variable of a template"),
-    ],
-)
-def test_a_template_is_named_where_a_path_does_not_do(folder: Path, line: str, message: str) -> None:
-    rest = ROBOT.replace("[controller]", f'[[parameter]]\nname = "a"\nbounds = [1.0, 2.0]\n{line}\n[controller]', 1)
-    (folder / "robot.toml").write_text(rest)
-    with pytest.raises(InputError) as error:
-        load_robot(folder)
-    assert message in str(error.value)
+    assert robot.simulation_box.names == ("thigh", "trunk mass")
+    models = compile_models(robot, [[0.31, 3.6]])
+    found = mujoco.MjModel.from_xml_string(robot.render([0.31, 3.6]))
+    np.testing.assert_allclose(found.body("shin").pos, [0, 0, -0.31])
+    assert models is not None

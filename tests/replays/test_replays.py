@@ -70,8 +70,8 @@ def test_a_coevolution_is_shown_before_and_after_in_simulation_and_reality(run: 
         assert numbers[0] == pytest.approx(trials["f_s"][promised], rel=5e-3)
         assert numbers[1] == pytest.approx(trials["f_r"][promised], rel=5e-3)
     assert numbers[3] == pytest.approx(result["f_r_best"], rel=5e-3)
-    assert shown.rows[0][0].detail == "nominal parameters; best predicted, iteration 1"
-    assert shown.rows[1][0].detail == "identified parameters; best measured, iteration 1"
+    assert shown.rows[0][0].detail == "nominal parameters, iteration 1"
+    assert shown.rows[1][1].detail == "best measured, iteration 1"
 
 
 def test_motions_are_those_of_a_loop_over_steps(run: Path) -> None:
@@ -275,6 +275,16 @@ def test_a_diagnosis_of_a_model_and_its_logs_is_shown(tmp_path: Path) -> None:
     shown = read_replay(given.out, 10, 1.0)
     assert [motion.title for motion in shown.motions] == ["recording", "believed model"]
     assert np.abs(shown.motions[0].qpos - shown.motions[1].qpos).max() < 0.05
+
+
+@pytest.mark.usefixtures("no_gl")
+def test_a_panel_without_a_recording_says_so(run: Path) -> None:
+    shown = read_replay(run, 2, 6.0)
+    film = draw_film(Replay(shown.times, [shown.rows[0], shown.rows[1][:1]]), 160)
+    layout = _Layout(2, 2, 160)
+    left, top = layout.corner(1, 1)
+    assert film[:, top : top + LABEL, left : left + 160].min() < 128
+    assert (film[:, top + LABEL : top + LABEL + layout.height, left : left + 160] == 255).all()
 
 
 @pytest.mark.slow

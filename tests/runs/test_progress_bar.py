@@ -16,6 +16,16 @@ def test_progress_is_silent_without_a_terminal(capfd):
     assert capfd.readouterr() == ("", "")
 
 
+def test_words_without_numbers():
+    stream = io.StringIO()
+    with progress.progress(total=4, description="scan", interval=0.0, show=True, file=stream) as bar:
+        progress.say_progress(bar, "waiting for trial 3", numbers=False)
+        progress.say_progress(bar, "scan")
+        bar.update(4)
+    assert "waiting for trial 3" in stream.getvalue().splitlines()
+    assert stream.getvalue().splitlines()[-1].startswith("scan: 100% 4/4")
+
+
 def test_progress_lines():
     stream = io.StringIO()
     with progress.progress(

@@ -1,6 +1,7 @@
 """Realities, in which the fitness of controllers is measured: the interface, a simulated reality, a folder."""
 
 from btr_mjx.backtoreality.reality.folder import FolderReality, Waiting
+from btr_mjx.backtoreality.reality.instructions import Rounds
 from btr_mjx.backtoreality.reality.simulated import Reality, SimulatedReality
 
-__all__ = ["FolderReality", "Reality", "SimulatedReality", "Waiting"]
+__all__ = ["FolderReality", "Reality", "Rounds", "SimulatedReality", "Waiting"]

@@ -16,13 +16,14 @@ import hashlib
 import io
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from btr_mjx.backtoreality.reality.instructions import Rounds, instructions
 from btr_mjx.backtoreality.reality.measurements import (
     RECORDING_SUFFIXES,
     Measured,
@@ -66,12 +67,14 @@ class FolderReality:
       folder: the exchange folder.
       fitness: the fitness function, of recordings.
       rate: samples per second of the reference signals.
+      rounds: how the run goes on, for the instructions.
     """
 
     robot: Robot
     folder: Path
     fitness: FitnessFunction = DISTANCE
     rate: float = 200.0
+    rounds: Rounds = field(default_factory=Rounds)
 
     def measure(self, controllers: np.ndarray, trial: int, times: tuple[float, ...]) -> np.ndarray:
         """Fitness of controllers, see `Reality.measure`.
@@ -154,7 +157,7 @@ class FolderReality:
             rows = [[f"{t:.6g}", *(f"{v:.9g}" for v in row)] for t, row in zip(time, values, strict=True)]
             signal = _table(["time", *(f"ctrl/{motor}" for motor in names)], rows)
             _write(self.folder / "signals" / f"trial-{i}.csv", signal)
-        _write(self.folder / "README.md", self._readme().encode())
+        _write(self.folder / "README.md", instructions(self.robot, self.fitness, self.rate, self.rounds).encode())
         (self.folder / "measured").mkdir(parents=True, exist_ok=True)
         _write(path, table)  # last: a batch is there when its table is
 
@@ -205,44 +208,6 @@ class FolderReality:
 
     def _foreign(self, why: str) -> InputError:
         return InputError(f"{self.folder}: this is the exchange folder of another run ({why}); give another --exchange")
-
-    def _readme(self) -> str:
-        return _README.format(
-            name=self.robot.name,
-            duration=f"{self.robot.duration:g}",
-            fitness=self.fitness.name,
-            pose=f"the keyframe {self.robot.keyframe!r} of its model" if self.robot.keyframe else "qpos0 of its model",
-            followed=self.robot.point or self.robot.base_body or "the robot",
-            unit=f" [{self.fitness.unit}]" if self.fitness.unit else "",
-            rate=f"{self.rate:g}",
-        )
-
-
-_README = """# Trials of {name}
-
-`trials/NNN.csv` lists controllers to be tried on the robot: an id, and the controller's parameters.
-
-1. Put the robot into its start pose, {pose}.
-2. Play `signals/trial-ID.csv` on its motors: `time` [s] and one column for each motor, {rate} rows a second for
-   {duration} s.
-3. Write what came out, for every id, in one of these ways:
-
-   - `measured/NNN.csv` (the same number as in `trials/`) with the columns `id,fitness`. The fitness is
-     `{fitness}`{unit} over the {duration} s, of `{followed}`. Further rows of the same id are repeats: they are
-     averaged, and their scatter tells how exact a measurement is. A column `failed` with 1 marks a trial without a
-     valid measurement (a motor stopped, the robot hit a wall). A fall is no failure where it counts in the simulation:
-     write its fitness.
-     For example:
-
-         id,fitness
-         0,0.35
-   - `measured/trial-ID.csv` (or .parquet, .npz): a recording with the columns `time`, `qpos/JOINT` of every joint and
-     `ctrl/MOTOR` of every motor, as for `python -m btr_mjx.diagnose`. The fitness is computed from it.
-
-4. Start the command again with `--resume`. It says what is still missing, and which rows it could not use.
-
-Do not change files in `trials/`, `signals/` and `used/`.
-"""
 
 
 def _used_rows(path: Path) -> list[dict[str, str]]:
