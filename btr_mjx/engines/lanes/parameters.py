@@ -2,8 +2,6 @@
 
 The batch axes of a derived parameter are (1, 1) if all fields that it depends on are equal in all worlds, and (N, C)
 otherwise. Equal parameters become constants of the traced program, the others its arguments.
-
-Source of the contact parameters: google-deepmind/mujoco, mj_contactParam, mj_makeImpedance, getsolparam.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,11 +13,16 @@ import numpy as np
 
 from btr_mjx.engines.guards.pairs import PairGroup, shape_kind
 from btr_mjx.engines.lanes import support
+from btr_mjx.engines.lanes.contact_parameters import (
+    MINVAL,
+    constraint_row,
+    contact_parameters,
+    plane_frame,
+    touch_parameters,
+)
 from btr_mjx.engines.lanes.fields import Fields, apply_matrix, rigid_pose, rigid_root, rotation_matrices
 from btr_mjx.engines.lanes.scalars import Scalar, constant
-from btr_mjx.engines.lanes.tree import FREE, Joint, Touch, TreePlan, massive_members, rigid_members
-
-_MINVAL, _MINMU, _MINIMP, _MAXIMP = 1e-15, 1e-5, 1e-4, 0.9999  # MuJoCo's constants of these names
+from btr_mjx.engines.lanes.tree import FREE, Joint, TreePlan, massive_members, rigid_members
 
 
 def _inertia(model: mujoco.MjModel, fields: Fields, body: int) -> dict[str, np.ndarray]:
@@ -44,7 +47,7 @@ def _fluid(model: mujoco.MjModel, fields: Fields, body: int, root: int) -> dict[
     """Pose of a body's inertia in its link, and the edges [m] of the box that has this inertia."""
     position, matrix = rigid_pose(model, fields, body, root)
     moments = fields("body_inertia", body)
-    spread = np.maximum(_MINVAL, moments.sum(-1, keepdims=True) - 2 * moments)
+    spread = np.maximum(MINVAL, moments.sum(-1, keepdims=True) - 2 * moments)
     box = np.sqrt(6 * spread / fields("body_mass", body)[..., None])
     turn = matrix @ rotation_matrices(fields("body_iquat", body))
     centre = position + apply_matrix(matrix, fields("body_ipos", body))
@@ -57,95 +60,6 @@ def _frame(model: mujoco.MjModel, fields: Fields, body: int) -> dict[str, np.nda
     position, matrix = rigid_pose(model, fields, parent, rigid_root(model, parent))
     turn = matrix @ rotation_matrices(fields("body_quat", body))
     return {"pos": position + apply_matrix(matrix, fields("body_pos", body)), "rot": turn.reshape(*turn.shape[:2], 9)}
-
-
-def _reference(solref: np.ndarray, dmax: np.ndarray, model: mujoco.MjModel) -> np.ndarray:
-    """Stiffness K [1/s^2] and damping B [1/s] of a constraint from its solref, (..., 2)."""
-    mixed = (solref[..., 0] > 0) != (solref[..., 1] > 0)
-    solref = np.where(mixed[..., None], [0.02, 1.0], solref)
-    time, ratio = solref[..., 0], solref[..., 1]
-    if not support.disabled(model, "REFSAFE"):
-        time = np.where(time > 0, np.maximum(time, 2 * model.opt.timestep), time)
-    positive = np.where(time > 0, time, 1.0), np.where(ratio > 0, ratio, 1.0)
-    k = np.where(
-        time > 0, 1 / np.maximum(_MINVAL, (dmax * positive[0] * positive[1]) ** 2), -time / np.maximum(_MINVAL, dmax**2)
-    )
-    b = np.where(ratio > 0, 2 / np.maximum(_MINVAL, dmax * positive[0]), -ratio / np.maximum(_MINVAL, dmax))
-    return np.stack([k, b], -1)
-
-
-def _impedance(solimp: np.ndarray) -> np.ndarray:
-    """Clamped (dmin, dmax, width, midpoint, power); a constant impedance has dmin = dmax."""
-    low, high, mid = (np.clip(solimp[..., i], _MINIMP, _MAXIMP) for i in (0, 1, 3))
-    width, power = solimp[..., 2], np.maximum(1, solimp[..., 4])
-    flat = (low == high) | (width <= _MINVAL)
-    mean = 0.5 * (low + high)
-    return np.stack([np.where(flat, mean, low), np.where(flat, mean, high), np.where(flat, 1.0, width), mid, power], -1)
-
-
-def _row(solref: np.ndarray, solimp: np.ndarray, model: mujoco.MjModel) -> dict[str, np.ndarray]:
-    dmax = np.clip(solimp[..., 1], _MINIMP, _MAXIMP)
-    return {"reference": _reference(solref, dmax, model), "impedance": _impedance(solimp)}
-
-
-def _touch(model: mujoco.MjModel, fields: Fields, body: int, touch: Touch, geom: int) -> dict[str, np.ndarray]:
-    """Geometry and mixed contact parameters of one geom against one plane."""
-    plane = touch.plane
-    owner = int(model.geom_bodyid[geom])
-    position, matrix = rigid_pose(model, fields, owner, body)
-    result = {"centre": position + apply_matrix(matrix, fields("geom_pos", geom))}
-    size = fields("geom_size", geom)
-    if touch.kind != support.SPHERE:
-        matrix = matrix @ rotation_matrices(fields("geom_quat", geom))
-    if touch.kind in (support.CAPSULE, support.CYLINDER):
-        result["axis"] = matrix[..., 2]
-        result["half"] = size[..., 1:2]
-    if touch.kind == support.CYLINDER:
-        result |= {"side": matrix[..., 0], "rim": size[..., 0:1]}
-    if touch.kind in (support.BOX, support.ELLIPSOID):
-        edges = matrix * size[..., None, :]
-        result["edges"] = np.swapaxes(edges, -1, -2).reshape(*edges.shape[:2], 9)
-    rounded = touch.kind in (support.SPHERE, support.CAPSULE)
-    result["radius"] = size[..., 0:1] if rounded else np.zeros((1, 1, 1))
-    return result | _contact_parameters(model, fields, plane, geom, touch.condim)
-
-
-def _contact_parameters(
-    model: mujoco.MjModel, fields: Fields, first: int, second: int, condim: int
-) -> dict[str, np.ndarray]:
-    """Mixed parameters of the contact of two geoms (mj_contactParam, mj_makeImpedance)."""
-    rank = model.geom_priority[first], model.geom_priority[second]
-    both = {
-        key: (fields(f"geom_{key}", first), fields(f"geom_{key}", second)) for key in ("solref", "solimp", "friction")
-    }
-    if rank[0] != rank[1]:
-        chosen = {key: value[0 if rank[0] > rank[1] else 1] for key, value in both.items()}
-    else:
-        chosen = _mix(fields("geom_solmix", first)[..., None], fields("geom_solmix", second)[..., None], both)
-    mu = np.maximum(_MINMU, chosen["friction"][..., 0:1])
-    owners = [int(model.geom_bodyid[geom]) for geom in (first, second)]
-    weight = fields("body_invweight0", owners[0])[..., 0:1] + fields("body_invweight0", owners[1])[..., 0:1]
-    if condim == 3 and model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL:
-        weight = weight * 2 * mu**2 * (1 + mu**2) / np.maximum(_MINVAL, fields("opt.impratio")[..., None])
-    result = {"friction": mu, "scale": 1 / np.maximum(_MINVAL, weight)}
-    result |= _row(chosen["solref"], chosen["solimp"], model)
-    return result | {"margin": (fields("geom_margin", first) + fields("geom_margin", second))[..., None]}
-
-
-def _mix(
-    first: np.ndarray, second: np.ndarray, both: dict[str, tuple[np.ndarray, np.ndarray]]
-) -> dict[str, np.ndarray]:
-    """Contact parameters of two geoms of equal priority, from their solmix weights (..., 1)."""
-    small1, small2 = first < _MINVAL, second < _MINVAL
-    share = np.where(small1 | small2, 1.0, first / np.where(small1 | small2, 1.0, first + second))
-    share = np.where(small1 & small2, 0.5, np.where(small1, 0.0, np.where(small2, 1.0, share)))
-    ref1, ref2 = both["solref"]
-    standard = (ref1[..., 0:1] > 0) & (ref2[..., 0:1] > 0)
-    return {
-        "solref": np.where(standard, share * ref1 + (1 - share) * ref2, np.minimum(ref1, ref2)),
-        "solimp": share * both["solimp"][0] + (1 - share) * both["solimp"][1],
-        "friction": np.maximum(*both["friction"]),
-    }
 
 
 def _joint(model: mujoco.MjModel, fields: Fields, joint: Joint, j: int) -> dict[str, np.ndarray]:
@@ -165,14 +79,14 @@ def _joint(model: mujoco.MjModel, fields: Fields, joint: Joint, j: int) -> dict[
     result |= {"axis": axis, "pos": fields("jnt_pos", j), "spring": fields("qpos_spring", slice(adr, adr + 1))}
     stiff = np.zeros((1, 1, 1)) if support.disabled(model, "SPRING") else fields("jnt_stiffness", slice(j, j + 1))
     result |= {"stiffness": stiff, "actfrcrange": fields("jnt_actfrcrange", j)}
-    weight = np.maximum(_MINVAL, fields("dof_invweight0", slice(dof, dof + 1)))
+    weight = np.maximum(MINVAL, fields("dof_invweight0", slice(dof, dof + 1)))
     if joint.limited:
-        row = _row(fields("jnt_solref", j), fields("jnt_solimp", j), model)
+        row = constraint_row(fields("jnt_solref", j), fields("jnt_solimp", j), model)
         result |= {f"limit_{key}": value for key, value in row.items()}
         result |= {"range": fields("jnt_range", j), "limit_margin": fields("jnt_margin", slice(j, j + 1))}
         result["limit_scale"] = 1 / weight
     if joint.friction:
-        row = _row(fields("dof_solref", dof), fields("dof_solimp", dof), model)
+        row = constraint_row(fields("dof_solref", dof), fields("dof_solimp", dof), model)
         low = row["impedance"][..., 0:1]  # friction rows have zero violation
         result["loss"] = fields("dof_frictionloss", slice(dof, dof + 1))
         result["loss_weight"] = low / ((1 - low) * weight)
@@ -191,18 +105,6 @@ def _actuator(fields: Fields, a: int) -> dict[str, np.ndarray]:
         "actrange": fields("actuator_actrange", a),
         "delay": fields("actuator_delay", slice(a, a + 1)),
     }
-
-
-def _plane(model: mujoco.MjModel, fields: Fields, geom: int) -> dict[str, np.ndarray]:
-    """Contact frame (normal and two tangents, as mju_makeFrame) and offset of a plane along its normal."""
-    position, matrix = rigid_pose(model, fields, int(model.geom_bodyid[geom]), 0)
-    position = position + apply_matrix(matrix, fields("geom_pos", geom))
-    normal = (matrix @ rotation_matrices(fields("geom_quat", geom)))[..., 2]
-    guess = np.where(np.abs(normal[..., 1:2]) < 0.5, [0.0, 1.0, 0.0], [0.0, 0.0, 1.0])
-    tangent = guess - (guess * normal).sum(-1, keepdims=True) * normal
-    tangent = tangent / np.linalg.norm(tangent, axis=-1, keepdims=True)
-    frame = np.concatenate([normal, tangent, np.cross(normal, tangent)], -1)
-    return {"frame": frame, "offset": (normal * position).sum(-1, keepdims=True)}
 
 
 def _placed_geom(model: mujoco.MjModel, fields: Fields, geom: int) -> dict[str, np.ndarray]:
@@ -251,7 +153,7 @@ def derive(
     passive_forces = not (support.disabled(model, "SPRING") and support.disabled(model, "DAMPER"))
     has_fluid = passive_forces and bool(np.any(options["density"]) or np.any(options["viscosity"]))
     for plane in sorted({touch.plane for link in plan.links for touch in link.touches}):
-        put(f"plane{plane}", [_plane(model, fields, plane)])
+        put(f"plane{plane}", [plane_frame(model, fields, plane)])
     for link in plan.links:
         put(f"{link.index}", [_inertia(model, fields, b) | _frame(model, fields, b) for b in link.bodies])
         if has_fluid:
@@ -264,7 +166,7 @@ def derive(
                 put(f"{link.index}/joint{n}/actuator{k}", [_actuator(fields, a) for a in actuator.ids])
         for n, touch in enumerate(link.touches):
             both = zip(link.bodies, touch.geoms, strict=True)
-            put(f"{link.index}/touch{n}", [_touch(model, fields, b, touch, g) for b, g in both])
+            put(f"{link.index}/touch{n}", [touch_parameters(model, fields, b, touch, g) for b, g in both])
     for tendon in plan.tendons:
         for k, actuator in enumerate(tendon.actuators):
             put(f"tendon{tendon.id}/actuator{k}", [_actuator(fields, a) for a in actuator.ids])
@@ -272,7 +174,7 @@ def derive(
         put("geoms", [_placed_geom(model, fields, g) for g in geoms])
     for n, group in enumerate(between):
         named = [(geoms[a], geoms[b]) for a, b in zip(group.first, group.second, strict=True)]
-        put(f"between{n}", [_contact_parameters(model, fields, a, b, group.condim) for a, b in named])
+        put(f"between{n}", [contact_parameters(model, fields, a, b, group.condim) for a, b in named])
     return table
 
 

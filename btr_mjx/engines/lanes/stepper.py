@@ -15,10 +15,18 @@ from btr_mjx.engines.guards.pairs import group_by_condim, group_by_kinds
 from btr_mjx.engines.guards.places import PlacedGeoms, Pose
 from btr_mjx.engines.guards.watch import crossed
 from btr_mjx.engines.lanes import support
-from btr_mjx.engines.lanes.actuation import Actuation, actuate, group_rows, springs, tendon_forces
-from btr_mjx.engines.lanes.body_contacts import body_contacts, columns
-from btr_mjx.engines.lanes.contacts import contact_points
-from btr_mjx.engines.lanes.dof_constraints import dof_constraints
+from btr_mjx.engines.lanes.actuation import Actuation, actuate, springs, tendon_forces
+from btr_mjx.engines.lanes.constraints.body_contacts import body_contacts, columns
+from btr_mjx.engines.lanes.constraints.contacts import contact_points
+from btr_mjx.engines.lanes.constraints.dof_constraints import dof_constraints
+from btr_mjx.engines.lanes.constraints.solver import (
+    Constraint,
+    ConstraintProblem,
+    Zones,
+    constrained_acceleration,
+    zone_flags,
+    zone_shape,
+)
 from btr_mjx.engines.lanes.dynamics import (
     System,
     bias_wrenches,
@@ -34,41 +42,9 @@ from btr_mjx.engines.lanes.integrate import Damping, integrate_step, moved_coord
 from btr_mjx.engines.lanes.kinematics import Motion, motions
 from btr_mjx.engines.lanes.parameters import Parameters, derive, split_constants
 from btr_mjx.engines.lanes.scalars import add, array, group_sum, scale, total, vadd, vsub
-from btr_mjx.engines.lanes.solver import (
-    Constraint,
-    ConstraintProblem,
-    Zones,
-    constrained_acceleration,
-    zone_flags,
-    zone_shape,
-)
+from btr_mjx.engines.lanes.state import LanesState, activations_in_order, dofs_in_order, positions_in_order, split_rows
 from btr_mjx.engines.lanes.tree import FREE, make_plan
 from btr_mjx.engines.rewriting import retrace
-
-
-@jax.tree_util.register_dataclass
-@dataclass
-class LanesState:
-    """State of a chunk of C worlds; every array is (C,), or (G, C) for the members of a group."""
-
-    q: list[list[jax.Array]]
-    """Per joint of the plan: 7 coordinates of a free joint (position, unit quaternion), else 1."""
-    v: list[jax.Array]
-    """Velocity per dof, MuJoCo's conventions."""
-    act: list[jax.Array]
-    """Activation states."""
-    history: list[list[jax.Array]]
-    """Controls of the last steps, the newest first, per actuator with a history buffer."""
-    acceleration: list[jax.Array]
-    """Acceleration per dof in the last step, MuJoCo's conventions; initial guess of the next step."""
-    zones: Zones
-    """Active constraints of the last step, see `solver.Zones`; initial guess of the next step."""
-    power: jax.Array
-    """Sum over actuators of |force x velocity| in the last step [W], (C,)."""
-    capped: jax.Array
-    """Whether the solver reached its iteration limit in the last step, bool (C,)."""
-    tripped: jax.Array
-    """Whether the bound of a guarded pair was crossed at the start of some step, bool (C,)."""
 
 
 @dataclass(frozen=True)
@@ -239,10 +215,13 @@ class LanesStepper:
 
     def initial(self, params: Mapping[str, list[jax.Array]], chunk: int) -> LanesState:
         """State of `chunk` worlds at rest in the model's qpos0, with actuator activations zero."""
-        q, v, acts = self._rest(Parameters(self._constants, params), chunk)
+        return self._fresh(*self._rest(Parameters(self._constants, params), chunk), chunk)
+
+    def _fresh(self, q: list[list[jax.Array]], v: list[jax.Array], act: list[jax.Array], chunk: int) -> LanesState:
+        """A state without a past."""
         lanes = jnp.zeros(chunk, self._dtype)
         still, zones = [jnp.zeros_like(x) for x in v], self._no_zones(chunk)
-        return LanesState(q, v, acts, self._no_history(chunk), still, zones, lanes, lanes > 0, lanes > 0)
+        return LanesState(q, v, act, self._no_history(chunk), still, zones, lanes, lanes > 0, lanes > 0)
 
     def _rest(
         self, parameters: Parameters, chunk: int
@@ -267,22 +246,8 @@ class LanesStepper:
           act: activations (na, C); zero if None.
         """
         qpos, qvel = jnp.asarray(qpos, self._dtype), jnp.asarray(qvel, self._dtype)
-        q, v, acts = [], [], [jnp.zeros(0)] * self.plan.states
-        for joint in (joint for link in self.plan.links for joint in link.joints):
-            positions, dofs = (
-                np.array([adr[j] for j in joint.ids]) for adr in (self._model.jnt_qposadr, self._model.jnt_dofadr)
-            )
-            q.append([group_rows(qpos, positions + i) for i in range(7 if joint.kind == FREE else 1)])
-            v += [group_rows(qvel, dofs + i) for i in range(len(joint.dofs))]
-            for a in joint.actuators:
-                if a.state >= 0:
-                    adr = np.array([self._model.actuator_actadr[i] for i in a.ids])
-                    acts[a.state] = (
-                        jnp.zeros_like(v[-1]) if act is None else group_rows(jnp.asarray(act, self._dtype), adr)
-                    )
-        lanes = jnp.zeros(qpos.shape[-1], self._dtype)
-        still, zones = [jnp.zeros_like(x) for x in v], self._no_zones(qpos.shape[-1])
-        return LanesState(q, v, acts, self._no_history(qpos.shape[-1]), still, zones, lanes, lanes > 0, lanes > 0)
+        act = None if act is None else jnp.asarray(act, self._dtype)
+        return self._fresh(*split_rows(self._model, self.plan, qpos, qvel, act), qpos.shape[-1])
 
     def step(self, params: Mapping[str, list[jax.Array]], state: LanesState, ctrl: jax.Array) -> LanesState:
         """State after one time step under controls of shape (nu, C)."""
@@ -362,43 +327,19 @@ class LanesStepper:
 
     def qpos(self, state: LanesState) -> jax.Array:
         """Generalised positions (nq, C), MuJoCo's order and conventions."""
-        adr = self._model.jnt_qposadr
-        joints = [joint for link in self.plan.links for joint in link.joints]
-        found = [
-            (adr[j] + i, x, member)
-            for joint, xs in zip(joints, state.q, strict=True)
-            for i, x in enumerate(xs)
-            for member, j in enumerate(joint.ids)
-        ]
-        return _in_order(found)
+        return positions_in_order(self._model, self.plan, state)
 
     def qvel(self, state: LanesState) -> jax.Array:
         """Generalised velocities (nv, C), MuJoCo's order and conventions."""
-        return self._dofs_in_order(state.v)
+        return dofs_in_order(self._model, self.plan, state.v)
 
     def qacc(self, state: LanesState) -> jax.Array:
         """Accelerations of the last step before implicit damping (nv, C): MuJoCo's qacc."""
-        return self._dofs_in_order(state.acceleration)
+        return dofs_in_order(self._model, self.plan, state.acceleration)
 
     def act(self, state: LanesState) -> jax.Array:
         """Activations (na, C), MuJoCo's order."""
-        adr = self._model.actuator_actadr
-        found = []
-        for actuator in (a for link in self.plan.links for joint in link.joints for a in joint.actuators):
-            if actuator.state >= 0:
-                found += [(adr[i], state.act[actuator.state], member) for member, i in enumerate(actuator.ids)]
-        return _in_order(found) if found else jnp.zeros((0, *state.power.shape), self._dtype)
-
-    def _dofs_in_order(self, values: Sequence[jax.Array]) -> jax.Array:
-        adr = self._model.jnt_dofadr
-        joints = [joint for link in self.plan.links for joint in link.joints]
-        found = [
-            (adr[j] + i, values[k], member)
-            for joint in joints
-            for i, k in enumerate(joint.dofs)
-            for member, j in enumerate(joint.ids)
-        ]
-        return _in_order(found)
+        return activations_in_order(self._model, self.plan, state)
 
     def power(self, state: LanesState) -> jax.Array:
         """Sum over actuators of |force x velocity| in the last step [W], shape (C,)."""
@@ -411,8 +352,3 @@ class LanesStepper:
     def tripped(self, state: LanesState) -> jax.Array:
         """Whether the bound of a guarded pair was crossed at the start of some step so far, bool (C,)."""
         return state.tripped
-
-
-def _in_order(rows: Sequence[tuple[int, jax.Array, int]]) -> jax.Array:
-    """Stack rows (address, array (C,) or (G, C), member) by address."""
-    return jnp.stack([x[member] if x.ndim == 2 else x for _, x, member in sorted(rows, key=lambda row: row[0])])

@@ -20,10 +20,10 @@ import jax.numpy as jnp
 from jax import lax
 
 from btr_mjx.engines.lanes.articulated import factorise, solve_articulated, solve_factored
-from btr_mjx.engines.lanes.body_contacts import BodyContacts, over_slots
-from btr_mjx.engines.lanes.cones import Cone, Contact, ZoneModel
-from btr_mjx.engines.lanes.coupled import solve_coupled
-from btr_mjx.engines.lanes.dof_constraints import DofConstraint
+from btr_mjx.engines.lanes.constraints.body_contacts import BodyContacts, over_slots
+from btr_mjx.engines.lanes.constraints.cones import Cone, Contact, ZoneModel
+from btr_mjx.engines.lanes.constraints.coupled import solve_coupled
+from btr_mjx.engines.lanes.constraints.dof_constraints import DofConstraint
 from btr_mjx.engines.lanes.dynamics import System
 from btr_mjx.engines.lanes.kinematics import Motion
 from btr_mjx.engines.lanes.scalars import (

@@ -9,7 +9,7 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 
-from btr_mjx.engines.lanes.cones import ZoneModel, impedance
+from btr_mjx.engines.lanes.constraints.cones import ZoneModel, impedance
 from btr_mjx.engines.lanes.parameters import Parameters
 from btr_mjx.engines.lanes.scalars import Scalar, add, mul, neg, sub
 from btr_mjx.engines.lanes.tree import FREE, TreePlan

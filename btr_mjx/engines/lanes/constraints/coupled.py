@@ -16,8 +16,8 @@ from jax import lax
 
 from btr_mjx.engines.guards.places import fold_rows
 from btr_mjx.engines.lanes.articulated import Factors, solve_factored
-from btr_mjx.engines.lanes.body_contacts import BodyContacts, Column, over_slots
-from btr_mjx.engines.lanes.cones import ZoneModel
+from btr_mjx.engines.lanes.constraints.body_contacts import BodyContacts, Column, over_slots
+from btr_mjx.engines.lanes.constraints.cones import ZoneModel
 from btr_mjx.engines.lanes.scalars import Scalar, add, array, dot, full, matvec, total, vadd
 from btr_mjx.engines.lanes.spatial import Spatial, propagate
 from btr_mjx.engines.lanes.tree import FREE, TreePlan

@@ -20,7 +20,7 @@ from jax import lax
 from btr_mjx.engines.guards.bounds import Shapes
 from btr_mjx.engines.guards.pairs import PairGroup
 from btr_mjx.engines.guards.places import PlacedGeoms, fold_rows, member
-from btr_mjx.engines.lanes.cones import Cone, impedance, make_cone
+from btr_mjx.engines.lanes.constraints.cones import Cone, impedance, make_cone
 from btr_mjx.engines.lanes.kinematics import Motion
 from btr_mjx.engines.lanes.parameters import Parameters
 from btr_mjx.engines.lanes.scalars import (

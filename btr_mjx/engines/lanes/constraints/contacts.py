@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from btr_mjx.engines.lanes import support
-from btr_mjx.engines.lanes.cones import Contact, impedance, make_cone
+from btr_mjx.engines.lanes.constraints.cones import Contact, impedance, make_cone
 from btr_mjx.engines.lanes.kinematics import Motion, point_velocity
 from btr_mjx.engines.lanes.parameters import Parameters
 from btr_mjx.engines.lanes.scalars import (
