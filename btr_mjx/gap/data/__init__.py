@@ -7,7 +7,7 @@ deviation of the sensor noise. `save_dataset` writes one.
 
 from btr_mjx.gap.data.columns import control_columns, read_columns
 from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, load, noise_of, read_header
-from btr_mjx.gap.data.held import Held, held, stairs
+from btr_mjx.gap.data.held import Held, bends, held, stairs
 from btr_mjx.gap.data.inferred import open_logs
 from btr_mjx.gap.data.noise import Noise, estimate_noise, reduced_noise
 from btr_mjx.gap.data.recording import Recording, make_recording
@@ -25,6 +25,7 @@ __all__ = [
     "Noise",
     "Recording",
     "Wrap",
+    "bends",
     "control_columns",
     "estimate_noise",
     "find_wraps",

@@ -18,7 +18,7 @@
 
     [control]
     interpolation = "linear"            # of the command between samples: "hold", "linear" or "cubic"; by default
-                                        # "hold" for commands that are stairs, else "linear"
+                                        # "hold" for stairs, "cubic" for smooth commands, else "linear"
 
     [tolerances]                        # optional: 1 sigma of residual calibration errors, by effect
     viscous_damping = 0.1
@@ -54,7 +54,7 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.formats.ros_bag import TOPICS
-from btr_mjx.gap.data.held import stairs
+from btr_mjx.gap.data.held import bends, stairs
 from btr_mjx.gap.data.logs import LogOptions
 from btr_mjx.gap.data.long_files import Advance, count_rows, shares
 from btr_mjx.gap.data.model_file import load_model
@@ -188,7 +188,7 @@ def _suitable_interpolation(recordings: Sequence[Recording], notes: list[str]) -
         return "hold"
     found = stairs([r.commands[1] for r in recordings])
     if found is None:
-        return "linear"
+        return "cubic" if bends([r.commands for r in recordings]) else "linear"
     notes.append(
         f"commands are stairs (they change every {found.every:.3g}th row, never in two rows that follow each other): "
         'interpolation = "hold" is used; put it into [control] to say so'

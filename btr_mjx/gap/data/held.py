@@ -1,4 +1,4 @@
-"""Columns that repeat: positions that a driver refreshes more slowly than they are logged, and commands like stairs.
+"""What the samples say of the time between them: columns that repeat, commands like stairs, commands that bend.
 
 A column is held where its changes stand alone: a row that differs from the one before is hardly ever followed by
 another such row. Smooth motion changes in every row; a coarse encoder on a slow joint steps by one count at a time.
@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 _MAX_ADJACENT = 0.05
 """Largest share of changes that directly follow another one; jitter of two clocks makes a few."""
@@ -88,3 +89,26 @@ def stairs(controls: Sequence[np.ndarray]) -> Held | None:
                     return None
                 found.append(one)
     return max(found, key=lambda one: len(one.rows), default=None)
+
+
+def bends(commands: Sequence[tuple[np.ndarray, np.ndarray]]) -> bool:
+    """Whether commands are smooth enough for cubic splines between their samples.
+
+    Every other sample is predicted from the rest: of smooth commands best by a spline, of noisy or broken ones by
+    straight lines. Chords of a smooth command are too flat, which looks like a rotor inertia.
+
+    Args:
+      commands: times (K,) [s] and values (K, nu) of each recording.
+    """
+    straight = curved = 0.0
+    for times, values in commands:
+        spread = np.ptp(values, axis=0)
+        kept, left_out = slice(None, None, 2), slice(1, (len(times) - 1) // 2 * 2, 2)
+        if len(times[kept]) < 4 or not spread.any():
+            continue
+        scaled = values[:, spread > 0] / spread[spread > 0]
+        chord = np.stack([np.interp(times[left_out], times[kept], column) for column in scaled[kept].T], axis=1)
+        spline = CubicSpline(times[kept], scaled[kept])(times[left_out])
+        straight += float(((chord - scaled[left_out]) ** 2).sum())
+        curved += float(((spline - scaled[left_out]) ** 2).sum())
+    return curved < straight

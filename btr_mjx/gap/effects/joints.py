@@ -8,12 +8,10 @@ import numpy as np
 from btr_mjx.gap.effects.effect import Effect, Parameter
 from btr_mjx.gap.effects.per_member import per_member
 from btr_mjx.gap.effects.places import Place, actuator_count, joint_of, joint_places
-from btr_mjx.gap.effects.ranges import Scales, integrator_inertia, smallest_believed, typical_scale, unit_of
+from btr_mjx.gap.effects.ranges import Scales, smallest_believed, typical_scale, unit_of
 from btr_mjx.gap.simulate import Rows, World
 
 AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
-_INERTIA_ERROR = 0.01
-"""Negligible armature, as a fraction of the inertia that the joint moves: masses of models are not better known."""
 
 
 def _armature(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
@@ -22,8 +20,7 @@ def _armature(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Para
     # The reflected inertia of a rotor may exceed that of a light link; the bound is what the motors can accelerate.
     torque, amplitude, speed = (typical_scale(x, place, model) for x in (scales.torque, scales.amplitude, scales.speed))
     most = max(5.0 * size, 3.0 * torque * amplitude / speed**2)
-    negligible = max(integrator_inertia(model, place), _INERTIA_ERROR * size)
-    return (Parameter("armature", unit, -believed, most, 0.05 * size, 0.01 * believed, negligible=negligible),)
+    return (Parameter("armature", unit, -believed, most, 0.05 * size, 0.01 * believed),)
 
 
 def _apply_armature(world: World, place: Place, values: np.ndarray) -> None:
@@ -32,13 +29,9 @@ def _apply_armature(world: World, place: Place, values: np.ndarray) -> None:
 
 
 def _stiffness(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    amplitude, speed = typical_scale(scales.amplitude, place, model), typical_scale(scales.speed, place, model)
-    size = typical_scale(scales.torque, place, model) / amplitude
+    size = typical_scale(scales.torque, place, model) / typical_scale(scales.amplitude, place, model)
     unit = unit_of(model, place, "N m/rad", "N/m")
-    smallest = (
-        integrator_inertia(model, place) * (speed / amplitude) ** 2
-    )  # at one frequency a spring equals a negative inertia
-    return (Parameter("stiffness", unit, -1.0 * size, 3.0 * size, 0.02 * size, negligible=smallest),)
+    return (Parameter("stiffness", unit, -1.0 * size, 3.0 * size, 0.02 * size),)
 
 
 def _apply_stiffness(world: World, place: Place, values: np.ndarray) -> None:

@@ -11,10 +11,6 @@ from btr_mjx.gap.effects.places import Place, actuator_count, ground_geoms, join
 _DEFAULT_AMPLITUDE = 0.3
 """Amplitude of a joint assumed without data [rad]."""
 
-_INTEGRATOR_TIME = 1.5e-4
-"""Difference in time between velocities of explicit and implicit integrators at time steps of some tenths of a
-millisecond [s]."""
-
 
 @dataclass(frozen=True)
 class Scales:
@@ -191,25 +187,6 @@ def typical_scale(values: np.ndarray, place: Place, model: mujoco.MjModel) -> fl
       model: the believed model.
     """
     return float(np.exp(np.mean(np.log(np.maximum(values[place.dofs(model)], 1e-300)))))
-
-
-def integrator_inertia(model: mujoco.MjModel, place: Place) -> float:
-    """Apparent inertia due to the integrator [kg m^2 or kg]; smaller differences of inertia are not named.
-
-    An implicit integrator with step h acts, relative to an explicit one, like an additional inertia of order h d, with
-    d = -d(force)/d(velocity) of joint damping and servos. `_INTEGRATOR_TIME` stands for h of simulated recordings.
-
-    Args:
-      model: the believed model.
-      place: joints.
-    """
-    slope = model.dof_damping.copy()
-    for a in range(actuator_count(model)):
-        joint = joint_of(model, a)
-        if joint is not None and int(model.actuator_biastype[a]) == int(mujoco.mjtBias.mjBIAS_AFFINE):
-            gain, gear = float(model.actuator_biasprm[a, 2]), float(model.actuator_gear[a, 0])
-            slope[model.jnt_dofadr[joint]] += max(0.0, -gain) * gear**2
-    return _INTEGRATOR_TIME * typical_scale(slope, place, model)
 
 
 def unit_of(model: mujoco.MjModel, place: Place, hinge: str, slide: str) -> str:

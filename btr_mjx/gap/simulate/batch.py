@@ -1,9 +1,8 @@
 """Batched simulation of many worlds over segments of recordings, with `mujoco.batch.Batch`.
 
 A `World` is a model with command edits, laws and encoder offsets. `Segments` are windows of the data with their
-starting states and commands. `simulate` runs all jobs (world, segments) in as few batches as possible. The control of
-a step is the command in the middle of the step: a control held from the start of the step acts like a delay of half a
-step.
+starting states and commands. `simulate` runs all jobs (world, segments) in as few batches as possible. When in a step
+its command is taken is said by `commands.command_phase`.
 """
 
 import copy

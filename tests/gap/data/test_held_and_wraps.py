@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from btr_mjx.gap.data import Dataset, DatasetDescription, held, load, save_dataset, stairs
+from btr_mjx.gap.data import Dataset, DatasetDescription, bends, held, load, save_dataset, stairs
 from btr_mjx.gap.preflight import preflight
 from tests.support.convention_logs import ARM, SPINNER, log, sines
 
@@ -73,12 +73,30 @@ def test_stairs_are_held_where_nothing_is_said(tmp_path: Path, every: int) -> No
     assert not any("stairs" in text for text in errors(data))
 
 
-def test_smooth_commands_are_ramps(tmp_path: Path) -> None:
+def test_smooth_commands_bend_between_samples(tmp_path: Path) -> None:
     save_dataset(tmp_path, ARM, LOGS, DatasetDescription())
     without_control(tmp_path)
-    assert load(tmp_path).interpolation == "linear"
+    assert load(tmp_path).interpolation == "cubic"
     assert stairs([r.ctrl for r in LOGS]) is None
     assert stairs([np.zeros((50, 2))]) is None
+
+
+@pytest.mark.parametrize(
+    ("command", "smooth"),
+    [
+        (lambda t: np.sin(3 * t) + 0.2 * np.sin(11 * t), True),
+        (lambda t: np.sin(3 * t) + 0.1 * np.random.default_rng(0).normal(size=len(t)), False),
+        (lambda t: np.abs((t / 0.7) % 2 - 1), False),  # a triangle
+        (lambda t: np.where(t > 3, 1.0, 0.0) + 0.02 * t, False),  # a step
+        (lambda t: 0.0 * t, False),
+    ],
+    ids=["sines", "noise", "triangle", "step", "nothing"],
+)
+def test_commands_bend_only_if_they_are_smooth(command, smooth) -> None:
+    """At even and at uneven times, with a column that never changes beside it."""
+    for jitter in (0.0, 0.004):
+        times = 0.01 * np.arange(801) + jitter * np.random.default_rng(1).uniform(size=801)
+        assert bends([(times, np.stack([command(times), np.ones(801)], axis=1))]) == smooth
 
 
 def spinning(wrap: bool) -> list:

@@ -1,12 +1,9 @@
-"""The time step of residuals, its correction, and the apparent inertia of integrators."""
+"""The time step of residuals, and its correction."""
 
-import mujoco
 import numpy as np
 import pytest
 from gap_arm import SIGMA, arm, recording
 
-from btr_mjx.gap.effects import joint_places
-from btr_mjx.gap.effects.ranges import integrator_inertia
 from btr_mjx.gap.simulate import Counter, World, simulate
 from btr_mjx.gap.windows import Span, Windows, linearise, prepare, project
 from btr_mjx.gap.windows.time_steps import choose_time_step
@@ -74,36 +71,3 @@ def test_step_is_at_most_the_sample_interval() -> None:
     windows.since = windows.since / 8  # 1600 Hz
     choose_time_step(windows, World.of)
     assert windows.step == windows.dt
-
-
-@pytest.mark.parametrize("joint", ["shoulder", "elbow"])
-def test_integrator_acts_like_an_inertia(joint) -> None:
-    """Implicit against explicit steps h: apparent inertia h d, d the damping of joint and servo."""
-    windows = short_steps()
-    linearise(windows, World.of)
-    h, believed = 1.5e-4, arm()
-    place = next(p for p in joint_places(believed) if p.label == f"joint:{joint}")
-    size = integrator_inertia(believed, place)
-    servo = {"shoulder": 0.5, "elbow": 0.2}[joint]
-    assert size == pytest.approx(h * (0.05 + servo))
-
-    def make(implicit, armature=0.0):
-        def world(model):
-            own = World.of(model)
-            own.model.opt.integrator = (
-                mujoco.mjtIntegrator.mjINT_IMPLICIT if implicit else mujoco.mjtIntegrator.mjINT_EULER
-            )
-            own.model.dof_damping[:], own.model.dof_armature[:] = 0.0, 0.0  # Euler treats joint damping implicitly
-            own.model.actuator_biasprm[1 - place.dofs(model)[0], 2] = 0.0
-            own.model.dof_armature[place.dofs(model)] += armature
-            return own
-
-        return world
-
-    def states(*given):
-        return project(windows.whiten(windows.states([make(*given)], timestep=h)[0]), windows.basis)
-
-    implicit, explicit = states(True), states(False)
-    heavier = states(False, size - h * 0.05)
-    assert np.linalg.norm(implicit - explicit) > 0.05
-    assert np.linalg.norm(implicit - heavier) < 0.4 * np.linalg.norm(implicit - explicit)
