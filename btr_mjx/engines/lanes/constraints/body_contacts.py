@@ -74,7 +74,7 @@ def columns(model: mujoco.MjModel, plan: TreePlan) -> list[Column]:
 
 
 @dataclass(frozen=True)
-class BodyContacts:
+class Coupling:
     """Contacts of pairs of one condim; empty slots have weight zero."""
 
     columns: Sequence[Column]
@@ -124,7 +124,7 @@ def body_contacts(
     v: Sequence[jax.Array],
     elliptic: bool,
     dtype: Any,
-) -> tuple[list[BodyContacts], jax.Array]:
+) -> tuple[list[Coupling], jax.Array]:
     """Contacts between bodies, with MuJoCo's reference accelerations and weights.
 
     Args:
@@ -194,7 +194,7 @@ class _Touching:
         v: Sequence[jax.Array],
         elliptic: bool,
         dtype: Any,
-    ) -> BodyContacts:
+    ) -> Coupling:
         """The contacts in the slots.
 
         Args:
@@ -243,7 +243,7 @@ class _Touching:
         reference[0] = sub(reference[0], mul(mul(stiffness, imp), beyond))
         impratio = self.parameters.one("world/impratio") if elliptic else None
         cone = make_cone(self.condim, frame, given("friction")[0], weight, reference, impratio, dtype)
-        return BodyContacts(moving, jacobian, cone)
+        return Coupling(moving, jacobian, cone)
 
 
 def _tangents(normal: Vector) -> list[list[Scalar]]:

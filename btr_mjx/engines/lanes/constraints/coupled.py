@@ -16,7 +16,7 @@ from jax import lax
 
 from btr_mjx.engines.guards.places import fold_rows
 from btr_mjx.engines.lanes.articulated import Factors, solve_factored
-from btr_mjx.engines.lanes.constraints.body_contacts import BodyContacts, Column, over_slots
+from btr_mjx.engines.lanes.constraints.body_contacts import Coupling, Column, over_slots
 from btr_mjx.engines.lanes.constraints.cones import ZoneModel
 from btr_mjx.engines.lanes.scalars import Scalar, add, array, dot, full, matvec, total, vadd
 from btr_mjx.engines.lanes.spatial import Spatial, propagate
@@ -30,7 +30,7 @@ type _Rows = list[list[jax.Array]]
 
 def solve_coupled(
     factors: Factors,
-    coupled: Sequence[tuple[BodyContacts, ZoneModel]],
+    coupled: Sequence[tuple[Coupling, ZoneModel]],
     wrenches: Sequence[Spatial],
     tau: Mapping[int, Scalar],
     like: Sequence[jax.Array],
