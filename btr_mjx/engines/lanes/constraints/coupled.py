@@ -18,7 +18,7 @@ from btr_mjx.engines.guards.places import fold_rows
 from btr_mjx.engines.lanes.articulated import Factors, solve_factored
 from btr_mjx.engines.lanes.constraints.body_contacts import Coupling, Column, over_slots
 from btr_mjx.engines.lanes.constraints.cones import ZoneModel
-from btr_mjx.engines.lanes.scalars import Scalar, add, array, dot, full, matvec, total, vadd
+from btr_mjx.engines.lanes.scalars import Scalar, add, array, dot, full, is_zero, matvec, total, vadd
 from btr_mjx.engines.lanes.spatial import Spatial, propagate
 from btr_mjx.engines.lanes.tree import FREE, TreePlan
 
@@ -73,7 +73,8 @@ def solve_coupled(
     def body(carry: tuple) -> tuple:
         count, going, x, residual, p, rows, image, last, first = carry
         # The first iteration solves without the stiffness between links, the others correct it.
-        begin = lambda value: jnp.where(count == 0, value, 0)  # noqa: E731
+        begins = jnp.broadcast_to(count == 0, lanes)
+        begin = lambda value: value if is_zero(value) else jnp.where(begins, value, 0)  # noqa: E731
         pushes = shaped([push for _, push in linear])
         outer, forces = pulled(
             [[f + begin(y) for f, y in zip(*own, strict=True)] for own in zip(residual, pushes, strict=True)]
