@@ -22,7 +22,7 @@ ARM = """<mujoco><option timestep="0.002"/><worldbody><geom name="floor" type="p
 <actuator><motor joint="shoulder" gear="2"/>
 <general joint="elbow" dyntype="filter" dynprm="0.02" gainprm="1"/></actuator>
 </mujoco>"""
-EQUALITY = """</worldbody><equality><joint name="coupling" joint1="elbow" joint2="shoulder"/></equality><worldbody>"""
+EQUALITY = """</worldbody><equality><weld name="hold" body1="lower"/></equality><worldbody>"""
 FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 

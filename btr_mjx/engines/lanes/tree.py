@@ -121,8 +121,8 @@ class TreePlan:
     @property
     def actuators(self) -> list[Actuator]:
         """All actuators."""
-        joints = (joint for link in self.links for joint in link.joints)
-        return [actuator for owner in (*joints, *self.tendons) for actuator in owner.actuators]
+        own = [actuator for link in self.links for joint in link.joints for actuator in joint.actuators]
+        return own + [actuator for tendon in self.tendons for actuator in tendon.actuators]
 
 
 def rigid_members(model: mujoco.MjModel, body: int) -> list[int]:

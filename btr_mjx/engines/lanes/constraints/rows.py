@@ -119,7 +119,8 @@ class _Rows:
         paths = [tendon.path for tendon in self.plan.tendons if tendon.limited for _ in range(2)]
         signs = [1.0, -1.0] * (len(paths) // 2)
         length, rate = self.motion(paths)
-        sign, bound, margin = np.array(signs)[:, None], *map(self.parameters.one, _LIMIT)
+        sign = np.array(signs)[:, None]
+        bound, margin = (self.parameters.one(f"tendon_limit/{key}") for key in ("bound", "margin"))
         beyond = sub(mul(sign, sub(length, bound)), margin)
         weight, reference = self.law("tendon_limit", beyond, mul(sign, rate))
         jacobian = [{j: s * factor for j, factor in path} for s, path in zip(signs, paths, strict=True)]
@@ -128,13 +129,10 @@ class _Rows:
     def frictions(self) -> Coupling:
         """Friction loss of tendons."""
         paths = [tendon.path for tendon in self.plan.tendons if tendon.friction]
-        loss, weight, damping = (self.parameters.one(f"tendon_friction/{key}") for key in _FRICTION)
+        keys = ("loss", "loss_weight", "loss_damping")
+        loss, weight, damping = (self.parameters.one(f"tendon_friction/{key}") for key in keys)
         reference = mul(neg(damping), self.motion(paths)[1])
         return self.coupling([dict(path) for path in paths], DryFriction, weight, reference, loss)
-
-
-_LIMIT = ("tendon_limit/bound", "tendon_limit/margin")
-_FRICTION = ("loss", "loss_weight", "loss_damping")
 
 
 def path_rows(
