@@ -322,6 +322,7 @@ def test_energy_is_conserved_without_damping(rng: np.random.Generator) -> None:
             ["equality", "hook"],
         ),
         (tendons(mjcf(biped())).replace('name="all"', 'name="all" armature="0.1"'), ["armature of tendons", "all"]),
+        (tendons(mjcf(biped()), ("hip0.1", "hip0.1")), ["list a joint twice", "all"]),
         (tendons(mjcf(biped(), option=FAST)), ["damping of tendons", "all"]),
     ],
 )

@@ -150,7 +150,7 @@ def test_coverage_names_what_is_computed_guarded_and_refused(tmp_path: Path) -> 
     assert set(found.computed) == {"upper and floor", "lower and floor", "ball and floor"}
     assert any("'upper'" in line and "'ball'" in line for line in found.guarded)
     assert not any("'upper'" in line and "'lower'" in line for line in found.guarded)  # parent and child
-    assert [line for line in found.refused if "coupling" in line]
+    assert [line for line in found.refused if "hold" in line]
     path = tmp_path / "arm.xml"
     path.write_text(ARM.format(extra=""))
     assert lanes.coverage(path).verdict == "guarded"

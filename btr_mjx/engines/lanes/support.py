@@ -201,6 +201,8 @@ def _check_tendons(m: mujoco.MjModel) -> Iterator[str]:
         if np.any(m.wrap_type[wraps] != mujoco.mjtWrap.mjWRAP_JOINT):
             yield f"spatial tendons ({where})"
             continue
+        if len(set(m.wrap_objid[wraps].tolist())) < m.tendon_num[t]:
+            yield f"tendons that list a joint twice ({where})"  # dense and sparse Jacobians of MuJoCo differ
         for field, what in (
             ("armature", "armature"),
             ("stiffnesspoly", "polynomial stiffness"),
