@@ -248,11 +248,12 @@ def _batch(m: mujoco.MjModel, count: int, leaves: Mapping[str, np.ndarray]) -> B
 
 
 def _with_constants(m: mujoco.MjModel, count: int, leaves: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The fields in which worlds differ, with the weights that MuJoCo derives from them."""
+    """The fields in which worlds differ, with the constants that MuJoCo derives from them."""
     if not leaves:
         return leaves
     batch = _batch(m, count, leaves)
-    return {name: np.array(batch.expand(name)) for name in ("body_invweight0", "dof_invweight0")} | leaves
+    names = ("body_invweight0", "dof_invweight0", *(("tendon_invweight0", "tendon_length0") if m.ntendon else ()))
+    return {name: np.array(batch.expand(name)) for name in names} | leaves
 
 
 @dataclass(frozen=True)

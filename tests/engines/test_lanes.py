@@ -316,10 +316,13 @@ def test_energy_is_conserved_without_damping(rng: np.random.Generator) -> None:
         (mjcf(chain(1), actuators='<muscle name="biceps" joint="p0" lengthrange="0 1"/>'), ["MUSCLE", "biceps"]),
         (mjcf(chain(1).replace("<body ", '<body gravcomp="1" name="arm" ', 1)), ["gravity compensation", "arm"]),
         (
-            mjcf(chain(2)).replace("</mujoco>", '<equality><joint joint1="p0" joint2="p1"/></equality></mujoco>'),
-            ["equality"],
+            mjcf(chain(1).replace("<body ", '<body name="arm" ', 1)).replace(
+                "</mujoco>", '<equality><connect name="hook" body1="arm" anchor="0 0 0"/></equality></mujoco>'
+            ),
+            ["equality", "hook"],
         ),
-        (tendons(mjcf(biped())).replace('name="all"', 'name="all" limited="true" range="-1 1"'), ["limits", "all"]),
+        (tendons(mjcf(biped())).replace('name="all"', 'name="all" armature="0.1"'), ["armature of tendons", "all"]),
+        (tendons(mjcf(biped()), ("hip0.1", "hip0.1")), ["list a joint twice", "all"]),
         (tendons(mjcf(biped(), option=FAST)), ["damping of tendons", "all"]),
     ],
 )

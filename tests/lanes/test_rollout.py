@@ -22,7 +22,7 @@ ARM = """<mujoco><option timestep="0.002"/><worldbody><geom name="floor" type="p
 <actuator><motor joint="shoulder" gear="2"/>
 <general joint="elbow" dyntype="filter" dynprm="0.02" gainprm="1"/></actuator>
 </mujoco>"""
-EQUALITY = """</worldbody><equality><joint name="coupling" joint1="elbow" joint2="shoulder"/></equality><worldbody>"""
+EQUALITY = """</worldbody><equality><weld name="hold" body1="lower"/></equality><worldbody>"""
 FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
@@ -150,7 +150,7 @@ def test_coverage_names_what_is_computed_guarded_and_refused(tmp_path: Path) -> 
     assert set(found.computed) == {"upper and floor", "lower and floor", "ball and floor"}
     assert any("'upper'" in line and "'ball'" in line for line in found.guarded)
     assert not any("'upper'" in line and "'lower'" in line for line in found.guarded)  # parent and child
-    assert [line for line in found.refused if "coupling" in line]
+    assert [line for line in found.refused if "hold" in line]
     path = tmp_path / "arm.xml"
     path.write_text(ARM.format(extra=""))
     assert lanes.coverage(path).verdict == "guarded"

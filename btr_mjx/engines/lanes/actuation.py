@@ -13,6 +13,7 @@ import numpy as np
 
 from btr_mjx.engines.lanes import support
 from btr_mjx.engines.lanes.delays import delayed
+from btr_mjx.engines.lanes.kinematics import path_motion
 from btr_mjx.engines.lanes.parameters import Parameters
 from btr_mjx.engines.lanes.scalars import Scalar, add, dot, is_zero, mul, sub, total
 from btr_mjx.engines.lanes.tree import FREE, Actuator, Tendon, TreePlan
@@ -114,7 +115,7 @@ def actuate(
             result.force[dof] = force
     pulls: dict[Tendon, Scalar] = {}
     for tendon in plan.tendons:
-        length, velocity = _tendon_motion(plan, tendon, q, v)
+        length, velocity = path_motion(plan, tendon.path, q, v)
         for k, actuator in enumerate(tendon.actuators):
             key = f"tendon{tendon.id}/actuator{k}"
             one = _actuator(model, parameters, _JointActuator(key, actuator, length, velocity), act, ctrl, result)
@@ -126,28 +127,11 @@ def actuate(
     return result
 
 
-def _tendon_motion(
-    plan: TreePlan, tendon: Tendon, q: Sequence[Sequence[jax.Array]], v: Sequence[jax.Array]
-) -> tuple[Scalar, Scalar]:
-    """Length [m or rad] and velocity of a fixed tendon, (C,)."""
-    weights = dict(tendon.joints)
-    length: Scalar = 0.0
-    velocity: Scalar = 0.0
-    joints = [joint for link in plan.links for joint in link.joints]
-    for joint, here in zip(joints, q, strict=True):
-        for member, j in enumerate(joint.ids):
-            if j in weights:
-                row = lambda x: x[member] if x.ndim == 2 else x  # noqa: B023, E731
-                length = add(length, mul(weights[j], row(here[0])))
-                velocity = add(velocity, mul(weights[j], row(v[joint.dofs[0]])))
-    return length, velocity
-
-
 def _pulled(plan: TreePlan, pulls: Mapping[Tendon, jax.Array]) -> dict[int, Scalar]:
     """Generalised forces per dof of forces along fixed tendons."""
     found: dict[int, Scalar] = {}
     for joint in (joint for link in plan.links for joint in link.joints):
-        rows = [total(mul(dict(t.joints).get(j, 0.0), pull) for t, pull in pulls.items()) for j in joint.ids]
+        rows = [total(mul(dict(t.path).get(j, 0.0), pull) for t, pull in pulls.items()) for j in joint.ids]
         if any(not is_zero(row) for row in rows):
             like = next(iter(pulls.values()))
             full = [jnp.zeros_like(like) if is_zero(row) else row for row in rows]
@@ -162,7 +146,7 @@ def tendon_forces(
     pulls = {}
     for tendon in plan.tendons:
         stiffness, damping = float(model.tendon_stiffness[tendon.id]), float(model.tendon_damping[tendon.id])
-        length, velocity = _tendon_motion(plan, tendon, q, v)
+        length, velocity = path_motion(plan, tendon.path, q, v)
         low, high = model.tendon_lengthspring[tendon.id].tolist()
         stretch = jnp.maximum(length - high, 0) + jnp.minimum(length - low, 0)
         spring = 0.0 if support.disabled(model, "SPRING") else mul(-stiffness, stretch)

@@ -14,6 +14,8 @@ VARYING = frozenset(
         "jnt": "axis pos range margin stiffness solref solimp actfrcrange",
         "dof": "damping armature frictionloss invweight0 solref solimp",
         "actuator": "gainprm biasprm dynprm gear ctrlrange forcerange actrange delay",
+        "tendon": "range margin frictionloss invweight0 length0 solref_lim solimp_lim solref_fri solimp_fri",
+        "eq": "data solref solimp",
     }.items()
     for field in fields.split()
 ) | {"qpos0", "qpos_spring", "opt.gravity", "opt.wind", "opt.density", "opt.viscosity", "opt.impratio"}
@@ -26,11 +28,12 @@ _NO_INFLUENCE = frozenset(
         "geom_": "aabb rbound rgba",
         "dof_": "M0 length",
         "actuator_": "acc0 length0 lengthrange cranklength",
+        "tendon_": "width rgba",
         "opt.": "magnetic tolerance ls_tolerance ccd_tolerance sleep_tolerance iterations ls_iterations",
     }.items()
     for field in fields.split()
 )
-"""Fields of bodies, joints, geoms, actuators and options that do not influence motion, or only through other fields."""
+"""Fields with these prefixes that do not influence motion, or only through other fields."""
 
 
 def base_field(model: mujoco.MjModel, field: str) -> np.ndarray:
@@ -41,7 +44,9 @@ def base_field(model: mujoco.MjModel, field: str) -> np.ndarray:
 
 def influences_motion(field: str) -> bool:
     """Whether a field can influence the motion of a supported model, other than through fields derived from it."""
-    physical = field.startswith(("body_", "jnt_", "dof_", "geom_", "actuator_", "opt.", "qpos"))
+    physical = field.startswith(
+        ("body_", "jnt_", "dof_", "geom_", "actuator_", "tendon_", "wrap_", "eq_", "opt.", "qpos")
+    )
     return physical and field not in _NO_INFLUENCE and not field.endswith("_user") and not field.startswith("body_bvh")
 
 

@@ -18,16 +18,18 @@ from btr_mjx.engines.lanes.scalars import (
     Matrix,
     Scalar,
     Vector,
+    add,
     axis_rotation,
     cross,
     matmul,
     matvec,
+    mul,
     neg,
     scale,
     sub,
     vadd,
 )
-from btr_mjx.engines.lanes.tree import FREE, HINGE, Joint, Link, TreePlan
+from btr_mjx.engines.lanes.tree import FREE, HINGE, Joint, Link, Path, TreePlan
 
 
 @dataclass
@@ -154,6 +156,23 @@ def motions(
         m.position = vadd(parent.position, m.arm)
         found.append(m)
     return found
+
+
+def path_motion(
+    plan: TreePlan, path: Path, q: Sequence[Sequence[jax.Array]], v: Sequence[jax.Array]
+) -> tuple[Scalar, Scalar]:
+    """Length [m or rad] of a weighted sum of joint coordinates, and its velocity, (C,)."""
+    weights = dict(path)
+    length: Scalar = 0.0
+    velocity: Scalar = 0.0
+    joints = [joint for link in plan.links for joint in link.joints]
+    for joint, here in zip(joints, q, strict=True):
+        for member, j in enumerate(joint.ids):
+            if j in weights:
+                row = lambda x: x[member] if x.ndim == 2 else x  # noqa: B023, E731
+                length = add(length, mul(weights[j], row(here[0])))
+                velocity = add(velocity, mul(weights[j], row(v[joint.dofs[0]])))
+    return length, velocity
 
 
 def point_velocity(m: Motion, x: Vector) -> list[Scalar]:

@@ -79,18 +79,48 @@ def _joint(model: mujoco.MjModel, fields: Fields, joint: Joint, j: int) -> dict[
     result |= {"axis": axis, "pos": fields("jnt_pos", j), "spring": fields("qpos_spring", slice(adr, adr + 1))}
     stiff = np.zeros((1, 1, 1)) if support.disabled(model, "SPRING") else fields("jnt_stiffness", slice(j, j + 1))
     result |= {"stiffness": stiff, "actfrcrange": fields("jnt_actfrcrange", j)}
-    weight = np.maximum(MINVAL, fields("dof_invweight0", slice(dof, dof + 1)))
     if joint.limited:
         row = constraint_row(fields("jnt_solref", j), fields("jnt_solimp", j), model)
         result |= {f"limit_{key}": value for key, value in row.items()}
         result |= {"range": fields("jnt_range", j), "limit_margin": fields("jnt_margin", slice(j, j + 1))}
-        result["limit_scale"] = 1 / weight
+        result["limit_scale"] = 1 / np.maximum(MINVAL, fields("dof_invweight0", slice(dof, dof + 1)))
     if joint.friction:
-        row = constraint_row(fields("dof_solref", dof), fields("dof_solimp", dof), model)
-        low = row["impedance"][..., 0:1]  # friction rows have zero violation
-        result["loss"] = fields("dof_frictionloss", slice(dof, dof + 1))
-        result["loss_weight"] = low / ((1 - low) * weight)
-        result["loss_damping"] = row["reference"][..., 1:2]
+        result |= _friction(model, fields, "dof", dof)
+    return result
+
+
+def _friction(model: mujoco.MjModel, fields: Fields, kind: str, index: int, suffix: str = "") -> dict[str, np.ndarray]:
+    """Friction loss of a dof or tendon."""
+    row = constraint_row(fields(f"{kind}_solref{suffix}", index), fields(f"{kind}_solimp{suffix}", index), model)
+    low, own = row["impedance"][..., 0:1], slice(index, index + 1)  # friction rows have zero violation
+    weight = low / ((1 - low) * np.maximum(MINVAL, fields(f"{kind}_invweight0", own)))
+    loss = fields(f"{kind}_frictionloss", own)
+    return {"loss": loss, "loss_weight": weight, "loss_damping": row["reference"][..., 1:2]}
+
+
+def _tendon_limit(model: mujoco.MjModel, fields: Fields, t: int, side: int) -> dict[str, np.ndarray]:
+    """One side of a tendon's range: 0 for the lower, 1 for the upper."""
+    own = slice(t, t + 1)
+    result = constraint_row(fields("tendon_solref_lim", t), fields("tendon_solimp_lim", t), model)
+    result |= {"bound": fields("tendon_range", (t, slice(side, side + 1))), "margin": fields("tendon_margin", own)}
+    return result | {"scale": 1 / np.maximum(MINVAL, fields("tendon_invweight0", own))}
+
+
+def _equality(model: mujoco.MjModel, fields: Fields, e: int) -> dict[str, np.ndarray]:
+    """Polynomial of an equality constraint, and the lengths from which those of its two sides are measured."""
+    one, other = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
+    if model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT:
+        names = (("qpos0", model.jnt_qposadr), ("dof_invweight0", model.jnt_dofadr))
+    else:
+        names = (("tendon_length0", range(model.ntendon)), ("tendon_invweight0", range(model.ntendon)))
+    zero, weight = (
+        [fields(name, slice(int(place[i]), int(place[i]) + 1)) for i in (one, other) if i >= 0] for name, place in names
+    )
+    result = constraint_row(fields("eq_solref", e), fields("eq_solimp", e), model)
+    result["scale"] = 1 / np.maximum(MINVAL, sum(weight))
+    result["zero"] = np.concatenate(np.broadcast_arrays(zero[0], zero[-1]), -1)
+    # A single side equals the constant.
+    result["polynomial"] = fields("eq_data", e)[..., :5] * (np.arange(5) < (5 if other >= 0 else 1))
     return result
 
 
@@ -170,6 +200,14 @@ def derive(
     for tendon in plan.tendons:
         for k, actuator in enumerate(tendon.actuators):
             put(f"tendon{tendon.id}/actuator{k}", [_actuator(fields, a) for a in actuator.ids])
+    limited = [(tendon.id, side) for tendon in plan.tendons if tendon.limited for side in (0, 1)]
+    for name, rows in (
+        ("tendon_limit", [_tendon_limit(model, fields, t, side) for t, side in limited]),
+        ("tendon_friction", [_friction(model, fields, "tendon", t.id, "_fri") for t in plan.tendons if t.friction]),
+        ("equality", [_equality(model, fields, equality.id) for equality in plan.equalities]),
+    ):
+        if rows:
+            put(name, rows)
     if geoms:
         put("geoms", [_placed_geom(model, fields, g) for g in geoms])
     for n, group in enumerate(between):

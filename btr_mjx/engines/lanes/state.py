@@ -59,10 +59,10 @@ def split_rows(
         positions, dofs = (np.array([adr[j] for j in joint.ids]) for adr in (model.jnt_qposadr, model.jnt_dofadr))
         q.append([group_rows(qpos, positions + i) for i in range(7 if joint.kind == FREE else 1)])
         v += [group_rows(qvel, dofs + i) for i in range(len(joint.dofs))]
-        for a in joint.actuators:
-            if a.state >= 0:
-                rows = np.array([model.actuator_actadr[i] for i in a.ids])
-                acts[a.state] = jnp.zeros_like(v[-1]) if act is None else group_rows(act, rows)
+    act = jnp.zeros((model.na, qpos.shape[-1]), qpos.dtype) if act is None else act
+    for a in plan.actuators:
+        if a.state >= 0:
+            acts[a.state] = group_rows(act, model.actuator_actadr[list(a.ids)])
     return q, v, acts
 
 
@@ -91,7 +91,7 @@ def dofs_in_order(model: mujoco.MjModel, plan: TreePlan, values: Sequence[jax.Ar
 def activations_in_order(model: mujoco.MjModel, plan: TreePlan, state: LanesState) -> jax.Array:
     """Activations (na, C), MuJoCo's order."""
     found = []
-    for actuator in (a for joint in _joints(plan) for a in joint.actuators):
+    for actuator in plan.actuators:
         if actuator.state >= 0:
             found += [
                 (model.actuator_actadr[i], state.act[actuator.state], member) for member, i in enumerate(actuator.ids)

@@ -19,6 +19,7 @@ from btr_mjx.engines.lanes.actuation import Actuation, actuate, springs, tendon_
 from btr_mjx.engines.lanes.constraints.body_contacts import body_contacts, columns
 from btr_mjx.engines.lanes.constraints.contacts import contact_points
 from btr_mjx.engines.lanes.constraints.dof_constraints import dof_constraints
+from btr_mjx.engines.lanes.constraints.rows import path_rows
 from btr_mjx.engines.lanes.constraints.solver import (
     Constraint,
     ConstraintProblem,
@@ -43,7 +44,7 @@ from btr_mjx.engines.lanes.kinematics import Motion, motions
 from btr_mjx.engines.lanes.parameters import Parameters, derive, split_constants
 from btr_mjx.engines.lanes.scalars import add, array, group_sum, scale, total, vadd, vsub
 from btr_mjx.engines.lanes.state import LanesState, activations_in_order, dofs_in_order, positions_in_order, split_rows
-from btr_mjx.engines.lanes.tree import FREE, make_plan
+from btr_mjx.engines.lanes.tree import FREE, has_constraints, make_plan
 from btr_mjx.engines.rewriting import retrace
 
 
@@ -110,12 +111,12 @@ class LanesStepper:
         self.guards = group_by_kinds(model, guarded, self.geoms)
         self.between = group_by_condim(model, contacts.between, self.geoms)
         self._masks = self._read_masks(varying)
-        friction = (np.asarray(model.dof_frictionloss) != 0) | self._masks.get(
-            "dof_frictionloss", np.zeros(self.nv, bool)
+        enabled = has_constraints(model, "FRICTIONLOSS")
+        friction = (
+            enabled & ((base_field(model, name) != 0) | self._masks.get(name, False))
+            for name in ("dof_frictionloss", "tendon_frictionloss")
         )
-        if support.disabled(model, "CONSTRAINT") or support.disabled(model, "FRICTIONLOSS"):
-            friction = np.zeros(self.nv, bool)
-        self.plan = make_plan(model, contacts.computed, friction)
+        self.plan = make_plan(model, contacts.computed, *friction)
         twice = {name: np.stack([base_field(model, name)] * 2)[None] for name in self._masks}
         self._owners = [rigid_root(model, int(model.geom_bodyid[geom])) for geom in self.geoms]
         self._columns = columns(model, self.plan)
@@ -130,8 +131,6 @@ class LanesStepper:
         """Field name -> bool array of the field's shape."""
         masks = {}
         for name in sorted(varying):
-            if self._model.ntendon and name.startswith(("tendon_", "wrap_")):
-                raise support.refuse(f"a field {name!r} of tendons that differs between worlds")
             if self.guards and name.startswith(("mesh_vert", "hfield_", "pair_")):
                 raise support.refuse(f"a field {name!r} of guarded contacts that differs between worlds")
             if not influences_motion(name):
@@ -210,6 +209,7 @@ class LanesStepper:
             *dof_constraints(self.plan, parameters, q, v),
             *contact_points(self.plan, parameters, moving, self._elliptic, self._dtype),
             *between,
+            *path_rows(self.plan, self._columns, parameters, q, v, self._dtype),
         ]
         return found, doubtful
 
@@ -234,7 +234,8 @@ class LanesStepper:
             for n, joint in enumerate(link.joints):
                 q.append([array(x, shape, self._dtype) for x in parameters[f"{link.index}/joint{n}/ref"]])
                 v += [jnp.zeros(shape, self._dtype) for _ in joint.dofs]
-                act |= {a.state: jnp.zeros(shape, self._dtype) for a in joint.actuators if a.state >= 0}
+        for a in self.plan.actuators:
+            act |= {a.state: jnp.zeros(self._shape(len(a.ids), chunk), self._dtype)} if a.state >= 0 else {}
         return q, v, [act[i] for i in range(self.plan.states)]
 
     def state(self, qpos: Any, qvel: Any, act: Any = None) -> LanesState:

@@ -18,7 +18,7 @@ from btr_mjx.engines.guards.pairs import (
     geom_pairs,
     mixed_condim,
 )
-from btr_mjx.engines.lanes.tree import make_plan, moving_tendons
+from btr_mjx.engines.lanes.tree import active_equalities, make_plan, moving_tendons
 
 MAX_DOFS = 32
 """Dofs of the plan above which the program takes many minutes to compile."""
@@ -99,6 +99,7 @@ def refusals(model: mujoco.MjModel) -> Iterator[str]:
         *_check_joints(model),
         *_check_actuators(model),
         *_check_tendons(model),
+        *_check_equalities(model),
     ]
     yield from found or _check_size(model)
 
@@ -124,7 +125,6 @@ def _check_options(m: mujoco.MjModel) -> Iterator[str]:
 def _check_elements(m: mujoco.MjModel) -> Iterator[str]:
     obj = mujoco.mjtObj
     for count, kind, what in (
-        (m.neq, obj.mjOBJ_EQUALITY, "equality constraints"),
         (m.nflex, obj.mjOBJ_FLEX, "flexes"),
         (m.nplugin, obj.mjOBJ_PLUGIN, "plugins"),
     ):
@@ -201,9 +201,9 @@ def _check_tendons(m: mujoco.MjModel) -> Iterator[str]:
         if np.any(m.wrap_type[wraps] != mujoco.mjtWrap.mjWRAP_JOINT):
             yield f"spatial tendons ({where})"
             continue
+        if len(set(m.wrap_objid[wraps].tolist())) < m.tendon_num[t]:
+            yield f"tendons that list a joint twice ({where})"  # dense and sparse Jacobians of MuJoCo differ
         for field, what in (
-            ("limited", "limits"),
-            ("frictionloss", "friction loss"),
             ("armature", "armature"),
             ("stiffnesspoly", "polynomial stiffness"),
             ("dampingpoly", "polynomial damping"),
@@ -214,16 +214,23 @@ def _check_tendons(m: mujoco.MjModel) -> Iterator[str]:
         if implicit and m.tendon_damping[t]:
             yield f"damping of tendons with the implicitfast integrator ({where})"
         driving = np.flatnonzero((m.actuator_trntype == _TENDON) & (m.actuator_trnid[:, 0] == t))
-        if np.any(m.actuator_actnum[driving]) or np.any(m.actuator_history[driving, 0]):
-            yield f"activations and delays of actuators on tendons ({where})"
         if implicit and (np.any(m.actuator_gainprm[driving, 2]) or np.any(m.actuator_biasprm[driving, 2])):
             yield f"velocity gains of actuators on tendons with the implicitfast integrator ({where})"
         if len(driving) and np.any(m.jnt_actfrclimited[m.wrap_objid[wraps]]):
             yield f"force limits of joints on driven tendons ({where})"
 
 
+def _check_equalities(m: mujoco.MjModel) -> Iterator[str]:
+    kinds = mujoco.mjtEq
+    for e in active_equalities(m):
+        if int(m.eq_type[e]) not in (kinds.mjEQ_JOINT, kinds.mjEQ_TENDON):
+            where = name(m, mujoco.mjtObj.mjOBJ_EQUALITY, e)
+            yield f"equality constraints other than of joints and fixed tendons ({where})"
+
+
 def _check_size(m: mujoco.MjModel) -> Iterator[str]:
-    dofs = len(make_plan(m, possible_contacts(m).computed, m.dof_frictionloss != 0).dof_size)
+    friction = m.dof_frictionloss != 0, m.tendon_frictionloss != 0
+    dofs = len(make_plan(m, possible_contacts(m).computed, *friction).dof_size)
     if dofs > MAX_DOFS:
         yield f"trees of more than {MAX_DOFS} dofs, alike branches counted once (this one has {dofs})"
 

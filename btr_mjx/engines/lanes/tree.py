@@ -15,10 +15,13 @@ import numpy as np
 FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 
+type Path = tuple[tuple[int, float], ...]
+"""MuJoCo joints and their weights: the length of a fixed tendon is the weighted sum of their coordinates."""
+
 
 @dataclass(frozen=True)
 class Actuator:
-    """The actuator with joint transmission on the same joint of every member of a group."""
+    """The actuator on the same joint of every member of a group, or on a tendon."""
 
     ids: tuple[int, ...]
     """MuJoCo actuator of each member."""
@@ -82,12 +85,23 @@ class Link:
 
 @dataclass(frozen=True)
 class Tendon:
-    """A fixed tendon: its length is a weighted sum of joint coordinates."""
+    """A fixed tendon."""
 
     id: int
-    joints: tuple[tuple[int, float], ...]
-    """MuJoCo joint and its weight."""
+    path: Path
+    limited: bool
+    friction: bool
+    """Whether it has, or may have, friction loss."""
     actuators: tuple[Actuator, ...]
+
+
+@dataclass(frozen=True)
+class Equality:
+    """An equality constraint of two joints or tendons, or of one with a constant."""
+
+    id: int
+    sides: tuple[Path, ...]
+    """One or two."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +116,13 @@ class TreePlan:
     """Number of samples and group size of every history of controls."""
     tendons: tuple[Tendon, ...] = ()
     """Fixed tendons that exert forces."""
+    equalities: tuple[Equality, ...] = ()
+
+    @property
+    def actuators(self) -> list[Actuator]:
+        """All actuators."""
+        own = [actuator for link in self.links for joint in link.joints for actuator in joint.actuators]
+        return own + [actuator for tendon in self.tendons for actuator in tendon.actuators]
 
 
 def rigid_members(model: mujoco.MjModel, body: int) -> list[int]:
@@ -133,6 +154,17 @@ def has_joints_below(model: mujoco.MjModel, body: int) -> bool:
     return any(model.body_jntnum[b] for b in below[1:])
 
 
+def has_constraints(m: mujoco.MjModel, kind: str) -> bool:
+    """Whether constraints of a kind are enabled, by the end of its mjDSBL name: EQUALITY, LIMIT or FRICTIONLOSS."""
+    flags = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | getattr(mujoco.mjtDisableBit, f"mjDSBL_{kind}")
+    return not m.opt.disableflags & int(flags)
+
+
+def active_equalities(m: mujoco.MjModel) -> list[int]:
+    """Equality constraints that are active from the start."""
+    return np.flatnonzero(m.eq_active0).tolist() if has_constraints(m, "EQUALITY") else []
+
+
 def moving_tendons(m: mujoco.MjModel) -> list[int]:
     """Tendons that exert forces; the others have no influence on motion."""
     if not m.ntendon:
@@ -142,21 +174,36 @@ def moving_tendons(m: mujoco.MjModel) -> list[int]:
     for field in ("tendon_stiffnesspoly", "tendon_dampingpoly"):
         own |= np.any(getattr(m, field).reshape(m.ntendon, -1) != 0, axis=1)
     driven = m.actuator_trnid[m.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON, 0]
-    return sorted(set(np.flatnonzero(own).tolist()) | set(driven.tolist()))
+    coupled = {
+        int(t)
+        for e in active_equalities(m)
+        if m.eq_type[e] == mujoco.mjtEq.mjEQ_TENDON
+        for t in (m.eq_obj1id[e], m.eq_obj2id[e])
+        if t >= 0
+    }
+    return sorted(set(np.flatnonzero(own).tolist()) | set(driven.tolist()) | coupled)
 
 
 class _Builder:
     """Traverses the kinematic tree once; `build` returns the plan."""
 
-    def __init__(self, model: mujoco.MjModel, pairs: Mapping[int, list[tuple[int, int]]], friction: np.ndarray):
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        pairs: Mapping[int, list[tuple[int, int]]],
+        friction: np.ndarray,
+        tendon_friction: np.ndarray,
+    ):
         """Collect the actuators and the signature of every subtree.
 
         Args:
           model: the model.
           pairs: geom -> (plane geom, condim) of all its possible contacts.
           friction: bool (nv,), dofs that have or may have friction loss.
+          tendon_friction: bool (ntendon,), the same of tendons.
         """
-        self.model, self.pairs, self.friction = model, pairs, friction
+        self.model, self.pairs, self.friction, self.tendon_friction = model, pairs, friction, tendon_friction
+        self.limits = has_constraints(model, "LIMIT")
         self.links: list[Link] = []
         self.dof_size: list[int] = []
         self.states = 0
@@ -229,18 +276,11 @@ class _Builder:
             for _ in range(6 if kind == FREE else 1):
                 dofs.append(len(self.dof_size))
                 self.dof_size.append(size)
-            actuators = []
-            for ids in zip(*(self.actuators.get(j, []) for j in slot), strict=True):
-                stateful = m.actuator_actnum[ids[0]] > 0
-                samples = int(m.actuator_history[ids[0], 0])
-                history = len(self.histories) if samples else -1
-                actuators.append(Actuator(ids, self.states if stateful else -1, history))
-                self.histories += [(samples, size)] if samples else []
-                self.states += int(stateful)
-            dof = int(m.jnt_dofadr[slot[0]])
-            joints.append(
-                Joint(kind, slot, tuple(dofs), bool(m.jnt_limited[slot[0]]), bool(self.friction[dof]), tuple(actuators))
+            actuators = tuple(
+                self._actuator(ids) for ids in zip(*(self.actuators.get(j, []) for j in slot), strict=True)
             )
+            limited, friction = self.limits and m.jnt_limited[slot[0]], self.friction[m.jnt_dofadr[slot[0]]]
+            joints.append(Joint(kind, slot, tuple(dofs), bool(limited), bool(friction), actuators))
         touches = [
             Touch(plane, geoms, int(m.geom_type[geoms[0]]), condim)
             for geoms in zip(*(self._touching(b) for b in bodies), strict=True)
@@ -248,6 +288,16 @@ class _Builder:
         ]
         self.links.append(Link(index, parent, size, bodies, tuple(joints), tuple(touches), is_free_body(m, bodies[0])))
         self._descend(index, bodies)
+
+    def _actuator(self, ids: tuple[int, ...]) -> Actuator:
+        """The actuators of a group, with places for their states and controls."""
+        stateful = self.model.actuator_actnum[ids[0]] > 0
+        samples = int(self.model.actuator_history[ids[0], 0])
+        history = len(self.histories) if samples else -1
+        actuator = Actuator(ids, self.states if stateful else -1, history)
+        self.histories += [(samples, len(ids))] if samples else []
+        self.states += int(stateful)
+        return actuator
 
     def _descend(self, index: int, bodies: tuple[int, ...]) -> None:
         if len(bodies) > 1:  # already a group: children are grouped across its members
@@ -263,25 +313,44 @@ class _Builder:
     def build(self) -> TreePlan:
         self._descend(-1, (0,))
         tendons = tuple(self._tendon(t) for t in moving_tendons(self.model))
-        return TreePlan(tuple(self.links), tuple(self.dof_size), self.states, tuple(self.histories), tendons)
+        equalities = tuple(self._equality(e) for e in active_equalities(self.model))
+        histories = tuple(self.histories)
+        return TreePlan(tuple(self.links), tuple(self.dof_size), self.states, histories, tendons, equalities)
 
     def _tendon(self, t: int) -> Tendon:
         m = self.model
-        wraps = range(int(m.tendon_adr[t]), int(m.tendon_adr[t] + m.tendon_num[t]))
         driving = (m.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON) & (m.actuator_trnid[:, 0] == t)
-        actuators = tuple(Actuator((a,), -1, -1) for a in np.flatnonzero(driving).tolist())
-        return Tendon(t, tuple((int(m.wrap_objid[w]), float(m.wrap_prm[w])) for w in wraps), actuators)
+        actuators = tuple(self._actuator((a,)) for a in np.flatnonzero(driving).tolist())
+        limited, friction = self.limits and m.tendon_limited[t], self.tendon_friction[t]
+        return Tendon(t, self._path(t), bool(limited), bool(friction), actuators)
+
+    def _path(self, t: int) -> Path:
+        m = self.model
+        wraps = range(int(m.tendon_adr[t]), int(m.tendon_adr[t] + m.tendon_num[t]))
+        return tuple((int(m.wrap_objid[w]), float(m.wrap_prm[w])) for w in wraps)
+
+    def _equality(self, e: int) -> Equality:
+        m = self.model
+        elements = [int(i) for i in (m.eq_obj1id[e], m.eq_obj2id[e]) if i >= 0]
+        joints = m.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT
+        return Equality(e, tuple(((i, 1.0),) if joints else self._path(i) for i in elements))
 
 
-def make_plan(model: mujoco.MjModel, pairs: Mapping[int, list[tuple[int, int]]], friction: np.ndarray) -> TreePlan:
+def make_plan(
+    model: mujoco.MjModel,
+    pairs: Mapping[int, list[tuple[int, int]]],
+    friction: np.ndarray,
+    tendon_friction: np.ndarray,
+) -> TreePlan:
     """Make the static plan of a model.
 
     Args:
       model: the model; must have passed `support.refusals`.
       pairs: geom -> (plane geom, condim) of all its possible contacts (from `support.require_supported`).
       friction: bool (nv,), dofs that have or may have friction loss.
+      tendon_friction: bool (ntendon,), the same of tendons.
 
     Returns:
       The static plan; links in depth-first order.
     """
-    return _Builder(model, pairs, friction).build()
+    return _Builder(model, pairs, friction, tendon_friction).build()

@@ -1,6 +1,6 @@
-"""Constraints of the lanes engine: contacts, joint limits and dry friction, and the Newton solver that satisfies them.
+"""Constraints of the lanes engine: contacts, limits, dry friction, equality, and the Newton solver on them.
 
 `contacts` finds contacts with planes, `body_contacts` those between bodies, `dof_constraints` limits and friction of
-joints; `cones` has the forces of a contact and `solver` minimises MuJoCo's cost over the accelerations, with `coupled`
-where contacts join branches of the tree.
+joints, `rows` those of tendons and equality; `cones` has the forces of a contact and `solver` minimises MuJoCo's cost
+over the accelerations, with `coupled` where constraints join branches of the tree.
 """

@@ -74,14 +74,18 @@ def columns(model: mujoco.MjModel, plan: TreePlan) -> list[Column]:
 
 
 @dataclass(frozen=True)
-class BodyContacts:
-    """Contacts of pairs of one condim; empty slots have weight zero."""
+class Coupling:
+    """Constraints between links, of one kind: contacts of pairs of one condim, or rows over the coordinates of joints.
+
+    They are in K slots; empty slots have weight zero.
+    """
 
     columns: Sequence[Column]
-    """Dofs that move one body of some pair and not the other."""
+    """Dofs that move one body of some pair and not the other, or that are in some row."""
     jacobian: Sequence[Vector]
-    """Per row of the cone that is not always zero and per column, (K, C): motion of the second body's contact point
-    relative to the first's in the contact frame, per unit of the dof's velocity (of a free joint in world axes)."""
+    """Per row of the cone that is not always zero and per column, (K, C) or (K, 1): for contacts the motion of the
+    second body's contact point relative to the first's in the contact frame, per unit of the dof's velocity (of a free
+    joint in world axes)."""
     cone: Cone
     """Its normal points from the first to the second body."""
 
@@ -124,7 +128,7 @@ def body_contacts(
     v: Sequence[jax.Array],
     elliptic: bool,
     dtype: Any,
-) -> tuple[list[BodyContacts], jax.Array]:
+) -> tuple[list[Coupling], jax.Array]:
     """Contacts between bodies, with MuJoCo's reference accelerations and weights.
 
     Args:
@@ -194,7 +198,7 @@ class _Touching:
         v: Sequence[jax.Array],
         elliptic: bool,
         dtype: Any,
-    ) -> BodyContacts:
+    ) -> Coupling:
         """The contacts in the slots.
 
         Args:
@@ -243,7 +247,7 @@ class _Touching:
         reference[0] = sub(reference[0], mul(mul(stiffness, imp), beyond))
         impratio = self.parameters.one("world/impratio") if elliptic else None
         cone = make_cone(self.condim, frame, given("friction")[0], weight, reference, impratio, dtype)
-        return BodyContacts(moving, jacobian, cone)
+        return Coupling(moving, jacobian, cone)
 
 
 def _tangents(normal: Vector) -> list[list[Scalar]]:

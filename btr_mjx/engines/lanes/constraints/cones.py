@@ -157,7 +157,7 @@ class Ellipse(Cone):
 
     def model(self, a: Vector) -> ZoneModel:
         """Stiffness (six coefficients) and force (three), linearised at `a`."""
-        mu, ratio = self.friction, jnp.sqrt(jnp.asarray(self.impratio, a[0].dtype))
+        mu, ratio = self.friction, jnp.sqrt(jnp.asarray(self.impratio, self.weight.dtype))
         cone = mu / ratio  # slope of the regularised cone
         jar = vsub(a, self.reference)
         n, u, w = mul(jar[0], cone), mul(jar[1], mu), mul(jar[2], mu)

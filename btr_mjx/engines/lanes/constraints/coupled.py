@@ -1,9 +1,9 @@
 """Conjugate gradients for constraints that couple links: minimum of the cost on given zones.
 
 Constraints of single links and dofs keep the matrix H of the tree, which the articulated-body sweep solves directly.
-Those between links add J^T K J, of low rank because few pairs touch at a time. Conjugate gradients with H as the
-preconditioner need about as many iterations as there are active rows, and one where nothing touches. All residuals are
-J^T times forces of the contacts, so that only these forces are kept.
+Those between links add J^T K J, of low rank because few pairs touch at a time and few joints are coupled. Conjugate
+gradients with H as the preconditioner need about as many iterations as there are active rows, and one where none is
+active. All residuals are J^T times forces of these constraints, so that only the forces are kept.
 
 Source: Saad 2003, Iterative Methods for Sparse Linear Systems, algorithm 9.1.
 """
@@ -16,21 +16,21 @@ from jax import lax
 
 from btr_mjx.engines.guards.places import fold_rows
 from btr_mjx.engines.lanes.articulated import Factors, solve_factored
-from btr_mjx.engines.lanes.constraints.body_contacts import BodyContacts, Column, over_slots
+from btr_mjx.engines.lanes.constraints.body_contacts import Column, Coupling, over_slots
 from btr_mjx.engines.lanes.constraints.cones import ZoneModel
-from btr_mjx.engines.lanes.scalars import Scalar, add, array, dot, full, matvec, total, vadd
+from btr_mjx.engines.lanes.scalars import Scalar, add, array, dot, full, is_zero, matvec, total, vadd
 from btr_mjx.engines.lanes.spatial import Spatial, propagate
 from btr_mjx.engines.lanes.tree import FREE, TreePlan
 
 _MAX_ITERATIONS = 60
 
 type _Rows = list[list[jax.Array]]
-"""Per group of contacts, its rows (K, C)."""
+"""Per coupling, its rows (K, C)."""
 
 
 def solve_coupled(
     factors: Factors,
-    coupled: Sequence[tuple[BodyContacts, ZoneModel]],
+    coupled: Sequence[tuple[Coupling, ZoneModel]],
     wrenches: Sequence[Spatial],
     tau: Mapping[int, Scalar],
     like: Sequence[jax.Array],
@@ -39,8 +39,8 @@ def solve_coupled(
 
     Args:
       factors: matrix of the tree, with the constraints of single links and dofs.
-      coupled: contacts between links, each with its zone.
-      wrenches: per link, about its origin, without those of the contacts between links.
+      coupled: constraints between links, each with its zone.
+      wrenches: per link, about its origin, without those of the constraints between links.
       tau: forces along single dofs.
       like: arrays of the accelerations' shapes.
 
@@ -48,16 +48,16 @@ def solve_coupled(
       Acceleration per dof, spatial acceleration per link. They are a function of the zones of each world alone.
     """
     plan = factors.plan
-    contacts, linear = [c for c, _ in coupled], [c.cone.linear(model) for c, model in coupled]
+    couplings, linear = [c for c, _ in coupled], [c.cone.linear(model) for c, model in coupled]
     lanes, dtype = like[0].shape[-1], like[0].dtype
     tolerance = float(jnp.finfo(dtype).eps) ** 2
 
     def pulled(rows: Sequence[Sequence[Scalar]]) -> tuple[dict[int, Spatial], dict[int, Scalar]]:
-        return member_forces(plan, [w for c, own in zip(contacts, rows, strict=True) for w in c.forces(own)])
+        return member_forces(plan, [w for c, own in zip(couplings, rows, strict=True) for w in c.forces(own)])
 
     def shaped(rows: Sequence[Sequence[Scalar]]) -> _Rows:
         return [
-            [array(x, (c.slots, lanes), dtype) for x in own[: c.rows]] for c, own in zip(contacts, rows, strict=True)
+            [array(x, (c.slots, lanes), dtype) for x in own[: c.rows]] for c, own in zip(couplings, rows, strict=True)
         ]
 
     def stiff(rows: _Rows) -> _Rows:
@@ -73,7 +73,8 @@ def solve_coupled(
     def body(carry: tuple) -> tuple:
         count, going, x, residual, p, rows, image, last, first = carry
         # The first iteration solves without the stiffness between links, the others correct it.
-        begin = lambda value: jnp.where(count == 0, value, 0)  # noqa: E731
+        begins = jnp.broadcast_to(count == 0, lanes)
+        begin = lambda value: value if is_zero(value) else jnp.where(begins, value, 0)  # noqa: E731
         pushes = shaped([push for _, push in linear])
         outer, forces = pulled(
             [[f + begin(y) for f, y in zip(*own, strict=True)] for own in zip(residual, pushes, strict=True)]
@@ -85,7 +86,7 @@ def solve_coupled(
         along |= {k: add(along.get(k, 0.0), f) for k, f in forces.items()}
         z, _ = solve_factored(factors, onto, along)
         z = [array(z_k, g.shape, dtype) for z_k, g in zip(z, like, strict=True)]
-        moved = shaped([c.acceleration(z) for c in contacts])
+        moved = shaped([c.acceleration(z) for c in couplings])
         size = inner(residual, moved)
         first = jnp.where(count == 1, size, first)
         going = going & ((count < 2) | (size > tolerance * first))
@@ -105,7 +106,7 @@ def solve_coupled(
         return jnp.any(carry[1]) & (carry[0] < _MAX_ITERATIONS)
 
     none, still = jnp.zeros(lanes, dtype), [jnp.zeros_like(g) for g in like]
-    empty = shaped([[0.0] * 3] * len(contacts))
+    empty = shaped([[0.0] * 3] * len(couplings))
     carry = (jnp.int32(0), jnp.ones(lanes, bool), still, empty, still, empty, empty, none, none)
     found = lax.while_loop(working, body, carry)[2]
     return list(found), propagate(plan, factors.motions, found)

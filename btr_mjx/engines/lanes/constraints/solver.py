@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from btr_mjx.engines.lanes.articulated import factorise, solve_articulated, solve_factored
-from btr_mjx.engines.lanes.constraints.body_contacts import BodyContacts, over_slots
+from btr_mjx.engines.lanes.constraints.body_contacts import Coupling, over_slots
 from btr_mjx.engines.lanes.constraints.cones import Cone, Contact, ZoneModel
 from btr_mjx.engines.lanes.constraints.coupled import solve_coupled
 from btr_mjx.engines.lanes.constraints.dof_constraints import DofConstraint
@@ -51,7 +51,7 @@ _LINE_ITERATIONS = 10
 _SLOPE_TOLERANCE = 1e-3
 """Slope at which the search stops, relative to the slope at its start."""
 
-type Constraint = Contact | BodyContacts | DofConstraint
+type Constraint = Contact | Coupling | DofConstraint
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def _law(c: Constraint) -> Cone | DofConstraint:
 
 def zone_shape(plan: TreePlan, c: Constraint, lanes: int) -> tuple[int, ...]:
     """Shape of a coefficient of a constraint's zone."""
-    if isinstance(c, BodyContacts):
+    if isinstance(c, Coupling):
         return c.slots, lanes
     size = c.link.size if isinstance(c, Contact) else plan.dof_size[c.dof]
     return (lanes,) if size == 1 else (size, lanes)
@@ -114,7 +114,7 @@ def _minimum_on_zones(
     diagonal, forces = dict(problem.inertia.diagonal), dict(problem.tau)
     couplings = []
     for c, model in zip(problem.constraints, models, strict=True):
-        if isinstance(c, BodyContacts):
+        if isinstance(c, Coupling):
             couplings.append((c, model))
         elif isinstance(c, Contact):
             block, (force, torque) = c.effect(model)
@@ -136,7 +136,7 @@ def _zones_changed(constraints: Sequence[Constraint], old: Sequence[ZoneModel], 
     flags = []
     for c, before, after in zip(constraints, old, new, strict=True):
         flag = ~_law(c).same_zone(before, after)
-        if isinstance(c, BodyContacts):
+        if isinstance(c, Coupling):
             flags.append(jnp.any(flag, axis=0))
         else:
             flags += [flag[i] for i in range(flag.shape[0])] if flag.ndim == 2 else [flag]
@@ -217,7 +217,7 @@ def constrained_acceleration(
 
 def _summed(plan: TreePlan, c: Constraint, x: Scalar) -> Scalar:
     """Sum over the members of a constraint's group, or over its slots."""
-    if isinstance(c, BodyContacts):
+    if isinstance(c, Coupling):
         return over_slots(x)
     return group_sum(x, plan.dof_size[c.dof] if isinstance(c, DofConstraint) else c.link.size)
 
@@ -252,7 +252,7 @@ def _step_length(problem: ConstraintProblem, old: Sequence[jax.Array], new: Sequ
     for c in constraints:
         if isinstance(c, Contact):
             rays.append((c.acceleration(at[c.link.index]), c.acceleration(links[c.link.index])))
-        elif isinstance(c, BodyContacts):
+        elif isinstance(c, Coupling):
             rays.append((c.acceleration(old), c.acceleration(direction)))
         else:
             rays.append(([old[c.dof]], [direction[c.dof]]))
