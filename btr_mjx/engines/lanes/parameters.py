@@ -22,7 +22,7 @@ from btr_mjx.engines.lanes.contact_parameters import (
 )
 from btr_mjx.engines.lanes.fields import Fields, apply_matrix, rigid_pose, rigid_root, rotation_matrices
 from btr_mjx.engines.lanes.scalars import Scalar, constant
-from btr_mjx.engines.lanes.tree import FREE, Joint, TreePlan, massive_members, rigid_members
+from btr_mjx.engines.lanes.tree import BALL, FREE, Joint, TreePlan, massive_members, rigid_members
 
 
 def _inertia(model: mujoco.MjModel, fields: Fields, body: int) -> dict[str, np.ndarray]:
@@ -67,7 +67,7 @@ def _joint(model: mujoco.MjModel, fields: Fields, joint: Joint, j: int) -> dict[
     dof, adr = int(model.jnt_dofadr[j]), int(model.jnt_qposadr[j])
     dofs = slice(dof, dof + len(joint.dofs))
     result = {
-        "ref": fields("qpos0", slice(adr, adr + (7 if joint.kind == FREE else 1))),
+        "ref": fields("qpos0", slice(adr, adr + joint.coordinates)),
         "damping": fields("dof_damping", dofs),
         "armature": fields("dof_armature", dofs),
     }
@@ -75,22 +75,33 @@ def _joint(model: mujoco.MjModel, fields: Fields, joint: Joint, j: int) -> dict[
         result["damping"] = np.zeros((1, 1, len(joint.dofs)))
     if joint.kind == FREE:
         return result
+    if joint.turned:
+        for what in ("damping", "armature"):
+            if np.any(result[what] != result[what][..., :1]):
+                where = support.name(model, mujoco.mjtObj.mjOBJ_JOINT, j)
+                raise support.refuse(f"{what} that differs between the axes of a ball joint with a limit ({where})")
     axis = fields("jnt_axis", j)
-    result |= {"axis": axis, "pos": fields("jnt_pos", j), "spring": fields("qpos_spring", slice(adr, adr + 1))}
+    result |= {
+        "axis": axis,
+        "pos": fields("jnt_pos", j),
+        "spring": fields("qpos_spring", slice(adr, adr + joint.coordinates)),
+    }
     stiff = np.zeros((1, 1, 1)) if support.disabled(model, "SPRING") else fields("jnt_stiffness", slice(j, j + 1))
     result |= {"stiffness": stiff, "actfrcrange": fields("jnt_actfrcrange", j)}
-    weight = np.maximum(MINVAL, fields("dof_invweight0", slice(dof, dof + 1)))
+    weight = np.maximum(MINVAL, fields("dof_invweight0", dofs))
     if joint.limited:
         row = constraint_row(fields("jnt_solref", j), fields("jnt_solimp", j), model)
         result |= {f"limit_{key}": value for key, value in row.items()}
-        result |= {"range": fields("jnt_range", j), "limit_margin": fields("jnt_margin", slice(j, j + 1))}
-        result["limit_scale"] = 1 / weight
+        bounds = fields("jnt_range", j)
+        bounds = bounds.max(-1, keepdims=True) if joint.kind == BALL else bounds
+        result |= {"range": bounds, "limit_margin": fields("jnt_margin", slice(j, j + 1))}
+        result["limit_scale"] = 1 / weight[..., :1]
     if joint.friction:
-        row = constraint_row(fields("dof_solref", dof), fields("dof_solimp", dof), model)
-        low = row["impedance"][..., 0:1]  # friction rows have zero violation
-        result["loss"] = fields("dof_frictionloss", slice(dof, dof + 1))
+        row = constraint_row(fields("dof_solref", dofs), fields("dof_solimp", dofs), model)
+        low = row["impedance"][..., 0]  # friction rows have zero violation
+        result["loss"] = fields("dof_frictionloss", dofs)
         result["loss_weight"] = low / ((1 - low) * weight)
-        result["loss_damping"] = row["reference"][..., 1:2]
+        result["loss_damping"] = row["reference"][..., 1]
     return result
 
 

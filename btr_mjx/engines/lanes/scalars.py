@@ -147,6 +147,15 @@ def cross(a: Vector, b: Vector) -> list[Scalar]:
     ]
 
 
+def tangents(normal: Vector) -> list[list[Scalar]]:
+    """Two unit vectors that are normal to each unit vector `normal` and to each other (mju_makeFrame)."""
+    level = jnp.abs(normal[1]) < 0.5
+    guess = [0.0, jnp.where(level, 1.0, 0.0), jnp.where(level, 0.0, 1.0)]
+    tangent = vsub(guess, scale(dot(guess, normal), normal))
+    tangent = scale(jax.lax.rsqrt(dot(tangent, tangent)), tangent)
+    return [tangent, cross(normal, tangent)]
+
+
 def matvec(m: Matrix, v: Vector) -> list[Scalar]:
     """Matrix times vector."""
     return [dot(row, v) for row in m]

@@ -18,12 +18,12 @@ from btr_mjx.engines.guards.pairs import (
     geom_pairs,
     mixed_condim,
 )
-from btr_mjx.engines.lanes.tree import make_plan, moving_tendons
+from btr_mjx.engines.lanes.tree import BALL, FREE, make_plan, moving_tendons
 
 MAX_DOFS = 32
 """Dofs of the plan above which the program takes many minutes to compile."""
 
-_JOINT, _DYN, _GAIN, _BIAS = mujoco.mjtJoint, mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
+_DYN, _GAIN, _BIAS = mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 _JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _DISABLE, _ENABLE = mujoco.mjtDisableBit, mujoco.mjtEnableBit
@@ -152,11 +152,11 @@ def _check_elements(m: mujoco.MjModel) -> Iterator[str]:
 def _check_joints(m: mujoco.MjModel) -> Iterator[str]:
     for j in range(m.njnt):
         where = name(m, mujoco.mjtObj.mjOBJ_JOINT, j)
-        if m.jnt_type[j] == _JOINT.mjJNT_BALL:
-            yield f"ball joints ({where})"
-        if m.jnt_type[j] != _JOINT.mjJNT_FREE:
+        dofs = m.dof_jntid == j
+        if m.jnt_type[j] == BALL and m.jnt_limited[j] and m.dof_frictionloss[dofs].any():
+            yield f"friction loss of a ball joint with a limit ({where})"
+        if m.jnt_type[j] != FREE:
             continue
-        dofs = slice(int(m.jnt_dofadr[j]), int(m.jnt_dofadr[j]) + 6)
         if m.jnt_stiffness[j]:
             yield f"stiffness of a free joint ({where})"
         if m.dof_frictionloss[dofs].any():
@@ -170,8 +170,8 @@ def _check_actuators(m: mujoco.MjModel) -> Iterator[str]:
             yield f"transmission {mujoco.mjtTrn(m.actuator_trntype[a]).name} ({where})"
             continue
         on_joint = m.actuator_trntype[a] != _TENDON
-        if on_joint and m.jnt_type[m.actuator_trnid[a, 0]] == _JOINT.mjJNT_FREE:
-            yield f"actuation of a free joint ({where})"
+        if on_joint and m.jnt_type[m.actuator_trnid[a, 0]] in (FREE, BALL):
+            yield f"actuation of a free or ball joint ({where})"
         dynamics, gain, bias = int(m.actuator_dyntype[a]), int(m.actuator_gaintype[a]), int(m.actuator_biastype[a])
         if dynamics not in (
             _DYN.mjDYN_NONE,

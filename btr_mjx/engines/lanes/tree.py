@@ -13,7 +13,9 @@ import mujoco
 import numpy as np
 
 FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+_WIDTHS = {FREE: (7, 6), BALL: (4, 3)}  # coordinates and dofs; others have one of each
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,7 @@ class Joint:
     """The same joint of every member of a group."""
 
     kind: int
-    """mujoco.mjtJoint: free, slide or hinge."""
+    """mujoco.mjtJoint."""
     ids: tuple[int, ...]
     """MuJoCo joint of each member."""
     dofs: tuple[int, ...]
@@ -42,6 +44,19 @@ class Joint:
     friction: bool
     """Whether some member has, or may have, friction loss."""
     actuators: tuple[Actuator, ...]
+
+    @property
+    def coordinates(self) -> int:
+        """Number of coordinates of one member."""
+        return _WIDTHS.get(self.kind, (1, 1))[0]
+
+    @property
+    def turned(self) -> bool:
+        """Whether this is a ball joint with a limit.
+
+        The first of the solver's dofs is then along the axis of the rotation, so that the limit acts on a single dof.
+        """
+        return self.kind == BALL and self.limited
 
 
 @dataclass(frozen=True)
@@ -157,6 +172,8 @@ class _Builder:
           friction: bool (nv,), dofs that have or may have friction loss.
         """
         self.model, self.pairs, self.friction = model, pairs, friction
+        without_limits = mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+        self.limited = (np.asarray(model.jnt_limited) != 0) & (not model.opt.disableflags & int(without_limits))
         self.links: list[Link] = []
         self.dof_size: list[int] = []
         self.states = 0
@@ -185,12 +202,14 @@ class _Builder:
             g for g in range(self.model.ngeom) if self.model.geom_bodyid[g] in self.members[body] and g in self.pairs
         ]
 
+    def _has_friction(self, joint: int) -> bool:
+        return bool(self.friction[self.model.dof_jntid == joint].any())
+
     def _signature(self, body: int) -> str:
         """Text that is equal for subtrees that can form a group: a digest, since it contains those of the children."""
         m = self.model
         joints = []
         for j in self._joints(body):
-            dof = int(m.jnt_dofadr[j])
             acts = [
                 (
                     int(m.actuator_dyntype[a]),
@@ -208,9 +227,9 @@ class _Builder:
             joints.append(
                 (
                     int(m.jnt_type[j]),
-                    bool(m.jnt_limited[j]),
+                    bool(self.limited[j]),
                     bool(m.jnt_actfrclimited[j]),
-                    bool(self.friction[dof]),
+                    self._has_friction(j),
                     acts,
                 )
             )
@@ -226,7 +245,7 @@ class _Builder:
         for slot in zip(*(self._joints(b) for b in bodies), strict=True):
             kind = int(m.jnt_type[slot[0]])
             dofs = []
-            for _ in range(6 if kind == FREE else 1):
+            for _ in range(_WIDTHS.get(kind, (1, 1))[1]):
                 dofs.append(len(self.dof_size))
                 self.dof_size.append(size)
             actuators = []
@@ -237,10 +256,8 @@ class _Builder:
                 actuators.append(Actuator(ids, self.states if stateful else -1, history))
                 self.histories += [(samples, size)] if samples else []
                 self.states += int(stateful)
-            dof = int(m.jnt_dofadr[slot[0]])
-            joints.append(
-                Joint(kind, slot, tuple(dofs), bool(m.jnt_limited[slot[0]]), bool(self.friction[dof]), tuple(actuators))
-            )
+            limited, friction = bool(self.limited[slot[0]]), self._has_friction(slot[0])
+            joints.append(Joint(kind, slot, tuple(dofs), limited, friction, tuple(actuators)))
         touches = [
             Touch(plane, geoms, int(m.geom_type[geoms[0]]), condim)
             for geoms in zip(*(self._touching(b) for b in bodies), strict=True)

@@ -34,6 +34,7 @@ from btr_mjx.engines.lanes.scalars import (
     neg,
     scale,
     sub,
+    tangents,
     total,
     vadd,
     vsub,
@@ -221,7 +222,7 @@ class _Touching:
             return [of(x) for x in self.parameters[f"{self.key}/{name}"]]
 
         beyond, normal, point = of(self.beyond), [of(x) for x in self.normal], [of(x) for x in self.point]
-        frame = [normal, *_tangents(normal)]
+        frame = [normal, *tangents(normal)]
         imp = impedance(given("impedance"), beyond)
         weight = jnp.where(filled, mul(given("scale")[0], imp / (1.0 - imp)), 0).astype(dtype)
         one, other = (jnp.asarray(side, jnp.int32)[index] for side in bodies)
@@ -244,15 +245,6 @@ class _Touching:
         impratio = self.parameters.one("world/impratio") if elliptic else None
         cone = make_cone(self.condim, frame, given("friction")[0], weight, reference, impratio, dtype)
         return BodyContacts(moving, jacobian, cone)
-
-
-def _tangents(normal: Vector) -> list[list[Scalar]]:
-    """Two tangents of each normal, as mju_makeFrame."""
-    level = jnp.abs(normal[1]) < 0.5
-    guess = [0.0, jnp.where(level, 1.0, 0.0), jnp.where(level, 0.0, 1.0)]
-    tangent = vsub(guess, scale(dot(guess, normal), normal))
-    tangent = scale(jax.lax.rsqrt(dot(tangent, tangent)), tangent)
-    return [tangent, cross(normal, tangent)]
 
 
 def _nearest(a: Shapes, b: Shapes, eps: float) -> tuple[list[Scalar], list[Scalar], jax.Array, jax.Array]:
