@@ -233,7 +233,7 @@ def possible_contacts(m: mujoco.MjModel) -> Contacts:
     found = Contacts({}, [], [])
     for pair in geom_pairs(m):
         condim = mixed_condim(m, pair)
-        reason = _not_computed(m, pair, condim)
+        reason = _not_computed(m, pair)
         if reason:
             found.guarded.append(Guarded(pair, f"{reason} ({_both(m, pair.first, pair.second)})"))
         elif m.geom_type[pair.first] == PLANE:
@@ -247,7 +247,7 @@ def _both(m: mujoco.MjModel, g1: int, g2: int) -> str:
     return f"{name(m, mujoco.mjtObj.mjOBJ_GEOM, g1)} and {name(m, mujoco.mjtObj.mjOBJ_GEOM, g2)}"
 
 
-def _not_computed(m: mujoco.MjModel, pair: GeomPair, condim: int) -> str:
+def _not_computed(m: mujoco.MjModel, pair: GeomPair) -> str:
     """Why a contact is not computed; empty if it is."""
     if pair.explicit >= 0:
         return "explicit contact pairs"
@@ -259,4 +259,4 @@ def _not_computed(m: mujoco.MjModel, pair: GeomPair, condim: int) -> str:
             return f"contact of {mujoco.mjtGeom(m.geom_type[pair.second]).name} with a plane"
     elif not kinds <= {SPHERE, CAPSULE}:
         return "contact between geoms other than spheres, capsules and planes"
-    return "" if condim in (1, 3) else f"condim {condim}, torsional and rolling friction"
+    return ""

@@ -70,7 +70,7 @@ class Touch:
     kind: int
     """mujoco.mjtGeom: sphere, capsule, box, cylinder or ellipsoid."""
     condim: int
-    """1 or 3, after MuJoCo's mixing of both geoms."""
+    """After MuJoCo's mixing of both geoms."""
 
 
 @dataclass(frozen=True)
