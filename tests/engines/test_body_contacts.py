@@ -55,7 +55,7 @@ def step(model: mujoco.MjModel, states: list[mujoco.MjData]) -> tuple[np.ndarray
     return found, np.stack([d.qacc for d in states], axis=1), marked
 
 
-@pytest.mark.parametrize("condim", ["1", "3", "13", "4", "6", "1346"])
+@pytest.mark.parametrize("condim", ["1", "3", "13", "46"])
 @pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
 def test_a_heap_moves_as_native_says(condim: str, cone: str, rng: np.random.Generator) -> None:
     model = heap(condim, f'cone="{cone}"')
@@ -126,7 +126,7 @@ def test_trajectories_with_contact_equal_native(rng: np.random.Generator) -> Non
 
 
 def test_friction_sizes_and_masses_may_differ_between_worlds(rng: np.random.Generator) -> None:
-    model = heap("3")
+    model = heap("36")
     count = 60
     varied = {
         n: np.repeat(np.asarray(getattr(model, n), float)[None], count, 0) for n in ("geom_friction", "geom_size")

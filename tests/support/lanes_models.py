@@ -178,8 +178,8 @@ CASES = {
         rolling(ball("-1 0 1") + ball("1 0 1"), 4), option='cone="elliptic"', floor='euler="10 -15 20" pos="0 0 0.2"'
     ),
     "quadruped_condim4": mjcf(rolling(quadruped(), 4), option='integrator="RK4"', actuators=QUADRUPED_SERVOS),
-    "quadruped_condim6_elliptic": mjcf(
-        rolling(quadruped(), 6), option=f'{FAST} cone="elliptic" impratio="3"', actuators=QUADRUPED_SERVOS
+    "capsule_condim6_elliptic": mjcf(
+        rolling(plain_box().replace("box", "capsule"), 6), option=f'{FAST} cone="elliptic" impratio="3"'
     ),
     "cylinder_condim6": mjcf(rolling(plain_box().replace('type="box"', 'type="cylinder"'), 6)),
     "ellipsoid_condim6_elliptic": mjcf(
