@@ -18,7 +18,7 @@ QUICK = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes
 SHAPES = {
     "sphere": 'type="sphere" size="0.05"',
     "capsule": 'type="capsule" size="0.03 0.08" margin="0.004"',
-    "cylinder": 'type="cylinder" size="0.05 0.06" condim="6"',
+    "cylinder": 'type="cylinder" size="0.05 0.06"',
     "ellipsoid": 'type="ellipsoid" size="0.03 0.06 0.1" gap="0.01"',
     "box": 'type="box" size="0.04 0.06 0.09"',
     "mesh": 'type="mesh" mesh="wedge"',
@@ -27,12 +27,12 @@ SHAPES = {
 }
 ZOO = f"""<mujoco><asset><mesh name="wedge" vertex="0 0 0 .1 0 0 0 .12 0 0 0 .08 .05 .05 .1"/>
 <hfield name="hills" nrow="3" ncol="3" size="0.3 0.3 0.05 0.02" elevation="0 1 0 1 0 1 0 1 0"/></asset><worldbody>
-<geom type="plane" size="1 1 1" pos="0 0 -0.2" zaxis="0.1 0 1"/>
+<geom name="slope" type="plane" size="1 1 1" pos="0 0 -0.2" zaxis="0.1 0 1"/>
 <geom type="hfield" hfield="hills" pos="0 0 -0.25"/>
 <geom name="step" type="box" size=".1 .1 .02" pos=".2 0 0" euler="10 20 30"/>
 {"".join(f'<body name="{n}"><freejoint/><geom name="{n}" mass="0.1" {g}/></body>' for n, g in SHAPES.items())}
 </worldbody><contact><exclude body1="sphere" body2="box"/>
-<pair geom1="sphere" geom2="step" margin="0.03" gap="0.01"/></contact></mujoco>"""
+<pair geom1="sphere" geom2="step" margin="0.03" gap="0.01"/><pair geom1="slope" geom2="cylinder"/></contact></mujoco>"""
 
 
 def scattered(model: mujoco.MjModel, count: int, rng: np.random.Generator) -> np.ndarray:

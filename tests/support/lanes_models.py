@@ -129,6 +129,11 @@ def tangle(condim: int = 3, friction: float = 0.0) -> str:
     return bodies.replace("<geom", '<geom contype="1"')
 
 
+def rolling(bodies: str, condim: int) -> str:
+    """The bodies with torsional and, for condim 6, rolling friction, large enough for their feet to stick."""
+    return bodies.replace("<geom ", f'<geom condim="{condim}" friction="0.6 0.08 0.03" ')
+
+
 WATER = 'density="1000" viscosity="0.5" wind="1 2 3"'
 FAST = 'integrator="implicitfast"'
 
@@ -167,6 +172,20 @@ CASES = {
     "two_balls": mjcf(ball("-1 0 1") + ball("1 0 1"), option=FAST),
     "quadruped": mjcf(quadruped(), option=FAST, actuators=QUADRUPED_SERVOS),
     "quadruped_elliptic": mjcf(quadruped(), option=f'{FAST} cone="elliptic"', actuators=QUADRUPED_SERVOS),
+    "box_corners_condim4": mjcf(rolling(plain_box(), 4)),
+    "spheres_box_condim6": mjcf(rolling(spheres_box(), 6), option='impratio="3"'),
+    "two_balls_condim4_elliptic": mjcf(
+        rolling(ball("-1 0 1") + ball("1 0 1"), 4), option='cone="elliptic"', floor='euler="10 -15 20" pos="0 0 0.2"'
+    ),
+    "quadruped_condim4": mjcf(rolling(quadruped(), 4), option='integrator="RK4"', actuators=QUADRUPED_SERVOS),
+    "capsule_condim6_elliptic": mjcf(
+        rolling(plain_box().replace("box", "capsule"), 6), option=f'{FAST} cone="elliptic" impratio="3"'
+    ),
+    "cylinder_condim6": mjcf(rolling(plain_box().replace('type="box"', 'type="cylinder"'), 6)),
+    "ellipsoid_condim6_elliptic": mjcf(
+        rolling(plain_box().replace('type="box"', 'type="ellipsoid"'), 6), option='cone="elliptic"'
+    ),
+    "tangle_condim6": mjcf(rolling(tangle().replace('condim="3"', "").replace('friction="0.6"', ""), 6)),
     "biped": mjcf(biped(), actuators='<motor joint="hip-0.1"/><motor joint="hip0.1"/>'),
     "snake": mjcf(snake(20)),
     "stops": mjcf(stops()),

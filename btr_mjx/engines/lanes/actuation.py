@@ -13,10 +13,10 @@ import numpy as np
 
 from btr_mjx.engines.lanes import support
 from btr_mjx.engines.lanes.delays import delayed
-from btr_mjx.engines.lanes.kinematics import path_motion
+from btr_mjx.engines.lanes.kinematics import Motion, axis_angle, path_motion, quaternion_product, unit_quaternion
 from btr_mjx.engines.lanes.parameters import Parameters
-from btr_mjx.engines.lanes.scalars import Scalar, add, dot, is_zero, mul, sub, total
-from btr_mjx.engines.lanes.tree import FREE, Actuator, Tendon, TreePlan
+from btr_mjx.engines.lanes.scalars import Scalar, add, dot, is_zero, matvec, mul, neg, scale, sub, total
+from btr_mjx.engines.lanes.tree import BALL, FREE, Actuator, Tendon, TreePlan
 
 _DYN, _GAIN, _BIAS = mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
 
@@ -230,14 +230,22 @@ def _next_act(
     return following
 
 
-def springs(plan: TreePlan, parameters: Parameters, q: Sequence[Sequence[jax.Array]]) -> dict[int, Scalar]:
+def springs(
+    plan: TreePlan, parameters: Parameters, q: Sequence[Sequence[jax.Array]], motions: Sequence[Motion]
+) -> dict[int, Scalar]:
     """Spring force per dof [N or N m]; absent where a joint has no stiffness."""
     result: dict[int, Scalar] = {}
     coordinates = iter(q)
-    for link in plan.links:
+    for link, m in zip(plan.links, motions, strict=True):
         for n, joint in enumerate(link.joints):
             here, key = next(coordinates), f"{link.index}/joint{n}"
             if joint.kind == FREE or is_zero(parameters.one(f"{key}/stiffness")):
+                continue
+            if joint.kind == BALL:
+                w, *vector = parameters[f"{key}/spring"]
+                axis, angle = axis_angle(quaternion_product([w, *map(neg, vector)], unit_quaternion(here)))
+                torque = scale(mul(neg(parameters.one(f"{key}/stiffness")), angle), matvec(m.axes, axis))
+                result |= dict(zip(joint.dofs, torque, strict=True))
                 continue
             stretch = sub(here[0], parameters.one(f"{key}/spring"))
             result[joint.dofs[0]] = mul(mul(-1.0, parameters.one(f"{key}/stiffness")), stretch)

@@ -103,12 +103,13 @@ def contact_parameters(
         chosen = {key: value[0 if rank[0] > rank[1] else 1] for key, value in both.items()}
     else:
         chosen = _mix(fields("geom_solmix", first)[..., None], fields("geom_solmix", second)[..., None], both)
-    mu = np.maximum(_MINMU, chosen["friction"][..., 0:1])
+    friction = np.maximum(_MINMU, chosen["friction"][..., : max(1, condim // 2)])  # sliding, spinning, rolling
     owners = [int(model.geom_bodyid[geom]) for geom in (first, second)]
     weight = fields("body_invweight0", owners[0])[..., 0:1] + fields("body_invweight0", owners[1])[..., 0:1]
-    if condim == 3 and model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL:
+    if condim >= 3 and model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL:
+        mu = friction[..., :1]
         weight = weight * 2 * mu**2 * (1 + mu**2) / np.maximum(MINVAL, fields("opt.impratio")[..., None])
-    result = {"friction": mu, "scale": 1 / np.maximum(MINVAL, weight)}
+    result = {"friction": friction, "scale": 1 / np.maximum(MINVAL, weight)}
     result |= constraint_row(chosen["solref"], chosen["solimp"], model)
     return result | {"margin": (fields("geom_margin", first) + fields("geom_margin", second))[..., None]}
 

@@ -29,7 +29,7 @@ from btr_mjx.engines.lanes.scalars import (
     vsub,
 )
 from btr_mjx.engines.lanes.spatial import Block, Spatial, point_block, rigid_block
-from btr_mjx.engines.lanes.tree import FREE, TreePlan
+from btr_mjx.engines.lanes.tree import BALL, FREE, TreePlan
 
 _NO_COUPLING = [[0.0] * 3] * 3
 NO_BLOCK = Block([0.0] * 6, _NO_COUPLING, [0.0] * 6)
@@ -43,7 +43,7 @@ class System:
     blocks: list[Block]
     """B, per link, about its origin; it includes the entries of the dofs of a free joint."""
     diagonal: dict[int, Scalar]
-    """diag, per dof of hinges and slides; absent entries are zero."""
+    """diag, per dof of other joints; absent entries are zero."""
 
     def __add__(self, other: "System") -> "System":
         keys = sorted(self.diagonal.keys() | other.diagonal.keys())
@@ -91,15 +91,16 @@ def bias_wrenches(plan: TreePlan, parameters: Parameters, motions: Sequence[Moti
 
 def dof_system(plan: TreePlan, parameters: Parameters, motions: Sequence[Motion], what: str) -> System:
     """A coefficient per dof, "armature" or "damping", as a system."""
-    blocks, diagonal = [], {}
+    blocks: list[Block] = []
+    diagonal: dict[int, Scalar] = {}
     for link, m in zip(plan.links, motions, strict=True):
         block = NO_BLOCK
         for n, joint in enumerate(link.joints):
             values = parameters[f"{link.index}/joint{n}/{what}"]
             if joint.kind == FREE:
                 block = Block([*values[:3], 0.0, 0.0, 0.0], _NO_COUPLING, _turned_diagonal(m, values[3:]))
-            elif not is_zero(values[0]):
-                diagonal[joint.dofs[0]] = values[0]
+                continue
+            diagonal |= {k: value for k, value in zip(joint.dofs, values, strict=True) if not is_zero(value)}
         blocks.append(block)
     return System(blocks, diagonal)
 
@@ -112,22 +113,29 @@ def _turned_diagonal(m: Motion, values: Sequence[Scalar]) -> list[Scalar]:
 
 
 def local_rates(plan: TreePlan, motions: Sequence[Motion], x: Sequence[Scalar]) -> list[Scalar]:
-    """Dof accelerations in MuJoCo's convention: angular accelerations of free joints in link instead of world axes."""
-    return _turned_rates(plan, [transpose(m.rotation) for m in motions], x)
+    """Dof accelerations in MuJoCo's convention: angular accelerations of free and ball joints in link axes."""
+    x = _turned(plan, FREE, [transpose(m.rotation) for m in motions], x)
+    return _turned(plan, BALL, [transpose(m.axes) for m in motions], x)
 
 
 def world_rates(plan: TreePlan, motions: Sequence[Motion], x: Sequence[Scalar]) -> list[Scalar]:
-    """Dof accelerations with world axes, from MuJoCo's convention; inverse of `local_rates`."""
-    return _turned_rates(plan, [m.rotation for m in motions], x)
+    """Dof accelerations along the solver's axes, of free joints those of the world; inverse of `local_rates`."""
+    return ball_rates(plan, motions, _turned(plan, FREE, [m.rotation for m in motions], x))
 
 
-def _turned_rates(plan: TreePlan, turns: Sequence[Matrix], x: Sequence[Scalar]) -> list[Scalar]:
+def ball_rates(plan: TreePlan, motions: Sequence[Motion], x: Sequence[Scalar]) -> list[Scalar]:
+    """`world_rates` of ball joints, those of free joints as they are."""
+    return _turned(plan, BALL, [m.axes for m in motions], x)
+
+
+def _turned(plan: TreePlan, kind: int, turns: Sequence[Matrix], x: Sequence[Scalar]) -> list[Scalar]:
     result = list(x)
     for link, turn in zip(plan.links, turns, strict=True):
-        if link.joints[0].kind == FREE:
-            angular = link.joints[0].dofs[3:]
-            for k, value in zip(angular, matvec(turn, [x[k] for k in angular]), strict=True):
-                result[k] = value
+        for joint in link.joints:
+            if joint.kind == kind:
+                angular = joint.dofs[-3:]
+                for k, value in zip(angular, matvec(turn, [x[k] for k in angular]), strict=True):
+                    result[k] = value
     return result
 
 

@@ -27,7 +27,7 @@ from btr_mjx.engines.lanes.scalars import (
     vadd,
 )
 from btr_mjx.engines.lanes.spatial import Block, Spatial, propagate
-from btr_mjx.engines.lanes.tree import FREE, TreePlan
+from btr_mjx.engines.lanes.tree import BALL, FREE, TreePlan
 
 
 @dataclass(frozen=True)
@@ -106,6 +106,9 @@ def moved_coordinates(
     joints = [joint for link in plan.links for joint in link.joints]
     for joint, old in zip(joints, q, strict=True):
         speed = [v[k] for k in joint.dofs]
+        if joint.kind == BALL:
+            coordinates.append(_turned(unit_quaternion(old), speed, dt))
+            continue
         moved = vadd(old[: min(3, len(old))], scale(dt, speed[: min(3, len(old))]))
         if joint.kind == FREE:
             moved += _turned(unit_quaternion(old[3:]), speed[3:], dt)

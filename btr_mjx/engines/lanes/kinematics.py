@@ -5,7 +5,7 @@ float32 when a robot is far from the world's origin. The origin of a link is the
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
@@ -21,15 +21,17 @@ from btr_mjx.engines.lanes.scalars import (
     add,
     axis_rotation,
     cross,
+    dot,
     matmul,
     matvec,
     mul,
     neg,
     scale,
     sub,
+    tangents,
     vadd,
 )
-from btr_mjx.engines.lanes.tree import FREE, HINGE, Joint, Link, Path, TreePlan
+from btr_mjx.engines.lanes.tree import BALL, FREE, HINGE, Joint, Link, Path, TreePlan
 
 
 @dataclass
@@ -52,6 +54,8 @@ class Motion:
     """Acceleration of the origin when all joint accelerations are zero, minus gravity [m/s^2]."""
     columns: list[tuple[Vector, Vector]] = field(default_factory=list)
     """Per dof of the link: velocity of the origin and angular velocity that one unit of the dof's velocity causes."""
+    axes: Matrix = field(default_factory=lambda: UNIT)
+    """Rows: axes of the dofs of a ball joint, in link axes."""
 
 
 def unit_quaternion(q: Sequence[jax.Array]) -> list[jax.Array]:
@@ -68,6 +72,30 @@ def quaternion_matrix(q: Sequence[jax.Array]) -> list[list[jax.Array]]:
         [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
     ]
+
+
+def quaternion_product(p: Sequence[Scalar], q: Sequence[Scalar]) -> list[Scalar]:
+    """Product p q of two quaternions: rotation by q, then by p."""
+    vector = vadd(cross(p[1:], q[1:]), vadd(scale(p[0], q[1:]), scale(q[0], p[1:])))
+    return [sub(mul(p[0], q[0]), dot(p[1:], q[1:])), *vector]
+
+
+def axis_angle(q: Sequence[jax.Array]) -> tuple[list[Scalar], jax.Array]:
+    """Unit axis, and angle in [0, pi], of the rotation of a unit quaternion (mju_quat2Vel)."""
+    square = dot(q[1:], q[1:])
+    turned = square > 1e-30
+    sine = jnp.sqrt(jnp.where(turned, square, 1.0))
+    sign = jnp.where(q[0] < 0, -1.0, 1.0) / sine
+    axis = [jnp.where(turned, sign * x, unit) for x, unit in zip(q[1:], UNIT[0], strict=True)]
+    return axis, jnp.where(turned, 2.0 * jnp.arctan2(sine, jnp.abs(q[0])), 0.0)
+
+
+def ball_axes(joint: Joint, q: Sequence[jax.Array]) -> Matrix:
+    """Axes of the dofs of a ball joint in link axes, see `Joint.turned`."""
+    if not joint.turned:
+        return UNIT
+    axis, _ = axis_angle(unit_quaternion(q))
+    return [axis, *tangents(axis)]
 
 
 def world_motion(parameters: Parameters) -> Motion:
@@ -98,33 +126,61 @@ def _placed(parameters: Parameters, link: Link, parent: Motion) -> Motion:
     return Motion(turn, arm, ZERO, parent.angular_velocity, velocity, parent.angular_acceleration, acceleration)
 
 
-def _moved(parameters: Parameters, key: str, joint: Joint, q: jax.Array, v: jax.Array, m: Motion) -> Motion:
-    """Motion of a link after one more hinge or slide joint."""
-    angle = sub(q, parameters.one(f"{key}/ref"))
+def _moved(
+    parameters: Parameters, key: str, joint: Joint, q: Sequence[jax.Array], v: Sequence[jax.Array], m: Motion
+) -> Motion:
+    """Motion of a link after one more hinge, slide or ball joint."""
+    if joint.kind == BALL:
+        axes = ball_axes(joint, q)
+        anchor = matvec(m.rotation, parameters[f"{key}/pos"])
+        turn = matmul(m.rotation, quaternion_matrix(unit_quaternion(q)))
+        along = [matvec(turn, axis) for axis in axes]
+        moved = _pivoted(parameters[f"{key}/pos"], anchor, turn, along, matvec(axes, v), m)
+        return replace(moved, axes=axes)
+    angle = sub(q[0], parameters.one(f"{key}/ref"))
     axis = parameters[f"{key}/axis"]
-    turn: Matrix
-    spin: Vector
-    spin_rate: Vector
-    along = matvec(m.rotation, axis)
+    direction = matvec(m.rotation, axis)
     if joint.kind == HINGE:
         anchor = matvec(m.rotation, parameters[f"{key}/pos"])
         turn = matmul(m.rotation, axis_rotation(axis, jnp.sin(angle), jnp.cos(angle)))
-        lever = scale(-1.0, matvec(turn, parameters[f"{key}/pos"]))  # from the anchor to the origin, after the turn
-        velocity, acceleration = _carry(m, anchor)
-        rate = scale(v, along)
-        spin, spin_rate = vadd(m.angular_velocity, rate), vadd(m.angular_acceleration, cross(m.angular_velocity, rate))
-        at_anchor = Motion(turn, ZERO, ZERO, spin, velocity, spin_rate, acceleration)
-        velocity, acceleration = _carry(at_anchor, lever)
-        shift, column = vadd(anchor, lever), (cross(along, lever), along)
-    else:
-        shift = scale(angle, along)
-        velocity, acceleration = _carry(m, shift)
-        rate = scale(v, along)
-        velocity, acceleration = vadd(velocity, rate), vadd(acceleration, scale(2.0, cross(m.angular_velocity, rate)))
-        turn, spin, spin_rate, column = m.rotation, m.angular_velocity, m.angular_acceleration, (along, ZERO)
+        return _pivoted(parameters[f"{key}/pos"], anchor, turn, [direction], v, m)
+    shift = scale(angle, direction)
+    velocity, acceleration = _carry(m, shift)
+    rate = scale(v[0], direction)
+    velocity, acceleration = vadd(velocity, rate), vadd(acceleration, scale(2.0, cross(m.angular_velocity, rate)))
+    return _shifted(replace(m, velocity=velocity, acceleration=acceleration), shift, [(direction, ZERO)])
+
+
+def _pivoted(
+    pivot: Vector, anchor: Vector, turn: Matrix, axes: Sequence[Vector], speeds: Sequence[jax.Array], m: Motion
+) -> Motion:
+    """Motion of a link after a rotation.
+
+    Args:
+      pivot: fixed point, in link axes from the origin.
+      anchor: the same before the rotation, in world axes.
+      turn: rotation matrix of the link afterwards.
+      axes: of the rotation's dofs, in world axes.
+      speeds: their angular velocities.
+      m: motion before the rotation.
+    """
+    lever = scale(-1.0, matvec(turn, pivot))  # from the anchor to the origin, after the turn
+    velocity, acceleration = _carry(m, anchor)
+    rate: Vector = ZERO
+    for axis, speed in zip(axes, speeds, strict=True):
+        rate = vadd(rate, scale(speed, axis))
+    spin, spin_rate = vadd(m.angular_velocity, rate), vadd(m.angular_acceleration, cross(m.angular_velocity, rate))
+    at_anchor = Motion(turn, m.arm, ZERO, spin, velocity, spin_rate, acceleration, m.columns)
+    velocity, acceleration = _carry(at_anchor, lever)
+    shift, columns = vadd(anchor, lever), [(cross(axis, lever), axis) for axis in axes]
+    return _shifted(replace(at_anchor, velocity=velocity, acceleration=acceleration), shift, columns)
+
+
+def _shifted(m: Motion, shift: Vector, columns: Sequence[tuple[Vector, Vector]]) -> Motion:
+    """Motion with the origin moved by a joint, whose columns are added."""
     # Columns of earlier joints refer to the origin before the shift by this joint.
     earlier = [(vadd(linear, cross(angular, shift)), angular) for linear, angular in m.columns]
-    return Motion(turn, vadd(m.arm, shift), ZERO, spin, velocity, spin_rate, acceleration, [*earlier, column])
+    return replace(m, arm=vadd(m.arm, shift), columns=[*earlier, *columns])
 
 
 def motions(
@@ -135,7 +191,7 @@ def motions(
     Args:
       plan: the static plan.
       parameters: parameters of this chunk.
-      q: per joint of the plan, in link order, its coordinates: 7 for a free joint, else 1.
+      q: per joint of the plan, in link order, its coordinates: 7 for a free joint, 4 for a ball joint, else 1.
       v: velocity per dof of the plan, MuJoCo's conventions.
 
     Returns:
@@ -152,7 +208,7 @@ def motions(
             continue
         m = _placed(parameters, link, parent)
         for n, joint in enumerate(link.joints):
-            m = _moved(parameters, f"{link.index}/joint{n}", joint, next(coordinates)[0], v[joint.dofs[0]], m)
+            m = _moved(parameters, f"{link.index}/joint{n}", joint, next(coordinates), [v[k] for k in joint.dofs], m)
         m.position = vadd(parent.position, m.arm)
         found.append(m)
     return found

@@ -22,7 +22,7 @@ from btr_mjx.engines.lanes.contact_parameters import (
 )
 from btr_mjx.engines.lanes.fields import Fields, apply_matrix, rigid_pose, rigid_root, rotation_matrices
 from btr_mjx.engines.lanes.scalars import Scalar, constant
-from btr_mjx.engines.lanes.tree import FREE, Joint, TreePlan, massive_members, rigid_members
+from btr_mjx.engines.lanes.tree import BALL, FREE, Joint, TreePlan, massive_members, rigid_members
 
 
 def _inertia(model: mujoco.MjModel, fields: Fields, body: int) -> dict[str, np.ndarray]:
@@ -67,7 +67,7 @@ def _joint(model: mujoco.MjModel, fields: Fields, joint: Joint, j: int) -> dict[
     dof, adr = int(model.jnt_dofadr[j]), int(model.jnt_qposadr[j])
     dofs = slice(dof, dof + len(joint.dofs))
     result = {
-        "ref": fields("qpos0", slice(adr, adr + (7 if joint.kind == FREE else 1))),
+        "ref": fields("qpos0", slice(adr, adr + joint.coordinates)),
         "damping": fields("dof_damping", dofs),
         "armature": fields("dof_armature", dofs),
     }
@@ -75,27 +75,41 @@ def _joint(model: mujoco.MjModel, fields: Fields, joint: Joint, j: int) -> dict[
         result["damping"] = np.zeros((1, 1, len(joint.dofs)))
     if joint.kind == FREE:
         return result
+    if joint.turned:
+        for what in ("damping", "armature"):
+            if np.any(result[what] != result[what][..., :1]):
+                where = support.name(model, mujoco.mjtObj.mjOBJ_JOINT, j)
+                raise support.refuse(f"{what} that differs between the axes of a ball joint with a limit ({where})")
     axis = fields("jnt_axis", j)
-    result |= {"axis": axis, "pos": fields("jnt_pos", j), "spring": fields("qpos_spring", slice(adr, adr + 1))}
+    result |= {
+        "axis": axis,
+        "pos": fields("jnt_pos", j),
+        "spring": fields("qpos_spring", slice(adr, adr + joint.coordinates)),
+    }
     stiff = np.zeros((1, 1, 1)) if support.disabled(model, "SPRING") else fields("jnt_stiffness", slice(j, j + 1))
     result |= {"stiffness": stiff, "actfrcrange": fields("jnt_actfrcrange", j)}
     if joint.limited:
         row = constraint_row(fields("jnt_solref", j), fields("jnt_solimp", j), model)
         result |= {f"limit_{key}": value for key, value in row.items()}
-        result |= {"range": fields("jnt_range", j), "limit_margin": fields("jnt_margin", slice(j, j + 1))}
+        bounds = fields("jnt_range", j)
+        bounds = bounds.max(-1, keepdims=True) if joint.kind == BALL else bounds
+        result |= {"range": bounds, "limit_margin": fields("jnt_margin", slice(j, j + 1))}
         result["limit_scale"] = 1 / np.maximum(MINVAL, fields("dof_invweight0", slice(dof, dof + 1)))
     if joint.friction:
-        result |= _friction(model, fields, "dof", dof)
+        result |= _friction(model, fields, "dof", dofs)
     return result
 
 
-def _friction(model: mujoco.MjModel, fields: Fields, kind: str, index: int, suffix: str = "") -> dict[str, np.ndarray]:
-    """Friction loss of a dof or tendon."""
-    row = constraint_row(fields(f"{kind}_solref{suffix}", index), fields(f"{kind}_solimp{suffix}", index), model)
-    low, own = row["impedance"][..., 0:1], slice(index, index + 1)  # friction rows have zero violation
+def _friction(model: mujoco.MjModel, fields: Fields, kind: str, own: slice, suffix: str = "") -> dict[str, np.ndarray]:
+    """Friction loss of the dofs of a joint, or of a tendon."""
+    row = constraint_row(fields(f"{kind}_solref{suffix}", own), fields(f"{kind}_solimp{suffix}", own), model)
+    low = row["impedance"][..., 0]  # friction rows have zero violation
     weight = low / ((1 - low) * np.maximum(MINVAL, fields(f"{kind}_invweight0", own)))
-    loss = fields(f"{kind}_frictionloss", own)
-    return {"loss": loss, "loss_weight": weight, "loss_damping": row["reference"][..., 1:2]}
+    return {
+        "loss": fields(f"{kind}_frictionloss", own),
+        "loss_weight": weight,
+        "loss_damping": row["reference"][..., 1],
+    }
 
 
 def _tendon_limit(model: mujoco.MjModel, fields: Fields, t: int, side: int) -> dict[str, np.ndarray]:
@@ -203,7 +217,10 @@ def derive(
     limited = [(tendon.id, side) for tendon in plan.tendons if tendon.limited for side in (0, 1)]
     for name, rows in (
         ("tendon_limit", [_tendon_limit(model, fields, t, side) for t, side in limited]),
-        ("tendon_friction", [_friction(model, fields, "tendon", t.id, "_fri") for t in plan.tendons if t.friction]),
+        (
+            "tendon_friction",
+            [_friction(model, fields, "tendon", slice(t.id, t.id + 1), "_fri") for t in plan.tendons if t.friction],
+        ),
         ("equality", [_equality(model, fields, equality.id) for equality in plan.equalities]),
     ):
         if rows:

@@ -6,7 +6,7 @@ batch of C worlds is always the last axis. Products with a constant zero or one 
 the sparsity of axis-aligned geometry is used automatically.
 
 Vectors are lists of three scalars, matrices lists of three rows, symmetric matrices lists of six scalars in the order
-xx, yy, zz, xy, xz, yz.
+xx, yy, zz, xy, xz, yz; larger ones also have their diagonal first, then the rows to the right of it.
 """
 
 from collections.abc import Iterable, Sequence
@@ -147,6 +147,15 @@ def cross(a: Vector, b: Vector) -> list[Scalar]:
     ]
 
 
+def tangents(normal: Vector) -> list[list[Scalar]]:
+    """Two unit vectors that are normal to each unit vector `normal` and to each other (mju_makeFrame)."""
+    level = jnp.abs(normal[1]) < 0.5
+    guess = [0.0, jnp.where(level, 1.0, 0.0), jnp.where(level, 0.0, 1.0)]
+    tangent = vsub(guess, scale(dot(guess, normal), normal))
+    tangent = scale(jax.lax.rsqrt(dot(tangent, tangent)), tangent)
+    return [tangent, cross(normal, tangent)]
+
+
 def matvec(m: Matrix, v: Vector) -> list[Scalar]:
     """Matrix times vector."""
     return [dot(row, v) for row in m]
@@ -164,9 +173,20 @@ def matmul(a: Matrix, b: Matrix) -> list[list[Scalar]]:
 
 
 def full(s: Symmetric) -> list[list[Scalar]]:
-    """The three rows of a symmetric matrix."""
-    xx, yy, zz, xy, xz, yz = s
-    return [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+    """The rows of a symmetric matrix."""
+    n = int((2 * len(s)) ** 0.5)
+    rest = iter(s[n:])
+    rows: list[list[Scalar]] = [[0.0] * n for _ in range(n)]
+    for i in range(n):
+        rows[i][i] = s[i]
+        for j in range(i + 1, n):
+            rows[i][j] = rows[j][i] = next(rest)
+    return rows
+
+
+def padded(v: Vector, size: int) -> list[Scalar]:
+    """The elements and as many zeros as are missing, if any."""
+    return [*v, *[0.0] * (size - len(v))]
 
 
 def sandwich(m: Matrix, s: Symmetric) -> list[Scalar]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from btr_mjx.engines.lanes.actuation import group_rows
 from btr_mjx.engines.lanes.constraints.solver import Zones
-from btr_mjx.engines.lanes.tree import FREE, Joint, TreePlan
+from btr_mjx.engines.lanes.tree import Joint, TreePlan
 
 
 @jax.tree_util.register_dataclass
@@ -19,7 +19,7 @@ class LanesState:
     """State of a chunk of C worlds; every array is (C,), or (G, C) for the members of a group."""
 
     q: list[list[jax.Array]]
-    """Per joint of the plan: 7 coordinates of a free joint (position, unit quaternion), else 1."""
+    """Per joint of the plan: position and unit quaternion of a free joint, the latter of a ball joint, else one."""
     v: list[jax.Array]
     """Velocity per dof, MuJoCo's conventions."""
     act: list[jax.Array]
@@ -57,7 +57,7 @@ def split_rows(
     q, v, acts = [], [], [jnp.zeros(0)] * plan.states
     for joint in _joints(plan):
         positions, dofs = (np.array([adr[j] for j in joint.ids]) for adr in (model.jnt_qposadr, model.jnt_dofadr))
-        q.append([group_rows(qpos, positions + i) for i in range(7 if joint.kind == FREE else 1)])
+        q.append([group_rows(qpos, positions + i) for i in range(joint.coordinates)])
         v += [group_rows(qvel, dofs + i) for i in range(len(joint.dofs))]
     act = jnp.zeros((model.na, qpos.shape[-1]), qpos.dtype) if act is None else act
     for a in plan.actuators:

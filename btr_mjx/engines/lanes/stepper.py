@@ -30,6 +30,7 @@ from btr_mjx.engines.lanes.constraints.solver import (
 )
 from btr_mjx.engines.lanes.dynamics import (
     System,
+    ball_rates,
     bias_wrenches,
     dof_system,
     drag,
@@ -44,7 +45,7 @@ from btr_mjx.engines.lanes.kinematics import Motion, motions
 from btr_mjx.engines.lanes.parameters import Parameters, derive, split_constants
 from btr_mjx.engines.lanes.scalars import add, array, group_sum, scale, total, vadd, vsub
 from btr_mjx.engines.lanes.state import LanesState, activations_in_order, dofs_in_order, positions_in_order, split_rows
-from btr_mjx.engines.lanes.tree import FREE, has_constraints, make_plan
+from btr_mjx.engines.lanes.tree import BALL, FREE, has_constraints, make_plan
 from btr_mjx.engines.rewriting import retrace
 
 
@@ -69,7 +70,7 @@ class _Forward:
 class LanesStepper:
     """MuJoCo steps for chunks of worlds whose models differ only in the values of some fields.
 
-    Supports trees of free, hinge and slide joints in contact with planes and with each other; see
+    Supports trees of free, ball, hinge and slide joints in contact with planes and with each other; see
     `support.require_supported`. The solver runs to convergence, independent of the model's iteration limits and
     tolerances.
     """
@@ -154,7 +155,8 @@ class LanesStepper:
           name -> list of arrays with leading axis N; `initial` and `step` take one slice of it.
 
         Raises:
-          UnsupportedModel: a free joint has stiffness or friction loss.
+          UnsupportedModel: a free joint has stiffness or friction loss, or a ball joint with a limit has friction loss
+            or differs between its axes.
           ValueError: a field of `varying` is missing, a field is given that does not vary, or a shape is wrong.
         """
         if {name for name in leaves if influences_motion(name)} != set(self._masks):
@@ -162,10 +164,12 @@ class LanesStepper:
         for name, mask in self._masks.items():
             if leaves[name].shape[2:] != mask.shape:
                 raise ValueError(f"field {name!r} has shape {leaves[name].shape}, expected (N, C, *{mask.shape})")
-        free = np.asarray(self._model.jnt_type) == FREE
-        for name, where in (("jnt_stiffness", free), ("dof_frictionloss", free[self._model.dof_jntid])):
+        kinds, limited = np.asarray(self._model.jnt_type), np.asarray(self._model.jnt_limited) != 0
+        free = kinds == FREE
+        smooth = (free | ((kinds == BALL) & limited))[self._model.dof_jntid]
+        for name, where in (("jnt_stiffness", free), ("dof_frictionloss", smooth)):
             if name in self._masks and np.any(leaves[name][..., where]):
-                raise support.refuse(f"{name} of a free joint")
+                raise support.refuse(f"{name} of a free joint, or of a ball joint with a limit")
         _, arrays = split_constants(
             derive(self._model, self.plan, Fields(self._model, self._masks, leaves), self.geoms, self.between)
         )
@@ -206,7 +210,7 @@ class LanesStepper:
             self.between, self._owners, self._columns, parameters, placed, moving, speeds, self._elliptic, self._dtype
         )
         found: list[Constraint] = [
-            *dof_constraints(self.plan, parameters, q, v),
+            *dof_constraints(self.plan, parameters, q, speeds),
             *contact_points(self.plan, parameters, moving, self._elliptic, self._dtype),
             *between,
             *path_rows(self.plan, self._columns, parameters, q, v, self._dtype),
@@ -275,14 +279,14 @@ class LanesStepper:
         damping = dof_system(plan, parameters, moving, "damping")
         actuation = actuate(model, plan, parameters, q, v, state.act, state.history, ctrl)
         moves = [(m.velocity, m.angular_velocity) for m in moving]
-        wrenches, tau = opposing_forces(damping, moves, v)
+        wrenches, tau = opposing_forces(damping, moves, ball_rates(plan, moving, v))
         bias = bias_wrenches(plan, parameters, moving)
         wrenches = [(vsub(f, g), vsub(n, o)) for (f, n), (g, o) in zip(wrenches, bias, strict=True)]
         medium = drag(plan, parameters, moving)
         if medium is not None:
             wrenches = [(vadd(f, g), vadd(n, o)) for (f, n), (g, o) in zip(wrenches, medium[0], strict=True)]
         passive = tendon_forces(model, plan, q, v) if plan.tendons else {}
-        for force in (actuation.force, springs(plan, parameters, q), passive):
+        for force in (actuation.force, springs(plan, parameters, q, moving), passive):
             tau = {k: add(tau.get(k, 0.0), force.get(k, 0.0)) for k in sorted(tau.keys() | force.keys())}
         placed = self._placed(parameters, moving, state.tripped.shape[-1])
         constraints, doubtful = self._constraints(parameters, q, v, moving, placed)

@@ -18,12 +18,12 @@ from btr_mjx.engines.guards.pairs import (
     geom_pairs,
     mixed_condim,
 )
-from btr_mjx.engines.lanes.tree import active_equalities, make_plan, moving_tendons
+from btr_mjx.engines.lanes.tree import BALL, FREE, active_equalities, make_plan, moving_tendons
 
 MAX_DOFS = 32
 """Dofs of the plan above which the program takes many minutes to compile."""
 
-_JOINT, _DYN, _GAIN, _BIAS = mujoco.mjtJoint, mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
+_DYN, _GAIN, _BIAS = mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 _JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _DISABLE, _ENABLE = mujoco.mjtDisableBit, mujoco.mjtEnableBit
@@ -152,11 +152,11 @@ def _check_elements(m: mujoco.MjModel) -> Iterator[str]:
 def _check_joints(m: mujoco.MjModel) -> Iterator[str]:
     for j in range(m.njnt):
         where = name(m, mujoco.mjtObj.mjOBJ_JOINT, j)
-        if m.jnt_type[j] == _JOINT.mjJNT_BALL:
-            yield f"ball joints ({where})"
-        if m.jnt_type[j] != _JOINT.mjJNT_FREE:
+        dofs = m.dof_jntid == j
+        if m.jnt_type[j] == BALL and m.jnt_limited[j] and m.dof_frictionloss[dofs].any():
+            yield f"friction loss of a ball joint with a limit ({where})"
+        if m.jnt_type[j] != FREE:
             continue
-        dofs = slice(int(m.jnt_dofadr[j]), int(m.jnt_dofadr[j]) + 6)
         if m.jnt_stiffness[j]:
             yield f"stiffness of a free joint ({where})"
         if m.dof_frictionloss[dofs].any():
@@ -170,8 +170,8 @@ def _check_actuators(m: mujoco.MjModel) -> Iterator[str]:
             yield f"transmission {mujoco.mjtTrn(m.actuator_trntype[a]).name} ({where})"
             continue
         on_joint = m.actuator_trntype[a] != _TENDON
-        if on_joint and m.jnt_type[m.actuator_trnid[a, 0]] == _JOINT.mjJNT_FREE:
-            yield f"actuation of a free joint ({where})"
+        if on_joint and m.jnt_type[m.actuator_trnid[a, 0]] in (FREE, BALL):
+            yield f"actuation of a free or ball joint ({where})"
         dynamics, gain, bias = int(m.actuator_dyntype[a]), int(m.actuator_gaintype[a]), int(m.actuator_biastype[a])
         if dynamics not in (
             _DYN.mjDYN_NONE,
@@ -240,7 +240,7 @@ def possible_contacts(m: mujoco.MjModel) -> Contacts:
     found = Contacts({}, [], [])
     for pair in geom_pairs(m):
         condim = mixed_condim(m, pair)
-        reason = _not_computed(m, pair, condim)
+        reason = _not_computed(m, pair)
         if reason:
             found.guarded.append(Guarded(pair, f"{reason} ({_both(m, pair.first, pair.second)})"))
         elif m.geom_type[pair.first] == PLANE:
@@ -254,7 +254,7 @@ def _both(m: mujoco.MjModel, g1: int, g2: int) -> str:
     return f"{name(m, mujoco.mjtObj.mjOBJ_GEOM, g1)} and {name(m, mujoco.mjtObj.mjOBJ_GEOM, g2)}"
 
 
-def _not_computed(m: mujoco.MjModel, pair: GeomPair, condim: int) -> str:
+def _not_computed(m: mujoco.MjModel, pair: GeomPair) -> str:
     """Why a contact is not computed; empty if it is."""
     if pair.explicit >= 0:
         return "explicit contact pairs"
@@ -266,4 +266,4 @@ def _not_computed(m: mujoco.MjModel, pair: GeomPair, condim: int) -> str:
             return f"contact of {mujoco.mjtGeom(m.geom_type[pair.second]).name} with a plane"
     elif not kinds <= {SPHERE, CAPSULE}:
         return "contact between geoms other than spheres, capsules and planes"
-    return "" if condim in (1, 3) else f"condim {condim}, torsional and rolling friction"
+    return ""

@@ -13,7 +13,9 @@ import mujoco
 import numpy as np
 
 FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+_WIDTHS = {FREE: (7, 6), BALL: (4, 3)}  # coordinates and dofs; others have one of each
 
 type Path = tuple[tuple[int, float], ...]
 """MuJoCo joints and their weights: the length of a fixed tendon is the weighted sum of their coordinates."""
@@ -36,7 +38,7 @@ class Joint:
     """The same joint of every member of a group."""
 
     kind: int
-    """mujoco.mjtJoint: free, slide or hinge."""
+    """mujoco.mjtJoint."""
     ids: tuple[int, ...]
     """MuJoCo joint of each member."""
     dofs: tuple[int, ...]
@@ -45,6 +47,19 @@ class Joint:
     friction: bool
     """Whether some member has, or may have, friction loss."""
     actuators: tuple[Actuator, ...]
+
+    @property
+    def coordinates(self) -> int:
+        """Number of coordinates of one member."""
+        return _WIDTHS.get(self.kind, (1, 1))[0]
+
+    @property
+    def turned(self) -> bool:
+        """Whether this is a ball joint with a limit.
+
+        The first of the solver's dofs is then along the axis of the rotation, so that the limit acts on a single dof.
+        """
+        return self.kind == BALL and self.limited
 
 
 @dataclass(frozen=True)
@@ -58,7 +73,7 @@ class Touch:
     kind: int
     """mujoco.mjtGeom: sphere, capsule, box, cylinder or ellipsoid."""
     condim: int
-    """1 or 3, after MuJoCo's mixing of both geoms."""
+    """After MuJoCo's mixing of both geoms."""
 
 
 @dataclass(frozen=True)
@@ -203,7 +218,10 @@ class _Builder:
           tendon_friction: bool (ntendon,), the same of tendons.
         """
         self.model, self.pairs, self.friction, self.tendon_friction = model, pairs, friction, tendon_friction
-        self.limits = has_constraints(model, "LIMIT")
+        self.limited, self.tendon_limited = (
+            has_constraints(model, "LIMIT") & (np.asarray(field) != 0)
+            for field in (model.jnt_limited, model.tendon_limited)
+        )
         self.links: list[Link] = []
         self.dof_size: list[int] = []
         self.states = 0
@@ -232,12 +250,14 @@ class _Builder:
             g for g in range(self.model.ngeom) if self.model.geom_bodyid[g] in self.members[body] and g in self.pairs
         ]
 
+    def _has_friction(self, joint: int) -> bool:
+        return bool(self.friction[self.model.dof_jntid == joint].any())
+
     def _signature(self, body: int) -> str:
         """Text that is equal for subtrees that can form a group: a digest, since it contains those of the children."""
         m = self.model
         joints = []
         for j in self._joints(body):
-            dof = int(m.jnt_dofadr[j])
             acts = [
                 (
                     int(m.actuator_dyntype[a]),
@@ -255,9 +275,9 @@ class _Builder:
             joints.append(
                 (
                     int(m.jnt_type[j]),
-                    bool(m.jnt_limited[j]),
+                    bool(self.limited[j]),
                     bool(m.jnt_actfrclimited[j]),
-                    bool(self.friction[dof]),
+                    self._has_friction(j),
                     acts,
                 )
             )
@@ -273,14 +293,14 @@ class _Builder:
         for slot in zip(*(self._joints(b) for b in bodies), strict=True):
             kind = int(m.jnt_type[slot[0]])
             dofs = []
-            for _ in range(6 if kind == FREE else 1):
+            for _ in range(_WIDTHS.get(kind, (1, 1))[1]):
                 dofs.append(len(self.dof_size))
                 self.dof_size.append(size)
             actuators = tuple(
                 self._actuator(ids) for ids in zip(*(self.actuators.get(j, []) for j in slot), strict=True)
             )
-            limited, friction = self.limits and m.jnt_limited[slot[0]], self.friction[m.jnt_dofadr[slot[0]]]
-            joints.append(Joint(kind, slot, tuple(dofs), bool(limited), bool(friction), actuators))
+            limited, friction = bool(self.limited[slot[0]]), self._has_friction(slot[0])
+            joints.append(Joint(kind, slot, tuple(dofs), limited, friction, actuators))
         touches = [
             Touch(plane, geoms, int(m.geom_type[geoms[0]]), condim)
             for geoms in zip(*(self._touching(b) for b in bodies), strict=True)
@@ -321,8 +341,8 @@ class _Builder:
         m = self.model
         driving = (m.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON) & (m.actuator_trnid[:, 0] == t)
         actuators = tuple(self._actuator((a,)) for a in np.flatnonzero(driving).tolist())
-        limited, friction = self.limits and m.tendon_limited[t], self.tendon_friction[t]
-        return Tendon(t, self._path(t), bool(limited), bool(friction), actuators)
+        limited, friction = bool(self.tendon_limited[t]), bool(self.tendon_friction[t])
+        return Tendon(t, self._path(t), limited, friction, actuators)
 
     def _path(self, t: int) -> Path:
         m = self.model

@@ -32,8 +32,10 @@ from btr_mjx.engines.lanes.scalars import (
     group_sum,
     mul,
     neg,
+    padded,
     scale,
     sub,
+    tangents,
     total,
     vadd,
     vsub,
@@ -84,8 +86,8 @@ class Coupling:
     """Dofs that move one body of some pair and not the other, or that are in some row."""
     jacobian: Sequence[Vector]
     """Per row of the cone that is not always zero and per column, (K, C) or (K, 1): for contacts the motion of the
-    second body's contact point relative to the first's in the contact frame, per unit of the dof's velocity (of a free
-    joint in world axes)."""
+    second body's contact point relative to the first's in the contact frame, and its rotation, per unit of the dof's
+    velocity (of a free joint in world axes)."""
     cone: Cone
     """Its normal points from the first to the second body."""
 
@@ -96,13 +98,13 @@ class Coupling:
 
     @property
     def rows(self) -> int:
-        """Rows of the cone that are not always zero: 1 or 3."""
+        """Rows of the cone that are not always zero: the condim."""
         return len(self.jacobian)
 
     def acceleration(self, a: Sequence[Scalar]) -> list[Scalar]:
         """Relative acceleration of the bodies at the contact points in contact frames, from that of the dofs."""
         own = [member(a[column.dof], column.member) for column in self.columns]
-        return [*(dot(row, own) for row in self.jacobian), 0.0, 0.0][:3]
+        return padded([dot(row, own) for row in self.jacobian], 3)
 
     def forces(self, force: Vector) -> list[tuple[Column, Scalar]]:
         """Forces along dofs, (C,), of contact forces in contact frames."""
@@ -225,12 +227,12 @@ class _Touching:
             return [of(x) for x in self.parameters[f"{self.key}/{name}"]]
 
         beyond, normal, point = of(self.beyond), [of(x) for x in self.normal], [of(x) for x in self.point]
-        frame = [normal, *_tangents(normal)]
+        frame = [normal, *tangents(normal)]
         imp = impedance(given("impedance"), beyond)
         weight = jnp.where(filled, mul(given("scale")[0], imp / (1.0 - imp)), 0).astype(dtype)
         one, other = (jnp.asarray(side, jnp.int32)[index] for side in bodies)
-        rows = frame[: 1 if self.condim == 1 else 3]
-        jacobian: list[list[Scalar]] = [[] for _ in rows]
+        shifts, turns = frame[: min(3, self.condim)], frame[: max(0, self.condim - 3)]
+        jacobian: list[list[Scalar]] = [[] for _ in range(self.condim)]
         for column in moving:
             linear, angular = (
                 [member(x, column.member) for x in part] for part in motions[column.link].columns[column.axis]
@@ -239,24 +241,16 @@ class _Touching:
             moved = vadd(linear, cross(angular, vsub(point, origin)))
             first, second = ((body >= column.first) & (body <= column.last) for body in (one, other))
             sign = second.astype(dtype) - first.astype(dtype)
-            for row, axis in zip(jacobian, rows, strict=True):
-                row.append(mul(sign, dot(axis, moved)))
+            along = [(axis, moved) for axis in shifts] + [(axis, angular) for axis in turns]
+            for row, (axis, rate) in zip(jacobian, along, strict=True):
+                row.append(mul(sign, dot(axis, rate)))
         stiffness, damping = given("reference")
         velocity = [dot(row, [member(v[column.dof], column.member) for column in moving]) for row in jacobian]
-        reference = [*scale(neg(damping), velocity), 0.0, 0.0][:3]
+        reference = padded(scale(neg(damping), velocity), 3)
         reference[0] = sub(reference[0], mul(mul(stiffness, imp), beyond))
         impratio = self.parameters.one("world/impratio") if elliptic else None
-        cone = make_cone(self.condim, frame, given("friction")[0], weight, reference, impratio, dtype)
+        cone = make_cone(self.condim, frame, given("friction"), weight, reference, impratio, dtype)
         return Coupling(moving, jacobian, cone)
-
-
-def _tangents(normal: Vector) -> list[list[Scalar]]:
-    """Two tangents of each normal, as mju_makeFrame."""
-    level = jnp.abs(normal[1]) < 0.5
-    guess = [0.0, jnp.where(level, 1.0, 0.0), jnp.where(level, 0.0, 1.0)]
-    tangent = vsub(guess, scale(dot(guess, normal), normal))
-    tangent = scale(jax.lax.rsqrt(dot(tangent, tangent)), tangent)
-    return [tangent, cross(normal, tangent)]
 
 
 def _nearest(a: Shapes, b: Shapes, eps: float) -> tuple[list[Scalar], list[Scalar], jax.Array, jax.Array]:

@@ -1,7 +1,7 @@
 """Contact forces at one point: frictionless, pyramidal and elliptic friction cones (mj_constraintUpdate).
 
 A contact force depends on the acceleration of the contact point only. Within one zone of the cone (separated, sticking,
-sliding, ...) it is linear in that acceleration: a 3x3 stiffness and a force, both exact for the zone. The contact
+sliding, ...) it is linear in that acceleration: a stiffness and a force, both exact for the zone. The contact
 Jacobian is never formed.
 """
 
@@ -9,6 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
+from itertools import combinations, combinations_with_replacement
 from typing import Any, ClassVar
 
 import jax
@@ -22,11 +23,15 @@ from btr_mjx.engines.lanes.scalars import (
     Vector,
     add,
     cross,
+    dot,
     full,
+    matmul,
     matvec,
     mul,
+    padded,
     sandwich,
     sub,
+    total,
     transpose,
     vadd,
     vsub,
@@ -73,30 +78,42 @@ def _below(x: jax.Array, limit: Scalar) -> jax.Array:
     return sub(x, limit) <= 0
 
 
+_KINDS = (0, 0, 1, 2, 2)
+"""Friction of each row but the first: sliding along two tangents, spinning, rolling about both tangents."""
+
+
 @dataclass
 class Cone(ABC):
-    """The force law of contact points, one for each element; inactive in worlds where `weight` is zero."""
+    """The force law of contact points, one for each element; inactive in worlds where `weight` is zero.
+
+    Rows are the normal, and as far as the contact has them two tangents, the rotation about the normal, and those about
+    the tangents.
+    """
 
     frame: Matrix
     """Rows: normal and two tangents."""
-    friction: Scalar
+    friction: Vector
+    """Coefficients of sliding, of spinning [m] and of rolling [m], as far as the contact has them."""
     weight: Scalar
     """Inverse regularisation D of each row [kg]; of the normal row for an elliptic cone."""
     reference: Vector
-    """Reference acceleration along the rows of the frame [m/s^2]."""
+    """Reference acceleration along the rows [m/s^2 or rad/s^2]."""
 
-    flags: ClassVar[int] = 0
-    """Number of coefficients of a zone if each is either the weight or zero (they can be stored as bools); else 0."""
     quadratic: ClassVar[bool] = True
     """Whether the cost is quadratic within a zone."""
 
+    @property
+    def flags(self) -> int:
+        """Number of coefficients of a zone if each is the weight or zero (they can be stored as bools); else 0."""
+        return 0
+
     @abstractmethod
     def model(self, a: Vector) -> ZoneModel:
-        """Zone of the cone at contact-frame acceleration `a`."""
+        """Zone of the cone at acceleration `a` along the rows."""
 
     @abstractmethod
     def linear(self, model: ZoneModel) -> tuple[Symmetric, Vector]:
-        """Stiffness and force of a zone in the contact frame: at `a` the contact force is force - stiffness a."""
+        """Stiffness and force of a zone along the rows: at `a` the contact force is force - stiffness a."""
 
     def same_zone(self, old: ZoneModel, new: ZoneModel) -> jax.Array:
         """Whether two zones are the same."""
@@ -106,7 +123,10 @@ class Cone(ABC):
 class Frictionless(Cone):
     """A contact with a normal row only."""
 
-    flags: ClassVar[int] = 1
+    @property
+    def flags(self) -> int:
+        """See `Cone.flags`."""
+        return 1
 
     def model(self, a: Vector) -> ZoneModel:
         """Weight of the normal row if it is active, else zero."""
@@ -119,17 +139,20 @@ class Frictionless(Cone):
 
 @dataclass
 class Pyramid(Cone):
-    """A contact with the four edges of a friction pyramid."""
-
-    flags: ClassVar[int] = 4
+    """A contact with a friction pyramid: two opposite edges for each row but the first."""
 
     def __post_init__(self) -> None:
         self._references = self._edges(self.reference)  # once, not in every iteration
 
+    @property
+    def flags(self) -> int:
+        """See `Cone.flags`."""
+        return 2 * (len(self.reference) - 1)
+
     def _edges(self, a: Vector) -> list[Scalar]:
-        """Components along the four edges."""
-        p, q = mul(self.friction, a[1]), mul(self.friction, a[2])
-        return [add(a[0], p), sub(a[0], p), add(a[0], q), sub(a[0], q)]
+        """Components along the edges."""
+        sides = [mul(self.friction[kind], x) for kind, x in zip(_KINDS, a[1:], strict=False)]
+        return [edge(a[0], side) for side in sides for edge in (add, sub)]
 
     def model(self, a: Vector) -> ZoneModel:
         """Weights of the active edges, zero for the others."""
@@ -138,10 +161,13 @@ class Pyramid(Cone):
 
     def linear(self, model: ZoneModel) -> tuple[Symmetric, Vector]:
         """See `Cone.linear`."""
-        mu, (w0, w1, w2, w3) = self.friction, model
-        pair1, pair2, skew1, skew2 = add(w0, w1), add(w2, w3), mul(mu, sub(w0, w1)), mul(mu, sub(w2, w3))
-        square = mul(mu, mu)
-        stiffness = [add(pair1, pair2), mul(square, pair1), mul(square, pair2), skew1, skew2, 0.0]
+        edges = list(zip(model[::2], model[1::2], strict=True))
+        pairs = [add(one, other) for one, other in edges]
+        skews = [mul(self.friction[kind], sub(*edge)) for kind, edge in zip(_KINDS, edges, strict=False)]
+        squares = [mul(mu, mu) for mu in self.friction]
+        diagonal = [total(pairs), *(mul(squares[kind], pair) for kind, pair in zip(_KINDS, pairs, strict=False))]
+        n = len(diagonal)
+        stiffness = padded([*diagonal, *skews], n * (n + 1) // 2)
         return stiffness, matvec(full(stiffness), self.reference)
 
 
@@ -156,12 +182,13 @@ class Ellipse(Cone):
     quadratic: ClassVar[bool] = False
 
     def model(self, a: Vector) -> ZoneModel:
-        """Stiffness (six coefficients) and force (three), linearised at `a`."""
-        mu, ratio = self.friction, jnp.sqrt(jnp.asarray(self.impratio, self.weight.dtype))
+        """Stiffness and force, linearised at `a`."""
+        kinds = _KINDS[: len(self.reference) - 1]
+        mu, ratio = self.friction[0], jnp.sqrt(jnp.asarray(self.impratio, self.weight.dtype))
         cone = mu / ratio  # slope of the regularised cone
         jar = vsub(a, self.reference)
-        n, u, w = mul(jar[0], cone), mul(jar[1], mu), mul(jar[2], mu)
-        square = add(mul(u, u), mul(w, w))
+        n, sides = mul(jar[0], cone), [mul(x, self.friction[kind]) for kind, x in zip(kinds, jar[1:], strict=True)]
+        square = dot(sides, sides)
         slides = square > 0
         t = jnp.sqrt(jnp.where(slides, square, 1.0)) * slides
         separated = (n >= cone * t) & (slides | (n >= 0))
@@ -171,36 +198,47 @@ class Ellipse(Cone):
         inverse = 1.0 / jnp.where(slides, t, 1.0)
         gap = n - cone * t
         push = -strength * gap * cone
-        e1, e2 = u * inverse, w * inverse  # direction of sliding
+        along = [x * inverse for x in sides]  # direction of sliding
         bend = cone * n * inverse
-        side = strength * mu * mu
+        pairs = combinations_with_replacement(range(len(self.friction)), 2)
+        side = {(k, m): strength * self.friction[k] * self.friction[m] for k, m in pairs}
+        rows = list(zip(kinds, along, strict=True))
         hessian = [
             strength * cone * cone,
-            side * (bend * e1 * e1 + cone * cone - bend),
-            side * (bend * e2 * e2 + cone * cone - bend),
-            -strength * cone * mu * cone * e1,
-            -strength * cone * mu * cone * e2,
-            side * bend * e1 * e2,
+            *(side[k, k] * (bend * e * e + cone * cone - bend) for k, e in rows),
+            *(-strength * cone * self.friction[k] * cone * e for k, e in rows),
+            *(side[k, m] * bend * e * f for (k, e), (m, f) in combinations(rows, 2)),
         ]
-        slide_force = vadd([push, -push * e1 * mu, -push * e2 * mu], matvec(full(hessian), a))
-        across = self.weight * (ratio * ratio)
-        stick = [self.weight, across, across, 0.0, 0.0, 0.0]
+        pushes = [push, *(-push * e * self.friction[k] for k, e in rows)]
+        slide_force = vadd(pushes, matvec(full(hessian), a))
+        across = [self.weight * (ratio * ratio)]
+        across += [across[0] * (other / mu) ** 2 for other in self.friction[1:]]
+        stick = padded([self.weight, *(across[kind] for kind in kinds)], len(hessian))
         stick_force = matvec(full(stick), self.reference)
-        pairs = zip([*stick, *stick_force], [*hessian, *slide_force], strict=True)
-        return tuple(jnp.where(separated, 0, jnp.where(sticks, x, y)) for x, y in pairs)
+        both = zip([*stick, *stick_force], [*hessian, *slide_force], strict=True)
+        return tuple(jnp.where(separated, 0, jnp.where(sticks, x, y)) for x, y in both)
 
     def linear(self, model: ZoneModel) -> tuple[Symmetric, Vector]:
         """See `Cone.linear`."""
-        return model[:6], model[6:]
+        forces = len(model) - len(self.reference)
+        return model[:forces], model[forces:]
 
     def same_zone(self, old: ZoneModel, new: ZoneModel) -> jax.Array:
         """Whether two linearisations agree to the tolerance."""
+        if len(self.friction) > 1:
+            old, new = self._scaled(old), self._scaled(new)
         same = []
-        for part in (slice(0, 6), slice(6, 9)):
-            size = reduce(jnp.maximum, [jnp.abs(x) for x in new[part]])
-            change = reduce(jnp.maximum, [jnp.abs(x - y) for x, y in zip(old[part], new[part], strict=True)])
+        for one, other in zip(self.linear(old), self.linear(new), strict=True):
+            size = reduce(jnp.maximum, [jnp.abs(x) for x in other])
+            change = reduce(jnp.maximum, [jnp.abs(x - y) for x, y in zip(one, other, strict=True)])
             same.append(~(change > self.tolerance * size))
         return same[0] & same[1]
+
+    def _scaled(self, model: ZoneModel) -> ZoneModel:
+        """Coefficients over the friction of their rows: those of rolling are much smaller than those of sliding."""
+        inverse = [1.0 / self.friction[kind] for kind in (0, *_KINDS[: len(self.reference) - 1])]
+        scales = [x * x for x in inverse] + [x * y for x, y in combinations(inverse, 2)] + inverse
+        return tuple(mul(s, x) for s, x in zip(scales, model, strict=True))
 
 
 @dataclass
@@ -213,35 +251,48 @@ class Contact:
     cone: Cone
 
     def acceleration(self, spatial: Spatial) -> list[Scalar]:
-        """Contact-frame acceleration of the point from the spatial acceleration of its link."""
+        """Acceleration along the rows of the cone from the spatial acceleration of its link."""
         linear, angular = spatial
-        return matvec(self.cone.frame, vadd(linear, cross(angular, self.x)))
+        turning = self.cone.frame[: len(self.cone.reference) - 3]
+        return [*matvec(self.cone.frame, vadd(linear, cross(angular, self.x))), *matvec(turning, angular)]
 
     def effect(self, model: ZoneModel) -> tuple[Block, Spatial]:
         """Stiffness block and wrench about the link's origin for a zone."""
         stiffness, force = self.cone.linear(model)
         across = transpose(self.cone.frame)
-        f = matvec(across, force)
-        return point_block(sandwich(across, stiffness), self.x), (f, cross(self.x, f))
+        f = matvec(across, force[:3])
+        if len(force) == 3:
+            return point_block(sandwich(across, stiffness), self.x), (f, cross(self.x, f))
+        rows = [padded(row, 6) for row in full(stiffness)]
+        rows += [[0.0] * 6] * (6 - len(rows))
+        linear, angular = (sandwich(across, _packed([row[k : k + 3] for row in rows[k : k + 3]])) for k in (0, 3))
+        mixed = matmul(across, matmul([row[3:] for row in rows[:3]], self.cone.frame))
+        torque = vadd(matvec(across, padded(force[3:], 3)), cross(self.x, f))
+        return Block(linear, mixed, angular).shifted(self.x), (f, torque)
+
+
+def _packed(m: Matrix) -> list[Scalar]:
+    """A symmetric 3x3 matrix from its rows."""
+    return [m[i][j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
 
 
 def make_cone(
     condim: int,
     frame: Matrix,
-    friction: Scalar,
+    friction: Vector,
     weight: Scalar,
     reference: Vector,
     impratio: Scalar | None,
     dtype: Any,
 ) -> Cone:
-    """The force law of contact points of condim 1 or 3.
+    """The force law of contact points.
 
     Args:
       condim: 1 for a normal force only.
       frame: rows: normal and two tangents.
-      friction: coefficient of both tangents.
+      friction: coefficients of sliding, spinning and rolling, as far as the contact has them.
       weight: inverse regularisation of each row; zero where inactive.
-      reference: reference acceleration along the rows of the frame.
+      reference: reference acceleration along the rows.
       impratio: MuJoCo's option, for an elliptic cone; None for a pyramidal one.
       dtype: of the computation.
     """

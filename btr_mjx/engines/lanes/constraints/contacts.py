@@ -159,11 +159,12 @@ def _contact(
     strength = mul(parameters.one(f"{key}/scale"), imp / (1.0 - imp))
     stiffness, damping = parameters[f"{key}/reference"]
     velocity = matvec(frame, point_velocity(geom.motion, x))
+    velocity += matvec(frame[: max(0, geom.touch.condim - 3)], geom.motion.angular_velocity)
     reference = scale(neg(damping), velocity)
     reference[0] = sub(reference[0], mul(mul(stiffness, imp), beyond))
     weight = jnp.where(active, strength, 0)
     if is_zero(weight):
         weight = array(weight, beyond.shape, dtype)
     impratio = parameters.one("world/impratio") if elliptic else None
-    cone = make_cone(geom.touch.condim, frame, parameters.one(f"{key}/friction"), weight, reference, impratio, dtype)
+    cone = make_cone(geom.touch.condim, frame, parameters[f"{key}/friction"], weight, reference, impratio, dtype)
     return Contact(geom.link, x, cone)

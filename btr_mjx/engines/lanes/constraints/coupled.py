@@ -18,7 +18,7 @@ from btr_mjx.engines.guards.places import fold_rows
 from btr_mjx.engines.lanes.articulated import Factors, solve_factored
 from btr_mjx.engines.lanes.constraints.body_contacts import Column, Coupling, over_slots
 from btr_mjx.engines.lanes.constraints.cones import ZoneModel
-from btr_mjx.engines.lanes.scalars import Scalar, add, array, dot, full, is_zero, matvec, total, vadd
+from btr_mjx.engines.lanes.scalars import Scalar, add, array, dot, full, is_zero, matvec, padded, total, vadd
 from btr_mjx.engines.lanes.spatial import Spatial, propagate
 from btr_mjx.engines.lanes.tree import FREE, TreePlan
 
@@ -62,7 +62,7 @@ def solve_coupled(
 
     def stiff(rows: _Rows) -> _Rows:
         """K times rows."""
-        return shaped([matvec(full(k), [*own, 0.0, 0.0][:3]) for (k, _), own in zip(linear, rows, strict=True)])
+        return shaped([matvec(full(k), padded(own, 3)) for (k, _), own in zip(linear, rows, strict=True)])
 
     def inner(a: _Rows, b: _Rows) -> jax.Array:
         return array(total(over_slots(dot(x, y)) for x, y in zip(a, b, strict=True)), (lanes,), dtype)
@@ -106,7 +106,7 @@ def solve_coupled(
         return jnp.any(carry[1]) & (carry[0] < _MAX_ITERATIONS)
 
     none, still = jnp.zeros(lanes, dtype), [jnp.zeros_like(g) for g in like]
-    empty = shaped([[0.0] * 3] * len(couplings))
+    empty = shaped([[0.0] * c.rows for c in couplings])
     carry = (jnp.int32(0), jnp.ones(lanes, bool), still, empty, still, empty, empty, none, none)
     found = lax.while_loop(working, body, carry)[2]
     return list(found), propagate(plan, factors.motions, found)

@@ -10,9 +10,10 @@ import jax
 import jax.numpy as jnp
 
 from btr_mjx.engines.lanes.constraints.cones import ZoneModel, impedance
+from btr_mjx.engines.lanes.kinematics import axis_angle, unit_quaternion
 from btr_mjx.engines.lanes.parameters import Parameters
 from btr_mjx.engines.lanes.scalars import Scalar, add, mul, neg, sub
-from btr_mjx.engines.lanes.tree import FREE, TreePlan
+from btr_mjx.engines.lanes.tree import BALL, FREE, TreePlan
 
 
 class DofConstraint(ABC):
@@ -85,7 +86,14 @@ class Friction(DofConstraint):
 def dof_constraints(
     plan: TreePlan, parameters: Parameters, q: Sequence[Sequence[jax.Array]], v: Sequence[jax.Array]
 ) -> list[DofConstraint]:
-    """All joint limits and dry frictions of a chunk; limits that are not violated have weight zero."""
+    """All joint limits and dry frictions of a chunk; limits that are not violated have weight zero.
+
+    Args:
+      plan: the static plan.
+      parameters: parameters of this chunk.
+      q: coordinates per joint.
+      v: velocity per dof, along the solver's axes.
+    """
     found: list[DofConstraint] = []
     coordinates = iter(q)
     for link in plan.links:
@@ -94,13 +102,17 @@ def dof_constraints(
             key = f"{link.index}/joint{n}"
             if joint.kind == FREE:
                 continue
-            dof = joint.dofs[0]
-            if joint.friction:
-                reference = mul(neg(parameters.one(f"{key}/loss_damping")), v[dof])
-                loss, weight = parameters.one(f"{key}/loss"), parameters.one(f"{key}/loss_weight")
-                found.append(Friction(dof, loss, mul(weight, jnp.ones_like(v[dof])), reference))
-            if joint.limited:
-                lower, upper = parameters[f"{key}/range"]
+            if joint.friction and not joint.turned:
+                rows = (parameters[f"{key}/{name}"] for name in ("loss", "loss_weight", "loss_damping"))
+                for dof, loss, weight, damping in zip(joint.dofs, *rows, strict=True):
+                    reference = mul(neg(damping), v[dof])
+                    found.append(Friction(dof, loss, mul(weight, jnp.ones_like(v[dof])), reference))
+            if joint.limited and joint.kind == BALL:
+                _, angle = axis_angle(unit_quaternion(here))
+                distance = sub(parameters.one(f"{key}/range"), angle)
+                found.append(_limit(parameters, key, joint.dofs[0], -1.0, distance, v[joint.dofs[0]]))
+            elif joint.limited:
+                dof, (lower, upper) = joint.dofs[0], parameters[f"{key}/range"]
                 for sign, distance in ((1.0, sub(here[0], lower)), (-1.0, sub(upper, here[0]))):
                     found.append(_limit(parameters, key, dof, sign, distance, v[dof]))
     return found

@@ -29,7 +29,10 @@ type _Jacobian = list[dict[int, Scalar]]
 class Bilateral(Frictionless):
     """A row that pushes and pulls."""
 
-    flags: ClassVar[int] = 0
+    @property
+    def flags(self) -> int:
+        """See `Cone.flags`."""
+        return 0
 
     def model(self, a: Vector) -> ZoneModel:
         """Weight of the row, which is always active."""
@@ -94,7 +97,7 @@ class _Rows:
                 constant = all(isinstance(x, float) for x in own)
                 entries.append(np.array(own)[:, None] if constant else stack_rows(own, self.lanes, self.dtype))
         weight = array(weight, (len(jacobian), self.lanes), self.dtype)
-        return Coupling(chosen, [entries], kind([], 0.0, weight, [reference, 0.0, 0.0], *more))
+        return Coupling(chosen, [entries], kind([], [], weight, [reference, 0.0, 0.0], *more))
 
     def equalities(self) -> Coupling:
         """Length of the first side = polynomial in that of the second."""
