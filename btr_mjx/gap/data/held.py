@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 _MAX_ADJACENT = 0.05
 """Largest share of changes that directly follow another one; jitter of two clocks makes a few."""
@@ -100,6 +99,8 @@ def bends(commands: Sequence[tuple[np.ndarray, np.ndarray]]) -> bool:
     Args:
       commands: times (K,) [s] and values (K, nu) of each recording.
     """
+    from scipy.interpolate import CubicSpline  # slow to load
+
     straight = curved = 0.0
     for times, values in commands:
         spread = np.ptp(values, axis=0)
