@@ -142,6 +142,7 @@ def run_chunks(one: Callable[..., Any], chunked: tuple, active: Any) -> Any:
       chunked: arguments with the chunks as leading axis.
       active: number of chunks in use.
     """
+    one = jax.jit(one)  # traced once, for its shapes and for the loop
     shapes = jax.eval_shape(one, *jax.tree.map(lambda x: x[0], chunked))
     chunks = jax.tree.leaves(chunked)[0].shape[0]
     out = jax.tree.map(lambda s: jnp.zeros((chunks, *s.shape), s.dtype), shapes)

@@ -256,7 +256,8 @@ class LanesStepper:
 
     def step(self, params: Mapping[str, list[jax.Array]], state: LanesState, ctrl: jax.Array) -> LanesState:
         """State after one time step under controls of shape (nu, C)."""
-        return retrace(self._step, threshold=16)(params, state, ctrl)
+        in_parts = jax.default_backend() == "cpu"  # other compilers do not put loops into single functions
+        return retrace(self._step, threshold=16, in_parts=in_parts)(params, state, ctrl)
 
     def _step(self, params: Mapping[str, list[jax.Array]], state: LanesState, ctrl: jax.Array) -> LanesState:
         parameters = Parameters(self._constants, params)

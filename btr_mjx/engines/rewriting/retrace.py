@@ -36,6 +36,7 @@ from jax import lax
 from jax.extend import core
 
 from btr_mjx.engines.rewriting.flatten import Flattener, is_pure, rename
+from btr_mjx.engines.rewriting.parts import cut
 
 _P = core.primitives
 
@@ -100,7 +101,7 @@ class EquationCounts:
 
 
 def retrace[**A, R](
-    fn: Callable[A, R], *, threshold: float = 8.0, costs: Mapping[str, float] | None = None
+    fn: Callable[A, R], *, threshold: float = 8.0, costs: Mapping[str, float] | None = None, in_parts: bool = False
 ) -> Callable[A, R]:
     """Returns `fn` with common subexpressions merged and expensive shared values computed once.
 
@@ -115,6 +116,7 @@ def retrace[**A, R](
         threshold: Cost below which recomputation is cheaper than a store and a load, in simple operations per element.
             Zero puts a barrier on every shared value of positive cost, infinity none (subexpressions are still merged).
         costs: Cost per element of primitives by name; takes precedence over `DEFAULT_COSTS`.
+        in_parts: Whether long programs, and long bodies of loops, become calls of shorter ones (see `parts.py`).
 
     Returns:
         A function with the signature, the results and the derivatives of `fn`.
@@ -122,7 +124,7 @@ def retrace[**A, R](
     Raises:
         ValueError: If `threshold` or a cost is negative or not a number.
     """
-    options = _options(threshold, costs)
+    options = _options(threshold, costs, in_parts)
 
     @functools.wraps(fn)
     def retraced(*args: A.args, **kwargs: A.kwargs) -> R:
@@ -165,6 +167,7 @@ def count_equations(
 class _Options(NamedTuple):
     threshold: float
     costs: Mapping[str, float]
+    in_parts: bool
 
 
 class _Result(NamedTuple):
@@ -173,11 +176,11 @@ class _Result(NamedTuple):
     custom: bool  # a call with a custom derivative rule was inlined somewhere in it
 
 
-def _options(threshold: float, costs: Mapping[str, float] | None) -> _Options:
+def _options(threshold: float, costs: Mapping[str, float] | None, in_parts: bool = False) -> _Options:
     for name, value in {"threshold": threshold, **(costs or {})}.items():
         if not value >= 0:  # catches NaN too
             raise ValueError(f"got {name} = {value!r}, expected a number >= 0; 0 means free, inf is allowed")
-    return _Options(threshold, {**DEFAULT_COSTS, **(costs or {})})
+    return _Options(threshold, {**DEFAULT_COSTS, **(costs or {})}, in_parts)
 
 
 def _trace(fn: Callable[..., Any], args: Any, kwargs: Any) -> tuple[core.Jaxpr, Sequence[Any], Any]:
@@ -242,7 +245,7 @@ class _Rewriter:
             debug_info=jaxpr.debug_info,
             consts=flat.constants,
         )
-        return _Result(result, counts, custom)
+        return _Result(cut(result) if self.options.in_parts else result, counts, custom)
 
     def _bodies(self, eqn: core.JaxprEqn) -> list[core.Jaxpr]:
         """The jaxprs in `eqn` to be rewritten; none if it has effects, which may refer to its variables."""
