@@ -102,6 +102,21 @@ def test_bounds_of_primitive_shapes_are_tight(rng: np.random.Generator) -> None:
     assert (marked & ~touching).sum() < 0.02 * (~touching).sum()
 
 
+def test_a_height_field_is_as_high_as_its_highest_point() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><asset><hfield name="hills" nrow="3" ncol="3" size="1 1 4 0.1" elevation="0 1 0 1 0 1 0 1 0"/></asset>'
+        '<worldbody><geom type="hfield" hfield="hills"/><body><freejoint/><geom size="0.1"/></body></worldbody></mujoco>'
+    )
+    model.hfield_data[:] *= 0.25  # hills of 1 m where 4 m would be possible
+    qpos = np.zeros((7, 2))
+    qpos[2], qpos[3] = (1.12, 1.08), 1
+    qpos[0] = 0.0, 1.0
+    with jax.enable_x64(True):
+        crossed, pairs = tripping(model)
+        assert np.asarray(crossed(qpos)).tolist() == [False, True]
+    assert guarded_contacts(model, np.array([[1.0, 0, 1.02, 1, 0, 0, 0]]).T, pairs).all()
+
+
 def test_sizes_and_places_may_differ_between_worlds(rng: np.random.Generator) -> None:
     model = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody>"

@@ -80,6 +80,19 @@ def shape_kind(model: mujoco.MjModel, geom: int) -> int:
     return kind if kind in (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER) else BOX
 
 
+def bounding_box(model: mujoco.MjModel, geom: int) -> np.ndarray:
+    """Centre and half edges (6,) of the box that a geom counts as, in its own frame [m].
+
+    `geom_aabb` of a height field reaches up to the greatest height that its elevations could have.
+    """
+    box = np.array(model.geom_aabb[geom])
+    if model.geom_type[geom] == HFIELD:
+        field = model.hfield(int(model.geom_dataid[geom]))
+        top, bottom = field.size[2] * field.data.max(), -field.size[3]
+        box[2::3] = (top + bottom) / 2, (top - bottom) / 2
+    return box
+
+
 def mixed_condim(model: mujoco.MjModel, pair: GeomPair) -> int:
     """The condim of a contact of two geoms that no <pair> element names (mj_contactParam)."""
     dims, ranks = (

@@ -11,7 +11,7 @@ import jax
 import mujoco
 import numpy as np
 
-from btr_mjx.engines.guards.pairs import PairGroup, shape_kind
+from btr_mjx.engines.guards.pairs import PairGroup, bounding_box, shape_kind
 from btr_mjx.engines.lanes import support
 from btr_mjx.engines.lanes.contact_parameters import (
     MINVAL,
@@ -159,7 +159,7 @@ def _placed_geom(model: mujoco.MjModel, fields: Fields, geom: int) -> dict[str, 
     matrix = matrix @ rotation_matrices(fields("geom_quat", geom))
     size = fields("geom_size", geom)
     if shape_kind(model, geom) != model.geom_type[geom]:
-        box = model.geom_aabb[geom]
+        box = bounding_box(model, geom)
         position, size = position + apply_matrix(matrix, box[None, None, :3]), box[None, None, 3:]
     margin = (fields("geom_margin", geom) + fields("geom_gap", geom))[..., None]
     return {"centre": position, "axes": matrix.reshape(*matrix.shape[:2], 9), "size": size, "margin": margin}

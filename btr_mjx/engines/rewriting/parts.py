@@ -2,8 +2,8 @@
 
 XLA compiles a `while` loop with all that it contains as one LLVM function, so that a step of `lanes` runs without the
 dispatch of thousands of small kernels. Several passes of LLVM take time quadratic in the number of loops in a function:
-a step of some ten thousand equations takes minutes. `cut` divides such a program into calls. Each is one function;
-the loop around them is interpreted, which costs a tenth of the speed.
+a step of ten thousand equations takes minutes. `cut` divides such a program into calls, each of them one function. The
+loop around them is interpreted.
 
 The calls carry two frontend attributes of XLA: `inlineable=false` keeps them apart, `xla_cpu_small_call=true` has each
 compiled as one function. Where XLA does not know these attributes, results are the same.
@@ -25,7 +25,7 @@ LONGEST = 8000
 """Equations of a program, those of its loops included, that are compiled as one function."""
 
 _PART = 1000
-"""Equations of a call, at most; one of fewer than half as many is only put in beside loops."""
+"""Equations of a call, at most. Longer loops have a function of their own, as XLA does with every loop."""
 
 _CALL = "xla_metadata_call"
 
@@ -33,7 +33,8 @@ _CALL = "xla_metadata_call"
 def cut(jaxpr: core.Jaxpr) -> core.Jaxpr:
     """A flat program as calls of parts of it, if it is longer than `LONGEST` equations; else itself.
 
-    The bodies of its loops must have been cut already. Cuts are made where few values are alive.
+    The bodies of its loops must have been cut already. Cuts are made where few values are alive. A program that has
+    been cut stays as it is.
 
     Args:
         jaxpr: program of equations without effects. None of them may need XLA's runtime library: sorting, FFT,
@@ -43,7 +44,8 @@ def cut(jaxpr: core.Jaxpr) -> core.Jaxpr:
         A program of the same operations on the same operands.
     """
     eqns = jaxpr.eqns
-    if sum(map(_weight, eqns)) <= LONGEST and not any(map(_is_cut, eqns)):
+    short = sum(map(_weight, eqns)) <= LONGEST and not any(map(_is_cut, eqns))
+    if short or any(eqn.primitive.name in (_CALL, "sort") for eqn in eqns):
         return jaxpr
     last: dict[core.Var, int] = {}  # the last equation that reads a value; the end of the program for its results
     for i, eqn in enumerate(eqns):
@@ -55,7 +57,7 @@ def cut(jaxpr: core.Jaxpr) -> core.Jaxpr:
     for loop in [*(i for i, eqn in enumerate(eqns) if _weight(eqn) > _PART or _is_cut(eqn)), len(eqns)]:
         while start < loop:
             end = _end_of_part(start, loop, alive)
-            calls += _call(eqns[start:end], end, last)
+            calls += _call(jaxpr, start, end, last)
             start = end
         calls += eqns[loop : loop + 1]  # XLA compiles it as one function by itself, unless it has been cut
         start = loop + 1
@@ -100,14 +102,15 @@ def _end_of_part(start: int, stop: int, alive: np.ndarray) -> int:
     return first + int(np.argmin(alive[first:after]))
 
 
-def _call(part: list[core.JaxprEqn], end: int, last: Mapping[core.Var, int]) -> list[core.JaxprEqn]:
-    """A call of a part of a program that goes up to equation `end`."""
+def _call(jaxpr: core.Jaxpr, start: int, end: int, last: Mapping[core.Var, int]) -> list[core.JaxprEqn]:
+    """A call of the part of a program from equation `start` to before `end`."""
+    part = jaxpr.eqns[start:end]
     made = dict.fromkeys(v for eqn in part for v in eqn.outvars)
     taken = list(dict.fromkeys(v for eqn in part for v in _variables(eqn.invars) if v not in made))
     given = [v for v in made if last.get(v, -1) >= end]
 
     def call(*values: jax.Array) -> list[jax.Array]:
-        body = core.Jaxpr(constvars=[], invars=taken, outvars=given + taken, eqns=part)
+        body = jaxpr.replace(constvars=[], consts=[], invars=taken, outvars=given + taken, eqns=part)
         results = xla_metadata_call(core.jaxpr_as_fun(body), inlineable="false", xla_cpu_small_call="true")(*values)
         # XLA aborts where it simplifies a function until it does not need an argument, unless that is a result too.
         # The barrier keeps JAX from dropping the results that nobody reads.
