@@ -105,7 +105,7 @@ def test_bounds_of_primitive_shapes_are_tight(rng: np.random.Generator) -> None:
 def test_a_height_field_is_as_high_as_its_highest_point() -> None:
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><asset><hfield name="hills" nrow="3" ncol="3" size="1 1 4 0.1" elevation="0 1 0 1 0 1 0 1 0"/></asset>'
-        '<worldbody><geom type="hfield" hfield="hills"/><body><freejoint/><geom size="0.1"/></body></worldbody></mujoco>'
+        '<worldbody><geom type="hfield" hfield="hills"/><body><freejoint/><geom size=".1"/></body></worldbody></mujoco>'
     )
     model.hfield_data[:] *= 0.25  # hills of 1 m where 4 m would be possible
     qpos = np.zeros((7, 2))
