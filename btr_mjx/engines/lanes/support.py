@@ -21,7 +21,7 @@ from btr_mjx.engines.guards.pairs import (
 from btr_mjx.engines.lanes.tree import BALL, FREE, active_equalities, make_plan, moving_tendons
 
 MAX_DOFS = 32
-"""Dofs of the plan above which the program takes many minutes to compile."""
+"""Dofs of the plan above which native MuJoCo is about as fast, and the program takes minutes to compile."""
 
 _DYN, _GAIN, _BIAS = mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)

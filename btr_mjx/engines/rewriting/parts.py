@@ -138,7 +138,8 @@ def _interpreted(jaxpr: core.Jaxpr) -> core.Jaxpr:
     would simplify it away if it had no key, and move it out of the loop if it did not read a result.
     """
     made = {v for eqn in jaxpr.eqns for v in eqn.outvars}
-    value = min((v for v in _variables(jaxpr.outvars) if v in made), key=lambda v: v.aval.size)
+    results: list[Any] = [v for v in _variables(jaxpr.outvars) if v in made]
+    value = min(results, key=lambda v: v.aval.size)
 
     def sort(x: jax.Array) -> jax.Array:
         twice = jnp.broadcast_to(x, (2, *x.shape))
