@@ -1,5 +1,6 @@
 """What runs on a worker: one call of a function that the client sent. Importing this module must stay cheap."""
 
+import pickle
 from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
@@ -23,8 +24,6 @@ def call_on_worker(environment: Mapping[str, str], function: bytes, arguments: b
       DifferentWorker: the worker's results could differ from the client's.
       InputError: the worker runs several tasks at a time.
     """
-    import pickle
-
     from distributed import get_worker
 
     worker = get_worker()
@@ -40,6 +39,4 @@ def call_on_worker(environment: Mapping[str, str], function: bytes, arguments: b
 @lru_cache(maxsize=4)
 def _function(pickled: bytes) -> Any:
     """The same object in every call: programs are compiled once for a robot, and robots are compared by their parts."""
-    import pickle
-
     return pickle.loads(pickled)

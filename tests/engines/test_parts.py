@@ -23,7 +23,7 @@ CALL = "xla_metadata_call"
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Programs of more than 40 equations are cut, into parts of up to 10."""
     monkeypatch.setattr(parts, "LONGEST", 40)
-    monkeypatch.setattr(parts, "_PART", 10)
+    monkeypatch.setattr(parts, "PART", 10)
 
 
 def calls(fn, *args) -> list:
@@ -46,11 +46,10 @@ def long_loop(count: int):
 INPUTS = (np.arange(3, dtype=np.int32), np.array([5, -7, 11], np.int32), np.int32(4))
 
 
-@pytest.mark.usefixtures("short")
 @pytest.mark.parametrize("number", range(4))
 def test_nested_control_flow_is_exact(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parts, "LONGEST", 12)
-    monkeypatch.setattr(parts, "_PART", 5)
+    monkeypatch.setattr(parts, "PART", 5)
     program, inputs = integer_program(number, 2), [np.arange(3, dtype=np.int32), np.ones((2, 3), np.int32)]
     new = retrace(program, threshold=2, in_parts=True)
     assert len(calls(new, *inputs)) > 2
@@ -87,7 +86,7 @@ def test_twice_is_once() -> None:
 
 @pytest.mark.usefixtures("short")
 def test_cuts_are_where_few_values_are_alive() -> None:
-    """Eight values that are made and summed in turn: a cut anywhere else than behind a sum takes more along."""
+    """Three values are made and summed in turn: a cut anywhere else than behind a sum takes more along."""
 
     def fn(x: jax.Array) -> jax.Array:
         for _ in range(12):
@@ -137,7 +136,7 @@ def test_steps_of_lanes_are_the_same(option: str, monkeypatch: pytest.MonkeyPatc
 
         whole = jax.jit(lambda q, v: steps(q, v), compiler_options=QUICK)(qpos, qvel)
         monkeypatch.setattr(parts, "LONGEST", 300)
-        monkeypatch.setattr(parts, "_PART", 100)
+        monkeypatch.setattr(parts, "PART", 100)
         in_parts = lambda q, v: steps(q, v)  # noqa: E731 -- a new function, which JAX has not traced
         assert len(calls(in_parts, qpos, qvel)) > 5
         cut = jax.jit(in_parts, compiler_options=QUICK)(qpos, qvel)

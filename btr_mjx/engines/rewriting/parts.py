@@ -9,7 +9,7 @@ The calls carry two frontend attributes of XLA: `inlineable=false` keeps them ap
 compiled as one function. Where XLA does not know these attributes, results are the same.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -24,8 +24,8 @@ from btr_mjx.engines.rewriting.flatten import rename
 LONGEST = 8000
 """Equations of a program, those of its loops included, that are compiled as one function."""
 
-_PART = 1000
-"""Equations of a call, at most. Longer loops have a function of their own, as XLA does with every loop."""
+PART = 1000
+"""Equations of a call, at most. Longer loops have a function of their own, as XLA makes of every loop."""
 
 _CALL = "xla_metadata_call"
 
@@ -44,8 +44,7 @@ def cut(jaxpr: core.Jaxpr) -> core.Jaxpr:
         A program of the same operations on the same operands.
     """
     eqns = jaxpr.eqns
-    short = sum(map(_weight, eqns)) <= LONGEST and not any(map(_is_cut, eqns))
-    if short or any(eqn.primitive.name in (_CALL, "sort") for eqn in eqns):
+    if sum(map(weight, eqns)) <= LONGEST or any(eqn.primitive.name in (_CALL, "sort") for eqn in eqns):
         return jaxpr
     last: dict[core.Var, int] = {}  # the last equation that reads a value; the end of the program for its results
     for i, eqn in enumerate(eqns):
@@ -54,7 +53,7 @@ def cut(jaxpr: core.Jaxpr) -> core.Jaxpr:
     alive = _alive(eqns, last)
     calls: list[core.JaxprEqn] = []
     start = 0
-    for loop in [*(i for i, eqn in enumerate(eqns) if _weight(eqn) > _PART or _is_cut(eqn)), len(eqns)]:
+    for loop in [*(i for i, eqn in enumerate(eqns) if weight(eqn) > PART or _is_cut(eqn)), len(eqns)]:
         while start < loop:
             end = _end_of_part(start, loop, alive)
             calls += _call(jaxpr, start, end, last)
@@ -68,19 +67,18 @@ def _variables(atoms: Sequence[Any]) -> list[core.Var]:
     return [v for v in atoms if isinstance(v, core.Var)]
 
 
-def _bodies(eqn: core.JaxprEqn) -> Iterator[core.Jaxpr]:
-    for value in eqn.params.values():
-        yield from (body for body in (value if isinstance(value, tuple) else (value,)) if isinstance(body, core.Jaxpr))
-
-
-def _weight(eqn: core.JaxprEqn) -> int:
+def weight(eqn: core.JaxprEqn) -> int:
     """Number of equations, those of bodies included."""
-    return 1 + sum(_weight(inner) for body in _bodies(eqn) for inner in body.eqns)
+    return 1 + sum(weight(inner) for body in core.jaxprs_in_params(eqn.params) for inner in body.eqns)
 
 
 def _is_cut(eqn: core.JaxprEqn) -> bool:
     """Whether an equation is a loop whose body has been cut."""
-    return any(inner.primitive.name == _CALL or _is_cut(inner) for body in _bodies(eqn) for inner in body.eqns)
+    return any(
+        inner.primitive.name == _CALL or _is_cut(inner)
+        for body in core.jaxprs_in_params(eqn.params)
+        for inner in body.eqns
+    )
 
 
 def _alive(eqns: Sequence[core.JaxprEqn], last: Mapping[core.Var, int]) -> np.ndarray:
@@ -96,9 +94,9 @@ def _alive(eqns: Sequence[core.JaxprEqn], last: Mapping[core.Var, int]) -> np.nd
 
 def _end_of_part(start: int, stop: int, alive: np.ndarray) -> int:
     """End of a part that begins at `start`: before `stop`, where the fewest values are alive."""
-    if stop - start <= _PART:
+    if stop - start <= PART:
         return stop
-    first, after = start + _PART // 2, min(start + _PART, stop - _PART // 2) + 1
+    first, after = start + PART // 2, min(start + PART, stop - PART // 2) + 1
     return first + int(np.argmin(alive[first:after]))
 
 

@@ -7,7 +7,8 @@ dominates both the run time and the compile time. `retrace` traces the function 
 1. inlines nested calls (`jit`, `closed_call`, `custom_jvp`), with fresh variables for every inlined equation;
 2. merges common subexpressions, in the same walk;
 3. drops equations whose results are not used;
-4. puts a `lax.optimization_barrier` after each value that several equations use and that is expensive to recompute.
+4. puts a `lax.optimization_barrier` after each value that several equations use and that is expensive to recompute;
+5. with `in_parts`, makes calls of the parts of long programs (`parts.py`), so that they compile in less time.
 
 The bodies of `while`, `scan` and `cond` are rewritten in the same way.
 
@@ -116,7 +117,8 @@ def retrace[**A, R](
         threshold: Cost below which recomputation is cheaper than a store and a load, in simple operations per element.
             Zero puts a barrier on every shared value of positive cost, infinity none (subexpressions are still merged).
         costs: Cost per element of primitives by name; takes precedence over `DEFAULT_COSTS`.
-        in_parts: Whether long programs, and long bodies of loops, become calls of shorter ones (see `parts.py`).
+        in_parts: Whether long programs, and long bodies of loops, become calls of shorter ones; for programs that
+            `parts.cut` allows.
 
     Returns:
         A function with the signature, the results and the derivatives of `fn`.

@@ -5,6 +5,7 @@ import os
 import pickle
 import zipfile
 from collections import OrderedDict
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -100,16 +101,23 @@ def test_names_of_joints_in_the_file_win(tmp_path: Path) -> None:
     np.testing.assert_allclose(data.recordings[0].qpos[:5], LOG.qpos[:5, ::-1], atol=1e-6)
 
 
+@dataclass
 class Evil:
+    folder: Path
+
     def __reduce__(self) -> Any:
-        return os.mkdir, ("/tmp/btr-was-here",)
+        return os.mkdir, (str(self.folder),)
 
 
 def test_nothing_of_the_file_is_run(tmp_path: Path) -> None:
-    file = write_torch(tmp_path / "evil.pt", {"time": Evil()}, [])
+    made = tmp_path / "made"
+    pickle.loads(pickle.dumps(Evil(made)))
+    assert made.is_dir()  # an ordinary unpickler runs it
+    made.rmdir()
+    file = write_torch(tmp_path / "evil.pt", {"time": Evil(made)}, [])
     with pytest.raises(InputError, match=r"holds the object posix\.mkdir; save a dictionary of tensors"):
         read_torch(file)
-    assert not Path("/tmp/btr-was-here").exists()
+    assert not made.exists()
 
 
 def test_nothing_of_this_process_is_changed(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Long programs of `lanes` whole and in parts: `uv run python benchmarks/parts.py MODEL.xml ...`.
+"""Long programs of `lanes` whole and in parts: `uv run python benchmarks/long_programs.py MODEL.xml ...`.
 
 For each model, a program that steps one chunk of worlds from its start is compiled twice: as one function, and as calls
 of parts (`btr_mjx/engines/rewriting/parts.py`). Printed are the equations of a step, and of each program the time that
@@ -18,7 +18,6 @@ import mujoco
 import numpy as np
 import tyro
 from jax import lax
-from jax.extend import core
 
 from btr_mjx.engines import LanesStepper, use_all_cores
 from btr_mjx.engines.rewriting import parts
@@ -36,15 +35,12 @@ class Config:
     """Steps of one run."""
     longest: int = parts.LONGEST
     """Equations of a program, or of a loop, that stays whole."""
+    part: int = parts.PART
+    """Equations of a part, at most."""
     rounds: int = 5
     """Number of runs of each program."""
     json: Path | None = None
     """Also write the numbers to this file."""
-
-
-def equations(jaxpr: Any) -> int:
-    """Number of equations, those of loops included."""
-    return sum(1 + sum(map(equations, core.jaxprs_in_params(eqn.params))) for eqn in jaxpr.eqns)
 
 
 def program(model: mujoco.MjModel, config: Config, longest: int) -> tuple[Any, tuple, dict[str, float]]:
@@ -55,7 +51,7 @@ def program(model: mujoco.MjModel, config: Config, longest: int) -> tuple[Any, t
       config: the settings.
       longest: equations of a program that stays whole.
     """
-    parts.LONGEST = longest
+    parts.LONGEST, parts.PART = longest, config.part
     stepper = LanesStepper(model, guards=True)
 
     def run(state: Any, control: jax.Array, count: jax.Array) -> Any:
@@ -68,7 +64,7 @@ def program(model: mujoco.MjModel, config: Config, longest: int) -> tuple[Any, t
     wall, processor = time.perf_counter(), time.process_time()
     compiled = lowered.compile(compiler_options={"xla_cpu_prefer_vector_width": "512"})
     took = {"wall": time.perf_counter() - wall, "cpu": time.process_time() - processor}
-    return compiled, arguments, took | {"equations": equations(traced.jaxpr)}
+    return compiled, arguments, took | {"equations": sum(map(parts.weight, traced.jaxpr.eqns))}
 
 
 def main(config: Config) -> None:
