@@ -44,7 +44,7 @@ def cut(jaxpr: core.Jaxpr) -> core.Jaxpr:
         A program of the same operations on the same operands.
     """
     eqns = jaxpr.eqns
-    if sum(map(weight, eqns)) <= LONGEST or any(eqn.primitive.name in (_CALL, "sort") for eqn in eqns):
+    if sum(map(number_of_equations, eqns)) <= LONGEST or any(eqn.primitive.name in (_CALL, "sort") for eqn in eqns):
         return jaxpr
     last: dict[core.Var, int] = {}  # the last equation that reads a value; the end of the program for its results
     for i, eqn in enumerate(eqns):
@@ -53,7 +53,7 @@ def cut(jaxpr: core.Jaxpr) -> core.Jaxpr:
     alive = _alive(eqns, last)
     calls: list[core.JaxprEqn] = []
     start = 0
-    for loop in [*(i for i, eqn in enumerate(eqns) if weight(eqn) > PART or _is_cut(eqn)), len(eqns)]:
+    for loop in [*(i for i, eqn in enumerate(eqns) if number_of_equations(eqn) > PART or _is_cut(eqn)), len(eqns)]:
         while start < loop:
             end = _end_of_part(start, loop, alive)
             calls += _call(jaxpr, start, end, last)
@@ -67,9 +67,9 @@ def _variables(atoms: Sequence[Any]) -> list[core.Var]:
     return [v for v in atoms if isinstance(v, core.Var)]
 
 
-def weight(eqn: core.JaxprEqn) -> int:
+def number_of_equations(eqn: core.JaxprEqn) -> int:
     """Number of equations, those of bodies included."""
-    return 1 + sum(weight(inner) for body in core.jaxprs_in_params(eqn.params) for inner in body.eqns)
+    return 1 + sum(number_of_equations(inner) for body in core.jaxprs_in_params(eqn.params) for inner in body.eqns)
 
 
 def _is_cut(eqn: core.JaxprEqn) -> bool:
