@@ -1,7 +1,7 @@
 from . import native
 from .base import Stepper, UnsupportedModel
-from .controlled import ControlledProgram, Motions
-from .devices import use_all_cores, use_compilation_cache
+from .controlled import ControlledProgram
+from .devices import default_chunk, use_all_cores, use_compilation_cache
 from .lanes.fields import base_field, influences_motion
 from .lanes.stepper import LanesStepper
 from .lanes.support import possible_contacts, refusals, require_supported
@@ -15,12 +15,12 @@ __all__ = [
     "LanesStepper",
     "Layout",
     "MjxStepper",
-    "Motions",
     "Program",
     "Record",
     "Stepper",
     "UnsupportedModel",
     "base_field",
+    "default_chunk",
     "expand",
     "influences_motion",
     "native",

@@ -4,7 +4,7 @@ The program advances a block of worlds by a segment of steps and returns their s
 it for one segment after another, so that one compilation serves every number of steps.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,23 +13,6 @@ from jax import lax
 
 from btr_mjx.engines.base import Leaves, Stepper
 from btr_mjx.engines.program import Layout, on_all_devices, run_chunks
-
-
-class Motions(NamedTuple):
-    """States of B worlds after each of T steps.
-
-    Attributes:
-      qpos: (B, T, nq).
-      qvel: (B, T, nv).
-      act: (B, T, na).
-      tripped: (B,) whether a contact that the engine does not compute may have taken part, or a state is invalid.
-    """
-
-    qpos: np.ndarray
-    qvel: np.ndarray
-    act: np.ndarray
-    tripped: np.ndarray
-
 
 _BAD = 1e10
 """Values above it count as invalid (mjMAXVAL)."""
@@ -58,46 +41,53 @@ class ControlledProgram:
         self._begin, self._advance = on_all_devices(devices, begin, 3, 1), on_all_devices(devices, advance, 3, 2)
 
     def _segment(self, params: Any, state: Any, controls: jax.Array, count: jax.Array) -> tuple:
-        """State of a chunk after `count` steps, and the states on the way."""
-        read = lambda s: (self.stepper.qpos(s), self.stepper.qvel(s), self.stepper.act(s))  # noqa: E731
-        shapes = jax.eval_shape(read, state)
-        rows = jax.tree.map(lambda s: jnp.zeros((self.segment, *s.shape), s.dtype), shapes)
+        """State of a chunk after `count` steps, states on the way (chunk, segment, n), marks of worlds as below."""
+        read = lambda s: jnp.concatenate([self.stepper.qpos(s), self.stepper.qvel(s), self.stepper.act(s)])  # noqa: E731
+        first = jax.eval_shape(read, state)
+        rows, valid = jnp.zeros((self.segment, *first.shape), first.dtype), jnp.ones(first.shape[-1], bool)
+        by_step = jnp.moveaxis(controls, 0, -1)
 
         def step(k: jax.Array, carry: tuple) -> tuple:
-            state, rows = carry
-            state = self.stepper.step(params, state, lax.dynamic_index_in_dim(controls, k, keepdims=False))
-            write = lambda x, y: lax.dynamic_update_index_in_dim(x, y, k, 0)  # noqa: E731
-            return state, jax.tree.map(write, rows, read(state))
+            state, rows, valid = carry
+            state = self.stepper.step(params, state, lax.dynamic_index_in_dim(by_step, k, keepdims=False))
+            row = read(state)
+            return state, lax.dynamic_update_index_in_dim(rows, row, k, 0), valid & (jnp.abs(row) < _BAD).all(0)
 
-        state, rows = lax.fori_loop(0, count, step, (state, rows))
-        return state, rows, self.stepper.tripped(state)
+        state, rows, valid = lax.fori_loop(0, count, step, (state, rows, valid))
+        return state, jnp.moveaxis(rows, -1, 0), self.stepper.tripped(state) | ~valid
 
     def __call__(
-        self, leaves: Leaves, start: tuple[np.ndarray, np.ndarray, np.ndarray], controls: np.ndarray
-    ) -> Motions:
+        self, leaves: Leaves, start: tuple[np.ndarray, np.ndarray, np.ndarray], controls: np.ndarray, out: np.ndarray
+    ) -> np.ndarray:
         """Roll out up to `layout.pairs` worlds.
 
         Args:
           leaves: MjModel fields (B, *field shape).
           start: qpos (B, nq), qvel (B, nv) and act (B, na).
           controls: (B, T, nu).
+          out: (B, T, nq + nv + na), where the states after each step are written.
+
+        Returns:
+          (B,) whether a contact that the engine does not compute may have taken part, or a state is invalid.
         """
         layout, dtype = self.layout, jnp.result_type(float)
         count, steps = controls.shape[:2]
         index, active = layout.places(count)
         padded = lambda x: layout.padded(x, active)  # noqa: E731
         params = jax.tree.map(padded, self.stepper.pack({name: values[index] for name, values in leaves.items()}))
-        columns = [padded(np.moveaxis(x[index], 1, -1).astype(dtype)) for x in start]
-        state = self._begin(*columns, np.int32(active))
-        parts = []
+        state = self._begin(*(padded(np.moveaxis(x[index], 1, -1).astype(dtype)) for x in start), np.int32(active))
+        marked = np.zeros(count, bool)
         for first in range(0, steps, self.segment):
-            mine = controls[:, first : first + self.segment].astype(dtype)
-            whole = np.zeros((count, self.segment, controls.shape[2]), dtype)
-            whole[:, : mine.shape[1]] = mine
-            # (chunks, chunk, steps, nu) -> (chunks, steps, nu, chunk)
-            block = padded(np.moveaxis(whole[index], 1, -1))
-            state, rows, tripped = self._advance(params, state, block, np.int32(mine.shape[1]), np.int32(active))
-            parts.append([layout.in_order(x, count)[:, : mine.shape[1]].astype(np.float64) for x in rows])
-        qpos, qvel, act = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
-        valid = np.all([(np.abs(x) < _BAD).all((1, 2)) for x in (qpos, qvel, act)], axis=0)
-        return Motions(qpos, qvel, act, layout.in_order(tripped, count) | ~valid)
+            last = min(first + self.segment, steps)
+            block = np.zeros((layout.devices, layout.capacity, layout.chunk, self.segment, controls.shape[2]), dtype)
+            for place, worlds in enumerate(index):
+                block[*divmod(place, active), :, : last - first] = controls[worlds, first:last]
+            block = block.reshape(-1, *block.shape[2:])
+            state, rows, marks = self._advance(params, state, block, np.int32(last - first), np.int32(active))
+            # Copied from each device straight to their place: for small models copying takes as long as computing.
+            on_host = [[np.asarray(shard.data) for shard in x.addressable_shards] for x in (rows, marks)]
+            for device, place, worlds in layout.chunks(count):
+                own = slice(worlds.stop - worlds.start)
+                out[worlds, first:last] = on_host[0][device][place, own, : last - first]
+                marked[worlds] |= on_host[1][device][place, own]
+        return marked

@@ -32,6 +32,11 @@ def use_all_cores() -> None:
         os.environ["XLA_FLAGS"] = f"{flags} {COMPILER_OPTIONS}".strip()
 
 
+def default_chunk(device: jax.Device) -> int:
+    """Worlds that are stepped together on such a device; docs/performance.md has the measurements."""
+    return 64 if device.platform == "cpu" else 16_384
+
+
 def use_compilation_cache() -> None:
     """Cache compiled programs on disk, unless the user has chosen a folder or switched the cache off.
 

@@ -6,7 +6,7 @@ stops at the last chunk in use, so that a small batch costs little. The number o
 so that one compilation serves every duration.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,6 +51,11 @@ class Layout:
         # device.
         place = np.arange(self.devices * active * self.chunk).reshape(active, self.devices, self.chunk)
         return np.minimum(place.transpose(1, 0, 2), count - 1).reshape(-1, self.chunk), active
+
+    def chunks(self, count: int) -> Iterator[tuple[int, int, slice]]:
+        """Device, place on it and pairs of every chunk that holds some of `count` pairs."""
+        for i, first in enumerate(range(0, count, self.chunk)):
+            yield i % self.devices, i // self.devices, slice(first, min(first + self.chunk, count))
 
     def padded(self, x: np.ndarray, active: int) -> np.ndarray:
         """The chunks in use (devices x active, ...), padded with zeros to the shape of a block."""

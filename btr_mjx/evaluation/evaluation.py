@@ -346,26 +346,20 @@ def _stepper(robot: Robot, engine: Engine, x64: bool, guards: bool = False) -> "
     return MjxStepper(model, varying)
 
 
-def default_chunk(on_cpu: bool) -> int:
-    """Pairs that are stepped together; see docs/performance.md."""
-    return 64 if on_cpu else 16384
-
-
 @lru_cache(maxsize=16)
 def _program(robot: Robot, engine: Engine, samples: int, states: bool, chunk: int | None, x64: bool) -> "Program":
     import jax
 
-    from btr_mjx.engines import Layout, Program, use_all_cores, use_compilation_cache
+    from btr_mjx.engines import Layout, Program, default_chunk, use_all_cores, use_compilation_cache
 
     use_all_cores()
     use_compilation_cache()
     devices = jax.devices()
-    on_cpu = devices[0].platform == "cpu"
     stepper = _stepper(robot, engine, x64, guards=True)
-    width = chunk or default_chunk(on_cpu)
+    width = chunk or default_chunk(devices[0])
     record_bytes = (
         samples * (stepper.nq + stepper.nv + stepper.nu if states else 4) * width * len(devices) * (8 if x64 else 4)
     )
-    capacity = int(np.clip(_TRACE_BYTES // record_bytes, 1, _CAPACITY if on_cpu else 4))
+    capacity = int(np.clip(_TRACE_BYTES // record_bytes, 1, _CAPACITY if devices[0].platform == "cpu" else 4))
     layout = Layout(len(devices), capacity, width)
     return Program(stepper, robot.signal, base_address(robot), layout, states, devices, start_of(robot))

@@ -25,10 +25,18 @@ import numpy as np
 from jax import lax
 from numpy.typing import ArrayLike
 
-from btr_mjx.engines import Record, Stepper, UnsupportedModel, rollout_chunk, use_all_cores, use_compilation_cache
+from btr_mjx.engines import (
+    Record,
+    Stepper,
+    UnsupportedModel,
+    default_chunk,
+    rollout_chunk,
+    use_all_cores,
+    use_compilation_cache,
+)
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import evaluation as behaviour
-from btr_mjx.evaluation.evaluation import Engine, default_chunk
+from btr_mjx.evaluation.evaluation import Engine
 from btr_mjx.evaluation.fitness import DISTANCE, FitnessFunction, Outcome
 from btr_mjx.evaluation.rowwise import rowwise
 from btr_mjx.evaluation.traced import TracedArray, in_double
@@ -169,8 +177,7 @@ def _one_pair(
     chosen = engine or _engine(robot)
     if chosen == "native":
         raise InputError("engine: got 'native', which runs outside JAX; expected 'lanes' or 'mjx', or use evaluate()")
-    on_cpu = (devices[0] if devices else jax.devices()[0]).platform == "cpu"
-    width = chunk or default_chunk(on_cpu)
+    width = chunk or default_chunk(devices[0] if devices else jax.devices()[0])
     address = behaviour.base_address(robot)
     nominal = compile_models(robot, robot.nominal_simulation).leaves
     needed = _influential(nominal)

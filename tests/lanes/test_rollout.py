@@ -66,6 +66,18 @@ def test_every_world_has_the_answer_of_mujoco_rollout(rng: np.random.Generator) 
     np.testing.assert_array_equal(again.state[::-1], single.state)
 
 
+def test_blocks_chunks_and_segments_that_are_not_full(rng: np.random.Generator) -> None:
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><joint name='hinge' axis='0 1 0'/><geom size='0.1' pos='0 0 1'/></body></worldbody>"
+        "<actuator><motor joint='hinge' gear='20'/></actuator></mujoco>"
+    )
+    worlds, chunk = 16 * jax.device_count() * 3 + 4, 3  # a block, one chunk and a world
+    states, controls = rng.normal(size=(worlds, 3)), rng.uniform(-1, 1, (worlds, 230, 1))
+    with jax.enable_x64(True):
+        found = lanes.rollout(model, states, controls, chunk=chunk)
+    np.testing.assert_allclose(found.state, native(model, states, controls), rtol=0, atol=1e-9)
+
+
 def test_without_the_guard_the_answer_would_be_wrong(rng: np.random.Generator) -> None:
     model = mujoco.MjModel.from_xml_string(ARM.format(extra=""))
     states, controls = starts(model, 8, rng, near=1), np.ones((8, 130, 2))
