@@ -79,10 +79,9 @@ class ControlledProgram:
         marked = np.zeros(count, bool)
         for first in range(0, steps, self.segment):
             last = min(first + self.segment, steps)
-            block = np.zeros((layout.devices, layout.capacity, layout.chunk, self.segment, controls.shape[2]), dtype)
-            for place, worlds in enumerate(index):
-                block[*divmod(place, active), :, : last - first] = controls[worlds, first:last]
-            block = block.reshape(-1, *block.shape[2:])
+            block = np.zeros((layout.devices * layout.capacity, layout.chunk, self.segment, controls.shape[2]), dtype)
+            for i, worlds in enumerate(index):
+                block[i // active * layout.capacity + i % active, :, : last - first] = controls[worlds, first:last]
             state, rows, marks = self._advance(params, state, block, np.int32(last - first), np.int32(active))
             # Copied from each device straight to their place: for small models copying takes as long as computing.
             on_host = [[np.asarray(shard.data) for shard in x.addressable_shards] for x in (rows, marks)]

@@ -78,6 +78,16 @@ def test_blocks_chunks_and_segments_that_are_not_full(rng: np.random.Generator) 
     np.testing.assert_allclose(found.state, native(model, states, controls), rtol=0, atol=1e-9)
 
 
+def test_a_model_without_actuators(rng: np.random.Generator) -> None:
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><joint axis='0 1 0'/><geom size='0.1' pos='0 0 1'/></body></worldbody></mujoco>"
+    )
+    states = rng.normal(size=(5, 3))
+    with jax.enable_x64(True):
+        found = lanes.rollout(model, states, steps=30)
+    np.testing.assert_allclose(found.state, native(model, states, np.zeros((5, 30, 0))), rtol=0, atol=1e-9)
+
+
 def test_without_the_guard_the_answer_would_be_wrong(rng: np.random.Generator) -> None:
     model = mujoco.MjModel.from_xml_string(ARM.format(extra=""))
     states, controls = starts(model, 8, rng, near=1), np.ones((8, 130, 2))
