@@ -72,6 +72,8 @@ class Config:
     """Seed of everything random."""
     only: tuple[str, ...] = ()
     """Only rules whose name holds one of these."""
+    together: bool = False
+    """Take these rules away all at once, not one at a time: each may be superfluous only beside the others."""
     processes: int = 2
     """Processes side by side."""
     json: Path | None = None
@@ -123,10 +125,10 @@ def judge(case: Case) -> bool:
     return any(search(case.word, f.message) for f in found if f.level != "note" or f.topic == "loading")
 
 
-def without(rule: str | None) -> None:
-    """Take a rule away, in this process."""
+def without(rules: Sequence[str]) -> None:
+    """Take rules away, in this process."""
     mujoco.set_mju_user_warning(lambda _: None)
-    for module, name, value in RULES[rule] if rule else ():
+    for module, name, value in (constant for rule in rules for constant in RULES[rule]):
         home = importlib.import_module(f"btr_mjx.gap.{module}")
         if not hasattr(home, name):
             raise InputError(f"{module} has no constant {name}")
@@ -135,11 +137,12 @@ def without(rule: str | None) -> None:
             home.held.__defaults__ = (value,)
 
 
-def outcomes(cases: Sequence[Case], rule: str | None, processes: int) -> tuple[np.ndarray, float]:
-    """Judgements of all cases without a rule, and the seconds that they took."""
+def outcomes(cases: Sequence[Case], rules: Sequence[str], processes: int) -> tuple[np.ndarray, float]:
+    """Judgements of all cases without some rules, and the seconds that they took."""
     start = perf_counter()
-    with ProcessPoolExecutor(processes, get_context("spawn"), without, (rule,)) as pool:
-        found = list(tqdm(pool.map(judge, cases, chunksize=4), total=len(cases), desc=rule or "all rules", leave=False))
+    with ProcessPoolExecutor(processes, get_context("spawn"), without, (rules,)) as pool:
+        judged = tqdm(pool.map(judge, cases, chunksize=4), total=len(cases), desc="; ".join(rules), leave=False)
+        found = list(judged)
     return np.array(found), perf_counter() - start
 
 
@@ -168,17 +171,15 @@ def main(config: Config) -> None:
         with ProcessPoolExecutor(config.processes, get_context("spawn")) as pool:
             cases = list(tqdm(pool.map(make_case, jobs), total=len(jobs), desc="cases", leave=False))
         planted = np.array([bool(case.word) for case in cases])
-        base, usual = outcomes(cases, None, config.processes)
-        print(
-            f"all rules: {base[planted].sum()} of {planted.sum()} named, {base[~planted].sum()} of {(~planted).sum()} "
-        )
-        print(f"clean logs accused, {usual:.0f} s")
+        base, usual = outcomes(cases, (), config.processes)
+        right, wrong = (f"{base[own].sum()} of {own.sum()}" for own in (planted, ~planted))
+        print(f"all rules: {right} named, {wrong} clean logs accused, {usual:.0f} s")
         print(f"{'rule':50} {'named only with/without':>24} {'spared only with/without':>25} {'pays':>5} {'time':>6}")
         rows = {}
-        for rule in RULES:
-            if config.only and not any(word in rule for word in config.only):
-                continue
-            other, seconds = outcomes(cases, rule, config.processes)
+        chosen = [rule for rule in RULES if not config.only or any(word in rule for word in config.only)]
+        for rules in [chosen] if config.together else [[rule] for rule in chosen]:
+            other, seconds = outcomes(cases, rules, config.processes)
+            rule = "; ".join(rules)
             named = _verdict(base[planted], other[planted], True)
             spared = _verdict(base[~planted], other[~planted], False)
             pays = "yes" if named[2] or spared[2] else "no"
