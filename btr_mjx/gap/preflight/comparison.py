@@ -38,9 +38,14 @@ class Comparison:
     after: float
     chance: float
 
+    @property
+    def significant(self) -> bool:
+        """Whether the alternative wins, and not by chance."""
+        return self.chance < CHANCE
+
     def decisive(self, ratio: float) -> bool:
         """Whether the alternative wins by this ratio of variances, and not by chance."""
-        return self.ratio >= ratio and self.chance < CHANCE
+        return self.ratio >= ratio and self.significant
 
     def evidence(self) -> dict[str, float]:
         """The numbers by name."""

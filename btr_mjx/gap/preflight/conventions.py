@@ -30,22 +30,8 @@ _POOR_BASE = 5e-4
 """The same for gravity and for the base: in a short flight it moves nearly straight on, whatever its frame is."""
 
 _RATIO = 9.0
-"""An alternative must divide the error (rms) of some coordinate by three at least. Physical effects that resemble a
-convention, such as a motor without force, compete and do not reach that."""
-
-_OWN_RATIO = 3.0
-"""Ratio of variances for the columns that it changes: where those of a joint are wrong, its neighbours may show it more
-clearly than the joint itself."""
-
-_NOT_WORSE = 0.5
-"""The same where only other joints can show it, see `Alternative.elsewhere`."""
-
-_AGAINST_PHYSICS = 1.2
-"""Smallest ratio of variances by which it must also do better, and not by chance, than a motor without force: that is
-what a wrong sign or a tiny unit of a force resembles."""
-
-_FIT = 0.25
-"""Largest error variance of an alternative, as a share of the motion."""
+"""An alternative must divide the error (rms) of some coordinate by three at least: where the columns of a joint are
+wrong, its neighbours may show it more clearly than the joint itself."""
 
 _MAX_FAULTS = 8
 
@@ -136,11 +122,7 @@ def _best(tried: Sequence[Alternative], now: np.ndarray, errors: np.ndarray) -> 
             continue
         own = list(alternative.groups)
         found = compare(_typical(now, own), _typical(errors[i], own))
-        if alternative.elsewhere:
-            own_fit = found.stretches == 0 or found.ratio > _NOT_WORSE
-        else:
-            own_fit = found.decisive(_OWN_RATIO)
-        if not own_fit or found.after**2 > _FIT:
+        if not (alternative.elsewhere or found.significant):
             continue
         judged = range(now.shape[1]) if alternative.elsewhere else own
         rivals = [errors[k] for k, a in enumerate(tried) if a.nuisance and set(a.groups) & set(own)]
@@ -164,9 +146,12 @@ def _best(tried: Sequence[Alternative], now: np.ndarray, errors: np.ndarray) -> 
 
 
 def _beats(after: np.ndarray, rival: np.ndarray) -> bool:
-    """Whether errors of a convention are below those of a physical explanation, where the two differ."""
+    """Whether errors of a convention are below those of a physical explanation, where the two differ.
+
+    A wrong sign or a tiny unit of a force resembles a motor without force.
+    """
     found = compare(rival, after)
-    return found.stretches == 0 or found.decisive(_AGAINST_PHYSICS)
+    return found.stretches == 0 or found.significant
 
 
 def _strength(found: Comparison) -> float:

@@ -20,9 +20,6 @@ _STRETCHES = 120
 _RATIO = 4.0
 """An alternative must halve the error. Its error is that of two sensors, so that physics has no part in it."""
 
-_FIT = 0.3
-"""Largest error of an alternative, as a share of the motion."""
-
 _MOVING = 5.0
 """A stretch counts where the displacement exceeds so many standard deviations of its noise."""
 
@@ -111,7 +108,7 @@ def _judge(
     now = errors[0][1]
     best, left = min(errors[1:], key=lambda pair: float(np.sum(np.log(pair[1]))))
     found = compare(now, left)
-    if found.decisive(_RATIO) and found.after < _FIT:
+    if found.decisive(_RATIO):
         return _error(columns, best, found, kind)
     if (
         kind in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
