@@ -112,7 +112,8 @@ def test_workers_killed_hung_and_late(tmp_path: Path, capsys: pytest.CaptureFixt
         stored[hashlib.sha256(values.tobytes()).hexdigest()] = path.stat().st_mtime
     assert {digest for _, digest in log} == set(stored)
     assert all(when <= stored[digest] for when, digest in log)
-    assert 20 <= len(log) <= 24  # what the killed and the stopped worker had in hand is computed twice
+    # What the killed and the stopped worker had in hand, or had not been asked for yet, is computed twice.
+    assert 20 <= len(log) <= 30
     whole = evaluate(robot, s, c, engine="native", fitness=fitness)
     table = evaluate_blocks(
         robot, s, c, engine="native", fitness=fitness, blocks=BlockSettings(folder, 12, "tcp://127.0.0.1:9")
