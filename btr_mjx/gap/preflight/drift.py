@@ -7,7 +7,6 @@ delay may be physics; one that grows in proportion to the time since the start o
 import numpy as np
 
 from btr_mjx.gap.data import Dataset, Noise
-from btr_mjx.gap.preflight.comparison import compare
 from btr_mjx.gap.preflight.findings import Finding
 from btr_mjx.gap.preflight.predictions import Change, Predictor
 
@@ -15,16 +14,6 @@ _STRETCHES = 64
 _MIN_STRETCHES = 12
 _SIGNIFICANT = 6.0
 """Smallest drift in units of its standard error."""
-
-_MAX_DRIFT = 0.05
-"""Clocks that differ by more are not clocks; the estimate is then one of something else."""
-
-_RATIO = 1.2
-"""Smallest median ratio of error variances, without and with the drift. Stretches in the middle of a recording do not
-distinguish the two, so that it is small for true drifts, too."""
-
-_CHANCE = 1e-3
-"""Probability of the stretches that are predicted better, by chance; besides `_SIGNIFICANT`, not in its place."""
 
 _MIN_DRIFT = 3e-4
 """Smallest drift that is reported: 0.3 ms a second is a delay of 3 ms after 10 s."""
@@ -44,20 +33,11 @@ def clock_drift(dataset: Dataset, noise: Noise) -> list[Finding]:
         return []
     delay, weight = _delays(dataset, noise, predictor)
     recording, since = predictor.start_times()
-    none = [Change.none(dataset.model)]
     found = _slope(delay, weight, recording, since)
     if found is None:
         return []
-    drift, error, starts = found
-    if not max(_MIN_DRIFT, _SIGNIFICANT * error) <= abs(drift) <= _MAX_DRIFT:
-        return []
-    # The same data with the clock mended must be predicted better, against the best constant delay of each recording.
-    own = drift * since
-    middle = np.array([np.mean(own[recording == i]) for i in recording])
-    base = np.array([starts.get(int(i), 0.0) for i in recording])
-    constant, mended = (predictor.errors(none, base + shift)[0].mean(axis=1) for shift in (middle, own))
-    gain = compare(constant, mended)
-    if gain.ratio < _RATIO or gain.chance > _CHANCE:
+    drift, error = found
+    if abs(drift) < max(_MIN_DRIFT, _SIGNIFICANT * error):
         return []
     way = "later" if drift > 0 else "earlier"
     remedy = f"multiply the times of the commands by {1 + drift:.6g}, or record both with one clock"
@@ -93,8 +73,8 @@ def _delays(dataset: Dataset, noise: Noise, predictor: Predictor) -> tuple[np.nd
 
 def _slope(
     delay: np.ndarray, weight: np.ndarray, recording: np.ndarray, since: np.ndarray
-) -> tuple[float, float, dict[int, float]] | None:
-    """Common slope over time of the delays of all recordings, its standard error, and the delay at each start."""
+) -> tuple[float, float] | None:
+    """Common slope over time of the delays of all recordings, and its standard error."""
     own = weight > 0.05 * np.median(weight)
     delay, weight, recording, since = delay[own], weight[own], recording[own], since[own]
     starts = np.unique(recording)
@@ -115,5 +95,4 @@ def _slope(
     inverse = np.linalg.pinv((root[:, None] * columns).T @ (root[:, None] * columns))
     freedom = len(delay) - columns.shape[1]
     variance = float(np.sum(robust * left**2)) / freedom
-    at_start = {int(i): float(delay) for i, delay in zip(starts, found[1:], strict=True)}
-    return float(found[0]), float(np.sqrt(variance * inverse[0, 0])), at_start
+    return float(found[0]), float(np.sqrt(variance * inverse[0, 0]))

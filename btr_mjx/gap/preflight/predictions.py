@@ -155,31 +155,29 @@ class Predictor:
         since = [time[k] - time[0] for time, (_, k) in zip(times, rows, strict=True)]
         return np.array([i for i, _ in rows], int), np.array(since)
 
-    def errors(self, changes: Sequence[Change], command_shift: float | np.ndarray = 0.0) -> np.ndarray:
+    def errors(self, changes: Sequence[Change]) -> np.ndarray:
         """Relative error variances (changes, W, groups), between the noise and `WORST`; see `motions`."""
-        pairs = self.motions(changes, command_shift)
-        return np.array([self._relative(c, *pair) for c, pair in zip(changes, pairs, strict=True)])
+        pairs = zip(changes, self.motions(changes), strict=True)
+        return np.array([self._relative(change, *pair) for change, pair in pairs])
 
     def motions(
-        self, changes: Sequence[Change], command_shift: float | np.ndarray = 0.0, command_scale: float = 1.0
+        self, changes: Sequence[Change], command_shift: float = 0.0, command_scale: float = 1.0
     ) -> list[tuple[np.ndarray, np.ndarray]]:
         """Simulate all stretches under each change.
 
         Args:
           changes: of the data or the model.
-          command_shift: delay of all commands [s], a number or (W,).
+          command_shift: delay of all commands [s].
           command_scale: factor of all commands.
 
         Returns:
           For each change, measured and simulated motion since the start of each stretch, (W, samples, nv) each.
         """
         jobs, ends = [], []
-        shifts = np.broadcast_to(command_shift, len(self))
         for change in changes:
             for recording in sorted({c.stretch.recording for c in self._cuts}):
-                own = [i for i, c in enumerate(self._cuts) if c.stretch.recording == recording]
-                cuts = [self._cuts[i] for i in own]
-                job, end = self._job(change, recording, cuts, shifts[own], command_scale)
+                cuts = [c for c in self._cuts if c.stretch.recording == recording]
+                job, end = self._job(change, recording, cuts, command_shift, command_scale)
                 jobs.append(job)
                 ends.append(end)
         states = simulate(jobs)
@@ -236,7 +234,7 @@ class Predictor:
         return sigma
 
     def _job(
-        self, change: Change, recording: int, cuts: Sequence[_Cut], shifts: np.ndarray, scale: float
+        self, change: Change, recording: int, cuts: Sequence[_Cut], shift: float, scale: float
     ) -> tuple[tuple[World, Segments], np.ndarray]:
         """World and segments of the stretches of a recording, and measured positions (W, samples, nq) at their ends."""
         data = self._dataset.recordings[recording]
@@ -257,9 +255,7 @@ class Predictor:
             starts.append(integrate(model, middle, place))
             speeds.append(slope)
             acts.append(_activation(model, change.ctrl(data.ctrl[cut.stretch.first]) * scale, middle))
-        commands = tuple(
-            self._command(recording, cut, change, float(shift), scale) for cut, shift in zip(cuts, shifts, strict=True)
-        )
+        commands = tuple(self._command(recording, cut, change, shift, scale) for cut in cuts)
         at = np.array([cut.samples for cut in cuts])
         first = data.time[[cut.stretch.first for cut in cuts]]
         segments = Segments(
