@@ -133,7 +133,9 @@ def outcomes(cases: Sequence[Case], rules: Sequence[str], processes: int) -> tup
     """Judgements of all cases without some rules, and the seconds that they took."""
     start = perf_counter()
     with ProcessPoolExecutor(processes, get_context("spawn"), without, (rules,)) as pool:
-        judged = tqdm(pool.map(judge, cases, chunksize=4), total=len(cases), desc="; ".join(rules), leave=False)
+        judged = tqdm(
+            pool.map(judge, cases, chunksize=4), total=len(cases), desc="; ".join(rules) or "all rules", leave=False
+        )
         found = list(judged)
     return np.array(found), perf_counter() - start
 

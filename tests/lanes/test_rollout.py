@@ -78,6 +78,18 @@ def test_blocks_chunks_and_segments_that_are_not_full(rng: np.random.Generator) 
     np.testing.assert_allclose(found.state, native(model, states, controls), rtol=0, atol=1e-9)
 
 
+def test_worlds_that_diverge_are_left_to_native(rng: np.random.Generator) -> None:
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><joint name='hinge' axis='0 1 0'/><geom size='0.1' pos='0 0 1'/></body></worldbody>"
+        "<actuator><motor joint='hinge'/></actuator></mujoco>"
+    )
+    states, controls = rng.normal(size=(4, 3)), rng.uniform(-1, 1, (4, 20, 1))
+    controls[2, 5:] = 1e20
+    found = lanes.rollout(model, states, controls)
+    assert list(found.engine) == ["lanes", "lanes", "native", "lanes"]
+    assert np.isfinite(found.state).all()
+
+
 def test_a_model_without_actuators(rng: np.random.Generator) -> None:
     model = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><body><joint axis='0 1 0'/><geom size='0.1' pos='0 0 1'/></body></worldbody></mujoco>"
