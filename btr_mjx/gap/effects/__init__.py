@@ -5,6 +5,7 @@ that is used by the search and for the mended model. A `Candidate` is an effect 
 """
 
 from btr_mjx.gap.effects.effect import Candidate, Effect, Parameter, candidates
+from btr_mjx.gap.effects.hypothesis import Hypothesis, believed_steps
 from btr_mjx.gap.effects.library import EFFECTS, KNOWN_EFFECTS
 from btr_mjx.gap.effects.links import link_of
 from btr_mjx.gap.effects.per_member import EACH_MEMBER, per_member
@@ -28,11 +29,13 @@ __all__ = [
     "WORLD",
     "Candidate",
     "Effect",
+    "Hypothesis",
     "Parameter",
     "Place",
     "Scales",
     "actuator_count",
     "actuator_places",
+    "believed_steps",
     "body_place",
     "candidates",
     "custom_effect_code",

@@ -4,7 +4,7 @@
 candidates, `verdict` decides which effects are named and computes lack of fit, intervals and confounds.
 """
 
-from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
+from btr_mjx.gap.effects import Hypothesis
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import nearest
 from btr_mjx.gap.inference.verdict.identify import identify, name_missing

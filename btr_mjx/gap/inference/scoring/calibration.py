@@ -10,8 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from btr_mjx.gap.effects import Candidate
-from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
+from btr_mjx.gap.effects import Candidate, Hypothesis
 from btr_mjx.gap.inference.scoring.refine import Nuisance
 from btr_mjx.gap.inference.scoring.screening import Screen, nuisances, tolerance_of
 from btr_mjx.gap.windows import Windows, project

@@ -1,99 +1,18 @@
-"""Hypotheses: values of what may be refitted and effects that are added, and the worlds they make."""
+"""Free numbers of hypotheses with their bounds, and the refit of the believed ones."""
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection
 
-import mujoco
 import numpy as np
 
-from btr_mjx.gap.effects import Candidate
+from btr_mjx.gap.effects import Hypothesis, believed_steps
 from btr_mjx.gap.inference.scoring.refine import Nuisance, Unknowns, refine
-from btr_mjx.gap.simulate import World
 from btr_mjx.gap.windows import MakeWorld, Windows, typical_chi2
-from btr_mjx.models import PathParameter
 
 CONTACT_STEP = 0.15
 """Finite-difference steps of candidates that move contacts are smaller by this factor."""
 
 _REFITS = 6
 """Gauss-Newton steps of a refit of the believed numbers."""
-
-
-@dataclass(frozen=True)
-class Hypothesis:
-    """What the robot could be.
-
-    Attributes:
-      parameters: what may be refitted.
-      believed: (P,) their values.
-      effects: candidates with their values.
-    """
-
-    parameters: tuple[PathParameter, ...]
-    believed: tuple[float, ...]
-    effects: tuple[tuple[Candidate, tuple[float, ...]], ...] = ()
-    _worlds: dict[int, tuple[mujoco.MjModel, World]] = field(
-        default_factory=dict, init=False, repr=False, compare=False, hash=False
-    )
-
-    def __call__(self, model: mujoco.MjModel) -> World:
-        """The world of a recording whose believed model is `model`, made once: it must not be edited."""
-        if id(model) not in self._worlds:
-            self._worlds[id(model)] = model, self._world(model)
-        return self._worlds[id(model)][1]
-
-    def _world(self, model: mujoco.MjModel) -> World:
-        world = World.of(model)
-        for parameter, value in zip(self.parameters, self.believed, strict=True):
-            parameter.write(world.model, value)
-        if self.parameters:
-            mujoco.mj_setConst(world.model, mujoco.MjData(world.model))
-        for candidate, values in self.effects:
-            candidate.apply(world, np.array(values))
-        world.frozen = True
-        return world
-
-    def with_effect(self, candidate: Candidate, values: Sequence[float] | np.ndarray) -> "Hypothesis":
-        """The same with one more effect."""
-        added = (candidate, tuple(float(value) for value in values))
-        return replace(self, effects=(*self.effects, added))
-
-    @property
-    def numbers(self) -> int:
-        """How many numbers its effects have."""
-        return sum(len(values) for _, values in self.effects)
-
-    @property
-    def name(self) -> str:
-        """Its effects' names."""
-        return " + ".join(candidate.name for candidate, _ in self.effects) or "nothing"
-
-    def values(self, with_believed: bool) -> np.ndarray:
-        """Its free numbers: believed ones if wanted, then those of its effects."""
-        own = [value for _, values in self.effects for value in values]
-        return np.array([*(self.believed if with_believed else ()), *own], float)
-
-    def replaced(self, values: np.ndarray, with_believed: bool) -> "Hypothesis":
-        """The same with other free numbers, in the order of `values`."""
-        numbers = [float(value) for value in values]
-        believed = tuple(numbers[: len(self.believed)]) if with_believed else self.believed
-        rest = numbers[len(self.believed) :] if with_believed else numbers
-        effects, first = [], 0
-        for candidate, own in self.effects:
-            effects.append((candidate, tuple(rest[first : first + len(own)])))
-            first += len(own)
-        return replace(self, believed=believed, effects=tuple(effects))
-
-
-def believed_steps(parameters: Sequence[PathParameter], values: Sequence[float]) -> np.ndarray:
-    """Finite-difference steps of what may be refitted (P,)."""
-    steps = []
-    for parameter, value in zip(parameters, values, strict=True):
-        size = min(
-            0.02 * max(abs(value), 1e-3 * (parameter.high - parameter.low)), 0.1 * (parameter.high - parameter.low)
-        )
-        steps.append(size if value + size <= parameter.high else -size)
-    return np.array(steps)
 
 
 def unknowns(hypothesis: Hypothesis, with_believed: bool, contact_sensitive: Collection[str] = ()) -> Unknowns:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.effects import Candidate
-from btr_mjx.gap.inference.scoring.hypotheses import CONTACT_STEP, Hypothesis, believed_steps
+from btr_mjx.gap.effects import Candidate, Hypothesis, believed_steps
+from btr_mjx.gap.inference.scoring.hypotheses import CONTACT_STEP
 from btr_mjx.gap.inference.scoring.refine import Nuisance
 from btr_mjx.gap.simulate import differing_fields, fingerprint
 from btr_mjx.gap.windows import MakeWorld, Windows, signatures, step_uncertainty

@@ -5,9 +5,8 @@ from functools import partial
 
 import numpy as np
 
-from btr_mjx.gap.effects import WORLD, Candidate
+from btr_mjx.gap.effects import WORLD, Candidate, Hypothesis
 from btr_mjx.gap.inference.scoring.gains import robust_gain
-from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
 from btr_mjx.gap.inference.search.line_search import LineSearch
 from btr_mjx.gap.inference.search.search_records import Side
 from btr_mjx.gap.simulate import run_in_threads

@@ -9,8 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from btr_mjx.gap.effects import Candidate
-from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
+from btr_mjx.gap.effects import Candidate, Hypothesis
 from btr_mjx.gap.inference.scoring.refine import Refined
 from btr_mjx.gap.inference.scoring.scanner import Lead, Scanner
 from btr_mjx.gap.inference.search.search_records import Side, Started

@@ -11,7 +11,8 @@ from functools import partial
 
 import numpy as np
 
-from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis, unknowns
+from btr_mjx.gap.effects import Hypothesis
+from btr_mjx.gap.inference.scoring.hypotheses import unknowns
 from btr_mjx.gap.inference.scoring.refine import AGAIN, Refined, refine
 from btr_mjx.gap.inference.search.pairwise import compare_with_best, share_starting_states
 from btr_mjx.gap.inference.search.search import Bench

@@ -12,7 +12,7 @@ from threading import Lock
 import numpy as np
 import scipy
 
-from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
+from btr_mjx.gap.effects import Hypothesis
 from btr_mjx.gap.inference.scoring.refine import Nuisance
 from btr_mjx.gap.inference.search.search_records import Side, nearest
 from btr_mjx.gap.windows import Fit

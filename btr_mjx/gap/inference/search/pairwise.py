@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
+from btr_mjx.gap.effects import Hypothesis
 from btr_mjx.gap.inference.scoring.gains import robust_gain, trimmed_gain
-from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Judged, Side, nearest
 from btr_mjx.gap.simulate import run_in_threads

@@ -2,8 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
-from btr_mjx.gap.effects import Candidate
-from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
+from btr_mjx.gap.effects import Candidate, Hypothesis
 from btr_mjx.gap.inference.search.finalists import Finalists
 from btr_mjx.gap.inference.search.naming import SECOND_THRESHOLD, acceptable, accepted
 from btr_mjx.gap.inference.search.search import Bench

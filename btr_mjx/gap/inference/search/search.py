@@ -13,10 +13,10 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, noise_of, reduced_noise
-from btr_mjx.gap.effects import Candidate, Effect, candidates
+from btr_mjx.gap.effects import Candidate, Effect, Hypothesis, candidates
 from btr_mjx.gap.inference.scoring.calibration import tolerance_draws, with_nonlinear_tolerances
 from btr_mjx.gap.inference.scoring.gains import fall
-from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis, refitted, unknowns
+from btr_mjx.gap.inference.scoring.hypotheses import refitted, unknowns
 from btr_mjx.gap.inference.scoring.refine import Nuisance, Refined, refine
 from btr_mjx.gap.inference.scoring.scanner import Lead, Scanner
 from btr_mjx.gap.inference.scoring.screening import (

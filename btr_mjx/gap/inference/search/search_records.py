@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
+from btr_mjx.gap.effects import Hypothesis
 from btr_mjx.gap.inference.scoring.refine import Nuisance, Refined
 from btr_mjx.gap.windows import Fit, MakeWorld, Windows, relinearised, select_rows, with_fitted_states
 

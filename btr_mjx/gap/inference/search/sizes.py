@@ -1,6 +1,6 @@
 """The size of what moves contacts, tried with starting states of its own at each: derivatives lead nowhere there."""
 
-from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
+from btr_mjx.gap.effects import Hypothesis
 from btr_mjx.gap.inference.search.line_search import factor_within_bounds, scaled, vertex
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Side

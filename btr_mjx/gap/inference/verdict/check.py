@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from btr_mjx.gap.effects import Hypothesis
 from btr_mjx.gap.inference.scoring.calibration import tolerance_draws
 from btr_mjx.gap.inference.scoring.forces import (
     Circumstances,
@@ -19,7 +20,6 @@ from btr_mjx.gap.inference.scoring.forces import (
     lack_of_fit,
     usual_excess,
 )
-from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis
 from btr_mjx.gap.inference.scoring.leftover import Feature, FeatureGain, Joints, Leftover, Middle, features
 from btr_mjx.gap.inference.scoring.nulls import null_residual
 from btr_mjx.gap.inference.search.search import Bench

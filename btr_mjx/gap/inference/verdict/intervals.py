@@ -9,7 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis, unknowns
+from btr_mjx.gap.effects import Hypothesis
+from btr_mjx.gap.inference.scoring.hypotheses import unknowns
 from btr_mjx.gap.inference.scoring.refine import answers, nudges
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Judged

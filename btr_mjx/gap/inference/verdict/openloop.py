@@ -10,7 +10,8 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
-from btr_mjx.gap.inference.scoring.hypotheses import Hypothesis, unknowns
+from btr_mjx.gap.effects import Hypothesis
+from btr_mjx.gap.inference.scoring.hypotheses import unknowns
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Judged
 from btr_mjx.gap.simulate import Counter, Segments, simulate

@@ -9,7 +9,8 @@ from functools import partial
 
 import numpy as np
 
-from btr_mjx.gap.inference.scoring.hypotheses import CONTACT_STEP, Hypothesis
+from btr_mjx.gap.effects import Hypothesis
+from btr_mjx.gap.inference.scoring.hypotheses import CONTACT_STEP
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Judged, Side
 from btr_mjx.gap.results import Estimate
