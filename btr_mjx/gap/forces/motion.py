@@ -1,0 +1,214 @@
+"""Motion from one sample to the next, linearised around smoothed states, by simulations of single intervals.
+
+With the state x_k = x^_k + e_k around a reference x^_k, the step map f_k of a hypothesis and a random force w_k,
+
+    e_(k+1) = A_k e_k + S_k theta - d_k + G_k w_k,      d_k = x^_(k+1) - f_k(x^_k).
+
+All simulations last one interval and start at measured states, so that none can diverge, however wrong the model.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.effects import Candidate, Hypothesis
+from btr_mjx.gap.forces.stretches import Stretches
+from btr_mjx.gap.simulate import Counter, Segments, World, simulate
+from btr_mjx.models import difference, integrate
+
+MakeWorld = Callable[[mujoco.MjModel], World]
+
+
+@dataclass(frozen=True)
+class Number:
+    """One free number of a hypothesis: where its derivative is taken.
+
+    Attributes:
+      candidate: the effect that it belongs to.
+      index: of the parameter.
+      at: values (p,) of the effect at which the derivative is taken; its null for an effect that is not yet there.
+      step: of the difference quotient.
+    """
+
+    candidate: Candidate
+    index: int
+    at: tuple[float, ...]
+    step: float
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """S stretches of K intervals, linearised around a hypothesis.
+
+    Attributes:
+      stretches: with the states around which they are linearised.
+      defect: (S, K, 2 nv) d_k.
+      transition: (S, K, 2 nv, 2 nv) A_k.
+      force: (S, K, 2 nv, nv) G_k, the response to a constant generalised force.
+      interval: (S, K) lengths [s].
+    """
+
+    stretches: Stretches
+    defect: np.ndarray
+    transition: np.ndarray
+    force: np.ndarray
+    interval: np.ndarray
+
+
+def linearise(
+    stretches: Stretches, make: MakeWorld, counter: Counter | None = None, known: Linearised | None = None
+) -> Linearised:
+    """Linearise a hypothesis.
+
+    Args:
+      stretches: where.
+      make: the hypothesis.
+      counter: adds up the simulated steps.
+      known: a linearisation whose transitions and responses are kept; None to compute them.
+    """
+    interval = np.diff(stretches.time, axis=1)
+    base = ends(stretches, [make], counter=counter)[0]
+    model = stretches.data.recordings[0].model
+    nv, nq = model.nv, model.nq
+    target = np.concatenate([stretches.qpos[:, 1:], stretches.qvel[:, 1:]], -1)
+    defect = _minus(model, target, base)
+    if known is not None:
+        return replace(known, stretches=stretches, defect=defect)
+    transition = np.empty((*interval.shape, 2 * nv, 2 * nv))
+    shifts = _shifts(stretches)
+    for i, size in enumerate(shifts):
+        out = []
+        for sign in (1.0, -1.0):
+            moved = np.zeros(2 * nv)
+            moved[i] = sign * size
+            start_q = integrate(model, stretches.qpos[:, :-1], np.broadcast_to(moved[:nv], (*interval.shape, nv)))
+            out.append(ends(stretches, [make], (start_q, stretches.qvel[:, :-1] + moved[nv:]), counter)[0])
+        transition[..., i] = np.nan_to_num(_minus(model, out[0], out[1])) / (2 * size)
+    inverse = _inverse_inertia(stretches, make)
+    kick = np.zeros((*interval.shape, 2 * nv, nv))
+    kick[..., nv:, :] = inverse * interval[..., None, None]
+    # The mean of a kick at the start and one at the end of the interval.
+    force = 0.5 * (kick + transition @ kick)
+    assert base.shape[-1] == nq + nv
+    return Linearised(stretches, np.nan_to_num(defect), transition, force, interval)
+
+
+def responses(
+    stretches: Stretches, base: Hypothesis, numbers: Sequence[Number], counter: Counter | None = None
+) -> np.ndarray:
+    """Derivatives of the ends of intervals with respect to numbers of effects beside a hypothesis.
+
+    Args:
+      stretches: where.
+      base: the hypothesis without the effects of `numbers`.
+      numbers: the numbers.
+      counter: adds up the simulated steps.
+
+    Returns:
+      (S, K, 2 nv, C).
+    """
+    model = stretches.data.recordings[0].model
+    makes: list[MakeWorld] = []
+    where: dict[tuple, int] = {}
+
+    def place(candidate: Candidate, values: tuple[float, ...]) -> int:
+        plain = bool(np.all(np.array(values) == candidate.null)) and not any(p.shape for p in candidate.parameters)
+        key = ("base",) if plain else (candidate.name, values)
+        if key not in where:
+            where[key] = len(makes)
+            makes.append(base if plain else base.with_effect(candidate, values))
+        return where[key]
+
+    pairs = []
+    for number in numbers:
+        moved = list(number.at)
+        moved[number.index] += number.step
+        pairs.append((place(number.candidate, number.at), place(number.candidate, tuple(moved))))
+    found = ends(stretches, makes, counter=counter)
+    out = np.empty((len(stretches), stretches.intervals, 2 * model.nv, len(numbers)))
+    for c, ((a, b), number) in enumerate(zip(pairs, numbers, strict=True)):
+        out[..., c] = np.nan_to_num(_minus(model, found[b], found[a])) / number.step
+    return out
+
+
+def ends(
+    stretches: Stretches,
+    makes: Sequence[MakeWorld],
+    start: tuple[np.ndarray, np.ndarray] | None = None,
+    counter: Counter | None = None,
+) -> list[np.ndarray]:
+    """States (S, K, nq + nv) of hypotheses at the ends of all intervals, each from the reference at its start.
+
+    Args:
+      stretches: where.
+      makes: the hypotheses.
+      start: other starting states, qpos (S, K, nq) and qvel (S, K, nv).
+      counter: adds up the simulated steps.
+    """
+    qpos, qvel = start or (stretches.qpos[:, :-1], stretches.qvel[:, :-1])
+    shape = qpos.shape[:2]
+    interval = np.diff(stretches.time, axis=1)
+    out = [np.empty((*shape, qpos.shape[-1] + qvel.shape[-1])) for _ in makes]
+    groups: dict[int, list[int]] = {}
+    for s, r in enumerate(stretches.recording):
+        groups.setdefault(id(stretches.data.recordings[r].model), []).append(s)
+    for own in groups.values():
+        model = stretches.data.recordings[stretches.recording[own[0]]].model
+        rows = np.repeat(np.array(own), shape[1])
+        segments = Segments(
+            start=stretches.time[own, :-1].reshape(-1),
+            qpos=qpos[own].reshape(-1, qpos.shape[-1]),
+            qvel=qvel[own].reshape(-1, qvel.shape[-1]),
+            samples=interval[own].reshape(-1, 1),
+            commands=stretches.data.commands,
+            recording=stretches.recording[rows],
+            act=stretches.act[own, :-1].reshape(len(rows), -1) if model.na else None,
+        )
+        step = time_step(model, interval[own])
+        found = simulate([(make(model), segments) for make in makes], timestep=step, threads=1, counter=counter)
+        for states, target in zip(found, out, strict=True):
+            target[own] = states[:, 0].reshape(len(own), shape[1], -1)
+    return out
+
+
+def time_step(model: mujoco.MjModel, interval: np.ndarray) -> float:
+    """The longest time step that divides the usual interval and is no longer than that of the model."""
+    usual = float(np.median(interval))
+    return usual / max(1, math.ceil(usual / model.opt.timestep - 1e-3))
+
+
+def _minus(model: mujoco.MjModel, states: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """States minus others (..., 2 nv), both (..., nq + nv)."""
+    nq = model.nq
+    position = difference(model, other[..., :nq], states[..., :nq])
+    return np.concatenate([position, states[..., nq:] - other[..., nq:]], -1)
+
+
+def _shifts(stretches: Stretches) -> np.ndarray:
+    """(2 nv,) perturbations of the state: small beside the motion, no smaller than what is known of the state."""
+    model = stretches.data.recordings[0].model
+    nv = model.nv
+    size_q = difference(model, stretches.qpos[:, :1], stretches.qpos).std((0, 1))
+    size_v = stretches.qvel.std((0, 1))
+    interval = float(np.median(np.diff(stretches.time, axis=1)))
+    low_q, low_v = 1e-4 * size_q + 1e-9, 1e-3 * size_v + 1e-9
+    known_q = stretches.sigma[:nv]
+    return np.concatenate([np.maximum(low_q, known_q), np.maximum(low_v, np.minimum(known_q / interval, 0.1 * size_v))])
+
+
+def _inverse_inertia(stretches: Stretches, make: MakeWorld) -> np.ndarray:
+    """(S, K, nv, nv) inverse of the mass matrix at the starts of the intervals."""
+    count, nv = stretches.intervals, stretches.qvel.shape[-1]
+    out = np.empty((len(stretches), count, nv, nv))
+    for s, r in enumerate(stretches.recording):
+        model = make(stretches.data.recordings[r].model).model
+        data, full = mujoco.MjData(model), np.zeros((nv, nv))
+        for k in range(count):
+            data.qpos[:] = stretches.qpos[s, k]
+            mujoco.mj_fwdPosition(model, data)
+            mujoco.mj_fullM(model, data, full)
+            out[s, k] = full
+    return np.linalg.inv(out)

@@ -1,0 +1,247 @@
+"""A hypothesis with its numbers and calibration, fitted by Gauss-Newton steps in true simulation."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from btr_mjx.gap.effects import Candidate, Hypothesis
+from btr_mjx.gap.forces.evidence import Calibration, Fit, least_squares
+from btr_mjx.gap.forces.filtering import Filtered, Smoothed, Variances, filtered, smoothed
+from btr_mjx.gap.forces.motion import Linearised, Number, linearise, responses
+from btr_mjx.gap.forces.stretches import Stretches
+from btr_mjx.gap.forces.unknowns import Library
+from btr_mjx.gap.simulate import Counter
+
+_STEPS = 8
+"""Gauss-Newton steps of the numbers of a hypothesis."""
+
+_SETTLED = 0.05
+"""Fall of -2 ln p below which these end early."""
+
+_ROUNDS = 12
+"""Updates of variances, at most."""
+
+_STILL = 0.02
+"""Relative change of all variances below which these end early."""
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """One side of the split.
+
+    Attributes:
+      stretches: of its recordings.
+      library: columns of the search.
+      columns: (S, K, 2 nv, C) responses to all of them beside the believed model.
+      counter: adds up the simulated steps.
+    """
+
+    stretches: Stretches
+    library: Library
+    columns: np.ndarray
+    counter: Counter
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A hypothesis with its numbers.
+
+    Attributes:
+      base: the believed model.
+      named: effects with their values.
+      calibration: (n,) values of calibration.
+    """
+
+    base: Hypothesis
+    named: tuple[tuple[Candidate, tuple[float, ...]], ...]
+    calibration: np.ndarray
+
+    def hypothesis(self, library: Library, without: int | None = None) -> Hypothesis:
+        """The hypothesis that is simulated, calibration included.
+
+        Args:
+          library: what calibration consists of.
+          without: index of a named effect that is left out.
+        """
+        out = self.base
+        for entry, value in zip(library.calibrated, self.calibration, strict=True):
+            candidate = entry.candidate
+            column = library.numbers[entry.columns[0][0]].index if len(entry.columns[0]) == 1 else 0
+            if value:
+                values = candidate.null
+                values[column] = np.clip(
+                    values[column] + value, candidate.parameters[column].low, candidate.parameters[column].high
+                )
+                out = out.with_effect(candidate, values)
+        for i, (candidate, own) in enumerate(self.named):
+            if i != without:
+                out = out.with_effect(candidate, own)
+        return out
+
+    @property
+    def numbers(self) -> int:
+        """Free numbers of the named effects."""
+        return sum(len(values) for _, values in self.named)
+
+    def moved(self, changes: np.ndarray, calibration: np.ndarray) -> "Point":
+        """Another point: changes (p,) of the numbers, and values of calibration."""
+        first, named = 0, []
+        for candidate, values in self.named:
+            own = np.array(values) + changes[first : first + len(values)]
+            first += len(values)
+            own = np.clip(own, [p.low for p in candidate.parameters], [p.high for p in candidate.parameters])
+            named.append((candidate, tuple(float(v) for v in own)))
+        return replace(self, named=tuple(named), calibration=calibration)
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A point at which a side was linearised and filtered.
+
+    Attributes:
+      point: the point.
+      linear: the linearised motion.
+      columns: (S, K, 2 nv, p + n) of its numbers and of calibration.
+      whitened: of the residual and these columns.
+      variances: with which they were whitened.
+      loss: -2 ln p, determinants included.
+    """
+
+    point: Point
+    linear: Linearised
+    columns: np.ndarray
+    whitened: Filtered
+    variances: Variances
+    loss: float
+
+
+def evaluate(side: Side, point: Point, variances: Variances, known: Fitted | None = None) -> Fitted:
+    """Linearise and filter a point.
+
+    Args:
+      side: of the split.
+      point: the point.
+      variances: of sensors and random force.
+      known: a fit whose transitions are kept; None to compute them.
+    """
+    linear = linearise(
+        side.stretches, point.hypothesis(side.library), side.counter, None if known is None else known.linear
+    )
+    columns = [_own_columns(side, point)]
+    design = side.library.calibration.design
+    columns.append(side.columns @ design if design.shape[1] else side.columns[..., :0])
+    every = np.concatenate(columns, -1)
+    return _whitened(point, linear, every, variances, side)
+
+
+def again(side: Side, fit: Fitted, variances: Variances) -> Fitted:
+    """The same point with other variances."""
+    return _whitened(fit.point, fit.linear, fit.columns, variances, side)
+
+
+def _whitened(point: Point, linear: Linearised, columns: np.ndarray, variances: Variances, side: Side) -> Fitted:
+    found = filtered(linear, columns, variances)
+    penalty = least_squares(
+        np.zeros((1 + columns.shape[-1],) * 2), np.zeros((columns.shape[-1], 0)), _fixed(point, side), None, None
+    ).penalty
+    return Fitted(
+        point,
+        linear,
+        columns,
+        found,
+        variances,
+        float(found.gram[:, 0, 0].sum() + found.log_determinant.sum()) + penalty,
+    )
+
+
+def _fixed(point: Point, side: Side) -> Calibration:
+    """Calibration of a point, which stays where it is."""
+    own = side.library.calibration
+    p = point.numbers
+    return replace(own, design=np.zeros((p + len(own.tolerance), len(own.tolerance))), at=point.calibration)
+
+
+def _own_columns(side: Side, point: Point) -> np.ndarray:
+    """(S, K, 2 nv, p) derivatives with respect to the numbers of named effects, each at its value."""
+    out = [side.columns[..., :0]]
+    for i, (candidate, values) in enumerate(point.named):
+        numbers = [
+            Number(candidate, j, values, _step(own, values[j])) for j, own in enumerate(candidate.parameters)
+        ]
+        out.append(
+            responses(side.stretches, point.hypothesis(side.library, without=i), numbers, side.counter)
+        )
+    return np.concatenate(out, -1)
+
+
+def _step(parameter, value: float) -> float:  # type: ignore[no-untyped-def]
+    """A small step that stays within the range of a parameter."""
+    step = 0.2 * parameter.step
+    return step if parameter.low <= value + step <= parameter.high else -step
+
+
+def step_of(side: Side, fit: Fitted) -> Fit:
+    """The Gauss-Newton step from a fitted point."""
+    p, n = fit.point.numbers, len(side.library.calibrated)
+    design = np.zeros((p + n, n))
+    design[p + np.arange(n), np.arange(n)] = 1.0
+    calibration = replace(side.library.calibration, design=design, at=fit.point.calibration)
+    free = np.zeros((p + n, p))
+    free[np.arange(p), np.arange(p)] = 1.0
+    values = np.array([v for _, own in fit.point.named for v in own])
+    parameters = [own for candidate, _ in fit.point.named for own in candidate.parameters]
+    low = np.array([own.low for own in parameters]) - values
+    high = np.array([own.high for own in parameters]) - values
+    return least_squares(fit.whitened.gram.sum(0), free, calibration, low, high)
+
+
+def refined(side: Side, point: Point, variances: Variances, steps: int = _STEPS) -> Fitted:
+    """Gauss-Newton steps with given variances.
+
+    Args:
+      side: the recordings to fit.
+      point: where to start.
+      variances: of sensors and random force.
+      steps: at most.
+    """
+    best = evaluate(side, point, variances)
+    for _ in range(steps):
+        step = step_of(side, best)
+        size, found = 1.0, None
+        while size > 0.1:
+            own = best.point.calibration
+            trial = best.point.moved(size * step.values, own + size * (step.calibration - own))
+            found = evaluate(side, trial, variances, best)
+            if found.loss < best.loss:
+                break
+            size, found = 0.3 * size, None
+        if found is None:
+            break
+        fall, best = best.loss - found.loss, found
+        if fall < _SETTLED * (1 + point.numbers):
+            break
+    return best
+
+
+def with_variances(side: Side, fit: Fitted, rounds: int = _ROUNDS) -> Fitted:
+    """A fitted point with the variances at which its likelihood is largest."""
+    for _ in range(rounds):
+        step = step_of(side, fit)
+        own = np.concatenate([step.values, step.calibration - fit.point.calibration])
+        found: Smoothed = smoothed(fit.linear, fit.columns @ own, fit.variances)
+        change = _change(fit.variances, found.variances)
+        fit = again(side, fit, found.variances)
+        if change < _STILL:
+            break
+    return fit
+
+
+def _change(before: Variances, after: Variances) -> float:
+    pairs = [(before.sensor, after.sensor), (before.force, after.force)]
+    return float(max(np.abs(np.log((b + 1e-300) / (a + 1e-300))).max() for a, b in pairs))
+
+
+def names(named: Sequence[tuple[Candidate, tuple[float, ...]]]) -> list[str]:
+    """Names of effects."""
+    return [candidate.name for candidate, _ in named]
