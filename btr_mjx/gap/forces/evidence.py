@@ -16,6 +16,13 @@ import numpy as np
 NU = 2.0
 """Degrees of freedom of the scale of a kind of calibration: tolerances are stated to within a factor of a few."""
 
+MOST = 8.0
+"""Largest number of calibration, in tolerances: what is further off is missing, not badly calibrated. Whatever makes all
+forces smaller leaves less of them, so that without a bound gains would vanish where friction is missing."""
+
+_FIXED = 6
+"""Times that unknowns beyond their bounds are fixed there."""
+
 _REWEIGHTED = 4
 """Iterations of the scales of calibration."""
 
@@ -91,9 +98,10 @@ def least_squares(
     inner, across = gram[1:, 1:], gram[1:, 0]
     normal, target = design.T @ inner @ design, -design.T @ across
     scale = np.ones(n) if scales is None else scales
+    reach = MOST * calibration.tolerance
     bounds = (
-        np.full(p, -np.inf) if low is None else np.asarray(low, float),
-        np.full(p, np.inf) if high is None else np.asarray(high, float),
+        np.r_[np.full(p, -np.inf) if low is None else low, -reach - calibration.at],
+        np.r_[np.full(p, np.inf) if high is None else high, reach - calibration.at],
     )
     for _ in range(_REWEIGHTED if n else 1):
         weight = 1.0 / (scale * calibration.tolerance**2)
@@ -101,7 +109,7 @@ def least_squares(
         full[p + np.arange(n), p + np.arange(n)] += weight
         aim = target.copy()
         aim[p:] -= weight * calibration.at
-        values = _bounded(full, aim, p, bounds)
+        values = _bounded(full, aim, bounds)
         total = calibration.at + values[p:]
         scale = _scales(total / calibration.tolerance, calibration.kind)
     effect = design @ values
@@ -110,11 +118,11 @@ def least_squares(
     return Fit(values[:p], total, chi2, _penalty(total / calibration.tolerance, calibration.kind), covariance, effect)
 
 
-def _bounded(normal: np.ndarray, target: np.ndarray, p: int, bounds: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """Minimum of a quadratic whose first p unknowns have bounds: those beyond them are fixed, one after another."""
-    low, high = (np.concatenate([b, np.full(len(target) - p, s)]) for b, s in zip(bounds, (-np.inf, np.inf), strict=True))
+def _bounded(normal: np.ndarray, target: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Minimum of a quadratic within bounds: those beyond them are fixed, one after another."""
+    low, high = bounds
     fixed, values = np.zeros(len(target), bool), np.zeros(len(target))
-    for _ in range(p + 1):
+    for _ in range(_FIXED):
         free = ~fixed
         rest = target[free] - normal[np.ix_(free, fixed)] @ values[fixed]
         values[free] = np.linalg.solve(_ridged(normal[np.ix_(free, free)]), rest)

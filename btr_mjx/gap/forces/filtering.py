@@ -17,6 +17,10 @@ import numpy as np
 
 from btr_mjx.gap.forces.motion import Linearised
 
+NU = 3.0
+"""Degrees of freedom of what is new in the random force, a Student distribution: gears stick, joints reverse, somebody
+touches the robot."""
+
 _START = 30.0
 """Standard deviation of a starting state, in units of the noise of its measurement (velocities: of their
 difference quotient): wide, but not so that digits are lost."""
@@ -34,12 +38,22 @@ class Variances:
       jitter: variance of time stamps [s^2].
       force: (nv,) variance of the random generalised force [N^2 or (N m)^2].
       time: its correlation time [s].
+      weight: (S, K, nv) weights of what is new in the force, 1 where it is usual and less where it is not (heavy tails);
+        None for 1.
     """
 
     sensor: np.ndarray
     jitter: float
     force: np.ndarray
     time: float
+    weight: np.ndarray | None = None
+
+    @property
+    def penalty(self) -> float:
+        """-2 ln of the density of the weights, without a constant."""
+        if self.weight is None:
+            return 0.0
+        return float(NU * (self.weight - 1 - np.log(self.weight)).sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,13 +132,16 @@ def smoothed(linear: Linearised, effect: np.ndarray, variances: Variances, given
 
 
 def _parts(linear: Linearised, variances: Variances) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(S, K, nx, nx) transitions, (S, K) part of the force that is new, (S, K + 1, ny) sensor variances."""
+    """(S, K, nx, nx) transitions, (S, K, nv) variance of what is new in the force, (S, K + 1, ny) sensor variances."""
     s, k, two, nv = linear.force.shape
     rho = np.exp(-linear.interval / max(variances.time, 1e-6))
     transition = np.zeros((s, k, two + nv, two + nv))
     transition[..., :two, :two], transition[..., :two, two:] = linear.transition, linear.force
     transition[..., two:, two:] = rho[..., None, None] * np.eye(nv)
-    return transition, 1 - rho**2, _sensor(linear, variances)
+    fresh = (1 - rho**2)[..., None] * variances.force
+    if variances.weight is not None:
+        fresh = fresh / variances.weight
+    return transition, fresh, _sensor(linear, variances)
 
 
 def _sensor(linear: Linearised, variances: Variances) -> np.ndarray:
@@ -186,7 +203,7 @@ def _forward(
             mean[:, :two] += inputs[:, t]
             cov = transition[:, t] @ cov @ np.swapaxes(transition[:, t], 1, 2)
             cov = 0.5 * (cov + np.swapaxes(cov, 1, 2))
-            cov[:, index, index] += fresh[:, t, None] * variances.force
+            cov[:, index, index] += fresh[:, t]
     if not keep:
         return gram, logs, None
     gain, precision, innovations, means, covs = (np.stack(own, 1) for own in store)
@@ -204,11 +221,17 @@ def _backward(linear: Linearised, kept: _Pass, variances: Variances, given_noise
     push, push_n = np.zeros(nv), np.zeros(nv)
     noise, noise_n = np.zeros(len(seen)), np.zeros(len(seen))
     jitter, jitter_n = 0.0, 0.0
+    weight = np.ones((s, k, nv))
     for t in range(k, -1, -1):
         gain, precision, innovation = kept.gain[:, t], kept.precision[:, t], kept.innovation[:, t]
         if t < k:
-            push += (fresh[:, t, None] * score[:, two:] ** 2).sum(0)
-            push_n += (fresh[:, t, None] * np.diagonal(information, axis1=1, axis2=2)[:, two:]).sum(0)
+            own = np.diagonal(information, axis1=1, axis2=2)[:, two:]
+            push += (fresh[:, t] * score[:, two:] ** 2).sum(0)
+            push_n += (fresh[:, t] * own).sum(0)
+            # The expected square of what is new, in units of its variance at weight 1.
+            square = (fresh[:, t] * score[:, two:]) ** 2 + fresh[:, t] - fresh[:, t] ** 2 * own
+            usual = (1 - np.exp(-2 * linear.interval[:, t] / variances.time))[:, None] * variances.force
+            weight[:, t] = (1 + NU) / (NU + np.maximum(square, 0) / usual)
             turn = np.swapaxes(kept.transition[:, t], 1, 2)
             score = (turn @ score[..., None])[..., 0]
             information = turn @ information @ kept.transition[:, t]
@@ -233,8 +256,8 @@ def _backward(linear: Linearised, kept: _Pass, variances: Variances, given_noise
         spread[:, t] = np.diagonal(kept.covariance[:, t], axis1=1, axis2=2)[:, two:] - np.einsum(
             "sij,sjk,sik->si", rows, information, rows
         )
-    push += (score[:, two:] ** 2).sum(0)
-    push_n += np.diagonal(information, axis1=1, axis2=2)[:, two:].sum(0)
+    push += (variances.force * score[:, two:] ** 2).sum(0)
+    push_n += variances.force * np.diagonal(information, axis1=1, axis2=2)[:, two:].sum(0)
     new_sensor = variances.sensor.copy()
     if not given_noise:
         new_sensor[seen] *= _ratio(noise, noise_n)
@@ -243,6 +266,7 @@ def _backward(linear: Linearised, kept: _Pass, variances: Variances, given_noise
         sensor=new_sensor,
         jitter=variances.jitter * float(_ratio(np.array(jitter), np.array(jitter_n))),
         force=variances.force * _ratio(push, push_n),
+        weight=weight,
     )
     return Smoothed(state, force, updated, np.maximum(spread, 0.0))
 

@@ -19,6 +19,12 @@ from btr_mjx.gap.forces.stretches import Stretches
 from btr_mjx.gap.simulate import Counter, Segments, World, simulate
 from btr_mjx.models import difference, integrate
 
+_COARSE = 2.5
+"""Time steps of differences, in units of those of the model."""
+
+_LONGEST = 2.5e-3
+"""Longest such time step [s]."""
+
 MakeWorld = Callable[[mujoco.MjModel], World]
 
 
@@ -78,15 +84,15 @@ def linearise(
     if known is not None:
         return replace(known, stretches=stretches, defect=defect)
     transition = np.empty((*interval.shape, 2 * nv, 2 * nv))
-    shifts = _shifts(stretches)
-    for i, size in enumerate(shifts):
-        out = []
-        for sign in (1.0, -1.0):
-            moved = np.zeros(2 * nv)
-            moved[i] = sign * size
-            start_q = integrate(model, stretches.qpos[:, :-1], np.broadcast_to(moved[:nv], (*interval.shape, nv)))
-            out.append(ends(stretches, [make], (start_q, stretches.qvel[:, :-1] + moved[nv:]), counter)[0])
-        transition[..., i] = np.nan_to_num(_minus(model, out[0], out[1])) / (2 * size)
+    usual = ends(stretches, [make], counter=counter, coarse=True)[0]
+    # Either side in turn, so that what is not smooth is met on both.
+    sign = np.where(np.arange(interval.shape[1]) % 2, -1.0, 1.0)[None, :, None]
+    for i, size in enumerate(_shifts(stretches)):
+        moved = np.zeros((*interval.shape, 2 * nv))
+        moved[..., i] = (sign * size)[..., 0]
+        states = integrate(model, stretches.qpos[:, :-1], moved[..., :nv]), stretches.qvel[:, :-1] + moved[..., nv:]
+        out = ends(stretches, [make], states, counter, coarse=True)[0]
+        transition[..., i] = np.nan_to_num(_minus(model, out, usual)) / (sign * size)
     inverse = _inverse_inertia(stretches, make)
     kick = np.zeros((*interval.shape, 2 * nv, nv))
     kick[..., nv:, :] = inverse * interval[..., None, None]
@@ -127,7 +133,7 @@ def responses(
         moved = list(number.at)
         moved[number.index] += number.step
         pairs.append((place(number.candidate, number.at), place(number.candidate, tuple(moved))))
-    found = ends(stretches, makes, counter=counter)
+    found = ends(stretches, makes, counter=counter, coarse=True)
     out = np.empty((len(stretches), stretches.intervals, 2 * model.nv, len(numbers)))
     for c, ((a, b), number) in enumerate(zip(pairs, numbers, strict=True)):
         out[..., c] = np.nan_to_num(_minus(model, found[b], found[a])) / number.step
@@ -139,6 +145,7 @@ def ends(
     makes: Sequence[MakeWorld],
     start: tuple[np.ndarray, np.ndarray] | None = None,
     counter: Counter | None = None,
+    coarse: bool = False,
 ) -> list[np.ndarray]:
     """States (S, K, nq + nv) of hypotheses at the ends of all intervals, each from the reference at its start.
 
@@ -147,6 +154,7 @@ def ends(
       makes: the hypotheses.
       start: other starting states, qpos (S, K, nq) and qvel (S, K, nv).
       counter: adds up the simulated steps.
+      coarse: longer time steps, for differences.
     """
     qpos, qvel = start or (stretches.qpos[:, :-1], stretches.qvel[:, :-1])
     shape = qpos.shape[:2]
@@ -167,17 +175,18 @@ def ends(
             recording=stretches.recording[rows],
             act=stretches.act[own, :-1].reshape(len(rows), -1) if model.na else None,
         )
-        step = time_step(model, interval[own])
+        step = time_step(model, interval[own], _COARSE if coarse else 1.0)
         found = simulate([(make(model), segments) for make in makes], timestep=step, threads=1, counter=counter)
         for states, target in zip(found, out, strict=True):
             target[own] = states[:, 0].reshape(len(own), shape[1], -1)
     return out
 
 
-def time_step(model: mujoco.MjModel, interval: np.ndarray) -> float:
-    """The longest time step that divides the usual interval and is no longer than that of the model."""
+def time_step(model: mujoco.MjModel, interval: np.ndarray, factor: float = 1.0) -> float:
+    """The longest time step that divides the usual interval and is no longer than that of the model times a factor."""
     usual = float(np.median(interval))
-    return usual / max(1, math.ceil(usual / model.opt.timestep - 1e-3))
+    longest = max(float(model.opt.timestep), min(factor * float(model.opt.timestep), _LONGEST))
+    return usual / max(1, math.ceil(usual / longest - 1e-3))
 
 
 def _minus(model: mujoco.MjModel, states: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -194,7 +203,7 @@ def _shifts(stretches: Stretches) -> np.ndarray:
     size_q = difference(model, stretches.qpos[:, :1], stretches.qpos).std((0, 1))
     size_v = stretches.qvel.std((0, 1))
     interval = float(np.median(np.diff(stretches.time, axis=1)))
-    low_q, low_v = 1e-4 * size_q + 1e-9, 1e-3 * size_v + 1e-9
+    low_q, low_v = 1e-4 * size_q + 1e-9, 5e-2 * size_v + 1e-9
     known_q = stretches.sigma[:nv]
     return np.concatenate([np.maximum(low_q, known_q), np.maximum(low_v, np.minimum(known_q / interval, 0.1 * size_v))])
 

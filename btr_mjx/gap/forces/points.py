@@ -7,23 +7,24 @@ import numpy as np
 
 from btr_mjx.gap.effects import Candidate, Hypothesis
 from btr_mjx.gap.forces.evidence import Calibration, Fit, least_squares
-from btr_mjx.gap.forces.filtering import Filtered, Smoothed, Variances, filtered, smoothed
+from btr_mjx.gap.forces.filtering import Filtered, Variances, filtered, smoothed
 from btr_mjx.gap.forces.motion import Linearised, Number, linearise, responses
 from btr_mjx.gap.forces.stretches import Stretches
 from btr_mjx.gap.forces.unknowns import Library
 from btr_mjx.gap.simulate import Counter
+from btr_mjx.models import integrate
 
-_STEPS = 8
-"""Gauss-Newton steps of the numbers of a hypothesis."""
+_SETTLED = 1.0
+"""Fall of -2 ln p below which steps end early."""
 
-_SETTLED = 0.05
-"""Fall of -2 ln p below which these end early."""
+_SHORTEST = 0.1
+"""Part of a Gauss-Newton step that is tried at least."""
 
-_ROUNDS = 12
-"""Updates of variances, at most."""
+_ROUNDS = 6
+"""Rounds of steps of numbers and of variances, at most."""
 
-_STILL = 0.02
-"""Relative change of all variances below which these end early."""
+_UPDATES = 4
+"""Updates of variances in a round."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +117,13 @@ class Fitted:
     loss: float
 
 
-def evaluate(side: Side, point: Point, variances: Variances, known: Fitted | None = None) -> Fitted:
+def evaluate(
+    side: Side,
+    point: Point,
+    variances: Variances,
+    known: Fitted | None = None,
+    stretches: Stretches | None = None,
+) -> Fitted:
     """Linearise and filter a point.
 
     Args:
@@ -124,11 +131,12 @@ def evaluate(side: Side, point: Point, variances: Variances, known: Fitted | Non
       point: the point.
       variances: of sensors and random force.
       known: a fit whose transitions are kept; None to compute them.
+      stretches: states around which the motion is linearised; None for those of `known`, or of the side.
     """
-    linear = linearise(
-        side.stretches, point.hypothesis(side.library), side.counter, None if known is None else known.linear
-    )
-    columns = [_own_columns(side, point)]
+    if stretches is None:
+        stretches = side.stretches if known is None else known.linear.stretches
+    linear = linearise(stretches, point.hypothesis(side.library), side.counter, None if known is None else known.linear)
+    columns = [_own_columns(side, point, stretches)]
     design = side.library.calibration.design
     columns.append(side.columns @ design if design.shape[1] else side.columns[..., :0])
     every = np.concatenate(columns, -1)
@@ -151,7 +159,7 @@ def _whitened(point: Point, linear: Linearised, columns: np.ndarray, variances: 
         columns,
         found,
         variances,
-        float(found.gram[:, 0, 0].sum() + found.log_determinant.sum()) + penalty,
+        float(found.gram[:, 0, 0].sum() + found.log_determinant.sum()) + penalty + variances.penalty,
     )
 
 
@@ -162,16 +170,12 @@ def _fixed(point: Point, side: Side) -> Calibration:
     return replace(own, design=np.zeros((p + len(own.tolerance), len(own.tolerance))), at=point.calibration)
 
 
-def _own_columns(side: Side, point: Point) -> np.ndarray:
+def _own_columns(side: Side, point: Point, stretches: Stretches) -> np.ndarray:
     """(S, K, 2 nv, p) derivatives with respect to the numbers of named effects, each at its value."""
     out = [side.columns[..., :0]]
     for i, (candidate, values) in enumerate(point.named):
-        numbers = [
-            Number(candidate, j, values, _step(own, values[j])) for j, own in enumerate(candidate.parameters)
-        ]
-        out.append(
-            responses(side.stretches, point.hypothesis(side.library, without=i), numbers, side.counter)
-        )
+        numbers = [Number(candidate, j, values, _step(own, values[j])) for j, own in enumerate(candidate.parameters)]
+        out.append(responses(stretches, point.hypothesis(side.library, without=i), numbers, side.counter))
     return np.concatenate(out, -1)
 
 
@@ -196,50 +200,47 @@ def step_of(side: Side, fit: Fitted) -> Fit:
     return least_squares(fit.whitened.gram.sum(0), free, calibration, low, high)
 
 
-def refined(side: Side, point: Point, variances: Variances, steps: int = _STEPS) -> Fitted:
-    """Gauss-Newton steps with given variances.
+def settled(side: Side, point: Point, variances: Variances, rounds: int = _ROUNDS) -> Fitted:
+    """A point with numbers and variances at which the likelihood is largest.
+
+    Steps of the numbers and of the variances take turns: random forces start large, where the fit is nearly linear, and
+    fall as the numbers come right.
 
     Args:
       side: the recordings to fit.
       point: where to start.
-      variances: of sensors and random force.
-      steps: at most.
+      variances: with which to start.
+      rounds: at most.
     """
-    best = evaluate(side, point, variances)
-    for _ in range(steps):
-        step = step_of(side, best)
-        size, found = 1.0, None
-        while size > 0.1:
-            own = best.point.calibration
-            trial = best.point.moved(size * step.values, own + size * (step.calibration - own))
-            found = evaluate(side, trial, variances, best)
-            if found.loss < best.loss:
-                break
-            size, found = 0.3 * size, None
-        if found is None:
-            break
-        fall, best = best.loss - found.loss, found
-        if fall < _SETTLED * (1 + point.numbers):
-            break
-    return best
-
-
-def with_variances(side: Side, fit: Fitted, rounds: int = _ROUNDS) -> Fitted:
-    """A fitted point with the variances at which its likelihood is largest."""
+    fit = evaluate(side, point, variances)
     for _ in range(rounds):
-        step = step_of(side, fit)
-        own = np.concatenate([step.values, step.calibration - fit.point.calibration])
-        found: Smoothed = smoothed(fit.linear, fit.columns @ own, fit.variances)
-        change = _change(fit.variances, found.variances)
-        fit = again(side, fit, found.variances)
-        if change < _STILL:
+        before = fit.loss
+        for _ in range(_UPDATES):
+            found = smoothed(fit.linear, np.zeros_like(fit.linear.defect), fit.variances)
+            fit = again(side, fit, found.variances)
+        step, size, own = step_of(side, fit), 1.0, fit.point.calibration
+        change = np.concatenate([step.values, step.calibration - own])
+        while size > _SHORTEST:
+            # Dry friction turns round within a sample: around states that are smoothed without it, it would be late.
+            states = smoothed(fit.linear, size * fit.columns @ change, fit.variances).state
+            trial = fit.point.moved(size * step.values, own + size * (step.calibration - own))
+            after = evaluate(side, trial, fit.variances, stretches=moved_states(fit.linear.stretches, states))
+            if after.loss < fit.loss + 1.0:
+                break
+            size *= 0.2
+        else:
+            after = fit
+        fall, fit = before - after.loss, after
+        if fall < _SETTLED:
             break
     return fit
 
 
-def _change(before: Variances, after: Variances) -> float:
-    pairs = [(before.sensor, after.sensor), (before.force, after.force)]
-    return float(max(np.abs(np.log((b + 1e-300) / (a + 1e-300))).max() for a, b in pairs))
+def moved_states(stretches: Stretches, change: np.ndarray) -> Stretches:
+    """Stretches around other states, changed by (S, K + 1, 2 nv)."""
+    model = stretches.data.recordings[0].model
+    nv = model.nv
+    return stretches.about(integrate(model, stretches.qpos, change[..., :nv]), stretches.qvel + change[..., nv:])
 
 
 def names(named: Sequence[tuple[Candidate, tuple[float, ...]]]) -> list[str]:

@@ -45,7 +45,6 @@ def price(numbers: int, count: int, choices: int) -> float:
 def scan(
     gram: np.ndarray,
     entries: Sequence[Entry],
-    steps: Sequence[float],
     given: np.ndarray,
     calibration: Calibration,
     count: int,
@@ -55,7 +54,6 @@ def scan(
     Args:
       gram: (1 + C, 1 + C) of all columns, summed over stretches.
       entries: candidates.
-      steps: (C,) step of each column, to tell where a limit may be.
       given: (C, g) columns of what was named before, whose numbers move along.
       calibration: beside them.
       count: measured values.
@@ -69,14 +67,7 @@ def scan(
     for entry in entries:
         free = entry.design(len(gram) - 1)
         parameters = [p for p in entry.candidate.parameters if not p.shape]
-        null = np.array([p.null for p in parameters])
-        low = np.array([p.low for p in parameters]) - null
-        high = np.array([p.high for p in parameters]) - null
-        columns = [own[0] for own in entry.columns]
-        if entry.candidate.effect.saturates:
-            # A limit does more than its column says when it is tighter, and nothing when it is wider.
-            sizes = np.array([steps[c] for c in columns])
-            low, high = np.minimum(1.2 * sizes, 0.5 * sizes), np.maximum(1.2 * sizes, 0.5 * sizes)
+        low, high = (np.array(end) for end in zip(*entry.near, strict=True))
         g = given.shape[1]
         bounds = np.full(g, np.inf)
         fit = least_squares(

@@ -6,12 +6,31 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from btr_mjx.gap.effects import Candidate, Hypothesis
+from btr_mjx.gap.forces.evidence import Calibration, least_squares
 from btr_mjx.gap.forces.filtering import Variances, filtered
-from btr_mjx.gap.forces.points import Fitted, Point, Side, evaluate, refined, step_of, with_variances
+from btr_mjx.gap.forces.missing_force import drives, missing_force
+from btr_mjx.gap.forces.motion import linearise
+from btr_mjx.gap.forces.points import Fitted, Point, Side, names, settled, step_of
 from btr_mjx.gap.forces.scan import Lead, price, scan
 
-_FINALISTS = 5
+_DRIVE = ("dry_friction", "viscous_damping", "armature")
+"""What every drive has, and models leave out together."""
+
+FORGOTTEN = 0.01
+"""Correlation time of the random force [s]. What lasts longer is for names to explain: a random force that lasts would
+take the place of friction, which predicts no motion."""
+
+_SHARE = 0.3
+"""Part of the missing force of a joint that a drive explains, from which on it is tried."""
+
+_JITTER = 0.02
+"""Jitter of time stamps to start with, in intervals."""
+
+_FINALISTS = 3
 """Leads of a scan whose numbers are refined."""
+
+_PLACES = 2
+"""Leads of one effect among them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,59 +48,101 @@ class Round:
     finalists: tuple[tuple[float, Fitted], ...]
 
 
-def first_variances(side: Side, base: Hypothesis) -> Variances:
-    """A first guess: what the believed model leaves is a random force."""
-    from btr_mjx.gap.forces.motion import linearise
-
-    linear = linearise(side.stretches, base, side.counter)
+def first_variances(side: Side, hypothesis: Hypothesis) -> Variances:
+    """A first guess: what a hypothesis leaves is a random force, the noise is that of the dataset."""
+    linear = linearise(side.stretches, hypothesis, side.counter)
     force = np.einsum("skij,skj->ski", np.linalg.pinv(linear.force), linear.defect)
     interval = float(np.median(linear.interval))
-    return Variances(
-        side.stretches.sigma**2, (0.02 * interval) ** 2, (force**2).mean((0, 1)) + 1e-18, max(0.1, 4 * interval)
-    )
+    return Variances(side.stretches.sigma**2, (_JITTER * interval) ** 2, (np.median(np.abs(force), (0, 1)) / 0.6745) ** 2 + 1e-18, FORGOTTEN)
 
 
-def start(side: Side, base: Hypothesis, note: Callable[[str], None] = lambda _: None) -> Fitted:
+def start(side: Side, base: Hypothesis) -> Fitted:
     """The believed model with calibration and variances at their best."""
     point = Point(base, (), np.zeros(len(side.library.calibrated)))
-    fit = evaluate(side, point, first_variances(side, base))
-    fit = with_variances(side, fit)
-    return with_variances(side, refined(side, fit.point, fit.variances))
+    return settled(side, point, first_variances(side, base))
 
 
-def one_more(side: Side, fit: Fitted) -> Round:
-    """Look for one more effect beside a fitted point."""
-    library = side.library
-    count = fit.whitened.count * len(side.stretches)
-    p = fit.point.numbers
-    own = fit.columns[..., :p]
-    whitened = filtered(fit.linear, np.concatenate([side.columns, own], -1), fit.variances)
-    gram = whitened.gram.sum(0)
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    """What a scan beside a fitted point needs: inner products of all columns and of the point's own numbers."""
+
+    gram: np.ndarray
+    given: np.ndarray
+    calibration: Calibration
+    count: int
+
+
+def _scene(side: Side, fit: Fitted) -> _Scene:
+    library, p = side.library, fit.point.numbers
+    whitened = filtered(fit.linear, np.concatenate([side.columns, fit.columns[..., :p]], -1), fit.variances)
     c = len(library.numbers)
     given = np.zeros((c + p, p))
     given[c + np.arange(p), np.arange(p)] = 1.0
+    padding = np.zeros((p, len(library.calibrated)))
     calibration = replace(
         library.calibration,
-        design=np.concatenate([library.calibration.design, np.zeros((p, len(library.calibrated)))]),
+        design=np.concatenate([library.calibration.design, padding]),
         at=fit.point.calibration,
     )
-    padded = [replace(entry) for entry in library.entries if entry.candidate.name not in _named(fit.point)]
-    steps = [number.step for number in library.numbers] + [1.0] * p
-    base, leads = scan(gram, padded, steps, given, calibration, count)
-    finalists = []
+    return _Scene(whitened.gram.sum(0), given, calibration, fit.whitened.count * len(side.stretches))
+
+
+def one_more(side: Side, fit: Fitted) -> Round:
+    """Look for one more effect beside a fitted point, or for what every drive has, at once."""
+    library, scene = side.library, _scene(side, fit)
+    entries = [entry for entry in library.entries if entry.candidate.name not in names(fit.point.named)]
+    _, leads = scan(scene.gram, entries, scene.given, scene.calibration, scene.count)
     choices = len({entry.candidate.name for entry in library.entries})
-    for lead in [lead for lead in leads if lead.score > 0][:_FINALISTS]:
+    starts = []
+    for lead in shortlist(leads):
         moved = fit.point.moved(lead.changes, lead.calibration)
-        start_at = replace(moved, named=(*moved.named, (lead.candidate, lead.values)))
-        found = refined(side, start_at, fit.variances)
-        gain = fit.loss - found.loss
-        finalists.append((gain - price(len(lead.values), count, choices), found))
+        starts.append(replace(moved, named=(*moved.named, (lead.candidate, lead.values))))
+    if (drive := _drive(side, fit)) is not None:
+        starts.append(drive)
+    finalists = []
+    for point in starts:
+        found = settled(side, point, first_variances(side, point.hypothesis(library)))
+        more = point.numbers - fit.point.numbers
+        finalists.append((fit.loss - found.loss - price(more, scene.count, choices), found))
     finalists.sort(key=lambda row: -row[0])
     return Round(fit, tuple(leads), tuple(finalists))
 
 
-def _named(point: Point) -> set[str]:
-    return {candidate.name for candidate, _ in point.named}
+def _drive(side: Side, fit: Fitted) -> Point | None:
+    """Dry and viscous friction and rotor inertia of all joints at once; None where some of it is named already.
+
+    Each alone may explain little where all are missing: a model without rotors moves too much, and so everything that
+    lessens forces comes first.
+    """
+    if any(candidate.effect.name in _DRIVE for candidate, _ in fit.point.named):
+        return None
+    widest: dict[str, Candidate] = {}
+    for entry in side.library.entries:
+        name, own = entry.candidate.effect.name, entry.candidate
+        if name in _DRIVE and (name not in widest or len(own.parameters) > len(widest[name].parameters)):
+            widest[name] = own
+    found, share = drives(missing_force(side.stretches, fit.point.hypothesis(side.library)))
+    if len(widest) < len(_DRIVE) or share.max() < _SHARE:
+        return None
+    named = list(fit.point.named)
+    for row, name in zip(found, _DRIVE, strict=True):
+        candidate = widest[name]
+        model = side.stretches.data.recordings[0].model
+        places = candidate.place.parts or (candidate.place,)
+        values = [float(row[place.dofs(model)].mean()) for place in places]
+        values = [float(np.clip(v, p.low, p.high)) for v, p in zip(values, candidate.parameters, strict=True)]
+        named.append((candidate, tuple(values)))
+    return replace(fit.point, named=tuple(named))
+
+
+def shortlist(leads: Sequence[Lead]) -> list[Lead]:
+    """Leads whose numbers are refined: the best ones, at most `_PLACES` of an effect."""
+    out: list[Lead] = []
+    for lead in leads:
+        same = sum(other.candidate.effect is lead.candidate.effect for other in out)
+        if lead.score > 0 and same < _PLACES and len(out) < _FINALISTS:
+            out.append(lead)
+    return out
 
 
 def select(side: Side, base: Hypothesis, most: int, note: Callable[[str], None]) -> tuple[list[Round], list[Fitted]]:
@@ -92,10 +153,54 @@ def select(side: Side, base: Hypothesis, most: int, note: Callable[[str], None])
     """
     note("variances")
     chain, rounds = [start(side, base)], []
-    while len(chain) <= most:
+    while len(chain[-1].point.named) < most:
         note("one more effect" if rounds else "effects")
         rounds.append(one_more(side, chain[-1]))
         if not rounds[-1].finalists or rounds[-1].finalists[0][0] <= 0:
             break
-        chain.append(with_variances(side, rounds[-1].finalists[0][1]))
+        chain.append(_pruned(side, rounds[-1].finalists[0][1]))
     return rounds, chain
+
+
+def _pruned(side: Side, fit: Fitted) -> Fitted:
+    """Backward elimination: effects that do not pay beside the others go."""
+    choices = len({entry.candidate.name for entry in side.library.entries})
+    count = fit.whitened.count * len(side.stretches)
+    while len(fit.point.named) > 1:
+        worth = []
+        for i, (_, values) in enumerate(fit.point.named):
+            named = fit.point.named[:i] + fit.point.named[i + 1 :]
+            worth.append((_lost(side, fit, i) - price(len(values), count, choices), named))
+        least, named = min(worth, key=lambda row: row[0])
+        if least > 0:
+            break
+        found = settled(side, replace(fit.point, named=named), replace(fit.variances, weight=None))
+        dropped = fit.point.numbers - found.point.numbers
+        if found.loss - fit.loss > price(dropped, count, choices):
+            break
+        fit = found
+    return fit
+
+
+def _lost(side: Side, fit: Fitted, index: int) -> float:
+    """Rise of -2 ln p without one effect, linearly."""
+    first = sum(len(values) for _, values in fit.point.named[:index])
+    candidate, values = fit.point.named[index]
+    own = np.arange(first, first + len(values))
+    rest = np.setdiff1d(np.arange(fit.point.numbers), own)
+    away = candidate.null - np.array(values)
+    p, n = fit.point.numbers, len(side.library.calibrated)
+    gram = fit.whitened.gram.sum(0)
+    shift = np.zeros(1 + p + n)
+    shift[0], shift[1 + own] = 1.0, away
+    turn = np.eye(1 + p + n)
+    turn[:, 0] = shift
+    moved = turn.T @ gram @ turn
+    free = np.zeros((p + n, len(rest)))
+    free[rest, np.arange(len(rest))] = 1.0
+    design = np.zeros((p + n, n))
+    design[p + np.arange(n), np.arange(n)] = 1.0
+    calibration = replace(side.library.calibration, design=design, at=fit.point.calibration)
+    without = least_squares(moved, free, calibration)
+    with_all = step_of(side, fit)
+    return without.loss - with_all.loss

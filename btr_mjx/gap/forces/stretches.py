@@ -11,8 +11,11 @@ from btr_mjx.models import difference
 _SHORTEST_INTERVAL = 4e-3
 """Shortest interval [s]. Samples that follow each other faster are averaged by local polynomials."""
 
-_MOST_NUMBERS = 30_000
+_MOST_NUMBERS = 10_000
 """Intervals times degrees of freedom of one side of the split: bounds memory and time."""
+
+_MOST_INTERVALS = 2_500
+"""Most intervals of one side."""
 
 _LONGEST = 400
 """Most intervals of a stretch. Few long stretches and many short ones cost the same; a starting state has to be learnt
@@ -74,7 +77,7 @@ def choose_stretches(data: PreparedData, most: int = _MOST_NUMBERS) -> Stretches
     nv = data.recordings[0].model.nv
     strides = [_stride(r.time) for r in data.recordings]
     picks = [np.arange(0, len(r.time), s) for r, s in zip(data.recordings, strides, strict=True)]
-    room = max(200, most // nv)
+    room = int(np.clip(most // nv, 200, _MOST_INTERVALS))
     total = sum(len(p) - 1 for p in picks)
     shortest = min(len(p) - 1 for p in picks)
     length = int(np.clip(min(total, room) / 8, 20, _LONGEST))

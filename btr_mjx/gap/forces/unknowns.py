@@ -14,8 +14,18 @@ from btr_mjx.gap.simulate import World
 _PROBES = (0.15, 0.35, 0.6, 0.8, 0.92)
 """Where a limit is tried, as parts of the way from where it does nothing to its tightest."""
 
-_LARGE = 5.0
-"""A second step at which what is no change of a model's fields is tried, in units of its own step."""
+_LARGER = (4.0, 16.0)
+"""Further steps at which what is not linear is tried, in units of its own step: friction holds a joint that a small part
+of it would let go."""
+
+_NEAR = (0.5, 2.0)
+"""Between which parts of a step its column serves, where an effect is not linear."""
+
+_FIELD = 3.0
+"""Tolerances outside a laboratory, in units of those of the library."""
+
+_UNMEASURED = 10.0
+"""The same of what nobody measures: damping and rotor inertia."""
 
 _TIME_IN_SAMPLE = 0.29
 """1 sigma of the time at which a command acts, in intervals of commands: anywhere within one."""
@@ -28,10 +38,12 @@ class Entry:
     Attributes:
       candidate: the candidate.
       columns: per number the columns that are added up.
+      near: per number, the bounds of changes between which these columns serve.
     """
 
     candidate: Candidate
     columns: tuple[tuple[int, ...], ...]
+    near: tuple[tuple[float, float], ...]
 
     def design(self, count: int) -> np.ndarray:
         """(C, p) of `evidence.least_squares`."""
@@ -71,27 +83,31 @@ def library_of(
     """
     numbers: list[Number] = []
     entries: list[Entry] = []
-    single: dict[str, int] = {}
+    single: dict[str, list[tuple[int, tuple[float, float]]]] = {}
     calibrated: list[tuple[Entry, float]] = []
     for candidate in candidates:
-        if not (candidate.effect.summable and candidate.place.members):
-            several = [i for i, p in enumerate(candidate.parameters) if not p.shape]
-            column, at = len(numbers), tuple(float(v) for v in candidate.null)
-            numbers += [Number(candidate, i, at, candidate.parameters[i].step) for i in several]
-            entries.append(Entry(candidate, tuple((column + i,) for i in range(len(several)))))
-            single[candidate.name] = column
-            for step in _further_steps(candidate, model):
-                entries.append(Entry(candidate, ((len(numbers),),)))
-                numbers.append(Number(candidate, 0, at, step))
-            if not candidate.place.members:
-                for i in several:
-                    sigma = tolerances.get(candidate.effect.name, candidate.parameters[i].tolerance)
-                    if sigma > 0:
-                        calibrated.append((Entry(candidate, ((column + i,),)), sigma))
-        else:
-            columns = [single[f"{candidate.effect.name}@{label}"] for label in candidate.place.members]
-            each = tuple((c,) for c in columns) if candidate.place.parts else (tuple(columns),)
-            entries.append(Entry(candidate, each))
+        if candidate.effect.summable and candidate.place.members:
+            entries += _group(candidate, [single[f"{candidate.effect.name}@{m}"] for m in candidate.place.members])
+            continue
+        several = [i for i, p in enumerate(candidate.parameters) if not p.shape]
+        column, at = len(numbers), tuple(float(v) for v in candidate.null)
+        further = _further_steps(candidate, model)
+        numbers += [Number(candidate, i, at, candidate.parameters[i].step) for i in several]
+        near = [_range(candidate, i, bool(further)) for i in several]
+        entries.append(Entry(candidate, tuple((column + i,) for i in range(len(several))), tuple(near)))
+        single[candidate.name] = [(column, near[0])]
+        for step in further:
+            bounds = _near(step)
+            single[candidate.name].append((len(numbers), bounds))
+            entries.append(Entry(candidate, ((len(numbers),),), (bounds,)))
+            numbers.append(Number(candidate, 0, at, step))
+        if not candidate.place.members:
+            for i in several:
+                own = candidate.parameters[i]
+                known = tolerances.get(candidate.effect.name, 0.0)
+                factor = _UNMEASURED if candidate.effect.name in ("viscous_damping", "armature") else _FIELD
+                if sigma := known or factor * own.tolerance:
+                    calibrated.append((Entry(candidate, ((column + i,),), (near[0],)), sigma))
     whole = [e for e in entries if e.candidate.effect.name == "actuator_delay" and e.candidate.parameters[0].low < 0]
     calibrated += [(entry, _TIME_IN_SAMPLE * interval) for entry in whole[:1]]
     kinds = {name: k for k, name in enumerate(dict.fromkeys(e.candidate.effect.name for e, _ in calibrated))}
@@ -104,6 +120,36 @@ def library_of(
     return Library(tuple(numbers), tuple(entries), tuple(e for e, _ in calibrated), calibration)
 
 
+def _group(candidate: Candidate, members: Sequence[Sequence[tuple[int, tuple[float, float]]]]) -> list[Entry]:
+    """Entries of a group whose columns are those of its members, one for every step that all of them have."""
+    out = []
+    for level in range(min(map(len, members))):
+        columns, near = zip(*(own[level] for own in members), strict=True)
+        if candidate.place.parts:
+            out.append(Entry(candidate, tuple((c,) for c in columns), tuple(near)))
+        else:
+            low, high = zip(*near, strict=True)
+            out.append(Entry(candidate, (tuple(columns),), ((max(low), min(high)),)))
+    return out
+
+
+def _range(candidate: Candidate, index: int, nonlinear: bool) -> tuple[float, float]:
+    """Changes of a number that its first column serves."""
+    own = candidate.parameters[index]
+    low, high = own.low - own.null, own.high - own.null
+    if candidate.effect.saturates:
+        return _near(own.step)
+    if not nonlinear:
+        return low, high
+    reach = _NEAR[1] * abs(own.step)
+    return max(low, -reach), min(high, reach)
+
+
+def _near(step: float) -> tuple[float, float]:
+    ends = sorted(part * step for part in _NEAR)
+    return ends[0], ends[1]
+
+
 def _further_steps(candidate: Candidate, model: mujoco.MjModel) -> list[float]:
     """Further steps at which a candidate is tried: what it does at its true size may be far from linear."""
     first = candidate.parameters[0]
@@ -114,6 +160,8 @@ def _further_steps(candidate: Candidate, model: mujoco.MjModel) -> list[float]:
     values = candidate.null
     values[0] += first.step
     world = candidate.apply(World.of(model), values)
-    large = _LARGE * first.step
-    inside = first.low <= first.null + large <= first.high
-    return [large] if inside and (world.command_edits or world.laws) else []
+    friction = not np.array_equal(world.model.dof_frictionloss, model.dof_frictionloss)
+    if not (friction or world.command_edits or world.laws):
+        return []
+    larger = [part * first.step for part in _LARGER]
+    return [step for step in larger if first.low <= first.null + step <= first.high]

@@ -1,0 +1,96 @@
+"""The generalised force that a model lacks along recordings, by inverse dynamics, and drives fitted to it.
+
+    r = ID(q, v, a) - tau_actuators(q, v, u)
+
+It is linear in friction, damping and rotor inertia however large these are, unlike accelerations: a wrist whose rotor
+weighs a thousand times its link has no linear picture there. This is the usual identification of arms (inverse
+dynamic identification model; Gautier 1997). It serves as a start: what is fitted and judged are measurements.
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from btr_mjx.gap.effects import Hypothesis
+from btr_mjx.gap.forces.stretches import Stretches
+from btr_mjx.models import between
+
+_SLOW = 0.05
+"""Part of the usual speed below which dry friction is not at its full size."""
+
+
+@dataclass(frozen=True, eq=False)
+class MissingForce:
+    """Missing force in the middle of all intervals.
+
+    Attributes:
+      force: (S, K, nv) generalised force that the model lacks [N or N m].
+      actuator: (S, K, nv) generalised force of the actuators.
+      velocity: (S, K, nv).
+      acceleration: (S, K, nv).
+    """
+
+    force: np.ndarray
+    actuator: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+
+
+def missing_force(stretches: Stretches, base: Hypothesis) -> MissingForce:
+    """Inverse dynamics of a hypothesis in the middle of all intervals, from smoothed states.
+
+    Args:
+      stretches: with smoothed states.
+      base: the hypothesis; its laws are left out.
+    """
+    shape = (len(stretches), stretches.intervals, stretches.qvel.shape[-1])
+    out = {name: np.empty(shape) for name in ("force", "actuator", "velocity", "acceleration")}
+    for s, r in enumerate(stretches.recording):
+        world = base(stretches.data.recordings[r].model)
+        model = world.model
+        data = mujoco.MjData(model)
+        command = world.command(stretches.data.commands[r])
+        time = stretches.time[s]
+        length = np.diff(time)
+        first = stretches.qpos[s, :-1], stretches.qvel[s, :-1]
+        last = stretches.qpos[s, 1:], stretches.qvel[s, 1:]
+        middle = between(model, first, last, np.full(len(length), 0.5), float(np.median(length)))
+        rate = (last[1] - first[1]) / length[:, None]
+        controls = command.over_step(time[:-1], float(np.median(length)), 0.5)
+        for k, (q, v) in enumerate(zip(*middle, strict=True)):
+            data.qpos[:], data.qvel[:], data.qacc[:], data.ctrl[:] = q, v, rate[k], controls[k]
+            if model.na:
+                data.act[:] = stretches.act[s, k]
+            mujoco.mj_inverse(model, data)
+            mujoco.mj_fwdActuation(model, data)
+            out["force"][s, k] = data.qfrc_inverse - data.qfrc_actuator
+            out["actuator"][s, k] = data.qfrc_actuator
+            out["velocity"][s, k], out["acceleration"][s, k] = v, rate[k]
+    return MissingForce(**out)
+
+
+def drives(missing: MissingForce) -> tuple[np.ndarray, np.ndarray]:
+    """Dry friction, viscous damping and rotor inertia of every degree of freedom, by least squares on missing force.
+
+    Args:
+      missing: the force that the model lacks.
+
+    Returns:
+      (3, nv) dry friction, damping, inertia, none below 0, and (nv,) share of the missing force that they explain.
+    """
+    nv = missing.force.shape[-1]
+    out, share = np.zeros((3, nv)), np.zeros(nv)
+    for j in range(nv):
+        force, v, a = (x[..., j].ravel() for x in (missing.force, missing.velocity, missing.acceleration))
+        slow = _SLOW * np.sqrt((v**2).mean()) + 1e-12
+        columns = -np.stack([np.tanh(v / slow), v, a, np.ones_like(v), -missing.actuator[..., j].ravel()], 1)
+        scale = np.sqrt((columns**2).mean(0)) + 1e-12
+        # The torque constant is uncertain by some percent: without it inertia and friction would take its part.
+        gain = 0.05 * scale[4]
+        low, high = np.array([0, 0, 0, -np.inf, -gain]), np.array([np.inf, np.inf, np.inf, np.inf, gain])
+        found = lsq_linear(columns / scale, force, (low, high + 1e-12))
+        out[:, j] = found.x[:3] / scale[:3]
+        share[j] = 1 - np.mean((force - columns / scale @ found.x) ** 2) / max(float(np.mean(force**2)), 1e-300)
+    return out, share
