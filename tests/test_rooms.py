@@ -18,7 +18,8 @@ import btr_mjx
 PACKAGE = Path(btr_mjx.__file__).parent
 ORDER = (
     *("errors", "runs", "robots", "models", "engines", "lanes", "evaluation", "cluster", "optimise", "exports"),
-    *("gap.data", "gap.simulate", "gap.effects", "gap.preflight", "gap.windows", "gap.results", "gap.inference"),
+    *("gap.data", "gap.simulate", "gap.effects", "gap.preflight", "gap.windows", "gap.results"),
+    *("gap.forces", "gap.inference"),
     *(
         "backtoreality",
         "plotting",

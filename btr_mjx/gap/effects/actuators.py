@@ -1,4 +1,4 @@
-"""Effects of actuators: delay, lag and rate limit of the command, gain error, force limit."""
+"""Effects of actuators: delay, lag and rate limit of the command, gain error, offset, force limit."""
 
 import math
 from collections.abc import Callable
@@ -8,8 +8,8 @@ import numpy as np
 
 from btr_mjx.gap.effects.effect import Effect, Parameter
 from btr_mjx.gap.effects.per_member import per_member
-from btr_mjx.gap.effects.places import Place, actuator_count, actuator_places, joint_of
-from btr_mjx.gap.effects.ranges import Scales, unit_of
+from btr_mjx.gap.effects.places import Place, actuator_count, actuator_places, joint_of, joint_places
+from btr_mjx.gap.effects.ranges import Scales, typical_scale, unit_of
 from btr_mjx.gap.simulate import Command, World
 
 _MIN_LIMIT = 0.01
@@ -118,6 +118,30 @@ def _apply_gain(world: World, place: Place, values: np.ndarray) -> None:
     world.model.actuator_biasprm[actuators] *= 1 + values[0]
 
 
+def _offset_joints(model: mujoco.MjModel) -> list[Place]:
+    """Joints that an actuator drives whose force is affine in command and state."""
+    linear = {a for place in _linear(model) for a in place.actuators}
+    joints = {joint_of(model, a) for a in linear if model.actuator_gear[a, 0] != 0} - {None}
+    return joint_places(model, [j for j in joints if j is not None])
+
+
+def _offset_torque(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    size = typical_scale(scales.torque, place, model)
+    return (Parameter("torque", unit_of(model, place, "N m", "N"), -0.8 * size, 0.8 * size, 0.02 * size),)
+
+
+def _apply_offset_torque(world: World, place: Place, values: np.ndarray) -> None:
+    """Tau = c at the joint: an amplifier's offset, an unbalanced spring or cable, friction that depends on direction."""
+    model = world.model
+    first = {joint_of(model, a): a for a in reversed(place.actuators)}
+    for joint in place.joints if values[0] else ():
+        a = first[joint]
+        if model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE:
+            model.actuator_biastype[a] = mujoco.mjtBias.mjBIAS_AFFINE
+            model.actuator_biasprm[a] = 0.0
+        model.actuator_biasprm[a, 0] += values[0] / model.actuator_gear[a, 0]
+
+
 def _limit(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
     actuators, unit = list(place.actuators), unit_of(model, place, "N m", "N")
     peak = float(scales.force[actuators].max())
@@ -188,6 +212,17 @@ ACTUATOR_GAIN = per_member(
         equation="force → (1 + change) force",
     )
 )
+OFFSET_TORQUE = per_member(
+    Effect(
+        "offset_torque",
+        _offset_joints,
+        _offset_torque,
+        _apply_offset_torque,
+        excited_by="slow motion in both directions",
+        summable=True,
+        equation="τ = c",
+    )
+)
 COMMAND_RATE_LIMIT = Effect(
     "command_rate_limit",
     _controlled,
@@ -207,4 +242,4 @@ TORQUE_LIMIT = Effect(
     equation="|force| ≤ limit",
 )
 
-ACTUATOR_EFFECTS = (ACTUATOR_DELAY, ACTUATOR_LAG, COMMAND_RATE_LIMIT, ACTUATOR_GAIN, TORQUE_LIMIT)
+ACTUATOR_EFFECTS = (ACTUATOR_DELAY, ACTUATOR_LAG, COMMAND_RATE_LIMIT, ACTUATOR_GAIN, OFFSET_TORQUE, TORQUE_LIMIT)

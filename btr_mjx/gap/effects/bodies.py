@@ -149,6 +149,22 @@ def _apply_drag(world: World, place: Place, values: np.ndarray) -> None:
     world.model.opt.density = max(float(values[0]), 0.0)
 
 
+def _mounted(model: mujoco.MjModel) -> list[Place]:
+    """The world of a robot that is bolted down, with gravity."""
+    floats = (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any() or (model.jnt_type == mujoco.mjtJoint.mjJNT_BALL).any()
+    return [] if floats else _slope_places(model)
+
+
+def _compensation(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    return (Parameter("fraction", "1", -1.0, 1.5, 0.05),)
+
+
+def _apply_compensation(world: World, place: Place, values: np.ndarray) -> None:
+    """Gravity is taken off all moving bodies by this fraction, as a controller that knows their weight does it."""
+    model = world.model
+    model.body_gravcomp[model.body_weldid != 0] += values[0]
+
+
 def _slope_places(model: mujoco.MjModel) -> list[Place]:
     return _world(model) if np.linalg.norm(model.opt.gravity) > 0 else []
 
@@ -208,6 +224,14 @@ AIR_DRAG = Effect(
     excited_by="fast motion through the air",
     equation="drag ½ ρ A v² on every body",
 )
+GRAVITY_COMPENSATION = Effect(
+    "gravity_compensation",
+    _mounted,
+    _compensation,
+    _apply_compensation,
+    excited_by="several postures under load",
+    equation="τ = fraction × weight of the links, upwards",
+)
 GROUND_SLOPE = Effect(
     "ground_slope",
     _slope_places,
@@ -217,4 +241,4 @@ GROUND_SLOPE = Effect(
     equation="gravity turned by the slope of the ground",
 )
 
-BODY_EFFECTS = (PAYLOAD, LINK_LENGTH, COM_SHIFT, CONSTANT_FORCE, AIR_DRAG, GROUND_SLOPE)
+BODY_EFFECTS = (PAYLOAD, LINK_LENGTH, COM_SHIFT, CONSTANT_FORCE, AIR_DRAG, GRAVITY_COMPENSATION, GROUND_SLOPE)

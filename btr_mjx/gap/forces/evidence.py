@@ -17,8 +17,8 @@ NU = 2.0
 """Degrees of freedom of the scale of a kind of calibration: tolerances are stated to within a factor of a few."""
 
 MOST = 8.0
-"""Largest number of calibration, in tolerances: what is further off is missing, not badly calibrated. Whatever makes all
-forces smaller leaves less of them, so that without a bound gains would vanish where friction is missing."""
+"""Largest number of calibration, in tolerances: what is further off is missing, not badly calibrated. Whatever makes
+all forces smaller leaves less of them, so that without a bound gains would vanish where friction is missing."""
 
 _FIXED = 6
 """Times that unknowns beyond their bounds are fixed there."""
@@ -39,12 +39,14 @@ class Calibration:
       tolerance: (n,) 1 sigma of each.
       kind: (n,) integers: numbers of one kind share a scale.
       at: (n,) values at which the columns were taken; the prior is centred at 0.
+      nu: degrees of freedom of the scale of a kind; infinite where tolerances are what they are said to be.
     """
 
     design: np.ndarray
     tolerance: np.ndarray
     kind: np.ndarray
     at: np.ndarray
+    nu: float = NU
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +89,8 @@ def least_squares(
       gram: (1 + C, 1 + C) inner products of residual and columns.
       free: (C, p) columns of each free number; several columns for a number that several places share.
       calibration: beside them.
-      low, high: (p,) bounds of the changes; None for none.
+      low: (p,) lower bounds of the changes; None for none.
+      high: (p,) upper bounds; None for none.
       scales: (n,) squared scales of calibration to start with; None for 1.
 
     Returns:
@@ -111,11 +114,11 @@ def least_squares(
         aim[p:] -= weight * calibration.at
         values = _bounded(full, aim, bounds)
         total = calibration.at + values[p:]
-        scale = _scales(total / calibration.tolerance, calibration.kind)
+        scale = _scales(total / calibration.tolerance, calibration)
     effect = design @ values
     chi2 = float(gram[0, 0] + 2 * effect @ across + effect @ inner @ effect)
     covariance = np.linalg.inv(_ridged(full))[:p, :p]
-    return Fit(values[:p], total, chi2, _penalty(total / calibration.tolerance, calibration.kind), covariance, effect)
+    return Fit(values[:p], total, chi2, _penalty(total / calibration.tolerance, calibration), covariance, effect)
 
 
 def _bounded(normal: np.ndarray, target: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
@@ -139,19 +142,21 @@ def _ridged(normal: np.ndarray) -> np.ndarray:
     return normal + np.diag(np.where(size > 0, _RIDGE * size, 1.0))
 
 
-def _scales(relative: np.ndarray, kind: np.ndarray) -> np.ndarray:
+def _scales(relative: np.ndarray, calibration: Calibration) -> np.ndarray:
     """(n,) squared scale of each number's kind, its mode beside the numbers."""
-    out = np.ones(len(relative))
-    for k in np.unique(kind):
+    out, kind, nu = np.ones(len(relative)), calibration.kind, calibration.nu
+    for k in np.unique(kind) if np.isfinite(nu) else ():
         own = kind == k
-        out[own] = (NU + (relative[own] ** 2).sum()) / (NU + own.sum())
+        out[own] = (nu + (relative[own] ** 2).sum()) / (nu + own.sum())
     return out
 
 
-def _penalty(relative: np.ndarray, kind: np.ndarray) -> float:
+def _penalty(relative: np.ndarray, calibration: Calibration) -> float:
     """-2 ln of the Student prior of all kinds."""
-    total = 0.0
+    total, kind, nu = 0.0, calibration.kind, calibration.nu
+    if not np.isfinite(nu):
+        return float((relative**2).sum())
     for k in np.unique(kind):
         own = kind == k
-        total += float((NU + own.sum()) * np.log1p((relative[own] ** 2).sum() / NU))
+        total += float((nu + own.sum()) * np.log1p((relative[own] ** 2).sum() / nu))
     return total

@@ -38,8 +38,8 @@ class Variances:
       jitter: variance of time stamps [s^2].
       force: (nv,) variance of the random generalised force [N^2 or (N m)^2].
       time: its correlation time [s].
-      weight: (S, K, nv) weights of what is new in the force, 1 where it is usual and less where it is not (heavy tails);
-        None for 1.
+      weight: (S, K, nv) weights of what is new in the force, 1 where it is usual and less where it is not (heavy
+        tails); None for 1.
     """
 
     sensor: np.ndarray
@@ -51,9 +51,12 @@ class Variances:
     @property
     def penalty(self) -> float:
         """-2 ln of the density of the weights, without a constant."""
-        if self.weight is None:
-            return 0.0
-        return float(NU * (self.weight - 1 - np.log(self.weight)).sum())
+        return 0.0 if self.weight is None else float(self.share_of_penalty().sum())
+
+    def share_of_penalty(self) -> np.ndarray:
+        """(S,) the same by stretch."""
+        assert self.weight is not None
+        return NU * (self.weight - 1 - np.log(self.weight)).sum((1, 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +64,8 @@ class Filtered:
     """Whitened innovations.
 
     Attributes:
-      gram: (S, 1 + C, 1 + C) inner products of the whitened innovations of each stretch: of the residual (first), and of
-        the columns.
+      gram: (S, 1 + C, 1 + C) inner products of the whitened innovations of each stretch: of the residual
+        (first), and of the columns.
       log_determinant: (S,) of the innovations' covariances.
       count: number of measured values in a stretch.
     """
@@ -214,7 +217,7 @@ def _backward(linear: Linearised, kept: _Pass, variances: Variances, given_noise
     """Disturbance smoother: scores of all variances, and smoothed states."""
     s, k, two, nv = linear.force.shape
     nx, seen = two + nv, np.flatnonzero(linear.stretches.seen)
-    _, fresh, sensor = _parts(linear, variances)
+    _, fresh, _ = _parts(linear, variances)
     rates = _rates(linear)[..., seen] ** 2
     score, information = np.zeros((s, nx)), np.zeros((s, nx, nx))
     state, force, spread = np.empty((s, k + 1, two)), np.empty((s, k + 1, nv)), np.empty((s, k + 1, nv))

@@ -72,16 +72,17 @@ def missing_force(stretches: Stretches, base: Hypothesis) -> MissingForce:
 
 
 def drives(missing: MissingForce) -> tuple[np.ndarray, np.ndarray]:
-    """Dry friction, viscous damping and rotor inertia of every degree of freedom, by least squares on missing force.
+    """Friction, damping, rotor inertia and an offset of every degree of freedom, by least squares on missing force.
 
     Args:
       missing: the force that the model lacks.
 
     Returns:
-      (3, nv) dry friction, damping, inertia, none below 0, and (nv,) share of the missing force that they explain.
+      (4, nv) dry friction, damping, inertia, none below 0, and a constant force; (nv,) share of the missing force that
+      they explain.
     """
     nv = missing.force.shape[-1]
-    out, share = np.zeros((3, nv)), np.zeros(nv)
+    out, share = np.zeros((4, nv)), np.zeros(nv)
     for j in range(nv):
         force, v, a = (x[..., j].ravel() for x in (missing.force, missing.velocity, missing.acceleration))
         slow = _SLOW * np.sqrt((v**2).mean()) + 1e-12
@@ -91,6 +92,6 @@ def drives(missing: MissingForce) -> tuple[np.ndarray, np.ndarray]:
         gain = 0.05 * scale[4]
         low, high = np.array([0, 0, 0, -np.inf, -gain]), np.array([np.inf, np.inf, np.inf, np.inf, gain])
         found = lsq_linear(columns / scale, force, (low, high + 1e-12))
-        out[:, j] = found.x[:3] / scale[:3]
+        out[:, j] = found.x[:4] / scale[:4] * (1, 1, 1, -1)
         share[j] = 1 - np.mean((force - columns / scale @ found.x) ** 2) / max(float(np.mean(force**2)), 1e-300)
     return out, share

@@ -13,12 +13,19 @@ from btr_mjx.gap.forces.motion import linearise
 from btr_mjx.gap.forces.points import Fitted, Point, Side, names, settled, step_of
 from btr_mjx.gap.forces.scan import Lead, price, scan
 
-_DRIVE = ("dry_friction", "viscous_damping", "armature")
+_DRIVE = ("dry_friction", "viscous_damping", "armature", "offset_torque")
 """What every drive has, and models leave out together."""
 
 FORGOTTEN = 0.01
 """Correlation time of the random force [s]. What lasts longer is for names to explain: a random force that lasts would
 take the place of friction, which predicts no motion."""
+
+RELATIVE_ERROR = 0.1
+"""Part by which a simulation of named effects errs: a further one has to explain more than its square of what they
+do."""
+
+_FAR = 0.1
+"""Part of the gain of a whole drive that a single effect needs in the scan to be refined beside it."""
 
 _SHARE = 0.3
 """Part of the missing force of a joint that a drive explains, from which on it is tried."""
@@ -53,7 +60,12 @@ def first_variances(side: Side, hypothesis: Hypothesis) -> Variances:
     linear = linearise(side.stretches, hypothesis, side.counter)
     force = np.einsum("skij,skj->ski", np.linalg.pinv(linear.force), linear.defect)
     interval = float(np.median(linear.interval))
-    return Variances(side.stretches.sigma**2, (_JITTER * interval) ** 2, (np.median(np.abs(force), (0, 1)) / 0.6745) ** 2 + 1e-18, FORGOTTEN)
+    return Variances(
+        side.stretches.sigma**2,
+        (_JITTER * interval) ** 2,
+        (np.median(np.abs(force), (0, 1)) / 0.6745) ** 2 + 1e-18,
+        FORGOTTEN,
+    )
 
 
 def start(side: Side, base: Hypothesis) -> Fitted:
@@ -87,29 +99,38 @@ def _scene(side: Side, fit: Fitted) -> _Scene:
     return _Scene(whitened.gram.sum(0), given, calibration, fit.whitened.count * len(side.stretches))
 
 
-def one_more(side: Side, fit: Fitted) -> Round:
-    """Look for one more effect beside a fitted point, or for what every drive has, at once."""
+def one_more(side: Side, fit: Fitted, needed: float = 0.0) -> Round:
+    """Look for one more effect beside a fitted point, or for what every drive has, at once.
+
+    Args:
+      side: the recordings to fit.
+      fit: what was named before.
+      needed: score that one more effect needs.
+    """
     library, scene = side.library, _scene(side, fit)
     entries = [entry for entry in library.entries if entry.candidate.name not in names(fit.point.named)]
     _, leads = scan(scene.gram, entries, scene.given, scene.calibration, scene.count)
     choices = len({entry.candidate.name for entry in library.entries})
-    starts = []
-    for lead in shortlist(leads):
-        moved = fit.point.moved(lead.changes, lead.calibration)
-        starts.append(replace(moved, named=(*moved.named, (lead.candidate, lead.values))))
-    if (drive := _drive(side, fit)) is not None:
-        starts.append(drive)
-    finalists = []
-    for point in starts:
+    starts = [] if (drive := _drive(side, fit)) is None else [drive]
+    finalists: list[tuple[float, Fitted]] = []
+
+    def judge(point: Point) -> None:
         found = settled(side, point, first_variances(side, point.hypothesis(library)))
-        more = point.numbers - fit.point.numbers
-        finalists.append((fit.loss - found.loss - price(more, scene.count, choices), found))
+        numbers = point.numbers - fit.point.numbers
+        finalists.append((fit.loss - found.loss - price(numbers, scene.count, choices), found))
+
+    for point in starts:
+        judge(point)
+    least = max(needed, _FAR * finalists[0][0] if finalists else 0.0)
+    for lead in shortlist(leads, least):
+        moved = fit.point.moved(lead.changes, lead.calibration)
+        judge(replace(moved, named=(*moved.named, (lead.candidate, lead.values))))
     finalists.sort(key=lambda row: -row[0])
     return Round(fit, tuple(leads), tuple(finalists))
 
 
 def _drive(side: Side, fit: Fitted) -> Point | None:
-    """Dry and viscous friction and rotor inertia of all joints at once; None where some of it is named already.
+    """Dry and viscous friction, rotor inertia and offsets of all joints at once; None where some is named already.
 
     Each alone may explain little where all are missing: a model without rotors moves too much, and so everything that
     lessens forces comes first.
@@ -122,10 +143,12 @@ def _drive(side: Side, fit: Fitted) -> Point | None:
         if name in _DRIVE and (name not in widest or len(own.parameters) > len(widest[name].parameters)):
             widest[name] = own
     found, share = drives(missing_force(side.stretches, fit.point.hypothesis(side.library)))
-    if len(widest) < len(_DRIVE) or share.max() < _SHARE:
+    if not widest or share.max() < _SHARE:
         return None
     named = list(fit.point.named)
     for row, name in zip(found, _DRIVE, strict=True):
+        if name not in widest:
+            continue
         candidate = widest[name]
         model = side.stretches.data.recordings[0].model
         places = candidate.place.parts or (candidate.place,)
@@ -135,12 +158,12 @@ def _drive(side: Side, fit: Fitted) -> Point | None:
     return replace(fit.point, named=tuple(named))
 
 
-def shortlist(leads: Sequence[Lead]) -> list[Lead]:
-    """Leads whose numbers are refined: the best ones, at most `_PLACES` of an effect."""
+def shortlist(leads: Sequence[Lead], least: float = 0.0) -> list[Lead]:
+    """Leads whose numbers are refined: the best ones above a score, at most `_PLACES` of an effect."""
     out: list[Lead] = []
     for lead in leads:
         same = sum(other.candidate.effect is lead.candidate.effect for other in out)
-        if lead.score > 0 and same < _PLACES and len(out) < _FINALISTS:
+        if lead.score > least and same < _PLACES and len(out) < _FINALISTS:
             out.append(lead)
     return out
 
@@ -152,11 +175,13 @@ def select(side: Side, base: Hypothesis, most: int, note: Callable[[str], None])
       The rounds, and the fitted points: the believed model, then with one more effect each.
     """
     note("variances")
-    chain, rounds = [start(side, base)], []
+    chain: list[Fitted] = [start(side, base)]
+    rounds: list[Round] = []
     while len(chain[-1].point.named) < most:
         note("one more effect" if rounds else "effects")
-        rounds.append(one_more(side, chain[-1]))
-        if not rounds[-1].finalists or rounds[-1].finalists[0][0] <= 0:
+        needed = RELATIVE_ERROR**2 * (chain[0].loss - chain[-1].loss)
+        rounds.append(one_more(side, chain[-1], needed))
+        if not rounds[-1].finalists or rounds[-1].finalists[0][0] <= needed:
             break
         chain.append(_pruned(side, rounds[-1].finalists[0][1]))
     return rounds, chain

@@ -6,20 +6,24 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.effects import Candidate
+from btr_mjx.gap.effects import WORLD, Candidate, Effect, Parameter, Place, believed_steps
 from btr_mjx.gap.forces.evidence import Calibration
 from btr_mjx.gap.forces.motion import Number
 from btr_mjx.gap.simulate import World
+from btr_mjx.models import PathParameter
 
 _PROBES = (0.15, 0.35, 0.6, 0.8, 0.92)
 """Where a limit is tried, as parts of the way from where it does nothing to its tightest."""
 
 _LARGER = (4.0, 16.0)
-"""Further steps at which what is not linear is tried, in units of its own step: friction holds a joint that a small part
-of it would let go."""
+"""Further steps at which what is not linear is tried, in units of its own step: friction holds a joint that a small
+part of it would let go."""
 
 _NEAR = (0.5, 2.0)
 """Between which parts of a step its column serves, where an effect is not linear."""
+
+BELIEVED = "believed "
+"""Beginning of the name of a number that may be refitted, among calibration."""
 
 _FIELD = 3.0
 """Tolerances outside a laboratory, in units of those of the library."""
@@ -71,13 +75,18 @@ class Library:
 
 
 def library_of(
-    candidates: Sequence[Candidate], model: mujoco.MjModel, tolerances: Mapping[str, float], interval: float
+    candidates: Sequence[Candidate],
+    model: mujoco.MjModel,
+    believed: Sequence[PathParameter],
+    tolerances: Mapping[str, float],
+    interval: float,
 ) -> Library:
     """Columns of candidates.
 
     Args:
       candidates: every effect at every place.
       model: the believed model.
+      believed: numbers of the model that may be refitted; they are calibration with wide tolerances.
       tolerances: 1 sigma of calibration by effect, as the dataset has them.
       interval: between samples of commands [s].
     """
@@ -108,6 +117,11 @@ def library_of(
                 factor = _UNMEASURED if candidate.effect.name in ("viscous_damping", "armature") else _FIELD
                 if sigma := known or factor * own.tolerance:
                     calibrated.append((Entry(candidate, ((column + i,),), (near[0],)), sigma))
+    for parameter in believed:
+        candidate = _as_candidate(parameter, model)
+        entry = Entry(candidate, ((len(numbers),),), (_range(candidate, 0, False),))
+        numbers.append(Number(candidate, 0, (candidate.parameters[0].null,), candidate.parameters[0].step))
+        calibrated.append((entry, parameter.high - parameter.low))
     whole = [e for e in entries if e.candidate.effect.name == "actuator_delay" and e.candidate.parameters[0].low < 0]
     calibrated += [(entry, _TIME_IN_SAMPLE * interval) for entry in whole[:1]]
     kinds = {name: k for k, name in enumerate(dict.fromkeys(e.candidate.effect.name for e, _ in calibrated))}
@@ -118,6 +132,39 @@ def library_of(
         np.zeros(len(calibrated)),
     )
     return Library(tuple(numbers), tuple(entries), tuple(e for e, _ in calibrated), calibration)
+
+
+def _as_candidate(parameter: PathParameter, model: mujoco.MjModel) -> Candidate:
+    """A number of the model that may be refitted, as an effect."""
+
+    def write(world: World, place: Place, values: np.ndarray) -> None:
+        parameter.write(world.model, float(values[0]))
+        mujoco.mj_setConst(world.model, mujoco.MjData(world.model))
+
+    value = parameter.value(model)
+    (step,) = believed_steps([parameter], [value])
+    low, high = min(parameter.low, value), max(parameter.high, value)
+    own = Parameter("value", parameter.unit or "1", low, high, float(step), null=value)
+    return Candidate(Effect(BELIEVED + parameter.name, lambda _: [], lambda *_: (own,), write), WORLD, (own,))
+
+
+def believed_values(
+    library: Library, believed: Sequence[PathParameter], calibration: np.ndarray, before: Sequence[float]
+) -> list[float]:
+    """Values of numbers that may be refitted, as part of calibration.
+
+    Args:
+      library: of the search.
+      believed: the numbers.
+      calibration: (n,) values.
+      before: their believed values.
+    """
+    found = {e.candidate.effect.name: v for e, v in zip(library.calibrated, calibration, strict=True)}
+    out = []
+    for parameter, value in zip(believed, before, strict=True):
+        moved = value + float(found.get(BELIEVED + parameter.name, 0.0))
+        out.append(float(np.clip(moved, min(parameter.low, value), max(parameter.high, value))))
+    return out
 
 
 def _group(candidate: Candidate, members: Sequence[Sequence[tuple[int, tuple[float, float]]]]) -> list[Entry]:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from btr_mjx.gap.preflight import Finding
+from btr_mjx.gap.report.content import is_json_number
 from btr_mjx.gap.results import effect_at_place, effect_title, place_in_words
 
 
@@ -33,7 +34,8 @@ def print_result(result: Mapping[str, Any], folder: Path) -> None:
             "(score: gain over the believed model, twice the log-likelihood; held-out gain: on data that were not used)"
         )
     for row in rows:
-        print(f"{effect_at_place(row):60}{row['score']:12.1f}{row['held_out']:16.1f}")
+        held = f"{row['held_out']:16.1f}" if is_json_number(row["held_out"]) else f"{'':>16}"
+        print(f"{effect_at_place(row):60}{row['score']:12.1f}{held}")
     if rows and result.get("details"):
         print()
     for line in result.get("details") or []:

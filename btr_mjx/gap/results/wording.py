@@ -22,6 +22,8 @@ EFFECT_TITLES: Mapping[str, str] = {
     "actuator_lag": "a first-order lag of the command",
     "command_rate_limit": "a limit of the command's rate",
     "actuator_gain": "a change of the motor's strength",
+    "offset_torque": "a constant force of the joint",
+    "gravity_compensation": "gravity compensation",
     "torque_limit": "a torque limit",
     "payload": "a payload",
     "link_length": "another length of the link",

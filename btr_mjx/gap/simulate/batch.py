@@ -108,7 +108,7 @@ def _compatible(jobs: Sequence[Job], timestep: float | None) -> list[list[int]]:
     """Groups of job indices whose models may share a batch."""
     groups: dict[tuple, list[int]] = {}
     for index, (world, segments) in enumerate(jobs):
-        model = world.model
+        model = world.update_constants()
         if segments.qpos.shape != (len(segments), model.nq) or segments.qvel.shape != (len(segments), model.nv):
             raise InputError(
                 f"segments: got qpos {segments.qpos.shape} and qvel {segments.qvel.shape}, expected "
@@ -269,5 +269,8 @@ class _Forces:
                 law(rows)
 
 
-_SIZES = ("nq", "nv", "nu", "na", "nbody", "njnt", "ngeom", "nsite", "ntendon", "neq", "nM", "nhistory", "nmocap")
+_SIZES = (
+    *("nq", "nv", "nu", "na", "nbody", "njnt", "ngeom", "nsite", "ntendon", "neq", "nM", "nhistory", "nmocap"),
+    "ngravcomp",  # without it MuJoCo does not look at gravity compensation
+)
 """Model sizes that must be equal within a batch."""

@@ -5,6 +5,7 @@
 states and differentiates; `signatures` are derivatives of residuals with respect to parameters.
 """
 
+from btr_mjx.gap.windows.impacts import contact_samples
 from btr_mjx.gap.windows.likelihood import (
     Evidence,
     Fit,
@@ -41,6 +42,7 @@ __all__ = [
     "best_span",
     "bounded_loss",
     "choose_windows",
+    "contact_samples",
     "fine_step",
     "fit",
     "fit_starting_states",

@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import EFFECTS, Effect
+from btr_mjx.gap.forces import identify_forces, prepare_forces
 from btr_mjx.gap.inference.search.naming import COARSE, THRESHOLD, within_calibration
 from btr_mjx.gap.inference.search.rounds import search
 from btr_mjx.gap.inference.search.search import Bench
@@ -94,6 +95,9 @@ def identify(
     begun = time.monotonic()
     # The search has threads of its own, and matrices that are too small to be shared by more.
     with threadpool_limits(1, "blas"):
+        if (prepared := prepare_forces(dataset, counter)) is not None:
+            note = progress or (lambda _: None)
+            return identify_forces(prepared, effects, max_effects, note, counter or Counter())
         bench = Bench(dataset, effects, options, progress, counter)
         return name_missing(bench, max_effects, seed, progress, begun)
 

@@ -1,0 +1,14 @@
+"""What a robot that touches nothing lacks, from forces: a likelihood of whole recordings, and a search on it.
+
+`prepare_forces` tells whether a dataset is of this kind, `identify_forces` makes a `Diagnosis` of it. Motion from one
+sample to the next is linearised around measured states (`motion`), a Kalman filter with random forces is the likelihood
+(`filtering`), and every effect of the library is a column of a least-squares problem (`unknowns`, `scan`, `points`).
+"""
+
+from btr_mjx.gap.forces.identify import Prepared, identify_forces, prepare_forces
+
+__all__ = [
+    "Prepared",
+    "identify_forces",
+    "prepare_forces",
+]

@@ -1,0 +1,118 @@
+"""Held-out recordings: likelihood by stretch, what is left beside the noise, and predictions over a horizon."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from btr_mjx.gap.effects import Hypothesis
+from btr_mjx.gap.forces.filtering import Variances, filtered, smoothed
+from btr_mjx.gap.forces.motion import linearise
+from btr_mjx.gap.forces.points import Point, Side, moved_states
+from btr_mjx.gap.forces.stretches import Stretches
+from btr_mjx.gap.simulate import Counter, Segments, simulate
+from btr_mjx.models import difference
+
+HORIZON = 0.25
+"""Time over which predictions are compared [s]."""
+
+_UPDATES = 8
+"""Updates of variances."""
+
+_QUIET = 1e-6
+"""Random force that is left where only the noise of sensors is asked for, in units of its standard deviation."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """What held-out recordings say of a point.
+
+    Attributes:
+      loss: (S,) -2 ln p of each stretch.
+      chi2: (S,) of the innovations per measured value, with the noise of the sensors alone.
+    """
+
+    loss: np.ndarray
+    chi2: np.ndarray
+
+
+def held_out(side: Side, point: Point, variances: Variances) -> HeldOut:
+    """Evaluate a point on recordings that were not fitted, with its numbers and calibration.
+
+    Args:
+      side: the recordings held out.
+      point: what was fitted.
+      variances: as they were estimated on the other side; estimated again here, since other motions excite other
+        forces.
+    """
+    stretches = side.stretches
+    make = point.hypothesis(side.library)
+    known = replace(variances, weight=None)
+    linear = linearise(stretches, make, side.counter)
+    nothing = np.zeros_like(linear.defect)
+    for i in range(_UPDATES):
+        found = smoothed(linear, nothing, known)
+        known = found.variances
+        if i == _UPDATES // 2:
+            linear = linearise(moved_states(stretches, found.state), make, side.counter, linear)
+    none = np.zeros((*linear.defect.shape, 0))
+    whitened = filtered(linear, none, known)
+    assert known.weight is not None
+    of_weights = known.share_of_penalty()
+    quiet = replace(known, force=_QUIET**2 * known.force, weight=None)
+    alone = filtered(linear, none, quiet)
+    return HeldOut(whitened.gram[:, 0, 0] + whitened.log_determinant + of_weights, alone.gram[:, 0, 0] / alone.count)
+
+
+def is_better(before: HeldOut, after: HeldOut) -> bool:
+    """Whether a hypothesis predicts held-out stretches better by more than two standard errors."""
+    fall = before.loss - after.loss
+    error = fall.std(ddof=1) / np.sqrt(len(fall)) if len(fall) > 1 else 0.0
+    return bool(fall.mean() > 2 * error)
+
+
+def prediction_errors(
+    stretches: Stretches, makes: Sequence[Hypothesis], counter: Counter | None = None, horizon: float = HORIZON
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Mean square errors of positions over a horizon from smoothed states.
+
+    Args:
+      stretches: of recordings.
+      makes: hypotheses.
+      counter: adds up the simulated steps.
+      horizon: [s].
+
+    Returns:
+      For each hypothesis (W, nv), and the same of constant velocity.
+    """
+    model = stretches.data.recordings[0].model
+    interval = float(np.median(np.diff(stretches.time, axis=1)))
+    count = int(np.clip(round(horizon / interval), 1, stretches.intervals))
+    pairs = [(s, k) for s in range(len(stretches)) for k in range(0, stretches.intervals - count + 1, count)]
+    rows, first = (np.array(x) for x in zip(*pairs, strict=True))
+    index = first[:, None] + np.arange(count + 1)
+    time = stretches.time[rows[:, None], index]
+    target = stretches.measured_q[rows[:, None], index]
+    start_q, start_v = stretches.qpos[rows, first], stretches.qvel[rows, first]
+    since = time - time[:, :1]
+    out = [np.empty((len(rows), model.nv)) for _ in makes]
+    recording = stretches.recording[rows]
+    for r in np.unique(recording):
+        own = np.flatnonzero(recording == r)
+        segments = Segments(
+            time[own, 0],
+            start_q[own],
+            start_v[own],
+            since[own],
+            stretches.data.commands,
+            recording[own],
+            stretches.act[rows[own], first[own]] if model.na else None,
+        )
+        of_recording = stretches.data.recordings[r].model
+        found = simulate([(make(of_recording), segments) for make in makes], threads=1, counter=counter)
+        for states, errors in zip(found, out, strict=True):
+            away = difference(model, target[own], states[..., : model.nq])
+            errors[own] = np.nan_to_num((away**2).mean(1), nan=1e12)
+    travelled = since[..., None] * start_v[:, None]
+    steady = difference(model, start_q[:, None], target) - travelled
+    return out, (steady**2).mean(1)

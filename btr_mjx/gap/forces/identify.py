@@ -1,0 +1,201 @@
+"""Name what a robot that touches nothing lacks: forces propose, recordings that were not fitted decide.
+
+    diagnosis = identify_forces(dataset)
+
+A name needs evidence beyond the price of its numbers, and predictions of held-out stretches that are better by more than
+two standard errors.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.data import Dataset, noise_of
+from btr_mjx.gap.effects import Effect, Hypothesis, candidates, has_closed_loops
+from btr_mjx.gap.forces.filtering import smoothed
+from btr_mjx.gap.forces.held_out import HeldOut, held_out, is_better, prediction_errors
+from btr_mjx.gap.forces.missing_force import missing_force
+from btr_mjx.gap.forces.motion import responses
+from btr_mjx.gap.forces.outcome import Found, diagnosis_of
+from btr_mjx.gap.forces.points import Fitted, Side, settled
+from btr_mjx.gap.forces.search import Round, select
+from btr_mjx.gap.forces.stretches import choose_stretches
+from btr_mjx.gap.forces.unknowns import BELIEVED, believed_values, library_of
+from btr_mjx.gap.results import Diagnosis
+from btr_mjx.gap.simulate import Counter
+from btr_mjx.gap.windows import PreparedData, best_span, contact_samples, prepare, scales_of, track_of
+
+_TOUCHES = 0.01
+"""Part of the samples with a contact, from which on a robot touches the world."""
+
+_LARGE = 0.1
+"""Random force of a joint, in units of the force that its actuators usually have, that is no calibration."""
+
+_NONE = 1e-6
+"""Tolerances that leave no calibration."""
+
+_MOST = 0.5
+"""Part of the missing force that names may leave."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """Both sides of a dataset, ready for a search.
+
+    Attributes:
+      dataset: the data.
+      fit, test: recordings to fit and held out.
+      sigma: (2 nv,) noise of the sensors.
+    """
+
+    dataset: Dataset
+    fit: PreparedData
+    test: PreparedData
+    sigma: np.ndarray
+
+
+def prepare_forces(dataset: Dataset, counter: Counter | None = None) -> Prepared | None:
+    """Prepare a dataset, if its robot touches nothing.
+
+    Args:
+      dataset: recordings on both sides of the split, and the believed model.
+      counter: adds up the simulated steps.
+
+    Returns:
+      Both sides; None where the robot touches the world, has closed loops, or joints that were not measured.
+
+    Raises:
+      InputError: no recordings on one side of the split.
+    """
+    for name, side in (("fit", dataset.fit), ("test", dataset.test)):
+        if not side:
+            raise InputError(f"{dataset.folder}: no recording is in split {name!r}")
+    if has_closed_loops(dataset.model) or not all(r.seen.all() for r in dataset.recordings):
+        return None
+    noise = noise_of(dataset)
+    sigma = np.concatenate([noise.qpos, noise.qvel])
+    span = best_span(dataset.model, [track_of(r) for r in dataset.recordings], sigma)
+    fit, test = (prepare(side, dataset.interpolation, sigma, span) for side in (dataset.fit, dataset.test))
+    counter = counter or Counter()
+    touching = np.concatenate([own for side in (fit, test) for own in contact_samples(side, counter)])
+    return None if touching.mean() > _TOUCHES else Prepared(dataset, fit, test, sigma)
+
+
+def identify_forces(
+    prepared: Prepared,
+    effects: Sequence[Effect],
+    max_effects: int,
+    progress: Callable[[str], None],
+    counter: Counter,
+) -> Diagnosis:
+    """Find what is missing.
+
+    Args:
+      prepared: both sides of the data.
+      effects: the library of effects.
+      max_effects: largest number of effects that are named.
+      progress: called with a word on what is being done.
+      counter: adds up the simulated steps.
+
+    Returns:
+      The diagnosis.
+
+    Raises:
+      InputError: there is no motion.
+    """
+    begun = time.monotonic()
+    dataset = prepared.dataset
+    progress("effects of the library")
+    base = Hypothesis(dataset.parameters, tuple(p.value(dataset.model) for p in dataset.parameters))
+    stretches, other = choose_stretches(prepared.fit), choose_stretches(prepared.test)
+    if not any(np.ptp(r.qpos, axis=0).max() > 0 for r in dataset.fit):
+        raise InputError(f"{dataset.folder}: the robot does not move in any recording of split 'fit'")
+    every = candidates(dataset.model, scales_of(prepared.fit), effects)
+    interval = float(np.median(np.diff(dataset.fit[0].commands[0])))
+    library = library_of(every, dataset.model, dataset.parameters, dataset.tolerances, interval)
+    columns = responses(stretches, base, library.numbers, counter)
+    side = Side(stretches, library, columns, counter)
+    test = Side(other, library, np.zeros((0,)), counter)
+    rounds, chain = select(side, base, max_effects, progress)
+    progress("held-out recordings")
+    confirmed = _confirmed(test, chain)
+    progress("numbers")
+    marginal = _refitted(side, confirmed[-1], 1.0)
+    ends = [_refitted(side, fit, _NONE) for fit in (confirmed[0], marginal)]
+    outcomes = held_out(test, ends[0].point, ends[0].variances), held_out(test, ends[1].point, ends[1].variances)
+    final = [ends[0], *confirmed[1:-1], *ends[1:]] if len(confirmed) > 1 else [ends[0]]
+    found = _found(side, test, rounds, final, outcomes, len(confirmed) < len(chain), dataset, marginal)
+    return diagnosis_of(dataset, prepared.sigma, found, time.monotonic() - begun + counter.earlier)
+
+
+def _confirmed(test: Side, chain: Sequence[Fitted]) -> list[Fitted]:
+    """The chain up to the last hypothesis that held-out stretches bear out, one after another."""
+    out, before = [chain[0]], held_out(test, chain[0].point, chain[0].variances)
+    for fit in chain[1:]:
+        own = held_out(test, fit.point, fit.variances)
+        if not is_better(before, own):
+            break
+        before = own
+        out.append(fit)
+    return out
+
+
+def _refitted(side: Side, fit: Fitted, tolerance: float) -> Fitted:
+    """A fit with other tolerances of calibration, in units of the stated ones, and no doubt about these.
+
+    What is named has to hold beside calibration; its numbers are those with which the mended model, which knows none,
+    predicts best.
+    """
+    own = side.library.calibration
+    known = np.array([not e.candidate.effect.name.startswith(BELIEVED) for e in side.library.calibrated], bool)
+    factor = np.where(known, tolerance, 1.0)
+    library = replace(side.library, calibration=replace(own, tolerance=own.tolerance * factor, nu=np.inf))
+    start = replace(fit.point, calibration=np.where(known & (tolerance < 1), 0.0, fit.point.calibration))
+    return settled(replace(side, library=library), start, replace(fit.variances, weight=None))
+
+
+def _found(
+    side: Side,
+    test: Side,
+    rounds: Sequence[Round],
+    chain: Sequence[Fitted],
+    outcomes: tuple[HeldOut, HeldOut],
+    contradicted: bool,
+    dataset: Dataset,
+    marginal: Fitted,
+) -> Found:
+    """What was found, with the models as they will be used: named effects, and no calibration."""
+    first, last = chain[0], chain[-1]
+    before = [p.value(dataset.model) for p in dataset.parameters]
+    values = [
+        tuple(believed_values(side.library, dataset.parameters, fit.point.calibration, before)) for fit in (first, last)
+    ]
+    base = replace(first.point.base, believed=values[0])
+    mended = replace(last.point.base, believed=values[1])
+    for candidate, own in last.point.named:
+        mended = mended.with_effect(candidate, own)
+    errors, steady = prediction_errors(test.stretches, [base, mended], side.counter)
+    missing = missing_force(side.stretches, base)
+    usual = np.sqrt((missing.actuator**2).mean((0, 1))) + np.sqrt((missing.force**2).mean((0, 1)))
+    share = np.sqrt(last.variances.force) / np.maximum(usual, 1e-300)
+    fell = last.variances.force / np.maximum(first.variances.force, 1e-300)
+    large = (share > _LARGE) & ((fell > _MOST) if len(chain) > 1 else np.ones(len(share), bool))
+    left = smoothed(last.linear, np.zeros_like(last.linear.defect), last.variances).force
+    return Found(
+        tuple(rounds),
+        tuple(chain),
+        outcomes,
+        (errors[0], errors[1], steady),
+        missing,
+        left,
+        large,
+        base,
+        mended,
+        side,
+        test,
+        contradicted,
+        marginal,
+    )

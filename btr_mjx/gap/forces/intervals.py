@@ -1,0 +1,31 @@
+"""Covariance of fitted numbers, which does not assume that what is left is white noise."""
+
+import numpy as np
+
+from btr_mjx.gap.forces.points import Fitted, Side
+
+
+def covariance(side: Side, fit: Fitted) -> np.ndarray:
+    """Covariance (p, p) of the numbers of a fit, calibration marginalised.
+
+    The larger one, for every number, of the inverse information and of the sandwich estimate
+    H^-1 (sum_s g_s g_s^T) H^-1 with the gradients g_s of the stretches, which holds where stretches differ by more than the model says.
+
+    Args:
+      side: the recordings that were fitted.
+      fit: at its numbers.
+    """
+    p, cal = fit.point.numbers, side.library.calibration
+    gram = fit.whitened.gram[:, 1:, 1:]
+    gradient = fit.whitened.gram[:, 1:, 0]
+    normal = gram.sum(0)
+    prior = np.zeros(len(normal))
+    prior[p:] = 1 / cal.tolerance**2
+    normal = normal + np.diag(prior + 1e-10 * np.diag(normal) + 1e-300)
+    inverse = np.linalg.inv(normal)
+    count = len(gradient)
+    centred = gradient - gradient.mean(0)
+    meat = centred.T @ centred * count / max(count - 1, 1)
+    robust = inverse @ meat @ inverse
+    scale = np.sqrt(np.maximum(np.diag(robust)[:p], np.diag(inverse)[:p]) / np.diag(inverse)[:p])
+    return inverse[:p, :p] * scale[:, None] * scale[None, :]

@@ -1,0 +1,377 @@
+"""From a finished search in forces to the records of a `Diagnosis`."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.data import Dataset
+from btr_mjx.gap.effects import Hypothesis
+from btr_mjx.gap.forces.held_out import HORIZON, HeldOut
+from btr_mjx.gap.forces.intervals import covariance
+from btr_mjx.gap.forces.missing_force import MissingForce
+from btr_mjx.gap.forces.points import Fitted, Side, names
+from btr_mjx.gap.forces.search import Round
+from btr_mjx.gap.forces.unknowns import believed_values
+from btr_mjx.gap.results import (
+    Diagnosis,
+    DisagreementMap,
+    Estimate,
+    Gap,
+    NamedEffect,
+    Overlay,
+    RankedCandidate,
+    Refit,
+)
+from btr_mjx.gap.simulate import Segments, simulate
+from btr_mjx.models import difference, part_names
+
+QUANTILE = 1.645
+"""Half width of a 90 % interval, in standard errors."""
+
+MARGIN = 6.0
+"""Difference of scores below which two candidates are alike: a factor of twenty in odds."""
+
+_OVERLAYS = 3
+"""Stretches that are drawn."""
+
+_CAP = 1e4
+"""Largest squared force in a map, in units of its variance."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a search found.
+
+    Attributes:
+      rounds: of the search.
+      chain: the believed model, and what was named, one after another.
+      held_out: what held-out recordings say of the first and the last of them.
+      errors: (W, nv) mean square errors of predictions of the believed model, the mended one and constant velocity.
+      missing: force that the believed model lacks.
+      left: (S, K + 1, nv) force that is left.
+      large: (nv,) bool: the random force that is left is no calibration.
+      base: the believed model with what was refitted.
+      mended: with what was named.
+      side, test: of the split.
+      contradicted: whether more was found than held-out recordings bear out.
+      marginal: the last hypothesis beside calibration, for intervals.
+    """
+
+    rounds: tuple[Round, ...]
+    chain: tuple[Fitted, ...]
+    held_out: tuple[HeldOut, HeldOut]
+    errors: tuple[np.ndarray, np.ndarray, np.ndarray]
+    missing: MissingForce
+    left: np.ndarray
+    large: np.ndarray
+    base: Hypothesis
+    mended: Hypothesis
+    side: Side
+    test: Side
+    contradicted: bool
+    marginal: Fitted
+
+
+def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: Found, seconds: float) -> Diagnosis:
+    """The records of a diagnosis.
+
+    Args:
+      dataset: the data.
+      sigma: (2 nv,) noise of the sensors.
+      found: by the search.
+      seconds: that it took.
+    """
+    first, last = found.chain[0], found.chain[-1]
+    named = last.point.named
+    verdict = "unexplained" if found.large.any() else "effect" if named else "none"
+    ranking = _ranking(found.rounds)
+    before, after = (float(np.mean(own.chi2)) for own in found.held_out)
+    loops = _open_loop(dataset, found)
+    model = dataset.model
+    return Diagnosis(
+        verdict=verdict,  # type: ignore[arg-type]
+        effects=_named(found) if verdict == "effect" else (),
+        ranking=ranking,
+        equivalent=_alike(found.rounds[0]) if found.rounds and named else (),
+        gap=Gap(before, after, min(1.0, after), 1.0, float(np.sqrt(before)), float(np.sqrt(after)), *loops),
+        disagreement=_map(model, found),
+        unexplained=_words(model, found) if verdict == "unexplained" else (),
+        believed=_refits(dataset, found),
+        confounds=(),
+        overlays=_overlays(model, found),
+        share=1 - float(last.variances.force.sum() / max(first.variances.force.sum(), 1e-300)),
+        lack_of_fit=(_lack(found.held_out[0]), _lack(found.held_out[1])),
+        threshold=0.0,
+        dispersion=1.0,
+        sigma=sigma,
+        windows=(
+            len(found.side.stretches),
+            len(found.test.stretches),
+            found.side.stretches.intervals,
+            float(np.ptp(found.side.stretches.time[0])),
+        ),
+        steps=found.side.counter.steps,
+        seconds=seconds,
+        survivors=_survivors(found),
+        notes=_notes(model, found),
+    )
+
+
+def _lack(of: HeldOut) -> float:
+    """Standard errors by which held-out stretches exceed the noise of the sensors."""
+    spread = of.chi2.std(ddof=1) / np.sqrt(len(of.chi2)) if len(of.chi2) > 1 else 1.0
+    return float((of.chi2.mean() - 1) / max(spread, 1e-9))
+
+
+def _named(found: Found) -> tuple[NamedEffect, ...]:
+    """Named effects with intervals."""
+    last = found.chain[-1]
+    spread = np.sqrt(np.diag(covariance(found.side, found.marginal)))
+    scores = [a.loss - b.loss for a, b in zip(found.chain[:-1], found.chain[1:], strict=True)]
+    held = float((found.held_out[0].loss - found.held_out[1].loss).sum())
+    out, i = [], 0
+    for k, (candidate, values) in enumerate(last.point.named):
+        parameters = {}
+        for own, value in zip(candidate.parameters, values, strict=True):
+            half = QUANTILE * spread[i]
+            low, high = (float(np.clip(value + s * half, own.low, own.high)) for s in (-1, 1))
+            parameters[own.name] = Estimate(value, low, high, own.unit, float(own.null), own.at_edge(value))
+            i += 1
+        score = scores[min(k, len(scores) - 1)] if scores else 0.0
+        rivals = _alike(found.rounds[min(k, len(found.rounds) - 1)])
+        own_names = names(last.point.named)
+        out.append(
+            NamedEffect(
+                candidate.effect.name,
+                candidate.place.label,
+                parameters,
+                float(score),
+                held,
+                tuple(name for name in rivals if name not in own_names) if candidate.name in rivals else (),
+                candidate.effect.excited_by,
+                candidate.effect.equation,
+            )
+        )
+    return tuple(out)
+
+
+def _alike(of: Round) -> tuple[str, ...]:
+    """Names of finalists that the data cannot tell from the best one, which comes first."""
+    if not of.finalists:
+        return ()
+    best = of.finalists[0][0]
+    given = set(names(of.before.point.named))
+    out: list[str] = []
+    for score, fit in of.finalists:
+        if score > 0 and best - score <= MARGIN:
+            new = [name for name in names(fit.point.named) if name not in given]
+            out += new if fit is of.finalists[0][1] or len(new) == 1 else []
+    return tuple(dict.fromkeys(out))
+
+
+def _ranking(rounds: Sequence[Round]) -> tuple[RankedCandidate, ...]:
+    """Rows of all rounds: refined candidates, then those that were scanned only."""
+    rows = []
+    for of in rounds:
+        given = names(of.before.point.named)
+        seen: set[str] = set()
+        scored = []
+        for score, fit in of.finalists:
+            new = [(c, v) for c, v in fit.point.named if c.name not in given]
+            if len(new) == 1:
+                scored.append((score, *new[0]))
+            else:
+                scored += [(score, c, v) for c, v in new]
+        scored += [(lead.score, lead.candidate, lead.values) for lead in of.leads]
+        best = max((row[0] for row in scored), default=0.0)
+        for score, candidate, values in scored:
+            if candidate.name in seen:
+                continue
+            seen.add(candidate.name)
+            rows.append(
+                RankedCandidate(
+                    candidate.effect.name,
+                    candidate.place.label,
+                    float(score),
+                    float(best - score),
+                    float(score),
+                    float("nan"),
+                    {p.name: float(v) for p, v in zip(candidate.parameters, values, strict=True)},
+                    tuple(given),
+                )
+            )
+    return tuple(rows)
+
+
+def _open_loop(dataset: Dataset, found: Found) -> tuple[float, float]:
+    """Mean absolute position error over whole held-out recordings [rad or m], believed and mended."""
+    data = found.test.stretches.data
+    totals: list[list[float]] = [[], []]
+    for i, recording in enumerate(data.recordings):
+        own = np.flatnonzero(found.test.stretches.recording == i)
+        first = own[np.argmin(found.test.stretches.time[own, 0])]
+        start = found.test.stretches
+        begin = int(np.argmin(np.abs(recording.time - start.time[first, 0])))
+        since = (recording.time[begin:] - recording.time[begin])[None]
+        segments = Segments(
+            recording.time[begin : begin + 1],
+            start.qpos[first, :1],
+            start.qvel[first, :1],
+            since,
+            data.commands,
+            np.array([i]),
+            data.acts[i][begin : begin + 1] if recording.model.na else None,
+        )
+        jobs = [(make(recording.model), segments) for make in (found.base, found.mended)]
+        for states, errors in zip(simulate(jobs, threads=1, counter=found.test.counter), totals, strict=True):
+            away = difference(recording.model, recording.qpos[begin:], states[0, :, : recording.model.nq])
+            errors.append(float(np.mean(np.abs(np.nan_to_num(away, nan=1e3)))))
+    return float(np.mean(totals[0])), float(np.mean(totals[1]))
+
+
+def _places(model: mujoco.MjModel) -> list[str]:
+    """(nv,) the place of every degree of freedom."""
+    joints, bodies = part_names(model, "joint"), part_names(model, "body")
+    free = mujoco.mjtJoint.mjJNT_FREE
+    return [
+        f"body:{bodies[model.jnt_bodyid[j]]}" if model.jnt_type[j] == free else f"joint:{joints[j]}"
+        for j in model.dof_jntid
+    ]
+
+
+def _map(model: mujoco.MjModel, found: Found) -> DisagreementMap:
+    """Mean square of the missing force by joint and regime, in units of the random force that is left."""
+    missing = found.missing
+    floor = np.maximum(found.chain[-1].variances.force, 1e-300)
+    square = np.minimum(missing.force**2 / floor, _CAP)
+    speed, load = np.abs(missing.velocity), np.abs(missing.actuator)
+    late = np.zeros(square.shape, bool)
+    late[:, square.shape[1] // 2 :] = True
+    masks = {
+        "all": np.ones(square.shape, bool),
+        "slow": speed <= np.median(speed, (0, 1)),
+        "fast": speed > np.median(speed, (0, 1)),
+        "low load": load <= np.median(load, (0, 1)),
+        "high load": load > np.median(load, (0, 1)),
+    }
+    every = _places(model)
+    places = tuple(dict.fromkeys(every))
+    value, count = np.full((len(places), len(masks)), np.nan), np.zeros((len(places), len(masks)), int)
+    for i, place in enumerate(places):
+        own = np.array([name == place for name in every])
+        for j, mask in enumerate(masks.values()):
+            chosen = mask[..., own]
+            count[i, j] = int(chosen.sum())
+            if count[i, j]:
+                value[i, j] = float(square[..., own][chosen].mean())
+    return DisagreementMap(places, tuple(masks), value, count)
+
+
+def _words(model: mujoco.MjModel, found: Found) -> tuple[str, ...]:
+    """What is unexplained, in words."""
+    left = np.sqrt(found.chain[-1].variances.force)
+    usual = np.sqrt((found.missing.actuator**2).mean((0, 1)))
+    places = _places(model)
+    worst = np.argsort(-left / np.maximum(usual, 1e-300))
+    return tuple(
+        f"a force of {left[j]:.3g} {_force_unit(model, j)} (rms) at {places[j].replace(':', ' ')}, beside "
+        f"{usual[j]:.3g} of its actuators"
+        for j in worst
+        if found.large[j]
+    )[:3]
+
+
+def _force_unit(model: mujoco.MjModel, dof: int) -> str:
+    joint = model.dof_jntid[dof]
+    kind, first = int(model.jnt_type[joint]), int(model.jnt_dofadr[joint])
+    slides = kind == mujoco.mjtJoint.mjJNT_SLIDE or (kind == mujoco.mjtJoint.mjJNT_FREE and dof - first < 3)
+    return "N" if slides else "N m"
+
+
+def _refits(dataset: Dataset, found: Found) -> tuple[Refit, ...]:
+    """Where the believed numbers went, without and with what was named."""
+    library = found.side.library
+    before = [p.value(dataset.model) for p in dataset.parameters]
+    first, last = (
+        believed_values(library, dataset.parameters, fit.point.calibration, before)
+        for fit in (found.chain[0], found.chain[-1])
+    )
+    return tuple(
+        Refit(p.name, float(a), float(b), float(c))
+        for p, a, b, c in zip(dataset.parameters, before, first, last, strict=True)
+    )
+
+
+def _overlays(model: mujoco.MjModel, found: Found) -> tuple[Overlay, ...]:
+    """Held-out stretches in which believed and mended model differ most, over a few horizons."""
+    stretches = found.test.stretches
+    plain = np.flatnonzero(model.jnt_type[model.dof_jntid] >= 2)
+    if not len(plain):
+        return ()
+    interval = float(np.median(np.diff(stretches.time, axis=1)))
+    count = int(np.clip(round(4 * HORIZON / interval), 1, stretches.intervals))
+    names_of, out = _places(model), []
+    tries = []
+    for s in range(len(stretches)):
+        recording = stretches.data.recordings[stretches.recording[s]]
+        segments = Segments(
+            stretches.time[s, :1],
+            stretches.qpos[s, :1],
+            stretches.qvel[s, :1],
+            (stretches.time[s, : count + 1] - stretches.time[s, 0])[None],
+            stretches.data.commands,
+            stretches.recording[s : s + 1],
+            stretches.act[s, :1] if model.na else None,
+        )
+        jobs = [(make(recording.model), segments) for make in (found.base, found.mended)]
+        before, after = (states[0] for states in simulate(jobs, threads=1, counter=found.test.counter))
+        away = np.nan_to_num(difference(model, before[:, : model.nq], after[:, : model.nq]) ** 2, nan=0.0)
+        far = away.mean(0)[plain] / np.maximum(found.side.stretches.sigma[plain], 1e-12) ** 2
+        if not np.isfinite(before).all() or not np.isfinite(after).all():
+            continue
+        tries.append((float(far.max()), s, int(plain[np.argmax(far)]), before, after))
+    for _, s, dof, before, after in sorted(tries, key=lambda row: -row[0])[:_OVERLAYS]:
+        address = int(model.jnt_qposadr[model.dof_jntid[dof]])
+        recording = stretches.data.recordings[stretches.recording[s]]
+        out.append(
+            Overlay(
+                recording.name,
+                names_of[dof],
+                stretches.time[s, : count + 1],
+                stretches.measured_q[s, : count + 1, address],
+                before[:, address],
+                after[:, address],
+            )
+        )
+    return tuple(out)
+
+
+def _survivors(found: Found) -> tuple[Hypothesis, ...]:
+    """Hypotheses that are still possible: those near the best, and nothing where no name was found."""
+    if not found.rounds or not found.rounds[0].finalists:
+        return (found.base,)
+    best = found.rounds[0].finalists[0][0]
+    close = [
+        replace(fit.point, calibration=np.zeros_like(fit.point.calibration)).hypothesis(found.side.library)
+        for score, fit in found.rounds[0].finalists
+        if best - score <= 2 * MARGIN and len(fit.point.named) == 1
+    ]
+    if len(found.chain) > 1:
+        return tuple(close) or (found.mended,)
+    return (found.base, *close[:2])
+
+
+def _notes(model: mujoco.MjModel, found: Found) -> tuple[str, ...]:
+    """How well held-out recordings are predicted over a horizon, beside two simple predictors."""
+    believed, mended, steady = (float(np.sqrt(np.mean(own))) for own in found.errors)
+    out = [
+        f"Predictions of held-out recordings over {HORIZON:g} s, root mean square error of all joints: believed model "
+        f"{believed:.3g}, mended model {mended:.3g}, constant velocity {steady:.3g} (rad or m)."
+    ]
+    if len(found.chain) > 1 and mended > steady:
+        out.append("Constant velocity predicts them better than the mended model: do not rely on it for predictions.")
+    if found.contradicted:
+        out.append("One more effect explained the recordings that were fitted, but not those held out.")
+    return tuple(out)
