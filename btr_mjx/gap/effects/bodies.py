@@ -151,7 +151,9 @@ def _apply_drag(world: World, place: Place, values: np.ndarray) -> None:
 
 def _mounted(model: mujoco.MjModel) -> list[Place]:
     """The world of a robot that is bolted down, with gravity."""
-    floats = (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any() or (model.jnt_type == mujoco.mjtJoint.mjJNT_BALL).any()
+    floats = (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any() or (
+        model.jnt_type == mujoco.mjtJoint.mjJNT_BALL
+    ).any()
     return [] if floats else _slope_places(model)
 
 

@@ -2,8 +2,8 @@
 
     diagnosis = identify_forces(dataset)
 
-A name needs evidence beyond the price of its numbers, and predictions of held-out stretches that are better by more than
-two standard errors.
+A name needs evidence beyond the price of its numbers, and predictions of held-out stretches that are better by more
+than two standard errors.
 """
 
 import time
@@ -21,9 +21,9 @@ from btr_mjx.gap.forces.missing_force import missing_force
 from btr_mjx.gap.forces.motion import responses
 from btr_mjx.gap.forces.outcome import Found, diagnosis_of
 from btr_mjx.gap.forces.points import Fitted, Side, settled
-from btr_mjx.gap.forces.search import Round, select
+from btr_mjx.gap.forces.search import Round, pruned, select
 from btr_mjx.gap.forces.stretches import choose_stretches
-from btr_mjx.gap.forces.unknowns import BELIEVED, believed_values, library_of
+from btr_mjx.gap.forces.unknowns import BELIEVED, TIMING, believed_values, library_of
 from btr_mjx.gap.results import Diagnosis
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.gap.windows import PreparedData, best_span, contact_samples, prepare, scales_of, track_of
@@ -123,7 +123,7 @@ def identify_forces(
     progress("held-out recordings")
     confirmed = _confirmed(test, chain)
     progress("numbers")
-    marginal = _refitted(side, confirmed[-1], 1.0)
+    marginal = pruned(side, _refitted(side, confirmed[-1], 1.0), confirmed[0]) if len(confirmed) > 1 else confirmed[0]
     ends = [_refitted(side, fit, _NONE) for fit in (confirmed[0], marginal)]
     outcomes = held_out(test, ends[0].point, ends[0].variances), held_out(test, ends[1].point, ends[1].variances)
     final = [ends[0], *confirmed[1:-1], *ends[1:]] if len(confirmed) > 1 else [ends[0]]
@@ -147,10 +147,11 @@ def _refitted(side: Side, fit: Fitted, tolerance: float) -> Fitted:
     """A fit with other tolerances of calibration, in units of the stated ones, and no doubt about these.
 
     What is named has to hold beside calibration; its numbers are those with which the mended model, which knows none,
-    predicts best.
+    predicts best. When a command acts within its sample belongs to the log, not to the model, and stays unknown.
     """
     own = side.library.calibration
-    known = np.array([not e.candidate.effect.name.startswith(BELIEVED) for e in side.library.calibrated], bool)
+    names = [entry.candidate.effect.name for entry in side.library.calibrated]
+    known = np.array([not name.startswith(BELIEVED) and name != TIMING for name in names], bool)
     factor = np.where(known, tolerance, 1.0)
     library = replace(side.library, calibration=replace(own, tolerance=own.tolerance * factor, nu=np.inf))
     start = replace(fit.point, calibration=np.where(known & (tolerance < 1), 0.0, fit.point.calibration))
@@ -182,7 +183,10 @@ def _found(
     usual = np.sqrt((missing.actuator**2).mean((0, 1))) + np.sqrt((missing.force**2).mean((0, 1)))
     share = np.sqrt(last.variances.force) / np.maximum(usual, 1e-300)
     fell = last.variances.force / np.maximum(first.variances.force, 1e-300)
-    large = (share > _LARGE) & ((fell > _MOST) if len(chain) > 1 else np.ones(len(share), bool))
+    large = share > _LARGE
+    # Names that explain most of what was missing stand, whatever is left at one joint.
+    if len(chain) > 1 and np.average(fell, weights=first.variances.force / usual**2) < _MOST:
+        large = np.zeros(len(share), bool)
     left = smoothed(last.linear, np.zeros_like(last.linear.defect), last.variances).force
     return Found(
         tuple(rounds),

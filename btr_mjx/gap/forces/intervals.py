@@ -8,8 +8,9 @@ from btr_mjx.gap.forces.points import Fitted, Side
 def covariance(side: Side, fit: Fitted) -> np.ndarray:
     """Covariance (p, p) of the numbers of a fit, calibration marginalised.
 
-    The larger one, for every number, of the inverse information and of the sandwich estimate
-    H^-1 (sum_s g_s g_s^T) H^-1 with the gradients g_s of the stretches, which holds where stretches differ by more than the model says.
+    For every number the larger one of the inverse information and of the sandwich estimate
+    H^-1 (sum_s g_s g_s^T) H^-1 with the gradients g_s of the stretches, which holds where stretches differ by more than
+    the model says.
 
     Args:
       side: the recordings that were fitted.

@@ -1,6 +1,6 @@
 """Forward selection of effects, and backward elimination."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,9 +12,7 @@ from btr_mjx.gap.forces.missing_force import drives, missing_force
 from btr_mjx.gap.forces.motion import linearise
 from btr_mjx.gap.forces.points import Fitted, Point, Side, names, settled, step_of
 from btr_mjx.gap.forces.scan import Lead, price, scan
-
-_DRIVE = ("dry_friction", "viscous_damping", "armature", "offset_torque")
-"""What every drive has, and models leave out together."""
+from btr_mjx.gap.forces.unknowns import DRIVE
 
 FORGOTTEN = 0.01
 """Correlation time of the random force [s]. What lasts longer is for names to explain: a random force that lasts would
@@ -26,6 +24,15 @@ do."""
 
 _FAR = 0.1
 """Part of the gain of a whole drive that a single effect needs in the scan to be refined beside it."""
+
+_CLOSE = 0.95
+"""Part of the best gain from which on a drive comes close to it."""
+
+_PASSES = 3
+"""Passes of backward elimination."""
+
+_SINGLES = 2
+"""Joints of a group that are named one by one, at most."""
 
 _SHARE = 0.3
 """Part of the missing force of a joint that a drive explains, from which on it is tried."""
@@ -114,18 +121,23 @@ def one_more(side: Side, fit: Fitted, needed: float = 0.0) -> Round:
     starts = [] if (drive := _drive(side, fit)) is None else [drive]
     finalists: list[tuple[float, Fitted]] = []
 
-    def judge(point: Point) -> None:
-        found = settled(side, point, first_variances(side, point.hypothesis(library)))
+    def judge(point: Point, variances: Variances) -> None:
+        found = settled(side, point, variances)
         numbers = point.numbers - fit.point.numbers
         finalists.append((fit.loss - found.loss - price(numbers, scene.count, choices), found))
 
     for point in starts:
-        judge(point)
+        judge(point, first_variances(side, point.hypothesis(library)))
     least = max(needed, _FAR * finalists[0][0] if finalists else 0.0)
     for lead in shortlist(leads, least):
         moved = fit.point.moved(lead.changes, lead.calibration)
-        judge(replace(moved, named=(*moved.named, (lead.candidate, lead.values))))
+        judge(replace(moved, named=(*moved.named, (lead.candidate, lead.values))), fit.variances)
+    # What contains another hypothesis cannot explain less: a drive that comes close to its parts has not come to rest,
+    # and backward elimination takes away what does not pay.
+    whole = finalists[0][1] if starts else None
     finalists.sort(key=lambda row: -row[0])
+    if whole is not None and fit.loss - whole.loss > _CLOSE * (fit.loss - finalists[0][1].loss):
+        finalists.sort(key=lambda row: row[1] is not whole)
     return Round(fit, tuple(leads), tuple(finalists))
 
 
@@ -135,18 +147,18 @@ def _drive(side: Side, fit: Fitted) -> Point | None:
     Each alone may explain little where all are missing: a model without rotors moves too much, and so everything that
     lessens forces comes first.
     """
-    if any(candidate.effect.name in _DRIVE for candidate, _ in fit.point.named):
+    if any(candidate.effect.name in DRIVE for candidate, _ in fit.point.named):
         return None
     widest: dict[str, Candidate] = {}
     for entry in side.library.entries:
         name, own = entry.candidate.effect.name, entry.candidate
-        if name in _DRIVE and (name not in widest or len(own.parameters) > len(widest[name].parameters)):
+        if name in DRIVE and (name not in widest or len(own.parameters) > len(widest[name].parameters)):
             widest[name] = own
     found, share = drives(missing_force(side.stretches, fit.point.hypothesis(side.library)))
     if not widest or share.max() < _SHARE:
         return None
     named = list(fit.point.named)
-    for row, name in zip(found, _DRIVE, strict=True):
+    for row, name in zip(found, DRIVE, strict=True):
         if name not in widest:
             continue
         candidate = widest[name]
@@ -183,49 +195,65 @@ def select(side: Side, base: Hypothesis, most: int, note: Callable[[str], None])
         rounds.append(one_more(side, chain[-1], needed))
         if not rounds[-1].finalists or rounds[-1].finalists[0][0] <= needed:
             break
-        chain.append(_pruned(side, rounds[-1].finalists[0][1]))
+        chain.append(pruned(side, rounds[-1].finalists[0][1], chain[0]))
     return rounds, chain
 
 
-def _pruned(side: Side, fit: Fitted) -> Fitted:
-    """Backward elimination: effects that do not pay beside the others go."""
+def pruned(side: Side, fit: Fitted, null: Fitted) -> Fitted:
+    """Backward elimination: effects, and members of groups, that do not pay beside the others go.
+
+    Args:
+      side: the recordings to fit.
+      fit: with named effects.
+      null: without any.
+    """
     choices = len({entry.candidate.name for entry in side.library.entries})
     count = fit.whitened.count * len(side.stretches)
-    while len(fit.point.named) > 1:
-        worth = []
-        for i, (_, values) in enumerate(fit.point.named):
-            named = fit.point.named[:i] + fit.point.named[i + 1 :]
-            worth.append((_lost(side, fit, i) - price(len(values), count, choices), named))
-        least, named = min(worth, key=lambda row: row[0])
-        if least > 0:
+    single = {entry.candidate.name: entry.candidate for entry in side.library.entries}
+    least = max(price(1, count, choices), RELATIVE_ERROR**2 * (null.loss - fit.loss))
+    for _ in range(_PASSES):
+        named: Named = ()
+        for i in range(len(fit.point.named)):
+            named += _simpler(side, fit, i, single, least)
+        if not named or named == fit.point.named:
             break
-        found = settled(side, replace(fit.point, named=named), replace(fit.variances, weight=None))
-        dropped = fit.point.numbers - found.point.numbers
-        if found.loss - fit.loss > price(dropped, count, choices):
+        found = settled(side, replace(fit.point, named=named), fit.variances)
+        if found.loss - fit.loss > least * max(1, fit.point.numbers - found.point.numbers):
             break
         fit = found
     return fit
 
 
-def _lost(side: Side, fit: Fitted, index: int) -> float:
-    """Rise of -2 ln p without one effect, linearly."""
+Named = tuple[tuple[Candidate, tuple[float, ...]], ...]
+
+
+def _simpler(side: Side, fit: Fitted, index: int, single: Mapping[str, Candidate], least: float) -> Named:
+    """One of the named effects, or what is left of it where a linear picture says that the rest does not pay."""
+    candidate, values = fit.point.named[index]
+    if not candidate.place.parts:
+        whole = _lost(side, fit, index, list(range(len(values))))
+        return (fit.point.named[index],) if whole > least * len(values) else ()
+    paying = [j for j in range(len(values)) if _lost(side, fit, index, [j]) > least]
+    if len(paying) > _SINGLES or len(paying) == len(values):
+        return (fit.point.named[index],)
+    members = candidate.place.members
+    return tuple((single[f"{candidate.effect.name}@{members[j]}"], (values[j],)) for j in paying)
+
+
+def _lost(side: Side, fit: Fitted, index: int, members: Sequence[int]) -> float:
+    """Rise of -2 ln p where some numbers of an effect go to their null, linearly."""
     first = sum(len(values) for _, values in fit.point.named[:index])
     candidate, values = fit.point.named[index]
-    own = np.arange(first, first + len(values))
+    own = first + np.array(members)
     rest = np.setdiff1d(np.arange(fit.point.numbers), own)
-    away = candidate.null - np.array(values)
+    away = (candidate.null - np.array(values))[list(members)]
     p, n = fit.point.numbers, len(side.library.calibrated)
-    gram = fit.whitened.gram.sum(0)
-    shift = np.zeros(1 + p + n)
-    shift[0], shift[1 + own] = 1.0, away
     turn = np.eye(1 + p + n)
-    turn[:, 0] = shift
-    moved = turn.T @ gram @ turn
+    turn[1 + own, 0] = away
+    moved = turn.T @ fit.whitened.gram.sum(0) @ turn
     free = np.zeros((p + n, len(rest)))
     free[rest, np.arange(len(rest))] = 1.0
     design = np.zeros((p + n, n))
     design[p + np.arange(n), np.arange(n)] = 1.0
     calibration = replace(side.library.calibration, design=design, at=fit.point.calibration)
-    without = least_squares(moved, free, calibration)
-    with_all = step_of(side, fit)
-    return without.loss - with_all.loss
+    return least_squares(moved, free, calibration).loss - step_of(side, fit).loss

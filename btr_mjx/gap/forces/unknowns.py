@@ -25,6 +25,15 @@ _NEAR = (0.5, 2.0)
 BELIEVED = "believed "
 """Beginning of the name of a number that may be refitted, among calibration."""
 
+TIMING = "actuator_delay"
+"""Effect that is calibration where all commands share it: the time within a sample at which they act."""
+
+DRIVE = ("dry_friction", "viscous_damping", "armature", "offset_torque")
+"""What every drive has, and models leave out together."""
+
+_UNKNOWN = 0.1
+"""Tolerance of these where nothing is believed, in units of a visible step: no joint is without friction."""
+
 _FIELD = 3.0
 """Tolerances outside a laboratory, in units of those of the library."""
 
@@ -113,16 +122,18 @@ def library_of(
         if not candidate.place.members:
             for i in several:
                 own = candidate.parameters[i]
-                known = tolerances.get(candidate.effect.name, 0.0)
+                known, least = tolerances.get(candidate.effect.name, 0.0), 0.0
+                if candidate.effect.name in DRIVE:
+                    least = _UNKNOWN * abs(own.step)
                 factor = _UNMEASURED if candidate.effect.name in ("viscous_damping", "armature") else _FIELD
-                if sigma := known or factor * own.tolerance:
+                if sigma := known or max(factor * own.tolerance, least):
                     calibrated.append((Entry(candidate, ((column + i,),), (near[0],)), sigma))
     for parameter in believed:
         candidate = _as_candidate(parameter, model)
         entry = Entry(candidate, ((len(numbers),),), (_range(candidate, 0, False),))
         numbers.append(Number(candidate, 0, (candidate.parameters[0].null,), candidate.parameters[0].step))
         calibrated.append((entry, parameter.high - parameter.low))
-    whole = [e for e in entries if e.candidate.effect.name == "actuator_delay" and e.candidate.parameters[0].low < 0]
+    whole = [e for e in entries if e.candidate.effect.name == TIMING and e.candidate.parameters[0].low < 0]
     calibrated += [(entry, _TIME_IN_SAMPLE * interval) for entry in whole[:1]]
     kinds = {name: k for k, name in enumerate(dict.fromkeys(e.candidate.effect.name for e, _ in calibrated))}
     calibration = Calibration(

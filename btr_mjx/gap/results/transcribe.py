@@ -51,7 +51,7 @@ _JOINT = {"dof_frictionloss": "frictionloss", "dof_armature": "armature"}
 _OPTION = ("gravity", "wind", "density", "viscosity", "impratio")
 _BODY_INERTIA = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
 _PAIR = {"pair_friction": "friction", "pair_solref": "solref", "pair_solimp": "solimp"}
-_ACTUATOR = ("gainprm", "biasprm", "forcerange", "forcelimited", "gear", "ctrlrange")
+_ACTUATOR = ("gainprm", "biastype", "biasprm", "forcerange", "forcelimited", "gear", "ctrlrange")
 
 
 _PARTS = {"jnt": "joint", "body": "body", "geom": "geom", "site": "site", "actuator": "actuator", "tendon": "tendon"}
@@ -173,7 +173,11 @@ def _write(spec: mujoco.MjSpec, name: str, rows: list[int], model: mujoco.MjMode
     if kind == "actuator" and attribute in _ACTUATOR:
         for actuator in _chosen(spec.actuators, rows):
             value = getattr(model, name)[actuator.id]
-            setattr(actuator, attribute, int(value) if attribute == "forcelimited" else value)
+            setattr(actuator, attribute, int(value) if attribute in ("forcelimited", "biastype") else value)
+        return True
+    if name == "body_gravcomp":
+        for body in _chosen(spec.bodies, rows):
+            body.gravcomp = float(model.body_gravcomp[body.id])
         return True
     if name == "body_pos":
         for body in _chosen(spec.bodies, rows):
