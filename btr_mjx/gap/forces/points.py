@@ -20,7 +20,7 @@ _SETTLED = 1.0
 _SHORTEST = 0.1
 """Part of a Gauss-Newton step that is tried at least."""
 
-_ROUNDS = 6
+ROUNDS = 6
 """Rounds of steps of numbers and of variances, at most."""
 
 _UPDATES = 4
@@ -200,7 +200,7 @@ def step_of(side: Side, fit: Fitted) -> Fit:
     return least_squares(fit.whitened.gram.sum(0), free, calibration, low, high)
 
 
-def settled(side: Side, point: Point, variances: Variances, rounds: int = _ROUNDS) -> Fitted:
+def settled(side: Side, point: Point, variances: Variances, rounds: int = ROUNDS) -> Fitted:
     """A point with numbers and variances at which the likelihood is largest.
 
     Steps of the numbers and of the variances take turns: random forces start large, where the fit is nearly linear, and

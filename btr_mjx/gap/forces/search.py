@@ -10,7 +10,7 @@ from btr_mjx.gap.forces.evidence import Calibration, least_squares
 from btr_mjx.gap.forces.filtering import Variances, filtered
 from btr_mjx.gap.forces.missing_force import drives, missing_force
 from btr_mjx.gap.forces.motion import linearise
-from btr_mjx.gap.forces.points import Fitted, Point, Side, names, settled, step_of
+from btr_mjx.gap.forces.points import ROUNDS, Fitted, Point, Side, names, settled, step_of
 from btr_mjx.gap.forces.scan import Lead, price, scan
 from btr_mjx.gap.forces.unknowns import DRIVE
 
@@ -121,13 +121,13 @@ def one_more(side: Side, fit: Fitted, needed: float = 0.0) -> Round:
     starts = [] if (drive := _drive(side, fit)) is None else [drive]
     finalists: list[tuple[float, Fitted]] = []
 
-    def judge(point: Point, variances: Variances) -> None:
-        found = settled(side, point, variances)
+    def judge(point: Point, variances: Variances, rounds: int = ROUNDS) -> None:
+        found = settled(side, point, variances, rounds)
         numbers = point.numbers - fit.point.numbers
         finalists.append((fit.loss - found.loss - price(numbers, scene.count, choices), found))
 
     for point in starts:
-        judge(point, first_variances(side, point.hypothesis(library)))
+        judge(point, first_variances(side, point.hypothesis(library)), 2 * ROUNDS)
     least = max(needed, _FAR * finalists[0][0] if finalists else 0.0)
     for lead in shortlist(leads, least):
         moved = fit.point.moved(lead.changes, lead.calibration)
@@ -154,10 +154,12 @@ def _drive(side: Side, fit: Fitted) -> Point | None:
         name, own = entry.candidate.effect.name, entry.candidate
         if name in DRIVE and (name not in widest or len(own.parameters) > len(widest[name].parameters)):
             widest[name] = own
-    found, share = drives(missing_force(side.stretches, fit.point.hypothesis(side.library)))
+    # Calibration at its bounds stands for what is missing: it starts anew.
+    point = replace(fit.point, calibration=np.zeros_like(fit.point.calibration))
+    found, share = drives(missing_force(side.stretches, point.hypothesis(side.library)))
     if not widest or share.max() < _SHARE:
         return None
-    named = list(fit.point.named)
+    named = list(point.named)
     for row, name in zip(found, DRIVE, strict=True):
         if name not in widest:
             continue
@@ -167,7 +169,7 @@ def _drive(side: Side, fit: Fitted) -> Point | None:
         values = [float(row[place.dofs(model)].mean()) for place in places]
         values = [float(np.clip(v, p.low, p.high)) for v, p in zip(values, candidate.parameters, strict=True)]
         named.append((candidate, tuple(values)))
-    return replace(fit.point, named=tuple(named))
+    return replace(point, named=tuple(named))
 
 
 def shortlist(leads: Sequence[Lead], least: float = 0.0) -> list[Lead]:
