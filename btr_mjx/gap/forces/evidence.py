@@ -1,11 +1,9 @@
 """Least squares of numbers and calibration on whitened innovations, and the evidence for a hypothesis.
 
-    -2 ln p = |u_0 + U theta + V eta|^2 + sum over kinds of calibration (nu + n) ln(1 + sum (eta / tolerance)^2 / nu)
+    -2 ln p = |u_0 + U theta + V eta|^2 + sum (eta / tolerance)^2
 
-u_0 is the residual, U and V the columns of free numbers and of calibration. Every kind of calibration (masses, gains,
-zeros, ...) has a common scale that is unknown: its numbers are drawn from a multivariate Student distribution with `NU`
-degrees of freedom around the stated tolerance. A number that is as large as its kind usually is costs little, one that
-stands out costs what naming it saves.
+u_0 is the residual, U and V the columns of free numbers and of calibration. A number that calibration explains costs
+the square of its size in tolerances, which is what naming it would save.
 """
 
 from collections.abc import Sequence
@@ -13,112 +11,85 @@ from dataclasses import dataclass
 
 import numpy as np
 
-NU = 2.0
-"""Degrees of freedom of the scale of a kind of calibration: tolerances are stated to within a factor of a few."""
-
-MOST = 8.0
-"""Largest number of calibration, in tolerances: what is further off is missing, not badly calibrated. Whatever makes
-all forces smaller leaves less of them, so that without a bound gains would vanish where friction is missing."""
-
-_FIXED = 6
+_FIXED = 8
 """Times that unknowns beyond their bounds are fixed there."""
-
-_REWEIGHTED = 4
-"""Iterations of the scales of calibration."""
 
 _RIDGE = 1e-10
 """Relative ridge of a normal matrix."""
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
-    """Numbers of calibration.
+class CalibrationPrior:
+    """Numbers of calibration, with Gaussian priors around 0 and bounds.
 
     Attributes:
-      design: (C, n) columns of each; several where one number is that of several places.
+      design: (C, n) columns of each; several columns where one number is that of several places.
       tolerance: (n,) 1 sigma of each.
-      kind: (n,) integers: numbers of one kind share a scale.
-      at: (n,) values at which the columns were taken; the prior is centred at 0.
-      nu: degrees of freedom of the scale of a kind; infinite where tolerances are what they are said to be.
+      reach: (n,) largest size of each: what is further off is missing, not badly calibrated. Whatever makes all forces
+        smaller leaves less of them, so that without a bound gains would vanish where friction is missing.
+      at: (n,) values at which the columns were taken.
     """
 
     design: np.ndarray
     tolerance: np.ndarray
-    kind: np.ndarray
+    reach: np.ndarray
     at: np.ndarray
-    nu: float = NU
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class LeastSquares:
     """A fit of free numbers beside calibration.
 
     Attributes:
       values: (p,) changes of the free numbers.
       calibration: (n,) values of calibration.
-      chi2: of the innovations.
-      penalty: of calibration.
-      covariance: (p, p) of the free numbers.
-      effect: (C,) coefficients of all columns.
+      loss: -2 ln p, without what all hypotheses share.
     """
 
     values: np.ndarray
     calibration: np.ndarray
-    chi2: float
-    penalty: float
-    covariance: np.ndarray
-    effect: np.ndarray
-
-    @property
-    def loss(self) -> float:
-        """-2 ln p, without what all hypotheses share."""
-        return self.chi2 + self.penalty
+    loss: float
 
 
 def least_squares(
     gram: np.ndarray,
     free: np.ndarray,
-    calibration: Calibration,
+    prior: CalibrationPrior,
     low: Sequence[float] | np.ndarray | None = None,
     high: Sequence[float] | np.ndarray | None = None,
-    scales: np.ndarray | None = None,
-) -> Fit:
+) -> LeastSquares:
     """Fit free numbers and calibration.
 
     Args:
       gram: (1 + C, 1 + C) inner products of residual and columns.
       free: (C, p) columns of each free number; several columns for a number that several places share.
-      calibration: beside them.
+      prior: calibration beside them.
       low: (p,) lower bounds of the changes; None for none.
       high: (p,) upper bounds; None for none.
-      scales: (n,) squared scales of calibration to start with; None for 1.
 
     Returns:
       The fit.
     """
-    p, n = free.shape[1], len(calibration.tolerance)
-    design = np.concatenate([free, calibration.design], 1)
+    p = free.shape[1]
+    design = np.concatenate([free, prior.design], 1)
     inner, across = gram[1:, 1:], gram[1:, 0]
     normal, target = design.T @ inner @ design, -design.T @ across
-    scale = np.ones(n) if scales is None else scales
-    reach = MOST * calibration.tolerance
+    weight = np.r_[np.zeros(p), 1.0 / prior.tolerance**2]
+    normal[np.diag_indices_from(normal)] += weight
+    target[p:] -= weight[p:] * prior.at
     bounds = (
-        np.r_[np.full(p, -np.inf) if low is None else low, -reach - calibration.at],
-        np.r_[np.full(p, np.inf) if high is None else high, reach - calibration.at],
+        np.r_[np.full(p, -np.inf) if low is None else low, -prior.reach - prior.at],
+        np.r_[np.full(p, np.inf) if high is None else high, prior.reach - prior.at],
     )
-    for _ in range(_REWEIGHTED if n else 1):
-        weight = 1.0 / (scale * calibration.tolerance**2)
-        full = normal.copy()
-        full[p + np.arange(n), p + np.arange(n)] += weight
-        aim = target.copy()
-        aim[p:] -= weight * calibration.at
-        values = _bounded(full, aim, bounds)
-        total = calibration.at + values[p:]
-        scale = _scales(total / calibration.tolerance, calibration)
-    effect = design @ values
+    values = _bounded(normal, target, bounds)
+    effect, total = design @ values, prior.at + values[p:]
     chi2 = float(gram[0, 0] + 2 * effect @ across + effect @ inner @ effect)
-    covariance = np.linalg.inv(_ridged(full))[:p, :p]
-    return Fit(values[:p], total, chi2, _penalty(total / calibration.tolerance, calibration), covariance, effect)
+    return LeastSquares(values[:p], total, chi2 + penalty(total, prior))
+
+
+def penalty(calibration: np.ndarray, prior: CalibrationPrior) -> float:
+    """-2 ln of the prior of calibration (n,), without a constant."""
+    return float(((calibration / prior.tolerance) ** 2).sum())
 
 
 def _bounded(normal: np.ndarray, target: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
@@ -134,29 +105,9 @@ def _bounded(normal: np.ndarray, target: np.ndarray, bounds: tuple[np.ndarray, n
             break
         fixed |= outside
         values = np.clip(values, low, high)
-    return values
+    return np.clip(values, low, high)
 
 
 def _ridged(normal: np.ndarray) -> np.ndarray:
     size = np.diag(normal)
     return normal + np.diag(np.where(size > 0, _RIDGE * size, 1.0))
-
-
-def _scales(relative: np.ndarray, calibration: Calibration) -> np.ndarray:
-    """(n,) squared scale of each number's kind, its mode beside the numbers."""
-    out, kind, nu = np.ones(len(relative)), calibration.kind, calibration.nu
-    for k in np.unique(kind) if np.isfinite(nu) else ():
-        own = kind == k
-        out[own] = (nu + (relative[own] ** 2).sum()) / (nu + own.sum())
-    return out
-
-
-def _penalty(relative: np.ndarray, calibration: Calibration) -> float:
-    """-2 ln of the Student prior of all kinds."""
-    total, kind, nu = 0.0, calibration.kind, calibration.nu
-    if not np.isfinite(nu):
-        return float((relative**2).sum())
-    for k in np.unique(kind):
-        own = kind == k
-        total += float((nu + own.sum()) * np.log1p((relative[own] ** 2).sum() / nu))
-    return total

@@ -19,9 +19,9 @@ from btr_mjx.gap.forces.filtering import smoothed
 from btr_mjx.gap.forces.held_out import HeldOut, held_out, is_better, prediction_errors
 from btr_mjx.gap.forces.missing_force import missing_force
 from btr_mjx.gap.forces.motion import responses
-from btr_mjx.gap.forces.outcome import Found, diagnosis_of
+from btr_mjx.gap.forces.outcome import SearchOutcome, diagnosis_of
 from btr_mjx.gap.forces.points import Fitted, Side, settled
-from btr_mjx.gap.forces.search import Round, pruned, select
+from btr_mjx.gap.forces.search import SearchRound, select_effects
 from btr_mjx.gap.forces.stretches import choose_stretches
 from btr_mjx.gap.forces.unknowns import BELIEVED, TIMING, believed_values, library_of
 from btr_mjx.gap.results import Diagnosis
@@ -42,7 +42,7 @@ _MOST = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
+class PreparedForces:
     """Both sides of a dataset, ready for a search.
 
     Attributes:
@@ -57,7 +57,7 @@ class Prepared:
     sigma: np.ndarray
 
 
-def prepare_forces(dataset: Dataset, counter: Counter | None = None) -> Prepared | None:
+def prepare_forces(dataset: Dataset, counter: Counter | None = None) -> PreparedForces | None:
     """Prepare a dataset, if its robot touches nothing.
 
     Args:
@@ -81,11 +81,11 @@ def prepare_forces(dataset: Dataset, counter: Counter | None = None) -> Prepared
     fit, test = (prepare(side, dataset.interpolation, sigma, span) for side in (dataset.fit, dataset.test))
     counter = counter or Counter()
     touching = np.concatenate([own for side in (fit, test) for own in contact_samples(side, counter)])
-    return None if touching.mean() > _TOUCHES else Prepared(dataset, fit, test, sigma)
+    return None if touching.mean() > _TOUCHES else PreparedForces(dataset, fit, test, sigma)
 
 
 def identify_forces(
-    prepared: Prepared,
+    prepared: PreparedForces,
     effects: Sequence[Effect],
     max_effects: int,
     progress: Callable[[str], None],
@@ -119,11 +119,11 @@ def identify_forces(
     columns = responses(stretches, base, library.numbers, counter)
     side = Side(stretches, library, columns, counter)
     test = Side(other, library, np.zeros((0,)), counter)
-    rounds, chain = select(side, base, max_effects, progress)
+    rounds, chain = select_effects(side, base, max_effects, progress)
     progress("held-out recordings")
     confirmed = _confirmed(test, chain)
     progress("numbers")
-    marginal = pruned(side, _refitted(side, confirmed[-1], 1.0), confirmed[0]) if len(confirmed) > 1 else confirmed[0]
+    marginal = confirmed[-1]
     ends = [_refitted(side, fit, _NONE) for fit in (confirmed[0], marginal)]
     outcomes = held_out(test, ends[0].point, ends[0].variances), held_out(test, ends[1].point, ends[1].variances)
     final = [ends[0], *confirmed[1:-1], *ends[1:]] if len(confirmed) > 1 else [ends[0]]
@@ -144,7 +144,7 @@ def _confirmed(test: Side, chain: Sequence[Fitted]) -> list[Fitted]:
 
 
 def _refitted(side: Side, fit: Fitted, tolerance: float) -> Fitted:
-    """A fit with other tolerances of calibration, in units of the stated ones, and no doubt about these.
+    """A fit with other tolerances of calibration, in units of the stated ones.
 
     What is named has to hold beside calibration; its numbers are those with which the mended model, which knows none,
     predicts best. When a command acts within its sample belongs to the log, not to the model, and stays unknown.
@@ -153,7 +153,9 @@ def _refitted(side: Side, fit: Fitted, tolerance: float) -> Fitted:
     names = [entry.candidate.effect.name for entry in side.library.calibrated]
     known = np.array([not name.startswith(BELIEVED) and name != TIMING for name in names], bool)
     factor = np.where(known, tolerance, 1.0)
-    library = replace(side.library, calibration=replace(own, tolerance=own.tolerance * factor, nu=np.inf))
+    library = replace(
+        side.library, calibration=replace(own, tolerance=own.tolerance * factor, reach=own.reach * factor)
+    )
     start = replace(fit.point, calibration=np.where(known & (tolerance < 1), 0.0, fit.point.calibration))
     return settled(replace(side, library=library), start, replace(fit.variances, weight=None))
 
@@ -161,13 +163,13 @@ def _refitted(side: Side, fit: Fitted, tolerance: float) -> Fitted:
 def _found(
     side: Side,
     test: Side,
-    rounds: Sequence[Round],
+    rounds: Sequence[SearchRound],
     chain: Sequence[Fitted],
     outcomes: tuple[HeldOut, HeldOut],
     contradicted: bool,
     dataset: Dataset,
     marginal: Fitted,
-) -> Found:
+) -> SearchOutcome:
     """What was found, with the models as they will be used: named effects, and no calibration."""
     first, last = chain[0], chain[-1]
     before = [p.value(dataset.model) for p in dataset.parameters]
@@ -188,7 +190,7 @@ def _found(
     if len(chain) > 1 and np.average(fell, weights=first.variances.force / usual**2) < _MOST:
         large = np.zeros(len(share), bool)
     left = smoothed(last.linear, np.zeros_like(last.linear.defect), last.variances).force
-    return Found(
+    return SearchOutcome(
         tuple(rounds),
         tuple(chain),
         outcomes,

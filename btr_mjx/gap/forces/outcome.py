@@ -12,7 +12,7 @@ from btr_mjx.gap.forces.held_out import HORIZON, HeldOut
 from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.missing_force import MissingForce
 from btr_mjx.gap.forces.points import Fitted, Side, names
-from btr_mjx.gap.forces.search import Round
+from btr_mjx.gap.forces.search import SearchRound
 from btr_mjx.gap.forces.unknowns import believed_values
 from btr_mjx.gap.results import (
     Diagnosis,
@@ -30,7 +30,7 @@ from btr_mjx.models import difference, part_names
 QUANTILE = 1.645
 """Half width of a 90 % interval, in standard errors."""
 
-MARGIN = 6.0
+ALIKE = 6.0
 """Difference of scores below which two candidates are alike: a factor of twenty in odds."""
 
 _OVERLAYS = 3
@@ -41,7 +41,7 @@ _CAP = 1e4
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class SearchOutcome:
     """What a search found.
 
     Attributes:
@@ -59,7 +59,7 @@ class Found:
       marginal: the last hypothesis beside calibration, for intervals.
     """
 
-    rounds: tuple[Round, ...]
+    rounds: tuple[SearchRound, ...]
     chain: tuple[Fitted, ...]
     held_out: tuple[HeldOut, HeldOut]
     errors: tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -74,7 +74,7 @@ class Found:
     marginal: Fitted
 
 
-def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: Found, seconds: float) -> Diagnosis:
+def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seconds: float) -> Diagnosis:
     """The records of a diagnosis.
 
     Args:
@@ -87,7 +87,10 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: Found, seconds: flo
     named = last.point.named
     verdict = "unexplained" if found.large.any() else "effect" if named else "none"
     ranking = _ranking(found.rounds)
-    before, after = (float(np.mean(own.chi2)) for own in found.held_out)
+    seen = found.side.stretches.seen
+    # In units of the noise of the dataset, whatever was estimated beside it.
+    floor = float(np.mean((last.variances.sensor / found.side.stretches.sigma**2)[seen]))
+    before, after = (floor * float(np.mean(own.chi2)) for own in found.held_out)
     loops = _open_loop(dataset, found)
     model = dataset.model
     return Diagnosis(
@@ -95,7 +98,7 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: Found, seconds: flo
         effects=_named(found) if verdict == "effect" else (),
         ranking=ranking,
         equivalent=_alike(found.rounds[0]) if found.rounds and named else (),
-        gap=Gap(before, after, min(1.0, after), 1.0, float(np.sqrt(before)), float(np.sqrt(after)), *loops),
+        gap=Gap(before, after, min(floor, after), floor, float(np.sqrt(before)), float(np.sqrt(after)), *loops),
         disagreement=_map(model, found),
         unexplained=_words(model, found) if verdict == "unexplained" else (),
         believed=_refits(dataset, found),
@@ -125,7 +128,7 @@ def _lack(of: HeldOut) -> float:
     return float((of.chi2.mean() - 1) / max(spread, 1e-9))
 
 
-def _named(found: Found) -> tuple[NamedEffect, ...]:
+def _named(found: SearchOutcome) -> tuple[NamedEffect, ...]:
     """Named effects with intervals."""
     last = found.chain[-1]
     spread = np.sqrt(np.diag(covariance(found.side, found.marginal)))
@@ -157,7 +160,7 @@ def _named(found: Found) -> tuple[NamedEffect, ...]:
     return tuple(out)
 
 
-def _alike(of: Round) -> tuple[str, ...]:
+def _alike(of: SearchRound) -> tuple[str, ...]:
     """Names of finalists that the data cannot tell from the best one, which comes first."""
     if not of.finalists:
         return ()
@@ -165,13 +168,13 @@ def _alike(of: Round) -> tuple[str, ...]:
     given = set(names(of.before.point.named))
     out: list[str] = []
     for score, fit in of.finalists:
-        if score > 0 and best - score <= MARGIN:
+        if score > 0 and best - score <= ALIKE:
             new = [name for name in names(fit.point.named) if name not in given]
             out += new if fit is of.finalists[0][1] or len(new) == 1 else []
     return tuple(dict.fromkeys(out))
 
 
-def _ranking(rounds: Sequence[Round]) -> tuple[RankedCandidate, ...]:
+def _ranking(rounds: Sequence[SearchRound]) -> tuple[RankedCandidate, ...]:
     """Rows of all rounds: refined candidates, then those that were scanned only."""
     rows = []
     for of in rounds:
@@ -205,7 +208,7 @@ def _ranking(rounds: Sequence[Round]) -> tuple[RankedCandidate, ...]:
     return tuple(rows)
 
 
-def _open_loop(dataset: Dataset, found: Found) -> tuple[float, float]:
+def _open_loop(dataset: Dataset, found: SearchOutcome) -> tuple[float, float]:
     """Mean absolute position error over whole held-out recordings [rad or m], believed and mended."""
     data = found.test.stretches.data
     totals: list[list[float]] = [[], []]
@@ -241,7 +244,7 @@ def _places(model: mujoco.MjModel) -> list[str]:
     ]
 
 
-def _map(model: mujoco.MjModel, found: Found) -> DisagreementMap:
+def _map(model: mujoco.MjModel, found: SearchOutcome) -> DisagreementMap:
     """Mean square of the missing force by joint and regime, in units of the random force that is left."""
     missing = found.missing
     floor = np.maximum(found.chain[-1].variances.force, 1e-300)
@@ -269,7 +272,7 @@ def _map(model: mujoco.MjModel, found: Found) -> DisagreementMap:
     return DisagreementMap(places, tuple(masks), value, count)
 
 
-def _words(model: mujoco.MjModel, found: Found) -> tuple[str, ...]:
+def _words(model: mujoco.MjModel, found: SearchOutcome) -> tuple[str, ...]:
     """What is unexplained, in words."""
     left = np.sqrt(found.chain[-1].variances.force)
     usual = np.sqrt((found.missing.actuator**2).mean((0, 1)))
@@ -290,7 +293,7 @@ def _force_unit(model: mujoco.MjModel, dof: int) -> str:
     return "N" if slides else "N m"
 
 
-def _refits(dataset: Dataset, found: Found) -> tuple[Refit, ...]:
+def _refits(dataset: Dataset, found: SearchOutcome) -> tuple[Refit, ...]:
     """Where the believed numbers went, without and with what was named."""
     library = found.side.library
     before = [p.value(dataset.model) for p in dataset.parameters]
@@ -304,7 +307,7 @@ def _refits(dataset: Dataset, found: Found) -> tuple[Refit, ...]:
     )
 
 
-def _overlays(model: mujoco.MjModel, found: Found) -> tuple[Overlay, ...]:
+def _overlays(model: mujoco.MjModel, found: SearchOutcome) -> tuple[Overlay, ...]:
     """Held-out stretches in which believed and mended model differ most, over a few horizons."""
     stretches = found.test.stretches
     plain = np.flatnonzero(model.jnt_type[model.dof_jntid] >= 2)
@@ -348,7 +351,7 @@ def _overlays(model: mujoco.MjModel, found: Found) -> tuple[Overlay, ...]:
     return tuple(out)
 
 
-def _survivors(found: Found) -> tuple[Hypothesis, ...]:
+def _survivors(found: SearchOutcome) -> tuple[Hypothesis, ...]:
     """Hypotheses that are still possible: those near the best, and nothing where no name was found."""
     if not found.rounds or not found.rounds[0].finalists:
         return (found.base,)
@@ -356,14 +359,14 @@ def _survivors(found: Found) -> tuple[Hypothesis, ...]:
     close = [
         replace(fit.point, calibration=np.zeros_like(fit.point.calibration)).hypothesis(found.side.library)
         for score, fit in found.rounds[0].finalists
-        if best - score <= 2 * MARGIN and len(fit.point.named) == 1
+        if best - score <= 2 * ALIKE and len(fit.point.named) == 1
     ]
     if len(found.chain) > 1:
         return tuple(close) or (found.mended,)
     return (found.base, *close[:2])
 
 
-def _notes(model: mujoco.MjModel, found: Found) -> tuple[str, ...]:
+def _notes(model: mujoco.MjModel, found: SearchOutcome) -> tuple[str, ...]:
     """How well held-out recordings are predicted over a horizon, beside two simple predictors."""
     believed, mended, steady = (float(np.sqrt(np.mean(own))) for own in found.errors)
     out = [

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from btr_mjx.gap.effects import Candidate, Hypothesis
-from btr_mjx.gap.forces.evidence import Calibration, Fit, least_squares
+from btr_mjx.gap.forces.evidence import LeastSquares, least_squares, penalty
 from btr_mjx.gap.forces.filtering import Filtered, Variances, filtered, smoothed
 from btr_mjx.gap.forces.motion import Linearised, Number, linearise, responses
 from btr_mjx.gap.forces.stretches import Stretches
@@ -150,24 +150,16 @@ def again(side: Side, fit: Fitted, variances: Variances) -> Fitted:
 
 def _whitened(point: Point, linear: Linearised, columns: np.ndarray, variances: Variances, side: Side) -> Fitted:
     found = filtered(linear, columns, variances)
-    penalty = least_squares(
-        np.zeros((1 + columns.shape[-1],) * 2), np.zeros((columns.shape[-1], 0)), _fixed(point, side), None, None
-    ).penalty
     return Fitted(
         point,
         linear,
         columns,
         found,
         variances,
-        float(found.gram[:, 0, 0].sum() + found.log_determinant.sum()) + penalty + variances.penalty,
+        float(found.gram[:, 0, 0].sum() + found.log_determinant.sum())
+        + variances.penalty
+        + penalty(point.calibration, side.library.calibration),
     )
-
-
-def _fixed(point: Point, side: Side) -> Calibration:
-    """Calibration of a point, which stays where it is."""
-    own = side.library.calibration
-    p = point.numbers
-    return replace(own, design=np.zeros((p + len(own.tolerance), len(own.tolerance))), at=point.calibration)
 
 
 def _own_columns(side: Side, point: Point, stretches: Stretches) -> np.ndarray:
@@ -185,7 +177,7 @@ def _step(parameter, value: float) -> float:  # type: ignore[no-untyped-def]
     return step if parameter.low <= value + step <= parameter.high else -step
 
 
-def step_of(side: Side, fit: Fitted) -> Fit:
+def step_of(side: Side, fit: Fitted) -> LeastSquares:
     """The Gauss-Newton step from a fitted point."""
     p, n = fit.point.numbers, len(side.library.calibrated)
     design = np.zeros((p + n, n))

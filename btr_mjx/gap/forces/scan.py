@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from btr_mjx.gap.effects import Candidate
-from btr_mjx.gap.forces.evidence import Calibration, Fit, least_squares
+from btr_mjx.gap.forces.evidence import CalibrationPrior, LeastSquares, least_squares
 from btr_mjx.gap.forces.unknowns import Entry
 
 
 @dataclass(frozen=True, eq=False)
-class Lead:
+class Scanned:
     """A candidate and what a scan says of it.
 
     Attributes:
@@ -42,13 +42,13 @@ def price(numbers: int, count: int, choices: int) -> float:
     return numbers * float(np.log(count)) + 2 * float(np.log(choices))
 
 
-def scan(
+def scan_columns(
     gram: np.ndarray,
     entries: Sequence[Entry],
     given: np.ndarray,
-    calibration: Calibration,
+    calibration: CalibrationPrior,
     count: int,
-) -> tuple[Fit, list[Lead]]:
+) -> tuple[LeastSquares, list[Scanned]]:
     """Rank candidates.
 
     Args:
@@ -62,7 +62,7 @@ def scan(
       The fit without any candidate, and the candidates, best first; a candidate that was tried at several steps once.
     """
     base = least_squares(gram, given, calibration)
-    best: dict[str, Lead] = {}
+    best: dict[str, Scanned] = {}
     choices = len({entry.candidate.name for entry in entries})
     for entry in entries:
         free = entry.design(len(gram) - 1)
@@ -76,7 +76,7 @@ def scan(
         gain = base.loss - fit.loss
         values = entry.candidate.null
         values[[i for i, p in enumerate(entry.candidate.parameters) if not p.shape]] += fit.values[g:]
-        lead = Lead(
+        lead = Scanned(
             entry.candidate,
             tuple(float(v) for v in values),
             fit.values[:g],

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from btr_mjx.gap.effects import Candidate, Hypothesis
-from btr_mjx.gap.forces.evidence import Calibration, least_squares
+from btr_mjx.gap.forces.evidence import CalibrationPrior, least_squares
 from btr_mjx.gap.forces.filtering import Variances, filtered
 from btr_mjx.gap.forces.missing_force import drives, missing_force
 from btr_mjx.gap.forces.motion import linearise
-from btr_mjx.gap.forces.points import ROUNDS, Fitted, Point, Side, names, settled, step_of
-from btr_mjx.gap.forces.scan import Lead, price, scan
-from btr_mjx.gap.forces.unknowns import DRIVE
+from btr_mjx.gap.forces.points import ROUNDS, Fitted, Point, Side, evaluate, names, settled
+from btr_mjx.gap.forces.scan import Scanned, price, scan_columns
+from btr_mjx.gap.forces.unknowns import DRIVE, LIMIT_SIZES
 
 FORGOTTEN = 0.01
 """Correlation time of the random force [s]. What lasts longer is for names to explain: a random force that lasts would
@@ -22,11 +22,8 @@ RELATIVE_ERROR = 0.1
 """Part by which a simulation of named effects errs: a further one has to explain more than its square of what they
 do."""
 
-_FAR = 0.1
+_FAR = 0.02
 """Part of the gain of a whole drive that a single effect needs in the scan to be refined beside it."""
-
-_CLOSE = 0.95
-"""Part of the best gain from which on a drive comes close to it."""
 
 _PASSES = 3
 """Passes of backward elimination."""
@@ -48,7 +45,7 @@ _PLACES = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Round:
+class SearchRound:
     """One round of the search.
 
     Attributes:
@@ -58,7 +55,7 @@ class Round:
     """
 
     before: Fitted
-    leads: tuple[Lead, ...]
+    leads: tuple[Scanned, ...]
     finalists: tuple[tuple[float, Fitted], ...]
 
 
@@ -87,7 +84,7 @@ class _Scene:
 
     gram: np.ndarray
     given: np.ndarray
-    calibration: Calibration
+    calibration: CalibrationPrior
     count: int
 
 
@@ -106,7 +103,7 @@ def _scene(side: Side, fit: Fitted) -> _Scene:
     return _Scene(whitened.gram.sum(0), given, calibration, fit.whitened.count * len(side.stretches))
 
 
-def one_more(side: Side, fit: Fitted, needed: float = 0.0) -> Round:
+def one_more(side: Side, fit: Fitted, needed: float = 0.0) -> SearchRound:
     """Look for one more effect beside a fitted point, or for what every drive has, at once.
 
     Args:
@@ -116,7 +113,7 @@ def one_more(side: Side, fit: Fitted, needed: float = 0.0) -> Round:
     """
     library, scene = side.library, _scene(side, fit)
     entries = [entry for entry in library.entries if entry.candidate.name not in names(fit.point.named)]
-    _, leads = scan(scene.gram, entries, scene.given, scene.calibration, scene.count)
+    _, leads = scan_columns(scene.gram, entries, scene.given, scene.calibration, scene.count)
     choices = len({entry.candidate.name for entry in library.entries})
     starts = [] if (drive := _drive(side, fit)) is None else [drive]
     finalists: list[tuple[float, Fitted]] = []
@@ -131,14 +128,24 @@ def one_more(side: Side, fit: Fitted, needed: float = 0.0) -> Round:
     least = max(needed, _FAR * finalists[0][0] if finalists else 0.0)
     for lead in shortlist(leads, least):
         moved = fit.point.moved(lead.changes, lead.calibration)
+        if lead.candidate.effect.saturates:
+            lead = replace(lead, values=_tightened(side, fit, lead))
+            moved = fit.point
         judge(replace(moved, named=(*moved.named, (lead.candidate, lead.values))), fit.variances)
-    # What contains another hypothesis cannot explain less: a drive that comes close to its parts has not come to rest,
-    # and backward elimination takes away what does not pay.
-    whole = finalists[0][1] if starts else None
     finalists.sort(key=lambda row: -row[0])
-    if whole is not None and fit.loss - whole.loss > _CLOSE * (fit.loss - finalists[0][1].loss):
-        finalists.sort(key=lambda row: row[1] is not whole)
-    return Round(fit, tuple(leads), tuple(finalists))
+    return SearchRound(fit, tuple(leads), tuple(finalists))
+
+
+def _tightened(side: Side, fit: Fitted, lead: Scanned) -> tuple[float, ...]:
+    """Values of a limit at the best of some sizes, by simulation: what it does is not linear."""
+    first = lead.candidate.parameters[0]
+    tightest = first.low if first.step < 0 else first.high
+    tries = [lead.values]
+    for share in LIMIT_SIZES:
+        tries.append((first.null + share * (tightest - first.null), *lead.values[1:]))
+    named = [replace(fit.point, named=(*fit.point.named, (lead.candidate, values))) for values in tries]
+    losses = [evaluate(side, point, fit.variances, fit).loss for point in named]
+    return tries[int(np.argmin(losses))]
 
 
 def _drive(side: Side, fit: Fitted) -> Point | None:
@@ -172,9 +179,9 @@ def _drive(side: Side, fit: Fitted) -> Point | None:
     return replace(point, named=tuple(named))
 
 
-def shortlist(leads: Sequence[Lead], least: float = 0.0) -> list[Lead]:
+def shortlist(leads: Sequence[Scanned], least: float = 0.0) -> list[Scanned]:
     """Leads whose numbers are refined: the best ones above a score, at most `_PLACES` of an effect."""
-    out: list[Lead] = []
+    out: list[Scanned] = []
     for lead in leads:
         same = sum(other.candidate.effect is lead.candidate.effect for other in out)
         if lead.score > least and same < _PLACES and len(out) < _FINALISTS:
@@ -182,7 +189,9 @@ def shortlist(leads: Sequence[Lead], least: float = 0.0) -> list[Lead]:
     return out
 
 
-def select(side: Side, base: Hypothesis, most: int, note: Callable[[str], None]) -> tuple[list[Round], list[Fitted]]:
+def select_effects(
+    side: Side, base: Hypothesis, most: int, note: Callable[[str], None]
+) -> tuple[list[SearchRound], list[Fitted]]:
     """Search for one effect after another.
 
     Returns:
@@ -190,7 +199,7 @@ def select(side: Side, base: Hypothesis, most: int, note: Callable[[str], None])
     """
     note("variances")
     chain: list[Fitted] = [start(side, base)]
-    rounds: list[Round] = []
+    rounds: list[SearchRound] = []
     while len(chain[-1].point.named) < most:
         note("one more effect" if rounds else "effects")
         needed = RELATIVE_ERROR**2 * (chain[0].loss - chain[-1].loss)
@@ -243,7 +252,7 @@ def _simpler(side: Side, fit: Fitted, index: int, single: Mapping[str, Candidate
 
 
 def _lost(side: Side, fit: Fitted, index: int, members: Sequence[int]) -> float:
-    """Rise of -2 ln p where some numbers of an effect go to their null, linearly."""
+    """Rise of -2 ln p where some numbers of an effect go to their null beside calibration as it is, linearly."""
     first = sum(len(values) for _, values in fit.point.named[:index])
     candidate, values = fit.point.named[index]
     own = first + np.array(members)
@@ -255,7 +264,8 @@ def _lost(side: Side, fit: Fitted, index: int, members: Sequence[int]) -> float:
     moved = turn.T @ fit.whitened.gram.sum(0) @ turn
     free = np.zeros((p + n, len(rest)))
     free[rest, np.arange(len(rest))] = 1.0
-    design = np.zeros((p + n, n))
-    design[p + np.arange(n), np.arange(n)] = 1.0
-    calibration = replace(side.library.calibration, design=design, at=fit.point.calibration)
-    return least_squares(moved, free, calibration).loss - step_of(side, fit).loss
+    nothing = CalibrationPrior(np.zeros((p + n, 0)), np.zeros(0), np.zeros(0), np.zeros(0))
+    every = np.zeros((p + n, p))
+    every[np.arange(p), np.arange(p)] = 1.0
+    whole = least_squares(fit.whitened.gram.sum(0), every, nothing)
+    return least_squares(moved, free, nothing).loss - whole.loss

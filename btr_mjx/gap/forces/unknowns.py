@@ -7,12 +7,12 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.effects import WORLD, Candidate, Effect, Parameter, Place, believed_steps
-from btr_mjx.gap.forces.evidence import Calibration
+from btr_mjx.gap.forces.evidence import CalibrationPrior
 from btr_mjx.gap.forces.motion import Number
 from btr_mjx.gap.simulate import World
 from btr_mjx.models import PathParameter
 
-_PROBES = (0.15, 0.35, 0.6, 0.8, 0.92)
+LIMIT_SIZES = (0.15, 0.35, 0.6, 0.8, 0.92)
 """Where a limit is tried, as parts of the way from where it does nothing to its tightest."""
 
 _LARGER = (4.0, 16.0)
@@ -31,10 +31,16 @@ TIMING = "actuator_delay"
 DRIVE = ("dry_friction", "viscous_damping", "armature", "offset_torque")
 """What every drive has, and models leave out together."""
 
-_UNKNOWN = 0.1
+_UNKNOWN = 0.03
 """Tolerance of these where nothing is believed, in units of a visible step: no joint is without friction."""
 
-_FIELD = 3.0
+_MOST = 4.0
+"""Largest number of calibration, in tolerances."""
+
+_WITHIN = 0.6
+"""Largest time within a sample at which a command acts, in intervals of commands."""
+
+_FIELD = 5.0
 """Tolerances outside a laboratory, in units of those of the library."""
 
 _UNMEASURED = 10.0
@@ -80,7 +86,7 @@ class Library:
     numbers: tuple[Number, ...]
     entries: tuple[Entry, ...]
     calibrated: tuple[Entry, ...]
-    calibration: Calibration
+    calibration: CalibrationPrior
 
 
 def library_of(
@@ -102,7 +108,7 @@ def library_of(
     numbers: list[Number] = []
     entries: list[Entry] = []
     single: dict[str, list[tuple[int, tuple[float, float]]]] = {}
-    calibrated: list[tuple[Entry, float]] = []
+    calibrated: list[tuple[Entry, float, float]] = []
     for candidate in candidates:
         if candidate.effect.summable and candidate.place.members:
             entries += _group(candidate, [single[f"{candidate.effect.name}@{m}"] for m in candidate.place.members])
@@ -127,22 +133,21 @@ def library_of(
                     least = _UNKNOWN * abs(own.step)
                 factor = _UNMEASURED if candidate.effect.name in ("viscous_damping", "armature") else _FIELD
                 if sigma := known or max(factor * own.tolerance, least):
-                    calibrated.append((Entry(candidate, ((column + i,),), (near[0],)), sigma))
+                    calibrated.append((Entry(candidate, ((column + i,),), (near[0],)), sigma, _MOST * sigma))
     for parameter in believed:
         candidate = _as_candidate(parameter, model)
         entry = Entry(candidate, ((len(numbers),),), (_range(candidate, 0, False),))
         numbers.append(Number(candidate, 0, (candidate.parameters[0].null,), candidate.parameters[0].step))
-        calibrated.append((entry, parameter.high - parameter.low))
+        calibrated.append((entry, parameter.high - parameter.low, parameter.high - parameter.low))
     whole = [e for e in entries if e.candidate.effect.name == TIMING and e.candidate.parameters[0].low < 0]
-    calibrated += [(entry, _TIME_IN_SAMPLE * interval) for entry in whole[:1]]
-    kinds = {name: k for k, name in enumerate(dict.fromkeys(e.candidate.effect.name for e, _ in calibrated))}
-    calibration = Calibration(
-        np.concatenate([np.zeros((len(numbers), 0)), *(e.design(len(numbers)) for e, _ in calibrated)], 1),
-        np.array([sigma for _, sigma in calibrated]),
-        np.array([kinds[e.candidate.effect.name] for e, _ in calibrated], int),
+    calibrated += [(entry, _TIME_IN_SAMPLE * interval, _WITHIN * interval) for entry in whole[:1]]
+    prior = CalibrationPrior(
+        np.concatenate([np.zeros((len(numbers), 0)), *(e.design(len(numbers)) for e, _, _ in calibrated)], 1),
+        np.array([sigma for _, sigma, _ in calibrated]),
+        np.array([reach for _, _, reach in calibrated]),
         np.zeros(len(calibrated)),
     )
-    return Library(tuple(numbers), tuple(entries), tuple(e for e, _ in calibrated), calibration)
+    return Library(tuple(numbers), tuple(entries), tuple(e for e, _, _ in calibrated), prior)
 
 
 def _as_candidate(parameter: PathParameter, model: mujoco.MjModel) -> Candidate:
@@ -213,7 +218,7 @@ def _further_steps(candidate: Candidate, model: mujoco.MjModel) -> list[float]:
     first = candidate.parameters[0]
     if candidate.effect.saturates:
         tightest = first.low if first.step < 0 else first.high
-        probes = [share * (tightest - first.null) for share in _PROBES]
+        probes = [share * (tightest - first.null) for share in LIMIT_SIZES]
         return [probe for probe in probes if abs(probe) > 1.5 * abs(first.step)]
     values = candidate.null
     values[0] += first.step
