@@ -7,8 +7,8 @@ import numpy as np
 
 from btr_mjx.gap.effects import Hypothesis
 from btr_mjx.gap.forces.filtering import Variances, filtered, smoothed
-from btr_mjx.gap.forces.motion import linearise
-from btr_mjx.gap.forces.points import Point, Side, moved_states
+from btr_mjx.gap.forces.motion import linearise_motion
+from btr_mjx.gap.forces.points import ForceSide, Point, moved_states
 from btr_mjx.gap.forces.stretches import Stretches
 from btr_mjx.gap.simulate import Counter, Segments, simulate
 from btr_mjx.models import difference
@@ -36,7 +36,7 @@ class HeldOut:
     chi2: np.ndarray
 
 
-def held_out(side: Side, point: Point, variances: Variances) -> HeldOut:
+def held_out(side: ForceSide, point: Point, variances: Variances) -> HeldOut:
     """Evaluate a point on recordings that were not fitted, with its numbers and calibration.
 
     Args:
@@ -48,13 +48,13 @@ def held_out(side: Side, point: Point, variances: Variances) -> HeldOut:
     stretches = side.stretches
     make = point.hypothesis(side.library)
     known = replace(variances, weight=None)
-    linear = linearise(stretches, make, side.counter)
+    linear = linearise_motion(stretches, make, side.counter)
     nothing = np.zeros_like(linear.defect)
     for i in range(_UPDATES):
         found = smoothed(linear, nothing, known)
         known = found.variances
         if i == _UPDATES // 2:
-            linear = linearise(moved_states(stretches, found.state), make, side.counter, linear)
+            linear = linearise_motion(moved_states(stretches, found.state), make, side.counter, linear)
     none = np.zeros((*linear.defect.shape, 0))
     whitened = filtered(linear, none, known)
     assert known.weight is not None
@@ -71,7 +71,7 @@ def is_better(before: HeldOut, after: HeldOut) -> bool:
     return bool(fall.mean() > 2 * error)
 
 
-def prediction_errors(
+def horizon_errors(
     stretches: Stretches, makes: Sequence[Hypothesis], counter: Counter | None = None, horizon: float = HORIZON
 ) -> tuple[list[np.ndarray], np.ndarray]:
     """Mean square errors of positions over a horizon from smoothed states.

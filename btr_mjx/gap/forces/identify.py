@@ -16,13 +16,13 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, noise_of
 from btr_mjx.gap.effects import Effect, Hypothesis, candidates, has_closed_loops
 from btr_mjx.gap.forces.filtering import smoothed
-from btr_mjx.gap.forces.held_out import HeldOut, held_out, is_better, prediction_errors
+from btr_mjx.gap.forces.held_out import HeldOut, held_out, horizon_errors, is_better
 from btr_mjx.gap.forces.missing_force import missing_force
 from btr_mjx.gap.forces.motion import responses
 from btr_mjx.gap.forces.outcome import SearchOutcome, diagnosis_of
-from btr_mjx.gap.forces.points import Fitted, Side, settled
-from btr_mjx.gap.forces.search import SearchRound, select_effects
-from btr_mjx.gap.forces.stretches import choose_stretches
+from btr_mjx.gap.forces.points import Fitted, ForceSide, settled
+from btr_mjx.gap.forces.search import Named, SearchRound, select_effects
+from btr_mjx.gap.forces.stretches import spread_stretches
 from btr_mjx.gap.forces.unknowns import BELIEVED, TIMING, believed_values, library_of
 from btr_mjx.gap.results import Diagnosis
 from btr_mjx.gap.simulate import Counter
@@ -33,6 +33,12 @@ _TOUCHES = 0.01
 
 _LARGE = 0.1
 """Random force of a joint, in units of the force that its actuators usually have, that is no calibration."""
+
+_MORE = 4.0
+"""Stretches behind the numbers that are reported, in units of those of the search."""
+
+_SEEN = 0.3
+"""Smallest number that is named, in units of the step at which its effect is clearly visible."""
 
 _NONE = 1e-6
 """Tolerances that leave no calibration."""
@@ -110,28 +116,37 @@ def identify_forces(
     dataset = prepared.dataset
     progress("effects of the library")
     base = Hypothesis(dataset.parameters, tuple(p.value(dataset.model) for p in dataset.parameters))
-    stretches, other = choose_stretches(prepared.fit), choose_stretches(prepared.test)
+    stretches, other = spread_stretches(prepared.fit), spread_stretches(prepared.test)
     if not any(np.ptp(r.qpos, axis=0).max() > 0 for r in dataset.fit):
         raise InputError(f"{dataset.folder}: the robot does not move in any recording of split 'fit'")
-    every = candidates(dataset.model, scales_of(prepared.fit), effects)
+    possible = candidates(dataset.model, scales_of(prepared.fit), effects)
     interval = float(np.median(np.diff(dataset.fit[0].commands[0])))
-    library = library_of(every, dataset.model, dataset.parameters, dataset.tolerances, interval)
+    library = library_of(possible, dataset.model, dataset.parameters, dataset.tolerances, interval)
     columns = responses(stretches, base, library.numbers, counter)
-    side = Side(stretches, library, columns, counter)
-    test = Side(other, library, np.zeros((0,)), counter)
+    side = ForceSide(stretches, library, columns, counter)
+    test = ForceSide(other, library, np.zeros((0,)), counter)
     rounds, chain = select_effects(side, base, max_effects, progress)
     progress("held-out recordings")
     confirmed = _confirmed(test, chain)
     progress("numbers")
     marginal = confirmed[-1]
-    ends = [_refitted(side, fit, _NONE) for fit in (confirmed[0], marginal)]
+    many = _with_more_data(prepared, side, base)
+    ends = [_refitted(many, fit) for fit in (confirmed[0], marginal)]
+    if seen := _visible(ends[1].point.named):
+        if len(seen) < len(ends[1].point.named):
+            marginal, ends[1] = (
+                settled(side, replace(marginal.point, named=seen), marginal.variances),
+                _refitted(many, replace(ends[1], point=replace(ends[1].point, named=seen))),
+            )
+    else:
+        confirmed, ends[1] = confirmed[:1], ends[0]
     outcomes = held_out(test, ends[0].point, ends[0].variances), held_out(test, ends[1].point, ends[1].variances)
     final = [ends[0], *confirmed[1:-1], *ends[1:]] if len(confirmed) > 1 else [ends[0]]
     found = _found(side, test, rounds, final, outcomes, len(confirmed) < len(chain), dataset, marginal)
     return diagnosis_of(dataset, prepared.sigma, found, time.monotonic() - begun + counter.earlier)
 
 
-def _confirmed(test: Side, chain: Sequence[Fitted]) -> list[Fitted]:
+def _confirmed(test: ForceSide, chain: Sequence[Fitted]) -> list[Fitted]:
     """The chain up to the last hypothesis that held-out stretches bear out, one after another."""
     out, before = [chain[0]], held_out(test, chain[0].point, chain[0].variances)
     for fit in chain[1:]:
@@ -143,26 +158,51 @@ def _confirmed(test: Side, chain: Sequence[Fitted]) -> list[Fitted]:
     return out
 
 
-def _refitted(side: Side, fit: Fitted, tolerance: float) -> Fitted:
-    """A fit with other tolerances of calibration, in units of the stated ones.
+def _with_more_data(prepared: PreparedForces, side: ForceSide, base: Hypothesis) -> ForceSide:
+    """The recordings to fit with more stretches, and the columns of what stays free beside named effects."""
+    stretches = spread_stretches(prepared.fit, _MORE)
+    free = [c for c, known in zip(side.library.calibrated, _known(side), strict=True) if not known]
+    used = sorted({column for entry in free for own in entry.columns for column in own})
+    columns = np.zeros((len(stretches), stretches.intervals, len(stretches.seen), len(side.library.numbers)))
+    numbers = [side.library.numbers[column] for column in used]
+    columns[..., used] = responses(stretches, base, numbers, side.counter)
+    return ForceSide(stretches, side.library, columns, side.counter)
+
+
+def _known(side: ForceSide) -> np.ndarray:
+    """(n,) bool: calibration that the mended model is without."""
+    names = [entry.candidate.effect.name for entry in side.library.calibrated]
+    return np.array([not name.startswith(BELIEVED) and name != TIMING for name in names], bool)
+
+
+def _refitted(side: ForceSide, fit: Fitted) -> Fitted:
+    """A fit without calibration of the model.
 
     What is named has to hold beside calibration; its numbers are those with which the mended model, which knows none,
     predicts best. When a command acts within its sample belongs to the log, not to the model, and stays unknown.
     """
-    own = side.library.calibration
-    names = [entry.candidate.effect.name for entry in side.library.calibrated]
-    known = np.array([not name.startswith(BELIEVED) and name != TIMING for name in names], bool)
-    factor = np.where(known, tolerance, 1.0)
+    own, known = side.library.calibration, _known(side)
+    factor = np.where(known, _NONE, 1.0)
     library = replace(
         side.library, calibration=replace(own, tolerance=own.tolerance * factor, reach=own.reach * factor)
     )
-    start = replace(fit.point, calibration=np.where(known & (tolerance < 1), 0.0, fit.point.calibration))
+    start = replace(fit.point, calibration=np.where(known, 0.0, fit.point.calibration))
     return settled(replace(side, library=library), start, replace(fit.variances, weight=None))
 
 
+def _visible(named: Named) -> Named:
+    """Effects with a number that is visible: of the size of its step, and no smaller than what is never named."""
+    out = []
+    for candidate, values in named:
+        pairs = zip(candidate.parameters, values, strict=True)
+        if any(abs(v - p.null) > max(_SEEN * abs(p.step), p.negligible) for p, v in pairs if not p.shape):
+            out.append((candidate, values))
+    return tuple(out)
+
+
 def _found(
-    side: Side,
-    test: Side,
+    side: ForceSide,
+    test: ForceSide,
     rounds: Sequence[SearchRound],
     chain: Sequence[Fitted],
     outcomes: tuple[HeldOut, HeldOut],
@@ -180,7 +220,7 @@ def _found(
     mended = replace(last.point.base, believed=values[1])
     for candidate, own in last.point.named:
         mended = mended.with_effect(candidate, own)
-    errors, steady = prediction_errors(test.stretches, [base, mended], side.counter)
+    errors, steady = horizon_errors(test.stretches, [base, mended], side.counter)
     missing = missing_force(side.stretches, base)
     usual = np.sqrt((missing.actuator**2).mean((0, 1))) + np.sqrt((missing.force**2).mean((0, 1)))
     share = np.sqrt(last.variances.force) / np.maximum(usual, 1e-300)

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from btr_mjx.gap.forces.points import Fitted, Side
+from btr_mjx.gap.forces.points import Fitted, ForceSide
 
 
-def covariance(side: Side, fit: Fitted) -> np.ndarray:
+def covariance(side: ForceSide, fit: Fitted) -> np.ndarray:
     """Covariance (p, p) of the numbers of a fit, calibration marginalised.
 
     For every number the larger one of the inverse information and of the sandwich estimate

@@ -8,7 +8,7 @@ All simulations last one interval and start at measured states, so that none can
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -16,7 +16,8 @@ import numpy as np
 
 from btr_mjx.gap.effects import Candidate, Hypothesis
 from btr_mjx.gap.forces.stretches import Stretches
-from btr_mjx.gap.simulate import Counter, Segments, World, simulate
+from btr_mjx.gap.simulate import Counter, Segments, simulate
+from btr_mjx.gap.windows import MakeWorld
 from btr_mjx.models import difference, integrate
 
 _COARSE = 2.5
@@ -25,11 +26,9 @@ _COARSE = 2.5
 _LONGEST = 2.5e-3
 """Longest such time step [s]."""
 
-MakeWorld = Callable[[mujoco.MjModel], World]
-
 
 @dataclass(frozen=True)
-class Number:
+class FreeNumber:
     """One free number of a hypothesis: where its derivative is taken.
 
     Attributes:
@@ -64,7 +63,7 @@ class Linearised:
     interval: np.ndarray
 
 
-def linearise(
+def linearise_motion(
     stretches: Stretches, make: MakeWorld, counter: Counter | None = None, known: Linearised | None = None
 ) -> Linearised:
     """Linearise a hypothesis.
@@ -102,7 +101,7 @@ def linearise(
 
 
 def responses(
-    stretches: Stretches, base: Hypothesis, numbers: Sequence[Number], counter: Counter | None = None
+    stretches: Stretches, base: Hypothesis, numbers: Sequence[FreeNumber], counter: Counter | None = None
 ) -> np.ndarray:
     """Derivatives of the ends of intervals with respect to numbers of effects beside a hypothesis.
 

@@ -11,7 +11,7 @@ from btr_mjx.gap.effects import Hypothesis
 from btr_mjx.gap.forces.held_out import HORIZON, HeldOut
 from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.missing_force import MissingForce
-from btr_mjx.gap.forces.points import Fitted, Side, names
+from btr_mjx.gap.forces.points import Fitted, ForceSide, names
 from btr_mjx.gap.forces.search import SearchRound
 from btr_mjx.gap.forces.unknowns import believed_values
 from btr_mjx.gap.results import (
@@ -68,8 +68,8 @@ class SearchOutcome:
     large: np.ndarray
     base: Hypothesis
     mended: Hypothesis
-    side: Side
-    test: Side
+    side: ForceSide
+    test: ForceSide
     contradicted: bool
     marginal: Fitted
 

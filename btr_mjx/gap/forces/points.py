@@ -8,7 +8,7 @@ import numpy as np
 from btr_mjx.gap.effects import Candidate, Hypothesis
 from btr_mjx.gap.forces.evidence import LeastSquares, least_squares, penalty
 from btr_mjx.gap.forces.filtering import Filtered, Variances, filtered, smoothed
-from btr_mjx.gap.forces.motion import Linearised, Number, linearise, responses
+from btr_mjx.gap.forces.motion import FreeNumber, Linearised, linearise_motion, responses
 from btr_mjx.gap.forces.stretches import Stretches
 from btr_mjx.gap.forces.unknowns import Library
 from btr_mjx.gap.simulate import Counter
@@ -28,7 +28,7 @@ _UPDATES = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Side:
+class ForceSide:
     """One side of the split.
 
     Attributes:
@@ -117,8 +117,8 @@ class Fitted:
     loss: float
 
 
-def evaluate(
-    side: Side,
+def evaluate_point(
+    side: ForceSide,
     point: Point,
     variances: Variances,
     known: Fitted | None = None,
@@ -135,7 +135,9 @@ def evaluate(
     """
     if stretches is None:
         stretches = side.stretches if known is None else known.linear.stretches
-    linear = linearise(stretches, point.hypothesis(side.library), side.counter, None if known is None else known.linear)
+    linear = linearise_motion(
+        stretches, point.hypothesis(side.library), side.counter, None if known is None else known.linear
+    )
     columns = [_own_columns(side, point, stretches)]
     design = side.library.calibration.design
     columns.append(side.columns @ design if design.shape[1] else side.columns[..., :0])
@@ -143,12 +145,12 @@ def evaluate(
     return _whitened(point, linear, every, variances, side)
 
 
-def again(side: Side, fit: Fitted, variances: Variances) -> Fitted:
+def again(side: ForceSide, fit: Fitted, variances: Variances) -> Fitted:
     """The same point with other variances."""
     return _whitened(fit.point, fit.linear, fit.columns, variances, side)
 
 
-def _whitened(point: Point, linear: Linearised, columns: np.ndarray, variances: Variances, side: Side) -> Fitted:
+def _whitened(point: Point, linear: Linearised, columns: np.ndarray, variances: Variances, side: ForceSide) -> Fitted:
     found = filtered(linear, columns, variances)
     return Fitted(
         point,
@@ -162,11 +164,13 @@ def _whitened(point: Point, linear: Linearised, columns: np.ndarray, variances: 
     )
 
 
-def _own_columns(side: Side, point: Point, stretches: Stretches) -> np.ndarray:
+def _own_columns(side: ForceSide, point: Point, stretches: Stretches) -> np.ndarray:
     """(S, K, 2 nv, p) derivatives with respect to the numbers of named effects, each at its value."""
     out = [side.columns[..., :0]]
     for i, (candidate, values) in enumerate(point.named):
-        numbers = [Number(candidate, j, values, _step(own, values[j])) for j, own in enumerate(candidate.parameters)]
+        numbers = [
+            FreeNumber(candidate, j, values, _step(own, values[j])) for j, own in enumerate(candidate.parameters)
+        ]
         out.append(responses(stretches, point.hypothesis(side.library, without=i), numbers, side.counter))
     return np.concatenate(out, -1)
 
@@ -177,7 +181,7 @@ def _step(parameter, value: float) -> float:  # type: ignore[no-untyped-def]
     return step if parameter.low <= value + step <= parameter.high else -step
 
 
-def step_of(side: Side, fit: Fitted) -> LeastSquares:
+def newton_step(side: ForceSide, fit: Fitted) -> LeastSquares:
     """The Gauss-Newton step from a fitted point."""
     p, n = fit.point.numbers, len(side.library.calibrated)
     design = np.zeros((p + n, n))
@@ -192,7 +196,7 @@ def step_of(side: Side, fit: Fitted) -> LeastSquares:
     return least_squares(fit.whitened.gram.sum(0), free, calibration, low, high)
 
 
-def settled(side: Side, point: Point, variances: Variances, rounds: int = ROUNDS) -> Fitted:
+def settled(side: ForceSide, point: Point, variances: Variances, rounds: int = ROUNDS) -> Fitted:
     """A point with numbers and variances at which the likelihood is largest.
 
     Steps of the numbers and of the variances take turns: random forces start large, where the fit is nearly linear, and
@@ -204,19 +208,19 @@ def settled(side: Side, point: Point, variances: Variances, rounds: int = ROUNDS
       variances: with which to start.
       rounds: at most.
     """
-    fit = evaluate(side, point, variances)
+    fit = evaluate_point(side, point, variances)
     for _ in range(rounds):
         before = fit.loss
         for _ in range(_UPDATES):
             found = smoothed(fit.linear, np.zeros_like(fit.linear.defect), fit.variances)
             fit = again(side, fit, found.variances)
-        step, size, own = step_of(side, fit), 1.0, fit.point.calibration
+        step, size, own = newton_step(side, fit), 1.0, fit.point.calibration
         change = np.concatenate([step.values, step.calibration - own])
         while size > _SHORTEST:
             # Dry friction turns round within a sample: around states that are smoothed without it, it would be late.
             states = smoothed(fit.linear, size * fit.columns @ change, fit.variances).state
             trial = fit.point.moved(size * step.values, own + size * (step.calibration - own))
-            after = evaluate(side, trial, fit.variances, stretches=moved_states(fit.linear.stretches, states))
+            after = evaluate_point(side, trial, fit.variances, stretches=moved_states(fit.linear.stretches, states))
             if after.loss < fit.loss + 1.0:
                 break
             size *= 0.2

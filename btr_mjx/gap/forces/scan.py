@@ -7,7 +7,7 @@ import numpy as np
 
 from btr_mjx.gap.effects import Candidate
 from btr_mjx.gap.forces.evidence import CalibrationPrior, LeastSquares, least_squares
-from btr_mjx.gap.forces.unknowns import Entry
+from btr_mjx.gap.forces.unknowns import CandidateColumns
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ def price(numbers: int, count: int, choices: int) -> float:
 
 def scan_columns(
     gram: np.ndarray,
-    entries: Sequence[Entry],
+    entries: Sequence[CandidateColumns],
     given: np.ndarray,
     calibration: CalibrationPrior,
     count: int,

@@ -9,8 +9,8 @@ from btr_mjx.gap.effects import Candidate, Hypothesis
 from btr_mjx.gap.forces.evidence import CalibrationPrior, least_squares
 from btr_mjx.gap.forces.filtering import Variances, filtered
 from btr_mjx.gap.forces.missing_force import drives, missing_force
-from btr_mjx.gap.forces.motion import linearise
-from btr_mjx.gap.forces.points import ROUNDS, Fitted, Point, Side, evaluate, names, settled
+from btr_mjx.gap.forces.motion import linearise_motion
+from btr_mjx.gap.forces.points import ROUNDS, Fitted, ForceSide, Point, evaluate_point, names, settled
 from btr_mjx.gap.forces.scan import Scanned, price, scan_columns
 from btr_mjx.gap.forces.unknowns import DRIVE, LIMIT_SIZES
 
@@ -24,6 +24,9 @@ do."""
 
 _FAR = 0.02
 """Part of the gain of a whole drive that a single effect needs in the scan to be refined beside it."""
+
+_DOUBT = 9.0
+"""Evidence that a number needs beside calibration that may take its place: three standard errors."""
 
 _PASSES = 3
 """Passes of backward elimination."""
@@ -59,9 +62,9 @@ class SearchRound:
     finalists: tuple[tuple[float, Fitted], ...]
 
 
-def first_variances(side: Side, hypothesis: Hypothesis) -> Variances:
+def first_variances(side: ForceSide, hypothesis: Hypothesis) -> Variances:
     """A first guess: what a hypothesis leaves is a random force, the noise is that of the dataset."""
-    linear = linearise(side.stretches, hypothesis, side.counter)
+    linear = linearise_motion(side.stretches, hypothesis, side.counter)
     force = np.einsum("skij,skj->ski", np.linalg.pinv(linear.force), linear.defect)
     interval = float(np.median(linear.interval))
     return Variances(
@@ -72,7 +75,7 @@ def first_variances(side: Side, hypothesis: Hypothesis) -> Variances:
     )
 
 
-def start(side: Side, base: Hypothesis) -> Fitted:
+def start(side: ForceSide, base: Hypothesis) -> Fitted:
     """The believed model with calibration and variances at their best."""
     point = Point(base, (), np.zeros(len(side.library.calibrated)))
     return settled(side, point, first_variances(side, base))
@@ -88,7 +91,7 @@ class _Scene:
     count: int
 
 
-def _scene(side: Side, fit: Fitted) -> _Scene:
+def _scene(side: ForceSide, fit: Fitted) -> _Scene:
     library, p = side.library, fit.point.numbers
     whitened = filtered(fit.linear, np.concatenate([side.columns, fit.columns[..., :p]], -1), fit.variances)
     c = len(library.numbers)
@@ -103,7 +106,7 @@ def _scene(side: Side, fit: Fitted) -> _Scene:
     return _Scene(whitened.gram.sum(0), given, calibration, fit.whitened.count * len(side.stretches))
 
 
-def one_more(side: Side, fit: Fitted, needed: float = 0.0) -> SearchRound:
+def one_more(side: ForceSide, fit: Fitted, needed: float = 0.0) -> SearchRound:
     """Look for one more effect beside a fitted point, or for what every drive has, at once.
 
     Args:
@@ -136,7 +139,7 @@ def one_more(side: Side, fit: Fitted, needed: float = 0.0) -> SearchRound:
     return SearchRound(fit, tuple(leads), tuple(finalists))
 
 
-def _tightened(side: Side, fit: Fitted, lead: Scanned) -> tuple[float, ...]:
+def _tightened(side: ForceSide, fit: Fitted, lead: Scanned) -> tuple[float, ...]:
     """Values of a limit at the best of some sizes, by simulation: what it does is not linear."""
     first = lead.candidate.parameters[0]
     tightest = first.low if first.step < 0 else first.high
@@ -144,11 +147,11 @@ def _tightened(side: Side, fit: Fitted, lead: Scanned) -> tuple[float, ...]:
     for share in LIMIT_SIZES:
         tries.append((first.null + share * (tightest - first.null), *lead.values[1:]))
     named = [replace(fit.point, named=(*fit.point.named, (lead.candidate, values))) for values in tries]
-    losses = [evaluate(side, point, fit.variances, fit).loss for point in named]
+    losses = [evaluate_point(side, point, fit.variances, fit).loss for point in named]
     return tries[int(np.argmin(losses))]
 
 
-def _drive(side: Side, fit: Fitted) -> Point | None:
+def _drive(side: ForceSide, fit: Fitted) -> Point | None:
     """Dry and viscous friction, rotor inertia and offsets of all joints at once; None where some is named already.
 
     Each alone may explain little where all are missing: a model without rotors moves too much, and so everything that
@@ -190,7 +193,7 @@ def shortlist(leads: Sequence[Scanned], least: float = 0.0) -> list[Scanned]:
 
 
 def select_effects(
-    side: Side, base: Hypothesis, most: int, note: Callable[[str], None]
+    side: ForceSide, base: Hypothesis, most: int, note: Callable[[str], None]
 ) -> tuple[list[SearchRound], list[Fitted]]:
     """Search for one effect after another.
 
@@ -210,7 +213,7 @@ def select_effects(
     return rounds, chain
 
 
-def pruned(side: Side, fit: Fitted, null: Fitted) -> Fitted:
+def pruned(side: ForceSide, fit: Fitted, null: Fitted) -> Fitted:
     """Backward elimination: effects, and members of groups, that do not pay beside the others go.
 
     Args:
@@ -238,34 +241,51 @@ def pruned(side: Side, fit: Fitted, null: Fitted) -> Fitted:
 Named = tuple[tuple[Candidate, tuple[float, ...]], ...]
 
 
-def _simpler(side: Side, fit: Fitted, index: int, single: Mapping[str, Candidate], least: float) -> Named:
+def _simpler(side: ForceSide, fit: Fitted, index: int, single: Mapping[str, Candidate], least: float) -> Named:
     """One of the named effects, or what is left of it where a linear picture says that the rest does not pay."""
     candidate, values = fit.point.named[index]
     if not candidate.place.parts:
-        whole = _lost(side, fit, index, list(range(len(values))))
-        return (fit.point.named[index],) if whole > least * len(values) else ()
-    paying = [j for j in range(len(values)) if _lost(side, fit, index, [j]) > least]
+        pays = _pays(side, fit, index, list(range(len(values))), least * len(values))
+        return (fit.point.named[index],) if pays else ()
+    paying = [j for j in range(len(values)) if _pays(side, fit, index, [j], least)]
     if len(paying) > _SINGLES or len(paying) == len(values):
         return (fit.point.named[index],)
     members = candidate.place.members
     return tuple((single[f"{candidate.effect.name}@{members[j]}"], (values[j],)) for j in paying)
 
 
-def _lost(side: Side, fit: Fitted, index: int, members: Sequence[int]) -> float:
-    """Rise of -2 ln p where some numbers of an effect go to their null beside calibration as it is, linearly."""
+def _pays(side: ForceSide, fit: Fitted, index: int, members: Sequence[int], least: float) -> bool:
+    """Whether numbers of an effect pay: where nothing is badly calibrated, and in doubt where calibration may be."""
+    return _lost(side, fit, index, members, False) > least and _lost(side, fit, index, members, True) > _DOUBT
+
+
+def _lost(side: ForceSide, fit: Fitted, index: int, members: Sequence[int], calibrated: bool) -> float:
+    """Rise of -2 ln p where some numbers of an effect go to their null, linearly.
+
+    Args:
+      side: the recordings to fit.
+      fit: with named effects.
+      index: of the effect.
+      members: numbers that go.
+      calibrated: whether calibration moves along; else it is zero.
+    """
     first = sum(len(values) for _, values in fit.point.named[:index])
     candidate, values = fit.point.named[index]
     own = first + np.array(members)
     rest = np.setdiff1d(np.arange(fit.point.numbers), own)
-    away = (candidate.null - np.array(values))[list(members)]
     p, n = fit.point.numbers, len(side.library.calibrated)
     turn = np.eye(1 + p + n)
-    turn[1 + own, 0] = away
-    moved = turn.T @ fit.whitened.gram.sum(0) @ turn
-    free = np.zeros((p + n, len(rest)))
-    free[rest, np.arange(len(rest))] = 1.0
-    nothing = CalibrationPrior(np.zeros((p + n, 0)), np.zeros(0), np.zeros(0), np.zeros(0))
-    every = np.zeros((p + n, p))
-    every[np.arange(p), np.arange(p)] = 1.0
-    whole = least_squares(fit.whitened.gram.sum(0), every, nothing)
-    return least_squares(moved, free, nothing).loss - whole.loss
+    if not calibrated:
+        turn[1 + p :, 0] = -fit.point.calibration
+    whole = turn.T @ fit.whitened.gram.sum(0) @ turn
+    turn[1 + own, 0] = (candidate.null - np.array(values))[list(members)]
+    without = turn.T @ fit.whitened.gram.sum(0) @ turn
+    count = n if calibrated else 0
+    design = np.zeros((p + n, count))
+    design[p + np.arange(count), np.arange(count)] = 1.0
+    own_prior = side.library.calibration
+    prior = CalibrationPrior(
+        design, own_prior.tolerance[:count], own_prior.reach[:count], fit.point.calibration[:count]
+    )
+    every = np.eye(p + n, p)
+    return least_squares(without, every[:, rest], prior).loss - least_squares(whole, every, prior).loss

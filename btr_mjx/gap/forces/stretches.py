@@ -67,17 +67,17 @@ class Stretches:
         return np.concatenate([position, self.measured_v - self.qvel], -1)
 
 
-def choose_stretches(data: PreparedData, most: int = _MOST_NUMBERS) -> Stretches:
+def spread_stretches(data: PreparedData, share: float = 1.0) -> Stretches:
     """Spread stretches evenly over recordings.
 
     Args:
       data: recordings of one side of the split.
-      most: bound of intervals times degrees of freedom.
+      share: of the usual bounds of their number.
     """
     nv = data.recordings[0].model.nv
     strides = [_stride(r.time) for r in data.recordings]
     picks = [np.arange(0, len(r.time), s) for r, s in zip(data.recordings, strides, strict=True)]
-    room = int(np.clip(most // nv, 200, _MOST_INTERVALS))
+    room = int(share * np.clip(_MOST_NUMBERS // nv, 200, _MOST_INTERVALS))
     total = sum(len(p) - 1 for p in picks)
     shortest = min(len(p) - 1 for p in picks)
     length = int(np.clip(min(total, room) / 8, 20, _LONGEST))

@@ -8,7 +8,7 @@ import numpy as np
 
 from btr_mjx.gap.effects import WORLD, Candidate, Effect, Parameter, Place, believed_steps
 from btr_mjx.gap.forces.evidence import CalibrationPrior
-from btr_mjx.gap.forces.motion import Number
+from btr_mjx.gap.forces.motion import FreeNumber
 from btr_mjx.gap.simulate import World
 from btr_mjx.models import PathParameter
 
@@ -43,15 +43,15 @@ _WITHIN = 0.6
 _FIELD = 5.0
 """Tolerances outside a laboratory, in units of those of the library."""
 
-_UNMEASURED = 10.0
-"""The same of what nobody measures: damping and rotor inertia."""
+_FACTORS = {"viscous_damping": 10.0, "armature": 10.0, "ground_slope": 1.0}
+"""The same of what nobody measures (damping, rotor inertia), and of what a spirit level tells."""
 
 _TIME_IN_SAMPLE = 0.29
 """1 sigma of the time at which a command acts, in intervals of commands: anywhere within one."""
 
 
 @dataclass(frozen=True)
-class Entry:
+class CandidateColumns:
     """A candidate as a scan sees it: numbers that are sums of columns.
 
     Attributes:
@@ -83,9 +83,9 @@ class Library:
       calibration: their columns and tolerances.
     """
 
-    numbers: tuple[Number, ...]
-    entries: tuple[Entry, ...]
-    calibrated: tuple[Entry, ...]
+    numbers: tuple[FreeNumber, ...]
+    entries: tuple[CandidateColumns, ...]
+    calibrated: tuple[CandidateColumns, ...]
     calibration: CalibrationPrior
 
 
@@ -105,10 +105,10 @@ def library_of(
       tolerances: 1 sigma of calibration by effect, as the dataset has them.
       interval: between samples of commands [s].
     """
-    numbers: list[Number] = []
-    entries: list[Entry] = []
+    numbers: list[FreeNumber] = []
+    entries: list[CandidateColumns] = []
     single: dict[str, list[tuple[int, tuple[float, float]]]] = {}
-    calibrated: list[tuple[Entry, float, float]] = []
+    calibrated: list[tuple[CandidateColumns, float, float]] = []
     for candidate in candidates:
         if candidate.effect.summable and candidate.place.members:
             entries += _group(candidate, [single[f"{candidate.effect.name}@{m}"] for m in candidate.place.members])
@@ -116,28 +116,28 @@ def library_of(
         several = [i for i, p in enumerate(candidate.parameters) if not p.shape]
         column, at = len(numbers), tuple(float(v) for v in candidate.null)
         further = _further_steps(candidate, model)
-        numbers += [Number(candidate, i, at, candidate.parameters[i].step) for i in several]
+        numbers += [FreeNumber(candidate, i, at, candidate.parameters[i].step) for i in several]
         near = [_range(candidate, i, bool(further)) for i in several]
-        entries.append(Entry(candidate, tuple((column + i,) for i in range(len(several))), tuple(near)))
+        entries.append(CandidateColumns(candidate, tuple((column + i,) for i in range(len(several))), tuple(near)))
         single[candidate.name] = [(column, near[0])]
         for step in further:
             bounds = _near(step)
             single[candidate.name].append((len(numbers), bounds))
-            entries.append(Entry(candidate, ((len(numbers),),), (bounds,)))
-            numbers.append(Number(candidate, 0, at, step))
+            entries.append(CandidateColumns(candidate, ((len(numbers),),), (bounds,)))
+            numbers.append(FreeNumber(candidate, 0, at, step))
         if not candidate.place.members:
             for i in several:
                 own = candidate.parameters[i]
                 known, least = tolerances.get(candidate.effect.name, 0.0), 0.0
                 if candidate.effect.name in DRIVE:
                     least = _UNKNOWN * abs(own.step)
-                factor = _UNMEASURED if candidate.effect.name in ("viscous_damping", "armature") else _FIELD
+                factor = _FACTORS.get(candidate.effect.name, _FIELD)
                 if sigma := known or max(factor * own.tolerance, least):
-                    calibrated.append((Entry(candidate, ((column + i,),), (near[0],)), sigma, _MOST * sigma))
+                    calibrated.append((CandidateColumns(candidate, ((column + i,),), (near[0],)), sigma, _MOST * sigma))
     for parameter in believed:
         candidate = _as_candidate(parameter, model)
-        entry = Entry(candidate, ((len(numbers),),), (_range(candidate, 0, False),))
-        numbers.append(Number(candidate, 0, (candidate.parameters[0].null,), candidate.parameters[0].step))
+        entry = CandidateColumns(candidate, ((len(numbers),),), (_range(candidate, 0, False),))
+        numbers.append(FreeNumber(candidate, 0, (candidate.parameters[0].null,), candidate.parameters[0].step))
         calibrated.append((entry, parameter.high - parameter.low, parameter.high - parameter.low))
     whole = [e for e in entries if e.candidate.effect.name == TIMING and e.candidate.parameters[0].low < 0]
     calibrated += [(entry, _TIME_IN_SAMPLE * interval, _WITHIN * interval) for entry in whole[:1]]
@@ -183,16 +183,18 @@ def believed_values(
     return out
 
 
-def _group(candidate: Candidate, members: Sequence[Sequence[tuple[int, tuple[float, float]]]]) -> list[Entry]:
+def _group(
+    candidate: Candidate, members: Sequence[Sequence[tuple[int, tuple[float, float]]]]
+) -> list[CandidateColumns]:
     """Entries of a group whose columns are those of its members, one for every step that all of them have."""
     out = []
     for level in range(min(map(len, members))):
         columns, near = zip(*(own[level] for own in members), strict=True)
         if candidate.place.parts:
-            out.append(Entry(candidate, tuple((c,) for c in columns), tuple(near)))
+            out.append(CandidateColumns(candidate, tuple((c,) for c in columns), tuple(near)))
         else:
             low, high = zip(*near, strict=True)
-            out.append(Entry(candidate, (tuple(columns),), ((max(low), min(high)),)))
+            out.append(CandidateColumns(candidate, (tuple(columns),), ((max(low), min(high)),)))
     return out
 
 
