@@ -131,7 +131,7 @@ def _offset_torque(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple
 
 
 def _apply_offset_torque(world: World, place: Place, values: np.ndarray) -> None:
-    """Tau = c at the joint: an amplifier's offset, an unbalanced spring or cable, friction that depends on direction."""
+    """Tau = c at the joint: an amplifier's offset, an unbalanced spring, friction that depends on direction."""
     model = world.model
     first = {joint_of(model, a): a for a in reversed(place.actuators)}
     for joint in place.joints if values[0] else ():

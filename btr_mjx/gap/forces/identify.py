@@ -22,6 +22,7 @@ from btr_mjx.gap.forces.motion import responses
 from btr_mjx.gap.forces.outcome import SearchOutcome, diagnosis_of
 from btr_mjx.gap.forces.points import Fitted, ForceSide, settled
 from btr_mjx.gap.forces.search import Named, SearchRound, select_effects
+from btr_mjx.gap.forces.shapes import best_shape
 from btr_mjx.gap.forces.stretches import spread_stretches
 from btr_mjx.gap.forces.unknowns import BELIEVED, TIMING, believed_values, library_of
 from btr_mjx.gap.results import Diagnosis
@@ -43,6 +44,12 @@ _SEEN = 0.3
 _NONE = 1e-6
 """Tolerances that leave no calibration."""
 
+_TOLD = 10.0
+"""Evidence of a force of another shape from which on it is told."""
+
+_LEFT = 0.1
+"""The same where effects are named, as a part of theirs."""
+
 _MOST = 0.5
 """Part of the missing force that names may leave."""
 
@@ -63,12 +70,11 @@ class PreparedForces:
     sigma: np.ndarray
 
 
-def prepare_forces(dataset: Dataset, counter: Counter | None = None) -> PreparedForces | None:
+def prepare_forces(dataset: Dataset) -> PreparedForces | None:
     """Prepare a dataset, if its robot touches nothing.
 
     Args:
       dataset: recordings on both sides of the split, and the believed model.
-      counter: adds up the simulated steps.
 
     Returns:
       Both sides; None where the robot touches the world, has closed loops, or joints that were not measured.
@@ -85,8 +91,7 @@ def prepare_forces(dataset: Dataset, counter: Counter | None = None) -> Prepared
     sigma = np.concatenate([noise.qpos, noise.qvel])
     span = best_span(dataset.model, [track_of(r) for r in dataset.recordings], sigma)
     fit, test = (prepare(side, dataset.interpolation, sigma, span) for side in (dataset.fit, dataset.test))
-    counter = counter or Counter()
-    touching = np.concatenate([own for side in (fit, test) for own in contact_samples(side, counter)])
+    touching = np.concatenate([own for side in (fit, test) for own in contact_samples(side, Counter())])
     return None if touching.mean() > _TOUCHES else PreparedForces(dataset, fit, test, sigma)
 
 
@@ -140,7 +145,9 @@ def identify_forces(
             )
     else:
         confirmed, ends[1] = confirmed[:1], ends[0]
-    outcomes = held_out(test, ends[0].point, ends[0].variances), held_out(test, ends[1].point, ends[1].variances)
+    # Calibration counts here, as in windows: what is missing is what it cannot explain.
+    both = confirmed[0], marginal if len(confirmed) > 1 else confirmed[0]
+    outcomes = (held_out(test, both[0].point, both[0].variances), held_out(test, both[1].point, both[1].variances))
     final = [ends[0], *confirmed[1:-1], *ends[1:]] if len(confirmed) > 1 else [ends[0]]
     found = _found(side, test, rounds, final, outcomes, len(confirmed) < len(chain), dataset, marginal)
     return diagnosis_of(dataset, prepared.sigma, found, time.monotonic() - begun + counter.earlier)
@@ -229,6 +236,10 @@ def _found(
     # Names that explain most of what was missing stand, whatever is left at one joint.
     if len(chain) > 1 and np.average(fell, weights=first.variances.force / usual**2) < _MOST:
         large = np.zeros(len(share), bool)
+    shape = best_shape(side, marginal, missing)
+    gained = rounds[0].before.loss - marginal.loss
+    if shape.score < max(_TOLD, _LEFT * gained):
+        shape = replace(shape, score=0.0)
     left = smoothed(last.linear, np.zeros_like(last.linear.defect), last.variances).force
     return SearchOutcome(
         tuple(rounds),
@@ -244,4 +255,5 @@ def _found(
         test,
         contradicted,
         marginal,
+        shape,
     )

@@ -8,11 +8,13 @@ import numpy as np
 
 from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import Hypothesis
+from btr_mjx.gap.forces.confounds import confounds_of
 from btr_mjx.gap.forces.held_out import HORIZON, HeldOut
 from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.missing_force import MissingForce
 from btr_mjx.gap.forces.points import Fitted, ForceSide, names
 from btr_mjx.gap.forces.search import SearchRound
+from btr_mjx.gap.forces.shapes import ShapeGain, shape_sentence
 from btr_mjx.gap.forces.unknowns import believed_values
 from btr_mjx.gap.results import (
     Diagnosis,
@@ -57,6 +59,7 @@ class SearchOutcome:
       side, test: of the split.
       contradicted: whether more was found than held-out recordings bear out.
       marginal: the last hypothesis beside calibration, for intervals.
+      shape: of a force that is left; with a score of 0 where nothing is.
     """
 
     rounds: tuple[SearchRound, ...]
@@ -72,6 +75,7 @@ class SearchOutcome:
     test: ForceSide
     contradicted: bool
     marginal: Fitted
+    shape: ShapeGain
 
 
 def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seconds: float) -> Diagnosis:
@@ -85,7 +89,7 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
     """
     first, last = found.chain[0], found.chain[-1]
     named = last.point.named
-    verdict = "unexplained" if found.large.any() else "effect" if named else "none"
+    verdict = "unexplained" if found.large.any() or found.shape.score > 0 else "effect" if named else "none"
     ranking = _ranking(found.rounds)
     seen = found.side.stretches.seen
     # In units of the noise of the dataset, whatever was estimated beside it.
@@ -102,7 +106,7 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
         disagreement=_map(model, found),
         unexplained=_words(model, found) if verdict == "unexplained" else (),
         believed=_refits(dataset, found),
-        confounds=(),
+        confounds=confounds_of(found.side, found.marginal) if verdict == "effect" else (),
         overlays=_overlays(model, found),
         share=1 - float(last.variances.force.sum() / max(first.variances.force.sum(), 1e-300)),
         lack_of_fit=(_lack(found.held_out[0]), _lack(found.held_out[1])),
@@ -250,14 +254,19 @@ def _map(model: mujoco.MjModel, found: SearchOutcome) -> DisagreementMap:
     floor = np.maximum(found.chain[-1].variances.force, 1e-300)
     square = np.minimum(missing.force**2 / floor, _CAP)
     speed, load = np.abs(missing.velocity), np.abs(missing.actuator)
-    late = np.zeros(square.shape, bool)
-    late[:, square.shape[1] // 2 :] = True
+    middle = np.array([r.time.mean() for r in found.side.stretches.data.recordings])
+    late = found.side.stretches.time[:, :-1] > middle[found.side.stretches.recording][:, None]
+    late = np.broadcast_to(late[..., None], square.shape)
     masks = {
         "all": np.ones(square.shape, bool),
         "slow": speed <= np.median(speed, (0, 1)),
         "fast": speed > np.median(speed, (0, 1)),
         "low load": load <= np.median(load, (0, 1)),
         "high load": load > np.median(load, (0, 1)),
+        "contact": np.zeros(square.shape, bool),
+        "air": np.ones(square.shape, bool),
+        "early": ~late,
+        "late": late,
     }
     every = _places(model)
     places = tuple(dict.fromkeys(every))
@@ -274,15 +283,19 @@ def _map(model: mujoco.MjModel, found: SearchOutcome) -> DisagreementMap:
 
 def _words(model: mujoco.MjModel, found: SearchOutcome) -> tuple[str, ...]:
     """What is unexplained, in words."""
+    shape = (shape_sentence(model, found.shape),) if found.shape.score > 0 else ()
     left = np.sqrt(found.chain[-1].variances.force)
     usual = np.sqrt((found.missing.actuator**2).mean((0, 1)))
     places = _places(model)
     worst = np.argsort(-left / np.maximum(usual, 1e-300))
-    return tuple(
-        f"a force of {left[j]:.3g} {_force_unit(model, j)} (rms) at {places[j].replace(':', ' ')}, beside "
-        f"{usual[j]:.3g} of its actuators"
-        for j in worst
-        if found.large[j]
+    return (
+        *shape,
+        *(
+            f"{places[j].replace(':', ' ')}: a force of {left[j]:.3g} {_force_unit(model, j)} (root mean square) "
+            f"beside {usual[j]:.3g} of its actuators"
+            for j in worst
+            if found.large[j]
+        ),
     )[:3]
 
 

@@ -108,14 +108,15 @@ def _compatible(jobs: Sequence[Job], timestep: float | None) -> list[list[int]]:
     """Groups of job indices whose models may share a batch."""
     groups: dict[tuple, list[int]] = {}
     for index, (world, segments) in enumerate(jobs):
-        model = world.update_constants()
+        model = world.model
         if segments.qpos.shape != (len(segments), model.nq) or segments.qvel.shape != (len(segments), model.nv):
             raise InputError(
                 f"segments: got qpos {segments.qpos.shape} and qvel {segments.qvel.shape}, expected "
                 f"({len(segments)}, {model.nq}) and ({len(segments)}, {model.nv}) for this model"
             )
         sizes = tuple(getattr(model, name) for name in _SIZES)
-        key = (*sizes, timestep or model.opt.timestep, model.opt.integrator, bool(world.laws))
+        lifted = bool(model.body_gravcomp.any())  # a batch looks at gravity compensation only where its base has it
+        key = (*sizes, timestep or model.opt.timestep, model.opt.integrator, bool(world.laws), lifted)
         groups.setdefault(key, []).append(index)
     return list(groups.values())
 
@@ -269,8 +270,5 @@ class _Forces:
                 law(rows)
 
 
-_SIZES = (
-    *("nq", "nv", "nu", "na", "nbody", "njnt", "ngeom", "nsite", "ntendon", "neq", "nM", "nhistory", "nmocap"),
-    "ngravcomp",  # without it MuJoCo does not look at gravity compensation
-)
+_SIZES = ("nq", "nv", "nu", "na", "nbody", "njnt", "ngeom", "nsite", "ntendon", "neq", "nM", "nhistory", "nmocap")
 """Model sizes that must be equal within a batch."""

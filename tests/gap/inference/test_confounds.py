@@ -1,6 +1,7 @@
 """Confounds: correlations against plain least squares, and cases in which it is known what cannot be told apart."""
 
 import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -69,7 +70,8 @@ def test_all_candidates_at_once_against_each_alone(rng: np.random.Generator) -> 
 def damping_found(believed: tuple[PathParameter, ...]) -> tuple[Bench, Judged]:
     """A search among recordings of an arm with more damping at the elbow, and that leader."""
     library = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "armature", "load_friction"))
-    bench = Bench(dataset(damped, seed=1, fit=2, test=1, parameters=believed), library, QUICK)
+    options = replace(QUICK, leaders=8)
+    bench = Bench(dataset(damped, seed=1, fit=2, test=1, parameters=believed), library, options)
     return bench, next(j for j in bench.find() if j.name == "viscous_damping@joint:elbow")
 
 

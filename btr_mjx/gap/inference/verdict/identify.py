@@ -95,7 +95,7 @@ def identify(
     begun = time.monotonic()
     # The search has threads of its own, and matrices that are too small to be shared by more.
     with threadpool_limits(1, "blas"):
-        if (prepared := prepare_forces(dataset, counter)) is not None:
+        if (prepared := prepare_forces(dataset)) is not None:
             note = progress or (lambda _: None)
             return identify_forces(prepared, effects, max_effects, note, counter or Counter())
         bench = Bench(dataset, effects, options, progress, counter)
