@@ -16,11 +16,13 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, noise_of
 from btr_mjx.gap.effects import Effect, Hypothesis, candidates, has_closed_loops
 from btr_mjx.gap.forces.filtering import smoothed
+from btr_mjx.gap.forces.followed import followed
 from btr_mjx.gap.forces.held_out import HeldOut, held_out, horizon_errors, is_better
+from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.missing_force import missing_force
 from btr_mjx.gap.forces.motion import responses
 from btr_mjx.gap.forces.outcome import SearchOutcome, diagnosis_of
-from btr_mjx.gap.forces.points import Fitted, ForceSide, settled
+from btr_mjx.gap.forces.points import Fitted, ForceSide, evaluate_point, settled
 from btr_mjx.gap.forces.search import Named, SearchRound, select_effects
 from btr_mjx.gap.forces.shapes import best_shape
 from btr_mjx.gap.forces.stretches import spread_stretches
@@ -145,6 +147,12 @@ def identify_forces(
             )
     else:
         confirmed, ends[1] = confirmed[:1], ends[0]
+    if ends[1].point.named:
+        spread = covariance(side, marginal)
+        point = followed(many, ends[1].point, spread, side.library)
+        ends[1] = evaluate_point(
+            many, point, replace(ends[1].variances, weight=None), stretches=ends[1].linear.stretches
+        )
     # Calibration counts here, as in windows: what is missing is what it cannot explain.
     both = confirmed[0], marginal if len(confirmed) > 1 else confirmed[0]
     outcomes = (held_out(test, both[0].point, both[0].variances), held_out(test, both[1].point, both[1].variances))
