@@ -52,7 +52,7 @@ _TOLD = 10.0
 _LEFT = 0.1
 """The same where effects are named, as a part of theirs."""
 
-_MOST = 0.5
+_MOST = 0.9
 """Part of the missing force that names may leave."""
 
 

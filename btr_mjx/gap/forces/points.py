@@ -211,9 +211,10 @@ def settled(side: ForceSide, point: Point, variances: Variances, rounds: int = R
     fit = evaluate_point(side, point, variances)
     for _ in range(rounds):
         before = fit.loss
+        known = fit.variances
         for _ in range(_UPDATES):
-            found = smoothed(fit.linear, np.zeros_like(fit.linear.defect), fit.variances)
-            fit = again(side, fit, found.variances)
+            known = smoothed(fit.linear, np.zeros_like(fit.linear.defect), known).variances
+        fit = again(side, fit, known)
         step, size, own = newton_step(side, fit), 1.0, fit.point.calibration
         change = np.concatenate([step.values, step.calibration - own])
         while size > _SHORTEST:
