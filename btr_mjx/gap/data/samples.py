@@ -21,6 +21,9 @@ MAX_PARTS = 12
 
 _SIGNIFICANT = 6.0
 """Standard errors by which even times have to be better, and a lag has to differ from none."""
+_JITTER = 0.01, 0.5
+"""Smallest and largest rms distance between stamps and even times, in intervals: less is the resolution of the stamps,
+more is a clock whose rate changes."""
 _FOLLOWED = 0.1
 """Share by which a clock that counts samples is moved towards each time stamp."""
 _MIN_WINDOWS = 20
@@ -122,7 +125,9 @@ def even_times(time: np.ndarray, positions: np.ndarray) -> np.ndarray | None:
     for index in (np.arange(len(time)), _counted(time, float(np.median(steps)))):
         times = np.polyval(np.polyfit(index, time - time[0], 1), index) + time[0]
         found.append((float(np.std(times - time)), times))
-    times = min(found, key=lambda pair: pair[0])[1]
+    off, times = min(found, key=lambda pair: pair[0])
+    if not _JITTER[0] < off / float(np.median(steps)) < _JITTER[1]:
+        return None
     rows = np.arange(len(time) // order * order).reshape(-1, order)
     rough = np.array([np.einsum("ki,kic->kc", annihilator(x[rows]), positions[rows]) ** 2 for x in (time, times)])
     rough = rough[:, np.isfinite(rough).all(axis=(0, 2))]
