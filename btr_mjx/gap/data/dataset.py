@@ -96,6 +96,7 @@ class Dataset:
       noise: sensor noise as given; None if it must be estimated.
       notes: warnings of the loader, reported by preflight.
       inferred: text of the dataset.toml that was inferred from the logs; "" where there is one.
+      sources: names of columns in the logs, by name of the model; empty where they have the model's names.
     """
 
     folder: Path
@@ -109,6 +110,7 @@ class Dataset:
     noise: Noise | None = None
     notes: tuple[str, ...] = ()
     inferred: str = ""
+    sources: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def fit(self) -> tuple[Recording, ...]:
@@ -181,7 +183,8 @@ def load_table(
     groups = _without_lagging_velocities(groups, notes)
     parts = _split(groups, [row.get("split") for row in listed], str(path), whole)
     interpolation = head.interpolation if stated else _suitable_interpolation(parts, notes)
-    return replace(head, recordings=tuple(parts), notes=tuple(notes), interpolation=interpolation)
+    mended = replace(head, recordings=tuple(parts), notes=tuple(notes), interpolation=interpolation)
+    return replace(mended, sources=options.sources)
 
 
 def _without_lagging_velocities(groups: Sequence[Sequence[Recording]], notes: list[str]) -> list[list[Recording]]:

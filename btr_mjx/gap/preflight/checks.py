@@ -83,7 +83,7 @@ def refuse_errors(findings: Sequence[Finding]) -> None:
         first = errors[0]
         start = "fix the data first: " if first.topic in _FAULTS_OF_DATA else ""
         more = f" (and {len(errors) - 1} more errors: --check lists them)" if len(errors) > 1 else ""
-        raise InputError(f"{start}{first.message}{more}")
+        raise InputError(f"{start}{first.message}{more}", lines=first.lines)
 
 
 def _summary(dataset: Dataset) -> list[str]:
