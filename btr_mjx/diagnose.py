@@ -157,7 +157,10 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
                 dataset, findings = examine(run.path / "demo", library, config.signal, config.progress)
                 stop.checkpoint()
             print_findings(findings)
-            rows = [dataclasses.asdict(f) | {"evidence": json.dumps(dict(f.evidence))} for f in findings]
+            rows = [
+                dataclasses.asdict(f) | {"evidence": json.dumps(dict(f.evidence)), "lines": "\n".join(f.lines)}
+                for f in findings
+            ]
             write_table(run.path / "preflight.csv", rows)
             if inferred := getattr(dataset, "inferred", ""):
                 with atomic_write(run.path / "dataset.toml") as file:

@@ -322,7 +322,7 @@ def test_check_writes_nothing_and_prints_findings(
     diagnose.main([str(folder), "--check", "--json"])
     answer = json.loads(capsys.readouterr().out)
     assert answer["usable"]
-    assert {"level", "topic", "message", "remedy", "evidence"} == set(answer["findings"][0])
+    assert {"level", "topic", "message", "remedy", "evidence", "lines"} == set(answer["findings"][0])
     assert not searches
     assert sorted(tmp_path.rglob("*")) == before
 

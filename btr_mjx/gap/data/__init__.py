@@ -5,10 +5,11 @@
 deviation of the sensor noise. `save_dataset` writes one.
 """
 
-from btr_mjx.gap.data.columns import control_columns, read_columns
+from btr_mjx.gap.data.columns import control_columns, read_columns, state_columns
 from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, load, noise_of, read_header
 from btr_mjx.gap.data.held import Held, bends, held, stairs
 from btr_mjx.gap.data.inferred import open_logs
+from btr_mjx.gap.data.names.remedy import Answer, quoted
 from btr_mjx.gap.data.noise import Noise, estimate_noise, reduced_noise
 from btr_mjx.gap.data.recording import Recording, make_recording
 from btr_mjx.gap.data.sources import open_dataset
@@ -17,6 +18,7 @@ from btr_mjx.gap.data.writing import DatasetDescription, Format, save_dataset
 
 __all__ = [
     "DATASET_FILE",
+    "Answer",
     "Dataset",
     "DatasetDescription",
     "Format",
@@ -35,9 +37,11 @@ __all__ = [
     "noise_of",
     "open_dataset",
     "open_logs",
+    "quoted",
     "read_columns",
     "read_header",
     "reduced_noise",
     "save_dataset",
     "stairs",
+    "state_columns",
 ]

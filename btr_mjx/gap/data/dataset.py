@@ -53,6 +53,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
+from btr_mjx.gap.data.columns import SUFFIXES
 from btr_mjx.gap.data.formats.ros_bag import TOPICS
 from btr_mjx.gap.data.held import bends, stairs
 from btr_mjx.gap.data.logs import LogOptions
@@ -63,6 +64,7 @@ from btr_mjx.gap.data.names.units import UNITS, known_unit
 from btr_mjx.gap.data.noise import Noise, estimate_noise, read_noise, without_sensor
 from btr_mjx.gap.data.reading import Reading, read_recording, recording_files
 from btr_mjx.gap.data.recording import Recording
+from btr_mjx.gap.data.samples import estimate_velocity, velocity_lag
 from btr_mjx.gap.data.splits import assign_splits, split_parts
 from btr_mjx.models import PathParameter, part_names, read_path_parameter
 from btr_mjx.runs import check_keys, file_inside, is_number, read_toml, toml_rows, toml_section
@@ -94,6 +96,7 @@ class Dataset:
       noise: sensor noise as given; None if it must be estimated.
       notes: warnings of the loader, reported by preflight.
       inferred: text of the dataset.toml that was inferred from the logs; "" where there is one.
+      sources: names of columns in the logs, by name of the model; empty where they have the model's names.
     """
 
     folder: Path
@@ -107,6 +110,7 @@ class Dataset:
     noise: Noise | None = None
     notes: tuple[str, ...] = ()
     inferred: str = ""
+    sources: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def fit(self) -> tuple[Recording, ...]:
@@ -176,9 +180,40 @@ def load_table(
         for row, where, share in zip(listed, places, shares(rows), strict=True)
     ]
     whole = sum(rows) == 0 or all(share is None for share in shares(rows))
+    groups = _without_lagging_velocities(groups, notes)
     parts = _split(groups, [row.get("split") for row in listed], str(path), whole)
     interpolation = head.interpolation if stated else _suitable_interpolation(parts, notes)
-    return replace(head, recordings=tuple(parts), notes=tuple(notes), interpolation=interpolation)
+    mended = replace(head, recordings=tuple(parts), notes=tuple(notes), interpolation=interpolation)
+    return replace(mended, sources=options.sources)
+
+
+def _without_lagging_velocities(groups: Sequence[Sequence[Recording]], notes: list[str]) -> list[list[Recording]]:
+    """The recordings, with velocities of hinges and slides estimated where the measured ones lag the positions."""
+    model, lags = groups[0][0].model, dict[int, float]()
+    for joint, v in enumerate(model.jnt_dofadr.tolist()):
+        q = int(model.jnt_qposadr[joint])
+        tracks = [(r.time, r.qpos[:, q], r.qvel[:, v]) for group in groups for r in group if r.qvel_measured[v]]
+        if int(model.jnt_type[joint]) not in SUFFIXES and tracks and (lag := velocity_lag(tracks)):
+            lags[joint] = lag
+    if not lags:
+        return [list(group) for group in groups]
+    names = part_names(model, "joint")
+    for word, own in (("lag", [j for j in lags if lags[j] > 0]), ("lead", [j for j in lags if lags[j] < 0])):
+        if own:
+            size = 1e3 * np.abs([lags[j] for j in own])
+            apart = f" ({size.min():.3g} to {size.max():.3g} ms)" if len(own) > 1 else ""
+            notes.append(
+                f"velocities {word} the slope of the positions by {np.median(size):.3g} ms{apart}, as behind a filter: "
+                f"they are left out ({', '.join(names[j] for j in own)})"
+            )
+    dofs = model.jnt_dofadr[list(lags)]
+
+    def mended(one: Recording) -> Recording:
+        measured, qvel = one.qvel_measured.copy(), one.qvel.copy()
+        measured[dofs], qvel[:, dofs] = False, estimate_velocity(one.model, one.time, one.qpos)[:, dofs]
+        return replace(one, qvel=qvel, qvel_measured=measured)
+
+    return [[mended(one) for one in group] for group in groups]
 
 
 def _suitable_interpolation(recordings: Sequence[Recording], notes: list[str]) -> Interpolation:

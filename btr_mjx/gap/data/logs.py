@@ -40,6 +40,7 @@ class LogOptions:
       unmeasured: names of joints that are said to have no encoder.
       units: units by name in the log.
       answer: where a user says what columns are.
+      sources: filled with names of the log by name of the model when columns are matched.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -47,6 +48,7 @@ class LogOptions:
     unmeasured: Collection[str] = ()
     units: Mapping[str, str] = field(default_factory=dict)
     answer: Answer = NO_FILE
+    sources: dict[str, str] = field(default_factory=dict)
 
 
 def is_log(path: Path) -> bool:
@@ -178,6 +180,7 @@ def plan_tables(
     matched = match_columns(named, model, options.columns, where, options.answer, labelled=len(tables) > 1)
     check_matched(matched, named, model, where, options.unmeasured, options.answer)
     notes += matched.notes
+    options.sources.update({target: name for (_, name), target in matched.names.items()})
     plans = []
     for i, (_, names, units) in enumerate(tables):
         own = {name: target for (table, name), target in matched.names.items() if table == i}

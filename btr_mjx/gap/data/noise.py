@@ -102,7 +102,7 @@ def estimate_noise(model: mujoco.MjModel, tracks: Sequence[_Samples]) -> Noise:
     floor = np.full((2, model.nv), 1e-12)
     for time, q, v, measured in tracks:
         index = np.arange(len(time) - DIFFERENCE_ORDER)[:, None] + np.arange(DIFFERENCE_ORDER + 1)
-        weights = _annihilator(time[index])
+        weights = annihilator(time[index])
         moves = difference(
             model, q[index[:, DIFFERENCE_ORDER // 2]][:, None], q[index]
         )  # (N, DIFFERENCE_ORDER + 1, nv)
@@ -155,7 +155,7 @@ def reduced_noise(sigma: np.ndarray, channels: np.ndarray, residual: np.ndarray,
     return out
 
 
-def _annihilator(time: np.ndarray) -> np.ndarray:
+def annihilator(time: np.ndarray) -> np.ndarray:
     """Weights (N, n) of unit norm that annihilate every polynomial of degree below n - 1 at times (N, n)."""
     span = np.ptp(time, axis=1)[:, None, None]
     gaps = (time[:, :, None] - time[:, None, :]) / span

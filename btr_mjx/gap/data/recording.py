@@ -15,7 +15,14 @@ from btr_mjx.gap.data.clocks import on_one_clock
 from btr_mjx.gap.data.columns import check_names, control_columns, state_columns, ungroup_columns
 from btr_mjx.gap.data.held import fresh_rows
 from btr_mjx.gap.data.plausible import check_sizes, check_span
-from btr_mjx.gap.data.samples import check_time, complete_rows, estimate_velocity, normalise_quaternions, whole_parts
+from btr_mjx.gap.data.samples import (
+    check_time,
+    complete_rows,
+    estimate_velocity,
+    even_times,
+    normalise_quaternions,
+    whole_parts,
+)
 from btr_mjx.gap.data.unmeasured import estimate_motion, unmeasured_joints
 from btr_mjx.gap.data.wraps import unwrap_hinges
 from btr_mjx.models import part_names
@@ -116,7 +123,8 @@ def make_recordings(
       EmptyRecording: no part has `MIN_SAMPLES` samples.
     """
     notes: list[str] = []
-    merged, held = on_one_clock([ungroup_columns(table, model, where) for table in tables], model, hold, where, notes)
+    flat_tables = [_with_even_times(ungroup_columns(table, model, where), model, notes) for table in tables]
+    merged, held = on_one_clock(flat_tables, model, hold, where, notes)
     ignored = check_names(merged, model, where)
     unmeasured = unmeasured_joints(merged, model, where)
     notes += (
@@ -157,6 +165,19 @@ def make_recordings(
         )
         for i, part in enumerate(parts)
     ]
+
+
+def _with_even_times(table: dict[str, np.ndarray], model: mujoco.MjModel, notes: list[str]) -> dict[str, np.ndarray]:
+    """The table, with even times where its positions are smoother on these than on the time stamps."""
+    own = [table[name] for name in state_columns(model)[0] if name in table]
+    times = even_times(table["time"], np.stack(own, axis=1)) if own and "time" in table else None
+    if times is None:
+        return table
+    notes.append(
+        f"time stamps jitter by {1e3 * np.std(table['time'] - times):.1g} ms (rms): positions are smoother on an even "
+        "clock, whose times are used"
+    )
+    return table | {"time": times}
 
 
 def _recording(

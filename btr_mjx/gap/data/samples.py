@@ -1,4 +1,4 @@
-"""Cleaning of samples: missing values, time stamps, quaternions, estimation of velocities."""
+"""Cleaning of samples: missing values, time stamps, quaternions, velocities that lag, estimation of velocities."""
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
@@ -9,6 +9,7 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.clocks import CLOSE, usual_interval
 from btr_mjx.gap.data.columns import SUFFIXES
+from btr_mjx.gap.data.noise import DIFFERENCE_ORDER, annihilator
 from btr_mjx.models import difference, part_names
 
 MAX_MISSING_ROWS = 2
@@ -17,6 +18,16 @@ HALF_WIDTH = 3
 """Samples on either side that a velocity estimate uses."""
 MAX_PARTS = 12
 """Most parts of a recording that is split at holes; the longest are kept. Each costs the search a window."""
+
+_SIGNIFICANT = 6.0
+"""Standard errors by which even times have to be better, and a lag has to differ from none."""
+_JITTER = 0.01, 0.5
+"""Smallest and largest rms distance between stamps and even times, in intervals: less is the resolution of the stamps,
+more is a clock whose rate changes."""
+_FOLLOWED = 0.1
+"""Share by which a clock that counts samples is moved towards each time stamp."""
+_MIN_WINDOWS = 20
+"""Fewest stretches that can decide on one of the two."""
 
 
 def complete_rows(flat: Mapping[str, np.ndarray], needed: Sequence[str], where: str, notes: list[str]) -> np.ndarray:
@@ -94,6 +105,86 @@ def check_time(time: np.ndarray, where: str, first_row: int = 0) -> None:
             f"{where}: time {what} from {time[row]:.9g} to {time[row + 1]:.9g} s in row {first_row + row + 2}; it has "
             "to increase: sort the rows and drop duplicates"
         )
+
+
+def even_times(time: np.ndarray, positions: np.ndarray) -> np.ndarray | None:
+    """Even times, where positions are smoother as functions of these than of their time stamps.
+
+    Args:
+      time: (K,) time stamps [s].
+      positions: (K, n).
+
+    Returns:
+      (K,) the even times nearest to the stamps; samples may be lost in between. None where the stamps fit better, or
+      where the two cannot be told apart.
+    """
+    steps, order = np.diff(time), DIFFERENCE_ORDER + 1
+    if not np.isfinite(time).all() or len(time) < _MIN_WINDOWS * order or (steps <= 0).any():
+        return None
+    found = []
+    for index in (np.arange(len(time)), _counted(time, float(np.median(steps)))):
+        times = np.polyval(np.polyfit(index, time - time[0], 1), index) + time[0]
+        found.append((float(np.std(times - time)), times))
+    off, times = min(found, key=lambda pair: pair[0])
+    if not _JITTER[0] < off / float(np.median(steps)) < _JITTER[1]:
+        return None
+    rows = np.arange(len(time) // order * order).reshape(-1, order)
+    rough = np.array([np.einsum("ki,kic->kc", annihilator(x[rows]), positions[rows]) ** 2 for x in (time, times)])
+    rough = rough[:, np.isfinite(rough).all(axis=(0, 2))]
+    if rough.shape[1] < _MIN_WINDOWS:
+        return None
+    size = rough.mean(axis=(0, 1))
+    stamped, even = (rough[:, :, size > 0] / size[size > 0]).sum(axis=2)
+    own = (stamped > 0) & (even > 0) & (stamped != even)
+    gain = np.log(stamped[own] / even[own])
+    if len(gain) < _MIN_WINDOWS or np.mean(gain) < _SIGNIFICANT * np.std(gain) / np.sqrt(len(gain)):
+        return None
+    return times
+
+
+def _counted(time: np.ndarray, interval: float) -> np.ndarray:
+    """Numbers (K,) of samples, some of which were lost, by a clock that slowly follows the time stamps."""
+    index, clock = np.zeros(len(time), int), float(time[0])
+    for k in range(1, len(time)):
+        count = round((float(time[k]) - clock) / interval)
+        clock += count * interval
+        clock += _FOLLOWED * (float(time[k]) - clock)
+        index[k] = index[k - 1] + count
+    # A stamp that is late by more than half an interval is not a lost sample: the next one is not late as well.
+    lost = np.minimum.accumulate((index - np.arange(len(time)))[::-1])[::-1]
+    return np.arange(len(time)) + lost
+
+
+def velocity_lag(tracks: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> float:
+    """Time by which the measured velocity of a hinge or slide lags the slope of its positions.
+
+    A velocity v that went through a low-pass of the first order with time constant T satisfies q' = v + T v', so that a
+    displacement is the integral of v plus T times the change of v; a delay by T does so nearly.
+
+    Args:
+      tracks: times (K,) [s], positions (K,) and velocities (K,) of each recording.
+
+    Returns:
+      T [s], negative for a lead; 0 where it is within one sampling interval or cannot be told from none: half an
+      interval, or half a time step of the simulation, is usual.
+    """
+    interval = float(np.median(np.concatenate([np.diff(time) for time, _, _ in tracks])))
+    best, lag = 0.0, 0.0
+    for length in 2 ** np.arange(1, 12):
+        rows = []
+        for time, position, velocity in tracks:
+            integral = np.cumsum([0, *(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time))])
+            rows.append(np.stack([np.diff(x[::length]) for x in (position, integral, velocity)], axis=1))
+        moved, *columns = np.concatenate(rows).T
+        matrix = np.stack(columns, axis=1)
+        if len(moved) < _MIN_WINDOWS or np.linalg.matrix_rank(matrix) < 2:
+            break
+        (scale, late), left = np.linalg.lstsq(matrix, moved)[:2]
+        error = np.sqrt(left[0] / (len(moved) - 2) * np.linalg.inv(matrix.T @ matrix)[1, 1])
+        strength = abs(late) / max(float(error), 1e-300)
+        if 0.5 < scale < 2 and strength > max(best, _SIGNIFICANT):
+            best, lag = strength, float(late / scale)
+    return lag if abs(lag) > interval else 0.0
 
 
 def normalise_quaternions(qpos: np.ndarray, model: mujoco.MjModel, where: str) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import joint_of
 from btr_mjx.gap.preflight.findings import DEGREES_REMEDY
+from btr_mjx.gap.preflight.orders import joint_orders
 from btr_mjx.gap.preflight.predictions import Change, ColumnMap, CoordinateGroup
 from btr_mjx.models import part_names
 
@@ -24,6 +25,9 @@ _PLAUSIBLE_LENGTH = 3.0
 
 _SWAP_JOINTS = 8
 """Joints, those with the largest errors, of which every pair is tried as swapped."""
+
+_ORDER_JOINTS = 3
+"""Fewest joints that are predicted badly for which other orders of all joints are tried."""
 
 _TICKS = 4096
 """Encoder counts a turn that are common (Dynamixel X, AS5600)."""
@@ -82,6 +86,8 @@ class Catalogue:
                 signs = list(self._signs(g))
                 out += signs if g in scalar else [a for a in signs if a.elsewhere]
                 out += [*self._units(g), *self._nuisances(g)]
+        if len(scalar) >= _ORDER_JOINTS:
+            out += self._orders()
         for g, h in combinations(scalar[:_SWAP_JOINTS], 2):
             out += self._swaps(g, h)
         return out
@@ -205,6 +211,27 @@ class Catalogue:
             )
             words = f"joints {names[0]} and {names[1]} are swapped in positions and commands"
             yield Alternative(Change(qpos, ctrl), (g, h), words, "exchange all their columns", "order")
+
+    def _orders(self) -> Iterator[Alternative]:
+        """Other orders of all hinges and slides: of numbered columns, or of names that were given to them."""
+        groups = {group.joint: g for g, group in enumerate(self._groups)}
+        own = [j for j in groups if int(self._model.jnt_type[j]) in (_HINGE, _SLIDE)]
+        single = {j: drives[0] for j, drives in self._drives.items() if len(drives) == 1 and j in own}
+        driven = sorted(single, key=lambda j: single[j])
+        for words, order in joint_orders(self._model, own, driven):
+            qpos, ctrl = self._no_qpos(), self._no_ctrl()
+            qpos.source[self._model.jnt_qposadr[order]] = self._model.jnt_qposadr[own]
+            ctrl.source[[single[j] for j in order if j in single]] = [single[j] for j in driven]
+            moved = tuple(groups[j] for j, k in zip(order, own, strict=True) if j != k)
+            turned = tuple(groups[j] for j, k in zip((j for j in order if j in single), driven, strict=True) if j != k)
+            for what, change, concerned in (
+                ("positions and commands", Change(qpos, ctrl), {*moved, *turned}),
+                ("positions", Change(qpos, self._no_ctrl()), set(moved)),
+                ("commands", Change(self._no_qpos(), ctrl), set(turned)),
+            ):
+                if concerned and ((moved and turned) or what != "positions and commands"):
+                    said = f"columns of {what} are in another order than the joints of the model, {words}"
+                    yield Alternative(change, tuple(sorted(concerned)), said, "name them in [columns]", "orders")
 
     def _whole_robot(self) -> Iterator[Alternative]:
         """Units of all joints at once."""

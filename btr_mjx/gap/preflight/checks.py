@@ -50,7 +50,9 @@ def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Fi
     noise = noise_of(dataset)
     joints = joint_tracks(dataset)
     findings = [Finding("note", "data", line) for line in _summary(dataset)]
-    findings += [Finding("warning" if "unknown key" in line else "note", "loading", line) for line in dataset.notes]
+    for line in dataset.notes:
+        odd = "unknown key" in line or "they are left out" in line
+        findings.append(Finding("warning" if odd else "note", "loading", line))
     for line in dict.fromkeys(note for recording in dataset.recordings for note in recording.notes):
         names = [r.name for r in dataset.recordings if line in r.notes]
         level: Level = "warning" if line.startswith("joints without an encoder") else "note"
@@ -81,7 +83,7 @@ def refuse_errors(findings: Sequence[Finding]) -> None:
         first = errors[0]
         start = "fix the data first: " if first.topic in _FAULTS_OF_DATA else ""
         more = f" (and {len(errors) - 1} more errors: --check lists them)" if len(errors) > 1 else ""
-        raise InputError(f"{start}{first.message}{more}")
+        raise InputError(f"{start}{first.message}{more}", lines=first.lines)
 
 
 def _summary(dataset: Dataset) -> list[str]:

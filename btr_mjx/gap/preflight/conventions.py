@@ -14,6 +14,7 @@ from btr_mjx.gap.data import Dataset, Noise
 from btr_mjx.gap.preflight.alternatives import Alternative, Catalogue
 from btr_mjx.gap.preflight.comparison import Comparison, compare
 from btr_mjx.gap.preflight.findings import Finding
+from btr_mjx.gap.preflight.orders import column_lines
 from btr_mjx.gap.preflight.predictions import Change, Predictor
 
 STRETCHES = 32
@@ -62,6 +63,7 @@ def position_conventions(dataset: Dataset, noise: Noise) -> list[Finding]:
             f"{fault.found.words()}; {fault.alternative.remedy}{fault.as_well}",
             fault.alternative.remedy,
             fault.found.evidence(),
+            column_lines(dataset, fault.alternative.change) if fault.alternative.topic == "orders" else (),
         )
         for fault in faults
     ]
@@ -95,8 +97,10 @@ def _screened(screen: Predictor, applied: Change, tried: Sequence[Alternative]) 
     errors = screen.errors([applied, *(a.change.after(applied) for a in tried)])
     every = range(errors.shape[2])
     gains = [_gain(errors[0], errors[i + 1], every if a.elsewhere else a.groups) for i, a in enumerate(tried)]
-    ranked = [tried[i] for i in np.argsort(gains, kind="stable")[::-1] if gains[i] > 0 and not tried[i].nuisance]
-    kept = ranked[:_SCREENED]
+    ranked = [int(i) for i in np.argsort(gains, kind="stable")[::-1] if gains[i] > 0 and not tried[i].nuisance]
+    orders = [i for i in ranked if tried[i].topic == "orders"]  # many may be nearly alike
+    kept = [tried[i] for i in ranked if i not in orders][:_SCREENED]
+    kept += [tried[i] for i in sorted(orders) if gains[i] > 0.5 * gains[orders[0]]]
     groups = {g for a in kept for g in a.groups}
     return kept + [a for a in tried if a.nuisance and set(a.groups) & groups]
 
@@ -117,6 +121,7 @@ def _gain(now: np.ndarray, other: np.ndarray, groups: Sequence[int]) -> float:
 def _best(tried: Sequence[Alternative], now: np.ndarray, errors: np.ndarray) -> tuple[int, _Fault] | None:
     """The decisive alternative with the smallest error over all groups, and its index."""
     decisive: list[tuple[float, int, _Fault]] = []
+    every = range(now.shape[1])
     for i, alternative in enumerate(tried):
         if alternative.nuisance:
             continue
@@ -124,7 +129,7 @@ def _best(tried: Sequence[Alternative], now: np.ndarray, errors: np.ndarray) -> 
         found = compare(_typical(now, own), _typical(errors[i], own))
         if not (alternative.elsewhere or found.significant):
             continue
-        judged = range(now.shape[1]) if alternative.elsewhere else own
+        judged = every if alternative.elsewhere else own
         rivals = [errors[k] for k, a in enumerate(tried) if a.nuisance and set(a.groups) & set(own)]
         if not all(_beats(_typical(errors[i], judged), _typical(rival, judged)) for rival in rivals):
             continue
@@ -138,6 +143,10 @@ def _best(tried: Sequence[Alternative], now: np.ndarray, errors: np.ndarray) -> 
         return None
     decisive.sort(key=lambda entry: entry[0])
     _, index, fault = decisive[0]
+    if fault.alternative.topic == "orders":  # of orders that predict equally well, the first, which is the simplest
+        for _, k, simpler in sorted((d for d in decisive if d[2].alternative.topic == "orders"), key=lambda d: d[1]):
+            if not compare(_typical(errors[k], every), _typical(errors[index], every)).significant:
+                return k, simpler
     if len(decisive) > 1:
         other = decisive[1][2]
         if fault.found.after**2 > 0.5 * other.found.after**2 and other.alternative.groups == fault.alternative.groups:

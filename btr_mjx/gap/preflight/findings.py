@@ -20,6 +20,7 @@ class Finding:
       message: one line of text, with the evidence and the remedy.
       remedy: what to change, where one change mends it; "" otherwise.
       evidence: numbers behind it, by name.
+      lines: what to write into dataset.toml, where that takes more than the message.
     """
 
     level: Level
@@ -27,6 +28,7 @@ class Finding:
     message: str
     remedy: str = ""
     evidence: Mapping[str, float] = field(default_factory=dict)
+    lines: tuple[str, ...] = ()
 
 
 def listed(names: Sequence[str]) -> str:

@@ -16,6 +16,8 @@ def print_findings(findings: Sequence[Finding]) -> None:
     for finding in findings:
         mark = "" if finding.level == "note" else f"{finding.level}: "
         print(textwrap.fill(f"{mark}{finding.message}", 110, initial_indent="  - ", subsequent_indent="    "))
+        if finding.lines:
+            print("\n" + "\n".join(finding.lines) + "\n")
     print(flush=True)
 
 

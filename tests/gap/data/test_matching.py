@@ -78,6 +78,17 @@ def test_numbers_are_taken_in_the_order_of_the_model_and_said() -> None:
     assert sum("order of the model" in note for note in matched.notes) == 3
 
 
+def test_a_prefix_between_quantity_and_joint_does_not_count() -> None:
+    model = mujoco.MjModel.from_xml_string(ARM.replace('"shoulder"', '"joint1"').replace('"elbow"', '"joint2"'))
+    kinds = {"position": "qpos", "velocity": "qvel", "command": "ctrl"}
+    for form in ("{}/lbr_joint{}", "/states/{}/lbr_joint{}", "lbr_joint{1}/{0}"):
+        columns = [form.format(kind, i) for kind in (*kinds, "temperature") for i in (1, 2)]
+        expected = {form.format(kind, i): f"{of}/joint{i}" for kind, of in kinds.items() for i in (1, 2)}
+        assert names_of(["time", *columns], model) == {"time": "time", **expected}
+        two_robots = [*columns, form.format("position", 1).replace("lbr", "old")]
+        assert names_of(["time", *two_robots], model) == {"time": "time"}
+
+
 def test_numbers_of_joints_win_over_their_order() -> None:
     model = mujoco.MjModel.from_xml_string(ARM.replace('"shoulder"', '"joint2"').replace('"elbow"', '"joint1"'))
     assert names_of(["t", "q1", "q2"], model) == {"t": "time", "q1": "qpos/joint1", "q2": "qpos/joint2"}

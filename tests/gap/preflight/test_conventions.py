@@ -203,6 +203,21 @@ def test_a_constant_delay_is_not_a_drift() -> None:
     assert errors(planted(SOUND["arm"], late)) == []
 
 
+@pytest.mark.parametrize("slower", [False, True])
+def test_a_delay_that_follows_the_motion_is_not_a_drift(slower: bool) -> None:
+    """Friction and damping that the model lacks, in a sweep of frequency on one clock."""
+
+    def sweep(times: np.ndarray) -> np.ndarray:
+        since = 12 - times if slower else times
+        return np.sin(2 * since + 10 / 24 * since**2)[:, None] * [0.6, 0.5, 0.5]
+
+    def rough(model: mujoco.MjModel) -> None:
+        model.dof_damping *= 3
+        friction(model)
+
+    assert errors(dataset(ARM, [log(ARM, sweep, i, seconds=12.0, rate=200, edit=rough) for i in range(2)])) == []
+
+
 def test_chances_are_those_of_sign_test_and_t_test() -> None:
     from scipy.stats import binomtest, ttest_1samp
 

@@ -17,6 +17,7 @@ from btr_mjx.gap.data.names.one_column import (
     Candidates,
     aliases_of,
     common_words,
+    joint_prefix,
     match_numbers,
     match_one,
     sensor_columns,
@@ -75,6 +76,7 @@ def match_columns(
     names: dict[tuple[int, str], str] = {}
     for i, (label, columns) in enumerate(tables):
         common = common_words([c for c in columns if c not in exact])
+        prefix = joint_prefix([c for c in columns if c not in exact], aliases)
         for column in columns:
             if column in given:
                 names[i, column] = given[column]
@@ -83,7 +85,7 @@ def match_columns(
             elif words(stated_unit(column)[0]) in sensors:
                 finds.ranked[sensors[words(stated_unit(column)[0])]].append((3, i, column))
             elif column.split("/", 1)[0] not in ("qpos", "qvel", "ctrl", "force"):  # a misspelt name stays an error
-                match_one(i, column, words(label) if labelled else (), common, aliases, model, finds)
+                match_one(i, column, words(label) if labelled else (), common, prefix, aliases, model, finds)
         _match_time(i, columns, names, notes)
     taken = {names[key] for key in names}
     match_numbers(model, finds, taken, notes)

@@ -42,6 +42,17 @@ def common_words(columns: Sequence[str]) -> Words:
     return tuple(common)
 
 
+def joint_prefix(columns: Sequence[str], aliases: "Aliases") -> Words:
+    """Words before the name of a joint in all parts of paths that end with one: lbr in "position/lbr_joint1"."""
+    found: set[Words] = set()
+    for column in columns:
+        for part in map(words, stated_unit(column)[0].split("/") if "/" in column else ()):
+            ends = [len(form) for form in aliases if part[-len(form) :] == form]
+            if ends:
+                found.add(part[: len(part) - max(ends)])
+    return found.pop() if len(found) == 1 else ()
+
+
 Aliases = Mapping[Words, tuple[str | None, str | None]]
 """Joint and actuator by words that name them."""
 
@@ -92,12 +103,22 @@ def _unique(forms: Mapping[str, set[Words]]) -> dict[Words, str]:
 
 
 def match_one(
-    i: int, column: str, label: Words, common: Words, aliases: Aliases, model: mujoco.MjModel, finds: Candidates
+    i: int,
+    column: str,
+    label: Words,
+    common: Words,
+    prefix: Words,
+    aliases: Aliases,
+    model: mujoco.MjModel,
+    finds: Candidates,
 ) -> None:
     """Add a column to the candidates of the column of the model that it may be."""
     said = words(stated_unit(column)[0])
     if _named_by(said, aliases, model) is None and said[: len(common)] == common:
         said = said[len(common) :]
+    for at in range(len(said) - len(prefix) if prefix else 0):
+        if _named_by(said, aliases, model) is None and said[at : at + len(prefix)] == prefix:
+            said = said[:at] + said[at + len(prefix) :]
     if _named_by(said, aliases, model) is None and column.startswith("/") and column.count("/") > 2:
         space = words(column.split("/")[1])  # of a topic: the robot's, e.g. in /arm/commands/data.0
         said = said[len(space) :] if said[: len(space)] == space and not _speaks(space) else said

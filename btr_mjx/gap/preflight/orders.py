@@ -1,0 +1,108 @@
+"""Orders in which programs list the joints of a robot, and the lines of dataset.toml that say so."""
+
+from collections.abc import Iterator, Sequence
+from itertools import permutations
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.data import DATASET_FILE, Answer, Dataset, control_columns, quoted, state_columns
+from btr_mjx.gap.preflight.predictions import Change
+from btr_mjx.models import part_names
+
+_MAX_LIMBS = 4
+"""Most limbs of which every order is tried."""
+
+
+def joint_orders(
+    model: mujoco.MjModel, joints: Sequence[int], driven: Sequence[int]
+) -> Iterator[tuple[str, list[int]]]:
+    """Orders that logs may have instead of the model's, the usual ones first.
+
+    Args:
+      model: the model.
+      joints: ids of its hinges and slides.
+      driven: the driven ones, in the order of their actuators.
+
+    Yields:
+      Words, and the ids of `joints` in another order than theirs, or in theirs where that is not the order of `driven`.
+    """
+    names, parent = part_names(model, "joint"), _parents(model, joints)
+    depth = {j: sum(1 for _ in _above(j, parent)) for j in joints}
+    found = [
+        ("level by level (breadth first)", sorted(joints, key=lambda j: depth[j])),
+        ("in that of the actuators", [*driven, *(j for j in joints if j not in driven)]),
+        ("in that of the alphabet", sorted(joints, key=lambda j: names[j])),
+        ("in that of the model", list(joints)),
+    ]
+    limbs = _limbs(joints, parent)
+    for order in permutations(limbs) if len(limbs) <= _MAX_LIMBS else ():
+        if [len(limb) for limb in order] == [len(limb) for limb in limbs]:
+            first = [j for j in joints if not any(j in limb for limb in limbs)]
+            whole = [*first, *(j for limb in order for j in limb)]
+            found.append(("limb by limb", whole))
+            found.append(("level by level", sorted(whole, key=lambda j: depth[j])))
+    seen = [] if list(driven) != [j for j in joints if j in driven] else [list(joints)]
+    for words, one in found:
+        if one not in seen:
+            seen.append(one)
+            listed = ", ".join(names[j] for j in one[:8]) + (", ..." if len(one) > 8 else "")
+            yield f"{words}: {listed}", one
+
+
+def column_lines(dataset: Dataset, change: Change) -> tuple[str, ...]:
+    """What to write into dataset.toml where columns have another order, and to run then.
+
+    Args:
+      dataset: the dataset.
+      change: of the order of positions, with which velocities go, and of commands, with which forces go.
+
+    Returns:
+      Lines; none where columns have no names of their own in the logs.
+    """
+    model, sources = dataset.model, dataset.sources
+    positions, velocities = state_columns(model)
+    controls = control_columns(model)
+    owner = dict(zip(model.jnt_qposadr.tolist(), model.jnt_dofadr.tolist(), strict=True))
+    pairs: list[tuple[str, str]] = []
+    for columns, source in ((positions, change.qpos.source), (controls, change.ctrl.source)):
+        if (source != np.arange(len(source))).any():
+            pairs += [(columns[k], columns[i]) for i, k in enumerate(source)]
+    measured = np.any([r.qvel_measured for r in dataset.recordings], axis=0)
+    known = set(sources) if sources else {velocities[v] for v in np.flatnonzero(measured)}
+    for i, k in enumerate(change.qpos.source):
+        if i in owner and k in owner and any(new == positions[i] for _, new in pairs):
+            pairs += [(velocities[owner[k]], velocities[owner[i]])] if velocities[owner[k]] in known else []
+    pairs += [(f"force/{old[5:]}", f"force/{new[5:]}") for old, new in pairs if f"force/{old[5:]}" in sources]
+    named = [(sources.get(old, "" if sources else old), new) for old, new in pairs]
+    if not all(old for old, _ in named):
+        return ()
+    head = "\n".join(line for line in dataset.inferred.splitlines() if not line.startswith("#"))
+    lines = [f"{quoted(old)} = {quoted(new)}" for old, new in named if old != new]
+    return Answer(dataset.folder / DATASET_FILE, head.strip()).error("", lines).lines
+
+
+def _parents(model: mujoco.MjModel, joints: Sequence[int]) -> dict[int, int | None]:
+    """The joint before each one on the way to the world."""
+    last: dict[int, int] = {}
+    out: dict[int, int | None] = {}
+    for j in joints:  # joints of a model are in the order of its bodies, parents first
+        body = int(model.jnt_bodyid[j])
+        while body and body not in last:
+            body = int(model.body_parentid[body])
+        out[j] = last.get(body)
+        last[int(model.jnt_bodyid[j])] = j
+    return out
+
+
+def _above(joint: int | None, parent: dict[int, int | None]) -> Iterator[int]:
+    while joint is not None and (joint := parent[joint]) is not None:
+        yield joint
+
+
+def _limbs(joints: Sequence[int], parent: dict[int, int | None]) -> list[list[int]]:
+    """The joints of each limb, from the first branching on."""
+    root: int | None = None
+    while len(heads := [j for j in joints if parent[j] == root]) == 1:
+        root = heads[0]
+    return [[j for j in joints if j == head or head in _above(j, parent)] for head in heads]
