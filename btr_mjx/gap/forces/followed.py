@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from btr_mjx.gap.forces.points import ForceSide, Point
 from btr_mjx.gap.forces.unknowns import Library
@@ -26,8 +25,8 @@ _LONGER = 4.0
 _FOLLOWS = 0.1
 """Error in units of the motion's standard deviation, up to which a simulation follows a recording."""
 
-_EVALUATIONS = 4
-"""Evaluations of a horizon, beside those of derivatives."""
+_STEPS = 3
+"""Gauss-Newton steps over a horizon, at most."""
 
 _SAMPLES = 40_000
 """Samples of a horizon's simulations, at most."""
@@ -105,21 +104,17 @@ def _nearest(
         own = (errors / np.sqrt(errors.shape[2])).reshape(len(many), -1)
         return np.concatenate([own, (np.array(many) - start) @ root.T], 1)
 
-    def slopes(values: np.ndarray) -> np.ndarray:
-        steps = np.diag(np.where(values + step <= high, step, -step))
-        moved = residuals([values, *(values + steps)])
-        return ((moved[1:] - moved[0]) / np.diag(steps)[:, None]).T
-
-    found = scipy.optimize.least_squares(
-        lambda values: residuals([values])[0],
-        np.clip(start, low, high),
-        slopes,
-        bounds=(low, high),
-        x_scale=np.sqrt(np.diag(covariance)),
-        max_nfev=_EVALUATIONS,
-        ftol=1e-2,
-    )
-    return point.moved(found.x - start, point.calibration), np.linalg.inv(found.jac.T @ found.jac)
+    at, own = start, residuals([start])[0]
+    steps = np.diag(np.where(start + step <= high, step, -step))
+    slopes = ((residuals(start + steps) - own) / np.diag(steps)[:, None]).T
+    # One set of derivatives serves all steps: numbers move by little.
+    for _ in range(_STEPS):
+        trial_at = np.clip(at - np.linalg.lstsq(slopes, own)[0], low, high)
+        after = residuals([trial_at])[0]
+        if not after @ after < own @ own:
+            break
+        at, own = trial_at, after
+    return point.moved(at - start, point.calibration), np.linalg.inv(slopes.T @ slopes)
 
 
 def cut_horizons(data: PreparedData, horizon: float) -> Horizon:

@@ -37,9 +37,6 @@ _TOUCHES = 0.01
 _LARGE = 0.1
 """Random force of a joint, in units of the force that its actuators usually have, that is no calibration."""
 
-_MORE = 4.0
-"""Stretches behind the numbers that are reported, in units of those of the search."""
-
 _SEEN = 0.3
 """Smallest number that is named, in units of the step at which its effect is clearly visible."""
 
@@ -137,21 +134,20 @@ def identify_forces(
     confirmed = _confirmed(test, chain)
     progress("numbers")
     marginal = confirmed[-1]
-    many = _with_more_data(prepared, side, base)
-    ends = [_refitted(many, fit) for fit in (confirmed[0], marginal)]
+    ends = [_refitted(side, fit) for fit in (confirmed[0], marginal)]
     if seen := _visible(ends[1].point.named):
         if len(seen) < len(ends[1].point.named):
             marginal, ends[1] = (
                 settled(side, replace(marginal.point, named=seen), marginal.variances),
-                _refitted(many, replace(ends[1], point=replace(ends[1].point, named=seen))),
+                _refitted(side, replace(ends[1], point=replace(ends[1].point, named=seen))),
             )
     else:
         confirmed, ends[1] = confirmed[:1], ends[0]
     if ends[1].point.named:
         spread = covariance(side, marginal)
-        point = followed(many, ends[1].point, spread, side.library)
+        point = followed(side, ends[1].point, spread, side.library)
         ends[1] = evaluate_point(
-            many, point, replace(ends[1].variances, weight=None), stretches=ends[1].linear.stretches
+            side, point, replace(ends[1].variances, weight=None), stretches=ends[1].linear.stretches
         )
     # Calibration counts here, as in windows: what is missing is what it cannot explain.
     both = confirmed[0], marginal if len(confirmed) > 1 else confirmed[0]
@@ -171,17 +167,6 @@ def _confirmed(test: ForceSide, chain: Sequence[Fitted]) -> list[Fitted]:
         before = own
         out.append(fit)
     return out
-
-
-def _with_more_data(prepared: PreparedForces, side: ForceSide, base: Hypothesis) -> ForceSide:
-    """The recordings to fit with more stretches, and the columns of what stays free beside named effects."""
-    stretches = spread_stretches(prepared.fit, _MORE)
-    free = [c for c, known in zip(side.library.calibrated, _known(side), strict=True) if not known]
-    used = sorted({column for entry in free for own in entry.columns for column in own})
-    columns = np.zeros((len(stretches), stretches.intervals, len(stretches.seen), len(side.library.numbers)))
-    numbers = [side.library.numbers[column] for column in used]
-    columns[..., used] = responses(stretches, base, numbers, side.counter)
-    return ForceSide(stretches, side.library, columns, side.counter)
 
 
 def _known(side: ForceSide) -> np.ndarray:
