@@ -117,3 +117,12 @@ def shortened(stretches: Stretches, count: int, intervals: int) -> Stretches:
         for name in ("time", "measured_q", "measured_v", "act", "qpos", "qvel")
     }
     return replace(stretches, recording=stretches.recording[:count], **own)
+
+
+def exact_stretch(recording: Recording, first: int, count: int) -> Stretches:
+    """One stretch of so many intervals, around what was measured."""
+    data = prepare([recording], "cubic", SIGMA, Span(5, 6))
+    own = slice(first, first + count + 1)
+    time, q, v = (x[None, own] for x in (recording.time, recording.qpos, recording.qvel))
+    act = np.zeros((1, count + 1, 0))
+    return Stretches(data, np.zeros(1, int), time, q, v, act, q, v, np.ones(4, bool), SIGMA)
