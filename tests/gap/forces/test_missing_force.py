@@ -1,0 +1,106 @@
+"""The missing force of recordings against the force that pushed them, and drives against those that were planted."""
+
+import mujoco
+import numpy as np
+import pytest
+from gap_arm import LIBRARY, arm
+from gap_forces import arm_stretches, believed, exact_stretch, moved_arm
+from gap_models import one
+
+from btr_mjx.gap.forces.missing_force import MissingForce, drives, missing_force
+
+
+def exact(**how) -> MissingForce:
+    recording = moved_arm("r", 3, noise=0.0, seconds=1.2, step=2e-5, **how)
+    return missing_force(exact_stretch(recording, 20, 215), believed())
+
+
+MIDDLES = 0.1 + 0.005 * (np.arange(215) + 0.5)
+
+
+def test_the_force_that_pushed_is_found():
+    def force(q: np.ndarray, v: np.ndarray, t: float) -> np.ndarray:
+        return np.array([0.4 * np.sin(5 * t), -0.1])
+
+    found = exact(force=force)
+    nothing = exact()
+    np.testing.assert_allclose(found.force[0, :, 0], 0.4 * np.sin(5 * MIDDLES), atol=0.02)
+    np.testing.assert_allclose(found.force[0, :, 1], -0.1, atol=0.01)
+    assert np.abs(nothing.force).max() < 0.02
+    assert np.abs(nothing.actuator).max() > 1.0
+
+
+def test_forces_of_actuators_and_motion_are_those_of_the_middle_of_an_interval():
+    """The servo is known in closed form: kp (u - q) - kv v."""
+    recording = moved_arm("r", 3, noise=0.0, seconds=1.2, step=2e-5)
+    own = exact_stretch(recording, 20, 215)
+    found = missing_force(own, believed())
+    command = own.data.commands[0].at(MIDDLES)
+    position, velocity = (0.5 * (x[0, 1:] + x[0, :-1]) for x in (own.qpos, own.qvel))
+    np.testing.assert_allclose(found.velocity[0], velocity, atol=1e-9)
+    np.testing.assert_allclose(found.acceleration[0], np.diff(own.qvel[0], axis=0) / 0.005, atol=1e-6)
+    servo = np.array([20, 10]) * (command - position) - np.array([0.5, 0.2]) * velocity
+    np.testing.assert_allclose(found.actuator[0], servo, atol=5e-3)
+
+
+def test_what_a_hypothesis_knows_is_not_missing():
+    def damped(model: mujoco.MjModel) -> None:
+        model.dof_damping[1] += 0.1
+
+    recording = moved_arm("r", 3, change=damped, noise=0.0, seconds=1.2, step=2e-5)
+    own = exact_stretch(recording, 20, 215)
+    damping = one(arm(), "viscous_damping@joint:elbow", LIBRARY)
+    knows = missing_force(own, believed().with_effect(damping, [0.1]))
+    lacks = missing_force(own, believed())
+    assert np.abs(knows.force).max() < 0.02
+    np.testing.assert_allclose(lacks.force[..., 1], -0.1 * lacks.velocity[..., 1], atol=0.02)
+
+
+PLANTED = np.array([[0.2, 0.1], [0.08, 0.04], [0.01, 0.005], [0.15, -0.05]])
+"""Dry friction, damping, rotor inertia and an offset, at both joints."""
+
+
+def missing_drives(model: mujoco.MjModel) -> None:
+    model.dof_frictionloss[:] += PLANTED[0]
+    model.dof_damping[:] += PLANTED[1]
+    model.dof_armature[:] += PLANTED[2]
+
+
+def test_drives_are_found_again():
+    recordings = [
+        moved_arm(f"r{i}", i, change=missing_drives, force=lambda q, v, t: PLANTED[3], noise=0.1, seconds=1.5)
+        for i in range(3)
+    ]
+    found, share = drives(missing_force(arm_stretches(recordings), believed()))
+    np.testing.assert_allclose(found, PLANTED, rtol=0.1, atol=0.003)
+    assert (share > 0.95).all()
+
+
+def test_drives_explain_nothing_where_nothing_is_missing():
+    rng = np.random.default_rng(0)
+    recordings = [moved_arm(f"r{i}", i, noise=0.1, seconds=1.5) for i in range(2)]
+    plain = missing_force(arm_stretches(recordings), believed())
+    found, _ = drives(plain)
+    assert (np.abs(found) < 0.05 * np.abs(PLANTED)).all()
+    noise = MissingForce(rng.standard_normal(plain.force.shape), plain.actuator, plain.velocity, plain.acceleration)
+    assert (drives(noise)[1] < 0.05).all()
+
+
+@pytest.mark.parametrize("row", range(4))
+def test_each_drive_alone_is_told_from_the_others(row):
+    """In a force made of it along a motion; friction, damping and inertia are never negative."""
+    motion = exact()
+    one_of = [
+        -np.sign(motion.velocity),
+        -motion.velocity,
+        -motion.acceleration,
+        np.ones_like(motion.velocity),
+    ][row] * PLANTED[row]
+    own = MissingForce(one_of, motion.actuator, motion.velocity, motion.acceleration)
+    found, share = drives(own)
+    np.testing.assert_allclose(found[row], PLANTED[row], rtol=0.05)
+    others = np.delete(found / PLANTED, row, 0)
+    assert np.abs(others).max() < 0.1
+    assert (share > 0.95).all()
+    against = drives(MissingForce(-one_of, motion.actuator, motion.velocity, motion.acceleration))[0]
+    assert (against[:3] >= 0).all()
