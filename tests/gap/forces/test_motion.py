@@ -12,7 +12,7 @@ from gap_models import one
 
 from btr_mjx.gap.forces.motion import FreeNumber, Linearised, ends, linearise_motion, responses, time_step
 from btr_mjx.gap.forces.stretches import Stretches
-from btr_mjx.gap.simulate import Counter
+from btr_mjx.gap.simulate import Counter, World
 
 FINE = 1e-5
 
@@ -174,7 +174,7 @@ def test_no_interval_diverges_however_wrong_the_model(stretches):
     """Simulations start at measured states: gains a thousand times too large leave finite, if large, defects."""
 
     def wild(model):
-        world = believed()(model)
+        world = World.of(model)
         world.model.actuator_gainprm[:, 0] *= -1e3
         world.model.actuator_biasprm[:, 1] *= -1e3
         return world
