@@ -229,7 +229,7 @@ def _inverse_inertia(stretches: Stretches, make: MakeWorld) -> np.ndarray:
     count, nv = stretches.intervals, stretches.qvel.shape[-1]
     out = np.empty((len(stretches), count, nv, nv))
     for s, r in enumerate(stretches.recording):
-        model = make(stretches.data.recordings[r].model).model
+        model = make(stretches.data.recordings[r].model).update_constants()
         data, full = mujoco.MjData(model), np.zeros((nv, nv))
         for k in range(count):
             data.qpos[:] = stretches.qpos[s, k]
