@@ -7,7 +7,9 @@ from gap_arm import LIBRARY, arm
 from gap_forces import arm_stretches, believed, exact_stretch, moved_arm
 from gap_models import one
 
+from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.forces.missing_force import MissingForce, drives, missing_force
+from btr_mjx.gap.simulate import Segments, simulate
 
 
 def exact(**how) -> MissingForce:
@@ -54,6 +56,39 @@ def test_what_a_hypothesis_knows_is_not_missing():
     lacks = missing_force(own, believed())
     assert np.abs(knows.force).max() < 0.02
     np.testing.assert_allclose(lacks.force[..., 1], -0.1 * lacks.velocity[..., 1], atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("gravity_compensation@world", (0.5,)),
+        ("constant_force@body:lower", (1.5, 0.0, -0.8)),
+        ("payload@body:lower", (0.2,)),
+        ("joint_offset@joint:elbow", (0.08,)),
+        ("offset_torque@joint:shoulder", (0.3,)),
+    ],
+)
+def test_a_hypothesis_that_is_simulated_lacks_nothing(name, value):
+    """Of motions of a hypothesis, whatever kind of effect it has, inverse dynamics leaves nothing."""
+    plain = exact_stretch(moved_arm("r", 3, noise=0.0, seconds=1.2, step=2e-5), 20, 100)
+    effect = one(arm(), name, EFFECTS)
+    values = tuple(value[: len(effect.parameters)]) + tuple(effect.null[len(value) :])
+    hypothesis = believed().with_effect(effect, values)
+    segments = Segments(
+        plain.time[:, 0],
+        plain.qpos[:, 0],
+        plain.qvel[:, 0],
+        plain.time - plain.time[:, :1],
+        plain.data.commands,
+        plain.recording,
+    )
+    (states,) = simulate([(hypothesis(plain.data.recordings[0].model), segments)], timestep=5e-5)
+    own = plain.about(states[..., :2], states[..., 2:])
+    # A hypothesis that was not simulated yet, as others may be.
+    found = missing_force(own, believed().with_effect(effect, values))
+    lacking = missing_force(own, believed())
+    assert np.abs(lacking.force[:, 1:]).max() > 0.1
+    assert np.abs(found.force[:, 1:]).max() < 0.15 * np.abs(lacking.force[:, 1:]).max()
 
 
 PLANTED = np.array([[0.2, 0.1], [0.08, 0.04], [0.01, 0.005], [0.15, -0.05]])
