@@ -7,12 +7,18 @@ from gap_arm import LIBRARY, SIGMA, arm, damped
 from gap_forces import arm_side, arm_stretches, believed, moved_arm
 from gap_models import one
 
+from btr_mjx.gap.effects import Hypothesis, candidates
 from btr_mjx.gap.forces.filtering import smoothed
 from btr_mjx.gap.forces.held_out import held_out, horizon_errors, is_better
+from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.motion import FreeNumber, responses
-from btr_mjx.gap.forces.points import Point, again, evaluate_point, newton_step, settled
+from btr_mjx.gap.forces.points import ForceSide, Point, again, evaluate_point, newton_step, settled
 from btr_mjx.gap.forces.scan import price
 from btr_mjx.gap.forces.search import first_variances, one_more, pruned, shortlist, start
+from btr_mjx.gap.forces.unknowns import library_of
+from btr_mjx.gap.simulate import Counter
+from btr_mjx.gap.windows import scales_of
+from btr_mjx.models import PathParameter
 
 EFFECTS = tuple(e for e in LIBRARY if e.name in ("viscous_damping", "armature", "actuator_gain"))
 
@@ -85,12 +91,29 @@ def test_a_settled_fit_is_the_largest_likelihood(sides, named):
     """The next step is small beside its uncertainty, and any other value is worse in true simulation."""
     side = sides[0]
     step = newton_step(side, named)
-    spread = 1 / np.sqrt(named.whitened.gram.sum(0)[1, 1])
-    assert np.abs(step.values[0]) < 2 * spread
+    assert np.abs(step.values[0]) < np.sqrt(covariance(side, named)[0, 0])
     value = named.point.named[0][1][0]
     for other in (0.5 * value, 1.5 * value):
         moved = named.point.moved(np.array([other - value]), named.point.calibration)
         assert evaluate_point(side, moved, named.variances, named).loss > named.loss + 10
+
+
+def test_a_number_is_worth_the_same_by_another_name(sides, named):
+    """Damping that is refitted as part of the believed model explains as much as damping that is named."""
+    side = sides[0]
+    model = side.stretches.data.recordings[0].model
+    refitted = (PathParameter("elbow damping", ("joint:elbow/damping",), 0.0, 1.0),)
+    base = Hypothesis(refitted, (0.05,))
+    library = library_of(candidates(model, scales_of(side.stretches.data), EFFECTS), model, refitted, {}, 0.005)
+    columns = responses(side.stretches, base, library.numbers)
+    other = start(ForceSide(side.stretches, library, columns, Counter()), base)
+    assert other.loss == pytest.approx(named.loss, abs=10)
+    assert 0.05 + other.point.calibration[-1] == pytest.approx(0.15, rel=0.05)
+
+
+def test_what_is_settled_stays(sides, named, null):
+    for fit in (named, null):
+        assert settled(sides[0], fit.point, fit.variances).loss == pytest.approx(fit.loss, abs=10)
 
 
 def test_noise_and_forces_come_right(sides, named, null):
