@@ -73,7 +73,7 @@ def test_ninety_percent_of_intervals_hold_the_truth(columns):
     rng = np.random.default_rng(4)
     few, inside = columns[:20], []
     inverse = np.linalg.inv(information(few))
-    for _ in range(300):
+    for _ in range(150):
         calibration = TOLERANCE[0] * rng.standard_normal()
         noise = rng.standard_normal((20, ROWS)) + few[..., 2] * calibration
         found = -(inverse @ np.einsum("snc,sn->c", few, noise))

@@ -13,7 +13,7 @@ from btr_mjx.gap.simulate import Segments, simulate
 
 
 def exact(**how) -> MissingForce:
-    recording = moved_arm("r", 3, noise=0.0, seconds=1.2, step=2e-5, **how)
+    recording = moved_arm("r", 3, noise=0.0, seconds=1.2, step=5e-5, **how)
     return missing_force(exact_stretch(recording, 20, 215), believed())
 
 
@@ -34,7 +34,7 @@ def test_the_force_that_pushed_is_found():
 
 def test_forces_of_actuators_and_motion_are_those_of_the_middle_of_an_interval():
     """The servo is known in closed form: kp (u - q) - kv v."""
-    recording = moved_arm("r", 3, noise=0.0, seconds=1.2, step=2e-5)
+    recording = moved_arm("r", 3, noise=0.0, seconds=1.2, step=5e-5)
     own = exact_stretch(recording, 20, 215)
     found = missing_force(own, believed())
     command = own.data.commands[0].at(MIDDLES)
@@ -49,7 +49,7 @@ def test_what_a_hypothesis_knows_is_not_missing():
     def damped(model: mujoco.MjModel) -> None:
         model.dof_damping[1] += 0.1
 
-    recording = moved_arm("r", 3, change=damped, noise=0.0, seconds=1.2, step=2e-5)
+    recording = moved_arm("r", 3, change=damped, noise=0.0, seconds=1.2, step=5e-5)
     own = exact_stretch(recording, 20, 215)
     damping = one(arm(), "viscous_damping@joint:elbow", LIBRARY)
     knows = missing_force(own, believed().with_effect(damping, [0.1]))
@@ -70,7 +70,7 @@ def test_what_a_hypothesis_knows_is_not_missing():
 )
 def test_a_hypothesis_that_is_simulated_lacks_nothing(name, value):
     """Of motions of a hypothesis, whatever kind of effect it has, inverse dynamics leaves nothing."""
-    plain = exact_stretch(moved_arm("r", 3, noise=0.0, seconds=1.2, step=2e-5), 20, 100)
+    plain = exact_stretch(moved_arm("r", 3, noise=0.0, seconds=1.2, step=5e-5), 20, 100)
     effect = one(arm(), name, EFFECTS)
     values = tuple(value[: len(effect.parameters)]) + tuple(effect.null[len(value) :])
     hypothesis = believed().with_effect(effect, values)

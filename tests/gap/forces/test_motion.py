@@ -14,7 +14,7 @@ from btr_mjx.gap.forces.motion import FreeNumber, Linearised, ends, linearise_mo
 from btr_mjx.gap.forces.stretches import Stretches
 from btr_mjx.gap.simulate import Counter, World
 
-FINE = 1e-5
+FINE = 2.5e-5
 
 COARSE = 2.5e-3
 """Time step of derivatives [s]."""

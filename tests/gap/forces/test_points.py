@@ -20,7 +20,7 @@ from btr_mjx.gap.simulate import Counter
 from btr_mjx.gap.windows import scales_of
 from btr_mjx.models import PathParameter
 
-EFFECTS = tuple(e for e in LIBRARY if e.name in ("viscous_damping", "armature", "actuator_gain"))
+EFFECTS = tuple(e for e in LIBRARY if e.name in ("viscous_damping", "actuator_gain"))
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def test_columns_of_groups_are_sums_of_those_of_members(sides):
     side = sides[0]
     entries = {e.candidate.name: e for e in side.library.entries}
     groups = [e for e in entries.values() if e.candidate.place.members and not e.candidate.place.parts]
-    assert {e.candidate.effect.name for e in groups} == {"viscous_damping", "armature", "actuator_gain"}
+    assert {e.candidate.effect.name for e in groups} == {"viscous_damping", "actuator_gain"}
     for entry in groups:
         (own,) = entry.columns
         members = [side.library.numbers[column] for column in own]

@@ -51,9 +51,8 @@ def test_what_a_force_follows_is_told(joint, of, follows):
     assert ("shoulder", "elbow")[joint] in words
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_a_robot_that_is_as_believed_follows_nothing(seed):
-    assert best_shape(*scene(None, seed)).score < 10
+def test_a_robot_that_is_as_believed_follows_nothing():
+    assert best_shape(*scene(None, 1)).score < 10
 
 
 def test_a_ripple_has_as_many_periods_as_the_force(monkeypatch):
