@@ -158,7 +158,9 @@ def _mounted(model: mujoco.MjModel) -> list[Place]:
 
 
 def _compensation(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("fraction", "1", -1.0, 1.5, 0.05),)
+    # MuJoCo leaves out what is negative.
+    least = float(model.body_gravcomp[model.body_weldid != 0].min())
+    return (Parameter("fraction", "1", min(0.0, -least), 1.5, 0.05),)
 
 
 def _apply_compensation(world: World, place: Place, values: np.ndarray) -> None:

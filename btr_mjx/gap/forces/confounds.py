@@ -41,7 +41,8 @@ def confounds_of(side: ForceSide, fit: Fitted) -> tuple[Confound, ...]:
         signature = np.zeros(len(rest))
         signature[first : first + len(values)] = np.array(values) - candidate.null
         first += len(values)
-        found: dict[str, Confound] = {}
+        # Of an effect the place with fewest numbers: more numbers always fit a little better.
+        found: dict[str, tuple[int, float, Confound]] = {}
         size = float(signature @ rest @ signature)
         for entry in entries:
             columns = np.pad(entry.design(c), ((0, p), (0, 0)))
@@ -56,8 +57,9 @@ def confounds_of(side: ForceSide, fit: Fitted) -> tuple[Confound, ...]:
             other = effect.removeprefix(BELIEVED) if is_believed else entry.candidate.name
             shown = other if is_believed else effect
             text = confound_sentence(shown, "" if is_believed else label, float(weights[0]), min(correlation, 1.0))
-            known = found.get(effect)
-            if known is None or (known.correlation or 0.0) < correlation:
-                found[effect] = Confound(candidate.name, other, min(correlation, 1.0), text)
-        out += sorted(found.values(), key=lambda f: -(f.correlation or 0.0))[:_LISTED]
+            rank = -len(entry.columns), correlation
+            if effect not in found or found[effect][:2] < rank:
+                found[effect] = (*rank, Confound(candidate.name, other, min(correlation, 1.0), text))
+        best = sorted(found.values(), key=lambda row: -row[1])[:_LISTED]
+        out += [confound for _, _, confound in best]
     return tuple(out)

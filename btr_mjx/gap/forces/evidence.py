@@ -11,8 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_FIXED = 8
-"""Times that unknowns beyond their bounds are fixed there."""
+_PATIENCE = 3
+"""Exchanges of all unknowns at once without progress, from which on one at a time is exchanged."""
+
+_EXCHANGES = 200
+"""Exchanges of unknowns with bounds, at most."""
 
 _RIDGE = 1e-10
 """Relative ridge of a normal matrix."""
@@ -93,18 +96,29 @@ def penalty(calibration: np.ndarray, prior: CalibrationPrior) -> float:
 
 
 def _bounded(normal: np.ndarray, target: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """Minimum of a quadratic within bounds: those beyond them are fixed, one after another."""
+    """Minimum of a convex quadratic within bounds, by block principal pivoting (Kostreva 1978; Judice and Pires 1994).
+
+    Unknowns beyond their bounds are fixed there, and those whose slope leads inwards are free again.
+    """
     low, high = bounds
-    fixed, values = np.zeros(len(target), bool), np.zeros(len(target))
-    for _ in range(_FIXED):
-        free = ~fixed
-        rest = target[free] - normal[np.ix_(free, fixed)] @ values[fixed]
-        values[free] = np.linalg.solve(_ridged(normal[np.ix_(free, free)]), rest)
-        outside = ((values < low) | (values > high)) & free
-        if not outside.any():
+    ridged, fixed = _ridged(normal), np.zeros(len(target), int)  # -1 at the lower bound, 1 at the upper one
+    fewest, patience, values = len(target) + 1, _PATIENCE, np.zeros(len(target))
+    for _ in range(_EXCHANGES):
+        free = fixed == 0
+        values = np.where(fixed < 0, low, np.where(fixed > 0, high, 0.0))
+        rest = target[free] - ridged[np.ix_(free, ~free)] @ values[~free]
+        values[free] = np.linalg.solve(ridged[np.ix_(free, free)], rest)
+        inwards = fixed * (ridged @ values - target) > 0
+        beyond = np.where(free, (values > high).astype(int) - (values < low), 0)
+        wrong = np.flatnonzero(inwards | (beyond != 0))
+        if not len(wrong):
             break
-        fixed |= outside
-        values = np.clip(values, low, high)
+        if len(wrong) < fewest:
+            fewest, patience = len(wrong), _PATIENCE
+        else:
+            patience -= 1
+        chosen = wrong if patience > 0 else wrong[-1:]
+        fixed[chosen] = beyond[chosen]
     return np.clip(values, low, high)
 
 

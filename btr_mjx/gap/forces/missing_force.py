@@ -15,7 +15,7 @@ from scipy.optimize import lsq_linear
 
 from btr_mjx.gap.effects import Hypothesis
 from btr_mjx.gap.forces.stretches import Stretches
-from btr_mjx.models import between
+from btr_mjx.models import between, integrate
 
 _SLOW = 0.05
 """Part of the usual speed below which dry friction is not at its full size."""
@@ -49,13 +49,13 @@ def missing_force(stretches: Stretches, base: Hypothesis) -> MissingForce:
     out = {name: np.empty(shape) for name in ("force", "actuator", "velocity", "acceleration")}
     for s, r in enumerate(stretches.recording):
         world = base(stretches.data.recordings[r].model)
-        model = world.model
+        model = world.update_constants()
         data = mujoco.MjData(model)
         command = world.command(stretches.data.commands[r])
         time = stretches.time[s]
         length = np.diff(time)
-        first = stretches.qpos[s, :-1], stretches.qvel[s, :-1]
-        last = stretches.qpos[s, 1:], stretches.qvel[s, 1:]
+        true = integrate(model, stretches.qpos[s], -world.offset)
+        first, last = (true[:-1], stretches.qvel[s, :-1]), (true[1:], stretches.qvel[s, 1:])
         middle = between(model, first, last, np.full(len(length), 0.5), float(np.median(length)))
         rate = (last[1] - first[1]) / length[:, None]
         controls = command.over_step(time[:-1], float(np.median(length)), 0.5)
@@ -65,10 +65,19 @@ def missing_force(stretches: Stretches, base: Hypothesis) -> MissingForce:
                 data.act[:] = stretches.act[s, k]
             mujoco.mj_inverse(model, data)
             mujoco.mj_fwdActuation(model, data)
-            out["force"][s, k] = data.qfrc_inverse - data.qfrc_actuator
+            out["force"][s, k] = data.qfrc_inverse - data.qfrc_actuator - _of_wrench(model, data, world.wrench)
             out["actuator"][s, k] = data.qfrc_actuator
             out["velocity"][s, k], out["acceleration"][s, k] = v, rate[k]
     return MissingForce(**out)
+
+
+def _of_wrench(model: mujoco.MjModel, data: mujoco.MjData, wrench: np.ndarray) -> np.ndarray:
+    """(nv,) generalised force of forces and torques (nbody, 6) on bodies."""
+    out = np.zeros(model.nv)
+    for body in np.flatnonzero(wrench.any(1)):
+        force, torque = wrench[body, :3, None], wrench[body, 3:, None]
+        mujoco.mj_applyFT(model, data, force, torque, data.xipos[body], body, out)
+    return out
 
 
 def drives(missing: MissingForce) -> tuple[np.ndarray, np.ndarray]:

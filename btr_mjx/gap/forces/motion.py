@@ -195,11 +195,14 @@ def _extrapolated(stretches: Stretches, make: MakeWorld, counter: Counter | None
 
 
 def time_step(model: mujoco.MjModel, interval: np.ndarray, factor: float = 1.0) -> float:
-    """The longest time step that divides the usual interval and is no longer than that of the model times a factor."""
+    """The longest time step that divides the usual interval and is no longer than that of the model times a factor.
+
+    Factors below 1 divide it once more: half a step is exactly that, as extrapolation needs it.
+    """
     usual = float(np.median(interval))
     own = float(model.opt.timestep)
-    longest = factor * own if factor <= 1 else max(own, min(factor * own, _LONGEST))
-    return usual / max(1, math.ceil(usual / longest - 1e-3))
+    longest = max(own, min(factor * own, _LONGEST))
+    return usual / max(1, math.ceil(usual / longest - 1e-3)) * min(factor, 1.0)
 
 
 def _minus(model: mujoco.MjModel, states: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -226,7 +229,7 @@ def _inverse_inertia(stretches: Stretches, make: MakeWorld) -> np.ndarray:
     count, nv = stretches.intervals, stretches.qvel.shape[-1]
     out = np.empty((len(stretches), count, nv, nv))
     for s, r in enumerate(stretches.recording):
-        model = make(stretches.data.recordings[r].model).model
+        model = make(stretches.data.recordings[r].model).update_constants()
         data, full = mujoco.MjData(model), np.zeros((nv, nv))
         for k in range(count):
             data.qpos[:] = stretches.qpos[s, k]

@@ -1,0 +1,74 @@
+"""From recordings of the arm to a verdict: robots that are as believed, and robots that lack one thing."""
+
+import mujoco
+import numpy as np
+import pytest
+from gap_arm import LIBRARY
+from gap_forces import arm_dataset
+from gap_systems import SYSTEMS
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.forces import identify_forces, prepare_forces
+from btr_mjx.gap.results import Diagnosis
+from btr_mjx.gap.simulate import Counter
+
+OWN = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "dry_friction", "offset_torque", "actuator_gain"))
+
+
+def diagnosis(seed: int, fit: int = 2, test: int = 2, most: int = 1, **how) -> Diagnosis:
+    prepared = prepare_forces(arm_dataset(seed, fit, test, **how))
+    assert prepared is not None
+    return identify_forces(prepared, OWN, most, lambda _: None, Counter())
+
+
+@pytest.mark.parametrize("how", [{"jitter": 2e-4}, {"quantum": 2e-3, "noise": 0.0, "known": False}])
+def test_a_robot_that_is_as_believed_lacks_nothing(how):
+    """Whether time stamps are a little wrong, or encoders are coarse and velocities not measured at all."""
+    found = diagnosis(1, most=2, **how)
+    assert found.verdict == "none"
+    assert found.effects == ()
+    assert found.confounds == ()
+
+
+def test_friction_is_named_at_its_joint():
+    def sticky(model: mujoco.MjModel) -> None:
+        model.dof_frictionloss[0] = 0.25
+
+    found = diagnosis(2, change=sticky)
+    assert found.verdict == "effect"
+    assert [named.name for named in found.effects] == ["dry_friction@joint:shoulder"]
+    (own,) = found.effects[0].parameters.values()
+    assert own.value == pytest.approx(0.25, rel=0.1)
+    assert own.low <= own.value <= own.high
+    assert own.unit == "N m"
+    assert found.gap.after < found.gap.before
+    assert found.gap.open_loop_after < found.gap.open_loop_before
+    assert found.ranking[0].effect == "dry_friction"
+
+
+def test_an_offset_is_named_at_its_joint():
+    found = diagnosis(3, force=lambda q, v, t: np.array([0.0, -0.4]))
+    assert found.verdict == "effect"
+    assert [named.name for named in found.effects] == ["offset_torque@joint:elbow"]
+    (own,) = found.effects[0].parameters.values()
+    assert own.value == pytest.approx(-0.4, rel=0.05)
+
+
+def test_a_force_of_no_known_kind_is_not_named():
+    found = diagnosis(4, force=lambda q, v, t: np.array([0.6 * np.sin(8 * q[0] + 0.7), 0.0]))
+    assert found.verdict == "unexplained"
+    assert found.effects == ()
+    assert "shoulder" in " ".join(found.unexplained)
+
+
+def test_robots_that_touch_the_world_or_do_not_move_are_not_of_this_kind():
+    assert prepare_forces(SYSTEMS["toss"].dataset(1, 1)) is None
+    assert prepare_forces(SYSTEMS["torque control"].dataset(1, 1)) is not None
+    still = arm_dataset(5, 1, 1)
+    for recording in still.recordings:
+        recording.qpos[:] = 0.0
+    prepared = prepare_forces(still)
+    assert prepared is not None
+    with pytest.raises(InputError, match="does not move"):
+        identify_forces(prepared, LIBRARY, 1, lambda _: None, Counter())

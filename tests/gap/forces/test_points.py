@@ -1,0 +1,207 @@
+"""Columns of the library, and points whose numbers and variances are fitted to recordings of a known truth."""
+
+import mujoco
+import numpy as np
+import pytest
+from gap_arm import LIBRARY, SIGMA, arm, damped
+from gap_forces import arm_side, arm_stretches, believed, moved_arm
+from gap_models import one
+
+from btr_mjx.gap.effects import Hypothesis, candidates
+from btr_mjx.gap.forces.filtering import smoothed
+from btr_mjx.gap.forces.held_out import held_out, horizon_errors, is_better
+from btr_mjx.gap.forces.intervals import covariance
+from btr_mjx.gap.forces.motion import FreeNumber, responses
+from btr_mjx.gap.forces.points import ForceSide, Point, again, evaluate_point, newton_step, settled
+from btr_mjx.gap.forces.scan import price
+from btr_mjx.gap.forces.search import first_variances, one_more, pruned, shortlist, start
+from btr_mjx.gap.forces.unknowns import library_of
+from btr_mjx.gap.simulate import Counter
+from btr_mjx.gap.windows import scales_of
+from btr_mjx.models import PathParameter
+
+EFFECTS = tuple(e for e in LIBRARY if e.name in ("viscous_damping", "actuator_gain"))
+
+
+@pytest.fixture(scope="module")
+def sides():
+    """Recordings of an arm with more damping at the elbow: to fit, and held out."""
+    own = [[moved_arm(f"r{i}", i, change=damped) for i in pair] for pair in ((0, 1), (2, 3))]
+    return [arm_side(arm_stretches(recordings), EFFECTS) for recordings in own]
+
+
+@pytest.fixture(scope="module")
+def null(sides):
+    return start(sides[0], believed())
+
+
+def damping(side, value: float) -> Point:
+    candidate = one(arm(), "viscous_damping@joint:elbow", LIBRARY)
+    return Point(believed(), ((candidate, (value,)),), np.zeros(len(side.library.calibrated)))
+
+
+@pytest.fixture(scope="module")
+def named(sides, null):
+    return settled(sides[0], damping(sides[0], 0.02), null.variances)
+
+
+def test_columns_of_groups_are_sums_of_those_of_members(sides):
+    """Against the column of the group as an effect of its own."""
+    side = sides[0]
+    entries = {e.candidate.name: e for e in side.library.entries}
+    groups = [e for e in entries.values() if e.candidate.place.members and not e.candidate.place.parts]
+    assert {e.candidate.effect.name for e in groups} == {"viscous_damping", "actuator_gain"}
+    for entry in groups:
+        (own,) = entry.columns
+        members = [side.library.numbers[column] for column in own]
+        assert [m.candidate.place.label for m in members] == [*entry.candidate.place.members]
+        small = 0.01 * entry.candidate.parameters[0].step
+        numbers = [FreeNumber(m.candidate, 0, m.at, small) for m in members]
+        numbers.append(FreeNumber(entry.candidate, 0, tuple(entry.candidate.null), small))
+        found = responses(side.stretches, believed(), numbers)
+        np.testing.assert_allclose(
+            found[..., 0] + found[..., 1], found[..., 2], atol=0.01 * np.abs(found[..., 2]).max()
+        )
+        assert entry.design(len(side.library.numbers))[:, 0].sum() == 2
+        each = entries[entry.candidate.name.replace("@", "@each:")]
+        assert each.columns == tuple((column,) for column in own)
+
+
+def test_calibration_has_no_effect_where_it_is_zero_and_moves_the_model_where_it_is_not(sides):
+    side = sides[0]
+    model, plain = arm(), damping(side, 0.0)
+    labels = [e.candidate.name for e in side.library.calibrated]
+    calibration = np.zeros(len(labels))
+    calibration[labels.index("viscous_damping@joint:shoulder")] = 0.03
+    moved = plain.moved(np.array([0.2]), calibration)
+    world = moved.hypothesis(side.library)(model).model
+    np.testing.assert_allclose(world.dof_damping, [0.05 + 0.03, 0.05 + 0.2])
+    np.testing.assert_allclose(moved.hypothesis(side.library, without=0)(model).model.dof_damping, [0.08, 0.05])
+    np.testing.assert_allclose(plain.hypothesis(side.library)(model).model.dof_damping, [0.05, 0.05])
+    assert plain.moved(np.array([-5.0]), calibration).named[0][1][0] >= plain.named[0][0].parameters[0].low
+
+
+def test_damping_is_found_again(named, null):
+    (_, values), *_ = named.point.named
+    assert values[0] == pytest.approx(0.1, rel=0.1)
+    assert null.loss - named.loss > 100
+
+
+def test_a_settled_fit_is_the_largest_likelihood(sides, named):
+    """The next step is small beside its uncertainty, and any other value is worse in true simulation."""
+    side = sides[0]
+    step = newton_step(side, named)
+    assert np.abs(step.values[0]) < np.sqrt(covariance(side, named)[0, 0])
+    value = named.point.named[0][1][0]
+    for other in (0.5 * value, 1.5 * value):
+        moved = named.point.moved(np.array([other - value]), named.point.calibration)
+        assert evaluate_point(side, moved, named.variances, named).loss > named.loss + 10
+
+
+def test_a_number_is_worth_the_same_by_another_name(sides, named):
+    """Damping that is refitted as part of the believed model explains as much as damping that is named."""
+    side = sides[0]
+    model = side.stretches.data.recordings[0].model
+    refitted = (PathParameter("elbow damping", ("joint:elbow/damping",), 0.0, 1.0),)
+    base = Hypothesis(refitted, (0.05,))
+    library = library_of(candidates(model, scales_of(side.stretches.data), EFFECTS), model, refitted, {}, 0.005)
+    columns = responses(side.stretches, base, library.numbers)
+    other = start(ForceSide(side.stretches, library, columns, Counter()), base)
+    assert other.loss == pytest.approx(named.loss, abs=10)
+    assert 0.05 + other.point.calibration[-1] == pytest.approx(0.15, rel=0.05)
+
+
+def test_what_is_settled_stays(sides, named, null):
+    for fit in (named, null):
+        assert settled(sides[0], fit.point, fit.variances).loss == pytest.approx(fit.loss, abs=10)
+
+
+def test_noise_and_forces_come_right(sides, named, null):
+    """More updates of the variances alone lead to the noise that was added, to no force and to exact time stamps."""
+    fit, nothing = named, np.zeros_like(named.linear.defect)
+    for _ in range(80):
+        fit = again(sides[0], fit, smoothed(fit.linear, nothing, fit.variances).variances)
+    np.testing.assert_allclose(np.sqrt(fit.variances.sensor), SIGMA, rtol=0.1)
+    assert (np.sqrt(fit.variances.force) < 0.02 * np.sqrt(null.variances.force[1])).all()
+    assert np.sqrt(fit.variances.jitter) < 1e-4
+    assert fit.loss < named.loss
+    assert named.variances.force[1] < 0.1 * null.variances.force[1]
+
+
+def test_derivatives_at_a_point_are_those_of_its_hypothesis(sides, named):
+    fit = evaluate_point(sides[0], named.point, named.variances)
+    candidate, values = named.point.named[0]
+    side = sides[0]
+    calibrated = Point(believed(), (), named.point.calibration).hypothesis(side.library)
+    number = FreeNumber(candidate, 0, values, 0.2 * candidate.parameters[0].step)
+    expected = responses(fit.linear.stretches, calibrated, [number])[..., 0]
+    np.testing.assert_allclose(fit.columns[..., 0], expected, rtol=1e-6, atol=1e-9)
+
+
+def test_one_more_effect_is_the_true_one_and_stays(sides, null):
+    found = one_more(sides[0], null)
+    best = found.finalists[0][1]
+    assert found.leads[0].candidate.effect.name == "viscous_damping"
+    assert next(c.name for c, _ in best.point.named).startswith("viscous_damping")
+    left = pruned(sides[0], best, null)
+    assert [c.name for c, _ in left.point.named] == ["viscous_damping@joint:elbow"]
+    assert found.finalists[0][0] == pytest.approx(
+        null.loss
+        - best.loss
+        - price(
+            best.point.numbers,
+            null.whitened.count * len(sides[0].stretches),
+            len({e.candidate.name for e in sides[0].library.entries}),
+        )
+    )
+    assert len(shortlist(found.leads)) <= 3
+
+
+def test_what_does_not_pay_is_pruned(sides, named, null):
+    extra = one(arm(), "armature@joint:shoulder", LIBRARY)
+    point = Point(believed(), (*named.point.named, (extra, (1e-3,))), named.point.calibration)
+    left = pruned(sides[0], settled(sides[0], point, named.variances), null)
+    assert [c.name for c, _ in left.point.named] == ["viscous_damping@joint:elbow"]
+
+
+def test_held_out_recordings_bear_out_the_truth_only(sides, named, null):
+    test = sides[1]
+    before, after = (held_out(test, fit.point, fit.variances) for fit in (null, named))
+    wrong = held_out(test, damping(test, 0.6), named.variances)
+    assert before.loss.shape == (len(test.stretches),)
+    assert is_better(before, after)
+    assert not is_better(after, before)
+    assert not is_better(after, after)
+    assert not is_better(after, wrong)
+    assert after.chi2.mean() == pytest.approx(1, abs=0.15)
+    assert before.chi2.mean() > 1.3 * after.chi2.mean()
+
+
+def test_predictions_over_a_horizon_are_those_of_plain_simulations(sides):
+    stretches = sides[1].stretches
+    truth = believed().with_effect(one(arm(), "viscous_damping@joint:elbow", LIBRARY), [0.1])
+    (lacking, right), steady = horizon_errors(stretches, [believed(), truth], horizon=0.05)
+    assert lacking.shape == right.shape == steady.shape
+    assert right[:, 1].mean() < 0.3 * lacking[:, 1].mean()
+    assert right.mean() < 0.1 * steady.mean()
+    model = arm()
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = stretches.qpos[0, 0], stretches.qvel[0, 0]
+    away, steps = [0.0], 2
+    first = stretches.time[0, 0]
+    for k in range(10):
+        for _ in range(steps):
+            data.ctrl[:] = stretches.data.commands[stretches.recording[0]].at(first + data.time)
+            model.opt.timestep = 0.005 / steps
+            mujoco.mj_step(model, data)
+        away.append(data.qpos[1] - stretches.measured_q[0, k + 1, 1])
+    away[0] = stretches.qpos[0, 0, 1] - stretches.measured_q[0, 0, 1]
+    assert lacking[0, 1] == pytest.approx(np.mean(np.square(away)), rel=0.1)
+
+
+def test_first_variances_are_of_the_size_of_what_is_missing(sides):
+    """Half of what damping takes at its usual speed, and nothing of the sort at the shoulder."""
+    side = sides[0]
+    force = np.sqrt(first_variances(side, believed()).force)
+    usual = 0.1 * np.median(np.abs(side.stretches.qvel[..., 1])) / 0.6745
+    assert 0.5 * usual < force[1] < 4 * usual
