@@ -1,6 +1,7 @@
 """Effects that are similar to effects of the library: other functions of the state at the same place.
 
-A hardening spring is similar to a stiffness, an elastic cord to a constant force. They are searched only if selected by name.
+A hardening spring is similar to a stiffness, an elastic cord to a constant force. They are searched only if selected
+by name.
 """
 
 from dataclasses import dataclass

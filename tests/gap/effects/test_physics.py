@@ -198,6 +198,23 @@ def test_payload_is_a_point_mass() -> None:
         np.testing.assert_allclose(world.model.dof_M0, expected.dof_M0, rtol=1e-4)
 
 
+def test_a_welded_body_may_be_taken_off() -> None:
+    base = load("quadruped")
+    candidate = one(base, "payload@body:head")
+    (mass,) = candidate.parameters
+    head = '<body name="head" pos="0.25 0 0.02"><geom type="sphere" size="0.05"/></body>'
+    expected = mujoco.MjModel.from_xml_string(QUADRUPED.replace(head, ""))
+    segments = windows(base)
+    world = candidate.apply(World.of(base), [mass.low])
+    found, without, plain = simulate([(w, segments) for w in (world, World.of(expected), World.of(base))])
+    assert mass.low == -base.body("head").mass[0]
+    assert not mass.at_edge(mass.low)
+    np.testing.assert_allclose(found, without, rtol=0, atol=1e-6)
+    assert np.abs(found - plain).max() > 1e-3
+    lighter = candidate.apply(World.of(base), [0.4 * mass.low]).model
+    np.testing.assert_allclose(lighter.body("head").inertia, 0.6 * base.body("head").inertia, rtol=1e-9)
+
+
 def test_link_length_equals_template_model() -> None:
     base = load("hexapod")
     for body, geoms, name, change in (("b9", ["b9", "foot0"], "bl_9", 0.06), ("b3", ["b3", "knee0"], "bl_3", -0.05)):
