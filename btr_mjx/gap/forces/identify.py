@@ -14,7 +14,7 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, noise_of
-from btr_mjx.gap.effects import Effect, Hypothesis, candidates, has_closed_loops
+from btr_mjx.gap.effects import Effect, Hypothesis, candidates, has_closed_loops, with_motors
 from btr_mjx.gap.forces.filtering import smoothed
 from btr_mjx.gap.forces.followed import followed
 from btr_mjx.gap.forces.held_out import HeldOut, held_out, horizon_errors, is_better
@@ -126,7 +126,7 @@ def identify_forces(
     stretches, other = spread_stretches(prepared.fit), spread_stretches(prepared.test)
     if not any(np.ptp(r.qpos, axis=0).max() > 0 for r in dataset.fit):
         raise InputError(f"{dataset.folder}: the robot does not move in any recording of split 'fit'")
-    possible = candidates(dataset.model, scales_of(prepared.fit), effects)
+    possible = candidates(dataset.model, scales_of(prepared.fit), with_motors(effects))
     interval = float(np.median(np.diff(dataset.fit[0].commands[0])))
     library = library_of(possible, dataset.model, dataset.parameters, dataset.tolerances, interval)
     columns = responses(stretches, base, library.numbers, counter)

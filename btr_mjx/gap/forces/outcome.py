@@ -169,7 +169,10 @@ def _named(found: SearchOutcome) -> tuple[NamedEffect, ...]:
 
 
 def _alike(of: SearchRound) -> tuple[str, ...]:
-    """Names of finalists that the data cannot tell from the best one, which comes first."""
+    """Names of finalists that the data cannot tell from the best one, which comes first.
+
+    What every drive has is tried as several effects together: none of them alone is an alternative.
+    """
     if not of.finalists:
         return ()
     best = of.finalists[0][0]
@@ -178,7 +181,7 @@ def _alike(of: SearchRound) -> tuple[str, ...]:
     for score, fit in of.finalists:
         if score > 0 and best - score <= ALIKE:
             new = [name for name in names(fit.point.named) if name not in given]
-            out += new if fit is of.finalists[0][1] or len(new) == 1 else []
+            out += new if len(new) == 1 else []
     return tuple(dict.fromkeys(out))
 
 

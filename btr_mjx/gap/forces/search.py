@@ -141,11 +141,10 @@ def one_more(side: ForceSide, fit: Fitted, needed: float = 0.0) -> SearchRound:
 
 def _tightened(side: ForceSide, fit: Fitted, lead: Scanned) -> tuple[float, ...]:
     """Values of a limit at the best of some sizes, by simulation: what it does is not linear."""
-    first = lead.candidate.parameters[0]
-    tightest = first.low if first.step < 0 else first.high
+    limits = [(p, p.low if p.step < 0 else p.high) for p in lead.candidate.parameters]
     tries = [lead.values]
     for share in LIMIT_SIZES:
-        tries.append((first.null + share * (tightest - first.null), *lead.values[1:]))
+        tries.append(tuple(p.null if p.shape else p.null + share * (tightest - p.null) for p, tightest in limits))
     named = [replace(fit.point, named=(*fit.point.named, (lead.candidate, values))) for values in tries]
     losses = [evaluate_point(side, point, fit.variances, fit).loss for point in named]
     return tries[int(np.argmin(losses))]
