@@ -16,8 +16,8 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, noise_of
 from btr_mjx.gap.effects import Effect, Hypothesis, candidates, has_closed_loops, with_motors
 from btr_mjx.gap.forces.filtering import smoothed
-from btr_mjx.gap.forces.followed import followed
 from btr_mjx.gap.forces.held_out import HeldOut, held_out, horizon_errors, is_better
+from btr_mjx.gap.forces.horizons import follow_horizons
 from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.missing_force import missing_force
 from btr_mjx.gap.forces.motion import responses
@@ -148,7 +148,7 @@ def identify_forces(
         confirmed, ends[1] = confirmed[:1], ends[0]
     if ends[1].point.named:
         spread = covariance(side, marginal)
-        point = followed(side, ends[1].point, spread, side.library)
+        point = follow_horizons(side, ends[1].point, spread, side.library)
         ends[1] = evaluate_point(
             side, point, replace(ends[1].variances, weight=None), stretches=ends[1].linear.stretches
         )
@@ -241,7 +241,7 @@ def _found(
     usual = np.sqrt((missing.actuator**2).mean((0, 1))) + np.sqrt((missing.force**2).mean((0, 1)))
     share = np.sqrt(last.variances.force) / np.maximum(usual, 1e-300)
     # Names with which the model predicts well stand, whatever is left at one joint.
-    large = (share > _LARGE) & (not (len(chain) > 1 and _predicts(*errors, steady)))
+    large = (share > _LARGE) & (not (len(chain) > 1 and _predicts(errors[0], errors[1], steady)))
     shape = best_shape(side, marginal, missing)
     gained = rounds[0].before.loss - marginal.loss
     if shape.score < max(_TOLD, _LEFT * gained):

@@ -47,7 +47,7 @@ class Horizon:
     target: tuple[np.ndarray, ...]
 
 
-def followed(side: ForceSide, point: Point, covariance: np.ndarray, library: Library) -> Point:
+def follow_horizons(side: ForceSide, point: Point, covariance: np.ndarray, library: Library) -> Point:
     """Move the numbers of named effects to where the model follows recordings best.
 
     Args:
