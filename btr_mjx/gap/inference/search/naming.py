@@ -159,4 +159,4 @@ def within_calibration(bench: Bench, judged: Judged) -> bool:
     refined = judged.refined
     residual = refined.residual + np.tensordot(back, refined.columns[-len(back) :], 1)
     within = bench.free(judged.sides[0], judged.hypothesis).profile(residual, bench.cut)
-    return bench.fall(within, judged.fits[0]) < THRESHOLD
+    return bool(bench.fall(within, judged.fits[0]) < THRESHOLD)
