@@ -36,8 +36,9 @@ _PER_WINDOW = (
 )
 """Attributes with one row per window."""
 
-_MAX_RESIDUAL = 1e4
-"""Residuals are clipped to this, in units of the noise; invalid states get this value."""
+_MAX_RESIDUAL = 1e8
+"""Residuals are clipped to this, in units of the noise; invalid states get this value. A bound that is reached by valid
+states makes constants of residuals, which starting states explain."""
 
 
 class Windows:

@@ -9,10 +9,13 @@ import pytest
 from gap_arm import LIBRARY, QUICK, dataset, recording
 
 from btr_mjx.gap.data import DatasetDescription, Recording, load, save_dataset
-from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.effects import EFFECTS, Candidate
 from btr_mjx.gap.inference import Bench, identify
 from btr_mjx.gap.inference.scoring.screening import screen
+from btr_mjx.gap.inference.search.naming import within_calibration
 from btr_mjx.gap.simulate import Command
+
+NAME = "viscous_damping@each:all"
 
 
 def test_each_joint_has_a_number_of_its_own() -> None:
@@ -118,3 +121,23 @@ def test_five_rotors_of_an_arm(tmp_path: Path) -> None:
     values = np.array([named.parameters[f"armature[j{i}]"].value for i in range(1, 6)])
     np.testing.assert_allclose(values, rotors - 0.01, rtol=0.01)
     assert found.gap.after < 1.1 * found.gap.nulls
+
+
+@pytest.mark.parametrize(("factors", "expected"), [((1.3, -0.5), True), ((0.3, 0.5), True), ((3.0, 0.5), False)])
+def test_members_a_little_beyond_calibration_are_no_name(factors: tuple[float, float], expected: bool) -> None:
+    """Sizes in units of the largest that is not called by name, of each joint."""
+
+    def believed() -> Candidate:
+        return next(c for c in Bench(dataset(seed=5), LIBRARY, QUICK).candidates if c.name == NAME)
+
+    most = [parameter.negligible for parameter in believed().parameters]
+
+    def damped(model: mujoco.MjModel) -> None:
+        model.dof_damping[:] += np.multiply(factors, most)
+
+    bench = Bench(dataset(damped, seed=5), LIBRARY, QUICK)
+    candidate = next(c for c in bench.candidates if c.name == NAME)
+    start = bench.started(bench.base, candidate, [np.multiply(factors, most)])
+    found = bench.refined(bench.fit, [start], [3], bench.reference[0])
+    (judged,) = bench.judge([start[0].replaced(found[0].values, False)], found, (bench.fit, bench.test))
+    assert within_calibration(bench, judged) is expected

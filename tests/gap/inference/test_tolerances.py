@@ -1,13 +1,19 @@
 """What is fitted along with every hypothesis: tolerances, and the time step that data have of their own."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from gap_arm import arm_windows, dataset
+from gap_arm import LIBRARY as ALL
+from gap_arm import QUICK, SIGMA, arm, arm_windows, dataset, recording
 
+from btr_mjx.gap.data import Noise
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.inference import Bench
 from btr_mjx.gap.inference.scoring.refine import Nuisance
-from btr_mjx.gap.simulate import World
+from btr_mjx.gap.inference.search.naming import THRESHOLD
+from btr_mjx.gap.inference.verdict.identify import name_missing
+from btr_mjx.gap.simulate import Command, World
 from btr_mjx.gap.windows import Options, project, step_uncertainty
 
 LIBRARY = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "joint_offset", "actuator_gain"))
@@ -48,3 +54,25 @@ def test_an_effect_is_fitted_without_a_tolerance_of_its_own(bench: Bench, name: 
         np.testing.assert_allclose(found.values[rest], expected.values, atol=0.05)
         assert abs(found.values[own]) < 0.1
         assert usual.profile(residual, bench.cut).loss < expected.loss
+
+
+@pytest.mark.parametrize(("early", "verdict"), [(-1e-4, "none"), (5e-3, "effect")], ids=["within a step", "late"])
+def test_when_commands_act_within_a_step_of_the_data_is_calibration(early: float, verdict: str) -> None:
+    """Without the tolerance the small shift scores 120."""
+
+    def arrive(sent: Command, time: np.ndarray) -> np.ndarray:
+        return sent.at(time - early)
+
+    noise = 0.3
+    believed = arm()
+    recordings = tuple(
+        recording(f"r{i}", None, i, "fit" if i < 3 else "test", noise, believed, duration=0.7, arrive=arrive)
+        for i in range(5)
+    )
+    data = replace(dataset(fit=1, test=1), recordings=recordings, noise=Noise(noise * SIGMA[:2], noise * SIGMA[2:]))
+    found = name_missing(Bench(data, ALL, QUICK))
+    assert found.verdict == verdict
+    assert [named.name for named in found.effects] == (["actuator_delay@all"] if verdict == "effect" else [])
+    assert (found.ranking[0].score > THRESHOLD) == (verdict == "effect")
+    for named in found.effects:
+        assert named.parameters["delay"].value == pytest.approx(early, rel=0.03)

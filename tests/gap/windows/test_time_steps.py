@@ -1,12 +1,13 @@
 """The time step of residuals, and its correction."""
 
+import mujoco
 import numpy as np
 import pytest
 from gap_arm import SIGMA, arm, recording
 
 from btr_mjx.gap.simulate import Counter, World, simulate
 from btr_mjx.gap.windows import Span, Windows, linearise, prepare, project
-from btr_mjx.gap.windows.time_steps import choose_time_step
+from btr_mjx.gap.windows.time_steps import choose_time_step, step_error
 
 
 def short_steps(step=5e-4, sigma=5 * SIGMA, first=(10, 150), k=30):
@@ -27,6 +28,29 @@ def test_longer_step_gives_the_same_corrected_residual() -> None:
     plain = project(windows.whiten(windows.base), windows.basis)
     assert np.linalg.norm(plain - exact) > 1.0  # the correction is not negligible
     assert np.linalg.norm(windows.residual - exact) < 0.03 * np.linalg.norm(plain - exact)
+
+
+@pytest.mark.parametrize(
+    "integrator", [mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_IMPLICITFAST], ids=["Euler", "implicit"]
+)
+def test_corrected_velocities_are_of_second_order(integrator: mujoco.mjtIntegrator) -> None:
+    """Those of semi-implicit steps belong to half a step before; the correction moves them to where data have them."""
+    plain, corrected = [], []
+    for step in (4e-3, 2e-3, 1e-3):
+        model = arm()
+        model.opt.timestep, model.opt.integrator = step, integrator
+        data = prepare([recording("r", seed=3, believed=model)], "cubic", SIGMA, Span(5, 6))
+        windows = Windows(data, np.zeros(2, int), np.array([10, 150]), 30, Counter())
+        base, exact = (windows.states([World.of], timestep=t)[0] for t in (step, 1e-4))
+        windows.step = step
+        off = windows.whiten(base) - windows.whiten(exact)
+        errors = (e.reshape(2, 31, 4)[..., 2:] for e in (off, off + step_error(windows, World.of, base)))
+        for sizes, error in zip((plain, corrected), errors, strict=True):
+            sizes.append(np.sqrt((error**2).mean()))
+    assert plain[-1] > 1.0
+    np.testing.assert_allclose(np.divide(plain[:-1], plain[1:]), 2.0, rtol=0.15)
+    assert (np.divide(corrected[:-1], corrected[1:]) > 3.0).all()
+    assert corrected[-1] < 0.02 * plain[-1]
 
 
 def test_longer_step_halves_the_cost() -> None:

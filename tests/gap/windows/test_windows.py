@@ -66,6 +66,20 @@ def test_residual_of_the_true_model_is_noise(windows):
     assert np.all((chi2 > 0.6) & (chi2 < 1.5))
 
 
+@pytest.mark.parametrize("quieter", [1.0, 1e-4, 1e-5])
+def test_residual_of_a_model_far_away_does_not_depend_on_the_noise(quieter):
+    """In its own units: residuals that stop growing would look like an error of the starting state."""
+
+    def other(model):
+        model.body_mass[:] *= 3.0
+        model.actuator_gainprm[:, 0] *= 0.3
+
+    data = prepare([recording(f"r{i}", other, seed=i) for i in range(2)], "cubic", quieter * SIGMA, Span(5, 6))
+    windows = Windows(data, np.array([0, 0, 1, 1]), np.array([10, 150, 20, 200]), 30)
+    linearise(windows, World.of)
+    assert quieter * np.sqrt((windows.residual**2).mean()) == pytest.approx(264.0, rel=0.02)
+
+
 def test_residual_of_long_windows_is_free_of_step_error(windows):
     """The residual is that of steps of 1.25e-4 s, although steps of 5e-4 s are simulated."""
     long = Windows(windows.data, np.array([0, 1]), np.array([10, 20]), 230)

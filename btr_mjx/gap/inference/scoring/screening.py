@@ -16,7 +16,12 @@ _SHAPES_CONTACT = frozenset({"geom_pos", "geom_quat", "geom_size", "body_pos", "
 _SHAPES_CONTACT |= {"geom_friction", "geom_solref", "geom_solimp", "geom_margin"}
 
 FIRST_TOLERANCE = 1
-"""Column of `nuisances` from which on those of single places stand, in the order of their entries."""
+"""Column of `nuisances` from which on those of candidates stand, in the order of their entries."""
+
+_TIMING = "actuator_delay"
+_COMMAND_TIME = 1e-4
+"""Effect that is calibration where all commands share it, and 1 sigma of it [s]: at which time within a step of the
+data a command acts is not known. Simulated data have steps of about this length."""
 
 _LIMIT_PROBES = (0.15, 0.35, 0.6, 0.8, 0.92)
 """Where a limit is tried, as parts of the way from where it does nothing to its tightest."""
@@ -157,10 +162,36 @@ def _member_names(candidate: Candidate) -> list[str]:
 
 
 def tolerance_of(candidate: Candidate, given: Mapping[str, float]) -> float:
-    """1 sigma of a candidate's first number that calibration always leaves; 0 for groups and where none is known."""
-    if candidate.place.members:
-        return 0.0
-    return float(given.get(candidate.effect.name, candidate.parameters[0].tolerance))
+    """1 sigma of a candidate's first number that calibration always leaves.
+
+    Args:
+      candidate: the candidate.
+      given: tolerances of the dataset by effect.
+
+    Returns:
+      0 where none is known and for groups, whose members have their own, but for the time of all commands.
+    """
+    name, first = candidate.effect.name, candidate.parameters[0]
+    if name == _TIMING and first.low < 0:  # of all actuators, see `actuators`
+        return float(given.get(name, _COMMAND_TIME))
+    return 0.0 if candidate.place.members else float(given.get(name, first.tolerance))
+
+
+def with_tolerances(entries: Sequence[Entry], given: Mapping[str, float]) -> tuple[list[Entry], list[Entry]]:
+    """Entries with a tolerance.
+
+    Args:
+      entries: of all candidates.
+      given: tolerances of the dataset by effect.
+
+    Returns:
+      Those with a tolerance, in the order of their columns in `nuisances`, and the entries whose signatures these need:
+      with the members of groups.
+    """
+    loose = [e for e in entries if not e.probe and tolerance_of(e.candidate, given) > 0]
+    names = {entry.candidate.name for entry in loose}
+    names |= {name for e in loose if not simulated(e.candidate) for name in _member_names(e.candidate)}
+    return loose, [e for e in entries if not e.probe and e.candidate.name in names]
 
 
 def nuisances(
@@ -168,7 +199,7 @@ def nuisances(
 ) -> Nuisance:
     """Tolerances with their Gaussian priors, and what may be refitted with a wide one.
 
-    Tolerances are those of single places, and that of the time step that data have of their own.
+    Tolerances are those of single places, of the time of all commands, and of the time step that data have.
 
     Args:
       windows: linearised around `base`.

@@ -7,6 +7,8 @@ leaves.
 import itertools
 from collections.abc import Sequence
 
+import numpy as np
+
 from btr_mjx.gap.effects import WORLD
 from btr_mjx.gap.inference.scoring.screening import tolerance_of
 from btr_mjx.gap.inference.search.search import Bench
@@ -137,9 +139,24 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None, share: float = 
 
 
 def within_calibration(bench: Bench, judged: Judged) -> bool:
-    """Whether the last effect is no larger than what calibration leaves, or than any simulation of its kind errs."""
+    """Whether the last effect is no larger than what calibration leaves, or than any simulation of its kind errs.
+
+    Of a number for each member of a group one may be a little larger by chance: what the members explain beyond their
+    calibration must be worth a name.
+    """
     candidate, values = judged.hypothesis.effects[-1]
     most = [TOLERANCES * tolerance_of(single, bench.dataset.tolerances) for single in candidate.singles]
     # A slope may be along either axis.
-    rows = zip(values, candidate.parameters, itertools.cycle(most), strict=False)
-    return all(abs(value - p.null) <= max(tolerance, p.negligible) for value, p, tolerance in rows if not p.shape)
+    rows = list(zip(values, candidate.parameters, itertools.cycle(most), strict=False))
+    beyond = [
+        0.0 if p.shape else max(abs(value - p.null) - max(tolerance, p.negligible), 0.0) for value, p, tolerance in rows
+    ]
+    if not any(beyond):
+        return True
+    if len(candidate.singles) == 1:
+        return False
+    back = [-size if value > p.null else size for size, (value, p, _) in zip(beyond, rows, strict=True)]
+    refined = judged.refined
+    residual = refined.residual + np.tensordot(back, refined.columns[-len(back) :], 1)
+    within = bench.free(judged.sides[0], judged.hypothesis).profile(residual, bench.cut)
+    return bool(bench.fall(within, judged.fits[0]) < THRESHOLD)

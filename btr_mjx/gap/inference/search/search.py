@@ -28,7 +28,7 @@ from btr_mjx.gap.inference.scoring.screening import (
     is_contact_sensitive,
     screen,
     simulated,
-    tolerance_of,
+    with_tolerances,
 )
 from btr_mjx.gap.inference.search.contact_scan import contact_scan, with_contacts, with_line_search
 from btr_mjx.gap.inference.search.far_away import nearer
@@ -117,8 +117,8 @@ class Bench:
             entries = self._prepared(effects, tracks, note)
         note(f"signatures of {len(entries)} candidates")
         self._draws = tolerance_draws(self.base, self.candidates, dataset.tolerances, np.random.default_rng(0), _DRAWS)
-        known = [e for e in entries if not e.probe and tolerance_of(e.candidate, dataset.tolerances) > 0]
-        self._loose = {entry.candidate.name: FIRST_TOLERANCE + i for i, entry in enumerate(known)}
+        loose, known = with_tolerances(entries, dataset.tolerances)
+        self._loose = {entry.candidate.name: FIRST_TOLERANCE + i for i, entry in enumerate(loose)}
         bare = Hypothesis((), ())  # what may be refitted is refitted on the other side only
         sides = ((self.fit.windows, entries, self.base), (self.test.windows, known, bare))
 
