@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from scipy.optimize import lsq_linear
+import scipy
 
 from btr_mjx.gap.effects import Hypothesis
 from btr_mjx.gap.forces.stretches import Stretches
@@ -100,7 +100,7 @@ def drives(missing: MissingForce) -> tuple[np.ndarray, np.ndarray]:
         # The torque constant is uncertain by some percent: without it inertia and friction would take its part.
         gain = 0.05 * scale[4]
         low, high = np.array([0, 0, 0, -np.inf, -gain]), np.array([np.inf, np.inf, np.inf, np.inf, gain])
-        found = lsq_linear(columns / scale, force, (low, high + 1e-12))
+        found = scipy.optimize.lsq_linear(columns / scale, force, (low, high + 1e-12))
         out[:, j] = found.x[:4] / scale[:4] * (1, 1, 1, -1)
         share[j] = 1 - np.mean((force - columns / scale @ found.x) ** 2) / max(float(np.mean(force**2)), 1e-300)
     return out, share
