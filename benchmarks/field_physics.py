@@ -98,6 +98,13 @@ class Law:
     rate: np.ndarray
     play: np.ndarray
 
+    @classmethod
+    def nothing(cls, nv: int, nu: int) -> "Law":
+        """Nothing is added to a robot of nv degrees of freedom and nu actuators."""
+        by_dof = {name: np.zeros(nv) for name in ("damping", "spring", "offset", "dry", "load", "ripple", "waves")}
+        by_motor = {name: np.zeros(nu) for name in ("delay", "lag", "play")}
+        return cls(**by_dof, **by_motor, rate=np.full(nu, np.inf))
+
 
 @dataclass
 class Machine:
@@ -137,8 +144,7 @@ def build(robot: FieldRobot, calibration: Calibration, hidden: Hidden = ()) -> M
     model.actuator_biasprm[:] *= calibration.gains[:, None]
     model.geom_friction[:, 0] *= calibration.ground
     nv, nu = model.nv, model.nu
-    dofs, motors = [np.zeros(nv) for _ in range(6)], [np.zeros(nu) for _ in range(3)]
-    law = Law(*dofs, waves=np.zeros(nv), delay=motors[0], lag=motors[1], rate=np.full(nu, np.inf), play=motors[2])
+    law = Law.nothing(nv, nu)
     for effect in hidden:
         _hide(model, law, effect)
     mujoco.mj_setConst(model, mujoco.MjData(model))
