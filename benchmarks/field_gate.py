@@ -68,8 +68,8 @@ def wanted_of(config: Config, index: int) -> tuple[str, Wanted]:
     if config.clean:
         faults: tuple[str, ...] | None = ()
     elif config.nulls:
-        first, second = FAULTS[(turn + index) % len(FAULTS)], FAULTS[(2 * turn + index + 2) % len(FAULTS)]
-        faults = (first,) if turn % 2 == 0 or first == second else (first, second)
+        first, second = FAULTS[index % len(FAULTS)], FAULTS[(index + 1 + turn % 5) % len(FAULTS)]
+        faults = (first,) if turn % 2 == 0 else (first, second)
     else:
         faults = None
     return robot, Wanted(0 if config.nulls else 1 + turn % 3, faults)
