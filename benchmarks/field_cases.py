@@ -55,7 +55,7 @@ def _usual(model: mujoco.MjModel, motion: Motion) -> _Usual:
     for j in range(model.njnt):
         if model.jnt_type[j] >= int(mujoco.mjtJoint.mjJNT_SLIDE):
             reach[model.jnt_dofadr[j]] = 0.5 * np.ptp(motion.qpos[:, model.jnt_qposadr[j]])
-    steps = max(round(0.005 / float(motion.time[1])), 1)
+    steps = round(0.02 / float(motion.time[1]))  # longer than any command is held
     apart = np.abs(motion.commands[steps:] - motion.commands[:-steps]) / (steps * motion.time[1])
     joints = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
     dof = model.jnt_dofadr[np.where(joints, model.actuator_trnid[:, 0], 0)]

@@ -115,7 +115,7 @@ def judge(model: mujoco.MjModel, truth: Mapping[str, Any], answer: Mapping[str, 
     listed = [any(_same(model, h, n) for n in (*named, *answer["equivalent"])) for h in hidden]
 
     def told(effect: Mapping[str, Any]) -> bool:
-        common = effect["effect"] == "actuator_delay" and not effect["location"].startswith("actuator:")
+        common = effect["effect"] == "actuator_delay" and (effect["location"] == "all" or model.nu == 1)
         return bool(truth["late"]) and common and effect["parameters"]["delay"]["value"] < 0
 
     extra = [n for n in named if not any(_same(model, h, n) for h in hidden) and not told(n)]
