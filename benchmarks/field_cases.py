@@ -6,7 +6,7 @@ The robots are those of `field_robots`, their physics that of `field_physics`: a
 searched, with errors of calibration everywhere, and with the faults that logs have.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -230,10 +230,14 @@ def make_case(folder: Path, seed: int, kind: str, wanted: Wanted | None = None) 
     )
     # A controller with feedback runs at a rate of its own, unless it is the one that writes the rows.
     every = round(interval / robot.step) if "held" in faults else 10 if robot.controller else 1
-    calibration = draw_calibration(rng, model, interval if "held" in faults else 0.5 * interval)
+    calibration, ahead = draw_calibration(rng, model, 0.5 * interval), 0
+    if "held" in faults and calibration.shift > 0.2 * interval:
+        # Rows are written by another clock than that of the commands: the last command is up to one row old.
+        ahead = round((calibration.shift / interval - 0.2) / 0.3 * every)
+        calibration = replace(calibration, shift=0.0)
     times = np.arange(-round(SETTLE / robot.step), round(DURATION / robot.step)) * robot.step
     references = [robot.reference(rng)(times) for _ in range(RUNS)]
-    commanded = [Controlled(robot, reference, every) for reference in references]
+    commanded = [Controlled(robot, reference, every, ahead=ahead) for reference in references]
     usual = _usual(model, _motion(robot, calibration, (), commanded[0]))
     hidden = _draw_hidden(rng, robot, model, usual, count)
     motions = [_motion(robot, calibration, hidden, one) for one in commanded]
@@ -257,6 +261,7 @@ def make_case(folder: Path, seed: int, kind: str, wanted: Wanted | None = None) 
         "described": described,
         "late": log.late * interval,
         "shift": calibration.shift,
+        "ahead": ahead * robot.step,
         "filter": log.filter if "lowpass" in faults else 0.0,
         "damping": (model.dof_damping * (calibration.damping - 1)).tolist(),
         "zeros": calibration.zeros.tolist(),

@@ -211,12 +211,15 @@ class Controlled:
       robot: its controller, if its motors take torques.
       reference: (K, n) at every fine step, from `-SETTLE` on.
       every: fine steps from one command to the next; 1 for commands without steps.
+      start: (nq,) configuration before it moves; empty for that of the model.
+      ahead: fine steps from a command to the first sample after it.
     """
 
     robot: FieldRobot
     reference: np.ndarray
     every: int = 1
     start: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    ahead: int = 0
 
 
 def move(machine: Machine, control: Controlled) -> Motion:
@@ -241,7 +244,7 @@ def move(machine: Machine, control: Controlled) -> Motion:
         data.qpos[:] = control.start
     issued = np.zeros((count, nu))
     if control.robot.controller is None:
-        held = np.arange(count) - (np.arange(count) - settle) % control.every
+        held = np.arange(count) - (np.arange(count) - settle + control.ahead) % control.every
         issued[:] = control.reference[np.maximum(held, 0)]
     late = np.round((machine.calibration.shift + law.delay) / dt).astype(int)
     lag = np.where(law.lag > 0, 1 - np.exp(-dt / np.maximum(law.lag, 1e-12)), 1.0)
@@ -253,7 +256,7 @@ def move(machine: Machine, control: Controlled) -> Motion:
     out = tuple(np.zeros((count - settle, n)) for n in (model.nq, model.nv, model.nv))
     columns = np.arange(nu)
     for i in range(count):
-        if control.robot.controller is not None and (i - settle) % control.every == 0:
+        if control.robot.controller is not None and (i - settle + control.ahead) % control.every == 0:
             seen = data.qpos.copy()
             seen[q] += zeros[v]
             issued[i : i + control.every] = control.robot.controller(control.reference[i], seen, data.qvel)

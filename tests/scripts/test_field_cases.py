@@ -101,6 +101,17 @@ def test_a_delay_is_a_shift_of_commands(physics: ModuleType) -> None:
     )
 
 
+def test_held_commands_change_ahead_of_the_rows(physics: ModuleType) -> None:
+    robot, control = commanded(physics, "arm")
+    perfect = physics.Calibration.perfect(mujoco.MjModel.from_xml_string(robot.xml))
+    held = physics.Controlled(robot, control.reference, every=50, ahead=20)
+    commands = physics.move(physics.build(robot, perfect), held).commands
+    changes = 1 + np.flatnonzero((np.diff(commands, axis=0) != 0).any(1))
+    assert set(changes % 50) == {30}  # 20 fine steps before rows 50, 100, ...
+    later = control.reference[round(physics.SETTLE / robot.step) :]
+    assert np.array_equal(commands[changes], later[changes])
+
+
 @pytest.mark.parametrize("fault", ["jitter", "coarse", "held", "lowpass", "late", "lost"])
 def test_logs_with_faults_are_read(
     cases: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str
