@@ -5,8 +5,8 @@
 
 Cases are those of `field_cases`. A case is made once and kept; an answer is kept under the digest of the code that
 computed it, so that the same command continues a run. The right answer to a null is that nothing is missing. An effect
-is right by kind and place; whatever else is named is false, except a common negative delay of commands that were logged
-late. Exit code: 1 where a case failed.
+is right by kind and place, also as one of several numbers of which the others may be zero; whatever else is named is
+false, except a common negative delay of commands that were logged late. Exit code: 1 where a case failed.
 """
 
 import os
@@ -107,18 +107,35 @@ def _same(model: mujoco.MjModel, one: Mapping[str, Any], other: Mapping[str, Any
     return same_effect(model, one, other)
 
 
+def _parts(named: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """An effect at single places: of a number for every member of a group, those whose interval excludes nothing."""
+    if not named["location"].startswith("each:"):
+        return [dict(named)]
+    kind = "actuator" if named["effect"].startswith("actuator") else "joint"
+    out = []
+    for label, number in named["parameters"].items():
+        parameter, _, member = label.removesuffix("]").partition("[")
+        if not number["low"] <= number["null"] <= number["high"]:
+            out.append({**named, "location": f"{kind}:{member}", "parameters": {parameter: number}})
+    return out
+
+
 def judge(model: mujoco.MjModel, truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str, Any]:
     """Row of a case: hidden effects that were named, those listed beside, false names, numbers within intervals."""
     hidden = [effect for effect in truth["effects"] if effect["effect"] != "ripple"]
     named = answer["effects"]
-    found = [[n for n in named if _same(model, h, n)] for h in hidden]
-    listed = [any(_same(model, h, n) for n in (*named, *answer["equivalent"])) for h in hidden]
+    parts = [part for one in named for part in _parts(one)]
+    found = [[n for n in parts if _same(model, h, n)] for h in hidden]
+    listed = [any(_same(model, h, n) for n in (*parts, *answer["equivalent"])) for h in hidden]
 
     def told(effect: Mapping[str, Any]) -> bool:
         common = effect["effect"] == "actuator_delay" and (effect["location"] == "all" or model.nu == 1)
         return bool(truth["late"]) and common and effect["parameters"]["delay"]["value"] < 0
 
-    extra = [n for n in named if not any(_same(model, h, n) for h in hidden) and not told(n)]
+    def is_true(effect: Mapping[str, Any]) -> bool:
+        return any(_same(model, h, effect) for h in hidden) or told(effect)
+
+    extra = [n for n in named if not all(is_true(part) for part in _parts(n))]
     inside = [ok for h, f in zip(hidden, found, strict=True) if f for ok in inside_interval(model, h, f[0])]
     outside, null = len(hidden) < len(truth["effects"]), not truth["effects"]
     unexplained = answer["verdict"] == "unexplained"

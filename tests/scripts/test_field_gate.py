@@ -74,6 +74,15 @@ def test_names_are_right_false_or_told(gate: ModuleType) -> None:
     assert flagged["correct"]
 
 
+def test_a_number_for_every_joint_is_right_where_the_others_may_be_zero(gate: ModuleType) -> None:
+    model, rubbing = model_of("torque_arm"), effect("dry_friction", "joint:lower", torque=0.2)
+    for other, extra in ((0.05, []), (0.3, ["dry_friction@each:all"])):
+        each = named("dry_friction", "each:all", "torque[lower]", 0.25)
+        each["parameters"] |= named("", "", "torque[upper]", other)["parameters"]
+        row = gate.judge(model, truth(rubbing), answer(each))
+        assert (row["right"], row["inside"], row["extra"]) == (1, 1, extra)
+
+
 def test_rotors_have_only_their_names(gate: ModuleType) -> None:
     model = model_of("drone")
     weak = effect("actuator_gain", "actuator:rotor1", change=-0.2)
