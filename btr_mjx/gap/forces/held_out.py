@@ -35,6 +35,12 @@ class HeldOut:
     loss: np.ndarray
     chi2: np.ndarray
 
+    @property
+    def lack(self) -> float:
+        """Standard errors by which stretches exceed the noise of the sensors."""
+        spread = self.chi2.std(ddof=1) / np.sqrt(len(self.chi2)) if len(self.chi2) > 1 else 1.0
+        return float((self.chi2.mean() - 1) / max(spread, 1e-9))
+
 
 def held_out(side: ForceSide, point: Point, variances: Variances) -> HeldOut:
     """Evaluate a point on recordings that were not fitted, with its numbers and calibration.

@@ -52,6 +52,9 @@ _TOLD = 10.0
 _LEFT = 0.1
 """The same where effects are named, as a part of theirs."""
 
+_BEYOND = 2.0
+"""Standard errors by which held-out recordings exceed noise where something is left."""
+
 _HALF = 0.5
 """Part of the believed model's prediction errors that names may leave, where something else is left as well."""
 
@@ -240,8 +243,9 @@ def _found(
     missing = missing_force(side.stretches, base)
     usual = np.sqrt((missing.actuator**2).mean((0, 1))) + np.sqrt((missing.force**2).mean((0, 1)))
     share = np.sqrt(last.variances.force) / np.maximum(usual, 1e-300)
-    # Names with which the model predicts well stand, whatever is left at one joint.
-    large = (share > _LARGE) & (not (len(chain) > 1 and _predicts(errors[0], errors[1], steady)))
+    # Names with which the model predicts well stand, whatever is left at one joint; noise is no force.
+    stands = len(chain) > 1 and _predicts(errors[0], errors[1], steady)
+    large = (share > _LARGE) & (not stands) & (outcomes[1].lack > _BEYOND)
     shape = best_shape(side, marginal, missing)
     gained = rounds[0].before.loss - marginal.loss
     if shape.score < max(_TOLD, _LEFT * gained):

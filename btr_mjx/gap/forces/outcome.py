@@ -113,7 +113,7 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
         confounds=confounds_of(found.side, found.marginal) if verdict == "effect" else (),
         overlays=_overlays(model, found),
         share=1 - float(last.variances.force.sum() / max(first.variances.force.sum(), 1e-300)),
-        lack_of_fit=(_lack(found.held_out[0]), _lack(found.held_out[1])),
+        lack_of_fit=(found.held_out[0].lack, found.held_out[1].lack),
         threshold=0.0,
         dispersion=1.0,
         sigma=sigma,
@@ -128,12 +128,6 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
         survivors=_survivors(found),
         notes=_notes(model, found),
     )
-
-
-def _lack(of: HeldOut) -> float:
-    """Standard errors by which held-out stretches exceed the noise of the sensors."""
-    spread = of.chi2.std(ddof=1) / np.sqrt(len(of.chi2)) if len(of.chi2) > 1 else 1.0
-    return float((of.chi2.mean() - 1) / max(spread, 1e-9))
 
 
 def _named(found: SearchOutcome) -> tuple[NamedEffect, ...]:

@@ -193,7 +193,10 @@ def _group(
         if candidate.place.parts:
             out.append(CandidateColumns(candidate, tuple((c,) for c in columns), tuple(near)))
         else:
-            lows, highs = zip(*near, strict=True)
+            # All commands may be late in a log, and none of them alone: a group has a range of its own.
+            first = level == 0 and not candidate.effect.saturates
+            own_range = [_range(candidate, 0, len(members[0]) > 1)]
+            lows, highs = zip(*(own_range if first else near), strict=True)
             # Members of very different sizes have no step in common.
             if (low := max(lows)) < (high := min(highs)):
                 out.append(CandidateColumns(candidate, (tuple(columns),), ((low, high),)))
