@@ -9,7 +9,7 @@ import io
 
 import numpy as np
 import polars
-from machine import Copies, Log, Machine, Trial
+from machine import FREE, Copies, Log, Machine, Trial
 
 REPOSITORY, REVISION = "idsia-robotics/nanodrone-sysid-benchmark", "d5b5129c7eeecd503e8e8504ed2d58970944e022"
 ROOT = "data/real/raw/parquets"
@@ -40,7 +40,7 @@ def make(copies: Copies) -> Trial:
     for name in FIT + TEST:
         table = polars.read_parquet(io.BytesIO(copies.read(REPOSITORY, REVISION, f"{ROOT}/{name}.parquet")))
         speeds = [f"m{i}_erpm" for i in range(1, 5)]
-        columns = ["t", *speeds, *"x y z qw qx qy qz vx vy vz wx wy wz".split()]
+        columns = ["t", *speeds, *FREE["qpos"], *FREE["qvel"]]
         rows = table.select(columns).to_numpy().astype(float)
         flying = np.flatnonzero(rows[:, columns.index("z")] > 0.3)
         rows = rows[flying[0] : flying[-1] + 1]

@@ -1,6 +1,6 @@
 """Tossed elbow of ContactNets: two boxes with a free hinge between them, 148 Hz, measured by AprilTags.
 
-Believed: the repository's URDF, 0.37 kg and 0.1 x 0.05 x 0.05 m each, friction 0.3, a hinge without friction. The logged
+Believed: the repository's URDF, 0.37 kg and 0.1 x 0.05 x 0.05 m each, friction 0.3, a hinge without friction. Logged
 velocities are smoothed, so that positions only are used. There are no commands.
 """
 

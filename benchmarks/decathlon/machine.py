@@ -104,8 +104,8 @@ class Machine:
       horizon: time over which predictions are compared [s]; None for whole recordings.
       skip: samples at the beginning of each prediction that do not count.
       dofs: degrees of freedom that count; all if empty.
-      measure: root mean square or mean of the absolute error of positions over all samples, or mean norm of the error of
-        a free joint's angular velocity at the end of the horizon.
+      measure: root mean square or mean of the error of positions over all samples, or mean norm of the error of a free
+        joint's angular velocity at the end of the horizon.
       share: of the predictions, those with the smallest errors, that count: some systems diverge from any model.
       published: numbers that the specialists found, by field of the model, "gain" or "offset"; see `rivals`.
     """

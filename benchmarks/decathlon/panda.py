@@ -45,8 +45,8 @@ def make(copies: Copies) -> Trial:
         for name in ("time", "torques", "positions", "velocity")
     )
     later = np.diff(time, prepend=-np.inf) > 0
-    columns = (values.reshape(-1, 7)[later] for values in (torque, position, velocity))
-    whole = Log("trajectory", "fit", time[later], *columns)
+    ctrl, qpos, qvel = (values.reshape(-1, 7)[later] for values in (torque, position, velocity))
+    whole = Log("trajectory", "fit", time[later], ctrl, qpos, qvel)
     parts = (whole.part(0.0, HELD_OUT, "fit", "first"), whole.part(HELD_OUT, 1.0, "test", "last"))
     return Trial(mjcf(), parts, "linear")
 

@@ -52,8 +52,8 @@ def make(copies: Copies) -> Trial:
         keys = ("timestamp", "goal_position", "position", "speed")
         time, *columns = (np.array([entry[key] for entry in log["entries"]], float) for key in keys)
         models[f"kp{log['kp']}.xml"] = mjcf(log)
-        own = (values[:, None] for values in columns)
-        logs.append(Log(name, split, time, *own, own_model=f"kp{log['kp']}.xml"))  # type: ignore[arg-type]
+        ctrl, qpos, qvel = (values[:, None] for values in columns)
+        logs.append(Log(name, split, time, ctrl, qpos, qvel, f"kp{log['kp']}.xml"))  # type: ignore[arg-type]
     return Trial(next(iter(models.values())), tuple(logs), "linear", models)
 
 

@@ -8,7 +8,10 @@ The ends of three recordings are left out, in which the energy rises while the m
 import numpy as np
 from machine import Copies, Log, Machine, Trial
 
-REPOSITORY, REVISION = "dfki-ric-underactuated-lab/torque_limited_simple_pendulum", "ed17ea2d32a35ad944944ca03ef57693e2986732"
+REPOSITORY, REVISION = (
+    "dfki-ric-underactuated-lab/torque_limited_simple_pendulum",
+    "ed17ea2d32a35ad944944ca03ef57693e2986732",
+)
 HEAVY = "model_1kg.xml"
 MJCF = """<mujoco model="simple_pendulum">
   <compiler angle="radian"/>
@@ -48,8 +51,9 @@ def make(copies: Copies) -> Trial:
         rows = np.array([line.split(",") for line in text.strip().splitlines()[1:]], float)
         rows = rows[np.diff(rows[:, 0], prepend=-np.inf) > 0]
         time, position, velocity, torque = rows[rows[:, 0] < PUSHED.get(name, np.inf)].T[:4]
-        columns = (values[:, None] for values in (torque, position, velocity))
-        logs.append(Log(name, "fit" if name in FIT else "test", time, *columns, HEAVY if name == "energy_1kg" else ""))
+        ctrl, qpos, qvel = (values[:, None] for values in (torque, position, velocity))
+        own = HEAVY if name == "energy_1kg" else ""
+        logs.append(Log(name, "fit" if name in FIT else "test", time, ctrl, qpos, qvel, own))
     return Trial(MJCF.format(mass=0.546), tuple(logs), "linear", {HEAVY: MJCF.format(mass=1.046)})
 
 
