@@ -9,7 +9,10 @@ import io
 import polars
 from machine import Copies, Log, Machine, Trial
 
-REPOSITORY, REVISION = "dfki-ric-underactuated-lab/double_pendulum", "HEAD"
+REPOSITORY, REVISION = "dfki-ric-underactuated-lab/double_pendulum", "1e8544e67f3da72a51ee52fbbb278e131ce2a43f"
+ROOT = "data/experiment_records/design_C.0/20220914/sys_id"
+KINDS = ("tau_con", "pos_meas", "vel_meas")
+"""Columns of the commands, positions and velocities, without the number of the joint."""
 MJCF = """<mujoco model="double_pendulum">
   <option timestep="0.002" integrator="implicitfast"/>
   <worldbody>
@@ -31,16 +34,15 @@ def make(copies: Copies) -> Trial:
     """The trial."""
     logs = []
     for i in range(6):
-        table = polars.read_parquet(io.BytesIO(copies.read(REPOSITORY, REVISION, f"r{i}.parquet")))
-        time, *columns = table.to_numpy().astype(float).T
-        ctrl, qpos, qvel = (polars.DataFrame(columns[k : k + 2]).to_numpy() for k in (0, 2, 4))
-        logs.append(Log(f"r{i}", "fit" if i < 4 else "test", time, ctrl, qpos, qvel))
+        table = polars.read_csv(io.BytesIO(copies.read(REPOSITORY, REVISION, f"{ROOT}/trajectory_0{i}.csv")))
+        ctrl, qpos, qvel = (table.select(f"{kind}1", f"{kind}2").to_numpy() for kind in KINDS)
+        logs.append(Log(f"r{i}", "fit" if i < 4 else "test", table["time"].to_numpy(), ctrl, qpos, qvel))
     return Trial(MJCF, tuple(logs), "hold")
 
 
 MACHINE = Machine(
     name="double_pendulum",
-    source=f"{REPOSITORY}, runs of 14 September 2022 as r0.parquet to r5.parquet",
+    source=f"{REPOSITORY}, {ROOT}/",
     licence="BSD-3-Clause",
     citation="Wiebe et al.: Open source dual-purpose acrobot and pendubot platform, IEEE RAM 31(2), 2024",
     split="runs 0 to 3 fitted, 4 and 5 held out",
