@@ -14,7 +14,6 @@ continues a killed run. With --halves, both halves of the fitted recordings are 
 Exit code: 1 where a diagnosis failed, 2 for bad input.
 """
 
-import math
 import os
 import resource
 import shutil
@@ -45,6 +44,7 @@ import ur10e
 from machine import Copies, Machine, Trial, halves, write_trial
 from naming_gate import CODE, data_digest
 from open_loop import Predictor, believed_models, held_out_error, mended_models, simulated, steady
+from page import cell, names, write_page
 
 from btr_mjx.errors import BAD_INPUT_CODE, InputError, cli_errors
 from btr_mjx.gap.results import verdict_sentence
@@ -85,6 +85,8 @@ class Config:
     """Folder of datasets and runs."""
     json: Path | None = None
     """Write all numbers here; machines that the file already has from the same code are kept."""
+    page: Path | None = None
+    """Put the table of all machines into this page, docs/machines.md."""
 
 
 def diagnosed(folder: Path, run: Path) -> dict[str, Any]:
@@ -179,21 +181,11 @@ def agreement(first: Sequence[Mapping[str, Any]], second: Sequence[Mapping[str, 
     }
 
 
-def names(row: Mapping[str, Any]) -> str:
-    """What was named, kind by kind, with the number of its places."""
-    places: dict[str, list[str]] = {}
-    for effect in row.get("effects") or []:
-        places.setdefault(effect["effect"].replace("_", " "), []).append(
-            effect["location"].partition(":")[2] or "world"
-        )
-    return ", ".join(f"{kind} ({own[0] if len(own) == 1 else f'{len(own)} places'})" for kind, own in places.items())
-
-
 def show(rows: Sequence[Mapping[str, Any]]) -> None:
     """Print the table and what was said of each machine."""
     print(f"{'machine':16}{'unit':>6}" + "".join(f"{title:>15}" for title in COLUMNS.values()) + f"{'CPU-s':>8}")
     for row in rows:
-        cells = "".join(f"{_cell(row['errors'].get(name)):>15}" for name in COLUMNS)
+        cells = "".join(f"{cell(row['errors'].get(name)):>15}" for name in COLUMNS)
         print(f"{row['name']:16}{row['unit']:>6}{cells}{row['cpu_seconds']:8.0f}")
     for row in rows:
         said = row["refused"] or row["failed"] or f"{row['verdict']}; {names(row) or 'no name'}. {row['sentence']}"
@@ -222,6 +214,8 @@ def decathlon(config: Config) -> dict[str, Any]:
         report = {"code": CODE, "environment": describe_environment(), "rows": ordered}
         if config.json is not None:
             write_json(config.json, report)
+        if config.page is not None:
+            write_page(ordered, config.page)
     return report
 
 
@@ -236,12 +230,6 @@ def _agreed(half: Mapping[str, Any]) -> str:
     only = [*half["first_only"], *half["second_only"]]
     alone = f"; one of them only: {', '.join(only)}" if only else ""
     return f"{named}{alone}; {half['overlap']} of {half['numbers']} intervals overlap"
-
-
-def _cell(error: float | str | None) -> str:
-    if error is None:
-        return "-"
-    return f"{float(error):.3g}" if math.isfinite(float(error)) else "diverged"
 
 
 def _cpu() -> float:

@@ -108,10 +108,11 @@ def held_out_error(machine: Machine, trial: Trial, model: mujoco.MjModel, predic
                 mujoco.mj_differentiatePos(model, row, 1.0, measured, found)
             errors.append(np.abs(away[machine.skip :, list(machine.dofs) or slice(None)]).ravel())
     power = 2 if machine.measure == "rms" else 1
-    means = np.sort([np.mean(own**power) for own in errors])  # a window that diverged comes last
-    counted = means[: max(1, int(machine.share * len(means)))]
-    sizes = {len(own) for own in errors}
-    error = np.mean(counted) if len(sizes) == 1 or machine.share < 1 else np.mean(np.concatenate(errors) ** power)
+    if machine.share < 1:  # a prediction that diverged comes last
+        means = np.sort([np.mean(own**power) for own in errors])
+        error = np.mean(means[: int(machine.share * len(means))])
+    else:
+        error = np.mean(np.concatenate(errors) ** power)
     return float(error ** (1 / power)) if np.isfinite(error) else float("inf")
 
 
