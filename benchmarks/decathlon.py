@@ -140,8 +140,9 @@ def examined(machine: Machine, trial: Trial, config: Config) -> dict[str, Any]:
             row[name] = {key: values.tolist() for key, values in numbers.items()}
     if not row["refused"] and not row["failed"]:
         result = read_json(run / "result.json")
-        mended = mended_models(trial, run, result, read_json(run / "mended.json")["terms"])
-        errors["mended"] = error(simulated(lambda log: mended[log.own_model], trial.interpolation))
+        if (run / "mended.xml").is_file():  # only where something was named
+            mended = mended_models(trial, run, result, read_json(run / "mended.json")["terms"])
+            errors["mended"] = error(simulated(lambda log: mended[log.own_model], trial.interpolation))
         row |= {key: result[key] for key in ("verdict", "effects")} | {"sentence": verdict_sentence(result)}
     return row | {"errors": errors}
 
