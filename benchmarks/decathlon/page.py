@@ -9,7 +9,9 @@ from btr_mjx.errors import InputError
 
 TITLES = ("machine", "unit, over", "believed", "mended", "constant velocity", "regression", "specialists")
 HEAD = (*TITLES, "named", "licence of the data", "citation")
-ERRORS = ("believed", "mended", "steady", "regression", "published")
+OWN = ("believed", "mended")
+ERRORS = (*OWN, "steady", "regression", "published")
+"""Errors of the table, in its order; that with the specialists' numbers stands in brackets behind theirs."""
 
 
 def cell(error: float | str | None) -> str:
@@ -32,22 +34,23 @@ def names(row: Mapping[str, Any]) -> str:
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Lines of the table in Markdown; bold is the smallest error of believed, mended and specialists.
+    """Lines of the table in Markdown; bold is the smallest error beside constant velocity and regression.
 
     Args:
       rows: of the benchmark's JSON.
     """
     lines = [f"| {' | '.join(HEAD)} |", "|" + "---|" * len(HEAD)]
     for row in rows:
-        known = [float(row["errors"][key]) for key in ("believed", "mended", "published") if row["errors"].get(key)]
-        best = cell(min(known))
-        sizes = []
-        for key in ERRORS:
-            size = cell(row["errors"].get(key))
-            sizes.append(f"**{size}**" if size == best and key not in ("steady", "regression") else size)
+        errors = row["errors"]
+        best = cell(min(float(errors[key]) for key in (*OWN, "published", "known") if errors.get(key) is not None))
+        sizes = {key: cell(errors.get(key)) for key in ERRORS}
+        sizes |= {key: f"**{sizes[key]}**" for key in (*OWN, "published") if sizes[key] == best}
+        if errors.get("known") is not None:
+            known = cell(errors["known"])
+            sizes["published"] += f" ({f'**{known}**' if known == best else known})"
         over = "whole recordings" if row["horizon"] is None else f"{row['horizon']:g} s"
         said = "refused" if row["refused"] else names(row) or row.get("verdict") or "failed"
-        cells = (row["name"], f"{row['unit']}, {over}", *sizes, said, row["licence"], row["citation"])
+        cells = (row["name"], f"{row['unit']}, {over}", *sizes.values(), said, row["licence"], row["citation"])
         lines.append(f"| {' | '.join(cells)} |")
     return lines
 

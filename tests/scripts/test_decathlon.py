@@ -151,7 +151,7 @@ def test_every_machine_says_what_it_is(parts: Any) -> None:
 
 def test_the_table_of_the_page(parts: Any, tmp_path: Path) -> None:
     place = {"location": "joint:a", "effect": "dry_friction"}
-    errors = {"believed": "Infinity", "mended": 0.0123456, "steady": 0.001, "published": None}
+    errors = {"believed": "Infinity", "mended": 0.0123456, "steady": 0.001, "published": None, "known": 0.02}
     row = {"name": "one", "unit": "rad", "horizon": None, "licence": "MIT", "citation": "Somebody", "errors": errors}
     row |= {"refused": "", "effects": [place, place | {"location": "joint:b"}, place | {"effect": "damping"}]}
     page = tmp_path / "page.md"
@@ -159,7 +159,7 @@ def test_the_table_of_the_page(parts: Any, tmp_path: Path) -> None:
     parts.page.write_page([row], page)
     lines = page.read_text().splitlines()
     assert (lines[0], lines[-1], len(lines)) == ("before", "after", 7)
-    cells = "one | rad, whole recordings | diverged | **0.0123** | 0.001 | - | -"
+    cells = "one | rad, whole recordings | diverged | **0.0123** | 0.001 | - | - (0.02)"
     assert lines[4] == f"| {cells} | dry friction (2 places), damping (a) | MIT | Somebody |"
     page.write_text("nothing")
     with pytest.raises(InputError, match="no table"):
