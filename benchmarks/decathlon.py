@@ -84,7 +84,7 @@ class Config:
     out: Path = Path("runs/decathlon")
     """Folder of datasets and runs."""
     json: Path | None = None
-    """Write all numbers here; machines that the file already has from the same code are kept."""
+    """Write all numbers here. Machines that the file has already are kept; each row states the digest of its code."""
     page: Path | None = None
     """Put the table of all machines into this page, docs/machines.md."""
 
@@ -120,7 +120,7 @@ def examined(machine: Machine, trial: Trial, config: Config) -> dict[str, Any]:
     folder, run = config.out / "data" / machine.name, config.out / CODE / machine.name
     shutil.rmtree(folder, ignore_errors=True)
     write_trial(trial, folder)
-    row = _described(machine) | diagnosed(folder, run)
+    row = _described(machine) | {"code": CODE} | diagnosed(folder, run)
     models = believed_models(trial)
 
     def error(predict: Predictor) -> float:
@@ -203,7 +203,7 @@ def decathlon(config: Config) -> dict[str, Any]:
     if not config.data.is_dir():
         raise InputError(f"--data {config.data}: there is no such folder")
     kept = read_json(config.json) if config.json is not None and config.json.is_file() else {}
-    rows = {row["name"]: row for row in kept.get("rows", []) if kept.get("code") == CODE}
+    rows = {row["name"]: row for row in kept.get("rows", [])}
     report: dict[str, Any] = {}
     for name in config.only or tuple(MACHINES):
         note(f"{name} ...")

@@ -6,7 +6,7 @@ that is used by the search and for the mended model. A `Candidate` is an effect 
 
 from btr_mjx.gap.effects.effect import Candidate, Effect, Parameter, candidates
 from btr_mjx.gap.effects.hypothesis import Hypothesis, believed_steps
-from btr_mjx.gap.effects.library import EFFECTS, KNOWN_EFFECTS
+from btr_mjx.gap.effects.library import EFFECTS, KNOWN_EFFECTS, with_motors
 from btr_mjx.gap.effects.links import link_of
 from btr_mjx.gap.effects.per_member import EACH_MEMBER, per_member
 from btr_mjx.gap.effects.places import (
@@ -46,4 +46,5 @@ __all__ = [
     "link_of",
     "per_member",
     "selected_effects",
+    "with_motors",
 ]

@@ -96,7 +96,8 @@ def _native_lag(spec: mujoco.MjSpec, model: mujoco.MjModel, place: Place, values
     return True
 
 
-def _linear(model: mujoco.MjModel) -> list[Place]:
+def linear_actuators(model: mujoco.MjModel) -> list[Place]:
+    """Actuators whose force is affine in command and state, and their groups."""
     return actuator_places(
         model,
         [
@@ -120,7 +121,7 @@ def _apply_gain(world: World, place: Place, values: np.ndarray) -> None:
 
 def _offset_joints(model: mujoco.MjModel) -> list[Place]:
     """Joints that an actuator drives whose force is affine in command and state."""
-    linear = {a for place in _linear(model) for a in place.actuators}
+    linear = {a for place in linear_actuators(model) for a in place.actuators}
     joints = {joint_of(model, a) for a in linear if model.actuator_gear[a, 0] != 0} - {None}
     return joint_places(model, [j for j in joints if j is not None])
 
@@ -204,7 +205,7 @@ ACTUATOR_LAG = Effect(
 ACTUATOR_GAIN = per_member(
     Effect(
         "actuator_gain",
-        _linear,
+        linear_actuators,
         _gain,
         _apply_gain,
         excited_by="loads and accelerations",

@@ -36,15 +36,17 @@ def _fixed_centre(model: mujoco.MjModel, body: int) -> bool:
 def _payload(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
     (body,) = place.bodies
     own = _group_mass(model, body)
+    welded = body in welded_bodies(model)
     mass = Parameter(
         "mass",
         "kg",
-        -0.9 * float(model.body_mass[body]),
+        -(1.0 if welded else 0.9) * float(model.body_mass[body]),
         0.5 * scales.mass + own,
         min(0.1 * own, 0.02 * scales.mass),
         0.005 * own,
+        floor=welded,
     )
-    if body in welded_bodies(model):
+    if welded:
         return (mass,)
     link = link_of(model, body)
     if body in trunks(model) or link is None:
@@ -63,7 +65,8 @@ def _apply_payload(world: World, place: Place, values: np.ndarray) -> None:
     """A point mass m fixed to the body.
 
     Position: (x, y, z) in the frame of a trunk; at the distance `along` from the joint towards the far end of a link;
-    at the centre of mass of a body that is welded to another one.
+    at the centre of mass of a body that is welded to another one. Such a body may be taken off: a negative mass takes
+    this part of the body's inertia along.
     """
     (body,) = place.bodies
     model = world.model
@@ -73,6 +76,9 @@ def _apply_payload(world: World, place: Place, values: np.ndarray) -> None:
         link = link_of(model, body)
         assert link is not None
         position = link.point(values[1])
+    elif values[0] < 0:
+        MassProperties.of(model, body).scaled(1 + float(values[0]) / model.body_mass[body]).write(model, body)
+        return
     else:
         position = model.body_ipos[body]
     MassProperties.of(model, body).plus(point_mass(float(values[0]), position)).write(model, body)
@@ -141,7 +147,7 @@ def _drag(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Paramete
     sides = np.sqrt(np.maximum(6 * (inertia.sum(1, keepdims=True) - 2 * inertia) / mass[:, None], 1e-12))
     size = float(np.median(mass / np.maximum(sides.prod(1), 1e-12)))
     believed = float(model.opt.density)
-    return (Parameter("density", "kg/m^3", 0.0, believed + 2.0 * size, 0.01 * size, null=believed),)
+    return (Parameter("density", "kg/m^3", 0.0, believed + 2.0 * size, 0.01 * size, null=believed, floor=True),)
 
 
 def _apply_drag(world: World, place: Place, values: np.ndarray) -> None:
@@ -160,7 +166,7 @@ def _mounted(model: mujoco.MjModel) -> list[Place]:
 def _compensation(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
     # MuJoCo leaves out what is negative.
     least = float(model.body_gravcomp[model.body_weldid != 0].min())
-    return (Parameter("fraction", "1", min(0.0, -least), 1.5, 0.05),)
+    return (Parameter("fraction", "1", min(0.0, -least), 1.5, 0.05, floor=True),)
 
 
 def _apply_compensation(world: World, place: Place, values: np.ndarray) -> None:

@@ -27,6 +27,7 @@ class Parameter:
       shape: the parameter has no influence while the first one is at its null (position of a mass, Stribeck speed);
         `null` is then the starting value of its search.
       negligible: smallest difference from `null` of the first parameter for which an effect is named.
+      floor: the lower bound is a physical limit, such as zero friction: nothing lies below it.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Parameter:
     null: float = 0.0
     shape: bool = False
     negligible: float = 0.0
+    floor: bool = False
 
     def __post_init__(self) -> None:
         if not (self.low <= self.null <= self.high and self.step != 0):
@@ -47,15 +49,10 @@ class Parameter:
             )
 
     def at_edge(self, value: float) -> bool:
-        """Whether a value lies at a bound of the search beyond which larger effects are possible.
-
-        The lower bound counts only if the range below the null is at least as long as that above: a shorter one ends
-        at a physical limit, such as zero friction.
-        """
+        """Whether a value lies at a bound of the search beyond which larger effects are possible."""
         room = 1e-3 * (self.high - self.low)
-        above, below = self.high - self.null, self.null - self.low
-        high = above > 0 and value > self.high - room
-        low = below > 0 and below >= above and value < self.low + room
+        high = self.high > self.null and value > self.high - room
+        low = self.low < self.null and not self.floor and value < self.low + room
         return not self.shape and (high or low)
 
 

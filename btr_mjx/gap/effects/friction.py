@@ -18,7 +18,10 @@ def _damping(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Param
     believed = smallest_believed(model, "dof_damping", place)
     # Small errors of damping are not named. They are no tolerance, which could absorb part of a strong friction.
     negligible = min(0.4 * believed, max(0.04 * believed, 4e-3 * size))
-    return (Parameter("damping", unit, -believed, 3.0 * size, 0.05 * size, 0.01 * believed, negligible=negligible),)
+    tolerance = 0.01 * believed
+    return (
+        Parameter("damping", unit, -believed, 3.0 * size, 0.05 * size, tolerance, negligible=negligible, floor=True),
+    )
 
 
 def _apply_damping(world: World, place: Place, values: np.ndarray) -> None:
@@ -29,7 +32,8 @@ def _apply_damping(world: World, place: Place, values: np.ndarray) -> None:
 def _friction(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
     size = typical_scale(scales.torque, place, model)
     unit = unit_of(model, place, "N m", "N")
-    return (Parameter("torque", unit, -smallest_believed(model, "dof_frictionloss", place), 0.8 * size, 0.02 * size),)
+    believed = smallest_believed(model, "dof_frictionloss", place)
+    return (Parameter("torque", unit, -believed, 0.8 * size, 0.02 * size, floor=True),)
 
 
 def _apply_friction(world: World, place: Place, values: np.ndarray) -> None:

@@ -20,7 +20,7 @@ def _armature(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Para
     # The reflected inertia of a rotor may exceed that of a light link; the bound is what the motors can accelerate.
     torque, amplitude, speed = (typical_scale(x, place, model) for x in (scales.torque, scales.amplitude, scales.speed))
     most = max(5.0 * size, 3.0 * torque * amplitude / speed**2)
-    return (Parameter("armature", unit, -believed, most, 0.05 * size, 0.01 * believed),)
+    return (Parameter("armature", unit, -believed, most, 0.05 * size, 0.01 * believed, floor=True),)
 
 
 def _apply_armature(world: World, place: Place, values: np.ndarray) -> None:

@@ -18,16 +18,31 @@ Changes of model fields are also written into the mended model. Terms that depen
 (`btr_mjx.gap.simulate.laws.Law`); changes of the command are functions in `World.command_edits`.
 """
 
+from collections.abc import Sequence
+
 from btr_mjx.gap.effects.actuators import ACTUATOR_EFFECTS
 from btr_mjx.gap.effects.bodies import BODY_EFFECTS
 from btr_mjx.gap.effects.effect import Effect
 from btr_mjx.gap.effects.friction import FRICTION_EFFECTS
 from btr_mjx.gap.effects.ground import GROUND_EFFECTS
 from btr_mjx.gap.effects.joints import JOINT_EFFECTS
+from btr_mjx.gap.effects.motors import MOTOR_EFFECTS
 from btr_mjx.gap.effects.similar import SIMILAR_EFFECTS
 
 EFFECTS: tuple[Effect, ...] = (*FRICTION_EFFECTS, *JOINT_EFFECTS, *ACTUATOR_EFFECTS, *BODY_EFFECTS, *GROUND_EFFECTS)
 """Effects that are searched by default."""
 
-KNOWN_EFFECTS: tuple[Effect, ...] = (*EFFECTS, *SIMILAR_EFFECTS)
-"""All effects that can be selected by name: those and the four that are easily mistaken for them."""
+KNOWN_EFFECTS: tuple[Effect, ...] = (*EFFECTS, *MOTOR_EFFECTS, *SIMILAR_EFFECTS)
+"""All effects that can be selected by name: those, those of motors, and three that are easily mistaken for them."""
+
+
+def with_motors(effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Effects to search where a robot touches nothing: those of motors belong to the whole library there.
+
+    Args:
+      effects: that were selected.
+    """
+    chosen = {effect.name for effect in effects}
+    if not chosen.issuperset(effect.name for effect in EFFECTS):
+        return tuple(effects)
+    return (*effects, *(effect for effect in MOTOR_EFFECTS if effect.name not in chosen))

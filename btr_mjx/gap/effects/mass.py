@@ -43,6 +43,10 @@ class MassProperties:
             inertia += part.inertia + part.mass * _spread(part.centre - centre)
         return MassProperties(mass, centre, inertia)
 
+    def scaled(self, factor: float) -> "MassProperties":
+        """Those of a body of the same shape and another density."""
+        return MassProperties(max(factor, 0.0) * self.mass, self.centre, max(factor, 0.0) * self.inertia)
+
     def write(self, model: mujoco.MjModel, body: int) -> None:
         """Write to a body of a model, with principal moments made physical (positive, triangle inequality)."""
         moments, axes = np.linalg.eigh(self.inertia)

@@ -1,7 +1,7 @@
 """Effects that are similar to effects of the library: other functions of the state at the same place.
 
-A hardening spring is similar to a stiffness, a motor of drifting gain to one of wrong gain, an elastic cord to a
-constant force. They are searched only if selected by name.
+A hardening spring is similar to a stiffness, an elastic cord to a constant force. They are searched only if selected
+by name.
 """
 
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.effects.effect import Effect, Parameter
-from btr_mjx.gap.effects.places import Place, actuator_places, body_place, joint_places
+from btr_mjx.gap.effects.places import Place, body_place, joint_places
 from btr_mjx.gap.effects.ranges import Scales, typical_scale, unit_of
 from btr_mjx.gap.simulate import Rows, World
 
@@ -57,34 +57,6 @@ def _apply_one_sided(world: World, place: Place, values: np.ndarray) -> None:
     model = world.model
     positions = model.jnt_qposadr[list(place.joints)].astype(int)
     world.laws.append(OneSidedSpring(place.dofs(model), positions, float(values[0])))
-
-
-@dataclass(frozen=True)
-class DriftingGain:
-    """Actuator gain that drifts linearly with the time since the start of the recording.
-
-    Attributes:
-      dofs: degrees of freedom that the actuators drive.
-      rate: of the change [1/s].
-    """
-
-    dofs: np.ndarray
-    rate: float
-    fields: tuple[str, ...] = ()
-
-    def __call__(self, rows: Rows) -> None:
-        """Add to the applied force of the next step."""
-        rows.qfrc_applied[:, self.dofs] += self.rate * rows.time[:, None] * rows.qfrc_actuator[:, self.dofs]
-
-
-def _rate(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    most = 0.1 / scales.time
-    return (Parameter("rate", "1/s", -most, most, -0.02 * most),)
-
-
-def _apply_rate(world: World, place: Place, values: np.ndarray) -> None:
-    """Force -> (1 + rate t) force, t since the start of the recording: motor heating, battery discharge."""
-    world.laws.append(DriftingGain(place.dofs(world.model), float(values[0])))
 
 
 @dataclass(frozen=True)
@@ -148,15 +120,6 @@ ONE_SIDED_SPRING = Effect(
     summable=True,
     equation="τ = −k |q − q_spring|",
 )
-FADING_MOTOR = Effect(
-    "fading_motor",
-    lambda model: [place for place in actuator_places(model) if place.joints],
-    _rate,
-    _apply_rate,
-    excited_by="loads, early and late in long recordings",
-    summable=True,
-    equation="force → (1 + rate t) force",
-)
 ELASTIC_CORD = Effect(
     "elastic_cord",
     _free_bodies,
@@ -166,4 +129,4 @@ ELASTIC_CORD = Effect(
     equation="a force −k (x − x₀) on the body",
 )
 
-SIMILAR_EFFECTS = (HARDENING_SPRING, ONE_SIDED_SPRING, FADING_MOTOR, ELASTIC_CORD)
+SIMILAR_EFFECTS = (HARDENING_SPRING, ONE_SIDED_SPRING, ELASTIC_CORD)

@@ -25,8 +25,8 @@ _START = 30.0
 """Standard deviation of a starting state, in units of the noise of its measurement (velocities: of their
 difference quotient): wide, but not so that digits are lost."""
 
-_FLOOR = 1e-9
-"""Smallest variance of a random force, relative to the mean square of the force that moves the joint."""
+_QUIETEST = 0.1
+"""Smallest noise of a sensor, in units of the first guess: no variance may vanish, since it could not grow again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,6 +264,7 @@ def _backward(linear: Linearised, kept: _Pass, variances: Variances, given_noise
     new_sensor = variances.sensor.copy()
     if not given_noise:
         new_sensor[seen] *= _ratio(noise, noise_n)
+        new_sensor = np.maximum(new_sensor, (_QUIETEST * linear.stretches.sigma) ** 2)
     updated = replace(
         variances,
         sensor=new_sensor,

@@ -14,7 +14,7 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, noise_of
-from btr_mjx.gap.effects import Effect, Hypothesis, candidates, has_closed_loops
+from btr_mjx.gap.effects import Effect, Hypothesis, candidates, has_closed_loops, with_motors
 from btr_mjx.gap.forces.filtering import smoothed
 from btr_mjx.gap.forces.followed import followed
 from btr_mjx.gap.forces.held_out import HeldOut, held_out, horizon_errors, is_better
@@ -22,7 +22,7 @@ from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.missing_force import missing_force
 from btr_mjx.gap.forces.motion import responses
 from btr_mjx.gap.forces.outcome import SearchOutcome, diagnosis_of
-from btr_mjx.gap.forces.points import Fitted, ForceSide, evaluate_point, settled
+from btr_mjx.gap.forces.points import ROUNDS, Fitted, ForceSide, evaluate_point, settled
 from btr_mjx.gap.forces.search import Named, SearchRound, select_effects
 from btr_mjx.gap.forces.shapes import best_shape
 from btr_mjx.gap.forces.stretches import spread_stretches
@@ -37,6 +37,9 @@ _TOUCHES = 0.01
 _LARGE = 0.1
 """Random force of a joint, in units of the force that its actuators usually have, that is no calibration."""
 
+_BEFORE = 3
+"""Rounds of the believed model's refit: it is compared with, not used."""
+
 _SEEN = 0.3
 """Smallest number that is named, in units of the step at which its effect is clearly visible."""
 
@@ -49,8 +52,8 @@ _TOLD = 10.0
 _LEFT = 0.1
 """The same where effects are named, as a part of theirs."""
 
-_MOST = 0.9
-"""Part of the missing force that names may leave."""
+_HALF = 0.5
+"""Part of the believed model's prediction errors that names may leave, where something else is left as well."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +126,7 @@ def identify_forces(
     stretches, other = spread_stretches(prepared.fit), spread_stretches(prepared.test)
     if not any(np.ptp(r.qpos, axis=0).max() > 0 for r in dataset.fit):
         raise InputError(f"{dataset.folder}: the robot does not move in any recording of split 'fit'")
-    possible = candidates(dataset.model, scales_of(prepared.fit), effects)
+    possible = candidates(dataset.model, scales_of(prepared.fit), with_motors(effects))
     interval = float(np.median(np.diff(dataset.fit[0].commands[0])))
     library = library_of(possible, dataset.model, dataset.parameters, dataset.tolerances, interval)
     columns = responses(stretches, base, library.numbers, counter)
@@ -134,7 +137,7 @@ def identify_forces(
     confirmed = _confirmed(test, chain)
     progress("numbers")
     marginal = confirmed[-1]
-    ends = [_refitted(side, fit) for fit in (confirmed[0], marginal)]
+    ends = [_refitted(side, confirmed[0], _BEFORE), _refitted(side, marginal)]
     if seen := _visible(ends[1].point.named):
         if len(seen) < len(ends[1].point.named):
             marginal, ends[1] = (
@@ -175,7 +178,7 @@ def _known(side: ForceSide) -> np.ndarray:
     return np.array([not name.startswith(BELIEVED) and name != TIMING for name in names], bool)
 
 
-def _refitted(side: ForceSide, fit: Fitted) -> Fitted:
+def _refitted(side: ForceSide, fit: Fitted, rounds: int = ROUNDS) -> Fitted:
     """A fit without calibration of the model.
 
     What is named has to hold beside calibration; its numbers are those with which the mended model, which knows none,
@@ -187,7 +190,7 @@ def _refitted(side: ForceSide, fit: Fitted) -> Fitted:
         side.library, calibration=replace(own, tolerance=own.tolerance * factor, reach=own.reach * factor)
     )
     start = replace(fit.point, calibration=np.where(known, 0.0, fit.point.calibration))
-    return settled(replace(side, library=library), start, replace(fit.variances, weight=None))
+    return settled(replace(side, library=library), start, replace(fit.variances, weight=None), rounds)
 
 
 def _visible(named: Named) -> Named:
@@ -198,6 +201,19 @@ def _visible(named: Named) -> Named:
         if any(abs(v - p.null) > max(_SEEN * abs(p.step), p.negligible) for p, v in pairs if not p.shape):
             out.append((candidate, values))
     return tuple(out)
+
+
+def _predicts(believed: np.ndarray, mended: np.ndarray, steady: np.ndarray) -> bool:
+    """Whether predictions (W, nv) of held-out recordings are better than those of two simple predictors.
+
+    Args:
+      believed: mean square errors of the believed model.
+      mended: those of the mended one.
+      steady: those of constant velocity.
+    """
+    typical = [np.median(own, 0) for own in (believed, mended, steady)]
+    first, last, simple = (float(np.mean(own / np.maximum(typical[2], 1e-300))) for own in typical)
+    return last < _HALF**2 * first and last < simple
 
 
 def _found(
@@ -224,11 +240,8 @@ def _found(
     missing = missing_force(side.stretches, base)
     usual = np.sqrt((missing.actuator**2).mean((0, 1))) + np.sqrt((missing.force**2).mean((0, 1)))
     share = np.sqrt(last.variances.force) / np.maximum(usual, 1e-300)
-    fell = last.variances.force / np.maximum(first.variances.force, 1e-300)
-    large = share > _LARGE
-    # Names that explain most of what was missing stand, whatever is left at one joint.
-    if len(chain) > 1 and np.average(fell, weights=first.variances.force / usual**2) < _MOST:
-        large = np.zeros(len(share), bool)
+    # Names with which the model predicts well stand, whatever is left at one joint.
+    large = (share > _LARGE) & (not (len(chain) > 1 and _predicts(*errors, steady)))
     shape = best_shape(side, marginal, missing)
     gained = rounds[0].before.loss - marginal.loss
     if shape.score < max(_TOLD, _LEFT * gained):

@@ -9,6 +9,7 @@ import numpy as np
 from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import Hypothesis
 from btr_mjx.gap.forces.confounds import confounds_of
+from btr_mjx.gap.forces.filtering import smoothed
 from btr_mjx.gap.forces.held_out import HORIZON, HeldOut
 from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.missing_force import MissingForce
@@ -37,6 +38,9 @@ ALIKE = 6.0
 
 _OVERLAYS = 3
 """Stretches that are drawn."""
+
+_SLIGHT = 1e-2
+"""Part of the usual force of a joint that nobody would miss."""
 
 _CAP = 1e4
 """Largest squared force in a map, in units of its variance."""
@@ -165,7 +169,10 @@ def _named(found: SearchOutcome) -> tuple[NamedEffect, ...]:
 
 
 def _alike(of: SearchRound) -> tuple[str, ...]:
-    """Names of finalists that the data cannot tell from the best one, which comes first."""
+    """Names of finalists that the data cannot tell from the best one, which comes first.
+
+    What every drive has is tried as several effects together: none of them alone is an alternative.
+    """
     if not of.finalists:
         return ()
     best = of.finalists[0][0]
@@ -174,7 +181,7 @@ def _alike(of: SearchRound) -> tuple[str, ...]:
     for score, fit in of.finalists:
         if score > 0 and best - score <= ALIKE:
             new = [name for name in names(fit.point.named) if name not in given]
-            out += new if fit is of.finalists[0][1] or len(new) == 1 else []
+            out += new if len(new) == 1 else []
     return tuple(dict.fromkeys(out))
 
 
@@ -250,9 +257,11 @@ def _places(model: mujoco.MjModel) -> list[str]:
 
 def _map(model: mujoco.MjModel, found: SearchOutcome) -> DisagreementMap:
     """Mean square of the missing force by joint and regime, in units of the random force that is left."""
-    missing = found.missing
-    floor = np.maximum(found.chain[-1].variances.force, 1e-300)
-    square = np.minimum(missing.force**2 / floor, _CAP)
+    missing, first = found.missing, found.chain[0]
+    force = smoothed(first.linear, np.zeros_like(first.linear.defect), first.variances).force[:, :-1]
+    usual = (missing.actuator**2).mean((0, 1)) + (missing.force**2).mean((0, 1))
+    floor = np.maximum(found.chain[-1].variances.force, _SLIGHT**2 * usual + 1e-300)
+    square = np.minimum(force**2 / floor, _CAP)
     speed, load = np.abs(missing.velocity), np.abs(missing.actuator)
     middle = np.array([r.time.mean() for r in found.side.stretches.data.recordings])
     late = found.side.stretches.time[:, :-1] > middle[found.side.stretches.recording][:, None]

@@ -17,6 +17,9 @@ from btr_mjx.models import integrate
 _SETTLED = 1.0
 """Fall of -2 ln p below which steps end early."""
 
+_SLIGHT = 0.01
+"""The same as a part of the whole fall."""
+
 _SHORTEST = 0.1
 """Part of a Gauss-Newton step that is tried at least."""
 
@@ -24,7 +27,10 @@ ROUNDS = 20
 """Rounds of steps of numbers and of variances, at most. Hypotheses are compared by likelihoods that have to be settled:
 a believed model that is 100 away from its best lacks what another one is given."""
 
-_UPDATES = 4
+_FRESH = 3
+"""Rounds with derivatives of their own; in later ones numbers move by little."""
+
+_UPDATES = 8
 """Updates of variances in a round."""
 
 
@@ -131,7 +137,7 @@ def evaluate_point(
       side: of the split.
       point: the point.
       variances: of sensors and random force.
-      known: a fit whose transitions are kept; None to compute them.
+      known: a fit of the same names whose transitions and columns are kept; None to compute them.
       stretches: states around which the motion is linearised; None for those of `known`, or of the side.
     """
     if stretches is None:
@@ -139,6 +145,8 @@ def evaluate_point(
     linear = linearise_motion(
         stretches, point.hypothesis(side.library), side.counter, None if known is None else known.linear
     )
+    if known is not None:
+        return _whitened(point, linear, known.columns, variances, side)
     columns = [_own_columns(side, point, stretches)]
     design = side.library.calibration.design
     columns.append(side.columns @ design if design.shape[1] else side.columns[..., :0])
@@ -210,7 +218,8 @@ def settled(side: ForceSide, point: Point, variances: Variances, rounds: int = R
       rounds: at most.
     """
     fit = evaluate_point(side, point, variances)
-    for _ in range(rounds):
+    first = fit.loss
+    for i in range(rounds):
         before = fit.loss
         known = fit.variances
         for _ in range(_UPDATES):
@@ -222,14 +231,15 @@ def settled(side: ForceSide, point: Point, variances: Variances, rounds: int = R
             # Dry friction turns round within a sample: around states that are smoothed without it, it would be late.
             states = smoothed(fit.linear, size * fit.columns @ change, fit.variances).state
             trial = fit.point.moved(size * step.values, own + size * (step.calibration - own))
-            after = evaluate_point(side, trial, fit.variances, stretches=moved_states(fit.linear.stretches, states))
+            about = moved_states(fit.linear.stretches, states)
+            after = evaluate_point(side, trial, fit.variances, fit if i >= _FRESH else None, about)
             if after.loss < fit.loss + 1.0:
                 break
             size *= 0.2
         else:
             after = fit
         fall, fit = before - after.loss, after
-        if fall < _SETTLED:
+        if fall < max(_SETTLED, _SLIGHT * (first - fit.loss)):
             break
     return fit
 

@@ -10,7 +10,7 @@ from btr_mjx.gap.forces.evidence import CalibrationPrior, least_squares
 from btr_mjx.gap.forces.filtering import Variances, filtered
 from btr_mjx.gap.forces.missing_force import drives, missing_force
 from btr_mjx.gap.forces.motion import linearise_motion
-from btr_mjx.gap.forces.points import ROUNDS, Fitted, ForceSide, Point, evaluate_point, names, settled
+from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, evaluate_point, names, settled
 from btr_mjx.gap.forces.scan import Scanned, price, scan_columns
 from btr_mjx.gap.forces.unknowns import DRIVE, LIMIT_SIZES
 
@@ -121,13 +121,13 @@ def one_more(side: ForceSide, fit: Fitted, needed: float = 0.0) -> SearchRound:
     starts = [] if (drive := _drive(side, fit)) is None else [drive]
     finalists: list[tuple[float, Fitted]] = []
 
-    def judge(point: Point, variances: Variances, rounds: int = ROUNDS) -> None:
-        found = settled(side, point, variances, rounds)
+    def judge(point: Point, variances: Variances) -> None:
+        found = settled(side, point, variances)
         numbers = point.numbers - fit.point.numbers
         finalists.append((fit.loss - found.loss - price(numbers, scene.count, choices), found))
 
     for point in starts:
-        judge(point, first_variances(side, point.hypothesis(library)), 2 * ROUNDS)
+        judge(point, first_variances(side, point.hypothesis(library)))
     least = max(needed, _FAR * finalists[0][0] if finalists else 0.0)
     for lead in shortlist(leads, least):
         moved = fit.point.moved(lead.changes, lead.calibration)
@@ -141,11 +141,10 @@ def one_more(side: ForceSide, fit: Fitted, needed: float = 0.0) -> SearchRound:
 
 def _tightened(side: ForceSide, fit: Fitted, lead: Scanned) -> tuple[float, ...]:
     """Values of a limit at the best of some sizes, by simulation: what it does is not linear."""
-    first = lead.candidate.parameters[0]
-    tightest = first.low if first.step < 0 else first.high
+    limits = [(p, p.low if p.step < 0 else p.high) for p in lead.candidate.parameters]
     tries = [lead.values]
     for share in LIMIT_SIZES:
-        tries.append((first.null + share * (tightest - first.null), *lead.values[1:]))
+        tries.append(tuple(p.null if p.shape else p.null + share * (tightest - p.null) for p, tightest in limits))
     named = [replace(fit.point, named=(*fit.point.named, (lead.candidate, values))) for values in tries]
     losses = [evaluate_point(side, point, fit.variances, fit).loss for point in named]
     return tries[int(np.argmin(losses))]
@@ -166,7 +165,8 @@ def _drive(side: ForceSide, fit: Fitted) -> Point | None:
             widest[name] = own
     # Calibration at its bounds stands for what is missing: it starts anew.
     point = replace(fit.point, calibration=np.zeros_like(fit.point.calibration))
-    found, share = drives(missing_force(side.stretches, point.hypothesis(side.library)))
+    # Smoothed states know of jitter and of what sensors see; differences of positions do not.
+    found, share = drives(missing_force(fit.linear.stretches, point.hypothesis(side.library)))
     if not widest or share.max() < _SHARE:
         return None
     named = list(point.named)

@@ -121,7 +121,7 @@ def library_of(
         entries.append(CandidateColumns(candidate, tuple((column + i,) for i in range(len(several))), tuple(near)))
         single[candidate.name] = [(column, near[0])]
         for step in further:
-            bounds = _near(step)
+            bounds = _near(candidate, step)
             single[candidate.name].append((len(numbers), bounds))
             entries.append(CandidateColumns(candidate, ((len(numbers),),), (bounds,)))
             numbers.append(FreeNumber(candidate, 0, at, step))
@@ -193,8 +193,10 @@ def _group(
         if candidate.place.parts:
             out.append(CandidateColumns(candidate, tuple((c,) for c in columns), tuple(near)))
         else:
-            low, high = zip(*near, strict=True)
-            out.append(CandidateColumns(candidate, (tuple(columns),), ((max(low), min(high)),)))
+            lows, highs = zip(*near, strict=True)
+            # Members of very different sizes have no step in common.
+            if (low := max(lows)) < (high := min(highs)):
+                out.append(CandidateColumns(candidate, (tuple(columns),), ((low, high),)))
     return out
 
 
@@ -203,16 +205,18 @@ def _range(candidate: Candidate, index: int, nonlinear: bool) -> tuple[float, fl
     own = candidate.parameters[index]
     low, high = own.low - own.null, own.high - own.null
     if candidate.effect.saturates:
-        return _near(own.step)
+        return _near(candidate, own.step)
     if not nonlinear:
         return low, high
     reach = _NEAR[1] * abs(own.step)
     return max(low, -reach), min(high, reach)
 
 
-def _near(step: float) -> tuple[float, float]:
-    ends = sorted(part * step for part in _NEAR)
-    return ends[0], ends[1]
+def _near(candidate: Candidate, step: float) -> tuple[float, float]:
+    """Changes of the first number that a column at a step serves, within its range."""
+    own = candidate.parameters[0]
+    ends = np.clip(np.sort([part * step for part in _NEAR]), own.low - own.null, own.high - own.null)
+    return float(ends[0]), float(ends[1])
 
 
 def _further_steps(candidate: Candidate, model: mujoco.MjModel) -> list[float]:

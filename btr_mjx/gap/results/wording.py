@@ -25,6 +25,7 @@ EFFECT_TITLES: Mapping[str, str] = {
     "offset_torque": "a constant force of the joint",
     "gravity_compensation": "gravity compensation",
     "torque_limit": "a torque limit",
+    "torque_speed": "a torque-speed line of the motor",
     "payload": "a payload",
     "link_length": "another length of the link",
     "com_shift": "a shift of the centre of mass",

@@ -186,11 +186,12 @@ def test_armature_range_exceeds_light_link() -> None:
 
 
 def test_values_at_search_bounds() -> None:
-    friction = Parameter("torque", "N m", -0.1, 0.8, 0.02)
+    friction, gain = Parameter("torque", "N m", -0.1, 0.8, 0.02, floor=True), Parameter("change", "1", -0.9, 9.0, -0.03)
     assert [friction.at_edge(value) for value in (-0.1, 0.0, 0.79, 0.8)] == [False, False, False, True]
     offset, limit = Parameter("offset", "rad", -0.3, 0.3, 0.005), Parameter("limit", "N m", 1.0, 9.0, -0.1, null=9.0)
     assert [offset.at_edge(value) for value in (-0.3, 0.0, 0.3)] == [True, False, True]
     assert [limit.at_edge(value) for value in (1.0, 5.0, 9.0)] == [True, False, False]
+    assert [gain.at_edge(value) for value in (-0.9, 0.0, 9.0)] == [True, False, True]
     assert not Parameter("along", "m", 0.0, 0.2, 0.01, shape=True).at_edge(0.2)
 
 

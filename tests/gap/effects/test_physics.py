@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gap_models import QUADRUPED, check_loop, hexapod_xml, inertia, load, loop, one, windows
 
-from btr_mjx.gap.effects.similar import SIMILAR_EFFECTS
+from btr_mjx.gap.effects import KNOWN_EFFECTS
 from btr_mjx.gap.simulate import Command, Segments, World, differing_fields, simulate
 
 
@@ -69,9 +69,66 @@ def test_constant_force_and_torque_limit() -> None:
     check_loop(model, one(model, "torque_limit@actuator:hip1"), [0.1], limit)
 
 
+LEG = """
+<mujoco>
+  <option timestep="0.001"/>
+  <worldbody>
+    <body name="thigh">
+      <joint name="hip" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" mass="1"/>
+      <body name="calf" pos="0 0 -0.2">
+        <joint name="knee" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.015" mass="0.4"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position name="hip" joint="hip" kp="40" {limit}/><position name="knee" joint="knee" kp="30" gear="-2" {limit}/>
+  </actuator>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize(
+    ("limit", "place", "values"),
+    [
+        ('forcerange="-3 3"', "all", [4.0]),
+        ('forcerange="-3 3"', "each:all", [4.0, 2.0]),
+        ('forcerange="-3 2"', "actuator:knee", [1.5]),
+        ("", "all", [4.0, 3.0]),
+        ("", "actuator:hip", [4.0, 3.0]),
+    ],
+)
+def test_a_torque_speed_line_is_a_clipped_torque_written_every_step(
+    limit: str, place: str, values: list[float]
+) -> None:
+    """Servos by hand: the force of every motor from position and command, then clipped between two lines."""
+    model = mujoco.MjModel.from_xml_string(LEG.format(limit=limit))
+    free = mujoco.MjModel.from_xml_string(LEG.format(limit="").replace("position", "motor").replace(" kp=", " user="))
+    first = 0 if place != "actuator:knee" else 1
+    last = 1 if place != "actuator:hip" else 0
+    no_load = {a: values[min(a, len(values) - 1)] if place.startswith("each") else values[0] for a in (0, 1)}
+    segments = windows(model)
+    world = one(model, f"torque_speed@{place}", KNOWN_EFFECTS).apply(World.of(model), values)
+    states, plain = simulate([(world, segments), (World.of(model), segments)])
+    assert np.abs(states - plain).max() > 1e-2
+    data = mujoco.MjData(free)
+    for row in range(len(segments)):
+        data.qpos[:], data.qvel[:] = segments.qpos[row], segments.qvel[row]
+        for k in range(60):
+            sent = segments.commands[0].at(segments.start[row] + k * 1e-3)
+            for a, (gain, gear) in enumerate(((40.0, 1.0), (30.0, -2.0))):
+                low, high = model.actuator_forcerange[a] if limit else (-np.inf, np.inf)
+                if first <= a <= last:
+                    low, high = (low, high) if limit else (-3.0, 3.0)
+                    speed = np.sign(gear) * data.qvel[a] / no_load[a]
+                    low, high = low * max(0.0, min(1.0, 1 + speed)), high * max(0.0, min(1.0, 1 - speed))
+                data.ctrl[a] = min(max(gain * (sent[a] - gear * data.qpos[a]), low), high)
+            mujoco.mj_step(free, data)
+        np.testing.assert_allclose(states[row, -1], np.r_[data.qpos, data.qvel], rtol=0, atol=1e-8)
+
+
 def test_similar_effects_follow_their_equations() -> None:
     model = load("quadruped")
-    knee, hip, torso = model.joint("knee0"), model.joint("hip1"), model.body("torso").id
+    knee, torso = model.joint("knee0"), model.body("torso").id
 
     def hard(model: mujoco.MjModel, data: mujoco.MjData, t: float) -> None:
         data.qfrc_applied[knee.dofadr[0]] = (
@@ -83,7 +140,7 @@ def test_similar_effects_follow_their_equations() -> None:
         data.qfrc_applied[knee.dofadr[0]] = -8.0 * abs(away)
 
     def fading(model: mujoco.MjModel, data: mujoco.MjData, t: float) -> None:
-        data.qfrc_applied[hip.dofadr[0]] = -0.5 * data.time * data.qfrc_actuator[hip.dofadr[0]]
+        data.ctrl[2] *= 1 - 0.5 * data.time  # a motor
 
     def cord(model: mujoco.MjModel, data: mujoco.MjData, t: float) -> None:
         data.xfrc_applied[torso, :3] = -300.0 * (data.qpos[:3] - model.qpos0[:3])
@@ -94,7 +151,7 @@ def test_similar_effects_follow_their_equations() -> None:
         ("fading_motor@actuator:hip1", -0.5, fading),
         ("elastic_cord@body:torso", 300.0, cord),
     ):
-        check_loop(model, one(model, name, SIMILAR_EFFECTS), [value], act)
+        check_loop(model, one(model, name, KNOWN_EFFECTS), [value], act)
 
 
 def test_encoder_offset_acts_on_servo() -> None:
@@ -139,6 +196,23 @@ def test_payload_is_a_point_mass() -> None:
         np.testing.assert_allclose(world.model.body_ipos, expected.body_ipos, atol=1e-9)
         np.testing.assert_allclose(inertia(world.model, b), inertia(expected, b), rtol=1e-6, atol=1e-8)
         np.testing.assert_allclose(world.model.dof_M0, expected.dof_M0, rtol=1e-4)
+
+
+def test_a_welded_body_may_be_taken_off() -> None:
+    base = load("quadruped")
+    candidate = one(base, "payload@body:head")
+    (mass,) = candidate.parameters
+    head = '<body name="head" pos="0.25 0 0.02"><geom type="sphere" size="0.05"/></body>'
+    expected = mujoco.MjModel.from_xml_string(QUADRUPED.replace(head, ""))
+    segments = windows(base)
+    world = candidate.apply(World.of(base), [mass.low])
+    found, without, plain = simulate([(w, segments) for w in (world, World.of(expected), World.of(base))])
+    assert mass.low == -base.body("head").mass[0]
+    assert not mass.at_edge(mass.low)
+    np.testing.assert_allclose(found, without, rtol=0, atol=1e-6)
+    assert np.abs(found - plain).max() > 1e-3
+    lighter = candidate.apply(World.of(base), [0.4 * mass.low]).model
+    np.testing.assert_allclose(lighter.body("head").inertia, 0.6 * base.body("head").inertia, rtol=1e-9)
 
 
 def test_link_length_equals_template_model() -> None:

@@ -1,0 +1,159 @@
+"""Effects of motors under speed and over time: the torque-speed line, strength that fades."""
+
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from btr_mjx.gap.effects.actuators import linear_actuators
+from btr_mjx.gap.effects.effect import Effect, Parameter
+from btr_mjx.gap.effects.per_member import per_member
+from btr_mjx.gap.effects.places import Place, actuator_count, actuator_places, joint_of
+from btr_mjx.gap.effects.ranges import Scales, unit_of
+from btr_mjx.gap.simulate import Rows, World
+
+_FASTEST = 3.0
+"""No-load speed above which a line is not tried, in peak speeds of the joint."""
+
+_SLOWEST = 0.1
+"""Smallest no-load speed, in the same unit."""
+
+
+@dataclass(frozen=True)
+class TorqueSpeedLine:
+    """Force limits that fall linearly with the speed in the direction of the force, down to zero.
+
+    Attributes:
+      actuators: ids.
+      dofs: degree of freedom that each of them drives.
+      turn: (n,) sign of its gear.
+      speed: at which no force is left [rad/s or m/s at the joint].
+      stall: limit at rest of actuators that have none [N m or N before the gear]; None where all have one.
+    """
+
+    actuators: np.ndarray
+    dofs: np.ndarray
+    turn: np.ndarray
+    speed: float
+    stall: float | None = None
+    fields: tuple[str, ...] = ("actuator_forcerange", "actuator_forcelimited")
+
+    def __call__(self, rows: Rows) -> None:
+        """Narrow the force limits of the next step."""
+        part = self.turn * rows.qvel[:, self.dofs] / self.speed
+        limits, limited = (rows.field(name) for name in self.fields)
+        if self.stall is not None:
+            own = np.where(limited[:, self.actuators, None] != 0, limits[:, self.actuators], [-np.inf, np.inf])
+            limits[:, self.actuators] = np.clip(own, -self.stall, self.stall)
+            limited[:, self.actuators] = 1
+        limits[:, self.actuators, 0] *= np.clip(1 + part, 0.0, 1.0)
+        limits[:, self.actuators, 1] *= np.clip(1 - part, 0.0, 1.0)
+
+
+def _lines(model: mujoco.MjModel) -> list[Place]:
+    """Actuators of joints, and their groups."""
+    own = [a for a in range(actuator_count(model)) if joint_of(model, a) is not None and model.actuator_gear[a, 0]]
+    return actuator_places(model, own)
+
+
+def _limited(model: mujoco.MjModel, place: Place) -> bool:
+    return bool(model.actuator_forcelimited[list(place.actuators)].all())
+
+
+def _line(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    joints = [j for a in place.actuators if (j := joint_of(model, a)) is not None]
+    peak = float(scales.speed[model.jnt_dofadr[joints]].max())
+    driven = Place(place.label, joints=tuple(joints))
+    speed = Parameter(
+        "no_load_speed",
+        unit_of(model, driven, "rad/s", "m/s"),
+        _SLOWEST * peak,
+        _FASTEST * peak,
+        -0.3 * peak,
+        null=_FASTEST * peak,
+    )
+    if _limited(model, place):
+        return (speed,)
+    force = max(float(scales.force[list(place.actuators)].max()), 1e-9)
+    unit = unit_of(model, driven, "N m", "N")
+    return (speed, Parameter("stall_torque", unit, 0.02 * force, 3.0 * force, -0.1 * force, null=force, shape=True))
+
+
+def _apply_line(world: World, place: Place, values: np.ndarray) -> None:
+    """|force| <= stall (1 - v / no_load_speed) along the motion; the stall torque is the force limit of the model.
+
+    Where the model has no limit, the stall torque is a second number [N m before the gear, N for slides].
+    """
+    model, actuators = world.model, np.array(place.actuators, int)
+    dofs = model.jnt_dofadr[model.actuator_trnid[actuators, 0]].astype(int)
+    turn = np.sign(model.actuator_gear[actuators, 0])
+    stall = float(values[1]) if len(values) > 1 else None
+    world.laws.append(TorqueSpeedLine(actuators, dofs, turn, float(values[0]), stall))
+
+
+@dataclass(frozen=True)
+class DriftingGain:
+    """Actuator gain that drifts linearly with the time since the start of the recording, force limits included.
+
+    Attributes:
+      actuators: ids, with forces that are affine in command and state.
+      rate: of the change [1/s].
+    """
+
+    actuators: np.ndarray
+    rate: float
+    fields: tuple[str, ...] = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
+
+    def __call__(self, rows: Rows) -> None:
+        """Scale the actuators of the next step."""
+        left = np.maximum(1 + self.rate * rows.time, 0.0)[:, None, None]
+        for name in self.fields:
+            rows.field(name)[:, self.actuators] *= left
+
+
+def _rate(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    most = 0.1 / scales.time
+    return (Parameter("rate", "1/s", -most, most, -0.02 * most),)
+
+
+def _apply_rate(world: World, place: Place, values: np.ndarray) -> None:
+    """Force -> (1 + rate t) force, t since the start of the recording: motor heating, battery discharge."""
+    world.laws.append(DriftingGain(np.array(place.actuators, int), float(values[0])))
+
+
+_LINE = per_member(
+    Effect(
+        "torque_speed",
+        _lines,
+        _line,
+        _apply_line,
+        excited_by="fast motion under large forces",
+        summable=True,
+        saturates=True,
+        equation="|force| ≤ stall (1 − v / no-load speed), along the motion",
+    )
+)
+
+
+def _line_places(model: mujoco.MjModel) -> list[Place]:
+    """Single actuators, and groups of which all or none have a limit; numbers of their own need one."""
+    found = []
+    for place in _LINE.places(model):
+        limited = model.actuator_forcelimited[list(place.actuators)]
+        if limited.all() or not (limited.any() or place.parts):
+            found.append(place)
+    return found
+
+
+TORQUE_SPEED = replace(_LINE, places=_line_places)
+FADING_MOTOR = Effect(
+    "fading_motor",
+    linear_actuators,
+    _rate,
+    _apply_rate,
+    excited_by="loads, early and late in long recordings",
+    summable=True,
+    equation="force → (1 + rate t) force",
+)
+
+MOTOR_EFFECTS = (TORQUE_SPEED, FADING_MOTOR)
