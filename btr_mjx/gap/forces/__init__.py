@@ -5,10 +5,11 @@ sample to the next is linearised around measured states (`motion`), a Kalman fil
 (`filtering`), and every effect of the library is a column of a least-squares problem (`unknowns`, `scan`, `points`).
 """
 
-from btr_mjx.gap.forces.identify import PreparedForces, identify_forces, prepare_forces
+from btr_mjx.gap.forces.identify import PreparedForces, bears_out, identify_forces, prepare_forces
 
 __all__ = [
     "PreparedForces",
+    "bears_out",
     "identify_forces",
     "prepare_forces",
 ]

@@ -19,6 +19,9 @@ HORIZON = 0.25
 _UPDATES = 8
 """Updates of variances."""
 
+_HALF = 0.5
+"""Part of the believed model's prediction errors that names may leave, where something else is left as well."""
+
 _QUIET = 1e-6
 """Random force that is left where only the noise of sensors is asked for, in units of its standard deviation."""
 
@@ -122,3 +125,16 @@ def horizon_errors(
     travelled = since[..., None] * start_v[:, None]
     steady = difference(model, start_q[:, None], target) - travelled
     return out, (steady**2).mean(1)
+
+
+def predicts_well(believed: np.ndarray, mended: np.ndarray, steady: np.ndarray) -> bool:
+    """Whether predictions (W, nv) of held-out recordings are better than those of two simple predictors.
+
+    Args:
+      believed: mean square errors of the believed model.
+      mended: those of the mended one.
+      steady: those of constant velocity.
+    """
+    usual = np.maximum(steady.mean(0), 1e-300)
+    first, last, simple = (float(np.mean(own / usual)) for own in (believed, mended, steady))
+    return last < _HALF**2 * first and last < simple

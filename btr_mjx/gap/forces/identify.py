@@ -16,7 +16,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, noise_of
 from btr_mjx.gap.effects import Effect, Hypothesis, candidates, has_closed_loops, with_motors
 from btr_mjx.gap.forces.filtering import smoothed
-from btr_mjx.gap.forces.held_out import HeldOut, held_out, horizon_errors, is_better
+from btr_mjx.gap.forces.held_out import HeldOut, held_out, horizon_errors, is_better, predicts_well
 from btr_mjx.gap.forces.horizons import follow_horizons
 from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.missing_force import missing_force
@@ -52,11 +52,8 @@ _TOLD = 10.0
 _LEFT = 0.1
 """The same where effects are named, as a part of theirs."""
 
-_BEYOND = 2.0
-"""Standard errors by which held-out recordings exceed noise where something is left."""
-
-_HALF = 0.5
-"""Part of the believed model's prediction errors that names may leave, where something else is left as well."""
+_BEYOND = 1.5
+"""Square of what held-out recordings leave, in units of the noise, where something is left."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,19 +203,6 @@ def _visible(named: Named) -> Named:
     return tuple(out)
 
 
-def _predicts(believed: np.ndarray, mended: np.ndarray, steady: np.ndarray) -> bool:
-    """Whether predictions (W, nv) of held-out recordings are better than those of two simple predictors.
-
-    Args:
-      believed: mean square errors of the believed model.
-      mended: those of the mended one.
-      steady: those of constant velocity.
-    """
-    typical = [np.median(own, 0) for own in (believed, mended, steady)]
-    first, last, simple = (float(np.mean(own / np.maximum(typical[2], 1e-300))) for own in typical)
-    return last < _HALF**2 * first and last < simple
-
-
 def _found(
     side: ForceSide,
     test: ForceSide,
@@ -244,8 +228,8 @@ def _found(
     usual = np.sqrt((missing.actuator**2).mean((0, 1))) + np.sqrt((missing.force**2).mean((0, 1)))
     share = np.sqrt(last.variances.force) / np.maximum(usual, 1e-300)
     # Names with which the model predicts well stand, whatever is left at one joint; noise is no force.
-    stands = len(chain) > 1 and _predicts(errors[0], errors[1], steady)
-    large = (share > _LARGE) & (not stands) & (outcomes[1].lack > _BEYOND)
+    stands = len(chain) > 1 and predicts_well(errors[0], errors[1], steady)
+    large = (share > _LARGE) & (not stands) & bool(np.median(outcomes[1].chi2) > _BEYOND)
     shape = best_shape(side, marginal, missing)
     gained = rounds[0].before.loss - marginal.loss
     if shape.score < max(_TOLD, _LEFT * gained):
@@ -267,3 +251,16 @@ def _found(
         marginal,
         shape,
     )
+
+
+def bears_out(prepared: PreparedForces, mended: Hypothesis) -> bool:
+    """Whether a mended model predicts held-out recordings better than the believed one and constant velocity.
+
+    Args:
+      prepared: both sides of the data.
+      mended: the model.
+    """
+    dataset = prepared.dataset
+    base = Hypothesis(dataset.parameters, tuple(p.value(dataset.model) for p in dataset.parameters))
+    errors, steady = horizon_errors(spread_stretches(prepared.test), [base, mended])
+    return predicts_well(errors[0], errors[1], steady)

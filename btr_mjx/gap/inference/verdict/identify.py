@@ -10,13 +10,14 @@ unexplained is measured against unknown generalised forces, which stand for ever
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from btr_mjx.gap.data import Dataset
-from btr_mjx.gap.effects import EFFECTS, Effect
-from btr_mjx.gap.forces import identify_forces, prepare_forces
+from btr_mjx.gap.effects import EFFECTS, Effect, Hypothesis
+from btr_mjx.gap.forces import bears_out, identify_forces, prepare_forces
 from btr_mjx.gap.inference.search.naming import COARSE, THRESHOLD, within_calibration
 from btr_mjx.gap.inference.search.rounds import search
 from btr_mjx.gap.inference.search.search import Bench
@@ -97,9 +98,18 @@ def identify(
     with threadpool_limits(1, "blas"):
         if (prepared := prepare_forces(dataset)) is not None:
             note = progress or (lambda _: None)
-            return identify_forces(prepared, effects, max_effects, note, counter or Counter())
+            counter = counter or Counter()
+            by_forces = identify_forces(prepared, effects, max_effects, note, counter)
+            if by_forces.verdict != "unexplained":
+                return by_forces
+            # Friction below the noise of accelerations is seen in motion over many samples.
+            note("windows")
         bench = Bench(dataset, effects, options, progress, counter)
-        return name_missing(bench, max_effects, seed, progress, begun)
+        if prepared is None:
+            return name_missing(bench, max_effects, seed, progress, begun)
+        borne_out = partial(bears_out, prepared)
+        by_windows = name_missing(bench, max_effects, seed, progress, begun, borne_out)
+        return by_windows if by_windows.verdict == "effect" else by_forces
 
 
 def name_missing(
@@ -108,6 +118,7 @@ def name_missing(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
     begun: float | None = None,
+    borne_out: Callable[[Hypothesis], bool] = lambda _: True,
 ) -> Diagnosis:
     """The part of `identify` that follows when a bench is ready.
 
@@ -117,6 +128,7 @@ def name_missing(
       seed: of the resampling behind intervals.
       progress: called with a word on what is being done.
       begun: time at which the work began, of `time.monotonic`; None for now.
+      borne_out: says whether a model with names may stand; all may by default.
 
     Returns:
       The diagnosis.
@@ -129,6 +141,8 @@ def name_missing(
         note("whole recordings")
         base, named[-1:] = followed(bench, base), [following(bench, judged) for judged in named[-1:]]
     named = without_growth(bench, named)
+    while named and not borne_out(named[-1].hypothesis):
+        named = named[:-1]
     note("lack of fit")
     rng = np.random.default_rng([seed, 1])
     check = Check(bench, rng)
