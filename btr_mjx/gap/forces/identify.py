@@ -141,7 +141,7 @@ def identify_forces(
     if seen := _visible(ends[1].point.named):
         if len(seen) < len(ends[1].point.named):
             marginal, ends[1] = (
-                settled(side, replace(marginal.point, named=seen), marginal.variances),
+                settled(side, replace(marginal.point, named=seen), marginal.variances, about=marginal.linear.stretches),
                 _refitted(side, replace(ends[1], point=replace(ends[1].point, named=seen))),
             )
     else:
@@ -190,7 +190,8 @@ def _refitted(side: ForceSide, fit: Fitted, rounds: int = ROUNDS) -> Fitted:
         side.library, calibration=replace(own, tolerance=own.tolerance * factor, reach=own.reach * factor)
     )
     start = replace(fit.point, calibration=np.where(known, 0.0, fit.point.calibration))
-    return settled(replace(side, library=library), start, replace(fit.variances, weight=None), rounds)
+    variances = replace(fit.variances, weight=None)
+    return settled(replace(side, library=library), start, variances, rounds, fit.linear.stretches)
 
 
 def _visible(named: Named) -> Named:
@@ -225,8 +226,8 @@ def _found(
         mended = mended.with_effect(candidate, own)
     errors, steady = horizon_errors(test.stretches, [base, mended], side.counter)
     missing = missing_force(side.stretches, base)
-    usual = np.sqrt((missing.actuator**2).mean((0, 1))) + np.sqrt((missing.force**2).mean((0, 1)))
-    share = np.sqrt(last.variances.force) / np.maximum(usual, 1e-300)
+    random = np.sqrt(last.variances.force)
+    share = random / np.maximum(np.sqrt((missing.actuator**2).mean((0, 1))) + random, 1e-300)
     # Names with which the model predicts well stand, whatever is left at one joint; noise is no force.
     stands = len(chain) > 1 and predicts_well(errors[0], errors[1], steady)
     large = (share > _LARGE) & (not stands) & bool(np.median(outcomes[1].chi2) > _BEYOND)

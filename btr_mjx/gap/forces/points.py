@@ -205,7 +205,9 @@ def newton_step(side: ForceSide, fit: Fitted) -> LeastSquares:
     return least_squares(fit.whitened.gram.sum(0), free, calibration, low, high)
 
 
-def settled(side: ForceSide, point: Point, variances: Variances, rounds: int = ROUNDS) -> Fitted:
+def settled(
+    side: ForceSide, point: Point, variances: Variances, rounds: int = ROUNDS, about: Stretches | None = None
+) -> Fitted:
     """A point with numbers and variances at which the likelihood is largest.
 
     Steps of the numbers and of the variances take turns: random forces start large, where the fit is nearly linear, and
@@ -216,8 +218,9 @@ def settled(side: ForceSide, point: Point, variances: Variances, rounds: int = R
       point: where to start.
       variances: with which to start.
       rounds: at most.
+      about: states to start from; None for those of the side.
     """
-    fit = evaluate_point(side, point, variances)
+    fit = evaluate_point(side, point, variances, stretches=about)
     first = fit.loss
     for i in range(rounds):
         before = fit.loss
@@ -231,8 +234,8 @@ def settled(side: ForceSide, point: Point, variances: Variances, rounds: int = R
             # Dry friction turns round within a sample: around states that are smoothed without it, it would be late.
             states = smoothed(fit.linear, size * fit.columns @ change, fit.variances).state
             trial = fit.point.moved(size * step.values, own + size * (step.calibration - own))
-            about = moved_states(fit.linear.stretches, states)
-            after = evaluate_point(side, trial, fit.variances, fit if i >= _FRESH else None, about)
+            moved = moved_states(fit.linear.stretches, states)
+            after = evaluate_point(side, trial, fit.variances, fit if i >= _FRESH else None, moved)
             if after.loss < fit.loss + 1.0:
                 break
             size *= 0.2

@@ -12,6 +12,7 @@ from btr_mjx.gap.forces.missing_force import drives, missing_force
 from btr_mjx.gap.forces.motion import linearise_motion
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, evaluate_point, names, settled
 from btr_mjx.gap.forces.scan import Scanned, price, scan_columns
+from btr_mjx.gap.forces.stretches import Stretches
 from btr_mjx.gap.forces.unknowns import DRIVE, LIMIT_SIZES
 
 FORGOTTEN = 0.01
@@ -121,8 +122,8 @@ def one_more(side: ForceSide, fit: Fitted, needed: float = 0.0) -> SearchRound:
     starts = [] if (drive := _drive(side, fit)) is None else [drive]
     finalists: list[tuple[float, Fitted]] = []
 
-    def judge(point: Point, variances: Variances) -> None:
-        found = settled(side, point, variances)
+    def judge(point: Point, variances: Variances, about: Stretches | None = None) -> None:
+        found = settled(side, point, variances, about=about)
         numbers = point.numbers - fit.point.numbers
         finalists.append((fit.loss - found.loss - price(numbers, scene.count, choices), found))
 
@@ -134,7 +135,7 @@ def one_more(side: ForceSide, fit: Fitted, needed: float = 0.0) -> SearchRound:
         if lead.candidate.effect.saturates:
             lead = replace(lead, values=_tightened(side, fit, lead))
             moved = fit.point
-        judge(replace(moved, named=(*moved.named, (lead.candidate, lead.values))), fit.variances)
+        judge(replace(moved, named=(*moved.named, (lead.candidate, lead.values))), fit.variances, fit.linear.stretches)
     finalists.sort(key=lambda row: -row[0])
     return SearchRound(fit, tuple(leads), tuple(finalists))
 
@@ -231,7 +232,7 @@ def pruned(side: ForceSide, fit: Fitted, null: Fitted) -> Fitted:
             named += _simpler(side, fit, i, single, least)
         if not named or named == fit.point.named:
             break
-        found = settled(side, replace(fit.point, named=named), fit.variances)
+        found = settled(side, replace(fit.point, named=named), fit.variances, about=fit.linear.stretches)
         if found.loss - fit.loss > least * max(1, fit.point.numbers - found.point.numbers):
             break
         fit = found
