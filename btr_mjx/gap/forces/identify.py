@@ -172,10 +172,12 @@ def _confirmed(test: ForceSide, chain: Sequence[Fitted]) -> list[Fitted]:
     return out
 
 
-def _known(side: ForceSide) -> np.ndarray:
+def _known(side: ForceSide, named: Named) -> np.ndarray:
     """(n,) bool: calibration that the mended model is without."""
     names = [entry.candidate.effect.name for entry in side.library.calibrated]
-    return np.array([not name.startswith(BELIEVED) and name != TIMING for name in names], bool)
+    # When commands act within a sample stays unknown, unless a delay is what was named.
+    unknown = {TIMING} - {candidate.effect.name for candidate, _ in named}
+    return np.array([not name.startswith(BELIEVED) and name not in unknown for name in names], bool)
 
 
 def _refitted(side: ForceSide, fit: Fitted, rounds: int = ROUNDS) -> Fitted:
@@ -184,7 +186,7 @@ def _refitted(side: ForceSide, fit: Fitted, rounds: int = ROUNDS) -> Fitted:
     What is named has to hold beside calibration; its numbers are those with which the mended model, which knows none,
     predicts best. When a command acts within its sample belongs to the log, not to the model, and stays unknown.
     """
-    own, known = side.library.calibration, _known(side)
+    own, known = side.library.calibration, _known(side, fit.point.named)
     factor = np.where(known, _NONE, 1.0)
     library = replace(
         side.library, calibration=replace(own, tolerance=own.tolerance * factor, reach=own.reach * factor)

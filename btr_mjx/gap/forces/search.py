@@ -184,13 +184,17 @@ def _drive(side: ForceSide, fit: Fitted) -> Point | None:
 
 
 def shortlist(leads: Sequence[Scanned], least: float = 0.0) -> list[Scanned]:
-    """Leads whose numbers are refined: the best ones above a score, at most `_PLACES` of an effect."""
+    """Leads whose numbers are refined: the best ones above a score, at most `_PLACES` of an effect.
+
+    The best limit is always among them: what it does is not linear, so that the scan says little of it.
+    """
     out: list[Scanned] = []
     for lead in leads:
         same = sum(other.candidate.effect is lead.candidate.effect for other in out)
         if lead.score > least and same < _PLACES and len(out) < _FINALISTS:
             out.append(lead)
-    return out
+    limits = [lead for lead in leads if lead.candidate.effect.saturates and lead.score > least]
+    return out + [lead for lead in limits[:1] if lead not in out]
 
 
 def select_effects(
