@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from btr_mjx.gap.forces.motion import time_step
 from btr_mjx.gap.forces.points import ForceSide, Point
 from btr_mjx.gap.forces.unknowns import Library
 from btr_mjx.gap.simulate import Counter, Segments, simulate
@@ -156,7 +157,10 @@ def position_errors(
     recordings = trial.data.recordings
     makes = [point.hypothesis(library) for point in points]
     jobs = [(make(recordings[i].model), segments) for make in makes for i, segments in trial.segments]
-    found = simulate(jobs, threads=1, counter=counter)
+    # Half the usual step: what the step of the simulation does is not for numbers to make up for.
+    interval = np.concatenate([np.diff(recording.time) for recording in recordings])
+    step = time_step(recordings[0].model, interval, 0.5)
+    found = simulate(jobs, timestep=step, threads=1, counter=counter)
     width = max(t.shape[1] for t in trial.target)
     out = []
     for n in range(len(points)):
