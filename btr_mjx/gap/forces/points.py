@@ -17,9 +17,6 @@ from btr_mjx.models import integrate
 _SETTLED = 1.0
 """Fall of -2 ln p below which steps end early."""
 
-_SLIGHT = 0.01
-"""The same as a part of the whole fall."""
-
 _SHORTEST = 0.1
 """Part of a Gauss-Newton step that is tried at least."""
 
@@ -221,7 +218,6 @@ def settled(
       about: states to start from; None for those of the side.
     """
     fit = evaluate_point(side, point, variances, stretches=about)
-    first = fit.loss
     for i in range(rounds):
         before = fit.loss
         known = fit.variances
@@ -242,7 +238,7 @@ def settled(
         else:
             after = fit
         fall, fit = before - after.loss, after
-        if fall < max(_SETTLED, _SLIGHT * (first - fit.loss)):
+        if fall < _SETTLED:
             break
     return fit
 
