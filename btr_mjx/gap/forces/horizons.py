@@ -5,7 +5,7 @@ samples does not see; a long simulation in turn says nothing where motion diverg
 forces allow, to where simulations are nearest to the data, over horizons that grow while they are followed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +31,9 @@ _STEPS = 3
 
 _SAMPLES = 40_000
 """Samples of a horizon's simulations, at most."""
+
+
+Errors = Callable[..., np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,60 +65,18 @@ def follow_horizons(side: ForceSide, point: Point, covariance: np.ndarray, libra
     """
     data = side.stretches.data
     seen = np.flatnonzero(data.measured[: data.recordings[0].model.nv])
-    moved = np.concatenate([_motion(data, r) for r in range(len(data.recordings))])[:, seen].std(0)
+    size = np.concatenate([_motion(data, r) for r in range(len(data.recordings))])[:, seen].std(0)
     longest = min(float(np.ptp(r.time)) for r in data.recordings)
     horizon, best = _SHORTEST, point
     while horizon < _LONGER * longest:
         trial = cut_horizons(data, min(horizon, longest))
-        square = position_errors(trial, [best], library, side.counter)[0][..., seen] ** 2
+        square = _exact_errors(trial, [best], library, side.counter)[0][..., seen] ** 2
         rms = np.sqrt(np.median(square.mean(1), 0))
-        if not np.all(rms < _FOLLOWS * moved):
+        if not np.all(rms < _FOLLOWS * size):
             break
         best, covariance = _nearest(side, trial, best, covariance, (seen, rms), library)
         horizon *= _LONGER
     return best
-
-
-def _nearest(
-    side: ForceSide,
-    trial: Horizon,
-    point: Point,
-    covariance: np.ndarray,
-    scale: tuple[np.ndarray, np.ndarray],
-    library: Library,
-) -> tuple[Point, np.ndarray]:
-    """The point nearest to the data over one horizon, and the covariance of its numbers.
-
-    Args:
-      side: counts the steps.
-      trial: the horizon.
-      point: what forces and shorter horizons say.
-      covariance: (p, p) of its numbers.
-      scale: coordinates that were measured, and the size of their errors.
-      library: of the search.
-    """
-    low, high, step, start = (np.array(x) for x in zip(*_numbers(point), strict=True))
-    root = np.linalg.cholesky(np.linalg.inv(covariance)).T
-    seen, rms = scale
-
-    def residuals(many: Sequence[np.ndarray]) -> np.ndarray:
-        """(n, N): each simulation counts as one measured value per joint, since its errors go together."""
-        tried = [point.moved(values - start, point.calibration) for values in many]
-        errors = position_errors(trial, tried, library, side.counter)[..., seen] / rms
-        own = (errors / np.sqrt(errors.shape[2])).reshape(len(many), -1)
-        return np.concatenate([own, (np.array(many) - start) @ root.T], 1)
-
-    at, own = start, residuals([start])[0]
-    steps = np.diag(np.where(start + step <= high, step, -step))
-    slopes = ((residuals(start + steps) - own) / np.diag(steps)[:, None]).T
-    # One set of derivatives serves all steps: numbers move by little.
-    for _ in range(_STEPS):
-        trial_at = np.clip(at - np.linalg.lstsq(slopes, own)[0], low, high)
-        after = residuals([trial_at])[0]
-        if not after @ after < own @ own:
-            break
-        at, own = trial_at, after
-    return point.moved(at - start, point.calibration), np.linalg.inv(slopes.T @ slopes)
 
 
 def cut_horizons(data: PreparedData, horizon: float) -> Horizon:
@@ -144,7 +105,7 @@ def cut_horizons(data: PreparedData, horizon: float) -> Horizon:
 
 
 def position_errors(
-    trial: Horizon, points: Sequence[Point], library: Library, counter: Counter | None = None
+    trial: Horizon, points: Sequence[Point], library: Library, counter: Counter | None = None, factor: float = 1.0
 ) -> np.ndarray:
     """Errors (n, W, K, nv) of positions.
 
@@ -153,13 +114,13 @@ def position_errors(
       points: hypotheses.
       library: of the search.
       counter: adds up the simulated steps.
+      factor: time steps in units of those of the model.
     """
     recordings = trial.data.recordings
     makes = [point.hypothesis(library) for point in points]
     jobs = [(make(recordings[i].model), segments) for make in makes for i, segments in trial.segments]
-    # Half the usual step: what the step of the simulation does is not for numbers to make up for.
     interval = np.concatenate([np.diff(recording.time) for recording in recordings])
-    step = time_step(recordings[0].model, interval, 0.5)
+    step = time_step(recordings[0].model, interval, factor)
     found = simulate(jobs, timestep=step, threads=1, counter=counter)
     width = max(t.shape[1] for t in trial.target)
     out = []
@@ -172,6 +133,14 @@ def position_errors(
             own.append(np.pad(away, ((0, 0), (0, width - away.shape[1]), (0, 0))))
         out.append(np.concatenate(own))
     return np.array(out)
+
+
+def _exact_errors(
+    trial: Horizon, points: Sequence[Point], library: Library, counter: Counter | None = None
+) -> np.ndarray:
+    """Errors (n, W, K, nv) at vanishing time steps: numbers are not to make up for those of the simulation."""
+    whole, half = (position_errors(trial, points, library, counter, factor) for factor in (1.0, 0.5))
+    return 2 * half - whole
 
 
 def _motion(data: PreparedData, r: int) -> np.ndarray:
@@ -187,3 +156,46 @@ def _numbers(point: Point) -> list[tuple[float, float, float, float]]:
         for candidate, values in point.named
         for p, v in zip(candidate.parameters, values, strict=True)
     ]
+
+
+def _nearest(
+    side: ForceSide,
+    trial: Horizon,
+    point: Point,
+    covariance: np.ndarray,
+    scale: tuple[np.ndarray, np.ndarray],
+    library: Library,
+) -> tuple[Point, np.ndarray]:
+    """The point nearest to the data over one horizon, and the covariance of its numbers.
+
+    Args:
+      side: counts the steps.
+      trial: the horizon.
+      point: what forces and shorter horizons say.
+      covariance: (p, p) of its numbers.
+      scale: coordinates that were measured, and the size of their errors.
+      library: of the search.
+    """
+    low, high, step, start = (np.array(x) for x in zip(*_numbers(point), strict=True))
+    root = np.linalg.cholesky(np.linalg.inv(covariance)).T
+    seen, rms = scale
+
+    def residuals(many: Sequence[np.ndarray], simulated: Errors = _exact_errors) -> np.ndarray:
+        """(n, N): each simulation counts as one measured value per joint, since its errors go together."""
+        tried = [point.moved(values - start, point.calibration) for values in many]
+        errors = simulated(trial, tried, library, side.counter)[..., seen] / rms
+        own = (errors / np.sqrt(errors.shape[2])).reshape(len(many), -1)
+        return np.concatenate([own, (np.array(many) - start) @ root.T], 1)
+
+    at, own = start, residuals([start])[0]
+    steps = np.diag(np.where(start + step <= high, step, -step))
+    # One set of derivatives, of the usual time step, serves all steps: numbers move by little.
+    moved = residuals([start, *(start + steps)], position_errors)
+    slopes = ((moved[1:] - moved[0]) / np.diag(steps)[:, None]).T
+    for _ in range(_STEPS):
+        trial_at = np.clip(at - np.linalg.lstsq(slopes, own)[0], low, high)
+        after = residuals([trial_at])[0]
+        if not after @ after < own @ own:
+            break
+        at, own = trial_at, after
+    return point.moved(at - start, point.calibration), np.linalg.inv(slopes.T @ slopes)
