@@ -7,11 +7,11 @@ import numpy as np
 
 from btr_mjx.gap.effects import Hypothesis
 from btr_mjx.gap.forces.filtering import Variances, filtered, smoothed
+from btr_mjx.gap.forces.horizons import cut_horizons, position_errors, steady_errors
 from btr_mjx.gap.forces.motion import linearise_motion
 from btr_mjx.gap.forces.points import ForceSide, Point, moved_states
-from btr_mjx.gap.forces.stretches import Stretches
-from btr_mjx.gap.simulate import Counter, Segments, simulate
-from btr_mjx.models import difference
+from btr_mjx.gap.simulate import Counter
+from btr_mjx.gap.windows import PreparedData
 
 HORIZON = 0.25
 """Time over which predictions are compared [s]."""
@@ -81,12 +81,12 @@ def is_better(before: HeldOut, after: HeldOut) -> bool:
 
 
 def horizon_errors(
-    stretches: Stretches, makes: Sequence[Hypothesis], counter: Counter | None = None, horizon: float = HORIZON
+    data: PreparedData, makes: Sequence[Hypothesis], counter: Counter | None = None, horizon: float = HORIZON
 ) -> tuple[list[np.ndarray], np.ndarray]:
     """Mean square errors of positions over a horizon from smoothed states.
 
     Args:
-      stretches: of recordings.
+      data: recordings.
       makes: hypotheses.
       counter: adds up the simulated steps.
       horizon: [s].
@@ -94,37 +94,10 @@ def horizon_errors(
     Returns:
       For each hypothesis (W, nv), and the same of constant velocity.
     """
-    model = stretches.data.recordings[0].model
-    interval = float(np.median(np.diff(stretches.time, axis=1)))
-    count = int(np.clip(round(horizon / interval), 1, stretches.intervals))
-    pairs = [(s, k) for s in range(len(stretches)) for k in range(0, stretches.intervals - count + 1, count)]
-    rows, first = (np.array(x) for x in zip(*pairs, strict=True))
-    index = first[:, None] + np.arange(count + 1)
-    time = stretches.time[rows[:, None], index]
-    target = stretches.measured_q[rows[:, None], index]
-    start_q, start_v = stretches.qpos[rows, first], stretches.qvel[rows, first]
-    since = time - time[:, :1]
-    out = [np.empty((len(rows), model.nv)) for _ in makes]
-    recording = stretches.recording[rows]
-    for r in np.unique(recording):
-        own = np.flatnonzero(recording == r)
-        segments = Segments(
-            time[own, 0],
-            start_q[own],
-            start_v[own],
-            since[own],
-            stretches.data.commands,
-            recording[own],
-            stretches.act[rows[own], first[own]] if model.na else None,
-        )
-        of_recording = stretches.data.recordings[r].model
-        found = simulate([(make(of_recording), segments) for make in makes], threads=1, counter=counter)
-        for states, errors in zip(found, out, strict=True):
-            away = difference(model, target[own], states[..., : model.nq])
-            errors[own] = np.nan_to_num((away**2).mean(1), nan=1e12)
-    travelled = since[..., None] * start_v[:, None]
-    steady = difference(model, start_q[:, None], target) - travelled
-    return out, (steady**2).mean(1)
+    trial = cut_horizons(data, horizon)
+    every = [*position_errors(trial, makes, counter), steady_errors(trial)]
+    *found, steady = (np.concatenate([(e**2).mean(1) for e in row]) for row in every)
+    return found, steady
 
 
 def predicts_well(believed: np.ndarray, mended: np.ndarray, steady: np.ndarray) -> bool:

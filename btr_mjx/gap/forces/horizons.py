@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from btr_mjx.gap.effects import Hypothesis
 from btr_mjx.gap.forces.motion import time_step
 from btr_mjx.gap.forces.points import ForceSide, Point
 from btr_mjx.gap.forces.unknowns import Library
@@ -29,25 +30,28 @@ _FOLLOWS = 0.1
 _STEPS = 3
 """Gauss-Newton steps over a horizon, at most."""
 
+_LOST = 1e3
+"""Error of a simulation that has diverged [rad or m]."""
+
 _SAMPLES = 40_000
 """Samples of a horizon's simulations, at most."""
 
 
-Errors = Callable[..., np.ndarray]
+Errors = Callable[..., list[list[np.ndarray]]]
 
 
 @dataclass(frozen=True, eq=False)
 class Horizon:
-    """W simulations of recordings over the same time.
+    """Simulations of recordings, W of each over the same time.
 
     Attributes:
       data: the recordings.
-      segments: those of each recording, by index; each with its own starting states.
-      target: (W, K, nq) measured positions.
+      segments: those of each recording; each with its own starting states.
+      target: (W, K, nq) measured positions of each recording.
     """
 
     data: PreparedData
-    segments: tuple[tuple[int, Segments], ...]
+    segments: tuple[Segments, ...]
     target: tuple[np.ndarray, ...]
 
 
@@ -70,8 +74,8 @@ def follow_horizons(side: ForceSide, point: Point, covariance: np.ndarray, libra
     horizon, best = _SHORTEST, point
     while horizon < _LONGER * longest:
         trial = cut_horizons(data, min(horizon, longest))
-        square = _exact_errors(trial, [best], library, side.counter)[0][..., seen] ** 2
-        rms = np.sqrt(np.median(square.mean(1), 0))
+        errors = _exact_errors(trial, [best.hypothesis(library)], side.counter)[0]
+        rms = np.sqrt(np.median(np.concatenate([(e[..., seen] ** 2).mean(1) for e in errors]), 0))
         if not np.all(rms < _FOLLOWS * size):
             break
         best, covariance = _nearest(side, trial, best, covariance, (seen, rms), library)
@@ -84,10 +88,10 @@ def cut_horizons(data: PreparedData, horizon: float) -> Horizon:
 
     Args:
       data: recordings.
-      horizon: no longer than the shortest recording.
+      horizon: recordings that are shorter are simulated as a whole.
     """
     interval = float(np.median(np.concatenate([np.diff(r.time) for r in data.recordings])))
-    count = max(1, int(horizon / interval))
+    count = max(1, round(min(horizon / interval, max(len(r.time) for r in data.recordings))))
     total = sum(len(r.time) // (count + 1) or 1 for r in data.recordings)
     every = max(1, -(-total * (count + 1) // _SAMPLES))
     segments, target = [], []
@@ -99,48 +103,50 @@ def cut_horizons(data: PreparedData, horizon: float) -> Horizon:
         time = recording.time[index]
         act = data.acts[i][first] if recording.model.na else None
         same = np.full(len(first), i)
-        segments.append((i, Segments(time[:, 0], qpos, qvel, time - time[:, :1], data.commands, same, act)))
+        segments.append(Segments(time[:, 0], qpos, qvel, time - time[:, :1], data.commands, same, act))
         target.append(recording.qpos[index])
     return Horizon(data, tuple(segments), tuple(target))
 
 
 def position_errors(
-    trial: Horizon, points: Sequence[Point], library: Library, counter: Counter | None = None, factor: float = 1.0
-) -> np.ndarray:
-    """Errors (n, W, K, nv) of positions.
+    trial: Horizon, makes: Sequence[Hypothesis], counter: Counter | None = None, factor: float = 1.0
+) -> list[list[np.ndarray]]:
+    """Errors of positions, a list for each hypothesis, with an array (W, K, nv) for each recording.
 
     Args:
       trial: what is simulated.
-      points: hypotheses.
-      library: of the search.
+      makes: hypotheses.
       counter: adds up the simulated steps.
       factor: time steps in units of those of the model.
     """
     recordings = trial.data.recordings
-    makes = [point.hypothesis(library) for point in points]
-    jobs = [(make(recordings[i].model), segments) for make in makes for i, segments in trial.segments]
-    interval = np.concatenate([np.diff(recording.time) for recording in recordings])
-    step = time_step(recordings[0].model, interval, factor)
+    jobs = [(make(r.model), own) for make in makes for r, own in zip(recordings, trial.segments, strict=True)]
+    step = time_step(recordings[0].model, np.concatenate([np.diff(r.time) for r in recordings]), factor)
     found = simulate(jobs, timestep=step, threads=1, counter=counter)
-    width = max(t.shape[1] for t in trial.target)
+    errors = []
+    for n, states in enumerate(found):
+        r = n % len(recordings)
+        model = recordings[r].model
+        away = difference(model, trial.target[r], states[..., : model.nq])
+        errors.append(np.nan_to_num(away, nan=_LOST, posinf=_LOST, neginf=-_LOST))
+    return [errors[n : n + len(recordings)] for n in range(0, len(errors), len(recordings))]
+
+
+def steady_errors(trial: Horizon) -> list[np.ndarray]:
+    """The same of constant velocity, an array (W, K, nv) for each recording."""
     out = []
-    for n in range(len(points)):
-        rows = found[n * len(trial.segments) : (n + 1) * len(trial.segments)]
-        own = []
-        for (i, _), states, target in zip(trial.segments, rows, trial.target, strict=True):
-            model = recordings[i].model
-            away = np.nan_to_num(difference(model, target, states[..., : model.nq]), nan=1e3, posinf=1e3, neginf=-1e3)
-            own.append(np.pad(away, ((0, 0), (0, width - away.shape[1]), (0, 0))))
-        out.append(np.concatenate(own))
-    return np.array(out)
+    for recording, own, target in zip(trial.data.recordings, trial.segments, trial.target, strict=True):
+        travelled = own.samples[..., None] * own.qvel[:, None]
+        out.append(difference(recording.model, target, own.qpos[:, None]) + travelled)
+    return out
 
 
 def _exact_errors(
-    trial: Horizon, points: Sequence[Point], library: Library, counter: Counter | None = None
-) -> np.ndarray:
-    """Errors (n, W, K, nv) at vanishing time steps: numbers are not to make up for those of the simulation."""
-    whole, half = (position_errors(trial, points, library, counter, factor) for factor in (1.0, 0.5))
-    return 2 * half - whole
+    trial: Horizon, makes: Sequence[Hypothesis], counter: Counter | None = None
+) -> list[list[np.ndarray]]:
+    """Errors at vanishing time steps: numbers are not to make up for those of the simulation."""
+    whole, half = (position_errors(trial, makes, counter, factor) for factor in (1.0, 0.5))
+    return [[2 * b - a for a, b in zip(*rows, strict=True)] for rows in zip(whole, half, strict=True)]
 
 
 def _motion(data: PreparedData, r: int) -> np.ndarray:
@@ -183,9 +189,9 @@ def _nearest(
     def residuals(many: Sequence[np.ndarray], simulated: Errors = _exact_errors) -> np.ndarray:
         """(n, N): each simulation counts as one measured value per joint, since its errors go together."""
         tried = [point.moved(values - start, point.calibration) for values in many]
-        errors = simulated(trial, tried, library, side.counter)[..., seen] / rms
-        own = (errors / np.sqrt(errors.shape[2])).reshape(len(many), -1)
-        return np.concatenate([own, (np.array(many) - start) @ root.T], 1)
+        found = simulated(trial, [own.hypothesis(library) for own in tried], side.counter)
+        errors = [np.concatenate([(e[..., seen] / rms / np.sqrt(e.shape[1])).ravel() for e in row]) for row in found]
+        return np.concatenate([errors, (np.array(many) - start) @ root.T], 1)
 
     at, own = start, residuals([start])[0]
     steps = np.diag(np.where(start + step <= high, step, -step))

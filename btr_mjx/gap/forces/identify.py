@@ -226,7 +226,7 @@ def _found(
     mended = replace(last.point.base, believed=values[1])
     for candidate, own in last.point.named:
         mended = mended.with_effect(candidate, own)
-    errors, steady = horizon_errors(test.stretches, [base, mended], side.counter)
+    errors, steady = horizon_errors(test.stretches.data, [base, mended], side.counter)
     missing = missing_force(side.stretches, base)
     random = np.sqrt(last.variances.force)
     share = random / np.maximum(np.sqrt((missing.actuator**2).mean((0, 1))) + random, 1e-300)
@@ -265,5 +265,5 @@ def bears_out(prepared: PreparedForces, mended: Hypothesis) -> bool:
     """
     dataset = prepared.dataset
     base = Hypothesis(dataset.parameters, tuple(p.value(dataset.model) for p in dataset.parameters))
-    errors, steady = horizon_errors(spread_stretches(prepared.test), [base, mended])
+    errors, steady = horizon_errors(prepared.test, [base, mended])
     return predicts_well(errors[0], errors[1], steady)

@@ -11,6 +11,7 @@ from btr_mjx.gap.effects import Hypothesis
 from btr_mjx.gap.forces.confounds import confounds_of
 from btr_mjx.gap.forces.filtering import smoothed
 from btr_mjx.gap.forces.held_out import HORIZON, HeldOut
+from btr_mjx.gap.forces.horizons import cut_horizons, position_errors
 from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.missing_force import MissingForce
 from btr_mjx.gap.forces.points import Fitted, ForceSide, names
@@ -99,7 +100,7 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
     # In units of the noise of the dataset, whatever was estimated beside it.
     floor = float(np.mean((last.variances.sensor / found.side.stretches.sigma**2)[seen]))
     before, after = (floor * float(np.mean(own.chi2)) for own in found.held_out)
-    loops = _open_loop(dataset, found)
+    loops = _open_loop(found)
     model = dataset.model
     return Diagnosis(
         verdict=verdict,  # type: ignore[arg-type]
@@ -213,30 +214,12 @@ def _ranking(rounds: Sequence[SearchRound]) -> tuple[RankedCandidate, ...]:
     return tuple(rows)
 
 
-def _open_loop(dataset: Dataset, found: SearchOutcome) -> tuple[float, float]:
+def _open_loop(found: SearchOutcome) -> tuple[float, float]:
     """Mean absolute position error over whole held-out recordings [rad or m], believed and mended."""
-    data = found.test.stretches.data
-    totals: list[list[float]] = [[], []]
-    for i, recording in enumerate(data.recordings):
-        own = np.flatnonzero(found.test.stretches.recording == i)
-        first = own[np.argmin(found.test.stretches.time[own, 0])]
-        start = found.test.stretches
-        begin = int(np.argmin(np.abs(recording.time - start.time[first, 0])))
-        since = (recording.time[begin:] - recording.time[begin])[None]
-        segments = Segments(
-            recording.time[begin : begin + 1],
-            start.qpos[first, :1],
-            start.qvel[first, :1],
-            since,
-            data.commands,
-            np.array([i]),
-            data.acts[i][begin : begin + 1] if recording.model.na else None,
-        )
-        jobs = [(make(recording.model), segments) for make in (found.base, found.mended)]
-        for states, errors in zip(simulate(jobs, threads=1, counter=found.test.counter), totals, strict=True):
-            away = difference(recording.model, recording.qpos[begin:], states[0, :, : recording.model.nq])
-            errors.append(float(np.mean(np.abs(np.nan_to_num(away, nan=1e3)))))
-    return float(np.mean(totals[0])), float(np.mean(totals[1]))
+    trial = cut_horizons(found.test.stretches.data, np.inf)
+    errors = position_errors(trial, [found.base, found.mended], found.test.counter)
+    before, after = (float(np.mean([np.abs(own).mean() for own in row])) for row in errors)
+    return before, after
 
 
 def _places(model: mujoco.MjModel) -> list[str]:

@@ -10,6 +10,7 @@ from gap_models import one
 from btr_mjx.gap.effects import Hypothesis, candidates
 from btr_mjx.gap.forces.filtering import smoothed
 from btr_mjx.gap.forces.held_out import held_out, horizon_errors, is_better
+from btr_mjx.gap.forces.horizons import cut_horizons
 from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.motion import FreeNumber, responses
 from btr_mjx.gap.forces.points import ForceSide, Point, again, evaluate_point, newton_step, settled
@@ -178,25 +179,25 @@ def test_held_out_recordings_bear_out_the_truth_only(sides, named, null):
 
 
 def test_predictions_over_a_horizon_are_those_of_plain_simulations(sides):
-    stretches = sides[1].stretches
+    data = sides[1].stretches.data
     truth = believed().with_effect(one(arm(), "viscous_damping@joint:elbow", LIBRARY), [0.1])
-    (lacking, right), steady = horizon_errors(stretches, [believed(), truth], horizon=0.05)
+    (lacking, right), steady = horizon_errors(data, [believed(), truth], horizon=0.05)
     assert lacking.shape == right.shape == steady.shape
     assert right[:, 1].mean() < 0.3 * lacking[:, 1].mean()
     assert right.mean() < 0.1 * steady.mean()
-    model = arm()
-    data = mujoco.MjData(model)
-    data.qpos[:], data.qvel[:] = stretches.qpos[0, 0], stretches.qvel[0, 0]
-    away, steps = [0.0], 2
-    first = stretches.time[0, 0]
+    model, first = arm(), data.recordings[0]
+    start = cut_horizons(data, 0.05).segments[0]
+    plain = mujoco.MjData(model)
+    plain.qpos[:], plain.qvel[:] = start.qpos[0], start.qvel[0]
+    model.opt.timestep, away = 0.005 / 3, [plain.qpos[1] - first.qpos[0, 1]]
     for k in range(10):
-        for _ in range(steps):
-            data.ctrl[:] = stretches.data.commands[stretches.recording[0]].at(first + data.time)
-            model.opt.timestep = 0.005 / steps
-            mujoco.mj_step(model, data)
-        away.append(data.qpos[1] - stretches.measured_q[0, k + 1, 1])
-    away[0] = stretches.qpos[0, 0, 1] - stretches.measured_q[0, 0, 1]
-    assert lacking[0, 1] == pytest.approx(np.mean(np.square(away)), rel=0.1)
+        for _ in range(3):
+            plain.ctrl[:] = data.commands[0].at(first.time[0] + plain.time)
+            mujoco.mj_step(model, plain)
+        away.append(plain.qpos[1] - first.qpos[k + 1, 1])
+    assert lacking[0, 1] == pytest.approx(np.mean(np.square(away)), rel=0.02)
+    moving = [start.qpos[0, 1] + 0.005 * k * start.qvel[0, 1] - first.qpos[k, 1] for k in range(11)]
+    assert steady[0, 1] == pytest.approx(np.mean(np.square(moving)))
 
 
 def test_first_variances_are_of_the_size_of_what_is_missing(sides):

@@ -1,0 +1,53 @@
+"""Numbers that follow recordings: where truth is known, where forces are sure, and where nothing can be followed."""
+
+import numpy as np
+import pytest
+from gap_arm import LIBRARY, arm, damped
+from gap_forces import arm_side, arm_stretches, believed, moved_arm
+from gap_models import one
+
+from btr_mjx.gap.forces.horizons import cut_horizons, follow_horizons, position_errors
+from btr_mjx.gap.forces.points import ForceSide, Point
+
+TRUE = 0.1
+
+
+@pytest.fixture(scope="module")
+def side() -> ForceSide:
+    """Recordings of an arm with more damping at the elbow."""
+    effects = tuple(e for e in LIBRARY if e.name == "viscous_damping")
+    return arm_side(arm_stretches([moved_arm(f"r{i}", i, change=damped) for i in (0, 1)]), effects)
+
+
+def point(side: ForceSide, value: float) -> Point:
+    candidate = one(arm(), "viscous_damping@joint:elbow", LIBRARY)
+    return Point(believed(), ((candidate, (value,)),), np.zeros(len(side.library.calibrated)))
+
+
+@pytest.mark.parametrize("value", [0.07, 0.13])
+def test_numbers_move_to_where_recordings_are_followed(side: ForceSide, value: float) -> None:
+    (_, (found,)), *_ = follow_horizons(side, point(side, value), np.array([[0.05**2]]), side.library).named
+    assert found == pytest.approx(TRUE, rel=0.03)
+
+
+def test_numbers_of_which_forces_are_sure_stay(side: ForceSide) -> None:
+    (_, (found,)), *_ = follow_horizons(side, point(side, 0.07), np.array([[1e-5**2]]), side.library).named
+    assert found == pytest.approx(0.07, abs=1e-4)
+
+
+def test_a_model_that_follows_nothing_is_left_alone(side: ForceSide) -> None:
+    wrong = point(side, 5.0)
+    assert follow_horizons(side, wrong, np.array([[1.0]]), side.library) is wrong
+
+
+def test_horizons_cover_recordings_one_behind_the_other(side: ForceSide) -> None:
+    data = side.stretches.data
+    trial = cut_horizons(data, 0.1)
+    for recording, own, target in zip(data.recordings, trial.segments, trial.target, strict=True):
+        assert np.all(np.diff(own.start) > own.samples.max())
+        assert own.start[-1] + 2 * own.samples.max() > recording.time[-1] - 0.1
+        np.testing.assert_array_equal(target[:, 0], recording.qpos[np.searchsorted(recording.time, own.start - 1e-9)])
+    whole = cut_horizons(data, np.inf)
+    assert [len(own) for own in whole.segments] == [1, 1]
+    (errors,) = position_errors(whole, [believed()])
+    assert [e.shape[1] for e in errors] == [len(r.time) for r in data.recordings]
