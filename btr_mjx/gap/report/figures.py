@@ -1,5 +1,6 @@
 """Figures of a diagnosis: each function makes one matplotlib Figure from saved data and reads no file."""
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +15,9 @@ from btr_mjx.gap.results import effect_at_place, format_number
 
 MEASURED, BEFORE, AFTER = "#000000", "#c8641e", "#1f5fa8"
 """Colours of data, believed model and mended model; dots, dashes and a solid line distinguish them in grey as well."""
+
+_WIDEST = 46
+"""Characters in a line of a candidate's name."""
 
 
 def disagreement_map(
@@ -81,7 +85,9 @@ def ranking_bars(
       The figure.
     """
     shown = list(rows)[:most]
-    figure = Figure(figsize=(7.2, 0.7 + 0.25 * max(len(shown), 1)))
+    labels = [textwrap.fill(_capital(effect_at_place(row)), _WIDEST) for row in shown]
+    lines = sum(1 + label.count("\n") for label in labels)
+    figure = Figure(figsize=(7.2, 0.7 + 0.16 * lines + 0.09 * max(len(shown), 1)))
     axes = figure.subplots()
     scores = [max(float(row.get("score") or 0.0), 0.0) for row in shown]
     for i, (row, score) in enumerate(zip(shown, scores, strict=True)):
@@ -101,13 +107,13 @@ def ranking_bars(
             behind = float(row["margin"])
             note += f"  ({'−' if behind > 0 else '+'}{format_number(abs(behind))})"
         axes.annotate(note, (score, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=7.5)
-    axes.set_yticks(range(len(shown)), [_capital(effect_at_place(row)) for row in shown])
+    axes.set_yticks(range(len(shown)), labels)
     axes.invert_yaxis()
-    axes.set_xlim(0, 1.18 * max([*scores, threshold or 1e-9]))
+    axes.set_xlim(0, 1.5 * max([*scores, threshold or 1e-9]))
     if threshold is not None:
         axes.axvline(threshold, color="0.4", linewidth=0.8, linestyle=(0, (2, 2)), zorder=0)
     axes.tick_params(axis="y", length=0)
-    axes.set_xlabel("score (in brackets: distance to the first)")
+    axes.set_xlabel("score (in brackets: distance to the first)", loc="right")
     return figure
 
 
