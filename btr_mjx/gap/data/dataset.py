@@ -53,7 +53,6 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data.columns import SUFFIXES
 from btr_mjx.gap.data.formats.ros_bag import TOPICS
 from btr_mjx.gap.data.held import bends, stairs
 from btr_mjx.gap.data.logs import LogOptions
@@ -66,7 +65,7 @@ from btr_mjx.gap.data.reading import Reading, read_recording, recording_files
 from btr_mjx.gap.data.recording import Recording
 from btr_mjx.gap.data.samples import estimate_velocity, velocity_lag
 from btr_mjx.gap.data.splits import assign_splits, split_parts
-from btr_mjx.models import PathParameter, part_names, read_path_parameter
+from btr_mjx.models import PathParameter, difference, part_names, read_path_parameter
 from btr_mjx.runs import check_keys, file_inside, is_number, read_toml, toml_rows, toml_section
 
 DATASET_FILE = "dataset.toml"
@@ -188,25 +187,29 @@ def load_table(
 
 
 def _without_lagging_velocities(groups: Sequence[Sequence[Recording]], notes: list[str]) -> list[list[Recording]]:
-    """The recordings, with velocities of hinges and slides estimated where the measured ones lag the positions."""
-    model, lags = groups[0][0].model, dict[int, float]()
-    for joint, v in enumerate(model.jnt_dofadr.tolist()):
-        q = int(model.jnt_qposadr[joint])
-        tracks = [(r.time, r.qpos[:, q], r.qvel[:, v]) for group in groups for r in group if r.qvel_measured[v]]
-        if int(model.jnt_type[joint]) not in SUFFIXES and tracks and (lag := velocity_lag(tracks)):
-            lags[joint] = lag
+    """The recordings, with velocities estimated where the measured ones lag the positions."""
+    model, lags, moves = groups[0][0].model, dict[int, float](), dict[int, np.ndarray]()
+    every = [one for group in groups for one in group]
+    # Displacements of a free or ball joint are in the directions of its velocities; those of a hinge are its angle.
+    for i, r in enumerate(every):
+        steps = difference(model, r.qpos[:-1], r.qpos[1:])
+        moves[i] = np.concatenate([np.zeros((1, model.nv)), np.cumsum(steps, 0)])
+    for dof in range(model.nv):
+        tracks = [(r.time, moves[i][:, dof], r.qvel[:, dof]) for i, r in enumerate(every) if r.qvel_measured[dof]]
+        if tracks and (lag := velocity_lag(tracks)):
+            lags[dof] = lag
     if not lags:
         return [list(group) for group in groups]
     names = part_names(model, "joint")
-    for word, own in (("lag", [j for j in lags if lags[j] > 0]), ("lead", [j for j in lags if lags[j] < 0])):
+    for word, own in (("lag", [v for v in lags if lags[v] > 0]), ("lead", [v for v in lags if lags[v] < 0])):
         if own:
-            size = 1e3 * np.abs([lags[j] for j in own])
+            size = 1e3 * np.abs([lags[v] for v in own])
             apart = f" ({size.min():.3g} to {size.max():.3g} ms)" if len(own) > 1 else ""
             notes.append(
                 f"velocities {word} the slope of the positions by {np.median(size):.3g} ms{apart}, as behind a filter: "
-                f"they are left out ({', '.join(names[j] for j in own)})"
+                f"they are left out ({', '.join(dict.fromkeys(names[model.dof_jntid[v]] for v in own))})"
             )
-    dofs = model.jnt_dofadr[list(lags)]
+    dofs = list(lags)
 
     def mended(one: Recording) -> Recording:
         measured, qvel = one.qvel_measured.copy(), one.qvel.copy()

@@ -23,10 +23,10 @@ from btr_mjx.gap.forces.missing_force import missing_force
 from btr_mjx.gap.forces.motion import responses
 from btr_mjx.gap.forces.outcome import SearchOutcome, diagnosis_of
 from btr_mjx.gap.forces.points import ROUNDS, Fitted, ForceSide, evaluate_point, settled
-from btr_mjx.gap.forces.search import Named, SearchRound, select_effects
+from btr_mjx.gap.forces.search import Named, SearchRound, select_effects, start
 from btr_mjx.gap.forces.shapes import best_shape
-from btr_mjx.gap.forces.stretches import spread_stretches
-from btr_mjx.gap.forces.unknowns import BELIEVED, TIMING, believed_values, library_of
+from btr_mjx.gap.forces.stretches import Stretches, spread_stretches
+from btr_mjx.gap.forces.unknowns import BELIEVED, TIMING, Library, believed_values, library_of
 from btr_mjx.gap.results import Diagnosis
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.gap.windows import PreparedData, best_span, contact_samples, prepare, scales_of, track_of
@@ -129,10 +129,11 @@ def identify_forces(
     possible = candidates(dataset.model, scales_of(prepared.fit), with_motors(effects))
     interval = float(np.median(np.diff(dataset.fit[0].commands[0])))
     library = library_of(possible, dataset.model, dataset.parameters, dataset.tolerances, interval)
-    columns = responses(stretches, base, library.numbers, counter)
-    side = ForceSide(stretches, library, columns, counter)
     test = ForceSide(other, library, np.zeros((0,)), counter)
-    rounds, chain = select_effects(side, base, max_effects, progress)
+    side, first = start(
+        ForceSide(stretches, library, _of_calibration(stretches, library, base, counter), counter), base
+    )
+    rounds, chain = select_effects(side, first, max_effects, progress)
     progress("held-out recordings")
     confirmed = _confirmed(test, chain)
     progress("numbers")
@@ -158,6 +159,15 @@ def identify_forces(
     final = [ends[0], *confirmed[1:-1], *ends[1:]] if len(confirmed) > 1 else [ends[0]]
     found = _found(side, test, rounds, final, outcomes, len(confirmed) < len(chain), dataset, marginal)
     return diagnosis_of(dataset, prepared.sigma, found, time.monotonic() - begun + counter.earlier)
+
+
+def _of_calibration(stretches: Stretches, library: Library, base: Hypothesis, counter: Counter) -> np.ndarray:
+    """(S, K, 2 nv, C) columns, of calibration alone."""
+    used = sorted({column for entry in library.calibrated for own in entry.columns for column in own})
+    nv = stretches.qvel.shape[-1]
+    columns = np.zeros((len(stretches), stretches.intervals, 2 * nv, len(library.numbers)))
+    columns[..., used] = responses(stretches, base, [library.numbers[column] for column in used], counter)
+    return columns
 
 
 def _confirmed(test: ForceSide, chain: Sequence[Fitted]) -> list[Fitted]:

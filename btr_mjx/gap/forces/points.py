@@ -220,18 +220,22 @@ def settled(
     fit = evaluate_point(side, point, variances, stretches=about)
     for i in range(rounds):
         before = fit.loss
-        known = fit.variances
+        updated = fit.variances
         for _ in range(_UPDATES):
-            known = smoothed(fit.linear, np.zeros_like(fit.linear.defect), known).variances
-        fit = again(side, fit, known)
+            updated = smoothed(fit.linear, np.zeros_like(fit.linear.defect), updated).variances
+        fit = again(side, fit, updated)
         step, size, own = newton_step(side, fit), 1.0, fit.point.calibration
         change = np.concatenate([step.values, step.calibration - own])
         while size > _SHORTEST:
             # Dry friction turns round within a sample: around states that are smoothed without it, it would be late.
             states = smoothed(fit.linear, size * fit.columns @ change, fit.variances).state
             trial = fit.point.moved(size * step.values, own + size * (step.calibration - own))
-            moved = moved_states(fit.linear.stretches, states)
-            after = evaluate_point(side, trial, fit.variances, fit if i >= _FRESH else None, moved)
+            known = fit if i >= _FRESH else None
+            tries = moved_states(fit.linear.stretches, states), fit.linear.stretches
+            for about in tries:
+                after = evaluate_point(side, trial, fit.variances, known, about)
+                if after.loss < fit.loss + 1.0:
+                    break
             if after.loss < fit.loss + 1.0:
                 break
             size *= 0.2

@@ -9,11 +9,11 @@ from btr_mjx.gap.effects import Candidate, Hypothesis
 from btr_mjx.gap.forces.evidence import CalibrationPrior, least_squares
 from btr_mjx.gap.forces.filtering import Variances, filtered
 from btr_mjx.gap.forces.missing_force import drives, missing_force
-from btr_mjx.gap.forces.motion import linearise_motion
+from btr_mjx.gap.forces.motion import linearise_motion, responses
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, evaluate_point, names, settled
 from btr_mjx.gap.forces.scan import Scanned, price, scan_columns
 from btr_mjx.gap.forces.stretches import Stretches
-from btr_mjx.gap.forces.unknowns import DRIVE, LIMIT_SIZES
+from btr_mjx.gap.forces.unknowns import BELIEVED, DRIVE, LIMIT_SIZES
 
 FORGOTTEN = 0.01
 """Correlation time of the random force [s]. What lasts longer is for names to explain: a random force that lasts would
@@ -76,10 +76,28 @@ def first_variances(side: ForceSide, hypothesis: Hypothesis) -> Variances:
     )
 
 
-def start(side: ForceSide, base: Hypothesis) -> Fitted:
-    """The believed model with calibration and variances at their best."""
+def start(side: ForceSide, base: Hypothesis) -> tuple[ForceSide, Fitted]:
+    """The believed model with calibration and variances at their best, and columns taken there.
+
+    Columns of the believed model at measured states are wrong by what calibration changes, and a step along them leads
+    past the best: another effect, with columns of its own, would take what calibration leaves.
+
+    Args:
+      side: the recordings to fit, with columns of calibration.
+      base: the believed model.
+    """
     point = Point(base, (), np.zeros(len(side.library.calibrated)))
-    return settled(side, point, first_variances(side, base))
+    fit = settled(side, point, first_variances(side, base))
+    at = {e.columns[0][0]: v for e, v in zip(side.library.calibrated, fit.point.calibration, strict=True)}
+    numbers = [
+        # Numbers of the model that may be refitted are written as they are, other effects are added to what is there.
+        replace(n, at=(n.at[0] + at.get(i, 0.0),)) if n.candidate.effect.name.startswith(BELIEVED) else n
+        for i, n in enumerate(side.library.numbers)
+    ]
+    stretches = fit.linear.stretches
+    columns = responses(stretches, fit.point.hypothesis(side.library), numbers, side.counter)
+    side = replace(side, columns=columns)
+    return side, settled(side, fit.point, fit.variances, about=stretches)
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,15 +216,20 @@ def shortlist(leads: Sequence[Scanned], least: float = 0.0) -> list[Scanned]:
 
 
 def select_effects(
-    side: ForceSide, base: Hypothesis, most: int, note: Callable[[str], None]
+    side: ForceSide, first: Fitted, most: int, note: Callable[[str], None]
 ) -> tuple[list[SearchRound], list[Fitted]]:
     """Search for one effect after another.
+
+    Args:
+      side: the recordings to fit.
+      first: the believed model, see `start`.
+      most: largest number of effects.
+      note: called with a word on what is being done.
 
     Returns:
       The rounds, and the fitted points: the believed model, then with one more effect each.
     """
-    note("variances")
-    chain: list[Fitted] = [start(side, base)]
+    chain: list[Fitted] = [first]
     rounds: list[SearchRound] = []
     while len(chain[-1].point.named) < most:
         note("one more effect" if rounds else "effects")

@@ -37,8 +37,8 @@ _UNKNOWN = 0.03
 _MOST = 4.0
 """Largest number of calibration, in tolerances."""
 
-_WITHIN = 0.6
-"""Largest time within a sample at which a command acts, in intervals of commands."""
+_WITHIN = 0.75
+"""Largest time within a sample at which a command acts, in intervals of commands: half of one, and jitter of stamps."""
 
 _FIELD = 5.0
 """Tolerances outside a laboratory, in units of those of the library."""

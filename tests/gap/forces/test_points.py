@@ -33,7 +33,7 @@ def sides():
 
 @pytest.fixture(scope="module")
 def null(sides):
-    return start(sides[0], believed())
+    return start(sides[0], believed())[1]
 
 
 def damping(side, value: float) -> Point:
@@ -107,7 +107,7 @@ def test_a_number_is_worth_the_same_by_another_name(sides, named):
     base = Hypothesis(refitted, (0.05,))
     library = library_of(candidates(model, scales_of(side.stretches.data), EFFECTS), model, refitted, {}, 0.005)
     columns = responses(side.stretches, base, library.numbers)
-    other = start(ForceSide(side.stretches, library, columns, Counter()), base)
+    _, other = start(ForceSide(side.stretches, library, columns, Counter()), base)
     assert other.loss == pytest.approx(named.loss, abs=10)
     assert 0.05 + other.point.calibration[-1] == pytest.approx(0.15, rel=0.05)
 

@@ -17,7 +17,7 @@ FRICTION = [e for e in LIBRARY if e.name in ("viscous_damping", "dry_friction")]
 def scene(force: Force | None, seed: int = 0) -> tuple[ForceSide, Fitted, MissingForce]:
     recordings = [moved_arm(f"r{i}", 10 * seed + i, force=force, seconds=1.2) for i in range(2)]
     side = arm_side(arm_stretches(recordings), FRICTION)
-    return side, start(side, believed()), missing_force(side.stretches, believed())
+    return *start(side, believed()), missing_force(side.stretches, believed())
 
 
 def at(joint: int, of) -> Force:
