@@ -4,10 +4,11 @@ import dataclasses
 import re
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
-from btr_mjx.gap.data import load, save_dataset
+from btr_mjx.gap.data import Recording, load, save_dataset
 from btr_mjx.gap.data.samples import even_times, velocity_lag
 from btr_mjx.gap.preflight import preflight
 from tests.support.convention_logs import ARM, log, sines
@@ -96,3 +97,35 @@ def test_velocities_that_lag_are_left_out(tmp_path: Path) -> None:
 
     save_dataset(tmp_path / "sound", ARM, LOGS)
     assert all(r.qvel_measured.all() for r in load(tmp_path / "sound").recordings)
+
+
+BODY = """
+<mujoco>
+  <option gravity="0 0 0"/>
+  <worldbody>
+    <body name="hull"><freejoint name="base"/><geom type="box" size="0.1 0.06 0.03" mass="1"/></body>
+  </worldbody>
+  <actuator><general name="spin" joint="base" gear="0 0 0 0.02 0.02 0.03"/></actuator>
+</mujoco>
+"""
+
+
+def test_filtered_gyros_of_a_free_body_are_left_out(tmp_path: Path) -> None:
+    model, step = mujoco.MjModel.from_xml_string(BODY), 0.005
+    model.opt.timestep = step
+    data, time = mujoco.MjData(model), np.arange(0, 6, step)
+    push, states = np.sin(7 * time) + np.cos(3 * time), []
+    for u in push:
+        states.append([*data.qpos, *data.qvel])
+        data.ctrl[:] = u
+        mujoco.mj_step(model, data)
+    qpos, qvel = np.split(np.array(states), [7], axis=1)
+
+    def saved(folder: Path, qvel: np.ndarray) -> np.ndarray:
+        one = Recording("a", time, push[:, None], qpos, qvel, np.ones(6, bool), "fit", model)
+        save_dataset(folder, BODY, [one, dataclasses.replace(one, name="b", split="test")])
+        return load(folder).recordings[0].qvel_measured
+
+    assert saved(tmp_path / "sound", qvel).all()
+    filtered = np.concatenate([qvel[:, :3], low_pass(qvel[:, 3:], step, 0.02)], 1)
+    assert saved(tmp_path / "late", filtered).tolist() == [True] * 3 + [False] * 3
