@@ -16,7 +16,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, noise_of
 from btr_mjx.gap.effects import Effect, Hypothesis, candidates, has_closed_loops, with_motors
 from btr_mjx.gap.forces.filtering import smoothed
-from btr_mjx.gap.forces.held_out import HeldOut, held_out, horizon_errors, is_better, predicts_well
+from btr_mjx.gap.forces.held_out import HeldOut, held_out, horizon_errors, is_better, predicts_better, predicts_well
 from btr_mjx.gap.forces.horizons import follow_horizons
 from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.missing_force import missing_force
@@ -171,11 +171,18 @@ def _of_calibration(stretches: Stretches, library: Library, base: Hypothesis, co
 
 
 def _confirmed(test: ForceSide, chain: Sequence[Fitted]) -> list[Fitted]:
-    """The chain up to the last hypothesis that held-out stretches bear out, one after another."""
+    """The chain up to the last hypothesis that held-out recordings bear out, one after another.
+
+    Predictions over a horizon decide where they can tell. Where noise hides the difference the likelihood decides,
+    which sees more, but believes in its variances.
+    """
+    makes = [fit.point.hypothesis(test.library) for fit in chain]
+    errors, _ = horizon_errors(test.stretches.data, makes, test.counter)
     out, before = [chain[0]], held_out(test, chain[0].point, chain[0].variances)
-    for fit in chain[1:]:
+    for i, fit in enumerate(chain[1:]):
         own = held_out(test, fit.point, fit.variances)
-        if not is_better(before, own):
+        told = predicts_better(errors[i], errors[i + 1])
+        if not (is_better(before, own) if told is None else told):
             break
         before = own
         out.append(fit)
