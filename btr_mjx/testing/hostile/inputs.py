@@ -1,7 +1,8 @@
 """Valid files that hostile inputs start from, and their parts."""
 
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -88,6 +89,8 @@ def with_recording(name: str, content: bytes) -> Mapping[str, bytes]:
     return files | {name: content}
 
 
-def input_folder() -> Path:
-    """A folder for files that are made on the way."""
-    return Path(tempfile.mkdtemp(prefix="btr_mjx-hostile-"))
+@contextmanager
+def input_folder() -> Iterator[Path]:
+    """A folder for files that are made on the way, and are gone behind it."""
+    with tempfile.TemporaryDirectory(prefix="btr_mjx-hostile-") as folder:
+        yield Path(folder)

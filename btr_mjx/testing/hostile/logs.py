@@ -152,9 +152,9 @@ def _lerobot_frames() -> bytes:
             "action": [[u] for u in np.degrees([*columns["ctrl/servo"]] * 2)],
         }
     )
-    path = input_folder() / "frames.parquet"
-    write_table(path, frame)
-    return path.read_bytes()
+    with input_folder() as folder:
+        write_table(folder / "frames.parquet", frame)
+        return (folder / "frames.parquet").read_bytes()
 
 
 def make_lerobot(random: Random) -> Mapping[str, bytes]:

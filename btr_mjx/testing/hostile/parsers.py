@@ -95,8 +95,12 @@ def _run_template(folder: Path) -> None:
 
 
 def _make_checkpoint(random: Random) -> Mapping[str, bytes]:
-    buffer_folder = input_folder()
-    path = save_checkpoint(buffer_folder, 3, {"x": np.arange(5.0)}, {"rng": [1, 2**100], "best": float("nan")})
+    with input_folder() as folder:
+        return _broken_checkpoint(random, folder)
+
+
+def _broken_checkpoint(random: Random, folder: Path) -> Mapping[str, bytes]:
+    path = save_checkpoint(folder, 3, {"x": np.arange(5.0)}, {"rng": [1, 2**100], "best": float("nan")})
     data = path.read_bytes()
     if random.random() < 0.5:
         return {path.name: mutate.mutate_bytes(data, random)}
