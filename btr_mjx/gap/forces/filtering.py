@@ -188,12 +188,11 @@ def _forward(
         logs += 2 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(1)
         innovation = -mean[:, seen]
         innovation[..., 0] += residual[:, t, seen]
-        both = np.linalg.solve(root, np.concatenate([innovation, of_seen], 2))
-        white, half = both[..., :c], both[..., c:]
+        inverse = np.linalg.inv(root)
+        white, half = inverse @ innovation, inverse @ of_seen
         gram += np.swapaxes(white, 1, 2) @ white
         across = np.swapaxes(half, 1, 2)  # P C^T F^(-1/2)
         if keep:
-            inverse = np.linalg.inv(root)
             store[0].append(across @ inverse)  # gain
             store[1].append(np.swapaxes(inverse, 1, 2) @ inverse)
             store[2].append(innovation[..., 0])

@@ -27,7 +27,7 @@ a believed model that is 100 away from its best lacks what another one is given.
 _FRESH = 3
 """Rounds with derivatives of their own; in later ones numbers move by little."""
 
-_UPDATES = 8
+_UPDATES = 4
 """Updates of variances in a round."""
 
 
@@ -223,27 +223,34 @@ def settled(
         updated = fit.variances
         for _ in range(_UPDATES):
             updated = smoothed(fit.linear, np.zeros_like(fit.linear.defect), updated).variances
-        fit = again(side, fit, updated)
-        step, size, own = newton_step(side, fit), 1.0, fit.point.calibration
-        change = np.concatenate([step.values, step.calibration - own])
-        while size > _SHORTEST:
-            # Dry friction turns round within a sample: around states that are smoothed without it, it would be late.
-            states = smoothed(fit.linear, size * fit.columns @ change, fit.variances).state
-            trial = fit.point.moved(size * step.values, own + size * (step.calibration - own))
-            known = fit if i >= _FRESH else None
-            tries = moved_states(fit.linear.stretches, states), fit.linear.stretches
-            for about in tries:
-                after = evaluate_point(side, trial, fit.variances, known, about)
-                if after.loss < fit.loss + 1.0:
-                    break
-            if after.loss < fit.loss + 1.0:
-                break
-            size *= 0.2
-        else:
-            after = fit
-        fall, fit = before - after.loss, after
-        if fall < _SETTLED:
+        fit = _stepped(side, again(side, fit, updated), fresh=i < _FRESH)
+        if before - fit.loss < _SETTLED:
             break
+    return fit
+
+
+def _stepped(side: ForceSide, fit: Fitted, fresh: bool) -> Fitted:
+    """The point behind the longest part of a Gauss-Newton step that does not lose; the same one where every part does.
+
+    Args:
+      side: the recordings to fit.
+      fit: where to start.
+      fresh: whether derivatives are computed there anew.
+    """
+    step, size, own = newton_step(side, fit), 1.0, fit.point.calibration
+    change = np.concatenate([step.values, step.calibration - own])
+    while size > _SHORTEST:
+        # Dry friction turns round within a sample: around states that are smoothed without it, it would be late.
+        states = smoothed(fit.linear, size * fit.columns @ change, fit.variances).state
+        trial = fit.point.moved(size * step.values, own + size * (step.calibration - own))
+        for about in (moved_states(fit.linear.stretches, states), fit.linear.stretches):
+            # Derivatives cost ten times what a step does that is tried and not taken.
+            after = evaluate_point(side, trial, fit.variances, fit, about)
+            if fresh and after.loss < fit.loss + 1.0:
+                after = evaluate_point(side, trial, fit.variances, None, about)
+            if after.loss < fit.loss + 1.0:
+                return after
+        size *= 0.2
     return fit
 
 
