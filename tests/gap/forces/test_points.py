@@ -9,7 +9,7 @@ from gap_models import one
 
 from btr_mjx.gap.effects import Hypothesis, candidates
 from btr_mjx.gap.forces.filtering import smoothed
-from btr_mjx.gap.forces.held_out import held_out, horizon_errors, is_better
+from btr_mjx.gap.forces.held_out import held_out, horizon_errors, is_better, predicts_better
 from btr_mjx.gap.forces.horizons import cut_horizons
 from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.motion import FreeNumber, responses
@@ -176,6 +176,19 @@ def test_held_out_recordings_bear_out_the_truth_only(sides, named, null):
     assert not is_better(after, wrong)
     assert after.chi2.mean() == pytest.approx(1, abs=0.15)
     assert before.chi2.mean() > 1.3 * after.chi2.mean()
+
+
+def test_a_few_stretches_on_which_all_fails_decide_nothing() -> None:
+    rng = np.random.default_rng(0)
+    believed_errors = rng.chisquare(3, (60, 2))
+    believed_errors[::10] *= 1e4
+    mended = believed_errors * rng.uniform(0.5, 0.9, (60, 2))
+    mended[10] *= 3
+    assert predicts_better(believed_errors, mended) is True
+    assert predicts_better(mended, believed_errors) is False
+    assert predicts_better(mended, mended) is None
+    assert predicts_better(believed_errors, believed_errors[rng.permutation(60)]) is None
+    assert predicts_better(believed_errors[:1], mended[:1]) is None
 
 
 def test_predictions_over_a_horizon_are_those_of_plain_simulations(sides):
