@@ -10,6 +10,7 @@ from btr_mjx.gap.forces.filtering import Variances, filtered, smoothed
 from btr_mjx.gap.forces.horizons import cut_horizons, position_errors, steady_errors
 from btr_mjx.gap.forces.motion import linearise_motion
 from btr_mjx.gap.forces.points import ForceSide, Point, moved_states
+from btr_mjx.gap.forces.search import RELATIVE_ERROR
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.gap.windows import PreparedData
 
@@ -82,10 +83,11 @@ def is_better(before: HeldOut, after: HeldOut) -> bool:
 
 
 def predicts_better(before: np.ndarray, after: np.ndarray) -> bool | None:
-    """Whether predictions over a horizon are better or worse by more than two standard errors; None: one cannot tell.
+    """Whether predictions over a horizon are better or worse; None where one cannot tell.
 
-    The mean is of logarithms of errors: on a few stretches of real recordings everything fails, and so a mean of errors
-    would see nothing else.
+    They have to differ by more than two standard errors, and by more than the part by which simulations err. The mean
+    is of logarithms of errors: on a few stretches of real recordings everything fails, and so a mean of errors would
+    see nothing else.
 
     Args:
       before: (W, nv) mean square errors of one hypothesis.
@@ -94,7 +96,7 @@ def predicts_better(before: np.ndarray, after: np.ndarray) -> bool | None:
     floor = 1e-12 * before.mean(0) + 1e-300
     fall = np.log((before + floor) / (after + floor)).mean(1)
     error = fall.std(ddof=1) / np.sqrt(len(fall)) if len(fall) > 1 else np.inf
-    return bool(fall.mean() > 0) if abs(fall.mean()) > 2 * error else None
+    return bool(fall.mean() > 0) if abs(fall.mean()) > max(2 * error, RELATIVE_ERROR) else None
 
 
 def horizon_errors(

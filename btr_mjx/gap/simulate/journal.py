@@ -43,6 +43,7 @@ class Journal(Counter):
         super().__init__()
         self._folder, self._report = folder, report
         self._code, self._begun = _code() + code, time.time()
+        self._missed: dict[int, tuple[Sequence[Job], Path]] = {}
         folder.mkdir(parents=True, exist_ok=True)
         mark = hashlib.sha256(self._code).hexdigest()
         if not (folder / mark).is_file():
@@ -54,6 +55,8 @@ class Journal(Counter):
         """Stored states of these jobs; None if there are none or the file is damaged."""
         path = self._file(jobs, timestep)
         if not path.is_file():
+            # A digest of edited commands takes long, and these jobs are about to be stored. Kept jobs keep their id.
+            self._missed[id(jobs)] = jobs, path
             return None
         try:
             saved = read_arrays(path, require_digest=True)
@@ -75,7 +78,9 @@ class Journal(Counter):
         """Write the states of these jobs to a file and count their steps."""
         arrays = {f"states_{i}": own for i, own in enumerate(states)}
         seconds = time.time() - self._begun + self.earlier
-        write_arrays(self._file(jobs, timestep), arrays | {"steps": steps, "seconds": seconds, "begun": self._begun})
+        known = self._missed.pop(id(jobs), None)
+        path = known[1] if known else self._file(jobs, timestep)
+        write_arrays(path, arrays | {"steps": steps, "seconds": seconds, "begun": self._begun})
         self.add(steps)
 
     def close(self) -> None:
@@ -89,7 +94,6 @@ class Journal(Counter):
 def _key(code: bytes, jobs: Sequence[Job], timestep: float | None) -> str:
     """Digest of jobs, time step and code."""
     parts: list[Any] = [code, timestep]
-    commands: dict[int, tuple] = {}
     for world, segments in jobs:
         parts += [segments.start, segments.qpos, segments.qvel, segments.samples, segments.recording, segments.act]
         parts += [world.model, world.offset, world.wrench, len(world.laws), len(world.command_edits)]
@@ -98,8 +102,8 @@ def _key(code: bytes, jobs: Sequence[Job], timestep: float | None) -> str:
                 parts.append(content_digest(law, unknown=_random))
             except RecursionError:  # a law that holds itself
                 parts.append(os.urandom(16))
-        for command in commands.setdefault(id(segments.commands), segments.commands):
-            changed = world.command(command)
+        for recording in np.unique(segments.recording).tolist():
+            changed = world.command(segments.commands[recording])
             parts += [changed.times, changed.values, changed.delay, changed.added, *changed.lags, changed.interpolation]
     return content_digest(parts)
 
