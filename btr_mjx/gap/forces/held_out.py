@@ -21,8 +21,7 @@ _UPDATES = 8
 """Updates of variances."""
 
 _HALF = 0.5
-"""Part of the believed model's mean square errors that names may leave where something else is left as well: they are
-most of what is missing."""
+"""Part of the believed model's prediction errors that names may leave, where something else is left as well."""
 
 _QUIET = 1e-6
 """Random force that is left where only the noise of sensors is asked for, in units of its standard deviation."""
@@ -129,4 +128,4 @@ def predicts_well(believed: np.ndarray, mended: np.ndarray, steady: np.ndarray) 
     """
     usual = np.maximum(steady.mean(0), 1e-300)
     first, last, simple = (float(np.mean(own / usual)) for own in (believed, mended, steady))
-    return last < _HALF * first and last < simple
+    return last < _HALF**2 * first and last < simple
