@@ -32,6 +32,7 @@ def moved_arm(
     rate: float = 200.0,
     jitter: float = 0.0,
     quantum: float = 0.0,
+    late: float = 0.0,
     step: float = 1e-4,
     believed: mujoco.MjModel | None = None,
 ) -> Recording:
@@ -48,6 +49,7 @@ def moved_arm(
       rate: of samples [1/s].
       jitter: standard deviation of the times at which samples are truly taken [s].
       quantum: of the encoders [rad]; velocities are not measured where it is given.
+      late: time by which commands act before their stamps [s]; negative where they act after them.
       step: of the simulation [s].
       believed: model of the recording.
     """
@@ -77,7 +79,7 @@ def moved_arm(
         seen[:, :2] = quantum * np.round(seen[:, :2] / quantum)
         seen[:, 2:] = np.nan
     measured = np.full(2, not quantum)
-    return Recording(name, time, sent.at(time), seen[:, :2], seen[:, 2:], measured, split, believed or arm())  # type: ignore[arg-type]
+    return Recording(name, time, sent.at(time - late), seen[:, :2], seen[:, 2:], measured, split, believed or arm())  # type: ignore[arg-type]
 
 
 def arm_dataset(seed: int, fit: int = 3, test: int = 2, known: bool = True, **how) -> Dataset:

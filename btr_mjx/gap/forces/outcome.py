@@ -17,7 +17,7 @@ from btr_mjx.gap.forces.missing_force import MissingForce
 from btr_mjx.gap.forces.points import Fitted, ForceSide, names
 from btr_mjx.gap.forces.search import SearchRound
 from btr_mjx.gap.forces.shapes import ShapeGain, shape_sentence
-from btr_mjx.gap.forces.unknowns import believed_values
+from btr_mjx.gap.forces.unknowns import TIMING, believed_values
 from btr_mjx.gap.results import (
     Diagnosis,
     DisagreementMap,
@@ -374,6 +374,10 @@ def _notes(model: mujoco.MjModel, found: SearchOutcome) -> tuple[str, ...]:
     ]
     if len(found.chain) > 1 and mended > steady:
         out.append("Constant velocity predicts them better than the mended model: do not rely on it for predictions.")
+    prior, calibration = found.side.library.calibration, found.chain[-1].point.calibration
+    for entry, value, late in zip(found.side.library.calibrated, calibration, -prior.high, strict=True):
+        if entry.candidate.effect.name == TIMING and value < late:
+            out.append(f"Commands act {-1e3 * value:.3g} ms before the time that is logged: their stamps are late.")
     if found.contradicted:
         out.append("One more effect explained the recordings that were fitted, but not those held out.")
     return tuple(out)

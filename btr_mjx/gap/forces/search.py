@@ -311,9 +311,9 @@ def _lost(side: ForceSide, fit: Fitted, index: int, members: Sequence[int], cali
     count = n if calibrated else 0
     design = np.zeros((p + n, count))
     design[p + np.arange(count), np.arange(count)] = 1.0
-    own_prior = side.library.calibration
+    of = side.library.calibration
     prior = CalibrationPrior(
-        design, own_prior.tolerance[:count], own_prior.reach[:count], fit.point.calibration[:count]
+        design, of.tolerance[:count], of.low[:count], of.high[:count], fit.point.calibration[:count]
     )
     every = np.eye(p + n, p)
     return least_squares(without, every[:, rest], prior).loss - least_squares(whole, every, prior).loss

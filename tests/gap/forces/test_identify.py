@@ -16,10 +16,10 @@ from btr_mjx.gap.simulate import Counter
 OWN = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "dry_friction", "offset_torque", "actuator_gain"))
 
 
-def diagnosis(seed: int, fit: int = 2, test: int = 2, most: int = 1, **how) -> Diagnosis:
+def diagnosis(seed: int, fit: int = 2, test: int = 2, most: int = 1, effects=OWN, **how) -> Diagnosis:
     prepared = prepare_forces(arm_dataset(seed, fit, test, **how))
     assert prepared is not None
-    return identify_forces(prepared, OWN, most, lambda _: None, Counter())
+    return identify_forces(prepared, effects, most, lambda _: None, Counter())
 
 
 @pytest.mark.parametrize("how", [{"jitter": 2e-4}, {"quantum": 2e-3, "noise": 0.0, "known": False}])
@@ -53,6 +53,23 @@ def test_an_offset_is_named_at_its_joint():
     assert [named.name for named in found.effects] == ["offset_torque@joint:elbow"]
     (own,) = found.effects[0].parameters.values()
     assert own.value == pytest.approx(-0.4, rel=0.05)
+
+
+DELAY = (*OWN, *(e for e in EFFECTS if e.name == "actuator_delay"))
+
+
+def test_commands_that_act_before_their_stamps_are_a_fault_of_the_log():
+    found = diagnosis(6, most=2, effects=DELAY, late=0.012)
+    assert found.verdict == "none"
+    (told,) = [note for note in found.notes if "stamps" in note]
+    assert "12 ms before" in told or "11.9 ms before" in told or "12.1 ms before" in told
+
+
+def test_commands_that_act_after_their_stamps_are_delayed():
+    found = diagnosis(6, effects=DELAY, late=-0.02)
+    assert [named.name for named in found.effects] == ["actuator_delay@all"]
+    assert found.effects[0].parameters["delay"].value == pytest.approx(0.02, rel=0.1)
+    assert not any("stamps" in note for note in found.notes)
 
 
 def test_a_force_of_no_known_kind_is_not_named():
