@@ -119,8 +119,13 @@ def judge(case: Case) -> bool:
 
 def without(rules: Sequence[str]) -> None:
     """Take rules away, in this process."""
+    set_constants([constant for rule in rules for constant in RULES[rule]])
+
+
+def set_constants(constants: Sequence[tuple[str, str, object]]) -> None:
+    """Change constants in this process: module of `btr_mjx.gap`, name, value."""
     mujoco.set_mju_user_warning(lambda _: None)
-    for module, name, value in (constant for rule in rules for constant in RULES[rule]):
+    for module, name, value in constants:
         home = importlib.import_module(f"btr_mjx.gap.{module}")
         if not hasattr(home, name):
             raise InputError(f"{module} has no constant {name}")
@@ -140,7 +145,7 @@ def outcomes(cases: Sequence[Case], rules: Sequence[str], processes: int) -> tup
     return np.array(found), perf_counter() - start
 
 
-def _verdict(with_it: np.ndarray, without_it: np.ndarray, better: bool) -> tuple[int, int, bool]:
+def compared(with_it: np.ndarray, without_it: np.ndarray, better: bool) -> tuple[int, int, bool]:
     """Cases right only with the rule, only without it, and whether it pays."""
     right, wrong = (with_it, without_it) if better else (~with_it, ~without_it)
     gained, lost = int((right & ~wrong).sum()), int((wrong & ~right).sum())
@@ -174,8 +179,8 @@ def main(config: Config) -> None:
         for rules in [chosen] if config.together else [[rule] for rule in chosen]:
             other, seconds = outcomes(cases, rules, config.processes)
             rule = "; ".join(rules)
-            named = _verdict(base[planted], other[planted], True)
-            spared = _verdict(base[~planted], other[~planted], False)
+            named = compared(base[planted], other[planted], True)
+            spared = compared(base[~planted], other[~planted], False)
             pays = "yes" if named[2] or spared[2] else "no"
             shown = f"{named[0]:>15} / {named[1]:<6} {spared[0]:>16} / {spared[1]:<6}"
             print(f"{rule:50} {shown} {pays:>5} {seconds / usual:6.2f}", flush=True)

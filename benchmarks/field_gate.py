@@ -214,33 +214,35 @@ def compare(before: Path, after: Path) -> None:
             print(f"{case}, hidden {_words(old[case]['hidden'])}: {words[0]} -> {words[1]}")
 
 
+def solved_case(config: Config, index: int, answers: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
+    """Make and solve a case, unless its answer is kept in a folder: its row and its answer; None if it failed."""
+    robot, wanted = wanted_of(config, index)
+    kind = ("nulls" if config.nulls else "effects") + ("-clean" if config.clean else "")
+    name = f"{config.robot}-{kind}-{config.seed}-{index:04d}"
+    files, kept = Files(config.out / name, index), answers / f"{name}.json"
+    try:
+        if not files.truth.is_file():
+            seed = int(np.random.SeedSequence([config.seed, index]).generate_state(1)[0])
+            write_json(files.truth, make_case(files.data, seed, robot, wanted))
+        if not kept.is_file():
+            write_json(kept, solve(files.data))
+    except Exception as error:
+        note(f"case {name} failed: {type(error).__name__}: {error}")
+        write_json(config.out / "failed" / CODE / f"{name}.json", {"error": traceback.format_exc()})
+        return None
+    answer = {"truth": read_json(files.truth), **read_json(kept)}
+    model = mujoco.MjModel.from_xml_path(str(files.data / "model.xml"))
+    row = {"case": name, **judge(model, answer["truth"], answer)}
+    note(f"{name} {row['faults']} {_words(row['hidden'])}: {row['said']} {_words(row['named'])}")
+    return row, answer
+
+
 def gate(config: Config) -> dict[str, Any]:
     """Make and solve the cases that are not kept; returns what --json writes."""
-    kind = ("nulls" if config.nulls else "effects") + ("-clean" if config.clean else "")
-    rows, answers, failed = list[dict[str, Any]](), dict[str, Any](), list[str]()
-    for index in range(config.cases):
-        robot, wanted = wanted_of(config, index)
-        name = f"{config.robot}-{kind}-{config.seed}-{index:04d}"
-        files = Files(config.out / name, index)
-        kept = config.out / "answers" / CODE / f"{name}.json"
-        try:
-            if not files.truth.is_file():
-                seed = int(np.random.SeedSequence([config.seed, index]).generate_state(1)[0])
-                write_json(files.truth, make_case(files.data, seed, robot, wanted))
-            if not kept.is_file():
-                write_json(kept, solve(files.data))
-        except Exception as error:
-            note(f"case {name} failed: {type(error).__name__}: {error}")
-            write_json(config.out / "failed" / CODE / f"{name}.json", {"error": traceback.format_exc()})
-            failed.append(name)
-            continue
-        answers[name] = {"truth": read_json(files.truth), **read_json(kept)}
-        model = mujoco.MjModel.from_xml_path(str(files.data / "model.xml"))
-        rows.append({"case": name, **judge(model, answers[name]["truth"], answers[name])})
-        note(
-            f"{name} {rows[-1]['faults']} {_words(rows[-1]['hidden'])}: {rows[-1]['said']} {_words(rows[-1]['named'])}"
-        )
-    return {"code": CODE, "rows": rows, "answers": answers, "failed": failed}
+    found = [solved_case(config, index, config.out / "answers" / CODE) for index in range(config.cases)]
+    rows = [case[0] for case in found if case]
+    answers = {case[0]["case"]: case[1] for case in found if case}
+    return {"code": CODE, "rows": rows, "answers": answers, "failed": [i for i, case in enumerate(found) if not case]}
 
 
 def main() -> None:
@@ -257,7 +259,7 @@ def main() -> None:
         if report["rows"]:
             show(report["rows"])
         if report["failed"]:
-            raise SystemExit(f"failed: {', '.join(report['failed'])}")
+            raise SystemExit(f"cases that failed: {', '.join(map(str, report['failed']))}")
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ its command is taken is said by `commands.command_phase`.
 import copy
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from threading import Lock
 
 import mujoco
@@ -51,17 +52,17 @@ class Counter:
     earlier: float = 0.0
     lock: Lock = field(default_factory=Lock, repr=False)
 
-    def lookup(self, jobs: Sequence[Job], timestep: float | None) -> list[np.ndarray] | None:
-        """Stored states of these jobs; None if there are none."""
-        return None
+    def lookup(self, jobs: Sequence[Job], timestep: float | None) -> tuple[list[np.ndarray] | None, Path | None]:
+        """Stored states of these jobs, None if there are none; and the file that is theirs."""
+        return None, None
 
     def add(self, steps: int) -> None:
         """Add to the number of steps."""
         with self.lock:
             self.steps += steps
 
-    def store(self, jobs: Sequence[Job], timestep: float | None, states: Sequence[np.ndarray], steps: int) -> None:
-        """Store the states (W, K, nq + nv) of these jobs and count their steps."""
+    def store(self, path: Path | None, states: Sequence[np.ndarray], steps: int) -> None:
+        """Store the states (W, K, nq + nv) of jobs in their file and count their steps."""
         self.add(steps)
 
 
@@ -87,7 +88,7 @@ def simulate(
     Raises:
       InputError: the shapes of segments do not fit the model.
     """
-    known = None if counter is None else counter.lookup(jobs, timestep)
+    known, path = (None, None) if counter is None else counter.lookup(jobs, timestep)
     if known is not None:
         return known
     out = [np.empty((*segments.times.shape, world.model.nq + world.model.nv)) for world, segments in jobs]
@@ -100,7 +101,7 @@ def simulate(
             nq = world.model.nq
             states[..., :nq] = integrate(world.model, states[..., :nq], world.offset)
     if counter is not None:
-        counter.store(jobs, timestep, out, steps)
+        counter.store(path, out, steps)
     return out
 
 

@@ -43,7 +43,6 @@ class Journal(Counter):
         super().__init__()
         self._folder, self._report = folder, report
         self._code, self._begun = _code() + code, time.time()
-        self._missed: dict[int, tuple[Sequence[Job], Path]] = {}
         folder.mkdir(parents=True, exist_ok=True)
         mark = hashlib.sha256(self._code).hexdigest()
         if not (folder / mark).is_file():
@@ -51,21 +50,19 @@ class Journal(Counter):
                 path.unlink()
             (folder / mark).touch()
 
-    def lookup(self, jobs: Sequence[Job], timestep: float | None) -> list[np.ndarray] | None:
-        """Stored states of these jobs; None if there are none or the file is damaged."""
-        path = self._file(jobs, timestep)
+    def lookup(self, jobs: Sequence[Job], timestep: float | None) -> tuple[list[np.ndarray] | None, Path]:
+        """Stored states of these jobs, None if there are none or the file is damaged; and their file."""
+        path = self._folder / f"{_key(self._code, jobs, timestep)}.npz"
         if not path.is_file():
-            # A digest of edited commands takes long, and these jobs are about to be stored. Kept jobs keep their id.
-            self._missed[id(jobs)] = jobs, path
-            return None
+            return None, path
         try:
             saved = read_arrays(path, require_digest=True)
         except DamagedFile:
-            return None
+            return None, path
         self.add(int(saved["steps"]))
         if saved["begun"] != self._begun:
             self.earlier = max(self.earlier, float(saved["seconds"]))
-        return [saved[f"states_{i}"] for i in range(len(jobs))]
+        return [saved[f"states_{i}"] for i in range(len(jobs))], path
 
     def add(self, steps: int) -> None:
         """Add to the number of steps and report it."""
@@ -74,21 +71,17 @@ class Journal(Counter):
             if self._report is not None:
                 self._report(self.steps)
 
-    def store(self, jobs: Sequence[Job], timestep: float | None, states: Sequence[np.ndarray], steps: int) -> None:
-        """Write the states of these jobs to a file and count their steps."""
+    def store(self, path: Path | None, states: Sequence[np.ndarray], steps: int) -> None:
+        """Write the states of jobs to their file and count their steps."""
+        assert path is not None
         arrays = {f"states_{i}": own for i, own in enumerate(states)}
         seconds = time.time() - self._begun + self.earlier
-        known = self._missed.pop(id(jobs), None)
-        path = known[1] if known else self._file(jobs, timestep)
         write_arrays(path, arrays | {"steps": steps, "seconds": seconds, "begun": self._begun})
         self.add(steps)
 
     def close(self) -> None:
         """Remove the files, at the end of a search."""
         shutil.rmtree(self._folder, ignore_errors=True)
-
-    def _file(self, jobs: Sequence[Job], timestep: float | None) -> Path:
-        return self._folder / f"{_key(self._code, jobs, timestep)}.npz"
 
 
 def _key(code: bytes, jobs: Sequence[Job], timestep: float | None) -> str:

@@ -1,0 +1,123 @@
+"""What each constant of the search in forces pays: the same cases with and without it.
+
+    uv run python benchmarks/force_rules.py --cases 15 --nulls 20 --json rules.json
+
+The cases are those of `field_gate.py`: robots that lack one to three effects, and robots that lack nothing, with faults
+of data. A rule is taken away by the value of its constant that makes it say nothing; a tuning is doubled or halved. The
+table counts cases that are right only with it or only without it (right: every hidden effect is named, and nothing
+else; of a null: nothing is named or unexplained). A rule pays where the difference exceeds two standard errors, the
+root of the number of cases that differ. Answers are kept, so that the same command continues a run.
+"""
+
+import os
+import time
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+import tyro
+from convention_rules import compared, set_constants
+from field_gate import Config as GateConfig
+from field_gate import solved_case
+from naming_gate import CODE
+
+from btr_mjx.runs import note, write_json
+
+BASE = "all constants as they are"
+NEVER = float("inf")
+RULES: Mapping[str, Sequence[tuple[str, str, object]]] = {
+    BASE: [],
+    "random force of a tenth of the actuators' is large": [("forces.identify", "_LARGE", NEVER)],
+    "what held-out recordings leave is beyond the noise": [("forces.identify", "_BEYOND", 0.0)],
+    "another shape is told": [("forces.identify", "_TOLD", NEVER)],
+    "another shape: a tenth of what names explain": [("forces.identify", "_LEFT", 0.0)],
+    "names stand that leave half of the errors": [("forces.held_out", "_HALF", 0.0)],
+    "predictions: differ by a tenth": [("forces.held_out", "RELATIVE_ERROR", 0.0)],
+    "predictions decide before the likelihood": [("forces.held_out", "RELATIVE_ERROR", NEVER)],
+    "a further name: a hundredth of the others' gain": [("forces.search", "RELATIVE_ERROR", 0.0)],
+    "numbers smaller than 0.3 steps are not named": [("forces.identify", "_SEEN", 0.0)],
+    "nine beside calibration": [("forces.search", "_DOUBT", 0.0)],
+    "a whole drive as one answer": [("forces.search", "_SHARE", NEVER)],
+    "single effects beside a drive: 0.02 of its gain": [("forces.search", "_FAR", 0.0)],
+    "commands act within 0.75 of a sample": [("forces.unknowns", "_WITHIN", 0.5)],
+    "calibration: five times the laboratory's": [("forces.unknowns", "_FIELD", 2.5)],
+    "calibration: at most four tolerances": [("forces.unknowns", "_MOST", 8.0)],
+    "no joint is without friction": [("forces.unknowns", "_UNKNOWN", 0.0)],
+    "three finalists": [("forces.search", "_FINALISTS", 6)],
+    "four updates of variances a round": [("forces.points", "_UPDATES", 8)],
+    "derivatives of three rounds": [("forces.points", "_FRESH", 20)],
+    "three rounds of the believed model's refit": [("forces.identify", "_BEFORE", 20)],
+    "horizons: errors of a tenth of the motion": [("forces.horizons", "_FOLLOWS", 0.2)],
+    "horizons: four times longer": [("forces.horizons", "_LONGER", 2.0)],
+}
+"""Rules, each with the constants that are changed: module of `btr_mjx.gap`, name, value."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Settings."""
+
+    cases: int = 15
+    """Cases with one to three effects."""
+    nulls: int = 20
+    """Cases in which nothing is missing."""
+    seed: int = 3
+    """Seed of the cases."""
+    only: tuple[str, ...] = ()
+    """Only rules whose name holds one of these."""
+    processes: int = 2
+    """Processes side by side."""
+    out: Path = Path("runs/field_gate")
+    """Folder of cases and answers."""
+    json: Path | None = None
+    """Also write the rows here."""
+
+
+def _row(job: tuple[GateConfig, int, Path]) -> dict[str, Any]:
+    """Row of a case, with the constants of this process."""
+    found = solved_case(*job)
+    return found[0] if found else {"case": f"{job[1]}", "correct": False, "cpu_seconds": float("nan")}
+
+
+def rows_of(config: Config, rule: str) -> list[dict[str, Any]]:
+    """Rows of all cases without a rule."""
+    words = "_".join("".join(c if c.isalnum() else " " for c in rule).split())
+    answers = config.out / "answers" / CODE / ("" if rule == BASE else words)
+    nulls = GateConfig(seed=config.seed, out=config.out, nulls=True)
+    jobs = [(replace(nulls, nulls=False), i, answers) for i in range(config.cases)]
+    jobs += [(nulls, i, answers) for i in range(config.nulls)]
+    with ProcessPoolExecutor(config.processes, get_context("spawn"), set_constants, (RULES[rule],)) as pool:
+        return list(pool.map(_row, jobs))
+
+
+def main(config: Config) -> None:
+    """Print the table."""
+    print(f"{'without or with another value':52} {'right only with/without':>24} {'pays':>5} {'CPU':>6}")
+    base, found = list[dict[str, Any]](), dict[str, Any]()
+    for rule in RULES:
+        if base and config.only and not any(word in rule for word in config.only):
+            continue
+        begun = time.monotonic()
+        rows = rows_of(config, rule)
+        base = base or rows
+        right, other = (np.array([row["correct"] for row in own], bool) for own in (base, rows))
+        gained, lost, pays = compared(right, other, True)
+        cpu = np.nansum([row["cpu_seconds"] for row in rows]) / np.nansum([row["cpu_seconds"] for row in base])
+        shown = f"{right.sum()} of {len(right)} right" if rows is base else f"{gained} / {lost}"
+        print(f"{rule:52} {shown:>24} {'yes' if pays else 'no':>5} {cpu:6.2f}", flush=True)
+        for row, first in zip(rows, base, strict=True):
+            if row["correct"] != first["correct"]:
+                note(f"    {row['case']} {row.get('hidden')}: {first.get('named')} -> {row.get('named')}")
+        found[rule] = {"rows": rows, "seconds": time.monotonic() - begun}
+        if config.json:
+            write_json(config.json, found)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config, description=__doc__))
