@@ -1,7 +1,7 @@
 """Effects of actuators: delay, lag and rate limit of the command, gain error, offset, force limit."""
 
 import math
-from collections.abc import Callable
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -44,13 +44,9 @@ def _delay(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Paramet
     )
 
 
-def _shift(delay: np.ndarray) -> Callable[[Command], Command]:
-    return lambda command: command.shifted(delay)
-
-
 def _apply_delay(world: World, place: Place, values: np.ndarray) -> None:
     """u(t) = command(t - delay): bus and controller latency; negative (all actuators only): commands logged late."""
-    world.command_edits.append(_shift(_per_control(world.model, place, float(values[0]))))
+    world.command_edits.append(partial(Command.shifted, delay=_per_control(world.model, place, float(values[0]))))
 
 
 def _native_delay(spec: mujoco.MjSpec, model: mujoco.MjModel, place: Place, values: np.ndarray) -> bool:
@@ -75,13 +71,10 @@ def _lag(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter
     return (Parameter("time_constant", "s", 0.0, high, 0.03 * scales.time, negligible=negligible),)
 
 
-def _filter(constant: np.ndarray) -> Callable[[Command], Command]:
-    return lambda command: command.filtered(constant)
-
-
 def _apply_lag(world: World, place: Place, values: np.ndarray) -> None:
     """T du/dt = command - u: first-order lag of the control."""
-    world.command_edits.append(_filter(_per_control(world.model, place, float(values[0]))))
+    constant = _per_control(world.model, place, float(values[0]))
+    world.command_edits.append(partial(Command.filtered, time_constant=constant))
 
 
 def _native_lag(spec: mujoco.MjSpec, model: mujoco.MjModel, place: Place, values: np.ndarray) -> bool:
@@ -171,15 +164,11 @@ def _rate(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Paramete
     return (Parameter("limit", unit, _MIN_LIMIT * peak, peak, -0.3 * peak, null=peak),)
 
 
-def _slew(rate: np.ndarray) -> Callable[[Command], Command]:
-    return lambda command: command.rate_limited(rate)
-
-
 def _apply_rate(world: World, place: Place, values: np.ndarray) -> None:
     """|du/dt| <= limit: the drive follows the command no faster, as with a profile velocity of servos."""
     rate = np.full(world.model.nu, np.inf)
     rate[place.controls(world.model)] = values[0]
-    world.command_edits.append(_slew(rate))
+    world.command_edits.append(partial(Command.rate_limited, rate=rate))
 
 
 ACTUATOR_DELAY = Effect(

@@ -90,14 +90,12 @@ def _key(code: bytes, jobs: Sequence[Job], timestep: float | None) -> str:
     for world, segments in jobs:
         parts += [segments.start, segments.qpos, segments.qvel, segments.samples, segments.recording, segments.act]
         parts += [world.model, world.offset, world.wrench, len(world.laws), len(world.command_edits)]
-        for law in world.laws:
+        for function in (*world.laws, *world.command_edits):
             try:
-                parts.append(content_digest(law, unknown=_random))
+                parts.append(content_digest(function, unknown=_random))
             except RecursionError:  # a law that holds itself
                 parts.append(os.urandom(16))
-        for recording in np.unique(segments.recording).tolist():
-            changed = world.command(segments.commands[recording])
-            parts += [changed.times, changed.values, changed.delay, changed.added, *changed.lags, changed.interpolation]
+        parts += [segments.commands[recording] for recording in np.unique(segments.recording).tolist()]
     return content_digest(parts)
 
 

@@ -86,31 +86,27 @@ def _followed(starts: np.ndarray, begin: np.ndarray, end: np.ndarray, rate: floa
     fast = np.flatnonzero(jumps | (np.abs(slope) > rate * (1 + 1e-9)))
     if not len(fast):
         return None
+    # Numbers of Python: a piece at a time, they are ten times as fast as arrays.
+    pieces = list(zip(*(x.tolist() for x in (starts, length, begin, end, slope)), strict=True))
     corners: list[Corner] = []
-    k, now = 0, float(begin[0])
-    while k < len(starts):
-        if abs(now - begin[k]) <= near and abs(slope[k]) <= rate * (1 + 1e-9):
+    k, now = 0, pieces[0][2]
+    while k < len(pieces):
+        start, lasts, first, last, tilt = pieces[k]
+        if abs(now - first) <= near and abs(tilt) <= rate * (1 + 1e-9):
             ahead = np.searchsorted(fast, k + 1)
-            after = int(fast[ahead]) if ahead < len(fast) else len(starts)
-            corners.append((float(starts[k]), float(begin[k]), True))
-            k, now = after, float(end[after - 1])
+            after = int(fast[ahead]) if ahead < len(fast) else len(pieces)
+            corners.append((start, first, True))
+            k, now = after, pieces[after - 1][3]
             continue
-        away = begin[k] - now if abs(begin[k] - now) > near else slope[k]
-        sign = 1.0 if away > 0 else -1.0
-        corners.append((float(starts[k]), now, False))
-        reached = now + sign * rate * (starts[k:] - starts[k])
-        ahead_at_start = sign * (begin[k:] - reached)
-        ahead_at_end = sign * (end[k:] - reached) - rate * length[k:]
-        passed = ahead_at_end <= 0
-        passed[1:] |= ahead_at_start[1:] < 0  # a jump of the command to the other side
-        j = int(np.argmax(passed))
-        now, k = float(reached[j]), k + j
-        if j and ahead_at_start[j] < 0:
-            continue
-        since = float(max(ahead_at_start[j], 0.0) / (rate - sign * slope[k]))
-        follows = bool(abs(slope[k]) <= rate)
-        met = (float(starts[k]) + since, now + sign * rate * since, follows)
-        corners.append(met)
-        now = float(end[k]) if follows else met[1] - sign * rate * float(length[k] - since)
+        sign = 1.0 if (first - now if abs(first - now) > near else tilt) > 0 else -1.0
+        corners.append((start, now, False))
         k += 1
+        if sign * (last - now) > rate * lasts:
+            now += sign * rate * lasts
+            continue
+        since = max(sign * (first - now), 0.0) / (rate - sign * tilt)
+        follows = abs(tilt) <= rate
+        met = now + sign * rate * since
+        corners.append((start + since, met, follows))
+        now = last if follows else met - sign * rate * (lasts - since)
     return corners

@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from threading import Lock
 from typing import Any
 
@@ -48,7 +49,7 @@ class World:
             for actuator, first in enumerate(model.actuator_ctrladr):
                 delay[first : first + model.actuator_ctrlnum[actuator]] = model.actuator_delay[actuator]
             model.actuator_delay[:] = 0
-            edits.append(lambda command: command.shifted(delay))
+            edits.append(partial(Command.shifted, delay=delay))
         return cls(model, edits, [], np.zeros(model.nv), np.zeros((model.nbody, 6)))
 
     def command(self, command: Command) -> Command:

@@ -11,7 +11,7 @@ from btr_mjx.errors import Interrupted
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
 from btr_mjx.gap.inference import identify
 from btr_mjx.gap.results import as_result
-from btr_mjx.gap.simulate import Counter, Journal, Segments, World, run_in_threads, simulate
+from btr_mjx.gap.simulate import Command, Counter, Journal, Segments, World, run_in_threads, simulate
 
 
 def segments(seed: int = 0) -> Segments:
@@ -133,6 +133,27 @@ def test_other_jobs_are_not_matched(tmp_path: Path, jobs) -> None:
     again = Journal(tmp_path)
     np.testing.assert_array_equal(simulate(jobs(), counter=again)[0], simulate(jobs())[0])
     assert len(list(tmp_path.glob("*.npz"))) == 2
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        lambda size: partial(Command.shifted, delay=size),
+        lambda size: partial(Command.filtered, time_constant=np.array([size, 0.0])),
+        lambda size: partial(Command.rate_limited, rate=size),
+        lambda size: lambda command: command.plus(size),
+    ],
+    ids=["delay", "lag", "rate", "closure"],
+)
+def test_edits_of_commands_are_matched_by_their_numbers(tmp_path: Path, edit) -> None:
+    def jobs(size: float) -> list:
+        world = World.of(arm())
+        world.command_edits.append(edit(size))
+        return [(world, segments())]
+
+    simulate(jobs(0.02), counter=Journal(tmp_path))
+    assert Journal(tmp_path).lookup(jobs(0.02), None)[0] is not None
+    assert Journal(tmp_path).lookup(jobs(0.03), None)[0] is None
 
 
 def test_order_of_threads_does_not_matter(tmp_path: Path) -> None:
