@@ -25,7 +25,7 @@ ROUNDS = 20
 a believed model that is 100 away from its best lacks what another one is given."""
 
 _FRESH = 3
-"""Rounds with derivatives of their own; in later ones numbers move by little."""
+"""Steps with derivatives of their own; in later ones numbers move by little."""
 
 _UPDATES = 4
 """Updates of variances in a round."""
@@ -218,12 +218,16 @@ def settled(
       about: states to start from; None for those of the side.
     """
     fit = evaluate_point(side, point, variances, stretches=about)
-    for i in range(rounds):
-        before = fit.loss
-        updated = fit.variances
+    stuck, taken = False, 0
+    for _ in range(rounds):
+        before, updated = fit.loss, fit.variances
         for _ in range(_UPDATES):
             updated = smoothed(fit.linear, np.zeros_like(fit.linear.defect), updated).variances
-        fit = _stepped(side, again(side, fit, updated), fresh=i < _FRESH)
+        fit = again(side, fit, updated)
+        # A step that failed is tried again when variances have settled, which costs no simulation.
+        if not stuck or before - fit.loss < _SETTLED:
+            after = _stepped(side, fit, fresh=taken < _FRESH)
+            stuck, fit, taken = after is fit, after, taken + 1
         if before - fit.loss < _SETTLED:
             break
     return fit

@@ -18,8 +18,8 @@ _MOST_INTERVALS = 2_500
 """Most intervals of one side."""
 
 _STRETCHES = 24
-"""Stretches of one side, where there is enough data: they are filtered side by side, and their scatter is the error of
-what they say."""
+"""Fewest stretches of one side, where there is enough data: they are filtered side by side, and their scatter is the
+error of what they say. Every recording has one."""
 
 _LONGEST = 400
 """Most intervals of a stretch. Few long stretches and many short ones cost the same; a starting state has to be learnt
@@ -84,7 +84,7 @@ def spread_stretches(data: PreparedData, share: float = 1.0) -> Stretches:
     room = int(share * np.clip(_MOST_NUMBERS // nv, 200, _MOST_INTERVALS))
     total = sum(len(p) - 1 for p in picks)
     shortest = min(len(p) - 1 for p in picks)
-    length = int(np.clip(min(total, room) / _STRETCHES, 20, _LONGEST))
+    length = int(np.clip(min(total, room) / max(_STRETCHES, len(picks)), 20, _LONGEST))
     length = min(length, shortest)
     index: list[np.ndarray] = []
     recording: list[int] = []

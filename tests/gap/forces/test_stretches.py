@@ -90,3 +90,12 @@ def test_fast_samples_are_averaged():
     np.testing.assert_allclose(a.sigma, SIGMA / 2)
     noise = np.concatenate([a.measured_q - b.measured_q, a.measured_v - b.measured_v], -1).std((0, 1))
     np.testing.assert_allclose(noise, a.sigma, rtol=0.25)
+
+
+@pytest.mark.parametrize("count", [1, 10, 60])
+def test_many_recordings_cost_no_more_than_few(long, count):
+    """Each of them has a stretch."""
+    share = 0.5
+    own = of([cut(long, 0, 150)] * count, share)
+    assert set(own.recording.tolist()) == set(range(count))
+    assert len(own) * own.intervals <= 1.2 * 0.5 * 2500
