@@ -10,7 +10,7 @@ from btr_mjx.gap.forces.evidence import LeastSquares, least_squares, penalty
 from btr_mjx.gap.forces.filtering import Filtered, Variances, filtered, smoothed
 from btr_mjx.gap.forces.motion import FreeNumber, Linearised, linearise_motion, responses
 from btr_mjx.gap.forces.stretches import Stretches
-from btr_mjx.gap.forces.unknowns import Library
+from btr_mjx.gap.forces.unknowns import BELIEVED, Library
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.models import integrate
 
@@ -144,11 +144,8 @@ def evaluate_point(
     )
     if known is not None:
         return _whitened(point, linear, known.columns, variances, side)
-    columns = [_own_columns(side, point, stretches)]
-    design = side.library.calibration.design
-    columns.append(side.columns @ design if design.shape[1] else side.columns[..., :0])
-    every = np.concatenate(columns, -1)
-    return _whitened(point, linear, every, variances, side)
+    every = [_own_columns(side, point, stretches), calibration_columns(side, point, stretches)]
+    return _whitened(point, linear, np.concatenate(every, -1), variances, side)
 
 
 def again(side: ForceSide, fit: Fitted, variances: Variances) -> Fitted:
@@ -179,6 +176,22 @@ def _own_columns(side: ForceSide, point: Point, stretches: Stretches) -> np.ndar
         ]
         out.append(responses(stretches, point.hypothesis(side.library, without=i), numbers, side.counter))
     return np.concatenate(out, -1)
+
+
+def calibration_columns(side: ForceSide, point: Point, stretches: Stretches) -> np.ndarray:
+    """(S, K, 2 nv, n) derivatives with respect to calibration, at its values and beside named effects."""
+    library = side.library
+    if not library.calibrated:
+        return side.columns[..., :0]
+    numbers = []
+    for entry, value in zip(library.calibrated, point.calibration, strict=True):
+        own = library.numbers[entry.columns[0][0]]
+        index = own.index if len(entry.columns[0]) == 1 else 0
+        at = entry.candidate.null
+        # Numbers of the model that may be refitted are written as they are, other effects are added to what is there.
+        at[index] += value if entry.candidate.effect.name.startswith(BELIEVED) else 0.0
+        numbers.append(FreeNumber(entry.candidate, index, tuple(at), own.step))
+    return responses(stretches, point.hypothesis(library), numbers, side.counter)
 
 
 def _step(parameter, value: float) -> float:  # type: ignore[no-untyped-def]
