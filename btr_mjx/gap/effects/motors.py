@@ -1,4 +1,4 @@
-"""Effects of motors under speed and over time: the torque-speed line, strength that fades."""
+"""Effects of drives: the torque-speed line, strength that fades, the stiffness of a servo."""
 
 from dataclasses import dataclass, replace
 
@@ -17,6 +17,9 @@ _FASTEST = 3.0
 
 _SLOWEST = 0.1
 """Smallest no-load speed, in the same unit."""
+
+_SOFTEST = -0.99
+"""Largest loss of a servo's stiffness: gains of hobby servos in models are often fifty times too large."""
 
 
 @dataclass(frozen=True)
@@ -121,6 +124,36 @@ def _apply_rate(world: World, place: Place, values: np.ndarray) -> None:
     world.laws.append(DriftingGain(np.array(place.actuators, int), float(values[0])))
 
 
+def _servos(model: mujoco.MjModel) -> list[Place]:
+    """Position servos with damping, and their groups; without damping a change of stiffness is one of the gain."""
+    linear = {a for place in linear_actuators(model) for a in place.actuators}
+    damped = [a for a in sorted(linear) if model.actuator_biasprm[a, 1] < 0 and model.actuator_biasprm[a, 2] < 0]
+    return actuator_places(model, damped)
+
+
+def _stiffness(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    return (Parameter("change", "1", _SOFTEST, 9.0, -0.03, 0.003),)
+
+
+def _apply_stiffness(world: World, place: Place, values: np.ndarray) -> None:
+    """Kp -> (1 + change) kp, kv as it was: a controller whose gains are not those that are believed."""
+    actuators = list(place.actuators)
+    world.model.actuator_gainprm[actuators, 0] *= 1 + values[0]
+    world.model.actuator_biasprm[actuators, 1] *= 1 + values[0]
+
+
+SERVO_STIFFNESS = per_member(
+    Effect(
+        "servo_stiffness",
+        _servos,
+        _stiffness,
+        _apply_stiffness,
+        excited_by="commands of several frequencies, and loads",
+        summable=True,
+        saturates=True,
+        equation="kp → (1 + change) kp",
+    )
+)
 _LINE = per_member(
     Effect(
         "torque_speed",
@@ -156,4 +189,4 @@ FADING_MOTOR = Effect(
     equation="force → (1 + rate t) force",
 )
 
-MOTOR_EFFECTS = (TORQUE_SPEED, FADING_MOTOR)
+MOTOR_EFFECTS = (TORQUE_SPEED, FADING_MOTOR, SERVO_STIFFNESS)

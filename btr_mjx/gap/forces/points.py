@@ -127,6 +127,7 @@ def evaluate_point(
     variances: Variances,
     known: Fitted | None = None,
     stretches: Stretches | None = None,
+    fresh: bool = False,
 ) -> Fitted:
     """Linearise and filter a point.
 
@@ -135,17 +136,21 @@ def evaluate_point(
       point: the point.
       variances: of sensors and random force.
       known: a fit of the same names whose transitions and columns are kept; None to compute them.
+      fresh: whether of these only columns of calibration are kept, which named effects change little.
       stretches: states around which the motion is linearised; None for those of `known`, or of the side.
     """
     if stretches is None:
         stretches = side.stretches if known is None else known.linear.stretches
-    linear = linearise_motion(
-        stretches, point.hypothesis(side.library), side.counter, None if known is None else known.linear
-    )
-    if known is not None:
+    kept = None if known is None or fresh else known.linear
+    linear = linearise_motion(stretches, point.hypothesis(side.library), side.counter, kept)
+    if known is not None and not fresh:
         return _whitened(point, linear, known.columns, variances, side)
-    every = [_own_columns(side, point, stretches), calibration_columns(side, point, stretches)]
-    return _whitened(point, linear, np.concatenate(every, -1), variances, side)
+    if known is None:
+        calibration = _calibration_columns(side, point, stretches)
+    else:
+        calibration = known.columns[..., point.numbers :]
+    columns = np.concatenate([_own_columns(side, point, stretches), calibration], -1)
+    return _whitened(point, linear, columns, variances, side)
 
 
 def again(side: ForceSide, fit: Fitted, variances: Variances) -> Fitted:
@@ -178,7 +183,7 @@ def _own_columns(side: ForceSide, point: Point, stretches: Stretches) -> np.ndar
     return np.concatenate(out, -1)
 
 
-def calibration_columns(side: ForceSide, point: Point, stretches: Stretches) -> np.ndarray:
+def _calibration_columns(side: ForceSide, point: Point, stretches: Stretches) -> np.ndarray:
     """(S, K, 2 nv, n) derivatives with respect to calibration, at its values and beside named effects."""
     library = side.library
     if not library.calibrated:
@@ -264,7 +269,7 @@ def _stepped(side: ForceSide, fit: Fitted, fresh: bool) -> Fitted:
             # Derivatives cost ten times what a step does that is tried and not taken.
             after = evaluate_point(side, trial, fit.variances, fit, about)
             if fresh and after.loss < fit.loss + 1.0:
-                after = evaluate_point(side, trial, fit.variances, None, about)
+                after = evaluate_point(side, trial, fit.variances, fit, about, fresh=True)
             if after.loss < fit.loss + 1.0:
                 return after
         size *= 0.2
