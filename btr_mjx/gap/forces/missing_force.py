@@ -20,6 +20,9 @@ from btr_mjx.models import between, integrate
 _SLOW = 0.05
 """Part of the usual speed below which dry friction is not at its full size."""
 
+_UNCERTAIN = 0.05
+"""Part by which the torque constant of a motor may be wrong."""
+
 
 @dataclass(frozen=True, eq=False)
 class MissingForce:
@@ -80,27 +83,28 @@ def _of_wrench(model: mujoco.MjModel, data: mujoco.MjData, wrench: np.ndarray) -
     return out
 
 
-def drives(missing: MissingForce) -> tuple[np.ndarray, np.ndarray]:
+def drives(missing: MissingForce, spring: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Friction, damping, rotor inertia and an offset of every degree of freedom, by least squares on missing force.
 
     Args:
       missing: the force that the model lacks.
+      spring: (S, K, nv) force of a unit of stiffness of servos whose stiffness is missing; None where it is believed.
 
     Returns:
-      (4, nv) dry friction, damping, inertia, none below 0, and a constant force; (nv,) share of the missing force that
-      they explain.
+      (5, nv) dry friction, damping, inertia, none below 0, a constant force, and units of stiffness or a change of the
+      motor's strength; (nv,) share of the missing force that they explain.
     """
     nv = missing.force.shape[-1]
-    out, share = np.zeros((4, nv)), np.zeros(nv)
+    out, share = np.zeros((5, nv)), np.zeros(nv)
     for j in range(nv):
         force, v, a = (x[..., j].ravel() for x in (missing.force, missing.velocity, missing.acceleration))
+        motor = (missing.actuator if spring is None else spring)[..., j].ravel()
         slow = _SLOW * np.sqrt((v**2).mean()) + 1e-12
-        columns = -np.stack([np.tanh(v / slow), v, a, np.ones_like(v), -missing.actuator[..., j].ravel()], 1)
+        columns = np.stack([-np.tanh(v / slow), -v, -a, np.ones_like(v), motor], 1)
         scale = np.sqrt((columns**2).mean(0)) + 1e-12
         # The torque constant is uncertain by some percent: without it inertia and friction would take its part.
-        gain = 0.05 * scale[4]
-        low, high = np.array([0, 0, 0, -np.inf, -gain]), np.array([np.inf, np.inf, np.inf, np.inf, gain])
-        found = scipy.optimize.lsq_linear(columns / scale, force, (low, high + 1e-12))
-        out[:, j] = found.x[:4] / scale[:4] * (1, 1, 1, -1)
+        low, high = (-_UNCERTAIN * scale[4], _UNCERTAIN * scale[4] + 1e-12) if spring is None else (0.0, np.inf)
+        found = scipy.optimize.lsq_linear(columns / scale, force, ([0, 0, 0, -np.inf, low], [*4 * [np.inf], high]))
+        out[:, j] = found.x / scale
         share[j] = 1 - np.mean((force - columns / scale @ found.x) ** 2) / max(float(np.mean(force**2)), 1e-300)
     return out, share

@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from btr_mjx.gap.effects import Candidate, Hypothesis
+from btr_mjx.gap.forces.drive import drive_points
 from btr_mjx.gap.forces.evidence import CalibrationPrior, least_squares
 from btr_mjx.gap.forces.filtering import Variances, filtered
-from btr_mjx.gap.forces.missing_force import drives, missing_force
 from btr_mjx.gap.forces.motion import linearise_motion, responses
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, evaluate_point, names, settled
 from btr_mjx.gap.forces.scan import Scanned, price, scan_columns
 from btr_mjx.gap.forces.stretches import Stretches
-from btr_mjx.gap.forces.unknowns import BELIEVED, DRIVE, LIMIT_SIZES
+from btr_mjx.gap.forces.unknowns import BELIEVED, LIMIT_SIZES
 
 FORGOTTEN = 0.01
 """Correlation time of the random force [s]. What lasts longer is for names to explain: a random force that lasts would
@@ -34,9 +34,6 @@ _PASSES = 3
 
 _SINGLES = 2
 """Joints of a group that are named one by one, at most."""
-
-_SHARE = 0.3
-"""Part of the missing force of a joint that a drive explains, from which on it is tried."""
 
 _JITTER = 0.02
 """Jitter of time stamps to start with, in intervals."""
@@ -137,7 +134,6 @@ def one_more(side: ForceSide, fit: Fitted, needed: float = 0.0) -> SearchRound:
     entries = [entry for entry in library.entries if entry.candidate.name not in names(fit.point.named)]
     _, leads = scan_columns(scene.gram, entries, scene.given, scene.calibration, scene.count)
     choices = len({entry.candidate.name for entry in library.entries})
-    starts = [] if (drive := _drive(side, fit)) is None else [drive]
     finalists: list[tuple[float, Fitted]] = []
 
     def judge(point: Point, variances: Variances, about: Stretches | None = None) -> None:
@@ -145,7 +141,7 @@ def one_more(side: ForceSide, fit: Fitted, needed: float = 0.0) -> SearchRound:
         numbers = point.numbers - fit.point.numbers
         finalists.append((fit.loss - found.loss - price(numbers, scene.count, choices), found))
 
-    for point in starts:
+    for point in drive_points(side, fit):
         judge(point, first_variances(side, point.hypothesis(library)))
     least = max(needed, _FAR * finalists[0][0] if finalists else 0.0)
     for lead in shortlist(leads, least):
@@ -167,38 +163,6 @@ def _tightened(side: ForceSide, fit: Fitted, lead: Scanned) -> tuple[float, ...]
     named = [replace(fit.point, named=(*fit.point.named, (lead.candidate, values))) for values in tries]
     losses = [evaluate_point(side, point, fit.variances, fit).loss for point in named]
     return tries[int(np.argmin(losses))]
-
-
-def _drive(side: ForceSide, fit: Fitted) -> Point | None:
-    """Dry and viscous friction, rotor inertia and offsets of all joints at once; None where some is named already.
-
-    Each alone may explain little where all are missing: a model without rotors moves too much, and so everything that
-    lessens forces comes first.
-    """
-    if any(candidate.effect.name in DRIVE for candidate, _ in fit.point.named):
-        return None
-    widest: dict[str, Candidate] = {}
-    for entry in side.library.entries:
-        name, own = entry.candidate.effect.name, entry.candidate
-        if name in DRIVE and (name not in widest or len(own.parameters) > len(widest[name].parameters)):
-            widest[name] = own
-    # Calibration at its bounds stands for what is missing: it starts anew.
-    point = replace(fit.point, calibration=np.zeros_like(fit.point.calibration))
-    # Smoothed states know of jitter and of what sensors see; differences of positions do not.
-    found, share = drives(missing_force(fit.linear.stretches, point.hypothesis(side.library)))
-    if not widest or share.max() < _SHARE:
-        return None
-    named = list(point.named)
-    for row, name in zip(found, DRIVE, strict=True):
-        if name not in widest:
-            continue
-        candidate = widest[name]
-        model = side.stretches.data.recordings[0].model
-        places = candidate.place.parts or (candidate.place,)
-        values = [float(row[place.dofs(model)].mean()) for place in places]
-        values = [float(np.clip(v, p.low, p.high)) for v, p in zip(values, candidate.parameters, strict=True)]
-        named.append((candidate, tuple(values)))
-    return replace(point, named=tuple(named))
 
 
 def shortlist(leads: Sequence[Scanned], least: float = 0.0) -> list[Scanned]:
