@@ -7,7 +7,7 @@ import numpy as np
 
 from btr_mjx.gap.effects import Hypothesis
 from btr_mjx.gap.forces.filtering import Variances, filtered, smoothed
-from btr_mjx.gap.forces.horizons import cut_horizons, position_errors, steady_errors
+from btr_mjx.gap.forces.horizons import SAMPLES, cut_horizons, position_errors, steady_errors
 from btr_mjx.gap.forces.motion import linearise_motion
 from btr_mjx.gap.forces.points import ForceSide, Point, moved_states
 from btr_mjx.gap.forces.search import RELATIVE_ERROR
@@ -112,7 +112,7 @@ def horizon_errors(
     Returns:
       For each hypothesis (W, nv), and the same of constant velocity.
     """
-    trial = cut_horizons(data, horizon)
+    trial = cut_horizons(data, horizon, SAMPLES)
     every = [*position_errors(trial, makes, counter), steady_errors(trial)]
     *found, steady = (np.concatenate([(e**2).mean(1) for e in row]) for row in every)
     return found, steady

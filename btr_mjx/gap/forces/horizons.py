@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from btr_mjx.gap.data import Recording
 from btr_mjx.gap.effects import Hypothesis
 from btr_mjx.gap.forces.motion import time_step
 from btr_mjx.gap.forces.points import ForceSide, Point
@@ -33,8 +34,11 @@ _STEPS = 3
 _LOST = 1e3
 """Error of a simulation that has diverged [rad or m]."""
 
-_SAMPLES = 40_000
+SAMPLES = 40_000
 """Samples of a horizon's simulations, at most."""
+
+_NUMBERS = 10
+"""Numbers that are moved with all of them; more numbers get fewer samples, since each is simulated."""
 
 
 Errors = Callable[..., list[list[np.ndarray]]]
@@ -45,12 +49,14 @@ class Horizon:
     """Simulations of recordings, W of each over the same time.
 
     Attributes:
-      data: the recordings.
+      data: all recordings.
+      recordings: those that are simulated.
       segments: those of each recording; each with its own starting states.
       target: (W, K, nq) measured positions of each recording.
     """
 
     data: PreparedData
+    recordings: tuple[Recording, ...]
     segments: tuple[Segments, ...]
     target: tuple[np.ndarray, ...]
 
@@ -71,9 +77,10 @@ def follow_horizons(side: ForceSide, point: Point, covariance: np.ndarray, libra
     seen = np.flatnonzero(data.measured[: data.recordings[0].model.nv])
     size = np.concatenate([_motion(data, r) for r in range(len(data.recordings))])[:, seen].std(0)
     longest = min(float(np.ptp(r.time)) for r in data.recordings)
+    samples = SAMPLES * _NUMBERS // max(_NUMBERS, point.numbers)
     horizon, best = _SHORTEST, point
     while horizon < _LONGER * longest:
-        trial = cut_horizons(data, min(horizon, longest))
+        trial = cut_horizons(data, min(horizon, longest), samples)
         errors = _exact_errors(trial, [best.hypothesis(library)], side.counter)[0]
         rms = np.sqrt(np.median(np.concatenate([(e[..., seen] ** 2).mean(1) for e in errors]), 0))
         if not np.all(rms < _FOLLOWS * size):
@@ -83,21 +90,26 @@ def follow_horizons(side: ForceSide, point: Point, covariance: np.ndarray, libra
     return best
 
 
-def cut_horizons(data: PreparedData, horizon: float) -> Horizon:
+def cut_horizons(data: PreparedData, horizon: float, samples: float = np.inf) -> Horizon:
     """Cut recordings into simulations over a horizon [s], one behind the other.
 
     Args:
       data: recordings.
       horizon: recordings that are shorter are simulated as a whole.
+      samples: of all simulations at most; of more, some are left out, evenly.
     """
     interval = float(np.median(np.concatenate([np.diff(r.time) for r in data.recordings])))
     count = max(1, round(min(horizon / interval, max(len(r.time) for r in data.recordings))))
-    total = sum(len(r.time) // (count + 1) or 1 for r in data.recordings)
-    every = max(1, -(-total * (count + 1) // _SAMPLES))
-    segments, target = [], []
+    lengths = [min(count, len(r.time) - 1) for r in data.recordings]
+    firsts = [np.arange(0, len(r.time) - n, n + 1) for r, n in zip(data.recordings, lengths, strict=True)]
+    total = sum(len(first) * (n + 1) for first, n in zip(firsts, lengths, strict=True))
+    every, passed = max(1, int(np.ceil(total / samples))), 0
+    recordings, segments, target = [], [], []
     for i, (recording, track) in enumerate(zip(data.recordings, data.tracks, strict=True)):
-        own = min(count, len(recording.time) - 1)
-        first = np.arange(0, len(recording.time) - own, own + 1)[::every]
+        own, first = lengths[i], firsts[i][-passed % every :: every]
+        passed += len(firsts[i])
+        if not len(first):
+            continue
         index = first[:, None] + np.arange(own + 1)
         qpos, qvel, _ = smooth(recording.model, track, first, data.sigma, data.span)
         time = recording.time[index]
@@ -105,7 +117,8 @@ def cut_horizons(data: PreparedData, horizon: float) -> Horizon:
         same = np.full(len(first), i)
         segments.append(Segments(time[:, 0], qpos, qvel, time - time[:, :1], data.commands, same, act))
         target.append(recording.qpos[index])
-    return Horizon(data, tuple(segments), tuple(target))
+        recordings.append(recording)
+    return Horizon(data, tuple(recordings), tuple(segments), tuple(target))
 
 
 def position_errors(
@@ -119,7 +132,7 @@ def position_errors(
       counter: adds up the simulated steps.
       factor: time steps in units of those of the model.
     """
-    recordings = trial.data.recordings
+    recordings = trial.recordings
     jobs = [(make(r.model), own) for make in makes for r, own in zip(recordings, trial.segments, strict=True)]
     step = time_step(recordings[0].model, np.concatenate([np.diff(r.time) for r in recordings]), factor)
     found = simulate(jobs, timestep=step, threads=1, counter=counter)
@@ -135,7 +148,7 @@ def position_errors(
 def steady_errors(trial: Horizon) -> list[np.ndarray]:
     """The same of constant velocity, an array (W, K, nv) for each recording."""
     out = []
-    for recording, own, target in zip(trial.data.recordings, trial.segments, trial.target, strict=True):
+    for recording, own, target in zip(trial.recordings, trial.segments, trial.target, strict=True):
         travelled = own.samples[..., None] * own.qvel[:, None]
         out.append(difference(recording.model, target, own.qpos[:, None]) + travelled)
     return out

@@ -51,3 +51,19 @@ def test_horizons_cover_recordings_one_behind_the_other(side: ForceSide) -> None
     assert [len(own) for own in whole.segments] == [1, 1]
     (errors,) = position_errors(whole, [believed()])
     assert [e.shape[1] for e in errors] == [len(r.time) for r in data.recordings]
+
+
+@pytest.mark.parametrize("samples", [60, 100, 150])
+def test_horizons_are_thinned_evenly(side: ForceSide, samples: int) -> None:
+    data = side.stretches.data
+    every, some = cut_horizons(data, 0.1), cut_horizons(data, 0.1, samples)
+    starts = [np.concatenate([own.start for own in trial.segments]) for trial in (every, some)]
+    names = [
+        [r.name for r, own in zip(t.recordings, t.segments, strict=True) for _ in own.start] for t in (every, some)
+    ]
+    kept = sum(target.shape[0] * target.shape[1] for target in some.target)
+    assert kept <= samples + some.target[0].shape[1]
+    pairs = [list(zip(*own, strict=True)) for own in zip(names, starts, strict=True)]
+    picks = [pairs[0].index(pair) for pair in pairs[1]]
+    assert picks[0] == 0
+    assert len(set(np.diff(picks))) <= 1
