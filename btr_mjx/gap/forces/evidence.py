@@ -28,15 +28,14 @@ class CalibrationPrior:
     Attributes:
       design: (C, n) columns of each; several columns where one number is that of several places.
       tolerance: (n,) 1 sigma of each.
-      low, high: (n,) bounds of each: what is further off is missing, not badly calibrated. Whatever makes all forces
-        smaller leaves less of them, so that without bounds gains would vanish where friction is missing.
+      reach: (n,) largest size of each: what is further off is missing, not badly calibrated. Whatever makes all forces
+        smaller leaves less of them, so that without a bound gains would vanish where friction is missing.
       at: (n,) values at which the columns were taken.
     """
 
     design: np.ndarray
     tolerance: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
+    reach: np.ndarray
     at: np.ndarray
 
 
@@ -82,8 +81,8 @@ def least_squares(
     normal[np.diag_indices_from(normal)] += weight
     target[p:] -= weight[p:] * prior.at
     bounds = (
-        np.r_[np.full(p, -np.inf) if low is None else low, prior.low - prior.at],
-        np.r_[np.full(p, np.inf) if high is None else high, prior.high - prior.at],
+        np.r_[np.full(p, -np.inf) if low is None else low, -prior.reach - prior.at],
+        np.r_[np.full(p, np.inf) if high is None else high, prior.reach - prior.at],
     )
     values = _bounded(normal, target, bounds)
     effect, total = design @ values, prior.at + values[p:]

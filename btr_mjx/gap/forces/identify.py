@@ -206,8 +206,7 @@ def _refitted(side: ForceSide, fit: Fitted, rounds: int = ROUNDS) -> Fitted:
     own, known = side.library.calibration, _known(side, fit.point.named)
     factor = np.where(known, _NONE, 1.0)
     library = replace(
-        side.library,
-        calibration=replace(own, tolerance=own.tolerance * factor, low=own.low * factor, high=own.high * factor),
+        side.library, calibration=replace(own, tolerance=own.tolerance * factor, reach=own.reach * factor)
     )
     start = replace(fit.point, calibration=np.where(known, 0.0, fit.point.calibration))
     variances = replace(fit.variances, weight=None)

@@ -93,7 +93,7 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
       seconds: that it took.
     """
     first, last = found.chain[0], found.chain[-1]
-    named = last.point.named
+    named = [effect for effect in _named(found) if not _is_of_the_log(effect)]
     verdict = "unexplained" if found.large.any() or found.shape.score > 0 else "effect" if named else "none"
     ranking = _ranking(found.rounds)
     seen = found.side.stretches.seen
@@ -104,7 +104,7 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
     model = dataset.model
     return Diagnosis(
         verdict=verdict,  # type: ignore[arg-type]
-        effects=_named(found) if verdict == "effect" else (),
+        effects=tuple(named) if verdict == "effect" else (),
         ranking=ranking,
         equivalent=_alike(found.rounds[0]) if found.rounds and named else (),
         gap=Gap(before, after, min(floor, after), floor, float(np.sqrt(before)), float(np.sqrt(after)), *loops),
@@ -161,6 +161,11 @@ def _named(found: SearchOutcome) -> tuple[NamedEffect, ...]:
             )
         )
     return tuple(out)
+
+
+def _is_of_the_log(effect: NamedEffect) -> bool:
+    """Whether an effect is none of the robot: no command acts before it is given, so that the log is late."""
+    return effect.effect == TIMING and all(own.value < 0 for own in effect.parameters.values())
 
 
 def _alike(of: SearchRound) -> tuple[str, ...]:
@@ -374,10 +379,9 @@ def _notes(model: mujoco.MjModel, found: SearchOutcome) -> tuple[str, ...]:
     ]
     if len(found.chain) > 1 and mended > steady:
         out.append("Constant velocity predicts them better than the mended model: do not rely on it for predictions.")
-    prior, calibration = found.side.library.calibration, found.chain[-1].point.calibration
-    for entry, value, late in zip(found.side.library.calibrated, calibration, -prior.high, strict=True):
-        if entry.candidate.effect.name == TIMING and value < late:
-            out.append(f"Commands act {-1e3 * value:.3g} ms before the time that is logged: their stamps are late.")
+    for effect in filter(_is_of_the_log, _named(found)):
+        (delay,) = effect.parameters.values()
+        out.append(f"Commands act {-1e3 * delay.value:.3g} ms before the time that is logged: their stamps are late.")
     if found.contradicted:
         out.append("One more effect explained the recordings that were fitted, but not those held out.")
     return tuple(out)

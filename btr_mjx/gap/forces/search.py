@@ -276,8 +276,6 @@ def _lost(side: ForceSide, fit: Fitted, index: int, members: Sequence[int], cali
     design = np.zeros((p + n, count))
     design[p + np.arange(count), np.arange(count)] = 1.0
     of = side.library.calibration
-    prior = CalibrationPrior(
-        design, of.tolerance[:count], of.low[:count], of.high[:count], fit.point.calibration[:count]
-    )
+    prior = CalibrationPrior(design, of.tolerance[:count], of.reach[:count], fit.point.calibration[:count])
     every = np.eye(p + n, p)
     return least_squares(without, every[:, rest], prior).loss - least_squares(whole, every, prior).loss

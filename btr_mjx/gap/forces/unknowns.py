@@ -1,7 +1,7 @@
 """Columns of a search: one for every number that an effect of the library may have at a single place."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -38,8 +38,7 @@ _MOST = 4.0
 """Largest number of calibration, in tolerances."""
 
 _WITHIN = 0.75
-"""Largest time by which a command acts after its stamp that is no delay, in intervals of commands: half of one, and
-jitter of stamps."""
+"""Largest time within a sample at which a command acts, in intervals of commands: half of one, and jitter of stamps."""
 
 _FIELD = 5.0
 """Tolerances outside a laboratory, in units of those of the library."""
@@ -109,7 +108,7 @@ def library_of(
     numbers: list[FreeNumber] = []
     entries: list[CandidateColumns] = []
     single: dict[str, list[tuple[int, tuple[float, float]]]] = {}
-    calibrated: list[tuple[CandidateColumns, float, tuple[float, float]]] = []
+    calibrated: list[tuple[CandidateColumns, float, float]] = []
     for candidate in candidates:
         if candidate.effect.summable and candidate.place.members:
             entries += _group(candidate, [single[f"{candidate.effect.name}@{m}"] for m in candidate.place.members])
@@ -134,35 +133,21 @@ def library_of(
                     least = _UNKNOWN * abs(own.step)
                 factor = _FACTORS.get(candidate.effect.name, _FIELD)
                 if sigma := known or max(factor * own.tolerance, least):
-                    bounds = -_MOST * sigma, _MOST * sigma
-                    calibrated.append((CandidateColumns(candidate, ((column + i,),), (near[0],)), sigma, bounds))
+                    calibrated.append((CandidateColumns(candidate, ((column + i,),), (near[0],)), sigma, _MOST * sigma))
     for parameter in believed:
         candidate = _as_candidate(parameter, model)
         entry = CandidateColumns(candidate, ((len(numbers),),), (_range(candidate, 0, False),))
         numbers.append(FreeNumber(candidate, 0, (candidate.parameters[0].null,), candidate.parameters[0].step))
-        width = parameter.high - parameter.low
-        calibrated.append((entry, width, (-width, width)))
+        calibrated.append((entry, parameter.high - parameter.low, parameter.high - parameter.low))
     whole = [e for e in entries if e.candidate.effect.name == TIMING and e.candidate.parameters[0].low < 0]
-    for entry in whole[:1]:
-        bounds = entry.candidate.parameters[0].low, _WITHIN * interval
-        calibrated.append((entry, _TIME_IN_SAMPLE * interval, bounds))
-    # No command acts before it is given: where it seems so, the log is late.
-    entries = [_never_early(entry) if entry in whole else entry for entry in entries]
+    calibrated += [(entry, _TIME_IN_SAMPLE * interval, _WITHIN * interval) for entry in whole[:1]]
     prior = CalibrationPrior(
         np.concatenate([np.zeros((len(numbers), 0)), *(e.design(len(numbers)) for e, _, _ in calibrated)], 1),
         np.array([sigma for _, sigma, _ in calibrated]),
-        np.array([low for _, _, (low, _) in calibrated]),
-        np.array([high for _, _, (_, high) in calibrated]),
+        np.array([reach for _, _, reach in calibrated]),
         np.zeros(len(calibrated)),
     )
     return Library(tuple(numbers), tuple(entries), tuple(e for e, _, _ in calibrated), prior)
-
-
-def _never_early(entry: CandidateColumns) -> CandidateColumns:
-    """A delay without negative values."""
-    (own,), ((low, high),) = entry.candidate.parameters, entry.near
-    candidate = replace(entry.candidate, parameters=(replace(own, low=own.null),))
-    return replace(entry, candidate=candidate, near=((max(low, 0.0), high),))
 
 
 def _as_candidate(parameter: PathParameter, model: mujoco.MjModel) -> Candidate:

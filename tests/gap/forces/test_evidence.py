@@ -1,7 +1,5 @@
 """Least squares of numbers and calibration against SciPy's bounded solver and against its own optimality conditions."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
@@ -22,8 +20,8 @@ def problem(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, CalibrationP
     design[5 + np.arange(CALIBRATED), np.arange(CALIBRATED)] = 1.0
     design[0, 0] = 1.0  # what a name explains, calibration may explain too
     tolerance = rng.uniform(0.05, 1.0, CALIBRATED)
-    low, high = -tolerance * rng.uniform(0.5, 4, CALIBRATED), tolerance * rng.uniform(0.5, 4, CALIBRATED)
-    prior = CalibrationPrior(design, tolerance, low, high, rng.uniform(low, high))
+    reach = tolerance * rng.uniform(0.5, 4, CALIBRATED)
+    prior = CalibrationPrior(design, tolerance, reach, rng.uniform(-1, 1, CALIBRATED) * reach)
     return residual, columns, free, prior
 
 
@@ -43,7 +41,7 @@ def by_scipy(residual, columns, free, prior, low, high) -> tuple[np.ndarray, np.
     design = np.concatenate([columns @ free, columns @ prior.design], 1)
     rows = np.concatenate([np.zeros((CALIBRATED, FREE)), np.diag(1 / prior.tolerance)], 1)
     target = np.concatenate([-(residual - columns @ prior.design @ prior.at), np.zeros(CALIBRATED)])
-    bounds = (np.r_[low, prior.low], np.r_[high, prior.high] + 1e-15)
+    bounds = (np.r_[low, -prior.reach], np.r_[high, prior.reach] + 1e-15)
     found = lsq_linear(np.concatenate([design, rows]), target, bounds, tol=1e-14).x
     return found[:FREE], found[FREE:]
 
@@ -66,8 +64,11 @@ def test_fits_within_bounds_equal_those_of_scipy(seed):
     np.testing.assert_allclose(found.calibration, calibration, atol=1e-4)
     assert (found.values >= low).all()
     assert (found.values <= high).all()
-    assert (found.calibration >= own[3].low - 1e-12).all()
-    assert (found.calibration <= own[3].high + 1e-12).all()
+    assert (np.abs(found.calibration) <= prior_reach(own)).all()
+
+
+def prior_reach(own) -> np.ndarray:
+    return own[3].reach * (1 + 1e-12)
 
 
 def test_a_bound_costs_evidence():
@@ -81,7 +82,7 @@ def test_a_bound_costs_evidence():
 def test_where_columns_were_taken_does_not_matter():
     """A fit of calibration that starts elsewhere ends in the same place, if the residual is that of its start."""
     residual, columns, free, prior = problem(5)
-    other = replace(prior, at=0.3 * prior.high)
+    other = CalibrationPrior(prior.design, prior.tolerance, prior.reach, 0.3 * prior.reach)
     moved = residual + columns @ prior.design @ (other.at - prior.at)
     a, b = of((residual, columns, free, prior)), of((moved, columns, free, other))
     np.testing.assert_allclose(a.calibration, b.calibration, atol=1e-8)
@@ -92,7 +93,7 @@ def test_where_columns_were_taken_does_not_matter():
 def test_what_calibration_explains_costs_its_size_in_tolerances():
     """One number of calibration without noise: it takes its part, and the loss is that of both."""
     columns, residual = np.array([[2.0], [0.0]]), np.array([3.0, 0.0])
-    prior = CalibrationPrior(np.eye(1), np.array([0.5]), np.array([-10.0]), np.array([10.0]), np.zeros(1))
+    prior = CalibrationPrior(np.eye(1), np.array([0.5]), np.array([10.0]), np.zeros(1))
     found = least_squares(gram(residual, columns), np.zeros((1, 0)), prior)
     # minimum of (3 + 2 x)^2 + (2 x)^2
     assert found.calibration[0] == pytest.approx(-0.75)

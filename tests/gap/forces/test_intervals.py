@@ -18,7 +18,7 @@ TOLERANCE = np.array([0.02])
 
 def fitted(columns: np.ndarray, residual: np.ndarray) -> tuple[ForceSide, Fitted]:
     """A fit of two numbers beside one of calibration, with whitened columns (S, N, 3) and residual (S, N)."""
-    prior = CalibrationPrior(np.zeros((0, 1)), TOLERANCE, -9 * TOLERANCE, 9 * TOLERANCE, np.zeros(1))
+    prior = CalibrationPrior(np.zeros((0, 1)), TOLERANCE, 9 * TOLERANCE, np.zeros(1))
     side = ForceSide(None, Library((), (), (), prior), None, None)  # type: ignore[arg-type]
     named = tuple(
         (one(arm(), name, LIBRARY), (0.1,)) for name in ("viscous_damping@joint:elbow", "armature@joint:elbow")

@@ -25,8 +25,7 @@ def scene():
     columns[:, 1] += 0.7 * columns[:, 0]
     residual = 0.4 * columns[:, 0] + columns @ [0, 0, -0.3, 0.2, 0.5, 0.1, 0] + rng.standard_normal(ROWS)
     every = np.concatenate([residual[:, None], columns], 1)
-    bounds = np.array([-0.2, -0.8]), np.array([0.2, 0.8])
-    prior = CalibrationPrior(np.eye(7)[:, 5:], np.array([0.05, 0.2]), *bounds, np.array([0.02, -0.1]))
+    prior = CalibrationPrior(np.eye(7)[:, 5:], np.array([0.05, 0.2]), np.array([0.2, 0.8]), np.array([0.02, -0.1]))
     given = np.eye(7)[:, 4:5]
     candidates = {name: one(arm(), name, EFFECTS) for name in NAMES}
     entries = [
@@ -41,7 +40,7 @@ def alone(residual, columns, prior, chosen, bounds) -> tuple[float, np.ndarray]:
     design = np.concatenate([columns[:, chosen], columns[:, 5:]], 1)
     rows = np.concatenate([np.zeros((2, len(chosen))), np.diag(1 / prior.tolerance)], 1)
     target = np.r_[-(residual - columns[:, 5:] @ prior.at), np.zeros(2)]
-    low, high = np.r_[-np.array(bounds), prior.low], np.r_[np.array(bounds), prior.high]
+    low, high = np.r_[-np.array(bounds), -prior.reach], np.r_[np.array(bounds), prior.reach]
     found = lsq_linear(np.concatenate([design, rows]), target, (low, high), tol=1e-14)
     return 2 * found.cost, found.x
 
@@ -88,7 +87,7 @@ def test_noise_pays_no_price():
     damping = one(arm(), "viscous_damping@joint:elbow", LIBRARY)
     for _ in range(30):
         every = rng.standard_normal((COUNT, 21))
-        nothing = CalibrationPrior(np.zeros((20, 0)), *[np.zeros(0)] * 4)
+        nothing = CalibrationPrior(np.zeros((20, 0)), np.zeros(0), np.zeros(0), np.zeros(0))
         entries = [
             CandidateColumns(replace(damping, effect=replace(damping.effect, name=f"e{i}")), ((i,),), ((-9, 9),))
             for i in range(20)
