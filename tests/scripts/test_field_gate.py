@@ -48,24 +48,21 @@ def answer(*effects: dict[str, Any], verdict: str | None = None) -> dict[str, An
     }
 
 
-def test_names_are_right_false_or_told(gate: ModuleType) -> None:
+def test_names_are_right_or_false(gate: ModuleType) -> None:
     model = model_of("pendulum")
     rubbing = effect("dry_friction", "joint:pivot", torque=0.2)
     good = named("dry_friction", "joint:pivot", "torque", 0.25)
     late = named("actuator_delay", "actuator:pivot", "delay", -0.01)
     common = named("actuator_delay", "all", "delay", -0.01)
-    arm = model_of("arm")
-    one_of_many = named("actuator_delay", "actuator:elbow", "delay", -0.01)
     right = gate.judge(model, truth(rubbing), answer(good))
     assert (right["right"], right["numbers"], right["inside"], right["correct"]) == (1, 1, 1, True)
     both = gate.judge(model, truth(rubbing), answer(good, late))
     assert both["right"] == 1
     assert both["extra"] == ["actuator_delay@actuator:pivot"]
     assert not both["correct"]
-    assert gate.judge(model, truth(late=0.01), answer(common))["correct"]
-    assert gate.judge(model, truth(late=0.01), answer(late))["correct"]
-    assert not gate.judge(arm, truth(late=0.01), answer(one_of_many))["correct"]
-    assert not gate.judge(model, truth(), answer(common))["correct"]
+    # Commands that were logged late are a fault of the log, not an effect of the robot.
+    assert not gate.judge(model, truth(late=0.01), answer(common))["correct"]
+    assert gate.judge(model, truth(late=0.01), answer())["correct"]
     assert gate.judge(model, truth(), answer())["correct"]
     assert gate.judge(model, truth(), answer(verdict="unexplained"))["false_unexplained"]
     ripple = effect("ripple", "joint:pivot", torque=0.1, waves=9.0)
