@@ -120,6 +120,18 @@ def test_a_run_folder(folder: Path, searches: list, capsys: pytest.CaptureFixtur
     assert {"config.json", "environment.json", "preflight.csv", "ranking.csv", "report.html", "mended.xml"} <= names
 
 
+def test_effects_that_are_searched_where_nothing_is_touched_are_mended(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    fading = NamedEffect("fading_motor", "actuator:servo", {"rate": Estimate(-0.01, -0.02, -0.005, "1/s")}, 80.0, 30.0)
+    found = dataclasses.replace(FOUND, effects=(fading,))
+    monkeypatch.setattr(inference, "identify", lambda *args, **kwargs: found)
+    diagnose.main([str(folder), "--out", str(tmp_path / "run"), "--no-progress"])
+    mended = json.loads((tmp_path / "run" / "mended.json").read_text())
+    assert [term["effect"] for term in mended["terms"]] == ["fading_motor"]
+    assert not any("could not be mended" in note for note in mended["notes"])
+
+
 def test_reading_shows_a_bar(
     folder: Path, searches: list, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
