@@ -12,7 +12,6 @@ import os
 import shutil
 import sys
 import tempfile
-import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -31,7 +30,7 @@ from btr_mjx.cluster import check_cluster
 from btr_mjx.errors import cli_errors
 from btr_mjx.gap.data import load
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.inference import Bench, name_missing, nearest
+from btr_mjx.gap.inference import Bench, identify, nearest
 from btr_mjx.gap.results import as_result
 from btr_mjx.runs import describe_environment, progress, read_json, to_plain, write_json, write_table
 from btr_mjx.testing import PER_JOINT_EFFECTS, CaseSettings, Truth, case_robot, make_case
@@ -96,18 +95,14 @@ def _created(folder: Path) -> Path:
     return folder
 
 
-def solve(data: Path) -> tuple[Bench, dict[str, Any]]:
-    """Solve a case from its data alone.
+def solve(data: Path) -> dict[str, Any]:
+    """The answer to a case from its data alone, as a user gets it.
 
     Args:
       data: folder of the dataset.
-
-    Returns:
-      The bench of the search, for `score_truth`, and the answer.
     """
-    begun, dataset = time.monotonic(), load(data)
-    bench = Bench(dataset, EFFECTS)
-    diagnosis = name_missing(bench, begun=begun)
+    dataset = load(data)
+    diagnosis = identify(dataset)
     result = as_result(diagnosis, dataset)
     others = [
         row
@@ -117,23 +112,22 @@ def solve(data: Path) -> tuple[Bench, dict[str, Any]]:
     best = result["ranking"][0]["score"] if result["ranking"] else 0.0
     keys = ("verdict", "effects", "equivalent", "gap", "unexplained", "share", "lack_of_fit", "steps", "seconds")
     answer = {key: result[key] for key in keys} | {"ranking": result["ranking"][:10], "best_score": best}
-    return bench, answer | {"margin": best - others[0]["score"] if others and result["ranking"] else None}
+    return answer | {"margin": best - others[0]["score"] if others and result["ranking"] else None}
 
 
-def score_truth(config: Config, files: Files, bench: Bench | None) -> None:
+def score_truth(config: Config, files: Files) -> None:
     """Write gain and score of the hidden effects at their true parameters, each of a pair beside the other.
 
     Args:
       config: settings of the benchmark.
       files: files of the case.
-      bench: bench of the search; None makes one.
     """
     truth = read_json(files.truth)
     missing = truth["effects"]
     gains: list[float] = []
     gain_scores: list[float] = []
     if missing and config.oracle:
-        bench = bench or Bench(load(files.data), EFFECTS)
+        bench = Bench(load(files.data), EFFECTS)
         found = {candidate.name: candidate for candidate in bench.candidates}
         model = bench.dataset.model
         added = []
@@ -195,11 +189,9 @@ def _true_gains(bench: Bench, added: list[Any]) -> tuple[list[float], list[float
 
 def work(config: Config, files: Files) -> None:
     """Solve a case, then compute the detectability of its truth."""
-    bench = None
     if not files.answer.is_file():
-        bench, answer = solve(files.data)
-        write_json(files.answer, answer)
-    score_truth(config, files, bench)
+        write_json(files.answer, solve(files.data))
+    score_truth(config, files)
     shutil.rmtree(files.data, ignore_errors=True)
 
 

@@ -152,10 +152,10 @@ def work(files: Files) -> None:
     if files.code != CODE:
         raise InputError(f"btr_mjx changed from {files.code} to {CODE} while the run started; start it again")
     begun = time.process_time()
-    bench, answer = blind_gap.solve(files.data)
+    answer = blind_gap.solve(files.data)
     cpu = time.process_time() - begun
     if not files.oracle.is_file():
-        blind_gap.score_truth(blind_gap.Config(), files, bench)
+        blind_gap.score_truth(blind_gap.Config(), files)
     write_json(files.answer, answer | {"cpu_seconds": cpu, "data": data_digest(files.data)})
 
 

@@ -127,4 +127,4 @@ def exact_stretch(recording: Recording, first: int, count: int) -> Stretches:
     own = slice(first, first + count + 1)
     time, q, v = (x[None, own] for x in (recording.time, recording.qpos, recording.qvel))
     act = np.zeros((1, count + 1, 0))
-    return Stretches(data, np.zeros(1, int), time, q, v, act, q, v, np.ones(4, bool), SIGMA)
+    return Stretches(data, np.zeros(1, int), time, q, v, act, q, v, np.ones(4, bool), SIGMA, 0.1 * SIGMA)

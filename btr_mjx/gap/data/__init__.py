@@ -10,7 +10,7 @@ from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, load,
 from btr_mjx.gap.data.held import Held, bends, held, stairs
 from btr_mjx.gap.data.inferred import open_logs
 from btr_mjx.gap.data.names.remedy import Answer, quoted
-from btr_mjx.gap.data.noise import Noise, estimate_noise, reduced_noise
+from btr_mjx.gap.data.noise import Noise, estimate_noise, quantisation_noise, reduced_noise
 from btr_mjx.gap.data.recording import Recording, make_recording
 from btr_mjx.gap.data.sources import open_dataset
 from btr_mjx.gap.data.wraps import Wrap, find_wraps
@@ -37,6 +37,7 @@ __all__ = [
     "noise_of",
     "open_dataset",
     "open_logs",
+    "quantisation_noise",
     "quoted",
     "read_columns",
     "read_header",

@@ -99,7 +99,7 @@ def estimate_noise(model: mujoco.MjModel, tracks: Sequence[_Samples]) -> Noise:
     interval = float(np.median(np.concatenate([np.diff(track[0]) for track in tracks])))
     qpos: list[np.ndarray] = []
     qvel: list[np.ndarray] = []
-    floor = np.full((2, model.nv), 1e-12)
+    floor = quantisation_noise(model, tracks)
     for time, q, v, measured in tracks:
         index = np.arange(len(time) - DIFFERENCE_ORDER)[:, None] + np.arange(DIFFERENCE_ORDER + 1)
         weights = annihilator(time[index])
@@ -108,15 +108,27 @@ def estimate_noise(model: mujoco.MjModel, tracks: Sequence[_Samples]) -> Noise:
         )  # (N, DIFFERENCE_ORDER + 1, nv)
         qpos.append(np.einsum("ni,niv->nv", weights, moves))
         qvel.append(np.where(measured, np.einsum("ni,niv->nv", weights, v[index]), np.nan))
-        for row, signal in enumerate((difference(model, q[:1], q), np.where(measured, v, 0.0))):
-            step = np.array([_quantum(column) for column in signal.T])
-            floor[row] = np.maximum(floor[row], np.maximum(step / np.sqrt(12), 1e-9 * np.ptp(signal, axis=0)))
     ever = np.logical_or.reduce([track[3] for track in tracks])
     sigma_q = np.maximum(np.median(np.abs(np.concatenate(qpos)), axis=0) / 0.6745, floor[0])
     sigma_v = sigma_q / interval
     left = np.abs(np.concatenate(qvel))[:, ever]
     sigma_v[ever] = np.maximum(np.nanmedian(left, axis=0) / 0.6745, floor[1, ever])
     return Noise(sigma_q, sigma_v)
+
+
+def quantisation_noise(model: mujoco.MjModel, tracks: Sequence[_Samples]) -> np.ndarray:
+    """Noise (2, nv) of the digits of positions and velocities, step / sqrt(12): no sensor has less.
+
+    Args:
+      model: the model.
+      tracks: samples of each recording.
+    """
+    floor = np.full((2, model.nv), 1e-12)
+    for _, q, v, measured in tracks:
+        for row, signal in enumerate((difference(model, q[:1], q), np.where(measured, v, 0.0))):
+            step = np.array([_quantum(column) for column in signal.T])
+            floor[row] = np.maximum(floor[row], np.maximum(step / np.sqrt(12), 1e-9 * np.ptp(signal, axis=0)))
+    return floor
 
 
 def without_sensor(noise: Noise, seen: np.ndarray) -> Noise:

@@ -14,9 +14,6 @@ from btr_mjx.gap.forces.missing_force import drives, missing_force
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point
 from btr_mjx.gap.forces.unknowns import DRIVE
 
-_SHARE = 0.3
-"""Part of the missing force of a joint that a drive explains, from which on it is tried."""
-
 _STIFFNESS = "servo_stiffness"
 """Effect of servos whose stiffness is not the believed one."""
 
@@ -27,12 +24,14 @@ _SOFT = 0.01
 def drive_points(side: ForceSide, fit: Fitted) -> list[Point]:
     """Points at which all drives have what models leave out; with the believed stiffness of servos, and with their own.
 
+    A stiffness far from the believed one is out of reach of a scan, and so it is tried alone, too.
+
     Args:
       side: the recordings to fit.
       fit: what was named before.
 
     Returns:
-      Nothing where a part of a drive is named already, or where it explains little.
+      Nothing where a part of a drive is named already.
     """
     taken = {candidate.effect.name for candidate, _ in fit.point.named}
     widest = _widest(side)
@@ -42,17 +41,17 @@ def drive_points(side: ForceSide, fit: Fitted) -> list[Point]:
     point = replace(fit.point, calibration=np.zeros_like(fit.point.calibration))
     # Smoothed states know of jitter and of what sensors see; differences of positions do not.
     stretches = fit.linear.stretches
-    found, share = drives(missing_force(stretches, point.hypothesis(side.library)))
-    out = [] if share.max() < _SHARE else [_named(side, point, widest, dict(zip(DRIVE, found[:4], strict=True)))]
+    found = drives(missing_force(stretches, point.hypothesis(side.library)))
+    out = [_named(side, point, widest, dict(zip(DRIVE, found[:4], strict=True)))]
     if _STIFFNESS in widest:
         servos = widest[_STIFFNESS]
         softer, soft = (
             missing_force(stretches, point.hypothesis(side.library).with_effect(servos, values))
             for values in np.multiply.outer([_SOFT - 1, 2 * _SOFT - 1], np.ones(len(servos.parameters)))
         )
-        found, share = drives(softer, soft.actuator - softer.actuator)
+        found = drives(softer, soft.actuator - softer.actuator)
         rows = dict(zip((*DRIVE, _STIFFNESS), (*found[:4], _SOFT * (1 + found[4]) - 1), strict=True))
-        out += [] if share.max() < _SHARE else [_named(side, point, widest, rows)]
+        out += [_named(side, point, widest, own) for own in (rows, {_STIFFNESS: rows[_STIFFNESS]})]
     return out
 
 

@@ -15,14 +15,14 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, noise_of
 from btr_mjx.gap.effects import Effect, Hypothesis, candidates, has_closed_loops, with_motors
-from btr_mjx.gap.forces.filtering import smoothed
-from btr_mjx.gap.forces.held_out import HeldOut, held_out, horizon_errors, is_better, predicts_better, predicts_well
+from btr_mjx.gap.forces.held_out import HeldOut, held_out, is_better
 from btr_mjx.gap.forces.horizons import follow_horizons
 from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.missing_force import missing_force
 from btr_mjx.gap.forces.motion import responses
 from btr_mjx.gap.forces.outcome import SearchOutcome, diagnosis_of
 from btr_mjx.gap.forces.points import ROUNDS, Fitted, ForceSide, evaluate_point, settled
+from btr_mjx.gap.forces.predictions import horizon_errors, predicts_better, predicts_well
 from btr_mjx.gap.forces.search import Named, SearchRound, select_effects, start
 from btr_mjx.gap.forces.shapes import best_shape
 from btr_mjx.gap.forces.stretches import Stretches, spread_stretches
@@ -254,14 +254,12 @@ def _found(
     gained = rounds[0].before.loss - marginal.loss
     if shape.score < max(_TOLD, _LEFT * gained):
         shape = replace(shape, score=0.0)
-    left = smoothed(last.linear, np.zeros_like(last.linear.defect), last.variances).force
     return SearchOutcome(
         tuple(rounds),
         tuple(chain),
         outcomes,
         (errors[0], errors[1], steady),
         missing,
-        left,
         large,
         base,
         mended,

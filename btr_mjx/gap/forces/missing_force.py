@@ -83,7 +83,7 @@ def _of_wrench(model: mujoco.MjModel, data: mujoco.MjData, wrench: np.ndarray) -
     return out
 
 
-def drives(missing: MissingForce, spring: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+def drives(missing: MissingForce, spring: np.ndarray | None = None) -> np.ndarray:
     """Friction, damping, rotor inertia and an offset of every degree of freedom, by least squares on missing force.
 
     Args:
@@ -92,10 +92,10 @@ def drives(missing: MissingForce, spring: np.ndarray | None = None) -> tuple[np.
 
     Returns:
       (5, nv) dry friction, damping, inertia, none below 0, a constant force, and units of stiffness or a change of the
-      motor's strength; (nv,) share of the missing force that they explain.
+      motor's strength.
     """
     nv = missing.force.shape[-1]
-    out, share = np.zeros((5, nv)), np.zeros(nv)
+    out = np.zeros((5, nv))
     for j in range(nv):
         force, v, a = (x[..., j].ravel() for x in (missing.force, missing.velocity, missing.acceleration))
         motor = (missing.actuator if spring is None else spring)[..., j].ravel()
@@ -106,5 +106,4 @@ def drives(missing: MissingForce, spring: np.ndarray | None = None) -> tuple[np.
         low, high = (-_UNCERTAIN * scale[4], _UNCERTAIN * scale[4] + 1e-12) if spring is None else (0.0, np.inf)
         found = scipy.optimize.lsq_linear(columns / scale, force, ([0, 0, 0, -np.inf, low], [*4 * [np.inf], high]))
         out[:, j] = found.x / scale
-        share[j] = 1 - np.mean((force - columns / scale @ found.x) ** 2) / max(float(np.mean(force**2)), 1e-300)
-    return out, share
+    return out

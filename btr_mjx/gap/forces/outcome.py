@@ -10,11 +10,12 @@ from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import Hypothesis
 from btr_mjx.gap.forces.confounds import confounds_of
 from btr_mjx.gap.forces.filtering import smoothed
-from btr_mjx.gap.forces.held_out import HORIZON, HeldOut
+from btr_mjx.gap.forces.held_out import HeldOut
 from btr_mjx.gap.forces.horizons import cut_horizons, position_errors
 from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.missing_force import MissingForce
 from btr_mjx.gap.forces.points import Fitted, ForceSide, names
+from btr_mjx.gap.forces.predictions import HORIZON
 from btr_mjx.gap.forces.search import SearchRound
 from btr_mjx.gap.forces.shapes import ShapeGain, shape_sentence
 from btr_mjx.gap.forces.unknowns import TIMING, believed_values
@@ -57,7 +58,6 @@ class SearchOutcome:
       held_out: what held-out recordings say of the first and the last of them.
       errors: (W, nv) mean square errors of predictions of the believed model, the mended one and constant velocity.
       missing: force that the believed model lacks.
-      left: (S, K + 1, nv) force that is left.
       large: (nv,) bool: the random force that is left is no calibration.
       base: the believed model with what was refitted.
       mended: with what was named.
@@ -72,7 +72,6 @@ class SearchOutcome:
     held_out: tuple[HeldOut, HeldOut]
     errors: tuple[np.ndarray, np.ndarray, np.ndarray]
     missing: MissingForce
-    left: np.ndarray
     large: np.ndarray
     base: Hypothesis
     mended: Hypothesis
@@ -240,7 +239,7 @@ def _places(model: mujoco.MjModel) -> list[str]:
 def _map(model: mujoco.MjModel, found: SearchOutcome) -> DisagreementMap:
     """Mean square of the missing force by joint and regime, in units of the random force that is left."""
     missing, first = found.missing, found.chain[0]
-    force = smoothed(first.linear, np.zeros_like(first.linear.defect), first.variances).force[:, :-1]
+    force = smoothed(first.linear, np.zeros_like(first.linear.defect), first.variances).force
     usual = (missing.actuator**2).mean((0, 1)) + (missing.force**2).mean((0, 1))
     floor = np.maximum(found.chain[-1].variances.force, _SLIGHT**2 * usual + 1e-300)
     square = np.minimum(force**2 / floor, _CAP)

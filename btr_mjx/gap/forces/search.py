@@ -8,20 +8,13 @@ import numpy as np
 from btr_mjx.gap.effects import Candidate, Hypothesis
 from btr_mjx.gap.forces.drive import drive_points
 from btr_mjx.gap.forces.evidence import CalibrationPrior, least_squares
-from btr_mjx.gap.forces.filtering import Variances, filtered
+from btr_mjx.gap.forces.filtering import SPAN, Variances, filtered
 from btr_mjx.gap.forces.motion import linearise_motion, responses
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, evaluate_point, names, settled
+from btr_mjx.gap.forces.predictions import RELATIVE_ERROR, horizon_errors, predicts_better
 from btr_mjx.gap.forces.scan import Scanned, price, scan_columns
 from btr_mjx.gap.forces.stretches import Stretches
-from btr_mjx.gap.forces.unknowns import BELIEVED, LIMIT_SIZES
-
-FORGOTTEN = 0.01
-"""Correlation time of the random force [s]. What lasts longer is for names to explain: a random force that lasts would
-take the place of friction, which predicts no motion."""
-
-RELATIVE_ERROR = 0.1
-"""Part by which a simulation of named effects errs: a further one has to explain more than its square of what they
-do."""
+from btr_mjx.gap.forces.unknowns import BELIEVED, DRIVE, LIMIT_SIZES
 
 _FAR = 0.02
 """Part of the gain of a whole drive that a single effect needs in the scan to be refined beside it."""
@@ -52,7 +45,7 @@ class SearchRound:
     Attributes:
       before: the hypothesis to which one more effect was sought.
       leads: of the scan, best first.
-      finalists: refined leads with their scores, best first.
+      finalists: refined leads with their scores, best first; only those that no other one beats in predictions.
     """
 
     before: Fitted
@@ -68,8 +61,7 @@ def first_variances(side: ForceSide, hypothesis: Hypothesis) -> Variances:
     return Variances(
         side.stretches.sigma**2,
         (_JITTER * interval) ** 2,
-        (np.median(np.abs(force), (0, 1)) / 0.6745) ** 2 + 1e-18,
-        FORGOTTEN,
+        interval / SPAN * (np.median(np.abs(force), (0, 1)) / 0.6745) ** 2 + 1e-18,
     )
 
 
@@ -151,7 +143,22 @@ def one_more(side: ForceSide, fit: Fitted, needed: float = 0.0) -> SearchRound:
             moved = fit.point
         judge(replace(moved, named=(*moved.named, (lead.candidate, lead.values))), fit.variances, fit.linear.stretches)
     finalists.sort(key=lambda row: -row[0])
-    return SearchRound(fit, tuple(leads), tuple(finalists))
+    return SearchRound(fit, tuple(leads), tuple(_unbeaten(side, finalists, needed)))
+
+
+def _unbeaten(side: ForceSide, finalists: Sequence[tuple[float, Fitted]], needed: float) -> list[tuple[float, Fitted]]:
+    """Finalists that no other one with the score that is needed beats in predictions of the fitted recordings.
+
+    Likelihoods of single intervals believe in their noise: where a model errs in another way they may prefer what
+    predicts no motion, such as inertia that holds a servo still.
+    """
+    able = [fit for score, fit in finalists if score > needed]
+    if len(able) < 2:
+        return list(finalists)
+    makes = [fit.point.hypothesis(side.library) for fit in able]
+    errors, _ = horizon_errors(side.stretches.data, makes, side.counter)
+    beaten = [fit for fit, own in zip(able, errors, strict=True) if any(predicts_better(own, e) for e in errors)]
+    return [row for row in finalists if not any(row[1] is fit for fit in beaten)]
 
 
 def _tightened(side: ForceSide, fit: Fitted, lead: Scanned) -> tuple[float, ...]:
@@ -247,8 +254,13 @@ def _simpler(side: ForceSide, fit: Fitted, index: int, single: Mapping[str, Cand
 
 
 def _pays(side: ForceSide, fit: Fitted, index: int, members: Sequence[int], least: float) -> bool:
-    """Whether numbers of an effect pay: where nothing is badly calibrated, and in doubt where calibration may be."""
-    return _lost(side, fit, index, members, False) > least and _lost(side, fit, index, members, True) > _DOUBT
+    """Whether numbers of an effect pay where nothing is badly calibrated, and in doubt where calibration may be.
+
+    Of a drive there is no doubt: that a tilted base would explain an offset as well is no reason to predict without.
+    """
+    drive = fit.point.named[index][0].effect.name in DRIVE and len(fit.point.named) > 1
+    beside = drive or _lost(side, fit, index, members, True) > _DOUBT
+    return beside and _lost(side, fit, index, members, False) > least
 
 
 def _lost(side: ForceSide, fit: Fitted, index: int, members: Sequence[int], calibrated: bool) -> float:

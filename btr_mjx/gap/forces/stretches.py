@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from btr_mjx.gap.data import quantisation_noise
 from btr_mjx.gap.windows import PreparedData, Span, Track, smooth
 from btr_mjx.models import difference
 
@@ -20,6 +21,9 @@ _MOST_INTERVALS = 2_500
 _STRETCHES = 24
 """Fewest stretches of one side, where there is enough data: they are filtered side by side, and their scatter is the
 error of what they say. Every recording has one."""
+
+_QUIETEST = 0.1
+"""Smallest noise of a sensor, in units of the first guess: no variance may vanish, since it could not grow again."""
 
 _LONGEST = 400
 """Most intervals of a stretch. Few long stretches and many short ones cost the same; a starting state has to be learnt
@@ -39,6 +43,8 @@ class Stretches:
       qpos, qvel: states around which the motion is linearised, at first smoothed measurements.
       seen: (2 nv,) bool: which coordinates were measured.
       sigma: (2 nv,) noise of a measurement, a first guess.
+      least: (2 nv,) no measurement has less. Where a robot stands still the digits of its encoders do not move, as if
+        there were no noise: without a bound such samples would outweigh all others.
     """
 
     data: PreparedData
@@ -51,6 +57,7 @@ class Stretches:
     qvel: np.ndarray
     seen: np.ndarray
     sigma: np.ndarray
+    least: np.ndarray
 
     def __len__(self) -> int:
         return len(self.recording)
@@ -121,6 +128,9 @@ def _stretches(
             parts[name].append(value)
     stacked = {name: np.stack(values) for name, values in parts.items()}
     measured = data.measured.copy()
+    sigma = np.maximum(data.sigma * reduction, 1e-12 * np.ones(2 * nv))
+    samples_of = [(r.time, r.qpos, r.qvel, r.qvel_measured) for r in data.recordings]
+    digits = quantisation_noise(data.recordings[0].model, samples_of).ravel() * reduction
     return Stretches(
         data,
         recording,
@@ -131,7 +141,8 @@ def _stretches(
         stacked["q"],
         stacked["v"],
         measured,
-        np.maximum(data.sigma * reduction, 1e-12 * np.ones(2 * nv)),
+        sigma,
+        np.maximum(_QUIETEST * sigma, digits),
     )
 
 

@@ -42,7 +42,7 @@ def linear() -> Linearised:
 def variances(linear: Linearised) -> Variances:
     rng = np.random.default_rng(4)
     weight = rng.uniform(0.2, 1.5, (STRETCHES, INTERVALS, 2))
-    return Variances(linear.stretches.sigma**2, 4e-7, np.array([0.05, 0.2]), 0.01, weight)
+    return Variances(linear.stretches.sigma**2, 4e-7, np.array([0.05, 0.2]), weight)
 
 
 def starting_covariance(linear: Linearised, variances: Variances) -> np.ndarray:
@@ -50,7 +50,7 @@ def starting_covariance(linear: Linearised, variances: Variances) -> np.ndarray:
     sigma = np.sqrt(variances.sensor)
     quotient = np.minimum(sigma[:2] / linear.interval.mean(), linear.stretches.qvel.std((0, 1)))
     velocity = np.maximum(np.where(linear.stretches.seen[2:], sigma[2:], 0), quotient)
-    return np.diag(np.concatenate([900 * sigma[:2] ** 2, 900 * velocity**2, variances.force]))
+    return np.diag(np.concatenate([900 * sigma[:2] ** 2, 900 * velocity**2]))
 
 
 class Joint:
@@ -58,30 +58,29 @@ class Joint:
 
     def __init__(self, linear: Linearised, variances: Variances, s: int, start: np.ndarray) -> None:
         count = INTERVALS + 1
-        # Everything is a linear function of the starting state and of what is new in the force.
-        sources = 6 + 2 * INTERVALS
-        of_state, covariance = np.zeros((count, 6, sources)), np.zeros((sources, sources))
-        of_state[0, :, :6], covariance[:6, :6] = np.eye(6), start
-        self.state = np.zeros((count, 6))
+        # Everything is a linear function of the starting state and of the forces.
+        sources = 4 + 2 * INTERVALS
+        of_state, covariance = np.zeros((count, 4, sources)), np.zeros((sources, sources))
+        of_state[0, :, :4], covariance[:4, :4] = np.eye(4), start
+        self.state = np.zeros((count, 4))
         for k in range(INTERVALS):
-            rho = np.exp(-linear.interval[s, k] / variances.time)
-            step = np.block([[linear.transition[s, k], linear.force[s, k]], [np.zeros((2, 4)), rho * np.eye(2)]])
-            of_state[k + 1] = step @ of_state[k]
-            new = slice(6 + 2 * k, 8 + 2 * k)
-            of_state[k + 1, 4:, new] = np.eye(2)
+            force = slice(4 + 2 * k, 6 + 2 * k)
+            of_state[k + 1] = linear.transition[s, k] @ of_state[k]
+            of_state[k + 1, :, force] = linear.force[s, k]
             weight = np.ones(2) if variances.weight is None else variances.weight[s, k]
-            covariance[new, new] = np.diag((1 - rho**2) * variances.force / weight)
-            self.state[k + 1] = step @ self.state[k] + np.r_[-linear.defect[s, k], 0, 0]
+            # The mean of white noise over an interval, whose mean over 10 ms has the variance that is given.
+            covariance[force, force] = np.diag(variances.force * 0.01 / linear.interval[s, k] / weight)
+            self.state[k + 1] = linear.transition[s, k] @ self.state[k] - linear.defect[s, k]
         own = linear.stretches
         seen = np.flatnonzero(own.seen)
         speed, rate = own.qvel[s], np.gradient(own.qvel[s], axis=0) / linear.interval.mean()
         noise = variances.sensor + variances.jitter * np.concatenate([speed, rate], 1) ** 2
         of_measured = of_state[:, seen].reshape(-1, sources)
         self.covariance = of_measured @ covariance @ of_measured.T + np.diag(noise[:, seen].ravel())
-        self.across = of_state.reshape(-1, sources) @ covariance @ of_measured.T
-        self.own = of_state.reshape(-1, sources) @ covariance @ of_state.reshape(-1, sources).T
+        every = np.concatenate([of_state.reshape(-1, sources), np.eye(sources)[4:]])
+        self.across = every @ covariance @ of_measured.T
         measured = np.concatenate([own.measured_q[s] - own.qpos[s], own.measured_v[s] - own.qvel[s]], 1)
-        self.residual = (measured - self.state[:, :4])[:, seen].ravel()
+        self.residual = (measured - self.state)[:, seen].ravel()
 
     def loss(self) -> float:
         return float(self.residual @ np.linalg.solve(self.covariance, self.residual)) + self.log_determinant()
@@ -105,7 +104,7 @@ def driven(linear: Linearised, columns: np.ndarray) -> np.ndarray:
 
 def test_whitened_innovations_have_the_products_of_the_joint_distribution(linear, variances):
     columns = np.random.default_rng(5).standard_normal((STRETCHES, INTERVALS, 4, 3))
-    for own in (variances, replace(variances, weight=None), replace(variances, jitter=0.0, time=1.0)):
+    for own in (variances, replace(variances, weight=None), replace(variances, jitter=0.0)):
         found = filtered(linear, columns, own)
         start, answer = starting_covariance(linear, own), driven(linear, columns)
         for s in range(STRETCHES):
@@ -126,12 +125,11 @@ def test_smoothed_states_and_forces_are_conditional_means(linear, variances):
     for s in range(STRETCHES):
         joint = Joint(linear, variances, s, start)
         gain = np.linalg.solve(joint.covariance, joint.across.T).T
-        mean = joint.state + (gain @ joint.residual).reshape(-1, 6)
-        spread = np.diag(joint.own - gain @ joint.across.T).reshape(-1, 6)
+        known, split = gain @ joint.residual, 4 * (INTERVALS + 1)
+        mean, force = joint.state + known[:split].reshape(-1, 4), known[split:].reshape(-1, 2)
         for i in range(4):
             np.testing.assert_allclose(found.state[s, :, i], mean[:, i], atol=1e-7 * np.abs(mean[:, i]).max())
-        np.testing.assert_allclose(found.force[s], mean[:, 4:], atol=1e-7 * np.abs(mean[:, 4:]).max())
-        np.testing.assert_allclose(found.force_variance[s], spread[:, 4:], rtol=1e-6)
+        np.testing.assert_allclose(found.force[s], force, atol=1e-7 * np.abs(force).max())
 
 
 def test_a_fitted_effect_is_taken_off_before_smoothing(linear, variances):
@@ -147,9 +145,7 @@ def slopes(linear: Linearised, variances: Variances, start: np.ndarray) -> dict[
     """Derivatives of -2 ln p with respect to the logarithms of variances, of a starting state that is given."""
 
     def loss(own: Variances) -> float:
-        covariance = start.copy()
-        covariance[4:, 4:] = np.diag(own.force)
-        return sum(Joint(linear, own, s, covariance).loss() for s in range(STRETCHES)) + own.penalty
+        return sum(Joint(linear, own, s, start).loss() for s in range(STRETCHES)) + own.penalty
 
     def slope(change) -> float:
         return (loss(change(np.exp(1e-4))) - loss(change(np.exp(-1e-4)))) / 2e-4
@@ -220,7 +216,7 @@ def test_the_likelihood_is_largest_where_a_variance_stays(linear, variances, nam
     assert abs(slopes(own, known, start)[name]) < 1e-2
     # It is a maximum: the slopes on both sides lead to it.
     for factor in (0.5, 2.0):
-        away = kept_but(name, known, Variances(factor * known.sensor, factor * known.jitter, factor * known.force, 1.0))
+        away = kept_but(name, known, Variances(factor * known.sensor, factor * known.jitter, factor * known.force))
         assert (slopes(own, away, start)[name] > 0) == (factor > 1)
 
 
@@ -243,7 +239,7 @@ def test_known_noise_stays(linear, variances):
 
 
 def test_weights_are_those_of_a_student_distribution(linear, variances):
-    """Less where more is new in the force than usual; the penalty is smallest at weight 1."""
+    """Less where the force is larger than usual; the penalty is smallest at weight 1."""
     pushed = linear.defect.copy()
     pushed[1, 3] -= linear.force[1, 3] @ np.array([0.0, 40.0])
     weight = smoothed(replace(linear, defect=pushed), 0 * pushed, replace(variances, weight=None)).variances.weight

@@ -106,19 +106,14 @@ def test_drives_are_found_again():
         moved_arm(f"r{i}", i, change=missing_drives, force=lambda q, v, t: PLANTED[3], noise=0.1, seconds=1.5)
         for i in range(3)
     ]
-    found, share = drives(missing_force(arm_stretches(recordings), believed()))
+    found = drives(missing_force(arm_stretches(recordings), believed()))
     np.testing.assert_allclose(found[:4], PLANTED, rtol=0.1, atol=0.003)
-    assert (share > 0.95).all()
 
 
 def test_drives_explain_nothing_where_nothing_is_missing():
-    rng = np.random.default_rng(0)
     recordings = [moved_arm(f"r{i}", i, noise=0.1, seconds=1.5) for i in range(2)]
-    plain = missing_force(arm_stretches(recordings), believed())
-    found, _ = drives(plain)
+    found = drives(missing_force(arm_stretches(recordings), believed()))
     assert (np.abs(found[:4]) < 0.05 * np.abs(PLANTED)).all()
-    noise = MissingForce(rng.standard_normal(plain.force.shape), plain.actuator, plain.velocity, plain.acceleration)
-    assert (drives(noise)[1] < 0.05).all()
 
 
 @pytest.mark.parametrize("row", range(4))
@@ -132,10 +127,9 @@ def test_each_drive_alone_is_told_from_the_others(row):
         np.ones_like(motion.velocity),
     ][row] * PLANTED[row]
     own = MissingForce(one_of, motion.actuator, motion.velocity, motion.acceleration)
-    found, share = drives(own)
+    found = drives(own)
     np.testing.assert_allclose(found[row], PLANTED[row], rtol=0.05)
     others = np.delete(found[:4] / PLANTED, row, 0)
     assert np.abs(others).max() < 0.1
-    assert (share > 0.95).all()
-    against = drives(MissingForce(-one_of, motion.actuator, motion.velocity, motion.acceleration))[0]
+    against = drives(MissingForce(-one_of, motion.actuator, motion.velocity, motion.acceleration))
     assert (against[:3] >= 0).all()

@@ -9,11 +9,12 @@ from gap_models import one
 
 from btr_mjx.gap.effects import Hypothesis, candidates
 from btr_mjx.gap.forces.filtering import smoothed
-from btr_mjx.gap.forces.held_out import held_out, horizon_errors, is_better, predicts_better
+from btr_mjx.gap.forces.held_out import held_out, is_better
 from btr_mjx.gap.forces.horizons import cut_horizons
 from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.motion import FreeNumber, responses
 from btr_mjx.gap.forces.points import ForceSide, Point, again, evaluate_point, newton_step, settled
+from btr_mjx.gap.forces.predictions import horizon_errors, predicts_better
 from btr_mjx.gap.forces.scan import price
 from btr_mjx.gap.forces.search import first_variances, one_more, pruned, shortlist, start
 from btr_mjx.gap.forces.unknowns import library_of

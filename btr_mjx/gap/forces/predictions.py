@@ -1,0 +1,70 @@
+"""Predictions over a horizon, by which hypotheses are compared where noise does not hide the difference."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from btr_mjx.gap.effects import Hypothesis
+from btr_mjx.gap.forces.horizons import SAMPLES, cut_horizons, position_errors, steady_errors
+from btr_mjx.gap.simulate import Counter
+from btr_mjx.gap.windows import PreparedData
+
+HORIZON = 0.25
+"""Time over which predictions are compared [s]."""
+
+RELATIVE_ERROR = 0.1
+"""Part by which a simulation of named effects errs: a further one has to explain more than its square of what they
+do."""
+
+_HALF = 0.5
+"""Part of the believed model's prediction errors that names may leave, where something else is left as well."""
+
+
+def predicts_better(before: np.ndarray, after: np.ndarray) -> bool | None:
+    """Whether predictions over a horizon are better or worse; None where one cannot tell.
+
+    They have to differ by more than two standard errors, and by more than the part by which simulations err. The mean
+    is of logarithms of errors: on a few stretches of real recordings everything fails, and so a mean of errors would
+    see nothing else.
+
+    Args:
+      before: (W, nv) mean square errors of one hypothesis.
+      after: the same of another one.
+    """
+    floor = 1e-12 * before.mean(0) + 1e-300
+    fall = np.log((before + floor) / (after + floor)).mean(1)
+    error = fall.std(ddof=1) / np.sqrt(len(fall)) if len(fall) > 1 else np.inf
+    return bool(fall.mean() > 0) if abs(fall.mean()) > max(2 * error, RELATIVE_ERROR) else None
+
+
+def horizon_errors(
+    data: PreparedData, makes: Sequence[Hypothesis], counter: Counter | None = None, horizon: float = HORIZON
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Mean square errors of positions over a horizon from smoothed states.
+
+    Args:
+      data: recordings.
+      makes: hypotheses.
+      counter: adds up the simulated steps.
+      horizon: [s].
+
+    Returns:
+      For each hypothesis (W, nv), and the same of constant velocity.
+    """
+    trial = cut_horizons(data, horizon, SAMPLES)
+    every = [*position_errors(trial, makes, counter), steady_errors(trial)]
+    *found, steady = (np.concatenate([(e**2).mean(1) for e in row]) for row in every)
+    return found, steady
+
+
+def predicts_well(believed: np.ndarray, mended: np.ndarray, steady: np.ndarray) -> bool:
+    """Whether predictions (W, nv) of held-out recordings are better than those of two simple predictors.
+
+    Args:
+      believed: mean square errors of the believed model.
+      mended: those of the mended one.
+      steady: those of constant velocity.
+    """
+    usual = np.maximum(steady.mean(0), 1e-300)
+    first, last, simple = (float(np.mean(own / usual)) for own in (believed, mended, steady))
+    return last < _HALF**2 * first and last < simple
