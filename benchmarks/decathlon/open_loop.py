@@ -49,12 +49,15 @@ def commands(log: Log, interpolation: str | None, at: np.ndarray) -> np.ndarray:
     return np.array([np.interp(at, log.time, column) for column in log.ctrl.T]).reshape(-1, len(at)).T
 
 
-def simulated(model_of: Callable[[Log], tuple[mujoco.MjModel, Sequence[Any]]], interpolation: str | None) -> Predictor:
+def simulated(
+    model_of: Callable[[Log], tuple[mujoco.MjModel, Sequence[Any]]], interpolation: str | None, delay: float = 0.0
+) -> Predictor:
     """Predictions of a model.
 
     Args:
       model_of: gives the model of a recording and the terms of its mended.json that need a callback.
       interpolation: of the commands.
+      delay: by which commands act late [s].
     """
 
     def predict(log: Log, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
@@ -62,7 +65,7 @@ def simulated(model_of: Callable[[Log], tuple[mujoco.MjModel, Sequence[Any]]], i
         model = copy.copy(model)  # a callback writes into it
         data, at = mujoco.MjData(model), log.time[first : last + 1]
         grid = at[0] + model.opt.timestep * np.arange(int(np.ceil((at[-1] - at[0]) / model.opt.timestep)) + 1)
-        ctrl = commands(log, interpolation, grid)
+        ctrl = commands(log, interpolation, grid - delay)
         data.qpos[:], data.qvel[:] = log.qpos[first], start_velocity(model, log, first)
         _fill_history(model, data, log, interpolation, grid[0])
         for a in np.flatnonzero(model.actuator_actadr >= 0):
