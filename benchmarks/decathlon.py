@@ -59,8 +59,8 @@ from open_loop import (
     stretches,
     total_error,
 )
-from page import cell, names, write_page
-from sections import PICTURES, agreed
+from page import names, write_page
+from sections import PICTURES, agreed, cell
 
 from btr_mjx.errors import BAD_INPUT_CODE, InputError, cli_errors
 from btr_mjx.gap.results import verdict_sentence

@@ -4,6 +4,9 @@ The stretch is that with the median error of the mended model, of the believed o
 coordinate is the one of those that count that moves most in it.
 """
 
+import io
+import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,9 +32,11 @@ LOOKS: Mapping[str, tuple[str, dict[str, Any]]] = {
 LONGEST = 30.0
 """Time that a picture shows at most [s]; the arrays have all of it."""
 MARGIN, ROOM = 0.25, 3.0
-"""Room beside the measured range, as a share of it, and range of the differences, in largest ones of the best."""
-MARKS = 120
+"""Room beside the measured range, as a share of it; range of the differences, in largest ones of the mended model."""
+MARKS = 100
 """Measured samples that are marked, about."""
+PLACES = re.compile(r"(\d{1,4}\.\d{2})\d+(?=[ \n\"])")
+"""Coordinates of an SVG, with the decimals that nobody sees."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,29 +121,27 @@ def picture(found: Curve) -> Figure:
     time, measured = found.time[shown], found.measured[shown]
     figure = Figure(figsize=(7.2, 2.1))
     left, right = figure.subplots(1, 2, width_ratios=[1.25, 1])
-    every = max(1, len(time) // MARKS)
+    every = math.ceil(len(time) / MARKS)
     left.plot(time[::every], measured[::every], ".", color="C0", markersize=2.8, label="measured", zorder=3)
     right.axhline(0.0, color="0.7", linewidth=0.6)
     low, high = float(measured.min()), float(measured.max())
-    limit = high - low
-    for key, (label, look) in LOOKS.items():
-        if key not in found.predicted:
-            continue
-        values = found.predicted[key][shown]
-        largest = float(np.max(np.abs(values - measured)))
-        limit = min(limit, ROOM * largest) if np.isfinite(largest) else limit
+    span, sizes = high - low, {}
+    for key, values in found.predicted.items():
         # Values far outside would only make the file long.
-        outside = np.clip(values, low - 9 * (high - low), high + 9 * (high - low))
-        left.plot(time, outside, linewidth=1.1, label=label, **look)
-        right.plot(time, outside - measured, linewidth=0.9, **look)
-    left.set_ylim(low - MARGIN * (high - low), high + MARGIN * (high - low))
+        values = np.clip(np.nan_to_num(values[shown], nan=np.inf), low - 9 * span, high + 9 * span)
+        label, look = LOOKS[key]
+        left.plot(time, values, linewidth=1.1, label=label, **look)
+        right.plot(time, values - measured, linewidth=0.9, **look)
+        sizes[key] = float(np.max(np.abs(values - measured)))
+    limit = min(span, ROOM * sizes.get("mended", min(sizes.values())))
+    left.set_ylim(low - MARGIN * span, high + MARGIN * span)
     right.set_ylim(-limit, limit)
     left.set_ylabel(f"{found.coordinate} [{found.unit}]")
     right.set_title(f"predicted − measured [{found.unit}]", loc="left", fontsize=8)
     for panel in (left, right):
         panel.set_xlabel("time [s]")
-        panel.xaxis.set_major_locator(MaxNLocator(5))
-        panel.yaxis.set_major_locator(MaxNLocator(5))
+        panel.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+        panel.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
     figure.legend(*left.get_legend_handles_labels(), loc="outside upper left", ncols=4)
     return figure
 
@@ -147,4 +150,6 @@ def draw(source: Path, target: Path) -> None:
     """Draw a saved curve as SVG; equal arrays give equal files."""
     target.parent.mkdir(parents=True, exist_ok=True)
     with style(), matplotlib.rc_context({"svg.hashsalt": "curve", "path.simplify_threshold": 0.3}):
-        picture(read(source)).savefig(target, metadata={"Date": None})
+        buffer = io.StringIO()
+        picture(read(source)).savefig(buffer, format="svg", metadata={"Date": None})
+    target.write_text(PLACES.sub(r"\1", buffer.getvalue()))

@@ -1,11 +1,10 @@
 """What docs/machines.md shows of the benchmark, between marks: the table of all machines and a section of each."""
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sections import PICTURES, section
+from sections import PICTURES, cell, section
 
 from btr_mjx.errors import InputError
 
@@ -25,16 +24,6 @@ ERRORS = (*OWN, "steady", "regression", "toolbox", "published")
 """Errors of the table, in its order; that with the specialists' numbers stands in brackets behind theirs."""
 MARKS = "<!-- {}: made by benchmarks/decathlon.py -->", "<!-- end of {} -->"
 """Lines around a generated part."""
-
-
-def cell(error: float | str | None) -> str:
-    """An error with three digits; "-" where there is none."""
-    if error is None:
-        return "-"
-    size = float(error)
-    if not math.isfinite(size):
-        return "diverged"
-    return f"{size:.0f}" if size >= 100 else f"{size:.3g}"
 
 
 def names(row: Mapping[str, Any]) -> str:

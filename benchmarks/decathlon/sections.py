@@ -1,16 +1,19 @@
 """A section of docs/machines.md for each machine: what it is, a curve, what was named with numbers, what is left."""
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from btr_mjx.gap.results import effect_title, estimate_cells, format_number, parameter_in_words, unit_in_words
+from btr_mjx.gap.results import estimate_cells, in_percent, unit_in_words
 
 PICTURES = "images/machines"
 """Folder of the pictures beside the page."""
 SHOWN = 2
 """Places that are told where something is unexplained."""
+ZERO = re.compile(r"−(?=0(\.0+)?(?![\d.]))")
+"""The sign of a number that was rounded to zero."""
 USUAL = re.compile(r"Predictions of held-out|\S+\.parquet: ")
 """Notes of a diagnosis that the table says already, or that only concern how it is computed."""
 
@@ -23,40 +26,49 @@ def agreed(half: Mapping[str, Any]) -> str:
     return f"{named}{alone}; {half['overlap']} of {half['numbers']} intervals overlap"
 
 
+def cell(error: float | str | None) -> str:
+    """An error with three digits; "-" where there is none."""
+    if error is None:
+        return "-"
+    size = float(error)
+    if not math.isfinite(size):
+        return "diverged"
+    return f"{size:.0f}" if size >= 100 else f"{size:.3g}"
+
+
 def interval(parameter: Mapping[str, Any]) -> str:
     """A number and its interval: "0.31 [0.28, 0.34]"."""
     cells = estimate_cells(parameter)
     more = " (edge of what is tried)" if parameter.get("edge") else ""
-    return f"{cells['value']} [{cells['low']}, {cells['high']}]{more}"
+    return ZERO.sub("", f"{cells['value']} [{cells['low']}, {cells['high']}]{more}")
 
 
 def numbers(effects: Sequence[Mapping[str, Any]]) -> list[str]:
     """Lines of a table: a row a joint or other place, a column a kind of number."""
     rows: dict[str, dict[str, str]] = {}
-    columns: list[str] = []
+    columns: dict[str, None] = {}  # as a set that keeps the order of the effects
     for effect in effects:
         several = len({name.partition("[")[0] for name in effect["parameters"]}) > 1
-        for name, parameter in effect["parameters"].items():
+        for name, found in effect["parameters"].items():
             kind, _, member = name.partition("[")
+            parameter = in_percent(name, found)
             place = member.removesuffix("]") or effect["location"].partition(":")[2] or effect["location"]
-            title = effect_title(effect["effect"]) + (f", {parameter_in_words(kind)}" if several else "")
+            column = " ".join([effect["effect"], *([kind] if several else [])]).replace("_", " ")
             unit = unit_in_words(parameter.get("unit"))
-            column = f"{title} [{unit}]" if unit else title
-            columns += [column] if column not in columns else []
+            column = f"{column} [{unit}]" if unit else column
+            columns[column] = None
             rows.setdefault(place, {})[column] = interval(parameter)
     lines = [f"| | {' | '.join(columns)} |", "|---|" + "---|" * len(columns)]
     return lines + [f"| {place} | {' | '.join(row.get(key, '') for key in columns)} |" for place, row in rows.items()]
 
 
-def left(row: Mapping[str, Any]) -> str:
-    """What a diagnosis leaves, in sentences."""
+def said(row: Mapping[str, Any]) -> str:
+    """What a diagnosis explains and what it leaves, in sentences."""
     if row["refused"] or row["failed"]:
         return f"The diagnosis gave no result: {row['refused'] or row['failed']}"
-    said = str(row["sentence"])
-    parts = [said.rpartition(". ")[2] if row["effects"] else said]  # names are in the table
-    parts += [_sentence(text) for text in row.get("unexplained", [])[:SHOWN] if text not in said]
-    parts += [_sentence(note) for note in row.get("notes", []) if not USUAL.match(note)]
-    return " ".join(parts)
+    verdict = str(row["sentence"])
+    parts = [verdict.rpartition(". ")[2] if row["effects"] else verdict]  # the names are in the table
+    return " ".join(parts + [_sentence(t) for t in row.get("unexplained", [])[:SHOWN] if t not in verdict])
 
 
 def section(row: Mapping[str, Any], pictures: Path) -> list[str]:
@@ -70,18 +82,36 @@ def section(row: Mapping[str, Any], pictures: Path) -> list[str]:
     lines += [" ".join(part.split()) + "\n" for part in row.get("about", "").strip().split("\n\n") if part]
     lines += [f"Data: {row['source']}; licence: {row['licence']}. {row['citation']}. Split: {row['split']}.", ""]
     if (pictures / f"{row['name']}.svg").is_file():
-        shown = row.get("curve")
-        where = f": recording {shown['recording']} from {format_number(shown['start'])} s on" if shown else ""
         lines += [f"![Measured and predicted motion of {row['name']}]({PICTURES}/{row['name']}.svg)", ""]
-        lines += [f"Held out{where}.", ""] if where else []
+    if shown := row.get("curve"):
+        start = "" if row["horizon"] is None else f", from {shown['start']:.2f} s on"
+        lines += [f"Held out: {shown['coordinate']} in recording {shown['recording']}{start}.", ""]
     if row.get("effects"):
         lines += [*numbers(row["effects"]), ""]
-    lines += [f"- *left*: {left(row)}", f"- *specialists*: {row['figure']}."]
-    if (own := row.get("toolbox")) and own.get("refused"):
-        lines.append(f"- *mujoco.sysid*: {own['refused']}.")
+    lines += [said(row), "", f"- *specialists*: {_specialists(row)}{row['figure']}."]
+    if own := row.get("toolbox"):
+        lines.append(f"- *mujoco.sysid*: {_toolbox(row, own)}.")
     if half := row.get("halves"):
-        lines.append(f"- *halves*: {half.get('refused') or agreed(half)}.")
+        lines.append(f"- *halves of the recordings*: {half.get('refused') or agreed(half)}.")
+    lines += [f"- *noted*: {_sentence(note)}" for note in row.get("notes", []) if not USUAL.match(note)]
     return [*lines, f"- *time*: {row['cpu_seconds']:.0f} CPU-seconds.", ""]
+
+
+def _specialists(row: Mapping[str, Any]) -> str:
+    """Their errors, with a colon; nothing where there are none."""
+    errors = {key: row["errors"].get(key) for key in ("published", "known")}
+    own = "" if errors["published"] is None else f"{cell(errors['published'])} {row['unit']}"
+    known = "" if errors["known"] is None else f"{cell(errors['known'])} {row['unit']} with their numbers"
+    both = ", ".join(text for text in (own, known) if text)
+    return f"{both}: " if both else ""
+
+
+def _toolbox(row: Mapping[str, Any], own: Mapping[str, Any]) -> str:
+    if "refused" in own:
+        return str(own["refused"])
+    stopped = "" if own["ended"] else ", stopped before it ended"
+    error = f"{cell(row['errors']['toolbox'])} {row['unit']}"
+    return f"{error}, with a delay of {1e3 * own['delay']:.1f} ms; {own['cpu_seconds']:.0f} CPU-seconds{stopped}"
 
 
 def _sentence(text: str) -> str:
