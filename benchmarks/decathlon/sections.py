@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from rivals import GAINS
+
 from btr_mjx.gap.results import estimate_cells, in_percent, unit_in_words
 
 PICTURES = "images/machines"
@@ -110,8 +112,10 @@ def _toolbox(row: Mapping[str, Any], own: Mapping[str, Any]) -> str:
     if "refused" in own:
         return str(own["refused"])
     stopped = "" if own["ended"] else ", stopped before it ended"
+    edge = sum(not GAINS[0] * 1.001 < gain < GAINS[1] * 0.999 for gain in own["gain"])
+    gains = f"; {edge} of {len(own['gain'])} gains at the bound of {GAINS[0]:g} or {GAINS[1]:g}" if edge else ""
     error = f"{cell(row['errors']['toolbox'])} {row['unit']}"
-    return f"{error}, with a delay of {1e3 * own['delay']:.1f} ms; {own['cpu_seconds']:.0f} CPU-seconds{stopped}"
+    return f"{error}, delay {1e3 * own['delay']:.1f} ms{gains}; {own['cpu_seconds']:.0f} CPU-seconds{stopped}"
 
 
 def _sentence(text: str) -> str:
