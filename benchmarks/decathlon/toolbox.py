@@ -17,9 +17,11 @@ from mujoco import sysid
 from open_loop import Predictor, believed_models, commands, start_velocity
 from rivals import GAINS, balance, predictor, with_numbers
 
-LENGTH, MOST = 0.5, 40
-"""Length of a stretch [s], if predictions are not compared over a shorter time, and about the number of stretches."""
-DELAY, STEP = 0.03, 1e-3
+LENGTH = 2.0
+"""Length of a stretch [s], if predictions are not compared over a shorter time."""
+TOTAL, MOST = 40.0, 40
+"""Length of all stretches together [s] and number of stretches, at most and about."""
+DELAY, STEP = 0.1, 1e-3
 """Longest delay [s], and step of the finite differences as a share of a parameter's unit."""
 DIVERGED = 1e3
 """Difference as which a simulation that diverges counts, at most [rad or m]."""
@@ -96,9 +98,9 @@ def stretches_to_fit(machine: Machine, trial: Trial, name: str) -> list[tuple[Lo
     """Recording, first sample and length [s] of stretches, evenly spread, of the recordings with a given model."""
     length = min(LENGTH, machine.horizon or LENGTH)
     rooms = [(log, log.time[-1] - log.time[0] - length) for log in trial.logs if log.split == "fit"]
-    total, out = sum(room for _, room in rooms), []
+    count, total, out = min(MOST, TOTAL / length), sum(room for _, room in rooms if room > 0), []
     for log, room in ((log, room) for log, room in rooms if log.own_model == name and room > 0):
-        starts = log.time[0] + np.linspace(0, room, 2 + round(MOST * room / total))[:-1]
+        starts = log.time[0] + np.linspace(0, room, 2 + round(count * room / total))[:-1]
         out += [(log, int(first), length) for first in np.searchsorted(log.time, starts, side="right") - 1]
     return out
 
