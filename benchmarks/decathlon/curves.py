@@ -140,8 +140,8 @@ def picture(found: Curve) -> Figure:
     right.set_title(f"predicted − measured [{found.unit}]", loc="left", fontsize=8)
     for panel in (left, right):
         panel.set_xlabel("time [s]")
-        panel.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
-        panel.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+        panel.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
+        panel.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
     figure.legend(*left.get_legend_handles_labels(), loc="outside upper left", ncols=4)
     return figure
 
