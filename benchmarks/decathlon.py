@@ -32,11 +32,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).parent / "decathlon"))
 
 import crazyflie
-import curves
 import double_pendulum
 import elbow
 import emps
 import go2_air
+import held_out
 import mujoco
 import panda
 import rivals
@@ -167,10 +167,10 @@ def examined(machine: Machine, trial: Trial, config: Config) -> dict[str, Any]:
     missed = {name: misses(machine, trial, models[""], predict) for name, predict in predictors.items()}
     row["errors"] = {"published": machine.specialists}
     row["errors"] |= {name: total_error(machine, own) for name, own in missed.items()}
-    place = curves.median_place(stretch_errors(machine, missed.get("mended", missed["believed"])))
-    shown = {name: predictors[name] for name in curves.LOOKS if name in predictors}
-    curve = curves.curve(machine, models[""], stretches(machine, trial)[place], shown)
-    curves.save(curve, config.out / "curves" / f"{machine.name}.npz")
+    place = held_out.median_place(stretch_errors(machine, missed.get("mended", missed["believed"])))
+    shown = {name: predictors[name] for name in held_out.LOOKS if name in predictors}
+    curve = held_out.curve(machine, models[""], stretches(machine, trial)[place], shown)
+    held_out.save(curve, config.out / "curves" / f"{machine.name}.npz")
     return row | {"curve": {"recording": curve.recording, "start": curve.start, "coordinate": curve.coordinate}}
 
 
@@ -248,7 +248,7 @@ def decathlon(config: Config) -> dict[str, Any]:
         for row in report["rows"]:
             curve = config.out / "curves" / f"{row['name']}.npz"
             if curve.is_file():
-                curves.draw(curve, config.page.parent / PICTURES / f"{row['name']}.svg")
+                held_out.draw(curve, config.page.parent / PICTURES / f"{row['name']}.svg")
         write_page(report["rows"], config.page)
     return report
 

@@ -5,6 +5,7 @@ positions of short stretches of the recordings to fit, simulated from measured s
 finite differences. It is told bounds, a step of the differences and a limit of time.
 """
 
+import importlib
 import io
 import time
 from collections.abc import Callable, Mapping
@@ -13,10 +14,11 @@ from typing import Any
 import mujoco
 import numpy as np
 from machine import Log, Machine, Trial
-from mujoco import sysid
 from open_loop import Predictor, believed_models, commands, start_velocity
 from rivals import GAINS, balance, predictor, with_numbers
 
+sysid: Any = importlib.import_module("mujoco.sysid")
+"""The toolbox; for an import statement, mypy would take its types for those of all of MuJoCo."""
 LENGTH = 2.0
 """Length of a stretch [s], if predictions are not compared over a shorter time."""
 TOTAL, MOST = 40.0, 40

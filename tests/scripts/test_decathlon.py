@@ -27,7 +27,7 @@ TRUE = {"dof_frictionloss": 0.15, "dof_damping": 0.08, "dof_armature": 0.03, "ga
 def parts(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.syspath_prepend(str(FOLDER / "decathlon"))
     monkeypatch.syspath_prepend(str(FOLDER))
-    modules = ("curves", "decathlon", "machine", "open_loop", "page", "rivals", "sections", "toolbox")
+    modules = ("decathlon", "held_out", "machine", "open_loop", "page", "rivals", "sections", "toolbox")
     return SimpleNamespace(**{name: importlib.import_module(name) for name in modules})
 
 
@@ -233,7 +233,7 @@ def test_the_curve_is_that_of_the_median_stretch(parts: Any, trial: Any, tmp_pat
     mended = parts.rivals.predictor(trial, {name: [1.2 * value] for name, value in TRUE.items()})
     rules, log = rule(horizon=1.0), trial.logs[2]
     missed = loop.misses(rules, trial, model, mended)
-    place = parts.curves.median_place(loop.stretch_errors(rules, missed))
+    place = parts.held_out.median_place(loop.stretch_errors(rules, missed))
 
     def alone(first: int) -> float:  # the stretch as a recording of its own
         rows = slice(first, first + 501)
@@ -244,9 +244,9 @@ def test_the_curve_is_that_of_the_median_stretch(parts: Any, trial: Any, tmp_pat
     assert errors[place] == sorted(errors)[1]
     stretch = loop.stretches(rules, trial)[place]
     assert stretch[1:] == (500 * place, 500 * place + 500)
-    found = parts.curves.curve(rules, model, stretch, {"mended": mended, "steady": loop.steady(model)})
-    parts.curves.save(found, tmp_path / "curves" / "one.npz")
-    again = parts.curves.read(tmp_path / "curves" / "one.npz")
+    found = parts.held_out.curve(rules, model, stretch, {"mended": mended, "steady": loop.steady(model)})
+    parts.held_out.save(found, tmp_path / "curves" / "one.npz")
+    again = parts.held_out.read(tmp_path / "curves" / "one.npz")
     assert np.sqrt(np.mean((again.predicted["mended"] - again.measured) ** 2)) == pytest.approx(errors[place])
     assert (again.recording, again.coordinate, again.unit, again.start) == ("r2", "hinge", "rad", log.time[500 * place])
     assert again.time[-1] == pytest.approx(1.0)
@@ -256,9 +256,9 @@ def test_coordinates_that_count(parts: Any) -> None:
     xml = """<mujoco><worldbody><body><freejoint name="base"/><geom size="1"/><body>
     <joint name="hinge"/><geom size="1"/></body></body></worldbody></mujoco>"""
     model = mujoco.MjModel.from_xml_string(xml)
-    assert parts.curves.coordinates(rule(), model) == {"base x": 0, "base y": 1, "base z": 2, "hinge": 7}
-    assert parts.curves.coordinates(rule(dofs=(2, 6)), model) == {"base z": 2, "hinge": 7}
-    assert parts.curves.coordinates(rule(measure="spin"), model) == {"base wx": 3, "base wy": 4, "base wz": 5}
+    assert parts.held_out.coordinates(rule(), model) == {"base x": 0, "base y": 1, "base z": 2, "hinge": 7}
+    assert parts.held_out.coordinates(rule(dofs=(2, 6)), model) == {"base z": 2, "hinge": 7}
+    assert parts.held_out.coordinates(rule(measure="spin"), model) == {"base wx": 3, "base wy": 4, "base wz": 5}
 
 
 def test_a_model_that_diverges_does_not_stretch_the_picture(parts: Any, tmp_path: Path) -> None:
@@ -266,15 +266,15 @@ def test_a_model_that_diverges_does_not_stretch_the_picture(parts: Any, tmp_path
     measured = np.sin(time)
     wild = np.where(time < 20, np.exp(time), np.nan)
     predicted = {"steady": 0.1 * time, "believed": wild, "mended": measured + 0.01 * np.cos(time)}
-    found = parts.curves.Curve("r", 0.0, "hinge", "rad", time, measured, predicted)
-    left, right = parts.curves.picture(found).axes
+    found = parts.held_out.Curve("r", 0.0, "hinge", "rad", time, measured, predicted)
+    left, right = parts.held_out.picture(found).axes
     assert left.get_ylim() == pytest.approx((-1.5, 1.5), abs=0.01)
     assert right.get_ylim() == pytest.approx((-0.03, 0.03), abs=0.001)
     assert left.get_lines()[0].get_xdata().max() <= 30
     assert left.get_ylabel() == "hinge [rad]"
-    parts.curves.save(found, tmp_path / "one.npz")
+    parts.held_out.save(found, tmp_path / "one.npz")
     for name in ("a", "b"):
-        parts.curves.draw(tmp_path / "one.npz", tmp_path / name / "one.svg")
+        parts.held_out.draw(tmp_path / "one.npz", tmp_path / name / "one.svg")
     assert (tmp_path / "a" / "one.svg").read_bytes() == (tmp_path / "b" / "one.svg").read_bytes()
     assert (tmp_path / "a" / "one.svg").stat().st_size < 60_000
 
@@ -284,8 +284,8 @@ def test_a_page_without_data(parts: Any, trial: Any, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--data"):
         parts.decathlon.decathlon(config)
     model = mujoco.MjModel.from_xml_string(XML)
-    found = parts.curves.curve(rule(), model, (trial.logs[2], 0, 50), {"steady": parts.open_loop.steady(model)})
-    parts.curves.save(found, tmp_path / "curves" / "one.npz")
+    found = parts.held_out.curve(rule(), model, (trial.logs[2], 0, 50), {"steady": parts.open_loop.steady(model)})
+    parts.held_out.save(found, tmp_path / "curves" / "one.npz")
     write_json(tmp_path / "all.json", {"rows": [row(), row(name="two")]})
     page.parent.mkdir()
     empty_page(page)
