@@ -10,7 +10,11 @@ model is, what is held out and over which time predictions are compared. Most of
 Each machine becomes a dataset folder, and a process of its own diagnoses it. Believed and mended model are then
 simulated open loop in plain MuJoCo on the held-out recordings, beside constant velocity, a regression of forces, and
 the numbers that specialists found. A diagnosis is kept under the digest of the code and of its data: the same command
-continues a killed run. With --halves, both halves of the fitted recordings are diagnosed, too: do they agree?
+continues a killed run. With --halves, both halves of the fitted recordings are diagnosed, too: do they agree? With
+--toolbox, MuJoCo's own toolbox fits the same recordings.
+
+Of each machine one held-out curve is kept in the folder of --out. --page puts the table, the curves and what was found
+into docs/machines.md; without --data, it does so from --json and the curves that are there.
 Exit code: 1 where a diagnosis failed, 2 for bad input.
 """
 
@@ -32,6 +36,7 @@ import double_pendulum
 import elbow
 import emps
 import go2_air
+import held_out
 import mujoco
 import panda
 import rivals
@@ -43,8 +48,19 @@ import tyro
 import ur10e
 from machine import Copies, Machine, Trial, halves, write_trial
 from naming_gate import CODE, data_digest
-from open_loop import Predictor, believed_models, held_out_error, mended_models, simulated, steady
-from page import cell, names, write_page
+from open_loop import (
+    Predictor,
+    believed_models,
+    mended_models,
+    misses,
+    simulated,
+    steady,
+    stretch_errors,
+    stretches,
+    total_error,
+)
+from page import names, write_page
+from sections import PICTURES, agreed, cell
 
 from btr_mjx.errors import BAD_INPUT_CODE, InputError, cli_errors
 from btr_mjx.gap.results import verdict_sentence
@@ -67,6 +83,7 @@ COLUMNS = {
     "known": "their numbers",
     "regression": "regression",
     "regression_with_gain": "with gain",
+    "toolbox": "mujoco.sysid",
 }
 """Columns of the table: errors by name, and their titles."""
 
@@ -75,18 +92,20 @@ COLUMNS = {
 class Config:
     """Settings; every field is a flag."""
 
-    data: Path
-    """Folder with a copy of each repository."""
+    data: Path | None = None
+    """Folder with a copy of each repository; without it nothing is computed."""
     only: tuple[str, ...] = ()
     """Names of machines; all if none is given."""
     halves: bool = False
     """Also diagnose both halves of the recordings to fit."""
+    toolbox: bool = False
+    """Also fit each machine with mujoco.sysid; some minutes each."""
     out: Path = Path("runs/decathlon")
-    """Folder of datasets and runs."""
+    """Folder of datasets, runs and curves."""
     json: Path | None = None
     """Write all numbers here. Machines that the file has already are kept; each row states the digest of its code."""
     page: Path | None = None
-    """Put the table of all machines into this page, docs/machines.md."""
+    """Put the table, the sections and the pictures of all machines into this page, docs/machines.md."""
 
 
 def diagnosed(folder: Path, run: Path) -> dict[str, Any]:
@@ -116,35 +135,43 @@ def diagnosed(folder: Path, run: Path) -> dict[str, Any]:
 
 
 def examined(machine: Machine, trial: Trial, config: Config) -> dict[str, Any]:
-    """Diagnosis of a machine, and the errors of all predictors on its held-out recordings."""
+    """Diagnosis of a machine, the errors of all predictors on its held-out recordings, and a curve of them."""
     folder, run = config.out / "data" / machine.name, config.out / CODE / machine.name
     shutil.rmtree(folder, ignore_errors=True)
     write_trial(trial, folder)
     row = _described(machine) | {"code": CODE} | diagnosed(folder, run)
     models = believed_models(trial)
-
-    def error(predict: Predictor) -> float:
-        return held_out_error(machine, trial, models[""], predict)
-
-    errors: dict[str, float | None] = {
-        "believed": error(simulated(lambda log: (models[log.own_model], ()), trial.interpolation)),
-        "steady": error(steady(models[""])),
-        "published": machine.specialists,
+    predictors: dict[str, Predictor] = {
+        "believed": simulated(lambda log: (models[log.own_model], ()), trial.interpolation),
+        "steady": steady(models[""]),
     }
     if machine.published:
-        errors["known"] = error(rivals.predictor(trial, machine.published))
+        predictors["known"] = rivals.predictor(trial, machine.published)
     for name, with_gain in (("regression", False), ("regression_with_gain", True)):
         numbers = rivals.regression(trial, with_gain)
         if numbers is not None:
-            errors[name] = error(rivals.predictor(trial, numbers))
+            predictors[name] = rivals.predictor(trial, numbers)
             row[name] = {key: values.tolist() for key, values in numbers.items()}
+    if config.toolbox:
+        import toolbox  # needs mujoco[sysid], which users of the other rivals need not have
+
+        row["toolbox"], found = toolbox.fitted(machine, trial)
+        predictors |= {"toolbox": found} if found else {}
     if not row["refused"] and not row["failed"]:
         result = read_json(run / "result.json")
         if (run / "mended.xml").is_file():  # only where something was named
             mended = mended_models(trial, run, result, read_json(run / "mended.json")["terms"])
-            errors["mended"] = error(simulated(lambda log: mended[log.own_model], trial.interpolation))
-        row |= {key: result[key] for key in ("verdict", "effects")} | {"sentence": verdict_sentence(result)}
-    return row | {"errors": errors}
+            predictors["mended"] = simulated(lambda log: mended[log.own_model], trial.interpolation)
+        row |= {key: result[key] for key in ("verdict", "effects", "unexplained", "notes")}
+        row["sentence"] = verdict_sentence(result)
+    missed = {name: misses(machine, trial, models[""], predict) for name, predict in predictors.items()}
+    row["errors"] = {"published": machine.specialists}
+    row["errors"] |= {name: total_error(machine, own) for name, own in missed.items()}
+    place = held_out.median_place(stretch_errors(machine, missed.get("mended", missed["believed"])))
+    shown = {name: predictors[name] for name in held_out.LOOKS if name in predictors}
+    curve = held_out.curve(machine, models[""], stretches(machine, trial)[place], shown)
+    held_out.save(curve, config.out / "curves" / f"{machine.name}.npz")
+    return row | {"curve": {"recording": curve.recording, "start": curve.start, "coordinate": curve.coordinate}}
 
 
 def repeated(machine: Machine, trial: Trial, config: Config) -> dict[str, Any]:
@@ -192,7 +219,7 @@ def show(rows: Sequence[Mapping[str, Any]]) -> None:
         said = row["refused"] or row["failed"] or f"{row['verdict']}; {names(row) or 'no name'}. {row['sentence']}"
         print(f"\n{row['name']}: {said}")
         if half := row.get("halves"):
-            print(f"  halves: {half.get('refused') or _agreed(half)}")
+            print(f"  halves: {half.get('refused') or agreed(half)}")
 
 
 def decathlon(config: Config) -> dict[str, Any]:
@@ -200,12 +227,14 @@ def decathlon(config: Config) -> dict[str, Any]:
     unknown = [name for name in config.only if name not in MACHINES]
     if unknown:
         raise InputError(f"--only: there is no machine {unknown[0]}; known are {', '.join(MACHINES)}")
-    if not config.data.is_dir():
+    if config.data is not None and not config.data.is_dir():
         raise InputError(f"--data {config.data}: there is no such folder")
     kept = read_json(config.json) if config.json is not None and config.json.is_file() else {}
+    if config.data is None and not kept:
+        raise InputError("--data: name the folder of the copies, or with --json a file of an earlier run")
     rows = {row["name"]: row for row in kept.get("rows", [])}
-    report: dict[str, Any] = {}
-    for name in config.only or tuple(MACHINES):
+    report: dict[str, Any] = dict(kept)
+    for name in (config.only or tuple(MACHINES)) if config.data else ():
         note(f"{name} ...")
         trial = MACHINES[name].make(Copies(config.data))
         rows[name] = examined(MACHINES[name], trial, config)
@@ -215,22 +244,18 @@ def decathlon(config: Config) -> dict[str, Any]:
         report = {"code": CODE, "environment": describe_environment(), "rows": ordered}
         if config.json is not None:
             write_json(config.json, report)
-        if config.page is not None:
-            write_page(ordered, config.page)
+    if config.page is not None:
+        for row in report["rows"]:
+            curve = config.out / "curves" / f"{row['name']}.npz"
+            if curve.is_file():
+                held_out.draw(curve, config.page.parent / PICTURES / f"{row['name']}.svg")
+        write_page(report["rows"], config.page)
     return report
 
 
 def _described(machine: Machine) -> dict[str, Any]:
-    keys = ("name", "source", "licence", "citation", "split", "unit", "figure", "horizon", "measure")
+    keys = ("name", "about", "source", "licence", "citation", "split", "unit", "figure", "horizon", "measure")
     return {key: getattr(machine, key) for key in keys}
-
-
-def _agreed(half: Mapping[str, Any]) -> str:
-    """What both halves have in common, in words."""
-    named = "the same names" if half["same_names"] else f"both name {', '.join(half['both']) or 'nothing alike'}"
-    only = [*half["first_only"], *half["second_only"]]
-    alone = f"; one of them only: {', '.join(only)}" if only else ""
-    return f"{named}{alone}; {half['overlap']} of {half['numbers']} intervals overlap"
 
 
 def _cpu() -> float:

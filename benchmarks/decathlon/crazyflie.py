@@ -56,6 +56,7 @@ def make(copies: Copies) -> Trial:
 
 MACHINE = Machine(
     name="crazyflie",
+    about=__doc__,
     source=f"{REPOSITORY} (pull request 1), {ROOT}/",
     licence="none stated; not redistributed",
     citation="Busetto et al.: Nonlinear system identification for a nano-drone benchmark, Control Eng. Practice, 2026",

@@ -42,6 +42,7 @@ def make(copies: Copies) -> Trial:
 
 MACHINE = Machine(
     name="double_pendulum",
+    about=__doc__,
     source=f"{REPOSITORY}, {ROOT}/",
     licence="BSD-3-Clause",
     citation="Wiebe et al.: Open source dual-purpose acrobot and pendubot platform, IEEE RAM 31(2), 2024",

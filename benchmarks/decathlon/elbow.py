@@ -49,6 +49,7 @@ def make(copies: Copies) -> Trial:
 
 MACHINE = Machine(
     name="elbow",
+    about=__doc__,
     source=f"{REPOSITORY} (tag v0.0.2), {ROOT}/",
     licence="BSD-3-Clause",
     citation="Pfrommer, Halm, Posa: ContactNets, CoRL 2020; github.com/DAIRLab/dair_pll",

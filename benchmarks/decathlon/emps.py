@@ -37,6 +37,7 @@ def make(copies: Copies) -> Trial:
 
 MACHINE = Machine(
     name="emps",
+    about=__doc__,
     source=f"{REPOSITORY}, Data/",
     licence="none stated; not redistributed",
     citation="Janot, Gautier, Brunot: Data set and reference models of EMPS, nonlinearbenchmark.org, 2019",

@@ -54,6 +54,7 @@ def make(copies: Copies) -> Trial:
 
 MACHINE = Machine(
     name="go2_air",
+    about=__doc__,
     source=f"{REPOSITORY}, datasets/go2/traj_0.pt and robot_model/go2/",
     licence="BSD-3-Clause",
     citation="DLS Lab, IIT: github.com/iit-DLSLab/sim2real-robot-identification",

@@ -93,6 +93,7 @@ class Machine:
 
     Attributes:
       name: of the machine.
+      about: what it is, what its commands are and what is believed of it: the text of its module.
       source: repository and path inside it.
       licence: of the data, and whether they may be redistributed.
       citation: whom to cite.
@@ -111,6 +112,7 @@ class Machine:
     """
 
     name: str
+    about: str
     source: str
     licence: str
     citation: str

@@ -14,6 +14,9 @@ from btr_mjx.gap.results import Callback, FoundEffect, mend
 Predictor = Callable[[Log, int, int], tuple[np.ndarray, np.ndarray]]
 """From a recording and its first and last sample to positions (n, nq) and velocities (n, nv) at the samples between."""
 
+Stretch = tuple[Log, int, int]
+"""A part of a recording: the recording, its first and its last sample."""
+
 WINDOW, LEAST = 0.02, 4
 """Half width of the fit that gives a starting velocity [s], and its smallest number of samples to either side."""
 
@@ -46,12 +49,15 @@ def commands(log: Log, interpolation: str | None, at: np.ndarray) -> np.ndarray:
     return np.array([np.interp(at, log.time, column) for column in log.ctrl.T]).reshape(-1, len(at)).T
 
 
-def simulated(model_of: Callable[[Log], tuple[mujoco.MjModel, Sequence[Any]]], interpolation: str | None) -> Predictor:
+def simulated(
+    model_of: Callable[[Log], tuple[mujoco.MjModel, Sequence[Any]]], interpolation: str | None, delay: float = 0.0
+) -> Predictor:
     """Predictions of a model.
 
     Args:
       model_of: gives the model of a recording and the terms of its mended.json that need a callback.
       interpolation: of the commands.
+      delay: by which commands act late [s].
     """
 
     def predict(log: Log, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
@@ -59,7 +65,7 @@ def simulated(model_of: Callable[[Log], tuple[mujoco.MjModel, Sequence[Any]]], i
         model = copy.copy(model)  # a callback writes into it
         data, at = mujoco.MjData(model), log.time[first : last + 1]
         grid = at[0] + model.opt.timestep * np.arange(int(np.ceil((at[-1] - at[0]) / model.opt.timestep)) + 1)
-        ctrl = commands(log, interpolation, grid)
+        ctrl = commands(log, interpolation, grid - delay)
         data.qpos[:], data.qvel[:] = log.qpos[first], start_velocity(model, log, first)
         _fill_history(model, data, log, interpolation, grid[0])
         for a in np.flatnonzero(model.actuator_actadr >= 0):
@@ -91,29 +97,53 @@ def steady(model: mujoco.MjModel) -> Predictor:
     return predict
 
 
-def held_out_error(machine: Machine, trial: Trial, model: mujoco.MjModel, predict: Predictor) -> float:
-    """Error of predictions of the held-out recordings: see `Machine`. Infinite where a simulation diverges."""
-    errors = []
+def stretches(machine: Machine, trial: Trial) -> list[Stretch]:
+    """Parts of the held-out recordings over which predictions are compared, one after another."""
+    out = []
     for log in (log for log in trial.logs if log.split == "test"):
         whole = len(log.time) - 1
         step = whole if machine.horizon is None else round(machine.horizon / float(np.median(np.diff(log.time))))
-        for first in range(0, whole - step + 1, step):
-            qpos, qvel = predict(log, first, first + step)
-            if machine.measure == "spin":
-                assert log.qvel is not None
-                errors.append(np.linalg.norm(qvel[-1:, 3:6] - log.qvel[first + step, 3:6], axis=1))
-                continue
-            away = np.empty((step + 1, model.nv))
-            for row, measured, found in zip(away, log.qpos[first : first + step + 1], qpos, strict=True):
-                mujoco.mj_differentiatePos(model, row, 1.0, measured, found)
-            errors.append(np.abs(away[machine.skip :, list(machine.dofs) or slice(None)]).ravel())
+        out += [(log, first, first + step) for first in range(0, whole - step + 1, step)]
+    return out
+
+
+def misses(machine: Machine, trial: Trial, model: mujoco.MjModel, predict: Predictor) -> list[np.ndarray]:
+    """Sizes of the errors that count in each stretch: (n,) of all samples and coordinates, or of its end."""
+    out = []
+    for log, first, last in stretches(machine, trial):
+        qpos, qvel = predict(log, first, last)
+        if machine.measure == "spin":
+            assert log.qvel is not None
+            out.append(np.linalg.norm(qvel[-1:, 3:6] - log.qvel[last, 3:6], axis=1))
+            continue
+        away = np.empty((last - first + 1, model.nv))
+        for row, measured, found in zip(away, log.qpos[first : last + 1], qpos, strict=True):
+            mujoco.mj_differentiatePos(model, row, 1.0, measured, found)
+        out.append(np.abs(away[machine.skip :, list(machine.dofs) or slice(None)]).ravel())
+    return out
+
+
+def stretch_errors(machine: Machine, missed: Sequence[np.ndarray]) -> np.ndarray:
+    """(S,) Error of each stretch; infinite where a simulation diverges."""
+    power = 2 if machine.measure == "rms" else 1
+    errors = np.array([np.mean(own**power) ** (1 / power) for own in missed])
+    return np.where(np.isfinite(errors), errors, np.inf)
+
+
+def total_error(machine: Machine, missed: Sequence[np.ndarray]) -> float:
+    """Error of all stretches: see `Machine`. Infinite where a simulation diverges."""
     power = 2 if machine.measure == "rms" else 1
     if machine.share < 1:  # a prediction that diverged comes last
-        means = np.sort([np.mean(own**power) for own in errors])
+        means = np.sort(stretch_errors(machine, missed)) ** power
         error = np.mean(means[: int(machine.share * len(means))])
     else:
-        error = np.mean(np.concatenate(errors) ** power)
+        error = np.mean(np.concatenate(missed) ** power)
     return float(error ** (1 / power)) if np.isfinite(error) else float("inf")
+
+
+def held_out_error(machine: Machine, trial: Trial, model: mujoco.MjModel, predict: Predictor) -> float:
+    """Error of predictions of the held-out recordings."""
+    return total_error(machine, misses(machine, trial, model, predict))
 
 
 def believed_models(trial: Trial) -> dict[str, mujoco.MjModel]:

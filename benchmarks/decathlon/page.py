@@ -1,27 +1,29 @@
-"""The table of docs/machines.md, and how numbers and names are written."""
+"""What docs/machines.md shows of the benchmark, between marks: the table of all machines and a section of each."""
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from sections import PICTURES, cell, section
+
 from btr_mjx.errors import InputError
 
-TITLES = ("machine", "unit, over", "believed", "mended", "constant velocity", "regression", "specialists")
+TITLES = (
+    "machine",
+    "unit, over",
+    "believed",
+    "mended",
+    "constant velocity",
+    "regression",
+    "mujoco.sysid",
+    "specialists",
+)
 HEAD = (*TITLES, "named", "licence of the data", "citation")
 OWN = ("believed", "mended")
-ERRORS = (*OWN, "steady", "regression", "published")
+ERRORS = (*OWN, "steady", "regression", "toolbox", "published")
 """Errors of the table, in its order; that with the specialists' numbers stands in brackets behind theirs."""
-
-
-def cell(error: float | str | None) -> str:
-    """An error with three digits; "-" where there is none."""
-    if error is None:
-        return "-"
-    size = float(error)
-    if not math.isfinite(size):
-        return "diverged"
-    return f"{size:.0f}" if size >= 100 else f"{size:.3g}"
+MARKS = "<!-- {}: made by benchmarks/decathlon.py -->", "<!-- end of {} -->"
+"""Lines around a generated part."""
 
 
 def names(row: Mapping[str, Any]) -> str:
@@ -50,20 +52,28 @@ def table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
             sizes["published"] += f" ({f'**{known}**' if known == best else known})"
         over = "whole recordings" if row["horizon"] is None else f"{row['horizon']:g} s"
         said = "refused" if row["refused"] else names(row) or row.get("verdict") or "failed"
-        cells = (row["name"], f"{row['unit']}, {over}", *sizes.values(), said, row["licence"], row["citation"])
+        name = f"[{row['name']}](#{row['name']})"
+        cells = (name, f"{row['unit']}, {over}", *sizes.values(), said, row["licence"], row["citation"])
         lines.append(f"| {' | '.join(cells)} |")
     return lines
 
 
 def write_page(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Put the table into a page, in place of the one that is there.
+    """Put the table and the sections into a page, in place of those between its marks; the rest stays as it is.
+
+    Args:
+      rows: of the benchmark's JSON.
+      path: of the page; pictures lie beside it.
 
     Raises:
-      InputError: the page has no such table.
+      InputError: the page lacks a mark.
     """
+    sections = [line for row in rows for line in section(row, path.parent / PICTURES)]
     lines = path.read_text().splitlines()
-    first = next((i for i, line in enumerate(lines) if line.startswith(f"| {HEAD[0]} |")), None)
-    if first is None:
-        raise InputError(f"{path}: has no table that begins with | {HEAD[0]} |")
-    last = next((i for i in range(first, len(lines)) if not lines[i].startswith("|")), len(lines))
-    path.write_text("\n".join([*lines[:first], *table(rows), *lines[last:]]) + "\n")
+    for part, made in (("table", table(rows)), ("sections", sections)):
+        try:
+            first, last = (lines.index(mark.format(part)) for mark in MARKS)
+        except ValueError as error:
+            raise InputError(f"{path}: lacks one of the lines {', '.join(m.format(part) for m in MARKS)}") from error
+        lines[first + 1 : last] = ["", *"\n".join(made).strip().splitlines(), ""]
+    path.write_text("\n".join(lines) + "\n")

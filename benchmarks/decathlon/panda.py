@@ -53,6 +53,7 @@ def make(copies: Copies) -> Trial:
 
 MACHINE = Machine(
     name="panda",
+    about=__doc__,
     source=f"{REPOSITORY}, {ROOT}/",
     licence="GPL-3.0; not redistributed",
     citation="Gaz, Cognetti, Oliva, Robuffo Giordano, De Luca: IEEE RA-L 4(4), 2019",

@@ -82,7 +82,7 @@ def with_numbers(model: mujoco.MjModel, numbers: Mapping[str, Sequence[float] | 
     return model
 
 
-def predictor(trial: Trial, numbers: Mapping[str, Any]) -> Predictor:
-    """Predictions of the believed models with added numbers."""
+def predictor(trial: Trial, numbers: Mapping[str, Any], delay: float = 0.0) -> Predictor:
+    """Predictions of the believed models with added numbers and with commands that act late [s]."""
     models = {name: with_numbers(model, numbers) for name, model in believed_models(trial).items()}
-    return simulated(lambda log: (models[log.own_model], ()), trial.interpolation)
+    return simulated(lambda log: (models[log.own_model], ()), trial.interpolation, delay)

@@ -59,6 +59,7 @@ def make(copies: Copies) -> Trial:
 
 MACHINE = Machine(
     name="servo",
+    about=__doc__,
     source=f"{REPOSITORY}, {ROOT}/",
     licence="Apache-2.0",
     citation="Duclusaud et al.: Extended friction models for the physics simulation of servo actuators, ICRA 2025",

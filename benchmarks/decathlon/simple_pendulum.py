@@ -59,6 +59,7 @@ def make(copies: Copies) -> Trial:
 
 MACHINE = Machine(
     name="simple_pendulum",
+    about=__doc__,
     source=f"{REPOSITORY}, results/",
     licence="BSD-3-Clause",
     citation="Wiebe et al.: Torque-limited simple pendulum, JOSS 7(74), 2022",

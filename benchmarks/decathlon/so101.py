@@ -51,6 +51,7 @@ def make(copies: Copies) -> Trial:
 
 MACHINE = Machine(
     name="so101",
+    about=__doc__,
     source=f"{REPOSITORY}, {ROOT}/; {MODEL}, Simulation/SO101/",
     licence="Apache-2.0 (both)",
     citation="NVIDIA: SAGE, github.com/isaac-sim2real/sage; The Robot Studio: SO-ARM100",

@@ -39,6 +39,7 @@ def make(copies: Copies) -> Trial:
 
 MACHINE = Machine(
     name="tx40",
+    about=__doc__,
     source=f"{REPOSITORY}, {ROOT}/",
     licence="none stated for the data (code Apache-2.0); not redistributed",
     citation="Nguyen et al.: FIGAROH, github.com/thanhndv212/figaroh-examples",

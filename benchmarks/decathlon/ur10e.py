@@ -46,6 +46,7 @@ def make(copies: Copies) -> Trial:
 
 MACHINE = Machine(
     name="ur10e",
+    about=__doc__,
     source=f"{REPOSITORY}, {DATA}/ and URe/urdf/",
     licence="none stated; not redistributed",
     citation="Mamedov: dynamic_calibration, github.com/shamilmamedov/dynamic_calibration",
