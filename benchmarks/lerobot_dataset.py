@@ -124,7 +124,7 @@ def write(episodes: Sequence[Motion], folder: Path, version: str) -> None:
     data.mkdir(parents=True, exist_ok=True)
     meta.mkdir(exist_ok=True)
     (meta / "info.json").write_text(json.dumps(about(episodes, version), indent=4))
-    listed = [
+    listed: list[dict[str, Any]] = [
         {"episode_index": i, "tasks": [motion.name], "length": len(motion.state)} for i, motion in enumerate(episodes)
     ]
     tasks = [{"task_index": i, "task": motion.name} for i, motion in enumerate(episodes)]
@@ -136,7 +136,7 @@ def write(episodes: Sequence[Motion], folder: Path, version: str) -> None:
         return
     pl.concat(tables).write_parquet(data / "file-000.parquet")
     last = np.cumsum([len(table) for table in tables])
-    places = {"data/chunk_index": 0, "data/file_index": 0}
+    places: dict[str, Any] = {"data/chunk_index": 0, "data/file_index": 0}
     rows_of = [
         row | places | {"dataset_from_index": int(end) - row["length"], "dataset_to_index": int(end)}
         for row, end in zip(listed, last, strict=True)

@@ -55,12 +55,13 @@ def diagnosis_replay(folder: Path, frames: int, seconds: float) -> Replay:
         named = result["effects"]
         details.append(f"with {str(named[0]['effect']).replace('_', ' ')}" + (" and more" if len(named) > 1 else ""))
     unit = (result.get("gap") or {}).get("open_loop_unit", "")
-    row = [ReplayedMotion("recording", recording.name, "", model, measured)]
+    drawn = _drawn_model(dataset, model)
+    row = [ReplayedMotion("recording", recording.name, "", drawn, measured)]
     for (title, world), detail in zip(worlds.items(), details, strict=True):
         qpos = open_loop_positions(world, recording, dataset.interpolation, times)
         error = np.abs(difference(model, measured, qpos)).mean()
         number = f"off by {error:.2g} {unit}".rstrip() if np.isfinite(error) else "diverged"
-        row.append(ReplayedMotion(title, detail, number, model, hold_last_valid(qpos)))
+        row.append(ReplayedMotion(title, detail, number, drawn, hold_last_valid(qpos)))
     return Replay(times, [row])
 
 
@@ -78,6 +79,13 @@ def open_loop_positions(world: World, recording: Recording, interpolation: Any, 
         recording.time[:1], recording.qpos[:1], recording.qvel[:1], times[None], (command,), np.array([0])
     )  # fmt: skip
     return simulate([(world, start)])[0][0, :, : recording.model.nq]
+
+
+def _drawn_model(dataset: Dataset, model: mujoco.MjModel) -> mujoco.MjModel:
+    """The model with the surfaces of its meshes, which a dataset leaves out of large models."""
+    if model is not dataset.model or not model.nmesh:
+        return model
+    return mujoco.MjModel.from_xml_path(str(dataset.model_file))
 
 
 def _mended_world(dataset: Dataset, recording: Recording, result: Mapping[str, Any], names: Sequence[str]) -> World:

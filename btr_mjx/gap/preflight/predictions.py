@@ -284,6 +284,14 @@ class Predictor:
         return (world, segments), change.qpos(data.qpos[at])
 
 
+def typical_error(errors: np.ndarray, groups: Sequence[int]) -> np.ndarray:
+    """Geometric mean (W,) of the errors (W, G) of some groups.
+
+    Its logarithm is, up to a factor, the log-likelihood of groups whose noise has unknown variances.
+    """
+    return np.exp(np.mean(np.log(errors[:, list(groups)]), axis=1))
+
+
 def _cut(stretch: Stretch) -> _Cut:
     length = stretch.last - stretch.first
     side = max(3, int(_SLOPE_SHARE * length))

@@ -16,6 +16,7 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.formats.lerobot_names import heading, short
 from btr_mjx.gap.data.formats.lerobot_steps import COUNTS, step_of
+from btr_mjx.gap.data.names.remedy import quoted
 from btr_mjx.gap.data.names.vocabulary import words
 from btr_mjx.models import part_names
 from btr_mjx.runs import check_keys, is_number
@@ -37,6 +38,8 @@ _SHARES = (190 / COUNTS, 1.0)
 """Steps of a range of at most a turn and at least 200 counts, counted from -100 to 100."""
 _SLACK = np.radians(6.0)
 """How far a joint may seem to pass its limits: calibrations are by hand [rad]."""
+_WIDER = 0.05
+"""Part by which a gripper's range has to differ from the model's to be mentioned."""
 _INSIDE = 0.995
 """Share of the samples that has to lie inside a joint's limits."""
 
@@ -68,14 +71,21 @@ class JointScale:
         (first, last), (low, high) = SPANS[self.unit], self.ends if self.sign > 0 else self.ends[::-1]
         return low + (values - first) / (last - first) * (high - low)
 
+    @property
+    def heading(self) -> str:
+        """The line of dataset.toml that begins the joint's table."""
+        return heading(self.name)
+
+    def zero_line(self) -> str:
+        """The line of that table that says where 0 is."""
+        if self.unit in FACTORS:
+            return f"zero = {self.zero:.6g}"
+        return f"range = [{self.ends[0]:.6g}, {self.ends[1]:.6g}]"
+
     def lines(self) -> list[str]:
         """The table of dataset.toml that says this."""
-        own = (
-            [f"zero = {self.zero:.6g}"]
-            if self.unit in FACTORS
-            else [f"range = [{self.ends[0]:.6g}, {self.ends[1]:.6g}]"]
-        )
-        return [heading(self.name), f'joint = "{self.joint}"', f'unit = "{self.unit}"', f"sign = {self.sign}", *own]
+        own = [f"joint = {quoted(self.joint)}", f"unit = {quoted(self.unit)}", f"sign = {self.sign}"]
+        return [self.heading, *own, self.zero_line()]
 
 
 def check_scale(table: Mapping[str, Any], where: str, notes: list[str]) -> None:
@@ -220,10 +230,13 @@ def _scale(
     why = "its range in the model"
     if step is not None and hinge and _SHARES[0] / 2 < step < _SHARES[1]:
         width = (last - first) / step * 2 * np.pi / COUNTS
-        counts = f"{(last - first) / step:.0f} counts of the encoder by the steps of the values"
-        why = f"{counts}; in the model {low:.4g} to {high:.4g}"
-        middle = 0.0 if width > 2 * np.pi - 0.01 else (low + high) / 2  # a joint that turns freely has no middle
-        low, high = (middle - width / 2, middle + width / 2) if unit == "range" else (low, low + width)
+        counted = f"{width:.4g} rad by {(last - first) / step:.0f} counts of the encoder"
+        if unit == "range":
+            middle = 0.0 if width > 2 * np.pi - 0.01 else (low + high) / 2  # a joint that turns freely has no middle
+            why = f"{counted}; in the model {low:.4g} to {high:.4g}"
+            low, high = middle - width / 2, middle + width / 2
+        elif abs(width / (high - low) - 1) > _WIDER:  # a gripper's scale matters less than that it keeps its limits
+            why += f", though {counted}"
     notes.append(f"{name}: {first:.0f} to {last:.0f} is {low:.4g} to {high:.4g} {'rad' if hinge else 'm'} ({why})")
     return JointScale(name, owner, unit, sign, ends=(low, high))
 
