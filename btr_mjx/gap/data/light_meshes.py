@@ -35,6 +35,7 @@ def with_light_meshes(path: Path, model: mujoco.MjModel) -> mujoco.MjModel:
     spec = mujoco.MjSpec.from_file(str(path))  # a compiled one keeps what it made of the files
     for number, mesh in zip(meshes, spec.meshes, strict=True):
         mesh.uservert = _corners(model, number).ravel().tolist()
+        mesh.userface, mesh.usernormal, mesh.usertexcoord, mesh.userfacetexcoord = [], [], [], []
         mesh.file, mesh.content_type = "", ""
         mesh.scale, mesh.refpos, mesh.refquat = np.ones(3), np.zeros(3), np.array([1.0, 0, 0, 0])
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX

@@ -141,7 +141,7 @@ def _read(head: Dataset, table: Mapping[str, Any], answer: Answer) -> Dataset:
     info = read_json(folder / INFO)
     _check_version(info, folder / INFO)
     states, actions = (_names(info, feature, folder / INFO) for feature in (STATE, ACTION))
-    tables = _tables(about, [*states, *actions], model, where, notes)
+    tables = _tables(about, list(dict.fromkeys([*states, *actions])), model, where, notes)
     given = {name: own["joint"] for name, own in tables.items() if "joint" in own}
     places = [f"{folder / INFO}: {feature}" for feature in (STATE, ACTION)]
     joints = joints_of(states, model, given, places[0], answer, notes)
