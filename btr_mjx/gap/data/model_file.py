@@ -5,8 +5,7 @@ from pathlib import Path
 import mujoco
 
 from btr_mjx.errors import InputError, one_line
-from btr_mjx.gap.data.light_meshes import with_light_meshes
-from btr_mjx.models import COMPILE_ERRORS, check_mjcf, check_model
+from btr_mjx.models import COMPILE_ERRORS, check_mjcf, check_model, with_light_meshes
 from btr_mjx.runs import read_text
 
 

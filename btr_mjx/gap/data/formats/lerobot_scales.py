@@ -15,7 +15,7 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.formats.lerobot_names import heading, short
-from btr_mjx.gap.data.formats.lerobot_steps import COUNTS, step_of
+from btr_mjx.gap.data.formats.lerobot_steps import COUNTS, counted_step
 from btr_mjx.gap.data.names.remedy import quoted
 from btr_mjx.gap.data.names.vocabulary import words
 from btr_mjx.models import part_names
@@ -138,7 +138,7 @@ def find_scales(
     stated = {name: tables.get(short(name), {}) for name in joints}
     units = {name: str(table["unit"]) for name, table in stated.items() if "unit" in table}
     open_names = [name for name in joints if name not in units]
-    steps = {name: step_of(values[name]) for name in joints}
+    steps = {name: counted_step(values[name]) for name in joints}
     grippers = [n for n in open_names if _GRIPPERS & set(words(n)) and _between(values[n], *_PERCENT)]
     others = [name for name in open_names if name not in grippers]
     if others and unit is None:

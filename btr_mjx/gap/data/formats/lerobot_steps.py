@@ -15,7 +15,7 @@ _NEAR = 20
 """Steps between neighbouring values up to which their number is certain at first sight."""
 
 
-def step_of(values: np.ndarray) -> float | None:
+def counted_step(values: np.ndarray) -> float | None:
     """The step of which all differences of values are multiples.
 
     Args:

@@ -11,7 +11,7 @@ import pytest
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, open_dataset, save_dataset
 from btr_mjx.gap.data.formats import lerobot
-from btr_mjx.gap.data.formats.lerobot_steps import step_of
+from btr_mjx.gap.data.formats.lerobot_steps import counted_step
 from btr_mjx.gap.preflight import Finding, preflight
 from btr_mjx.gap.preflight.lerobot_tables import joint_lines
 from btr_mjx.gap.preflight.predictions import Change, ColumnMap
@@ -301,6 +301,6 @@ def test_of_long_datasets_episodes_are_chosen_evenly(tmp_path: Path, monkeypatch
 def test_the_step_of_counted_values_is_found(step: float) -> None:
     rng = np.random.default_rng(0)
     values = (step * (rng.integers(-900, 900, 3000) + 0.5)).astype(np.float32)
-    assert step_of(values) == pytest.approx(step, rel=1e-5)
-    assert step_of(values + rng.normal(size=3000)) is None
-    assert step_of(values[:5]) is None
+    assert counted_step(values) == pytest.approx(step, rel=1e-5)
+    assert counted_step(values + rng.normal(size=3000)) is None
+    assert counted_step(values[:5]) is None

@@ -10,7 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from btr_mjx.models import COMPILE_ERRORS
+from btr_mjx.models.model_checks import COMPILE_ERRORS
 
 _HEAVY = 4_000_000
 """Bytes of a model from which on its meshes are replaced."""

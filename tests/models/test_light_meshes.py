@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from btr_mjx.gap.data import light_meshes
-from btr_mjx.gap.data.light_meshes import with_light_meshes
 from btr_mjx.gap.data.model_file import load_model
+from btr_mjx.models import light_meshes
+from btr_mjx.models.light_meshes import with_light_meshes
 
 XML = """<mujoco><compiler angle="radian"/><option timestep="0.002"/><default><default class="seen">
 <geom contype="0" conaffinity="0" group="2"/></default></default>
