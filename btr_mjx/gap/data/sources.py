@@ -5,7 +5,8 @@ from pathlib import Path
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, ReadProgress, load
-from btr_mjx.gap.data.formats.lerobot import is_lerobot_folder, load_lerobot, open_lerobot
+from btr_mjx.gap.data.formats.lerobot import load_lerobot, open_lerobot
+from btr_mjx.gap.data.formats.lerobot_frames import is_lerobot_folder
 from btr_mjx.gap.data.formats.servo import SERVO_FILE, is_servo_folder, load_servo
 from btr_mjx.gap.data.inferred import is_model, logs_in, open_logs
 from btr_mjx.runs import read_toml

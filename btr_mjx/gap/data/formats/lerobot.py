@@ -13,7 +13,7 @@ An action is the goal position that the servo holds until the next one. Which jo
     file = "arm.xml"
     [lerobot]
     folder = "recordings"           # that holds meta and data; without it, the folder of dataset.toml
-    unit = "deg"                    # of all joints: deg, rad, m, range (-100 to 100), percent (0 to 100)
+    unit = "deg"                    # of all but grippers: deg, rad, m, range (-100 to 100), percent (0 to 100)
     [lerobot.joints."shoulder_pan.pos"]
     joint = "yaw"                   # of the model; "" for none
     unit = "deg"                    # of this joint
@@ -24,44 +24,32 @@ An action is the goal position that the servo holds until the next one. Which jo
 
 import os
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import polars as pl
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns import SUFFIXES
 from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, header_of, read_header
+from btr_mjx.gap.data.formats.lerobot_frames import (
+    ACTION,
+    INFO,
+    STATE,
+    Episode,
+    is_lerobot_folder,
+    names_in,
+    read_episodes,
+)
 from btr_mjx.gap.data.formats.lerobot_names import driven_joint, heading, joints_of, short
 from btr_mjx.gap.data.formats.lerobot_scales import FACTORS, SPANS, JointScale, check_scale, find_scales
-from btr_mjx.gap.data.long_files import MAX_SAMPLES
 from btr_mjx.gap.data.names.remedy import Answer, quoted
 from btr_mjx.gap.data.recording import Recording, make_recordings
 from btr_mjx.gap.data.splits import assign_splits
 from btr_mjx.models import nearest_names, part_names
-from btr_mjx.runs import check_keys, check_parquet, file_inside, is_number, read_json, read_table
-
-INFO = Path("meta") / "info.json"
-STATE, ACTION = "observation.state", "action"
-
-
-@dataclass(frozen=True, eq=False)
-class Episode:
-    """Frames of an episode: time (K,) [s], state (K, n) and action (K, m) in the dataset's units."""
-
-    where: str
-    number: int
-    time: np.ndarray
-    state: np.ndarray
-    action: np.ndarray
-
-
-def is_lerobot_folder(folder: str | Path) -> bool:
-    """Whether a folder holds a LeRobot dataset."""
-    return (Path(folder) / INFO).is_file()
+from btr_mjx.runs import check_keys, file_inside
 
 
 def load_lerobot(folder: str | Path) -> Dataset:
@@ -138,15 +126,13 @@ def _read(head: Dataset, table: Mapping[str, Any], answer: Answer) -> Dataset:
     unit, known = about.get("unit"), (*FACTORS, *SPANS)
     if unit is not None and unit not in known:
         raise InputError(f"{where}: unit = {unit!r}: expected one of {', '.join(known)}")
-    info = read_json(folder / INFO)
-    _check_version(info, folder / INFO)
-    states, actions = (_names(info, feature, folder / INFO) for feature in (STATE, ACTION))
+    states, actions = names_in(folder)
     tables = _tables(about, list(dict.fromkeys([*states, *actions])), model, where, notes)
     given = {name: own["joint"] for name, own in tables.items() if "joint" in own}
     places = [f"{folder / INFO}: {feature}" for feature in (STATE, ACTION)]
     joints = joints_of(states, model, given, places[0], answer, notes)
     goals = joints if actions == states else joints_of(actions, model, given, places[1], answer, notes)
-    episodes = list(_thinned(list(_episodes(folder, len(states), len(actions))), notes))
+    episodes = read_episodes(folder, len(states), len(actions), notes)
     owners = {name: joint for name, joint in zip(states, joints, strict=True) if joint is not None}
     values = {name: np.concatenate([e.state[:, states.index(name)] for e in episodes]) for name in owners}
     values = {name: own[np.isfinite(own)] for name, own in values.items()}
@@ -172,29 +158,6 @@ def _read(head: Dataset, table: Mapping[str, Any], answer: Answer) -> Dataset:
     )
 
 
-def _check_version(info: Any, path: Path) -> None:
-    version = info.get("codebase_version", "v3.0") if isinstance(info, Mapping) else None
-    if not isinstance(version, str) or not version.startswith(("v2.", "v3.")):
-        raise InputError(
-            f"{path}: codebase_version is {version!r}, expected v2.0, v2.1 or v3.0; convert older datasets with LeRobot"
-        )
-
-
-def _names(info: Any, feature: str, path: Path) -> list[str]:
-    """The names of the numbers of a feature."""
-    names = info
-    for key in ("features", feature, "names"):
-        names = names.get(key) if isinstance(names, Mapping) else None
-    while isinstance(names, Mapping) and names:  # {"motors": [...]} in older files
-        names = next(iter(names.values()))
-    if not isinstance(names, list) or not names or not all(isinstance(name, str) and name for name in names):
-        raise InputError(f"{path}: features.{feature!r} has no names; add the list of the joints' names, as texts")
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise InputError(f"{path}: features.{feature!r} names {twice!r} twice; name each number once")
-    return names
-
-
 def _tables(
     about: Mapping[str, Any], names: Sequence[str], model: Any, where: str, notes: list[str]
 ) -> dict[str, Mapping[str, Any]]:
@@ -214,62 +177,6 @@ def _tables(
                 f"{nearest_names(joint, joints)}"
             )
     return {short(name): table for name, table in tables.items()}
-
-
-def _episodes(folder: Path, states: int, actions: int) -> Iterator[Episode]:
-    """The episodes of all files, with the numbers of values a frame that meta/info.json names."""
-    files = sorted((folder / "data").rglob("*.parquet"))
-    if not files:
-        raise InputError(f"{folder / 'data'}: there is no .parquet file")
-    check_parquet(files)
-    for file in files:
-        frame = read_table(file, checked=True)
-        for column in (STATE, ACTION, "timestamp", "episode_index"):
-            if column not in frame.columns:
-                near = nearest_names(column, frame.columns)
-                raise InputError(f"{file}: there is no column {column!r}; nearest: {near}")
-        if not frame["timestamp"].dtype.is_numeric():
-            raise InputError(f"{file}: column 'timestamp' holds {frame['timestamp'].dtype}, expected seconds")
-        for rows in frame.partition_by("episode_index", maintain_order=True):
-            number = rows["episode_index"][0]
-            if not is_number(number) or number != int(number) or number < 0:
-                raise InputError(f"{file}: episode_index holds {number!r}: expected whole numbers from 0 on")
-            time = rows["timestamp"].cast(pl.Float64).fill_null(np.nan).to_numpy()
-            where = f"{file}, episode {int(number)}"
-            yield Episode(
-                where, int(number), time, _stacked(rows, STATE, states, file), _stacked(rows, ACTION, actions, file)
-            )
-
-
-def _stacked(rows: pl.DataFrame, feature: str, width: int, file: Path) -> np.ndarray:
-    """Values (K, width) of a feature: lists of numbers, or numbers where the robot has one joint."""
-    series, kind = rows[feature], rows[feature].dtype
-    inner = kind.inner if isinstance(kind, pl.List | pl.Array) else kind
-    if not (isinstance(inner, pl.DataType) and inner.is_numeric()):
-        raise InputError(f"{file}: column {feature!r} holds {kind}, expected a list of numbers a row")
-    lists = [value if isinstance(value, list) else [value] for value in series.to_list()]
-    widths = {len(value) for value in lists}
-    if widths != {width}:
-        raise InputError(
-            f"{file}: column {feature!r} holds {', '.join(map(str, sorted(widths)[:5]))} numbers a row, meta/info.json "
-            f"names {width}"
-        )
-    return np.array(lists, float)
-
-
-def _thinned(episodes: Sequence[Episode], notes: list[str]) -> Iterator[Episode]:
-    """Episodes with `MAX_SAMPLES` frames together, evenly chosen."""
-    total = sum(len(episode.time) for episode in episodes)
-    if total <= MAX_SAMPLES:
-        yield from episodes
-        return
-    count = max(2, len(episodes) * MAX_SAMPLES // total)
-    chosen = np.unique(np.linspace(0, len(episodes) - 1, min(count, len(episodes))).round().astype(int))
-    notes.append(
-        f"{len(chosen)} of {len(episodes)} episodes are used, evenly chosen: all have {total} frames, more than "
-        f"{MAX_SAMPLES}"
-    )
-    yield from (episodes[i] for i in chosen)
 
 
 def _columns(

@@ -10,7 +10,7 @@ import pytest
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, open_dataset, save_dataset
-from btr_mjx.gap.data.formats import lerobot
+from btr_mjx.gap.data.formats import lerobot_frames
 from btr_mjx.gap.data.formats.lerobot_steps import counted_step
 from btr_mjx.gap.preflight import Finding, preflight
 from btr_mjx.gap.preflight.lerobot_tables import joint_lines
@@ -291,7 +291,7 @@ def test_folders_that_are_refused(tmp_path: Path) -> None:
 
 
 def test_of_long_datasets_episodes_are_chosen_evenly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lerobot, "MAX_SAMPLES", 550)
+    monkeypatch.setattr(lerobot_frames, "MAX_SAMPLES", 550)
     found = opened(tmp_path)
     assert [r.name for r in found.recordings] == ["episode_000000", "episode_000002"]
     assert any("2 of 3 episodes are used" in line for line in found.notes)
