@@ -10,7 +10,7 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, Recording, open_dataset
-from btr_mjx.gap.effects import selected_effects
+from btr_mjx.gap.effects import selected_effects, with_motors
 from btr_mjx.gap.results import FoundEffect, resolve_effect
 from btr_mjx.gap.simulate import Command, Segments, World, simulate
 from btr_mjx.models import difference, parse_path
@@ -102,6 +102,6 @@ def _mended_world(dataset: Dataset, recording: Recording, result: Mapping[str, A
     world = World.of(model)
     for named in result["effects"]:
         found = FoundEffect.from_result(named)
-        effect, place, numbers = resolve_effect(recording.model, found, selected_effects(tuple(names)))
+        effect, place, numbers = resolve_effect(recording.model, found, with_motors(selected_effects(tuple(names))))
         effect.apply(world, place, numbers)
     return world
