@@ -29,7 +29,6 @@ from btr_mjx.errors import cli_errors
 MODEL_FOLDER = "Simulation/SO101"
 MODEL_FILE = "so101_new_calib.xml"
 NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
-OPTION = b'  <option integrator="implicitfast"/>\n'
 FPS = 50
 DATA_PATHS = {
     "v3.0": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
@@ -148,17 +147,11 @@ def write(episodes: Sequence[Motion], folder: Path, version: str) -> None:
 
 
 def write_model(copies: Copies, folder: Path) -> None:
-    """Write the arm's MJCF, and its meshes.
-
-    It is as published but for the integrator: MuJoCo's default takes the damping of servos explicitly, which makes a
-    joint unstable whose rotor inertia is smaller than the published one.
-    """
+    """Write the arm's MJCF as published, and its meshes."""
     (folder / "assets").mkdir(parents=True, exist_ok=True)
     for name in (MODEL_FILE, *(f"assets/{n}" for n in copies.names(MODEL, MODEL_REVISION, f"{MODEL_FOLDER}/assets"))):
         if name.endswith((".xml", ".stl")):
-            content = copies.read(MODEL, MODEL_REVISION, f"{MODEL_FOLDER}/{name}")
-            own = content.replace(b"  <default>", OPTION + b"  <default>", 1) if name == MODEL_FILE else content
-            (folder / name).write_bytes(own)
+            (folder / name).write_bytes(copies.read(MODEL, MODEL_REVISION, f"{MODEL_FOLDER}/{name}"))
 
 
 def main() -> None:
