@@ -1,8 +1,8 @@
 """Name the effect that a simulation lacks: `python -m btr_mjx.diagnose MODEL.xml LOG [LOG ...] --out RUN`.
 
 MODEL.xml is the MJCF of the believed robot; a LOG is a CSV, Parquet, NPZ, HDF5, MCAP, rosbag2 or .pt file, see
-docs/logs.md. A folder may stand for them: one that holds both, one with a dataset.toml (see
-btr_mjx/gap/data/dataset.py), with BAM's JSON beside a servo.toml, or of LeRobot's form beside a dataset.toml.
+docs/logs.md, or the folder of a LeRobot dataset. A folder may stand for both: one that holds them, one with a
+dataset.toml (see btr_mjx/gap/data/dataset.py), or with BAM's JSON beside a servo.toml.
 `python -m btr_mjx.diagnose --demo` makes a hidden case from a seed and solves it.
 With --check it only checks the data, within seconds, and writes nothing: docs/check.md.
 
@@ -76,7 +76,7 @@ class DiagnoseConfig:
     dataset: Annotated[Path | None, tyro.conf.Positional] = None
     """Folder of the recordings, or the MJCF file of the believed model, followed by logs."""
     logs: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
-    """Logs of a model that was given as a file; each is a recording."""
+    """Logs of a model that was given as a file, each a recording; or the folder of a LeRobot dataset."""
     out: Path | None = None
     """Run folder; by default the first unused one of runs/diagnosis-<seed>, runs/diagnosis-<seed>-2, ..."""
     resume: bool = False

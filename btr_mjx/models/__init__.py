@@ -17,6 +17,7 @@ from btr_mjx.models.batch import (
     why_compiled,
 )
 from btr_mjx.models.fields import read_field, write_field
+from btr_mjx.models.light_meshes import with_light_meshes
 from btr_mjx.models.mjcf_checks import check_mjcf
 from btr_mjx.models.model_checks import COMPILE_ERRORS, check_model
 from btr_mjx.models.path_parameters import PathParameter, read_bounds, read_path_parameter
@@ -55,5 +56,6 @@ __all__ = [
     "start_of",
     "varying_fields",
     "why_compiled",
+    "with_light_meshes",
     "write_field",
 ]

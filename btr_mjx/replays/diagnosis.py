@@ -10,7 +10,7 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, Recording, open_dataset
-from btr_mjx.gap.effects import selected_effects
+from btr_mjx.gap.effects import selected_effects, with_motors
 from btr_mjx.gap.results import FoundEffect, resolve_effect
 from btr_mjx.gap.simulate import Command, Segments, World, simulate
 from btr_mjx.models import difference, parse_path
@@ -55,12 +55,13 @@ def diagnosis_replay(folder: Path, frames: int, seconds: float) -> Replay:
         named = result["effects"]
         details.append(f"with {str(named[0]['effect']).replace('_', ' ')}" + (" and more" if len(named) > 1 else ""))
     unit = (result.get("gap") or {}).get("open_loop_unit", "")
-    row = [ReplayedMotion("recording", recording.name, "", model, measured)]
+    drawn = _drawn_model(dataset, model)
+    row = [ReplayedMotion("recording", recording.name, "", drawn, measured)]
     for (title, world), detail in zip(worlds.items(), details, strict=True):
         qpos = open_loop_positions(world, recording, dataset.interpolation, times)
         error = np.abs(difference(model, measured, qpos)).mean()
         number = f"off by {error:.2g} {unit}".rstrip() if np.isfinite(error) else "diverged"
-        row.append(ReplayedMotion(title, detail, number, model, hold_last_valid(qpos)))
+        row.append(ReplayedMotion(title, detail, number, drawn, hold_last_valid(qpos)))
     return Replay(times, [row])
 
 
@@ -80,6 +81,13 @@ def open_loop_positions(world: World, recording: Recording, interpolation: Any, 
     return simulate([(world, start)])[0][0, :, : recording.model.nq]
 
 
+def _drawn_model(dataset: Dataset, model: mujoco.MjModel) -> mujoco.MjModel:
+    """The model with the surfaces of its meshes, which a dataset leaves out of large models."""
+    if model is not dataset.model or not model.nmesh:
+        return model
+    return mujoco.MjModel.from_xml_path(str(dataset.model_file))
+
+
 def _mended_world(dataset: Dataset, recording: Recording, result: Mapping[str, Any], names: Sequence[str]) -> World:
     """The world of a recording's model with refitted parameters and the named effects."""
     model = copy.copy(recording.model)
@@ -94,6 +102,6 @@ def _mended_world(dataset: Dataset, recording: Recording, result: Mapping[str, A
     world = World.of(model)
     for named in result["effects"]:
         found = FoundEffect.from_result(named)
-        effect, place, numbers = resolve_effect(recording.model, found, selected_effects(tuple(names)))
+        effect, place, numbers = resolve_effect(recording.model, found, with_motors(selected_effects(tuple(names))))
         effect.apply(world, place, numbers)
     return world

@@ -300,10 +300,18 @@ def test_lerobot_frames(tmp_path: Path, column: str, values: list, named: str) -
     assert named in refusal(tmp_path)
 
 
-def test_degrees_are_true_or_false(tmp_path: Path) -> None:
-    toml = to_toml(dict(LEROBOT)).replace("true", '"no"').encode()
-    write_input({"dataset.toml": toml, "model.xml": XML.encode(), "meta/info.json": b"{}"}, tmp_path)
-    assert "degrees" in refusal(tmp_path)
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("unit", 3), ("folder", 3), ("folder", ".."), ("joints", [1]), ("joints", {"servo": 3}), ("joints", {"x": {}})]
+    + [
+        ("joints", {"servo": {key: value}}) for key in ("joint", "sign", "zero", "range", "unit") for value in ([], "x")
+    ],
+)
+def test_lerobot_tables(tmp_path: Path, key: str, value: object) -> None:
+    toml = to_toml(dict(LEROBOT) | {"lerobot": {key: value}}).encode()
+    files = {"dataset.toml": toml, "model.xml": XML.encode(), "meta/info.json": to_json(dict(LEROBOT_INFO)).encode()}
+    write_input(files, tmp_path)
+    assert "lerobot" in refusal(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -12,14 +12,15 @@ from robot_logs import ARM, simulated_log
 
 from btr_mjx import coevolve, diagnose
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data import Recording, control_columns, open_dataset
+from btr_mjx.gap.data import Dataset, Recording, control_columns, open_dataset
 from btr_mjx.gap.data.columns import state_columns
+from btr_mjx.gap.data.model_file import load_model
 from btr_mjx.gap.simulate import World
-from btr_mjx.models import base_model
+from btr_mjx.models import base_model, light_meshes
 from btr_mjx.plotting import pictures
 from btr_mjx.replay import ReplayConfig, main, replay
 from btr_mjx.replays import Replay, ReplayedMotion, draw_film, read_replay, write_film
-from btr_mjx.replays.diagnosis import open_loop_positions
+from btr_mjx.replays.diagnosis import _drawn_model, _mended_world, open_loop_positions
 from btr_mjx.replays.film import FOOT, LABEL, _Layout
 from btr_mjx.replays.motion import frame_times, hold_last_valid
 from btr_mjx.robots import hexapod
@@ -332,3 +333,36 @@ def test_view_plays_every_motion(
     viewer.view_replay(shown)
     np.testing.assert_array_equal(seen, np.concatenate([motion.qpos for motion in shown.motions]))
     assert "after: reality" in capsys.readouterr().out
+
+
+def test_effects_of_motors_are_in_the_film(tmp_path: Path) -> None:
+    """They are named where a robot touches nothing, without being asked for."""
+    xml = XML_OF_SERVO.format(mesh="")
+    recording = still_recording(mujoco.MjModel.from_xml_string(xml))
+    dataset = Dataset(tmp_path, recording.model, tmp_path / "a.xml", xml, (), (recording,))
+    entry = {"effect": "servo_stiffness", "location": "actuator:j", "parameters": {"change": {"value": -0.5}}}
+    world = _mended_world(dataset, recording, {"effects": [entry]}, ("all",))
+    assert world.model.actuator_gainprm[0, 0] == 5.0
+
+
+def test_meshes_that_a_dataset_leaves_out_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(light_meshes, "_HEAVY", 0)
+    points = np.random.default_rng(0).normal(size=(300, 3)).round(3)
+    mesh = f'<mesh name="m" vertex="{" ".join(map(str, points.ravel()))}"/>'
+    (tmp_path / "a.xml").write_text(XML_OF_SERVO.format(mesh=mesh).replace(CAPSULE, 'type="mesh" mesh="m"'))
+    model, text = load_model(tmp_path / "a.xml", tmp_path)
+    dataset = Dataset(tmp_path, model, tmp_path / "a.xml", text, (), ())
+    assert model.nmeshvert < 300
+    assert _drawn_model(dataset, model).nmeshvert == 300
+    assert _drawn_model(dataset, mujoco.MjModel.from_xml_string(ARM)).nmesh == 0
+
+
+CAPSULE = 'type="capsule" fromto="0 0 0 0 0 -.5" size=".05"'
+XML_OF_SERVO = """<mujoco><asset>{mesh}</asset><worldbody><body><joint name="j"/>
+<geom type="capsule" fromto="0 0 0 0 0 -.5" size=".05"/></body></worldbody>
+<actuator><position name="j" joint="j" kp="10" kv="1"/></actuator></mujoco>"""
+
+
+def still_recording(model: mujoco.MjModel) -> Recording:
+    zeros = np.zeros((30, 1))
+    return Recording("r", np.arange(30) / 50, zeros, zeros, zeros, np.ones(1, bool), "test", model)

@@ -53,6 +53,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
+from btr_mjx.gap.data.formats.lerobot_scales import JointScale
 from btr_mjx.gap.data.formats.ros_bag import TOPICS
 from btr_mjx.gap.data.held import bends, stairs
 from btr_mjx.gap.data.logs import LogOptions
@@ -96,6 +97,7 @@ class Dataset:
       notes: warnings of the loader, reported by preflight.
       inferred: text of the dataset.toml that was inferred from the logs; "" where there is one.
       sources: names of columns in the logs, by name of the model; empty where they have the model's names.
+      scales: how numbers of a LeRobot dataset became positions, by joint; empty for other formats.
     """
 
     folder: Path
@@ -110,6 +112,7 @@ class Dataset:
     notes: tuple[str, ...] = ()
     inferred: str = ""
     sources: Mapping[str, str] = field(default_factory=dict)
+    scales: Mapping[str, JointScale] = field(default_factory=dict)
 
     @property
     def fit(self) -> tuple[Recording, ...]:

@@ -48,7 +48,10 @@ def open_logs(model: str | Path, logs: Sequence[str | Path], progress: ReadProgr
         if not path.exists():
             raise InputError(f"{path}: there is no such file")
         if not is_log(path):
-            raise InputError(f"{path}: is no recording; expected a {', '.join(LOG_SUFFIXES)} file or a rosbag2 folder")
+            raise InputError(
+                f"{path}: is no recording; expected a {', '.join(LOG_SUFFIXES)} file, a rosbag2 folder, or the folder "
+                "of a LeRobot dataset (that holds meta/info.json)"
+            )
     if len({path.resolve() for path in paths}) < len(paths):
         raise InputError("a log was given twice; give each once")
     folder = Path(os.path.commonpath([path.resolve().parent for path in (model, *paths)]))

@@ -5,7 +5,7 @@ from pathlib import Path
 import mujoco
 
 from btr_mjx.errors import InputError, one_line
-from btr_mjx.models import COMPILE_ERRORS, check_mjcf, check_model
+from btr_mjx.models import COMPILE_ERRORS, check_mjcf, check_model, with_light_meshes
 from btr_mjx.runs import read_text
 
 
@@ -41,9 +41,9 @@ def load_model(path: Path, inside: Path) -> tuple[mujoco.MjModel, str]:
 def _compiled(path: Path) -> mujoco.MjModel:
     """Compile with body_simple = 0: effects edit inertia, which MuJoCo's simple bodies do not allow."""
     model = mujoco.MjModel.from_xml_path(str(path))
-    if not model.body_simple[1:].any():
-        return model
-    spec = mujoco.MjSpec.from_file(str(path))
-    for body in spec.bodies:
-        body.simple = 0
-    return spec.compile()
+    if model.body_simple[1:].any():
+        spec = mujoco.MjSpec.from_file(str(path))
+        for body in spec.bodies:
+            body.simple = 0
+        model = spec.compile()
+    return with_light_meshes(path, model)

@@ -92,6 +92,13 @@ class Catalogue:
             out += self._swaps(g, h)
         return out
 
+    def turned(self) -> dict[int, Change]:
+        """Changes by which positions and commands of a joint both count the other way round, by id of the joint."""
+        return {
+            joint: Change(self._scaled([joint], -1.0), self._driven(drives, -1.0))
+            for joint, drives in self._drives.items()
+        }
+
     # -- single joints
 
     def _signs(self, g: int) -> Iterator[Alternative]:
@@ -116,7 +123,7 @@ class Catalogue:
                 "sign",
             )
             yield Alternative(
-                Change(flipped, commands),
+                self.turned()[joint],
                 (g,),
                 f"qpos/{name} and {names} both have the opposite sign of the model's joint",
                 f"negate both (and qvel/{name} with them), or turn the joint's axis in the model",

@@ -19,6 +19,7 @@ from btr_mjx.gap.preflight.findings import DEGREES_REMEDY, Finding, Level, liste
 from btr_mjx.gap.preflight.repeats import angle_jumps, held_commands, held_positions
 from btr_mjx.gap.preflight.stability import stability
 from btr_mjx.gap.preflight.timing import response_delays, sampling
+from btr_mjx.gap.preflight.undecided import undecided_signs
 from btr_mjx.gap.preflight.velocities import velocity_conventions
 from btr_mjx.models import part_names
 
@@ -51,7 +52,7 @@ def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Fi
     joints = joint_tracks(dataset)
     findings = [Finding("note", "data", line) for line in _summary(dataset)]
     for line in dataset.notes:
-        odd = "unknown key" in line or "they are left out" in line
+        odd = "unknown key" in line or "they are left out" in line or line.startswith("assumed")
         findings.append(Finding("warning" if odd else "note", "loading", line))
     for line in dict.fromkeys(note for recording in dataset.recordings for note in recording.notes):
         names = [r.name for r in dataset.recordings if line in r.notes]
@@ -65,7 +66,7 @@ def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Fi
     findings += _parameter_bounds(dataset)
     findings += _excitation(dataset, joints, effects)
     if all(finding.level != "error" for finding in findings):
-        findings += stability(dataset)
+        findings += undecided_signs(dataset, noise) + stability(dataset)
     if all(finding.level != "error" for finding in findings):
         findings += clock_drift(dataset, noise)
     order = {"error": 0, "warning": 1, "note": 2}

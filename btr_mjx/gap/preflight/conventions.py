@@ -14,8 +14,9 @@ from btr_mjx.gap.data import Dataset, Noise
 from btr_mjx.gap.preflight.alternatives import Alternative, Catalogue
 from btr_mjx.gap.preflight.comparison import Comparison, compare
 from btr_mjx.gap.preflight.findings import Finding
+from btr_mjx.gap.preflight.lerobot_tables import joint_lines
 from btr_mjx.gap.preflight.orders import column_lines
-from btr_mjx.gap.preflight.predictions import Change, Predictor
+from btr_mjx.gap.preflight.predictions import Change, Predictor, typical_error
 
 STRETCHES = 32
 _SCREENED = 8
@@ -63,10 +64,17 @@ def position_conventions(dataset: Dataset, noise: Noise) -> list[Finding]:
             f"{fault.found.words()}; {fault.alternative.remedy}{fault.as_well}",
             fault.alternative.remedy,
             fault.found.evidence(),
-            column_lines(dataset, fault.alternative.change) if fault.alternative.topic == "orders" else (),
+            _lines(dataset, fault.alternative),
         )
         for fault in faults
     ]
+
+
+def _lines(dataset: Dataset, alternative: Alternative) -> tuple[str, ...]:
+    """What to write into dataset.toml, where it has lines for that."""
+    if dataset.scales:
+        return joint_lines(dataset, alternative.change)
+    return column_lines(dataset, alternative.change) if alternative.topic == "orders" else ()
 
 
 def _faults(dataset: Dataset, predictor: Predictor) -> list[_Fault]:
@@ -105,17 +113,9 @@ def _screened(screen: Predictor, applied: Change, tried: Sequence[Alternative]) 
     return kept + [a for a in tried if a.nuisance and set(a.groups) & groups]
 
 
-def _typical(errors: np.ndarray, groups: Sequence[int]) -> np.ndarray:
-    """Geometric mean (W,) of the errors (W, G) of some groups.
-
-    Its logarithm is, up to a factor, the log-likelihood of groups whose noise has unknown variances.
-    """
-    return np.exp(np.mean(np.log(errors[:, list(groups)]), axis=1))
-
-
 def _gain(now: np.ndarray, other: np.ndarray, groups: Sequence[int]) -> float:
     """Median over stretches of the log ratio of the typical errors in some groups."""
-    return float(np.median(np.log(_typical(now, groups) / _typical(other, groups))))
+    return float(np.median(np.log(typical_error(now, groups) / typical_error(other, groups))))
 
 
 def _best(tried: Sequence[Alternative], now: np.ndarray, errors: np.ndarray) -> tuple[int, _Fault] | None:
@@ -126,12 +126,12 @@ def _best(tried: Sequence[Alternative], now: np.ndarray, errors: np.ndarray) -> 
         if alternative.nuisance:
             continue
         own = list(alternative.groups)
-        found = compare(_typical(now, own), _typical(errors[i], own))
+        found = compare(typical_error(now, own), typical_error(errors[i], own))
         if not (alternative.elsewhere or found.significant):
             continue
         judged = every if alternative.elsewhere else own
         rivals = [errors[k] for k, a in enumerate(tried) if a.nuisance and set(a.groups) & set(own)]
-        if not all(_beats(_typical(errors[i], judged), _typical(rival, judged)) for rival in rivals):
+        if not all(_beats(typical_error(errors[i], judged), typical_error(rival, judged)) for rival in rivals):
             continue
         total = float(np.mean(np.log(errors[i])))
         if total > float(np.mean(np.log(now))):
@@ -145,7 +145,7 @@ def _best(tried: Sequence[Alternative], now: np.ndarray, errors: np.ndarray) -> 
     _, index, fault = decisive[0]
     if fault.alternative.topic == "orders":  # of orders that predict equally well, the first, which is the simplest
         for _, k, simpler in sorted((d for d in decisive if d[2].alternative.topic == "orders"), key=lambda d: d[1]):
-            if not compare(_typical(errors[k], every), _typical(errors[index], every)).significant:
+            if not compare(typical_error(errors[k], every), typical_error(errors[index], every)).significant:
                 return k, simpler
     if len(decisive) > 1:
         other = decisive[1][2]

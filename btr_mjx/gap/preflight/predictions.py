@@ -123,6 +123,24 @@ class _Cut:
     command: slice
 
 
+@dataclass(frozen=True)
+class _Worlds:
+    """Worlds by model and change of it: a model with meshes takes many megabytes, and most changes leave it alone."""
+
+    known: dict[tuple[int, tuple[float, float, float] | None, tuple[int, ...]], World]
+
+    def of(self, model: mujoco.MjModel, change: Change) -> World:
+        """The world of a recording's model under a change."""
+        key = id(model), change.gravity, change.switched_off
+        if key not in self.known:
+            world = self.known[key] = World.of(model)
+            if change.gravity is not None:
+                world.model.opt.gravity[:] = change.gravity
+            for actuator in change.switched_off:
+                world.model.actuator_gainprm[actuator], world.model.actuator_biasprm[actuator] = 0.0, 0.0
+        return self.known[key]
+
+
 class Predictor:
     """Stretches of a dataset, and the error of the believed model in them.
 
@@ -174,10 +192,11 @@ class Predictor:
           For each change, measured and simulated motion since the start of each stretch, (W, samples, nv) each.
         """
         jobs, ends = [], []
+        worlds = _Worlds({})
         for change in changes:
             for recording in sorted({c.stretch.recording for c in self._cuts}):
                 cuts = [c for c in self._cuts if c.stretch.recording == recording]
-                job, end = self._job(change, recording, cuts, command_shift, command_scale)
+                job, end = self._job(worlds, change, recording, cuts, command_shift, command_scale)
                 jobs.append(job)
                 ends.append(end)
         states = simulate(jobs)
@@ -234,17 +253,12 @@ class Predictor:
         return sigma
 
     def _job(
-        self, change: Change, recording: int, cuts: Sequence[_Cut], shift: float, scale: float
+        self, worlds: _Worlds, change: Change, recording: int, cuts: Sequence[_Cut], shift: float, scale: float
     ) -> tuple[tuple[World, Segments], np.ndarray]:
         """World and segments of the stretches of a recording, and measured positions (W, samples, nq) at their ends."""
         data = self._dataset.recordings[recording]
-        model = data.model
-        if change.gravity is not None or change.switched_off:
-            model = copy.copy(model)
-            if change.gravity is not None:
-                model.opt.gravity[:] = change.gravity
-            for actuator in change.switched_off:
-                model.actuator_gainprm[actuator], model.actuator_biasprm[actuator] = 0.0, 0.0
+        world = worlds.of(data.model, change)
+        model = world.model
         starts, speeds, acts = [], [], []
         for cut in cuts:
             near = change.qpos(data.qpos[cut.around])
@@ -267,7 +281,15 @@ class Predictor:
             np.arange(len(cuts)),
             np.array(acts) if model.na else None,
         )
-        return (World.of(model), segments), change.qpos(data.qpos[at])
+        return (world, segments), change.qpos(data.qpos[at])
+
+
+def typical_error(errors: np.ndarray, groups: Sequence[int]) -> np.ndarray:
+    """Geometric mean (W,) of the errors (W, G) of some groups.
+
+    Its logarithm is, up to a factor, the log-likelihood of groups whose noise has unknown variances.
+    """
+    return np.exp(np.mean(np.log(errors[:, list(groups)]), axis=1))
 
 
 def _cut(stretch: Stretch) -> _Cut:

@@ -45,7 +45,11 @@ LEROBOT_INFO: Mapping[str, Any] = {
 }
 LEROBOT: Mapping[str, Any] = {
     "model": {"file": "model.xml"},
-    "lerobot": {"degrees": True, "joints": {"servo": "servo"}, "actuators": {"servo.pos": "servo"}},
+    "lerobot": {
+        "unit": "deg",
+        "folder": ".",
+        "joints": {"servo.pos": {"joint": "servo", "unit": "deg", "sign": -1, "zero": 0.0}},
+    },
 }
 SERVO: Mapping[str, Any] = {
     "servo": {"kt": 1.5, "resistance": 3.0, "error_gain": 0.15, "max_duty": 1.0, "armature": 0.003}

@@ -6,7 +6,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import polars as pl
 import pytest
 
 from btr_mjx.errors import InputError
@@ -159,55 +158,3 @@ def test_invalid_and_absent_json_raise(folder: Path, tmp_path: Path) -> None:
     (folder / "servo.toml").unlink()
     with pytest.raises(InputError, match=r"dataset\.toml.*servo\.toml"):
         open_dataset(folder)
-
-
-ARM = """<mujoco><worldbody><body name="b"><joint name="yaw" axis="0 0 1"/><geom size=".1"/>
-<body name="c" pos=".3 0 0"><joint name="lift" axis="0 1 0"/><geom size=".1"/></body></body></worldbody>
-<actuator><position name="yaw" joint="yaw" kp="5"/><position name="lift" joint="lift" kp="5"/></actuator></mujoco>"""
-
-
-def write_lerobot(folder: Path, names: Any, degrees: bool = False) -> np.ndarray:
-    """Three episodes in one file; returns the first one's states [rad]."""
-    (folder / "meta").mkdir()
-    (folder / "data" / "chunk-000").mkdir(parents=True)
-    (folder / "arm.xml").write_text(ARM)
-    features = {"observation.state": {"names": names}, "action": {"names": names}}
-    (folder / "meta" / "info.json").write_text(json.dumps({"fps": 50, "features": features}))
-    time = np.arange(40) / 50
-    state = np.stack([np.sin(time), 0.5 * np.cos(time)], 1)
-    scale = 180 / np.pi if degrees else 1.0
-    rows = pl.DataFrame(
-        {
-            "observation.state": (scale * np.tile(state, (3, 1))).tolist(),
-            "action": (scale * np.tile(2 * state, (3, 1))).tolist(),
-            "timestamp": np.tile(time, 3).astype(np.float32),
-            "episode_index": np.repeat([0, 1, 2], 40),
-        }
-    )
-    rows.write_parquet(folder / "data" / "chunk-000" / "file-000.parquet")
-    return state
-
-
-def test_lerobot_episodes(tmp_path: Path) -> None:
-    state = write_lerobot(tmp_path, {"motors": ["yaw.pos", "lift.pos"]})
-    (tmp_path / "dataset.toml").write_text('[model]\nfile = "arm.xml"\n')
-    dataset = open_dataset(tmp_path)
-    assert [r.split for r in dataset.recordings] == ["fit", "fit", "test"]
-    np.testing.assert_allclose(dataset.recordings[0].qpos, state)
-    np.testing.assert_allclose(dataset.recordings[0].ctrl, 2 * state)
-    assert not dataset.recordings[0].qvel_measured.any()
-
-
-def test_lerobot_names_and_degrees(tmp_path: Path) -> None:
-    state = write_lerobot(tmp_path, ["shoulder", "lift"], degrees=True)
-    toml = tmp_path / "dataset.toml"
-    toml.write_text('[model]\nfile = "arm.xml"\n')
-    with pytest.raises(InputError, match=r"no joint 'shoulder'; nearest: .*lerobot\.joints"):
-        open_dataset(tmp_path)
-    toml.write_text(
-        '[model]\nfile = "arm.xml"\n[lerobot]\ndegrees = true\n[lerobot.joints]\nshoulder = "yaw"\n'
-        '[lerobot.actuators]\nshoulder = "yaw"\n'
-    )
-    first = open_dataset(tmp_path).recordings[0]
-    np.testing.assert_allclose(first.qpos, state, atol=1e-12)
-    np.testing.assert_allclose(first.ctrl, 2 * state, atol=1e-12)

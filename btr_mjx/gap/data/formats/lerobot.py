@@ -1,169 +1,217 @@
-"""LeRobot datasets: Parquet files of frames, names in meta/info.json, together with a dataset.toml.
+"""LeRobot datasets: Parquet files of frames, names in meta/info.json, of a follower arm with position servos.
 
-    dataset.toml            [model] file = "arm.xml"; [[parameter]], [control], ... as in `dataset`; no [[recording]]
-    meta/info.json          features."observation.state".names and features.action.names
-    data/**/*.parquet       columns observation.state, action (lists of numbers), timestamp [s], episode_index
+    meta/info.json                        features."observation.state".names and features.action.names
+    data/chunk-000/file-000.parquet       v3: many episodes in a file
+    data/chunk-000/episode_000000.parquet v2: one
+                                          columns observation.state, action (lists of numbers), timestamp [s],
+                                          episode_index; others are not used
 
-Names are those of joints and actuators, with or without the suffix ".pos". Different names and angles in degrees are
-declared in dataset.toml:
+An action is the goal position that the servo holds until the next one. Which joint each number belongs to is found by
+`lerobot_names`, its unit, sign and zero by `lerobot_scales`. dataset.toml says what is otherwise found:
 
+    [model]
+    file = "arm.xml"
     [lerobot]
-    degrees = true
-    [lerobot.joints]
-    shoulder_pan = "yaw"        # name in info.json = joint of the model
-    [lerobot.actuators]
-    shoulder_pan = "yaw_motor"
+    folder = "recordings"           # that holds meta and data; without it, the folder of dataset.toml
+    unit = "deg"                    # of all but grippers: deg, rad, m, range (-100 to 100), percent (0 to 100)
+    [lerobot.joints."shoulder_pan.pos"]
+    joint = "yaw"                   # of the model; "" for none
+    unit = "deg"                    # of this joint
+    sign = -1                       # the numbers count the other way round
+    zero = 90.0                     # value at which the model's joint is at 0 (deg, rad, m)
+    range = [-1.9, 1.9]             # positions [rad], [m] at the ends (range, percent)
 """
 
+import os
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
-import polars as pl
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns import SUFFIXES
-from btr_mjx.gap.data.dataset import Dataset, read_header
+from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, header_of, read_header
+from btr_mjx.gap.data.formats.lerobot_frames import (
+    ACTION,
+    INFO,
+    STATE,
+    Episode,
+    is_lerobot_folder,
+    names_in,
+    read_episodes,
+)
+from btr_mjx.gap.data.formats.lerobot_names import driven_joint, heading, joints_of, short
+from btr_mjx.gap.data.formats.lerobot_scales import FACTORS, SPANS, JointScale, check_scale, find_scales
+from btr_mjx.gap.data.names.remedy import Answer, quoted
 from btr_mjx.gap.data.recording import Recording, make_recordings
 from btr_mjx.gap.data.splits import assign_splits
 from btr_mjx.models import nearest_names, part_names
-from btr_mjx.runs import check_keys, check_parquet, is_number, read_json, read_table
-
-INFO = Path("meta") / "info.json"
-STATE, ACTION = "observation.state", "action"
-
-
-def is_lerobot_folder(folder: str | Path) -> bool:
-    """Whether a folder holds a LeRobot dataset."""
-    return (Path(folder) / INFO).is_file()
+from btr_mjx.runs import check_keys, file_inside
 
 
 def load_lerobot(folder: str | Path) -> Dataset:
-    """Read a LeRobot dataset; the last third of the episodes is held out.
+    """Read a LeRobot dataset with a dataset.toml; the last third of the episodes is held out.
 
     Args:
-      folder: the folder, or its dataset.toml.
+      folder: that holds dataset.toml, or this file.
 
     Returns:
       The dataset, one recording per episode.
 
     Raises:
-      InputError: names that are not joints or actuators of the model, missing columns, no frames, or an error of
-        `recording.make_recordings`.
+      InputError: names that are not joints of the model, units that do not fit, missing columns, no frames, or an error
+        of `recording.make_recordings`.
       DamagedFile: a file that does not parse.
     """
     head, table = read_header(folder, more=("lerobot",))
-    about, notes = table.get("lerobot", {}), list(head.notes)
-    where = f"{head.folder / 'dataset.toml'}: [lerobot]"
-    check_keys(about, ("degrees", "joints", "actuators"), where, notes)
-    degrees = about.get("degrees", False)
-    if not isinstance(degrees, bool):
-        raise InputError(f"{where}: degrees = {degrees!r}: expected true or false")
-    info_path = head.folder / INFO
-    info = read_json(info_path)
-    joints = _targets(info, STATE, head.model, "joint", _renamed(about, "joints", where), info_path)
-    motors = _targets(info, ACTION, head.model, "actuator", _renamed(about, "actuators", where), info_path)
-    files = sorted((head.folder / "data").rglob("*.parquet"))
-    if not files:
-        raise InputError(f"{head.folder / 'data'}: there is no .parquet file")
-    check_parquet(files)
+    return _read(head, table, Answer(head.folder / DATASET_FILE))
+
+
+def open_lerobot(model: str | Path, recordings: str | Path) -> Dataset:
+    """Read a LeRobot dataset without a dataset.toml.
+
+    Args:
+      model: MJCF file of the believed model.
+      recordings: folder of the dataset.
+
+    Returns:
+      The dataset; `Dataset.inferred` is the dataset.toml that says the same.
+
+    Raises:
+      InputError, DamagedFile: see `load_lerobot`.
+    """
+    model, recordings = Path(model), Path(recordings)
+    if not model.is_file():
+        raise InputError(f"{model}: there is no such model file")
+    folder = Path(os.path.commonpath([model.resolve().parent, recordings.resolve()]))
+    names = [str(path.resolve().relative_to(folder)) for path in (model, recordings)]
+    text = f"[model]\nfile = {quoted(names[0])}\n\n[lerobot]\nfolder = {quoted(names[1])}\n"
+    table = tomllib.loads(text)
+    where = folder / DATASET_FILE
+    data = _read(header_of(table, folder, where, ("lerobot",)), table, Answer(where, text))
+    told = [line for one in data.recordings for line in one.notes]
+    lines = [
+        f"# Inferred from the files. To change it, copy it to {folder} and give that folder to diagnose.",
+        *(f"# {line}" for line in dict.fromkeys([*data.notes, *told])),
+        "",
+        *text.partition("\n\n")[0].splitlines(),
+        "",
+        "[control]",
+        f"interpolation = {quoted(data.interpolation)}",
+        "",
+        *text.partition("\n\n")[2].splitlines(),
+        *(line for scale in data.scales.values() for line in ("", *scale.lines())),
+    ]
+    first = f"{where} was not read; to use it, give {folder}" if where.is_file() else f"there is no {DATASET_FILE}"
+    notes = (
+        f"{first}; what was found is listed here, and written as {DATASET_FILE} into the folder of a run",
+        *data.notes,
+    )
+    return replace(data, notes=notes, inferred="\n".join(lines) + "\n")
+
+
+def _read(head: Dataset, table: Mapping[str, Any], answer: Answer) -> Dataset:
+    """The dataset of a header and the table [lerobot]."""
+    about, notes, model = table.get("lerobot", {}), list(head.notes), head.model
+    where = f"{answer.file}: [lerobot]"
+    check_keys(about, ("folder", "unit", "joints"), where, notes)
+    folder = head.folder
+    if about.get("folder", ".") != ".":
+        folder = file_inside(about, "folder", head.folder, where)
+    if not is_lerobot_folder(folder):
+        raise InputError(f"{where}: there is no {folder / INFO}; write folder = the one that holds meta and data")
+    unit, known = about.get("unit"), (*FACTORS, *SPANS)
+    if unit is not None and unit not in known:
+        raise InputError(f"{where}: unit = {unit!r}: expected one of {', '.join(known)}")
+    states, actions = names_in(folder)
+    tables = _tables(about, list(dict.fromkeys([*states, *actions])), model, where, notes)
+    given = {name: own["joint"] for name, own in tables.items() if "joint" in own}
+    places = [f"{folder / INFO}: {feature}" for feature in (STATE, ACTION)]
+    joints = joints_of(states, model, given, places[0], answer, notes)
+    goals = joints if actions == states else joints_of(actions, model, given, places[1], answer, notes)
+    episodes = read_episodes(folder, len(states), len(actions), notes)
+    owners = {name: joint for name, joint in zip(states, joints, strict=True) if joint is not None}
+    values = {name: np.concatenate([e.state[:, states.index(name)] for e in episodes]) for name in owners}
+    values = {name: own[np.isfinite(own)] for name, own in values.items()}
+    for name, own in values.items():
+        if not len(own):
+            raise InputError(f"{folder}: {name!r} of {STATE} holds no number")
+    scales = find_scales(values, owners, model, tables, unit, str(answer.file), notes)
+    by_joint = {owners[name]: scale for name, scale in scales.items()}
     recordings: list[Recording] = []
-    for file in files:
-        recordings += _episodes(file, head.model, joints, motors, degrees)
-    parts = assign_splits(recordings, [None] * len(recordings), str(head.folder))
-    return replace(head, recordings=tuple(parts), notes=tuple(notes))
+    for episode in episodes:
+        columns = _columns(episode, joints, goals, by_joint, head, folder)
+        recordings += make_recordings([columns], model, episode.where, f"episode_{episode.number:06d}")
+    parts = assign_splits(recordings, [None] * len(recordings), str(folder))
+    stated = "interpolation" in table.get("control", {})
+    if not stated:
+        notes.append('a servo holds its goal until the next one: interpolation = "hold"')
+    return replace(
+        head,
+        recordings=tuple(parts),
+        notes=tuple(notes),
+        interpolation=head.interpolation if stated else "hold",
+        scales={scale.joint: scale for scale in scales.values()},
+    )
 
 
-def _renamed(about: Mapping[str, Any], key: str, where: str) -> Mapping[str, str]:
-    table = about.get(key, {})
-    if not isinstance(table, Mapping) or not all(isinstance(name, str) for name in table.values()):
-        raise InputError(f'{where}: {key} = {table!r}: expected a table of NAME = "NAME OF THE MODEL"')
-    return table
-
-
-def _targets(
-    info: Any, feature: str, model: mujoco.MjModel, kind: str, renamed: Mapping[str, str], path: Path
-) -> list[str]:
-    """The joint or actuator of each number of a feature."""
-    names = info
-    for key in ("features", feature, "names"):
-        names = names.get(key) if isinstance(names, Mapping) else None
-    while isinstance(names, Mapping) and names:  # {"motors": [...]} in older files
-        names = next(iter(names.values()))
-    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-        raise InputError(f"{path}: features.{feature!r} has no names; add the list of {kind} names, as texts")
-    known, found = part_names(model, kind), list[str]()
-    for name in names:
-        short = name.removesuffix(".pos")
-        target = renamed.get(name, renamed.get(short, name if name in known else short))
-        if target not in known:
+def _tables(
+    about: Mapping[str, Any], names: Sequence[str], model: Any, where: str, notes: list[str]
+) -> dict[str, Mapping[str, Any]]:
+    """The tables [lerobot.joints.NAME] by `short` name."""
+    tables, joints = about.get("joints", {}), part_names(model, "joint")
+    if not isinstance(tables, Mapping):
+        raise InputError(f"{where}: joints = {tables!r}: expected tables {heading(names[0])}")
+    for name, table in tables.items():
+        place = f"{where.removesuffix(' [lerobot]')} {heading(name)}"
+        if short(name) not in map(short, names):
+            raise InputError(f"{place}: there is no such number in the dataset; nearest: {nearest_names(name, names)}")
+        check_scale(table, place, notes)
+        joint = table.get("joint", "")
+        if joint and (joint not in joints or int(model.jnt_type[joints.index(joint)]) in SUFFIXES):
             raise InputError(
-                f"{path}: {feature} holds {name!r}, the model has no {kind} {target!r}; nearest: "
-                f"{nearest_names(target, known)}; name it in [lerobot.{kind}s] of dataset.toml"
+                f"{place} joint = {joint!r}: the model has no such hinge or slide; nearest: "
+                f"{nearest_names(joint, joints)}"
             )
-        if target in found:
-            raise InputError(f"{path}: {feature} names the {kind} {target!r} twice; name each once")
-        found.append(target)
-    return found
+    return {short(name): table for name, table in tables.items()}
 
 
-def _episodes(
-    file: Path, model: mujoco.MjModel, joints: Sequence[str], motors: Sequence[str], degrees: bool
-) -> list[Recording]:
-    frame = read_table(file, checked=True)
-    for column in (STATE, ACTION, "timestamp", "episode_index"):
-        if column not in frame.columns:
-            raise InputError(f"{file}: there is no column {column!r}; nearest: {nearest_names(column, frame.columns)}")
-    if not frame["timestamp"].dtype.is_numeric():
-        raise InputError(f"{file}: column 'timestamp' holds {frame['timestamp'].dtype}, expected seconds")
-    recordings = []
-    for rows in frame.partition_by("episode_index", maintain_order=True):
-        episode = _episode_number(rows["episode_index"][0], file)
-        columns = {"time": rows["timestamp"].cast(pl.Float64).fill_null(np.nan).to_numpy()}
-        columns |= _columns(rows, STATE, [f"qpos/{name}" for name in joints], file)
-        columns |= _columns(rows, ACTION, [f"ctrl/{name}" for name in motors], file)
-        if degrees:
-            _to_radians(columns, model)
-        recordings += make_recordings([columns], model, f"{file}, episode {episode}", f"episode_{episode:06d}")
-    return recordings
-
-
-def _episode_number(value: Any, file: Path) -> int:
-    if not is_number(value) or value != int(value) or value < 0:
-        raise InputError(f"{file}: episode_index holds {value!r}: expected whole numbers from 0 on")
-    return int(value)
-
-
-def _columns(rows: pl.DataFrame, feature: str, names: Sequence[str], file: Path) -> dict[str, np.ndarray]:
-    """The columns of a feature: lists of numbers, or numbers where the robot has one joint or motor."""
-    series, kind = rows[feature], rows[feature].dtype
-    inner = kind.inner if isinstance(kind, pl.List | pl.Array) else kind
-    if not (isinstance(inner, pl.DataType) and inner.is_numeric()):
-        raise InputError(f"{file}: column {feature!r} holds {kind}, expected a list of numbers a row")
-    lists = [value if isinstance(value, list) else [value] for value in series.to_list()]
-    widths = {len(value) for value in lists}
-    if widths != {len(names)}:
-        raise InputError(
-            f"{file}: column {feature!r} holds {', '.join(map(str, sorted(widths)[:5]))} numbers a row, meta/info.json "
-            f"names {len(names)}"
-        )
-    return dict(zip(names, np.array(lists, float).T, strict=True))
-
-
-def _to_radians(columns: dict[str, np.ndarray], model: mujoco.MjModel) -> None:
-    """Convert, in place, angles of hinges and commands of the position actuators that drive them."""
-    hinge = mujoco.mjtJoint.mjJNT_HINGE
-    joints = part_names(model, "joint")
-    for i, name in enumerate(joints):
-        if model.jnt_type[i] == hinge and int(model.jnt_type[i]) not in SUFFIXES:
-            columns[f"qpos/{name}"] = np.radians(columns[f"qpos/{name}"])
-    for i, name in enumerate(part_names(model, "actuator")):
-        drives_hinge = (
-            model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
-            and model.jnt_type[int(model.actuator_trnid[i, 0])] == hinge
-        )
-        if drives_hinge and model.actuator_biasprm[i, 1] != 0 and f"ctrl/{name}" in columns:
-            columns[f"ctrl/{name}"] = np.radians(columns[f"ctrl/{name}"])
+def _columns(
+    episode: Episode,
+    joints: Sequence[int | None],
+    goals: Sequence[int | None],
+    scales: Mapping[int, JointScale],
+    head: Dataset,
+    folder: Path,
+) -> dict[str, np.ndarray]:
+    """Columns of the model."""
+    model, names = head.model, part_names(head.model, "joint")
+    columns = {"time": episode.time}
+    for values, joint in zip(episode.state.T, joints, strict=True):
+        if joint is not None:
+            columns[f"qpos/{names[joint]}"] = scales[joint](values)
+    for values, joint in zip(episode.action.T, goals, strict=True):
+        if joint is None:
+            continue
+        if joint not in scales:
+            raise InputError(
+                f"{folder / INFO}: {ACTION} names the joint {names[joint]!r}, {STATE} does not; name it in both"
+            )
+        actuators = [a for a in range(model.nu) if driven_joint(model, a) == joint]
+        if len(actuators) != 1 or not model.actuator_biasprm[actuators[0], 1] < 0:
+            what = (
+                "no actuator"
+                if not actuators
+                else "one that is no position servo"
+                if len(actuators) == 1
+                else "several"
+            )
+            raise InputError(
+                f"{head.model_file}: the joint {names[joint]!r} has {what}; actions of LeRobot are goal positions: "
+                f'give it one <position joint="{names[joint]}" kp="..."/>'
+            )
+        columns[f"ctrl/{part_names(model, 'actuator')[actuators[0]]}"] = scales[joint](values)
+    return columns

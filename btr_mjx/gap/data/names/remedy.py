@@ -49,16 +49,26 @@ class Answer:
           lines: of the table.
           joints: that may have no encoder.
         """
-        where = f"Write this to {self.file}" if self.head else f"Add this to {self.file}"
-        fill = ", with names of the file in place of NAME 1, ..." if any("NAME " in line for line in lines) else ""
-        head = [*self.head.rstrip().splitlines(), ""] if self.head else []
+        fill = "with names of the file in place of NAME 1, ..." if any("NAME " in line for line in lines) else ""
         without = [
             f"(a joint without an encoder has no line there, but below [model]: unmeasured = [{quoted(joint)}])"
             for joint in joints[:1]
         ]
-        run = f"then run: {command_line('btr_mjx.diagnose', [str(self.file.parent)])}"
-        block = [f"{where}{fill}:", "", *head, "[columns]", *lines, "", *without, run]
+        block = self.lines(["[columns]", *lines], fill, without)
         return InputError(f"{message}; name them in [columns] of {self.file}", lines=block)
+
+    def lines(self, tables: Sequence[str], fill: str = "", more: Sequence[str] = ()) -> list[str]:
+        """What to write into the file, and to run then.
+
+        Args:
+          tables: lines of TOML.
+          fill: what is to be put in place of names that are left open.
+          more: lines that explain.
+        """
+        where = f"Write this to {self.file}" if self.head else f"Add this to {self.file}"
+        head = [*self.head.rstrip().splitlines(), ""] if self.head else []
+        run = f"then run: {command_line('btr_mjx.diagnose', [str(self.file.parent)])}"
+        return [f"{where}{f', {fill}' if fill else ''}:", "", *head, *tables, "", *more, run]
 
 
 NO_FILE = Answer()
