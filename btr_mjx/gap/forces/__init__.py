@@ -6,10 +6,15 @@ sample to the next is linearised around measured states (`motion`), a Kalman fil
 """
 
 from btr_mjx.gap.forces.identify import PreparedForces, bears_out, identify_forces, prepare_forces
+from btr_mjx.gap.forces.late_logs import without_late_log
+from btr_mjx.gap.forces.predictions import horizon_errors, predictions
 
 __all__ = [
     "PreparedForces",
     "bears_out",
+    "horizon_errors",
     "identify_forces",
+    "predictions",
     "prepare_forces",
+    "without_late_log",
 ]

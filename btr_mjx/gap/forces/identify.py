@@ -177,11 +177,11 @@ def _confirmed(test: ForceSide, chain: Sequence[Fitted]) -> list[Fitted]:
     which sees more, but believes in its variances.
     """
     makes = [fit.point.hypothesis(test.library) for fit in chain]
-    errors, _ = horizon_errors(test.stretches.data, makes, test.counter)
+    errors, steady = horizon_errors(test.stretches.data, makes, test.counter)
     out, before = [chain[0]], held_out(test, chain[0].point, chain[0].variances)
     for i, fit in enumerate(chain[1:]):
         own = held_out(test, fit.point, fit.variances)
-        told = predicts_better(errors[i], errors[i + 1])
+        told = predicts_better(errors[i], errors[i + 1], steady)
         if not (is_better(before, own) if told is None else told):
             break
         before = own

@@ -13,12 +13,13 @@ from btr_mjx.gap.forces.filtering import smoothed
 from btr_mjx.gap.forces.held_out import HeldOut
 from btr_mjx.gap.forces.horizons import cut_horizons, position_errors
 from btr_mjx.gap.forces.intervals import covariance
+from btr_mjx.gap.forces.late_logs import without_late_log
 from btr_mjx.gap.forces.missing_force import MissingForce
 from btr_mjx.gap.forces.points import Fitted, ForceSide, names
-from btr_mjx.gap.forces.predictions import HORIZON
+from btr_mjx.gap.forces.predictions import HORIZON, predictions
 from btr_mjx.gap.forces.search import SearchRound
 from btr_mjx.gap.forces.shapes import ShapeGain, shape_sentence
-from btr_mjx.gap.forces.unknowns import TIMING, believed_values
+from btr_mjx.gap.forces.unknowns import believed_values
 from btr_mjx.gap.results import (
     Diagnosis,
     DisagreementMap,
@@ -43,6 +44,8 @@ _OVERLAYS = 3
 
 _SLIGHT = 1e-2
 """Part of the usual force of a joint that nobody would miss."""
+
+_NOT_BORNE_OUT = "One more effect explained the recordings that were fitted, but not those held out."
 
 _CAP = 1e4
 """Largest squared force in a map, in units of its variance."""
@@ -92,7 +95,7 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
       seconds: that it took.
     """
     first, last = found.chain[0], found.chain[-1]
-    named = [effect for effect in _named(found) if not _is_of_the_log(effect)]
+    named = _named(found)
     verdict = "unexplained" if found.large.any() or found.shape.score > 0 else "effect" if named else "none"
     ranking = _ranking(found.rounds)
     seen = found.side.stretches.seen
@@ -101,9 +104,9 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
     before, after = (floor * float(np.mean(own.chi2)) for own in found.held_out)
     loops = _open_loop(found)
     model = dataset.model
-    return Diagnosis(
+    diagnosis = Diagnosis(
         verdict=verdict,  # type: ignore[arg-type]
-        effects=tuple(named) if verdict == "effect" else (),
+        effects=named if verdict == "effect" else (),
         ranking=ranking,
         equivalent=_alike(found.rounds[0]) if found.rounds and named else (),
         gap=Gap(before, after, min(floor, after), floor, float(np.sqrt(before)), float(np.sqrt(after)), *loops),
@@ -126,8 +129,10 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
         steps=found.side.counter.steps,
         seconds=seconds,
         survivors=_survivors(found),
-        notes=_notes(model, found),
+        predictions=predictions(found.errors[:2], found.errors[2]),
+        notes=(_NOT_BORNE_OUT,) if found.contradicted else (),
     )
+    return without_late_log(diagnosis)
 
 
 def _named(found: SearchOutcome) -> tuple[NamedEffect, ...]:
@@ -160,11 +165,6 @@ def _named(found: SearchOutcome) -> tuple[NamedEffect, ...]:
             )
         )
     return tuple(out)
-
-
-def _is_of_the_log(effect: NamedEffect) -> bool:
-    """Whether an effect is none of the robot: no command acts before it is given, so that the log is late."""
-    return effect.effect == TIMING and all(own.value < 0 for own in effect.parameters.values())
 
 
 def _alike(of: SearchRound) -> tuple[str, ...]:
@@ -367,20 +367,3 @@ def _survivors(found: SearchOutcome) -> tuple[Hypothesis, ...]:
     if len(found.chain) > 1:
         return tuple(close) or (found.mended,)
     return (found.base, *close[:2])
-
-
-def _notes(model: mujoco.MjModel, found: SearchOutcome) -> tuple[str, ...]:
-    """How well held-out recordings are predicted over a horizon, beside two simple predictors."""
-    believed, mended, steady = (float(np.sqrt(np.mean(own))) for own in found.errors)
-    out = [
-        f"Predictions of held-out recordings over {HORIZON:g} s, root mean square error of all joints: believed model "
-        f"{believed:.3g}, mended model {mended:.3g}, constant velocity {steady:.3g} (rad or m)."
-    ]
-    if len(found.chain) > 1 and mended > steady:
-        out.append("Constant velocity predicts them better than the mended model: do not rely on it for predictions.")
-    for effect in filter(_is_of_the_log, _named(found)):
-        (delay,) = effect.parameters.values()
-        out.append(f"Commands act {-1e3 * delay.value:.3g} ms before the time that is logged: their stamps are late.")
-    if found.contradicted:
-        out.append("One more effect explained the recordings that were fitted, but not those held out.")
-    return tuple(out)

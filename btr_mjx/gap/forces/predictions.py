@@ -6,6 +6,7 @@ import numpy as np
 
 from btr_mjx.gap.effects import Hypothesis
 from btr_mjx.gap.forces.horizons import SAMPLES, cut_horizons, position_errors, steady_errors
+from btr_mjx.gap.results import Predictions
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.gap.windows import PreparedData
 
@@ -20,21 +21,24 @@ _HALF = 0.5
 """Part of the believed model's prediction errors that names may leave, where something else is left as well."""
 
 
-def predicts_better(before: np.ndarray, after: np.ndarray) -> bool | None:
+def predicts_better(before: np.ndarray, after: np.ndarray, steady: np.ndarray) -> bool | None:
     """Whether predictions over a horizon are better or worse; None where one cannot tell.
 
-    They have to differ by more than two standard errors, and by more than the part by which simulations err. The mean
-    is of logarithms of errors: on a few stretches of real recordings everything fails, and so a mean of errors would
-    see nothing else.
+    They have to differ by more than two standard errors, and by more than the part by which simulations err. Errors are
+    counted up to a bound, since on a few stretches of real recordings everything fails, and a mean would see nothing
+    else; and not by their logarithms, since where a robot stands still a model that holds it errs by nothing.
 
     Args:
       before: (W, nv) mean square errors of one hypothesis.
       after: the same of another one.
+      steady: those of constant velocity, whose largest is the bound.
     """
-    floor = 1e-12 * before.mean(0) + 1e-300
-    fall = np.log((before + floor) / (after + floor)).mean(1)
+    bound = steady.max(0) + 1e-300
+    first, last = (np.minimum(own / bound, 1.0) for own in (before, after))
+    fall = (first - last).mean(1)
     error = fall.std(ddof=1) / np.sqrt(len(fall)) if len(fall) > 1 else np.inf
-    return bool(fall.mean() > 0) if abs(fall.mean()) > max(2 * error, RELATIVE_ERROR) else None
+    least = RELATIVE_ERROR * max(float(first.mean()), float(last.mean()))
+    return bool(fall.mean() > 0) if abs(fall.mean()) > max(2 * error, least) else None
 
 
 def horizon_errors(
@@ -55,6 +59,16 @@ def horizon_errors(
     every = [*position_errors(trial, makes, counter), steady_errors(trial)]
     *found, steady = (np.concatenate([(e**2).mean(1) for e in row]) for row in every)
     return found, steady
+
+
+def predictions(errors: Sequence[np.ndarray], steady: np.ndarray) -> Predictions:
+    """What is told of predictions.
+
+    Args:
+      errors: (W, nv) mean square errors of the believed and of the mended model.
+      steady: those of constant velocity.
+    """
+    return Predictions(HORIZON, *(float(np.sqrt(np.mean(own))) for own in (*errors, steady)))
 
 
 def predicts_well(believed: np.ndarray, mended: np.ndarray, steady: np.ndarray) -> bool:

@@ -156,8 +156,10 @@ def _unbeaten(side: ForceSide, finalists: Sequence[tuple[float, Fitted]], needed
     if len(able) < 2:
         return list(finalists)
     makes = [fit.point.hypothesis(side.library) for fit in able]
-    errors, _ = horizon_errors(side.stretches.data, makes, side.counter)
-    beaten = [fit for fit, own in zip(able, errors, strict=True) if any(predicts_better(own, e) for e in errors)]
+    errors, steady = horizon_errors(side.stretches.data, makes, side.counter)
+    beaten = [
+        fit for fit, own in zip(able, errors, strict=True) if any(predicts_better(own, e, steady) for e in errors)
+    ]
     return [row for row in finalists if not any(row[1] is fit for fit in beaten)]
 
 

@@ -211,6 +211,7 @@ class Diagnosis:
       steps: simulated steps.
       seconds: duration of the search [s].
       survivors: hypotheses that are still possible, for the choice of the next experiment.
+      predictions: of held-out recordings over a short horizon; None where none were made.
       notes: remarks for the reader.
     """
 
@@ -233,7 +234,25 @@ class Diagnosis:
     steps: int
     seconds: float
     survivors: tuple = field(default=(), repr=False)
+    predictions: "Predictions | None" = None
     notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Predictions:
+    """Root mean square errors of positions of held-out recordings, predicted over a horizon from measured states.
+
+    Attributes:
+      horizon: [s].
+      believed: error of the believed model, of all joints together [rad or m].
+      mended: of the mended model; the same where nothing is named.
+      constant_velocity: of the simplest predictor.
+    """
+
+    horizon: float
+    believed: float
+    mended: float
+    constant_velocity: float
 
 
 @dataclass(frozen=True)

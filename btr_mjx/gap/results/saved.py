@@ -133,6 +133,7 @@ def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
         "gap": asdict(diagnosis.gap)
         | {"closed": diagnosis.gap.closed, "unit": "χ² per degree of freedom"}
         | {"open_loop_unit": _position_unit(dataset.model), "open_loop_noise": _mean_noise(diagnosis, dataset.model)},
+        "predictions": asdict(diagnosis.predictions) if diagnosis.predictions else None,
         "unexplained": list(diagnosis.unexplained),
         "believed": [asdict(refit) for refit in diagnosis.believed],
         "confounds": [asdict(confound) for confound in diagnosis.confounds],

@@ -41,7 +41,7 @@ def verdict_sentence(result: Mapping[str, Any]) -> str:
     """
     verdict, effects = result.get("verdict"), list(result.get("effects") or [])
     if verdict == "effect" and effects:
-        return f"{_named(result, effects)} {_explained(result)}".strip()
+        return f"{_named(result, effects)}{_no_use(result)} {_explained(result)}".strip()
     if verdict == "none":
         nothing = "Nothing need be missing" if result.get("equivalent") else "Nothing is missing"
         others = _alternatives(_others(result))
@@ -60,13 +60,15 @@ def detail_sentences(result: Mapping[str, Any]) -> list[str]:
       result: content of result.json.
 
     Returns:
-      Where simulation and data disagree, the gap before and after, the next best candidate, and what is equivalent.
+      Where simulation and data disagree, the gap before and after, predictions beside two simple predictors, the next
+      best candidate, and what is equivalent.
     """
     verdict = result.get("verdict")
     where = result.get("where") if verdict == "effect" else None
     lines = [
         f"Simulation and data disagree most at {where}." if _text(where) else "",
         _gap(result) if verdict == "effect" else _gap_as_it_is(result),
+        _predictions(result),
         _whole_recordings(result) if verdict == "effect" else "",
         _runner_up(result) if verdict == "effect" else "",
         _best_candidate(result) if verdict == "unexplained" else "",
@@ -83,8 +85,35 @@ def _named(result: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> s
     if len(effects) > _LISTED:
         each.append(f"{len(effects) - _LISTED} more effects, listed in the table")
     if _leaves_much(result):
-        return f"A part of what is missing is {' and '.join(each)}."
-    return f"The missing effect{'s are' if len(effects) > 1 else ' is'} {' and '.join(each)}."
+        return f"A part of what is missing is {' and '.join(each)}"
+    return f"The missing effect{'s are' if len(effects) > 1 else ' is'} {' and '.join(each)}"
+
+
+def _no_use(result: Mapping[str, Any]) -> str:
+    """The end of the first sentence: whether the mended model predicts no better than two simple predictors."""
+    of = result.get("predictions") or {}
+    believed, mended, steady = (as_float(of.get(key)) for key in ("believed", "mended", "constant_velocity"))
+    if believed is None or mended is None or steady is None or mended < min(believed, steady):
+        return "."
+    rival = "the believed model" if believed <= steady else "constant velocity"
+    return f", but {rival} predicts held-out recordings no worse: do not predict with the mended model."
+
+
+def _predictions(result: Mapping[str, Any]) -> str:
+    """Errors of predictions over a short horizon."""
+    of = result.get("predictions") or {}
+    horizon, believed, mended, steady = (
+        as_float(of.get(key)) for key in ("horizon", "believed", "mended", "constant_velocity")
+    )
+    if horizon is None or believed is None or mended is None or steady is None:
+        return ""
+    unit = (result.get("gap") or {}).get("open_loop_unit", "rad")
+    own = f", the mended one by {format_number(mended)}" if result.get("verdict") == "effect" else ""
+    return (
+        f"Predicted over {horizon:g} s, positions of held-out recordings are off by {format_number(believed)} {unit} "
+        f"with the believed model{own}, with constant velocity by {format_number(steady)} "
+        "(root mean square of all joints)."
+    )
 
 
 def _levels(result: Mapping[str, Any]) -> tuple[float | None, float | None, float | None]:

@@ -185,11 +185,21 @@ def test_a_few_stretches_on_which_all_fails_decide_nothing() -> None:
     believed_errors[::10] *= 1e4
     mended = believed_errors * rng.uniform(0.5, 0.9, (60, 2))
     mended[10] *= 3
-    assert predicts_better(believed_errors, mended) is True
-    assert predicts_better(mended, believed_errors) is False
-    assert predicts_better(mended, mended) is None
-    assert predicts_better(believed_errors, believed_errors[rng.permutation(60)]) is None
-    assert predicts_better(believed_errors[:1], mended[:1]) is None
+    steady = rng.chisquare(3, (60, 2))
+    assert predicts_better(believed_errors, mended, steady) is True
+    assert predicts_better(mended, believed_errors, steady) is False
+    assert predicts_better(mended, mended, steady) is None
+    assert predicts_better(believed_errors, believed_errors[rng.permutation(60)], steady) is None
+    assert predicts_better(believed_errors[:1], mended[:1], steady[:1]) is None
+
+
+def test_holding_still_is_no_prediction_of_motion() -> None:
+    """Most of the time a robot stands still, and a model that never moves errs by nothing there."""
+    moves = np.arange(60) % 4 == 0
+    steady = np.where(moves, 4.0, 1e-6)[:, None]
+    frozen, follows = np.where(moves, 2.0, 0.0)[:, None], np.where(moves, 0.5, 0.01)[:, None]
+    assert predicts_better(frozen, follows, steady) is True
+    assert predicts_better(follows, frozen, steady) is False
 
 
 def test_predictions_over_a_horizon_are_those_of_plain_simulations(sides):

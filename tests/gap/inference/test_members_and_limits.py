@@ -28,7 +28,7 @@ def test_each_joint_has_a_number_of_its_own() -> None:
     shoulder, elbow = named.parameters["armature[shoulder]"], named.parameters["armature[elbow]"]
     for estimate, truth in ((shoulder, 0.05), (elbow, 0.015)):
         assert estimate.low < truth < estimate.high
-        assert estimate.high - estimate.low < 0.02 * truth
+        assert estimate.high - estimate.low < 0.03 * truth
     assert found.gap.before > 1e3
     assert found.gap.after < 1.2
 

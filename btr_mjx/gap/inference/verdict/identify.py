@@ -17,7 +17,14 @@ from threadpoolctl import threadpool_limits
 
 from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import EFFECTS, Effect, Hypothesis
-from btr_mjx.gap.forces import bears_out, identify_forces, prepare_forces
+from btr_mjx.gap.forces import (
+    bears_out,
+    horizon_errors,
+    identify_forces,
+    predictions,
+    prepare_forces,
+    without_late_log,
+)
 from btr_mjx.gap.inference.search.naming import COARSE, THRESHOLD, within_calibration
 from btr_mjx.gap.inference.search.rounds import search
 from btr_mjx.gap.inference.search.search import Bench
@@ -109,7 +116,7 @@ def identify(
             return name_missing(bench, max_effects, seed, progress, begun)
         borne_out = partial(bears_out, prepared)
         by_windows = name_missing(bench, max_effects, seed, progress, begun, borne_out)
-        return by_windows if by_windows.verdict == "effect" else by_forces
+        return without_late_log(by_windows) if by_windows.verdict == "effect" else by_forces
 
 
 def name_missing(
@@ -155,6 +162,8 @@ def name_missing(
     if surprised:
         verdict = "unexplained"
     said = named if verdict == "effect" else []
+    mended = said[-1].hypothesis if said else base
+    errors, steady = horizon_errors(bench.test.windows.data, [base, mended], bench.counter)
     return Diagnosis(
         verdict=verdict,  # type: ignore[arg-type]
         effects=named_effects(bench, said, rounds, rng, settled=bench.dispersion > COARSE),
@@ -175,6 +184,7 @@ def name_missing(
         steps=bench.counter.steps,
         seconds=time.monotonic() - begun + bench.counter.earlier,
         survivors=survivors(bench, rounds, named),
+        predictions=predictions(errors, steady),
         notes=time_step_notes(bench.fit.windows),
     )
 

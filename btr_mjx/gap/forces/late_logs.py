@@ -1,0 +1,31 @@
+"""Commands that act before the time that is logged: no robot does that, and so it is the log that is late."""
+
+from dataclasses import replace
+
+from btr_mjx.gap.forces.unknowns import TIMING
+from btr_mjx.gap.results import Diagnosis, NamedEffect
+
+
+def without_late_log(diagnosis: Diagnosis) -> Diagnosis:
+    """A diagnosis in which late time stamps of commands are told as the log's fault, and never as an effect.
+
+    Args:
+      diagnosis: in which a negative delay may be named.
+
+    Returns:
+      The same one where none is; of verdict "none" where nothing else was named.
+    """
+    late = [effect for effect in diagnosis.effects if _is_of_the_log(effect)]
+    if not late:
+        return diagnosis
+    named = tuple(effect for effect in diagnosis.effects if effect not in late)
+    times = [-1e3 * delay.value for effect in late for delay in effect.parameters.values()]
+    said = tuple(f"Commands act {time:.3g} ms before the time that is logged: their stamps are late." for time in times)
+    told = replace(diagnosis, effects=named, notes=(*diagnosis.notes, *said))
+    if named or diagnosis.verdict != "effect":
+        return told
+    return replace(told, verdict="none", equivalent=(), confounds=())
+
+
+def _is_of_the_log(effect: NamedEffect) -> bool:
+    return effect.effect == TIMING and all(own.value < 0 for own in effect.parameters.values())
