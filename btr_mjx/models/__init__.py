@@ -21,7 +21,7 @@ from btr_mjx.models.light_meshes import with_light_meshes
 from btr_mjx.models.mjcf_checks import check_mjcf
 from btr_mjx.models.model_checks import COMPILE_ERRORS, check_model
 from btr_mjx.models.path_parameters import PathParameter, read_bounds, read_path_parameter
-from btr_mjx.models.paths import nearest_names, parse_path, part_names, set_values
+from btr_mjx.models.paths import dof_places, nearest_names, parse_path, part_names, set_values
 from btr_mjx.models.robot_checks import check_robot
 from btr_mjx.models.robot_digest import robot_digest
 from btr_mjx.models.robot_file import chosen_robot, load_robot
@@ -40,6 +40,7 @@ __all__ = [
     "compile_mjcf",
     "compile_models",
     "difference",
+    "dof_places",
     "general_model",
     "integrate",
     "load_robot",

@@ -244,3 +244,19 @@ def set_values(model: mujoco.MjModel, values: Mapping[str, float]) -> None:
         parse_path(model, text).write(model, float(value))
     check_model(model, "with these values")
     mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def dof_places(model: mujoco.MjModel) -> list[tuple[str, str]]:
+    """Where the generalised force of every degree of freedom (nv,) acts, in words, and its unit."""
+    joints, bodies = part_names(model, "joint"), part_names(model, "body")
+    out = []
+    for joint, kind in enumerate(model.jnt_type.tolist()):  # MuJoCo's enumerations equal int, not numpy's integers
+        where = f"joint {joints[joint]}"
+        if kind == mujoco.mjtJoint.mjJNT_FREE:
+            where = f"body {bodies[model.jnt_bodyid[joint]]}"
+            out += [(f"{where}, force along {axis}", "N") for axis in "xyz"]
+        if kind in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
+            out += [(f"{where}, torque about {axis}", "N m") for axis in "xyz"]
+        else:
+            out.append((where, "N" if kind == mujoco.mjtJoint.mjJNT_SLIDE else "N m"))
+    return out

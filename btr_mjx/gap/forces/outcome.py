@@ -31,7 +31,7 @@ from btr_mjx.gap.results import (
     Refit,
 )
 from btr_mjx.gap.simulate import Segments, simulate
-from btr_mjx.models import difference, part_names
+from btr_mjx.models import difference, dof_places, part_names
 
 QUANTILE = 1.645
 """Half width of a 90 % interval, in standard errors."""
@@ -276,24 +276,26 @@ def _words(model: mujoco.MjModel, found: SearchOutcome) -> tuple[str, ...]:
     shape = (shape_sentence(model, found.shape),) if found.shape.score > 0 else ()
     left = np.sqrt(found.chain[-1].variances.force)
     usual = np.sqrt((found.missing.actuator**2).mean((0, 1)))
-    places = _places(model)
+    commanded = _commanded(found.missing)
+    places = dof_places(model)
     worst = np.argsort(-left / np.maximum(usual, 1e-300))
     return (
         *shape,
         *(
-            f"{places[j].replace(':', ' ')}: a force of {left[j]:.3g} {_force_unit(model, j)} (root mean square) "
-            f"beside {usual[j]:.3g} of its actuators"
+            f"{places[j][0]}: a force of {left[j]:.3g} {places[j][1]} (root mean square) beside {usual[j]:.3g} of its "
+            f"actuators, whose commands predict {100 * commanded[j]:.0f} % of the force that its motion needs"
             for j in worst
             if found.large[j]
         ),
     )[:3]
 
 
-def _force_unit(model: mujoco.MjModel, dof: int) -> str:
-    joint = model.dof_jntid[dof]
-    kind, first = int(model.jnt_type[joint]), int(model.jnt_dofadr[joint])
-    slides = kind == mujoco.mjtJoint.mjJNT_SLIDE or (kind == mujoco.mjtJoint.mjJNT_FREE and dof - first < 3)
-    return "N" if slides else "N m"
+def _commanded(missing: MissingForce) -> np.ndarray:
+    """(nv,) squared correlation of the force of the actuators with the force that the motion needs."""
+    needed = (missing.force + missing.actuator).reshape(-1, missing.force.shape[-1])
+    given = missing.actuator.reshape(needed.shape)
+    needed, given = needed - needed.mean(0), given - given.mean(0)
+    return (needed * given).sum(0) ** 2 / np.maximum((needed**2).sum(0) * (given**2).sum(0), 1e-300)
 
 
 def _refits(dataset: Dataset, found: SearchOutcome) -> tuple[Refit, ...]:

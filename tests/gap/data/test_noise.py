@@ -1,11 +1,12 @@
 """Noise of the sensors, as recordings show it and as a model corrects it."""
 
 import numpy as np
+import pytest
 from gap_recordings import MODEL, smooth_recording
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from btr_mjx.gap.data import estimate_noise, reduced_noise
+from btr_mjx.gap.data import estimate_noise, quantisation_noise, reduced_noise
 from btr_mjx.models import integrate
 
 
@@ -41,3 +42,14 @@ def test_noise_is_reduced_to_model_residual(rng: np.random.Generator) -> None:
     assert again is None
     projected = np.sqrt(0.4) * rng.standard_normal((30, 150))  # less is left where much was fitted, which is no noise
     assert reduced_noise(sigma, channels, projected, 60.0) is None
+
+
+def test_no_sensor_is_quieter_than_its_digits(rng: np.random.Generator) -> None:
+    """A robot that stands still shows no noise at all, and yet its encoder has a step."""
+    clean = smooth_recording("one", rng, count=400)
+    qpos = clean.qpos.copy()
+    qpos[:, 7] = np.where(np.arange(400) < 350, 0.42, np.round(qpos[:, 7] / 0.02) * 0.02)
+    floor = quantisation_noise(MODEL, [(clean.time, qpos, clean.qvel, clean.qvel_measured)])
+    assert floor.shape == (2, MODEL.nv)
+    assert floor[0, 6] == pytest.approx(0.02 / np.sqrt(12))
+    assert (np.delete(floor, 6, 1) < 1e-8).all()

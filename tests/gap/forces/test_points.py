@@ -16,7 +16,7 @@ from btr_mjx.gap.forces.motion import FreeNumber, responses
 from btr_mjx.gap.forces.points import ForceSide, Point, again, evaluate_point, newton_step, settled
 from btr_mjx.gap.forces.predictions import horizon_errors, predicts_better
 from btr_mjx.gap.forces.scan import price
-from btr_mjx.gap.forces.search import first_variances, one_more, pruned, shortlist, start
+from btr_mjx.gap.forces.search import _unbeaten, first_variances, one_more, pruned, shortlist, start
 from btr_mjx.gap.forces.unknowns import library_of
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.gap.windows import scales_of
@@ -157,6 +157,15 @@ def test_one_more_effect_is_the_true_one_and_stays(sides, null):
         )
     )
     assert len(shortlist(found.leads)) <= 3
+
+
+def test_finalists_that_predict_worse_are_left_out(sides, null, named):
+    """However much likelihood they have."""
+    wrong = evaluate_point(sides[0], damping(sides[0], 0.6), null.variances)
+    rows = [(500.0, wrong), (300.0, named)]
+    assert _unbeaten(sides[0], rows, 0.0) == [(300.0, named)]
+    # What has no evidence beats nothing.
+    assert _unbeaten(sides[0], rows, 400.0) == rows
 
 
 def test_what_does_not_pay_is_pruned(sides, named, null):

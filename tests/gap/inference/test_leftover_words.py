@@ -2,7 +2,7 @@
 
 import mujoco
 
-from btr_mjx.gap.inference.verdict.leftover_words import dof_places
+from btr_mjx.models import dof_places
 
 XML = """<mujoco><worldbody>
 <body name="trunk"><freejoint name="root"/><geom size="0.1"/>

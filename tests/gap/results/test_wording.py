@@ -51,6 +51,27 @@ def test_a_gap_that_grows_is_never_said_to_shrink() -> None:
     assert "The held-out gap grows from 3323 to 6415 χ² per degree of freedom" in details
 
 
+@pytest.mark.parametrize(
+    ("believed", "mended", "steady", "rival"),
+    [
+        (0.3, 0.1, 0.2, ""),
+        (0.3, 0.25, 0.2, "constant velocity"),
+        (0.1, 0.15, 0.2, "the believed model"),
+        (0.1, 0.1, 0.2, "the believed model"),
+    ],
+)
+def test_a_model_that_beats_no_simple_predictor_says_so_first(
+    believed: float, mended: float, steady: float, rival: str
+) -> None:
+    made = {"horizon": 0.25, "believed": believed, "mended": mended, "constant_velocity": steady}
+    one = result(1.0, 1.0) | {"predictions": made}
+    first = verdict_sentence(one).partition(". ")[0]
+    assert ("do not predict" in first) == bool(rival)
+    assert rival in first
+    (told,) = [line for line in detail_sentences(one) if line.startswith("Predicted over 0.25 s")]
+    assert all(f"{number:g}" in told for number in (believed, mended, steady))
+
+
 def test_fitness_has_no_noise() -> None:
     one = result(0.1, 0.0, before=0.4)
     one["gap"] |= {"unit": "m/s of Delta_fitness"}

@@ -25,10 +25,11 @@ from btr_mjx.gap.inference.scoring.nulls import null_residual
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Judged
 from btr_mjx.gap.inference.verdict.disagreement import disagreement
-from btr_mjx.gap.inference.verdict.leftover_words import dof_places, sentence, telling_sentence
+from btr_mjx.gap.inference.verdict.leftover_words import sentence, telling_sentence
 from btr_mjx.gap.results import DisagreementMap
 from btr_mjx.gap.simulate import run_in_threads
 from btr_mjx.gap.windows import Windows, bounded_loss
+from btr_mjx.models import dof_places
 
 _NULLS = 5
 """Simulated nulls behind the lack of fit."""

@@ -2,11 +2,8 @@
 
 from collections.abc import Sequence
 
-import mujoco
-
 from btr_mjx.gap.inference.scoring.forces import Description
 from btr_mjx.gap.inference.scoring.leftover import Feature
-from btr_mjx.models import part_names
 
 _FEATURES = {
     "absolute position": "the absolute value of {} position",
@@ -16,24 +13,6 @@ _FEATURES = {
     "time": "time (a drift)",
 }
 """Variables that are no plain quantity of a joint; "{}" is whose they are."""
-
-_AXES = "xyz"
-
-
-def dof_places(model: mujoco.MjModel) -> list[tuple[str, str]]:
-    """Where the generalised force of every degree of freedom (nv,) acts, in words, and its unit."""
-    joints, bodies = part_names(model, "joint"), part_names(model, "body")
-    out = []
-    for joint, kind in enumerate(model.jnt_type.tolist()):  # MuJoCo's enumerations equal int, not numpy's integers
-        where = f"joint {joints[joint]}"
-        if kind == mujoco.mjtJoint.mjJNT_FREE:
-            where = f"body {bodies[model.jnt_bodyid[joint]]}"
-            out += [(f"{where}, force along {axis}", "N") for axis in _AXES]
-        if kind in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
-            out += [(f"{where}, torque about {axis}", "N m") for axis in _AXES]
-        else:
-            out.append((where, "N" if kind == mujoco.mjtJoint.mjJNT_SLIDE else "N m"))
-    return out
 
 
 def telling_sentence(feature: Feature, places: Sequence[tuple[str, str]]) -> str:

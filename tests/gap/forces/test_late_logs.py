@@ -1,0 +1,42 @@
+"""Negative delays are told of the log; anything else stays as it was."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from btr_mjx.gap.forces import without_late_log
+from btr_mjx.gap.results import Diagnosis, DisagreementMap, Estimate, Gap, NamedEffect
+
+
+def named(effect: str, value: float) -> NamedEffect:
+    estimate = Estimate(value, value - 0.001, value + 0.001, "s", 0.0, False)
+    return NamedEffect(effect, "all", {"delay": estimate}, 50.0, 20.0, (), "", "")
+
+
+def diagnosis(*effects: NamedEffect) -> Diagnosis:
+    nothing = DisagreementMap((), (), np.zeros((0, 0)), np.zeros((0, 0), int))
+    gap = Gap(2.0, 1.0, 1.0, 1.0, 0.1, 0.1, 0.1, 0.1)
+    return Diagnosis(
+        "effect", effects, (), ("actuator_lag@all",), gap, nothing, (), (), (), (), 0.5, (1.0, 0.0), 6.0, 1.0,
+        np.ones(2), (1, 1, 1, 1.0), 1, 1.0, notes=("first",),
+    )  # fmt: skip
+
+
+def test_a_delay_below_zero_alone_leaves_nothing_missing():
+    told = without_late_log(diagnosis(named("actuator_delay", -0.0076)))
+    assert (told.verdict, told.effects, told.equivalent) == ("none", (), ())
+    assert told.notes == ("first", "Commands act 7.6 ms before the time that is logged: their stamps are late.")
+
+
+def test_other_effects_stay():
+    damping = named("viscous_damping", 0.1)
+    told = without_late_log(diagnosis(named("actuator_delay", -0.01), damping))
+    assert (told.verdict, told.effects) == ("effect", (damping,))
+    assert len(told.notes) == 2
+
+
+@pytest.mark.parametrize("effects", [(named("actuator_delay", 0.01),), (named("viscous_damping", -0.1),), ()])
+def test_nothing_else_is_changed(effects):
+    given = replace(diagnosis(*effects), verdict="effect" if effects else "none")
+    assert without_late_log(given) is given
