@@ -38,7 +38,6 @@ RULES: Mapping[str, Sequence[tuple[str, str, object]]] = {
     "finalists are compared by predictions": [("forces.search", "_unbeaten", lambda side, rows, needed: rows)],
     "another shape is told": [("forces.identify", "_TOLD", NEVER)],
     "another shape: a tenth of what names explain": [("forces.identify", "_LEFT", 0.0)],
-    "names stand that leave half of the errors": [("forces.predictions", "_HALF", 0.0)],
     "predictions: differ by a tenth": [("forces.predictions", "RELATIVE_ERROR", 0.0)],
     "predictions decide before the likelihood": [("forces.predictions", "RELATIVE_ERROR", NEVER)],
     "a further name: a hundredth of the others' gain": [("forces.search", "RELATIVE_ERROR", 0.0)],

@@ -22,6 +22,8 @@ HEAD = (*TITLES, "named", "licence of the data", "citation")
 OWN = ("believed", "mended")
 ERRORS = (*OWN, "steady", "regression", "toolbox", "published")
 """Errors of the table, in its order; that with the specialists' numbers stands in brackets behind theirs."""
+COMPARED = (*OWN, "toolbox", "published", "known")
+"""Errors of which the smallest is bold."""
 MARKS = "<!-- {}: made by benchmarks/decathlon.py -->", "<!-- end of {} -->"
 """Lines around a generated part."""
 
@@ -44,9 +46,9 @@ def table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     lines = [f"| {' | '.join(HEAD)} |", "|" + "---|" * len(HEAD)]
     for row in rows:
         errors = row["errors"]
-        best = cell(min(float(errors[key]) for key in (*OWN, "published", "known") if errors.get(key) is not None))
+        best = cell(min(float(errors[key]) for key in COMPARED if errors.get(key) is not None))
         sizes = {key: cell(errors.get(key)) for key in ERRORS}
-        sizes |= {key: f"**{sizes[key]}**" for key in (*OWN, "published") if sizes[key] == best}
+        sizes |= {key: f"**{sizes[key]}**" for key in COMPARED[:-1] if sizes[key] == best}
         if errors.get("known") is not None:
             known = cell(errors["known"])
             sizes["published"] += f" ({f'**{known}**' if known == best else known})"

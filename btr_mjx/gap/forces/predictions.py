@@ -17,10 +17,6 @@ RELATIVE_ERROR = 0.1
 """Part by which a simulation of named effects errs: a further one has to explain more than its square of what they
 do."""
 
-_HALF = 0.5
-"""Part of the believed model's prediction errors that names may leave, where something else is left as well."""
-
-
 def predicts_better(before: np.ndarray, after: np.ndarray, steady: np.ndarray) -> bool | None:
     """Whether predictions over a horizon are better or worse; None where one cannot tell.
 
@@ -79,6 +75,4 @@ def predicts_well(believed: np.ndarray, mended: np.ndarray, steady: np.ndarray) 
       mended: those of the mended one.
       steady: those of constant velocity.
     """
-    usual = np.maximum(steady.mean(0), 1e-300)
-    first, last, simple = (float(np.mean(own / usual)) for own in (believed, mended, steady))
-    return last < _HALF**2 * first and last < simple
+    return all(predicts_better(rival, mended, steady) is True for rival in (believed, steady))
