@@ -25,7 +25,7 @@ _SHORTEST = 0.25
 _LONGER = 4.0
 """Ratio of horizons that are tried."""
 
-_FOLLOWS = 0.1
+FOLLOWS = 0.1
 """Error in units of the motion's standard deviation, up to which a simulation follows a recording."""
 
 _STEPS = 3
@@ -75,7 +75,7 @@ def follow_horizons(side: ForceSide, point: Point, covariance: np.ndarray, libra
     """
     data = side.stretches.data
     seen = np.flatnonzero(data.measured[: data.recordings[0].model.nv])
-    size = np.concatenate([_motion(data, r) for r in range(len(data.recordings))])[:, seen].std(0)
+    size = motion_size(data)[seen]
     longest = min(float(np.ptp(r.time)) for r in data.recordings)
     samples = SAMPLES * _NUMBERS // max(_NUMBERS, point.numbers)
     horizon, best = _SHORTEST, point
@@ -83,7 +83,7 @@ def follow_horizons(side: ForceSide, point: Point, covariance: np.ndarray, libra
         trial = cut_horizons(data, min(horizon, longest), samples)
         errors = _exact_errors(trial, [best.hypothesis(library)], side.counter)[0]
         rms = np.sqrt(np.median(np.concatenate([(e[..., seen] ** 2).mean(1) for e in errors]), 0))
-        if not np.all(rms < _FOLLOWS * size):
+        if not np.all(rms < FOLLOWS * size):
             break
         best, covariance = _nearest(side, trial, best, covariance, (seen, rms), library)
         horizon *= _LONGER
@@ -162,10 +162,9 @@ def _exact_errors(
     return [[2 * b - a for a, b in zip(*rows, strict=True)] for rows in zip(whole, half, strict=True)]
 
 
-def _motion(data: PreparedData, r: int) -> np.ndarray:
-    """(K, nv) positions of a recording beside its first."""
-    recording = data.recordings[r]
-    return difference(recording.model, recording.qpos[:1], recording.qpos)
+def motion_size(data: PreparedData) -> np.ndarray:
+    """(nv,) standard deviation of positions beside the first of each recording [rad or m]."""
+    return np.concatenate([difference(r.model, r.qpos[:1], r.qpos) for r in data.recordings]).std(0)
 
 
 def _numbers(point: Point) -> list[tuple[float, float, float, float]]:

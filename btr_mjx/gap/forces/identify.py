@@ -22,7 +22,7 @@ from btr_mjx.gap.forces.missing_force import missing_force
 from btr_mjx.gap.forces.motion import responses
 from btr_mjx.gap.forces.outcome import SearchOutcome, diagnosis_of
 from btr_mjx.gap.forces.points import ROUNDS, Fitted, ForceSide, evaluate_point, settled
-from btr_mjx.gap.forces.predictions import horizon_errors, predicts_better, predicts_well
+from btr_mjx.gap.forces.predictions import compared_predictions, horizon_errors, predicts_well
 from btr_mjx.gap.forces.search import Named, SearchRound, select_effects, start
 from btr_mjx.gap.forces.shapes import best_shape
 from btr_mjx.gap.forces.stretches import Stretches, spread_stretches
@@ -177,12 +177,12 @@ def _confirmed(test: ForceSide, chain: Sequence[Fitted]) -> list[Fitted]:
     which sees more, but believes in its variances.
     """
     makes = [fit.point.hypothesis(test.library) for fit in chain]
-    errors, steady = horizon_errors(test.stretches.data, makes, test.counter)
+    better = compared_predictions(test.stretches.data, makes, test.counter)
     out, before = [chain[0]], held_out(test, chain[0].point, chain[0].variances)
     for i, fit in enumerate(chain[1:]):
         own = held_out(test, fit.point, fit.variances)
-        told = predicts_better(errors[i], errors[i + 1], steady)
-        if not (is_better(before, own) if told is None else told):
+        told = better[i, i + 1]
+        if not (told > 0 if told else is_better(before, own)):
             break
         before = own
         out.append(fit)

@@ -301,7 +301,7 @@ def _commanded(missing: MissingForce, interval: float) -> np.ndarray:
 
 
 def _averaged(force: np.ndarray, interval: float) -> np.ndarray:
-    """(N, nv) means of forces (S, K, nv) over `_AVERAGED`: accelerations from one sample to the next are mostly noise."""
+    """(N, nv) means of forces (S, K, nv) over `_AVERAGED`: accelerations from sample to sample are mostly noise."""
     width = int(np.clip(round(_AVERAGED / interval), 1, force.shape[1]))
     blocks = force[:, : force.shape[1] // width * width].reshape(len(force), -1, width, force.shape[-1])
     return blocks.mean(2).reshape(-1, force.shape[-1])

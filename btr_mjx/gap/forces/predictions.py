@@ -5,17 +5,22 @@ from collections.abc import Sequence
 import numpy as np
 
 from btr_mjx.gap.effects import Hypothesis
-from btr_mjx.gap.forces.horizons import SAMPLES, cut_horizons, position_errors, steady_errors
+from btr_mjx.gap.forces.horizons import FOLLOWS, SAMPLES, cut_horizons, motion_size, position_errors, steady_errors
 from btr_mjx.gap.results import Predictions
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.gap.windows import PreparedData
 
 HORIZON = 0.25
-"""Time over which predictions are compared [s]."""
+"""Time over which predictions are compared and told [s]."""
+
+_LONGER = 1.0
+"""Time over which they are compared first, where a hypothesis follows so long [s]: a servo takes its time, and what
+holds it still predicts a quarter of a second well."""
 
 RELATIVE_ERROR = 0.1
 """Part by which a simulation of named effects errs: a further one has to explain more than its square of what they
 do."""
+
 
 def predicts_better(before: np.ndarray, after: np.ndarray, steady: np.ndarray) -> bool | None:
     """Whether predictions over a horizon are better or worse; None where one cannot tell.
@@ -35,6 +40,29 @@ def predicts_better(before: np.ndarray, after: np.ndarray, steady: np.ndarray) -
     error = fall.std(ddof=1) / np.sqrt(len(fall)) if len(fall) > 1 else np.inf
     least = RELATIVE_ERROR * max(float(first.mean()), float(last.mean()))
     return bool(fall.mean() > 0) if abs(fall.mean()) > max(2 * error, least) else None
+
+
+def compared_predictions(data: PreparedData, makes: Sequence[Hypothesis], counter: Counter | None = None) -> np.ndarray:
+    """Which hypotheses predict better than which others, by the longest horizon that can tell.
+
+    Args:
+      data: recordings.
+      makes: hypotheses.
+      counter: adds up the simulated steps.
+
+    Returns:
+      (n, n) sign: 1 where the hypothesis of the column is better than that of the row, -1 where it is worse, 0 where
+      one cannot tell.
+    """
+    out = np.zeros((len(makes), len(makes)), int)
+    for horizon in (_LONGER, HORIZON):
+        errors, steady = horizon_errors(data, makes, counter, horizon)
+        if horizon > HORIZON and not any(np.all(np.median(e, 0) < (FOLLOWS * motion_size(data)) ** 2) for e in errors):
+            continue
+        for i, j in np.argwhere(out == 0):
+            told = predicts_better(errors[i], errors[j], steady)
+            out[i, j] = 0 if told is None else 1 if told else -1
+    return out
 
 
 def horizon_errors(

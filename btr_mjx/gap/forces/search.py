@@ -11,16 +11,19 @@ from btr_mjx.gap.forces.evidence import CalibrationPrior, least_squares
 from btr_mjx.gap.forces.filtering import SPAN, Variances, filtered
 from btr_mjx.gap.forces.motion import linearise_motion, responses
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, evaluate_point, names, settled
-from btr_mjx.gap.forces.predictions import RELATIVE_ERROR, horizon_errors, predicts_better
+from btr_mjx.gap.forces.predictions import RELATIVE_ERROR, compared_predictions
 from btr_mjx.gap.forces.scan import Scanned, price, scan_columns
 from btr_mjx.gap.forces.stretches import Stretches
-from btr_mjx.gap.forces.unknowns import BELIEVED, DRIVE, LIMIT_SIZES
+from btr_mjx.gap.forces.unknowns import BELIEVED, LIMIT_SIZES
 
 _FAR = 0.02
 """Part of the gain of a whole drive that a single effect needs in the scan to be refined beside it."""
 
 _DOUBT = 9.0
 """Evidence that a number needs beside calibration that may take its place: three standard errors."""
+
+_OFFSET = "offset_torque"
+"""Effect that calibration of zeros, masses and the base may always take the place of."""
 
 _PASSES = 3
 """Passes of backward elimination."""
@@ -156,10 +159,8 @@ def _unbeaten(side: ForceSide, finalists: Sequence[tuple[float, Fitted]], needed
     if len(able) < 2:
         return list(finalists)
     makes = [fit.point.hypothesis(side.library) for fit in able]
-    errors, steady = horizon_errors(side.stretches.data, makes, side.counter)
-    beaten = [
-        fit for fit, own in zip(able, errors, strict=True) if any(predicts_better(own, e, steady) for e in errors)
-    ]
+    better = compared_predictions(side.stretches.data, makes, side.counter)
+    beaten = [fit for fit, row in zip(able, better, strict=True) if (row > 0).any()]
     return [row for row in finalists if not any(row[1] is fit for fit in beaten)]
 
 
@@ -258,10 +259,11 @@ def _simpler(side: ForceSide, fit: Fitted, index: int, single: Mapping[str, Cand
 def _pays(side: ForceSide, fit: Fitted, index: int, members: Sequence[int], least: float) -> bool:
     """Whether numbers of an effect pay where nothing is badly calibrated, and in doubt where calibration may be.
 
-    Of a drive there is no doubt: that a tilted base would explain an offset as well is no reason to predict without.
+    An offset beside other effects is in no doubt: that a tilted base would explain it as well is no reason to predict
+    without.
     """
-    drive = fit.point.named[index][0].effect.name in DRIVE and len(fit.point.named) > 1
-    beside = drive or _lost(side, fit, index, members, True) > _DOUBT
+    offset = fit.point.named[index][0].effect.name == _OFFSET and len(fit.point.named) > 1
+    beside = offset or _lost(side, fit, index, members, True) > _DOUBT
     return beside and _lost(side, fit, index, members, False) > least
 
 

@@ -14,7 +14,7 @@ from btr_mjx.gap.forces.horizons import cut_horizons
 from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.motion import FreeNumber, responses
 from btr_mjx.gap.forces.points import ForceSide, Point, again, evaluate_point, newton_step, settled
-from btr_mjx.gap.forces.predictions import horizon_errors, predicts_better
+from btr_mjx.gap.forces.predictions import compared_predictions, horizon_errors, predicts_better
 from btr_mjx.gap.forces.scan import price
 from btr_mjx.gap.forces.search import _unbeaten, first_variances, one_more, pruned, shortlist, start
 from btr_mjx.gap.forces.unknowns import library_of
@@ -239,3 +239,13 @@ def test_first_variances_are_of_the_size_of_what_is_missing(sides):
     force = np.sqrt(first_variances(side, believed()).force)
     usual = 0.1 * np.median(np.abs(side.stretches.qvel[..., 1])) / 0.6745
     assert 0.5 * usual < force[1] < 4 * usual
+
+
+def test_hypotheses_are_compared_by_what_they_predict(sides) -> None:
+    """The truth beats what lacks it, and nothing beats itself."""
+    elbow = one(arm(), "viscous_damping@joint:elbow", LIBRARY)
+    truth, near, lacking = believed().with_effect(elbow, [0.1]), believed().with_effect(elbow, [0.102]), believed()
+    better = compared_predictions(sides[1].stretches.data, [lacking, truth, near])
+    np.testing.assert_array_equal(better, -better.T)
+    assert better[0].tolist()[:2] == [0, 1]
+    assert better[0, 2] == 1
