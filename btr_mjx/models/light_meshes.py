@@ -24,8 +24,9 @@ def with_light_meshes(path: Path, model: mujoco.MjModel) -> mujoco.MjModel:
       model: compiled from it.
 
     Returns:
-      A model that moves and collides like the given one; or the given one, where its meshes are few or MuJoCo does not
-      take their hulls (of flat meshes, for example).
+      A model that moves like the given one and collides with the same hulls, though number and depth of contact points
+      may differ by fractions of a millimetre; or the given one, where its meshes are few or MuJoCo does not take their
+      hulls (of flat meshes, for example).
     """
     if not model.nmesh or mujoco.mj_sizeModel(model) < _HEAVY:
         return model

@@ -109,7 +109,7 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
     model = dataset.model
     diagnosis = Diagnosis(
         verdict=verdict,  # type: ignore[arg-type]
-        effects=named if verdict == "effect" else (),
+        effects=named,
         ranking=ranking,
         equivalent=_alike(found.rounds[0]) if found.rounds and named else (),
         gap=Gap(before, after, min(floor, after), floor, float(np.sqrt(before)), float(np.sqrt(after)), *loops),
@@ -135,7 +135,8 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
         predictions=predictions(found.errors[:2], found.errors[2]),
         notes=(_NOT_BORNE_OUT,) if found.contradicted else (),
     )
-    return without_late_log(diagnosis)
+    told = without_late_log(diagnosis)  # of any verdict
+    return replace(told, effects=()) if told.verdict == "unexplained" else told
 
 
 def _named(found: SearchOutcome) -> tuple[NamedEffect, ...]:

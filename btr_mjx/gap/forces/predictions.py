@@ -18,8 +18,8 @@ _LONGER = 1.0
 holds it still predicts a quarter of a second well."""
 
 RELATIVE_ERROR = 0.1
-"""Part by which a simulation of named effects errs: a further one has to explain more than its square of what they
-do."""
+"""Part by which simulations err: smaller differences tell nothing, and a further effect has to explain more than its
+square of what the others do."""
 
 
 def predicts_better(before: np.ndarray, after: np.ndarray, steady: np.ndarray) -> bool | None:

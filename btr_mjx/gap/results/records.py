@@ -187,6 +187,23 @@ class DisagreementMap:
 
 
 @dataclass(frozen=True)
+class Predictions:
+    """Root mean square errors of positions of held-out recordings, predicted over a horizon from measured states.
+
+    Attributes:
+      horizon: [s].
+      believed: error of the believed model, of all joints together [rad or m].
+      mended: of the mended model; the same where nothing is named.
+      constant_velocity: of the simplest predictor.
+    """
+
+    horizon: float
+    believed: float
+    mended: float
+    constant_velocity: float
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """The outcome of a search.
 
@@ -234,25 +251,8 @@ class Diagnosis:
     steps: int
     seconds: float
     survivors: tuple = field(default=(), repr=False)
-    predictions: "Predictions | None" = None
+    predictions: Predictions | None = None
     notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Predictions:
-    """Root mean square errors of positions of held-out recordings, predicted over a horizon from measured states.
-
-    Attributes:
-      horizon: [s].
-      believed: error of the believed model, of all joints together [rad or m].
-      mended: of the mended model; the same where nothing is named.
-      constant_velocity: of the simplest predictor.
-    """
-
-    horizon: float
-    believed: float
-    mended: float
-    constant_velocity: float
 
 
 @dataclass(frozen=True)

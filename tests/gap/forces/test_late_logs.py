@@ -40,3 +40,9 @@ def test_other_effects_stay():
 def test_nothing_else_is_changed(effects):
     given = replace(diagnosis(*effects), verdict="effect" if effects else "none")
     assert without_late_log(given) is given
+
+
+def test_a_late_log_is_told_of_what_is_unexplained_as_well():
+    told = without_late_log(replace(diagnosis(named("actuator_delay", -0.01)), verdict="unexplained"))
+    assert (told.verdict, told.effects) == ("unexplained", ())
+    assert "10 ms" in told.notes[-1]

@@ -21,7 +21,7 @@ from btr_mjx.gap.inference.search.sizes import best_size
 from btr_mjx.gap.simulate import run_in_threads
 from btr_mjx.gap.windows import Fit
 
-_HOPELESS = -5.0
+_LEAST_SCORE = -5.0
 """Where the best score is lower, no better starting states will make a name of it."""
 
 _CLOSE = 40.0
@@ -30,7 +30,7 @@ _CLOSE = 40.0
 _WALKS = 3
 """Candidates that move contacts whose size is walked over, at most."""
 
-_HOPE, _PROMISE = 0.25, 0.5
+_BEFORE_WALK, _AFTER_WALK = 0.25, 0.5
 """Parts of the best gain that such a candidate must have before its walk, and afterwards."""
 
 _BESIDE = 100.0
@@ -83,7 +83,7 @@ class Finalists:
         already, known = (0.0, 0.0) if given is None else (given.score, given.gain)
         best = judged[0].score - already
         fresh = [j for j in judged if given is None or j.name not in self._done]
-        close = [j for j in fresh if judged[0].score - j.score <= max(_CLOSE, 0.1 * best) and best > _HOPELESS]
+        close = [j for j in fresh if judged[0].score - j.score <= max(_CLOSE, 0.1 * best) and best > _LEAST_SCORE]
         plain = [
             j
             for j in close[:most]
@@ -98,7 +98,7 @@ class Finalists:
         moving = sorted(moving, key=lambda j: -hopes[j.name])[:_WALKS]
         rival = max(judged[0].gain - known, _CLOSE)
         floor = 0.0 if given is None or not moving else self.bench.line_search.gain(given.hypothesis)
-        least = floor + _HOPE * rival, floor + _PROMISE * rival
+        least = floor + _BEFORE_WALK * rival, floor + _AFTER_WALK * rival
         ends = run_in_threads([partial(self.bench.line_search, j.hypothesis, *least) for j in moving])
         walked = [(j, found) for j, found in zip(moving, ends, strict=True) if found is not None]
         return [(j, j.hypothesis) for j in plain] + walked
