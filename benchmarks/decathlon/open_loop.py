@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from machine import Log, Machine, Trial
 
-from btr_mjx.gap.results import Callback, FoundEffect, mend
+from btr_mjx.gap.results import Callback, found_effects, mend
 
 Predictor = Callable[[Log, int, int], tuple[np.ndarray, np.ndarray]]
 """From a recording and its first and last sample to positions (n, nq) and velocities (n, nv) at the samples between."""
@@ -162,7 +162,7 @@ def mended_models(
       result: content of its result.json.
       terms: of its mended.json.
     """
-    found = [FoundEffect.from_result(effect) for effect in result["effects"]]
+    found = found_effects(result)
     out = {"": (mujoco.MjModel.from_xml_path(str(run / "mended.xml")), terms)}
     for name, xml in trial.models.items():
         own = mend(xml, found)

@@ -11,7 +11,7 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, Recording, open_dataset
 from btr_mjx.gap.effects import selected_effects, with_motors
-from btr_mjx.gap.results import FoundEffect, resolve_effect
+from btr_mjx.gap.results import effect_title, found_effects, resolve_effect
 from btr_mjx.gap.simulate import Command, Segments, World, simulate
 from btr_mjx.models import difference, parse_path
 from btr_mjx.replays.coevolution import sampled
@@ -50,10 +50,10 @@ def diagnosis_replay(folder: Path, frames: int, seconds: float) -> Replay:
     measured = sampled(recording, times)
     worlds = {"believed model": World.of(model)}
     details = ["as in the dataset"]
-    if result.get("effects"):
+    if found := found_effects(result):
         worlds["mended model"] = _mended_world(dataset, recording, result, config.get("effects", ("all",)))
-        named = result["effects"]
-        details.append(f"with {str(named[0]['effect']).replace('_', ' ')}" + (" and more" if len(named) > 1 else ""))
+        first = (result["effects"] or result["calibration"])[0]
+        details.append(f"with {effect_title(first['effect'])}" + (" and more" if len(found) > 1 else ""))
     unit = (result.get("gap") or {}).get("open_loop_unit", "")
     drawn = _drawn_model(dataset, model)
     row = [ReplayedMotion("recording", recording.name, "", drawn, measured)]
@@ -100,8 +100,7 @@ def _mended_world(dataset: Dataset, recording: Recording, result: Mapping[str, A
                 part.write(model, final[parameter.name] * factor)
     mujoco.mj_setConst(model, mujoco.MjData(model))
     world = World.of(model)
-    for named in result["effects"]:
-        found = FoundEffect.from_result(named)
+    for found in found_effects(result):
         effect, place, numbers = resolve_effect(recording.model, found, with_motors(selected_effects(tuple(names))))
         effect.apply(world, place, numbers)
     return world

@@ -21,12 +21,20 @@ from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.missing_force import missing_force
 from btr_mjx.gap.forces.motion import responses
 from btr_mjx.gap.forces.outcome import SearchOutcome, diagnosis_of
-from btr_mjx.gap.forces.points import ROUNDS, Fitted, ForceSide, evaluate_point, settled
+from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, settled
 from btr_mjx.gap.forces.predictions import compared_predictions, horizon_errors, predicts_well
 from btr_mjx.gap.forces.search import Named, SearchRound, select_effects, start
 from btr_mjx.gap.forces.shapes import best_shape
 from btr_mjx.gap.forces.stretches import Stretches, spread_stretches
-from btr_mjx.gap.forces.unknowns import BELIEVED, TIMING, Library, believed_values, library_of
+from btr_mjx.gap.forces.unknowns import (
+    BELIEVED,
+    TIMING,
+    Library,
+    believed_values,
+    calibrated_effects,
+    calibrated_number,
+    library_of,
+)
 from btr_mjx.gap.results import Diagnosis
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.gap.windows import PreparedData, best_span, contact_samples, prepare, scales_of, track_of
@@ -37,14 +45,8 @@ _TOUCHES = 0.01
 _LARGE = 0.1
 """Random force of a joint, in units of the force that its actuators usually have, that is no calibration."""
 
-_BEFORE = 3
-"""Rounds of the believed model's refit: it is compared with, not used."""
-
 _SEEN = 0.3
 """Smallest number that is named, in units of the step at which its effect is clearly visible."""
-
-_NONE = 1e-6
-"""Tolerances that leave no calibration."""
 
 _TOLD = 10.0
 """Evidence of a force of another shape from which on it is told."""
@@ -137,27 +139,13 @@ def identify_forces(
     progress("held-out recordings")
     confirmed = _confirmed(test, chain)
     progress("numbers")
-    marginal = confirmed[-1]
-    ends = [_refitted(side, confirmed[0], _BEFORE), _refitted(side, marginal)]
-    if seen := _visible(ends[1].point.named):
-        if len(seen) < len(ends[1].point.named):
-            marginal, ends[1] = (
-                settled(side, replace(marginal.point, named=seen), marginal.variances, about=marginal.linear.stretches),
-                _refitted(side, replace(ends[1], point=replace(ends[1].point, named=seen))),
-            )
-    else:
-        confirmed, ends[1] = confirmed[:1], ends[0]
-    if ends[1].point.named:
-        spread = covariance(side, marginal)
-        point = follow_horizons(side, ends[1].point, spread, side.library)
-        ends[1] = evaluate_point(
-            side, point, replace(ends[1].variances, weight=None), stretches=ends[1].linear.stretches
-        )
-    # Calibration counts here, as in windows: what is missing is what it cannot explain.
-    both = confirmed[0], marginal if len(confirmed) > 1 else confirmed[0]
-    outcomes = (held_out(test, both[0].point, both[0].variances), held_out(test, both[1].point, both[1].variances))
-    final = [ends[0], *confirmed[1:-1], *ends[1:]] if len(confirmed) > 1 else [ends[0]]
-    found = _found(side, test, rounds, final, outcomes, len(confirmed) < len(chain), dataset, marginal)
+    contradicted = len(confirmed) < len(chain)
+    last = _without_invisible(side, confirmed[-1])
+    final = [*confirmed[:-1], last] if last.point.named else confirmed[:1]
+    before, after = (held_out(test, fit.point, fit.variances) for fit in (final[0], final[-1]))
+    if final[-1].point.named:
+        final[-1] = replace(final[-1], point=_followed(side, final[-1]))
+    found = _found(side, test, rounds, final, (before, after), contradicted, dataset)
     return diagnosis_of(dataset, prepared.sigma, found, time.monotonic() - begun + counter.earlier)
 
 
@@ -189,28 +177,38 @@ def _confirmed(test: ForceSide, chain: Sequence[Fitted]) -> list[Fitted]:
     return out
 
 
-def _known(side: ForceSide, named: Named) -> np.ndarray:
-    """(n,) bool: calibration that the mended model is without."""
-    names = [entry.candidate.effect.name for entry in side.library.calibrated]
-    # When commands act within a sample stays unknown, unless a delay is what was named.
-    unknown = {TIMING} - {candidate.effect.name for candidate, _ in named}
-    return np.array([not name.startswith(BELIEVED) and name not in unknown for name in names], bool)
+def _without_invisible(side: ForceSide, fit: Fitted) -> Fitted:
+    """A fit without effects whose numbers are too small to be seen."""
+    seen = _visible(fit.point.named)
+    if len(seen) == len(fit.point.named):
+        return fit
+    return settled(side, replace(fit.point, named=seen), fit.variances, about=fit.linear.stretches)
 
 
-def _refitted(side: ForceSide, fit: Fitted, rounds: int = ROUNDS) -> Fitted:
-    """A fit without calibration of the model.
+def _followed(side: ForceSide, fit: Fitted) -> Point:
+    """The point of a fit as the mended model has it, with numbers that follow recordings.
 
-    What is named has to hold beside calibration; its numbers are those with which the mended model, which knows none,
-    predicts best. When a command acts within its sample belongs to the log, not to the model, and stays unknown.
+    When commands act within a sample belongs to the log, and not to the model.
     """
-    own, known = side.library.calibration, _known(side, fit.point.named)
-    factor = np.where(known, _NONE, 1.0)
-    library = replace(
-        side.library, calibration=replace(own, tolerance=own.tolerance * factor, reach=own.reach * factor)
-    )
-    start = replace(fit.point, calibration=np.where(known, 0.0, fit.point.calibration))
-    variances = replace(fit.variances, weight=None)
-    return settled(replace(side, library=library), start, variances, rounds, fit.linear.stretches)
+    of_log = np.array([entry.candidate.effect.name == TIMING for entry in side.library.calibrated], bool)
+    point = _merged(side.library, fit.point)
+    point = replace(point, calibration=np.where(of_log, 0.0, point.calibration))
+    return follow_horizons(side, point, covariance(side, fit), side.library)
+
+
+def _merged(library: Library, point: Point) -> Point:
+    """A point whose calibration of a number that is named is part of that number."""
+    rest, named = point.calibration.copy(), []
+    for candidate, values in point.named:
+        own, labels = np.array(values), [single.place.label for single in candidate.singles]
+        for i, entry in enumerate(library.calibrated):
+            place = entry.candidate.place.label
+            if entry.candidate.effect is candidate.effect and place in labels:
+                own[labels.index(place) + calibrated_number(library, entry)] += rest[i]
+                rest[i] = 0.0
+        bounded = np.clip(own, [p.low for p in candidate.parameters], [p.high for p in candidate.parameters])
+        named.append((candidate, tuple(float(v) for v in bounded)))
+    return replace(point, named=tuple(named), calibration=rest)
 
 
 def _visible(named: Named) -> Named:
@@ -231,9 +229,8 @@ def _found(
     outcomes: tuple[HeldOut, HeldOut],
     contradicted: bool,
     dataset: Dataset,
-    marginal: Fitted,
 ) -> SearchOutcome:
-    """What was found, with the models as they will be used: named effects, and no calibration."""
+    """What was found, with the models as they will be used: calibrated, and with named effects."""
     first, last = chain[0], chain[-1]
     before = [p.value(dataset.model) for p in dataset.parameters]
     values = [
@@ -241,22 +238,26 @@ def _found(
     ]
     base = replace(first.point.base, believed=values[0])
     mended = replace(last.point.base, believed=values[1])
-    for candidate, own in last.point.named:
+    calibration = _calibration(side.library, last.point)
+    for candidate, own in (*calibration, *last.point.named):
         mended = mended.with_effect(candidate, own)
     errors, steady = horizon_errors(test.stretches.data, [base, mended], side.counter)
     missing = missing_force(side.stretches, base)
     random = np.sqrt(last.variances.force)
     share = random / np.maximum(np.sqrt((missing.actuator**2).mean((0, 1))) + random, 1e-300)
     # Names with which the model predicts well stand, whatever is left at one joint; noise is no force.
-    stands = len(chain) > 1 and predicts_well(errors[0], errors[1], steady)
-    large = (share > _LARGE) & (not stands) & bool(np.median(outcomes[1].chi2) > _BEYOND)
-    shape = best_shape(side, marginal, missing)
-    gained = rounds[0].before.loss - marginal.loss
+    well = predicts_well(errors[0], errors[1], steady)
+    large = (share > _LARGE) & (not (well and len(chain) > 1)) & bool(np.median(outcomes[1].chi2) > _BEYOND)
+    if not well and len(chain) == 1:
+        calibration, mended, errors = (), base, [errors[0], errors[0]]
+    shape = best_shape(side, last, missing)
+    gained = rounds[0].before.loss - last.loss
     if shape.score < max(_TOLD, _LEFT * gained):
         shape = replace(shape, score=0.0)
     return SearchOutcome(
         tuple(rounds),
         tuple(chain),
+        calibration,
         outcomes,
         (errors[0], errors[1], steady),
         missing,
@@ -266,8 +267,16 @@ def _found(
         side,
         test,
         contradicted,
-        marginal,
         shape,
+    )
+
+
+def _calibration(library: Library, point: Point) -> Named:
+    """Calibration of the mended model: without the timing of the log, and what is told as a refitted number."""
+    return tuple(
+        (candidate, values)
+        for candidate, values in calibrated_effects(library, point.calibration)
+        if candidate.effect.name != TIMING and not candidate.effect.name.startswith(BELIEVED)
     )
 
 

@@ -17,7 +17,7 @@ from btr_mjx.gap.forces.late_logs import without_late_log
 from btr_mjx.gap.forces.missing_force import MissingForce
 from btr_mjx.gap.forces.points import Fitted, ForceSide, names
 from btr_mjx.gap.forces.predictions import HORIZON, predictions
-from btr_mjx.gap.forces.search import SearchRound
+from btr_mjx.gap.forces.search import Named, SearchRound
 from btr_mjx.gap.forces.shapes import ShapeGain, shape_sentence
 from btr_mjx.gap.forces.unknowns import believed_values
 from btr_mjx.gap.results import (
@@ -60,7 +60,8 @@ class SearchOutcome:
 
     Attributes:
       rounds: of the search.
-      chain: the believed model, and what was named, one after another.
+      chain: the believed model, and what was named, one after another, all beside calibration.
+      calibration: effects with values that the mended model has beside what was named.
       held_out: what held-out recordings say of the first and the last of them.
       errors: (W, nv) mean square errors of predictions of the believed model, the mended one and constant velocity.
       missing: force that the believed model lacks.
@@ -69,12 +70,12 @@ class SearchOutcome:
       mended: with what was named.
       side, test: of the split.
       contradicted: whether more was found than held-out recordings bear out.
-      marginal: the last hypothesis beside calibration, for intervals.
       shape: of a force that is left; with a score of 0 where nothing is.
     """
 
     rounds: tuple[SearchRound, ...]
     chain: tuple[Fitted, ...]
+    calibration: Named
     held_out: tuple[HeldOut, HeldOut]
     errors: tuple[np.ndarray, np.ndarray, np.ndarray]
     missing: MissingForce
@@ -84,7 +85,6 @@ class SearchOutcome:
     side: ForceSide
     test: ForceSide
     contradicted: bool
-    marginal: Fitted
     shape: ShapeGain
 
 
@@ -110,13 +110,14 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
     diagnosis = Diagnosis(
         verdict=verdict,  # type: ignore[arg-type]
         effects=named,
+        calibration=_calibration(found),
         ranking=ranking,
         equivalent=_alike(found.rounds[0]) if found.rounds and named else (),
         gap=Gap(before, after, min(floor, after), floor, float(np.sqrt(before)), float(np.sqrt(after)), *loops),
         disagreement=_map(model, found),
         unexplained=_words(model, found) if verdict == "unexplained" else (),
         believed=_refits(dataset, found),
-        confounds=confounds_of(found.side, found.marginal) if verdict == "effect" else (),
+        confounds=confounds_of(found.side, last) if verdict == "effect" else (),
         overlays=_overlays(model, found),
         share=1 - float(last.variances.force.sum() / max(first.variances.force.sum(), 1e-300)),
         lack_of_fit=(found.held_out[0].lack, found.held_out[1].lack),
@@ -136,13 +137,13 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
         notes=(_NOT_BORNE_OUT,) if found.contradicted else (),
     )
     told = without_late_log(diagnosis)  # of any verdict
-    return replace(told, effects=()) if told.verdict == "unexplained" else told
+    return replace(told, effects=(), calibration=()) if told.verdict == "unexplained" else told
 
 
 def _named(found: SearchOutcome) -> tuple[NamedEffect, ...]:
     """Named effects with intervals."""
     last = found.chain[-1]
-    spread = np.sqrt(np.diag(covariance(found.side, found.marginal)))
+    spread = np.sqrt(np.diag(covariance(found.side, last)))
     scores = [a.loss - b.loss for a, b in zip(found.chain[:-1], found.chain[1:], strict=True)]
     held = float((found.held_out[0].loss - found.held_out[1].loss).sum())
     out, i = [], 0
@@ -169,6 +170,33 @@ def _named(found: SearchOutcome) -> tuple[NamedEffect, ...]:
             )
         )
     return tuple(out)
+
+
+def _calibration(found: SearchOutcome) -> tuple[NamedEffect, ...]:
+    """Calibration of the mended model, the largest first, without intervals: most of it is known beforehand."""
+    size = {
+        entry.candidate.name: abs(value) / tolerance
+        for entry, value, tolerance in zip(
+            found.side.library.calibrated,
+            found.chain[-1].point.calibration,
+            found.side.library.calibration.tolerance,
+            strict=True,
+        )
+    }
+    return tuple(
+        NamedEffect(
+            candidate.effect.name,
+            candidate.place.label,
+            {
+                own.name: Estimate(value, value, value, own.unit, float(own.null))
+                for own, value in zip(candidate.parameters, values, strict=True)
+            },
+            0.0,
+            0.0,
+            equation=candidate.effect.equation,
+        )
+        for candidate, values in sorted(found.calibration, key=lambda row: -size[row[0].name])
+    )
 
 
 def _alike(of: SearchRound) -> tuple[str, ...]:

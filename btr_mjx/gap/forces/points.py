@@ -10,7 +10,7 @@ from btr_mjx.gap.forces.evidence import LeastSquares, least_squares, penalty
 from btr_mjx.gap.forces.filtering import Filtered, Variances, filtered, smoothed
 from btr_mjx.gap.forces.motion import FreeNumber, Linearised, linearise_motion, responses
 from btr_mjx.gap.forces.stretches import Stretches
-from btr_mjx.gap.forces.unknowns import BELIEVED, Library
+from btr_mjx.gap.forces.unknowns import BELIEVED, Library, calibrated_effects, calibrated_number
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.models import integrate
 
@@ -70,15 +70,8 @@ class Point:
           without: index of a named effect that is left out.
         """
         out = self.base
-        for entry, value in zip(library.calibrated, self.calibration, strict=True):
-            candidate = entry.candidate
-            column = library.numbers[entry.columns[0][0]].index if len(entry.columns[0]) == 1 else 0
-            if value:
-                values = candidate.null
-                values[column] = np.clip(
-                    values[column] + value, candidate.parameters[column].low, candidate.parameters[column].high
-                )
-                out = out.with_effect(candidate, values)
+        for candidate, own in calibrated_effects(library, self.calibration):
+            out = out.with_effect(candidate, own)
         for i, (candidate, own) in enumerate(self.named):
             if i != without:
                 out = out.with_effect(candidate, own)
@@ -190,8 +183,7 @@ def _calibration_columns(side: ForceSide, point: Point, stretches: Stretches) ->
         return side.columns[..., :0]
     numbers = []
     for entry, value in zip(library.calibrated, point.calibration, strict=True):
-        own = library.numbers[entry.columns[0][0]]
-        index = own.index if len(entry.columns[0]) == 1 else 0
+        own, index = library.numbers[entry.columns[0][0]], calibrated_number(library, entry)
         at = entry.candidate.null
         # Numbers of the model that may be refitted are written as they are, other effects are added to what is there.
         at[index] += value if entry.candidate.effect.name.startswith(BELIEVED) else 0.0

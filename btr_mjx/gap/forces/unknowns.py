@@ -164,6 +164,29 @@ def _as_candidate(parameter: PathParameter, model: mujoco.MjModel) -> Candidate:
     return Candidate(Effect(BELIEVED + parameter.name, lambda _: [], lambda *_: (own,), write), WORLD, (own,))
 
 
+def calibrated_number(library: Library, entry: CandidateColumns) -> int:
+    """Index of the number of a candidate that is calibration."""
+    return library.numbers[entry.columns[0][0]].index if len(entry.columns[0]) == 1 else 0
+
+
+def calibrated_effects(library: Library, calibration: np.ndarray) -> list[tuple[Candidate, tuple[float, ...]]]:
+    """Calibration as effects with their values, which stay within their ranges; of those at their null nothing.
+
+    Args:
+      library: of the search.
+      calibration: (n,) values.
+    """
+    out: dict[str, tuple[Candidate, np.ndarray]] = {}
+    for entry, value in zip(library.calibrated, calibration, strict=True):
+        if value:
+            _, values = out.setdefault(entry.candidate.name, (entry.candidate, entry.candidate.null))
+            values[calibrated_number(library, entry)] += value
+    return [
+        (candidate, tuple(float(np.clip(v, p.low, p.high)) for v, p in zip(values, candidate.parameters, strict=True)))
+        for candidate, values in out.values()
+    ]
+
+
 def believed_values(
     library: Library, believed: Sequence[PathParameter], calibration: np.ndarray, before: Sequence[float]
 ) -> list[float]:

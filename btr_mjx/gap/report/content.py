@@ -80,7 +80,7 @@ def content(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
         "believed": _table(result.get("believed")),
         "confounds": _lines(result.get("confounds")),
         "next_experiment": _experiment(result.get("next_experiment")),
-        "mended": _mended(folder, result.get("interpolation")),
+        "mended": _mended(folder, result),
         "notes": _lines(result.get("notes")),
         "preflight": _preflight(folder),
         "footer": _footer(result),
@@ -193,12 +193,12 @@ def _cell(value: Any) -> str:
     return format_number(value) if is_json_number(value) else str("" if value is None else value)
 
 
-def _mended(folder: Path, interpolation: Any = None) -> dict[str, Any] | None:
+def _mended(folder: Path, result: Mapping[str, Any]) -> dict[str, Any] | None:
     if not (folder / "mended.xml").is_file():
         return None
     path = folder / "mended.xml"
-    text = f"{path} is the believed model with the missing effects; plain MuJoCo loads it."
-    between = _BETWEEN.get(str(interpolation), "")
+    text = f"{path} is the believed model with what was found; plain MuJoCo loads it."
+    between = _BETWEEN.get(str(result.get("interpolation")), "")
     load = f'model = mujoco.MjModel.from_xml_path("{path}")'
     changes: list[dict[str, str]] = []
     terms: list[dict[str, str]] = []
@@ -212,10 +212,13 @@ def _mended(folder: Path, interpolation: Any = None) -> dict[str, Any] | None:
             }
             for t in saved.get("terms", [])
         ]
+        names = dict.fromkeys(f"{e['effect']}@{e['location']}" for e in result.get("effects") or [])
         native = [
             effect_at_place(dict(zip(("effect", "location"), name.split("@", 1), strict=True)))
             for name in saved.get("native", [])
+            if name in names
         ]
+        native += ["calibration"] if result.get("calibration") else []
         text += f" It contains {' and '.join(native)}." if native else ""
         changes = [
             {

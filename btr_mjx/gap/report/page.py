@@ -120,7 +120,8 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
             )
         ]
         if stretches:
-            after = {"effect": "mended model", "unexplained": "best candidate"}.get(str(result.get("verdict")))
+            is_mended = result.get("verdict") != "unexplained"
+            after: str | None = "mended model" if is_mended else "best candidate"
             if all(np.array_equal(one.before, one.after) for one in stretches):
                 after = None  # there is no second model
             where = "the believed model is worst" if after is None else "the two models differ most"

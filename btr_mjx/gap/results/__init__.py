@@ -7,7 +7,14 @@ adds those that MJCF cannot express to a simulation. `added_effects` makes parts
 """
 
 from btr_mjx.gap.results.effect_simulator import EffectEdit, EffectSimulator, added_effects
-from btr_mjx.gap.results.mended_model import Callback, FoundEffect, MendedModel, mend, resolve_effect
+from btr_mjx.gap.results.mended_model import (
+    Callback,
+    FoundEffect,
+    MendedModel,
+    found_effects,
+    mend,
+    resolve_effect,
+)
 from btr_mjx.gap.results.mended_space import ControllerTrial, mended_robot
 from btr_mjx.gap.results.records import (
     Confound,
@@ -71,6 +78,7 @@ __all__ = [
     "effect_title",
     "estimate_cells",
     "format_number",
+    "found_effects",
     "hypothesis_in_words",
     "in_percent",
     "mend",

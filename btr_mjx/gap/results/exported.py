@@ -1,4 +1,4 @@
-"""Named effects and refitted parameters for other programs."""
+"""Named effects, refitted parameters and calibration for other programs."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -47,6 +47,11 @@ def export_diagnosis(diagnosis: Diagnosis, dataset: Dataset, folder: Path, mende
                     ends,
                 )
             )
+    for effect in diagnosis.calibration:
+        exported += [
+            ExportedParameter(f"{effect.name} {name}", one.unit, one.value, None, None, "calibration")
+            for name, one in effect.parameters.items()
+        ]
     write_exports(folder, exported)
 
 

@@ -59,6 +59,15 @@ class FoundEffect:
         return cls(str(entry["effect"]), str(entry["location"]), values)
 
 
+def found_effects(result: Mapping[str, Any]) -> list[FoundEffect]:
+    """All that a mended model has: calibration, then named effects.
+
+    Args:
+      result: content of result.json.
+    """
+    return [FoundEffect.from_result(entry) for entry in (*(result.get("calibration") or ()), *result["effects"])]
+
+
 @dataclass(frozen=True)
 class MendedModel:
     """A model with the missing effects added.

@@ -210,6 +210,7 @@ class Diagnosis:
     Attributes:
       verdict: "effect", "none" or "unexplained".
       effects: named effects, the largest first; empty for "unexplained".
+      calibration: effects within the usual tolerances, the largest first, which the mended model has beside those.
       ranking: candidates, best first.
       equivalent: candidates that these data cannot distinguish from the first one, which is included; for "none" those
         that are not ruled out.
@@ -253,6 +254,7 @@ class Diagnosis:
     survivors: tuple = field(default=(), repr=False)
     predictions: Predictions | None = None
     notes: tuple[str, ...] = ()
+    calibration: tuple[NamedEffect, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from btr_mjx.gap.data import Dataset, control_columns
 from btr_mjx.gap.effects import KNOWN_EFFECTS, Effect
 from btr_mjx.gap.results.exported import export_diagnosis
 from btr_mjx.gap.results.mended_model import FoundEffect, MendedModel, mend
-from btr_mjx.gap.results.records import Diagnosis, DisagreementMap, NextExperiment
+from btr_mjx.gap.results.records import Diagnosis, DisagreementMap, NamedEffect, NextExperiment
 from btr_mjx.gap.results.verdict_words import detail_sentences, verdict_sentence
 from btr_mjx.gap.results.wording import place_in_words
 from btr_mjx.models import parse_path, part_names
@@ -110,10 +110,8 @@ def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
         for row in diagnosis.ranking
     ]
     named = [
-        {
-            "effect": effect.effect,
-            "location": effect.location,
-            "parameters": {name: asdict(estimate) for name, estimate in effect.parameters.items()},
+        _effect_entry(effect)
+        | {
             "score": effect.score,
             "held_out": effect.held_out,
             "equivalent": [_entry(name) for name in effect.equivalent],
@@ -128,6 +126,7 @@ def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
         "interpolation": dataset.interpolation,
         "where": place_of_disagreement(diagnosis.disagreement),
         "effects": named,
+        "calibration": [_effect_entry(effect) for effect in diagnosis.calibration],
         "ranking": ranking,
         "equivalent": [_entry(name) for name in diagnosis.equivalent],
         "gap": asdict(diagnosis.gap)
@@ -147,6 +146,12 @@ def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
         "seconds": diagnosis.seconds,
         "notes": [*dataset.notes, *diagnosis.notes],
     }
+
+
+def _effect_entry(effect: NamedEffect) -> dict[str, Any]:
+    """An effect with its numbers."""
+    numbers = {name: asdict(estimate) for name, estimate in effect.parameters.items()}
+    return {"effect": effect.effect, "location": effect.location, "parameters": numbers}
 
 
 def _entry(name: str) -> dict[str, str]:
@@ -191,20 +196,20 @@ def place_of_disagreement(disagreement: DisagreementMap) -> str:
 
 
 def _mended(diagnosis: Diagnosis, dataset: Dataset, effects: Sequence[Effect] = KNOWN_EFFECTS) -> MendedModel | None:
-    """The believed model with named effects and refitted parameters; None without a name."""
-    if not diagnosis.effects:
+    """The believed model with named effects, calibration and refitted parameters; None without effects."""
+    if not (diagnosis.effects or diagnosis.calibration):
         return None
-    found = [
-        FoundEffect(effect.effect, effect.location, {name: p.value for name, p in effect.parameters.items()})
-        for effect in diagnosis.effects
-    ]
-    return _mend(found, diagnosis, dataset, effects)
+    return _mend([_found(effect) for effect in diagnosis.effects], diagnosis, dataset, effects)
+
+
+def _found(effect: NamedEffect) -> FoundEffect:
+    return FoundEffect(effect.effect, effect.location, {name: p.value for name, p in effect.parameters.items()})
 
 
 def _mend(
     found: Sequence[FoundEffect], diagnosis: Diagnosis, dataset: Dataset, effects: Sequence[Effect]
 ) -> MendedModel:
-    """The believed model with refitted parameters and given effects; where that fails, the model with a note."""
+    """The believed model with refitted parameters, calibration and given effects; where that fails, with a note."""
     final = {refit.name: refit.final for refit in diagnosis.believed if refit.final != refit.believed}
     values: dict[str, float] = {}
     for parameter in dataset.parameters:
@@ -215,7 +220,8 @@ def _mend(
     is_mjcf = dataset.model_file.suffix == ".xml" and dataset.model_file.is_file()
     source = dataset.model_file if is_mjcf else dataset.spec_xml
     try:
-        return mend(source, found, believed=values, effects=effects)
+        every = (*map(_found, diagnosis.calibration), *found)
+        return mend(source, every, believed=values, effects=effects)
     except (InputError, ValueError) as error:
         return MendedModel(dataset.spec_xml, notes=(f"the model could not be mended: {error}",))
 

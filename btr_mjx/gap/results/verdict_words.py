@@ -70,6 +70,7 @@ def detail_sentences(result: Mapping[str, Any]) -> list[str]:
         _gap(result) if verdict == "effect" else _gap_as_it_is(result),
         _predictions(result),
         _whole_recordings(result) if verdict == "effect" else "",
+        _calibration(result),
         _runner_up(result) if verdict == "effect" else "",
         _best_candidate(result) if verdict == "unexplained" else "",
         _equivalent(result),
@@ -108,12 +109,23 @@ def _predictions(result: Mapping[str, Any]) -> str:
     if horizon is None or believed is None or mended is None or steady is None:
         return ""
     unit = (result.get("gap") or {}).get("open_loop_unit", "rad")
-    own = f", the mended one by {format_number(mended)}" if result.get("verdict") == "effect" else ""
+    is_mended = result.get("verdict") == "effect" or result.get("calibration")
+    own = f", the mended one by {format_number(mended)}" if is_mended else ""
     return (
         f"Predicted over {horizon:g} s, positions of held-out recordings are off by {format_number(believed)} {unit} "
         f"with the believed model{own}, with constant velocity by {format_number(steady)} "
         "(root mean square of all joints)."
     )
+
+
+def _calibration(result: Mapping[str, Any]) -> str:
+    """What the mended model has beside what was named."""
+    found = list(result.get("calibration") or [])
+    if not found:
+        return ""
+    each = [f"{effect_at_place(row)} ({parameters_in_words(row)})" for row in found[:_LISTED]]
+    more = f" and {len(found) - _LISTED} more, listed in result.json" if len(found) > _LISTED else ""
+    return f"The mended model is calibrated within the usual tolerances: {', '.join(each)}{more}."
 
 
 def _levels(result: Mapping[str, Any]) -> tuple[float | None, float | None, float | None]:

@@ -175,6 +175,8 @@ def format_estimate(parameter: Mapping[str, Any]) -> str:
     if low is None or high is None:
         return f"{format_number(value)}{unit}"
     above, below = high - value, value - low
+    if not (above or below):
+        return f"{format_number(value)}{unit}"
     if above >= 0 and below >= 0 and abs(above - below) <= 0.35 * max(above, below):
         return f"{_rounded(value, (above + below) / 2)}{unit}"
     return f"{format_number(value)} [{format_number(low)}, {format_number(high)}]{unit}"
