@@ -45,6 +45,7 @@ def mended_robot(
     *,
     name: str = "mended",
     believed: Mapping[str, float] | None = None,
+    calibration: Sequence[Mapping[str, Any]] = (),
     widen: float = 2.0,
     effects: Sequence[Effect] = KNOWN_EFFECTS,
 ) -> Robot:
@@ -56,6 +57,7 @@ def mended_robot(
       trial: how controllers are tried.
       name: name of the robot.
       believed: path into the model -> refitted value, as for `mend`.
+      calibration: `calibration` of result.json, which stays as it is.
       widen: width of the box in units of the intervals; the bounds of the effects' parameters limit it.
       effects: the library that `effects_found` refers to.
 
@@ -69,7 +71,7 @@ def mended_robot(
     names, nominal, low, high = _box(source, found, effects_found, widen, effects)
     if not names:
         raise InputError("effects: got none with parameters, expected at least one")
-    text = mend(source, [], believed=believed, effects=effects).xml
+    text = mend(source, [FoundEffect.from_result(one) for one in calibration], believed=believed, effects=effects).xml
     first = np.cumsum([0, *(len(item.values) for item in found)])
     named = [tuple(names[first[i] : first[i + 1]]) for i in range(len(found))]
     edits, simulator = added_effects(mujoco.MjModel.from_xml_string(text), found, named, effects)

@@ -55,6 +55,36 @@ def test_an_offset_is_named_at_its_joint():
     assert own.value == pytest.approx(-0.4, rel=0.05)
 
 
+def stronger(model: mujoco.MjModel, actuator: int) -> None:
+    model.actuator_gainprm[actuator] *= 1.05
+    model.actuator_biasprm[actuator] *= 1.05
+
+
+def test_a_motor_that_is_a_little_stronger_is_calibration():
+    """It is no missing effect; the calibrated model predicts recordings that were not fitted."""
+
+    found = diagnosis(7, change=lambda model: stronger(model, 0))
+    assert (found.verdict, found.effects) == ("none", ())
+    own = next(one for one in found.calibration if one.effect == "actuator_gain")
+    assert own.location.startswith("actuator:")
+    (gain,) = own.parameters.values()
+    assert gain.value == pytest.approx(0.05, rel=0.2)
+    assert found.predictions is not None
+    assert found.predictions.mended < 0.5 * found.predictions.believed
+
+
+def test_what_is_named_is_no_part_of_calibration():
+    def sticky(model: mujoco.MjModel) -> None:
+        model.dof_frictionloss[0] = 0.25
+        stronger(model, 1)
+
+    found = diagnosis(8, change=sticky)
+    assert [named.name for named in found.effects] == ["dry_friction@joint:shoulder"]
+    names = [one.name for one in found.calibration]
+    assert "dry_friction@joint:shoulder" not in names
+    assert names[0].startswith("actuator_gain")
+
+
 DELAY = (*OWN, *(e for e in EFFECTS if e.name == "actuator_delay"))
 
 

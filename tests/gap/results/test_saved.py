@@ -21,9 +21,11 @@ from btr_mjx.gap.results import (
     NamedEffect,
     NextExperiment,
     Overlay,
+    Predictions,
     RankedCandidate,
     Refit,
     as_result,
+    found_effects,
     save_diagnosis,
 )
 from btr_mjx.gap.results.saved import place_of_disagreement
@@ -174,3 +176,30 @@ def test_no_place_of_disagreement_within_the_noise() -> None:
         )
         == ""
     )
+
+
+def test_a_calibrated_model_where_nothing_is_missing(dataset: Dataset, tmp_path: Path) -> None:
+    gain = {"change": Estimate(0.04, 0.04, 0.04, "1")}
+    calibrated = replace(
+        diagnosis(),
+        verdict="none",
+        effects=(),
+        equivalent=(),
+        calibration=(NamedEffect("actuator_gain", "actuator:knee0", gain, 0.0, 0.0),),
+        predictions=Predictions(0.25, 0.3, 0.1, 0.5),
+    )
+    result = save_diagnosis(calibrated, dataset, tmp_path / "run")
+    before, after = (m.actuator("knee0").gainprm[0] for m in (dataset.model, mended(tmp_path / "run")))
+    assert after == pytest.approx(1.04 * before)
+    assert [(one.effect, one.values) for one in found_effects(result)] == [("actuator_gain", {"change": 0.04})]
+    details = " ".join(result["details"])
+    assert "the mended one by 0.1" in details
+    assert "usual tolerances: a change of the motor's strength at actuator knee0 (change 4 %)" in details
+    rows = pl.read_csv(tmp_path / "run" / "parameters.csv")
+    assert rows.filter(pl.col("name").str.starts_with("actuator_gain"))["value"].to_list() == [0.04]
+    page = draw_report(tmp_path / "run").read_text(encoding="utf-8")
+    assert "It contains calibration." in page
+
+
+def mended(folder: Path) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_path(str(folder / "mended.xml"))
