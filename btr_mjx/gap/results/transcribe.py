@@ -109,6 +109,8 @@ def normalised(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
             spec.texturedir = str(folder / spec.texturedir)
     model = spec.compile()
     spec = mujoco.MjSpec.from_string(spec.to_xml())
+    for body in spec.bodies:
+        body.simple = 0  # as in the search: effects edit inertia, which MuJoCo's simple bodies do not allow
     again = spec.compile()
     if (
         spec.compiler.settotalmass > 0

@@ -136,3 +136,14 @@ def test_unknown_effects_places_and_parameters_are_named_in_the_error() -> None:
         mend(PENDULUM, [FoundEffect("viscous_damping", "joint:sevro", {"damping": 1.0})])
     with pytest.raises(InputError, match="damping"):
         mend(PENDULUM, [FoundEffect("viscous_damping", "joint:servo", {"d": 1.0})])
+
+
+def test_a_body_of_simple_inertia_gets_a_payload() -> None:
+    """MuJoCo takes a short cut for such bodies, which the search does not."""
+    body = '<body name="a"><joint type="slide" axis="1 0 0"/><geom size="0.1"/></body>'
+    xml = f"<mujoco><worldbody>{body}</worldbody></mujoco>"
+    before = mujoco.MjModel.from_xml_string(xml)
+    assert before.body_simple[1]
+    found = FoundEffect("payload", "body:a", {"mass": 0.4, "x": 0.0, "y": 0.0, "z": 0.0})
+    after = mujoco.MjModel.from_xml_string(mend(xml, [found]).xml)
+    assert after.body_mass[1] == pytest.approx(before.body_mass[1] + 0.4)
