@@ -66,9 +66,9 @@ def follow_horizons(side: ForceSide, point: Point, covariance: np.ndarray, libra
 
     Args:
       side: recordings to fit.
-      point: named effects with the numbers of forces.
-      covariance: (p, p) of these numbers.
-      library: of the search; calibration stays as it is.
+      point: named effects with the numbers of forces, and calibration; what is 0 of it stays so.
+      covariance: (p + n, p + n) of both.
+      library: of the search.
 
     Returns:
       The point with other numbers; the same one where no horizon is followed.
@@ -77,7 +77,9 @@ def follow_horizons(side: ForceSide, point: Point, covariance: np.ndarray, libra
     seen = np.flatnonzero(data.measured[: data.recordings[0].model.nv])
     size = motion_size(data)[seen]
     longest = min(float(np.ptp(r.time)) for r in data.recordings)
-    samples = SAMPLES * _NUMBERS // max(_NUMBERS, point.numbers)
+    numbers = _Numbers.of(point, library)
+    samples = SAMPLES * _NUMBERS // max(_NUMBERS, len(numbers.free))
+    covariance = covariance[np.ix_(numbers.free, numbers.free)]
     horizon, best = _SHORTEST, point
     while horizon < _LONGER * longest:
         trial = cut_horizons(data, min(horizon, longest), samples)
@@ -167,13 +169,39 @@ def motion_size(data: PreparedData) -> np.ndarray:
     return np.concatenate([difference(r.model, r.qpos[:1], r.qpos) for r in data.recordings]).std(0)
 
 
-def _numbers(point: Point) -> list[tuple[float, float, float, float]]:
-    """Bounds, step and value of every number."""
-    return [
-        (p.low, p.high, 0.1 * abs(p.step), v)
-        for candidate, values in point.named
-        for p, v in zip(candidate.parameters, values, strict=True)
-    ]
+@dataclass(frozen=True, eq=False)
+class _Numbers:
+    """Numbers that are moved: those of named effects, then calibration, without what is 0 of it.
+
+    Attributes:
+      free: (m,) their indices among all p + n.
+      low, high, step, value: (m,) bounds, step of differences, and value of each.
+    """
+
+    free: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    step: np.ndarray
+    value: np.ndarray
+
+    @classmethod
+    def of(cls, point: Point, library: Library) -> "_Numbers":
+        rows = [
+            (p.low, p.high, 0.1 * abs(p.step), v)
+            for candidate, values in point.named
+            for p, v in zip(candidate.parameters, values, strict=True)
+        ]
+        for entry, reach, v in zip(library.calibrated, library.calibration.reach, point.calibration, strict=True):
+            rows.append((-reach, reach, 0.1 * abs(library.numbers[entry.columns[0][0]].step), v))
+        low, high, step, value = np.array(rows).T
+        free = np.flatnonzero((np.arange(len(rows)) < point.numbers) | (value != 0))
+        return cls(free, low[free], high[free], step[free], value[free])
+
+    def moved(self, point: Point, values: np.ndarray) -> Point:
+        """A point with values (m,) instead of those of this one."""
+        change, p = np.zeros(point.numbers + len(point.calibration)), point.numbers
+        change[self.free] = values - self.value
+        return point.moved(change[:p], point.calibration + change[p:])
 
 
 def _nearest(
@@ -190,17 +218,18 @@ def _nearest(
       side: counts the steps.
       trial: the horizon.
       point: what forces and shorter horizons say.
-      covariance: (p, p) of its numbers.
+      covariance: (m, m) of its numbers.
       scale: coordinates that were measured, and the size of their errors.
       library: of the search.
     """
-    low, high, step, start = (np.array(x) for x in zip(*_numbers(point), strict=True))
+    numbers = _Numbers.of(point, library)
+    low, high, step, start = numbers.low, numbers.high, numbers.step, numbers.value
     root = np.linalg.cholesky(np.linalg.inv(covariance)).T
     seen, rms = scale
 
     def residuals(many: Sequence[np.ndarray], simulated: Errors = _exact_errors) -> np.ndarray:
         """(n, N): each simulation counts as one measured value per joint, since its errors go together."""
-        tried = [point.moved(values - start, point.calibration) for values in many]
+        tried = [numbers.moved(point, values) for values in many]
         found = simulated(trial, [own.hypothesis(library) for own in tried], side.counter)
         errors = [np.concatenate([(e[..., seen] / rms / np.sqrt(e.shape[1])).ravel() for e in row]) for row in found]
         return np.concatenate([errors, (np.array(many) - start) @ root.T], 1)
@@ -216,4 +245,4 @@ def _nearest(
         if not after @ after < own @ own:
             break
         at, own = trial_at, after
-    return point.moved(at - start, point.calibration), np.linalg.inv(slopes.T @ slopes)
+    return numbers.moved(point, at), np.linalg.inv(slopes.T @ slopes)

@@ -6,7 +6,7 @@ from btr_mjx.gap.forces.points import Fitted, ForceSide
 
 
 def covariance(side: ForceSide, fit: Fitted) -> np.ndarray:
-    """Covariance (p, p) of the numbers of a fit, calibration marginalised.
+    """Covariance (p + n, p + n) of the numbers of a fit and of its calibration.
 
     For every number the larger one of the inverse information and of the sandwich estimate
     H^-1 (sum_s g_s g_s^T) H^-1 with the gradients g_s of the stretches, which holds where stretches differ by more than
@@ -28,5 +28,5 @@ def covariance(side: ForceSide, fit: Fitted) -> np.ndarray:
     centred = gradient - gradient.mean(0)
     meat = centred.T @ centred * count / max(count - 1, 1)
     robust = inverse @ meat @ inverse
-    scale = np.sqrt(np.maximum(np.diag(robust)[:p], np.diag(inverse)[:p]) / np.diag(inverse)[:p])
-    return inverse[:p, :p] * scale[:, None] * scale[None, :]
+    scale = np.sqrt(np.maximum(np.diag(robust), np.diag(inverse)) / np.diag(inverse))
+    return inverse * scale[:, None] * scale[None, :]
