@@ -43,7 +43,6 @@ RULES: Mapping[str, Sequence[tuple[str, str, object]]] = {
     "a further name: a hundredth of the others' gain": [("forces.search", "RELATIVE_ERROR", 0.0)],
     "numbers smaller than 0.3 steps are not named": [("forces.identify", "_SEEN", 0.0)],
     "nine beside calibration": [("forces.search", "_DOUBT", 0.0)],
-    "an offset beside other effects is in no doubt": [("forces.search", "_OFFSET", "")],
     "a whole drive as one answer": [("forces.search", "drive_points", lambda *_: [])],
     "single effects beside a drive: 0.02 of its gain": [("forces.search", "_FAR", 0.0)],
     "commands act within 0.75 of a sample": [("forces.unknowns", "_WITHIN", 0.5)],
@@ -53,7 +52,6 @@ RULES: Mapping[str, Sequence[tuple[str, str, object]]] = {
     "three finalists": [("forces.search", "_FINALISTS", 6)],
     "four updates of variances a round": [("forces.points", "_UPDATES", 8)],
     "derivatives of three rounds": [("forces.points", "_FRESH", 20)],
-    "three rounds of the believed model's refit": [("forces.identify", "_BEFORE", 20)],
     "horizons: errors of a tenth of the motion": [("forces.horizons", "FOLLOWS", 0.2)],
     "horizons: four times longer": [("forces.horizons", "_LONGER", 2.0)],
 }

@@ -22,9 +22,6 @@ _FAR = 0.02
 _DOUBT = 9.0
 """Evidence that a number needs beside calibration that may take its place: three standard errors."""
 
-_OFFSET = "offset_torque"
-"""Effect that calibration of zeros, masses and the base may always take the place of."""
-
 _PASSES = 3
 """Passes of backward elimination."""
 
@@ -257,14 +254,9 @@ def _simpler(side: ForceSide, fit: Fitted, index: int, single: Mapping[str, Cand
 
 
 def _pays(side: ForceSide, fit: Fitted, index: int, members: Sequence[int], least: float) -> bool:
-    """Whether numbers of an effect pay where nothing is badly calibrated, and in doubt where calibration may be.
-
-    An offset beside other effects is in no doubt: that a tilted base would explain it as well is no reason to predict
-    without.
-    """
-    offset = fit.point.named[index][0].effect.name == _OFFSET and len(fit.point.named) > 1
-    beside = offset or _lost(side, fit, index, members, True) > _DOUBT
-    return beside and _lost(side, fit, index, members, False) > least
+    """Whether numbers of an effect pay where nothing is badly calibrated, and in doubt where calibration may be."""
+    beside, alone = (_lost(side, fit, index, members, calibrated) for calibrated in (True, False))
+    return beside > _DOUBT and alone > least
 
 
 def _lost(side: ForceSide, fit: Fitted, index: int, members: Sequence[int], calibrated: bool) -> float:

@@ -16,6 +16,9 @@ from btr_mjx.models import part_names
 
 _UNSET = float("nan")
 
+_ROUNDING = 2e-5
+"""Part by which a moment of inertia stays below the sum of the others: numbers in XML have six digits."""
+
 _DERIVED = (
     "actuator_delay",  # an edit of the command in a world; see `Effect.native`
     "actuator_acc0",
@@ -246,5 +249,8 @@ def _write_inertia(body: mujoco.MjsBody, model: mujoco.MjModel) -> None:
     body.mass = float(model.body_mass[body.id])
     body.ipos = model.body_ipos[body.id]
     body.iquat = model.body_iquat[body.id]
-    body.inertia = model.body_inertia[body.id]
+    moments = model.body_inertia[body.id].copy()
+    largest = int(moments.argmax())
+    moments[largest] = min(moments[largest], (1 - _ROUNDING) * (moments.sum() - moments[largest]))
+    body.inertia = moments
     body.fullinertia = [_UNSET, 0, 0, 0, 0, 0]

@@ -1,5 +1,8 @@
 """Numbers that follow recordings: where truth is known, where forces are sure, and where nothing can be followed."""
 
+from dataclasses import replace
+
+import mujoco
 import numpy as np
 import pytest
 from gap_arm import LIBRARY, arm, damped
@@ -10,6 +13,7 @@ from btr_mjx.gap.forces.horizons import cut_horizons, follow_horizons, position_
 from btr_mjx.gap.forces.points import ForceSide, Point
 
 TRUE = 0.1
+GAIN = 0.04
 
 
 @pytest.fixture(scope="module")
@@ -28,6 +32,24 @@ def point(side: ForceSide, value: float) -> Point:
 def test_numbers_move_to_where_recordings_are_followed(side: ForceSide, value: float) -> None:
     (_, (found,)), *_ = follow_horizons(side, point(side, value), np.array([[0.05**2]]), side.library).named
     assert found == pytest.approx(TRUE, rel=0.03)
+
+
+def test_calibration_moves_with_them() -> None:
+    def change(model: mujoco.MjModel) -> None:
+        damped(model)
+        model.actuator_gainprm[0] *= 1 + GAIN
+        model.actuator_biasprm[0] *= 1 + GAIN
+
+    effects = tuple(e for e in LIBRARY if e.name in ("viscous_damping", "actuator_gain"))
+    side = arm_side(arm_stretches([moved_arm(f"r{i}", i, change=change) for i in (0, 1)]), effects)
+    start = point(side, 0.07)
+    names = [entry.candidate.name for entry in side.library.calibrated]
+    calibration = np.where(np.array(names) == "actuator_gain@actuator:shoulder", 0.5 * GAIN, 0.0)
+    spread = np.diag([0.05, *np.full(len(names), 0.05)]) ** 2
+    found = follow_horizons(side, replace(start, calibration=calibration), spread, side.library)
+    assert found.named[0][1][0] == pytest.approx(TRUE, rel=0.05)
+    assert found.calibration[calibration != 0] == pytest.approx(GAIN, rel=0.1)
+    assert not found.calibration[calibration == 0].any()
 
 
 def test_numbers_of_which_forces_are_sure_stay(side: ForceSide) -> None:

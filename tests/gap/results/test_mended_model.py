@@ -147,3 +147,12 @@ def test_a_body_of_simple_inertia_gets_a_payload() -> None:
     found = FoundEffect("payload", "body:a", {"mass": 0.4, "x": 0.0, "y": 0.0, "z": 0.0})
     after = mujoco.MjModel.from_xml_string(mend(xml, [found]).xml)
     assert after.body_mass[1] == pytest.approx(before.body_mass[1] + 0.4)
+
+
+@pytest.mark.parametrize("mass", np.linspace(0.1, 0.2, 20))
+def test_moments_of_a_flat_body_are_physical_after_rounding(mass: float) -> None:
+    """The largest moment of a flat body is the sum of the others, and MuJoCo refuses one that is larger."""
+    inertial = '<inertial pos="0 0 0" mass="0.3" diaginertia="0.00123457 0.00234566 0.00358023"/>'
+    xml = f'<mujoco><worldbody><body name="a"><joint/>{inertial}</body></worldbody></mujoco>'
+    found = FoundEffect("payload", "body:a", {"mass": mass, "x": 0.31 * mass, "y": mass, "z": 0.0})
+    mujoco.MjModel.from_xml_string(mend(xml, [found]).xml)
