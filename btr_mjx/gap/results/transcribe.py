@@ -17,7 +17,7 @@ from btr_mjx.models import part_names
 _UNSET = float("nan")
 
 _ROUNDING = 2e-5
-"""Part by which a moment of inertia stays below the sum of the others: numbers in XML have six digits."""
+"""Part by which the largest moment of inertia stays below the sum of the others: numbers in XML have six digits."""
 
 _DERIVED = (
     "actuator_delay",  # an edit of the command in a world; see `Effect.native`
@@ -250,7 +250,7 @@ def _write_inertia(body: mujoco.MjsBody, model: mujoco.MjModel) -> None:
     body.ipos = model.body_ipos[body.id]
     body.iquat = model.body_iquat[body.id]
     moments = model.body_inertia[body.id].copy()
-    largest = int(moments.argmax())
-    moments[largest] = min(moments[largest], (1 - _ROUNDING) * (moments.sum() - moments[largest]))
+    least, middle, most = np.argsort(moments)
+    moments[least] = max(moments[least], (1 + _ROUNDING) * moments[most] - moments[middle])
     body.inertia = moments
     body.fullinertia = [_UNSET, 0, 0, 0, 0, 0]
