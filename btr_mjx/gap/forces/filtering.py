@@ -21,6 +21,9 @@ NU = 3.0
 """Degrees of freedom of the random force, a Student distribution: gears stick, joints reverse, somebody touches the
 robot."""
 
+LASTS = 0.1
+"""Time for which a force is unusual [s]: who touches a robot does so for more than a sample."""
+
 SPAN = 0.01
 """Time over which the random force is averaged where its size is told [s]; the sampling rate has no part in it."""
 
@@ -37,7 +40,8 @@ class Variances:
       sensor: (2 nv,) variance of position and velocity measurements.
       jitter: variance of time stamps [s^2].
       force: (nv,) variance of the random generalised force, averaged over `SPAN` [N^2 or (N m)^2].
-      weight: (S, K, nv) weights of the force, 1 where it is usual and less where it is not (heavy tails); None for 1.
+      weight: (S, blocks, nv) weights of the force, 1 where it is usual and less where it is not (heavy tails), over
+        blocks of `LASTS`; None for 1.
     """
 
     sensor: np.ndarray
@@ -136,7 +140,21 @@ def _usual(linear: Linearised, variances: Variances) -> np.ndarray:
 def _fresh(linear: Linearised, variances: Variances) -> np.ndarray:
     """(S, K, nv) variances of the random force in each interval."""
     usual = _usual(linear, variances)
-    return usual if variances.weight is None else usual / variances.weight
+    if variances.weight is None:
+        return usual
+    return usual / variances.weight[:, np.arange(usual.shape[1]) // _lasting(linear)]
+
+
+def _lasting(linear: Linearised) -> int:
+    """Intervals of a block in which the weights of the force are the same."""
+    return int(np.clip(round(LASTS / float(np.median(linear.interval))), 1, linear.interval.shape[1]))
+
+
+def _weights(linear: Linearised, square: np.ndarray) -> np.ndarray:
+    """(S, blocks, nv) from the expected square (S, K, nv) of the force, in units of its variance at weight 1."""
+    first = np.arange(0, square.shape[1], _lasting(linear))
+    count = np.diff([*first, square.shape[1]])[:, None]
+    return (count + NU) / (NU + np.add.reduceat(square, first, axis=1))
 
 
 def _sensor(linear: Linearised, variances: Variances) -> np.ndarray:
@@ -253,8 +271,7 @@ def _backward(linear: Linearised, kept: _Pass, variances: Variances, given_noise
         sensor=new_sensor,
         jitter=variances.jitter * float(_ratio(np.array(jitter), np.array(jitter_n))),
         force=variances.force * _ratio(push, push_n),
-        # From the expected square of the force, in units of its variance at weight 1.
-        weight=(1 + NU) / (NU + (force**2 + spread) / usual),
+        weight=_weights(linear, (force**2 + spread) / usual),
     )
     return Smoothed(state, force, updated)
 

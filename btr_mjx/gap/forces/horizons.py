@@ -6,7 +6,7 @@ forces allow, to where simulations are nearest to the data, over horizons that g
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -87,7 +87,7 @@ def follow_horizons(side: ForceSide, point: Point, covariance: np.ndarray, libra
         rms = np.sqrt(np.median(np.concatenate([(e[..., seen] ** 2).mean(1) for e in errors]), 0))
         if not np.all(rms < FOLLOWS * size):
             break
-        best, covariance = _nearest(side, trial, best, covariance, (seen, rms), library)
+        best, covariance = _nearest(side, trial, best, numbers.at(best), covariance, (seen, rms))
         horizon *= _LONGER
     return best
 
@@ -197,6 +197,11 @@ class _Numbers:
         free = np.flatnonzero((np.arange(len(rows)) < point.numbers) | (value != 0))
         return cls(free, low[free], high[free], step[free], value[free])
 
+    def at(self, point: Point) -> "_Numbers":
+        """The same numbers with their values at a point."""
+        values = np.concatenate([*(own for _, own in point.named), point.calibration])
+        return replace(self, value=values[self.free])
+
     def moved(self, point: Point, values: np.ndarray) -> Point:
         """A point with values (m,) instead of those of this one."""
         change, p = np.zeros(point.numbers + len(point.calibration)), point.numbers
@@ -208,9 +213,9 @@ def _nearest(
     side: ForceSide,
     trial: Horizon,
     point: Point,
+    numbers: _Numbers,
     covariance: np.ndarray,
     scale: tuple[np.ndarray, np.ndarray],
-    library: Library,
 ) -> tuple[Point, np.ndarray]:
     """The point nearest to the data over one horizon, and the covariance of its numbers.
 
@@ -218,21 +223,32 @@ def _nearest(
       side: counts the steps.
       trial: the horizon.
       point: what forces and shorter horizons say.
-      covariance: (m, m) of its numbers.
+      numbers: of the point, which are moved.
+      covariance: (m, m) of them.
       scale: coordinates that were measured, and the size of their errors.
-      library: of the search.
     """
-    numbers = _Numbers.of(point, library)
     low, high, step, start = numbers.low, numbers.high, numbers.step, numbers.value
     root = np.linalg.cholesky(np.linalg.inv(covariance)).T
     seen, rms = scale
 
+    def errors_of(many: Sequence[np.ndarray], simulated: Errors) -> list[list[np.ndarray]]:
+        """Each simulation counts as one measured value per joint, since its errors go together."""
+        tried = [numbers.moved(point, values).hypothesis(side.library) for values in many]
+        found = simulated(trial, tried, side.counter)
+        return [[e[..., seen] / rms / np.sqrt(e.shape[1]) for e in row] for row in found]
+
+    # Where somebody touches the robot no numbers follow it: errors count up to where a simulation follows.
+    most = FOLLOWS * motion_size(trial.data)[seen] / rms
+    counted = [
+        np.minimum(1.0, most / np.sqrt((e**2).sum(1, keepdims=True) + 1e-300))
+        for e in errors_of([start], position_errors)[0]
+    ]
+
     def residuals(many: Sequence[np.ndarray], simulated: Errors = _exact_errors) -> np.ndarray:
-        """(n, N): each simulation counts as one measured value per joint, since its errors go together."""
-        tried = [numbers.moved(point, values) for values in many]
-        found = simulated(trial, [own.hypothesis(library) for own in tried], side.counter)
-        errors = [np.concatenate([(e[..., seen] / rms / np.sqrt(e.shape[1])).ravel() for e in row]) for row in found]
-        return np.concatenate([errors, (np.array(many) - start) @ root.T], 1)
+        """(n, N) errors as they count, and distances from the start."""
+        found = errors_of(many, simulated)
+        rows = [np.concatenate([(c * e).ravel() for c, e in zip(counted, row, strict=True)]) for row in found]
+        return np.concatenate([rows, (np.array(many) - start) @ root.T], 1)
 
     at, own = start, residuals([start])[0]
     steps = np.diag(np.where(start + step <= high, step, -step))

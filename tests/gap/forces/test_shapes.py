@@ -37,7 +37,7 @@ RIPPLE = at(0, lambda q, v, t: 0.45 * np.sin(8 * q + 0.7))
 @pytest.mark.parametrize(
     ("joint", "of", "follows"),
     [
-        (1, lambda q, v, t: -2.0 * abs(q - 0.1), "the absolute value of its position"),
+        (1, lambda q, v, t: -2.0 * abs(q), "the absolute value of its position"),
         (1, lambda q, v, t: -0.03 * v * abs(v), "the square of its speed"),
         (0, lambda q, v, t: 1.5 * t, "time (a drift)"),
     ],
