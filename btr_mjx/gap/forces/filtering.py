@@ -21,8 +21,8 @@ NU = 3.0
 """Degrees of freedom of the random force, a Student distribution: gears stick, joints reverse, somebody touches the
 robot."""
 
-LASTS = 0.1
-"""Time for which a force is unusual [s]: who touches a robot does so for more than a sample."""
+LASTS = 0.03
+"""Time for which a force is unusual [s]: a joint turns round and a hand touches for more than a sample."""
 
 SPAN = 0.01
 """Time over which the random force is averaged where its size is told [s]; the sampling rate has no part in it."""

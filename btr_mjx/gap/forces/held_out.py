@@ -22,10 +22,12 @@ class HeldOut:
     Attributes:
       loss: (S,) -2 ln p of each stretch.
       chi2: (S,) of the innovations per measured value, with the noise of the sensors alone.
+      sensor: (2 nv,) variances of this noise.
     """
 
     loss: np.ndarray
     chi2: np.ndarray
+    sensor: np.ndarray
 
     @property
     def lack(self) -> float:
@@ -34,7 +36,7 @@ class HeldOut:
         return float((self.chi2.mean() - 1) / max(spread, 1e-9))
 
 
-def held_out(side: ForceSide, point: Point, variances: Variances) -> HeldOut:
+def held_out(side: ForceSide, point: Point, variances: Variances, sensor: np.ndarray | None = None) -> HeldOut:
     """Evaluate a point on recordings that were not fitted, with its numbers and calibration.
 
     Args:
@@ -42,6 +44,7 @@ def held_out(side: ForceSide, point: Point, variances: Variances) -> HeldOut:
       point: what was fitted.
       variances: as they were estimated on the other side; estimated again here, since other motions excite other
         forces.
+      sensor: noise (2 nv,) of `HeldOut.chi2`, where it is to be compared with another one; None to estimate it.
     """
     stretches = side.stretches
     make = point.hypothesis(side.library)
@@ -57,9 +60,10 @@ def held_out(side: ForceSide, point: Point, variances: Variances) -> HeldOut:
     whitened = filtered(linear, none, known)
     assert known.weight is not None
     of_weights = known.share_of_penalty()
-    quiet = replace(known, force=_QUIET**2 * known.force, weight=None)
-    alone = filtered(linear, none, quiet)
-    return HeldOut(whitened.gram[:, 0, 0] + whitened.log_determinant + of_weights, alone.gram[:, 0, 0] / alone.count)
+    sensor = known.sensor if sensor is None else sensor
+    alone = filtered(linear, none, replace(known, sensor=sensor, force=_QUIET**2 * known.force, weight=None))
+    loss = whitened.gram[:, 0, 0] + whitened.log_determinant + of_weights
+    return HeldOut(loss, alone.gram[:, 0, 0] / alone.count, sensor)
 
 
 def is_better(before: HeldOut, after: HeldOut) -> bool:

@@ -231,24 +231,12 @@ def _nearest(
     root = np.linalg.cholesky(np.linalg.inv(covariance)).T
     seen, rms = scale
 
-    def errors_of(many: Sequence[np.ndarray], simulated: Errors) -> list[list[np.ndarray]]:
-        """Each simulation counts as one measured value per joint, since its errors go together."""
-        tried = [numbers.moved(point, values).hypothesis(side.library) for values in many]
-        found = simulated(trial, tried, side.counter)
-        return [[e[..., seen] / rms / np.sqrt(e.shape[1]) for e in row] for row in found]
-
-    # Where somebody touches the robot no numbers follow it: errors count up to where a simulation follows.
-    most = FOLLOWS * motion_size(trial.data)[seen] / rms
-    counted = [
-        np.minimum(1.0, most / np.sqrt((e**2).sum(1, keepdims=True) + 1e-300))
-        for e in errors_of([start], position_errors)[0]
-    ]
-
     def residuals(many: Sequence[np.ndarray], simulated: Errors = _exact_errors) -> np.ndarray:
-        """(n, N) errors as they count, and distances from the start."""
-        found = errors_of(many, simulated)
-        rows = [np.concatenate([(c * e).ravel() for c, e in zip(counted, row, strict=True)]) for row in found]
-        return np.concatenate([rows, (np.array(many) - start) @ root.T], 1)
+        """(n, N): each simulation counts as one measured value per joint, since its errors go together."""
+        tried = [numbers.moved(point, values) for values in many]
+        found = simulated(trial, [own.hypothesis(side.library) for own in tried], side.counter)
+        errors = [np.concatenate([(e[..., seen] / rms / np.sqrt(e.shape[1])).ravel() for e in row]) for row in found]
+        return np.concatenate([errors, (np.array(many) - start) @ root.T], 1)
 
     at, own = start, residuals([start])[0]
     steps = np.diag(np.where(start + step <= high, step, -step))

@@ -142,7 +142,8 @@ def identify_forces(
     contradicted = len(confirmed) < len(chain)
     last = _without_invisible(side, confirmed[-1])
     final = [*confirmed[:-1], last] if last.point.named else confirmed[:1]
-    before, after = (held_out(test, fit.point, fit.variances) for fit in (final[0], final[-1]))
+    after = held_out(test, final[-1].point, final[-1].variances)
+    before = held_out(test, final[0].point, final[0].variances, after.sensor)
     final[-1] = replace(final[-1], point=_followed(side, final[-1]))
     found = _found(side, test, rounds, final, (before, after), contradicted, dataset)
     return diagnosis_of(dataset, prepared.sigma, found, time.monotonic() - begun + counter.earlier)
