@@ -72,7 +72,7 @@ def content(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
         "effects": effects,
         "interval_note": str(
             result.get("interval_note")
-            or "From, to: 90 % interval from resampled windows; it does not assume that the fit is good."
+            or "From, to: 90 % interval; it does not assume that the fit is good."
         ),
         "unexplained": _lines(result.get("unexplained")),
         "equivalent": _equivalent(result),

@@ -16,7 +16,7 @@ class Estimate:
 
     Attributes:
       value: best estimate.
-      low, high: 90 % interval, from resampled windows; it does not assume that the fit is good.
+      low, high: 90 % interval; it does not assume that the fit is good.
       unit: SI unit.
       null: value at which the effect is absent.
       edge: whether the value is at the edge of its range; the true value may be beyond.

@@ -84,7 +84,8 @@ def _named(result: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> s
         place = {**effect, "location": str(effect["location"]).removeprefix(EACH_MEMBER)}
         each.append(f"{effect_at_place(place)} ({parameters_in_words(effect)})")
     if len(effects) > _LISTED:
-        each.append(f"{len(effects) - _LISTED} more effects, listed in the table")
+        more = len(effects) - _LISTED
+        each.append(f"{more} more effect{'s' if more > 1 else ''}, listed in the table")
     if _leaves_much(result):
         return f"A part of what is missing is {' and '.join(each)}"
     return f"The missing effect{'s are' if len(effects) > 1 else ' is'} {' and '.join(each)}"
