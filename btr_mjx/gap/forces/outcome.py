@@ -104,7 +104,8 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
     seen = found.side.stretches.seen
     # In units of the noise of the dataset, whatever was estimated beside it.
     floor = float(np.mean((last.variances.sensor / found.side.stretches.sigma**2)[seen]))
-    before, after = (floor * float(np.mean(own.chi2)) for own in found.held_out)
+    # Somebody pushes, time stamps jump: of a few stretches any mean is large.
+    before, after = (floor * float(np.median(own.chi2)) for own in found.held_out)
     loops = _open_loop(found)
     model = dataset.model
     diagnosis = Diagnosis(

@@ -71,8 +71,7 @@ def content(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
         "gap": _gap(result.get("gap") or {}, bool(effects)),
         "effects": effects,
         "interval_note": str(
-            result.get("interval_note")
-            or "From, to: 90 % interval; it does not assume that the fit is good."
+            result.get("interval_note") or "From, to: 90 % interval; it does not assume that the fit is good."
         ),
         "unexplained": _lines(result.get("unexplained")),
         "equivalent": _equivalent(result),

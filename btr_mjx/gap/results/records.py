@@ -89,7 +89,8 @@ class Gap:
     """The gap between simulation and held-out data, before and after.
 
     Attributes:
-      before, after: chi^2 of a window per degree of freedom, tolerances at their best, bounded per window.
+      before, after: chi^2 of a window per degree of freedom, tolerances at their best, bounded per window; where the
+        robot touches nothing that of the median stretch.
       noise_floor: chi^2 with nothing missing: that of simulated nulls, or that of the mended model where it is smaller.
         Before and after share one realisation of the noise; nulls have other realisations of the same size.
       nulls: chi^2 of simulated nulls.
