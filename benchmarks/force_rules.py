@@ -52,6 +52,7 @@ RULES: Mapping[str, Sequence[tuple[str, str, object]]] = {
     "three finalists": [("forces.search", "_FINALISTS", 6)],
     "four updates of variances a round": [("forces.points", "_UPDATES", 8)],
     "derivatives of three rounds": [("forces.points", "_FRESH", 20)],
+    "forces are unusual for 30 ms": [("forces.filtering", "LASTS", 0.0)],
     "horizons: errors of a tenth of the motion": [("forces.horizons", "FOLLOWS", 0.2)],
     "horizons: four times longer": [("forces.horizons", "_LONGER", 2.0)],
 }

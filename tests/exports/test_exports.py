@@ -88,7 +88,7 @@ def test_files(tmp_path: Path) -> None:
 
 def exported(folder: Path, *effects: NamedEffect) -> dict[str, Any]:
     """randomisation.json of a diagnosis of the arm."""
-    diagnosis: Any = SimpleNamespace(believed=(), effects=effects)
+    diagnosis: Any = SimpleNamespace(believed=(), effects=effects, calibration=())
     dataset: Any = SimpleNamespace(parameters=())
     export_diagnosis(diagnosis, dataset, folder, lambda found: mend(gap_arm.XML, found))
     return json.loads((folder / "randomisation.json").read_text())["parameters"]

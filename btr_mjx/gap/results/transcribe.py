@@ -112,7 +112,7 @@ def normalised(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
             spec.texturedir = str(folder / spec.texturedir)
     model = spec.compile()
     spec = mujoco.MjSpec.from_string(spec.to_xml())
-    for body in spec.bodies:
+    for body in spec.bodies[1:]:
         body.simple = 0  # as in the search: effects edit inertia, which MuJoCo's simple bodies do not allow
     again = spec.compile()
     if (

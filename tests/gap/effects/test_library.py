@@ -27,7 +27,7 @@ from btr_mjx.gap.simulate import Rows, World, differing_fields, simulate
 def test_native_edits_equal_compiled_models(name: str) -> None:
     base = normalised(MODELS[name]).compile()
     original = load(name)
-    assert set(differing_fields(World.of(base), original)) <= {"actuator_acc0"} or _close(base, original)
+    assert _close(base, original)
     seen = set()
     for candidate in candidates(base, Scales.of(base), KNOWN_EFFECTS):
         if name == "hexapod" and (candidate.effect.name, len(candidate.place.members)) in seen:
@@ -61,6 +61,7 @@ def _close(a: mujoco.MjModel, b: mujoco.MjModel) -> bool:
     return all(
         np.allclose(value, getattr(b, field), rtol=1e-5, atol=1e-8)
         for field, value in differing_fields(World.of(a), b).items()
+        if field != "body_simple"  # a short cut of MuJoCo that edited bodies do without
     )
 
 
