@@ -78,6 +78,8 @@ def follow_horizons(side: ForceSide, point: Point, covariance: np.ndarray, libra
     size = motion_size(data)[seen]
     longest = min(float(np.ptp(r.time)) for r in data.recordings)
     numbers = _Numbers.of(point, library)
+    if not len(numbers.free):
+        return point
     samples = SAMPLES * _NUMBERS // max(_NUMBERS, len(numbers.free))
     covariance = covariance[np.ix_(numbers.free, numbers.free)]
     horizon, best = _SHORTEST, point
@@ -193,7 +195,7 @@ class _Numbers:
         ]
         for entry, reach, v in zip(library.calibrated, library.calibration.reach, point.calibration, strict=True):
             rows.append((-reach, reach, 0.1 * abs(library.numbers[entry.columns[0][0]].step), v))
-        low, high, step, value = np.array(rows).T
+        low, high, step, value = np.array(rows).reshape(-1, 4).T
         free = np.flatnonzero((np.arange(len(rows)) < point.numbers) | (value != 0))
         return cls(free, low[free], high[free], step[free], value[free])
 

@@ -62,6 +62,13 @@ def test_a_model_that_follows_nothing_is_left_alone(side: ForceSide) -> None:
     assert follow_horizons(side, wrong, np.array([[1.0]]), side.library) is wrong
 
 
+def test_a_model_without_numbers_is_left_alone() -> None:
+    effects = tuple(e for e in LIBRARY if e.name == "backlash")
+    side = arm_side(arm_stretches([moved_arm("r0", 0)]), effects)
+    nothing = Point(believed(), (), np.zeros(0))
+    assert follow_horizons(side, nothing, np.zeros((0, 0)), side.library) is nothing
+
+
 def test_horizons_cover_recordings_one_behind_the_other(side: ForceSide) -> None:
     data = side.stretches.data
     trial = cut_horizons(data, 0.1)

@@ -60,6 +60,11 @@ def stronger(model: mujoco.MjModel, actuator: int) -> None:
     model.actuator_biasprm[actuator] *= 1.05
 
 
+def test_a_library_without_calibration_finds_nothing_missing():
+    found = diagnosis(9, effects=tuple(e for e in EFFECTS if e.name == "backlash"))
+    assert (found.verdict, found.effects, found.calibration) == ("none", (), ())
+
+
 def test_a_motor_that_is_a_little_stronger_is_calibration():
     """It is no missing effect; the calibrated model predicts recordings that were not fitted."""
 
