@@ -140,7 +140,7 @@ def identify_forces(
     confirmed = _confirmed(test, chain)
     progress("numbers")
     contradicted = len(confirmed) < len(chain)
-    last = _without_invisible(side, confirmed[-1])
+    last = _settled_anew(side, _without_invisible(side, confirmed[-1]))
     final = [*confirmed[:-1], last] if last.point.named else confirmed[:1]
     after = held_out(test, final[-1].point, final[-1].variances)
     before = held_out(test, final[0].point, final[0].variances, after.sensor)
@@ -183,6 +183,13 @@ def _without_invisible(side: ForceSide, fit: Fitted) -> Fitted:
     if len(seen) == len(fit.point.named):
         return fit
     return settled(side, replace(fit.point, named=seen), fit.variances, about=fit.linear.stretches)
+
+
+def _settled_anew(side: ForceSide, fit: Fitted) -> Fitted:
+    """The better one of a fit and of the same names from no calibration, which may still stand for what is named."""
+    point = replace(fit.point, calibration=np.zeros_like(fit.point.calibration))
+    anew = settled(side, point, fit.variances, about=fit.linear.stretches)
+    return anew if anew.loss < fit.loss else fit
 
 
 def _followed(side: ForceSide, fit: Fitted) -> Point:

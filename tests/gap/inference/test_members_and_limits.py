@@ -91,7 +91,10 @@ FIVE = """<mujoco model="arm5"><compiler angle="radian"/><option timestep="0.002
 
 @pytest.mark.slow
 def test_five_rotors_of_an_arm(tmp_path: Path) -> None:
-    """All are believed to be 0.01; each is found within one percent, and the gap falls to less than twice the noise."""
+    """All are believed to be 0.01; each is found as well as gains are known, and the gap falls to twice the noise.
+
+    A motor that is 3 % weaker with a rotor that is 3 % lighter moves nearly alike.
+    """
     rotors = np.array([0.5, 0.4, 0.3, 0.2, 0.1])
     real = mujoco.MjModel.from_xml_string(FIVE)
     real.dof_armature[:], real.opt.timestep = rotors, 1e-4
@@ -119,7 +122,9 @@ def test_five_rotors_of_an_arm(tmp_path: Path) -> None:
     (named,) = found.effects
     assert named.name == "armature@each:all"
     values = np.array([named.parameters[f"armature[j{i}]"].value for i in range(1, 6)])
-    np.testing.assert_allclose(values, rotors - 0.01, rtol=0.01)
+    np.testing.assert_allclose(values, rotors - 0.01, rtol=0.015)
+    for truth, own in zip(rotors - 0.01, named.parameters.values(), strict=True):
+        assert own.low < truth < own.high
     assert found.gap.after < 2 * found.gap.nulls
 
 
