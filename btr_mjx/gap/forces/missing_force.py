@@ -24,6 +24,10 @@ _UNCERTAIN = 0.05
 """Part by which the torque constant of a motor may be wrong."""
 
 
+_AVERAGED = 0.1
+"""Time over which forces are averaged where commands are compared with what a motion needs [s]."""
+
+
 @dataclass(frozen=True, eq=False)
 class MissingForce:
     """Missing force in the middle of all intervals.
@@ -107,3 +111,22 @@ def drives(missing: MissingForce, spring: np.ndarray | None = None) -> np.ndarra
         found = scipy.optimize.lsq_linear(columns / scale, force, ([0, 0, 0, -np.inf, low], [*4 * [np.inf], high]))
         out[:, j] = found.x / scale
     return out
+
+
+def commanded_share(missing: MissingForce, interval: float) -> np.ndarray:
+    """Squared correlation (nv,) of the force of the actuators with the force that the motion needs.
+
+    Args:
+      missing: along a motion.
+      interval: between its samples [s].
+    """
+    needed, given = (_averaged(own, interval) for own in (missing.force + missing.actuator, missing.actuator))
+    needed, given = needed - needed.mean(0), given - given.mean(0)
+    return (needed * given).sum(0) ** 2 / np.maximum((needed**2).sum(0) * (given**2).sum(0), 1e-300)
+
+
+def _averaged(force: np.ndarray, interval: float) -> np.ndarray:
+    """(N, nv) means of forces (S, K, nv) over `_AVERAGED`: accelerations from sample to sample are mostly noise."""
+    width = int(np.clip(round(_AVERAGED / interval), 1, force.shape[1]))
+    blocks = force[:, : force.shape[1] // width * width].reshape(len(force), -1, width, force.shape[-1])
+    return blocks.mean(2).reshape(-1, force.shape[-1])

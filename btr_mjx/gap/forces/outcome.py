@@ -14,7 +14,7 @@ from btr_mjx.gap.forces.held_out import HeldOut
 from btr_mjx.gap.forces.horizons import cut_horizons, position_errors
 from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.late_logs import without_late_log
-from btr_mjx.gap.forces.missing_force import MissingForce
+from btr_mjx.gap.forces.missing_force import MissingForce, commanded_share
 from btr_mjx.gap.forces.points import Fitted, ForceSide, names
 from btr_mjx.gap.forces.predictions import HORIZON, predictions
 from btr_mjx.gap.forces.search import Named, SearchRound
@@ -46,9 +46,6 @@ _SLIGHT = 1e-2
 """Part of the usual force of a joint that nobody would miss."""
 
 _NOT_BORNE_OUT = "One more effect explained the recordings that were fitted, but not those held out."
-
-_AVERAGED = 0.1
-"""Time over which forces are averaged where commands are compared with what a motion needs [s]."""
 
 _CAP = 1e4
 """Largest squared force in a map, in units of its variance."""
@@ -309,7 +306,7 @@ def _words(model: mujoco.MjModel, found: SearchOutcome) -> tuple[str, ...]:
     shape = (shape_sentence(model, found.shape),) if found.shape.score > 0 else ()
     left = np.sqrt(found.chain[-1].variances.force)
     usual = np.sqrt((found.missing.actuator**2).mean((0, 1)))
-    commanded = _commanded(found.missing, float(np.median(np.diff(found.side.stretches.time, axis=1))))
+    commanded = commanded_share(found.missing, float(np.median(np.diff(found.side.stretches.time, axis=1))))
     places = dof_places(model)
     worst = np.argsort(-left / np.maximum(usual, 1e-300))
     return (
@@ -321,20 +318,6 @@ def _words(model: mujoco.MjModel, found: SearchOutcome) -> tuple[str, ...]:
             if found.large[j]
         ),
     )[:3]
-
-
-def _commanded(missing: MissingForce, interval: float) -> np.ndarray:
-    """(nv,) squared correlation of the force of the actuators with the force that the motion needs."""
-    needed, given = (_averaged(own, interval) for own in (missing.force + missing.actuator, missing.actuator))
-    needed, given = needed - needed.mean(0), given - given.mean(0)
-    return (needed * given).sum(0) ** 2 / np.maximum((needed**2).sum(0) * (given**2).sum(0), 1e-300)
-
-
-def _averaged(force: np.ndarray, interval: float) -> np.ndarray:
-    """(N, nv) means of forces (S, K, nv) over `_AVERAGED`: accelerations from sample to sample are mostly noise."""
-    width = int(np.clip(round(_AVERAGED / interval), 1, force.shape[1]))
-    blocks = force[:, : force.shape[1] // width * width].reshape(len(force), -1, width, force.shape[-1])
-    return blocks.mean(2).reshape(-1, force.shape[-1])
 
 
 def _refits(dataset: Dataset, found: SearchOutcome) -> tuple[Refit, ...]:
