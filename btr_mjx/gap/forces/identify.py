@@ -140,11 +140,12 @@ def identify_forces(
     confirmed = _confirmed(test, chain)
     progress("numbers")
     contradicted = len(confirmed) < len(chain)
-    last = _settled_anew(side, _without_invisible(side, confirmed[-1]))
-    final = [*confirmed[:-1], last] if last.point.named else confirmed[:1]
+    seen = _without_invisible(side, confirmed[-1])
+    last, point = _last(side, seen if seen.point.named else confirmed[0])
+    final = [*confirmed[:-1], last] if seen.point.named else [last]
     after = held_out(test, final[-1].point, final[-1].variances)
     before = held_out(test, final[0].point, final[0].variances, after.sensor)
-    final[-1] = replace(final[-1], point=_followed(side, final[-1]))
+    final[-1] = replace(last, point=point)
     found = _found(side, test, rounds, final, (before, after), contradicted, dataset)
     return diagnosis_of(dataset, prepared.sigma, found, time.monotonic() - begun + counter.earlier)
 
@@ -185,11 +186,21 @@ def _without_invisible(side: ForceSide, fit: Fitted) -> Fitted:
     return settled(side, replace(fit.point, named=seen), fit.variances, about=fit.linear.stretches)
 
 
-def _settled_anew(side: ForceSide, fit: Fitted) -> Fitted:
-    """The better one of a fit and of the same names from no calibration, which may still stand for what is named."""
+def _last(side: ForceSide, fit: Fitted) -> tuple[Fitted, Point]:
+    """A fit and its point with numbers that follow recordings, or those of the same names from no calibration.
+
+    At its bounds, calibration may still stand for what was named after it. Predictions choose; where they cannot tell,
+    the likelihood does.
+    """
+    if not fit.point.named:
+        return fit, _followed(side, fit)
     point = replace(fit.point, calibration=np.zeros_like(fit.point.calibration))
-    anew = settled(side, point, fit.variances, about=fit.linear.stretches)
-    return anew if anew.loss < fit.loss else fit
+    fits = [fit, settled(side, point, fit.variances, about=fit.linear.stretches)]
+    points = [_followed(side, own) for own in fits]
+    makes = [own.hypothesis(side.library) for own in points]
+    told = compared_predictions(side.stretches.data, makes, side.counter)[0, 1]
+    chosen = int(told > 0 if told else fits[1].loss < fit.loss)
+    return fits[chosen], points[chosen]
 
 
 def _followed(side: ForceSide, fit: Fitted) -> Point:
