@@ -208,7 +208,11 @@ def select_effects(
         rounds.append(one_more(side, chain[-1], needed))
         if not rounds[-1].finalists or rounds[-1].finalists[0][0] <= needed:
             break
-        chain.append(pruned(side, rounds[-1].finalists[0][1], chain[0]))
+        found = pruned(side, rounds[-1].finalists[0][1], chain[0])
+        # What the new effect makes worthless may be what it is best beside: then they would come and go for ever.
+        if any(sorted(names(found.point.named)) == sorted(names(fit.point.named)) for fit in chain):
+            break
+        chain.append(found)
     return rounds, chain
 
 
