@@ -5,16 +5,13 @@ sample to the next is linearised around measured states (`motion`), a Kalman fil
 (`filtering`), and every effect of the library is a column of a least-squares problem (`unknowns`, `scan`, `points`).
 """
 
-from btr_mjx.gap.forces.identify import PreparedForces, bears_out, identify_forces, prepare_forces
-from btr_mjx.gap.forces.late_logs import without_late_log
+from btr_mjx.gap.forces.identify import PreparedForces, identify_forces, prepare_forces
 from btr_mjx.gap.forces.predictions import horizon_errors, predictions
 
 __all__ = [
     "PreparedForces",
-    "bears_out",
     "horizon_errors",
     "identify_forces",
     "predictions",
     "prepare_forces",
-    "without_late_log",
 ]

@@ -296,16 +296,3 @@ def _calibration(library: Library, point: Point) -> Named:
         for candidate, values in calibrated_effects(library, point.calibration)
         if candidate.effect.name != TIMING and not candidate.effect.name.startswith(BELIEVED)
     )
-
-
-def bears_out(prepared: PreparedForces, mended: Hypothesis) -> bool:
-    """Whether a mended model predicts held-out recordings better than the believed one and constant velocity.
-
-    Args:
-      prepared: both sides of the data.
-      mended: the model.
-    """
-    dataset = prepared.dataset
-    base = Hypothesis(dataset.parameters, tuple(p.value(dataset.model) for p in dataset.parameters))
-    errors, steady = horizon_errors(prepared.test, [base, mended])
-    return predicts_well(errors[0], errors[1], steady)

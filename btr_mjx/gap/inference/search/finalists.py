@@ -37,8 +37,8 @@ _BESIDE = 100.0
 """Score or gain alone of one, beside what was found, that is walked over."""
 
 _ALTERNATIONS, _GAINED = 6, 0.002
-"""Times that starting states and numbers are fitted in turn of what is strong, and the part of the
-loss that each of them must gain for another one."""
+"""Times that starting states and numbers are fitted in turn of what is strong, and the part of the loss that each of
+them must gain for another one."""
 
 Settled = tuple[Hypothesis, Side, Refined]
 """A hypothesis with its best numbers, the side that suits it, and what the refinement found there."""

@@ -67,12 +67,6 @@ CONTACT_ENOUGH = 45.0
 TOLERANCES = 4.0
 """Size that a name needs, in tolerances of its parameter."""
 
-COARSE = 5.0
-"""Dispersion beyond which no model of this kind reaches the noise: real machines have a hundred small effects."""
-
-COARSE_SECOND = 0.1
-"""Part of the first one's score that a second effect needs there."""
-
 
 def acceptable(
     bench: Bench, judged: Sequence[Judged], given: Judged | None, share: float = SECOND_SHARE
@@ -125,8 +119,6 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None, share: float = 
         moving = any(own.name in bench.contact_sensitive for own, _ in judged.hypothesis.effects)
         left = max(SECOND_PART, share if moving else 0.0) * given.score
         needed = max(needed, left if candidate.name in bench.contact_sensitive else min(left, SECOND_ENOUGH))
-    if given and bench.dispersion > COARSE:
-        needed = max(needed, COARSE_SECOND * given.score)
     if candidate.name in bench.contact_sensitive:
         # Beside another effect few windows held out need have a foot that touches or leaves where it matters.
         alone = GROUND_THRESHOLD if candidate.place == WORLD else CONTACT_THRESHOLD

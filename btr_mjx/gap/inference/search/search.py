@@ -31,7 +31,6 @@ from btr_mjx.gap.inference.scoring.screening import (
     with_tolerances,
 )
 from btr_mjx.gap.inference.search.contact_scan import contact_scan, with_contacts, with_line_search
-from btr_mjx.gap.inference.search.far_away import nearer
 from btr_mjx.gap.inference.search.line_search import EVERY, LineSearch
 from btr_mjx.gap.inference.search.search_records import Judged, Side, Started
 from btr_mjx.gap.inference.search.shortlist import pick, starts
@@ -46,7 +45,6 @@ from btr_mjx.gap.windows import (
     choose_windows,
     linearise,
     prepare,
-    project,
     reliable_windows,
     scales_of,
     survey,
@@ -65,6 +63,7 @@ _QUIETER = 4
 
 _FEW = 6
 """Up to so many believed numbers are refitted together with every leader."""
+
 
 _STRONG = 3.0
 """Chi^2 that the believed model leaves, in units of what the best leaves, beyond which an effect is strong."""
@@ -219,19 +218,6 @@ class Bench:
         self.dispersion, self.cut = usual / side.windows.freedom, _CUT * usual
         self.reference = self._reference(side), self._reference(self.test)
 
-    def linearise_around(self, hypothesis: Hypothesis) -> None:
-        """Starting states of all windows, and their directions, as they suit a hypothesis far from the believed one."""
-        sides = (self.fit, self.test)
-        moved = [
-            partial(lambda side: side.with_fitted_states(hypothesis).with_own_directions(hypothesis), side)
-            for side in sides
-        ]
-        self.fit, self.test = (side.based(self.base) for side in run_in_threads(moved))
-        screened = self.scanner.screened
-        columns = project(screened.columns, self.fit.windows.basis).astype(screened.columns.dtype)
-        self.scanner = Scanner(replace(screened, columns=columns), self.fit.nuisance)
-        self.line_search = self._line_search()
-
     def _reference(self, side: Side) -> Fit:
         return self.nuisance(side).profile(side.windows.residual, self.cut)
 
@@ -292,8 +278,6 @@ class Bench:
         found = self.refined(sides[0], hypotheses, count, (self.reference if given is None else given.fits)[0])
         if given is None:
             self.settle(min(found, key=lambda r: r.loss).chi2)
-            hypotheses, found = nearer(self, leads, hypotheses, found)
-            sides = (self.fit, self.test)
         refined = [own.replaced(r.values, self.joint) for (own, _), r in zip(hypotheses, found, strict=True)]
         return self.judge(refined, found, sides, None if given is None else given.references, given)
 

@@ -56,8 +56,8 @@ _AGREED = 30.0
 """Gain held out that is enough: in each of seven quadrupeds with something outside the library one thing had 400 and
 more there, though often far less than on the recordings to fit."""
 
-_COARSE = 5.0
-"""Dispersion beyond which what forces leave is not noise."""
+COARSE = 5.0
+"""Dispersion beyond which no model of this kind reaches the noise: real machines have a hundred small effects."""
 
 _BEYOND = 2.0
 """What may be chance, as a factor on the largest of the simulated nulls."""
@@ -136,7 +136,7 @@ class Check:
         """
         freedom = self.bench.test.windows.freedom
         floor = float(np.minimum(self._held_out, 6.0 * freedom).mean() / freedom)
-        if self.bench.dispersion > _COARSE:
+        if self.bench.dispersion > COARSE:
             return floor
         chi2 = (self._residual(1, judged) ** 2).sum(1)
         return floor * _spared(chi2, self._forces(1, judged), freedom) / self._spared

@@ -10,28 +10,19 @@ unexplained is measured against unknown generalised forces, which stand for ever
 
 import time
 from collections.abc import Callable, Sequence
-from functools import partial
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from btr_mjx.gap.data import Dataset
-from btr_mjx.gap.effects import EFFECTS, Effect, Hypothesis
-from btr_mjx.gap.forces import (
-    bears_out,
-    horizon_errors,
-    identify_forces,
-    predictions,
-    prepare_forces,
-    without_late_log,
-)
-from btr_mjx.gap.inference.search.naming import COARSE, THRESHOLD, within_calibration
+from btr_mjx.gap.effects import EFFECTS, Effect
+from btr_mjx.gap.forces import horizon_errors, identify_forces, predictions, prepare_forces
+from btr_mjx.gap.inference.search.naming import THRESHOLD, within_calibration
 from btr_mjx.gap.inference.search.rounds import search
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Judged
-from btr_mjx.gap.inference.verdict.check import Check
+from btr_mjx.gap.inference.verdict.check import COARSE, Check
 from btr_mjx.gap.inference.verdict.confounds import confounds
-from btr_mjx.gap.inference.verdict.openloop import followed, following
 from btr_mjx.gap.inference.verdict.outcome import (
     equivalent,
     gap_of,
@@ -49,8 +40,11 @@ from btr_mjx.gap.windows import Options, time_step_notes
 SURPRISE = 6.0
 """Lack of fit over everything that cannot be noise where nothing was named, in standard deviations."""
 
+COARSE_SHARE = 0.55
+"""Part of what unknown forces explain that a name must explain where nothing reaches the noise, or leave little."""
+
 LEFT_OVER = 4.0
-"""The same where something was named."""
+"""Lack of fit that is little there, in standard deviations."""
 
 LEFT_SHARE = 0.06
 """Part of its own gain that a name may leave at single joints."""
@@ -65,13 +59,6 @@ REST_SHARE = 0.5
 TOO_MUCH = 60.0
 """Score, of what moves no contacts, that is not chance though held-out recordings know nothing of it. The best of
 simulated robots that lacked nothing or little was 35."""
-
-NEARLY_ALL = 20.0, 5e-3
-"""Chi^2 per degree of freedom beyond noise, in the median, from which on a name may leave this part of it whatever that
-is: a friction of a gear took it from 11331 to 2, and at another integrator's sticking something was left."""
-
-COARSE_SHARE = 0.55
-"""Part of what unknown forces explain that a name must explain there."""
 
 
 def identify(
@@ -105,18 +92,9 @@ def identify(
     with threadpool_limits(1, "blas"):
         if (prepared := prepare_forces(dataset)) is not None:
             note = progress or (lambda _: None)
-            counter = counter or Counter()
-            by_forces = identify_forces(prepared, effects, max_effects, note, counter)
-            if by_forces.verdict != "unexplained":
-                return by_forces
-            # Friction below the noise of accelerations is seen in motion over many samples.
-            note("windows")
+            return identify_forces(prepared, effects, max_effects, note, counter or Counter())
         bench = Bench(dataset, effects, options, progress, counter)
-        if prepared is None:
-            return name_missing(bench, max_effects, seed, progress, begun)
-        borne_out = partial(bears_out, prepared)
-        by_windows = name_missing(bench, max_effects, seed, progress, begun, borne_out)
-        return without_late_log(by_windows) if by_windows.verdict == "effect" else by_forces
+        return name_missing(bench, max_effects, seed, progress, begun)
 
 
 def name_missing(
@@ -125,7 +103,6 @@ def name_missing(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
     begun: float | None = None,
-    borne_out: Callable[[Hypothesis], bool] = lambda _: True,
 ) -> Diagnosis:
     """The part of `identify` that follows when a bench is ready.
 
@@ -135,7 +112,6 @@ def name_missing(
       seed: of the resampling behind intervals.
       progress: called with a word on what is being done.
       begun: time at which the work began, of `time.monotonic`; None for now.
-      borne_out: says whether a model with names may stand; all may by default.
 
     Returns:
       The diagnosis.
@@ -144,12 +120,7 @@ def name_missing(
     note = progress or (lambda _: None)
     rounds, named = search(bench, max_effects, note)
     base = bench.base
-    if bench.dispersion > COARSE and not bench.survey.contact:
-        note("whole recordings")
-        base, named[-1:] = followed(bench, base), [following(bench, judged) for judged in named[-1:]]
     named = without_growth(bench, named)
-    while named and not borne_out(named[-1].hypothesis):
-        named = named[:-1]
     note("lack of fit")
     rng = np.random.default_rng([seed, 1])
     check = Check(bench, rng)
@@ -166,7 +137,7 @@ def name_missing(
     errors, steady = horizon_errors(bench.test.windows.data, [base, mended], bench.counter)
     return Diagnosis(
         verdict=verdict,  # type: ignore[arg-type]
-        effects=named_effects(bench, said, rounds, rng, settled=bench.dispersion > COARSE),
+        effects=named_effects(bench, said, rounds, rng),
         ranking=ranking_of(rounds),
         equivalent=undecided(bench, rounds[0], verdict),
         gap=gap_of(bench, base, said[-1] if said else None, check.floor(said[-1] if said else None)),
@@ -247,8 +218,6 @@ def left_beside_name(check: Check, named: Sequence[Judged], share: float, surpri
     """
     if check.bench.dispersion > COARSE:
         return surprise > LEFT_OVER and share < COARSE_SHARE
-    if explains_nearly_all(check.bench, named[-1]):
-        return False
     if len(named) > 1:
         # What a force of another shape explains better than the second name was never two effects.
         first = check.left(named[0])
@@ -262,21 +231,6 @@ def left_beside_name(check: Check, named: Sequence[Judged], share: float, surpri
     if follows is not None and follows.gain > most:
         return True
     return check.excess_at_joint(left) > most
-
-
-def explains_nearly_all(bench: Bench, judged: Judged) -> bool:
-    """Whether a name explains so much that whatever it leaves is small beside it, on either side of the split.
-
-    Args:
-      bench: of the search.
-      judged: what was named, all of it.
-    """
-    for reference, fit, side in zip(bench.reference, judged.fits, (bench.fit, bench.test), strict=True):
-        noise = side.windows.freedom
-        before, after = reference.chi2 - noise, fit.chi2 - noise
-        if np.median(before) < NEARLY_ALL[0] * noise or after.sum() > NEARLY_ALL[1] * before.sum():
-            return False
-    return True
 
 
 def left_without_name(check: Check, best: Judged | None) -> bool:

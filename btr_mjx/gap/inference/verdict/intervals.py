@@ -27,7 +27,7 @@ _MANY = 6
 """So many recordings to fit are drawn as a whole."""
 
 
-def intervals(bench: Bench, judged: Judged, rng: np.random.Generator, settled: bool = False) -> list[Estimate]:
+def intervals(bench: Bench, judged: Judged, rng: np.random.Generator) -> list[Estimate]:
     """Estimates of all numbers of a hypothesis' effects, in order.
 
     Windows are drawn again with repetition, whole recordings together where there are enough of them, and the fit is
@@ -37,7 +37,6 @@ def intervals(bench: Bench, judged: Judged, rng: np.random.Generator, settled: b
       bench: of the search.
       judged: the hypothesis.
       rng: for the draws.
-      settled: its numbers are reported as they are.
     """
     data, precision, w = _evidence(bench, judged)
     size, count = len(judged.refined.values), len(w)
@@ -63,7 +62,7 @@ def intervals(bench: Bench, judged: Judged, rng: np.random.Generator, settled: b
     extra = np.sqrt(np.maximum(np.diag(posterior), 0.0)) * rng.standard_normal((_DRAWS, size))
     spread = draws + extra
     final = judged.hypothesis
-    if not settled and not bench.joint:  # believed numbers would move along
+    if not bench.joint:  # believed numbers would move along
         final = _stepped(bench, judged, centre)
     out, first = [], size - final.numbers
     for candidate, values in final.effects:

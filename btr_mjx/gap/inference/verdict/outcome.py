@@ -47,7 +47,6 @@ def named_effects(
     named: Sequence[Judged],
     rounds: Sequence[Sequence[Judged]],
     rng: np.random.Generator,
-    settled: bool = False,
 ) -> tuple[NamedEffect, ...]:
     """What is called by name.
 
@@ -56,13 +55,12 @@ def named_effects(
       named: what was found, each beside those before.
       rounds: judged candidates of every round, best first.
       rng: of the resampling behind intervals.
-      settled: numbers are those that were found, else those that suit what was held out as well.
     """
     if not named:
         return ()
     final = named[-1]
     profile = profiled(bench, final, rng) if bench.tossed else None
-    numbers = intervals(bench, final, rng, settled) if profile is None else [profile]
+    numbers = intervals(bench, final, rng) if profile is None else [profile]
     out, first, before = [], 0, None
     for i, (candidate, values) in enumerate(final.hypothesis.effects):
         parameters = {p.name: numbers[first + j] for j, p in enumerate(candidate.parameters)}
