@@ -89,17 +89,22 @@ def _followed(starts: np.ndarray, begin: np.ndarray, end: np.ndarray, rate: floa
     # Numbers of Python: a piece at a time, they are ten times as fast as arrays.
     pieces = list(zip(*(x.tolist() for x in (starts, length, begin, end, slope)), strict=True))
     corners: list[Corner] = []
-    k, now = 0, pieces[0][2]
-    while k < len(pieces):
+    k, now, moving, count = 0, pieces[0][2], 0.0, len(pieces)
+    while k < count:
         start, lasts, first, last, tilt = pieces[k]
-        if abs(now - first) <= near and abs(tilt) <= rate * (1 + 1e-9):
-            ahead = np.searchsorted(fast, k + 1)
-            after = int(fast[ahead]) if ahead < len(fast) else len(pieces)
-            corners.append((start, first, True))
-            k, now = after, pieces[after - 1][3]
-            continue
-        sign = 1.0 if (first - now if abs(first - now) > near else tilt) > 0 else -1.0
-        corners.append((start, now, False))
+        away = first - now
+        if -near <= away <= near:
+            if abs(tilt) <= rate * (1 + 1e-9):
+                ahead = np.searchsorted(fast, k + 1)
+                after = int(fast[ahead]) if ahead < len(fast) else count
+                corners.append((start, first, True))
+                k, now, moving = after, pieces[after - 1][3], 0.0
+                continue
+            away = tilt
+        sign = 1.0 if away > 0 else -1.0
+        if sign != moving:  # a line goes on over as many pieces as it takes
+            corners.append((start, now, False))
+            moving = sign
         k += 1
         if sign * (last - now) > rate * lasts:
             now += sign * rate * lasts
@@ -109,4 +114,5 @@ def _followed(starts: np.ndarray, begin: np.ndarray, end: np.ndarray, rate: floa
         met = now + sign * rate * since
         corners.append((start + since, met, follows))
         now = last if follows else met - sign * rate * (lasts - since)
+        moving = 0.0 if follows else -sign
     return corners
