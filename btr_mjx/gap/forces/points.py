@@ -103,7 +103,7 @@ class Fitted:
       columns: (S, K, 2 nv, p + n) of its numbers and of calibration.
       whitened: of the residual and these columns.
       variances: with which they were whitened.
-      loss: -2 ln p, determinants included.
+      loss: -2 ln p, determinants included; inf where the model is no model of a body.
     """
 
     point: Point
@@ -152,17 +152,15 @@ def again(side: ForceSide, fit: Fitted, variances: Variances) -> Fitted:
 
 
 def _whitened(point: Point, linear: Linearised, columns: np.ndarray, variances: Variances, side: ForceSide) -> Fitted:
-    found = filtered(linear, columns, variances)
-    return Fitted(
-        point,
-        linear,
-        columns,
-        found,
-        variances,
-        float(found.gram[:, 0, 0].sum() + found.log_determinant.sum())
-        + variances.penalty
-        + penalty(point.calibration, side.library.calibration),
-    )
+    try:
+        found = filtered(linear, columns, variances)
+    except np.linalg.LinAlgError:
+        # A body that is left with hardly any inertia moves by more than numbers can hold.
+        size = 1 + columns.shape[-1]
+        found = Filtered(np.full((len(columns), size, size), np.inf), np.zeros(len(columns)), 0)
+    loss = float(found.gram[:, 0, 0].sum() + found.log_determinant.sum())
+    loss += variances.penalty + penalty(point.calibration, side.library.calibration)
+    return Fitted(point, linear, columns, found, variances, loss if np.isfinite(loss) else np.inf)
 
 
 def _own_columns(side: ForceSide, point: Point, stretches: Stretches) -> np.ndarray:
@@ -226,8 +224,13 @@ def settled(
       variances: with which to start.
       rounds: at most.
       about: states to start from; None for those of the side.
+
+    Returns:
+      The fitted point, as it was where its likelihood is nothing.
     """
     fit = evaluate_point(side, point, variances, stretches=about)
+    if np.isinf(fit.loss):
+        return fit
     stuck, taken = False, 0
     for _ in range(rounds):
         before, updated = fit.loss, fit.variances

@@ -1,5 +1,7 @@
 """Columns of the library, and points whose numbers and variances are fitted to recordings of a known truth."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -98,6 +100,15 @@ def test_a_settled_fit_is_the_largest_likelihood(sides, named):
     for other in (0.5 * value, 1.5 * value):
         moved = named.point.moved(np.array([other - value]), named.point.calibration)
         assert evaluate_point(side, moved, named.variances, named).loss > named.loss + 10
+
+
+def test_a_body_without_inertia_is_no_hypothesis(sides, null) -> None:
+    """Its likelihood is nothing, and a step there is not taken; nothing ends for it."""
+    side = sides[0]
+    still = replace(null.linear, transition=np.full_like(null.linear.transition, np.inf))
+    with np.errstate(all="ignore"):
+        lost = again(side, replace(null, linear=still), null.variances)
+    assert lost.loss == np.inf
 
 
 def test_a_number_is_worth_the_same_by_another_name(sides, named):
