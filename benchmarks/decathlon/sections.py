@@ -22,9 +22,13 @@ USUAL = re.compile(r"Predictions of held-out|\S+\.parquet: ")
 
 def agreed(half: Mapping[str, Any]) -> str:
     """What the diagnoses of both halves have in common, in words."""
+    if not (half["both"] or half["first_only"] or half["second_only"]):
+        return "neither names anything"
     named = "the same names" if half["same_names"] else f"both name {', '.join(half['both']) or 'nothing alike'}"
     only = [*half["first_only"], *half["second_only"]]
     alone = f"; one of them only: {', '.join(only)}" if only else ""
+    if not half["numbers"]:
+        return f"{named}{alone}"
     return f"{named}{alone}; {half['overlap']} of {half['numbers']} intervals overlap"
 
 
