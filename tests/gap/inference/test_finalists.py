@@ -1,6 +1,5 @@
 """Leaders judged again: every window with the starting state that suits it, compared on equal terms."""
 
-import copy
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,10 +9,8 @@ from gap_judged import falls
 
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.inference import Bench, nearest
-from btr_mjx.gap.inference.scoring.gains import robust_gain, trimmed_gain
 from btr_mjx.gap.inference.scoring.refine import Nuisance
 from btr_mjx.gap.inference.search.finalists import Finalists
-from btr_mjx.gap.inference.search.pairwise import compare_with_best
 from btr_mjx.gap.inference.search.search_records import Side
 from btr_mjx.gap.inference.search.sizes import best_size
 from btr_mjx.gap.simulate import World
@@ -109,35 +106,6 @@ def test_leaders_share_their_starting_states(bench: Bench) -> None:
             raw = [(side.based(judged.hypothesis).windows.raw ** 2).sum(1) for side in pool]
             mine = (judged.sides[i].based(judged.hypothesis).windows.raw ** 2).sum(1)
             assert mine.sum() <= min(r.sum() for r in raw) + (0.01 if i else 0.5)  # refined after the choice
-
-
-def test_rivals_differ_by_what_tells_them_apart(bench: Bench) -> None:
-    """Window by window between the two of them; the better one keeps its score."""
-    before = [j for j in bench.find() if j.hypothesis.numbers == 1]
-    finalists = Finalists(bench)
-    leaders = finalists.again([j.hypothesis for j in before[:2]], None)
-    best, other = sorted(leaders, key=lambda j: -j.score)
-    alone = bench.judge([best.hypothesis], [best.refined], best.sides, best.references)[0]
-    assert best.score == pytest.approx(alone.score)
-    parts = [robust_gain(b, a, bench.cut) / bench.dispersion for a, b in zip(best.fits, other.fits, strict=True)]
-    assert best.gain - other.gain == pytest.approx(parts[0])
-    assert best.held_out - other.held_out == pytest.approx(parts[1])
-    assert best.hypothesis.numbers == other.hypothesis.numbers
-    assert best.score - other.score == pytest.approx(sum(parts))
-
-
-def test_between_rivals_that_move_contacts_few_windows_say_nothing(bench: Bench) -> None:
-    before = [j for j in bench.find() if j.hypothesis.numbers == 1]
-    leaders = Finalists(bench).again([j.hypothesis for j in before[:2]], None)
-    touching = copy.copy(bench)
-    touching.contact_sensitive = {j.name for j in leaders}
-    best, other = sorted(compare_with_best(touching, leaders), key=lambda j: -j.score)
-    parts = [trimmed_gain(b, a, bench.cut) / bench.dispersion for a, b in zip(best.fits, other.fits, strict=True)]
-    assert best.score - other.score == pytest.approx(sum(parts))
-    touching.contact_sensitive = {best.name}
-    best, other = sorted(compare_with_best(touching, leaders), key=lambda j: -j.score)
-    parts = [robust_gain(b, a, bench.cut) / bench.dispersion for a, b in zip(best.fits, other.fits, strict=True)]
-    assert best.score - other.score == pytest.approx(sum(parts))
 
 
 def test_one_more_effect_is_compared_with_what_was_found(bench: Bench) -> None:

@@ -1,8 +1,7 @@
-"""Rounds of the search, on stand-ins for judged candidates: who is looked at again, who is swapped, who is named."""
+"""Rounds of the search, on stand-ins for judged candidates: who is looked at again, who is named."""
 
 from types import SimpleNamespace
 
-import pytest
 from gap_judged import Standing
 
 from btr_mjx.gap.inference.search import naming, rounds
@@ -70,36 +69,6 @@ def test_a_name_that_later_ones_make_worthless_is_dropped(monkeypatch):
     stage.scores |= {"bc": 900.0}
     assert stage.named(3) == ["a", "ab", "abc"]
     assert stage.named(2) == ["a", "ab"]
-
-
-def test_the_first_effect_gives_way_to_a_rival_with_which_both_explain_more(monkeypatch):
-    """`a` explains a part of what `b` and `c` do together."""
-    scores = {"a": 500.0, "b": 450.0, "c": 100.0, "ac": 560.0, "bc": 700.0}
-    stage = Stage(monkeypatch, scores)
-    found, named = rounds.search(stage, 2, lambda word: None)
-    assert [j.name for j in named] == ["b", "bc"]
-    assert [[j.name for j in one] for one in found] == [["b", "a", "c"], ["bc"]]
-
-
-@pytest.mark.parametrize(
-    "changed",
-    [
-        {"bc": 560.0},  # no better
-        {"b": 200.0},  # too weak alone
-        {"bd": 470.0, "bc": 0.0},
-    ],
-)
-def test_rivals_that_explain_no_more_change_nothing(monkeypatch, changed):
-    scores = {"a": 500.0, "b": 450.0, "c": 100.0, "ac": 560.0, "bc": 700.0} | changed
-    assert Stage(monkeypatch, scores).named() == ["a", "ac"]
-
-
-def test_one_rival_only_is_tried_again(monkeypatch):
-    scores = {"a": 500.0, "d": 460.0, "b": 450.0, "c": 100.0, "ac": 560.0, "dc": 400.0, "bc": 700.0}
-    stage = Stage(monkeypatch, scores)
-    assert stage.named() == ["a", "ac"]
-    stage.scores |= {"d": 430.0}
-    assert stage.named() == ["b", "bc"]
 
 
 def test_beside_what_is_barely_seen_no_second_effect_is_sought(monkeypatch):

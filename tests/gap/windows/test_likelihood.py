@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import stats
 
-from btr_mjx.gap.inference.scoring.gains import fall, trimmed_gain
+from btr_mjx.gap.inference.scoring.gains import fall
 from btr_mjx.gap.inference.scoring.refine import Nuisance
 from btr_mjx.gap.windows import Fit, bounded_loss, fit, project, regularised, scan_candidates, window_weight
 from btr_mjx.gap.windows.likelihood import column_space, evidence
@@ -137,24 +136,6 @@ def test_chi2_from_inner_products_equals_chi2_of_vectors(seed):
     np.testing.assert_allclose(data.chi2(np.array([1, 4]), values), (there**2).sum(1), rtol=1e-8, atol=1e-8)
     part = data.windows(np.array([2, 2]))
     np.testing.assert_allclose(part.energy[0], part.energy[1])
-
-
-@pytest.mark.parametrize("windows", [4, 20, 32])
-def test_trimmed_gain_excludes_extreme_windows(windows):
-    """Against scipy; the prior term is not trimmed."""
-    rng = np.random.default_rng(windows)
-    before = rng.uniform(80.0, 100.0, windows)
-    after = before - rng.uniform(-1.0, 2.0, windows)
-    none = np.zeros((0, 0))
-    fits = [Fit(np.zeros(0), float(c.sum()) + prior, c, none) for c, prior in ((before, 3.0), (after, 5.0))]
-    expected = stats.trim_mean(before - after, 0.1) * windows - 2.0
-    assert trimmed_gain(*fits, 1e3) == pytest.approx(expected)
-    assert trimmed_gain(*fits[::-1], 1e3) == pytest.approx(-expected)
-    if windows >= 10:
-        lucky = before.copy()
-        lucky[np.argmax(before - after)] += 500.0  # the luckiest one more so
-        other = Fit(np.zeros(0), float(lucky.sum()) + 3.0, lucky, none)
-        assert trimmed_gain(other, fits[1], 1e3) == pytest.approx(expected)
 
 
 @settings(max_examples=50)

@@ -12,10 +12,6 @@ _LEAST_SAY = 15.0
 _SAY = 3.0
 """A window's part in a gain is limited to the first number, plus so many times what most windows say."""
 
-_TRIMMED = 0.1
-"""Part of the windows that is left out at either end where two hypotheses that move contacts are compared. Of ten pairs
-that had been hard to tell, two went to the right one without this and five with it."""
-
 _MANY = 8
 """Beside so many others, a window's gain may be luck."""
 
@@ -42,23 +38,6 @@ def robust_gain(before: Fit, after: Fit, cut: float) -> float:
 def _most(fall: np.ndarray) -> float:
     """What a window says at most."""
     return _LEAST_SAY + _SAY * float(np.quantile(np.abs(fall), 0.8))
-
-
-def trimmed_gain(before: Fit, after: Fit, cut: float) -> float:
-    """Fall of the loss from one fit to another as most windows see it, for rivals that both move contacts.
-
-    What tells an offset of the knee from one of the hip is a little in many windows; what one of them gains by far is
-    a touchdown that the search for a starting state found for one and not for the other.
-
-    Args:
-      before: the reference.
-      after: the other fit, of the same windows.
-      cut: chi^2 above which a window counts less.
-    """
-    ends = bounded_loss(before.chi2, cut), bounded_loss(after.chi2, cut)
-    fall, price = np.sort(ends[0] - ends[1]), (before.loss - ends[0].sum()) - (after.loss - ends[1].sum())
-    out = int(_TRIMMED * len(fall))
-    return float(fall[out : len(fall) - out].mean() * len(fall) + price)
 
 
 def luckiest(fall: np.ndarray) -> float:

@@ -14,7 +14,6 @@ import numpy as np
 from btr_mjx.gap.effects import Hypothesis
 from btr_mjx.gap.inference.scoring.hypotheses import unknowns
 from btr_mjx.gap.inference.scoring.refine import AGAIN, Refined, refine
-from btr_mjx.gap.inference.search.pairwise import compare_with_best, share_starting_states
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Judged, Side, nearest
 from btr_mjx.gap.inference.search.sizes import best_size
@@ -136,23 +135,16 @@ class Finalists:
         pairs = zip(hypotheses, fit[1:], strict=True)
         few = len(moving) > 1
         ends = run_in_threads([partial(self._settled, h, side, reference, few) for h, side in pairs])
-        if len(moving) > 1:
-            fit = share_starting_states(
-                [before, *(h for h, _, _ in ends)], [fit[0], *(side for _, side, _ in ends)], moving
-            )
-            reference = along(fit[0], before).profile(fit[0].windows.residual, bench.cut)
-            pairs = zip((h for h, _, _ in ends), fit[1:], strict=True)
-            ends = run_in_threads([partial(self._refined, h, side, reference) for h, side in pairs])
         hypotheses = [h for h, _, _ in ends]
 
-        test = share_starting_states([before, *hypotheses], self._shared([before, *hypotheses], known[1]), moving)
+        test = self._shared([before, *hypotheses], known[1])
         references = reference, bench.nuisance(test[0], before).profile(test[0].windows.residual, bench.cut)
         if given is not None:
             given, references = replace(given, fits=references), given.references
         out = []
         for (h, side, refined), far in zip(ends, test[1:], strict=True):
             out += bench.judge([h], [refined], (side, far), references, given)
-        return compare_with_best(bench, out)
+        return out
 
     def _shared(self, hypotheses: Sequence[Hypothesis], known: Side) -> list[Side]:
         """A side for each of some hypotheses, which go on from what those before them have found.

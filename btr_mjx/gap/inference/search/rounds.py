@@ -14,12 +14,6 @@ _POLISHED = 3
 _ABREAST = 2
 """Such candidates that are judged again at once, where they are close."""
 
-_RIVALS = 1
-"""Rivals of the first effect that are tried again beside the second."""
-
-_RIVALRY = 0.5
-"""Part of the first effect's score that they need."""
-
 
 def search(bench: Bench, most: int, note: Callable[[str], None]) -> tuple[list[list[Judged]], list[Judged]]:
     """Search for one effect after another.
@@ -38,8 +32,6 @@ def search(bench: Bench, most: int, note: Callable[[str], None]) -> tuple[list[l
     named: list[Judged] = []
     while rounds[-1] and accepted(bench, rounds[-1][0], named[-1] if named else None):
         named.append(rounds[-1][0])
-        if len(named) == 2:
-            rounds, named = _swapped(bench, finalists, rounds, named, note)
         if len(named) >= most or named[-1].score < SECOND_THRESHOLD:
             break
         note("one more effect")
@@ -91,38 +83,3 @@ def _beside(bench: Bench, finalists: Finalists, given: Judged) -> list[Judged]:
             break
         judged = acceptable(bench, again, given)
     return judged
-
-
-def _swapped(
-    bench: Bench, finalists: Finalists, rounds: list[list[Judged]], named: list[Judged], note: Callable[[str], None]
-) -> tuple[list[list[Judged]], list[Judged]]:
-    """Two rounds and what they named, or those with another first effect where the two of these explain more.
-
-    What explains most alone may stand for a part of both effects; the right one then comes close behind.
-
-    Args:
-      bench: of the search.
-      finalists: of the search.
-      rounds: two.
-      named: two.
-      note: called with a word on what is being done.
-    """
-    first, both = named
-    candidate, values = both.hypothesis.effects[-1]
-    rivals = [
-        rival
-        for rival in rounds[0][1:]
-        if rival.score > _RIVALRY * first.score and rival.name != candidate.name and accepted(bench, rival, None)
-    ]
-    if not rivals:
-        return rounds, named
-    note("the first effect's rivals")
-    joined = [(rival, rival.hypothesis.with_effect(candidate, values)) for rival in rivals[:_RIVALS]]
-    tries = [(finalists.beside(rival, hypothesis), rival) for rival, hypothesis in joined]
-    best, rival = max(tries, key=lambda row: row[0].score)
-    if best.score <= both.score:
-        return rounds, named
-    second = _beside(bench, finalists, rival)
-    if not second or not accepted(bench, second[0], rival) or second[0].score <= both.score:
-        return rounds, named
-    return [[rival, *(j for j in rounds[0] if j is not rival)], second], [rival, second[0]]
