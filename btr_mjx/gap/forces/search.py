@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from btr_mjx.errors import InputError
 from btr_mjx.gap.effects import Candidate, Hypothesis
 from btr_mjx.gap.forces.drive import drive_points
 from btr_mjx.gap.forces.evidence import CalibrationPrior, least_squares
@@ -74,9 +75,17 @@ def start(side: ForceSide, base: Hypothesis) -> tuple[ForceSide, Fitted]:
     Args:
       side: the recordings to fit, with columns of calibration.
       base: the believed model.
+
+    Raises:
+      InputError: a body of the believed model has hardly any inertia.
     """
     point = Point(base, (), np.zeros(len(side.library.calibrated)))
     fit = settled(side, point, first_variances(side, base))
+    if np.isinf(fit.loss):
+        raise InputError(
+            "model: its motion from one sample to the next cannot be computed; a joint or body has hardly any inertia: "
+            "give it its mass, or the joint an armature"
+        )
     at = {e.columns[0][0]: v for e, v in zip(side.library.calibrated, fit.point.calibration, strict=True)}
     numbers = [
         # Numbers of the model that may be refitted are written as they are, other effects are added to what is there.

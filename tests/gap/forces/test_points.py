@@ -9,8 +9,10 @@ from gap_arm import LIBRARY, SIGMA, arm, damped
 from gap_forces import arm_side, arm_stretches, believed, moved_arm
 from gap_models import one
 
+from btr_mjx.errors import InputError
 from btr_mjx.gap.effects import Hypothesis, candidates
-from btr_mjx.gap.forces.filtering import smoothed
+from btr_mjx.gap.forces import points
+from btr_mjx.gap.forces.filtering import filtered, smoothed
 from btr_mjx.gap.forces.held_out import held_out, is_better
 from btr_mjx.gap.forces.horizons import cut_horizons
 from btr_mjx.gap.forces.intervals import covariance
@@ -103,12 +105,25 @@ def test_a_settled_fit_is_the_largest_likelihood(sides, named):
 
 
 def test_a_body_without_inertia_is_no_hypothesis(sides, null) -> None:
-    """Its likelihood is nothing, and a step there is not taken; nothing ends for it."""
+    """A thousandth of a millionth of the inertia: a likelihood cannot be computed, and so it is nothing."""
     side = sides[0]
-    still = replace(null.linear, transition=np.full_like(null.linear.transition, np.inf))
-    with np.errstate(all="ignore"):
-        lost = again(side, replace(null, linear=still), null.variances)
-    assert lost.loss == np.inf
+    light = replace(null.linear, force=1e9 * null.linear.force)
+    with pytest.raises(np.linalg.LinAlgError):
+        filtered(light, null.columns, null.variances)
+    assert again(side, replace(null, linear=light), null.variances).loss == np.inf
+
+
+def test_a_believed_model_without_inertia_is_refused(sides, monkeypatch: pytest.MonkeyPatch) -> None:
+    side = sides[0]
+    heavy = points.linearise_motion
+
+    def light(*given):
+        found = heavy(*given)
+        return replace(found, force=1e9 * found.force)
+
+    monkeypatch.setattr(points, "linearise_motion", light)
+    with pytest.raises(InputError, match="hardly any inertia"):
+        start(side, believed())
 
 
 def test_a_number_is_worth_the_same_by_another_name(sides, named):

@@ -64,7 +64,6 @@ _QUIETER = 4
 _FEW = 6
 """Up to so many believed numbers are refitted together with every leader."""
 
-
 _STRONG = 3.0
 """Chi^2 that the believed model leaves, in units of what the best leaves, beyond which an effect is strong."""
 
