@@ -116,7 +116,7 @@ def cosines(recordings: Sequence[Recording]) -> list[float]:
     first = np.linspace(4, min(len(r.time) for r in recordings) - WINDOW - 6, WINDOWS).astype(int)
     of = np.repeat(np.arange(len(recordings)), WINDOWS)
     windows = Windows(data, of, np.tile(first, len(recordings)), WINDOW)
-    linearise(windows, World.of, steps=2)
+    windows = linearise(windows, World.of, steps=2)
     found = {own.name: own for own in candidates(recordings[0].model, scales_of(data), EFFECTS)}
     names = sorted({name for pair in PAIRS for name in pair})
     flat = signatures(windows, World.of, [_with(found[name]) for name in names], False).reshape(len(names), -1)

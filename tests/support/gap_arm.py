@@ -96,7 +96,7 @@ def arm_windows() -> Windows:
     """Four windows of two recordings of the arm, linearised around it."""
     data = prepare([recording(f"r{i}", seed=i) for i in range(2)], "cubic", SIGMA, Span(5, 6))
     out = Windows(data, np.array([0, 0, 1, 1]), np.array([10, 150, 20, 200]), 30)
-    linearise(out, World.of)
+    out = linearise(out, World.of)
     return out
 
 

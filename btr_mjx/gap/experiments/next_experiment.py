@@ -219,8 +219,7 @@ def _in_windows(
         return None
     room = max(1, (len(recording.time) - 4) // k)
     first = np.unique(np.linspace(min(3, last), last, min(_MAX_WINDOWS, room)).astype(int))
-    windows = Windows(data, np.zeros(len(first), int), first, k, counter)
-    linearise(windows, hypotheses[0], steps=2)
+    windows = linearise(Windows(data, np.zeros(len(first), int), first, k, counter), hypotheses[0], steps=2)
     makes, spans = list(hypotheses), []
     for hypothesis in hypotheses:
         values = hypothesis.values(False)

@@ -38,8 +38,7 @@ def signatures(
       single: evaluate a single step in the middle of an interval, or of a few short ones, instead of all steps.
 
     Returns:
-      (C, W, R) differences of the projected residuals in units of the noise, float32; zero in windows in which the
-      linearisation does not hold.
+      (C, W, R) differences of the projected residuals in units of the noise, float32.
     """
     if single:
         # A held command changes at samples only: a delay has no effect in the middle of an interval.
@@ -60,7 +59,7 @@ def _delays_held_command(windows: Windows, make: MakeWorld) -> bool:
 
 
 def _signatures(windows: Windows, base: MakeWorld, makes: Sequence[MakeWorld], single: bool) -> np.ndarray:
-    out, valid = np.zeros((len(makes), *windows.residual.shape), np.float32), windows.is_linear[:, None]
+    out = np.zeros((len(makes), *windows.residual.shape), np.float32)
     hold = intervals_per_evaluation(float(np.median(np.diff(windows.since, axis=1)))) if single else 1
     pieces = _middle_steps(windows, base, hold) if single else _intervals(windows)
 
@@ -72,7 +71,7 @@ def _signatures(windows: Windows, base: MakeWorld, makes: Sequence[MakeWorld], s
         if single:
             acceleration = np.repeat(change[..., windows.nv :] / windows.dt, hold, axis=2)[:, :, : windows.k]
             change = _integrate_acceleration(windows, acceleration)
-        out[first : first + len(chunk)] = valid * propagate_additions(windows, change)
+        out[first : first + len(chunk)] = propagate_additions(windows, change)
 
     run_in_threads([partial(evaluate_chunk, first) for first in range(0, len(makes), _CHUNK)])
     return out

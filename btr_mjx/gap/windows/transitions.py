@@ -97,7 +97,7 @@ def transitions(
     return matrices, ends
 
 
-def state_jacobians(windows: Windows, make: Callable[[mujoco.MjModel], World]) -> tuple[np.ndarray, np.ndarray]:
+def state_jacobians(windows: Windows, make: Callable[[mujoco.MjModel], World]) -> np.ndarray:
     """Jacobians of residuals with respect to the starting state.
 
     Products of transition matrices; finite differences of whole windows where the linearisation does not hold.
@@ -107,14 +107,13 @@ def state_jacobians(windows: Windows, make: Callable[[mujoco.MjModel], World]) -
       make: the hypothesis.
 
     Returns:
-      Jacobians (W, R, 2 nv) in units of the noise, and (W,) bool: windows in which the linearisation holds.
+      (W, R, 2 nv) in units of the noise.
     """
     found = jacobian(windows)
-    holds = linearisation_holds(found)
-    nonlinear = np.flatnonzero(~holds)
+    nonlinear = np.flatnonzero(~linearisation_holds(found))
     if len(nonlinear):
         found[nonlinear] = simulated_jacobians(windows, make, nonlinear)
-    return found, holds
+    return found
 
 
 def simulated_jacobians(windows: Windows, make: Callable[[mujoco.MjModel], World], own: np.ndarray) -> np.ndarray:

@@ -32,7 +32,6 @@ _UNMEASURED_FACTOR = 50.0
 _PER_WINDOW = (
     *("recording", "first", "time", "since", "target_q", "target_v", "act", "qpos", "qvel", "reach"),
     *("basis", "partial_basis", "correction", "base", "transitions", "perturbed_ends", "jacobians", "inverse"),
-    "is_linear",
 )
 """Attributes with one row per window."""
 
@@ -60,9 +59,8 @@ class Windows:
       base: (W, k + 1, nq + nv) states of the base hypothesis from the starting states.
       make_base: the base hypothesis.
       cache: simulated states, shared with copies.
-      is_linear: (W,) bool: the linearisation holds, see `propagation.linearisation_holds`; set by `linearise`, as are
-        the following.
-      transitions: (W, k, 2 nv, 2 nv) transition matrices from one sample to the next.
+      transitions: (W, k, 2 nv, 2 nv) transition matrices from one sample to the next; like the following, those of
+        windows that `linearise` returns.
       perturbed_ends: (W, k, 2 nv) effect of the perturbation of `transitions.transition_change`.
       jacobians: (W, R, 2 nv) derivatives of residuals with respect to the starting state, in units of the noise.
       inverse: (W, 2 nv, R) their pseudo-inverses.
@@ -72,7 +70,6 @@ class Windows:
     perturbed_ends: np.ndarray
     jacobians: np.ndarray
     inverse: np.ndarray
-    is_linear: np.ndarray
 
     def __init__(
         self, data: PreparedData, recording: np.ndarray, first: np.ndarray, k: int, counter: Counter | None = None
@@ -254,10 +251,6 @@ class Windows:
         other.smoothed = self.smoothed[0][index], self.smoothed[1][index]
         other.groups = other._by_model()
         return other
-
-    def linear_only(self) -> "Windows":
-        """The windows in which the linearisation holds."""
-        return self if self.is_linear.all() else self.some(np.flatnonzero(self.is_linear))
 
     @property
     def raw(self) -> np.ndarray:

@@ -34,7 +34,7 @@ def test_of_what_is_alike_the_best_that_may_be_named_comes_first(monkeypatch, re
 
 
 def all_but(rejected):
-    return lambda bench, judged, given, share: judged.hypothesis.effects[-1][0].name not in rejected
+    return lambda bench, judged, given: judged.hypothesis.effects[-1][0].name not in rejected
 
 
 @pytest.mark.parametrize(

@@ -67,7 +67,7 @@ def test_touchdowns_that_small_steps_miss_show_in_nulls(tmp_path):
     k = round(0.04 / float(np.median(np.diff(data.fit[0].time))))
     first = np.arange(k, len(data.fit[0].time) - k - 6, k)
     windows = Windows(prepared, np.zeros(len(first), int), first, k)
-    linearise(windows, World.of)
+    windows = linearise(windows, World.of)
     rng = np.random.default_rng(0)
     nulls = np.stack([(null_residual(windows, World.of, World.of, rng) ** 2).sum(1) for _ in range(2)])
     share = nulls / windows.freedom  # of noise alone 1 +- 0.05

@@ -177,7 +177,7 @@ def test_step_uncertainty_for_all_integrators(integrator) -> None:
     """Equals the effect of 0.1 ms of a first-order time step, by simulation."""
     data = prepared(driven(cart(integrator=integrator, gear=1.0), 0, start=(0.0, 1.0)))
     windows = Windows(data, np.zeros(2, int), np.array([20, 300]), 100, Counter())
-    linearise(windows, World.of)
+    windows = linearise(windows, World.of)
 
     def first_order(model):
         world = World.of(model)
@@ -195,7 +195,7 @@ def test_step_uncertainty_for_all_integrators(integrator) -> None:
 def test_windows_sensitive_to_the_time_step_are_left_out() -> None:
     data = prepare([recording("r", seed=3)], "cubic", SIGMA, Span(5, 6))
     windows = Windows(data, np.zeros(4, int), np.array([10, 60, 110, 160]), 30)
-    linearise(windows, World.of)
+    windows = linearise(windows, World.of)
     assert len(reliable_windows(windows, World.of, contact=False)) == 4
     windows.correction[2] *= 4.0 / np.sqrt((windows.correction[2] ** 2).mean()) * windows.step / 1e-4
     found = reliable_windows(windows, World.of, contact=False)

@@ -20,7 +20,7 @@ def short_steps(step=5e-4, sigma=5 * SIGMA, first=(10, 150), k=30):
 def test_longer_step_gives_the_same_corrected_residual() -> None:
     """Residuals are corrected to those of steps of 1e-4 s."""
     windows = short_steps()
-    linearise(windows, World.of)
+    windows = linearise(windows, World.of)
     assert windows.step == 2 * windows.dt == 1e-3
     own = np.arange(len(windows))
     start = windows.segments(own, windows.qpos, windows.qvel, windows.since)
@@ -55,7 +55,7 @@ def test_corrected_velocities_are_of_second_order(integrator: mujoco.mjtIntegrat
 
 def test_longer_step_halves_the_cost() -> None:
     windows = short_steps()
-    linearise(windows, World.of)
+    windows = linearise(windows, World.of)
     before = windows.counter.steps
     windows.states([lambda model: World.of(model)])  # not cached
     coarse = windows.counter.steps - before
@@ -70,7 +70,7 @@ def test_signatures_are_the_same_with_both_steps() -> None:
         return world
 
     windows = short_steps()
-    linearise(windows, World.of)
+    windows = linearise(windows, World.of)
     changes = []
     for step in (windows.dt, 2 * windows.dt):
         windows.step = step
@@ -86,7 +86,7 @@ def test_signatures_are_the_same_with_both_steps() -> None:
 )
 def test_step_is_not_doubled_if_its_error_exceeds_noise(step, sigma, k) -> None:
     windows = short_steps(step, sigma, k=k)
-    linearise(windows, World.of)
+    windows = linearise(windows, World.of)
     assert windows.step == windows.dt == step
 
 

@@ -76,14 +76,14 @@ def test_residual_of_a_model_far_away_does_not_depend_on_the_noise(quieter):
 
     data = prepare([recording(f"r{i}", other, seed=i) for i in range(2)], "cubic", quieter * SIGMA, Span(5, 6))
     windows = Windows(data, np.array([0, 0, 1, 1]), np.array([10, 150, 20, 200]), 30)
-    linearise(windows, World.of)
+    windows = linearise(windows, World.of)
     assert quieter * np.sqrt((windows.residual**2).mean()) == pytest.approx(264.0, rel=0.02)
 
 
 def test_residual_of_long_windows_is_free_of_step_error(windows):
     """The residual is that of steps of 1.25e-4 s, although steps of 5e-4 s are simulated."""
     long = Windows(windows.data, np.array([0, 1]), np.array([10, 20]), 230)
-    linearise(long, World.of)
+    long = linearise(long, World.of)
     assert fine_step(long) == long.dt / 4
     start = long.segments(np.arange(2), long.qpos, long.qvel, long.since)
     exact = simulate([(World.of(long.groups[0][0]), start)], timestep=1.25e-4)[0]
@@ -128,7 +128,7 @@ def test_unknown_forces_find_joint_and_variable():
 
     data = prepare([recording("r", spring, seed=5)], "cubic", SIGMA, Span(5, 6))
     out = Windows(data, np.zeros(8, int), np.linspace(10, 250, 8).astype(int), 20)
-    linearise(out, World.of)
+    out = linearise(out, World.of)
     around = circumstances(out, World.of)
     fit = ForceFit(out, around)
     forces = fit(out.residual)
@@ -296,7 +296,7 @@ def test_slower_motion_has_longer_fits():
 def test_windows_with_uneven_samples():
     data = prepare([recording("r", seed=4, uneven=True)], "cubic", SIGMA, Span(5, 6))
     out = Windows(data, np.zeros(4, int), np.array([10, 80, 150, 220]), 25)
-    linearise(out, World.of)
+    out = linearise(out, World.of)
     chi2 = (out.residual**2).sum(1) / out.freedom
     assert np.all((chi2 > 0.5) & (chi2 < 1.6))
 

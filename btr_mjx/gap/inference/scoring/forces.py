@@ -168,12 +168,6 @@ def lack_of_fit(sides: Sequence[Forces]) -> float:
     return total / float(np.sqrt(sum(2.0 * float(forces.rank.sum()) for forces in sides)))
 
 
-def usual_excess(sides: Sequence[Forces]) -> float:
-    """The excess of a window, in its own standard deviations, that half of those of both sides stay below."""
-    each = [(forces.explained - forces.rank) / np.sqrt(2.0 * np.maximum(forces.rank, 1)) for forces in sides]
-    return float(np.median(np.concatenate(each)))
-
-
 @dataclass(frozen=True)
 class Description:
     """The unknown, as well as the unknown forces tell.

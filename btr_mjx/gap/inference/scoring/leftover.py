@@ -67,17 +67,13 @@ class Leftover:
       excess: (nv,) standard deviations by which forces at each degree of freedom alone explain more than noise.
       chi2: (nv,) the same, in units of chi^2.
       usual: (nv,) the excess of a window, in its own standard deviations, that half of them stay below.
-      gain: fall of the loss by the most telling feature, robust.
-      feature: that feature; None where nothing is left.
       feature_gains: the most telling features, best first.
     """
 
     excess: np.ndarray
     chi2: np.ndarray
     usual: np.ndarray
-    gain: float
-    feature: Feature | None
-    feature_gains: tuple[FeatureGain, ...] = ()
+    feature_gains: tuple[FeatureGain, ...]
 
     @property
     def worst(self) -> float:
@@ -211,9 +207,7 @@ class Joints:
             lucky = luckiest(bounded_loss(reference.chi2, cut) - bounded_loss(after.chi2, cut))
             gains.append(FeatureGain(index, float(amplitude), robust_gain(reference, after, cut) - lucky))
         gains.sort(key=lambda one: -one.gain)
-        left = bool(gains) and gains[0].gain > 0
-        feature = self.known[gains[0].index] if left else None
-        return Leftover(excess, chi2, usual, gains[0].gain if left else 0.0, feature, tuple(gains))
+        return Leftover(excess, chi2, usual, tuple(gains))
 
     def held_out(self, residual: np.ndarray, cut: float, found: FeatureGain) -> float:
         """Fall of the loss, robust, by a force that was found in other windows.

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 from btr_mjx.gap.effects import Candidate, Hypothesis
 from btr_mjx.gap.inference.search.finalists import Finalists
-from btr_mjx.gap.inference.search.naming import SECOND_THRESHOLD, acceptable, accepted
+from btr_mjx.gap.inference.search.naming import acceptable, accepted
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Judged
 
@@ -32,7 +32,7 @@ def search(bench: Bench, most: int, note: Callable[[str], None]) -> tuple[list[l
     named: list[Judged] = []
     while rounds[-1] and accepted(bench, rounds[-1][0], named[-1] if named else None):
         named.append(rounds[-1][0])
-        if len(named) >= most or named[-1].score < SECOND_THRESHOLD:
+        if len(named) >= most:
             break
         note("one more effect")
         rounds.append(_beside(bench, finalists, named[-1]))
@@ -75,7 +75,7 @@ def _judged_in_turn(
 
 def _beside(bench: Bench, finalists: Finalists, given: Judged) -> list[Judged]:
     """One more effect beside what was found: judged candidates, best first."""
-    judged = acceptable(bench, bench.find(given), given, share=0.0)
+    judged = acceptable(bench, bench.find(given), given)
     # Who was not judged as strictly must not overtake who was.
     for _ in range(_POLISHED):
         again = finalists(judged, _ABREAST, given)

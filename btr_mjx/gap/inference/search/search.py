@@ -161,17 +161,18 @@ class Bench:
         windows, held = self.fit.windows, self.test.windows
         note("linearisation")
         if not self.base.parameters:
-            run_in_threads([partial(linearise, side, self.base) for side in (windows, held)])
+            windows, held = run_in_threads([partial(linearise, side, self.base) for side in (windows, held)])
         else:
-            linearise(windows, self.base)
+            windows = linearise(windows, self.base)
             note("refit of the believed parameters")
             for _ in range(2):
                 self.base = refitted(windows, self.base, _CUT)
-                linearise(windows, self.base)
-            linearise(held, self.base)
-        contact, sides = self.survey.contact, (self.fit, self.test)
+                windows = linearise(windows, self.base)
+            held = linearise(held, self.base)
+        contact = self.survey.contact
         self.fit, self.test = (
-            replace(side, windows=reliable_windows(side.windows, self.base, contact)) for side in sides
+            replace(side, windows=reliable_windows(own, self.base, contact))
+            for side, own in zip((self.fit, self.test), (windows, held), strict=True)
         )
 
     def _with_nonlinear_tolerances(

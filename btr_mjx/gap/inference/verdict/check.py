@@ -18,7 +18,6 @@ from btr_mjx.gap.inference.scoring.forces import (
     circumstances,
     describe,
     lack_of_fit,
-    usual_excess,
 )
 from btr_mjx.gap.inference.scoring.leftover import Feature, FeatureGain, Joints, Leftover, Middle, features
 from btr_mjx.gap.inference.scoring.nulls import null_residual
@@ -37,24 +36,12 @@ _NULLS = 5
 _LEAST_EXCESS = 5.5
 """Excess at one joint that may be chance, at least, in standard deviations."""
 
-_LEAST_GAIN = 45.0
-"""Gain by something that no effect follows that may be chance, at least."""
-
 _TOLD = 8.0, 25.0
 """Gain that something no effect follows needs on either side of the split, with the size found on one of them, and on
 both together. The most that 78 simulated robots with nothing missing, or something in the library, had was 7 and 12."""
 
 _TOLD_PART = 0.01
 """Part of what a name gains on both sides that is added to that: a number that is a little off leaves as much."""
-
-_DENIED = 0.5
-"""Part of what something gains on the recordings to fit by which those held out speak against it if they lose it. Where
-touchdowns are rough they must gain what is likely, or the following: beside two true names of quadrupeds six things
-each, at several joints, gained 48 to 64 and -51 to 7 held out."""
-
-_AGREED = 30.0
-"""Gain held out that is enough: in each of seven quadrupeds with something outside the library one thing had 400 and
-more there, though often far less than on the recordings to fit."""
 
 COARSE = 5.0
 """Dispersion beyond which no model of this kind reaches the noise: real machines have a hundred small effects."""
@@ -75,7 +62,6 @@ class Check:
 
     Attributes:
       excess: largest excess at one joint that may be chance.
-      gain: largest gain by something that no effect follows that may be chance.
       rough: whether touchdowns are, so that the model's time step was divided.
       usual: the excess that half of the windows must have, in a window's own standard deviations. Where steps had to be
         divided because touchdowns are rough, a number that is a little off leaves much in a few windows.
@@ -99,7 +85,6 @@ class Check:
         self.rough = bench.fit.windows.data.refined_for_contact
         self.usual = _USUAL if self.rough else -np.inf
         self.excess = max(_LEAST_EXCESS, _BEYOND * max(one.worst for one in left))
-        self.gain = max(_LEAST_GAIN, _BEYOND * max(one.gain for one in left))
 
     def _residual(self, i: int, judged: Judged | None) -> np.ndarray:
         if judged is None:
@@ -181,12 +166,9 @@ class Check:
         usual, spread = self.null
         return (value - usual) / float(np.linalg.norm([1.0, 1.5 * spread, _TRUST * max(usual, 0.0)]))
 
-    def spread(self, judged: Judged | None) -> bool:
-        """Whether most windows show the lack of fit."""
-        return usual_excess([self._forces(i, judged) for i in (0, 1)]) > self.usual
-
-    def excess_at_joint(self, left: Leftover) -> float:
+    def excess_at_joint(self, judged: Judged | None) -> float:
         """The most chi^2 at a joint where more is left than may be chance, and in most windows; else nothing."""
+        left = self.left(judged)
         there = (left.excess > self.excess) & (left.usual > self.usual)
         return float(left.chi2[there].max(initial=0.0))
 
@@ -215,23 +197,6 @@ class Check:
             if held_out >= each and one.gain + held_out > most:
                 best, most = self._known[0][one.index], one.gain + held_out
         return best
-
-    def significant_feature(self, judged: Judged | None) -> FeatureGain | None:
-        """The most telling thing that no effect follows and that held-out recordings do not speak against.
-
-        Args:
-          judged: a hypothesis; None for the believed model.
-
-        Returns:
-          None where nothing gains more than may be chance.
-        """
-        part = len(self.sides[1].windows) / len(self.sides[0].windows)
-
-        def enough(gain: float) -> float:
-            return min(_DENIED * part * gain, _AGREED) if self.rough else -_DENIED * gain
-
-        agreed = (one for one, held_out in self._asked(judged, self.gain) if held_out >= enough(one.gain))
-        return next(agreed, None)
 
     def _asked(self, judged: Judged | None, least: float) -> list[tuple[FeatureGain, float]]:
         """What gains at least so much on the recordings to fit, best first, and what it gains on those held out."""
@@ -266,8 +231,7 @@ class Check:
         places = dof_places(self.bench.dataset.model)
         fit = self._fit(0, judged)
         found = describe(fit, self._forces(0, judged), self.around[0])
-        follows = self.significant_feature(judged)
-        feature = self.confirmed_feature(judged) if follows is None else self._known[0][follows.index]
+        feature = self.confirmed_feature(judged)
         telling = [] if feature is None else [telling_sentence(feature, places)]
         return (*telling, *(sentence(d, places) for d in found))
 

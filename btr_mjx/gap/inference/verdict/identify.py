@@ -37,9 +37,6 @@ from btr_mjx.gap.results import Diagnosis
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.gap.windows import Options, time_step_notes
 
-SURPRISE = 6.0
-"""Lack of fit over everything that cannot be noise where nothing was named, in standard deviations."""
-
 COARSE_SHARE = 0.55
 """Part of what unknown forces explain that a name must explain where nothing reaches the noise, or leave little."""
 
@@ -48,17 +45,6 @@ LEFT_OVER = 4.0
 
 LEFT_SHARE = 0.06
 """Part of its own gain that a name may leave at single joints."""
-
-REST = 3.0
-"""Lack of fit that a name may leave, in standard deviations, unless it explains most of what there was. What moves
-contacts may leave more: a size that is a little off lets feet slip or touch at other times."""
-
-REST_SHARE = 0.5
-"""Part of what unknown forces explain that is most of it."""
-
-TOO_MUCH = 60.0
-"""Score, of what moves no contacts, that is not chance though held-out recordings know nothing of it. The best of
-simulated robots that lacked nothing or little was 35."""
 
 
 def identify(
@@ -129,7 +115,7 @@ def name_missing(
     before, after = check.surprise(None), check.surprise(final)
     best = rounds[0][0] if rounds[0] else None
     verdict = "effect" if named else "none"
-    surprised = left_beside_name(check, named, share, after) if named else left_without_name(check, best)
+    surprised = left_beside_name(check, named[-1], share, after) if named else left_without_name(check, best)
     if surprised:
         verdict = "unexplained"
     said = named if verdict == "effect" else []
@@ -202,35 +188,18 @@ def undecided(bench: Bench, first: Sequence[Judged], verdict: str) -> tuple[str,
     return ()
 
 
-def plain(bench: Bench, judged: Judged) -> bool:
-    """Whether none of a hypothesis' effects moves contacts."""
-    return not any(candidate.name in bench.contact_sensitive for candidate, _ in judged.hypothesis.effects)
-
-
-def left_beside_name(check: Check, named: Sequence[Judged], share: float, surprise: float) -> bool:
+def left_beside_name(check: Check, final: Judged, share: float, surprise: float) -> bool:
     """Whether what was named leaves so much that something else must be at work.
 
     Args:
       check: of the lack of fit.
-      named: what was named, each beside those before.
-      share: part of what unknown forces explain that the last one explains.
+      final: what was named, all of it.
+      share: part of what unknown forces explain that it explains.
       surprise: lack of fit that it leaves, in standard deviations.
     """
     if check.bench.dispersion > COARSE:
         return surprise > LEFT_OVER and share < COARSE_SHARE
-    if len(named) > 1:
-        # What a force of another shape explains better than the second name was never two effects.
-        first = check.left(named[0])
-        if first.gain > max(check.gain, named[1].gain - named[0].gain):
-            return True
-    if check.confirmed_feature(named[-1]) is not None:
-        return True
-    if plain(check.bench, named[-1]) and surprise > REST and share < REST_SHARE and check.spread(named[-1]):
-        return True
-    left, most, follows = check.left(named[-1]), LEFT_SHARE * named[-1].gain, check.significant_feature(named[-1])
-    if follows is not None and follows.gain > most:
-        return True
-    return check.excess_at_joint(left) > most
+    return check.confirmed_feature(final) is not None or check.excess_at_joint(final) > LEFT_SHARE * final.gain
 
 
 def left_without_name(check: Check, best: Judged | None) -> bool:
@@ -241,13 +210,4 @@ def left_without_name(check: Check, best: Judged | None) -> bool:
       best: candidate of the first round.
     """
     judged = best if best is not None and best.score > 0 else None
-    if judged is not None:
-        much = judged.score > TOO_MUCH and plain(check.bench, judged) and not within_calibration(check.bench, judged)
-        if much:
-            return True
-    return (
-        (check.surprise(judged) > SURPRISE and check.spread(judged))
-        or check.significant_feature(judged) is not None
-        or check.excess_at_joint(check.left(judged)) > 0
-        or check.confirmed_feature(judged) is not None
-    )
+    return check.confirmed_feature(judged) is not None or check.excess_at_joint(judged) > 0
