@@ -15,7 +15,7 @@ from btr_mjx.gap.inference.verdict.identify import (
 )
 
 
-def left_by(excess=0.0, chi2=0.0, usual=2.0, rough=False, dispersion=1.0, confirmed=None):
+def left_by(excess=0.0, chi2=0.0, usual=2.0, rough=False, dispersion=1.0, confirmed=None, surprise=0.0):
     """A check that knows of an excess at one of two joints, 5.5 may be chance, and of a shape held-out data confirm."""
     left = Leftover(np.array([excess, 0.0]), np.array([chi2, 900.0]), np.array([usual, 9.0]), ())
     chance = SimpleNamespace(excess=5.5, usual=1.0 if rough else -np.inf, left=lambda judged: left)
@@ -23,6 +23,7 @@ def left_by(excess=0.0, chi2=0.0, usual=2.0, rough=False, dispersion=1.0, confir
         bench=SimpleNamespace(dispersion=dispersion),
         excess_at_joint=lambda judged: Check.excess_at_joint(chance, judged),  # type: ignore[arg-type]
         confirmed_feature=lambda judged: confirmed,
+        surprise=lambda judged: surprise,
     )
 
 
@@ -53,11 +54,25 @@ def test_what_may_not_be_named_may_still_be_missing(score):
     """Beside the best candidate where it explains something at all, else beside the believed model."""
     best = None if score is None else SimpleNamespace(score=score)
     asked = []
-    for check, expected in ((left_by(), False), (left_by(confirmed="load"), True), (left_by(5.6, 10.0), True)):
+    for check, expected in (
+        (left_by(), False),
+        (left_by(confirmed="load"), True),
+        (left_by(5.6, 10.0), True),
+        (left_by(surprise=7.0), True),
+    ):
         known = check.confirmed_feature
         check.confirmed_feature = lambda judged, known=known: asked.append(judged) or known(judged)
         assert left_without_name(check, best) is expected
-    assert asked == [best if score == 40.0 else None] * 3
+    assert asked == [best if score == 40.0 else None] * 4
+
+
+@pytest.mark.parametrize(
+    ("score", "small", "expected"), [(80.0, False, False), (200.0, False, True), (200.0, True, False)]
+)
+def test_what_is_too_much_for_chance_is_missing_though_it_may_not_be_named(monkeypatch, score, small, expected):
+    """Unless it is no larger than calibration leaves."""
+    monkeypatch.setattr("btr_mjx.gap.inference.verdict.identify.within_calibration", lambda bench, judged: small)
+    assert left_without_name(left_by(), SimpleNamespace(score=score)) is expected
 
 
 def test_real_machines_leave_more():

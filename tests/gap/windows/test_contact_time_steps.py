@@ -59,7 +59,7 @@ def fine(quadruped):
 
 @pytest.mark.parametrize(
     ("noise", "expected"),
-    [(100.0, [1]), (1.0, [4]), (0.15, [8]), (0.01, [16])],
+    [(100.0, [1]), (1.0, [2]), (0.15, [4]), (0.01, [16])],
     ids=["unseen", "seen", "more", "most"],
 )
 def test_step_is_divided_if_its_error_exceeds_noise(quadruped, noise, expected) -> None:
@@ -87,9 +87,9 @@ def test_number_of_windows_with_divided_step(quadruped) -> None:
     chosen = choose_windows(data, data, base, found, 100, few, Counter())
     fit, test = chosen.windows
     own = float(fit.models[0].opt.timestep)
-    assert fit.dt == test.dt == own / 4 == fit.step
-    assert chosen.options.steps == 4 * few.steps
-    assert "steps of 0.25 ms: steps of 1 ms" in time_step_notes(fit)[0]
+    assert fit.dt == test.dt == own / 2 == fit.step
+    assert chosen.options.steps == 2 * few.steps
+    assert "steps of 0.5 ms: steps of 1 ms" in time_step_notes(fit)[0]
     noisy = replace(data, sigma=100 * data.sigma)
     rough = choose_windows(noisy, noisy, base, found, 100, few, Counter())
     assert rough.windows[0].dt == own

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import EFFECTS, Effect
 from btr_mjx.gap.forces import horizon_errors, identify_forces, predictions, prepare_forces
-from btr_mjx.gap.inference.search.naming import THRESHOLD, within_calibration
+from btr_mjx.gap.inference.search.naming import CONTACT_THRESHOLD, THRESHOLD, within_calibration
 from btr_mjx.gap.inference.search.rounds import search
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Judged
@@ -36,6 +36,9 @@ from btr_mjx.gap.inference.verdict.outcome import (
 from btr_mjx.gap.results import Diagnosis
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.gap.windows import Options, time_step_notes
+
+SURPRISE = 6.0
+"""Lack of fit over everything that cannot be noise where nothing was named, in standard deviations."""
 
 COARSE_SHARE = 0.55
 """Part of what unknown forces explain that a name must explain where nothing reaches the noise, or leave little."""
@@ -203,11 +206,14 @@ def left_beside_name(check: Check, final: Judged, share: float, surprise: float)
 
 
 def left_without_name(check: Check, best: Judged | None) -> bool:
-    """Whether something is missing though nothing may be named; what the best candidate explains is weak, not strange.
+    """Whether something is missing though nothing may be named: what the best candidate explains is strange if much.
 
     Args:
       check: of the lack of fit.
       best: candidate of the first round.
     """
     judged = best if best is not None and best.score > 0 else None
-    return check.confirmed_feature(judged) is not None or check.excess_at_joint(judged) > 0
+    if judged is not None and judged.score >= CONTACT_THRESHOLD and not within_calibration(check.bench, judged):
+        return True
+    strange = check.confirmed_feature(judged) is not None or check.excess_at_joint(judged) > 0
+    return strange or check.surprise(judged) > SURPRISE
