@@ -90,6 +90,21 @@ def test_rooms_import_rooms_above_them_only():
     assert not wrong
 
 
+def test_inference_goes_from_scores_to_the_search_to_the_verdict():
+    folders = [f"gap.inference.{name}." for name in ("scoring", "search", "verdict")]
+
+    def level(module: str) -> int:
+        return next((i for i, folder in enumerate(folders) if module.startswith(folder)), -1)
+
+    back = [
+        f"{module} imports {other}"
+        for module in FILES
+        for other in IMPORTS[module]
+        if -1 < level(module) < level(other)
+    ]
+    assert not back
+
+
 def test_files_are_private_to_their_room():
     """From elsewhere a room is entered by its door, or by a module that the door names."""
     doors = {room: tree_of(room) for room in ORDER if room != "commands"}

@@ -5,14 +5,13 @@ leaves.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
 from btr_mjx.gap.inference.scoring.screening import tolerance_of
 from btr_mjx.gap.inference.search.search import Bench
-from btr_mjx.gap.inference.search.search_records import Judged
-from btr_mjx.gap.inference.verdict.outcome import alike
+from btr_mjx.gap.inference.search.search_records import MARGIN, Judged
 
 THRESHOLD = 15.0
 """Score, beyond the price of its numbers, that a name needs."""
@@ -24,8 +23,30 @@ best such candidate of a simulated robot that lacked no such thing came to 73.""
 HELD_OUT = 3.0
 """Gain that a name needs on held-out recordings, and on those that were fitted."""
 
+SHARE = 0.01
+"""Part of the best score within which candidates are alike: of a strong effect calibration leaves more."""
+
+CONTACT_MARGIN = 0.1
+"""The same where one of them moves contacts, at least, as a part of the best score."""
+
 TOLERANCES = 4.0
 """Size that a name needs, in tolerances of its parameter."""
+
+
+def alike(judged: Sequence[Judged], contact_sensitive: Collection[str] = ()) -> list[Judged]:
+    """Those that the data cannot tell from the first one, which comes first.
+
+    Args:
+      judged: one round, best first.
+      contact_sensitive: names of candidates that move contacts, whose scores are less certain.
+    """
+    best, out = judged[0], []
+    for j in judged:
+        names = [k.hypothesis.effects[-1][0].name for k in (best, j)]
+        margin = max(MARGIN, (CONTACT_MARGIN if any(n in contact_sensitive for n in names) else SHARE) * best.score)
+        if best.score - j.score <= margin and j.score > 0.3 * best.score:
+            out.append(j)
+    return out
 
 
 def acceptable(bench: Bench, judged: Sequence[Judged], given: Judged | None) -> list[Judged]:

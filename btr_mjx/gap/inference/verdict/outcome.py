@@ -5,6 +5,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from btr_mjx.gap.effects import Hypothesis
+from btr_mjx.gap.inference.search.naming import alike
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import MARGIN, Judged
 from btr_mjx.gap.inference.verdict.disagreement import place_names
@@ -13,28 +14,6 @@ from btr_mjx.gap.inference.verdict.openloop import open_loop
 from btr_mjx.gap.inference.verdict.profile import profiled
 from btr_mjx.gap.results import Gap, NamedEffect, Overlay, RankedCandidate, Refit
 from btr_mjx.gap.windows import bounded_loss
-
-SHARE = 0.01
-"""The same, as a part of the best score: of a strong effect what calibration leaves decides on more."""
-
-CONTACT_MARGIN = 0.1
-"""The same where one of them moves contacts, at least, as a part of the best score."""
-
-
-def alike(judged: Sequence[Judged], contact_sensitive: Collection[str] = ()) -> list[Judged]:
-    """Those that the data cannot tell from the first one, which comes first.
-
-    Args:
-      judged: one round, best first.
-      contact_sensitive: names of candidates that move contacts, whose scores are less certain.
-    """
-    best, out = judged[0], []
-    for j in judged:
-        names = [k.hypothesis.effects[-1][0].name for k in (best, j)]
-        margin = max(MARGIN, (CONTACT_MARGIN if any(n in contact_sensitive for n in names) else SHARE) * best.score)
-        if best.score - j.score <= margin and j.score > 0.3 * best.score:
-            out.append(j)
-    return out
 
 
 def equivalent(judged: Sequence[Judged], contact_sensitive: Collection[str] = ()) -> tuple[str, ...]:
