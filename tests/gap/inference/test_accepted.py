@@ -10,19 +10,20 @@ from btr_mjx.gap.inference.search import naming
 from btr_mjx.gap.inference.search.naming import accepted
 
 
-@pytest.mark.parametrize("names", ["b", "ab", "mb"])
 @pytest.mark.parametrize(
-    ("gain", "held_out", "expected"),
+    ("names", "gain", "held_out", "expected"),
     [
-        (20.0, 6.0, True),
-        (20.0, 2.0, False),  # not seen where it was not fitted
-        (-8.0, 60.0, False),  # nor where it was
-        (9.0, 4.0, False),  # worth no more than its price
-        (5000.0, 15.0, True),  # a limit that few recordings reach
+        ("b", 20.0, 6.0, True),
+        ("b", 20.0, 2.0, False),  # not seen where it was not fitted
+        ("b", -8.0, 60.0, False),  # nor where it was
+        ("b", 9.0, 4.0, False),  # worth no more than its price
+        ("b", 5000.0, 15.0, True),  # a limit that few recordings reach
+        ("ab", 60.0, 20.0, True),  # counted beside the first
+        ("mb", 60.0, 20.0, True),
+        ("ab", 20.0, 6.0, False),  # less than 1 % of the first
     ],
 )
 def test_what_may_be_called_by_name(names, gain, held_out, expected):
-    """Beside another effect as well as alone: what it gains is counted beside that."""
     assert is_accepted(names, gain, held_out) is expected
 
 

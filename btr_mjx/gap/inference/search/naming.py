@@ -90,7 +90,10 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None) -> bool:
     if given is not None:
         score, gain, held_out = score - given.score, gain - given.gain, held_out - given.held_out
     moves = judged.hypothesis.effects[-1][0].name in bench.contact_sensitive
-    enough = score >= (CONTACT_THRESHOLD if moves else THRESHOLD) and min(gain, held_out) >= HELD_OUT
+    needed = CONTACT_THRESHOLD if moves else THRESHOLD
+    if given is not None:  # a number of the first effect that is a little off leaves as much
+        needed = max(needed, SHARE * given.score)
+    enough = score >= needed and min(gain, held_out) >= HELD_OUT
     return enough and not within_calibration(bench, judged)
 
 
