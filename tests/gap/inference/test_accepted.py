@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from gap_arm import arm
 
@@ -56,7 +57,19 @@ def test_what_is_no_larger_than_calibration_leaves_is_not_called_by_name(size, e
     assert is_accepted("b", 5000.0, 2000.0, size=size) is expected
 
 
-def is_accepted(names, gain, held_out, negligible=0.0, size=1.0):
+@pytest.mark.parametrize(
+    ("before", "after", "expected"), [(3.0, 2.9, True), (3.0, 3.0, False), (3.0, 3.4, False), (3.0, np.nan, False)]
+)
+@pytest.mark.parametrize("names", ["b", "ab"])
+def test_a_name_makes_the_held_out_gap_smaller(names, before, after, expected):
+    assert is_accepted(names, 200.0, 80.0, gaps=(before, after)) is expected
+
+
+def test_a_second_name_makes_the_gap_smaller_than_the_first_one_did():
+    assert not is_accepted("ab", 200.0, 80.0, gaps=(3.0, 2.0), reached=1.5)
+
+
+def is_accepted(names, gain, held_out, negligible=0.0, size=1.0, gaps=(3.0, 2.0), reached=3.0):
     """The last of some effects, beside those before; a number costs 10, is `size` and has a tolerance of 0.1."""
     first = [SimpleNamespace(null=0.0, tolerance=0.1, negligible=negligible, shape=False)]
     effects = []
@@ -74,4 +87,6 @@ def is_accepted(names, gain, held_out, negligible=0.0, size=1.0):
         hypothesis=SimpleNamespace(effects=effects),
     )
     bench = SimpleNamespace(contact_sensitive={"m"}, dataset=SimpleNamespace(tolerances={}))
-    return accepted(bench, judged, given)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(naming, "held_out_chi2", lambda _, one: gaps if one is judged else (gaps[0], reached))
+        return accepted(bench, judged, given)

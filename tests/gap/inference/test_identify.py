@@ -13,6 +13,7 @@ from btr_mjx.gap.effects.similar import HARDENING_SPRING
 from btr_mjx.gap.inference import Bench, Hypothesis, identify
 from btr_mjx.gap.inference.scoring.gains import fall, luckiest
 from btr_mjx.gap.inference.scoring.hypotheses import unknowns
+from btr_mjx.gap.inference.search import naming as search_naming
 from btr_mjx.gap.inference.verdict import identify as naming
 from btr_mjx.gap.inference.verdict.outcome import equivalent, overlays
 from btr_mjx.gap.windows import Fit
@@ -138,32 +139,15 @@ def test_believed_numbers_are_refitted_before_anything_is_called_missing():
     assert row.refitted == pytest.approx(0.15, rel=0.1)
 
 
-@pytest.mark.parametrize(
-    ("gaps", "kept"),
-    [
-        ([(9.0, 3.0), (9.0, 2.0)], 2),
-        ([(9.0, 3.0), (9.0, 4.0)], 1),  # the second one makes the first one's gap grow
-        ([(9.0, 9.5), (9.0, 2.0)], 0),
-        ([(9.0, 9.0)], 0),
-        ([(9.0, np.nan)], 0),
-        ([], 0),
-    ],
-)
-def test_names_end_where_the_held_out_gap_does_not_fall(monkeypatch, gaps, kept):
-    names = [f"name {i}" for i in range(len(gaps))]
-    monkeypatch.setattr(naming, "held_out_chi2", lambda bench, judged: gaps[names.index(judged)])
-    assert naming.without_growth(None, names) == names[:kept]
-
-
 def test_a_name_whose_held_out_gap_grows_is_no_verdict(monkeypatch):
     """Whatever the search found, and however it came to it."""
-    real = naming.held_out_chi2
+    real = search_naming.held_out_chi2
 
     def grown(bench, judged):
         before, after = real(bench, judged)
         return (before, after) if judged is None else (before, 1.01 * before)
 
-    monkeypatch.setattr(naming, "held_out_chi2", grown)
+    monkeypatch.setattr(search_naming, "held_out_chi2", grown)
     found = naming.name_missing(Bench(dataset(damped, seed=1), LIBRARY, QUICK), max_effects=2)
     assert found.verdict == "unexplained"
     assert not found.effects

@@ -8,7 +8,6 @@ import pytest
 from btr_mjx.gap.inference.scoring.leftover import Leftover
 from btr_mjx.gap.inference.verdict.check import Check
 from btr_mjx.gap.inference.verdict.identify import (
-    grows,
     left_beside_name,
     left_without_name,
     undecided,
@@ -95,8 +94,3 @@ def test_what_may_not_be_named_need_not_be_ruled_out(monkeypatch, verdict, expec
     first = [one("a", 100.0), one("b", 90.0), one("c", 20.0), one("d", 16.0), one("e", 14.0)]
     assert undecided(SimpleNamespace(contact_sensitive=()), first, verdict) == expected
     assert undecided(SimpleNamespace(contact_sensitive=()), [], verdict) == ()
-
-
-@pytest.mark.parametrize(("before", "after", "expected"), [(3.0, 2.9, False), (3.0, 3.0, True), (3.0, 3.4, True)])
-def test_a_name_with_which_the_gap_does_not_shrink_is_none(before, after, expected):
-    assert grows((before, after)) is expected

@@ -12,6 +12,7 @@ import numpy as np
 from btr_mjx.gap.inference.scoring.screening import tolerance_of
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import MARGIN, Judged
+from btr_mjx.gap.windows import bounded_loss
 
 THRESHOLD = 15.0
 """Score, beyond the price of its numbers, that a name needs."""
@@ -94,7 +95,23 @@ def accepted(bench: Bench, judged: Judged, given: Judged | None) -> bool:
     if given is not None:  # a number of the first effect that is a little off leaves as much
         needed = max(needed, SHARE * given.score)
     enough = score >= needed and min(gain, held_out) >= HELD_OUT
-    return enough and not within_calibration(bench, judged)
+    return enough and not within_calibration(bench, judged) and shrinks_gap(bench, judged, given)
+
+
+def held_out_chi2(bench: Bench, judged: Judged | None) -> tuple[float, float]:
+    """Mean bounded chi^2 of a held-out window per degree of freedom, of the believed model and of a hypothesis."""
+    freedom = bench.test.windows.freedom
+    base = bench.nuisance(bench.test).profile(bench.test.windows.residual, bench.cut).chi2
+    cut = 3.0 * max(freedom, float(np.median(base)))
+    ends = base, base if judged is None else judged.fits[1].chi2
+    before, after = (float(bounded_loss(chi2, cut).mean() / freedom) for chi2 in ends)
+    return before, after
+
+
+def shrinks_gap(bench: Bench, judged: Judged, given: Judged | None) -> bool:
+    """Whether the held-out gap is smaller with a candidate than without it, and than before all that was found."""
+    before, after = held_out_chi2(bench, judged)
+    return after < before and (given is None or after < held_out_chi2(bench, given)[1])
 
 
 def within_calibration(bench: Bench, judged: Judged) -> bool:

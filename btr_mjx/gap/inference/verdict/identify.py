@@ -26,7 +26,6 @@ from btr_mjx.gap.inference.verdict.confounds import confounds
 from btr_mjx.gap.inference.verdict.outcome import (
     equivalent,
     gap_of,
-    held_out_chi2,
     named_effects,
     overlays,
     ranking_of,
@@ -109,7 +108,6 @@ def name_missing(
     note = progress or (lambda _: None)
     rounds, named = search(bench, max_effects, note)
     base = bench.base
-    named = without_growth(bench, named)
     note("lack of fit")
     rng = np.random.default_rng([seed, 1])
     check = Check(bench, rng)
@@ -147,28 +145,6 @@ def name_missing(
         predictions=predictions(errors, steady),
         notes=time_step_notes(bench.fit.windows),
     )
-
-
-def without_growth(bench: Bench, named: Sequence[Judged]) -> list[Judged]:
-    """The first of some names, each beside those before, up to one with which the held-out gap does not fall.
-
-    Args:
-      bench: of the search.
-      named: what was found.
-    """
-    out: list[Judged] = []
-    for judged in named:
-        gap, reached = held_out_chi2(bench, judged), held_out_chi2(bench, out[-1])[1] if out else np.inf
-        if grows(gap) or grows((reached, gap[1])):
-            break
-        out.append(judged)
-    return out
-
-
-def grows(gap: tuple[float, float]) -> bool:
-    """Whether a held-out gap (before, after) is no smaller with a name: such a name is no verdict."""
-    before, after = gap
-    return not after < before
 
 
 def undecided(bench: Bench, first: Sequence[Judged], verdict: str) -> tuple[str, ...]:

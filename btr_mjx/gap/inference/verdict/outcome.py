@@ -5,7 +5,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from btr_mjx.gap.effects import Hypothesis
-from btr_mjx.gap.inference.search.naming import alike
+from btr_mjx.gap.inference.search.naming import alike, held_out_chi2
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import MARGIN, Judged
 from btr_mjx.gap.inference.verdict.disagreement import place_names
@@ -13,7 +13,6 @@ from btr_mjx.gap.inference.verdict.intervals import intervals
 from btr_mjx.gap.inference.verdict.openloop import open_loop
 from btr_mjx.gap.inference.verdict.profile import profiled
 from btr_mjx.gap.results import Gap, NamedEffect, Overlay, RankedCandidate, Refit
-from btr_mjx.gap.windows import bounded_loss
 
 
 def equivalent(judged: Sequence[Judged], contact_sensitive: Collection[str] = ()) -> tuple[str, ...]:
@@ -84,16 +83,6 @@ def ranking_of(rounds: Sequence[Sequence[Judged]]) -> tuple[RankedCandidate, ...
                 )
             )
     return tuple(rows)
-
-
-def held_out_chi2(bench: Bench, judged: Judged | None) -> tuple[float, float]:
-    """Mean bounded chi^2 of a held-out window per degree of freedom, of the believed model and of a hypothesis."""
-    freedom = bench.test.windows.freedom
-    base = bench.nuisance(bench.test).profile(bench.test.windows.residual, bench.cut).chi2
-    cut = 3.0 * max(freedom, float(np.median(base)))
-    ends = base, base if judged is None else judged.fits[1].chi2
-    before, after = (float(bounded_loss(chi2, cut).mean() / freedom) for chi2 in ends)
-    return before, after
 
 
 def gap_of(bench: Bench, start: Hypothesis, judged: Judged | None, nulls: float) -> Gap:
