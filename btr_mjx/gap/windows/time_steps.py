@@ -43,7 +43,8 @@ _DIVISORS = 2, 16
 """Smallest and largest divisor of the time step of the model for contacts."""
 
 _MAX_DIVIDED_ERROR = 2.8
-"""Target of the RMS error of a divided step, in units of the noise; errors are of first order in the step."""
+"""Target of the RMS error of a divided step, in units of the noise; errors are of first order in the step. With half of
+it quadrupeds cost twice as much and are named no better (`benchmarks/naming_gate.py --robot quadruped`)."""
 
 
 def fine_step(windows: Windows) -> float:

@@ -57,7 +57,9 @@ def _pruned(
         for new, own in zip(without, others, strict=False):
             last = new.hypothesis.effects[-1][0].name
             own[:] = [new, *(j for j in own if j.hypothesis.effects[-1][0].name != last)]
-        rounds, named = others, without
+        # Those that stay were judged anew, and may no longer be called by name.
+        fit = [accepted(bench, j, given) for j, given in zip(without, [None, *without], strict=False)]
+        rounds, named = others, without[: fit.index(False) if False in fit else len(fit)]
     return rounds, named
 
 
