@@ -4,6 +4,7 @@ An `Effect` is data: a name, the `Place`s where it may occur, parameters with un
 that is used by the search and for the mended model. A `Candidate` is an effect at a place.
 """
 
+from btr_mjx.gap.effects.calibration import TIME_IN_SAMPLE, TIMING, field_tolerance
 from btr_mjx.gap.effects.effect import Candidate, Effect, Parameter, candidates
 from btr_mjx.gap.effects.hypothesis import Hypothesis, believed_steps
 from btr_mjx.gap.effects.library import EFFECTS, KNOWN_EFFECTS, with_motors
@@ -26,6 +27,8 @@ __all__ = [
     "EACH_MEMBER",
     "EFFECTS",
     "KNOWN_EFFECTS",
+    "TIME_IN_SAMPLE",
+    "TIMING",
     "WORLD",
     "Candidate",
     "Effect",
@@ -39,6 +42,7 @@ __all__ = [
     "body_place",
     "candidates",
     "custom_effect_code",
+    "field_tolerance",
     "ground_geoms",
     "has_closed_loops",
     "joint_of",

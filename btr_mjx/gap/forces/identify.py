@@ -14,7 +14,7 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, noise_of
-from btr_mjx.gap.effects import Effect, Hypothesis, candidates, has_closed_loops, with_motors
+from btr_mjx.gap.effects import TIMING, Effect, Hypothesis, candidates, has_closed_loops, with_motors
 from btr_mjx.gap.forces.held_out import HeldOut, held_out, is_better
 from btr_mjx.gap.forces.horizons import follow_horizons
 from btr_mjx.gap.forces.intervals import covariance
@@ -28,7 +28,6 @@ from btr_mjx.gap.forces.shapes import best_shape
 from btr_mjx.gap.forces.stretches import Stretches, spread_stretches
 from btr_mjx.gap.forces.unknowns import (
     BELIEVED,
-    TIMING,
     Library,
     believed_values,
     calibrated_effects,

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from btr_mjx.gap.forces.unknowns import TIMING
+from btr_mjx.gap.effects import TIMING
 from btr_mjx.gap.results import Diagnosis, NamedEffect
 
 

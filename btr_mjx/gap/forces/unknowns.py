@@ -6,7 +6,17 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.effects import WORLD, Candidate, Effect, Parameter, Place, believed_steps
+from btr_mjx.gap.effects import (
+    TIME_IN_SAMPLE,
+    TIMING,
+    WORLD,
+    Candidate,
+    Effect,
+    Parameter,
+    Place,
+    believed_steps,
+    field_tolerance,
+)
 from btr_mjx.gap.forces.evidence import CalibrationPrior
 from btr_mjx.gap.forces.motion import FreeNumber
 from btr_mjx.gap.simulate import World
@@ -25,9 +35,6 @@ _NEAR = (0.5, 2.0)
 BELIEVED = "believed "
 """Beginning of the name of a number that may be refitted, among calibration."""
 
-TIMING = "actuator_delay"
-"""Effect that is calibration where all commands share it: the time within a sample at which they act."""
-
 DRIVE = ("dry_friction", "viscous_damping", "armature", "offset_torque")
 """What every drive has, and models leave out together."""
 
@@ -39,15 +46,6 @@ _MOST = 4.0
 
 _WITHIN = 0.75
 """Largest time within a sample at which a command acts, in intervals of commands: half of one, and jitter of stamps."""
-
-_FIELD = 5.0
-"""Tolerances outside a laboratory, in units of those of the library."""
-
-_FACTORS = {"viscous_damping": 10.0, "armature": 10.0, "ground_slope": 1.0}
-"""The same of what nobody measures (damping, rotor inertia), and of what a spirit level tells."""
-
-_TIME_IN_SAMPLE = 0.29
-"""1 sigma of the time at which a command acts, in intervals of commands: anywhere within one."""
 
 
 @dataclass(frozen=True)
@@ -131,8 +129,7 @@ def library_of(
                 known, least = tolerances.get(candidate.effect.name, 0.0), 0.0
                 if candidate.effect.name in DRIVE:
                     least = _UNKNOWN * abs(own.step)
-                factor = _FACTORS.get(candidate.effect.name, _FIELD)
-                if sigma := known or max(factor * own.tolerance, least):
+                if sigma := known or max(field_tolerance(candidate.effect.name, own.tolerance), least):
                     calibrated.append((CandidateColumns(candidate, ((column + i,),), (near[0],)), sigma, _MOST * sigma))
     for parameter in believed:
         candidate = _as_candidate(parameter, model)
@@ -140,7 +137,7 @@ def library_of(
         numbers.append(FreeNumber(candidate, 0, (candidate.parameters[0].null,), candidate.parameters[0].step))
         calibrated.append((entry, parameter.high - parameter.low, parameter.high - parameter.low))
     whole = [e for e in entries if e.candidate.effect.name == TIMING and e.candidate.parameters[0].low < 0]
-    calibrated += [(entry, _TIME_IN_SAMPLE * interval, _WITHIN * interval) for entry in whole[:1]]
+    calibrated += [(entry, TIME_IN_SAMPLE * interval, _WITHIN * interval) for entry in whole[:1]]
     prior = CalibrationPrior(
         np.concatenate([np.zeros((len(numbers), 0)), *(e.design(len(numbers)) for e, _, _ in calibrated)], 1),
         np.array([sigma for _, sigma, _ in calibrated]),

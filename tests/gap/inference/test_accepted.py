@@ -41,14 +41,14 @@ def test_what_is_smaller_than_any_simulation_is_not_called_by_name(least, expect
 
 @pytest.mark.parametrize(
     ("values", "within"),
-    [([0.003, -0.11], False), ([0.11, 0.0], False), ([0.003, -0.0035], True), ([-0.0045, 0.001], False)],
+    [([0.003, -0.11], False), ([0.11, 0.0], False), ([0.002, -0.0025], True), ([-0.0045, 0.001], False)],
 )
 def test_a_slope_along_either_axis_is_larger_than_calibration_leaves(values, within):
     slope = next(effect for effect in EFFECTS if effect.name == "ground_slope")
     candidate = Candidate(slope, WORLD, slope.parameters(arm(), Scales.of(arm()), WORLD))
     hypothesis = SimpleNamespace(effects=((candidate, values),))
     judged = SimpleNamespace(hypothesis=hypothesis)
-    bench = SimpleNamespace(dataset=SimpleNamespace(tolerances={}))
+    bench = SimpleNamespace(tolerances={candidate.name: 0.001})
     assert naming.within_calibration(bench, judged) is within
 
 
@@ -86,7 +86,7 @@ def is_accepted(names, gain, held_out, negligible=0.0, size=1.0, gaps=(3.0, 2.0)
         held_out=before[2] + held_out,
         hypothesis=SimpleNamespace(effects=effects),
     )
-    bench = SimpleNamespace(contact_sensitive={"m"}, dataset=SimpleNamespace(tolerances={}))
+    bench = SimpleNamespace(contact_sensitive={"m"}, tolerances=dict.fromkeys("abm", 0.1))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(naming, "held_out_chi2", lambda _, one: gaps if one is judged else (gaps[0], reached))
         return accepted(bench, judged, given)

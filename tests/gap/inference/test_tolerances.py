@@ -1,6 +1,7 @@
 """What is fitted along with every hypothesis: tolerances, and the time step that data have of their own."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,9 +9,10 @@ from gap_arm import LIBRARY as ALL
 from gap_arm import QUICK, SIGMA, arm, arm_windows, dataset, recording
 
 from btr_mjx.gap.data import Noise
-from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.effects import EFFECTS, field_tolerance
 from btr_mjx.gap.inference import Bench
 from btr_mjx.gap.inference.scoring.refine import Nuisance
+from btr_mjx.gap.inference.scoring.screening import tolerances_of
 from btr_mjx.gap.inference.search.naming import THRESHOLD
 from btr_mjx.gap.inference.verdict.identify import name_missing
 from btr_mjx.gap.simulate import Command, World
@@ -35,11 +37,24 @@ def test_doubt_about_the_time_step_is_what_another_one_does() -> None:
     assert np.abs(expected).max() > 0.1
 
 
+def test_what_a_dataset_says_of_calibration_is_taken(bench: Bench) -> None:
+    """Else it is that of the field, but for what moves contacts; groups leave it to their members."""
+    elbow, every = "viscous_damping@joint:elbow", "actuator_gain@all"
+    own = next(c for c in bench.candidates if c.name == elbow).parameters[0].tolerance
+    of = partial(tolerances_of, bench.candidates)
+    usual = of({}, (), 0.005)
+    assert usual[elbow] == field_tolerance("viscous_damping", own) > own
+    assert every not in usual
+    assert of({}, {elbow}, 0.005)[elbow] == own
+    assert of({"viscous_damping": 0.3}, (), 0.005)[elbow] == 0.3
+    assert elbow not in of({"viscous_damping": 0.0}, (), 0.005)
+
+
 @pytest.mark.parametrize("name", ["viscous_damping@joint:elbow", "joint_offset@joint:shoulder"])
 def test_an_effect_is_fitted_without_a_tolerance_of_its_own(bench: Bench, name: str) -> None:
     """The column that is held is that of the effect, as its true simulation has it, and all others are as they were."""
     candidate = next(c for c in bench.candidates if c.name == name)
-    tolerance = candidate.parameters[0].tolerance
+    tolerance = bench.tolerances[name]
     hypothesis = bench.base.with_effect(candidate, candidate.null + tolerance)
     for side in (bench.fit, bench.test):
         windows, usual, held = side.windows, bench.nuisance(side), bench.nuisance(side, hypothesis)

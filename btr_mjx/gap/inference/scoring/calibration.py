@@ -12,14 +12,14 @@ import numpy as np
 
 from btr_mjx.gap.effects import Candidate, Hypothesis
 from btr_mjx.gap.inference.scoring.refine import Nuisance
-from btr_mjx.gap.inference.scoring.screening import Screen, nuisances, tolerance_of
+from btr_mjx.gap.inference.scoring.screening import Screen, nuisances
 from btr_mjx.gap.windows import Windows, project
 
 
 def tolerance_draws(
     base: Hypothesis,
     candidates: Sequence[Candidate],
-    given: Mapping[str, float],
+    tolerances: Mapping[str, float],
     rng: np.random.Generator,
     count: int,
 ) -> list[Hypothesis]:
@@ -28,17 +28,17 @@ def tolerance_draws(
     Args:
       base: the believed world.
       candidates: all candidates; those with a tolerance are drawn.
-      given: tolerances of the dataset by effect.
+      tolerances: of `screening.tolerances_of`.
       rng: for the draws.
       count: number of worlds.
     """
-    loose = [c for c in candidates if tolerance_of(c, given) > 0]
+    loose = [c for c in candidates if c.name in tolerances]
     out = []
     for _ in range(count):
         hypothesis = base
         for candidate in loose:
             values, first = candidate.null, candidate.parameters[0]
-            values[0] += tolerance_of(candidate, given) * float(np.clip(rng.standard_normal(), -2.5, 2.5))
+            values[0] += tolerances[candidate.name] * float(np.clip(rng.standard_normal(), -2.5, 2.5))
             values[0] = np.clip(values[0], first.low, first.high)
             hypothesis = hypothesis.with_effect(candidate, values)
         out.append(hypothesis)
@@ -72,7 +72,7 @@ def with_nonlinear_tolerances(
     base: Hypothesis,
     screened: Screen,
     draws: Sequence[Hypothesis],
-    given: Mapping[str, float],
+    tolerances: Mapping[str, float],
     single: bool,
     cut: float,
 ) -> tuple[Screen, Nuisance]:
@@ -83,14 +83,14 @@ def with_nonlinear_tolerances(
       base: whose believed numbers may be refitted.
       screened: signatures of the candidates, tolerances among them.
       draws: worlds of `tolerance_draws`; none where nothing touches.
-      given: tolerances of the dataset by effect.
+      tolerances: of `screening.tolerances_of`.
       single: see `sensitivity.signatures`.
       cut: chi^2 above which a window counts less.
 
     Returns:
       Signatures without these directions, and the tolerances as nuisances.
     """
-    nuisance = nuisances(windows, base, screened, given, single)
+    nuisance = nuisances(windows, base, screened, tolerances, single)
     if not draws or not len(nuisance.precision):
         return screened, nuisance
     windows.project_partially(nonlinear_directions(windows, nuisance, draws, cut))
@@ -98,4 +98,4 @@ def with_nonlinear_tolerances(
     for i, column in enumerate(screened.columns):
         columns[i] = project(column, windows.partial_basis)
     screened = replace(screened, columns=columns)
-    return screened, nuisances(windows, base, screened, given, single)
+    return screened, nuisances(windows, base, screened, tolerances, single)

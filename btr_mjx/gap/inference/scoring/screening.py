@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.effects import Candidate, Hypothesis, believed_steps
+from btr_mjx.gap.effects import TIME_IN_SAMPLE, TIMING, Candidate, Hypothesis, believed_steps, field_tolerance
 from btr_mjx.gap.inference.scoring.hypotheses import CONTACT_STEP
 from btr_mjx.gap.inference.scoring.refine import Nuisance
 from btr_mjx.gap.simulate import differing_fields, fingerprint
@@ -17,11 +17,6 @@ _SHAPES_CONTACT |= {"geom_friction", "geom_solref", "geom_solimp", "geom_margin"
 
 FIRST_TOLERANCE = 1
 """Column of `nuisances` from which on those of candidates stand, in the order of their entries."""
-
-_TIMING = "actuator_delay"
-_COMMAND_TIME = 1e-4
-"""Effect that is calibration where all commands share it, and 1 sigma of it [s]: at which time within a step of the
-data a command acts is not known. Simulated data have steps of about this length."""
 
 _LIMIT_PROBES = (0.15, 0.35, 0.6, 0.8, 0.92)
 """Where a limit is tried, as parts of the way from where it does nothing to its tightest."""
@@ -161,41 +156,54 @@ def _member_names(candidate: Candidate) -> list[str]:
     return [f"{candidate.effect.name}@{label}" for label in candidate.place.members]
 
 
-def tolerance_of(candidate: Candidate, given: Mapping[str, float]) -> float:
-    """1 sigma of a candidate's first number that calibration always leaves.
+def tolerances_of(
+    candidates: Sequence[Candidate], given: Mapping[str, float], contact_sensitive: Collection[str], interval: float
+) -> dict[str, float]:
+    """1 sigma of what calibration leaves of candidates' first numbers, by name; only of those of which it leaves some.
+
+    Groups have none, as their members have their own, but for the time of all commands.
 
     Args:
-      candidate: the candidate.
+      candidates: all of them.
       given: tolerances of the dataset by effect.
-
-    Returns:
-      0 where none is known and for groups, whose members have their own, but for the time of all commands.
+      contact_sensitive: names of those that move contacts. Touchdowns show them so sharply, and linear pictures of them
+        reach so little far, that they have the tolerances of a laboratory.
+      interval: between samples of commands [s].
     """
-    name, first = candidate.effect.name, candidate.parameters[0]
-    if name == _TIMING and first.low < 0:  # of all actuators, see `actuators`
-        return float(given.get(name, _COMMAND_TIME))
-    return 0.0 if candidate.place.members else float(given.get(name, first.tolerance))
+    out = {}
+    for candidate in candidates:
+        name, first = candidate.effect.name, candidate.parameters[0]
+        if name == TIMING and first.low < 0:  # of all actuators, see `actuators`
+            usual = TIME_IN_SAMPLE * interval
+        elif candidate.place.members:
+            continue
+        else:
+            near = candidate.name in contact_sensitive
+            usual = first.tolerance if near else field_tolerance(name, first.tolerance)
+        if sigma := float(given.get(name, usual)):
+            out[candidate.name] = sigma
+    return out
 
 
-def with_tolerances(entries: Sequence[Entry], given: Mapping[str, float]) -> tuple[list[Entry], list[Entry]]:
+def with_tolerances(entries: Sequence[Entry], tolerances: Mapping[str, float]) -> tuple[list[Entry], list[Entry]]:
     """Entries with a tolerance.
 
     Args:
       entries: of all candidates.
-      given: tolerances of the dataset by effect.
+      tolerances: of `tolerances_of`.
 
     Returns:
       Those with a tolerance, in the order of their columns in `nuisances`, and the entries whose signatures these need:
       with the members of groups.
     """
-    loose = [e for e in entries if not e.probe and tolerance_of(e.candidate, given) > 0]
+    loose = [e for e in entries if not e.probe and e.candidate.name in tolerances]
     names = {entry.candidate.name for entry in loose}
     names |= {name for e in loose if not simulated(e.candidate) for name in _member_names(e.candidate)}
     return loose, [e for e in entries if not e.probe and e.candidate.name in names]
 
 
 def nuisances(
-    windows: Windows, base: Hypothesis, screened: Screen, given: Mapping[str, float], single: bool
+    windows: Windows, base: Hypothesis, screened: Screen, tolerances: Mapping[str, float], single: bool
 ) -> Nuisance:
     """Tolerances with their Gaussian priors, and what may be refitted with a wide one.
 
@@ -205,12 +213,12 @@ def nuisances(
       windows: linearised around `base`.
       base: the base world.
       screened: signatures of the candidates, tolerances among them.
-      given: tolerances of the dataset by effect.
+      tolerances: of `tolerances_of`.
       single: see `sensitivity.signatures`.
     """
     columns, precision = [step_uncertainty(windows, base).astype(np.float32)], [1.0]
     for index, entry in enumerate(screened.entries):
-        tolerance = 0.0 if entry.probe else tolerance_of(entry.candidate, given)
+        tolerance = 0.0 if entry.probe else tolerances.get(entry.candidate.name, 0.0)
         if tolerance > 0:
             columns.append(screened.signature(index)[0] * np.float32(tolerance / entry.steps[0]))
             precision.append(1.0)

@@ -9,7 +9,6 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from btr_mjx.gap.inference.scoring.screening import tolerance_of
 from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import MARGIN, Judged
 from btr_mjx.gap.windows import bounded_loss
@@ -30,7 +29,7 @@ SHARE = 0.01
 CONTACT_MARGIN = 0.1
 """The same where one of them moves contacts, at least, as a part of the best score."""
 
-TOLERANCES = 4.0
+TOLERANCES = 3.0
 """Size that a name needs, in tolerances of its parameter."""
 
 
@@ -121,7 +120,7 @@ def within_calibration(bench: Bench, judged: Judged) -> bool:
     calibration must be worth a name.
     """
     candidate, values = judged.hypothesis.effects[-1]
-    most = [TOLERANCES * tolerance_of(single, bench.dataset.tolerances) for single in candidate.singles]
+    most = [TOLERANCES * bench.tolerances.get(single.name, 0.0) for single in candidate.singles]
     # A slope may be along either axis.
     rows = list(zip(values, candidate.parameters, itertools.cycle(most), strict=False))
     beyond = [

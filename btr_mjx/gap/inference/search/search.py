@@ -28,6 +28,7 @@ from btr_mjx.gap.inference.scoring.screening import (
     is_contact_sensitive,
     screen,
     simulated,
+    tolerances_of,
     with_tolerances,
 )
 from btr_mjx.gap.inference.search.contact_scan import contact_scan, with_contacts, with_line_search
@@ -79,6 +80,7 @@ class Bench:
       scanner: linear scans on the side that is fitted.
       line_search: judges what is contact-sensitive with directions of its own.
       survey: what the recordings go through.
+      tolerances: 1 sigma of what calibration leaves, by candidate.
       counter: simulated steps so far.
       cut: chi^2 above which a window counts less.
       dispersion: chi^2 per degree of freedom of the best hypothesis, at least 1.
@@ -114,8 +116,8 @@ class Bench:
             self.sigma, self.options = less, options or Options()
             entries = self._prepared(effects, tracks, note)
         note(f"signatures of {len(entries)} candidates")
-        self._draws = tolerance_draws(self.base, self.candidates, dataset.tolerances, np.random.default_rng(0), _DRAWS)
-        loose, known = with_tolerances(entries, dataset.tolerances)
+        self._draws = tolerance_draws(self.base, self.candidates, self.tolerances, np.random.default_rng(0), _DRAWS)
+        loose, known = with_tolerances(entries, self.tolerances)
         self._loose = {entry.candidate.name: FIRST_TOLERANCE + i for i, entry in enumerate(loose)}
         bare = Hypothesis((), ())  # what may be refitted is refitted on the other side only
         sides = ((self.fit.windows, entries, self.base), (self.test.windows, known, bare))
@@ -147,6 +149,8 @@ class Bench:
         self.base = Hypothesis(dataset.parameters, self.before)
         fields = changed_fields(self.candidates, model, self.base) if self.survey.contact else {}
         self.contact_sensitive = {name for name, changed in fields.items() if is_contact_sensitive(changed)}
+        interval = float(np.median(np.diff(dataset.fit[0].commands[0])))
+        self.tolerances = tolerances_of(self.candidates, dataset.tolerances, self.contact_sensitive, interval)
         entries = entries_of(self.candidates, self.contact_sensitive)
         note("windows")
         count = sum(len(entry.steps) for entry in entries if simulated(entry.candidate))
@@ -180,7 +184,7 @@ class Bench:
     ) -> tuple[Screen, Nuisance]:
         """Nuisances of one side, after what tolerances do to contacts has been taken into account there."""
         draws, cut = self._draws if self.survey.contact else [], _CUT * windows.freedom
-        return with_nonlinear_tolerances(windows, base, screened, draws, self.dataset.tolerances, self.single, cut)
+        return with_nonlinear_tolerances(windows, base, screened, draws, self.tolerances, self.single, cut)
 
     @property
     def joint(self) -> bool:

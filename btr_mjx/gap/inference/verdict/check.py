@@ -137,7 +137,7 @@ class Check:
           of held-out windows and what unknown forces leave there per degree of freedom.
         """
         bench = self.bench
-        draws = tolerance_draws(bench.base, bench.candidates, bench.dataset.tolerances, rng, _NULLS)
+        draws = tolerance_draws(bench.base, bench.candidates, bench.tolerances, rng, _NULLS)
         rngs = rng.spawn(len(self.sides))
         nulls = run_in_threads([partial(self._of_nulls, i, draws, own) for i, own in enumerate(rngs)])
         left = [found for _, found, _ in nulls[0] if found is not None]
