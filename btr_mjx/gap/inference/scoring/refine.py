@@ -82,8 +82,9 @@ class Nuisance:
         return Nuisance(self.columns, precision, self.gram)
 
     def some(self, index: np.ndarray) -> "Nuisance":
-        """Those of some windows."""
-        return Nuisance(self.columns[index], self.precision, self.gram[index])
+        """Those of some windows that stand for all: priors weigh less, as the loss is that of fewer windows."""
+        share = len(index) / max(len(self.columns), 1)
+        return Nuisance(self.columns[index], self.precision * share, self.gram[index])
 
     def evidence(self, residual: np.ndarray, columns: np.ndarray) -> Evidence:
         """Evidence of a residual (W, R) on free columns (P, W, R) followed by the nuisances."""
