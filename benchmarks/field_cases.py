@@ -12,12 +12,15 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from field_laws import draw_law
 from field_physics import SETTLE, Calibration, Controlled, Hidden, Motion, build, draw_calibration, move
 from field_robots import ROBOTS, FieldRobot
 
 FAULTS = ("jitter", "coarse", "held", "lowpass", "late", "lost")
 """Faults of data: time stamps that come late by 0.8 ms on average, encoders of 5 mrad (1 mm), commands that a
 controller holds between rows, velocities behind a filter, commands that are logged late, missing rows."""
+FRESH = "fresh.npz"
+"""Where states of another motion are kept, beside the folder of a case that hides a law."""
 RUNS, DURATION = 3, 6.0
 """Recordings of a case, and their length [s]."""
 JOINT_EFFECTS = ("dry_friction", "viscous_damping", "armature", "joint_stiffness", "load_friction", "ripple")
@@ -31,10 +34,12 @@ class Wanted:
     Attributes:
       effects: number of hidden effects, 0 to 3.
       faults: names of `FAULTS`.
+      law: kind of `field_laws.LAWS`, which is all that is hidden.
     """
 
     effects: int | None = None
     faults: tuple[str, ...] | None = None
+    law: str | None = None
 
 
 @dataclass(frozen=True)
@@ -239,7 +244,10 @@ def make_case(folder: Path, seed: int, kind: str, wanted: Wanted | None = None) 
     references = [robot.reference(rng)(times) for _ in range(RUNS)]
     commanded = [Controlled(robot, reference, every, ahead=ahead) for reference in references]
     usual = _usual(model, _motion(robot, calibration, (), commanded[0]))
-    hidden = _draw_hidden(rng, robot, model, usual, count)
+    if wanted.law is None:
+        hidden = _draw_hidden(rng, robot, model, usual, count)
+    else:
+        hidden = [draw_law(rng, wanted.law, model, usual)]
     motions = [_motion(robot, calibration, hidden, one) for one in commanded]
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "model.xml").write_text(robot.xml)
@@ -250,6 +258,13 @@ def make_case(folder: Path, seed: int, kind: str, wanted: Wanted | None = None) 
         files = "".join(f'[[recording]]\nfile = "run{k + 1}.csv"\n' for k in range(RUNS))
         text = '[control]\ninterpolation = "hold"\n' if "held" in faults else ""
         (folder / "dataset.toml").write_text(f'[model]\nfile = "model.xml"\n{files}{text}')
+    if wanted.law is not None:  # states drawn afresh, on which laws are compared
+        fresh = Controlled(robot, robot.reference(rng)(times), every, ahead=ahead)
+        new = _motion(robot, calibration, hidden, fresh)
+        at = rng.choice(len(new.time), 400, replace=False)
+        np.savez(
+            folder.with_name(FRESH), time=new.time[at], qpos=new.qpos[at], qvel=new.qvel[at], torque=new.torque[at]
+        )
     return {
         "robot": kind,
         "seed": seed,

@@ -11,6 +11,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from field_laws import HiddenForce, hidden_force
 from field_robots import FieldRobot
 
 SETTLE = 0.5
@@ -18,7 +19,8 @@ SETTLE = 0.5
 _BRISTLE = 0.2
 """Natural frequency of a bristle times the time step."""
 Hidden = Sequence[Mapping[str, Any]]
-"""Effects: name, location and parameters as `btr_mjx.gap.effects` calls them, or `ripple`, which it does not know."""
+"""Effects: name, location and parameters as `btr_mjx.gap.effects` calls them; `ripple`, which it does not know; `law`,
+of `field_laws`."""
 
 
 @dataclass(frozen=True)
@@ -97,13 +99,15 @@ class Law:
     lag: np.ndarray
     rate: np.ndarray
     play: np.ndarray
+    forces: list[HiddenForce]
+    frictions: list[HiddenForce]
 
     @classmethod
     def nothing(cls, nv: int, nu: int) -> "Law":
         """Nothing is added to a robot of nv degrees of freedom and nu actuators."""
         by_dof = {name: np.zeros(nv) for name in ("damping", "spring", "offset", "dry", "load", "ripple", "waves")}
         by_motor = {name: np.zeros(nu) for name in ("delay", "lag", "play")}
-        return cls(**by_dof, **by_motor, rate=np.full(nu, np.inf))
+        return cls(**by_dof, **by_motor, rate=np.full(nu, np.inf), forces=[], frictions=[])
 
 
 @dataclass
@@ -155,7 +159,7 @@ def build(robot: FieldRobot, calibration: Calibration, hidden: Hidden = ()) -> M
 
 def _hide(model: mujoco.MjModel, law: Law, effect: Mapping[str, Any]) -> None:
     name, place = effect["effect"], effect["location"]
-    value = float(next(iter(effect["parameters"].values())))
+    value = float(next(iter(effect["parameters"].values()), 0.0))
     by_dof = {
         "viscous_damping": law.damping,
         "joint_stiffness": law.spring,
@@ -175,6 +179,9 @@ def _hide(model: mujoco.MjModel, law: Law, effect: Mapping[str, Any]) -> None:
     if name == "backlash":
         driven = dofs_at(model, place)
         law.play[[a for a in range(model.nu) if int(model.jnt_dofadr[model.actuator_trnid[a, 0]]) in driven]] = value
+    if name == "law":
+        force, is_friction = hidden_force(effect, model)
+        (law.frictions if is_friction else law.forces).append(force)
     if name == "actuator_gain":
         own = actuators_at(model, place)
         model.actuator_gainprm[own] *= 1 + value
@@ -248,10 +255,10 @@ def move(machine: Machine, control: Controlled) -> Motion:
         issued[:] = control.reference[np.maximum(held, 0)]
     late = np.round((machine.calibration.shift + law.delay) / dt).astype(int)
     lag = np.where(law.lag > 0, 1 - np.exp(-dt / np.maximum(law.lag, 1e-12)), 1.0)
-    bristle, slips = np.zeros(len(v)), bool((law.dry + law.load).any())
+    bristle, slips = np.zeros(len(v)), bool((law.dry + law.load).any() or law.frictions)
     stiff = _BRISTLE**2 / dt**2 / model.dof_invweight0[v]
     damp = 1.4 * _BRISTLE / dt / model.dof_invweight0[v]
-    pushes = bool(law.damping.any() or law.spring.any() or law.offset.any() or law.ripple.any() or slips)
+    pushes = bool(law.damping.any() or law.spring.any() or law.offset.any() or law.ripple.any() or slips or law.forces)
     drive, plays = np.empty(0), bool(law.play.any())
     out = tuple(np.zeros((count - settle, n)) for n in (model.nq, model.nv, model.nv))
     columns = np.arange(nu)
@@ -272,8 +279,15 @@ def move(machine: Machine, control: Controlled) -> Motion:
             speed, place = data.qvel[v], data.qpos[q]
             force = law.offset[v] - law.damping[v] * speed - law.spring[v] * place
             force += law.ripple[v] * np.sin(law.waves[v] * place)
+            if law.forces or law.frictions:
+                where, rate, now = np.zeros(model.nv), data.qvel.copy(), (i - settle) * dt
+                where[v] = place
+            for added in law.forces:
+                force += added(where, rate, now)[v]
             if slips:
                 most = law.dry[v] + law.load[v] * np.abs(data.qfrc_actuator[v])
+                for added in law.frictions:
+                    most += added(where, rate, now)[v]
                 bristle += speed * dt
                 pull = np.clip(stiff * bristle + damp * speed, -most, most)
                 bristle = (pull - damp * speed) / stiff

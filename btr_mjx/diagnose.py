@@ -304,7 +304,7 @@ def search_missing(
       folder: the run folder.
       checkpoint: called often; raises Interrupted to stop the search.
     """
-    from btr_mjx.gap.effects import custom_effect_code, with_motors
+    from btr_mjx.gap.effects import custom_effect_code, of_forces
     from btr_mjx.gap.experiments import propose
     from btr_mjx.gap.fitness_only import FitnessTable, expected_steps, identify_fitness
     from btr_mjx.gap.inference import identify
@@ -346,7 +346,7 @@ def search_missing(
             report_stage("next experiment")
             data, proposal = dataset, propose(diagnosis, dataset, config.chosen_seed, counter=journal)
         bar.total = bar.n
-    save_diagnosis(diagnosis, data, folder, effects=with_motors(library), next_experiment=proposal, more=more)
+    save_diagnosis(diagnosis, data, folder, effects=sum(of_forces(library), ()), next_experiment=proposal, more=more)
     journal.close()
 
 

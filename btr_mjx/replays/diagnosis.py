@@ -10,7 +10,7 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, Recording, open_dataset
-from btr_mjx.gap.effects import selected_effects, with_motors
+from btr_mjx.gap.effects import of_forces, selected_effects
 from btr_mjx.gap.results import effect_title, found_effects, resolve_effect
 from btr_mjx.gap.simulate import Command, Segments, World, simulate
 from btr_mjx.models import difference, parse_path
@@ -101,6 +101,8 @@ def _mended_world(dataset: Dataset, recording: Recording, result: Mapping[str, A
     mujoco.mj_setConst(model, mujoco.MjData(model))
     world = World.of(model)
     for found in found_effects(result):
-        effect, place, numbers = resolve_effect(recording.model, found, with_motors(selected_effects(tuple(names))))
+        effect, place, numbers = resolve_effect(
+            recording.model, found, sum(of_forces(selected_effects(tuple(names))), ())
+        )
         effect.apply(world, place, numbers)
     return world

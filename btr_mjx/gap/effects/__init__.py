@@ -7,7 +7,9 @@ that is used by the search and for the mended model. A `Candidate` is an effect 
 from btr_mjx.gap.effects.calibration import TIME_IN_SAMPLE, TIMING, field_tolerance
 from btr_mjx.gap.effects.effect import Candidate, Effect, Parameter, candidates
 from btr_mjx.gap.effects.hypothesis import Hypothesis, believed_steps
-from btr_mjx.gap.effects.library import EFFECTS, KNOWN_EFFECTS, with_motors
+from btr_mjx.gap.effects.law import Law, LawState, Tried
+from btr_mjx.gap.effects.laws import LAW_EFFECTS, LAWS, equation_of, law_effect
+from btr_mjx.gap.effects.library import EFFECTS, KNOWN_EFFECTS, of_forces
 from btr_mjx.gap.effects.links import link_of
 from btr_mjx.gap.effects.per_member import EACH_MEMBER, per_member
 from btr_mjx.gap.effects.places import (
@@ -27,28 +29,35 @@ __all__ = [
     "EACH_MEMBER",
     "EFFECTS",
     "KNOWN_EFFECTS",
+    "LAWS",
+    "LAW_EFFECTS",
     "TIME_IN_SAMPLE",
     "TIMING",
     "WORLD",
     "Candidate",
     "Effect",
     "Hypothesis",
+    "Law",
+    "LawState",
     "Parameter",
     "Place",
     "Scales",
+    "Tried",
     "actuator_count",
     "actuator_places",
     "believed_steps",
     "body_place",
     "candidates",
     "custom_effect_code",
+    "equation_of",
     "field_tolerance",
     "ground_geoms",
     "has_closed_loops",
     "joint_of",
     "joint_places",
+    "law_effect",
     "link_of",
+    "of_forces",
     "per_member",
     "selected_effects",
-    "with_motors",
 ]

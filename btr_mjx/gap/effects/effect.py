@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
+from btr_mjx.gap.effects.law import Law
 from btr_mjx.gap.effects.places import Place
 from btr_mjx.gap.effects.ranges import Scales
 from btr_mjx.gap.simulate import World
@@ -78,6 +79,7 @@ class Effect:
       native: writes the part of the effect that is not in model fields (command edit, law, wrench) into an MjSpec;
         returns whether MuJoCo can represent it.
       equation: the effect in one line, for reports.
+      law: the term of the dictionary of laws that it is; None for an effect of the library.
     """
 
     name: str
@@ -89,6 +91,7 @@ class Effect:
     saturates: bool = False
     native: Native | None = None
     equation: str = ""
+    law: Law | None = None
 
 
 @dataclass(frozen=True)

@@ -26,23 +26,27 @@ from btr_mjx.gap.effects.effect import Effect
 from btr_mjx.gap.effects.friction import FRICTION_EFFECTS
 from btr_mjx.gap.effects.ground import GROUND_EFFECTS
 from btr_mjx.gap.effects.joints import JOINT_EFFECTS
+from btr_mjx.gap.effects.laws import LAW_EFFECTS
 from btr_mjx.gap.effects.motors import MOTOR_EFFECTS
 from btr_mjx.gap.effects.similar import SIMILAR_EFFECTS
 
 EFFECTS: tuple[Effect, ...] = (*FRICTION_EFFECTS, *JOINT_EFFECTS, *ACTUATOR_EFFECTS, *BODY_EFFECTS, *GROUND_EFFECTS)
 """Effects that are searched by default."""
 
-KNOWN_EFFECTS: tuple[Effect, ...] = (*EFFECTS, *MOTOR_EFFECTS, *SIMILAR_EFFECTS)
-"""All effects that can be selected by name: those, those of motors, and three that are easily mistaken for them."""
+KNOWN_EFFECTS: tuple[Effect, ...] = (*EFFECTS, *MOTOR_EFFECTS, *SIMILAR_EFFECTS, *LAW_EFFECTS)
+"""All effects that can be selected by name: with those of motors, some that are easily mistaken for them, and laws."""
 
 
-def with_motors(effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """Effects to search where a robot touches nothing: those of motors belong to the whole library there.
+def of_forces(effects: Sequence[Effect]) -> tuple[tuple[Effect, ...], tuple[Effect, ...]]:
+    """Effects to search where a robot touches nothing: those of motors and laws belong to the whole library there.
 
     Args:
       effects: that were selected.
+
+    Returns:
+      Effects of the library, and laws.
     """
     chosen = {effect.name for effect in effects}
-    if not chosen.issuperset(effect.name for effect in EFFECTS):
-        return tuple(effects)
-    return (*effects, *(effect for effect in MOTOR_EFFECTS if effect.name not in chosen))
+    if chosen.issuperset(effect.name for effect in EFFECTS):
+        effects = (*effects, *(effect for effect in (*MOTOR_EFFECTS, *LAW_EFFECTS) if effect.name not in chosen))
+    return tuple(e for e in effects if e.law is None), tuple(e for e in effects if e.law is not None)

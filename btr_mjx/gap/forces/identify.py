@@ -14,17 +14,17 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, noise_of
-from btr_mjx.gap.effects import TIMING, Effect, Hypothesis, candidates, has_closed_loops, with_motors
+from btr_mjx.gap.effects import LAW_EFFECTS, TIMING, Effect, Hypothesis, Scales, candidates, has_closed_loops, of_forces
 from btr_mjx.gap.forces.held_out import HeldOut, held_out, is_better
 from btr_mjx.gap.forces.horizons import follow_horizons
 from btr_mjx.gap.forces.intervals import covariance
+from btr_mjx.gap.forces.laws import scan_laws
 from btr_mjx.gap.forces.missing_force import missing_force
 from btr_mjx.gap.forces.motion import responses
 from btr_mjx.gap.forces.outcome import SearchOutcome, diagnosis_of
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, settled
 from btr_mjx.gap.forces.predictions import compared_predictions, horizon_errors, predicts_well
 from btr_mjx.gap.forces.search import Named, SearchRound, select_effects, start
-from btr_mjx.gap.forces.shapes import best_shape
 from btr_mjx.gap.forces.stretches import Stretches, spread_stretches
 from btr_mjx.gap.forces.unknowns import (
     BELIEVED,
@@ -127,14 +127,15 @@ def identify_forces(
     stretches, other = spread_stretches(prepared.fit), spread_stretches(prepared.test)
     if not any(np.ptp(r.qpos, axis=0).max() > 0 for r in dataset.fit):
         raise InputError(f"{dataset.folder}: the robot does not move in any recording of split 'fit'")
-    possible = candidates(dataset.model, scales_of(prepared.fit), with_motors(effects))
+    scales, (physical, dictionary) = scales_of(prepared.fit), of_forces(effects)
+    possible, laws = (candidates(dataset.model, scales, own) for own in (physical, dictionary))
     interval = float(np.median(np.diff(dataset.fit[0].commands[0])))
     library = library_of(possible, dataset.model, dataset.parameters, dataset.tolerances, interval)
     test = ForceSide(other, library, np.zeros((0,)), counter)
     side, first = start(
         ForceSide(stretches, library, _of_calibration(stretches, library, base, counter), counter), base
     )
-    rounds, chain = select_effects(side, first, max_effects, progress)
+    rounds, chain = select_effects(side, first, max_effects, progress, laws)
     progress("held-out recordings")
     confirmed = _confirmed(test, chain)
     progress("numbers")
@@ -145,7 +146,7 @@ def identify_forces(
     after = held_out(test, final[-1].point, final[-1].variances)
     before = held_out(test, final[0].point, final[0].variances, after.sensor)
     final[-1] = replace(last, point=point)
-    found = _found(side, test, rounds, final, (before, after), contradicted, dataset)
+    found = _found(side, test, rounds, final, (before, after), contradicted, dataset, scales)
     return diagnosis_of(dataset, prepared.sigma, found, time.monotonic() - begun + counter.earlier)
 
 
@@ -246,6 +247,7 @@ def _found(
     outcomes: tuple[HeldOut, HeldOut],
     contradicted: bool,
     dataset: Dataset,
+    scales: Scales,
 ) -> SearchOutcome:
     """What was found, with the models as they will be used: calibrated, and with named effects."""
     first, last = chain[0], chain[-1]
@@ -267,10 +269,9 @@ def _found(
     large = (share > _LARGE) & (not (well and len(chain) > 1)) & bool(np.median(outcomes[1].chi2) > _BEYOND)
     if not well and len(chain) == 1:
         calibration, mended, errors = (), base, [errors[0], errors[0]]
-    shape = best_shape(side, last, missing)
-    gained = rounds[0].before.loss - last.loss
-    if shape.score < max(_TOLD, _LEFT * gained):
-        shape = replace(shape, score=0.0)
+    leads = scan_laws(side, last, candidates(dataset.model, scales, LAW_EFFECTS)).leads
+    told = max(_TOLD, _LEFT * (rounds[0].before.loss - last.loss))
+    law = leads[0] if leads and leads[0].score > told else None
     return SearchOutcome(
         tuple(rounds),
         tuple(chain),
@@ -284,7 +285,7 @@ def _found(
         side,
         test,
         contradicted,
-        shape,
+        law,
     )
 
 

@@ -7,18 +7,19 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.data import Dataset
-from btr_mjx.gap.effects import Hypothesis
+from btr_mjx.gap.effects import Hypothesis, equation_of
 from btr_mjx.gap.forces.confounds import confounds_of
 from btr_mjx.gap.forces.filtering import smoothed
 from btr_mjx.gap.forces.held_out import HeldOut
 from btr_mjx.gap.forces.horizons import cut_horizons, position_errors
 from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.late_logs import without_late_log
+from btr_mjx.gap.forces.laws import law_words
 from btr_mjx.gap.forces.missing_force import MissingForce, commanded_share
 from btr_mjx.gap.forces.points import Fitted, ForceSide, names
 from btr_mjx.gap.forces.predictions import HORIZON, predictions
+from btr_mjx.gap.forces.scan import Scanned
 from btr_mjx.gap.forces.search import Named, SearchRound
-from btr_mjx.gap.forces.shapes import ShapeGain, shape_sentence
 from btr_mjx.gap.forces.unknowns import believed_values
 from btr_mjx.gap.results import (
     Diagnosis,
@@ -67,7 +68,7 @@ class SearchOutcome:
       mended: with what was named.
       side, test: of the split.
       contradicted: whether more was found than held-out recordings bear out.
-      shape: of a force that is left; with a score of 0 where nothing is.
+      law: that a force which is left follows; None where nothing is.
     """
 
     rounds: tuple[SearchRound, ...]
@@ -82,7 +83,7 @@ class SearchOutcome:
     side: ForceSide
     test: ForceSide
     contradicted: bool
-    shape: ShapeGain
+    law: Scanned | None
 
 
 def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seconds: float) -> Diagnosis:
@@ -96,7 +97,7 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
     """
     first, last = found.chain[0], found.chain[-1]
     named = _named(found)
-    verdict = "unexplained" if found.large.any() or found.shape.score > 0 else "effect" if named else "none"
+    verdict = "unexplained" if found.large.any() or found.law is not None else "effect" if named else "none"
     ranking = _ranking(found.rounds)
     seen = found.side.stretches.seen
     # In units of the noise of the dataset, whatever was estimated beside it.
@@ -164,7 +165,8 @@ def _named(found: SearchOutcome) -> tuple[NamedEffect, ...]:
                 held,
                 tuple(name for name in rivals if name not in own_names) if candidate.name in rivals else (),
                 candidate.effect.excited_by,
-                candidate.effect.equation,
+                equation_of(candidate, values),
+                equation_of(candidate, values, latex=True),
             )
         )
     return tuple(out)
@@ -303,14 +305,14 @@ def _map(model: mujoco.MjModel, found: SearchOutcome) -> DisagreementMap:
 
 def _words(model: mujoco.MjModel, found: SearchOutcome) -> tuple[str, ...]:
     """What is unexplained, in words."""
-    shape = (shape_sentence(model, found.shape),) if found.shape.score > 0 else ()
+    law = (law_words(model, found.law),) if found.law is not None else ()
     left = np.sqrt(found.chain[-1].variances.force)
     usual = np.sqrt((found.missing.actuator**2).mean((0, 1)))
     commanded = commanded_share(found.missing, float(np.median(np.diff(found.side.stretches.time, axis=1))))
     places = dof_places(model)
     worst = np.argsort(-left / np.maximum(usual, 1e-300))
     return (
-        *shape,
+        *law,
         *(
             f"{places[j][0]}: a force of {left[j]:.3g} {places[j][1]} (root mean square) beside {usual[j]:.3g} of its "
             f"actuators, whose commands predict {100 * commanded[j]:.0f} % of the force that its motion needs"

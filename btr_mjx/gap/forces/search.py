@@ -10,11 +10,11 @@ from btr_mjx.gap.effects import Candidate, Hypothesis
 from btr_mjx.gap.forces.drive import drive_points
 from btr_mjx.gap.forces.evidence import CalibrationPrior, least_squares
 from btr_mjx.gap.forces.filtering import SPAN, Variances, filtered
+from btr_mjx.gap.forces.laws import scan_laws
 from btr_mjx.gap.forces.motion import linearise_motion, responses
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, evaluate_point, names, settled
 from btr_mjx.gap.forces.predictions import RELATIVE_ERROR, compared_predictions
 from btr_mjx.gap.forces.scan import Scanned, price, scan_columns
-from btr_mjx.gap.forces.stretches import Stretches
 from btr_mjx.gap.forces.unknowns import BELIEVED, LIMIT_SIZES
 
 _FAR = 0.02
@@ -52,6 +52,10 @@ class SearchRound:
     before: Fitted
     leads: tuple[Scanned, ...]
     finalists: tuple[tuple[float, Fitted], ...]
+
+    def pays(self, needed: float) -> bool:
+        """Whether the best one has more than the score that is needed."""
+        return bool(self.finalists) and self.finalists[0][0] > needed
 
 
 def first_variances(side: ForceSide, hypothesis: Hypothesis) -> Variances:
@@ -135,24 +139,51 @@ def one_more(side: ForceSide, fit: Fitted, needed: float = 0.0) -> SearchRound:
     entries = [entry for entry in library.entries if entry.candidate.name not in names(fit.point.named)]
     _, leads = scan_columns(scene.gram, entries, scene.given, scene.calibration, scene.count)
     choices = len({entry.candidate.name for entry in library.entries})
-    finalists: list[tuple[float, Fitted]] = []
+    drives = [
+        _judged(side, fit, settled(side, point, first_variances(side, point.hypothesis(library))), choices)
+        for point in drive_points(side, fit)
+    ]
+    least = max(needed, _FAR * drives[0][0] if drives else 0.0)
+    return _round(side, fit, leads, [*drives, *_refined(side, fit, shortlist(leads, least), choices)], needed)
 
-    def judge(point: Point, variances: Variances, about: Stretches | None = None) -> None:
-        found = settled(side, point, variances, about=about)
-        numbers = point.numbers - fit.point.numbers
-        finalists.append((fit.loss - found.loss - price(numbers, scene.count, choices), found))
 
-    for point in drive_points(side, fit):
-        judge(point, first_variances(side, point.hypothesis(library)))
-    least = max(needed, _FAR * finalists[0][0] if finalists else 0.0)
-    for lead in shortlist(leads, least):
+def one_law(side: ForceSide, fit: Fitted, needed: float, laws: Sequence[Candidate]) -> SearchRound:
+    """Look for one more law beside a fitted point.
+
+    Args:
+      side: the recordings to fit.
+      fit: what was named before.
+      needed: score that one more effect needs.
+      laws: terms of a dictionary at joints.
+    """
+    found = scan_laws(side, fit, laws)
+    return _round(side, fit, found.leads, _refined(side, fit, shortlist(found.leads, needed), found.choices), needed)
+
+
+def _refined(side: ForceSide, fit: Fitted, leads: Sequence[Scanned], choices: int) -> list[tuple[float, Fitted]]:
+    """Leads with their numbers at their best, and their scores."""
+    out = []
+    for lead in leads:
         moved = fit.point.moved(lead.changes, lead.calibration)
         if lead.candidate.effect.saturates:
             lead = replace(lead, values=_tightened(side, fit, lead))
             moved = fit.point
-        judge(replace(moved, named=(*moved.named, (lead.candidate, lead.values))), fit.variances, fit.linear.stretches)
-    finalists.sort(key=lambda row: -row[0])
-    return SearchRound(fit, tuple(leads), tuple(_unbeaten(side, finalists, needed)))
+        point = replace(moved, named=(*moved.named, (lead.candidate, lead.values)))
+        out.append(_judged(side, fit, settled(side, point, fit.variances, about=fit.linear.stretches), choices))
+    return out
+
+
+def _judged(side: ForceSide, fit: Fitted, found: Fitted, choices: int) -> tuple[float, Fitted]:
+    """A fit with its score beside what was named before."""
+    numbers, count = found.point.numbers - fit.point.numbers, fit.whitened.count * len(side.stretches)
+    return fit.loss - found.loss - price(numbers, count, choices), found
+
+
+def _round(
+    side: ForceSide, fit: Fitted, leads: Sequence[Scanned], finalists: Sequence[tuple[float, Fitted]], needed: float
+) -> SearchRound:
+    ranked = sorted(finalists, key=lambda row: -row[0])
+    return SearchRound(fit, tuple(leads), tuple(_unbeaten(side, ranked, needed)))
 
 
 def _unbeaten(side: ForceSide, finalists: Sequence[tuple[float, Fitted]], needed: float) -> list[tuple[float, Fitted]]:
@@ -196,15 +227,16 @@ def shortlist(leads: Sequence[Scanned], least: float = 0.0) -> list[Scanned]:
 
 
 def select_effects(
-    side: ForceSide, first: Fitted, most: int, note: Callable[[str], None]
+    side: ForceSide, first: Fitted, most: int, note: Callable[[str], None], laws: Sequence[Candidate] = ()
 ) -> tuple[list[SearchRound], list[Fitted]]:
-    """Search for one effect after another.
+    """Search for one effect after another: of the library as long as one pays, then for a law.
 
     Args:
       side: the recordings to fit.
       first: the believed model, see `start`.
       most: largest number of effects.
       note: called with a word on what is being done.
+      laws: terms of a dictionary at joints.
 
     Returns:
       The rounds, and the fitted points: the believed model, then with one more effect each.
@@ -214,10 +246,15 @@ def select_effects(
     while len(chain[-1].point.named) < most:
         note("one more effect" if rounds else "effects")
         needed = RELATIVE_ERROR**2 * (chain[0].loss - chain[-1].loss)
-        rounds.append(one_more(side, chain[-1], needed))
-        if not rounds[-1].finalists or rounds[-1].finalists[0][0] <= needed:
+        last = one_more(side, chain[-1], needed)
+        if laws and not last.pays(needed):
+            note("laws")
+            law = one_law(side, chain[-1], needed, laws)
+            last = law if law.pays(needed) else last
+        rounds.append(last)
+        if not last.pays(needed):
             break
-        found = pruned(side, rounds[-1].finalists[0][1], chain[0])
+        found = pruned(side, last.finalists[0][1], chain[0])
         # What the new effect makes worthless may be what it is best beside: then they would come and go for ever.
         if any(sorted(names(found.point.named)) == sorted(names(fit.point.named)) for fit in chain):
             break

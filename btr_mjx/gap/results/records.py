@@ -42,7 +42,8 @@ class NamedEffect:
       held_out: part of the score that comes from held-out recordings.
       equivalent: candidates that these data cannot distinguish from it, "effect@location".
       excited_by: motion that makes the effect visible.
-      equation: equation in one line.
+      equation: equation in one line, of a law with its numbers.
+      latex: the same of a law in LaTeX; empty for an effect of the library.
     """
 
     effect: str
@@ -53,6 +54,7 @@ class NamedEffect:
     equivalent: tuple[str, ...] = ()
     excited_by: str = ""
     equation: str = ""
+    latex: str = ""
 
     @property
     def name(self) -> str:

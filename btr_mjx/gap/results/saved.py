@@ -116,6 +116,7 @@ def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
             "held_out": effect.held_out,
             "equivalent": [_entry(name) for name in effect.equivalent],
             "equation": effect.equation,
+            **({"latex": effect.latex} if effect.latex else {}),
             "excited_by": effect.excited_by,
         }
         for effect in diagnosis.effects

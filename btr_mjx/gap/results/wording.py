@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from btr_mjx.gap.effects import EACH_MEMBER
+from btr_mjx.gap.effects import EACH_MEMBER, LAWS
 
 EFFECT_TITLES: Mapping[str, str] = {
     "viscous_damping": "viscous damping",
@@ -39,6 +39,7 @@ EFFECT_TITLES: Mapping[str, str] = {
     "one_sided_spring": "a spring on one side",
     "fading_motor": "a motor that loses force over time",
     "elastic_cord": "an elastic cord",
+    **{law.name: law.title for law in LAWS},
 }
 """Effects of the library as they appear in sentences; other effects appear by their names."""
 
@@ -227,6 +228,8 @@ def as_float(value: Any) -> float | None:
 def parameters_in_words(effect: Mapping[str, Any]) -> str:
     """All parameters of an effect in result.json, with intervals; the range of many numbers of one kind."""
     parameters = effect["parameters"]
+    if effect.get("latex"):  # a law: its numbers are in its equation
+        return str(effect["equation"])
     if effect["effect"] == "load_friction" and set(parameters) == {"coefficient"}:
         return f"{format_estimate(parameters['coefficient'])} of the motor torque"
     if str(effect["location"]).startswith(EACH_MEMBER) and len(parameters) > _FEW:

@@ -1,0 +1,88 @@
+"""Laws that no library has, planted at one joint of the arm: found by a scan, with their numbers by the search."""
+
+import numpy as np
+import pytest
+from gap_arm import LIBRARY, arm
+from gap_forces import Force, arm_side, arm_stretches, believed, moved_arm
+
+from btr_mjx.gap.effects import LAW_EFFECTS, Candidate, candidates
+from btr_mjx.gap.forces.laws import law_words, scan_laws
+from btr_mjx.gap.forces.motion import FreeNumber, responses
+from btr_mjx.gap.forces.points import Fitted, ForceSide
+from btr_mjx.gap.forces.search import select_effects, start
+from btr_mjx.gap.windows import scales_of
+
+FRICTION = [e for e in LIBRARY if e.name in ("viscous_damping", "dry_friction")]
+
+
+def scene(force: Force | None, seed: int = 0) -> tuple[ForceSide, Fitted, list[Candidate]]:
+    recordings = [moved_arm(f"r{i}", 10 * seed + i, force=force, seconds=1.2) for i in range(2)]
+    side = arm_side(arm_stretches(recordings), FRICTION)
+    return *start(side, believed()), candidates(arm(), scales_of(side.stretches.data), LAW_EFFECTS)
+
+
+def at(joint: int, of) -> Force:
+    """A force at one joint."""
+
+    def force(q: np.ndarray, v: np.ndarray, t: float) -> np.ndarray:
+        out = np.zeros(2)
+        out[joint] = of(q[joint], v[joint], t)
+        return out
+
+    return force
+
+
+RIPPLE = at(0, lambda q, v, t: 0.45 * np.sin(8 * q + 0.7))
+
+
+@pytest.mark.parametrize(
+    ("joint", "of", "law"),
+    [
+        (1, lambda q, v, t: -2.0 * abs(q), "law_corner_spring"),
+        (1, lambda q, v, t: -0.03 * v * abs(v), "law_quadratic_drag"),
+        (0, lambda q, v, t: 1.5 * t, "law_drift"),
+        (0, lambda q, v, t: 0.6 * np.cos(9 * t + 1), "law_periodic"),
+    ],
+)
+def test_what_a_force_looks_like_is_told(joint, of, law):
+    best = scan_laws(*scene(at(joint, of))).leads[0]
+    assert best.score > 30
+    assert (best.candidate.effect.name, best.candidate.place.joints[0]) == (law, joint)
+    words = law_words(arm(), best)
+    assert best.candidate.effect.law.title in words
+    assert ("shoulder", "elbow")[joint] in words
+
+
+def test_a_robot_that_is_as_believed_follows_no_law():
+    assert scan_laws(*scene(None, 1)).leads[0].score < 0
+
+
+def test_columns_of_laws_are_what_simulation_says():
+    """The scan's columns need no simulation; differences of simulated steps are the obvious route."""
+    side, fit, laws = scene(RIPPLE)
+    found = {lead.candidate.name: lead for lead in scan_laws(side, fit, laws).leads}
+    lead = found["law_ripple@joint:shoulder"]
+    hypothesis = fit.point.hypothesis(side.library)
+    number = FreeNumber(lead.candidate, 0, (0.0, 0.0, lead.values[2]), 1e-3)
+    simulated = responses(fit.linear.stretches, hypothesis, [number], side.counter)[..., 0]
+    q = fit.linear.stretches.qpos[..., 0]
+    middle = np.sin(lead.values[2] * 0.5 * (q[:, 1:] + q[:, :-1]))
+    column = fit.linear.force[..., 0] * middle[..., None]
+    error, size = (np.sqrt((of[..., 2:] ** 2).mean()) for of in (simulated - column, column))
+    assert error < 0.08 * size  # a simulation takes the force at the start of each of its steps
+
+
+def test_a_ripple_is_found_with_its_numbers():
+    side, fit, laws = scene(RIPPLE)
+    _, chain = select_effects(side, fit, 2, lambda _: None, laws)
+    candidate, values = chain[-1].point.named[-1]
+    assert candidate.name == "law_ripple@joint:shoulder"
+    assert np.hypot(*values[:2]) == pytest.approx(0.45, rel=0.1)
+    assert values[2] == pytest.approx(8, rel=0.05)
+    assert np.arctan2(values[1], values[0]) == pytest.approx(0.7, abs=0.1)
+
+
+def test_damping_is_no_law():
+    side, fit, laws = scene(at(1, lambda q, v, t: -0.1 * v))
+    _, chain = select_effects(side, fit, 2, lambda _: None, laws)
+    assert [candidate.name for candidate, _ in chain[-1].point.named] == ["viscous_damping@joint:elbow"]
