@@ -7,8 +7,8 @@ that is used by the search and for the mended model. A `Candidate` is an effect 
 from btr_mjx.gap.effects.calibration import TIME_IN_SAMPLE, TIMING, field_tolerance
 from btr_mjx.gap.effects.effect import Candidate, Effect, Parameter, candidates
 from btr_mjx.gap.effects.hypothesis import Hypothesis, believed_steps
-from btr_mjx.gap.effects.law import Law, LawState, Tried
-from btr_mjx.gap.effects.laws import LAW_EFFECTS, LAWS, equation_of, law_effect
+from btr_mjx.gap.effects.law_dictionary import LAW_EFFECTS, LAWS, equation_of, law_effect
+from btr_mjx.gap.effects.law_terms import LawState, LawTerm, Tried
 from btr_mjx.gap.effects.library import EFFECTS, KNOWN_EFFECTS, of_forces
 from btr_mjx.gap.effects.links import link_of
 from btr_mjx.gap.effects.per_member import EACH_MEMBER, per_member
@@ -37,8 +37,8 @@ __all__ = [
     "Candidate",
     "Effect",
     "Hypothesis",
-    "Law",
     "LawState",
+    "LawTerm",
     "Parameter",
     "Place",
     "Scales",

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.effects.law import Law
+from btr_mjx.gap.effects.law_terms import LawTerm
 from btr_mjx.gap.effects.places import Place
 from btr_mjx.gap.effects.ranges import Scales
 from btr_mjx.gap.simulate import World
@@ -91,7 +91,7 @@ class Effect:
     saturates: bool = False
     native: Native | None = None
     equation: str = ""
-    law: Law | None = None
+    law: LawTerm | None = None
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from btr_mjx.gap.effects.effect import Effect
 from btr_mjx.gap.effects.friction import FRICTION_EFFECTS
 from btr_mjx.gap.effects.ground import GROUND_EFFECTS
 from btr_mjx.gap.effects.joints import JOINT_EFFECTS
-from btr_mjx.gap.effects.laws import LAW_EFFECTS
+from btr_mjx.gap.effects.law_dictionary import LAW_EFFECTS
 from btr_mjx.gap.effects.motors import MOTOR_EFFECTS
 from btr_mjx.gap.effects.similar import SIMILAR_EFFECTS
 

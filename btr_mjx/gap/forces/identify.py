@@ -18,7 +18,7 @@ from btr_mjx.gap.effects import LAW_EFFECTS, TIMING, Effect, Hypothesis, Scales,
 from btr_mjx.gap.forces.held_out import HeldOut, held_out, is_better
 from btr_mjx.gap.forces.horizons import follow_horizons
 from btr_mjx.gap.forces.intervals import covariance
-from btr_mjx.gap.forces.laws import scan_laws
+from btr_mjx.gap.forces.law_scan import scan_laws
 from btr_mjx.gap.forces.missing_force import missing_force
 from btr_mjx.gap.forces.motion import responses
 from btr_mjx.gap.forces.outcome import SearchOutcome, diagnosis_of

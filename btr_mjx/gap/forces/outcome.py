@@ -14,7 +14,7 @@ from btr_mjx.gap.forces.held_out import HeldOut
 from btr_mjx.gap.forces.horizons import cut_horizons, position_errors
 from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.late_logs import without_late_log
-from btr_mjx.gap.forces.laws import law_words
+from btr_mjx.gap.forces.law_scan import law_words
 from btr_mjx.gap.forces.missing_force import MissingForce, commanded_share
 from btr_mjx.gap.forces.points import Fitted, ForceSide, names
 from btr_mjx.gap.forces.predictions import HORIZON, predictions

@@ -10,7 +10,7 @@ from btr_mjx.gap.effects import Candidate, Hypothesis
 from btr_mjx.gap.forces.drive import drive_points
 from btr_mjx.gap.forces.evidence import CalibrationPrior, least_squares
 from btr_mjx.gap.forces.filtering import SPAN, Variances, filtered
-from btr_mjx.gap.forces.laws import scan_laws
+from btr_mjx.gap.forces.law_scan import scan_laws
 from btr_mjx.gap.forces.motion import linearise_motion, responses
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, evaluate_point, names, settled
 from btr_mjx.gap.forces.predictions import RELATIVE_ERROR, compared_predictions

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.effects import Candidate, Law, LawState
+from btr_mjx.gap.effects import Candidate, LawState, LawTerm
 from btr_mjx.gap.forces.evidence import least_squares
 from btr_mjx.gap.forces.filtering import filtered, smoothed
 from btr_mjx.gap.forces.missing_force import missing_force
@@ -88,7 +88,7 @@ def scan_laws(side: ForceSide, fit: Fitted, laws: Sequence[Candidate]) -> LawSca
     return LawScan(tuple(sorted(leads, key=lambda lead: -lead.score)), choices)
 
 
-def _open(laws: Sequence[Candidate], fit: Fitted) -> Iterator[tuple[Candidate, Law]]:
+def _open(laws: Sequence[Candidate], fit: Fitted) -> Iterator[tuple[Candidate, LawTerm]]:
     """Laws that may still be added: at no joint more than a few, and none twice."""
     named = [candidate for candidate, _ in fit.point.named if candidate.effect.law is not None]
     taken = [candidate.place.joints[0] for candidate in named]
@@ -130,7 +130,7 @@ def _states(side: ForceSide, fit: Fitted) -> _States:
     return _States(q, missing.velocity, missing.actuator, 0.5 * (stretches.time[:, 1:] + stretches.time[:, :-1]))
 
 
-def _number(law: Law, at: LawState, force: np.ndarray) -> tuple[float, int]:
+def _number(law: LawTerm, at: LawState, force: np.ndarray) -> tuple[float, int]:
     """The number within a term with which it explains most of a force (S, K), and how many were tried."""
     if law.tried is None:
         return 0.0, 1

@@ -1,4 +1,4 @@
-"""Data types of laws: terms of a dictionary, functions of the state of a joint, see `laws`."""
+"""Data types of laws: terms of a dictionary, functions of the state of a joint, see `law_dictionary`."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ class Tried:
 
 
 @dataclass(frozen=True)
-class Law:
+class LawTerm:
     """A term of a dictionary.
 
     Attributes:

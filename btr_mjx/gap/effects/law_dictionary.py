@@ -6,9 +6,9 @@ played by a `Callback`. Forces of basis functions need no simulation, so that a 
 
 A term of one's own is one more entry:
 
-    from btr_mjx.gap.effects import Law, law_effect
+    from btr_mjx.gap.effects import LawTerm, law_effect
 
-    mine = law_effect(Law("law_sticky_speed", ("v / (1 + v²)",), (r"v / (1 + v^2)",), ("{f} s/{x}",),
+    mine = law_effect(LawTerm("law_sticky_speed", ("v / (1 + v²)",), (r"v / (1 + v^2)",), ("{f} s/{x}",),
                           lambda at, number: (at.v / (1 + at.v**2),), "a force that fades"))
 
     python -m btr_mjx.diagnose robot.xml log.csv --effects all laws.py:mine
@@ -21,7 +21,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.effects.effect import Candidate, Effect, Parameter
-from btr_mjx.gap.effects.law import Law, LawState, Tried
+from btr_mjx.gap.effects.law_terms import LawState, LawTerm, Tried
 from btr_mjx.gap.effects.places import Place, joint_places
 from btr_mjx.gap.effects.ranges import Scales, unit_of
 from btr_mjx.gap.simulate import Rows, World
@@ -60,7 +60,7 @@ class LawForce:
       values: coefficients, and the number within.
     """
 
-    law: Law
+    law: LawTerm
     joint: int
     other: int
     values: tuple[float, ...]
@@ -92,7 +92,7 @@ class LawForce:
             rows.qfrc_applied[:, v] += added
 
 
-def law_effect(law: Law) -> Effect:
+def law_effect(law: LawTerm) -> Effect:
     """A term as an effect at every joint, or at every joint beside every other one.
 
     Args:
@@ -180,8 +180,8 @@ _PER_POSITION = Tried(
     "ripples", "1/{x}", _ripples, lambda reach: (0.5 * _COARSEST / reach, 2 * max(_FINEST / reach, _TEETH))
 )
 
-LAWS: tuple[Law, ...] = (
-    Law(
+LAWS: tuple[LawTerm, ...] = (
+    LawTerm(
         "law_ripple",
         ("sin({n} q)", "cos({n} q)"),
         (r"\sin({n} q)", r"\cos({n} q)"),
@@ -190,7 +190,7 @@ LAWS: tuple[Law, ...] = (
         "a ripple",
         _PER_POSITION,
     ),
-    Law(
+    LawTerm(
         "law_uneven_friction",
         ("sin({n} q)", "cos({n} q)"),
         (r"\sin({n} q)", r"\cos({n} q)"),
@@ -200,7 +200,7 @@ LAWS: tuple[Law, ...] = (
         _PER_POSITION,
         friction=True,
     ),
-    Law(
+    LawTerm(
         "law_periodic",
         ("sin({n} t)", "cos({n} t)"),
         (r"\sin({n} t)", r"\cos({n} t)"),
@@ -209,7 +209,7 @@ LAWS: tuple[Law, ...] = (
         "a force that is periodic in time",
         Tried("frequency", "rad/s", _frequencies, lambda reach: (0.5 * _SLOWEST, 2 * _FASTEST)),
     ),
-    Law(
+    LawTerm(
         "law_corner_spring",
         ("max(q − {n}, 0)", "min(q − {n}, 0)"),
         (r"\max(q - {n}, 0)", r"\min(q - {n}, 0)"),
@@ -218,7 +218,7 @@ LAWS: tuple[Law, ...] = (
         "a spring with a corner",
         Tried("corner", "{x}", _corners, lambda reach: (-1e3, 1e3)),
     ),
-    Law(
+    LawTerm(
         "law_square_position",
         ("q²",),
         ("q^2",),
@@ -226,7 +226,7 @@ LAWS: tuple[Law, ...] = (
         lambda at, n: (at.q**2,),
         "a force of the squared position",
     ),
-    Law(
+    LawTerm(
         "law_cubic_position",
         ("q³",),
         ("q^3",),
@@ -234,7 +234,7 @@ LAWS: tuple[Law, ...] = (
         lambda at, n: (at.q**3,),
         "a force of the cubed position",
     ),
-    Law(
+    LawTerm(
         "law_quadratic_drag",
         ("|v| v",),
         ("|v| v",),
@@ -242,7 +242,7 @@ LAWS: tuple[Law, ...] = (
         lambda at, n: (np.abs(at.v) * at.v,),
         "quadratic drag",
     ),
-    Law(
+    LawTerm(
         "law_speed_position",
         ("q v",),
         ("q v",),
@@ -250,7 +250,7 @@ LAWS: tuple[Law, ...] = (
         lambda at, n: (at.q * at.v,),
         "damping that differs with the position",
     ),
-    Law(
+    LawTerm(
         "law_load_position",
         ("q τ_m",),
         (r"q \tau_m",),
@@ -258,7 +258,7 @@ LAWS: tuple[Law, ...] = (
         lambda at, n: (at.q * at.load,),
         "a motor whose strength differs with the position",
     ),
-    Law(
+    LawTerm(
         "law_load_square",
         ("|τ_m| τ_m",),
         (r"|\tau_m| \tau_m",),
@@ -266,7 +266,7 @@ LAWS: tuple[Law, ...] = (
         lambda at, n: (np.abs(at.load) * at.load,),
         "a motor that is not linear",
     ),
-    Law(
+    LawTerm(
         "law_load_drift",
         ("t τ_m",),
         (r"t \tau_m",),
@@ -274,8 +274,8 @@ LAWS: tuple[Law, ...] = (
         lambda at, n: (at.time * at.load,),
         "a motor whose strength drifts",
     ),
-    Law("law_drift", ("t",), ("t",), ("{f}/s",), lambda at, n: (at.time,), "a force that drifts"),
-    Law(
+    LawTerm("law_drift", ("t",), ("t",), ("{f}/s",), lambda at, n: (at.time,), "a force that drifts"),
+    LawTerm(
         "law_coupling",
         ("q_{o}",),
         (r"q_\mathrm{{{o}}}",),
@@ -284,7 +284,7 @@ LAWS: tuple[Law, ...] = (
         "a force that follows another joint",
         coupled=True,
     ),
-    Law(
+    LawTerm(
         "law_coupled_speed",
         ("v_{o}",),
         (r"v_\mathrm{{{o}}}",),

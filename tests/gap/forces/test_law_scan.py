@@ -6,7 +6,7 @@ from gap_arm import LIBRARY, arm
 from gap_forces import Force, arm_side, arm_stretches, believed, moved_arm
 
 from btr_mjx.gap.effects import LAW_EFFECTS, Candidate, candidates
-from btr_mjx.gap.forces.laws import law_words, scan_laws
+from btr_mjx.gap.forces.law_scan import law_words, scan_laws
 from btr_mjx.gap.forces.motion import FreeNumber, responses
 from btr_mjx.gap.forces.points import Fitted, ForceSide
 from btr_mjx.gap.forces.search import select_effects, start
