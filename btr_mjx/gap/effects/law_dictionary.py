@@ -9,7 +9,7 @@ A term of one's own is one more entry:
     from btr_mjx.gap.effects import LawTerm, law_effect
 
     mine = law_effect(LawTerm("law_sticky_speed", ("v / (1 + v²)",), (r"v / (1 + v^2)",), ("{f} s/{x}",),
-                          lambda at, number: (at.v / (1 + at.v**2),), "a force that fades"))
+                          lambda at, number: (at.v / (1 + at.v**2),), ("velocity",), "a force that fades"))
 
     python -m btr_mjx.diagnose robot.xml log.csv --effects all laws.py:mine
 """
@@ -187,6 +187,7 @@ LAWS: tuple[LawTerm, ...] = (
         (r"\sin({n} q)", r"\cos({n} q)"),
         ("{f}", "{f}"),
         lambda at, n: (np.sin(n * at.q), np.cos(n * at.q)),
+        ("position",),
         "a ripple",
         _PER_POSITION,
     ),
@@ -196,6 +197,7 @@ LAWS: tuple[LawTerm, ...] = (
         (r"\sin({n} q)", r"\cos({n} q)"),
         ("{f}", "{f}"),
         lambda at, n: (np.sin(n * at.q), np.cos(n * at.q)),
+        ("position", "velocity"),
         "friction that differs with the position",
         _PER_POSITION,
         friction=True,
@@ -206,6 +208,7 @@ LAWS: tuple[LawTerm, ...] = (
         (r"\sin({n} t)", r"\cos({n} t)"),
         ("{f}", "{f}"),
         lambda at, n: (np.sin(n * at.time), np.cos(n * at.time)),
+        ("time",),
         "a force that is periodic in time",
         Tried("frequency", "rad/s", _frequencies, lambda reach: (0.5 * _SLOWEST, 2 * _FASTEST)),
     ),
@@ -215,6 +218,7 @@ LAWS: tuple[LawTerm, ...] = (
         (r"\max(q - {n}, 0)", r"\min(q - {n}, 0)"),
         ("{f}/{x}", "{f}/{x}"),
         lambda at, n: (np.maximum(at.q - n, 0.0), np.minimum(at.q - n, 0.0)),
+        ("position",),
         "a spring with a corner",
         Tried("corner", "{x}", _corners, lambda reach: (-1e3, 1e3)),
     ),
@@ -224,6 +228,7 @@ LAWS: tuple[LawTerm, ...] = (
         ("q^2",),
         ("{f}/{x}^2",),
         lambda at, n: (at.q**2,),
+        ("position",),
         "a force of the squared position",
     ),
     LawTerm(
@@ -232,6 +237,7 @@ LAWS: tuple[LawTerm, ...] = (
         ("q^3",),
         ("{f}/{x}^3",),
         lambda at, n: (at.q**3,),
+        ("position",),
         "a force of the cubed position",
     ),
     LawTerm(
@@ -240,6 +246,7 @@ LAWS: tuple[LawTerm, ...] = (
         ("|v| v",),
         ("{f} s^2/{x}^2",),
         lambda at, n: (np.abs(at.v) * at.v,),
+        ("velocity",),
         "quadratic drag",
     ),
     LawTerm(
@@ -248,6 +255,7 @@ LAWS: tuple[LawTerm, ...] = (
         ("q v",),
         ("{f} s/{x}^2",),
         lambda at, n: (at.q * at.v,),
+        ("velocity", "position"),
         "damping that differs with the position",
     ),
     LawTerm(
@@ -256,6 +264,7 @@ LAWS: tuple[LawTerm, ...] = (
         (r"q \tau_m",),
         ("1/{x}",),
         lambda at, n: (at.q * at.load,),
+        ("load", "position"),
         "a motor whose strength differs with the position",
     ),
     LawTerm(
@@ -264,6 +273,7 @@ LAWS: tuple[LawTerm, ...] = (
         (r"|\tau_m| \tau_m",),
         ("1/({f})",),
         lambda at, n: (np.abs(at.load) * at.load,),
+        ("load",),
         "a motor that is not linear",
     ),
     LawTerm(
@@ -272,15 +282,17 @@ LAWS: tuple[LawTerm, ...] = (
         (r"t \tau_m",),
         ("1/s",),
         lambda at, n: (at.time * at.load,),
+        ("load", "time"),
         "a motor whose strength drifts",
     ),
-    LawTerm("law_drift", ("t",), ("t",), ("{f}/s",), lambda at, n: (at.time,), "a force that drifts"),
+    LawTerm("law_drift", ("t",), ("t",), ("{f}/s",), lambda at, n: (at.time,), ("time",), "a force that drifts"),
     LawTerm(
         "law_coupling",
         ("q_{o}",),
         (r"q_\mathrm{{{o}}}",),
         ("{f}/{x}",),
         lambda at, n: (at.other_q,),
+        (),
         "a force that follows another joint",
         coupled=True,
     ),
@@ -290,6 +302,7 @@ LAWS: tuple[LawTerm, ...] = (
         (r"v_\mathrm{{{o}}}",),
         ("{f} s/{x}",),
         lambda at, n: (at.other_v,),
+        (),
         "a force that follows the speed of another joint",
         coupled=True,
     ),

@@ -52,6 +52,7 @@ class LawTerm:
       latex: the same in LaTeX.
       units: of each coefficient, with {f} for the unit of force and {x} for that of position.
       basis: state and number -> basis functions.
+      variables: what it depends on: "position", "velocity", "load" or "time"; another joint is not among them.
       title: of the force in a sentence, such as "a ripple".
       tried: the number within; None where there is none.
       friction: whether basis functions are those of a friction torque, which acts against the motion.
@@ -63,6 +64,7 @@ class LawTerm:
     latex: tuple[str, ...]
     units: tuple[str, ...]
     basis: Callable[[LawState, float], Sequence[np.ndarray]]
+    variables: tuple[str, ...]
     title: str
     tried: Tried | None = None
     friction: bool = False

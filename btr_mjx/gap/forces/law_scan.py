@@ -52,7 +52,7 @@ def scan_laws(side: ForceSide, fit: Fitted, laws: Sequence[Candidate]) -> LawSca
     linear, p, n = fit.linear, fit.point.numbers, len(side.library.calibrated)
     model = side.stretches.data.recordings[0].model
     force = smoothed(linear, np.zeros_like(linear.defect), fit.variances).force
-    states = _states(side, fit)
+    states = joint_states(side, fit)
     tried: list[tuple[Candidate, float]] = []
     columns, choices = [], 0
     for candidate, law in _open(laws, fit):
@@ -100,8 +100,15 @@ def _open(laws: Sequence[Candidate], fit: Fitted) -> Iterator[tuple[Candidate, L
 
 
 @dataclass(frozen=True, eq=False)
-class _States:
-    """States in the middle of all intervals, (S, K, nv): positions of hinges and slides, velocities and loads."""
+class JointStates:
+    """States in the middle of all intervals.
+
+    Attributes:
+      q: (S, K, nv) positions of hinges and slides.
+      v: (S, K, nv) velocities.
+      load: (S, K, nv) forces of the actuators.
+      time: (S, K) [s].
+    """
 
     q: np.ndarray
     v: np.ndarray
@@ -109,6 +116,12 @@ class _States:
     time: np.ndarray
 
     def of(self, dof: int, other: int) -> LawState:
+        """What a law at a joint may depend on, (S, K) each.
+
+        Args:
+          dof: of the joint.
+          other: of another joint.
+        """
         time = np.broadcast_to(self.time, self.q.shape[:2])
         return LawState(
             self.q[..., dof], self.v[..., dof], self.load[..., dof], time, self.q[..., other], self.v[..., other]
@@ -120,14 +133,20 @@ class _States:
         return np.tanh(v / (_SLOW * np.sqrt((v**2).mean()) + 1e-12))
 
 
-def _states(side: ForceSide, fit: Fitted) -> _States:
+def joint_states(side: ForceSide, fit: Fitted) -> JointStates:
+    """States along the stretches of a fit.
+
+    Args:
+      side: the recordings to fit.
+      fit: whose loads are taken.
+    """
     stretches, model = fit.linear.stretches, side.stretches.data.recordings[0].model
     q = np.zeros((len(stretches), stretches.intervals, model.nv))
     for j in np.flatnonzero(model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)):
         own = stretches.qpos[..., model.jnt_qposadr[j]]
         q[..., model.jnt_dofadr[j]] = 0.5 * (own[:, 1:] + own[:, :-1])
     missing = missing_force(stretches, fit.point.hypothesis(side.library))
-    return _States(q, missing.velocity, missing.actuator, 0.5 * (stretches.time[:, 1:] + stretches.time[:, :-1]))
+    return JointStates(q, missing.velocity, missing.actuator, 0.5 * (stretches.time[:, 1:] + stretches.time[:, :-1]))
 
 
 def _number(law: LawTerm, at: LawState, force: np.ndarray) -> tuple[float, int]:

@@ -13,6 +13,7 @@ from btr_mjx.gap.forces.filtering import smoothed
 from btr_mjx.gap.forces.held_out import HeldOut
 from btr_mjx.gap.forces.horizons import cut_horizons, position_errors
 from btr_mjx.gap.forces.intervals import covariance
+from btr_mjx.gap.forces.joint_forces import QUANTILE, joint_forces
 from btr_mjx.gap.forces.late_logs import without_late_log
 from btr_mjx.gap.forces.law_scan import law_words
 from btr_mjx.gap.forces.missing_force import MissingForce, commanded_share
@@ -33,9 +34,6 @@ from btr_mjx.gap.results import (
 )
 from btr_mjx.gap.simulate import Segments, simulate
 from btr_mjx.models import difference, dof_places, part_names
-
-QUANTILE = 1.645
-"""Half width of a 90 % interval, in standard errors."""
 
 ALIKE = 6.0
 """Difference of scores below which two candidates are alike: a factor of twenty in odds."""
@@ -134,6 +132,7 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
         survivors=_survivors(found),
         predictions=predictions(found.errors[:2], found.errors[2]),
         notes=(_NOT_BORNE_OUT,) if found.contradicted else (),
+        joint_forces=joint_forces(found.side, first, last if verdict == "effect" else first),
     )
     told = without_late_log(diagnosis)  # of any verdict
     return replace(told, effects=(), calibration=()) if told.verdict == "unexplained" else told

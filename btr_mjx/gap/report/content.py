@@ -73,6 +73,11 @@ def content(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
         "interval_note": str(
             result.get("interval_note") or "From, to: 90 % interval; it does not assume that the fit is good."
         ),
+        "laws": [
+            f"{place_in_words(str(effect['location']))}: {effect['equation']}"
+            for effect in result.get("effects") or []
+            if effect.get("latex")
+        ],
         "unexplained": _lines(result.get("unexplained")),
         "equivalent": _equivalent(result),
         "reason_not_named": REASON_NOT_NAMED,

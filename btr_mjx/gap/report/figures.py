@@ -179,6 +179,73 @@ def overlay_figure(stretches: Sequence[OverlayData], after: str | None = "mended
     return figure
 
 
+@dataclass(frozen=True)
+class ForceData:
+    """The missing force at a joint, (N,) arrays.
+
+    Attributes:
+      joint: name of the joint.
+      unit: of forces.
+      states: what it is drawn against: "position", "velocity", "load", "time".
+      before, after: missing force beside the believed and the mended model.
+      law, spread: force of the laws that were named there, and half the width of its 90 % interval.
+      follows: states that these laws depend on.
+    """
+
+    joint: str
+    unit: str
+    states: Mapping[str, np.ndarray]
+    before: np.ndarray
+    after: np.ndarray
+    law: np.ndarray
+    spread: np.ndarray
+    follows: Sequence[str]
+
+
+def force_figure(joints: Sequence[ForceData], mended: bool = True) -> Figure:
+    """Missing force against position, velocity and load, or against what a law depends on; one row a joint.
+
+    Args:
+      joints: their missing force.
+      mended: whether the force that is left beside a mended model is drawn.
+
+    Returns:
+      The figure.
+    """
+    figure = Figure(figsize=(7.4, 0.6 + 2.0 * len(joints)))
+    axes = figure.subplots(len(joints), 3, squeeze=False, sharey="row")
+    for row, one in zip(axes, joints, strict=True):
+        others = [name for name in ("position", "velocity", "load") if name not in one.follows]
+        length = "rad" if one.unit == "N m" else "m"
+        units = {"position": length, "velocity": f"{length}/s", "load": one.unit, "time": "s"}
+        for panel, name in zip(row, [*one.follows, *others], strict=False):
+            x = one.states[name]
+            panel.plot(x, one.before, ".", color="0.55", markersize=1.6, label="missing")
+            if mended:
+                panel.plot(x, one.after, ".", color=AFTER, markersize=1.2, label="left")
+            if one.law.any() and name in one.follows:
+                at = np.argsort(x)
+                alone = len(one.follows) == 1
+                look: dict[str, Any] = {"color": BEFORE, "label": "law"}
+                if alone:
+                    low, high = (one.law + sign * one.spread for sign in (-1, 1))
+                    panel.fill_between(x[at], low[at], high[at], color=BEFORE, alpha=0.3, linewidth=0)
+                    panel.plot(x[at], one.law[at], linewidth=1.3, **look)
+                else:
+                    panel.plot(x, one.law, ".", markersize=1.6, **look)
+            panel.axhline(0.0, color="0.7", linewidth=0.6, zorder=0)
+            panel.set_xlabel(f"{name} [{units[name]}]")
+            panel.xaxis.set_major_locator(MaxNLocator(4))
+        every = np.concatenate([one.before, one.after])
+        reach = 1.15 * float(np.quantile(np.abs(every), 0.995)) + 1e-12
+        row[0].set_ylim(-reach, reach)
+        row[0].set_ylabel(f"force [{one.unit}]")
+        row[0].set_title(one.joint, loc="left", fontsize=8)
+    handles, labels = next((h, t) for h, t in (a.get_legend_handles_labels() for a in axes.ravel()) if h)
+    figure.legend(handles, labels, loc="outside upper left", ncols=3, markerscale=4)
+    return figure
+
+
 def commands(time: np.ndarray, values: np.ndarray, names: Sequence[str], most: int = 5) -> Figure:
     """A proposed command: the channels with the largest range.
 

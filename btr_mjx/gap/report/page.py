@@ -5,6 +5,8 @@ Files of a diagnosis folder, of which all but the first may be missing:
 - result.json: verdict, effects, ranking, equivalent, gap, next_experiment and other entries that the page shows;
 - disagreement.npz: `rows` (R,), `columns` (C,), `before` (R, C) and optionally `after` (R, C) in units of the noise;
 - overlays.npz: `recordings`, `names`, `units` (N,), for each n `time_n`, `measured_n`, `before_n`, `after_n` (K,);
+- joint_forces.npz: `joints`, `units`, `follows` (J,), for each n `position_n`, `velocity_n`, `load_n`, `time_n`,
+  `before_n`, `after_n`, `law_n`, `spread_n` (N,);
 - next_command.csv: `time` and the proposed command;
 - mended.json beside mended.xml; environment.json.
 """
@@ -74,7 +76,7 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
     """The figures, each saved beside the page and inside it."""
     from btr_mjx.gap.report import figures
 
-    out: dict[str, Any] = {"map": None, "ranking": [], "overlays": [], "command": None}
+    out: dict[str, Any] = {"map": None, "ranking": [], "overlays": [], "command": None, "forces": None}
     if (folder / "disagreement.npz").is_file():
         data = read_arrays(folder / "disagreement.npz")
         figure = figures.disagreement_map(
@@ -128,6 +130,27 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
             caption = f"Held-out stretches in which {where}. Left: coordinates. Right: model minus measured."
             figure = figures.overlay_figure(stretches[:_OVERLAYS], after)
             out["overlays"].append(_picture(folder, "overlays", figure, "Before and after", caption))
+    if (folder / "joint_forces.npz").is_file():
+        data = read_arrays(folder / "joint_forces.npz")
+        joints = [
+            figures.ForceData(
+                joint,
+                unit,
+                {key: data[f"{key}_{n}"] for key in ("position", "velocity", "load", "time")},
+                follows=follows.split(),
+                **{key: data[f"{key}_{n}"] for key in ("before", "after", "law", "spread")},
+            )
+            for n, (joint, unit, follows) in enumerate(
+                zip(*(_texts(data[key]) for key in ("joints", "units", "follows")), strict=True)
+            )
+        ]
+        is_mended = bool(result.get("effects"))
+        caption = "Force that the believed model lacks along the recordings that were fitted"
+        caption += ", and force that is left beside the mended model" if is_mended else ""
+        caption += "; orange: the law that was named, with its 90 % band." if any(j.law.any() for j in joints) else "."
+        if joints:
+            figure = figures.force_figure(joints, is_mended)
+            out["forces"] = _picture(folder, "joint-forces", figure, "Missing force at joints", caption)
     if (folder / "next_command.csv").is_file():
         table = read_table(folder / "next_command.csv")
         names = [name for name in table.columns if name != "time"]

@@ -172,6 +172,33 @@ class Overlay:
 
 
 @dataclass(frozen=True)
+class JointForce:
+    """The force that is missing at a joint, for a figure.
+
+    Attributes:
+      joint: in words.
+      unit: of forces.
+      position, velocity, load, time: (N,) states, force of the actuators, and time.
+      before, after: (N,) force that is missing beside the believed and the mended model.
+      law: (N,) force of the laws that were named there; zero without.
+      spread: (N,) half the width of its 90 % interval.
+      follows: what laws there depend on: "position", "velocity", "load", "time".
+    """
+
+    joint: str
+    unit: str
+    position: np.ndarray
+    velocity: np.ndarray
+    load: np.ndarray
+    time: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    law: np.ndarray
+    spread: np.ndarray
+    follows: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class DisagreementMap:
     """Where simulation and data disagree before any fit.
 
@@ -234,6 +261,7 @@ class Diagnosis:
       survivors: hypotheses that are still possible, for the choice of the next experiment.
       predictions: of held-out recordings over a short horizon; None where none were made.
       notes: remarks for the reader.
+      joint_forces: missing force at joints, for a figure.
     """
 
     verdict: Verdict
@@ -258,6 +286,7 @@ class Diagnosis:
     predictions: Predictions | None = None
     notes: tuple[str, ...] = ()
     calibration: tuple[NamedEffect, ...] = ()
+    joint_forces: tuple[JointForce, ...] = field(default=(), repr=False)
 
 
 @dataclass(frozen=True)

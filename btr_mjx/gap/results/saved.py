@@ -14,7 +14,7 @@ from btr_mjx.gap.data import Dataset, control_columns
 from btr_mjx.gap.effects import KNOWN_EFFECTS, Effect
 from btr_mjx.gap.results.exported import export_diagnosis
 from btr_mjx.gap.results.mended_model import FoundEffect, MendedModel, mend
-from btr_mjx.gap.results.records import Diagnosis, DisagreementMap, NamedEffect, NextExperiment
+from btr_mjx.gap.results.records import Diagnosis, DisagreementMap, JointForce, NamedEffect, NextExperiment
 from btr_mjx.gap.results.verdict_words import detail_sentences, verdict_sentence
 from btr_mjx.gap.results.wording import place_in_words
 from btr_mjx.models import parse_path, part_names
@@ -38,8 +38,9 @@ def save_diagnosis(
     Args:
       diagnosis: the outcome of the search.
       dataset: the dataset that was searched.
-      folder: folder for result.json, ranking.csv, disagreement.csv, disagreement.npz, overlays.npz, believed.csv and,
-        where an effect was named, mended.xml and mended.json, parameters.csv, parameters.json and randomisation.json.
+      folder: folder for result.json, ranking.csv, disagreement.csv, disagreement.npz, overlays.npz, believed.csv;
+        where the robot touches nothing, joint_forces.npz; where an effect was named, mended.xml, mended.json,
+        parameters.csv, parameters.json and randomisation.json.
       effects: the library that was searched.
       next_experiment: proposal for next_command.csv; None if there is none.
       more: further entries of result.json.
@@ -63,6 +64,8 @@ def save_diagnosis(
     _write_tables(result, diagnosis.disagreement, folder)
     write_arrays(folder / "disagreement.npz", _map_arrays(diagnosis.disagreement))
     write_arrays(folder / "overlays.npz", _overlay_arrays(diagnosis, dataset.model))
+    if diagnosis.joint_forces:
+        write_arrays(folder / "joint_forces.npz", _force_arrays(diagnosis.joint_forces))
     found_again = lambda found: _mend(found, diagnosis, dataset, effects)  # noqa: E731
     export_diagnosis(diagnosis, dataset, folder, found_again)
     write_json(folder / RESULT, result)
@@ -273,6 +276,19 @@ def _map_arrays(disagreement: DisagreementMap) -> dict[str, np.ndarray]:
         "before": np.asarray(disagreement.value, float),
         "count": np.asarray(disagreement.count),
     }
+
+
+def _force_arrays(forces: Sequence[JointForce]) -> dict[str, np.ndarray]:
+    texts = {
+        "joints": [one.joint for one in forces],
+        "units": [one.unit for one in forces],
+        "follows": [" ".join(one.follows) for one in forces],
+    }
+    arrays = {name: np.array(values, dtype=str) for name, values in texts.items()}
+    for n, one in enumerate(forces):
+        for key in ("position", "velocity", "load", "time", "before", "after", "law", "spread"):
+            arrays[f"{key}_{n}"] = np.asarray(getattr(one, key), float)
+    return arrays
 
 
 def _overlay_arrays(diagnosis: Diagnosis, model: mujoco.MjModel) -> dict[str, np.ndarray]:
