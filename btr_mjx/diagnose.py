@@ -98,6 +98,8 @@ class DiagnoseConfig:
     adds that to the library."""
     max_effects: int = 5
     """Name at most so many effects."""
+    residual: bool = False
+    """Fit a smooth table of the force that nothing explains, for mended.json; for robots that touch nothing."""
     signal: Literal["trajectory", "fitness"] = "trajectory"
     """trajectory: recordings of the motion. fitness: a table of controllers and measured fitness, see
     btr_mjx/gap/fitness_only/table.py."""
@@ -341,7 +343,13 @@ def search_missing(
             more["gap"] = as_result(diagnosis, data)["gap"] | {"unit": "m/s of Delta_fitness"}
         else:
             diagnosis = identify(
-                dataset, library, config.max_effects, config.chosen_seed, report_stage, counter=journal
+                dataset,
+                library,
+                config.max_effects,
+                config.chosen_seed,
+                report_stage,
+                counter=journal,
+                residual=config.residual,
             )
             report_stage("next experiment")
             data, proposal = dataset, propose(diagnosis, dataset, config.chosen_seed, counter=journal)

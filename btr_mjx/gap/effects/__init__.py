@@ -9,7 +9,7 @@ from btr_mjx.gap.effects.effect import Candidate, Effect, Parameter, candidates
 from btr_mjx.gap.effects.hypothesis import Hypothesis, believed_steps
 from btr_mjx.gap.effects.law_dictionary import LAW_EFFECTS, LAWS, equation_of, law_effect
 from btr_mjx.gap.effects.law_terms import LawState, LawTerm, Tried
-from btr_mjx.gap.effects.library import EFFECTS, KNOWN_EFFECTS, of_forces
+from btr_mjx.gap.effects.library import EFFECTS, KNOWN_EFFECTS, custom_effect_code, of_forces, selected_effects
 from btr_mjx.gap.effects.links import link_of
 from btr_mjx.gap.effects.per_member import EACH_MEMBER, per_member
 from btr_mjx.gap.effects.places import (
@@ -23,7 +23,7 @@ from btr_mjx.gap.effects.places import (
     joint_places,
 )
 from btr_mjx.gap.effects.ranges import Scales, has_closed_loops
-from btr_mjx.gap.effects.selection import custom_effect_code, selected_effects
+from btr_mjx.gap.effects.residual import RESIDUAL, ResidualTable
 
 __all__ = [
     "EACH_MEMBER",
@@ -31,6 +31,7 @@ __all__ = [
     "KNOWN_EFFECTS",
     "LAWS",
     "LAW_EFFECTS",
+    "RESIDUAL",
     "TIME_IN_SAMPLE",
     "TIMING",
     "WORLD",
@@ -41,6 +42,7 @@ __all__ = [
     "LawTerm",
     "Parameter",
     "Place",
+    "ResidualTable",
     "Scales",
     "Tried",
     "actuator_count",

@@ -17,13 +17,13 @@ from btr_mjx.gap.data import Dataset, noise_of
 from btr_mjx.gap.effects import LAW_EFFECTS, TIMING, Effect, Hypothesis, Scales, candidates, has_closed_loops, of_forces
 from btr_mjx.gap.forces.held_out import HeldOut, held_out, is_better
 from btr_mjx.gap.forces.horizons import follow_horizons
-from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.law_scan import scan_laws
 from btr_mjx.gap.forces.missing_force import missing_force
 from btr_mjx.gap.forces.motion import responses
-from btr_mjx.gap.forces.outcome import SearchOutcome, diagnosis_of
-from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, settled
+from btr_mjx.gap.forces.outcome import SearchOutcome, diagnosis_of, with_tables_told
+from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, covariance, settled
 from btr_mjx.gap.forces.predictions import compared_predictions, horizon_errors, predicts_well
+from btr_mjx.gap.forces.residual import fit_residual
 from btr_mjx.gap.forces.search import Named, SearchRound, select_effects, start
 from btr_mjx.gap.forces.stretches import Stretches, spread_stretches
 from btr_mjx.gap.forces.unknowns import (
@@ -104,6 +104,7 @@ def identify_forces(
     max_effects: int,
     progress: Callable[[str], None],
     counter: Counter,
+    residual: bool = False,
 ) -> Diagnosis:
     """Find what is missing.
 
@@ -113,6 +114,7 @@ def identify_forces(
       max_effects: largest number of effects that are named.
       progress: called with a word on what is being done.
       counter: adds up the simulated steps.
+      residual: whether tables of what nothing explains are fitted.
 
     Returns:
       The diagnosis.
@@ -147,7 +149,13 @@ def identify_forces(
     before = held_out(test, final[0].point, final[0].variances, after.sensor)
     final[-1] = replace(last, point=point)
     found = _found(side, test, rounds, final, (before, after), contradicted, dataset, scales)
-    return diagnosis_of(dataset, prepared.sigma, found, time.monotonic() - begun + counter.earlier)
+    diagnosis = diagnosis_of(dataset, prepared.sigma, found, time.monotonic() - begun + counter.earlier)
+    if not residual:
+        return diagnosis
+    progress("residual")
+    # Beside the model that is written: without names, calibration is left out as well.
+    mended = final[-1].point if diagnosis.effects else Point(base, (), np.zeros_like(point.calibration))
+    return with_tables_told(diagnosis, fit_residual(side, test, mended, final[-1].variances))
 
 
 def _of_calibration(stretches: Stretches, library: Library, base: Hypothesis, counter: Counter) -> np.ndarray:

@@ -5,9 +5,8 @@ import numpy as np
 
 from btr_mjx.gap.effects import LawTerm
 from btr_mjx.gap.forces.filtering import smoothed
-from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.law_scan import JointStates, joint_states
-from btr_mjx.gap.forces.points import Fitted, ForceSide
+from btr_mjx.gap.forces.points import Fitted, ForceSide, covariance
 from btr_mjx.gap.results import JointForce
 from btr_mjx.models import dof_places
 

@@ -7,17 +7,15 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.data import Dataset
-from btr_mjx.gap.effects import Hypothesis, equation_of
+from btr_mjx.gap.effects import Hypothesis, ResidualTable, equation_of
 from btr_mjx.gap.forces.confounds import confounds_of
 from btr_mjx.gap.forces.filtering import smoothed
 from btr_mjx.gap.forces.held_out import HeldOut
 from btr_mjx.gap.forces.horizons import cut_horizons, position_errors
-from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.joint_forces import QUANTILE, joint_forces
-from btr_mjx.gap.forces.late_logs import without_late_log
 from btr_mjx.gap.forces.law_scan import law_words
 from btr_mjx.gap.forces.missing_force import MissingForce, commanded_share
-from btr_mjx.gap.forces.points import Fitted, ForceSide, names
+from btr_mjx.gap.forces.points import Fitted, ForceSide, covariance, names
 from btr_mjx.gap.forces.predictions import HORIZON, predictions
 from btr_mjx.gap.forces.scan import Scanned
 from btr_mjx.gap.forces.search import Named, SearchRound
@@ -31,6 +29,7 @@ from btr_mjx.gap.results import (
     Overlay,
     RankedCandidate,
     Refit,
+    without_late_log,
 )
 from btr_mjx.gap.simulate import Segments, simulate
 from btr_mjx.models import difference, dof_places, part_names
@@ -45,6 +44,8 @@ _SLIGHT = 1e-2
 """Part of the usual force of a joint that nobody would miss."""
 
 _NOT_BORNE_OUT = "One more effect explained the recordings that were fitted, but not those held out."
+
+_NO_RESIDUAL = "No table of what is left was made: held-out recordings are predicted no better with one."
 
 _CAP = 1e4
 """Largest squared force in a map, in units of its variance."""
@@ -109,7 +110,7 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
         effects=named,
         calibration=_calibration(found),
         ranking=ranking,
-        equivalent=_alike(found.rounds[0]) if found.rounds and named else (),
+        equivalent=_alike(_round_of(found, last.point.named[0][0].name)) if named else (),
         gap=Gap(before, after, min(floor, after), floor, float(np.sqrt(before)), float(np.sqrt(after)), *loops),
         disagreement=_map(model, found),
         unexplained=_words(model, found) if verdict == "unexplained" else (),
@@ -138,6 +139,20 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
     return replace(told, effects=(), calibration=()) if told.verdict == "unexplained" else told
 
 
+def with_tables_told(diagnosis: Diagnosis, tables: Sequence[ResidualTable]) -> Diagnosis:
+    """A diagnosis with tables of what nothing explains.
+
+    Args:
+      diagnosis: without them.
+      tables: of joints; nothing where there are none.
+    """
+    note = _NO_RESIDUAL
+    if tables:
+        joints = ", ".join(table.joint for table in tables)
+        note = f"The force that nothing explains is a table in mended.json, within the recorded range only: {joints}."
+    return replace(diagnosis, residual=tuple(tables), notes=(*diagnosis.notes, note))
+
+
 def _named(found: SearchOutcome) -> tuple[NamedEffect, ...]:
     """Named effects with intervals."""
     last = found.chain[-1]
@@ -153,7 +168,7 @@ def _named(found: SearchOutcome) -> tuple[NamedEffect, ...]:
             parameters[own.name] = Estimate(value, low, high, own.unit, float(own.null), own.at_edge(value))
             i += 1
         score = scores[min(k, len(scores) - 1)] if scores else 0.0
-        rivals = _alike(found.rounds[min(k, len(found.rounds) - 1)])
+        rivals = _alike(_round_of(found, candidate.name))
         own_names = names(last.point.named)
         out.append(
             NamedEffect(
@@ -196,6 +211,14 @@ def _calibration(found: SearchOutcome) -> tuple[NamedEffect, ...]:
         )
         for candidate, values in sorted(found.calibration, key=lambda row: -size[row[0].name])
     )
+
+
+def _round_of(found: SearchOutcome, name: str) -> SearchRound:
+    """The round in which an effect was chosen."""
+    for of in found.rounds:
+        if of.finalists and name in names(of.finalists[0][1].point.named) and name not in names(of.before.point.named):
+            return of
+    return found.rounds[0]
 
 
 def _alike(of: SearchRound) -> tuple[str, ...]:

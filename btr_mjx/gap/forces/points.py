@@ -278,6 +278,33 @@ def moved_states(stretches: Stretches, change: np.ndarray) -> Stretches:
     return stretches.about(integrate(model, stretches.qpos, change[..., :nv]), stretches.qvel + change[..., nv:])
 
 
+def covariance(side: ForceSide, fit: Fitted) -> np.ndarray:
+    """Covariance (p + n, p + n) of the numbers of a fit and of its calibration, of which no white noise is assumed.
+
+    For every number the larger one of the inverse information and of the sandwich estimate
+    H^-1 (sum_s g_s g_s^T) H^-1 with the gradients g_s of the stretches, which holds where stretches differ by more than
+    the model says.
+
+    Args:
+      side: the recordings that were fitted.
+      fit: at its numbers.
+    """
+    p, cal = fit.point.numbers, side.library.calibration
+    gram = fit.whitened.gram[:, 1:, 1:]
+    gradient = fit.whitened.gram[:, 1:, 0]
+    normal = gram.sum(0)
+    prior = np.zeros(len(normal))
+    prior[p:] = 1 / cal.tolerance**2
+    normal = normal + np.diag(prior + 1e-10 * np.diag(normal) + 1e-300)
+    inverse = np.linalg.inv(normal)
+    count = len(gradient)
+    centred = gradient - gradient.mean(0)
+    meat = centred.T @ centred * count / max(count - 1, 1)
+    robust = inverse @ meat @ inverse
+    scale = np.sqrt(np.maximum(np.diag(robust), np.diag(inverse)) / np.diag(inverse))
+    return inverse * scale[:, None] * scale[None, :]
+
+
 def names(named: Sequence[tuple[Candidate, tuple[float, ...]]]) -> list[str]:
     """Names of effects."""
     return [candidate.name for candidate, _ in named]

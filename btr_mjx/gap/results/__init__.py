@@ -7,6 +7,7 @@ adds those that MJCF cannot express to a simulation. `added_effects` makes parts
 """
 
 from btr_mjx.gap.results.effect_simulator import EffectEdit, EffectSimulator, added_effects
+from btr_mjx.gap.results.late_logs import without_late_log
 from btr_mjx.gap.results.mended_model import (
     Callback,
     FoundEffect,
@@ -14,6 +15,7 @@ from btr_mjx.gap.results.mended_model import (
     found_effects,
     mend,
     resolve_effect,
+    with_residual,
 )
 from btr_mjx.gap.results.mended_space import ControllerTrial, mended_robot
 from btr_mjx.gap.results.records import (
@@ -94,4 +96,6 @@ __all__ = [
     "simulation_mjcf",
     "unit_in_words",
     "verdict_sentence",
+    "with_residual",
+    "without_late_log",
 ]

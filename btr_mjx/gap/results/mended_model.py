@@ -17,7 +17,7 @@ are listed in `mended.terms`, and a `Callback` adds them to any simulation:
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.effects import KNOWN_EFFECTS, Effect, Place, Scales
+from btr_mjx.gap.effects import KNOWN_EFFECTS, RESIDUAL, Effect, Place, ResidualTable, Scales
 from btr_mjx.gap.results.transcribe import changed_numbers, normalised, write_changes
 from btr_mjx.gap.simulate import Command, Rows, World
 from btr_mjx.models import nearest_names, read_field, set_values
@@ -220,6 +220,27 @@ def parameter_names(model: mujoco.MjModel, effect: Effect, place: Place) -> list
     return [parameter.name for parameter in effect.parameters(model, Scales.of(model), place)]
 
 
+def with_residual(mended: MendedModel, tables: Sequence[ResidualTable]) -> MendedModel:
+    """A mended model with tables of what nothing explains.
+
+    Args:
+      mended: without them.
+      tables: of joints.
+    """
+    terms = [
+        {
+            "effect": RESIDUAL,
+            "location": f"joint:{table.joint}",
+            "parameters": {},
+            "equation": "a smooth table of position, velocity and load",
+            "why": "nothing explains this force; the table holds within the recorded range only",
+            "table": table.as_json(),
+        }
+        for table in tables
+    ]
+    return replace(mended, terms=[*mended.terms, *terms])
+
+
 class Callback:
     """Effects that MJCF cannot express, for a simulation of the mended model step by step.
 
@@ -248,6 +269,9 @@ class Callback:
         world = World.of(model)
         inherent = len(world.command_edits)  # the model's own delays, which MuJoCo simulates
         for term in terms:
+            if term["effect"] == RESIDUAL:
+                ResidualTable.from_json(term["table"]).candidate(model).apply(world, ())
+                continue
             effect, place, values = resolve_effect(model, FoundEffect.from_result(term), effects)
             effect.apply(world, place, values)
         self._world = world

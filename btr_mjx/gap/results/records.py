@@ -6,6 +6,8 @@ from typing import Literal
 
 import numpy as np
 
+from btr_mjx.gap.effects import ResidualTable
+
 Verdict = Literal["effect", "none", "unexplained"]
 """An effect is missing, nothing is missing, or something is missing that no known effect explains."""
 
@@ -262,6 +264,7 @@ class Diagnosis:
       predictions: of held-out recordings over a short horizon; None where none were made.
       notes: remarks for the reader.
       joint_forces: missing force at joints, for a figure.
+      residual: tables of the force that nothing explains, where they were asked for.
     """
 
     verdict: Verdict
@@ -287,6 +290,7 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     calibration: tuple[NamedEffect, ...] = ()
     joint_forces: tuple[JointForce, ...] = field(default=(), repr=False)
+    residual: tuple[ResidualTable, ...] = field(default=(), repr=False)
 
 
 @dataclass(frozen=True)

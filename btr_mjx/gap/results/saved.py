@@ -13,7 +13,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, control_columns
 from btr_mjx.gap.effects import KNOWN_EFFECTS, Effect
 from btr_mjx.gap.results.exported import export_diagnosis
-from btr_mjx.gap.results.mended_model import FoundEffect, MendedModel, mend
+from btr_mjx.gap.results.mended_model import FoundEffect, MendedModel, mend, with_residual
 from btr_mjx.gap.results.records import Diagnosis, DisagreementMap, JointForce, NamedEffect, NextExperiment
 from btr_mjx.gap.results.verdict_words import detail_sentences, verdict_sentence
 from btr_mjx.gap.results.wording import place_in_words
@@ -138,6 +138,7 @@ def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
         | {"open_loop_unit": _position_unit(dataset.model), "open_loop_noise": _mean_noise(diagnosis, dataset.model)},
         "predictions": asdict(diagnosis.predictions) if diagnosis.predictions else None,
         "unexplained": list(diagnosis.unexplained),
+        "residual": [table.joint for table in diagnosis.residual],
         "believed": [asdict(refit) for refit in diagnosis.believed],
         "confounds": [asdict(confound) for confound in diagnosis.confounds],
         "share": diagnosis.share,
@@ -201,9 +202,10 @@ def place_of_disagreement(disagreement: DisagreementMap) -> str:
 
 def _mended(diagnosis: Diagnosis, dataset: Dataset, effects: Sequence[Effect] = KNOWN_EFFECTS) -> MendedModel | None:
     """The believed model with named effects, calibration and refitted parameters; None without effects."""
-    if not (diagnosis.effects or diagnosis.calibration):
+    if not (diagnosis.effects or diagnosis.calibration or diagnosis.residual):
         return None
-    return _mend([_found(effect) for effect in diagnosis.effects], diagnosis, dataset, effects)
+    mended = _mend([_found(effect) for effect in diagnosis.effects], diagnosis, dataset, effects)
+    return with_residual(mended, diagnosis.residual)
 
 
 def _found(effect: NamedEffect) -> FoundEffect:

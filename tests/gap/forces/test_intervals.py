@@ -8,8 +8,7 @@ from gap_models import one
 
 from btr_mjx.gap.forces.evidence import CalibrationPrior
 from btr_mjx.gap.forces.filtering import Filtered
-from btr_mjx.gap.forces.intervals import covariance
-from btr_mjx.gap.forces.points import Fitted, ForceSide, Point
+from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, covariance
 from btr_mjx.gap.forces.unknowns import Library
 
 STRETCHES, ROWS = 400, 30

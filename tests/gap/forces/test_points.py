@@ -15,9 +15,8 @@ from btr_mjx.gap.forces import points
 from btr_mjx.gap.forces.filtering import filtered, smoothed
 from btr_mjx.gap.forces.held_out import held_out, is_better
 from btr_mjx.gap.forces.horizons import cut_horizons
-from btr_mjx.gap.forces.intervals import covariance
 from btr_mjx.gap.forces.motion import FreeNumber, responses
-from btr_mjx.gap.forces.points import ForceSide, Point, again, evaluate_point, newton_step, settled
+from btr_mjx.gap.forces.points import ForceSide, Point, again, covariance, evaluate_point, newton_step, settled
 from btr_mjx.gap.forces.predictions import compared_predictions, horizon_errors, predicts_better
 from btr_mjx.gap.forces.scan import price
 from btr_mjx.gap.forces.search import _unbeaten, first_variances, one_more, pruned, shortlist, start

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import EFFECTS, Effect
 from btr_mjx.gap.forces import horizon_errors, identify_forces, predictions, prepare_forces
@@ -57,6 +58,7 @@ def identify(
     progress: Callable[[str], None] | None = None,
     options: Options | None = None,
     counter: Counter | None = None,
+    residual: bool = False,
 ) -> Diagnosis:
     """Find what is missing.
 
@@ -68,19 +70,23 @@ def identify(
       progress: called with a word on what is being done.
       options: how much is spent.
       counter: adds up the simulated steps; a `journal.Journal` remembers them for a search that goes on.
+      residual: whether a smooth table of what nothing explains is fitted, where the robot touches nothing.
 
     Returns:
       The diagnosis.
 
     Raises:
-      InputError: no recordings on one side of the split, recordings too short for a window, no motion.
+      InputError: no recordings on one side of the split, recordings too short for a window, no motion; a residual is
+        asked for where the robot touches the world.
     """
     begun = time.monotonic()
     # The search has threads of its own, and matrices that are too small to be shared by more.
     with threadpool_limits(1, "blas"):
         if (prepared := prepare_forces(dataset)) is not None:
             note = progress or (lambda _: None)
-            return identify_forces(prepared, effects, max_effects, note, counter or Counter())
+            return identify_forces(prepared, effects, max_effects, note, counter or Counter(), residual)
+        if residual:
+            raise InputError(f"{dataset.folder}: residual is for robots that touch nothing, with all joints measured")
         bench = Bench(dataset, effects, options, progress, counter)
         return name_missing(bench, max_effects, seed, progress, begun)
 

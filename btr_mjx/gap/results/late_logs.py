@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from btr_mjx.gap.effects import TIMING
-from btr_mjx.gap.results import Diagnosis, NamedEffect
+from btr_mjx.gap.results.records import Diagnosis, NamedEffect
 
 
 def without_late_log(diagnosis: Diagnosis) -> Diagnosis:

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from btr_mjx.gap.forces.late_logs import without_late_log
-from btr_mjx.gap.results import Diagnosis, DisagreementMap, Estimate, Gap, NamedEffect
+from btr_mjx.gap.results import Diagnosis, DisagreementMap, Estimate, Gap, NamedEffect, without_late_log
 
 
 def named(effect: str, value: float) -> NamedEffect:

@@ -1,0 +1,113 @@
+"""A table of the force that is missing at a joint and that nothing explains: smooth, and valid where it was measured.
+
+The force is a sum of radial functions of position, velocity and load, with these held at the ends of what was recorded.
+It says nothing of a cause.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.effects.effect import Candidate, Effect
+from btr_mjx.gap.effects.places import Place
+from btr_mjx.gap.simulate import Rows, World
+from btr_mjx.models import nearest_names, part_names
+
+RESIDUAL = "residual"
+"""Name of a table among the terms of a mended model."""
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualTable:
+    """A smooth force at a joint.
+
+    Attributes:
+      joint: name of the joint.
+      low, high: (3,) recorded ranges of position, velocity and load, beyond which nothing is known.
+      centres: (n, 3) of radial functions, between 0 and 1 of these ranges.
+      width: of these functions, in the same unit.
+      weights: (n,) [N or N m].
+    """
+
+    joint: str
+    low: np.ndarray
+    high: np.ndarray
+    centres: np.ndarray
+    width: float
+    weights: np.ndarray
+
+    def features(self, q: np.ndarray, v: np.ndarray, load: np.ndarray) -> np.ndarray:
+        """Radial functions (..., n) at states, which add up to 1.
+
+        Args:
+          q: positions.
+          v: velocities.
+          load: forces of the actuators.
+        """
+        state = np.stack([q, v, load], -1)
+        part = np.clip((state - self.low) / np.maximum(self.high - self.low, 1e-12), 0.0, 1.0)
+        distance = ((part[..., None, :] - self.centres) ** 2).sum(-1) / (2 * self.width**2)
+        bumps = np.exp(-(distance - distance.min(-1, keepdims=True)))
+        return bumps / bumps.sum(-1, keepdims=True)
+
+    def as_json(self) -> dict[str, Any]:
+        """Its content for mended.json."""
+        return {
+            "joint": self.joint,
+            "low": self.low.tolist(),
+            "high": self.high.tolist(),
+            "centres": self.centres.tolist(),
+            "width": self.width,
+            "weights": self.weights.tolist(),
+        }
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> "ResidualTable":
+        """A table of mended.json."""
+        low, high, centres, weights = (np.array(content[k], float) for k in ("low", "high", "centres", "weights"))
+        return cls(str(content["joint"]), low, high, centres, float(content["width"]), weights)
+
+    def candidate(self, model: mujoco.MjModel) -> Candidate:
+        """The table as an effect without free numbers.
+
+        Args:
+          model: the believed model.
+
+        Raises:
+          InputError: the model has no such joint.
+        """
+        names = part_names(model, "joint")
+        if self.joint not in names:
+            nearest = nearest_names(self.joint, names)
+            raise InputError(f"residual: the model has no joint {self.joint!r}; nearest: {nearest}")
+        joint = names.index(self.joint)
+
+        def apply(world: World, place: Place, values: np.ndarray) -> None:
+            world.laws.append(ResidualForce(self, joint))
+
+        place = Place(f"joint:{self.joint}", joints=(joint,))
+        return Candidate(Effect(RESIDUAL, lambda _: [place], lambda *_: (), apply), place, ())
+
+
+@dataclass(frozen=True)
+class ResidualForce:
+    """A table in a simulation.
+
+    Attributes:
+      table: the force.
+      joint: id of the joint.
+    """
+
+    table: ResidualTable
+    joint: int
+    fields: tuple[str, ...] = ()
+
+    def __call__(self, rows: Rows) -> None:
+        """Add to the force of the next step."""
+        q, v = int(rows.model.jnt_qposadr[self.joint]), int(rows.model.jnt_dofadr[self.joint])
+        found = self.table.features(rows.qpos[:, q], rows.qvel[:, v], rows.qfrc_actuator[:, v])
+        rows.qfrc_applied[:, v] += found @ self.table.weights
