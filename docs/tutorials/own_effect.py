@@ -2,8 +2,10 @@
 # # An effect of your own
 #
 # The motor of a pendulum has cogging torque: its magnets hold it at seven positions a turn. No entry of the
-# [library](../effects.md) says so. An effect is data: a name, its places in a model, its parameters with ranges, and
-# one edit of a simulated world, which the search, the mended model and Back-to-Reality use alike.
+# [library](../effects.md) says so; a term of the dictionary of laws [finds its equation](law.md). Who knows more, here
+# the number of poles and their phase, writes it as an effect of its own, with one number. An effect is data: a name, its
+# places in a model, its parameters with ranges, and one edit of a simulated world, which the search, the mended model
+# and Back-to-Reality use alike.
 
 # %%
 import tempfile
@@ -58,14 +60,7 @@ save_dataset(folder, MODEL, recordings)
 dataset = open_dataset(folder)
 
 # %% [markdown]
-# The library finds what resembles it most, and says what is left:
-
-# %%
-print(verdict_sentence(as_result(identify(dataset), dataset)))
-
-
-# %% [markdown]
-# Now the effect. MuJoCo has no field for it, so that it is a *law*: a term that is called before every step, with the
+# The effect. MuJoCo has no field for it, so that it is a *law*: a term that is called before every step, with the
 # rows of its world in the batch. (What a field of MjModel can say is an edit of one line, [as here](../effects.md).)
 # Its range follows the data: `scales` has the peak torque of each joint.
 
