@@ -3,7 +3,7 @@
 #
 # The motor of a pendulum has cogging torque: its magnets hold it at seven positions a turn. No entry of the
 # [library](../effects.md) says so; a term of the dictionary of laws [finds its equation](law.md). Who knows more, here
-# the number of poles and their phase, writes it as an effect of its own, with one number. An effect is data: a name, its
+# the number of poles and their phase, writes it as an effect of its own with one number. An effect is data: a name, its
 # places in a model, its parameters with ranges, and one edit of a simulated world, which the search, the mended model
 # and Back-to-Reality use alike.
 

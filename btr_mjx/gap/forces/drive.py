@@ -31,11 +31,11 @@ def drive_points(side: ForceSide, fit: Fitted) -> list[Point]:
       fit: what was named before.
 
     Returns:
-      Nothing where a part of a drive is named already, or a law, which is sought after drives did not pay.
+      Nothing where a part of a drive is named already.
     """
-    named = [candidate.effect for candidate, _ in fit.point.named]
-    widest, has_law = _widest(side), any(effect.law is not None for effect in named)
-    if has_law or {effect.name for effect in named} & {*DRIVE, _STIFFNESS} or not widest.keys() & set(DRIVE):
+    taken = {candidate.effect.name for candidate, _ in fit.point.named}
+    widest = _widest(side)
+    if taken & {*DRIVE, _STIFFNESS} or not widest.keys() & set(DRIVE):
         return []
     # Calibration at its bounds stands for what is missing: it starts anew.
     point = replace(fit.point, calibration=np.zeros_like(fit.point.calibration))

@@ -45,17 +45,13 @@ class SearchRound:
 
     Attributes:
       before: the hypothesis to which one more effect was sought.
-      leads: of the scan, best first.
+      leads: of the scan, best first, then those of laws.
       finalists: refined leads with their scores, best first; only those that no other one beats in predictions.
     """
 
     before: Fitted
     leads: tuple[Scanned, ...]
     finalists: tuple[tuple[float, Fitted], ...]
-
-    def pays(self, needed: float) -> bool:
-        """Whether the best one has more than the score that is needed."""
-        return bool(self.finalists) and self.finalists[0][0] > needed
 
 
 def first_variances(side: ForceSide, hypothesis: Hypothesis) -> Variances:
@@ -127,13 +123,17 @@ def _scene(side: ForceSide, fit: Fitted) -> _Scene:
     return _Scene(whitened.gram.sum(0), given, calibration, fit.whitened.count * len(side.stretches))
 
 
-def one_more(side: ForceSide, fit: Fitted, needed: float = 0.0) -> SearchRound:
-    """Look for one more effect beside a fitted point, or for what every drive has, at once.
+def one_more(side: ForceSide, fit: Fitted, needed: float = 0.0, laws: Sequence[Candidate] = ()) -> SearchRound:
+    """Look for one more effect beside a fitted point, for what every drive has, at once, or for a law.
+
+    A law is refined where it explains more in the scan than every effect of the library does: terms of a dictionary can
+    resemble whatever is missing.
 
     Args:
       side: the recordings to fit.
       fit: what was named before.
       needed: score that one more effect needs.
+      laws: terms of a dictionary at joints.
     """
     library, scene = side.library, _scene(side, fit)
     entries = [entry for entry in library.entries if entry.candidate.name not in names(fit.point.named)]
@@ -144,20 +144,17 @@ def one_more(side: ForceSide, fit: Fitted, needed: float = 0.0) -> SearchRound:
         for point in drive_points(side, fit)
     ]
     least = max(needed, _FAR * drives[0][0] if drives else 0.0)
-    return _round(side, fit, leads, [*drives, *_refined(side, fit, shortlist(leads, least), choices)], needed)
-
-
-def one_law(side: ForceSide, fit: Fitted, needed: float, laws: Sequence[Candidate]) -> SearchRound:
-    """Look for one more law beside a fitted point.
-
-    Args:
-      side: the recordings to fit.
-      fit: what was named before.
-      needed: score that one more effect needs.
-      laws: terms of a dictionary at joints.
-    """
-    found = scan_laws(side, fit, laws)
-    return _round(side, fit, found.leads, _refined(side, fit, shortlist(found.leads, needed), found.choices), needed)
+    finalists = [*drives, *_refined(side, fit, shortlist(leads, least), choices)]
+    if laws:
+        found = scan_laws(side, fit, laws)
+        known = max((row[0] for row in finalists), default=0.0)
+        chosen = shortlist(found.leads, max(needed, *(lead.score for lead in leads[:1])))
+        for score, law in _refined(side, fit, chosen, found.choices):
+            # Where simulations err, a law takes the difference to the effect of the library that is there.
+            finalists.append((score - RELATIVE_ERROR**2 * max(known, 0.0), law))
+        leads = [*leads, *(lead for lead in found.leads if lead.score > 0)]
+    finalists.sort(key=lambda row: -row[0])
+    return SearchRound(fit, tuple(leads), tuple(_unbeaten(side, finalists, needed)))
 
 
 def _refined(side: ForceSide, fit: Fitted, leads: Sequence[Scanned], choices: int) -> list[tuple[float, Fitted]]:
@@ -177,13 +174,6 @@ def _judged(side: ForceSide, fit: Fitted, found: Fitted, choices: int) -> tuple[
     """A fit with its score beside what was named before."""
     numbers, count = found.point.numbers - fit.point.numbers, fit.whitened.count * len(side.stretches)
     return fit.loss - found.loss - price(numbers, count, choices), found
-
-
-def _round(
-    side: ForceSide, fit: Fitted, leads: Sequence[Scanned], finalists: Sequence[tuple[float, Fitted]], needed: float
-) -> SearchRound:
-    ranked = sorted(finalists, key=lambda row: -row[0])
-    return SearchRound(fit, tuple(leads), tuple(_unbeaten(side, ranked, needed)))
 
 
 def _unbeaten(side: ForceSide, finalists: Sequence[tuple[float, Fitted]], needed: float) -> list[tuple[float, Fitted]]:
@@ -229,7 +219,7 @@ def shortlist(leads: Sequence[Scanned], least: float = 0.0) -> list[Scanned]:
 def select_effects(
     side: ForceSide, first: Fitted, most: int, note: Callable[[str], None], laws: Sequence[Candidate] = ()
 ) -> tuple[list[SearchRound], list[Fitted]]:
-    """Search for one effect after another: of the library as long as one pays, then for a law.
+    """Search for one effect after another.
 
     Args:
       side: the recordings to fit.
@@ -246,15 +236,10 @@ def select_effects(
     while len(chain[-1].point.named) < most:
         note("one more effect" if rounds else "effects")
         needed = RELATIVE_ERROR**2 * (chain[0].loss - chain[-1].loss)
-        last = one_more(side, chain[-1], needed)
-        if laws and not last.pays(needed):
-            note("laws")
-            law = one_law(side, chain[-1], needed, laws)
-            last = law if law.pays(needed) else last
-        rounds.append(last)
-        if not last.pays(needed):
+        rounds.append(one_more(side, chain[-1], needed, laws))
+        if not rounds[-1].finalists or rounds[-1].finalists[0][0] <= needed:
             break
-        found = pruned(side, last.finalists[0][1], chain[0])
+        found = pruned(side, rounds[-1].finalists[0][1], chain[0])
         # What the new effect makes worthless may be what it is best beside: then they would come and go for ever.
         if any(sorted(names(found.point.named)) == sorted(names(fit.point.named)) for fit in chain):
             break
