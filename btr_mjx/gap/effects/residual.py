@@ -1,7 +1,7 @@
 """A table of the force that is missing at a joint and that nothing explains: smooth, and valid where it was measured.
 
-The force is a sum of radial functions of position, velocity and load, with these held at the ends of what was recorded.
-It says nothing of a cause.
+The force is a sum of bumps over position, velocity, load, and over position and velocity together, with these held at
+the ends of what was recorded. It says nothing of a cause.
 """
 
 from collections.abc import Mapping
@@ -10,6 +10,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.effects.effect import Candidate, Effect
@@ -28,8 +29,8 @@ class ResidualTable:
     Attributes:
       joint: name of the joint.
       low, high: (3,) recorded ranges of position, velocity and load, beyond which nothing is known.
-      centres: (n, 3) of radial functions, between 0 and 1 of these ranges.
-      width: of these functions, in the same unit.
+      centres: (n, 3) of the bumps, between 0 and 1 of these ranges; NaN in what a bump does not depend on.
+      widths: (n,) of the bumps, in the same unit.
       weights: (n,) [N or N m].
     """
 
@@ -37,11 +38,11 @@ class ResidualTable:
     low: np.ndarray
     high: np.ndarray
     centres: np.ndarray
-    width: float
+    widths: np.ndarray
     weights: np.ndarray
 
-    def features(self, q: np.ndarray, v: np.ndarray, load: np.ndarray) -> np.ndarray:
-        """Radial functions (..., n) at states, which add up to 1.
+    def features(self, q: ArrayLike, v: ArrayLike, load: ArrayLike) -> np.ndarray:
+        """Bumps (..., n) at states.
 
         Args:
           q: positions.
@@ -50,9 +51,8 @@ class ResidualTable:
         """
         state = np.stack([q, v, load], -1)
         part = np.clip((state - self.low) / np.maximum(self.high - self.low, 1e-12), 0.0, 1.0)
-        distance = ((part[..., None, :] - self.centres) ** 2).sum(-1) / (2 * self.width**2)
-        bumps = np.exp(-(distance - distance.min(-1, keepdims=True)))
-        return bumps / bumps.sum(-1, keepdims=True)
+        square = np.nan_to_num((part[..., None, :] - self.centres) ** 2).sum(-1)
+        return np.exp(-square / (2 * self.widths**2))
 
     def as_json(self) -> dict[str, Any]:
         """Its content for mended.json."""
@@ -60,16 +60,16 @@ class ResidualTable:
             "joint": self.joint,
             "low": self.low.tolist(),
             "high": self.high.tolist(),
-            "centres": self.centres.tolist(),
-            "width": self.width,
+            "centres": [[None if np.isnan(x) else float(x) for x in row] for row in self.centres],
+            "widths": self.widths.tolist(),
             "weights": self.weights.tolist(),
         }
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> "ResidualTable":
         """A table of mended.json."""
-        low, high, centres, weights = (np.array(content[k], float) for k in ("low", "high", "centres", "weights"))
-        return cls(str(content["joint"]), low, high, centres, float(content["width"]), weights)
+        names = ("low", "high", "centres", "widths", "weights")
+        return cls(str(content["joint"]), *(np.array(content[name], float) for name in names))
 
     def candidate(self, model: mujoco.MjModel) -> Candidate:
         """The table as an effect without free numbers.

@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.effects import Candidate, LawState, LawTerm
+from btr_mjx.gap.effects import Candidate, Hypothesis, LawState, LawTerm
 from btr_mjx.gap.forces.evidence import least_squares
 from btr_mjx.gap.forces.filtering import filtered, smoothed
 from btr_mjx.gap.forces.missing_force import missing_force
 from btr_mjx.gap.forces.points import Fitted, ForceSide
 from btr_mjx.gap.forces.scan import Scanned, price
+from btr_mjx.gap.forces.stretches import Stretches
 
 _AT_JOINT = 3
 """Terms of a law at one joint, at most."""
@@ -52,7 +53,7 @@ def scan_laws(side: ForceSide, fit: Fitted, laws: Sequence[Candidate]) -> LawSca
     linear, p, n = fit.linear, fit.point.numbers, len(side.library.calibrated)
     model = side.stretches.data.recordings[0].model
     force = smoothed(linear, np.zeros_like(linear.defect), fit.variances).force
-    states = joint_states(side, fit)
+    states = joint_states(linear.stretches, fit.point.hypothesis(side.library))
     tried: list[tuple[Candidate, float]] = []
     columns, choices = [], 0
     for candidate, law in _open(laws, fit):
@@ -133,19 +134,19 @@ class JointStates:
         return np.tanh(v / (_SLOW * np.sqrt((v**2).mean()) + 1e-12))
 
 
-def joint_states(side: ForceSide, fit: Fitted) -> JointStates:
-    """States along the stretches of a fit.
+def joint_states(stretches: Stretches, hypothesis: Hypothesis) -> JointStates:
+    """States along stretches.
 
     Args:
-      side: the recordings to fit.
-      fit: whose loads are taken.
+      stretches: with smoothed states.
+      hypothesis: whose actuators' forces are taken.
     """
-    stretches, model = fit.linear.stretches, side.stretches.data.recordings[0].model
+    model = stretches.data.recordings[0].model
     q = np.zeros((len(stretches), stretches.intervals, model.nv))
     for j in np.flatnonzero(model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)):
         own = stretches.qpos[..., model.jnt_qposadr[j]]
         q[..., model.jnt_dofadr[j]] = 0.5 * (own[:, 1:] + own[:, :-1])
-    missing = missing_force(stretches, fit.point.hypothesis(side.library))
+    missing = missing_force(stretches, hypothesis)
     return JointStates(q, missing.velocity, missing.actuator, 0.5 * (stretches.time[:, 1:] + stretches.time[:, :-1]))
 
 

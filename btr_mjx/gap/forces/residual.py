@@ -9,15 +9,13 @@ import numpy as np
 from btr_mjx.gap.effects import Hypothesis, ResidualTable
 from btr_mjx.gap.forces.filtering import Variances, filtered, smoothed
 from btr_mjx.gap.forces.law_scan import JointStates, joint_states
-from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, again, evaluate_point
+from btr_mjx.gap.forces.motion import Linearised, linearise_motion
+from btr_mjx.gap.forces.points import ForceSide, Point
 from btr_mjx.gap.forces.predictions import horizon_errors, predicts_better
 from btr_mjx.models import part_names
 
-_GRID = (4, 5, 3)
-"""Radial functions over the ranges of position, velocity and load."""
-
-_WIDTH = 0.25
-"""Their width, as a part of the range."""
+_GRIDS = ((20, 0, 0), (0, 14, 0), (0, 0, 8), (4, 5, 0))
+"""Bumps over position, velocity and load, and over position and velocity together."""
 
 _RIDGES = np.logspace(-4, 3, 15)
 """Penalties of weights that are tried, in units of the information of an average weight."""
@@ -38,19 +36,19 @@ def fit_residual(side: ForceSide, test: ForceSide, point: Point, variances: Vari
     Returns:
       Tables; none where the model with them predicts held-out recordings no better.
     """
-    model = side.stretches.data.recordings[0].model
-    fits = [_fitted(of, point, variances) for of in (side, test)]
-    states = [joint_states(of, fit) for of, fit in zip((side, test), fits, strict=True)]
+    model, before = side.stretches.data.recordings[0].model, point.hypothesis(side.library)
+    fits = [_linear(of, before, variances) for of in (side, test)]
+    states = [joint_states(of.stretches, before) for of in (side, test)]
     names, chosen = part_names(model, "joint"), list[ResidualTable]()
     for joint in np.flatnonzero(model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)):
-        table = _empty(names[joint], states[0], int(model.jnt_dofadr[joint]))
-        grams = [_gram(fit, own, table, int(model.jnt_dofadr[joint])) for fit, own in zip(fits, states, strict=True)]
+        dof = int(model.jnt_dofadr[joint])
+        table = _empty(names[joint], states[0], dof)
+        grams = [_gram(*fit, own, table, dof) for fit, own in zip(fits, states, strict=True)]
         weights = _weights(*grams)
         if weights is not None:
             chosen.append(replace(table, weights=weights))
     if not chosen:
         return ()
-    before = point.hypothesis(side.library)
     makes = [before, with_tables(before, chosen, model)]
     (without, beside), steady = horizon_errors(test.stretches.data, makes, side.counter)
     return tuple(chosen) if predicts_better(without, beside, steady) is True else ()
@@ -69,29 +67,34 @@ def with_tables(hypothesis: Hypothesis, tables: Sequence[ResidualTable], model: 
     return hypothesis
 
 
-def _fitted(side: ForceSide, point: Point, variances: Variances) -> Fitted:
-    """A point at a side of the split, with variances of its own and all its numbers as they are."""
-    fit = evaluate_point(side, point, replace(variances, weight=None))
+def _linear(side: ForceSide, hypothesis: Hypothesis, variances: Variances) -> tuple[Linearised, Variances]:
+    """The linearised motion of a hypothesis at a side of the split, with variances of its own."""
+    linear = linearise_motion(side.stretches, hypothesis, side.counter)
+    known = replace(variances, weight=None)
     for _ in range(_UPDATES):
-        updated = smoothed(fit.linear, np.zeros_like(fit.linear.defect), fit.variances).variances
-        fit = again(side, fit, updated)
-    return fit
+        known = smoothed(linear, np.zeros_like(linear.defect), known).variances
+    return linear, known
 
 
 def _empty(joint: str, states: JointStates, dof: int) -> ResidualTable:
     """A table over the recorded ranges of a joint, without weights."""
     rows = np.stack([states.q[..., dof].ravel(), states.v[..., dof].ravel(), states.load[..., dof].ravel()], -1)
     low, high = np.quantile(rows, 0.005, axis=0), np.quantile(rows, 0.995, axis=0)
-    axes = [np.linspace(0, 1, count) for count in _GRID]
-    centres = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], -1)
-    return ResidualTable(joint, low, high, centres, _WIDTH, np.zeros(len(centres)))
+    centres, widths = [], []
+    for grid in _GRIDS:
+        axes = [np.linspace(0, 1, count) if count else np.array([np.nan]) for count in grid]
+        own = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], -1)
+        centres.append(own)
+        widths.append(np.full(len(own), 1 / (max(grid) - 1)))
+    every = np.concatenate(centres)
+    return ResidualTable(joint, low, high, every, np.concatenate(widths), np.zeros(len(every)))
 
 
-def _gram(fit: Fitted, states: JointStates, table: ResidualTable, dof: int) -> np.ndarray:
+def _gram(linear: Linearised, variances: Variances, states: JointStates, table: ResidualTable, dof: int) -> np.ndarray:
     """(S, 1 + n, 1 + n) inner products of the residual and of the table's functions."""
     features = table.features(states.q[..., dof], states.v[..., dof], states.load[..., dof])
-    columns = fit.linear.force[..., dof, None] * features[:, :, None, :]
-    return filtered(fit.linear, columns, fit.variances).gram
+    columns = linear.force[..., dof, None] * features[:, :, None, :]
+    return filtered(linear, columns, variances).gram
 
 
 def _weights(fit: np.ndarray, test: np.ndarray) -> np.ndarray | None:

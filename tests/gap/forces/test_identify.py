@@ -8,7 +8,7 @@ from gap_forces import arm_dataset
 from gap_systems import SYSTEMS
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.effects import EFFECTS, LAW_EFFECTS
 from btr_mjx.gap.forces import identify_forces, prepare_forces
 from btr_mjx.gap.results import Diagnosis
 from btr_mjx.gap.simulate import Counter
@@ -16,10 +16,12 @@ from btr_mjx.gap.simulate import Counter
 OWN = tuple(e for e in EFFECTS if e.name in ("viscous_damping", "dry_friction", "offset_torque", "actuator_gain"))
 
 
-def diagnosis(seed: int, fit: int = 2, test: int = 2, most: int = 1, effects=OWN, **how) -> Diagnosis:
+def diagnosis(
+    seed: int, fit: int = 2, test: int = 2, most: int = 1, effects=OWN, residual: bool = False, **how
+) -> Diagnosis:
     prepared = prepare_forces(arm_dataset(seed, fit, test, **how))
     assert prepared is not None
-    return identify_forces(prepared, effects, most, lambda _: None, Counter())
+    return identify_forces(prepared, effects, most, lambda _: None, Counter(), residual)
 
 
 @pytest.mark.parametrize("how", [{"jitter": 2e-4}, {"quantum": 2e-3, "noise": 0.0, "known": False}])
@@ -107,11 +109,31 @@ def test_commands_that_act_after_their_stamps_are_delayed():
     assert not any("stamps" in note for note in found.notes)
 
 
-def test_a_force_of_no_known_kind_is_not_named():
-    found = diagnosis(4, force=lambda q, v, t: np.array([0.6 * np.sin(8 * q[0] + 0.7), 0.0]))
+def ripple(q: np.ndarray, v: np.ndarray, t: float) -> np.ndarray:
+    return np.array([0.6 * np.sin(8 * q[0] + 0.7), 0.0])
+
+
+def test_a_force_of_no_known_kind_is_not_named_and_may_be_a_table():
+    found = diagnosis(4, force=ripple, residual=True)
     assert found.verdict == "unexplained"
     assert found.effects == ()
     assert "shoulder" in " ".join(found.unexplained)
+    assert [table.joint for table in found.residual] == ["shoulder"]
+    assert "shoulder" in found.notes[-1]
+
+
+def test_a_law_that_may_be_named_is_named_with_its_equation():
+    found = diagnosis(4, force=ripple, effects=(*OWN, *LAW_EFFECTS))
+    assert found.verdict == "effect"
+    assert [named.name for named in found.effects] == ["law_ripple@joint:shoulder"]
+    numbers = {name: own.value for name, own in found.effects[0].parameters.items()}
+    assert np.hypot(numbers["a"], numbers["b"]) == pytest.approx(0.6, rel=0.05)
+    assert numbers["ripples"] == pytest.approx(8, rel=0.02)
+    assert found.effects[0].latex.startswith(r"\tau = 0.")
+    shown = found.joint_forces[0]
+    assert (shown.joint, shown.follows) == ("joint shoulder", ("position",))
+    np.testing.assert_allclose(shown.law, 0.6 * np.sin(8 * shown.position + 0.7), atol=0.06)
+    assert (shown.after**2).mean() < 0.1 * (shown.before**2).mean()
 
 
 def test_robots_that_touch_the_world_or_do_not_move_are_not_of_this_kind():

@@ -51,16 +51,19 @@ def test_nothing_becomes_no_table():
     assert tables(None) == ()
 
 
-def test_functions_add_up_to_one_and_end_with_the_range():
+def test_a_table_ends_with_the_recorded_range():
     centres = np.random.default_rng(0).uniform(0, 1, (7, 3))
-    table = ResidualTable("elbow", np.zeros(3), np.full(3, 2.0), centres, 0.3, np.zeros(7))
-    inside = table.features(*np.random.default_rng(1).uniform(0, 2, (3, 50)))
-    np.testing.assert_allclose(inside.sum(-1), 1.0)
-    ends = [table.features(*(np.array([x]) for x in at)) for at in ((9.0, -9.0, 1.0), (2.0, 0.0, 1.0))]
+    centres[:3, 1] = np.nan
+    table = ResidualTable("elbow", np.zeros(3), np.full(3, 2.0), centres, np.full(7, 0.3), np.zeros(7))
+    again = ResidualTable.from_json(json.loads(json.dumps(table.as_json())))
+    ends = [
+        of.features(*(np.array([x]) for x in at)) for of, at in ((table, (9.0, -9.0, 1.0)), (again, (2.0, 0.0, 1.0)))
+    ]
     np.testing.assert_array_equal(*ends)
+    np.testing.assert_array_equal(*(table.features(1.0, v, 1.0)[:3] for v in (0.2, 1.7)))
 
 
 def test_another_robot_is_refused():
-    table = ResidualTable("wrist", np.zeros(3), np.ones(3), np.zeros((1, 3)), 0.3, np.zeros(1))
+    table = ResidualTable("wrist", np.zeros(3), np.ones(3), np.zeros((1, 3)), np.full(1, 0.3), np.zeros(1))
     with pytest.raises(InputError, match="wrist"):
         table.candidate(arm())
