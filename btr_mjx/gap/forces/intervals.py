@@ -20,9 +20,8 @@ def covariance(side: ForceSide, fit: Fitted) -> np.ndarray:
     gram = fit.whitened.gram[:, 1:, 1:]
     gradient = fit.whitened.gram[:, 1:, 0]
     normal = gram.sum(0)
-    prior = np.zeros(len(normal))
-    prior[p:] = 1 / cal.tolerance**2
-    normal = normal + np.diag(prior + 1e-10 * np.diag(normal) + 1e-300)
+    normal = normal + np.diag(1e-10 * np.diag(normal) + 1e-300)
+    normal[p:, p:] += cal.precision
     inverse = np.linalg.inv(normal)
     count = len(gradient)
     centred = gradient - gradient.mean(0)

@@ -296,7 +296,9 @@ def _lost(side: ForceSide, fit: Fitted, index: int, members: Sequence[int], cali
     count = n if calibrated else 0
     design = np.zeros((p + n, count))
     design[p + np.arange(count), np.arange(count)] = 1.0
-    of = side.library.calibration
-    prior = CalibrationPrior(design, of.tolerance[:count], of.reach[:count], fit.point.calibration[:count])
+    if calibrated:
+        prior = replace(side.library.calibration, design=design, at=fit.point.calibration)
+    else:
+        prior = CalibrationPrior(design, *np.zeros((3, 0)))
     every = np.eye(p + n, p)
     return least_squares(without, every[:, rest], prior).loss - least_squares(whole, every, prior).loss
