@@ -15,6 +15,7 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, noise_of
 from btr_mjx.gap.effects import TIMING, Effect, Hypothesis, candidates, has_closed_loops, with_motors
+from btr_mjx.gap.forces.carried import Carried, carried_library, carried_of, with_room
 from btr_mjx.gap.forces.held_out import HeldOut, held_out, is_better
 from btr_mjx.gap.forces.horizons import follow_horizons
 from btr_mjx.gap.forces.intervals import covariance
@@ -52,6 +53,9 @@ _TOLD = 10.0
 
 _LEFT = 0.1
 """The same where effects are named, as a part of theirs."""
+
+_AGAIN = 2.0
+"""Force that was left before and is left again, in units of what was: other motions excite it more or less."""
 
 _BEYOND = 1.5
 """Square of what held-out recordings leave, in units of the noise, where something is left."""
@@ -105,6 +109,18 @@ def identify_forces(
     progress: Callable[[str], None],
     counter: Counter,
 ) -> Diagnosis:
+    """Find what is missing, see `search_forces`."""
+    return search_forces(prepared, effects, max_effects, progress, counter)[0]
+
+
+def search_forces(
+    prepared: PreparedForces,
+    effects: Sequence[Effect],
+    max_effects: int,
+    progress: Callable[[str], None],
+    counter: Counter,
+    known: Carried | None = None,
+) -> tuple[Diagnosis, Carried]:
     """Find what is missing.
 
     Args:
@@ -113,9 +129,10 @@ def identify_forces(
       max_effects: largest number of effects that are named.
       progress: called with a word on what is being done.
       counter: adds up the simulated steps.
+      known: what other recordings say of the robot; what is missing is then what has changed. None for nothing.
 
     Returns:
-      The diagnosis.
+      The diagnosis, and what these recordings say of the robot.
 
     Raises:
       InputError: there is no motion.
@@ -124,12 +141,21 @@ def identify_forces(
     dataset = prepared.dataset
     progress("effects of the library")
     base = Hypothesis(dataset.parameters, tuple(p.value(dataset.model) for p in dataset.parameters))
+    model = dataset.model
+    if known is not None:
+        base = known.base(dataset)
+        model = base(model).update_constants()
     stretches, other = spread_stretches(prepared.fit), spread_stretches(prepared.test)
     if not any(np.ptp(r.qpos, axis=0).max() > 0 for r in dataset.fit):
         raise InputError(f"{dataset.folder}: the robot does not move in any recording of split 'fit'")
-    possible = candidates(dataset.model, scales_of(prepared.fit), with_motors(effects))
+    possible = candidates(model, scales_of(prepared.fit), with_motors(effects))
     interval = float(np.median(np.diff(dataset.fit[0].commands[0])))
-    library = library_of(possible, dataset.model, dataset.parameters, dataset.tolerances, interval)
+    if known is None:
+        library = library_of(possible, model, dataset.parameters, dataset.tolerances, interval)
+    else:
+        possible = with_room(possible, known)
+        library = library_of(possible, model, dataset.parameters, dataset.tolerances, interval)
+        library = carried_library(library, known)
     test = ForceSide(other, library, np.zeros((0,)), counter)
     side, first = start(
         ForceSide(stretches, library, _of_calibration(stretches, library, base, counter), counter), base
@@ -145,8 +171,8 @@ def identify_forces(
     after = held_out(test, final[-1].point, final[-1].variances)
     before = held_out(test, final[0].point, final[0].variances, after.sensor)
     final[-1] = replace(last, point=point)
-    found = _found(side, test, rounds, final, (before, after), contradicted, dataset)
-    return diagnosis_of(dataset, prepared.sigma, found, time.monotonic() - begun + counter.earlier)
+    found = _found(side, test, rounds, final, (before, after), contradicted, known, last)
+    return diagnosis_of(dataset, prepared.sigma, found, time.monotonic() - begun + counter.earlier), found.posterior
 
 
 def _of_calibration(stretches: Stretches, library: Library, base: Hypothesis, counter: Counter) -> np.ndarray:
@@ -245,22 +271,28 @@ def _found(
     chain: Sequence[Fitted],
     outcomes: tuple[HeldOut, HeldOut],
     contradicted: bool,
-    dataset: Dataset,
+    known: Carried | None,
+    forces: Fitted,
 ) -> SearchOutcome:
-    """What was found, with the models as they will be used: calibrated, and with named effects."""
+    """What was found, with the models as they will be used: calibrated, and with named effects.
+
+    The posterior is that of `forces`, whose numbers do not yet follow recordings: the next recordings are fitted so.
+    """
     first, last = chain[0], chain[-1]
-    before = [p.value(dataset.model) for p in dataset.parameters]
+    of = first.point.base
     values = [
-        tuple(believed_values(side.library, dataset.parameters, fit.point.calibration, before)) for fit in (first, last)
+        tuple(believed_values(side.library, of.parameters, fit.point.calibration, of.believed)) for fit in (first, last)
     ]
-    base = replace(first.point.base, believed=values[0])
+    base = replace(of, believed=values[0])
     mended = replace(last.point.base, believed=values[1])
     calibration = _calibration(side.library, last.point)
     for candidate, own in (*calibration, *last.point.named):
         mended = mended.with_effect(candidate, own)
     errors, steady = horizon_errors(test.stretches.data, [base, mended], side.counter)
     missing = missing_force(side.stretches, base)
-    random = np.sqrt(last.variances.force)
+    # What was left before, and is left again, has not changed.
+    earlier = np.zeros_like(last.variances.force) if known is None else _AGAIN * known.random
+    random = np.sqrt(np.maximum(last.variances.force - earlier, 0.0))
     share = random / np.maximum(np.sqrt((missing.actuator**2).mean((0, 1))) + random, 1e-300)
     # Names with which the model predicts well stand, whatever is left at one joint; noise is no force.
     well = predicts_well(errors[0], errors[1], steady)
@@ -268,8 +300,10 @@ def _found(
     if not well and len(chain) == 1:
         calibration, mended, errors = (), base, [errors[0], errors[0]]
     shape = best_shape(side, last, missing)
+    posterior = carried_of(side, test, forces, max(shape.score, 0.0))
     gained = rounds[0].before.loss - last.loss
-    if shape.score < max(_TOLD, _LEFT * gained):
+    again = 0.0 if known is None else _AGAIN * known.shape * last.whitened.count * len(side.stretches)
+    if shape.score - again < max(_TOLD, _LEFT * gained):
         shape = replace(shape, score=0.0)
     return SearchOutcome(
         tuple(rounds),
@@ -285,6 +319,7 @@ def _found(
         test,
         contradicted,
         shape,
+        posterior,
     )
 
 

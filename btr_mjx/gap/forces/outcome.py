@@ -7,7 +7,8 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.data import Dataset
-from btr_mjx.gap.effects import Hypothesis
+from btr_mjx.gap.effects import Candidate, Hypothesis
+from btr_mjx.gap.forces.carried import Carried, combined
 from btr_mjx.gap.forces.confounds import confounds_of
 from btr_mjx.gap.forces.filtering import smoothed
 from btr_mjx.gap.forces.held_out import HeldOut
@@ -68,6 +69,7 @@ class SearchOutcome:
       side, test: of the split.
       contradicted: whether more was found than held-out recordings bear out.
       shape: of a force that is left; with a score of 0 where nothing is.
+      posterior: what the recordings say of the robot, for other recordings to begin with.
     """
 
     rounds: tuple[SearchRound, ...]
@@ -83,6 +85,7 @@ class SearchOutcome:
     test: ForceSide
     contradicted: bool
     shape: ShapeGain
+    posterior: Carried
 
 
 def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seconds: float) -> Diagnosis:
@@ -135,7 +138,9 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
         notes=(_NOT_BORNE_OUT,) if found.contradicted else (),
     )
     told = without_late_log(diagnosis)  # of any verdict
-    return replace(told, effects=(), calibration=()) if told.verdict == "unexplained" else told
+    if told.verdict != "unexplained":
+        return told
+    return replace(told, effects=(), calibration=_entries(combined(first.point.base.effects, ())))
 
 
 def _named(found: SearchOutcome) -> tuple[NamedEffect, ...]:
@@ -171,7 +176,10 @@ def _named(found: SearchOutcome) -> tuple[NamedEffect, ...]:
 
 
 def _calibration(found: SearchOutcome) -> tuple[NamedEffect, ...]:
-    """Calibration of the mended model, the largest first, without intervals: most of it is known beforehand."""
+    """Calibration of the mended model, without intervals: most of it is known beforehand.
+
+    First what was known of the robot before, with the values that it has now, then the largest.
+    """
     size = {
         entry.candidate.name: abs(value) / tolerance
         for entry, value, tolerance in zip(
@@ -181,6 +189,13 @@ def _calibration(found: SearchOutcome) -> tuple[NamedEffect, ...]:
             strict=True,
         )
     }
+    own = sorted(found.calibration, key=lambda row: -size[row[0].name])
+    before = found.chain[0].point.base.effects
+    return _entries(combined(before, own) if before else own)
+
+
+def _entries(effects: Sequence[tuple[Candidate, tuple[float, ...]]]) -> tuple[NamedEffect, ...]:
+    """Effects without intervals."""
     return tuple(
         NamedEffect(
             candidate.effect.name,
@@ -193,7 +208,7 @@ def _calibration(found: SearchOutcome) -> tuple[NamedEffect, ...]:
             0.0,
             equation=candidate.effect.equation,
         )
-        for candidate, values in sorted(found.calibration, key=lambda row: -size[row[0].name])
+        for candidate, values in effects
     )
 
 
@@ -325,7 +340,7 @@ def _refits(dataset: Dataset, found: SearchOutcome) -> tuple[Refit, ...]:
     library = found.side.library
     before = [p.value(dataset.model) for p in dataset.parameters]
     first, last = (
-        believed_values(library, dataset.parameters, fit.point.calibration, before)
+        believed_values(library, dataset.parameters, fit.point.calibration, fit.point.base.believed)
         for fit in (found.chain[0], found.chain[-1])
     )
     return tuple(
