@@ -6,11 +6,13 @@ sample to the next is linearised around measured states (`motion`), a Kalman fil
 (`filtering`), and every effect of the library is a column of a least-squares problem (`unknowns`, `scan`, `points`).
 """
 
+from btr_mjx.gap.forces.carried import Carried
 from btr_mjx.gap.forces.changes import Changes, check_same_robot, identify_changes
 from btr_mjx.gap.forces.identify import PreparedForces, identify_forces, prepare_forces, search_forces
 from btr_mjx.gap.forces.predictions import horizon_errors, predictions
 
 __all__ = [
+    "Carried",
     "Changes",
     "PreparedForces",
     "check_same_robot",
