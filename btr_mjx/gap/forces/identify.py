@@ -160,13 +160,14 @@ def search_forces(
     side, first = start(
         ForceSide(stretches, library, _of_calibration(stretches, library, base, counter), counter), base
     )
-    rounds, chain = select_effects(side, first, max_effects, progress)
+    # Drives that were there before do not vanish all at once.
+    rounds, chain = select_effects(side, first, max_effects, progress, drives=known is None)
     progress("held-out recordings")
     confirmed = _confirmed(test, chain)
     progress("numbers")
     contradicted = len(confirmed) < len(chain)
     seen = _without_invisible(side, confirmed[-1])
-    last, point = _last(side, seen if seen.point.named else confirmed[0])
+    last, point = _last(side, seen if seen.point.named else confirmed[0], known is None)
     final = [*confirmed[:-1], last] if seen.point.named else [last]
     after = held_out(test, final[-1].point, final[-1].variances)
     before = held_out(test, final[0].point, final[0].variances, after.sensor)
@@ -211,12 +212,15 @@ def _without_invisible(side: ForceSide, fit: Fitted) -> Fitted:
     return settled(side, replace(fit.point, named=seen), fit.variances, about=fit.linear.stretches)
 
 
-def _last(side: ForceSide, fit: Fitted) -> tuple[Fitted, Point]:
+def _last(side: ForceSide, fit: Fitted, follow: bool) -> tuple[Fitted, Point]:
     """A fit and its point with numbers that follow recordings, or those of the same names from no calibration.
 
     At its bounds, calibration may still stand for what was named after it. Predictions choose; where they cannot tell,
-    the likelihood does.
+    the likelihood does. A change is the difference of two sets whose numbers are found alike: those of neither follow
+    recordings.
     """
+    if not follow:
+        return fit, _of_robot(side.library, fit.point)
     if not fit.point.named:
         return fit, _followed(side, fit)
     point = replace(fit.point, calibration=np.zeros_like(fit.point.calibration))
@@ -229,14 +233,15 @@ def _last(side: ForceSide, fit: Fitted) -> tuple[Fitted, Point]:
 
 
 def _followed(side: ForceSide, fit: Fitted) -> Point:
-    """The point of a fit as the mended model has it, with numbers that follow recordings.
+    """The point of a fit as the mended model has it, with numbers that follow recordings."""
+    return follow_horizons(side, _of_robot(side.library, fit.point), covariance(side, fit), side.library)
 
-    When commands act within a sample belongs to the log, and not to the model.
-    """
-    of_log = np.array([entry.candidate.effect.name == TIMING for entry in side.library.calibrated], bool)
-    point = _merged(side.library, fit.point)
-    point = replace(point, calibration=np.where(of_log, 0.0, point.calibration))
-    return follow_horizons(side, point, covariance(side, fit), side.library)
+
+def _of_robot(library: Library, point: Point) -> Point:
+    """A point without when commands act within a sample, which belongs to the log, and each number in one place."""
+    of_log = np.array([entry.candidate.effect.name == TIMING for entry in library.calibrated], bool)
+    point = _merged(library, point)
+    return replace(point, calibration=np.where(of_log, 0.0, point.calibration))
 
 
 def _merged(library: Library, point: Point) -> Point:

@@ -123,13 +123,14 @@ def _scene(side: ForceSide, fit: Fitted) -> _Scene:
     return _Scene(whitened.gram.sum(0), given, calibration, fit.whitened.count * len(side.stretches))
 
 
-def one_more(side: ForceSide, fit: Fitted, needed: float = 0.0) -> SearchRound:
+def one_more(side: ForceSide, fit: Fitted, needed: float = 0.0, drives: bool = True) -> SearchRound:
     """Look for one more effect beside a fitted point, or for what every drive has, at once.
 
     Args:
       side: the recordings to fit.
       fit: what was named before.
       needed: score that one more effect needs.
+      drives: whether all drives may lack what they have.
     """
     library, scene = side.library, _scene(side, fit)
     entries = [entry for entry in library.entries if entry.candidate.name not in names(fit.point.named)]
@@ -142,7 +143,7 @@ def one_more(side: ForceSide, fit: Fitted, needed: float = 0.0) -> SearchRound:
         numbers = point.numbers - fit.point.numbers
         finalists.append((fit.loss - found.loss - price(numbers, scene.count, choices), found))
 
-    for point in drive_points(side, fit):
+    for point in drive_points(side, fit) if drives else []:
         judge(point, first_variances(side, point.hypothesis(library)))
     least = max(needed, _FAR * finalists[0][0] if finalists else 0.0)
     for lead in shortlist(leads, least):
@@ -196,7 +197,7 @@ def shortlist(leads: Sequence[Scanned], least: float = 0.0) -> list[Scanned]:
 
 
 def select_effects(
-    side: ForceSide, first: Fitted, most: int, note: Callable[[str], None]
+    side: ForceSide, first: Fitted, most: int, note: Callable[[str], None], drives: bool = True
 ) -> tuple[list[SearchRound], list[Fitted]]:
     """Search for one effect after another.
 
@@ -205,6 +206,7 @@ def select_effects(
       first: the believed model, see `start`.
       most: largest number of effects.
       note: called with a word on what is being done.
+      drives: whether all drives may lack what they have.
 
     Returns:
       The rounds, and the fitted points: the believed model, then with one more effect each.
@@ -214,7 +216,7 @@ def select_effects(
     while len(chain[-1].point.named) < most:
         note("one more effect" if rounds else "effects")
         needed = RELATIVE_ERROR**2 * (chain[0].loss - chain[-1].loss)
-        rounds.append(one_more(side, chain[-1], needed))
+        rounds.append(one_more(side, chain[-1], needed, drives))
         if not rounds[-1].finalists or rounds[-1].finalists[0][0] <= needed:
             break
         found = pruned(side, rounds[-1].finalists[0][1], chain[0])
