@@ -136,18 +136,30 @@ def _numbers(library: Library, point: Point) -> tuple[tuple[Number, ...], np.nda
     A place of a payload has no meaning without its mass, and so a payload is carried without an uncertainty of its own,
     beside that of the mass of its body. When commands act belongs to the log.
     """
-    every: list[Number | None] = []
+    every: list[tuple[Number, ...]] = []
     for candidate, values in point.named:
         shaped = any(p.shape for p in candidate.parameters) or candidate.effect.name == TIMING
         if candidate.place.parts:
-            every += [(single.name, 0) for single in candidate.singles]
+            every += [((single.name, 0),) for single in candidate.singles]
+        elif candidate.place.members and not shaped:
+            every.append(tuple((single.name, 0) for single, _ in _at_single_places(library, candidate, values)))
         else:
-            every += [None if shaped else (candidate.name, i) for i in range(len(values))]
+            every += [() if shaped else ((candidate.name, i),) for i in range(len(values))]
     for entry in library.calibrated:
         of_log = entry.candidate.effect.name == TIMING
-        every.append(None if of_log else (entry.candidate.name, calibrated_number(library, entry)))
-    numbers = tuple(dict.fromkeys(n for n in every if n is not None))
-    return numbers, np.array([[float(own == number) for own in every] for number in numbers]).reshape(-1, len(every))
+        every.append(() if of_log else ((entry.candidate.name, calibrated_number(library, entry)),))
+    numbers = tuple(dict.fromkeys(number for own in every for number in own))
+    return numbers, np.array([[float(number in own) for own in every] for number in numbers]).reshape(-1, len(every))
+
+
+def _at_single_places(library: Library, candidate: Candidate, values: tuple[float, ...]) -> Named:
+    """An effect of a group as effects of its members, so that numbers of the same place can be added."""
+    if candidate.place.parts:
+        return tuple((single, (value,)) for single, value in zip(candidate.singles, values, strict=True))
+    if not candidate.place.members or candidate.effect.name == TIMING:
+        return ((candidate, values),)
+    single = {e.candidate.name: e.candidate for e in library.entries}
+    return tuple((single[f"{candidate.effect.name}@{member}"], values) for member in candidate.place.members)
 
 
 def effects_of(library: Library, point: Point) -> Named:
@@ -163,12 +175,12 @@ def effects_of(library: Library, point: Point) -> Named:
         if candidate.effect.name != TIMING and not candidate.effect.name.startswith(BELIEVED)
     ]
     late = [(c, v) for c, v in point.named if c.effect.name == TIMING and v[0] < 0]
-    named = [row for row in point.named if row not in late]
+    named = [one for row in point.named if row not in late for one in _at_single_places(library, *row)]
     return combined((), (*named, *calibrated))
 
 
 def combined(before: Named, more: Sequence[tuple[Candidate, tuple[float, ...]]]) -> Named:
-    """Effects with further ones, whose numbers are added where effect and place are the same.
+    """Effects with further ones, whose numbers are added where effect and place are the same, within their range.
 
     Two payloads at two places stay two. What is set, such as a limit, has the later value.
 
@@ -178,14 +190,14 @@ def combined(before: Named, more: Sequence[tuple[Candidate, tuple[float, ...]]])
     """
     out: dict[str, tuple[Candidate, tuple[float, ...]]] = {}
     for candidate, values in (*before, *more):
-        parts = zip(candidate.singles, values, strict=True) if candidate.place.parts else [(candidate, values)]
-        for own, given in parts:
-            numbers, name = np.atleast_1d(np.array(given, float)), own.name
-            if any(p.shape for p in own.parameters):
-                name = f"{name} {len(out)}"
-            elif name in out and not any(own.null):
-                numbers = _sums(own, np.array(out[name][1]), numbers)
-            out[name] = own, tuple(float(v) for v in numbers)
+        numbers, name, own = np.array(values, float), candidate.name, candidate
+        if any(p.shape for p in own.parameters):
+            name = f"{name} {len(out)}"
+        elif name in out and not any(own.null):
+            own, earlier = out[name]  # whose range begins at the believed model
+            numbers = _sums(own, np.array(earlier), numbers)
+        low, high = (np.array([getattr(p, end) for p in own.parameters]) for end in ("low", "high"))
+        out[name] = own, tuple(float(v) for v in np.clip(numbers, low, high))
     return tuple(out.values())
 
 
@@ -240,7 +252,8 @@ def carried_library(library: Library, carried: Carried) -> Library:
     tolerance[known] = np.sqrt(np.diag(found))
     free = [i for i in known if not calibrated[i].candidate.effect.name.startswith(BELIEVED)]
     reach[free] = MOST * tolerance[free]
-    correlation = found / tolerance[known] / tolerance[known][:, None]
+    # Members of a group with one number move together, to within a thousandth of their uncertainty.
+    correlation = found / tolerance[known] / tolerance[known][:, None] + 1e-6 * np.eye(len(known))
     precision[np.ix_(known, known)] = np.linalg.inv(correlation) / tolerance[known] / tolerance[known][:, None]
     count = len(library.numbers)
     design = np.concatenate([np.zeros((count, 0)), *(e.design(count) for e in calibrated)], 1)

@@ -31,7 +31,7 @@ from btr_mjx.gap.results.records import (
     Refit,
     Verdict,
 )
-from btr_mjx.gap.results.saved import RESULT, as_result, save_diagnosis
+from btr_mjx.gap.results.saved import RESULT, as_result, before_entry, save_diagnosis, save_quantities
 from btr_mjx.gap.results.simulation_file import simulation_mjcf
 from btr_mjx.gap.results.verdict_words import detail_sentences, verdict_sentence
 from btr_mjx.gap.results.wording import (
@@ -45,6 +45,7 @@ from btr_mjx.gap.results.wording import (
     in_percent,
     number_in_words,
     parameter_in_words,
+    parameters_in_words,
     place_in_words,
     refit_sentence,
     unit_in_words,
@@ -74,6 +75,7 @@ __all__ = [
     "Verdict",
     "added_effects",
     "as_result",
+    "before_entry",
     "confound_sentence",
     "detail_sentences",
     "effect_at_place",
@@ -87,10 +89,12 @@ __all__ = [
     "mended_robot",
     "number_in_words",
     "parameter_in_words",
+    "parameters_in_words",
     "place_in_words",
     "refit_sentence",
     "resolve_effect",
     "save_diagnosis",
+    "save_quantities",
     "simulation_mjcf",
     "unit_in_words",
     "verdict_sentence",
