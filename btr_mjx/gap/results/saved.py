@@ -148,14 +148,15 @@ def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
     }
 
 
-def before_entry(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
+def before_entry(diagnosis: Diagnosis, dataset: Dataset, before: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """What a diagnosis of earlier recordings said, for result.json.
 
     Args:
       diagnosis: of the earlier recordings.
       dataset: the earlier recordings.
+      before: the entry of the recordings before those, if what they say is a change.
     """
-    result = as_result(diagnosis, dataset)
+    result = as_result(diagnosis, dataset) | {"before": before}
     keys = ("dataset", "verdict", "effects", "calibration", "believed", "unexplained", "equivalent", "notes")
     return {key: result[key] for key in keys} | {
         "sentence": verdict_sentence(result),
