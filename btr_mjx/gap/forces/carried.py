@@ -16,7 +16,7 @@ from btr_mjx.gap.effects import TIMING, Candidate, Hypothesis
 from btr_mjx.gap.forces.evidence import CalibrationPrior
 from btr_mjx.gap.forces.filtering import Filtered, Variances, smoothed
 from btr_mjx.gap.forces.intervals import covariance
-from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, again, evaluate_point, newton_step, settled
+from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, again, evaluate_point, newton_step
 from btr_mjx.gap.forces.unknowns import BELIEVED, MOST, CandidateColumns, Library, calibrated_effects, calibrated_number
 
 Named = tuple[tuple[Candidate, tuple[float, ...]], ...]
@@ -26,10 +26,6 @@ Number = tuple[str, int]
 
 _ONE_WAY = ("actuator_lag", "actuator_delay", "backlash")
 """Effects of which a second one adds to the first and cannot undo it."""
-
-_WIDE = 30.0
-"""Tolerances of calibration that is carried, in units of those of a verdict: drives then have friction of the size of a
-visible step, also where none is believed."""
 
 _UPDATES = 4
 """Updates of variances of held-out recordings."""
@@ -68,17 +64,12 @@ class Carried:
 def carried_of(side: ForceSide, test: ForceSide, fit: Fitted, shape: float) -> Carried:
     """What a fit says of a robot, with the held-out recordings as well: no name is left that they have to confirm.
 
-    Calibration is fitted anew with wide tolerances. Those of a verdict draw it towards what is believed, in these
-    recordings and in the next ones alike, and what the next ones add would look like a change.
-
     Args:
       side: the recordings that were fitted.
       test: those held out.
       fit: with named effects, settled.
       shape: evidence of a force of another shape.
     """
-    side, test = (replace(own, library=_widened(own.library)) for own in (side, test))
-    fit = settled(side, fit.point, fit.variances, about=fit.linear.stretches)
     pooled = _with_held_out(test, fit)
     step = newton_step(side, pooled)
     change = np.concatenate([step.values, step.calibration - fit.point.calibration])
@@ -101,16 +92,6 @@ def carried_of(side: ForceSide, test: ForceSide, fit: Fitted, shape: float) -> C
         fit.variances.force,
         shape / (fit.whitened.count * len(side.stretches)),
     )
-
-
-def _widened(library: Library) -> Library:
-    """A library with wide tolerances of calibration, where it is not what other recordings said."""
-    prior = library.calibration
-    if prior.inverse is not None:
-        return library
-    names = [e.candidate.effect.name for e in library.calibrated]
-    wide = np.array([1.0 if n == TIMING or n.startswith(BELIEVED) else _WIDE for n in names])
-    return replace(library, calibration=replace(prior, tolerance=wide * prior.tolerance, reach=wide * prior.reach))
 
 
 def _with_held_out(test: ForceSide, fit: Fitted) -> Fitted:
