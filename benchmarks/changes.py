@@ -32,7 +32,7 @@ from naming_gate import CODE
 from btr_mjx.errors import cli_errors
 from btr_mjx.gap.data import Dataset, open_dataset
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.forces import Carried, prepare_forces, search_forces
+from btr_mjx.gap.forces import Carried, carried_of, prepare_forces, search_forces
 from btr_mjx.gap.results import as_result
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.runs import note, read_json, write_json
@@ -129,9 +129,10 @@ def searched(dataset: Dataset, known: Carried | None = None) -> tuple[dict[str, 
     begun = time.process_time()
     prepared = prepare_forces(dataset)
     assert prepared is not None
-    diagnosis, carried = search_forces(prepared, EFFECTS, 5, lambda _: None, Counter(), known)
+    diagnosis, found = search_forces(prepared, EFFECTS, 5, lambda _: None, Counter(), known)
     result = as_result(diagnosis, dataset)
     keys = ("verdict", "effects", "equivalent", "unexplained", "calibration")
+    carried = carried_of(found)
     return {key: result[key] for key in keys} | {"cpu_seconds": time.process_time() - begun}, carried
 
 

@@ -6,15 +6,16 @@ sample to the next is linearised around measured states (`motion`), a Kalman fil
 (`filtering`), and every effect of the library is a column of a least-squares problem (`unknowns`, `scan`, `points`).
 """
 
-from btr_mjx.gap.forces.carried import Carried
-from btr_mjx.gap.forces.changes import Changes, check_same_robot, identify_changes
 from btr_mjx.gap.forces.identify import PreparedForces, identify_forces, prepare_forces, search_forces
 from btr_mjx.gap.forces.predictions import horizon_errors, predictions
+from btr_mjx.gap.forces.sets.carried import Carried, carried_of
+from btr_mjx.gap.forces.sets.changes import Changes, check_same_robot, identify_changes
 
 __all__ = [
     "Carried",
     "Changes",
     "PreparedForces",
+    "carried_of",
     "check_same_robot",
     "horizon_errors",
     "identify_changes",

@@ -15,7 +15,6 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, noise_of
 from btr_mjx.gap.effects import TIMING, Effect, Hypothesis, candidates, has_closed_loops, with_motors
-from btr_mjx.gap.forces.carried import Carried, carried_library, carried_of, with_room
 from btr_mjx.gap.forces.held_out import HeldOut, held_out, is_better
 from btr_mjx.gap.forces.horizons import follow_horizons
 from btr_mjx.gap.forces.intervals import covariance
@@ -25,6 +24,7 @@ from btr_mjx.gap.forces.outcome import SearchOutcome, diagnosis_of
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, settled
 from btr_mjx.gap.forces.predictions import compared_predictions, horizon_errors, predicts_well
 from btr_mjx.gap.forces.search import Named, SearchRound, select_effects, start
+from btr_mjx.gap.forces.sets.carried import Carried, carried_library, with_room
 from btr_mjx.gap.forces.shapes import best_shape
 from btr_mjx.gap.forces.stretches import Stretches, spread_stretches
 from btr_mjx.gap.forces.unknowns import (
@@ -120,7 +120,7 @@ def search_forces(
     progress: Callable[[str], None],
     counter: Counter,
     known: Carried | None = None,
-) -> tuple[Diagnosis, Carried]:
+) -> tuple[Diagnosis, SearchOutcome]:
     """Find what is missing.
 
     Args:
@@ -132,7 +132,7 @@ def search_forces(
       known: what other recordings say of the robot; what is missing is then what has changed. None for nothing.
 
     Returns:
-      The diagnosis, and what these recordings say of the robot.
+      The diagnosis, and what was found, of which `carried_of` is what these recordings say of the robot.
 
     Raises:
       InputError: there is no motion.
@@ -173,7 +173,7 @@ def search_forces(
     before = held_out(test, final[0].point, final[0].variances, after.sensor)
     final[-1] = replace(last, point=point)
     found = _found(side, test, rounds, final, (before, after), contradicted, known, last)
-    return diagnosis_of(dataset, prepared.sigma, found, time.monotonic() - begun + counter.earlier), found.posterior
+    return diagnosis_of(dataset, prepared.sigma, found, time.monotonic() - begun + counter.earlier), found
 
 
 def _of_calibration(stretches: Stretches, library: Library, base: Hypothesis, counter: Counter) -> np.ndarray:
@@ -279,10 +279,7 @@ def _found(
     known: Carried | None,
     forces: Fitted,
 ) -> SearchOutcome:
-    """What was found, with the models as they will be used: calibrated, and with named effects.
-
-    The posterior is that of `forces`, whose numbers do not yet follow recordings: the next recordings are fitted so.
-    """
+    """What was found, with the models as they will be used: calibrated, and with named effects."""
     first, last = chain[0], chain[-1]
     of = first.point.base
     values = [
@@ -305,9 +302,9 @@ def _found(
     if not well and len(chain) == 1:
         calibration, mended, errors = (), base, [errors[0], errors[0]]
     shape = best_shape(side, last, missing)
-    posterior = carried_of(side, test, forces, max(shape.score, 0.0))
     gained = rounds[0].before.loss - last.loss
     again = 0.0 if known is None else _AGAIN * known.shape * last.whitened.count * len(side.stretches)
+    shape_score = max(shape.score, 0.0)
     if shape.score - again < max(_TOLD, _LEFT * gained):
         shape = replace(shape, score=0.0)
     return SearchOutcome(
@@ -324,7 +321,8 @@ def _found(
         test,
         contradicted,
         shape,
-        posterior,
+        forces,
+        shape_score,
     )
 
 

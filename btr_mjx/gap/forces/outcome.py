@@ -8,7 +8,6 @@ import numpy as np
 
 from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import Candidate, Hypothesis
-from btr_mjx.gap.forces.carried import Carried, combined
 from btr_mjx.gap.forces.confounds import confounds_of
 from btr_mjx.gap.forces.filtering import smoothed
 from btr_mjx.gap.forces.held_out import HeldOut
@@ -19,6 +18,7 @@ from btr_mjx.gap.forces.missing_force import MissingForce, commanded_share
 from btr_mjx.gap.forces.points import Fitted, ForceSide, names
 from btr_mjx.gap.forces.predictions import HORIZON, predictions
 from btr_mjx.gap.forces.search import Named, SearchRound
+from btr_mjx.gap.forces.sets.combined import combined
 from btr_mjx.gap.forces.shapes import ShapeGain, shape_sentence
 from btr_mjx.gap.forces.unknowns import believed_values
 from btr_mjx.gap.results import (
@@ -69,7 +69,8 @@ class SearchOutcome:
       side, test: of the split.
       contradicted: whether more was found than held-out recordings bear out.
       shape: of a force that is left; with a score of 0 where nothing is.
-      posterior: what the recordings say of the robot, for other recordings to begin with.
+      forces: the last of the chain, with numbers that do not yet follow recordings.
+      shape_score: of the best shape, told or not.
     """
 
     rounds: tuple[SearchRound, ...]
@@ -85,7 +86,8 @@ class SearchOutcome:
     test: ForceSide
     contradicted: bool
     shape: ShapeGain
-    posterior: Carried
+    forces: Fitted
+    shape_score: float
 
 
 def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seconds: float) -> Diagnosis:

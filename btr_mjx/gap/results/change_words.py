@@ -41,7 +41,7 @@ _MOVES: Mapping[str, str] = {
 }
 """Effects whose parameters have a sign."""
 
-NOTHING = "Nothing has changed: one model explains both sets of recordings within the noise."
+UNCHANGED = "Nothing has changed: one model explains both sets of recordings within the noise."
 """The sentence where no change was found."""
 
 

@@ -16,12 +16,19 @@ from btr_mjx.gap.effects import TIMING, Candidate, Hypothesis
 from btr_mjx.gap.forces.evidence import CalibrationPrior
 from btr_mjx.gap.forces.filtering import Filtered, Variances, smoothed
 from btr_mjx.gap.forces.intervals import covariance
+from btr_mjx.gap.forces.outcome import SearchOutcome
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, again, evaluate_point, newton_step
-from btr_mjx.gap.forces.unknowns import BELIEVED, MOST, CandidateColumns, Library, calibrated_effects, calibrated_number
+from btr_mjx.gap.forces.sets.combined import Named, at_single_places, combined
+from btr_mjx.gap.forces.unknowns import (
+    BELIEVED,
+    MOST_CALIBRATED,
+    CandidateColumns,
+    Library,
+    calibrated_effects,
+    calibrated_number,
+)
 
-Named = tuple[tuple[Candidate, tuple[float, ...]], ...]
-
-Number = tuple[str, int]
+CarriedNumber = tuple[str, int]
 """Name of a candidate, "effect@place", and index of its parameter."""
 
 _ONE_WAY = ("actuator_lag", "actuator_delay", "backlash")
@@ -46,7 +53,7 @@ class Carried:
 
     effects: Named
     believed: dict[str, float]
-    numbers: tuple[Number, ...]
+    numbers: tuple[CarriedNumber, ...]
     covariance: np.ndarray
     random: np.ndarray
     shape: float
@@ -56,20 +63,17 @@ class Carried:
         values = tuple(self.believed.get(p.name, p.value(dataset.model)) for p in dataset.parameters)
         return Hypothesis(dataset.parameters, values, self.effects)
 
-    def spread(self, number: Number) -> float:
+    def spread(self, number: CarriedNumber) -> float:
         """1 sigma of a number; 0 for one that is not known with an uncertainty."""
         return float(np.sqrt(self.covariance.diagonal()[self.numbers.index(number)])) if number in self.numbers else 0.0
 
 
-def carried_of(side: ForceSide, test: ForceSide, fit: Fitted, shape: float) -> Carried:
-    """What a fit says of a robot, with the held-out recordings as well: no name is left that they have to confirm.
+def carried_of(found: SearchOutcome) -> Carried:
+    """What a search says of a robot, with the held-out recordings as well: no name is left that they have to confirm.
 
-    Args:
-      side: the recordings that were fitted.
-      test: those held out.
-      fit: with named effects, settled.
-      shape: evidence of a force of another shape.
+    Numbers are those of forces, which do not yet follow recordings: the next recordings are fitted so, too.
     """
+    side, test, fit = found.side, found.test, found.forces
     pooled = _with_held_out(test, fit)
     step = newton_step(side, pooled)
     change = np.concatenate([step.values, step.calibration - fit.point.calibration])
@@ -79,9 +83,9 @@ def carried_of(side: ForceSide, test: ForceSide, fit: Fitted, shape: float) -> C
     recording = np.r_[side.stretches.recording, len(side.stretches.data.recordings) + test.stretches.recording]
     numbers, sums = _numbers(side.library, fit.point)
     point = fit.point.moved(step.values, step.calibration)
-    found = {e.candidate.effect.name: v for e, v in zip(side.library.calibrated, point.calibration, strict=True)}
+    refits = {e.candidate.effect.name: v for e, v in zip(side.library.calibrated, point.calibration, strict=True)}
     believed = {
-        p.name: value + found.get(BELIEVED + p.name, 0.0)
+        p.name: value + refits.get(BELIEVED + p.name, 0.0)
         for p, value in zip(point.base.parameters, point.base.believed, strict=True)
     }
     return Carried(
@@ -90,7 +94,7 @@ def carried_of(side: ForceSide, test: ForceSide, fit: Fitted, shape: float) -> C
         numbers,
         sums @ covariance(side, moved, recording) @ sums.T,
         fit.variances.force,
-        shape / (fit.whitened.count * len(side.stretches)),
+        found.shape_score / (fit.whitened.count * len(side.stretches)),
     )
 
 
@@ -111,36 +115,29 @@ def _updated(fit: Fitted, variances: Variances) -> Variances:
     return smoothed(fit.linear, np.zeros_like(fit.linear.defect), variances).variances
 
 
-def _numbers(library: Library, point: Point) -> tuple[tuple[Number, ...], np.ndarray]:
+def _numbers(library: Library, point: Point) -> tuple[tuple[CarriedNumber, ...], np.ndarray]:
     """Numbers that are carried, and (m, p + n) how they are sums of named numbers and calibration.
 
     A place of a payload has no meaning without its mass, and so a payload is carried without an uncertainty of its own,
     beside that of the mass of its body. When commands act belongs to the log.
     """
-    every: list[tuple[Number, ...]] = []
+    every: list[tuple[CarriedNumber, ...]] = []
     for candidate, values in point.named:
         shaped = any(p.shape for p in candidate.parameters) or candidate.effect.name == TIMING
         if candidate.place.parts:
             every += [((single.name, 0),) for single in candidate.singles]
         elif candidate.place.members and not shaped:
-            every.append(tuple((single.name, 0) for single, _ in _at_single_places(library, candidate, values)))
+            every.append(tuple((single.name, 0) for single, _ in at_single_places(library, candidate, values)))
         else:
             every += [() if shaped else ((candidate.name, i),) for i in range(len(values))]
     for entry in library.calibrated:
         of_log = entry.candidate.effect.name == TIMING
         every.append(() if of_log else ((entry.candidate.name, calibrated_number(library, entry)),))
     numbers = tuple(dict.fromkeys(number for own in every for number in own))
-    return numbers, np.array([[float(number in own) for own in every] for number in numbers]).reshape(-1, len(every))
-
-
-def _at_single_places(library: Library, candidate: Candidate, values: tuple[float, ...]) -> Named:
-    """An effect of a group as effects of its members, so that numbers of the same place can be added."""
-    if candidate.place.parts:
-        return tuple((single, (value,)) for single, value in zip(candidate.singles, values, strict=True))
-    if not candidate.place.members or candidate.effect.name == TIMING:
-        return ((candidate, values),)
-    single = {e.candidate.name: e.candidate for e in library.entries}
-    return tuple((single[f"{candidate.effect.name}@{member}"], values) for member in candidate.place.members)
+    sums = np.zeros((len(numbers), len(every)))
+    for j, own in enumerate(every):
+        sums[[numbers.index(number) for number in own], j] = 1.0
+    return numbers, sums
 
 
 def effects_of(library: Library, point: Point) -> Named:
@@ -156,36 +153,8 @@ def effects_of(library: Library, point: Point) -> Named:
         if candidate.effect.name != TIMING and not candidate.effect.name.startswith(BELIEVED)
     ]
     late = [(c, v) for c, v in point.named if c.effect.name == TIMING and v[0] < 0]
-    named = [one for row in point.named if row not in late for one in _at_single_places(library, *row)]
+    named = [one for row in point.named if row not in late for one in at_single_places(library, *row)]
     return combined((), (*named, *calibrated))
-
-
-def combined(before: Named, more: Sequence[tuple[Candidate, tuple[float, ...]]]) -> Named:
-    """Effects with further ones, whose numbers are added where effect and place are the same, within their range.
-
-    Two payloads at two places stay two. What is set, such as a limit, has the later value.
-
-    Args:
-      before: effects with their values.
-      more: further ones, which apply after them.
-    """
-    out: dict[str, tuple[Candidate, tuple[float, ...]]] = {}
-    for candidate, values in (*before, *more):
-        numbers, name, own = np.array(values, float), candidate.name, candidate
-        if any(p.shape for p in own.parameters):
-            name = f"{name} {len(out)}"
-        elif name in out and not any(own.null):
-            own, earlier = out[name]  # whose range begins at the believed model
-            numbers = _sums(own, np.array(earlier), numbers)
-        low, high = (np.array([getattr(p, end) for p in own.parameters]) for end in ("low", "high"))
-        out[name] = own, tuple(float(v) for v in np.clip(numbers, low, high))
-    return tuple(out.values())
-
-
-def _sums(candidate: Candidate, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Numbers of an effect that applies twice; relative changes multiply."""
-    factors = [p.name.startswith("change") and p.unit == "1" for p in candidate.parameters]
-    return np.where(factors, (1 + first) * (1 + second) - 1, first + second)
 
 
 def with_room(candidates: Sequence[Candidate], carried: Carried) -> list[Candidate]:
@@ -232,7 +201,7 @@ def carried_library(library: Library, carried: Carried) -> Library:
     found = carried.covariance[np.ix_(index, index)]
     tolerance[known] = np.sqrt(np.diag(found))
     free = [i for i in known if not calibrated[i].candidate.effect.name.startswith(BELIEVED)]
-    reach[free] = MOST * tolerance[free]
+    reach[free] = MOST_CALIBRATED * tolerance[free]
     # Members of a group with one number move together, to within a thousandth of their uncertainty.
     correlation = found / tolerance[known] / tolerance[known][:, None] + 1e-6 * np.eye(len(known))
     precision[np.ix_(known, known)] = np.linalg.inv(correlation) / tolerance[known] / tolerance[known][:, None]
@@ -242,7 +211,7 @@ def carried_library(library: Library, carried: Carried) -> Library:
     return replace(library, calibrated=tuple(calibrated), calibration=prior)
 
 
-def _entry(library: Library, number: Number) -> CandidateColumns | None:
+def _entry(library: Library, number: CarriedNumber) -> CandidateColumns | None:
     """The columns of a number that may become larger and smaller; None where there are none.
 
     A second lag or play adds to the first one and cannot undo it: such numbers stay as they were found.

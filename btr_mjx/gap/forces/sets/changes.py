@@ -16,8 +16,8 @@ from threadpoolctl import threadpool_limits
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import EFFECTS, Effect
-from btr_mjx.gap.forces.carried import Carried
 from btr_mjx.gap.forces.identify import prepare_forces, search_forces
+from btr_mjx.gap.forces.sets.carried import Carried, carried_of
 from btr_mjx.gap.results import Diagnosis, Quantity
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.models import part_names
@@ -104,10 +104,11 @@ def identify_changes(
                     "every joint measured; diagnose both sets without --before and compare their mended models"
                 )
             which = f"{len(diagnoses) + 1} of {len(sets)}: "
-            diagnosis, known = search_forces(
+            diagnosis, found = search_forces(
                 prepared, effects, max_effects, partial(_noted, note, which), counter, known
             )
             diagnoses.append(_with_note(diagnosis, dataset, sets[len(diagnoses) - 1] if diagnoses else dataset))
+            known = carried_of(found)
             carried.append(known)
     return Changes(tuple(diagnoses), _quantities(diagnoses, carried))
 
@@ -129,17 +130,17 @@ def _with_note(diagnosis: Diagnosis, dataset: Dataset, before: Dataset) -> Diagn
 
 def _quantities(diagnoses: Sequence[Diagnosis], carried: Sequence[Carried]) -> tuple[Quantity, ...]:
     """Numbers that were named in any set, at single places, over all of them."""
-    last = carried[-1].effects
     out = []
-    for candidate, _ in last:
+    for candidate in {c.name: c for own in carried for c, _ in own.effects}.values():
         for i, parameter in enumerate(candidate.parameters):
             named = tuple(_is_named(one, candidate.effect.name, candidate.place.label) for one in diagnoses)
-            if not any(named):
+            if parameter.shape or not any(named):
                 continue
             values, halves = [], []
             for own in carried:
-                found = {c.name: v for c, v in own.effects}.get(candidate.name)
-                values.append(parameter.null if found is None else found[i])
+                # A load is beside the mass of its body, at another place of it.
+                found = [v[i] - parameter.null for c, v in own.effects if c.name == candidate.name]
+                values.append(parameter.null + sum(found))
                 halves.append(_QUANTILE * own.spread((candidate.name, i)))
             out.append(
                 Quantity(
