@@ -151,7 +151,11 @@ def one_more(side: ForceSide, fit: Fitted, needed: float = 0.0, drives: bool = T
         if lead.candidate.effect.saturates:
             lead = replace(lead, values=_tightened(side, fit, lead))
             moved = fit.point
-        judge(replace(moved, named=(*moved.named, (lead.candidate, lead.values))), fit.variances, fit.linear.stretches)
+        point = replace(moved, named=(*moved.named, (lead.candidate, lead.values)))
+        judge(point, fit.variances, fit.linear.stretches)
+        if not drives:
+            still = replace(fit.point, named=(*fit.point.named, (lead.candidate, lead.values)))
+            judge(still, first_variances(side, still.hypothesis(library)))
     finalists.sort(key=lambda row: -row[0])
     return SearchRound(fit, tuple(leads), tuple(_unbeaten(side, finalists, needed)))
 
