@@ -153,9 +153,6 @@ def one_more(side: ForceSide, fit: Fitted, needed: float = 0.0, drives: bool = T
             moved = fit.point
         point = replace(moved, named=(*moved.named, (lead.candidate, lead.values)))
         judge(point, fit.variances, fit.linear.stretches)
-        if not drives:
-            still = replace(fit.point, named=(*fit.point.named, (lead.candidate, lead.values)))
-            judge(still, first_variances(side, still.hypothesis(library)))
     finalists.sort(key=lambda row: -row[0])
     return SearchRound(fit, tuple(leads), tuple(_unbeaten(side, finalists, needed)))
 
