@@ -43,7 +43,7 @@ class Wanted:
 
 
 @dataclass(frozen=True)
-class _Usual:
+class UsualSizes:
     """Usual sizes of a robot in motion: (nv,) torque, speed, reach and inertia, (n_actuators,) force, command rate."""
 
     torque: np.ndarray
@@ -54,7 +54,8 @@ class _Usual:
     rate: np.ndarray
 
 
-def _usual(model: mujoco.MjModel, motion: Motion) -> _Usual:
+def usual_sizes(model: mujoco.MjModel, motion: Motion) -> UsualSizes:
+    """Usual sizes of a robot in a motion."""
     speed, torque = np.percentile(np.abs(motion.qvel), 95, axis=0), np.percentile(np.abs(motion.torque), 95, axis=0)
     reach = np.zeros(model.nv)
     for j in range(model.njnt):
@@ -65,11 +66,11 @@ def _usual(model: mujoco.MjModel, motion: Motion) -> _Usual:
     joints = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
     dof = model.jnt_dofadr[np.where(joints, model.actuator_trnid[:, 0], 0)]
     force = np.where(joints, torque[dof], np.percentile(np.abs(motion.commands), 95, axis=0))
-    return _Usual(torque, speed, reach, model.dof_M0.copy(), force, np.percentile(apart, 98, axis=0))
+    return UsualSizes(torque, speed, reach, model.dof_M0.copy(), force, np.percentile(apart, 98, axis=0))
 
 
 def _draw_effect(
-    rng: np.random.Generator, robot: FieldRobot, model: mujoco.MjModel, usual: _Usual, name: str
+    rng: np.random.Generator, robot: FieldRobot, model: mujoco.MjModel, usual: UsualSizes, name: str
 ) -> dict[str, Any]:
     """One hidden effect with a size that matters, as a part of what is usual."""
     a = int(rng.integers(model.nactuator))
@@ -132,7 +133,7 @@ def possible_effects(robot: FieldRobot) -> tuple[str, ...]:
 
 
 def _draw_hidden(
-    rng: np.random.Generator, robot: FieldRobot, model: mujoco.MjModel, usual: _Usual, count: int
+    rng: np.random.Generator, robot: FieldRobot, model: mujoco.MjModel, usual: UsualSizes, count: int
 ) -> list[dict[str, Any]]:
     """Effects of different kinds, not two that act on time alike."""
     names = list[str]()
@@ -144,7 +145,7 @@ def _draw_hidden(
 
 
 @dataclass(frozen=True)
-class _Logging:
+class Logging:
     """How a robot is logged."""
 
     interval: float
@@ -155,7 +156,7 @@ class _Logging:
     noise: tuple[float, float, float]
 
 
-def _rows(rng: np.random.Generator, robot: FieldRobot, model: mujoco.MjModel, motion: Motion, log: _Logging) -> str:
+def log_rows(rng: np.random.Generator, robot: FieldRobot, model: mujoco.MjModel, motion: Motion, log: Logging) -> str:
     """A log as text."""
     dt = float(motion.time[1])
     every = round(log.interval / dt)
@@ -225,7 +226,7 @@ def make_case(folder: Path, seed: int, kind: str, wanted: Wanted | None = None) 
     faults = tuple(f for f in FAULTS if rng.random() < 0.25) if wanted.faults is None else wanted.faults
     interval = 1 / float(rng.choice(robot.rates))
     velocities = bool(rng.random() < 0.5) or "lowpass" in faults
-    log = _Logging(
+    log = Logging(
         interval,
         faults,
         velocities,
@@ -243,7 +244,7 @@ def make_case(folder: Path, seed: int, kind: str, wanted: Wanted | None = None) 
     times = np.arange(-round(SETTLE / robot.step), round(DURATION / robot.step)) * robot.step
     references = [robot.reference(rng)(times) for _ in range(RUNS)]
     commanded = [Controlled(robot, reference, every, ahead=ahead) for reference in references]
-    usual = _usual(model, _motion(robot, calibration, (), commanded[0]))
+    usual = usual_sizes(model, _motion(robot, calibration, (), commanded[0]))
     if wanted.law is None:
         hidden = _draw_hidden(rng, robot, model, usual, count)
     else:
@@ -252,7 +253,7 @@ def make_case(folder: Path, seed: int, kind: str, wanted: Wanted | None = None) 
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "model.xml").write_text(robot.xml)
     for k, motion in enumerate(motions):
-        (folder / f"run{k + 1}.csv").write_text(_rows(rng, robot, model, motion, log))
+        (folder / f"run{k + 1}.csv").write_text(log_rows(rng, robot, model, motion, log))
     described = bool(rng.random() < 0.3)
     if described:
         files = "".join(f'[[recording]]\nfile = "run{k + 1}.csv"\n' for k in range(RUNS))
@@ -293,7 +294,7 @@ def _visible(
     hidden: list[dict[str, Any]],
     control: Controlled,
     motion: Motion,
-    log: _Logging,
+    log: Logging,
 ) -> list[float]:
     """How far positions are apart with and without each effect, beside the others: root mean square over noise."""
     out = []

@@ -95,7 +95,7 @@ def solve(folder: Path) -> dict[str, Any]:
     }
 
 
-def _same(model: mujoco.MjModel, one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+def same_kind_and_place(model: mujoco.MjModel, one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
     """Whether two effects are the same; actuators without a joint have their names alone."""
     places = [effect["location"].partition(":") for effect in (one, other)]
     if places[0][0] == places[1][0] == "actuator" and not all(
@@ -107,7 +107,7 @@ def _same(model: mujoco.MjModel, one: Mapping[str, Any], other: Mapping[str, Any
     return same_effect(model, one, other)
 
 
-def _parts(named: Mapping[str, Any]) -> list[dict[str, Any]]:
+def judged_parts(named: Mapping[str, Any]) -> list[dict[str, Any]]:
     """An effect at single places: of a number for every member of a group, those whose interval excludes nothing."""
     if not named["location"].startswith("each:"):
         return [dict(named)]
@@ -124,14 +124,14 @@ def judge(model: mujoco.MjModel, truth: Mapping[str, Any], answer: Mapping[str, 
     """Row of a case: hidden effects that were named, those listed beside, false names, numbers within intervals."""
     hidden = [effect for effect in truth["effects"] if effect["effect"] != "ripple"]
     named = answer["effects"]
-    parts = [part for one in named for part in _parts(one)]
-    found = [[n for n in parts if _same(model, h, n)] for h in hidden]
-    listed = [any(_same(model, h, n) for n in (*parts, *answer["equivalent"])) for h in hidden]
+    parts = [part for one in named for part in judged_parts(one)]
+    found = [[n for n in parts if same_kind_and_place(model, h, n)] for h in hidden]
+    listed = [any(same_kind_and_place(model, h, n) for n in (*parts, *answer["equivalent"])) for h in hidden]
 
     def is_true(effect: Mapping[str, Any]) -> bool:
-        return any(_same(model, h, effect) for h in hidden)
+        return any(same_kind_and_place(model, h, effect) for h in hidden)
 
-    extra = [n for n in named if not all(is_true(part) for part in _parts(n))]
+    extra = [n for n in named if not all(is_true(part) for part in judged_parts(n))]
     inside = [ok for h, f in zip(hidden, found, strict=True) if f for ok in inside_interval(model, h, f[0])]
     outside, null = len(hidden) < len(truth["effects"]), not truth["effects"]
     unexplained = answer["verdict"] == "unexplained"

@@ -135,6 +135,7 @@ def build(robot: FieldRobot, calibration: Calibration, hidden: Hidden = ()) -> M
             place = [effect["parameters"][axis] for axis in "xyz"]
             load = spec.body(effect["location"].partition(":")[2]).add_body(name="load", pos=place)
             load.mass, load.inertia, load.explicitinertial = effect["parameters"]["mass"], [1e-9] * 3, True
+            load.ipos = [0.0, 0.0, 0.0]  # else MuJoCo takes `pos` again, and the load is twice as far out
     model = spec.compile()
     model.opt.timestep = robot.step
     known = len(calibration.masses)

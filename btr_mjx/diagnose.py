@@ -5,6 +5,8 @@ docs/logs.md, or the folder of a LeRobot dataset. A folder may stand for both: o
 dataset.toml (see btr_mjx/gap/data/dataset.py), or with BAM's JSON beside a servo.toml.
 `python -m btr_mjx.diagnose --demo` makes a hidden case from a seed and solves it.
 With --check it only checks the data, within seconds, and writes nothing: docs/check.md.
+With --before EARLIER the question is another one: what has changed since these earlier recordings of the same robot?
+See docs/changes.md.
 
 The run folder holds:
 
@@ -13,6 +15,7 @@ The run folder holds:
     dataset.toml                    what was inferred, where a model and logs were given
     result.json                     verdict, effects with intervals, ranking, gap, next experiment
     ranking.csv, believed.csv, disagreement.csv, *.npz   tables and arrays behind the page
+    sets.csv                        with --before: numbers that were named, over the sets of recordings
     next_command.csv                what to command next, where the data cannot distinguish candidates
     mended.xml, mended.json         the believed model with what was found
     parameters.csv, parameters.json, randomisation.json   the same numbers for other programs
@@ -77,6 +80,9 @@ class DiagnoseConfig:
     """Folder of the recordings, or the MJCF file of the believed model, followed by logs."""
     logs: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
     """Logs of a model that was given as a file, each a recording; or the folder of a LeRobot dataset."""
+    before: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
+    """Earlier recordings of the same robot, a folder or a log of the same model: say what has changed since. Given
+    several times, the oldest first, each set is compared with the one before it."""
     out: Path | None = None
     """Run folder; by default the first unused one of runs/diagnosis-<seed>, runs/diagnosis-<seed>-2, ..."""
     resume: bool = False
@@ -138,6 +144,7 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
 
     library = selected_effects(config.effects)
     dataset: Dataset | FitnessTable | None = None
+    earlier: list[Dataset] = []
     inputs = {}
     if not config.demo:
         assert config.dataset is not None
@@ -146,6 +153,9 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
 
         refuse_errors(findings)
         inputs = {"the dataset": content_digest(dataset)}
+        if config.before:
+            earlier = _examine_earlier(config, library, dataset)
+            inputs["the recordings before"] = content_digest(tuple(earlier))
     from btr_mjx.gap.report import draw_report, print_findings
     from btr_mjx.gap.results import RESULT
 
@@ -170,7 +180,7 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
             if is_listed(run.path / RESULT):
                 check_sums(run.path)
             else:
-                search_missing(dataset, library, config, run.path, stop.checkpoint)
+                search_missing(dataset, library, config, run.path, stop.checkpoint, earlier)
                 run.seal()
                 stop.checkpoint()
             if config.figures:
@@ -199,6 +209,17 @@ def check_diagnosis(config: DiagnoseConfig) -> None:
         )
     if config.logs and config.signal == "fitness":
         raise InputError("signal: fitness needs a folder with a dataset.toml and its table; got logs")
+    if config.before and (config.demo or config.check or config.signal == "fitness"):
+        other = "--demo" if config.demo else "--check" if config.check else "--signal fitness"
+        raise InputError(
+            f"got --before and {other}; --before compares recordings of the motion. Check each set by itself"
+        )
+    for path in config.before:
+        if not path.exists():
+            raise InputError(f"--before {path}: there is no such file or folder; give earlier recordings of the robot")
+    if config.residual and (config.before or config.signal == "fitness"):
+        other = "--before" if config.before else "--signal fitness"
+        raise InputError(f"got --residual and {other}; --residual is for a diagnosis of one set of recordings")
     if not 1 <= config.max_effects <= 100:
         raise InputError(f"max_effects: got {config.max_effects}, expected at least 1, at most 100")
     if not 0 <= config.chosen_seed < 2**63:
@@ -255,6 +276,39 @@ def examine(
         return dataset, preflight(dataset, [effect.name for effect in library])
 
 
+def _examine_earlier(config: DiagnoseConfig, library: "Sequence[Effect]", dataset: Any) -> "list[Dataset]":
+    """Read and check the recordings of --before, the oldest first.
+
+    Raises:
+      InputError: one of them cannot be read or used, or is of another robot; it names the set.
+    """
+    from btr_mjx.gap.data import DATASET_FILE
+    from btr_mjx.gap.fitness_only import FitnessTable
+    from btr_mjx.gap.forces import check_same_robot
+    from btr_mjx.gap.preflight import refuse_errors
+    from btr_mjx.gap.report import print_findings
+
+    assert config.dataset is not None
+    earlier: list[Dataset] = []
+    for path in config.before:
+        described = path.is_dir() and ((path / DATASET_FILE).is_file() or any(path.glob("*.xml")))
+        alone = path.name == DATASET_FILE or described or not config.logs
+        # Logs without a model of their own are of the model that was given.
+        folder, logs = (path, ()) if alone else (config.dataset, (path,))
+        try:
+            own, findings = examine(folder, library, config.signal, config.progress, logs)
+            refuse_errors(findings)
+            assert not isinstance(own, FitnessTable)  # refused with --before
+            check_same_robot(own, dataset)
+        except Exception as error:
+            if not is_bad_input(error):
+                raise
+            raise InputError(f"--before {path}: {one_line(error)}") from error
+        print_findings(findings, str(path))
+        earlier.append(own)
+    return earlier
+
+
 def check_data(config: DiagnoseConfig) -> bool:
     """Check a dataset and print the findings.
 
@@ -296,8 +350,9 @@ def search_missing(
     config: DiagnoseConfig,
     folder: Path,
     checkpoint: Callable[[], None] = lambda: None,
+    earlier: "Sequence[Dataset]" = (),
 ) -> None:
-    """Search for missing effects and write all files from which the report is drawn.
+    """Search for missing effects, or for what has changed, and write all files from which the report is drawn.
 
     Args:
       dataset: the recordings, or the table of measured fitness.
@@ -305,19 +360,21 @@ def search_missing(
       config: the settings.
       folder: the run folder.
       checkpoint: called often; raises Interrupted to stop the search.
+      earlier: recordings of the same robot before these, the oldest first.
     """
     from btr_mjx.gap.effects import custom_effect_code, of_forces
     from btr_mjx.gap.experiments import propose
     from btr_mjx.gap.fitness_only import FitnessTable, expected_steps, identify_fitness
+    from btr_mjx.gap.forces import identify_changes
     from btr_mjx.gap.inference import identify
-    from btr_mjx.gap.results import as_result, save_diagnosis
+    from btr_mjx.gap.results import as_result, before_entry, save_diagnosis, save_quantities
     from btr_mjx.gap.simulate import Journal
     from btr_mjx.gap.windows import Options
 
     if isinstance(dataset, FitnessTable):
         total = expected_steps(dataset, library)
     else:
-        total = STEPS_PER_BUDGET * Options().budget(dataset.model.nv)
+        total = (1 + len(earlier)) * STEPS_PER_BUDGET * Options().budget(dataset.model.nv)
     with progress(
         total=round(total), description="search", unit="steps", unit_scale=True, show=config.progress or False
     ) as bar:
@@ -342,15 +399,25 @@ def search_missing(
             )
             more["gap"] = as_result(diagnosis, data)["gap"] | {"unit": "m/s of Delta_fitness"}
         else:
-            diagnosis = identify(
-                dataset,
-                library,
-                config.max_effects,
-                config.chosen_seed,
-                report_stage,
-                counter=journal,
-                residual=config.residual,
-            )
+            if earlier:
+                sets = [*earlier, dataset]
+                found = identify_changes(sets, library, config.max_effects, report_stage, journal)
+                diagnosis = found.diagnoses[-1]
+                said: list[dict[str, Any]] = []
+                for one, own in zip(found.diagnoses[:-1], earlier, strict=True):
+                    said.append(before_entry(one, own, said[-1] if said else None))
+                more |= {"before": said[-1], "sets": said}
+                save_quantities(folder, found.quantities, [own.folder.name for own in sets])
+            else:
+                diagnosis = identify(
+                    dataset,
+                    library,
+                    config.max_effects,
+                    config.chosen_seed,
+                    report_stage,
+                    counter=journal,
+                    residual=config.residual,
+                )
             report_stage("next experiment")
             data, proposal = dataset, propose(diagnosis, dataset, config.chosen_seed, counter=journal)
         bar.total = bar.n

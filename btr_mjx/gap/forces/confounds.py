@@ -29,8 +29,9 @@ def confounds_of(side: ForceSide, fit: Fitted) -> tuple[Confound, ...]:
     gram = filtered(fit.linear, np.concatenate([side.columns, own], -1), fit.variances).gram.sum(0)[1:, 1:]
     c, prior = len(side.library.numbers), side.library.calibration
     believed = [e.candidate.effect.name.startswith(BELIEVED) for e in side.library.calibrated]
-    taken = np.pad(prior.design[:, ~np.array(believed, bool)], ((0, p), (0, 0)))
-    block = taken.T @ gram @ taken + np.diag(1 / prior.tolerance[~np.array(believed, bool)] ** 2)
+    others = ~np.array(believed, bool)
+    taken = np.pad(prior.design[:, others], ((0, p), (0, 0)))
+    block = taken.T @ gram @ taken + prior.precision[np.ix_(others, others)]
     rest = gram - gram @ taken @ np.linalg.solve(block, taken.T @ gram)
     out: list[Confound] = []
     first = c

@@ -1,9 +1,10 @@
 """Least squares of numbers and calibration on whitened innovations, and the evidence for a hypothesis.
 
-    -2 ln p = |u_0 + U theta + V eta|^2 + sum (eta / tolerance)^2
+    -2 ln p = |u_0 + U theta + V eta|^2 + eta^T P eta
 
-u_0 is the residual, U and V the columns of free numbers and of calibration. A number that calibration explains costs
-the square of its size in tolerances, which is what naming it would save.
+u_0 is the residual, U and V the columns of free numbers and of calibration, P the inverse covariance of calibration:
+that of independent tolerances, or of what other recordings of the same robot leave open. A number that calibration
+explains costs the square of its size in tolerances, which is what naming it would save.
 """
 
 from collections.abc import Sequence
@@ -27,16 +28,23 @@ class CalibrationPrior:
 
     Attributes:
       design: (C, n) columns of each; several columns where one number is that of several places.
-      tolerance: (n,) 1 sigma of each.
+      tolerance: (n,) 1 sigma of each, whatever the others are.
       reach: (n,) largest size of each: what is further off is missing, not badly calibrated. Whatever makes all forces
         smaller leaves less of them, so that without a bound gains would vanish where friction is missing.
       at: (n,) values at which the columns were taken.
+      inverse: (n, n) inverse covariance of numbers that are known together; None where they are independent.
     """
 
     design: np.ndarray
     tolerance: np.ndarray
     reach: np.ndarray
     at: np.ndarray
+    inverse: np.ndarray | None = None
+
+    @property
+    def precision(self) -> np.ndarray:
+        """(n, n) inverse covariance."""
+        return np.diag(1.0 / self.tolerance**2) if self.inverse is None else self.inverse
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,9 +85,8 @@ def least_squares(
     design = np.concatenate([free, prior.design], 1)
     inner, across = gram[1:, 1:], gram[1:, 0]
     normal, target = design.T @ inner @ design, -design.T @ across
-    weight = np.r_[np.zeros(p), 1.0 / prior.tolerance**2]
-    normal[np.diag_indices_from(normal)] += weight
-    target[p:] -= weight[p:] * prior.at
+    normal[p:, p:] += prior.precision
+    target[p:] -= prior.precision @ prior.at
     bounds = (
         np.r_[np.full(p, -np.inf) if low is None else low, -prior.reach - prior.at],
         np.r_[np.full(p, np.inf) if high is None else high, prior.reach - prior.at],
@@ -92,7 +99,7 @@ def least_squares(
 
 def penalty(calibration: np.ndarray, prior: CalibrationPrior) -> float:
     """-2 ln of the prior of calibration (n,), without a constant."""
-    return float(((calibration / prior.tolerance) ** 2).sum())
+    return float(calibration @ prior.precision @ calibration)
 
 
 def _bounded(normal: np.ndarray, target: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]) -> np.ndarray:

@@ -14,7 +14,16 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, noise_of
-from btr_mjx.gap.effects import LAW_EFFECTS, TIMING, Effect, Hypothesis, Scales, candidates, has_closed_loops, of_forces
+from btr_mjx.gap.effects import (
+    LAW_EFFECTS,
+    TIMING,
+    Candidate,
+    Effect,
+    Hypothesis,
+    candidates,
+    has_closed_loops,
+    of_forces,
+)
 from btr_mjx.gap.forces.held_out import HeldOut, held_out, is_better
 from btr_mjx.gap.forces.horizons import follow_horizons
 from btr_mjx.gap.forces.law_scan import scan_laws
@@ -25,6 +34,7 @@ from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, covariance, sett
 from btr_mjx.gap.forces.predictions import compared_predictions, horizon_errors, predicts_well
 from btr_mjx.gap.forces.residual import fit_residual
 from btr_mjx.gap.forces.search import Named, SearchRound, select_effects, start
+from btr_mjx.gap.forces.sets.carried import Carried, carried_library, with_room
 from btr_mjx.gap.forces.stretches import Stretches, spread_stretches
 from btr_mjx.gap.forces.unknowns import (
     BELIEVED,
@@ -52,6 +62,9 @@ _TOLD = 10.0
 
 _LEFT = 0.1
 """The same where effects are named, as a part of theirs."""
+
+_AGAIN = 2.0
+"""Force that was left before and is left again, in units of what was: other motions excite it more or less."""
 
 _BEYOND = 1.5
 """Square of what held-out recordings leave, in units of the noise, where something is left."""
@@ -106,7 +119,7 @@ def identify_forces(
     counter: Counter,
     residual: bool = False,
 ) -> Diagnosis:
-    """Find what is missing.
+    """Find what is missing, see `search_forces`.
 
     Args:
       prepared: both sides of the data.
@@ -122,40 +135,79 @@ def identify_forces(
     Raises:
       InputError: there is no motion.
     """
+    diagnosis, found = search_forces(prepared, effects, max_effects, progress, counter)
+    if not residual:
+        return diagnosis
+    progress("residual")
+    first, last = found.chain[0].point, found.chain[-1]
+    # Beside the model that is written: without names, calibration is left out as well.
+    beside = last.point if diagnosis.effects else Point(first.base, (), np.zeros_like(first.calibration))
+    return with_tables_told(diagnosis, fit_residual(found.side, found.test, beside, last.variances))
+
+
+def search_forces(
+    prepared: PreparedForces,
+    effects: Sequence[Effect],
+    max_effects: int,
+    progress: Callable[[str], None],
+    counter: Counter,
+    known: Carried | None = None,
+) -> tuple[Diagnosis, SearchOutcome]:
+    """Find what is missing.
+
+    Args:
+      prepared: both sides of the data.
+      effects: the library of effects.
+      max_effects: largest number of effects that are named.
+      progress: called with a word on what is being done.
+      counter: adds up the simulated steps.
+      known: what other recordings say of the robot; what is missing is then what has changed. None for nothing.
+
+    Returns:
+      The diagnosis, and what was found, of which `carried_of` is what these recordings say of the robot.
+
+    Raises:
+      InputError: there is no motion.
+    """
     begun = time.monotonic()
     dataset = prepared.dataset
     progress("effects of the library")
     base = Hypothesis(dataset.parameters, tuple(p.value(dataset.model) for p in dataset.parameters))
+    model = dataset.model
+    if known is not None:
+        base = known.base(dataset)
+        model = base(model).update_constants()
     stretches, other = spread_stretches(prepared.fit), spread_stretches(prepared.test)
     if not any(np.ptp(r.qpos, axis=0).max() > 0 for r in dataset.fit):
         raise InputError(f"{dataset.folder}: the robot does not move in any recording of split 'fit'")
     scales, (physical, dictionary) = scales_of(prepared.fit), of_forces(effects)
-    possible, laws = (candidates(dataset.model, scales, own) for own in (physical, dictionary))
+    possible, laws = (candidates(model, scales, own) for own in (physical, dictionary))
     interval = float(np.median(np.diff(dataset.fit[0].commands[0])))
-    library = library_of(possible, dataset.model, dataset.parameters, dataset.tolerances, interval)
+    if known is None:
+        library = library_of(possible, model, dataset.parameters, dataset.tolerances, interval)
+    else:
+        possible = with_room(possible, known)
+        library = library_of(possible, model, dataset.parameters, dataset.tolerances, interval)
+        library = carried_library(library, known)
     test = ForceSide(other, library, np.zeros((0,)), counter)
     side, first = start(
         ForceSide(stretches, library, _of_calibration(stretches, library, base, counter), counter), base
     )
-    rounds, chain = select_effects(side, first, max_effects, progress, laws)
+    # Drives that were there before do not vanish all at once.
+    rounds, chain = select_effects(side, first, max_effects, progress, laws, drives=known is None)
     progress("held-out recordings")
     confirmed = _confirmed(test, chain)
     progress("numbers")
     contradicted = len(confirmed) < len(chain)
     seen = _without_invisible(side, confirmed[-1])
-    last, point = _last(side, seen if seen.point.named else confirmed[0])
+    last, point = _last(side, seen if seen.point.named else confirmed[0], known is None)
     final = [*confirmed[:-1], last] if seen.point.named else [last]
     after = held_out(test, final[-1].point, final[-1].variances)
     before = held_out(test, final[0].point, final[0].variances, after.sensor)
     final[-1] = replace(last, point=point)
-    found = _found(side, test, rounds, final, (before, after), contradicted, dataset, scales)
-    diagnosis = diagnosis_of(dataset, prepared.sigma, found, time.monotonic() - begun + counter.earlier)
-    if not residual:
-        return diagnosis
-    progress("residual")
-    # Beside the model that is written: without names, calibration is left out as well.
-    mended = final[-1].point if diagnosis.effects else Point(base, (), np.zeros_like(point.calibration))
-    return with_tables_told(diagnosis, fit_residual(side, test, mended, final[-1].variances))
+    dictionary_of = candidates(model, scales, LAW_EFFECTS)
+    found = _found(side, test, rounds, final, (before, after), contradicted, known, last, dictionary_of)
+    return diagnosis_of(dataset, prepared.sigma, found, time.monotonic() - begun + counter.earlier), found
 
 
 def _of_calibration(stretches: Stretches, library: Library, base: Hypothesis, counter: Counter) -> np.ndarray:
@@ -194,12 +246,15 @@ def _without_invisible(side: ForceSide, fit: Fitted) -> Fitted:
     return settled(side, replace(fit.point, named=seen), fit.variances, about=fit.linear.stretches)
 
 
-def _last(side: ForceSide, fit: Fitted) -> tuple[Fitted, Point]:
+def _last(side: ForceSide, fit: Fitted, follow: bool) -> tuple[Fitted, Point]:
     """A fit and its point with numbers that follow recordings, or those of the same names from no calibration.
 
     At its bounds, calibration may still stand for what was named after it. Predictions choose; where they cannot tell,
-    the likelihood does.
+    the likelihood does. A change is the difference of two sets whose numbers are found alike: those of neither follow
+    recordings.
     """
+    if not follow:
+        return fit, _of_robot(side.library, fit.point)
     if not fit.point.named:
         return fit, _followed(side, fit)
     point = replace(fit.point, calibration=np.zeros_like(fit.point.calibration))
@@ -212,14 +267,15 @@ def _last(side: ForceSide, fit: Fitted) -> tuple[Fitted, Point]:
 
 
 def _followed(side: ForceSide, fit: Fitted) -> Point:
-    """The point of a fit as the mended model has it, with numbers that follow recordings.
+    """The point of a fit as the mended model has it, with numbers that follow recordings."""
+    return follow_horizons(side, _of_robot(side.library, fit.point), covariance(side, fit), side.library)
 
-    When commands act within a sample belongs to the log, and not to the model.
-    """
-    of_log = np.array([entry.candidate.effect.name == TIMING for entry in side.library.calibrated], bool)
-    point = _merged(side.library, fit.point)
-    point = replace(point, calibration=np.where(of_log, 0.0, point.calibration))
-    return follow_horizons(side, point, covariance(side, fit), side.library)
+
+def _of_robot(library: Library, point: Point) -> Point:
+    """A point without when commands act within a sample, which belongs to the log, and each number in one place."""
+    of_log = np.array([entry.candidate.effect.name == TIMING for entry in library.calibrated], bool)
+    point = _merged(library, point)
+    return replace(point, calibration=np.where(of_log, 0.0, point.calibration))
 
 
 def _merged(library: Library, point: Point) -> Point:
@@ -254,32 +310,37 @@ def _found(
     chain: Sequence[Fitted],
     outcomes: tuple[HeldOut, HeldOut],
     contradicted: bool,
-    dataset: Dataset,
-    scales: Scales,
+    known: Carried | None,
+    forces: Fitted,
+    laws: Sequence[Candidate],
 ) -> SearchOutcome:
     """What was found, with the models as they will be used: calibrated, and with named effects."""
     first, last = chain[0], chain[-1]
-    before = [p.value(dataset.model) for p in dataset.parameters]
+    of = first.point.base
     values = [
-        tuple(believed_values(side.library, dataset.parameters, fit.point.calibration, before)) for fit in (first, last)
+        tuple(believed_values(side.library, of.parameters, fit.point.calibration, of.believed)) for fit in (first, last)
     ]
-    base = replace(first.point.base, believed=values[0])
+    base = replace(of, believed=values[0])
     mended = replace(last.point.base, believed=values[1])
     calibration = _calibration(side.library, last.point)
     for candidate, own in (*calibration, *last.point.named):
         mended = mended.with_effect(candidate, own)
     errors, steady = horizon_errors(test.stretches.data, [base, mended], side.counter)
     missing = missing_force(side.stretches, base)
-    random = np.sqrt(last.variances.force)
+    # What was left before, and is left again, has not changed.
+    earlier = np.zeros_like(last.variances.force) if known is None else _AGAIN * known.random
+    random = np.sqrt(np.maximum(last.variances.force - earlier, 0.0))
     share = random / np.maximum(np.sqrt((missing.actuator**2).mean((0, 1))) + random, 1e-300)
     # Names with which the model predicts well stand, whatever is left at one joint; noise is no force.
     well = predicts_well(errors[0], errors[1], steady)
     large = (share > _LARGE) & (not (well and len(chain) > 1)) & bool(np.median(outcomes[1].chi2) > _BEYOND)
     if not well and len(chain) == 1:
         calibration, mended, errors = (), base, [errors[0], errors[0]]
-    leads = scan_laws(side, last, candidates(dataset.model, scales, LAW_EFFECTS)).leads
+    leads = scan_laws(side, last, laws).leads
+    law_score = max((lead.score for lead in leads), default=0.0)
+    again = 0.0 if known is None else _AGAIN * known.law * last.whitened.count * len(side.stretches)
     told = max(_TOLD, _LEFT * (rounds[0].before.loss - last.loss))
-    law = leads[0] if leads and leads[0].score > told else None
+    law = leads[0] if law_score - again > told else None
     return SearchOutcome(
         tuple(rounds),
         tuple(chain),
@@ -294,6 +355,8 @@ def _found(
         test,
         contradicted,
         law,
+        forces,
+        max(law_score, 0.0),
     )
 
 

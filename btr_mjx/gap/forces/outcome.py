@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.data import Dataset
-from btr_mjx.gap.effects import Hypothesis, ResidualTable, equation_of
+from btr_mjx.gap.effects import Candidate, Hypothesis, ResidualTable, equation_of
 from btr_mjx.gap.forces.confounds import confounds_of
 from btr_mjx.gap.forces.filtering import smoothed
 from btr_mjx.gap.forces.held_out import HeldOut
@@ -19,6 +19,7 @@ from btr_mjx.gap.forces.points import Fitted, ForceSide, covariance, names
 from btr_mjx.gap.forces.predictions import HORIZON, predictions
 from btr_mjx.gap.forces.scan import Scanned
 from btr_mjx.gap.forces.search import Named, SearchRound
+from btr_mjx.gap.forces.sets.combined import combined
 from btr_mjx.gap.forces.unknowns import believed_values
 from btr_mjx.gap.results import (
     Diagnosis,
@@ -68,6 +69,8 @@ class SearchOutcome:
       side, test: of the split.
       contradicted: whether more was found than held-out recordings bear out.
       law: that a force which is left follows; None where nothing is.
+      forces: the last of the chain, with numbers that do not yet follow recordings.
+      law_score: of the best law that is left, told or not.
     """
 
     rounds: tuple[SearchRound, ...]
@@ -83,6 +86,8 @@ class SearchOutcome:
     test: ForceSide
     contradicted: bool
     law: Scanned | None
+    forces: Fitted
+    law_score: float
 
 
 def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seconds: float) -> Diagnosis:
@@ -136,7 +141,9 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
         joint_forces=joint_forces(found.side, first, last if verdict == "effect" else first),
     )
     told = without_late_log(diagnosis)  # of any verdict
-    return replace(told, effects=(), calibration=()) if told.verdict == "unexplained" else told
+    if told.verdict != "unexplained":
+        return told
+    return replace(told, effects=(), calibration=_entries(combined(first.point.base.effects, ())))
 
 
 def with_tables_told(diagnosis: Diagnosis, tables: Sequence[ResidualTable]) -> Diagnosis:
@@ -187,7 +194,10 @@ def _named(found: SearchOutcome) -> tuple[NamedEffect, ...]:
 
 
 def _calibration(found: SearchOutcome) -> tuple[NamedEffect, ...]:
-    """Calibration of the mended model, the largest first, without intervals: most of it is known beforehand."""
+    """Calibration of the mended model, without intervals: most of it is known beforehand.
+
+    First what was known of the robot before, with the values that it has now, then the largest.
+    """
     size = {
         entry.candidate.name: abs(value) / tolerance
         for entry, value, tolerance in zip(
@@ -197,6 +207,13 @@ def _calibration(found: SearchOutcome) -> tuple[NamedEffect, ...]:
             strict=True,
         )
     }
+    own = sorted(found.calibration, key=lambda row: -size[row[0].name])
+    before = found.chain[0].point.base.effects
+    return _entries(combined(before, own) if before else own)
+
+
+def _entries(effects: Sequence[tuple[Candidate, tuple[float, ...]]]) -> tuple[NamedEffect, ...]:
+    """Effects without intervals."""
     return tuple(
         NamedEffect(
             candidate.effect.name,
@@ -209,7 +226,7 @@ def _calibration(found: SearchOutcome) -> tuple[NamedEffect, ...]:
             0.0,
             equation=candidate.effect.equation,
         )
-        for candidate, values in sorted(found.calibration, key=lambda row: -size[row[0].name])
+        for candidate, values in effects
     )
 
 
@@ -349,7 +366,7 @@ def _refits(dataset: Dataset, found: SearchOutcome) -> tuple[Refit, ...]:
     library = found.side.library
     before = [p.value(dataset.model) for p in dataset.parameters]
     first, last = (
-        believed_values(library, dataset.parameters, fit.point.calibration, before)
+        believed_values(library, dataset.parameters, fit.point.calibration, fit.point.base.believed)
         for fit in (found.chain[0], found.chain[-1])
     )
     return tuple(

@@ -123,7 +123,9 @@ def _scene(side: ForceSide, fit: Fitted) -> _Scene:
     return _Scene(whitened.gram.sum(0), given, calibration, fit.whitened.count * len(side.stretches))
 
 
-def one_more(side: ForceSide, fit: Fitted, needed: float = 0.0, laws: Sequence[Candidate] = ()) -> SearchRound:
+def one_more(
+    side: ForceSide, fit: Fitted, needed: float = 0.0, laws: Sequence[Candidate] = (), drives: bool = True
+) -> SearchRound:
     """Look for one more effect beside a fitted point, for what every drive has, at once, or for a law.
 
     A law is refined where it explains more in the scan than every effect of the library does: terms of a dictionary can
@@ -134,17 +136,18 @@ def one_more(side: ForceSide, fit: Fitted, needed: float = 0.0, laws: Sequence[C
       fit: what was named before.
       needed: score that one more effect needs.
       laws: terms of a dictionary at joints.
+      drives: whether all drives may lack what they have.
     """
     library, scene = side.library, _scene(side, fit)
     entries = [entry for entry in library.entries if entry.candidate.name not in names(fit.point.named)]
     _, leads = scan_columns(scene.gram, entries, scene.given, scene.calibration, scene.count)
     choices = len({entry.candidate.name for entry in library.entries})
-    drives = [
+    whole = [
         _judged(side, fit, settled(side, point, first_variances(side, point.hypothesis(library))), choices)
-        for point in drive_points(side, fit)
+        for point in (drive_points(side, fit) if drives else [])
     ]
-    least = max(needed, _FAR * drives[0][0] if drives else 0.0)
-    finalists = [*drives, *_refined(side, fit, shortlist(leads, least), choices)]
+    least = max(needed, _FAR * whole[0][0] if whole else 0.0)
+    finalists = [*whole, *_refined(side, fit, shortlist(leads, least), choices)]
     if laws:
         found = scan_laws(side, fit, laws)
         known = max((row[0] for row in finalists), default=0.0)
@@ -217,7 +220,12 @@ def shortlist(leads: Sequence[Scanned], least: float = 0.0) -> list[Scanned]:
 
 
 def select_effects(
-    side: ForceSide, first: Fitted, most: int, note: Callable[[str], None], laws: Sequence[Candidate] = ()
+    side: ForceSide,
+    first: Fitted,
+    most: int,
+    note: Callable[[str], None],
+    laws: Sequence[Candidate] = (),
+    drives: bool = True,
 ) -> tuple[list[SearchRound], list[Fitted]]:
     """Search for one effect after another.
 
@@ -227,6 +235,7 @@ def select_effects(
       most: largest number of effects.
       note: called with a word on what is being done.
       laws: terms of a dictionary at joints.
+      drives: whether all drives may lack what they have.
 
     Returns:
       The rounds, and the fitted points: the believed model, then with one more effect each.
@@ -236,7 +245,7 @@ def select_effects(
     while len(chain[-1].point.named) < most:
         note("one more effect" if rounds else "effects")
         needed = RELATIVE_ERROR**2 * (chain[0].loss - chain[-1].loss)
-        rounds.append(one_more(side, chain[-1], needed, laws))
+        rounds.append(one_more(side, chain[-1], needed, laws, drives))
         if not rounds[-1].finalists or rounds[-1].finalists[0][0] <= needed:
             break
         found = pruned(side, rounds[-1].finalists[0][1], chain[0])
@@ -318,7 +327,9 @@ def _lost(side: ForceSide, fit: Fitted, index: int, members: Sequence[int], cali
     count = n if calibrated else 0
     design = np.zeros((p + n, count))
     design[p + np.arange(count), np.arange(count)] = 1.0
-    of = side.library.calibration
-    prior = CalibrationPrior(design, of.tolerance[:count], of.reach[:count], fit.point.calibration[:count])
+    if calibrated:
+        prior = replace(side.library.calibration, design=design, at=fit.point.calibration)
+    else:
+        prior = CalibrationPrior(design, *np.zeros((3, 0)))
     every = np.eye(p + n, p)
     return least_squares(without, every[:, rest], prior).loss - least_squares(whole, every, prior).loss

@@ -41,7 +41,7 @@ DRIVE = ("dry_friction", "viscous_damping", "armature", "offset_torque")
 _UNKNOWN = 0.03
 """Tolerance of these where nothing is believed, in units of a visible step: no joint is without friction."""
 
-_MOST = 4.0
+MOST_CALIBRATED = 4.0
 """Largest number of calibration, in tolerances."""
 
 _WITHIN = 0.75
@@ -130,7 +130,9 @@ def library_of(
                 if candidate.effect.name in DRIVE:
                     least = _UNKNOWN * abs(own.step)
                 if sigma := known or max(field_tolerance(candidate.effect.name, own.tolerance), least):
-                    calibrated.append((CandidateColumns(candidate, ((column + i,),), (near[0],)), sigma, _MOST * sigma))
+                    calibrated.append(
+                        (CandidateColumns(candidate, ((column + i,),), (near[0],)), sigma, MOST_CALIBRATED * sigma)
+                    )
     for parameter in believed:
         candidate = _as_candidate(parameter, model)
         entry = CandidateColumns(candidate, ((len(numbers),),), (_range(candidate, 0, False),))

@@ -14,6 +14,7 @@ from btr_mjx.gap.results import (
     format_number,
     in_percent,
     parameter_in_words,
+    parameters_in_words,
     place_in_words,
     unit_in_words,
     verdict_sentence,
@@ -64,7 +65,9 @@ def content(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
         for parameter in [in_percent(name, given)]
     ]
     return {
-        "heading": "Simulation against data",
+        "heading": "What has changed" if result.get("before") else "Simulation against data",
+        "before": _before(result.get("before")),
+        "sets": _sets(folder),
         "dataset": str(result.get("dataset") or folder.name),
         "sentence": verdict_sentence(result),
         "details": detail_sentences(result),
@@ -89,6 +92,34 @@ def content(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
         "preflight": _preflight(folder),
         "footer": _footer(result),
     }
+
+
+def _before(before: Any) -> dict[str, Any] | None:
+    """What the diagnosis of the recordings before said."""
+    if not before:
+        return None
+    found = [f"{effect_at_place(e)} ({parameters_in_words(e)})" for e in before.get("effects") or []]
+    return {"dataset": before["dataset"], "sentence": before["sentence"], "effects": found}
+
+
+def _sets(folder: Path) -> dict[str, Any] | None:
+    """Numbers over sets of recordings."""
+    if not (folder / "sets.csv").is_file():
+        return None
+    rows = read_table(folder / "sets.csv").to_dicts()
+    shown = [
+        {
+            "set": row["name"],
+            "number": f"{effect_at_place(row)}, {parameter_in_words(row['parameter'])}",
+            "value": row["value"],
+            "from": row["low"],
+            "to": row["high"],
+            "unit": unit_in_words(row["unit"]),
+            "named": "yes" if row["named"] else "",
+        }
+        for row in rows
+    ]
+    return _table(shown)
 
 
 def _preflight(folder: Path) -> dict[str, list[str]] | None:

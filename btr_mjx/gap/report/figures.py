@@ -246,6 +246,29 @@ def force_figure(joints: Sequence[ForceData], mended: bool = True) -> Figure:
     return figure
 
 
+def numbers_over_sets(rows: Sequence[Mapping[str, Any]]) -> Figure:
+    """Numbers over sets of recordings, a panel each.
+
+    Args:
+      rows: of sets.csv.
+
+    Returns:
+      The figure.
+    """
+    keys = list(dict.fromkeys((r["effect"], r["location"], r["parameter"]) for r in rows))
+    figure = Figure(figsize=(7.2, 0.5 + 1.5 * len(keys)))
+    axes = figure.subplots(len(keys), 1, squeeze=False)[:, 0]
+    for panel, key in zip(axes, keys, strict=True):
+        own = [r for r in rows if (r["effect"], r["location"], r["parameter"]) == key]
+        at = np.array([r["set"] for r in own])
+        value, low, high = (np.array([r[name] for r in own], float) for name in ("value", "low", "high"))
+        panel.errorbar(at, value, [value - low, high - value], color="black", marker="o", capsize=3, linewidth=1.1)
+        panel.set_title(_capital(effect_at_place(own[0])), loc="left", fontsize=8)
+        panel.set_ylabel(f"{key[2]} [{own[0]['unit']}]")
+        panel.set_xticks(at, [str(r["name"]) for r in own])
+    return figure
+
+
 def commands(time: np.ndarray, values: np.ndarray, names: Sequence[str], most: int = 5) -> Figure:
     """A proposed command: the channels with the largest range.
 

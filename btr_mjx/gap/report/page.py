@@ -7,6 +7,7 @@ Files of a diagnosis folder, of which all but the first may be missing:
 - overlays.npz: `recordings`, `names`, `units` (N,), for each n `time_n`, `measured_n`, `before_n`, `after_n` (K,);
 - joint_forces.npz: `joints`, `units`, `follows` (J,), for each n `position_n`, `velocity_n`, `load_n`, `time_n`,
   `before_n`, `after_n`, `law_n`, `spread_n` (N,);
+- sets.csv: numbers over sets of recordings, where there are several;
 - next_command.csv: `time` and the proposed command;
 - mended.json beside mended.xml; environment.json.
 """
@@ -76,7 +77,19 @@ def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
     """The figures, each saved beside the page and inside it."""
     from btr_mjx.gap.report import figures
 
-    out: dict[str, Any] = {"map": None, "ranking": [], "overlays": [], "command": None, "forces": None}
+    out: dict[str, Any] = {
+        "map": None,
+        "ranking": [],
+        "overlays": [],
+        "command": None,
+        "over_sets": None,
+        "forces": None,
+    }
+    if (folder / "sets.csv").is_file():
+        rows = read_table(folder / "sets.csv").to_dicts()
+        figure = figures.numbers_over_sets(rows)
+        caption = "Named numbers of each set, the oldest first, beside the believed model; bars are 90 % intervals."
+        out["over_sets"] = _picture(folder, "sets", figure, "Numbers over the sets of recordings", caption)
     if (folder / "disagreement.npz").is_file():
         data = read_arrays(folder / "disagreement.npz")
         figure = figures.disagreement_map(

@@ -10,9 +10,14 @@ from btr_mjx.gap.report.content import is_json_number
 from btr_mjx.gap.results import effect_at_place, effect_title, place_in_words
 
 
-def print_findings(findings: Sequence[Finding]) -> None:
-    """Print the findings of preflight, errors first."""
-    print("preflight")
+def print_findings(findings: Sequence[Finding], what: str = "") -> None:
+    """Print the findings of preflight, errors first.
+
+    Args:
+      findings: to print.
+      what: recordings that they are about, where there are several sets.
+    """
+    print(f"preflight{f' of {what}' if what else ''}")
     for finding in findings:
         mark = "" if finding.level == "note" else f"{finding.level}: "
         print(textwrap.fill(f"{mark}{finding.message}", 110, initial_indent="  - ", subsequent_indent="    "))

@@ -29,11 +29,12 @@ from btr_mjx.gap.results.records import (
     NextExperiment,
     Overlay,
     Predictions,
+    Quantity,
     RankedCandidate,
     Refit,
     Verdict,
 )
-from btr_mjx.gap.results.saved import RESULT, as_result, save_diagnosis
+from btr_mjx.gap.results.saved import RESULT, as_result, before_entry, save_diagnosis, save_quantities
 from btr_mjx.gap.results.simulation_file import simulation_mjcf
 from btr_mjx.gap.results.verdict_words import detail_sentences, verdict_sentence
 from btr_mjx.gap.results.wording import (
@@ -47,6 +48,7 @@ from btr_mjx.gap.results.wording import (
     in_percent,
     number_in_words,
     parameter_in_words,
+    parameters_in_words,
     place_in_words,
     refit_sentence,
     unit_in_words,
@@ -71,11 +73,13 @@ __all__ = [
     "NextExperiment",
     "Overlay",
     "Predictions",
+    "Quantity",
     "RankedCandidate",
     "Refit",
     "Verdict",
     "added_effects",
     "as_result",
+    "before_entry",
     "confound_sentence",
     "detail_sentences",
     "effect_at_place",
@@ -89,10 +93,12 @@ __all__ = [
     "mended_robot",
     "number_in_words",
     "parameter_in_words",
+    "parameters_in_words",
     "place_in_words",
     "refit_sentence",
     "resolve_effect",
     "save_diagnosis",
+    "save_quantities",
     "simulation_mjcf",
     "unit_in_words",
     "verdict_sentence",

@@ -294,6 +294,28 @@ class Diagnosis:
 
 
 @dataclass(frozen=True)
+class Quantity:
+    """A number over several sets of recordings, the oldest first.
+
+    Attributes:
+      effect, location, parameter: what it is.
+      unit: SI unit.
+      value: of each set, beside the believed model.
+      low, high: 90 % intervals.
+      named: whether the number was named in that set: at first as missing, later as changed.
+    """
+
+    effect: str
+    location: str
+    parameter: str
+    unit: str
+    value: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    named: tuple[bool, ...]
+
+
+@dataclass(frozen=True)
 class NextExperiment:
     """A command that is proposed to be recorded next.
 

@@ -14,7 +14,7 @@ from btr_mjx.gap.data import Dataset, control_columns
 from btr_mjx.gap.effects import KNOWN_EFFECTS, Effect
 from btr_mjx.gap.results.exported import export_diagnosis
 from btr_mjx.gap.results.mended_model import FoundEffect, MendedModel, mend, with_residual
-from btr_mjx.gap.results.records import Diagnosis, DisagreementMap, JointForce, NamedEffect, NextExperiment
+from btr_mjx.gap.results.records import Diagnosis, DisagreementMap, JointForce, NamedEffect, NextExperiment, Quantity
 from btr_mjx.gap.results.verdict_words import detail_sentences, verdict_sentence
 from btr_mjx.gap.results.wording import place_in_words
 from btr_mjx.models import parse_path, part_names
@@ -151,6 +151,41 @@ def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
         "seconds": diagnosis.seconds,
         "notes": [*dataset.notes, *diagnosis.notes],
     }
+
+
+def before_entry(diagnosis: Diagnosis, dataset: Dataset, before: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """What a diagnosis of earlier recordings said, for result.json.
+
+    Args:
+      diagnosis: of the earlier recordings.
+      dataset: the earlier recordings.
+      before: the entry of the recordings before those, if what they say is a change.
+    """
+    result = as_result(diagnosis, dataset) | {"before": before}
+    keys = ("dataset", "verdict", "effects", "calibration", "believed", "unexplained", "equivalent", "notes")
+    return {key: result[key] for key in keys} | {
+        "sentence": verdict_sentence(result),
+        "recordings": len(dataset.recordings),
+    }
+
+
+def save_quantities(folder: Path, quantities: Sequence[Quantity], sets: Sequence[str]) -> None:
+    """Write sets.csv: numbers over sets of recordings, a row for each number and set; nothing where there are none.
+
+    Args:
+      folder: the run folder.
+      quantities: the numbers.
+      sets: names of the sets, the oldest first.
+    """
+    rows = [
+        {"set": k, "name": name}
+        | {key: getattr(own, key) for key in ("effect", "location", "parameter", "unit")}
+        | {key: getattr(own, key)[k] for key in ("value", "low", "high", "named")}
+        for own in quantities
+        for k, name in enumerate(sets)
+    ]
+    if rows:
+        write_table(folder / "sets.csv", rows)
 
 
 def _effect_entry(effect: NamedEffect) -> dict[str, Any]:

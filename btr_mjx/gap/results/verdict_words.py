@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from btr_mjx.gap.effects import EACH_MEMBER
+from btr_mjx.gap.results.change_words import UNCHANGED, change_in_words
 from btr_mjx.gap.results.wording import (
     REASON_NOT_NAMED,
     as_float,
@@ -40,6 +41,8 @@ def verdict_sentence(result: Mapping[str, Any]) -> str:
       What is missing where, how large it is, and how much of the disagreement on held-out data it explains.
     """
     verdict, effects = result.get("verdict"), list(result.get("effects") or [])
+    if result.get("before"):
+        return _change_sentence(result, effects)
     if verdict == "effect" and effects:
         return f"{_named(result, effects)}{_no_use(result)} {_explained(result)}".strip()
     if verdict == "none":
@@ -47,10 +50,24 @@ def verdict_sentence(result: Mapping[str, Any]) -> str:
         others = _alternatives(_others(result))
         more = f" {_capital(others)} is not ruled out." if others else ""
         return f"{nothing}: simulation and data agree within the noise and the usual tolerances.{more}"
+    return f"Something is missing that none of the known effects explains{_looks(result)}"
+
+
+def _looks(result: Mapping[str, Any]) -> str:
+    """Where what is unexplained is, and what it looks like."""
     where = f", most of it at {result['where']}" if _text(result.get("where")) else ""
     looks = _lines(result.get("unexplained"))
-    more = f" It looks like this: {looks[0].rstrip('.')}." if looks else ""
-    return f"Something is missing that none of the known effects explains{where}.{more}"
+    return f"{where}." + (f" It looks like this: {looks[0].rstrip('.')}." if looks else "")
+
+
+def _change_sentence(result: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> str:
+    """What has changed since the recordings before."""
+    if result.get("verdict") == "effect" and effects:
+        said = change_in_words(effects, _LISTED)
+        return f"{said}{_no_use(result)} {_explained(result)}".strip()
+    if result.get("verdict") == "none":
+        return UNCHANGED
+    return f"Something has changed that none of the known effects explains{_looks(result)}"
 
 
 def detail_sentences(result: Mapping[str, Any]) -> list[str]:
@@ -69,8 +86,9 @@ def detail_sentences(result: Mapping[str, Any]) -> list[str]:
         f"Simulation and data disagree most at {where}." if _text(where) else "",
         _gap(result) if verdict == "effect" else _gap_as_it_is(result),
         _predictions(result),
+        f"Before: {result['before']['sentence']}" if result.get("before") else "",
         _whole_recordings(result) if verdict == "effect" else "",
-        _calibration(result),
+        "" if result.get("before") else _calibration(result),
         _runner_up(result) if verdict == "effect" else "",
         _best_candidate(result) if verdict == "unexplained" else "",
         _equivalent(result),
@@ -97,7 +115,7 @@ def _no_use(result: Mapping[str, Any]) -> str:
     believed, mended, steady = (as_float(of.get(key)) for key in ("believed", "mended", "constant_velocity"))
     if believed is None or mended is None or steady is None or mended < min(believed, steady):
         return "."
-    rival = "the believed model" if believed <= steady else "constant velocity"
+    rival = _first_model(result) if believed <= steady else "constant velocity"
     return f", but {rival} predicts held-out recordings no worse: do not predict with the mended model."
 
 
@@ -114,9 +132,14 @@ def _predictions(result: Mapping[str, Any]) -> str:
     own = f", the mended one by {format_number(mended)}" if is_mended else ""
     return (
         f"Predicted over {horizon:g} s, positions of held-out recordings are off by {format_number(believed)} {unit} "
-        f"with the believed model{own}, with constant velocity by {format_number(steady)} "
+        f"with {_first_model(result)}{own}, with constant velocity by {format_number(steady)} "
         "(root mean square of all joints)."
     )
+
+
+def _first_model(result: Mapping[str, Any]) -> str:
+    """The model that effects are beside."""
+    return "the model from before" if result.get("before") else "the believed model"
 
 
 def _calibration(result: Mapping[str, Any]) -> str:

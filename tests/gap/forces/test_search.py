@@ -18,7 +18,7 @@ def test_effects_that_come_and_go_end_the_search(monkeypatch: pytest.MonkeyPatch
     """Each further effect pays, and makes those before it worthless."""
     count = iter(range(10))
 
-    def one_more(side: Any, fit: Any, needed: float, laws: Any) -> Any:
+    def one_more(side: Any, fit: Any, needed: float, laws: Any, drives: bool) -> Any:
         return SimpleNamespace(finalists=[(50.0, next(count))])
 
     monkeypatch.setattr(search, "one_more", one_more)
