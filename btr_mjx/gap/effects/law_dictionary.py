@@ -146,6 +146,7 @@ def law_effect(law: LawTerm) -> Effect:
         )
 
     def apply(world: World, place: Place, values: np.ndarray) -> None:
+        """Add the term to the laws of a world."""
         world.laws.append(LawForce(law, place.joints[0], place.joints[-1], tuple(float(v) for v in values)))
 
     kind = "Δf = " if law.friction else "τ = "
