@@ -78,7 +78,9 @@ def searches(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         seed: int,
         progress: Callable[[str], None],
         counter: Journal,
+        residual: bool,
     ) -> Any:
+        assert not residual
         progress("windows")
         calls.append(
             {"dataset": dataset, "effects": [e.name for e in effects], "max_effects": max_effects, "seed": seed}
