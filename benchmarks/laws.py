@@ -3,9 +3,9 @@
     uv run python benchmarks/laws.py --robot legged --cases 6     # a ripple at a knee, another name is wrong
 
 Arms are those of `field_cases`, without faults of data. The force of what was named is compared with that of the hidden
-law on states of another motion: an answer is right within 25 % (root mean square), and a dead band by its name. Laws are not sought where a robot touches the world:
-there "unexplained" is right, and any name is wrong. A case
-is made once and kept, an answer is kept under the digest of the code that computed it.
+law on states of another motion: an answer is right within 25 % (root mean square), and a dead band by its name. Laws
+are not sought where a robot touches the world: there "unexplained" is right, and any name is wrong. A case is made once
+and kept, an answer is kept under the digest of the code that computed it.
 """
 
 import os
