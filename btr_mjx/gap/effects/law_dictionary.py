@@ -84,7 +84,8 @@ class LawForce:
             rows.qpos[:, other_q],
             rows.qvel[:, other_v],
         )
-        added = self.law.force(at, self.values)
+        with np.errstate(over="ignore", invalid="ignore"):  # a simulation that diverges is told elsewhere
+            added = self.law.force(at, self.values)
         if self.law.friction:
             loss = rows.field("dof_frictionloss")
             loss[:, v] = np.maximum(loss[:, v] + added, 0.0)
