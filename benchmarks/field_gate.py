@@ -5,8 +5,9 @@
 
 Cases are those of `field_cases`. A case is made once and kept; an answer is kept under the digest of the code that
 computed it, so that the same command continues a run. The right answer to a null is that nothing is missing. An effect
-is right by kind and place, also as one of several numbers of which the others may be zero; whatever else is named is
-false, also a delay where commands were logged late. Exit code: 1 where a case failed.
+is right by kind and place, also as one of several numbers of which the others may be zero, and a ripple as a law or as
+"unexplained"; whatever else is named is false, also a delay where commands were logged late. Exit code: 1 where a case
+failed.
 """
 
 import os
@@ -123,7 +124,9 @@ def judged_parts(named: Mapping[str, Any]) -> list[dict[str, Any]]:
 def judge(model: mujoco.MjModel, truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str, Any]:
     """Row of a case: hidden effects that were named, those listed beside, false names, numbers within intervals."""
     hidden = [effect for effect in truth["effects"] if effect["effect"] != "ripple"]
-    named = answer["effects"]
+    ripples = {effect["location"] for effect in truth["effects"] if effect["effect"] == "ripple"}
+    laws = [n for n in answer["effects"] if n["effect"] == "law_ripple" and n["location"] in ripples]
+    named = [n for n in answer["effects"] if n not in laws]
     parts = [part for one in named for part in judged_parts(one)]
     found = [[n for n in parts if same_kind_and_place(model, h, n)] for h in hidden]
     listed = [any(same_kind_and_place(model, h, n) for n in (*parts, *answer["equivalent"])) for h in hidden]
@@ -141,7 +144,7 @@ def judge(model: mujoco.MjModel, truth: Mapping[str, Any], answer: Mapping[str, 
         "visible": truth["visible"],
         "faults": truth["faults"],
         "said": answer["verdict"],
-        "named": [f"{e['effect']}@{e['location']}" for e in named],
+        "named": [f"{e['effect']}@{e['location']}" for e in answer["effects"]],
         "effects": len(hidden),
         "right": sum(map(bool, found)),
         "listed": sum(listed),
@@ -151,7 +154,7 @@ def judge(model: mujoco.MjModel, truth: Mapping[str, Any], answer: Mapping[str, 
         "null": null,
         "false_unexplained": unexplained and not outside,
         "outside": outside,
-        "flagged": outside and (unexplained or bool(answer["unexplained"])),
+        "flagged": outside and (unexplained or bool(answer["unexplained"]) or bool(laws)),
         "correct": not extra and all(found) and (not unexplained if not outside else True),
         "cpu_seconds": answer["cpu_seconds"],
         "sentence": answer["sentence"],
