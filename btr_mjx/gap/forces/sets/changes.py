@@ -17,13 +17,11 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import EFFECTS, Effect
 from btr_mjx.gap.forces.identify import prepare_forces, search_forces
+from btr_mjx.gap.forces.joint_forces import QUANTILE
 from btr_mjx.gap.forces.sets.carried import Carried, carried_of
 from btr_mjx.gap.results import Diagnosis, Quantity
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.models import part_names
-
-_QUANTILE = 1.645
-"""Half width of a 90 % interval, in standard errors."""
 
 _KINDS = ("joint", "actuator", "body")
 """Parts that two models of one robot share."""
@@ -141,7 +139,7 @@ def _quantities(diagnoses: Sequence[Diagnosis], carried: Sequence[Carried]) -> t
                 # A load is beside the mass of its body, at another place of it.
                 found = [v[i] - parameter.null for c, v in own.effects if c.name == candidate.name]
                 values.append(parameter.null + sum(found))
-                halves.append(_QUANTILE * own.spread((candidate.name, i)))
+                halves.append(QUANTILE * own.spread((candidate.name, i)))
             out.append(
                 Quantity(
                     candidate.effect.name,
