@@ -1,4 +1,7 @@
-"""A last resort: a smooth table of the force that is left, chosen by recordings that were not fitted."""
+"""A last resort: a smooth table of the force that is left.
+
+Recordings that were fitted choose how smooth it is, each predicted from the others; those held out whether it stays.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,13 +26,16 @@ _RIDGES = np.logspace(-4, 3, 15)
 _UPDATES = 4
 """Updates of variances."""
 
+_FOLDS = 4
+"""Parts of a recording that is alone, each predicted from the others."""
+
 
 def fit_residual(side: ForceSide, test: ForceSide, point: Point, variances: Variances) -> tuple[ResidualTable, ...]:
     """Tables of the force that is left beside a model, at the joints where held-out recordings know of it.
 
     Args:
       side: the recordings to fit.
-      test: the recordings held out, which choose how smooth a table is and whether it is one at all.
+      test: the recordings held out, which have to be predicted better with a table than without it.
       point: the model beside which it is fitted.
       variances: to start with.
 
@@ -37,21 +43,21 @@ def fit_residual(side: ForceSide, test: ForceSide, point: Point, variances: Vari
       Tables; none where the model with them predicts held-out recordings no better.
     """
     model, before = side.stretches.data.recordings[0].model, point.hypothesis(side.library)
-    fits = [_linear(of, before, variances) for of in (side, test)]
-    states = [joint_states(of.stretches, before) for of in (side, test)]
-    names, chosen = part_names(model, "joint"), list[ResidualTable]()
+    fit, states = _linear(side, before, variances), joint_states(side.stretches, before)
+    group = side.stretches.recording
+    if len(np.unique(group)) == 1:
+        group = np.arange(len(group)) * _FOLDS // len(group)
+    names, chosen = part_names(model, "joint"), before
+    tables: list[ResidualTable] = []
     for joint in np.flatnonzero(model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)):
         dof = int(model.jnt_dofadr[joint])
-        table = _empty(names[joint], states[0], dof)
-        grams = [_gram(*fit, own, table, dof) for fit, own in zip(fits, states, strict=True)]
-        weights = _weights(*grams)
-        if weights is not None:
-            chosen.append(replace(table, weights=weights))
-    if not chosen:
-        return ()
-    makes = [before, with_tables(before, chosen, model)]
-    (without, beside), steady = horizon_errors(test.stretches.data, makes, side.counter)
-    return tuple(chosen) if predicts_better(without, beside, steady) is True else ()
+        table = _empty(names[joint], states, dof)
+        table = replace(table, weights=_weights(_gram(*fit, states, table, dof), group))
+        beside = with_tables(chosen, [table], model)
+        errors, steady = horizon_errors(test.stretches.data, [chosen, beside], side.counter)
+        if predicts_better(*errors, steady):
+            tables, chosen = [*tables, table], beside
+    return tuple(tables)
 
 
 def with_tables(hypothesis: Hypothesis, tables: Sequence[ResidualTable], model: mujoco.MjModel) -> Hypothesis:
@@ -97,16 +103,16 @@ def _gram(linear: Linearised, variances: Variances, states: JointStates, table: 
     return filtered(linear, columns, variances).gram
 
 
-def _weights(fit: np.ndarray, test: np.ndarray) -> np.ndarray | None:
-    """Weights with the ridge that held-out stretches like best; None where none is better by two standard errors."""
-    whole = fit.sum(0)
-    inner, across = whole[1:, 1:], whole[1:, 0]
-    usual = float(np.trace(inner)) / len(inner)
-    best, found = np.zeros(len(test)), None
-    for ridge in _RIDGES:
-        weights = np.linalg.solve(inner + ridge * usual * np.eye(len(inner)), -across)
-        fall = -(2 * test[:, 0, 1:] @ weights + np.einsum("i,sij,j->s", weights, test[:, 1:, 1:], weights))
-        if fall.sum() > best.sum():
-            best, found = fall, weights
-    error = best.std(ddof=1) / np.sqrt(len(best)) if len(best) > 1 else np.inf
-    return found if best.mean() > 2 * error else None
+def _weights(fit: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Weights (n,) with the ridge that predicts each group of stretches (S,) best from the others."""
+    whole, folds = fit.sum(0), [fit[group == own].sum(0) for own in np.unique(group)]
+    usual = float(np.trace(whole[1:, 1:])) / (len(whole) - 1)
+
+    def solved(gram: np.ndarray, ridge: float) -> np.ndarray:
+        return np.linalg.solve(gram[1:, 1:] + ridge * usual * np.eye(len(gram) - 1), -gram[1:, 0])
+
+    def left(ridge: float) -> float:
+        weights = [np.r_[1.0, solved(whole - own, ridge)] for own in folds]
+        return sum(float(w @ own @ w) for w, own in zip(weights, folds, strict=True))
+
+    return solved(whole, min(_RIDGES, key=left))

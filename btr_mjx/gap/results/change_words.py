@@ -44,6 +44,9 @@ _MOVES: Mapping[str, str] = {
 UNCHANGED = "Nothing has changed: one model explains both sets of recordings within the noise."
 """The sentence where no change was found."""
 
+SAME_REST = "Nothing has changed that can be told: what the model lacks is alike in both sets of recordings."
+"""The same where both sets hold more than the model explains."""
+
 
 def change_in_words(effects: Sequence[Mapping[str, Any]], listed: int) -> str:
     """What has changed, as the beginning of a sentence.

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from btr_mjx.gap.effects import EACH_MEMBER
-from btr_mjx.gap.results.change_words import UNCHANGED, change_in_words
+from btr_mjx.gap.results.change_words import SAME_REST, UNCHANGED, change_in_words
 from btr_mjx.gap.results.wording import (
     REASON_NOT_NAMED,
     as_float,
@@ -66,7 +66,9 @@ def _change_sentence(result: Mapping[str, Any], effects: Sequence[Mapping[str, A
         said = change_in_words(effects, _LISTED)
         return f"{said}{_no_use(result)} {_explained(result)}".strip()
     if result.get("verdict") == "none":
-        return UNCHANGED
+        return SAME_REST if _leaves_much(result) else UNCHANGED
+    if result["before"].get("verdict") == "unexplained":
+        return f"What has changed cannot be told: no known effect explains the recordings before either{_looks(result)}"
     return f"Something has changed that none of the known effects explains{_looks(result)}"
 
 

@@ -191,3 +191,11 @@ def test_conversions() -> None:
     assert conversion("ctrl/m1", "deg", MOTORS, "") == 1.0
     with pytest.raises(InputError, match="is in mm, 'qpos/hip' needs"):
         conversion("qpos/hip", "mm", FLOATING, "log.csv: column 'hip'")
+
+
+def test_a_clock_that_runs_since_long_ago_starts_anew() -> None:
+    """Effects may depend on the time since the recording began."""
+    notes: list[str] = []
+    assert to_seconds(np.array([4211.5, 4211.51]), "s", notes) == (1.0, 4211.5)
+    assert to_seconds(np.array([0.0035, 0.0085]), "s", []) == (1.0, 0.0)
+    assert notes == ["time counts from the first sample, at 4211.500 s"]

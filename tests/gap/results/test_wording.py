@@ -191,3 +191,17 @@ def numbers_without_unit(text: str) -> list[str]:
     text = re.sub(rf"from {number} to {number}", "7", text)
     text = re.sub(r"\d+ more", "more", text).replace("m²", "m")  # candidates are counted
     return [m[0] for m in re.finditer(number, text) if not re.match(rf" {UNIT}", text[m.end() :])]
+
+
+def test_a_change_beside_what_nobody_explains() -> None:
+    before = {"verdict": "unexplained", "sentence": "Something is missing."}
+    told = {"verdict": "unexplained", "effects": [], "before": before, "where": "joint elbow"}
+    assert verdict_sentence(told).startswith("What has changed cannot be told")
+    assert verdict_sentence(told | {"before": {"verdict": "none"}}).startswith("Something has changed")
+    same = {
+        "verdict": "none",
+        "before": before,
+        "gap": {"before": 90.0, "after": 90.0, "noise_floor": 1.0, "nulls": 1.0},
+    }
+    assert "within the noise" not in verdict_sentence(same)
+    assert "within the noise" in verdict_sentence(same | {"gap": same["gap"] | {"before": 1.0, "after": 1.0}})

@@ -182,7 +182,8 @@ def to_seconds(time: np.ndarray, unit: str | None, notes: list[str]) -> tuple[fl
     factor = TIME_UNITS[found]
     finite = time[np.isfinite(time)]
     start = float(finite[0]) * factor if len(finite) else 0.0
-    origin = float(finite[0]) if abs(start) >= _EPOCH[0] / 1000 else 0.0  # keeps the digits of the intervals
+    # Keeps the digits of the intervals, and effects may depend on the time since the recording began.
+    origin = float(finite[0]) if abs(start) >= 1 else 0.0
     if found != "s":
         reason = "as stated" if unit else f"told by intervals of {np.median(np.abs(np.diff(finite))):.3g}"
         notes.append(f"time stamps are in {found} ({reason}) and were converted to s")
