@@ -8,12 +8,17 @@ on its own threads.
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
+import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
 
 if TYPE_CHECKING:
     import jax
+
+MUJOCO_4 = int(mujoco.__version__.split(".")[0]) >= 4
+"""Whether MuJoCo computes as from 4.0 on: `RK4` is of fourth order in orientations, too, and actuators at the force
+limit of a joint have no part in implicit integration."""
 
 Leaves = Mapping[str, np.ndarray]
 """MjModel field name -> (..., *field shape): the fields in which the models of a batch differ."""

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from btr_mjx.engines.base import Leaves, UnsupportedModel
+from btr_mjx.engines.base import MUJOCO_4, Leaves, UnsupportedModel
 
 # On import MJX prints on stdout that its optional GPU backend is not installed.
 with contextlib.redirect_stdout(io.StringIO()):
@@ -181,8 +181,10 @@ _IGNORED = {
     "dof_dampingpoly": "polynomial joint damping",
     "tendon_stiffnesspoly": "polynomial tendon stiffness",
     "tendon_dampingpoly": "polynomial tendon damping",
+    "jnt_springyield": "plastic joint springs",
+    "tendon_springyield": "plastic tendon springs",
 }
-"""Fields that native MuJoCo 3.17 uses and MJX 3.17 silently ignores -> name of the feature."""
+"""Fields that native MuJoCo uses and MJX 3.17 silently ignores -> name of the feature."""
 
 
 def _refuse(model: mujoco.MjModel) -> None:
@@ -192,10 +194,24 @@ def _refuse(model: mujoco.MjModel) -> None:
         raise UnsupportedModel(f"MJX silently ignores {what}: remove it from the model or use engine='native'")
 
     for field, what in _IGNORED.items():
-        if np.any(getattr(model, field)):
+        if np.any(getattr(model, field, 0)):
             refuse(f"{what} ({field})")
+    if model.opt.enableflags & int(getattr(mujoco.mjtEnableBit, "mjENBL_SPECULATIVE", 0)):
+        refuse("speculative contacts (the enable flag speculative)")
+    turning = np.isin(model.jnt_type, (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL)).any()
+    if MUJOCO_4 and turning and model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        raise UnsupportedModel(
+            "MJX integrates free and ball joints with RK4 as MuJoCo did before 4.0: use engine='native' or 'lanes', or "
+            "another integrator"
+        )
     if model.opt.noslip_iterations:
         refuse("the noslip solver (opt.noslip_iterations)")
+    fast = model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    if MUJOCO_4 and fast and model.jnt_actfrclimited.any() and np.any(model.actuator_biasprm[:, 2]):
+        raise UnsupportedModel(
+            "MJX integrates actuators at the force limit of a joint (actuatorfrcrange) as MuJoCo did before 4.0: use "
+            "engine='native' or 'lanes'"
+        )
     pid = model.actuator_gaintype == mujoco.mjtGain.mjGAIN_PID
     if not pid.any():
         return

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from btr_mjx.engines.base import MUJOCO_4
 from btr_mjx.engines.lanes import support
 from btr_mjx.engines.lanes.delays import delayed
 from btr_mjx.engines.lanes.kinematics import Motion, axis_angle, path_motion, quaternion_product, unit_quaternion
@@ -111,7 +112,10 @@ def actuate(
                 force = add(force, mul(gear, one[0]))
                 result.damping[dof] = add(result.damping.get(dof, 0.0), mul(mul(gear, gear), one[1]))
             if model.jnt_actfrclimited[joint.ids[0]]:
-                force = _clip(force, parameters[f"{key}/actfrcrange"])
+                limited = _clip(force, parameters[f"{key}/actfrcrange"])
+                if MUJOCO_4:
+                    result.damping[dof] = mul(result.damping[dof], limited == force)
+                force = limited
             result.force[dof] = force
     pulls: dict[Tendon, Scalar] = {}
     for tendon in plan.tendons:

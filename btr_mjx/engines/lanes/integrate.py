@@ -116,6 +116,40 @@ def moved_coordinates(
     return coordinates
 
 
+def turning_rates(plan: TreePlan, moved: Sequence[Scalar], v: Sequence[Scalar]) -> list[Scalar]:
+    """Velocities of the coordinates in which rotations are vectors from where a step began.
+
+    For a rotation by the vector u, u' = w + u x w / 2 + (1 - |u|/2 cot(|u|/2)) / |u|^2 u x (u x w), with the angular
+    velocity w in the turned axes: the inverse of the derivative of the exponential map (Munthe-Kaas, "High order
+    Runge-Kutta methods on manifolds", 1999).
+
+    Args:
+      plan: the static plan.
+      moved: u per dof, and the displacement of dofs that are no rotations.
+      v: velocity per dof.
+    """
+    rates = list(v)
+    for joint in (joint for link in plan.links for joint in link.joints if joint.kind in (BALL, FREE)):
+        dofs = joint.dofs[-3:]
+        u, w = [moved[k] for k in dofs], [v[k] for k in dofs]
+        square = u[0] * u[0] + u[1] * u[1] + u[2] * u[2]
+        small = square < 0.25
+        angle = jnp.sqrt(jnp.where(small, 1.0, square))
+        far = (1.0 - 0.5 * angle / jnp.tan(0.5 * angle)) / (angle * angle)
+        near = jnp.full_like(square, _INVERSE_SERIES[-1])
+        for coefficient in _INVERSE_SERIES[-2::-1]:
+            near = coefficient + square * near
+        turn = cross(u, w)
+        second = scale(jnp.where(small, near, far), cross(u, turn))
+        for k, x in zip(dofs, vadd(vadd(w, scale(0.5, turn)), second), strict=True):
+            rates[k] = x
+    return rates
+
+
+_INVERSE_SERIES = (1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368000)
+"""Taylor coefficients of (1 - x/2 cot(x/2)) / x^2 in x^2."""
+
+
 def _gyroscopic(inertia: Block, damping: Block, m: Motion, a: Spatial, dt: float) -> list[Scalar]:
     """Change of a single free body's acceleration by implicit integration of its gyroscopic and damping forces.
 

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from jax import lax
 
-from btr_mjx.engines.base import Leaves
+from btr_mjx.engines.base import MUJOCO_4, Leaves
 from btr_mjx.engines.guards.pairs import group_by_condim, group_by_kinds
 from btr_mjx.engines.guards.places import PlacedGeoms, Pose
 from btr_mjx.engines.guards.watch import crossed
@@ -40,7 +40,7 @@ from btr_mjx.engines.lanes.dynamics import (
     world_rates,
 )
 from btr_mjx.engines.lanes.fields import VARYING, Fields, base_field, influences_motion, rigid_root
-from btr_mjx.engines.lanes.integrate import Damping, integrate_step, moved_coordinates
+from btr_mjx.engines.lanes.integrate import Damping, integrate_step, moved_coordinates, turning_rates
 from btr_mjx.engines.lanes.kinematics import Motion, motions
 from btr_mjx.engines.lanes.parameters import Parameters, derive, split_constants
 from btr_mjx.engines.lanes.scalars import add, array, group_sum, scale, total, vadd, vsub
@@ -299,26 +299,33 @@ class LanesStepper:
         return _Forward(moving, bodies, damping, actuation, medium and medium[1], found, capped, zones, tripped)
 
     def _runge_kutta(self, parameters: Parameters, state: LanesState, ctrl: jax.Array) -> LanesState:
-        """One step of the classical Runge-Kutta method of fourth order (mj_RungeKutta)."""
+        """One step of the classical Runge-Kutta method of fourth order (mj_RungeKutta).
+
+        A stage ends where the velocity of the stage before leads; velocities of rotations are those of the coordinates
+        of this motion, from MuJoCo 4.0 on.
+        """
         plan, dt = self.plan, self.timestep
         ahead, weights = (jnp.asarray(x, self._dtype) for x in ([0.5, 0.5, 1, 0], [1 / 6, 1 / 3, 1 / 3, 1 / 6]))
 
         def stage(i: jax.Array, carry: tuple) -> tuple:
-            here, speed, rate, capped = carry
+            here, moved, speed, rate, capped = carry
             f = self._forward(parameters, here, ctrl)
             rates = [
                 array(x, v.shape, self._dtype)
                 for x, v in zip(local_rates(plan, f.moving, f.found), here.v, strict=True)
             ]
-            speed, rate = (vadd(sums, scale(weights[i], x)) for sums, x in ((speed, here.v), (rate, rates)))
-            q = moved_coordinates(plan, state.q, here.v, ahead[i] * dt)
+            velocity = turning_rates(plan, moved, here.v) if MUJOCO_4 else here.v
+            speed, rate = (vadd(sums, scale(weights[i], x)) for sums, x in ((speed, velocity), (rate, rates)))
+            q = moved_coordinates(plan, state.q, velocity, ahead[i] * dt)
+            moved = scale(ahead[i] * dt, velocity)
             power = array(total(group_sum(p, size) for p, size in f.actuation.power), capped.shape, self._dtype)
             v = vadd(state.v, scale(ahead[i] * dt, rates))
             following = LanesState(q, v, state.act, state.history, rates, f.zones, power, f.capped, f.tripped)
-            return following, speed, rate, capped | f.capped
+            return following, moved, speed, rate, capped | f.capped
 
         still = [jnp.zeros_like(x) for x in state.v]
-        end, speed, rate, capped = lax.fori_loop(0, 4, stage, (state, still, still, jnp.zeros_like(state.capped)))
+        begin = (state, still, still, still, jnp.zeros_like(state.capped))
+        end, _, speed, rate, capped = lax.fori_loop(0, 4, stage, begin)
         q, v = moved_coordinates(plan, state.q, speed, dt), vadd(state.v, scale(dt, rate))
         return replace(end, q=q, v=v, capped=capped)
 

@@ -109,7 +109,7 @@ def _check_options(m: mujoco.MjModel) -> Iterator[str]:
         yield f"the {mujoco.mjtIntegrator(m.opt.integrator).name} integrator (only Euler, implicitfast and RK4)"
     if m.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 and (m.na or np.any(m.actuator_history[:, 0])):
         yield f"the RK4 integrator together with activations or delays ({m.nu} actuators)"
-    for flag in ("OVERRIDE", "SLEEP", "DIAGEXACT", "IPC"):
+    for flag in ("OVERRIDE", "SLEEP", "DIAGEXACT", "IPC", "SPECULATIVE"):
         bit = getattr(_ENABLE, f"mjENBL_{flag}", None)
         if bit is not None and m.opt.enableflags & int(bit):
             yield f"the enable flag {flag.lower()}"
@@ -135,6 +135,7 @@ def _check_elements(m: mujoco.MjModel) -> Iterator[str]:
         ("geom_adhesion", obj.mjOBJ_GEOM, "adhesion"),
         ("geom_surfacevel", obj.mjOBJ_GEOM, "surface velocities"),
         ("jnt_stiffnesspoly", obj.mjOBJ_JOINT, "polynomial stiffness"),
+        ("jnt_springyield", obj.mjOBJ_JOINT, "plastic springs"),
         ("dof_dampingpoly", obj.mjOBJ_DOF, "polynomial damping"),
         ("actuator_damping", obj.mjOBJ_ACTUATOR, "actuator damping"),
         ("actuator_dampingpoly", obj.mjOBJ_ACTUATOR, "polynomial actuator damping"),
@@ -206,10 +207,11 @@ def _check_tendons(m: mujoco.MjModel) -> Iterator[str]:
         for field, what in (
             ("armature", "armature"),
             ("stiffnesspoly", "polynomial stiffness"),
+            ("springyield", "plastic springs"),
             ("dampingpoly", "polynomial damping"),
             ("actfrclimited", "force limits"),
         ):
-            if np.any(getattr(m, f"tendon_{field}")[t]):
+            if np.any(getattr(m, f"tendon_{field}", np.zeros(m.ntendon))[t]):
                 yield f"{what} of tendons ({where})"
         if implicit and m.tendon_damping[t]:
             yield f"damping of tendons with the implicitfast integrator ({where})"
