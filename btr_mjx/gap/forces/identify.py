@@ -33,7 +33,7 @@ from btr_mjx.gap.forces.outcome import SearchOutcome, diagnosis_of, with_tables_
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, covariance, settled
 from btr_mjx.gap.forces.predictions import compared_predictions, horizon_errors, predicts_well
 from btr_mjx.gap.forces.residual import fit_residual
-from btr_mjx.gap.forces.search import Named, SearchRound, select_effects, start
+from btr_mjx.gap.forces.search import SINGLES, Named, SearchRound, select_effects, start
 from btr_mjx.gap.forces.sets.carried import Carried, carried_library, with_room
 from btr_mjx.gap.forces.stretches import Stretches, spread_stretches
 from btr_mjx.gap.forces.unknowns import (
@@ -240,8 +240,8 @@ def _confirmed(test: ForceSide, chain: Sequence[Fitted]) -> list[Fitted]:
 
 def _without_invisible(side: ForceSide, fit: Fitted) -> Fitted:
     """A fit without effects whose numbers are too small to be seen."""
-    seen = _visible(fit.point.named)
-    if len(seen) == len(fit.point.named):
+    seen = _visible(side.library, fit.point.named)
+    if seen == fit.point.named:
         return fit
     return settled(side, replace(fit.point, named=seen), fit.variances, about=fit.linear.stretches)
 
@@ -251,10 +251,10 @@ def _last(side: ForceSide, fit: Fitted, follow: bool) -> tuple[Fitted, Point]:
 
     At its bounds, calibration may still stand for what was named after it. Predictions choose; where they cannot tell,
     the likelihood does. A change is the difference of two sets whose numbers are found alike: those of neither follow
-    recordings.
+    recordings, and what moves within the calibration that the first set leaves open is no change.
     """
     if not follow:
-        return fit, _of_robot(side.library, fit.point)
+        return fit, _without_log(side.library, fit.point)
     if not fit.point.named:
         return fit, _followed(side, fit)
     point = replace(fit.point, calibration=np.zeros_like(fit.point.calibration))
@@ -268,13 +268,13 @@ def _last(side: ForceSide, fit: Fitted, follow: bool) -> tuple[Fitted, Point]:
 
 def _followed(side: ForceSide, fit: Fitted) -> Point:
     """The point of a fit as the mended model has it, with numbers that follow recordings."""
-    return follow_horizons(side, _of_robot(side.library, fit.point), covariance(side, fit), side.library)
+    point = _without_log(side.library, _merged(side.library, fit.point))
+    return follow_horizons(side, point, covariance(side, fit), side.library)
 
 
-def _of_robot(library: Library, point: Point) -> Point:
-    """A point without when commands act within a sample, which belongs to the log, and each number in one place."""
+def _without_log(library: Library, point: Point) -> Point:
+    """A point without when commands act within a sample, which belongs to the log."""
     of_log = np.array([entry.candidate.effect.name == TIMING for entry in library.calibrated], bool)
-    point = _merged(library, point)
     return replace(point, calibration=np.where(of_log, 0.0, point.calibration))
 
 
@@ -293,12 +293,20 @@ def _merged(library: Library, point: Point) -> Point:
     return replace(point, named=tuple(named), calibration=rest)
 
 
-def _visible(named: Named) -> Named:
-    """Effects with a number that is visible: of the size of its step, and no smaller than what is never named."""
-    out = []
+def _visible(library: Library, named: Named) -> Named:
+    """Effects with a number that is visible: of the size of its step, and no smaller than what is never named.
+
+    Of few members of a group, only those are left.
+    """
+    single = {entry.candidate.name: entry.candidate for entry in library.entries}
+    out: list[tuple[Candidate, tuple[float, ...]]] = []
     for candidate, values in named:
-        pairs = zip(candidate.parameters, values, strict=True)
-        if any(abs(v - p.null) > max(_SEEN * abs(p.step), p.negligible) for p, v in pairs if not p.shape):
+        numbers = list(enumerate(zip(candidate.parameters, values, strict=True)))
+        seen = [i for i, (p, v) in numbers if not p.shape and abs(v - p.null) > max(_SEEN * abs(p.step), p.negligible)]
+        if seen and candidate.place.parts and len(seen) <= SINGLES:
+            members = candidate.place.members
+            out += [(single[f"{candidate.effect.name}@{members[i]}"], (values[i],)) for i in seen]
+        elif seen:
             out.append((candidate, values))
     return tuple(out)
 
