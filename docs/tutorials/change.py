@@ -90,8 +90,8 @@ assert (change["effect"], change["location"]) == ("actuator_gain", "actuator:elb
 assert abs(change["parameters"]["change"]["value"] + 0.06) < 0.012
 
 # %% [markdown]
-# What yesterday's recordings say is kept beside it, and `sets.csv` has the numbers of every set. With `--before` several
-# times, the oldest first, it is a curve of wear ([What has changed](../changes.md)).
+# What yesterday's recordings say is kept beside it, and `sets.csv` has the numbers of every set beside the model. With
+# `--before` several times, the oldest first, it is a curve of wear ([What has changed](../changes.md)).
 
 # %%
 print(both["before"]["sentence"])

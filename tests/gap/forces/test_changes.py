@@ -57,8 +57,8 @@ def test_a_change_is_named_beside_what_the_model_lacks_in_all_sets(found: Change
     assert own.value == pytest.approx(0.05, rel=0.1)
     row = next(q for q in found.quantities if (q.effect, q.location) == ("dry_friction", "joint:elbow"))
     assert row.named == (False, False, True)
-    assert row.value[0] == pytest.approx(row.value[1], abs=0.003)
-    assert row.value[2] - row.value[1] == pytest.approx(own.value, abs=0.005)
+    assert row.value[0] == row.value[1]
+    assert row.value[2] - row.value[1] == pytest.approx(own.value, abs=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(5))

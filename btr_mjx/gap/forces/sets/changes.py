@@ -15,11 +15,11 @@ from threadpoolctl import threadpool_limits
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset
-from btr_mjx.gap.effects import EFFECTS, Effect
+from btr_mjx.gap.effects import EFFECTS, Effect, Parameter
 from btr_mjx.gap.forces.identify import prepare_forces, search_forces
 from btr_mjx.gap.forces.joint_forces import QUANTILE
 from btr_mjx.gap.forces.sets.carried import Carried, carried_of
-from btr_mjx.gap.results import Diagnosis, Quantity
+from btr_mjx.gap.results import Diagnosis, Estimate, Quantity
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.models import part_names
 
@@ -134,12 +134,13 @@ def _quantities(diagnoses: Sequence[Diagnosis], carried: Sequence[Carried]) -> t
             named = tuple(_is_named(one, candidate.effect.name, candidate.place.label) for one in diagnoses)
             if parameter.shape or not any(named):
                 continue
-            values, halves = [], []
-            for own in carried:
-                # A load is beside the mass of its body, at another place of it.
-                found = [v[i] - parameter.null for c, v in own.effects if c.name == candidate.name]
-                values.append(parameter.null + sum(found))
-                halves.append(QUANTILE * own.spread((candidate.name, i)))
+            # A load is beside the mass of its body, at another place of it.
+            last = [v[i] - parameter.null for c, v in carried[-1].effects if c.name == candidate.name]
+            values = [parameter.null + sum(last)]
+            # What later sets say of the calibration holds for earlier ones, too: only changes lie between them.
+            for one in diagnoses[:0:-1]:
+                values.insert(0, values[0] - _change(one, candidate.effect.name, candidate.place.label, parameter))
+            halves = [QUANTILE * own.spread((candidate.name, i)) for own in carried]
             out.append(
                 Quantity(
                     candidate.effect.name,
@@ -155,10 +156,24 @@ def _quantities(diagnoses: Sequence[Diagnosis], carried: Sequence[Carried]) -> t
     return tuple(out)
 
 
+def _numbers_of(diagnosis: Diagnosis, effect: str, label: str) -> list[dict[str, Estimate]]:
+    """Numbers of an effect that was named at a place, alone or as a member of a group with numbers of their own."""
+    end = f"[{label.partition(':')[2]}]"
+    out = []
+    for own in (own for own in diagnosis.effects if own.effect == effect):
+        if own.location == label:
+            out.append(dict(own.parameters))
+        elif found := {k.removesuffix(end): v for k, v in own.parameters.items() if k.endswith(end)}:
+            out.append(found)
+    return out
+
+
 def _is_named(diagnosis: Diagnosis, effect: str, label: str) -> bool:
-    """Whether an effect was named at a place, alone or as a member of a group with numbers of their own."""
-    _, _, member = label.partition(":")
-    return any(
-        own.effect == effect and (own.location == label or any(name.endswith(f"[{member}]") for name in own.parameters))
-        for own in diagnosis.effects
-    )
+    """Whether an effect was named at a place."""
+    return bool(_numbers_of(diagnosis, effect, label))
+
+
+def _change(diagnosis: Diagnosis, effect: str, label: str, parameter: Parameter) -> float:
+    """Named change of a number at a place; 0 where there is none."""
+    found = [own[parameter.name].value for own in _numbers_of(diagnosis, effect, label) if parameter.name in own]
+    return sum(value - parameter.null for value in found)
