@@ -427,9 +427,9 @@ def search_missing(
 
 def _make_demo(folder: Path, config: DiagnoseConfig) -> None:
     """Make the hidden case; the same one again on resume, so that damaged files of it do no harm."""
-    from btr_mjx.testing import make_case, make_fitness_case
+    from btr_mjx.demo import make_demo, make_fitness_demo
 
-    case = make_fitness_case if config.signal == "fitness" else make_case
+    case = make_fitness_demo if config.signal == "fitness" else make_demo
     write_json(folder / "truth.json", case(folder / "demo", config.chosen_seed, config.robot))
 
 

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from gap_arm import SIGMA, arm, arm_windows, elbow_off, recording
+from hidden_cases import CaseSettings, case_robot, make_case
 from scipy.optimize import least_squares
 
 from btr_mjx.gap.data import load
@@ -27,7 +28,6 @@ from btr_mjx.gap.windows import (
 from btr_mjx.gap.windows.likelihood import column_space
 from btr_mjx.gap.windows.transitions import stride
 from btr_mjx.models import integrate
-from btr_mjx.testing import CaseSettings, case_robot, make_case
 
 
 @pytest.fixture(scope="module")
