@@ -6,9 +6,9 @@ in `physics`.
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
-from btr_mjx.demo import DemoRobot, demo_robots
-from btr_mjx.errors import InputError
+from btr_mjx.demo import DemoRobot, demo_robot
 
 
 @dataclass(frozen=True)
@@ -28,29 +28,27 @@ class CaseRobot(DemoRobot):
     drag: tuple[float, float]
 
 
+_QUARTERS = ("fl", "fr", "rl", "rr")
+_PLACES: dict[str, dict[str, Any]] = {
+    "hexapod": {
+        "floor": "ground",
+        "legs": tuple(f"b{i}" for i in range(3, 9)),
+        "links": tuple(f"b{i}" for i in range(3, 15)),
+        "drag": (5.0, 100.0),
+    },
+    "pendulum": {"floor": None, "legs": (), "links": ("arm",), "drag": (100.0, 2000.0)},
+    "quadruped": {
+        "floor": "floor",
+        "legs": tuple(f"{leg}_hip" for leg in _QUARTERS),
+        "links": tuple(f"{leg}_{part}" for leg in _QUARTERS for part in ("thigh", "shank")),
+        "drag": (20.0, 400.0),
+    },
+    "arm": {"floor": None, "legs": ("lower",), "links": ("upper", "lower"), "drag": (50.0, 1000.0)},
+}
+"""Fields of a case robot besides those of the demonstration."""
+
+
 @cache
-def case_robots() -> dict[str, CaseRobot]:
-    """All case robots by name."""
-    quarters = ("fl", "fr", "rl", "rr")
-    shanks = tuple(f"{leg}_{part}" for leg in quarters for part in ("thigh", "shank"))
-    six, twelve = tuple(f"b{i}" for i in range(3, 9)), tuple(f"b{i}" for i in range(3, 15))
-    robots = demo_robots()
-    return {
-        "hexapod": CaseRobot(**vars(robots["hexapod"]), floor="ground", legs=six, links=twelve, drag=(5.0, 100.0)),
-        "pendulum": CaseRobot(**vars(robots["pendulum"]), floor=None, legs=(), links=("arm",), drag=(100.0, 2000.0)),
-        "quadruped": CaseRobot(
-            **vars(robots["quadruped"]),
-            floor="floor",
-            legs=tuple(f"{leg}_hip" for leg in quarters),
-            links=shanks,
-            drag=(20.0, 400.0),
-        ),
-        "arm": CaseRobot(
-            **vars(robots["arm"]), floor=None, legs=("lower",), links=("upper", "lower"), drag=(50.0, 1000.0)
-        ),
-    }
-
-
 def case_robot(name: str) -> CaseRobot:
     """A case robot by name.
 
@@ -63,7 +61,4 @@ def case_robot(name: str) -> CaseRobot:
     Raises:
       InputError: there is none of that name.
     """
-    robots = case_robots()
-    if name not in robots:
-        raise InputError(f"robot {name!r}: expected one of {', '.join(robots)}")
-    return robots[name]
+    return CaseRobot(**vars(demo_robot(name)), **_PLACES[name])

@@ -4,6 +4,6 @@
 """
 
 from btr_mjx.demo.cases import make_demo, make_fitness_demo
-from btr_mjx.demo.robots import DemoRobot, MotionCommand, demo_robots
+from btr_mjx.demo.robots import DemoRobot, MotionCommand, demo_robot
 
-__all__ = ["DemoRobot", "MotionCommand", "demo_robots", "make_demo", "make_fitness_demo"]
+__all__ = ["DemoRobot", "MotionCommand", "demo_robot", "make_demo", "make_fitness_demo"]

@@ -12,7 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from btr_mjx.demo.robots import DemoRobot, MotionCommand, demo_robots
+from btr_mjx.demo.robots import DemoRobot, MotionCommand, demo_robot
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import DatasetDescription, Recording, save_dataset
 from btr_mjx.gap.effects import EFFECTS, Candidate, Scales, candidates
@@ -38,12 +38,15 @@ def make_demo(folder: str | Path, seed: int, robot: str = "hexapod") -> dict[str
     Args:
       folder: folder of the dataset.
       seed: seed of everything that is drawn.
-      robot: name of a robot of `demo_robots`.
+      robot: hexapod, pendulum, quadruped or arm.
 
     Returns:
-      The truth: robot, seed, and `effects` with their places and values; see `_hidden_world`.
+      The truth: robot, seed, and `effects` with their places and values.
+
+    Raises:
+      InputError: a robot that does not exist.
     """
-    machine, rng = demo_robots()[robot], np.random.default_rng([seed, 17])
+    machine, rng = demo_robot(robot), np.random.default_rng([seed, 17])
     model = machine.model
     motions = [machine.draw_motion(rng) for _ in range(_FIT + _TEST)]
     world, hidden = _hidden_world(machine, motions[0], rng)
@@ -77,15 +80,15 @@ def make_fitness_demo(folder: str | Path, seed: int, robot: str = "hexapod") -> 
     Args:
       folder: folder of the dataset.
       seed: seed of everything that is drawn.
-      robot: name of a robot of `demo_robots` with a free base.
+      robot: hexapod or quadruped, which walk.
 
     Returns:
       The truth, see `make_demo`.
 
     Raises:
-      InputError: a robot with a fixed base.
+      InputError: a robot that does not exist, or one with a fixed base.
     """
-    machine, rng = demo_robots()[robot], np.random.default_rng([seed, 29])
+    machine, rng = demo_robot(robot), np.random.default_rng([seed, 29])
     if machine.base is None:
         raise InputError(f"robot {robot!r}: it is bolted down and comes nowhere; expected one that walks")
     model = machine.model

@@ -7,6 +7,7 @@ from functools import cache
 import mujoco
 import numpy as np
 
+from btr_mjx.errors import InputError
 from btr_mjx.robots import hexapod, read_asset
 
 MotionCommand = Callable[[np.ndarray], np.ndarray]
@@ -95,23 +96,50 @@ def _arm_motion(rng: np.random.Generator) -> MotionCommand:
     return lambda t: motion(t) - np.exp(-8 * t[:, None]) * (motion(np.zeros(1)) - 0.0)
 
 
+def demo_robot(name: str) -> DemoRobot:
+    """A robot of demonstrations by name.
+
+    Args:
+      name: hexapod, pendulum, quadruped or arm.
+
+    Returns:
+      The robot.
+
+    Raises:
+      InputError: there is none of that name.
+    """
+    robots = _robots()
+    if name not in robots:
+        raise InputError(f"robot {name!r}: expected one of {', '.join(robots)}")
+    return robots[name]
+
+
 @cache
-def demo_robots() -> dict[str, DemoRobot]:
-    """All robots of demonstrations by name: hexapod, pendulum, quadruped, arm."""
+def _robots() -> dict[str, DemoRobot]:
     walker = hexapod()
-    noises = {
-        "hexapod": (1e-3, 0.05, 1e-3, 2e-3, 0.02, 0.03),
-        "pendulum": (5e-4, 0.01, 0.0, 0.0, 0.0, 0.0),
-        "quadruped": (5e-4, 0.02, 1e-3, 1e-3, 0.01, 0.02),
-        "arm": (3e-4, 0.01, 0.0, 0.0, 0.0, 0.0),
-    }
     xml = {name: read_asset(f"{name}.xml") for name in ("pendulum", "quadruped", "arm")}
+    xml["hexapod"] = walker.render(walker.nominal)
+    still = (0.0, 0.0, 0.0, 0.0)
     robots = (
         DemoRobot(
-            "hexapod", walker.render(walker.nominal), _hexapod_motion, 1.7, walker.base_body, noises["hexapod"], 60.0
+            name="hexapod",
+            xml=xml["hexapod"],
+            draw_motion=_hexapod_motion,
+            duration=walker.duration,
+            base=walker.base_body,
+            noise=(1e-3, 0.05, 1e-3, 2e-3, 0.02, 0.03),
+            tempo=60.0,
         ),
-        DemoRobot("pendulum", xml["pendulum"], _pendulum_motion, 4.0, None, noises["pendulum"], 6.0),
-        DemoRobot("quadruped", xml["quadruped"], _quadruped_motion, 2.0, "trunk", noises["quadruped"], 17.0),
-        DemoRobot("arm", xml["arm"], _arm_motion, 3.0, None, noises["arm"], 6.0),
+        DemoRobot("pendulum", xml["pendulum"], _pendulum_motion, 4.0, None, (5e-4, 0.01, *still), 6.0),
+        DemoRobot(
+            name="quadruped",
+            xml=xml["quadruped"],
+            draw_motion=_quadruped_motion,
+            duration=2.0,
+            base="trunk",
+            noise=(5e-4, 0.02, 1e-3, 1e-3, 0.01, 0.02),
+            tempo=17.0,
+        ),
+        DemoRobot("arm", xml["arm"], _arm_motion, 3.0, None, (3e-4, 0.01, *still), 6.0),
     )
     return {robot.name: robot for robot in robots}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from btr_mjx.demo import cases as demo_cases
-from btr_mjx.demo import demo_robots, make_demo, make_fitness_demo
+from btr_mjx.demo import demo_robot, make_demo, make_fitness_demo
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import load, noise_of
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
@@ -41,7 +41,7 @@ def test_the_hidden_effect_brings_the_believed_model_to_the_recordings(robot: st
         for states in simulate([(World.of(model), segments), (mended, segments)], timestep=1e-4)
     ]
     assert apart[1] < 0.3 * apart[0]
-    sigma = demo_robots()[robot].sigma(model)
+    sigma = demo_robot(robot).sigma(model)
     np.testing.assert_allclose(noise_of(dataset).qpos, sigma[0], rtol=0.15)
     np.testing.assert_allclose(noise_of(dataset).qvel, sigma[1], rtol=0.15)
     assert apart[1] > 1.5 * sigma[0].max()  # calibration leaves errors
@@ -71,3 +71,5 @@ def test_trials_of_a_demonstration_differ_from_those_of_the_believed_model(
     assert np.abs(believed - table.fitness).mean() > 1e-3
     with pytest.raises(InputError, match="bolted down"):
         make_fitness_demo(tmp_path, 1, "arm")
+    with pytest.raises(InputError, match="robot 'dog': expected one of hexapod"):
+        make_fitness_demo(tmp_path, 1, "dog")

@@ -13,7 +13,6 @@ from hidden_cases.motion import Restart, peak_loads
 from hidden_cases.motion import simulate_reality as move
 from hidden_cases.outside import OUTSIDE, possible_outside
 from hidden_cases.physics import HiddenReality
-from hidden_cases.robots import case_robots
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import load, noise_of
@@ -206,4 +205,3 @@ def test_shares_of_verdicts() -> None:
     assert sum(SHARES.values()) == pytest.approx(1)
     assert SHARES["none"] >= 0.2
     assert SHARES["unexplained"] >= 0.15
-    assert set(case_robots()) == {"hexapod", "pendulum", "quadruped", "arm"}
