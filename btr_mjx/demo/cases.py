@@ -16,7 +16,7 @@ from btr_mjx.demo.robots import DemoRobot, MotionCommand, demo_robot
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import DatasetDescription, Recording, save_dataset
 from btr_mjx.gap.effects import EFFECTS, Candidate, Scales, candidates
-from btr_mjx.gap.fitness_only import TrialSimulator, load_fitness, save_fitness
+from btr_mjx.gap.fitness_only import save_fitness
 from btr_mjx.gap.simulate import Command, Segments, World, simulate
 from btr_mjx.models import integrate, part_names
 
@@ -94,15 +94,20 @@ def make_fitness_demo(folder: str | Path, seed: int, robot: str = "hexapod") -> 
     model = machine.model
     shape = (sum(_TRIALS), model.nu)
     amplitude, phase = rng.uniform(0.13, 0.314, shape), rng.uniform(0, np.pi, shape)
-    world, hidden = _hidden_world(machine, lambda t: amplitude[0] * np.sin(machine.tempo * t[:, None] + phase[0]), rng)
+
+    def motion(k: int) -> MotionCommand:
+        return lambda t: amplitude[k] * np.sin(machine.tempo * t[:, None] + phase[k])
+
+    motions = [motion(k) for k in range(len(amplitude))]
+    world, hidden = _hidden_world(machine, motions[0], rng)
+    base = int(model.jnt_qposadr[model.body_jntadr[model.body(machine.base).id]])
+    places = _moved(world, machine, motions)[1][..., base : base + 2]
     columns: dict[str, np.ndarray] = {}
     for i, name in enumerate(part_names(model, "actuator")):
         columns |= {f"amplitude/{name}": amplitude[:, i], f"phase/{name}": phase[:, i]}
-    columns |= {"fitness": np.zeros(len(amplitude)), "split": np.repeat(["fit", "test"], _TRIALS)}
+    columns["fitness"] = np.linalg.norm(places[:, -1] - places[:, 0], axis=1) / machine.duration
+    columns["split"] = np.repeat(["fit", "test"], _TRIALS)
     about = {"body": machine.base, "function": "distance", "duration": machine.duration, "omega": machine.tempo}
-    save_fitness(folder, machine.xml, about, columns)
-    trials = TrialSimulator(load_fitness(folder))
-    columns["fitness"] = trials.fitness([world], np.arange(len(amplitude)), _TIMESTEP)[0]
     save_fitness(folder, machine.xml, about, columns)
     return {"robot": robot, "seed": seed, "effects": [hidden]}
 
