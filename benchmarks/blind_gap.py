@@ -25,6 +25,7 @@ import mujoco
 import numpy as np
 import tyro
 from case_runs import Files, on_cluster, scheduled
+from hidden_cases import PER_JOINT_EFFECTS, CaseSettings, Truth, case_robot, make_case
 
 from btr_mjx.cluster import check_cluster
 from btr_mjx.errors import cli_errors
@@ -33,7 +34,6 @@ from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.inference import Bench, identify, nearest
 from btr_mjx.gap.results import as_result
 from btr_mjx.runs import describe_environment, progress, read_json, to_plain, write_json, write_table
-from btr_mjx.testing import PER_JOINT_EFFECTS, CaseSettings, Truth, case_robot, make_case
 
 MIXED = ("hexapod", "hexapod", "hexapod", "quadruped", "arm", "pendulum")
 """Robots of a mixed benchmark, in turn."""

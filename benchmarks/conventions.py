@@ -19,12 +19,12 @@ from tempfile import TemporaryDirectory
 import mujoco
 import numpy as np
 import tyro
+from hidden_cases import case_robot
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import DatasetDescription, Recording, open_dataset, save_dataset
 from btr_mjx.gap.preflight import Finding, preflight
 from btr_mjx.models import integrate
-from btr_mjx.testing.robots import ARM_XML, quadruped_xml
 
 DRONE_XML = """<mujoco model="drone"><compiler angle="radian"/><option timestep="0.002" integrator="implicitfast"/>
 <worldbody><body name="body" pos="0 0 2"><freejoint name="root"/>
@@ -46,7 +46,7 @@ CART_XML = """<mujoco model="cart"><compiler angle="radian"/><option timestep="0
 <geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.01" mass="0.1" contype="0" conaffinity="0"/></body></body></body>
 </worldbody><actuator><motor name="push" joint="slider"/><motor name="twist" joint="tip"/></actuator></mujoco>"""
 
-XML = {"arm": ARM_XML, "legged": quadruped_xml(), "drone": DRONE_XML, "cart": CART_XML}
+XML = {"arm": case_robot("arm").xml, "legged": case_robot("quadruped").xml, "drone": DRONE_XML, "cart": CART_XML}
 DURATION = {"arm": 4.0, "legged": 3.0, "drone": 3.0, "cart": 5.0}
 RATES = (50, 100, 200, 250, 500, 1000)
 NOISE = {"hinge": 3e-4, "slide": 2e-4, "position": 1e-3, "rotation": 1e-3}

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from hidden_cases import FitnessCaseSettings, Missing, case_draw, draw_reality, make_fitness_case
 from summary_command import command
 
 from btr_mjx.gap.effects import EFFECTS, Candidate, candidates
@@ -31,7 +32,6 @@ from btr_mjx.gap.fitness_only import (
 from btr_mjx.gap.results import Verdict, as_result
 from btr_mjx.gap.simulate import World
 from btr_mjx.runs import describe_environment, note, progress, read_arrays, read_json, write_arrays, write_json
-from btr_mjx.testing import FitnessCaseSettings, Missing, case_draw, draw_reality, make_fitness_case
 
 STRONG = 3.0
 """Change of the fitness by a strong effect, in units of the change by errors of calibration."""

@@ -22,10 +22,10 @@ from unittest.mock import patch
 
 import mujoco
 import tyro
+from hostile import PARSERS, read_in_child, run_input, write_input
 from tqdm import tqdm
 
 from btr_mjx.runs.parquet_child import limit_memory
-from btr_mjx.testing.hostile import PARSERS, read_in_child, run_input, write_input
 
 BATCH = 200
 """Inputs that share a folder and a child process that reads Parquet."""

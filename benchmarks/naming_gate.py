@@ -31,16 +31,16 @@ import mujoco
 import numpy as np
 import scipy
 import tyro
+from hidden_cases import case_robot
 from scipy.stats import binomtest
 
 import btr_mjx
 from btr_mjx.cluster import check_cluster
 from btr_mjx.errors import InputError, cli_errors
 from btr_mjx.runs import describe_environment, progress, read_json, write_json
-from btr_mjx.testing import case_robot
 
 ROOMS_OUTSIDE_SEARCH = (
-    *("backtoreality", "cluster", "engines", "evaluation", "optimise", "pages", "plotting", "replays", "testing"),
+    *("backtoreality", "cluster", "demo", "engines", "evaluation", "optimise", "pages", "plotting", "replays"),
     *("gap/experiments", "gap/fitness_only", "gap/preflight", "gap/report"),
 )
 """Rooms that the search does not import. It does not import the commands either, which are the files at the top."""

@@ -14,15 +14,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from hidden_cases import CaseSettings, Truth, make_case
+from recorded_margins import Measurement, recordings_needed
 from summary_command import command
 
 from btr_mjx.gap.data import load
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.experiments import DECISIVE_MARGIN, Measurement, random_commands, recordings_needed
+from btr_mjx.gap.experiments import DECISIVE_MARGIN, random_commands
 from btr_mjx.gap.inference import Bench, Hypothesis
 from btr_mjx.gap.windows import Options
 from btr_mjx.runs import describe_environment, note, progress, read_json, write_json
-from btr_mjx.testing import CaseSettings, Truth, make_case
 
 _QUICK = Options(steps=2e4, leaders=8, contact_leaders=0)
 """Options of a search that needs the first two candidates only."""

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 import tyro
+from hidden_cases import make_case
 
 from btr_mjx.errors import InputError, cli_errors
 from btr_mjx.runs import note, read_json, write_json
@@ -26,10 +27,12 @@ COMMANDS = {
     "quick": "coevolve --seed 0",
     "paper": "coevolve --preset paper --iterations 1",
     "scan": "scan --parameter bl_14",
-    "pendulum": "diagnose --demo --robot pendulum --seed 1",
-    "hexapod": "diagnose --demo --robot hexapod --seed 38",
+    "pendulum": "diagnose {pendulum} --seed 1",
+    "hexapod": "diagnose {hexapod} --seed 38",
 }
-"""Commands by the name of their run folder."""
+"""Commands by the name of their run folder; {robot} is the folder of a hidden case of that robot and seed."""
+CASES = {"pendulum": 1, "hexapod": 38}
+"""Seeds of the hidden cases by robot, which this version makes for both."""
 
 TIMES = ("seconds",)
 """Keys of result.json that hold times."""
@@ -60,14 +63,16 @@ class Config:
     """Also write the differences to this file."""
 
 
-def run_command(tree: Path, name: str, folder: Path) -> None:
-    """Run one command in a working tree, into a run folder.
+def run_command(tree: Path, name: str, folder: Path, cases: Path) -> None:
+    """Run one command in a working tree, into a run folder; hidden cases are in another one, made where absent.
 
     Raises:
       InputError: the command failed; its last line is in the message.
     """
     shutil.rmtree(folder, ignore_errors=True)
-    module, *flags = COMMANDS[name].split()
+    if name in CASES and not (cases / name).is_dir():
+        make_case(cases / name, CASES[name], name)
+    module, *flags = COMMANDS[name].format(**{robot: (cases / robot).resolve() for robot in CASES}).split()
     command = [
         "uv",
         "run",
@@ -158,10 +163,10 @@ def compare(config: Config) -> dict[str, list[str]]:
                 if not tree.is_dir():
                     _git("worktree", "add", "--detach", str(tree), commit)
                 note(f"{name}: {commit[:12]}")
-                run_command(tree, name, earlier / name)
+                run_command(tree, name, earlier / name, config.out / "cases")
             if config.again or not (this / name / "result.json").is_file():
                 note(f"{name}: this version")
-                run_command(here, name, this / name)
+                run_command(here, name, this / name, config.out / "cases")
             found[name] = differences(earlier / name, this / name)
     finally:
         if tree.is_dir():

@@ -26,6 +26,7 @@ from common import TINY, Config, command
 from curves import curve_numbers, interval, multiscale_curve
 from drawing import figure_of, letter, save, shades, truth_line, white_legend
 from fig2_scans import TRUTHS, evolve, line_of
+from foot_forces import foot_bodies, foot_forces
 from matplotlib.axes import Axes
 from units import Arrays, Journal, Step, Unit, load, run_units
 
@@ -38,8 +39,6 @@ from btr_mjx.evaluation import (
     delta_of,
     evaluate,
     fitness_at_marks,
-    foot_bodies,
-    foot_forces,
     metrics,
 )
 from btr_mjx.models import base_model

@@ -30,7 +30,7 @@ ORDER = (
         "gap.fitness_only",
         "gap.experiments",
         "gap",
-        "testing",
+        "demo",
         "commands",
     ),
 )

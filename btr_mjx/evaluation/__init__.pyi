@@ -11,7 +11,6 @@ from .fitness import (
     fitness_function,
     learning_performance,
 )
-from .foot_forces import foot_bodies, foot_forces
 from .pair_functions import Trajectory, model_leaves, pair_fitness, pair_trajectory
 from .tracked_point import track_configurations
 
@@ -32,8 +31,6 @@ __all__ = [
     "fastest_engine",
     "fitness_at_marks",
     "fitness_function",
-    "foot_bodies",
-    "foot_forces",
     "learning_performance",
     "metrics",
     "model_leaves",

@@ -1,7 +1,7 @@
 """Ask / tell optimisers of bounded vectors: the genetic algorithm of the paper, and CMA-ES.
 
 `GeneticAlgorithm` keeps its state in a plain record, so that a search can be saved after every generation; `cma_es` has
-a similar interface. `optimise` and `minimize` run the genetic algorithm to the end. `mutate` flips bits.
+a similar interface. `mutate` flips bits.
 """
 
 from btr_mjx.optimise import cma_es
@@ -12,18 +12,14 @@ from btr_mjx.optimise.genetic_algorithm import (
     ga_state_from_arrays,
     ga_state_to_arrays,
 )
-from btr_mjx.optimise.minimise import Optimum, minimize, optimise
 from btr_mjx.optimise.operators import mutate
 
 __all__ = [
     "GAConfig",
     "GAState",
     "GeneticAlgorithm",
-    "Optimum",
     "cma_es",
     "ga_state_from_arrays",
     "ga_state_to_arrays",
-    "minimize",
     "mutate",
-    "optimise",
 ]

@@ -4,7 +4,7 @@
 robot is one more `Robot`; the commands take the hexapod unless another template is given.
 """
 
-from btr_mjx.robots.hexapod import HEXAPOD, PAPER_REALITIES, PAPER_STARTS, hexapod, robot_of
+from btr_mjx.robots.hexapod import HEXAPOD, PAPER_REALITIES, PAPER_STARTS, hexapod, read_asset, robot_of
 from btr_mjx.robots.robot import Edit, Pairs, Robot, Signal, Simulator, compiled_template, read_template
 from btr_mjx.robots.signals import Sinusoids, Spline
 from btr_mjx.robots.spaces import Box
@@ -23,6 +23,7 @@ __all__ = [
     "Spline",
     "compiled_template",
     "hexapod",
+    "read_asset",
     "read_template",
     "robot_of",
 ]

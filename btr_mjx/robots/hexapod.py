@@ -48,6 +48,14 @@ HEXAPOD: Mapping[str, float] = {
 """Constants of the hexapod with their units, chosen by `experiments/calibrate_robot.py`."""
 
 
+def read_asset(name: str) -> str:
+    """Text of a file in assets/."""
+    source = files("btr_mjx").joinpath("assets", name)
+    if not source.is_file():  # an editable install: assets/ lies beside the package
+        source = files("btr_mjx").joinpath("../assets", name)
+    return source.read_text(encoding="utf-8")
+
+
 def sinusoids(controller: Any, time: Any, xp: Any) -> Any:
     """r_i = theta_i + a_i sin(omega t + phi_i), the paper's reference, in a default posture of theta_i = 0.
 
@@ -74,13 +82,10 @@ def hexapod(**constants: float) -> Robot:
       left front, left middle, left rear, in this order. Motors 1..12 are the vertical and frontal axes of the femur
       joints j2..j7, motors 13..18 the knees j8..j13.
     """
-    source = files("btr_mjx").joinpath("assets/hexapod.xml.j2")
-    if not source.is_file():  # an editable install: assets/ lies beside the package
-        source = files("btr_mjx").joinpath("../assets/hexapod.xml.j2")
     motors = range(1, 19)
     return Robot(
         name="hexapod",
-        template=source.read_text(encoding="utf-8"),
+        template=read_asset("hexapod.xml.j2"),
         template_path="assets/hexapod.xml.j2",
         simulation_box=Box([f"bl_{body}" for body in range(3, 15)], 0.4, 1.6, units="m"),
         controller_box=Box(

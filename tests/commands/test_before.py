@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hidden_cases import CaseSettings, make_case
 
 from btr_mjx import diagnose
 from btr_mjx.errors import BAD_INPUT_CODE
@@ -21,7 +22,6 @@ from btr_mjx.gap.results import (
     NamedEffect,
     Quantity,
 )
-from btr_mjx.testing import CaseSettings, make_case
 
 MISSING = NamedEffect("viscous_damping", "joint:servo", {"damping": Estimate(0.01, 0.009, 0.011, "N m s/rad")}, 50, 9)
 CHANGE = NamedEffect("dry_friction", "joint:servo", {"torque": Estimate(-0.031, -0.034, -0.028, "N m")}, 80.0, 30.0)

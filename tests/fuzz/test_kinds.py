@@ -11,15 +11,15 @@ import mujoco
 import numpy as np
 import polars as pl
 import pytest
+from hostile.inputs import DATASET, LEROBOT, LEROBOT_INFO, SERVO, XML
+from hostile.mutations import to_json, to_toml
+from hostile.parsers import write_input
 
 from btr_mjx.errors import DamagedFile, InputError, one_line
 from btr_mjx.gap.data import open_dataset
 from btr_mjx.gap.preflight import preflight
 from btr_mjx.models import check_mjcf, parse_path, set_values
 from btr_mjx.runs import read_arrays, read_json, read_table, read_toml, write_table
-from btr_mjx.testing.hostile.inputs import DATASET, LEROBOT, LEROBOT_INFO, SERVO, XML
-from btr_mjx.testing.hostile.mutations import to_json, to_toml
-from btr_mjx.testing.hostile.parsers import write_input
 
 
 @pytest.fixture(autouse=True)

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import mujoco
 import pytest
+from hostile import PARSERS, read_in_child, run_input, write_input
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-
-from btr_mjx.testing.hostile import PARSERS, read_in_child, run_input, write_input
 
 QUICK = settings(
     max_examples=40, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck)
@@ -53,12 +52,12 @@ def test_parquet_is_read_in_one_child(tmp_path: Path, monkeypatch: pytest.Monkey
 @pytest.mark.parametrize("name", PARSERS)
 def test_seeds_are_valid(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a mutation every reader accepts its input; else the tests above would test nothing."""
-    monkeypatch.setattr("btr_mjx.testing.hostile.mutations.mutate_bytes", lambda data, source: data)
-    monkeypatch.setattr("btr_mjx.testing.hostile.mutations.mutate_value", lambda value, source: value)
-    monkeypatch.setattr("btr_mjx.testing.hostile.mutations.mutate_mjcf", lambda text, source: text)
-    monkeypatch.setattr("btr_mjx.testing.hostile.mutations.mutate_template", lambda text, source: text)
+    monkeypatch.setattr("hostile.mutations.mutate_bytes", lambda data, source: data)
+    monkeypatch.setattr("hostile.mutations.mutate_value", lambda value, source: value)
+    monkeypatch.setattr("hostile.mutations.mutate_mjcf", lambda text, source: text)
+    monkeypatch.setattr("hostile.mutations.mutate_template", lambda text, source: text)
     for module in ("parsers", "logs"):
-        name_of = f"btr_mjx.testing.hostile.{module}.bytes_or"
+        name_of = f"hostile.{module}.bytes_or"
         monkeypatch.setattr(name_of, lambda source, data, structured: data)
     source = random.Random(1)
     monkeypatch.setattr(source, "random", lambda: 0.1)

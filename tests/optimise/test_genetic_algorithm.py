@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from btr_mjx.optimise import GAConfig, GeneticAlgorithm, ga_state_from_arrays, ga_state_to_arrays, minimize, optimise
+from btr_mjx.optimise import GAConfig, GeneticAlgorithm, ga_state_from_arrays, ga_state_to_arrays
 from btr_mjx.optimise.operators import crossover
 from btr_mjx.robots import Box
 
@@ -187,36 +187,6 @@ def test_a_generation_of_failures_keeps_the_parents():
     assert (ga.ask(state)[0] != children).any()
 
 
-# ---- one call ----
-
-
-def test_history():
-    def fn(x):
-        return np.where(x[:, 0] > 1.3, np.nan, x.sum(1))
-
-    found = optimise(fn, limbs(3), GAConfig(maximise=True, population=20), seed=0, generations=12)
-    assert found.best_values.shape == (12, 3)
-    assert found.best_fitness.shape == found.mean_fitness.shape == found.failed.shape == (12,)
-    assert (np.diff(found.best_fitness) >= 0).all()
-    np.testing.assert_allclose(found.best_values.sum(1), found.best_fitness)
-    np.testing.assert_array_equal(found.values, found.best_values[-1])
-    assert found.fitness == found.best_fitness[-1]
-    assert found.values[0] <= 1.3
-    assert found.failed[0] > 0
-    assert (found.mean_fitness <= found.best_fitness).all()
-    assert found.state.generation == 12
-    repeat = optimise(fn, limbs(3), GAConfig(maximise=True, population=20), seed=0, generations=12)
-    np.testing.assert_array_equal(repeat.best_values, found.best_values)
-
-
-def test_a_run_of_failures_ends_in_nan():
-    found = minimize(lambda x: np.full(len(x), np.nan), limbs(2), seed=0, generations=3)
-    assert np.isnan(found.values).all()
-    assert np.isnan(found.fitness)
-    assert np.isnan(found.mean_fitness).all()
-    np.testing.assert_array_equal(found.failed, [50] * 3)
-
-
 # ---- bad input ----
 
 
@@ -243,8 +213,6 @@ def test_config_errors(settings, message):
 def test_direction_is_required():
     with pytest.raises(TypeError, match="maximise"):
         GAConfig()
-    with pytest.raises(ValueError, match="maximise=True"):
-        minimize(lambda x: x[:, 0], limbs(1), GAConfig(maximise=True), seed=0, generations=1)
 
 
 def test_protocol_errors():
@@ -265,10 +233,6 @@ def test_protocol_errors():
         GeneticAlgorithm(limbs(3), GAConfig(maximise=True, population=4)).ask(fresh)
     with pytest.raises(ValueError, match=r"genome: got shape \(2, 16\), expected \(16,\)"):
         ga.init(0, np.zeros((2, 16), bool))
-    with pytest.raises(ValueError, match="generations: got 0"):
-        minimize(lambda x: x[:, 0], limbs(1), seed=0, generations=0)
-    with pytest.raises(ValueError, match=r"got 2\.0 for 'x0'"):
-        minimize(lambda x: x[:, 0], limbs(1), seed=0, generations=1, start=[2.0])
     with pytest.raises(ValueError, match="equal shapes"):
         crossover(genomes, genomes[:2], 0.5, "uniform", np.random.default_rng(0))
     with pytest.raises(ValueError, match="expected one of"):

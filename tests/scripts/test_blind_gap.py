@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 from gap_arm import dataset
+from hidden_cases import case_robot
 
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.inference import Bench
 from btr_mjx.gap.windows import Options
-from btr_mjx.testing import case_robot
 
 FOLDER = Path(__file__).parents[2] / "benchmarks"
 DOG, ARM = case_robot("quadruped").model, case_robot("arm").model

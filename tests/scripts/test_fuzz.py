@@ -8,9 +8,9 @@ import time
 from pathlib import Path
 
 import pytest
+from hostile import Parser
 
 from btr_mjx.errors import InputError
-from btr_mjx.testing.hostile import Parser
 
 
 def behave(folder: Path) -> None:

@@ -10,9 +10,8 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from hidden_cases import Truth
 from scipy.stats import binom
-
-from btr_mjx.testing import Truth
 
 FOLDER = Path(__file__).parents[2] / "benchmarks"
 
@@ -80,7 +79,7 @@ def test_mcnemar_against_the_binomial_distribution(gate: ModuleType) -> None:
 
 def test_code_digest(gate: ModuleType, tmp_path: Path) -> None:
     package = tmp_path / "package"
-    rooms = ("plotting/draw.py", "gap/report/page.py", "testing/cases.py", "diagnose.py")
+    rooms = ("plotting/draw.py", "gap/report/page.py", "demo/cases.py", "diagnose.py")
     others = ("gap/inference/search.py", "runs/files.py", "errors.py")
     for name in (*rooms, *others):
         (package / name).parent.mkdir(parents=True, exist_ok=True)

@@ -1,5 +1,6 @@
 """Limb lengths to evolve, and a plain loop that evolves them."""
 
+from btr_mjx.optimise import GAConfig, GeneticAlgorithm
 from btr_mjx.robots import Box
 
 KINDS = ["uniform", "one_point", "two_point"]
@@ -16,3 +17,10 @@ def run(ga, state, fitness, generations):
         genomes, state = ga.ask(state)
         state = ga.tell(state, genomes, fitness(genomes))
     return state
+
+
+def least(fn, box, seed, generations, start=None):
+    """The best vector of a run that minimises a function of vectors."""
+    ga = GeneticAlgorithm(box, GAConfig(maximise=False))
+    state = ga.init(seed, None if start is None else box.encode(start))
+    return box.decode(run(ga, state, lambda genomes: fn(box.decode(genomes)), generations).best_genome)

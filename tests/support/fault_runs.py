@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import faults
-
-from btr_mjx.testing import CaseSettings, make_case
+from hidden_cases import CaseSettings, make_case
 
 ROOT = Path(__file__).parents[2]
 THROWER = ROOT / "examples" / "thrower"

@@ -1,26 +1,9 @@
-"""Judged candidates: stand-ins for them, and what one more effect brings, reckoned apart from the search."""
+"""What one more effect brings, reckoned apart from the search."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from types import SimpleNamespace
 
 from btr_mjx.gap.inference import Bench, Hypothesis
 from btr_mjx.gap.inference.search.search_records import Side
-
-
-@dataclass(frozen=True)
-class Standing:
-    """What rounds look at in a judged candidate."""
-
-    name: str
-    score: float
-    hypothesis: SimpleNamespace
-    held_out: float = 0.0
-
-
-def as_judged(name, score, held_out=0.0):
-    hypothesis = SimpleNamespace(effects=[(SimpleNamespace(name=name), (1.0,))])
-    return Standing(name, score, hypothesis, held_out)
 
 
 def falls(bench: Bench, sides: Sequence[Side], before: Hypothesis, after: Hypothesis) -> list[float]:

@@ -9,7 +9,6 @@ with respect to the parameters of the hypothesis that is wrong, the expected dif
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,10 +18,9 @@ from btr_mjx.gap.inference import Hypothesis
 from btr_mjx.gap.results import Diagnosis, NextExperiment, hypothesis_in_words
 from btr_mjx.gap.simulate import Command, Counter, Segments, simulate
 from btr_mjx.gap.windows import Span, Windows, linearise, prepare
-from btr_mjx.models import integrate
 
 _RANDOM_COMMANDS = 10
-"""Number of random commands that are compared where none are given."""
+"""Number of random commands that are compared."""
 
 _MAX_WINDOWS = 5
 """Largest number of windows along a command."""
@@ -38,7 +36,6 @@ def propose(
     diagnosis: Diagnosis,
     dataset: Dataset,
     seed: int = 0,
-    commands: Sequence[Command] | None = None,
     counter: Counter | None = None,
 ) -> NextExperiment | None:
     """The next experiment after a diagnosis.
@@ -47,7 +44,6 @@ def propose(
       diagnosis: diagnosis with its surviving hypotheses.
       dataset: the dataset; new recordings start like its first one.
       seed: seed of the random commands.
-      commands: commands to choose from; None for random variations of the recorded commands.
       counter: counts the simulated steps.
 
     Returns:
@@ -58,7 +54,7 @@ def propose(
     if len(survivors) < 2 or not dataset.model.nu:
         return None
     rng = np.random.default_rng(seed)
-    commands = commands or random_commands(dataset, rng, _RANDOM_COMMANDS)
+    commands = random_commands(dataset, rng, _RANDOM_COMMANDS)
     span = diagnosis.windows[3]
     found = [expected_margins(survivors, dataset, command, diagnosis.sigma, span, counter) for command in commands]
     # A command is rated by the pair that it separates least.
@@ -84,18 +80,14 @@ def simulate_recording(
     reality: Hypothesis,
     dataset: Dataset,
     command: Command,
-    noise: np.ndarray | None,
-    rng: np.random.Generator | None = None,
     counter: Counter | None = None,
 ) -> Recording:
-    """A recording of a command in a simulated reality, with the initial state and sampling rate of a dataset.
+    """A command in a simulated reality, recorded without noise, with the initial state and sampling rate of a dataset.
 
     Args:
       reality: hypothesis that is simulated as reality, at half the model's time step.
       dataset: source of the initial state and of the sampling rate.
       command: the command.
-      noise: (2 nv,) standard deviations of the sensors; None for none.
-      rng: generator of the noise.
       counter: counts the simulated steps.
 
     Returns:
@@ -111,9 +103,6 @@ def simulate_recording(
     good = np.isfinite(states).all(1)
     last = len(time) if good.all() else max(int(np.argmin(good)), 2)
     qpos, qvel = states[:last, : model.nq], states[:last, model.nq :]
-    if noise is not None and rng is not None:
-        shift = rng.standard_normal((last, 2 * model.nv)) * noise
-        qpos, qvel = integrate(model, qpos, shift[:, : model.nv]), qvel + shift[:, model.nv :]
     return Recording(
         "proposal", time[:last], command.at(time[:last]), qpos, qvel, np.ones(model.nv, bool), "fit", model
     )
@@ -140,8 +129,8 @@ def expected_margins(
     Returns:
       Differences by pair of indices (i, j), i < j.
     """
-    recording = simulate_recording(survivors[0], dataset, command, None, counter=counter)
-    found = _in_windows(survivors, recording, dataset.interpolation, sigma, span, counter)
+    recording = simulate_recording(survivors[0], dataset, command, counter)
+    found = in_windows(survivors, recording, dataset.interpolation, sigma, span, counter)
     if found is None:
         return {(i, j): 0.0 for i in range(len(survivors)) for j in range(i + 1, len(survivors))}
     residuals, columns = found
@@ -152,45 +141,11 @@ def expected_margins(
             # other one; then only the refit of the simpler hypothesis is informative.
             fewest = min(len(columns[i]), len(columns[j]))
             refitted = [own for own in (columns[i], columns[j]) if len(own) == fewest]
-            out[i, j] = min(_after_fit(residuals[j] - residuals[i], own) for own in refitted)
+            out[i, j] = min(after_fit(residuals[j] - residuals[i], own) for own in refitted)
     return out
 
 
-def recorded_margin(
-    truth: Hypothesis,
-    rival: Hypothesis,
-    recordings: Sequence[Recording],
-    interpolation: str,
-    sigma: np.ndarray,
-    span: float,
-) -> float:
-    """Difference of scores of two hypotheses on recordings, each with its own starting states and refitted parameters.
-
-    Args:
-      truth: one hypothesis.
-      rival: the other hypothesis.
-      recordings: the recordings.
-      interpolation: interpolation of their commands.
-      sigma: (2 nv,) noise of positions and velocities.
-      span: length of a window [s].
-
-    Returns:
-      The difference; positive where the recordings favour `truth`.
-    """
-    values = []
-    for hypothesis in (truth, rival):
-        # Starting states that are estimated with one hypothesis would favour it.
-        found = [_in_windows([hypothesis], recording, interpolation, sigma, span) for recording in recordings]
-        parts = [(residuals[0], columns[0]) for residuals, columns in (own for own in found if own is not None)]
-        if not parts:
-            return 0.0
-        residual = np.concatenate([own.ravel() for own, _ in parts])
-        columns = np.concatenate([own.reshape(len(own), own[0].size if len(own) else 0) for _, own in parts], axis=1)
-        values.append(_after_fit(residual, columns))
-    return values[1] - values[0]
-
-
-def _after_fit(residual: np.ndarray, columns: np.ndarray) -> float:
+def after_fit(residual: np.ndarray, columns: np.ndarray) -> float:
     """Sum of squares of a residual after a least-squares fit of columns (P, ...)."""
     flat = residual.ravel()
     if not len(columns):
@@ -202,7 +157,7 @@ def _after_fit(residual: np.ndarray, columns: np.ndarray) -> float:
     return float(left @ left)
 
 
-def _in_windows(
+def in_windows(
     hypotheses: Sequence[Hypothesis],
     recording: Recording,
     interpolation: str,
@@ -233,54 +188,3 @@ def _in_windows(
         own = [(found[start + i] - found[n]) / step for i, step in enumerate(steps)]
         columns.append(np.stack(own) if own else np.zeros((0, *found[n].shape)))
     return found[: len(hypotheses)], columns
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """How recordings are compared with hypotheses.
-
-    Attributes:
-      sigma: (2 nv,) noise of positions and velocities [rad or m, rad/s or m/s].
-      span: length of a window [s].
-    """
-
-    sigma: np.ndarray
-    span: float
-
-
-def recordings_needed(
-    truth: Hypothesis,
-    rival: Hypothesis,
-    dataset: Dataset,
-    measurement: Measurement,
-    rng: np.random.Generator,
-    choose: bool,
-    max_recordings: int = 6,
-    commands: Sequence[Command] | None = None,
-) -> int:
-    """Number of simulated recordings until the scores of two hypotheses differ by `DECISIVE_MARGIN`.
-
-    Args:
-      truth: hypothesis that is simulated as reality.
-      rival: the other hypothesis.
-      dataset: source of the initial state and of the recorded commands.
-      measurement: noise, and length of windows.
-      rng: generator of commands and noise.
-      choose: take the commands in the order of their expected disagreement, instead of the given order.
-      max_recordings: largest number of recordings.
-      commands: commands to choose from; None for random ones.
-
-    Returns:
-      Number of recordings; `max_recordings + 1` where they did not suffice.
-    """
-    sigma, span = measurement.sigma, measurement.span
-    commands = commands or random_commands(dataset, rng, _RANDOM_COMMANDS)
-    order = np.arange(len(commands))
-    if choose:
-        order = np.argsort([-expected_margins([truth, rival], dataset, c, sigma, span)[0, 1] for c in commands])
-    recordings: list[Recording] = []
-    for i in order[:max_recordings]:
-        recordings.append(simulate_recording(truth, dataset, commands[i], sigma, rng))
-        if recorded_margin(truth, rival, recordings, dataset.interpolation, sigma, span) > DECISIVE_MARGIN:
-            return len(recordings)
-    return max_recordings + 1

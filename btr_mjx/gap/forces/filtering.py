@@ -116,20 +116,19 @@ def filtered(linear: Linearised, columns: np.ndarray, variances: Variances) -> F
     return Filtered(gram, logs, int(linear.stretches.seen.sum()) * residual.shape[1])
 
 
-def smoothed(linear: Linearised, effect: np.ndarray, variances: Variances, given_noise: bool = False) -> Smoothed:
+def smoothed(linear: Linearised, effect: np.ndarray, variances: Variances) -> Smoothed:
     """Smooth what is left beside the effect of fitted numbers, and update the variances.
 
     Args:
       linear: the linearised motion.
       effect: (S, K, 2 nv) response to the fitted numbers.
       variances: of sensors and random force.
-      given_noise: whether the noise of the sensors is known and stays.
     """
     residual = linear.stretches.residual()
     inputs = (effect - linear.defect)[..., None]
     _, _, kept = _forward(linear, inputs, residual, variances, keep=True)
     assert kept is not None
-    return _backward(linear, kept, variances, given_noise)
+    return _backward(linear, kept, variances)
 
 
 def _usual(linear: Linearised, variances: Variances) -> np.ndarray:
@@ -222,7 +221,7 @@ def _forward(
     return gram, logs, _Pass(gain, precision, innovations, means, covs)
 
 
-def _backward(linear: Linearised, kept: _Pass, variances: Variances, given_noise: bool) -> Smoothed:
+def _backward(linear: Linearised, kept: _Pass, variances: Variances) -> Smoothed:
     """Disturbance smoother: scores of all variances, and smoothed states."""
     s, k, nx, nv = linear.force.shape
     seen = np.flatnonzero(linear.stretches.seen)
@@ -263,9 +262,8 @@ def _backward(linear: Linearised, kept: _Pass, variances: Variances, given_noise
         information[:, seen[:, None], seen] += precision
         state[:, t] = kept.mean[:, t] + (kept.covariance[:, t] @ score[..., None])[..., 0]
     new_sensor = variances.sensor.copy()
-    if not given_noise:
-        new_sensor[seen] *= _ratio(noise, noise_n)
-        new_sensor = np.maximum(new_sensor, linear.stretches.least**2)
+    new_sensor[seen] *= _ratio(noise, noise_n)
+    new_sensor = np.maximum(new_sensor, linear.stretches.least**2)
     updated = replace(
         variances,
         sensor=new_sensor,

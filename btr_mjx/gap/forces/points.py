@@ -210,9 +210,7 @@ def newton_step(side: ForceSide, fit: Fitted) -> LeastSquares:
     return least_squares(fit.whitened.gram.sum(0), free, calibration, low, high)
 
 
-def settled(
-    side: ForceSide, point: Point, variances: Variances, rounds: int = ROUNDS, about: Stretches | None = None
-) -> Fitted:
+def settled(side: ForceSide, point: Point, variances: Variances, about: Stretches | None = None) -> Fitted:
     """A point with numbers and variances at which the likelihood is largest.
 
     Steps of the numbers and of the variances take turns: random forces start large, where the fit is nearly linear, and
@@ -222,7 +220,6 @@ def settled(
       side: the recordings to fit.
       point: where to start.
       variances: with which to start.
-      rounds: at most.
       about: states to start from; None for those of the side.
 
     Returns:
@@ -232,7 +229,7 @@ def settled(
     if np.isinf(fit.loss):
         return fit
     stuck, taken = False, 0
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         before, updated = fit.loss, fit.variances
         for _ in range(_UPDATES):
             updated = smoothed(fit.linear, np.zeros_like(fit.linear.defect), updated).variances

@@ -19,6 +19,9 @@ MEASURED, BEFORE, AFTER = "#000000", "#c8641e", "#1f5fa8"
 _WIDEST = 46
 """Characters in a line of a candidate's name."""
 
+_CANDIDATES, _CHANNELS = 14, 5
+"""Largest numbers of candidates of a ranking, and of channels of a command."""
+
 
 def disagreement_map(
     rows: Sequence[str], columns: Sequence[str], before: np.ndarray, after: np.ndarray | None = None
@@ -71,7 +74,6 @@ def ranking_bars(
     rows: Sequence[Mapping[str, Any]],
     found: Sequence[tuple[str, str]],
     threshold: float | None = None,
-    most: int = 14,
 ) -> Figure:
     """Candidates by score: named effects black, equivalent candidates hatched, the others grey.
 
@@ -79,12 +81,11 @@ def ranking_bars(
       rows: entries of `ranking` in result.json, best first.
       found: (effect, location) of the effects that were named.
       threshold: score that a name needs; None if it is not shown.
-      most: largest number of candidates that are shown.
 
     Returns:
       The figure.
     """
-    shown = list(rows)[:most]
+    shown = list(rows)[:_CANDIDATES]
     labels = [textwrap.fill(_capital(effect_at_place(row)), _WIDEST) for row in shown]
     lines = sum(1 + label.count("\n") for label in labels)
     figure = Figure(figsize=(7.2, 0.7 + 0.16 * lines + 0.09 * max(len(shown), 1)))
@@ -269,19 +270,18 @@ def numbers_over_sets(rows: Sequence[Mapping[str, Any]]) -> Figure:
     return figure
 
 
-def commands(time: np.ndarray, values: np.ndarray, names: Sequence[str], most: int = 5) -> Figure:
+def commands(time: np.ndarray, values: np.ndarray, names: Sequence[str]) -> Figure:
     """A proposed command: the channels with the largest range.
 
     Args:
       time: (K,) times [s].
       values: (K, n) commands.
       names: (n,) names of the channels.
-      most: largest number of channels that are shown.
 
     Returns:
       The figure.
     """
-    chosen = np.argsort(-np.ptp(values, axis=0), kind="stable")[:most]
+    chosen = np.argsort(-np.ptp(values, axis=0), kind="stable")[:_CHANNELS]
     figure = Figure(figsize=(7.2, 2.2))
     axes = figure.subplots()
     for k, style in zip(chosen, ("-", "--", ":", "-.", (0, (6, 2, 1, 2, 1, 2))), strict=False):

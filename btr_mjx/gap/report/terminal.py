@@ -63,6 +63,4 @@ def print_truth(truth: Mapping[str, Any]) -> None:
         f"({', '.join(f'{name} {value:.4g}' for name, value in e['parameters'].items())})"
         for e in truth["effects"]
     ]
-    if truth["outside"]:
-        hidden.append(f"something outside the library: {truth['outside'].replace('_', ' ')}")
-    print(f"hidden was: {' and '.join(hidden) or 'nothing'}")
+    print(f"hidden was: {' and '.join(hidden)}")

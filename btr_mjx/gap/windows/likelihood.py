@@ -13,6 +13,9 @@ import numpy as np
 _RIDGE = 1e-9
 """Relative regularisation of the diagonal of a normal matrix."""
 
+_REWEIGHTINGS = 4
+"""Largest number of reweightings of a fit."""
+
 
 def bounded_loss(x: np.ndarray, cut: np.ndarray | float) -> np.ndarray:
     """Bounded loss of windows with chi^2 x: x below the cut c, else c (2 - c / x), which is less than 2 c.
@@ -103,8 +106,6 @@ def fit(
     cut: np.ndarray | float,
     low: np.ndarray | None = None,
     high: np.ndarray | None = None,
-    iterations: int = 4,
-    weights: np.ndarray | None = None,
 ) -> Fit:
     """Fit all columns under the bounded loss, by iteratively reweighted least squares.
 
@@ -114,19 +115,17 @@ def fit(
       cut: of `bounded_loss`, a number or (W,).
       low: (C,) lower bounds or None.
       high: (C,) upper bounds or None.
-      iterations: largest number of reweightings.
-      weights: (W,) initial weights; None for those of the residual.
 
     Returns:
       The iterate of smallest loss; zeros if none improves.
     """
     count = data.n
     zero = np.zeros(count)
-    w = window_weight(data.energy, cut) if weights is None else weights
+    w = window_weight(data.energy, cut)
     best = Fit(zero, float(bounded_loss(data.energy, cut).sum()), data.energy, np.eye(count))
     if not count:
         return best
-    for _ in range(iterations):
+    for _ in range(_REWEIGHTINGS):
         normal = np.tensordot(w, data.gram, 1) + np.diag(precision)
         normal = regularised(normal)
         values = _box(normal, -(w @ data.moment), low, high)

@@ -19,6 +19,9 @@ from btr_mjx.runs import available_cores
 _WIDTHS = (3, 4, 5, 6, 8, 10, 13, 16, 20)
 """Candidates for the half width of the fit, in samples."""
 
+_MOST_CHI2 = 1.2
+"""Largest median chi^2 per degree of freedom, in the worst coordinate, of residuals that agree with the noise."""
+
 
 @dataclass(frozen=True)
 class Span:
@@ -98,14 +101,13 @@ def smooth(
     return integrate(model, centre, fitted[..., 0]), fitted[..., 1] / scale[:, None], chi2
 
 
-def best_span(model: mujoco.MjModel, tracks: list[Track], sigma: np.ndarray, limit: float = 1.2) -> Span:
+def best_span(model: mujoco.MjModel, tracks: list[Track], sigma: np.ndarray) -> Span:
     """Width and order of the fit with the smallest variance whose residuals are consistent with the noise.
 
     Args:
       model: the model.
       tracks: measured states of the recordings.
       sigma: (2 nv,) noise of positions and velocities.
-      limit: largest median chi^2 per degree of freedom, in the worst coordinate.
     """
     found = [Span(_WIDTHS[0], 6)]
     for order in (4, 6):
@@ -116,7 +118,7 @@ def best_span(model: mujoco.MjModel, tracks: list[Track], sigma: np.ndarray, lim
                     continue
                 picks = np.unique(np.linspace(half, len(track.time) - 1 - half, 40).astype(int))
                 chi2.append(smooth(model, track, picks, sigma, Span(half, order))[2])
-            if not chi2 or np.median(np.concatenate(chi2), axis=0).max() > limit:
+            if not chi2 or np.median(np.concatenate(chi2), axis=0).max() > _MOST_CHI2:
                 break
             found.append(Span(half, order))
     # The variance falls with the width; two more coefficients need about twice the samples for the same variance.

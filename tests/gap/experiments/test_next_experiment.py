@@ -5,10 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 from gap_arm import SIGMA, dataset
+from recorded_margins import Measurement, noisy_recording, recorded_margin, recordings_needed
 
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.experiments import Measurement, propose, random_commands, recordings_needed
-from btr_mjx.gap.experiments.next_experiment import expected_margins, recorded_margin, simulate_recording
+from btr_mjx.gap.experiments import propose
+from btr_mjx.gap.experiments.next_experiment import expected_margins
 from btr_mjx.gap.inference import Bench, identify
 from btr_mjx.gap.simulate import Command
 from btr_mjx.gap.windows import Options
@@ -39,7 +40,7 @@ def test_a_constant_command_separates_less_than_a_moving_one():
         values = [expected_margins(pair, bench.dataset, c, SIGMA, span)[0, 1] for c in (still, lively)]
         assert values[1] > 10 * max(values[0], 1e-9)
         assert values[1] > 50.0  # against no effect, too
-    made = [simulate_recording(viscous, bench.dataset, lively, SIGMA, np.random.default_rng(0))]
+    made = [noisy_recording(viscous, bench.dataset, lively, SIGMA, np.random.default_rng(0))]
     assert recorded_margin(viscous, bench.base, made, "linear", SIGMA, span) > 50.0
 
 
@@ -50,7 +51,7 @@ def test_recordings_show_the_expected_disagreement():
     average = []
     for truth, rival in ((viscous, heavy), (heavy, viscous)):
         rngs = [np.random.default_rng(seed) for seed in range(4)]
-        made = [simulate_recording(truth, bench.dataset, command, SIGMA, rng) for rng in rngs]
+        made = [noisy_recording(truth, bench.dataset, command, SIGMA, rng) for rng in rngs]
         shown = [recorded_margin(truth, rival, [own], "linear", SIGMA, span) for own in made]
         assert recorded_margin(truth, rival, made, "linear", SIGMA, span) == pytest.approx(sum(shown), rel=0.05)
         # The result does not depend on the order of the two.
@@ -86,7 +87,7 @@ def test_a_proposal_names_its_pair_and_stays_in_range():
     _, viscous, heavy = hypotheses()
     survivors = (viscous, heavy)
     asked = dataclasses.replace(found, survivors=survivors)
-    proposal = propose(asked, made, seed=3, commands=random_commands(made, np.random.default_rng(0), 3))
+    proposal = propose(asked, made, seed=3)
     assert proposal is not None
     assert proposal.values.shape == (len(proposal.time), 2)
     assert proposal.disagreement == max(proposal.others)

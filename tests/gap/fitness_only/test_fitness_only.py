@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import polars as pl
 import pytest
+from hidden_cases import FitnessCaseSettings, make_fitness_case
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
@@ -23,7 +24,6 @@ from btr_mjx.gap.fitness_only import (
 from btr_mjx.gap.fitness_only.screen import rank_by_fit, screening_timestep
 from btr_mjx.gap.preflight import refuse_errors
 from btr_mjx.gap.simulate import World
-from btr_mjx.testing import FitnessCaseSettings, make_fitness_case
 
 XML = """<mujoco>
   <compiler angle="radian"/>

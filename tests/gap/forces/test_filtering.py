@@ -242,13 +242,6 @@ def test_weights_stay_where_their_density_is_largest(linear, variances):
     assert np.ptp(known.weight) > 0.3
 
 
-def test_known_noise_stays(linear, variances):
-    nothing = np.zeros_like(linear.defect)
-    found = smoothed(linear, nothing, variances, given_noise=True).variances
-    np.testing.assert_array_equal(found.sensor, variances.sensor)
-    assert not np.allclose(smoothed(linear, nothing, variances).variances.sensor[:3], variances.sensor[:3], rtol=0.02)
-
-
 def test_weights_are_those_of_a_student_distribution(linear, variances):
     """Less where the force is larger than usual; the penalty is smallest at weight 1."""
     pushed = linear.defect.copy()

@@ -1,7 +1,5 @@
 """Leaders judged again: every window with the starting state that suits it, compared on equal terms."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from gap_arm import arm_windows, dataset
@@ -166,103 +164,6 @@ def test_all_that_were_judged_come_back_best_first(bench: Bench) -> None:
     assert [j.score for j in again] == sorted((j.score for j in again), reverse=True)
     assert any(j not in before for j in again)
     assert Finalists(bench)([]) == []
-
-
-def stand_in(name, score, gain=None):
-    effects = [(SimpleNamespace(name=letter), (1.0,)) for letter in name]
-    hypothesis = SimpleNamespace(effects=effects, name=name)
-    return SimpleNamespace(name=name, score=score, gain=score if gain is None else gain, hypothesis=hypothesis)
-
-
-class Walked(dict):
-    """Gains of single effects with directions of their own; a walk ends where it begins."""
-
-    def best(self, name):
-        return self.get(name, -np.inf)
-
-    def gain(self, hypothesis):
-        return 0.0
-
-    def __call__(self, hypothesis, hope, promise):
-        return hypothesis
-
-
-def bench_of(contact_sensitive: str, **more) -> SimpleNamespace:
-    """A bench, as far as a choice of candidates needs one."""
-    return SimpleNamespace(contact_sensitive=set(contact_sensitive), **more)
-
-
-@pytest.mark.parametrize(
-    ("given", "score", "alone", "tried", "then"),
-    [
-        ("a", {"ab": 505.0}, {}, "ab", ""),
-        ("a", {"ab": 499.0}, {}, "", ""),  # worth less than its price
-        ("a", {"ab": 505.0, "ac": 504.0}, {}, "ab", "ac"),  # no more at once than were asked for
-        ("a", {"ab": 545.0, "ac": 504.0}, {}, "ab", ""),  # too far behind
-        ("a", {"am": 620.0}, {}, "am", ""),
-        ("a", {"am": 520.0}, {}, "", ""),  # contacts cost more to look at
-        ("a", {"am": 520.0}, {"m": 300.0}, "am", ""),  # the first one hides it as long as directions are not its own
-        ("a", {"ab": 505.0, "am": 400.0}, {"m": 300.0}, "ab am", ""),
-        ("n", {"nm": 520.0}, {"m": 300.0}, "", ""),  # a rival of the first one, which explains the same
-    ],
-)
-def test_who_is_worth_another_look_beside_an_effect(given, score, alone, tried, then) -> None:
-    finalists = Finalists(bench_of("mn", line_search=Walked(alone)))
-    judged = [stand_in(name, value) for name, value in score.items()]
-    found = [own.name for own, _ in finalists._promising(judged, 1, stand_in(given, 500.0))]
-    assert " ".join(found) == tried
-    finalists._done |= set(found)
-    again = [own.name for own, _ in finalists._promising(judged, 1, stand_in(given, 500.0))]
-    assert " ".join(again) == then
-
-
-@pytest.mark.parametrize(
-    ("scores", "tried"),
-    [
-        ({"a": 12.0, "b": 8.0, "c": 2.0, "d": 1.0}, "a b c"),  # no more than were asked for
-        ({"a": 1000.0, "b": 901.0, "c": 899.0}, "a b"),  # a tenth of a large score is close
-        ({"a": 100.0, "b": 61.0, "c": 59.0}, "a b"),
-        ({"a": -4.0, "b": -6.0}, "a b"),
-        ({"a": -6.0, "b": -7.0}, ""),  # no better starting states will make a name of these
-    ],
-)
-def test_who_is_worth_another_look_in_the_first_round(scores, tried) -> None:
-    finalists = Finalists(bench_of("mn", line_search=Walked({})))
-    judged = [stand_in(name, score) for name, score in scores.items()]
-    assert " ".join(own.name for own, _ in finalists._promising(judged, 3, None)) == tried
-
-
-def test_the_best_three_that_move_contacts_are_walked_over() -> None:
-    """By their gain where they were refined, or alone with directions of their own, whichever is larger."""
-    gains = {"m": 300.0, "n": 900.0, "o": 500.0, "p": 700.0}
-    finalists = Finalists(bench_of("mnop", line_search=Walked(gains)))
-    judged = [stand_in(name, 200.0 - i) for i, name in enumerate("mnop")]
-    assert [own.name for own, _ in finalists._promising(judged, 3, None)] == ["n", "p", "o"]
-    judged[0].gain = 800.0
-    assert [own.name for own, _ in finalists._promising(judged, 3, None)] == ["n", "m", "p"]
-
-
-def test_a_walk_needs_a_part_of_the_best_gain_before_and_after() -> None:
-    """Beside what was found, whose directions were found anew as well, on top of what that gains there."""
-
-    class Walking(Walked):
-        def gain(self, hypothesis):
-            return 30.0
-
-        def __call__(self, hypothesis, hope, promise):
-            asked[hypothesis.name] = hope, promise
-            return walked.get(hypothesis.name)
-
-    asked, walked = {}, {"n": stand_in("n", 0.0).hypothesis}
-    finalists = Finalists(bench_of("mn", line_search=Walking({})))
-    first = [stand_in("a", 190.0, 200.0), stand_in("m", 20.0), stand_in("n", 10.0)]
-    found = finalists._promising(first, 1, None)
-    assert asked == {"m": (50.0, 100.0), "n": (50.0, 100.0)}
-    assert [(own.name, made) for own, made in found] == [("a", first[0].hypothesis), ("n", walked["n"])]
-    finalists._promising([stand_in("m", 2.0, 20.0)], 1, None)
-    assert asked["m"] == (10.0, 20.0)  # however little the best one gains
-    finalists._promising([stand_in("bm", 700.0, 800.0)], 1, stand_in("b", 500.0, 600.0))
-    assert asked["bm"] == (80.0, 130.0)
 
 
 def test_one_more_effect_gets_half() -> None:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from gap_arm import SIGMA, arm_windows
+from hidden_cases import CaseSettings, case_robot, make_case
 
 from btr_mjx.gap.data import load
 from btr_mjx.gap.inference.scoring.forces import ForceFit, Forces, circumstances, lack_of_fit
@@ -11,7 +12,6 @@ from btr_mjx.gap.inference.scoring.nulls import doubtful, null_residual
 from btr_mjx.gap.simulate import World
 from btr_mjx.gap.windows import Span, Windows, linearise, prepare, project
 from btr_mjx.gap.windows.propagation import jacobian
-from btr_mjx.testing import CaseSettings, case_robot, make_case
 
 
 @pytest.fixture(scope="module")

@@ -1,10 +1,19 @@
 """Rounds of the search, on stand-ins for judged candidates: who is looked at again, who is named."""
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 
-from gap_judged import Standing
-
 from btr_mjx.gap.inference.search import naming, rounds
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What rounds look at in a judged candidate."""
+
+    name: str
+    score: float
+    hypothesis: SimpleNamespace
+    held_out: float = 0.0
 
 
 class Stage:

@@ -7,12 +7,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from hidden_cases import case_robot
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, Recording
 from btr_mjx.gap.preflight import Finding, preflight, refuse_errors
 from btr_mjx.models import PathParameter
-from btr_mjx.testing import case_robot
 
 ROBOT = case_robot("arm")
 

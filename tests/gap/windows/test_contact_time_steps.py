@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gap_arm import SIGMA, arm_windows, recording
+from hidden_cases import CaseSettings, case_robot, make_case
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -29,7 +30,6 @@ from btr_mjx.gap.windows.propagation import jacobian, linearisation_holds
 from btr_mjx.gap.windows.time_steps import refinement, step_error
 from btr_mjx.gap.windows.transitions import simulated_jacobians, state_jacobians
 from btr_mjx.models import integrate
-from btr_mjx.testing import CaseSettings, case_robot, make_case
 
 
 @pytest.fixture(scope="module")

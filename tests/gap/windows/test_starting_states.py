@@ -6,10 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from gap_arm import SIGMA, arm, arm_windows, elbow_off, recording
+from hidden_cases import CaseSettings, case_robot, make_case
 from scipy.optimize import least_squares
 
 from btr_mjx.gap.data import load
-from btr_mjx.gap.effects import EFFECTS, WORLD
+from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.inference import Bench
 from btr_mjx.gap.inference.search.contact_scan import contact_scan, with_line_search
 from btr_mjx.gap.inference.search.search_records import Side
@@ -27,7 +28,6 @@ from btr_mjx.gap.windows import (
 from btr_mjx.gap.windows.likelihood import column_space
 from btr_mjx.gap.windows.transitions import stride
 from btr_mjx.models import integrate
-from btr_mjx.testing import CaseSettings, case_robot, make_case
 
 
 @pytest.fixture(scope="module")
@@ -198,34 +198,6 @@ def test_the_best_of_a_scan_are_looked_at_with_directions_of_their_own(bench: Be
         factor = max(tries, key=lambda f: tries[f])
         assert values[0] == (start[0] if gain == known else factor * start[0])
     assert with_line_search(found, bench.base, bench.line_search, 1e9) == found  # something else is far stronger
-
-
-@pytest.mark.parametrize(("strongest", "least", "least_of_world"), [(0.0, -60.0, -600.0), (2000.0, 140.0, -400.0)])
-def test_who_of_a_scan_is_looked_at_again(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, strongest: float, least: float, least_of_world: float
-) -> None:
-    """The best six, and what acts on the world as a whole, unless something else is far stronger."""
-    asked = []
-    monkeypatch.setattr(bench.line_search, "gain", lambda h: asked.append(h.name) or -1e9)
-
-    def looked_at(rows: list[tuple[float, str, bool]]) -> set[str]:
-        asked.clear()
-        nothing = np.zeros(1)
-        number = SimpleNamespace(null=0.0, low=-1.0, high=1.0)
-        stand_ins = [
-            (gain, SimpleNamespace(name=name, place=WORLD if world else None, parameters=(number,)), nothing)
-            for gain, name, world in rows
-        ]
-        assert (
-            with_line_search(stand_ins, bench.base, bench.line_search, strongest) == stand_ins
-        )  # never worse than the scan
-        assert all(asked.count(name) == 2 for name in asked)
-        return set(asked)
-
-    assert looked_at([(least + 1.0, "a", False), (least - 1.0, "b", False)]) == {"a"}
-    many = [(900.0 - i, f"limb {i}", False) for i in range(7)]
-    rest = [(least_of_world + 1.0, "ground", True), (least_of_world - 1.0, "slope", True)]
-    assert looked_at([*many, *rest]) == {"ground", *(f"limb {i}" for i in range(6))}
 
 
 def test_some_windows_speak_for_all_but_their_luckiest_for_itself() -> None:

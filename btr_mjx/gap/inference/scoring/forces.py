@@ -23,6 +23,9 @@ _PART = 0.05
 _CAP = 6.0
 """A window's excess counts up to so many standard deviations."""
 
+_DESCRIBED = 3
+"""Largest number of degrees of freedom whose unknown force is described."""
+
 
 @dataclass(frozen=True)
 class Circumstances:
@@ -185,14 +188,13 @@ class Description:
     size: float
 
 
-def describe(fit: ForceFit, forces: Forces, around: Circumstances, count: int = 3) -> list[Description]:
+def describe(fit: ForceFit, forces: Forces, around: Circumstances) -> list[Description]:
     """Where the unknown acts and what it follows, by weighted sparse regression.
 
     Args:
       fit: of the same windows.
       forces: what is left of the residual.
       around: circumstances of the windows.
-      count: largest number of degrees of freedom.
     """
     nv = forces.value.shape[2]
     weight = 1.0 / np.maximum(forces.sigma, 1e-300) ** 2
@@ -201,7 +203,7 @@ def describe(fit: ForceFit, forces: Forces, around: Circumstances, count: int = 
     total = max(float(strength.sum()), 1e-12)
     features = _features(fit, around)
     out = []
-    for dof in np.argsort(-strength)[:count]:
+    for dof in np.argsort(-strength)[:_DESCRIBED]:
         if strength[dof] < 0.05 * total or strength[dof] <= 0:
             break
         y, w = forces.value[..., dof].ravel(), weight[..., dof].ravel()

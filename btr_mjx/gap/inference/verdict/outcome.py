@@ -14,6 +14,9 @@ from btr_mjx.gap.inference.verdict.openloop import open_loop
 from btr_mjx.gap.inference.verdict.profile import profiled
 from btr_mjx.gap.results import Gap, NamedEffect, Overlay, RankedCandidate, Refit
 
+_OVERLAYS = 3
+"""Number of held-out stretches that are shown."""
+
 
 def equivalent(judged: Sequence[Judged], contact_sensitive: Collection[str] = ()) -> tuple[str, ...]:
     """Names of those that are alike, see there."""
@@ -116,7 +119,7 @@ def refits(bench: Bench, base: Hypothesis, final: Judged | None) -> tuple[Refit,
     return tuple(Refit(p.name, a, b, c) for p, a, b, c in rows)
 
 
-def overlays(bench: Bench, final: Judged | None, count: int = 3) -> tuple[Overlay, ...]:
+def overlays(bench: Bench, final: Judged | None) -> tuple[Overlay, ...]:
     """Held-out stretches in which two models differ most, each from starting states of its own.
 
     Which stretches these are depends on the models alone, not on how well either follows the data there. Recordings
@@ -125,7 +128,6 @@ def overlays(bench: Bench, final: Judged | None, count: int = 3) -> tuple[Overla
     Args:
       bench: of the search.
       final: what the second model has that the believed one lacks; None for no second model.
-      count: number of stretches.
     """
     side = bench.test
     windows, model = side.windows, bench.dataset.model
@@ -142,7 +144,7 @@ def overlays(bench: Bench, final: Judged | None, count: int = 3) -> tuple[Overla
         order = order[len(order) // 10 :]
     turn = [int((windows.recording[order[:i]] == windows.recording[w]).sum()) for i, w in enumerate(order)]
     names, out = place_names(model), []
-    for w in order[np.argsort(turn, kind="stable")][:count]:
+    for w in order[np.argsort(turn, kind="stable")][:_OVERLAYS]:
         dof = int(plain[np.argmax(far[w])])
         address = int(model.jnt_qposadr[model.dof_jntid[dof]])
         out.append(

@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from btr_mjx.testing.hostile import mutations as mutate
-from btr_mjx.testing.robots import PENDULUM_XML
+from btr_mjx.robots import read_asset
+from hostile import mutations as mutate
 
-XML = PENDULUM_XML.replace("</body>", '<site name="tip" pos="0 0 -0.12"/></body>').replace(
-    'forcerange="-0.8 0.8"', 'forcerange="-0.8 0.8" ctrlrange="-1 1"'
+XML = (
+    read_asset("pendulum.xml")
+    .replace("</body>", '<site name="tip" pos="0 0 -0.12"/></body>')
+    .replace('forcerange="-0.8 0.8"', 'forcerange="-0.8 0.8" ctrlrange="-1 1"')
 )
 TEMPLATE = XML.replace('mass="0.4"', 'mass="{{ a }}"').replace('kp="1.6"', 'kp="{{ 2 * b + 1 }}"')
 DATASET: Mapping[str, Any] = {

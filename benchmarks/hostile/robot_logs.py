@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from btr_mjx.testing.hostile import mutations as mutate
-from btr_mjx.testing.hostile.inputs import base_columns, with_recording
-from btr_mjx.testing.hostile.logs import odd_columns
+from hostile import mutations as mutate
+from hostile.inputs import base_columns, with_recording
+from hostile.logs import odd_columns
 
 _START = 1_760_000_000_000_000_000
 """Time stamp of the first message [ns]."""

@@ -14,8 +14,8 @@ from btr_mjx.gap.preflight import preflight
 from btr_mjx.models import check_robot, load_robot
 from btr_mjx.robots import Box, Robot, Sinusoids, read_template
 from btr_mjx.runs import read_checkpoint, save_checkpoint, unreadable_parquet, write_arrays
-from btr_mjx.testing.hostile import mutations as mutate
-from btr_mjx.testing.hostile.inputs import (
+from hostile import mutations as mutate
+from hostile.inputs import (
     DATASET,
     ROBOT,
     TEMPLATE,
@@ -25,8 +25,8 @@ from btr_mjx.testing.hostile.inputs import (
     input_folder,
     toml_bytes,
 )
-from btr_mjx.testing.hostile.logs import make_csv, make_lerobot, make_npz, make_parquet, make_servo
-from btr_mjx.testing.hostile.robot_logs import make_hdf5, make_mcap, make_rosbag, make_torch
+from hostile.logs import make_csv, make_lerobot, make_npz, make_parquet, make_servo
+from hostile.robot_logs import make_hdf5, make_mcap, make_rosbag, make_torch
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 import mujoco
 import numpy as np
 
-from btr_mjx.testing.motion import Loads
-from btr_mjx.testing.physics import HiddenReality
+from hidden_cases.motion import Loads
+from hidden_cases.physics import HiddenReality
 
 Outside = Callable[[HiddenReality, Sequence[str], Loads, np.random.Generator], str]
 """Adds an effect to a reality, given its driven joints, their peak loads and a generator; returns the place."""

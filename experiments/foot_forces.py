@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from btr_mjx.engines import expand
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation.fitness import Outcome
+from btr_mjx.evaluation import Outcome
 from btr_mjx.models import compile_models
 from btr_mjx.robots import Robot
 

@@ -7,14 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
+from btr_mjx.demo import MotionCommand
 from btr_mjx.errors import InputError
 from btr_mjx.gap.fitness_only import save_fitness
 from btr_mjx.gap.results import Verdict
 from btr_mjx.models import part_names
-from btr_mjx.testing.case_sampling import Draw
-from btr_mjx.testing.cases import Truth, draw_reality
-from btr_mjx.testing.motion import Loads, peak_loads, simulate_reality
-from btr_mjx.testing.robots import CaseRobot, MotionCommand, case_robot
+from hidden_cases.case_sampling import Draw
+from hidden_cases.cases import Truth, draw_reality
+from hidden_cases.motion import Loads, peak_loads, simulate_reality
+from hidden_cases.robots import CaseRobot, case_robot
 
 _FIT, _TEST = 45, 15
 """Numbers of trials to fit and held out."""

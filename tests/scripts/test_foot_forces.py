@@ -5,9 +5,10 @@ import dataclasses
 import mujoco
 import numpy as np
 import pytest
+from foot_forces import foot_bodies, foot_forces
 
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation import Engine, evaluate, foot_bodies, foot_forces
+from btr_mjx.evaluation import Engine, evaluate
 from btr_mjx.models import base_model
 from btr_mjx.robots import Robot
 

@@ -7,11 +7,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from btr_mjx.demo import MotionCommand
 from btr_mjx.errors import InputError
-from btr_mjx.testing import physics
-from btr_mjx.testing.motion import Loads
-from btr_mjx.testing.physics import HiddenReality
-from btr_mjx.testing.robots import CaseRobot, MotionCommand
+from hidden_cases import physics
+from hidden_cases.motion import Loads
+from hidden_cases.physics import HiddenReality
+from hidden_cases.robots import CaseRobot
 
 _JOINT_EFFECTS = (
     "viscous_damping",

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
-from btr_mjx.testing.robots import CaseRobot
+from hidden_cases.robots import CaseRobot
 
 Hook = Callable[[mujoco.MjModel, mujoco.MjData], None]
 """Called before a step; may change controls, applied forces and the friction loss of that step."""

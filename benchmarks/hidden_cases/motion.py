@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from btr_mjx.testing.physics import HiddenReality
-from btr_mjx.testing.robots import CaseRobot, MotionCommand
+from btr_mjx.demo import MotionCommand
+from hidden_cases.physics import HiddenReality
+from hidden_cases.robots import CaseRobot
 
 _TIMESTEP = 1e-4
 """Time step of reality [s]."""

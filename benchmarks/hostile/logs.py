@@ -11,8 +11,8 @@ import numpy as np
 import polars as pl
 
 from btr_mjx.runs import write_table
-from btr_mjx.testing.hostile import mutations as mutate
-from btr_mjx.testing.hostile.inputs import (
+from hostile import mutations as mutate
+from hostile.inputs import (
     LEROBOT,
     LEROBOT_INFO,
     SERVO,

@@ -19,11 +19,11 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import DatasetDescription, Format, Recording, save_dataset
 from btr_mjx.gap.results import Verdict
-from btr_mjx.testing.case_sampling import Draw, Missing, add_effects, draw_background
-from btr_mjx.testing.motion import Restart, peak_loads, simulate_reality
-from btr_mjx.testing.outside import OUTSIDE, possible_outside
-from btr_mjx.testing.physics import HiddenReality
-from btr_mjx.testing.robots import case_robot
+from hidden_cases.case_sampling import Draw, Missing, add_effects, draw_background
+from hidden_cases.motion import Restart, peak_loads, simulate_reality
+from hidden_cases.outside import OUTSIDE, possible_outside
+from hidden_cases.physics import HiddenReality
+from hidden_cases.robots import case_robot
 
 RATES = (200, 250, 400, 500)
 """Sampling rates [1/s]."""
