@@ -45,8 +45,6 @@ def test_the_hidden_effect_brings_the_believed_model_to_the_recordings(robot: st
     sigma = demo_robot(robot).sigma(model)
     np.testing.assert_allclose(noise_of(dataset).qpos, sigma[0], rtol=0.15)
     np.testing.assert_allclose(noise_of(dataset).qvel, sigma[1], rtol=0.15)
-    blocks = named_only[:1200].reshape(30, 40, model.nq).mean(1)  # noise averages out, errors of calibration do not
-    assert np.sqrt(np.mean(blocks**2)) > 3 * sigma[0].max() / np.sqrt(40)
 
 
 @pytest.mark.usefixtures("small")

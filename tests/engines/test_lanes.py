@@ -343,7 +343,7 @@ def test_what_is_not_computed_is_refused_by_name(text: str, words: list[str]) ->
     ("text", "word"),
     [
         (mjcf(chain(2).replace('springref="0.2"', 'springref="0.2" springyield="0.1"')), "plastic"),
-        (mjcf(plain_box(), option="><flag speculative='enable'/></option><option"), "speculative"),
+        (mjcf(plain_box(), flags="speculative='enable'"), "speculative"),
     ],
 )
 def test_what_is_new_in_mujoco_4_is_refused(text: str, word: str) -> None:

@@ -33,7 +33,7 @@ from btr_mjx.gap.forces.outcome import SearchOutcome, diagnosis_of, with_tables_
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, covariance, settled
 from btr_mjx.gap.forces.predictions import compared_predictions, horizon_errors, predicts_well
 from btr_mjx.gap.forces.residual import fit_residual
-from btr_mjx.gap.forces.search import SINGLES, Named, SearchRound, select_effects, start
+from btr_mjx.gap.forces.search import Named, SearchRound, select_effects, start
 from btr_mjx.gap.forces.sets.carried import Carried, carried_library, with_room
 from btr_mjx.gap.forces.stretches import Stretches, spread_stretches
 from btr_mjx.gap.forces.unknowns import (
@@ -240,8 +240,8 @@ def _confirmed(test: ForceSide, chain: Sequence[Fitted]) -> list[Fitted]:
 
 def _without_invisible(side: ForceSide, fit: Fitted) -> Fitted:
     """A fit without effects whose numbers are too small to be seen."""
-    seen = _visible(side.library, fit.point.named)
-    if seen == fit.point.named:
+    seen = _visible(fit.point.named)
+    if len(seen) == len(fit.point.named):
         return fit
     return settled(side, replace(fit.point, named=seen), fit.variances, about=fit.linear.stretches)
 
@@ -293,20 +293,12 @@ def _merged(library: Library, point: Point) -> Point:
     return replace(point, named=tuple(named), calibration=rest)
 
 
-def _visible(library: Library, named: Named) -> Named:
-    """Effects with a number that is visible: of the size of its step, and no smaller than what is never named.
-
-    Of few members of a group, only those are left.
-    """
-    single = {entry.candidate.name: entry.candidate for entry in library.entries}
-    out: list[tuple[Candidate, tuple[float, ...]]] = []
+def _visible(named: Named) -> Named:
+    """Effects with a number that is visible: of the size of its step, and no smaller than what is never named."""
+    out = []
     for candidate, values in named:
-        numbers = list(enumerate(zip(candidate.parameters, values, strict=True)))
-        seen = [i for i, (p, v) in numbers if not p.shape and abs(v - p.null) > max(_SEEN * abs(p.step), p.negligible)]
-        if seen and candidate.place.parts and len(seen) <= SINGLES:
-            members = candidate.place.members
-            out += [(single[f"{candidate.effect.name}@{members[i]}"], (values[i],)) for i in seen]
-        elif seen:
+        pairs = zip(candidate.parameters, values, strict=True)
+        if any(abs(v - p.null) > max(_SEEN * abs(p.step), p.negligible) for p, v in pairs if not p.shape):
             out.append((candidate, values))
     return tuple(out)
 

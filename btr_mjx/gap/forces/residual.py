@@ -54,8 +54,8 @@ def fit_residual(side: ForceSide, test: ForceSide, point: Point, variances: Vari
         table = _empty(names[joint], states, dof)
         table = replace(table, weights=_weights(_gram(*fit, states, table, dof), group))
         beside = with_tables(chosen, [table], model)
-        errors, steady = horizon_errors(test.stretches.data, [chosen, beside], side.counter)
-        if predicts_better(*errors, steady):
+        (without, found), steady = horizon_errors(test.stretches.data, [chosen, beside], side.counter)
+        if predicts_better(without, found, steady):
             tables, chosen = [*tables, table], beside
     return tuple(tables)
 

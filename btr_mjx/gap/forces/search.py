@@ -26,7 +26,7 @@ _DOUBT = 9.0
 _PASSES = 3
 """Passes of backward elimination."""
 
-SINGLES = 2
+_SINGLES = 2
 """Joints of a group that are named one by one, at most."""
 
 _JITTER = 0.02
@@ -291,7 +291,7 @@ def _simpler(side: ForceSide, fit: Fitted, index: int, single: Mapping[str, Cand
         pays = _pays(side, fit, index, list(range(len(values))), least * len(values))
         return (fit.point.named[index],) if pays else ()
     paying = [j for j in range(len(values)) if _pays(side, fit, index, [j], least)]
-    if len(paying) > SINGLES or len(paying) == len(values):
+    if len(paying) > _SINGLES or len(paying) == len(values):
         return (fit.point.named[index],)
     members = candidate.place.members
     return tuple((single[f"{candidate.effect.name}@{members[j]}"], (values[j],)) for j in paying)
