@@ -1,21 +1,11 @@
 """From parameters s to MuJoCo models: one base `MjModel` and the stacked fields that differ between simulations.
 
-`compile_models` prepares a batch; templates that only do arithmetic are evaluated without compiling each model. The
-room also holds names and paths of a model's parts (`parse_path`) and differences of configurations (`difference`).
+`compile_models` prepares a batch with MuJoCo's compiler. The room also holds names and paths of a model's parts
+(`parse_path`) and differences of configurations (`difference`).
 """
 
-from btr_mjx.models.batch import (
-    Models,
-    base_model,
-    compile_mjcf,
-    compile_models,
-    general_model,
-    mjcf_spec,
-    model_of,
-    start_of,
-    varying_fields,
-    why_compiled,
-)
+from btr_mjx.models.batch import Models, compile_models, varying_fields
+from btr_mjx.models.compilation import base_model, compile_mjcf, general_model, mjcf_spec, model_of, start_of
 from btr_mjx.models.fields import read_field, write_field
 from btr_mjx.models.light_meshes import with_light_meshes
 from btr_mjx.models.mjcf_checks import check_mjcf
@@ -56,7 +46,6 @@ __all__ = [
     "set_values",
     "start_of",
     "varying_fields",
-    "why_compiled",
     "with_light_meshes",
     "write_field",
 ]

@@ -1,35 +1,36 @@
 """Batch of models of simulations: one base model and the stacked fields that differ.
 
-Every row equals the model that `mujoco.MjModel.from_xml_string` makes of its rendered MJCF, derived fields
-(body_invweight0, dof_M0, stat.meaninertia, ...) included. A batch stores one base model and, for each field in which
-models of this robot can differ, a stacked float64 array.
+Every row equals the model that MuJoCo compiles from its rendered MJCF, derived fields (body_invweight0, dof_M0,
+stat.meaninertia, ...) included. A batch stores one base model and, for each field in which models of this robot can
+differ, a stacked float64 array.
 
-Templates that only do arithmetic are prepared together, without MuJoCo's compiler, by `template_compiler`; all others
-are rendered and compiled one by one. Which of the two is used depends on the robot and on the simulation itself only.
+Simulations that render to the same MJCF share one compiled model, whose numbers are edited for each of them. Different
+MJCF is compiled on threads: MuJoCo's compiler runs beside Python. A row depends on its own simulation only, to the bit.
 """
 
 import copy
-import re
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
+from operator import attrgetter
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from btr_mjx.errors import InputError
+from btr_mjx.models.compilation import base_model, compile_mjcf, editor_of, model_of, unedited_model
 from btr_mjx.models.fields import PHYSICS, field_names, read_field, write_field
-from btr_mjx.models.geom_compiler import NotVectorisable
-from btr_mjx.models.mjcf_checks import check_mjcf
-from btr_mjx.models.model_checks import COMPILE_ERRORS, check_model
-from btr_mjx.models.paths import nearest_names
-from btr_mjx.models.template_compiler import TemplateCompiler, build_template_compiler
 from btr_mjx.robots import Robot
-from btr_mjx.runs import read_limited
+from btr_mjx.runs import available_cores
 
 _PROBES = 12
 """Number of random simulations that are compiled once per robot to find the fields that depend on s."""
+
+_BOUNDING_TREE = ("bvh_aabb", "bvh_child", "bvh_depth", "bvh_nodeid")
+"""Tree of bounding volumes: boxes are of use only with the order of geoms that they were made for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,75 +69,75 @@ def compile_models(robot: Robot, simulations: ArrayLike) -> Models:
 
     Raises:
       InputError: bad parameters, a template that does not render, or MJCF that MuJoCo does not accept (the message
-        names the file and the line).
+        names the file, the line and the parameters).
     """
     values = np.atleast_2d(robot.simulation_box.validate(simulations, "simulations"))
-    place: dict[bytes, int] = {}
-    index = np.array([place.setdefault(row.tobytes(), len(place)) for row in values])
-    distinct = np.frombuffer(b"".join(place)).reshape(len(place), -1)
-    compiler, fields = _template_compiler(_model_inputs(robot)), varying_fields(robot)
-    if isinstance(compiler, TemplateCompiler):
-        leaves, done = compiler.prepare(distinct)
-        for i in np.flatnonzero(~done):
-            for name, value in _compiled_row(robot, distinct[i].tobytes()).items():
-                leaves[name][i] = value
-    else:
-        rows = [_compiled_row(robot, simulation) for simulation in place]
-        leaves = {name: np.stack([row[name] for row in rows]) for name in fields}
-    if len(place) < len(values):
-        leaves = {name: leaf[index] for name, leaf in leaves.items()}
-    return Models(base_model(robot), leaves)
+    index = _equal_rows(values)
+    distinct = values[np.unique(index, return_index=True)[1]]
+    base = base_model(robot)
+    constants = _constant_names(robot)
+    read = attrgetter(*constants)
+    expected = _values(base, read)
+    leaves = {name: np.empty((len(distinct), *read_field(base, name).shape)) for name in varying_fields(robot)}
+
+    def prepare(rows: np.ndarray) -> None:
+        for row, model in _models(robot, distinct, rows):
+            if _values(model, read) != expected:
+                with _named(robot, distinct[row]):
+                    _refuse_change(robot, model, constants)
+            for name, leaf in leaves.items():
+                leaf[row] = read_field(model, name)
+
+    with ThreadPoolExecutor(available_cores()) as threads:
+        for _ in threads.map(prepare, _same_text(robot, distinct)):
+            pass  # raises the error of the first simulation that has one
+    return Models(base, {name: leaf[index] for name, leaf in leaves.items()})
 
 
-def why_compiled(robot: Robot) -> str:
-    """Reason why the models of a robot have to be compiled one by one, which is slow; empty where they do not."""
-    compiler = _template_compiler(_model_inputs(robot))
-    return "" if isinstance(compiler, TemplateCompiler) else compiler
+def _equal_rows(values: np.ndarray) -> np.ndarray:
+    """For each row (L,) the number of its value; values are numbered as they appear, and equal to the bit."""
+    numbers: dict[bytes, int] = {}
+    return np.array([numbers.setdefault(row.tobytes(), len(numbers)) for row in values])
 
 
-@lru_cache(maxsize=16)
-def _template_compiler(robot: Robot) -> TemplateCompiler | str:
-    if robot.edits or robot.folder:
-        return "its parameters are edits of the compiled model" if robot.edits else "it includes other files"
+def _same_text(robot: Robot, simulations: np.ndarray) -> list[np.ndarray]:
+    """Groups of rows that render to the same MJCF."""
+    edited = {name for edit in robot.edits for name in edit.parameters}
+    rendered = [name not in edited for name in robot.simulation_box.names]
+    group = _equal_rows(simulations[:, rendered])
+    order = np.argsort(group, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
+
+
+def _models(robot: Robot, simulations: np.ndarray, rows: np.ndarray) -> Iterator[tuple[int, mujoco.MjModel]]:
+    """Rows that render to the same MJCF with their models, each of which is valid until the next one is asked for."""
+    first = simulations[rows[0]]
+    if not robot.edits:
+        with _named(robot, first):
+            model = compile_mjcf(robot, robot.render(first))
+        for row in rows:
+            yield row, model
+        return
+    with _named(robot, first):
+        model = copy.copy(unedited_model(robot, robot.render(first)))
+        edit = editor_of(robot, model)
+    compiled = {name: read_field(model, name) for name in varying_fields(robot)}
+    for row in rows:
+        for name, value in compiled.items():
+            write_field(model, name, value)
+        with _named(robot, simulations[row]):
+            edit(model, simulations[row])
+        yield row, model
+
+
+@contextmanager
+def _named(robot: Robot, simulation: np.ndarray) -> Iterator[None]:
+    """Errors of input also say in which simulation they arise."""
     try:
-        return build_template_compiler(robot, base_model(robot), varying_fields(robot))
-    except NotVectorisable as reason:
-        return str(reason)
-
-
-def _model_inputs(robot: Robot) -> Robot:
-    """The robot reduced to what its models depend on, as a key of caches."""
-    return replace(robot, name="", duration=1.0, speed_limit=1.0, base_body=None, point="", target=(), keyframe="")
-
-
-@lru_cache(maxsize=16)
-def base_model(robot: Robot) -> mujoco.MjModel:
-    """The compiled model of the nominal simulation (shared: do not edit it)."""
-    return model_of(robot, robot.nominal_simulation)
-
-
-def model_of(robot: Robot, simulation: np.ndarray) -> mujoco.MjModel:
-    """The model of one simulation (n_s,): its rendered MJCF, compiled, with the robot's edits.
-
-    Raises:
-      InputError: a template that does not render, MJCF that MuJoCo does not accept, a number that cannot be set.
-    """
-    return general_model(robot, simulation) if robot.edits else compile_mjcf(robot, robot.render(simulation))
-
-
-def general_model(robot: Robot, simulation: np.ndarray) -> mujoco.MjModel:
-    """The same, compiled without MuJoCo's short cut for bodies of simple inertia, so that any edit is possible."""
-    model = copy.copy(_general_text(_model_inputs(replace(robot, edits=())), robot.render(simulation)))
-    for edit in robot.edits:
-        index = [robot.simulation_box.index(name) for name in edit.parameters]
-        edit(model, simulation[index].tolist())
-    mujoco.mj_setConst(model, mujoco.MjData(model))
-    return model
-
-
-@lru_cache(maxsize=16)
-def _general_text(robot: Robot, text: str) -> mujoco.MjModel:
-    return compile_mjcf(robot, text, general=True)
+        yield
+    except InputError as error:
+        pairs = zip(robot.simulation_box.names, simulation.tolist(), strict=True)
+        raise InputError(f"{error} (at {', '.join(f'{name} = {value:.6g}' for name, value in pairs)})") from None
 
 
 @lru_cache(maxsize=16)
@@ -146,113 +147,18 @@ def varying_fields(robot: Robot) -> tuple[str, ...]:
     Raises:
       InputError: the models differ in structure (number of bodies, joint types, ...), which one batch cannot hold.
     """
-    box = robot.simulation_box
-    rng = np.random.default_rng(0)
-    probes = [box.low, box.high, *box.sample(rng, _PROBES)]
-    base = base_model(robot)
-    models = [model_of(robot, probe) for probe in probes]
-    found = tuple(name for name in field_names(base) if any(_differ(base, model, name) for model in models))
+    box, base = robot.simulation_box, base_model(robot)
+    models = []
+    for probe in (box.low, box.high, *box.sample(np.random.default_rng(0), _PROBES)):
+        with _named(robot, probe):
+            models.append(model_of(robot, probe))
+    names = field_names(base)
+    found = {name for name in names if any(_differ(base, model, name) for model in models)}
     if not found and robot.simulator is None:
         raise InputError(f"{robot.template_path}: the model is the same for all of {', '.join(box.names)}")
-    return found or ("qpos0",)  # a batch holds at least one field
-
-
-def start_of(robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """The state in which trials start: qpos (nq,), qvel (nv,) and act (na,); None for the model's qpos0 at rest.
-
-    Raises:
-      InputError: a keyframe that the model does not have.
-    """
-    if not robot.keyframe:
-        return None
-    model = base_model(robot)
-    names = [model.key(i).name for i in range(model.nkey)]
-    if robot.keyframe not in names:
-        raise InputError(f"keyframe {robot.keyframe!r}: the model has {nearest_names(robot.keyframe, names)}")
-    i = names.index(robot.keyframe)
-    return model.key_qpos[i].copy(), model.key_qvel[i].copy(), model.key_act[i].copy()
-
-
-def compile_mjcf(robot: Robot, xml: str, general: bool = False) -> mujoco.MjModel:
-    """Compile rendered MJCF.
-
-    Args:
-      robot: for the folder of included files, and for messages.
-      xml: the rendered text.
-      general: no body counts as simple.
-
-    Raises:
-      InputError: MuJoCo rejects it; the message has the template's name, the line number and the line's text.
-    """
-    check_mjcf(xml, robot.template_path, Path(robot.folder or "."))
-    try:
-        if not robot.folder and not general:
-            return _checked(mujoco.MjModel.from_xml_string(xml), robot)
-        spec = mjcf_spec(robot, xml)
-        if general:
-            for body in spec.bodies:
-                body.simple = 0
-        return _checked(spec.compile(), robot)
-    except InputError:
-        raise
-    except COMPILE_ERRORS as error:
-        message = " ".join(str(error).split())
-        found = re.search(r"[Ll]ine (?:number=)?(\d+)", message)  # two forms: MuJoCo's own and its XML parser's
-        shown = ""
-        if found and 0 < int(found[1]) <= len(xml.splitlines()):
-            shown = f"; line {found[1]} of the rendered MJCF reads: {xml.splitlines()[int(found[1]) - 1].strip()}"
-        raise InputError(f"{robot.template_path}: MuJoCo does not accept the model: {message}{shown}") from None
-
-
-def mjcf_spec(robot: Robot, xml: str) -> mujoco.MjSpec:
-    """The specification of rendered MJCF, with the files that it includes.
-
-    Raises:
-      ValueError: MuJoCo rejects it.
-    """
-    spec = mujoco.MjSpec.from_string(xml, include=_included_files(Path(robot.folder or "."), xml))
-    spec.modelfiledir = robot.folder
-    return spec
-
-
-def _checked(model: mujoco.MjModel, robot: Robot) -> mujoco.MjModel:
-    """The model, whose numbers can be simulated."""
-    check_model(model, robot.template_path)
-    return model
-
-
-def _included_files(folder: Path, xml: str) -> dict[str, bytes]:
-    """Contents of the files that MJCF includes, and of those that these include, by the names it uses for them."""
-    found: dict[str, bytes] = {}
-    left = [xml]
-    while left:
-        for name in re.findall(r"<include[^>]*\sfile\s*=\s*[\"']([^\"']+)[\"']", left.pop()):
-            if name not in found and (folder / name).is_file():
-                found[name] = read_limited(folder / name)
-                left.append(found[name].decode("utf-8", "replace"))
-    return found
-
-
-@lru_cache(maxsize=20_000)
-def _compiled_row(robot: Robot, simulation: bytes) -> dict[str, np.ndarray]:
-    values = np.frombuffer(simulation)
-    model = model_of(robot, values)
-    for name, expected in _constant_fields(robot).items():
-        if not np.array_equal(read_field(model, name), expected):
-            where = dict(zip(robot.simulation_box.names, values.tolist(), strict=True))
-            raise InputError(
-                f"{robot.template_path}: {name} changes at {where} "
-                "but not at the probes across the box; a batch needs fields that depend smoothly on the parameters"
-            )
-    return {name: read_field(model, name).astype(np.float64) for name in varying_fields(robot)}
-
-
-@lru_cache(maxsize=16)
-def _constant_fields(robot: Robot) -> dict[str, np.ndarray]:
-    """The base model's physics fields that must not depend on s (visual fields and names are not checked)."""
-    base, varying = base_model(robot), varying_fields(robot)
-    names = (name for name in field_names(base) if name.startswith(PHYSICS) and name not in varying)
-    return {name: read_field(base, name) for name in names}
+    if "bvh_aabb" in found:
+        found.update(_BOUNDING_TREE)
+    return tuple(name for name in names if name in found) or ("qpos0",)  # a batch holds at least one field
 
 
 def _differ(a: mujoco.MjModel, b: mujoco.MjModel, name: str) -> bool:
@@ -263,3 +169,24 @@ def _differ(a: mujoco.MjModel, b: mujoco.MjModel, name: str) -> bool:
             "all simulations of a robot must have the same bodies, joints, geoms and motors"
         )
     return not np.array_equal(x, y)
+
+
+@lru_cache(maxsize=16)
+def _constant_names(robot: Robot) -> list[str]:
+    """The physics fields that must not depend on s (visual fields and names are not checked)."""
+    base, varying = base_model(robot), varying_fields(robot)
+    return [name for name in field_names(base) if name.startswith(PHYSICS) and name not in varying]
+
+
+def _values(model: mujoco.MjModel, read: attrgetter) -> list[bytes | float]:
+    return [value.tobytes() if isinstance(value, np.ndarray) else value for value in read(model)]
+
+
+def _refuse_change(robot: Robot, model: mujoco.MjModel, constants: Sequence[str]) -> None:
+    """Raise InputError where a field that must not depend on s is not the base model's."""
+    for name in constants:
+        if not np.array_equal(read_field(model, name), read_field(base_model(robot), name)):
+            raise InputError(
+                f"{robot.template_path}: {name} changes here, but not at the probes across the box; a batch needs "
+                "fields that depend smoothly on the parameters"
+            )

@@ -126,7 +126,8 @@ def _scan(text: str, where: str) -> _Found:
         found.elements += factor
         found.bodies += factor if name in ("body", "composite", "flexcomp") else 0
         found.attached += factor if name == "attach" else 0
-        _check_counts(found, where)
+        if factor > 1:  # else they are bounded by the length of the text
+            _check_counts(found, where)
         for key, value in attributes.items():
             if key in LIMITS:
                 _check_number(name, key, value, LIMITS[key], where)

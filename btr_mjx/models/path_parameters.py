@@ -2,7 +2,7 @@
 
 import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,14 +50,22 @@ class PathParameter:
         """The value of a model: the number at the first path, 1 if relative."""
         return 1.0 if self.relative else parse_path(model, self.path).read(model)
 
+    def resolved(self, model: mujoco.MjModel) -> Callable[[mujoco.MjModel, Sequence[float]], None]:
+        """This edit for models with the same parts as `model`: the paths are looked up once."""
+        paths = [parse_path(model, text) for text in self.paths]
+
+        def edit(edited: mujoco.MjModel, values: Sequence[float]) -> None:
+            for path in paths:
+                path.write(edited, path.read(edited) * values[0] if self.relative else values[0])
+
+        return edit
+
     def write(self, model: mujoco.MjModel, value: float) -> None:
         """Set the numbers in place in a model that holds its own ones.
 
         Call `mj_setConst` after the last parameter is set.
         """
-        for name in self.paths:
-            path = parse_path(model, name)
-            path.write(model, path.read(model) * value if self.relative else value)
+        self.resolved(model)(model, [value])
 
     def __call__(self, model: mujoco.MjModel, values: Sequence[float]) -> None:
         """See `robots.Edit`."""

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.models.batch import base_model, start_of
+from btr_mjx.models.compilation import base_model, start_of
 from btr_mjx.models.paths import nearest_names
 from btr_mjx.robots import Robot
 

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from btr_mjx.models.batch import base_model
+from btr_mjx.models.compilation import base_model
 from btr_mjx.robots import Robot
 from btr_mjx.runs import content_digest
 

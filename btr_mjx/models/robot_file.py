@@ -26,7 +26,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.models.batch import base_model, start_of
+from btr_mjx.models.compilation import base_model, start_of
 from btr_mjx.models.controller_table import controls_at_start, read_controller
 from btr_mjx.models.path_parameters import KEYS, PathParameter, read_bounds, read_path_parameter
 from btr_mjx.models.paths import nearest_names

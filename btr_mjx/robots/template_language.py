@@ -3,7 +3,8 @@
 Jinja2's sandbox keeps a template away from Python's internals, but a few words of it still ask for any amount of work:
 nested loops, `10 ** 10 ** 10`, `"x" * 10 ** 12`, `"%1000000000d"`, macros that call themselves twice. Here
 
-- calls, operators, loops, filters, comparisons and output are counted, and stop after `MAX_SECONDS` of computing;
+- calls, operators, loops, filters and comparisons are counted, and stop after `MAX_SECONDS` of computing; arithmetic
+  on floats, which is quick and bounded, is not counted;
 - every value is at most `MAX_WEIGHT` numbers and characters, and the text at most `MAX_OUTPUT` characters;
 - only filters and methods are there whose result is not larger than what goes in;
 - blocks, inheritance, includes and imports are not part of the language: a template is one file.
@@ -49,6 +50,9 @@ FUNCTIONS: Mapping[str, Callable[..., Any]] = {
 }
 """Functions of a template, beside Jinja2's range, dict and namespace."""
 
+_ELEMENTARY = frozenset((math.sin, math.cos, math.radians, math.sqrt))
+"""Functions that take and return one float, quickly."""
+
 _FILTERS = (
     *("abs", "int", "float", "length", "count", "first", "last", "min", "max", "sum", "list", "sort", "reverse"),
     *("unique", "map", "select", "reject", "selectattr", "rejectattr", "string", "upper", "lower", "trim", "default"),
@@ -56,6 +60,10 @@ _FILTERS = (
 )
 _METHODS = ("items", "keys", "values", "get", "index", "count", "upper", "lower", "strip", "startswith", "endswith")
 _FORBIDDEN = (nodes.Block, nodes.Extends, nodes.Include, nodes.Import, nodes.FromImport, nodes.FilterBlock)
+
+
+_COUNTED = (float, int, bool)
+"""Types whose values the length of what holds them counts."""
 
 
 class TemplateLimit(jinja2.TemplateError):
@@ -76,6 +84,11 @@ class _Work(Context):
         if self.steps % 64 == 0 and time.thread_time() - self.begin > MAX_SECONDS:
             raise TemplateLimit(f"it computes for more than {MAX_SECONDS:g} s")
 
+    def write(self, characters: int) -> None:
+        self.written += characters
+        if self.written > MAX_OUTPUT:
+            raise TemplateLimit(f"it writes more than {MAX_OUTPUT} characters")
+
 
 def weight(value: Any) -> int:
     """Numbers and characters of a value with everything inside it, counted up to a little above `MAX_WEIGHT`."""
@@ -91,7 +104,8 @@ def weight(value: Any) -> int:
         elif isinstance(item, list | tuple | dict):
             total += 1 + len(item)
             if total <= MAX_WEIGHT:
-                left += [*item, *item.values()] if isinstance(item, dict) else item
+                inside = [*item, *item.values()] if isinstance(item, dict) else item
+                left += [value for value in inside if type(value) not in _COUNTED]
     return total
 
 
@@ -112,14 +126,22 @@ def _check_format(text: Any) -> None:
         raise TemplateLimit(f"the format {str(text)[:40]!r} has a width of more than three digits")
 
 
+@jinja2.pass_context
+def _printed(context: _Work, value: Any) -> str:
+    """The text of a printed value."""
+    text = str(value if isinstance(value, str | float) else _bounded(value))
+    context.write(len(text))
+    return text
+
+
 class TemplateEnvironment(ImmutableSandboxedEnvironment):
     """The language of templates; see the module's notes."""
 
-    intercepted_binops = frozenset(("+", "-", "*", "/", "//", "%", "**"))
+    intercepted_binops = frozenset(("+", "*", "%", "**"))  # the others do not make large values of small ones
     context_class = _Work
 
     def __init__(self) -> None:
-        super().__init__(undefined=jinja2.StrictUndefined, autoescape=False)
+        super().__init__(undefined=jinja2.StrictUndefined, autoescape=False, finalize=_printed)
         self.globals = {name: self.globals[name] for name in ("range", "dict", "namespace")} | dict(FUNCTIONS)
         own = {"format": _format, "join": _join, "replace": _replace, "round": _round}
         self.filters = {name: self.filters[name] for name in _FILTERS} | own
@@ -154,9 +176,11 @@ class TemplateEnvironment(ImmutableSandboxedEnvironment):
 
     def call(__self, __context: Any, __obj: Any, *args: Any, **kwargs: Any) -> Any:
         """Call a function or a macro."""
+        if type(__obj) is type(math.sin) and __obj in _ELEMENTARY:
+            return __obj(*args)  # Jinja2 passes keywords of its own
         __context.step()
-        if __obj is __self._printed:  # which has a limit of its own
-            return __obj(__context, *args)
+        if __obj is __self._iteration:
+            return __context.write(*args)
         if __obj is __self._value:
             return _bounded(args[0])
         for value in (*args, *kwargs.values()):
@@ -165,6 +189,8 @@ class TemplateEnvironment(ImmutableSandboxedEnvironment):
 
     def call_binop(self, context: Any, operator: str, left: Any, right: Any) -> Any:
         """Compute an arithmetic operation."""
+        if type(left) is float or (type(left) is int and type(right) is float):  # no large value
+            return super().call_binop(context, operator, left, right)
         context.step()
         if operator == "%":
             _check_format(left)
@@ -184,12 +210,8 @@ class TemplateEnvironment(ImmutableSandboxedEnvironment):
         return value
 
     @staticmethod
-    def _printed(context: Any, value: Any) -> str:
-        text = value if isinstance(value, str) else str(_bounded(value))
-        context.written += len(text)
-        if context.written > MAX_OUTPUT:
-            raise TemplateLimit(f"it writes more than {MAX_OUTPUT} characters")
-        return text
+    def _iteration(characters: int) -> None:
+        """Count the characters that one turn of a loop writes at most, beside printed values."""
 
     @staticmethod
     def _joined(*values: Any) -> str:
@@ -197,7 +219,7 @@ class TemplateEnvironment(ImmutableSandboxedEnvironment):
 
 
 class _Counted(NodeTransformer):
-    """Rewrites a template so that its loops, filters, comparisons, lists and output pass through the environment."""
+    """Rewrites a template so that its loops, filters, comparisons and lists pass through the environment."""
 
     def __init__(self, environment: TemplateEnvironment) -> None:
         self.environment = environment
@@ -214,19 +236,13 @@ class _Counted(NodeTransformer):
         return call
 
     def visit_For(self, node: nodes.For) -> nodes.Node:
+        characters = sum(len(part.data) for part in node.find_all(nodes.TemplateData))
         self.generic_visit(node)
-        count = self._call("_value", nodes.Const(True), line=node.lineno)
         if node.test is not None:
+            count = self._call("_value", nodes.Const(True), line=node.lineno)
             node.test = nodes.And(count, node.test).set_environment(self.environment).set_lineno(node.lineno)
-        node.body.insert(0, nodes.ExprStmt(count).set_lineno(node.lineno))
-        return node
-
-    def visit_Output(self, node: nodes.Output) -> nodes.Node:
-        self.generic_visit(node)
-        node.nodes = [
-            self._call("_printed", nodes.Const(part.data) if isinstance(part, nodes.TemplateData) else part, line=line)
-            for part, line in ((part, part.lineno or node.lineno) for part in node.nodes)
-        ]
+        turn = self._call("_iteration", nodes.Const(characters), line=node.lineno)
+        node.body.insert(0, nodes.ExprStmt(turn).set_lineno(node.lineno))
         return node
 
     def visit_Concat(self, node: nodes.Concat) -> nodes.Node:

@@ -8,7 +8,7 @@ import pytest
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import EngineSettings, evaluate, fitness
 from btr_mjx.evaluation.evaluation import fastest_engine
-from btr_mjx.models import compile_models
+from btr_mjx.models import batch, compile_models
 from btr_mjx.robots import Robot
 
 
@@ -103,11 +103,10 @@ def test_base_body_must_move_freely(robot: Robot) -> None:
 
 def test_equal_simulations_are_prepared_once(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     """What makes 10,000 pairs of a few morphologies cheap to prepare."""
-    from btr_mjx.models.template_compiler import TemplateCompiler
-
     s = robot.simulation_box.sample(np.random.default_rng(99), 2)
-    counts, prepare = [], TemplateCompiler.prepare
-    monkeypatch.setattr(TemplateCompiler, "prepare", lambda self, rows: counts.append(len(rows)) or prepare(self, rows))
+    compile_models(robot, s)
+    texts, compiler = [], batch.compile_mjcf
+    monkeypatch.setattr(batch, "compile_mjcf", lambda robot, text: texts.append(text) or compiler(robot, text))
     models = compile_models(robot, np.repeat(s, 500, 0))
-    assert counts == [2]
+    assert sorted(texts) == sorted(robot.render(row) for row in s)
     assert len(models) == 1000

@@ -10,7 +10,7 @@ import pytest
 from small_robots import hopper
 
 from btr_mjx.models import robot_digest
-from btr_mjx.models.batch import base_model
+from btr_mjx.models.compilation import base_model
 
 CODE = """
 import sys
