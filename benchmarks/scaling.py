@@ -1,10 +1,10 @@
 """Cost per pair and memory from 64 to 100,000 pairs: `uv run python benchmarks/scaling.py`.
 
-Every pair has a morphology of its own, so that the measured cost is the whole cost of a pair: preparing its model,
-simulating it, computing its fitness. The number of JAX devices is fixed when JAX starts, so that each number of devices
-has a process of its own. It runs the sizes in ascending order, several times; the peak memory after a size in the first
-pass is the memory that this size needs. Compilation is not timed. All steps cost the same, so that short trials show
-the same curve, with a larger share of preparation.
+Every 64 pairs share a morphology, as in a block of a scan; the measured cost is the whole cost of a pair: its share of
+preparing the model, simulating it, computing its fitness. The number of JAX devices is fixed when JAX starts, so that
+each number of devices has a process of its own. It runs the sizes in ascending order, several times; the peak memory
+after a size in the first pass is the memory that this size needs. Compilation is not timed. All steps cost the same, so
+that short trials show the same curve, with a larger share of preparation.
 """
 
 import json
@@ -32,6 +32,8 @@ FLAT_FROM = 1024
 """Number of pairs from which on the cost per pair should be constant."""
 FLAT_WITHIN = 0.15
 """Aim for the largest relative difference of the cost per pair."""
+SHARED = 64
+"""Pairs of a morphology."""
 MEMORY_GIB = 1.5
 """Aim for the peak memory [GiB]."""
 
@@ -69,7 +71,7 @@ def measure(config: Config) -> dict[str, Any]:
     robot = replace(hexapod(), duration=config.steps * float(base_model(hexapod()).opt.timestep))
     rng = np.random.default_rng(0)
     sizes = [size for size in SIZES if size < config.max_pairs] + [config.max_pairs]
-    simulations = robot.simulation_box.sample(rng, config.max_pairs)
+    simulations = robot.simulation_box.sample(rng, -(-config.max_pairs // SHARED)).repeat(SHARED, axis=0)
     controllers = robot.controller_box.sample(rng, config.max_pairs)
     evaluate(robot, simulations[:1], controllers[:1], pairwise=True, engine="lanes")  # compiles
     seconds: dict[int, list[float]] = {size: [] for size in sizes}
@@ -128,7 +130,7 @@ def main(config: Config) -> None:
         return
     found = {devices: in_own_process(config, devices) for devices in config.devices}
     rows = [row for result in found.values() for row in result["rows"]]
-    print(f"{available_cores()} cores, {config.steps} steps, every pair with its own morphology")
+    print(f"{available_cores()} cores, {config.steps} steps, {SHARED} pairs per morphology")
     print(f"{'devices':>8}{'pairs':>9}{'us per pair':>13}{'steps/s':>12}{'peak GiB':>10}")
     for row in rows:
         print(

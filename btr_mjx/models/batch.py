@@ -4,8 +4,9 @@ Every row equals the model that MuJoCo compiles from its rendered MJCF, derived 
 stat.meaninertia, ...) included. A batch stores one base model and, for each field in which models of this robot can
 differ, a stacked float64 array.
 
-Simulations that render to the same MJCF share one compiled model, whose numbers are edited for each of them. Different
-MJCF is compiled on threads: MuJoCo's compiler runs beside Python. A row depends on its own simulation only, to the bit.
+Simulations that render to the same MJCF share one compiled model, whose numbers are edited for each of them; derived
+fields follow (mj_setConst), except `MjModel.stat`. Different MJCF is compiled on threads: MuJoCo's compiler runs beside
+Python. A row depends on its own simulation only, to the bit.
 """
 
 import copy
@@ -28,6 +29,9 @@ from btr_mjx.runs import available_cores
 
 _PROBES = 12
 """Number of random simulations that are compiled once per robot to find the fields that depend on s."""
+
+_KEPT_ROWS = 256
+"""Batches of at most so many simulations are kept for the next calls, as neighbouring tiles of a scan share theirs."""
 
 _BOUNDING_TREE = ("bvh_aabb", "bvh_child", "bvh_depth", "bvh_nodeid")
 """Tree of bounding volumes: boxes are of use only with the order of geoms that they were made for."""
@@ -74,24 +78,38 @@ def compile_models(robot: Robot, simulations: ArrayLike) -> Models:
     values = np.atleast_2d(robot.simulation_box.validate(simulations, "simulations"))
     index = _equal_rows(values)
     distinct = values[np.unique(index, return_index=True)[1]]
+    if len(distinct) > _KEPT_ROWS:
+        leaves = _prepared(robot, distinct)
+    else:
+        leaves = _kept(robot, distinct.tobytes())
+    return Models(base_model(robot), {name: leaf[index] for name, leaf in leaves.items()})
+
+
+@lru_cache(maxsize=8)
+def _kept(robot: Robot, simulations: bytes) -> dict[str, np.ndarray]:
+    return _prepared(robot, np.frombuffer(simulations).reshape(-1, robot.simulation_box.n))
+
+
+def _prepared(robot: Robot, simulations: np.ndarray) -> dict[str, np.ndarray]:
+    """Field -> (L, *field shape) of simulations (L, n_s)."""
     base = base_model(robot)
     constants = _constant_names(robot)
     read = attrgetter(*constants)
     expected = _values(base, read)
-    leaves = {name: np.empty((len(distinct), *read_field(base, name).shape)) for name in varying_fields(robot)}
+    leaves = {name: np.empty((len(simulations), *read_field(base, name).shape)) for name in varying_fields(robot)}
 
     def prepare(rows: np.ndarray) -> None:
-        for row, model in _models(robot, distinct, rows):
+        for row, model in _models(robot, simulations, rows):
             if _values(model, read) != expected:
-                with _named(robot, distinct[row]):
+                with _named(robot, simulations[row]):
                     _refuse_change(robot, model, constants)
             for name, leaf in leaves.items():
                 leaf[row] = read_field(model, name)
 
     with ThreadPoolExecutor(available_cores()) as threads:
-        for _ in threads.map(prepare, _same_text(robot, distinct)):
+        for _ in threads.map(prepare, _same_text(robot, simulations)):
             pass  # raises the error of the first simulation that has one
-    return Models(base, {name: leaf[index] for name, leaf in leaves.items()})
+    return leaves
 
 
 def _equal_rows(values: np.ndarray) -> np.ndarray:

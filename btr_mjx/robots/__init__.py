@@ -5,7 +5,7 @@ robot is one more `Robot`; the commands take the hexapod unless another template
 """
 
 from btr_mjx.robots.hexapod import HEXAPOD, PAPER_REALITIES, PAPER_STARTS, hexapod, read_asset, robot_of
-from btr_mjx.robots.robot import Edit, Pairs, Robot, Signal, Simulator, compiled_template, read_template
+from btr_mjx.robots.robot import Edit, Pairs, Robot, Signal, Simulator, read_template
 from btr_mjx.robots.signals import Sinusoids, Spline
 from btr_mjx.robots.spaces import Box
 
@@ -21,7 +21,6 @@ __all__ = [
     "Simulator",
     "Sinusoids",
     "Spline",
-    "compiled_template",
     "hexapod",
     "read_asset",
     "read_template",

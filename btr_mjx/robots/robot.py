@@ -175,7 +175,7 @@ class Robot:
         named = zip(self.simulation_box.names, values.tolist(), strict=True)
         names = {name: value for name, value in named if name not in edited}
         try:
-            return compiled_template(self.template).render(dict(self.constants) | names)
+            return _compiled_template(self.template).render(dict(self.constants) | names)
         except jinja2.UndefinedError as error:
             known = ", ".join([*names, *dict(self.constants)])
             raise InputError(
@@ -207,7 +207,7 @@ class Robot:
 
 
 @lru_cache(maxsize=64)
-def compiled_template(text: str) -> jinja2.Template:
+def _compiled_template(text: str) -> jinja2.Template:
     """The compiled Jinja2 template of a text, with the functions sin, cos, radians, sqrt, min and max."""
     return TemplateEnvironment().template(text)
 

@@ -26,7 +26,8 @@ MAX_TEMPLATE = 1_000_000
 """Most characters of a template."""
 
 MAX_OUTPUT = 16 << 20
-"""Most characters that a template may write, counting those that it keeps in variables."""
+"""Most characters that a template may write, counting those that it keeps in variables and, for every turn of a loop,
+all text inside the loop."""
 
 MAX_TOKENS = 50_000
 """Most words of the language in a template, spaces included; compiling so many takes a second."""
@@ -38,7 +39,7 @@ MAX_INTEGER_BITS = 1024
 """Size of an integer that a float can hold."""
 
 MAX_SECONDS = 1.0
-"""Computing time of one rendering [s]; the hexapod's takes two milliseconds."""
+"""Computing time of one rendering [s]; the hexapod's takes half a millisecond."""
 
 FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     "sin": math.sin,
