@@ -113,6 +113,10 @@ TEMPLATES = {
         "link": '<geom type="box" size="{{ r }} {{ a }} {{ b }}" euler="10 20 30" pos="{{ a }} 0 0.1"/>'
         '<geom type="ellipsoid" size="{{ a }} {{ r }} {{ r }}" pos="0 {{ b }} 0" quat="1 2 3 4"/><geom size="{{ b }}"/>'
     },
+    "other order of geoms between the probes": {
+        "link": "{% set side = 1 if (a - 0.4321) | abs > 0.0005 else -1 %}"
+        '<geom size="0.05" pos="{{ side * a }} 0 0"/><geom size="0.05" pos="{{ -side * a }} 0 0"/>'
+    },
     "full inertia": {
         "link": '<inertial pos="0 0 0" mass="1" fullinertia="{{ b }} {{ b }} {{ b }} {{ r }} 0 0"/>',
     },
@@ -129,7 +133,8 @@ TEMPLATES = {
 def test_every_field_of_a_row_is_the_compilers(parts: dict[str, str]) -> None:
     robot = arm(**parts)
     box, rng = robot.simulation_box, np.random.default_rng(3)
-    rows = np.concatenate([box.sample(rng, 6), [box.low, box.high]])
+    rows = np.concatenate([box.sample(rng, 6), [box.low, box.high, robot.nominal]])
+    rows[-1, 0] = 0.4321
     batch = compile_models(robot, rows)
     assert tuple(batch.leaves) == varying_fields(robot)
     for i, s in enumerate(rows):
