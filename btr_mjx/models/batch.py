@@ -33,8 +33,9 @@ _PROBES = 12
 _KEPT_ROWS = 256
 """Batches of at most so many simulations are kept for the next calls, as neighbouring tiles of a scan share theirs."""
 
-_BOUNDING_TREE = ("bvh_aabb", "bvh_child", "bvh_depth", "bvh_nodeid")
-"""Tree of bounding volumes: boxes are of use only with the order of geoms that they were made for."""
+_HIERARCHY = ("bvh_child", "bvh_depth", "bvh_nodeid")
+"""Trees of bounding volumes, those of bodies first. Any tree over the same geoms is valid: all rows have the base
+model's, since a batch of MuJoCo (`mujoco.batch`) has one for all of its models."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,12 +134,14 @@ def _models(robot: Robot, simulations: np.ndarray, rows: np.ndarray) -> Iterator
     if not robot.edits:
         with _named(robot, first):
             model = compile_mjcf(robot, robot.render(first))
+        _share_hierarchy(model, base_model(robot))
         for row in rows:
             yield row, model
         return
     with _named(robot, first):
         model = copy.copy(unedited_model(robot, robot.render(first)))
         edit = editor_of(robot, model)
+    _share_hierarchy(model, base_model(robot))
     compiled = {name: read_field(model, name) for name in varying_fields(robot)}
     for row in rows:
         for name, value in compiled.items():
@@ -146,6 +149,22 @@ def _models(robot: Robot, simulations: np.ndarray, rows: np.ndarray) -> Iterator
         with _named(robot, simulations[row]):
             edit(model, simulations[row])
         yield row, model
+
+
+def _share_hierarchy(model: mujoco.MjModel, base: mujoco.MjModel) -> None:
+    """Give a model's bodies the base model's trees of bounding volumes, with boxes that fit."""
+    bodies = slice(_bodies_volumes(base))
+    trees = [(getattr(model, name)[bodies], getattr(base, name)[bodies]) for name in _HIERARCHY]
+    if model.nbvh != base.nbvh or all(np.array_equal(own, shared) for own, shared in trees):
+        return
+    for own, shared in trees:
+        own[:] = shared
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def _bodies_volumes(model: mujoco.MjModel) -> int:
+    """Number of bounding volumes of bodies; those of meshes follow."""
+    return int(model.body_bvhnum.sum())
 
 
 @contextmanager
@@ -170,13 +189,10 @@ def varying_fields(robot: Robot) -> tuple[str, ...]:
     for probe in (box.low, box.high, *box.sample(np.random.default_rng(0), _PROBES)):
         with _named(robot, probe):
             models.append(model_of(robot, probe))
-    names = field_names(base)
-    found = {name for name in names if any(_differ(base, model, name) for model in models)}
+    found = tuple(name for name in field_names(base) if any(_differ(base, model, name) for model in models))
     if not found and robot.simulator is None:
         raise InputError(f"{robot.template_path}: the model is the same for all of {', '.join(box.names)}")
-    if "bvh_aabb" in found:
-        found.update(_BOUNDING_TREE)
-    return tuple(name for name in names if name in found) or ("qpos0",)  # a batch holds at least one field
+    return found or ("qpos0",)  # a batch holds at least one field
 
 
 def _differ(a: mujoco.MjModel, b: mujoco.MjModel, name: str) -> bool:
@@ -186,6 +202,8 @@ def _differ(a: mujoco.MjModel, b: mujoco.MjModel, name: str) -> bool:
             f"{name} has shape {x.shape} for one simulation and {y.shape} for another: "
             "all simulations of a robot must have the same bodies, joints, geoms and motors"
         )
+    if name in _HIERARCHY:
+        x, y = x[_bodies_volumes(a) :], y[_bodies_volumes(a) :]
     return not np.array_equal(x, y)
 
 

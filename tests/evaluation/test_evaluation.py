@@ -104,7 +104,6 @@ def test_base_body_must_move_freely(robot: Robot) -> None:
 def test_equal_simulations_are_prepared_once(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     """What makes 10,000 pairs of a few morphologies cheap to prepare."""
     s = robot.simulation_box.sample(np.random.default_rng(99), 2)
-    compile_models(robot, s)
     texts, compiler = [], batch.compile_mjcf
     monkeypatch.setattr(batch, "compile_mjcf", lambda robot, text: texts.append(text) or compiler(robot, text))
     models = compile_models(robot, np.repeat(s, 500, 0))
