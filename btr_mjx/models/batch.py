@@ -131,17 +131,14 @@ def _same_text(robot: Robot, simulations: np.ndarray) -> list[np.ndarray]:
 def _models(robot: Robot, simulations: np.ndarray, rows: np.ndarray) -> Iterator[tuple[int, mujoco.MjModel]]:
     """Rows that render to the same MJCF with their models, each of which is valid until the next one is asked for."""
     first = simulations[rows[0]]
-    if not robot.edits:
-        with _named(robot, first):
-            model = compile_mjcf(robot, robot.render(first))
-        _share_hierarchy(model, base_model(robot))
-        for row in rows:
-            yield row, model
-        return
     with _named(robot, first):
-        model = copy.copy(unedited_model(robot, robot.render(first)))
-        edit = editor_of(robot, model)
+        text = robot.render(first)
+        model = copy.copy(unedited_model(robot, text)) if robot.edits else compile_mjcf(robot, text)
     _share_hierarchy(model, base_model(robot))
+    if not robot.edits:  # its rows differ, and so do their texts
+        yield rows[0], model
+        return
+    edit = editor_of(robot, model)
     compiled = {name: read_field(model, name) for name in varying_fields(robot)}
     for row in rows:
         for name, value in compiled.items():
