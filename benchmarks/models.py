@@ -17,9 +17,11 @@ import tyro
 
 from btr_mjx.engines import use_all_cores
 from btr_mjx.evaluation.evaluation import _program, _program_inputs
-from btr_mjx.models import compile_models, varying_fields
+from btr_mjx.models import compile_models, load_robot, varying_fields
 from btr_mjx.robots import hexapod
 from btr_mjx.runs import available_cores
+
+QUADRUPED = Path(__file__).parents[1] / "examples/quadruped"
 
 
 @dataclass(frozen=True)
@@ -88,11 +90,18 @@ def main(config: Config) -> None:
     for name, x in seconds.items():
         print(f"{name:26}{np.median(x) * 1e6:10.1f}{share[name]:15.1%}")
     print(f"once per robot: {first:.2f} s")
+    walker = load_robot(QUADRUPED)
+    varying_fields(walker)
+    start = time.perf_counter()
+    compile_models(walker, walker.simulation_box.sample(rng, 1000))
+    paths = time.perf_counter() - start
+    print(f"1,000 quadrupeds whose numbers are set by paths: {paths:.2f} s")
     if config.json is not None:
         numbers = {
             "us_each": {name: float(np.median(x) * 1e6) for name, x in seconds.items()},
             "share_of_simulating": share,
             "once_per_robot_s": first,
+            "thousand_by_paths_s": paths,
             "seconds": seconds,
         }
         config.json.write_text(json.dumps(numbers, indent=2) + "\n")
