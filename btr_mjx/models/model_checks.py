@@ -82,9 +82,9 @@ def check_model(model: mujoco.MjModel, where: str) -> None:
         raise InputError(f"{where}: timestep = {model.opt.timestep:g} s: expected {low:g} to {high:g} s")
     numbers = physical_numbers(model)
     flat = np.concatenate([values.ravel() for values in numbers.values()])
-    signed = np.concatenate([numbers[name].ravel() for name in NOT_NEGATIVE])
+    signed = np.concatenate([numbers[name].ravel() for name in NOT_NEGATIVE if name in numbers])
     if (np.abs(flat) <= LARGEST).all() and (signed >= 0).all():
-        return  # the common case, ten times faster than field by field
+        return  # the common case, several times faster than field by field
     for name, values in numbers.items():
         bad = np.isnan(values) if name.endswith(_WITH_INFINITY) else ~(np.abs(values) <= LARGEST)
         if name in NOT_NEGATIVE:
