@@ -19,7 +19,7 @@ from btr_mjx.runs.checkpoints import read_checkpoint, save_checkpoint
 from btr_mjx.runs.checksums import check_listed, check_sums, is_listed
 from btr_mjx.runs.config_json import CONFIG_NAME, config_to_json, differences, read_config, read_config_json
 from btr_mjx.runs.digests import content_digest
-from btr_mjx.runs.environment import COMPILER_OPTIONS, available_cores, describe_environment
+from btr_mjx.runs.environment import COMPILER_OPTIONS, available_cores, describe_environment, package_version
 from btr_mjx.runs.files import (
     read_arrays,
     read_json,
@@ -66,6 +66,7 @@ __all__ = [
     "is_unused",
     "load_object",
     "note",
+    "package_version",
     "parse_json",
     "progress",
     "read_arrays",
