@@ -41,17 +41,15 @@ class BlockSettings:
       folder: folder of the block files; None keeps nothing.
       size: pairs per block.
       cluster: None for this process, a text as of `check_cluster`, or a `distributed.Client`.
-      limit: time after which a block is given to another worker as well [s].
     """
 
     folder: Path | None = None
     size: int = 4096
     cluster: Any = None
-    limit: float = 900.0
 
     def __post_init__(self) -> None:
-        if self.size < 1 or not self.limit > 0:
-            raise InputError(f"blocks: got size {self.size} and limit {self.limit} s, expected at least 1 and above 0")
+        if self.size < 1:
+            raise InputError(f"blocks: got size {self.size}, expected at least 1")
         if isinstance(self.cluster, str):
             check_cluster(self.cluster)
 
@@ -178,18 +176,19 @@ def iterate_blocks(
             files.write(name, arrays)
             yield block(name, rows, columns, arrays)
     elif left:
-        expected = robot_digest(robot)
-        places = {f"block-{name}": (name, rows, columns) for name, rows, columns in left}
-        tasks = ((f"block-{name}", (s[rows], c[columns])) for name, rows, columns in left)
+        places: dict[str, list[tuple[slice, slice]]] = {}
+        for name, rows, columns in left:  # tiles of equal content are computed once
+            places.setdefault(name, []).append((rows, columns))
+        tasks = ((name, (s[rows], c[columns])) for name, [(rows, columns), *_] in places.items())
+        function = partial(_compute_there, robot_digest(robot), compute)
         with connect(blocks.cluster) as client:
-            function = partial(_compute_there, expected, compute)
-            for key, arrays in map_tasks(
-                client, function, tasks, limit=blocks.limit, jax_backend=chosen != "native", idle=lambda: step(0)
+            for name, arrays in map_tasks(
+                client, function, tasks, jax_backend=chosen != "native", idle=lambda: step(0)
             ):
-                name, rows, columns = places[key]
                 files.write(name, arrays)
-                step(arrays["fitness"].size)
-                yield block(name, rows, columns, arrays)
+                for rows, columns in places[name]:
+                    step(arrays["fitness"].size)
+                    yield block(name, rows, columns, arrays)
 
 
 def _checked(robot: Robot, simulations: ArrayLike, controllers: ArrayLike) -> tuple[np.ndarray, np.ndarray]:

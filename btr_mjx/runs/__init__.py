@@ -30,7 +30,6 @@ from btr_mjx.runs.files import (
     write_json,
     write_table,
 )
-from btr_mjx.runs.parquet_check import check_parquet, unreadable_parquet
 from btr_mjx.runs.progress_bar import StopRequest, graceful_interrupt, note, progress, say_progress
 from btr_mjx.runs.python_files import load_object
 from btr_mjx.runs.run_folder import IGNORED_FIELDS, RunFolder, check_inputs, claimed_folder, is_unused
@@ -49,7 +48,6 @@ __all__ = [
     "check_inputs",
     "check_keys",
     "check_listed",
-    "check_parquet",
     "check_plain",
     "check_regular",
     "check_sums",
@@ -83,7 +81,6 @@ __all__ = [
     "to_plain",
     "toml_rows",
     "toml_section",
-    "unreadable_parquet",
     "write_arrays",
     "write_figure",
     "write_json",

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from btr_mjx.errors import DamagedFile
-from btr_mjx.runs.checkpoint_header import read_checkpoint_header
+from btr_mjx.runs.bounded_files import check_plain
 from btr_mjx.runs.files import read_arrays, to_plain, write_arrays
 from btr_mjx.runs.progress_bar import note
 
@@ -126,16 +126,24 @@ def read_checkpoint(path: str | Path) -> Checkpoint:
       DamagedFile: cut short, altered, renamed or not a checkpoint.
       OSError: the file cannot be read.
     """
+    import msgspec
+
     arrays = read_arrays(path, require_digest=True)
     if META_NAME not in arrays:
         raise DamagedFile(f"{path}: not a checkpoint")
-    header = read_checkpoint_header(arrays.pop(META_NAME), str(path))
-    if header["format"] != FORMAT:
-        raise DamagedFile(f"{path}: checkpoint format {header['format']}, this version reads {FORMAT}")
+    try:
+        header = json.loads(arrays.pop(META_NAME).tobytes())
+        check_plain(header, str(path))
+        found = header["format"]
+        checkpoint = msgspec.convert({**header, "arrays": arrays}, Checkpoint)
+    except (ValueError, RecursionError, TypeError, KeyError, msgspec.ValidationError) as error:
+        raise DamagedFile(f"{path}: not a checkpoint ({error})") from None
+    if found != FORMAT:
+        raise DamagedFile(f"{path}: checkpoint format {found}, this version reads {FORMAT}")
     match = _FILE_NAME.fullmatch(Path(path).name)
-    if match and int(match.group(1)) != header["step"]:
-        raise DamagedFile(f"{path}: was renamed, it holds step {header['step']}")
-    return Checkpoint(header["step"], arrays, header["meta"], header["tables"], header["files"])
+    if match and int(match.group(1)) != checkpoint.step:
+        raise DamagedFile(f"{path}: was renamed, it holds step {checkpoint.step}")
+    return checkpoint
 
 
 def load_latest(folder: str | Path, *, warn: Callable[[str], None] = note) -> Checkpoint | None:

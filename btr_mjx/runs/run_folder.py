@@ -4,7 +4,7 @@
       config.json               the command's config, field by field
       inputs.json               digests of what the config refers to: a robot, a dataset, ...
       environment.json          versions, machine and git commit, at the start and at each resume
-      history.parquet           tables that grow row by row
+      history.csv               tables that grow row by row
       checkpoint-000012.npz     the state after step 12; the last few are kept
       result.json, *.npz, *.png what the command adds at its end
       SHA256SUMS                digests of all data files, once the run has ended
@@ -16,7 +16,7 @@ the newest sound checkpoint, or is named in an error; it never changes a result.
 
     with RunFolder.create(config.out, config, resume=config.resume) as run, graceful_interrupt() as stop:
         checkpoint = run.load_latest()
-        history = run.history("history.parquet", checkpoint)
+        history = run.history("history.csv", checkpoint)
         state = begin(config) if checkpoint is None else restore(checkpoint)
         for step in range(0 if checkpoint is None else checkpoint.step + 1, config.steps):
             state, row = advance(state)
@@ -27,6 +27,7 @@ the newest sound checkpoint, or is named in an error; it never changes a result.
         run.seal()
 """
 
+import json
 import os
 import weakref
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -35,8 +36,6 @@ from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Any, Self
-
-import polars as pl
 
 from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.runs import checkpoints
@@ -65,16 +64,14 @@ def is_unused(folder: Path) -> bool:
 
 
 class History:
-    """A table that grows row by row, rewritten whole and atomically by `write`.
+    """A table that grows row by row, a CSV file rewritten whole and atomically by `write`.
 
-    All rows have the same columns; values are None, bool, int, float, str, or lists of one of them. Times and other
-    values that differ from run to run do not belong here.
+    All rows have the same columns; values are None, bool, int, float, str, or lists, which the file holds as JSON. Times
+    and other values that differ from run to run do not belong here.
     """
 
     def __init__(self, path: str | Path, rows: Sequence[Mapping[str, Any]] = ()) -> None:
         self.path = Path(path)
-        if self.path.suffix != ".parquet":  # CSV would not keep types and absent values
-            raise ValueError(f"a history's name ends in .parquet, got {self.path.name}")
         self._rows: list[dict[str, Any]] = [dict(row) for row in rows]
 
     def __len__(self) -> int:
@@ -97,29 +94,14 @@ class History:
             raise ValueError(f"{self.path.name}: expected the columns {list(self._rows[0])}, got {list(plain)}")
         self._rows.append(plain)
 
-    def table(self) -> pl.DataFrame:
-        """The rows as a frame; a column of integers and floats becomes floats.
+    def write(self) -> None:
+        """Replace the file by all rows so far.
 
         Raises:
-          TypeError: a column that mixes other types.
+          OSError: the file cannot be written.
         """
-        return pl.DataFrame([_column(name, [row[name] for row in self._rows]) for name in (self._rows or [{}])[0]])
-
-    def write(self) -> None:
-        """Replace the file by all rows so far."""
-        write_table(self.path, self.table())
-
-
-def _column(name: str, values: list[Any]) -> pl.Series:
-    kinds = {type(value) for value in values if value is not None}
-    if kinds == {int, float}:
-        kinds = {float}
-        values = [None if value is None else float(value) for value in values]
-    if len(kinds) > 1:
-        raise TypeError(f"column {name!r} mixes {', '.join(sorted(kind.__name__ for kind in kinds))}")
-    dtypes = {bool: pl.Boolean, int: pl.Int64, float: pl.Float64, str: pl.String}
-    kind = next(iter(kinds), None)
-    return pl.Series(name, values, dtype=pl.Null if kind is None else dtypes.get(kind))
+        cell = lambda value: json.dumps(value) if isinstance(value, list) else value  # noqa: E731
+        write_table(self.path, [{name: cell(value) for name, value in row.items()} for row in self._rows])
 
 
 class RunFolder:

@@ -36,7 +36,7 @@ SMALL_RUN = (
 )
 """Flags of a co-evolution that takes a few seconds."""
 
-SAME = ("result.json", "generations.parquet", "iterations.parquet", "trials.npz", "simulations-002.npz")
+SAME = ("result.json", "generations.csv", "iterations.csv", "trials.npz", "simulations-002.npz")
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def test_run_folder(finished: Path) -> None:
     assert result["parameter_error_first"] == pytest.approx((0.24 + 0.24) / 2)
     config = json.loads((finished / "config.json").read_text())
     assert config["controllers"] == 8
-    assert read_table(finished / "generations.parquet").height == 8
+    assert read_table(finished / "generations.csv").height == 8
     trials = read_arrays(finished / "trials.npz")
     assert trials["controllers"].shape == (7, 36)
     archive = read_arrays(finished / "simulations-001.npz")

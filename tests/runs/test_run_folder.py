@@ -51,7 +51,7 @@ def test_history_types_survive(tmp_path):
 
 def test_history_is_cut_to_the_checkpoint(tmp_path):
     with RunFolder.create(tmp_path / "run", Config()) as run:
-        history = run.history("history.parquet")
+        history = run.history("history.csv")
         for step in range(3):
             history.append({"step": step, "half": 0})
             history.append({"step": step, "half": 1})
@@ -62,13 +62,13 @@ def test_history_is_cut_to_the_checkpoint(tmp_path):
     with RunFolder.create(tmp_path / "run", Config(), resume=True) as run:
         checkpoint = run.load_latest()
         assert checkpoint.step == 1
-        assert [row["step"] for row in run.history("history.parquet", checkpoint).rows] == [0, 0, 1, 1]
-        assert len(run.history("other.parquet", checkpoint)) == 0
-        assert len(run.history("history.parquet", None)) == 0
+        assert [row["step"] for row in run.history("history.csv", checkpoint).rows] == [0, 0, 1, 1]
+        assert len(run.history("other.csv", checkpoint)) == 0
+        assert len(run.history("history.csv", None)) == 0
         # The file is never read back: one that was damaged is written again.
-        (run.path / "history.parquet").write_bytes(b"PAR1")
-        run.history("history.parquet", checkpoint)
-        assert files.read_table(run.path / "history.parquet")["step"].to_list() == [0, 0, 1, 1]
+        (run.path / "history.csv").write_bytes(b"step\n7")
+        run.history("history.csv", checkpoint)
+        assert files.read_table(run.path / "history.csv")["step"].to_list() == [0, 0, 1, 1]
 
 
 def test_finished_files_are_guarded_by_checkpoints(tmp_path):
