@@ -11,7 +11,7 @@ computes nothing that is there. Results do not depend on which process computes 
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,17 +20,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from btr_mjx.cluster.block_files import BlockFiles
 from btr_mjx.cluster.connection import check_cluster, connect
 from btr_mjx.cluster.mapping import map_tasks
-from btr_mjx.errors import InputError
+from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.evaluation import DISTANCE, Engine, EngineSettings, FitnessFunction, evaluate, fastest_engine
 from btr_mjx.models import robot_digest
 from btr_mjx.robots import Robot
-from btr_mjx.runs import content_digest
+from btr_mjx.runs import content_digest, note, read_arrays, write_arrays
 
 _FORMAT = 1
 """Version of the block files."""
+
+_NAME = "__name__"
+"""Array that holds a block's name, so that a file under another block's name is noticed."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +158,7 @@ def iterate_blocks(
     compute = partial(_compute, robot, chosen, fitness, how)
     # Threads do not change results, so that they may differ on resume.
     key = content_digest(_FORMAT, robot_digest(robot), fitness, chosen, how.chunk, how.timestep, how.integrator, _x64())
-    files, step = BlockFiles(blocks.folder), progress or (lambda pairs: None)
+    step = progress or (lambda pairs: None)
 
     def block(name: str, rows: slice, columns: slice, arrays: dict[str, np.ndarray]) -> PairBlock:
         return PairBlock(name, rows, columns, arrays["fitness"], arrays["diverged"], arrays["solver_capped"])
@@ -164,7 +166,7 @@ def iterate_blocks(
     left = []
     for rows, columns in tiles(len(s), len(c), blocks.size):
         name = content_digest(key, s[rows], c[columns])
-        arrays = files.read(name)
+        arrays = read_block(blocks.folder, name)
         if arrays is None:
             left.append((name, rows, columns))
         else:
@@ -173,7 +175,7 @@ def iterate_blocks(
     if blocks.cluster is None:
         for name, rows, columns in left:
             arrays = compute(s[rows], c[columns], progress=progress)
-            files.write(name, arrays)
+            write_block(blocks.folder, name, arrays)
             yield block(name, rows, columns, arrays)
     elif left:
         places: dict[str, list[tuple[slice, slice]]] = {}
@@ -185,7 +187,7 @@ def iterate_blocks(
             for name, arrays in map_tasks(
                 client, function, tasks, jax_backend=chosen != "native", idle=lambda: step(0)
             ):
-                files.write(name, arrays)
+                write_block(blocks.folder, name, arrays)
                 for rows, columns in places[name]:
                     step(arrays["fitness"].size)
                     yield block(name, rows, columns, arrays)
@@ -210,6 +212,35 @@ def tiles(rows: int, columns: int, size: int) -> Iterator[tuple[slice, slice]]:
     for top in range(0, rows, tall):
         for left in range(0, columns, wide):
             yield slice(top, min(top + tall, rows)), slice(left, min(left + wide, columns))
+
+
+def read_block(folder: Path | None, name: str) -> dict[str, np.ndarray] | None:
+    """The arrays of a finished block; None where they are missing or, which prints a line, damaged.
+
+    Raises:
+      OSError: the file cannot be read.
+    """
+    if folder is None or not (folder / f"{name}.npz").exists():
+        return None
+    path = folder / f"{name}.npz"
+    try:
+        arrays = read_arrays(path, require_digest=True)
+        if str(arrays.pop(_NAME, "")) != name:
+            raise DamagedFile(f"{path}: holds another block")
+    except DamagedFile as error:
+        note(f"warning: {error}; the block is computed again")
+        return None
+    return arrays
+
+
+def write_block(folder: Path | None, name: str, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write the arrays of a finished block, unless nothing is kept.
+
+    Raises:
+      OSError: the file cannot be written.
+    """
+    if folder is not None:
+        write_arrays(folder / f"{name}.npz", {_NAME: np.array(name), **arrays})
 
 
 def _compute(

@@ -66,8 +66,8 @@ def is_unused(folder: Path) -> bool:
 class History:
     """A table that grows row by row, a CSV file rewritten whole and atomically by `write`.
 
-    All rows have the same columns; values are None, bool, int, float, str, or lists, which the file holds as JSON. Times
-    and other values that differ from run to run do not belong here.
+    All rows have the same columns; values are None, bool, int, float, str, or lists, which the file holds as JSON.
+    Times and other values that differ from run to run do not belong here.
     """
 
     def __init__(self, path: str | Path, rows: Sequence[Mapping[str, Any]] = ()) -> None:

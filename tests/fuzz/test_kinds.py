@@ -232,12 +232,12 @@ def test_parquet_that_is_cut_or_panics_is_damaged(tmp_path: Path) -> None:
     assert bad > 12
 
 
-def test_parquet_of_very_many_values(tmp_path: Path) -> None:
+def test_parquet_of_very_many_values(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A run-length code holds a constant in a few bytes."""
     pl.select(a=pl.repeat(1, 1000)).write_parquet(tmp_path / "a.parquet")
     assert read_table(tmp_path / "a.parquet").height == 1000
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(InputError, match="declares 1000 values, at most 999"):
-        patch.setattr("btr_mjx.runs.files.MAX_CELLS", 999)
+    monkeypatch.setattr("btr_mjx.runs.files.MAX_CELLS", 999)
+    with pytest.raises(InputError, match="declares 1000 values, at most 999"):
         read_table(tmp_path / "a.parquet")
 
 

@@ -75,7 +75,9 @@ def write_run(
         write_arrays(folder / f"simulations-{i:03d}.npz", archive)
         before = np.abs(centre - real).mean()
         centre = simulations.reshape(-1, box.n)[np.argmin(delta)]
-        rows.append({"iteration": i, "delta_before": before, "delta_after": delta.min(), "simulation": str(centre.tolist())})
+        rows.append(
+            {"iteration": i, "delta_before": before, "delta_after": delta.min(), "simulation": str(centre.tolist())}
+        )
     write_table(folder / "iterations.csv", rows)
     number = len(trials["f_r"])
     controllers = ROBOT.controller_box.sample(rng, number)
