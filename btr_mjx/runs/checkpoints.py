@@ -26,6 +26,9 @@ from btr_mjx.runs.progress_bar import note
 FORMAT = 2
 """Version of the file format."""
 
+KEPT = 2
+"""How many checkpoints stay."""
+
 META_NAME = "__meta__"
 """Array that holds the JSON text."""
 
@@ -70,11 +73,10 @@ def save_checkpoint(
     *,
     tables: Mapping[str, Any] | None = None,
     files: Mapping[str, str] | None = None,
-    keep: int = 2,
 ) -> Path:
     """Write the state after `step`, then delete what is no longer needed.
 
-    Of the steps up to this one the last `keep` stay. Files of later steps are deleted: they were written before the run
+    Of the steps up to this one the last `KEPT` stay. Files of later steps are deleted: they were written before the run
     was resumed from an earlier checkpoint.
 
     Args:
@@ -85,18 +87,17 @@ def save_checkpoint(
       meta: JSON-able values; NaN and infinities are kept.
       tables: rows of each table.
       files: digests of files.
-      keep: how many checkpoints stay, at least 2.
 
     Returns:
       The file written.
 
     Raises:
       TypeError: an array or a value that cannot be saved.
-      ValueError: negative step, keep < 2 or a reserved array name.
+      ValueError: a negative step or a reserved array name.
       OSError: the file cannot be written.
     """
-    if step < 0 or keep < 2:
-        raise ValueError(f"expected step >= 0 and keep >= 2, got step {step} and keep {keep}")
+    if step < 0:
+        raise ValueError(f"expected step >= 0, got {step}")
     if reserved := [name for name in arrays if name.startswith("__")]:
         raise ValueError(f"array names must not begin with '__', got {reserved}")
     header = {"format": FORMAT, "step": step, "meta": meta or {}, "tables": tables or {}, "files": files or {}}
@@ -105,17 +106,17 @@ def save_checkpoint(
     write_arrays(path, {META_NAME: np.frombuffer(text, np.uint8), **arrays})
     for later in [old for saved, old in list_checkpoints(folder) if saved > step]:
         later.unlink(missing_ok=True)
-    drop_older(folder, step, keep)
+    drop_older(folder, step)
     return path
 
 
-def drop_older(folder: str | Path, step: int, keep: int) -> None:
-    """Delete the checkpoints of steps up to `step`, except the last `keep`.
+def drop_older(folder: str | Path, step: int) -> None:
+    """Delete the checkpoints of steps up to `step`, except the last `KEPT`.
 
     Raises:
       OSError: a file cannot be deleted.
     """
-    for old in [path for saved, path in list_checkpoints(folder) if saved <= step][:-keep]:
+    for old in [path for saved, path in list_checkpoints(folder) if saved <= step][:-KEPT]:
         old.unlink(missing_ok=True)
 
 

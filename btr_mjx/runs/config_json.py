@@ -18,9 +18,6 @@ from btr_mjx.runs.files import read_json, to_plain
 CONFIG_NAME = "config.json"
 """Name of the file in a run folder."""
 
-ABSENT = "(absent)"
-"""How messages show a field that one of two configs does not have."""
-
 
 def config_to_json(config: Any) -> dict[str, Any]:
     """The JSON object of a config.
@@ -100,31 +97,18 @@ def differences(saved: Mapping[str, Any], new: Mapping[str, Any], ignore: Collec
     Args:
       saved: the config in the folder.
       new: the config just given.
-      ignore: dotted names of fields to skip, with all fields below them ("out", "ga.verbose").
+      ignore: names of fields to skip.
 
     Returns:
-      One string per field that differs, e.g. "ga.population: saved 32, now 64".
+      One string per field that differs, e.g. "population: saved 32, now 64".
     """
-    left, right = _flatten(saved), _flatten(new)
-    found = []
-    for name in [*left, *(name for name in right if name not in left)]:
-        if any(name == skip or name.startswith(f"{skip}.") for skip in ignore):
-            continue
-        a, b = left.get(name, ABSENT), right.get(name, ABSENT)
-        if a != b or isinstance(a, bool) != isinstance(b, bool):
-            found.append(f"{name}: saved {_show(a)}, now {_show(b)}")
-    return found
+    shown = lambda data, name: repr(data[name]) if name in data else "(absent)"  # noqa: E731
+    return [
+        f"{name}: saved {shown(saved, name)}, now {shown(new, name)}"
+        for name in {**saved, **new}
+        if name not in ignore and (name not in saved or name not in new or not _same(saved[name], new[name]))
+    ]
 
 
-def _show(value: Any) -> str:
-    return value if value is ABSENT else repr(value)
-
-
-def _flatten(data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in data.items():
-        if isinstance(value, Mapping) and value:
-            flat |= _flatten(value, f"{prefix}{key}.")
-        else:
-            flat[f"{prefix}{key}"] = value
-    return flat
+def _same(a: Any, b: Any) -> bool:
+    return a == b and isinstance(a, bool) == isinstance(b, bool)

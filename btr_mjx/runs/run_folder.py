@@ -107,11 +107,10 @@ class History:
 class RunFolder:
     """A folder that this process alone writes to, until it is closed; a context manager."""
 
-    def __init__(self, path: Path, resumed: bool, lock: int | None, keep: int) -> None:
+    def __init__(self, path: Path, resumed: bool, lock: int | None) -> None:
         self.path = path
         self.resumed = resumed
         """True where config.json was there before."""
-        self.keep = keep
         self._histories: dict[str, History] = {}
         self._files: dict[str, str] = {}
         self._release = (lambda: None) if lock is None else weakref.finalize(self, os.close, lock)
@@ -125,8 +124,6 @@ class RunFolder:
         *,
         ignore: Collection[str] = IGNORED_FIELDS,
         inputs: Mapping[str, str] | None = None,
-        devices: Sequence[Any] | None = None,
-        keep: int = 2,
     ) -> Self:
         """Begin a run in a new folder, or continue one that was interrupted.
 
@@ -137,10 +134,8 @@ class RunFolder:
           path: the folder; missing parent folders are created.
           config: a dataclass, written to config.json; see `btr_mjx.runs.config_json`.
           resume: continue the run in the folder, which must have been started with an equal config.
-          ignore: dotted names of config fields that may differ on resume since they do not affect results.
+          ignore: names of config fields that may differ on resume since they do not affect results.
           inputs: what the run reads, in words -> its digest (`content_digest`); a resumed run must be given the same.
-          devices: jax devices to record; None records them only if jax is running already.
-          keep: number of checkpoints to keep, at least 2.
 
         Raises:
           InputError: the folder is not empty (without `resume`), is no run folder, was begun with another config (every
@@ -153,7 +148,7 @@ class RunFolder:
         _check(path, data, resume, ignore, inputs or {})
         path.mkdir(parents=True, exist_ok=True)
         lock = take_lock(path)
-        run = cls(path, (path / CONFIG_NAME).exists(), lock, keep)
+        run = cls(path, (path / CONFIG_NAME).exists(), lock)
         try:
             # Again: another process may have been here before the lock.
             _check(path, data, resume, ignore, inputs or {})
@@ -166,7 +161,7 @@ class RunFolder:
                 sync_folder(path.parent)
             if inputs:
                 run._record_inputs(inputs)
-            run._record_environment(devices)
+            run._record_environment()
         except BaseException:
             run.close()
             raise
@@ -207,9 +202,7 @@ class RunFolder:
         for table in self._histories.values():
             table.write()
         tables = {name: table.rows for name, table in self._histories.items()}
-        return checkpoints.save_checkpoint(
-            self.path, step, arrays, meta, tables=tables, files=self._files, keep=self.keep
-        )
+        return checkpoints.save_checkpoint(self.path, step, arrays, meta, tables=tables, files=self._files)
 
     def load_latest(self) -> Checkpoint | None:
         """The newest undamaged checkpoint, None where there is none yet; see `checkpoints.load_latest`.
@@ -230,7 +223,7 @@ class RunFolder:
                         f"{path}: {what} since it was written; restore it, or start again with another --out"
                     )
             self._files |= checkpoint.files
-            checkpoints.drop_older(self.path, checkpoint.step, self.keep)
+            checkpoints.drop_older(self.path, checkpoint.step)
         return checkpoint
 
     def seal(self) -> None:
@@ -243,9 +236,9 @@ class RunFolder:
             note(f"warning: {path} is missing: whether {' and '.join(inputs)} are those of the start is not known")
         write_json(path, inputs)
 
-    def _record_environment(self, devices: Sequence[Any] | None) -> None:
+    def _record_environment(self) -> None:
         path = self.path / ENVIRONMENT_NAME
-        now = describe_environment(devices)
+        now = describe_environment()
         if not path.exists():
             write_json(path, {**now, "resumed": []})
             return
