@@ -16,7 +16,7 @@ from btr_mjx.runs.bounded_files import (
     read_text,
 )
 from btr_mjx.runs.checkpoints import read_checkpoint, save_checkpoint
-from btr_mjx.runs.checksums import check_listed, check_sums, is_listed
+from btr_mjx.runs.checksums import check_listed, check_sums
 from btr_mjx.runs.config_json import CONFIG_NAME, config_to_json, differences, read_config, read_config_json
 from btr_mjx.runs.digests import content_digest
 from btr_mjx.runs.environment import COMPILER_OPTIONS, available_cores, describe_environment, package_version
@@ -59,7 +59,6 @@ __all__ = [
     "file_inside",
     "file_name",
     "graceful_interrupt",
-    "is_listed",
     "is_number",
     "is_unused",
     "load_object",
