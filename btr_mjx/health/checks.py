@@ -51,7 +51,11 @@ class CheckResult:
 
 
 def check_versions() -> CheckResult:
-    """Versions of Python and of all that this package's distribution requires: off where a requirement is not met."""
+    """Versions of Python and of all that this package's distribution requires.
+
+    Returns:
+      off where a requirement is not met, or mujoco and mujoco-mjx differ.
+    """
     from packaging.requirements import Requirement
     from packaging.specifiers import SpecifierSet
 
@@ -71,6 +75,9 @@ def check_versions() -> CheckResult:
             wrong[f"{one.name} is not installed"] = f"pip install '{one}'"
         elif not one.specifier.contains(version, prereleases=True):
             wrong[f"{one.name} {version}, expected {one.specifier}"] = f"pip install '{one}'"
+    mujoco, mjx = package_version("mujoco"), package_version("mujoco-mjx")
+    if mujoco and mjx and mujoco != mjx:
+        wrong[f"mujoco {mujoco} beside mujoco-mjx {mjx}, expected one version"] = f"pip install mujoco-mjx=={mujoco}"
     if wrong:
         return CheckResult("off", "; ".join(wrong), "; ".join(dict.fromkeys(wrong.values())))
     shown = [f"{name} {package_version(name)}" for name in SHOWN_VERSIONS]

@@ -21,7 +21,8 @@ from btr_mjx.health.checks import MARK, check_folder, check_versions, run_engine
     ("name", "installed", "expected"),
     [
         ("polars", None, "polars is not installed"),
-        ("mujoco-mjx", "3.2.0", "mujoco-mjx 3.2.0, expected ==3.17.0"),
+        ("mujoco-mjx", "3.2.0", "mujoco-mjx 3.2.0, expected"),
+        ("mujoco-mjx", "3.999.0", "beside mujoco-mjx 3.999.0, expected one version"),
         ("jax", "0.11.2", "jax 0.11.2, expected >=0.12"),
     ],
 )
@@ -31,7 +32,8 @@ def test_versions(name: str, installed: str | None, expected: str, monkeypatch: 
     monkeypatch.setattr(checks, "package_version", lambda one: installed if one == name else true(one))
     found = check_versions()
     assert (found.state, expected in found.finding) == ("off", True)
-    assert f"pip install '{name}" in found.remedy
+    assert name in found.remedy
+    assert "pip install" in found.remedy
 
 
 def test_an_old_python_and_a_package_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
