@@ -23,7 +23,6 @@ import tyro
 from hostile import PARSERS, run_input, write_input
 from tqdm import tqdm
 
-
 BATCH = 200
 """Inputs that share a folder."""
 
