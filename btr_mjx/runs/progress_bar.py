@@ -102,6 +102,11 @@ class _LineBar(tqdm):
             self._drawn = self._time()
             self.display()
 
+    @staticmethod
+    def format_meter(*args: Any, **options: Any) -> str:
+        # set_description() has appended ": ", which is written again where no total is known
+        return tqdm.format_meter(*args, **options | {"prefix": (options.get("prefix") or "").removesuffix(": ")})
+
 
 class StopRequest:
     """Whether a signal asked the run to stop; see `graceful_interrupt`."""
