@@ -21,7 +21,7 @@ import numpy as np
 import tyro
 
 from btr_mjx.cluster import BlockSettings, connect, evaluate_blocks, map_cases
-from btr_mjx.cluster.block_files import BlockFiles
+from btr_mjx.cluster.blocks import read_block, write_block
 from btr_mjx.errors import InputError, cli_errors
 from btr_mjx.models import base_model
 from btr_mjx.robots import Robot, hexapod
@@ -114,12 +114,11 @@ def block_file(side: int, repeats: int = 20) -> dict[str, float]:
     }
     times = []
     with tempfile.TemporaryDirectory(dir=Path.cwd()) as folder:
-        kept = BlockFiles(Path(folder))
         for name in (f"{i:064d}" for i in range(repeats)):
             begun = time.perf_counter()
-            kept.write(name, arrays)
+            write_block(Path(folder), name, arrays)
             written = time.perf_counter()
-            kept.read(name)
+            read_block(Path(folder), name)
             times.append((written - begun, time.perf_counter() - written))
         size = (Path(folder) / f"{name}.npz").stat().st_size
     write, read = np.median(times, axis=0)

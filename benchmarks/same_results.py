@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import polars as pl
 import tyro
 from hidden_cases import make_case
 
@@ -111,8 +110,6 @@ def content(path: Path) -> Any:
         case ".npz":
             with np.load(path, allow_pickle=False) as arrays:
                 return {name: (a.dtype.str, a.shape, a.tobytes()) for name, a in sorted(arrays.items())}
-        case ".parquet":
-            return pl.read_parquet(path).drop(*TIMES, strict=False).to_dict(as_series=False).__repr__()
         case ".csv" | ".xml" | ".toml":
             return _MODULE.sub("btr_mjx", _PATH.sub('"PATH"', path.read_text(encoding="utf-8")))
     return None

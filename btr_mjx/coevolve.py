@@ -8,8 +8,8 @@ The run folder holds:
 
     config.json, environment.json   what was asked for, and with which versions and machine
     inputs.json, SHA256SUMS         digests of the robot and the reality, and of all data files
-    generations.parquet             one row per generation of either search
-    iterations.parquet              one row per iteration of Back-to-Reality
+    generations.csv                 one row per generation of either search
+    iterations.csv                  one row per iteration of Back-to-Reality
     trials.npz                      every evaluation in reality: controllers, f_r, f_s, iteration
     controllers-001.npz, ...        all controllers of step 1 of iteration 1: parameters and fitness in simulation
     simulations-001.npz, ...        all simulations of step 3 of iteration 1: unknown parameters and Delta_fitness

@@ -46,7 +46,6 @@ from btr_mjx.runs import (
     claimed_folder,
     content_digest,
     graceful_interrupt,
-    is_listed,
     progress,
     read_json,
     write_json,
@@ -177,9 +176,7 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
             if inferred := getattr(dataset, "inferred", ""):
                 with atomic_write(run.path / "dataset.toml") as file:
                     file.write(inferred.encode())
-            if is_listed(run.path / RESULT):
-                check_sums(run.path)
-            else:
+            if RESULT not in check_sums(run.path):
                 search_missing(dataset, library, config, run.path, stop.checkpoint, earlier)
                 run.seal()
                 stop.checkpoint()

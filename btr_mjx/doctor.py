@@ -1,8 +1,8 @@
 """Check this installation: `python -m btr_mjx.doctor`.
 
-Checks versions, processor, cores, memory, clock, folders, file locks, devices, that the engines agree, their speed, the
-cache of compiled programs and pictures of robots. One line a check: ok, warning (it works, but slower or with less) or
-off (something does not work), and the remedy. Takes up to half a minute, longer where programs must be compiled first.
+Checks versions, the folder of runs, devices, that the engines lanes and mjx agree with native MuJoCo, and their speed.
+One line a check: ok, warning (it works, but slower or with less) or off (something does not work), and the remedy.
+Takes about a minute the first time, to compile.
 
 Leaves no files behind but entries of the cache of compiled programs, which the next command uses. The exit code is 1 if
 something is off, else 0.
@@ -17,7 +17,7 @@ from pathlib import Path
 import tyro
 
 from btr_mjx.errors import InputError, cli_errors
-from btr_mjx.health import CHECKS, CheckResult, HealthSettings, run_checks
+from btr_mjx.health import CHECKS, CheckResult, run_checks
 
 OFF_CODE = 1
 """Exit code where something is off."""
@@ -28,38 +28,25 @@ class DoctorConfig:
     """Settings of the command; every field is a flag."""
 
     out: Path = Path("runs")
-    """Folder in which run folders are kept: its space and its locks are checked. It need not exist."""
+    """Folder in which run folders are kept: whether it can be written to, and its space. It need not exist."""
     only: tuple[str, ...] = ("all",)
     """Checks to run, by the names in the first column of the output, or "all"."""
-    full: bool = False
-    """Compare the engine mjx too, which compiles for minutes."""
     json: bool = False
     """Print JSON for scripts: {"ok": ..., "checks": [{"name", "state", "finding", "remedy"}]}."""
 
 
-def chosen_checks(only: Sequence[str]) -> tuple[str, ...]:
-    """Names of the checks to run.
+def examine_installation(config: DoctorConfig = DoctorConfig()) -> dict[str, CheckResult]:
+    """Run checks and print each result, or all as JSON.
 
     Raises:
       InputError: a name that is no check.
     """
-    for name in only:
+    for name in config.only:
         if name not in ("all", *CHECKS):
             raise InputError(f"--only: got {name!r}, expected all, {', '.join(CHECKS)}")
-    return tuple(CHECKS) if "all" in only or not only else tuple(only)
-
-
-def examine_installation(config: DoctorConfig = DoctorConfig()) -> dict[str, CheckResult]:
-    """Run checks and print each result as soon as it is there, or all as JSON.
-
-    Raises:
-      InputError: a name that is no check.
-    """
-    names = chosen_checks(config.only)
+    names = CHECKS if "all" in config.only or not config.only else config.only
     results: dict[str, CheckResult] = {}
-    if config.full and not config.json:
-        print("the engine mjx compiles for some minutes", file=sys.stderr)
-    for name, result in run_checks(HealthSettings(config.out, config.full, names)):
+    for name, result in run_checks(config.out, names):
         results[name] = result
         if not config.json:
             remedy = f" -> {result.remedy}" if result.remedy else ""

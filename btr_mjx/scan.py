@@ -54,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         if config.out is None:
             arrays, result = _with_bar(config, total)
         else:
-            ignore = (*IGNORED_FIELDS, "cluster", "block_limit", "figures")
+            ignore = (*IGNORED_FIELDS, "cluster", "figures")
             inputs = {
                 "the robot": robot_digest(robot),
                 "the fitness function": content_digest(fitness_function(config.fitness or robot.fitness, robot.target)),

@@ -5,7 +5,7 @@ with the 15 best (reality 1.6 m) and bl_5 with mutants of the best (reality 0.88
 constants is suitable if gaits are fast, random controllers do not diverge and Delta_fitness orders simulations by their
 error.
 
-The run folder keeps one row per candidate and seed (calibration.parquet) and the curves (curves-*.npz); an
+The run folder keeps one row per candidate and seed (calibration.csv) and the curves (curves-*.npz); an
 interrupted run is continued with --resume. calibration.md and calibration.png are made from these files.
 """
 
@@ -123,7 +123,7 @@ def compute(config: Config) -> None:
         graceful_interrupt() as stop,
     ):
         checkpoint = run.load_latest()
-        history = run.history("calibration.parquet", checkpoint)
+        history = run.history("calibration.csv", checkpoint)
         left = todo[0 if checkpoint is None else checkpoint.step + 1 :]
         with progress(total=len(left) * pairs, description="calibrate", unit="pairs", show=True) as bar:
             for name, seed in left:
@@ -138,7 +138,7 @@ def compute(config: Config) -> None:
 
 def summarise(folder: Path) -> pl.DataFrame:
     """Means over seeds, one row per candidate, as calibration.md, summary.json and a frame."""
-    rows = read_table(folder / "calibration.parquet")
+    rows = read_table(folder / "calibration.csv")
     table = rows.group_by("candidate", maintain_order=True).agg(
         pl.exclude("seed").mean(), pl.col("bl_14 rho").min().alias("bl_14 rho, worst seed")
     )
@@ -155,7 +155,7 @@ def summarise(folder: Path) -> pl.DataFrame:
 
 def draw(folder: Path) -> None:
     """Draw Delta_fitness of each candidate over the scans, with thin lines per seed, from the saved curves."""
-    names = read_table(folder / "calibration.parquet")["candidate"].unique(maintain_order=True).to_list()
+    names = read_table(folder / "calibration.csv")["candidate"].unique(maintain_order=True).to_list()
     figure = Figure(figsize=(9, 1.6 * len(names)), layout="constrained")
     axes = figure.subplots(len(names), len(SCANS), squeeze=False)
     for row, name in zip(axes, names, strict=True):

@@ -4,6 +4,6 @@
 ends without an error or in bad input (`errors.is_bad_input`); all else is a bug.
 """
 
-from hostile.parsers import PARSERS, Parser, read_in_child, run_input, write_input
+from hostile.parsers import PARSERS, Parser, run_input, write_input
 
-__all__ = ["PARSERS", "Parser", "read_in_child", "run_input", "write_input"]
+__all__ = ["PARSERS", "Parser", "run_input", "write_input"]

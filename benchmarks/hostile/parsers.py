@@ -1,6 +1,6 @@
 """The readers of files, each with a valid seed, a mutation and a way to run it."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from random import Random
@@ -13,7 +13,7 @@ from btr_mjx.gap.fitness_only import load_fitness, preflight_fitness
 from btr_mjx.gap.preflight import preflight
 from btr_mjx.models import check_robot, load_robot
 from btr_mjx.robots import Box, Robot, Sinusoids, read_template
-from btr_mjx.runs import read_checkpoint, save_checkpoint, unreadable_parquet, write_arrays
+from btr_mjx.runs import read_checkpoint, save_checkpoint, write_arrays
 from hostile import mutations as mutate
 from hostile.inputs import (
     DATASET,
@@ -36,12 +36,10 @@ class Parser:
     Attributes:
       make: the files of an input, by name, from a source of random numbers.
       run: reads the folder that holds them.
-      screened: file that a child process reads before the reader does; many inputs share one child.
     """
 
     make: Callable[[Random], Mapping[str, bytes]]
     run: Callable[[Path], object]
-    screened: str = ""
 
 
 def run_input(parser: Parser, folder: Path) -> str:
@@ -150,7 +148,7 @@ PARSERS: Mapping[str, Parser] = {
     "robot": Parser(_make_robot_toml, _run_robot),
     "dataset": Parser(_make_dataset_toml, _run_dataset),
     "csv": Parser(make_csv, _run_dataset),
-    "parquet": Parser(make_parquet, _run_dataset, screened="one.parquet"),
+    "parquet": Parser(make_parquet, _run_dataset),
     "npz": Parser(make_npz, _run_dataset),
     "mcap": Parser(make_mcap, _run_dataset),
     "rosbag": Parser(make_rosbag, _run_dataset),
@@ -162,19 +160,6 @@ PARSERS: Mapping[str, Parser] = {
     "fitness": Parser(_make_fitness, _run_fitness),
 }
 """Readers by name."""
-
-
-def read_in_child(parser: Parser, folders: Sequence[Path]) -> Mapping[Path, str]:
-    """What the child process refuses of many inputs, by folder; see `Parser.screened`.
-
-    Returns:
-      Messages by folder.
-    """
-    if not parser.screened:
-        return {}
-    return {
-        path.parent: problem for path, problem in unreadable_parquet([f / parser.screened for f in folders]).items()
-    }
 
 
 def write_input(files: Mapping[str, bytes], folder: Path) -> None:

@@ -145,8 +145,6 @@ class ScanConfig:
     """Pairs per block, the unit that is saved and, on a cluster, given to a worker."""
     cluster: str | None = None
     """Compute on a Dask cluster: local:N (N workers on this machine), tcp://HOST:PORT or file:SCHEDULER.json."""
-    block_limit: float = 900.0
-    """Time after which a block is given to another worker of the cluster as well [s]."""
     seed: int = 0
     """Seed of everything random."""
     engine: Literal["auto", "lanes", "mjx", "native"] = "auto"
@@ -283,7 +281,7 @@ def block_settings(config: ScanConfig) -> BlockSettings:
       InputError: bad settings, or a cluster without Dask.
     """
     folder = None if config.out is None else config.out / "blocks"
-    return BlockSettings(folder, config.block, config.cluster, config.block_limit)
+    return BlockSettings(folder, config.block, config.cluster)
 
 
 def scanned(config: ScanConfig, robot: Robot) -> str:

@@ -21,7 +21,7 @@ def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: boo
 
     Args:
       problem: the problem.
-      run: folder of checkpoints, generations.parquet, iterations.parquet and the archives of both searches.
+      run: folder of checkpoints, generations.csv, iterations.csv and the archives of both searches.
       stop: checked after every piece of work.
       show: whether a progress bar is shown.
       wait: whether measurements that are missing are waited for.
@@ -34,7 +34,7 @@ def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: boo
       Interrupted: a signal asked to stop; everything up to the last generation is saved.
     """
     checkpoint = run.load_latest()
-    tables = {name: run.history(f"{name}s.parquet", checkpoint) for name in ("generation", "iteration")}
+    tables = {name: run.history(f"{name}s.csv", checkpoint) for name in ("generation", "iteration")}
     if checkpoint is None:
         state, step = begin(problem), 0
     else:

@@ -11,7 +11,7 @@ computes nothing that is there. Results do not depend on which process computes 
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,17 +20,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from btr_mjx.cluster.block_files import BlockFiles
 from btr_mjx.cluster.connection import check_cluster, connect
 from btr_mjx.cluster.mapping import map_tasks
-from btr_mjx.errors import InputError
+from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.evaluation import DISTANCE, Engine, EngineSettings, FitnessFunction, evaluate, fastest_engine
 from btr_mjx.models import robot_digest
 from btr_mjx.robots import Robot
-from btr_mjx.runs import content_digest
+from btr_mjx.runs import content_digest, note, read_arrays, write_arrays
 
 _FORMAT = 1
 """Version of the block files."""
+
+_NAME = "__name__"
+"""Array that holds a block's name, so that a file under another block's name is noticed."""
 
 
 @dataclass(frozen=True)
@@ -41,17 +43,15 @@ class BlockSettings:
       folder: folder of the block files; None keeps nothing.
       size: pairs per block.
       cluster: None for this process, a text as of `check_cluster`, or a `distributed.Client`.
-      limit: time after which a block is given to another worker as well [s].
     """
 
     folder: Path | None = None
     size: int = 4096
     cluster: Any = None
-    limit: float = 900.0
 
     def __post_init__(self) -> None:
-        if self.size < 1 or not self.limit > 0:
-            raise InputError(f"blocks: got size {self.size} and limit {self.limit} s, expected at least 1 and above 0")
+        if self.size < 1:
+            raise InputError(f"blocks: got size {self.size}, expected at least 1")
         if isinstance(self.cluster, str):
             check_cluster(self.cluster)
 
@@ -158,7 +158,7 @@ def iterate_blocks(
     compute = partial(_compute, robot, chosen, fitness, how)
     # Threads do not change results, so that they may differ on resume.
     key = content_digest(_FORMAT, robot_digest(robot), fitness, chosen, how.chunk, how.timestep, how.integrator, _x64())
-    files, step = BlockFiles(blocks.folder), progress or (lambda pairs: None)
+    step = progress or (lambda pairs: None)
 
     def block(name: str, rows: slice, columns: slice, arrays: dict[str, np.ndarray]) -> PairBlock:
         return PairBlock(name, rows, columns, arrays["fitness"], arrays["diverged"], arrays["solver_capped"])
@@ -166,7 +166,7 @@ def iterate_blocks(
     left = []
     for rows, columns in tiles(len(s), len(c), blocks.size):
         name = content_digest(key, s[rows], c[columns])
-        arrays = files.read(name)
+        arrays = read_block(blocks.folder, name)
         if arrays is None:
             left.append((name, rows, columns))
         else:
@@ -175,21 +175,22 @@ def iterate_blocks(
     if blocks.cluster is None:
         for name, rows, columns in left:
             arrays = compute(s[rows], c[columns], progress=progress)
-            files.write(name, arrays)
+            write_block(blocks.folder, name, arrays)
             yield block(name, rows, columns, arrays)
     elif left:
-        expected = robot_digest(robot)
-        places = {f"block-{name}": (name, rows, columns) for name, rows, columns in left}
-        tasks = ((f"block-{name}", (s[rows], c[columns])) for name, rows, columns in left)
+        places: dict[str, list[tuple[slice, slice]]] = {}
+        for name, rows, columns in left:  # tiles of equal content are computed once
+            places.setdefault(name, []).append((rows, columns))
+        tasks = ((name, (s[rows], c[columns])) for name, [(rows, columns), *_] in places.items())
+        function = partial(_compute_there, robot_digest(robot), compute)
         with connect(blocks.cluster) as client:
-            function = partial(_compute_there, expected, compute)
-            for key, arrays in map_tasks(
-                client, function, tasks, limit=blocks.limit, jax_backend=chosen != "native", idle=lambda: step(0)
+            for name, arrays in map_tasks(
+                client, function, tasks, jax_backend=chosen != "native", idle=lambda: step(0)
             ):
-                name, rows, columns = places[key]
-                files.write(name, arrays)
-                step(arrays["fitness"].size)
-                yield block(name, rows, columns, arrays)
+                write_block(blocks.folder, name, arrays)
+                for rows, columns in places[name]:
+                    step(arrays["fitness"].size)
+                    yield block(name, rows, columns, arrays)
 
 
 def _checked(robot: Robot, simulations: ArrayLike, controllers: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
@@ -211,6 +212,35 @@ def tiles(rows: int, columns: int, size: int) -> Iterator[tuple[slice, slice]]:
     for top in range(0, rows, tall):
         for left in range(0, columns, wide):
             yield slice(top, min(top + tall, rows)), slice(left, min(left + wide, columns))
+
+
+def read_block(folder: Path | None, name: str) -> dict[str, np.ndarray] | None:
+    """The arrays of a finished block; None where they are missing or, which prints a line, damaged.
+
+    Raises:
+      OSError: the file cannot be read.
+    """
+    if folder is None or not (folder / f"{name}.npz").exists():
+        return None
+    path = folder / f"{name}.npz"
+    try:
+        arrays = read_arrays(path, require_digest=True)
+        if str(arrays.pop(_NAME, "")) != name:
+            raise DamagedFile(f"{path}: holds another block")
+    except DamagedFile as error:
+        note(f"warning: {error}; the block is computed again")
+        return None
+    return arrays
+
+
+def write_block(folder: Path | None, name: str, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write the arrays of a finished block, unless nothing is kept.
+
+    Raises:
+      OSError: the file cannot be written.
+    """
+    if folder is not None:
+        write_arrays(folder / f"{name}.npz", {_NAME: np.array(name), **arrays})
 
 
 def _compute(

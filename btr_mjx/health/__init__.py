@@ -1,10 +1,9 @@
-"""Checks of an installation: versions, machine, folders, engines, speed, cache of compiled programs and pictures.
+"""Checks of an installation: versions, the folder of runs, devices, engines and their speed.
 
-`CHECKS` has one function a check, `run_checks` runs them. What needs JAX, MuJoCo or OpenGL is measured in processes of
-their own, so that a broken library is reported like any other fault; nothing of this room imports them.
+`CHECKS` has one function a check, `run_checks` runs them. Those that load JAX and MuJoCo run in a process of their own,
+so that a broken library is reported like any other fault.
 """
 
-from btr_mjx.health.checks import CHECKS, HealthSettings, run_checks
-from btr_mjx.health.result import CheckResult
+from btr_mjx.health.checks import CHECKS, CheckResult, run_checks
 
-__all__ = ["CHECKS", "CheckResult", "HealthSettings", "run_checks"]
+__all__ = ["CHECKS", "CheckResult", "run_checks"]

@@ -1,150 +1,178 @@
-"""All checks of the installation, and the function that runs them."""
+"""The checks of an installation, and the function that runs them."""
 
-import tempfile
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
-from functools import partial
+import json
+import os
+import platform
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
-from secrets import token_hex
-from typing import Any
+from typing import Literal
 
 from btr_mjx.errors import one_line
-from btr_mjx.health import folders, machine, programs, versions
-from btr_mjx.health.child import CannotCheck, measured, remedy_of_environment, run_probes
-from btr_mjx.health.result import CheckResult
+from btr_mjx.runs import atomic_write, package_version
 
-PROBE_TIMEOUT, FULL_PROBE_TIMEOUT = 240.0, 1200.0
-"""Time for all measurements of one process, without and with `mjx`, which compiles for minutes [s]."""
+DISTRIBUTION = "btr-mjx"
+"""Name of this package's distribution."""
+
+SHOWN_VERSIONS = ("btr-mjx", "jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy")
+"""Distributions whose versions are printed."""
+
+FREE_SPACE = 1 << 30
+"""Free space of a disk below which a check warns [bytes]; a run of the paper's settings saves tens of MiB."""
+
+ENGINE_CHECKS = ("devices", "engines", "speed")
+"""Checks that load JAX and MuJoCo; `btr_mjx.health.engine_checks` has their functions."""
+
+ENGINE_TIMEOUT = 600.0
+"""Time for all of these checks; the engines compile for about half a minute [s]."""
+
+MARK = "btr_mjx.health: "
+"""Start of a result's line in what the process of these checks prints; libraries may print other lines."""
 
 
-@dataclass
-class HealthSettings:
-    """Settings and shared measurements of one run of the checks.
+@dataclass(frozen=True)
+class CheckResult:
+    """Outcome of one check.
 
     Attributes:
-      folder: where run folders are kept.
-      full: compare the engine mjx too.
-      names: the checks that will run: only what they need is measured.
-      token: name of the program by which the cache of compiled programs is tested.
-      reports: what processes have measured, by section.
+      state: ok: as expected. warning: the package works, but slower or with less. off: something does not work.
+      finding: what was found, in one line.
+      remedy: what to do about it; empty where nothing needs to be done.
     """
 
-    folder: Path = Path("runs")
-    full: bool = False
-    names: tuple[str, ...] = ()
-    token: str = field(default_factory=lambda: f"btr_mjx_doctor_{token_hex(6)}")
-    reports: dict[str, dict[str, Any]] = field(default_factory=dict)
-
-    def section(self, name: str) -> str:
-        """The section of the probes of a kind: "agreement", "written" and "read" have arguments."""
-        arguments = {
-            "agreement": "agreement:lanes:mjx" if self.full else "agreement:lanes",
-            "written": f"cache:{self.token}:first",
-            "read": f"cache:{self.token}:second",
-        }
-        return arguments.get(name, name)
-
-    def groups(self) -> list[list[str]]:
-        """Sections of each process that is needed; the first one runs before the others."""
-        groups: list[list[str]] = [[], [], []]
-        for kinds, needed_by, group in SECTIONS_NEEDED:
-            if not set(needed_by).isdisjoint(self.names):
-                groups[group].append(self.section(kinds))
-        return groups
+    state: Literal["ok", "warning", "off"]
+    finding: str
+    remedy: str = ""
 
 
-SECTIONS_NEEDED = (
-    ("devices", ("processor", "devices", "speed"), 0),
-    ("written", ("cache",), 0),
-    ("agreement", ("engines",), 0),
-    ("speed", ("speed",), 0),
-    ("read", ("cache",), 1),
-    ("pictures", ("pictures",), 2),
-)
-"""Sections of the probes, the checks that need them and the process that measures them."""
+def check_versions() -> CheckResult:
+    """Versions of Python and of all that this package's distribution requires.
 
-
-def _probe(settings: HealthSettings, name: str) -> dict[str, Any]:
-    """What a section measured.
-
-    Each process runs once, when the first of its sections is asked for. Speed is measured while nothing else runs; the
-    processes after that run side by side.
+    Returns:
+      off where a requirement is not met, or mujoco and mujoco-mjx differ.
     """
-    section, timeout = settings.section(name), FULL_PROBE_TIMEOUT if settings.full else PROBE_TIMEOUT
-    if section not in settings.reports:
-        first, *others = settings.groups()
-        groups = [first] if section in first else [group for group in others if group]
-        with ThreadPoolExecutor() as pool:
-            for report in pool.map(lambda group: run_probes(group, timeout), groups):
-                settings.reports |= report
-    return measured(settings.reports, section)
+    from packaging.requirements import Requirement
+    from packaging.specifiers import SpecifierSet
 
-
-def _processor(settings: HealthSettings) -> CheckResult:
-    return machine.judge_processor(machine.measure_processor(), _probe(settings, "devices")["features"])
-
-
-def _devices(settings: HealthSettings) -> CheckResult:
-    cores = machine.measure_cores()["usable"]
-    return programs.judge_devices(_probe(settings, "devices"), cores, programs.has_accelerator())
-
-
-def _cache(settings: HealthSettings) -> CheckResult:
-    written = _probe(settings, "written")
-    usable = written["enabled"] and written["folder"] is not None
-    return programs.judge_cache(written, _probe(settings, "read") if usable else None)
-
-
-def _remove_entries(settings: HealthSettings) -> None:
-    """Remove what the check has added to the cache of compiled programs."""
-    folder = settings.reports.get(settings.section("written"), {}).get("result", {}).get("folder")
-    for path in Path(folder).glob(f"*{settings.token}*") if folder else ():
-        path.unlink(missing_ok=True)
-
-
-def _speed(settings: HealthSettings) -> CheckResult:
-    return programs.judge_speed(_probe(settings, "speed"), programs.width_of(_probe(settings, "devices")))
-
-
-CHECKS: Mapping[str, Callable[[HealthSettings], CheckResult]] = {
-    "versions": lambda _: versions.judge_versions(versions.measure_versions()),
-    "cores": lambda _: machine.judge_cores(machine.measure_cores()),
-    "memory": lambda _: machine.judge_memory(machine.measure_memory()),
-    "clock": lambda settings: machine.judge_clock(*machine.measure_clock(settings.folder)),
-    "runs": lambda settings: folders.judge_space(folders.measure_space(settings.folder), "choose another --out"),
-    "tmp": lambda _: folders.judge_space(folders.measure_space(Path(tempfile.gettempdir())), "set TMPDIR"),
-    "locks": lambda settings: folders.judge_locks(folders.measure_locks(settings.folder)),
-    "processor": _processor,
-    "devices": _devices,
-    "engines": lambda settings: programs.judge_agreement(_probe(settings, "agreement")),
-    "speed": _speed,
-    "cache": _cache,
-    "pictures": lambda settings: programs.judge_pictures(_probe(settings, "pictures")),
-}
-"""Checks by name, in the order of the output: what costs nothing first."""
-
-
-def run_checks(settings: HealthSettings) -> Iterator[tuple[str, CheckResult]]:
-    """Run the checks that the settings name, in the order of `CHECKS`.
-
-    Yields:
-      Name and result of each. A check that fails itself yields "off: could not be checked".
-    """
     try:
-        for name in CHECKS:
-            if name in settings.names:
-                yield name, run_check(partial(CHECKS[name], settings))
-    finally:
-        _remove_entries(settings)
+        needed = [Requirement(line) for line in metadata.requires(DISTRIBUTION) or []]
+        python = metadata.metadata(DISTRIBUTION)["Requires-Python"] or ""
+    except metadata.PackageNotFoundError:
+        return CheckResult("off", f"{DISTRIBUTION} is not installed in this environment", "uv sync")
+    wrong = {}
+    if not SpecifierSet(python).contains(platform.python_version(), prereleases=True):
+        wrong[f"Python {platform.python_version()}, expected {python}"] = f"install Python {python}"
+    for one in needed:
+        if one.marker is not None and not one.marker.evaluate({"extra": ""}):
+            continue
+        version = package_version(one.name)
+        if version is None:
+            wrong[f"{one.name} is not installed"] = f"pip install '{one}'"
+        elif not one.specifier.contains(version, prereleases=True):
+            wrong[f"{one.name} {version}, expected {one.specifier}"] = f"pip install '{one}'"
+    mujoco, mjx = package_version("mujoco"), package_version("mujoco-mjx")
+    if mujoco and mjx and mujoco != mjx:
+        wrong[f"mujoco {mujoco} beside mujoco-mjx {mjx}, expected one version"] = f"pip install mujoco-mjx=={mujoco}"
+    if wrong:
+        return CheckResult("off", "; ".join(wrong), "; ".join(dict.fromkeys(wrong.values())))
+    shown = [f"{name} {package_version(name)}" for name in SHOWN_VERSIONS]
+    return CheckResult("ok", ", ".join([f"python {platform.python_version()}", *shown]))
+
+
+def check_folder(folder: Path) -> CheckResult:
+    """Write a file where run folders are kept, or in the nearest folder above that exists.
+
+    Returns:
+      off where nothing can be written, warning where less than `FREE_SPACE` is left.
+    """
+    folder = folder.absolute()
+    folder = next(place for place in (folder, *folder.parents) if place.exists())
+    probe = folder / f".btr_mjx-{os.getpid()}"
+    try:
+        with atomic_write(probe) as file:
+            file.write(bytes(1 << 20))
+        probe.unlink()
+    except OSError as error:
+        return CheckResult("off", f"{folder} cannot be written to: {error.strerror or error}", "choose another --out")
+    free = shutil.disk_usage(folder).free
+    text = f"{folder}: {free / 2**30:.1f} GiB free"
+    return CheckResult("ok", text) if free >= FREE_SPACE else CheckResult("warning", text, "delete files")
+
+
+def run_engine_checks(names: Sequence[str], timeout: float = ENGINE_TIMEOUT) -> Mapping[str, CheckResult]:
+    """Run some of `ENGINE_CHECKS` in a process of their own, which may crash or hang.
+
+    Args:
+      names: of the checks.
+      timeout: time after which the process is killed [s].
+    """
+    output: str | bytes | None
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "btr_mjx.health.engine_checks", *names],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=timeout,
+        )
+        output, end = done.stdout, _ending(done.returncode, done.stderr)
+    except subprocess.TimeoutExpired as expired:
+        output, end = expired.stdout, f"no answer within {timeout:g} s"
+    text = output.decode("utf-8", "replace") if isinstance(output, bytes) else output or ""
+    found = [json.loads(line.removeprefix(MARK)) for line in text.splitlines() if line.startswith(MARK)]
+    results = {name: CheckResult(**result) for one in found for name, result in one.items()}
+    missing = CheckResult("off", f"could not be checked ({end})", remedy_of_environment())
+    return {name: results.get(name, missing) for name in names}
+
+
+def _ending(code: int, errors: str) -> str:
+    """How a process ended, with the last line that it wrote to stderr."""
+    named = -code in signal.valid_signals()
+    how = f"the process was ended by {signal.Signals(-code).name}" if named else f"the process ended with {code}"
+    return ": ".join([how, *[line.strip() for line in errors.splitlines() if line.strip()][-1:]])
+
+
+def remedy_of_environment() -> str:
+    """What to try where a library fails to load or to start: settings of the environment first."""
+    names = [name for name in sorted(os.environ) if name.startswith(("MUJOCO_GL", "XLA_", "JAX_"))]
+    if names:
+        return f"unset {' '.join(names)} and try again"
+    return "reinstall: uv sync --reinstall, or pip install --force-reinstall btr-mjx"
 
 
 def run_check(check: Callable[[], CheckResult]) -> CheckResult:
-    """The result of a check; any error of its own is a result that is off."""
+    """The result of a check; an error that it does not foresee is reported and does not end the command."""
     try:
         return check()
-    except CannotCheck as reason:
-        return CheckResult("off", f"could not be checked ({reason})", remedy_of_environment())
-    except Exception as error:  # a fault that no check foresees must be reported, not end the command
-        text = f"could not be checked ({type(error).__name__}: {one_line(error)})"
-        return CheckResult("off", text, "report it with the output of this command")
+    except Exception as error:
+        return CheckResult(
+            "off", f"could not be checked ({type(error).__name__}: {one_line(error)})", remedy_of_environment()
+        )
+
+
+CHECKS = ("versions", "runs", *ENGINE_CHECKS)
+"""Names of the checks, in the order of the output: what costs nothing first."""
+
+
+def run_checks(folder: Path, names: Sequence[str]) -> Iterator[tuple[str, CheckResult]]:
+    """Run checks in the order of `CHECKS`.
+
+    Args:
+      folder: where run folders are kept.
+      names: of the checks.
+
+    Yields:
+      Name and result of each.
+    """
+    if "versions" in names:
+        yield "versions", run_check(check_versions)
+    if "runs" in names:
+        yield "runs", run_check(lambda: check_folder(folder))
+    if chosen := [name for name in ENGINE_CHECKS if name in names]:
+        yield from run_engine_checks(chosen).items()

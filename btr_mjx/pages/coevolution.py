@@ -167,7 +167,7 @@ def coevolution_content(folder: Path, run: RunData, figures: Sequence[Path]) -> 
         "film_caption": FILM_CAPTION,
         "footer": [
             f"Stopped by {result.get('stop', 'iterations')}, {result.get('failed_trials', 0)} failed trials. Numbers: "
-            "result.json, iterations.parquet, generations.parquet. Arrays: *.npz.",
+            "result.json, iterations.csv, generations.csv. Arrays: *.npz.",
             LEARNING_WORDS,
         ],
     }

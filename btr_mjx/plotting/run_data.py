@@ -130,7 +130,7 @@ def read_run(folder: Path) -> RunData:
     space = result["space"]
     values = lambda key: np.array([float(result[key][name]) for name in names])  # noqa: E731
     count = int(result["iterations"])
-    table = read_table(folder / "iterations.parquet")
+    table = read_table(folder / "iterations.csv")
     # An iteration in which the simulator grew has a second search of simulations, and a second row.
     numbers = table["iteration"].to_list()
     searches = [(number, 1 + numbers[:k].count(number)) for k, number in enumerate(numbers)]

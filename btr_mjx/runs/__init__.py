@@ -16,10 +16,10 @@ from btr_mjx.runs.bounded_files import (
     read_text,
 )
 from btr_mjx.runs.checkpoints import read_checkpoint, save_checkpoint
-from btr_mjx.runs.checksums import check_listed, check_sums, is_listed
+from btr_mjx.runs.checksums import check_listed, check_sums
 from btr_mjx.runs.config_json import CONFIG_NAME, config_to_json, differences, read_config, read_config_json
 from btr_mjx.runs.digests import content_digest
-from btr_mjx.runs.environment import COMPILER_OPTIONS, available_cores, describe_environment
+from btr_mjx.runs.environment import COMPILER_OPTIONS, available_cores, describe_environment, package_version
 from btr_mjx.runs.files import (
     read_arrays,
     read_json,
@@ -30,7 +30,6 @@ from btr_mjx.runs.files import (
     write_json,
     write_table,
 )
-from btr_mjx.runs.parquet_check import check_parquet, unreadable_parquet
 from btr_mjx.runs.progress_bar import StopRequest, graceful_interrupt, note, progress, say_progress
 from btr_mjx.runs.python_files import load_object
 from btr_mjx.runs.run_folder import IGNORED_FIELDS, RunFolder, check_inputs, claimed_folder, is_unused
@@ -49,7 +48,6 @@ __all__ = [
     "check_inputs",
     "check_keys",
     "check_listed",
-    "check_parquet",
     "check_plain",
     "check_regular",
     "check_sums",
@@ -61,11 +59,11 @@ __all__ = [
     "file_inside",
     "file_name",
     "graceful_interrupt",
-    "is_listed",
     "is_number",
     "is_unused",
     "load_object",
     "note",
+    "package_version",
     "parse_json",
     "progress",
     "read_arrays",
@@ -82,7 +80,6 @@ __all__ = [
     "to_plain",
     "toml_rows",
     "toml_section",
-    "unreadable_parquet",
     "write_arrays",
     "write_figure",
     "write_json",

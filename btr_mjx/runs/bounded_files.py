@@ -41,7 +41,7 @@ def check_regular(path: Path, limit: int) -> int:
     if not stat.S_ISREG(found.st_mode):
         raise InputError(f"{path}: is a device or a pipe; expected a regular file")
     if found.st_size > limit:
-        raise InputError(f"{path}: has {_size(found.st_size)}, at most {_size(limit)} are read")
+        raise InputError(f"{path}: has {found.st_size / 2**20:.4g} MiB, at most {limit / 2**20:.4g} MiB are read")
     return found.st_size
 
 
@@ -102,36 +102,22 @@ def parse_json(data: bytes, where: str) -> Any:
     return value
 
 
-def check_plain(value: Any, where: str) -> None:
+def check_plain(value: Any, where: str, depth: int = 0) -> None:
     """Check values that came out of a TOML or JSON file.
 
     Args:
       value: tables, lists and scalars.
       where: the file, for messages.
+      depth: of the value in the file.
 
     Raises:
       DamagedFile: an integer that no float can hold, or nesting deeper than `MAX_NESTING`. Both parse, and fail where
         they are converted or shown.
     """
-    level: list[Any] = [value]
-    for _ in range(MAX_NESTING):
-        deeper: list[Any] = []
-        for item in level:
-            if isinstance(item, Mapping):
-                deeper += item.values()
-            elif isinstance(item, list):
-                deeper += item
-            elif type(item) is int and item.bit_length() >= 1024:
-                digits = math.ceil(item.bit_length() * math.log10(2))
-                raise DamagedFile(f"{where}: it holds an integer of about {digits} digits, more than a float can hold")
-        if not deeper:
-            return
-        level = deeper
-    raise DamagedFile(f"{where}: values are nested more than {MAX_NESTING} deep")
-
-
-def _size(count: int) -> str:
-    for unit, scale in (("GiB", 1 << 30), ("MiB", 1 << 20), ("KiB", 1 << 10)):
-        if count >= scale:
-            return f"{count / scale:.4g} {unit}"
-    return f"{count} bytes"
+    if depth > MAX_NESTING:
+        raise DamagedFile(f"{where}: values are nested more than {MAX_NESTING} deep")
+    if type(value) is int and value.bit_length() >= 1024:
+        digits = math.ceil(value.bit_length() * math.log10(2))
+        raise DamagedFile(f"{where}: it holds an integer of about {digits} digits, more than a float can hold")
+    for item in value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ():
+        check_plain(item, where, depth + 1)

@@ -19,12 +19,15 @@ from typing import Any
 import numpy as np
 
 from btr_mjx.errors import DamagedFile
-from btr_mjx.runs.checkpoint_header import read_checkpoint_header
+from btr_mjx.runs.bounded_files import check_plain
 from btr_mjx.runs.files import read_arrays, to_plain, write_arrays
 from btr_mjx.runs.progress_bar import note
 
 FORMAT = 2
 """Version of the file format."""
+
+KEPT = 2
+"""How many checkpoints stay."""
 
 META_NAME = "__meta__"
 """Array that holds the JSON text."""
@@ -70,11 +73,10 @@ def save_checkpoint(
     *,
     tables: Mapping[str, Any] | None = None,
     files: Mapping[str, str] | None = None,
-    keep: int = 2,
 ) -> Path:
     """Write the state after `step`, then delete what is no longer needed.
 
-    Of the steps up to this one the last `keep` stay. Files of later steps are deleted: they were written before the run
+    Of the steps up to this one the last `KEPT` stay. Files of later steps are deleted: they were written before the run
     was resumed from an earlier checkpoint.
 
     Args:
@@ -85,18 +87,17 @@ def save_checkpoint(
       meta: JSON-able values; NaN and infinities are kept.
       tables: rows of each table.
       files: digests of files.
-      keep: how many checkpoints stay, at least 2.
 
     Returns:
       The file written.
 
     Raises:
       TypeError: an array or a value that cannot be saved.
-      ValueError: negative step, keep < 2 or a reserved array name.
+      ValueError: a negative step or a reserved array name.
       OSError: the file cannot be written.
     """
-    if step < 0 or keep < 2:
-        raise ValueError(f"expected step >= 0 and keep >= 2, got step {step} and keep {keep}")
+    if step < 0:
+        raise ValueError(f"expected step >= 0, got {step}")
     if reserved := [name for name in arrays if name.startswith("__")]:
         raise ValueError(f"array names must not begin with '__', got {reserved}")
     header = {"format": FORMAT, "step": step, "meta": meta or {}, "tables": tables or {}, "files": files or {}}
@@ -105,17 +106,17 @@ def save_checkpoint(
     write_arrays(path, {META_NAME: np.frombuffer(text, np.uint8), **arrays})
     for later in [old for saved, old in list_checkpoints(folder) if saved > step]:
         later.unlink(missing_ok=True)
-    drop_older(folder, step, keep)
+    drop_older(folder, step)
     return path
 
 
-def drop_older(folder: str | Path, step: int, keep: int) -> None:
-    """Delete the checkpoints of steps up to `step`, except the last `keep`.
+def drop_older(folder: str | Path, step: int) -> None:
+    """Delete the checkpoints of steps up to `step`, except the last `KEPT`.
 
     Raises:
       OSError: a file cannot be deleted.
     """
-    for old in [path for saved, path in list_checkpoints(folder) if saved <= step][:-keep]:
+    for old in [path for saved, path in list_checkpoints(folder) if saved <= step][:-KEPT]:
         old.unlink(missing_ok=True)
 
 
@@ -126,16 +127,24 @@ def read_checkpoint(path: str | Path) -> Checkpoint:
       DamagedFile: cut short, altered, renamed or not a checkpoint.
       OSError: the file cannot be read.
     """
+    import msgspec
+
     arrays = read_arrays(path, require_digest=True)
     if META_NAME not in arrays:
         raise DamagedFile(f"{path}: not a checkpoint")
-    header = read_checkpoint_header(arrays.pop(META_NAME), str(path))
-    if header["format"] != FORMAT:
-        raise DamagedFile(f"{path}: checkpoint format {header['format']}, this version reads {FORMAT}")
+    try:
+        header = json.loads(arrays.pop(META_NAME).tobytes())
+        check_plain(header, str(path))
+        found = header["format"]
+        checkpoint = msgspec.convert({**header, "arrays": arrays}, Checkpoint)
+    except (ValueError, RecursionError, TypeError, KeyError, msgspec.ValidationError) as error:
+        raise DamagedFile(f"{path}: not a checkpoint ({error})") from None
+    if found != FORMAT:
+        raise DamagedFile(f"{path}: checkpoint format {found}, this version reads {FORMAT}")
     match = _FILE_NAME.fullmatch(Path(path).name)
-    if match and int(match.group(1)) != header["step"]:
-        raise DamagedFile(f"{path}: was renamed, it holds step {header['step']}")
-    return Checkpoint(header["step"], arrays, header["meta"], header["tables"], header["files"])
+    if match and int(match.group(1)) != checkpoint.step:
+        raise DamagedFile(f"{path}: was renamed, it holds step {checkpoint.step}")
+    return checkpoint
 
 
 def load_latest(folder: str | Path, *, warn: Callable[[str], None] = note) -> Checkpoint | None:

@@ -43,22 +43,22 @@ def write_sums(folder: Path) -> None:
         file.write(text.encode("utf-8"))
 
 
-def check_sums(folder: Path) -> None:
+def check_sums(folder: Path) -> list[str]:
     """Check all files that SHA256SUMS lists.
+
+    Returns:
+      Their names; none where the run has not ended.
 
     Raises:
       DamagedFile: one is missing, or was altered.
       OSError: a file cannot be read.
     """
-    for name in _sums(folder):
+    names = list(_sums(folder))
+    for name in names:
         if not (folder / name).is_file():
             raise DamagedFile(f"{folder / name}: {SUMS_NAME} lists it and it is missing; restore it")
         check_listed(folder / name, (folder / name).read_bytes())
-
-
-def is_listed(path: Path) -> bool:
-    """Whether the SHA256SUMS beside a file lists it."""
-    return path.name in _sums(path.parent)
+    return names
 
 
 def check_listed(path: str | Path, content: bytes) -> None:

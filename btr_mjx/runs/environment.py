@@ -4,7 +4,7 @@ import os
 import platform
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -30,18 +30,14 @@ machine code and the compile time, and the larger code runs slower since it exce
 """
 
 
-def describe_environment(devices: Sequence[Any] | None = None) -> dict[str, Any]:
+def describe_environment() -> dict[str, Any]:
     """Describe this process and the machine it runs on, without importing jax or starting a device.
 
-    Args:
-      devices: jax devices to record; None records jax's own if it is running already, else null.
-
     Returns:
-      A JSON-able dict: python, versions (null: not installed), system, machine, processor, cpus, cpus_usable, devices,
-      settings (environment variables of jax and XLA), git (commit and whether the tree differs from it, or null), start
-      (UTC), argv and pid.
+      A JSON-able dict: python, versions (null: not installed), system, machine, processor, cpus, cpus_usable, devices
+      (null: jax is not running), settings (environment variables of jax and XLA), git (commit and whether the tree
+      differs from it, or null), start (UTC), argv and pid.
     """
-    found = _running_devices() if devices is None else devices
     return {
         "python": platform.python_version(),
         "versions": {name: package_version(name) for name in PACKAGES},
@@ -50,7 +46,7 @@ def describe_environment(devices: Sequence[Any] | None = None) -> dict[str, Any]
         "processor": _processor(),
         "cpus": os.cpu_count(),
         "cpus_usable": available_cores(),
-        "devices": None if found is None else [_device(device) for device in found],
+        "devices": _running_devices(),
         "settings": _settings(),
         "git": git_state(Path(__file__).parent),
         "start": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -117,15 +113,12 @@ def _processor() -> str:
     return names[0] if names else platform.processor()
 
 
-def _running_devices() -> Sequence[Any] | None:
+def _running_devices() -> list[str] | None:
     # Asking jax for its devices would start its backends with the present flags.
     bridge = sys.modules.get("jax._src.xla_bridge")
     started = getattr(bridge, "backends_are_initialized", None)
     try:
-        return sys.modules["jax"].devices() if started is not None and started() else None
+        found = sys.modules["jax"].devices() if started is not None and started() else None
     except Exception:  # private names may change; the description must not make a run fail
         return None
-
-
-def _device(device: Any) -> str:
-    return device if isinstance(device, str) else f"{device.platform}:{device.id} {device.device_kind}"
+    return found and [f"{device.platform}:{device.id} {device.device_kind}" for device in found]

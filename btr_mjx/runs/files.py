@@ -5,19 +5,19 @@ Every write is atomic, see `btr_mjx.runs.atomic`; every read compares with the S
 Formats:
 
 - JSON is strict. A float that is not finite becomes one of the strings "NaN", "Infinity", "-Infinity", which
-  `float()` reads back; null means no value. Tuples become lists, enums their names, paths strings,
-  dataclasses objects, numpy scalars and arrays numbers and lists.
+  `float()` reads back; null means no value. Tuples become lists, paths strings, dataclasses objects, numpy scalars and
+  arrays numbers and lists.
 - Arrays are `.npz` without pickle. The zip comment holds the SHA-256 of every byte before it, so that damage is
   detected; `numpy.load` reads it like any other `.npz`.
-- Tables are Parquet, or CSV for human readers, chosen by the suffix of the file name.
+- Tables are CSV, or Parquet where a user asks for it, chosen by the suffix of the file name.
 """
 
 import dataclasses
-import enum
 import hashlib
 import json
 import math
 import os
+import warnings
 import zipfile
 from collections.abc import Mapping, Sequence
 from io import BytesIO
@@ -28,12 +28,9 @@ import numpy as np
 import polars as pl
 
 from btr_mjx.errors import DamagedFile, InputError
-from btr_mjx.runs.array_members import read_members
 from btr_mjx.runs.atomic import atomic_write
 from btr_mjx.runs.bounded_files import MAX_TABLE_BYTES, check_regular, parse_json, read_limited
 from btr_mjx.runs.checksums import check_listed
-from btr_mjx.runs.parquet_check import check_parquet
-from btr_mjx.runs.parquet_digest import parquet_with_digest, verify_digest
 
 DIGEST_PREFIX = b"sha256:"
 """Start of the zip comment, before the digest."""
@@ -41,12 +38,22 @@ DIGEST_PREFIX = b"sha256:"
 DIGEST_LENGTH = 64
 """Hexadecimal digits of a SHA-256 digest."""
 
+MAX_EXPANSION = 200
+"""Largest ratio of the arrays' size to that of their file, for arrays above `EXPANSION_FREE`. Constant columns beside
+measured ones stay far below it; a few kilobytes of zeros that unpack to gigabytes do not."""
+
+EXPANSION_FREE = 256 << 20
+"""Size of arrays that may always be unpacked [bytes]."""
+
+MAX_CELLS = 500_000_000
+"""Most values of a Parquet table. A few bytes of a run-length code can stand for any number of rows."""
+
 
 def to_plain(value: Any, *, strict: bool = True) -> Any:
     """Reduce a value to JSON types: None, bool, int, float, str, list and dict with str keys.
 
     Args:
-      value: also dataclasses (their init fields), enums (by name), paths, tuples, numpy scalars and arrays.
+      value: also dataclasses (their init fields), paths, tuples, numpy scalars and arrays.
       strict: write floats that are not finite as strings; False keeps them as floats.
 
     Raises:
@@ -56,8 +63,6 @@ def to_plain(value: Any, *, strict: bool = True) -> Any:
     def reduce(value: Any, where: str) -> Any:
         if isinstance(value, np.generic | np.ndarray) and value.dtype.kind in "biufU":
             value = value.tolist()
-        if isinstance(value, enum.Enum):
-            return value.name
         if value is None or isinstance(value, bool | int | str):
             return value
         if isinstance(value, float):
@@ -159,12 +164,12 @@ def read_arrays(path: str | Path, *, require_digest: bool = False) -> dict[str, 
       require_digest: also refuse files without a digest (those that another program wrote).
 
     Raises:
-      DamagedFile: cut short, altered, not a `.npz` file or holding Python objects.
+      DamagedFile: cut short, altered, not a `.npz` file or holding something else than arrays of numbers or text.
+      InputError: the arrays are too large.
       OSError: the file cannot be read.
     """
-    check_regular(Path(path), MAX_TABLE_BYTES)
+    size = check_regular(Path(path), MAX_TABLE_BYTES)
     with Path(path).open("rb") as file:
-        size = file.seek(0, os.SEEK_END)
         file.seek(-min(size, len(DIGEST_PREFIX) + DIGEST_LENGTH), os.SEEK_END)
         tail = file.read()
         if tail.startswith(DIGEST_PREFIX):
@@ -172,7 +177,28 @@ def read_arrays(path: str | Path, *, require_digest: bool = False) -> dict[str, 
                 raise DamagedFile(f"{path}: the checksum does not match, the file was altered")
         elif require_digest:
             raise DamagedFile(f"{path}: no checksum at the end, the file was cut short or is of another origin")
-        return read_members(file, Path(path))
+        try:
+            with zipfile.ZipFile(file) as archive:
+                unpacked = sum(member.file_size for member in archive.infolist())
+                if unpacked <= min(MAX_TABLE_BYTES, max(EXPANSION_FREE, MAX_EXPANSION * size)):
+                    return _members(file)
+        except Exception as error:  # zipfile and numpy raise many types of errors for damaged bytes
+            raise DamagedFile(f"{path}: not a readable .npz file ({error})") from error
+    raise InputError(
+        f"{path}: {size / 2**20:.3g} MiB unpack to {unpacked / 2**20:.6g} MiB; expected at most "
+        f"{MAX_EXPANSION} times the file's size and {MAX_TABLE_BYTES / 2**20:.6g} MiB"
+    )
+
+
+def _members(file: BinaryIO) -> dict[str, np.ndarray]:
+    file.seek(0)
+    with warnings.catch_warnings(), np.load(file, allow_pickle=False) as saved:
+        warnings.simplefilter("ignore")  # of headers that Python 2 wrote
+        arrays = {name: saved[name] for name in saved.files}
+    for name, array in arrays.items():
+        if not isinstance(array, np.ndarray):  # numpy returns the bytes of other members
+            raise ValueError(f"its member {name!r} is no array")
+    return arrays
 
 
 def _suffix(path: str | Path) -> str:
@@ -198,34 +224,34 @@ def write_table(path: str | Path, table: pl.DataFrame | Mapping[str, Any] | Sequ
     suffix = _suffix(path)
     frame = table if isinstance(table, pl.DataFrame) else pl.DataFrame(table, infer_schema_length=None)
     # Complete before it is written: polars does not report a full disk as an OSError.
-    content = parquet_with_digest(frame) if suffix == ".parquet" else frame.write_csv().encode()
+    content = BytesIO()
+    frame.write_parquet(content) if suffix == ".parquet" else frame.write_csv(content)
     with atomic_write(path) as file:
-        file.write(content)
+        file.write(content.getvalue())
 
 
-def read_table(path: str | Path, *, checked: bool = False) -> pl.DataFrame:
+def read_table(path: str | Path) -> pl.DataFrame:
     """Read a `.parquet` or `.csv` table.
 
-    Args:
-      path: the file.
-      checked: `parquet_check` has read it already.
-
     Raises:
-      InputError: another suffix.
+      InputError: another suffix, or too many values.
       DamagedFile: the content does not parse, or is not what the folder's SHA256SUMS lists.
       OSError: the file cannot be read.
     """
     suffix = _suffix(path)
     content = read_limited(path, MAX_TABLE_BYTES)
     check_listed(path, content)
-    if suffix == ".parquet" and not (verify_digest(content, Path(path)) or checked):
-        check_parquet([Path(path)])
-    data = BytesIO(content)
     try:
-        return pl.read_parquet(data) if suffix == ".parquet" else pl.read_csv(data, infer_schema_length=None)
+        if suffix == ".csv":
+            return pl.read_csv(content, infer_schema_length=None)
+        declared = pl.scan_parquet(BytesIO(content))
+        cells = declared.select(pl.len()).collect().item() * len(declared.collect_schema())
+        if cells <= MAX_CELLS:
+            return pl.read_parquet(BytesIO(content))
     # polars has no common base class for what its readers raise.
     except (Exception, pl.exceptions.PanicException) as error:
         raise DamagedFile(f"{path}: not a readable {suffix[1:]} table ({error})") from error
+    raise InputError(f"{path}: it declares {cells} values, at most {MAX_CELLS} are read; divide it into several files")
 
 
 def write_figure(path: str | Path, figure: Any, *, dpi: int = 150, **options: Any) -> None:

@@ -4,6 +4,7 @@ Bars are made by tqdm. Where stderr is not a terminal, nothing is shown by defau
 at intervals, as for a log file.
 """
 
+import math
 import os
 import signal
 import sys
@@ -93,33 +94,18 @@ class _Lines:
 class _LineBar(tqdm):
     """tqdm that prints a line at the beginning, at intervals and at the end."""
 
-    _drawn: tuple[float, Any, Any] | None = None
+    _drawn = -math.inf
 
     def refresh(self, *args: Any, **options: Any) -> None:
-        # set_postfix() and set_description() request a redraw each time, which would print a line each time
-        now = self._time()
-        if self._drawn is None or now - self._drawn[0] >= self.mininterval:
-            self._drawn = (now, self.n, self.postfix)
+        # set_description() requests a redraw each time, which would print a line each time
+        if self._time() - self._drawn >= self.mininterval:
+            self._drawn = self._time()
             self.display()
 
-    def close(self) -> None:
-        if self._drawn is not None and self._drawn[1:] == (self.n, self.postfix):
-            self.leave = False  # the last line shows the final state already
-        super().close()
-
     @staticmethod
-    def status_printer(file: Any) -> Any:
-        return file.write
-
-    @staticmethod
-    def format_meter(n: Any, total: Any, elapsed: float, **options: Any) -> str:
-        description = (options.get("prefix") or "").removesuffix(": ")  # set_description() has appended ": "
-        if options.get("bar_format"):
-            return tqdm.format_meter(n, total, elapsed, **options)
-        head = "{desc}{percentage:.0f}% {n_fmt}/{total_fmt}" if total else "{desc}{n_fmt} {unit}"
-        tail = " [{elapsed}<{remaining}, {rate_fmt}{postfix}]" if total else " [{elapsed}, {rate_fmt}{postfix}]"
-        options |= {"prefix": description and f"{description}: ", "bar_format": head + tail, "ncols": None}
-        return tqdm.format_meter(n, total, elapsed, **options)
+    def format_meter(*args: Any, **options: Any) -> str:
+        # set_description() has appended ": ", which is written again where no total is known
+        return tqdm.format_meter(*args, **options | {"prefix": (options.get("prefix") or "").removesuffix(": ")})
 
 
 class StopRequest:

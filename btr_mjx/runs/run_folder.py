@@ -4,7 +4,7 @@
       config.json               the command's config, field by field
       inputs.json               digests of what the config refers to: a robot, a dataset, ...
       environment.json          versions, machine and git commit, at the start and at each resume
-      history.parquet           tables that grow row by row
+      history.csv               tables that grow row by row
       checkpoint-000012.npz     the state after step 12; the last few are kept
       result.json, *.npz, *.png what the command adds at its end
       SHA256SUMS                digests of all data files, once the run has ended
@@ -16,7 +16,7 @@ the newest sound checkpoint, or is named in an error; it never changes a result.
 
     with RunFolder.create(config.out, config, resume=config.resume) as run, graceful_interrupt() as stop:
         checkpoint = run.load_latest()
-        history = run.history("history.parquet", checkpoint)
+        history = run.history("history.csv", checkpoint)
         state = begin(config) if checkpoint is None else restore(checkpoint)
         for step in range(0 if checkpoint is None else checkpoint.step + 1, config.steps):
             state, row = advance(state)
@@ -27,6 +27,7 @@ the newest sound checkpoint, or is named in an error; it never changes a result.
         run.seal()
 """
 
+import json
 import os
 import weakref
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -35,8 +36,6 @@ from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Any, Self
-
-import polars as pl
 
 from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.runs import checkpoints
@@ -65,16 +64,14 @@ def is_unused(folder: Path) -> bool:
 
 
 class History:
-    """A table that grows row by row, rewritten whole and atomically by `write`.
+    """A table that grows row by row, a CSV file rewritten whole and atomically by `write`.
 
-    All rows have the same columns; values are None, bool, int, float, str, or lists of one of them. Times and other
-    values that differ from run to run do not belong here.
+    All rows have the same columns; values are None, bool, int, float, str, or lists, which the file holds as JSON.
+    Times and other values that differ from run to run do not belong here.
     """
 
     def __init__(self, path: str | Path, rows: Sequence[Mapping[str, Any]] = ()) -> None:
         self.path = Path(path)
-        if self.path.suffix != ".parquet":  # CSV would not keep types and absent values
-            raise ValueError(f"a history's name ends in .parquet, got {self.path.name}")
         self._rows: list[dict[str, Any]] = [dict(row) for row in rows]
 
     def __len__(self) -> int:
@@ -97,39 +94,23 @@ class History:
             raise ValueError(f"{self.path.name}: expected the columns {list(self._rows[0])}, got {list(plain)}")
         self._rows.append(plain)
 
-    def table(self) -> pl.DataFrame:
-        """The rows as a frame; a column of integers and floats becomes floats.
+    def write(self) -> None:
+        """Replace the file by all rows so far.
 
         Raises:
-          TypeError: a column that mixes other types.
+          OSError: the file cannot be written.
         """
-        return pl.DataFrame([_column(name, [row[name] for row in self._rows]) for name in (self._rows or [{}])[0]])
-
-    def write(self) -> None:
-        """Replace the file by all rows so far."""
-        write_table(self.path, self.table())
-
-
-def _column(name: str, values: list[Any]) -> pl.Series:
-    kinds = {type(value) for value in values if value is not None}
-    if kinds == {int, float}:
-        kinds = {float}
-        values = [None if value is None else float(value) for value in values]
-    if len(kinds) > 1:
-        raise TypeError(f"column {name!r} mixes {', '.join(sorted(kind.__name__ for kind in kinds))}")
-    dtypes = {bool: pl.Boolean, int: pl.Int64, float: pl.Float64, str: pl.String}
-    kind = next(iter(kinds), None)
-    return pl.Series(name, values, dtype=pl.Null if kind is None else dtypes.get(kind))
+        cell = lambda value: json.dumps(value) if isinstance(value, list) else value  # noqa: E731
+        write_table(self.path, [{name: cell(value) for name, value in row.items()} for row in self._rows])
 
 
 class RunFolder:
     """A folder that this process alone writes to, until it is closed; a context manager."""
 
-    def __init__(self, path: Path, resumed: bool, lock: int | None, keep: int) -> None:
+    def __init__(self, path: Path, resumed: bool, lock: int | None) -> None:
         self.path = path
         self.resumed = resumed
         """True where config.json was there before."""
-        self.keep = keep
         self._histories: dict[str, History] = {}
         self._files: dict[str, str] = {}
         self._release = (lambda: None) if lock is None else weakref.finalize(self, os.close, lock)
@@ -143,8 +124,6 @@ class RunFolder:
         *,
         ignore: Collection[str] = IGNORED_FIELDS,
         inputs: Mapping[str, str] | None = None,
-        devices: Sequence[Any] | None = None,
-        keep: int = 2,
     ) -> Self:
         """Begin a run in a new folder, or continue one that was interrupted.
 
@@ -155,10 +134,8 @@ class RunFolder:
           path: the folder; missing parent folders are created.
           config: a dataclass, written to config.json; see `btr_mjx.runs.config_json`.
           resume: continue the run in the folder, which must have been started with an equal config.
-          ignore: dotted names of config fields that may differ on resume since they do not affect results.
+          ignore: names of config fields that may differ on resume since they do not affect results.
           inputs: what the run reads, in words -> its digest (`content_digest`); a resumed run must be given the same.
-          devices: jax devices to record; None records them only if jax is running already.
-          keep: number of checkpoints to keep, at least 2.
 
         Raises:
           InputError: the folder is not empty (without `resume`), is no run folder, was begun with another config (every
@@ -171,7 +148,7 @@ class RunFolder:
         _check(path, data, resume, ignore, inputs or {})
         path.mkdir(parents=True, exist_ok=True)
         lock = take_lock(path)
-        run = cls(path, (path / CONFIG_NAME).exists(), lock, keep)
+        run = cls(path, (path / CONFIG_NAME).exists(), lock)
         try:
             # Again: another process may have been here before the lock.
             _check(path, data, resume, ignore, inputs or {})
@@ -184,7 +161,7 @@ class RunFolder:
                 sync_folder(path.parent)
             if inputs:
                 run._record_inputs(inputs)
-            run._record_environment(devices)
+            run._record_environment()
         except BaseException:
             run.close()
             raise
@@ -225,9 +202,7 @@ class RunFolder:
         for table in self._histories.values():
             table.write()
         tables = {name: table.rows for name, table in self._histories.items()}
-        return checkpoints.save_checkpoint(
-            self.path, step, arrays, meta, tables=tables, files=self._files, keep=self.keep
-        )
+        return checkpoints.save_checkpoint(self.path, step, arrays, meta, tables=tables, files=self._files)
 
     def load_latest(self) -> Checkpoint | None:
         """The newest undamaged checkpoint, None where there is none yet; see `checkpoints.load_latest`.
@@ -248,7 +223,7 @@ class RunFolder:
                         f"{path}: {what} since it was written; restore it, or start again with another --out"
                     )
             self._files |= checkpoint.files
-            checkpoints.drop_older(self.path, checkpoint.step, self.keep)
+            checkpoints.drop_older(self.path, checkpoint.step)
         return checkpoint
 
     def seal(self) -> None:
@@ -261,9 +236,9 @@ class RunFolder:
             note(f"warning: {path} is missing: whether {' and '.join(inputs)} are those of the start is not known")
         write_json(path, inputs)
 
-    def _record_environment(self, devices: Sequence[Any] | None) -> None:
+    def _record_environment(self) -> None:
         path = self.path / ENVIRONMENT_NAME
-        now = describe_environment(devices)
+        now = describe_environment()
         if not path.exists():
             write_json(path, {**now, "resumed": []})
             return

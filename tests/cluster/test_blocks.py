@@ -132,8 +132,6 @@ def test_bad_input(pairs) -> None:
     robot, s, c = pairs
     with pytest.raises(InputError, match="size 0"):
         BlockSettings(size=0)
-    with pytest.raises(InputError, match="limit"):
-        BlockSettings(limit=float("nan"))
     with pytest.raises(InputError, match="local:N"):
         BlockSettings(cluster="slurm")
     with pytest.raises(InputError, match="simulations"):

@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from btr_mjx.cluster import check_cluster, connect
-from btr_mjx.cluster.environment import (
+from btr_mjx.cluster.local_worker import share_of
+from btr_mjx.cluster.worker_call import (
     DifferentWorker,
     check_environment,
     numerical_environment,
     processor_vectors,
 )
-from btr_mjx.cluster.local_worker import share_of
 from btr_mjx.errors import InputError
 
 

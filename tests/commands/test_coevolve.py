@@ -36,7 +36,7 @@ SMALL_RUN = (
 )
 """Flags of a co-evolution that takes a few seconds."""
 
-SAME = ("result.json", "generations.parquet", "iterations.parquet", "trials.npz", "simulations-002.npz")
+SAME = ("result.json", "generations.csv", "iterations.csv", "trials.npz", "simulations-002.npz")
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def test_run_folder(finished: Path) -> None:
     assert result["parameter_error_first"] == pytest.approx((0.24 + 0.24) / 2)
     config = json.loads((finished / "config.json").read_text())
     assert config["controllers"] == 8
-    assert read_table(finished / "generations.parquet").height == 8
+    assert read_table(finished / "generations.csv").height == 8
     trials = read_arrays(finished / "trials.npz")
     assert trials["controllers"].shape == (7, 36)
     archive = read_arrays(finished / "simulations-001.npz")
@@ -76,7 +76,7 @@ def test_progress_ends_at_the_total_that_was_announced(tmp_path: Path, capsys: p
     flags = [flag for flag in SMALL_RUN if flag != "--no-progress"]
     coevolve.main([*flags, "--distance", "fitness", "--out", str(tmp_path / "run")])
     lines = [line for line in capsys.readouterr().err.splitlines() if "pairs" in line]
-    totals = [re.search(r"(\d+)% (\d+)/(\d+)", line) for line in lines]
+    totals = [re.search(r"(\d+)%.* (\d+)/(\d+) ", line) for line in lines]
     counts = [tuple(map(int, found.groups())) for found in totals if found]
     assert counts[0][:2] == (0, 0)
     assert counts[-1][0] == 100

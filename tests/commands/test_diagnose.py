@@ -146,8 +146,8 @@ def test_reading_shows_a_bar(
     diagnose.main([str(folder), "--out", str(tmp_path / "long"), "--no-figures"])
     size = sum(path.stat().st_size for path in folder.iterdir() if path.suffix in (".npz", ".csv", ".parquet"))
     lines = capsys.readouterr().err.splitlines()
-    assert lines[0].startswith("reading: 0% 0.00/")
-    assert any(re.match(rf"checks: 100% {size / 1000:.3g}k", line) for line in lines), lines
+    assert re.match(r"reading: +0%.* 0\.00/", lines[0])
+    assert any(re.match(rf"checks: 100%.* {size / 1000:.3g}k", line) for line in lines), lines
 
 
 def test_a_search_that_takes_longer_than_estimated_shows_no_remaining_time(
@@ -162,8 +162,8 @@ def test_a_search_that_takes_longer_than_estimated_shows_no_remaining_time(
     monkeypatch.setattr(diagnose, "progress", partial(progress, interval=0.0))
     diagnose.main([str(folder), "--out", str(tmp_path / "run"), "--no-figures"])
     lines = capsys.readouterr().err.splitlines()
-    assert any("36% 1.00M/2.82M" in line for line in lines), lines
-    assert any("4.00M steps" in line and "%" not in line for line in lines), lines
+    assert any(re.search(r"36%.* 1\.00M/2\.82M", line) for line in lines), lines
+    assert any(": 4.00Msteps" in line and "%" not in line for line in lines), lines
 
 
 def test_a_finished_run_is_only_drawn_again(folder: Path, searches: list, tmp_path: Path) -> None:

@@ -204,11 +204,10 @@ def head(shape: str, kind: str = "<f8") -> bytes:
         ({"time.npy": b"just text"}, "no array"),
         ({"notes.txt": b"x"}, "no array"),
         ({"time.npy": head("(10**9,)")}, "not a readable"),
-        ({"time.npy": head("(999999999999,)")}, "cut short"),
-        ({"time.npy": head("(-1,)") + b"x" * 8}, "cut short"),
+        ({"time.npy": head("(999999999999,)")}, "not a readable"),
+        ({"time.npy": head("(-1,)") + b"x" * 8}, "not a readable"),
         ({"time.npy": head("(1,)", "|O") + b"x" * 8}, "Object arrays"),
         ({"time.npy": head("(" * 3000)}, "not a readable"),
-        ({f"{i}.npy": b"" for i in range(10_001)}, "arrays"),
         ({"time.npy": bytes(300 << 20)}, "unpack"),
     ],
     ids=lambda value: value if isinstance(value, str) else next(iter(value)),
@@ -218,33 +217,28 @@ def test_npz(tmp_path: Path, members: dict[str, bytes], named: str) -> None:
         read_arrays(npz(tmp_path / "a.npz", members))
 
 
-def test_every_flipped_bit_of_our_parquet_is_found(tmp_path: Path) -> None:
-    path = tmp_path / "a.parquet"
-    write_table(path, {"a": [1.0, 2.0, 3.0], "b": ["x", "y", None]})
-    assert read_table(path).equals(pl.DataFrame({"a": [1.0, 2.0, 3.0], "b": ["x", "y", None]}))
-    assert pl.read_parquet(path).shape == (3, 2)  # any reader of Parquet
-    data = path.read_bytes()
-    for place in range(0, len(data), 13):
-        flipped = bytearray(data)
-        flipped[place] ^= 4
-        path.write_bytes(flipped)
-        if b"btr_mjx.sha256" in flipped:  # else it is a file of another program
-            with pytest.raises(DamagedFile, match="checksum"):
-                read_table(path)
-
-
-def test_parquet_that_ends_the_process_or_panics_is_damaged(tmp_path: Path) -> None:
-    """Found by `benchmarks/fuzz.py`-like flips of a plain file: a child process reads it first."""
-    buffer = io.BytesIO()
+def test_parquet_that_is_cut_or_panics_is_damaged(tmp_path: Path) -> None:
+    """Panics of polars do not derive from Exception."""
+    buffer, bad = io.BytesIO(), 0
     pl.DataFrame(COLUMNS).write_parquet(buffer)
-    data, bad = buffer.getvalue(), 0
+    data = buffer.getvalue()
     for place in range(4, len(data), len(data) // 12):
-        (tmp_path / "a.parquet").write_bytes(data[:place] + b"\xff\xff\xff\x7f" + data[place + 4 :])
-        try:
-            read_table(tmp_path / "a.parquet")
-        except DamagedFile:
-            bad += 1
-    assert bad > 0
+        for damaged in (data[:place], data[:place] + b"\xff\xff\xff\x7f" + data[place + 4 :]):
+            (tmp_path / "a.parquet").write_bytes(damaged)
+            try:
+                read_table(tmp_path / "a.parquet")
+            except DamagedFile:
+                bad += 1
+    assert bad > 12
+
+
+def test_parquet_of_very_many_values(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run-length code holds a constant in a few bytes."""
+    pl.select(a=pl.repeat(1, 1000)).write_parquet(tmp_path / "a.parquet")
+    assert read_table(tmp_path / "a.parquet").height == 1000
+    monkeypatch.setattr("btr_mjx.runs.files.MAX_CELLS", 999)
+    with pytest.raises(InputError, match="declares 1000 values, at most 999"):
+        read_table(tmp_path / "a.parquet")
 
 
 HEADER = {"dataset.toml": to_toml(dict(LEROBOT)).encode(), "model.xml": XML.encode()}

@@ -75,8 +75,10 @@ def write_run(
         write_arrays(folder / f"simulations-{i:03d}.npz", archive)
         before = np.abs(centre - real).mean()
         centre = simulations.reshape(-1, box.n)[np.argmin(delta)]
-        rows.append({"iteration": i, "delta_before": before, "delta_after": delta.min(), "simulation": centre.tolist()})
-    write_table(folder / "iterations.parquet", rows)
+        rows.append(
+            {"iteration": i, "delta_before": before, "delta_after": delta.min(), "simulation": str(centre.tolist())}
+        )
+    write_table(folder / "iterations.csv", rows)
     number = len(trials["f_r"])
     controllers = ROBOT.controller_box.sample(rng, number)
     write_arrays(
@@ -283,7 +285,7 @@ def test_nothing_finite_at_all(tmp_path):
         with np.load(tmp_path / f"{name}-001.npz") as saved:
             change(tmp_path / f"{name}-001.npz", **{score: np.full_like(saved[score], np.nan)})
     change(tmp_path / "trials.npz", f_r=np.full(5, np.nan))
-    write_table(tmp_path / "iterations.parquet", [{"iteration": 1, "delta_before": np.nan, "delta_after": np.nan}])
+    write_table(tmp_path / "iterations.csv", [{"iteration": 1, "delta_before": np.nan, "delta_after": np.nan}])
     assert len(plots.draw_run(tmp_path)) == 5
 
 

@@ -22,30 +22,29 @@ def save(folder, step, **options):
 def test_checkpoints_keep_the_last_ones(tmp_path):
     assert load_latest(tmp_path) is None
     for step in range(5):
-        save(tmp_path, step, keep=3)
-    assert [step for step, _ in list_checkpoints(tmp_path)] == [2, 3, 4]
+        save(tmp_path, step)
+    assert [step for step, _ in list_checkpoints(tmp_path)] == [3, 4]
     latest = load_latest(tmp_path, warn=pytest.fail)
     assert (latest.step, latest.meta["step"], math.isnan(latest.meta["best"])) == (4, 4, True)
     assert latest.arrays["genomes"].dtype == bool
     assert list(latest.arrays) == ["genomes"]
-    save(tmp_path, 3)  # the course is taken up again from step 2: what lay ahead is void
-    assert [step for step, _ in list_checkpoints(tmp_path)] == [2, 3]
+    save(tmp_path, 3)  # the course is taken up again: what lay ahead is void
+    assert [step for step, _ in list_checkpoints(tmp_path)] == [3]
     save(tmp_path, 1_234_567)
     assert load_latest(tmp_path).step == 1_234_567
 
 
 @pytest.mark.parametrize(
-    ("step", "arrays", "keep", "error"),
+    ("step", "arrays", "error"),
     [
-        (-1, {}, 2, ValueError),
-        (0, {}, 1, ValueError),
-        (0, {"__meta__": 1}, 2, ValueError),
-        (0, {"x": [object()]}, 2, TypeError),
+        (-1, {}, ValueError),
+        (0, {"__meta__": 1}, ValueError),
+        (0, {"x": [object()]}, TypeError),
     ],
 )
-def test_checkpoint_arguments(tmp_path, step, arrays, keep, error):
+def test_checkpoint_arguments(tmp_path, step, arrays, error):
     with pytest.raises(error):
-        save_checkpoint(tmp_path, step, arrays, keep=keep)
+        save_checkpoint(tmp_path, step, arrays)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -4,7 +4,6 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
-from run_configs import Coding
 
 from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.runs import files
@@ -12,13 +11,13 @@ from btr_mjx.runs import files
 
 def test_json_is_strict(tmp_path):
     value = {"x": [math.nan, math.inf, -math.inf, 0.1], "y": np.float32(0.1), "z": np.array([1, 2]), "p": Path("a/b")}
-    files.write_json(tmp_path / "result.json", value | {"none": None, "flag": np.bool_(True), "coding": Coding.GRAY})
+    files.write_json(tmp_path / "result.json", value | {"none": None, "flag": np.bool_(True)})
     back = files.read_json(tmp_path / "result.json")
     assert back["x"] == ["NaN", "Infinity", "-Infinity", 0.1]
     assert math.isnan(float(back["x"][0]))
     assert float(back["x"][2]) == -math.inf
     assert np.float32(back["y"]) == np.float32(0.1)
-    assert (back["z"], back["p"], back["none"], back["flag"], back["coding"]) == ([1, 2], "a/b", None, True, "GRAY")
+    assert (back["z"], back["p"], back["none"], back["flag"]) == ([1, 2], "a/b", None, True)
 
 
 @pytest.mark.parametrize("value", [{1: 2}, {"a": {1, 2}}, {"a": 1j}, {"a": np.array([None])}, {"a": b"x"}])
@@ -97,7 +96,7 @@ def test_arrays_that_need_pickle_are_refused(tmp_path):
     with pytest.raises(DamagedFile, match="Object arrays"):
         files.read_arrays(tmp_path / "evil.npz")
     np.save(tmp_path / "one.npy", np.arange(3))
-    with pytest.raises(DamagedFile, match="single"):
+    with pytest.raises(DamagedFile, match="not a readable"):
         files.read_arrays(tmp_path / "one.npy")
     np.savez(tmp_path / "foreign.npz", x=np.arange(3))
     assert files.read_arrays(tmp_path / "foreign.npz")["x"].tolist() == [0, 1, 2]

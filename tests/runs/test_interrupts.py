@@ -32,7 +32,7 @@ class Config:
 def work(folder, resume, config=Config(), pause=0.2):
     with RunFolder.create(folder, config, resume=resume) as run, graceful_interrupt() as stop:
         checkpoint = run.load_latest()
-        history = run.history("history.parquet", checkpoint)
+        history = run.history("history.csv", checkpoint)
         if checkpoint is None:
             rng, state, first = np.random.default_rng(config.seed), np.zeros(2000), 0
         else:
@@ -136,7 +136,7 @@ def test_runs_that_are_killed_at_any_moment_resume_to_the_same_bytes(worker, tmp
         "checkpoint-000002.npz",
         "checkpoint-000003.npz",
         "config.json",
-        "history.parquet",
+        "history.csv",
         "result.json",
     ]
     for kill in range(kills):

@@ -11,7 +11,7 @@ import polars as pl
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.long_files import MAX_SAMPLES
 from btr_mjx.models import nearest_names
-from btr_mjx.runs import check_parquet, is_number, read_json, read_table
+from btr_mjx.runs import is_number, read_json, read_table
 
 INFO = Path("meta") / "info.json"
 STATE, ACTION = "observation.state", "action"
@@ -85,9 +85,8 @@ def _all_episodes(folder: Path, states: int, actions: int) -> Iterator[Episode]:
     files = sorted((folder / "data").rglob("*.parquet"))
     if not files:
         raise InputError(f"{folder / 'data'}: there is no .parquet file")
-    check_parquet(files)
     for file in files:
-        frame = read_table(file, checked=True)
+        frame = read_table(file)
         for column in (STATE, ACTION, "timestamp", "episode_index"):
             if column not in frame.columns:
                 near = nearest_names(column, frame.columns)
