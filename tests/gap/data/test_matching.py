@@ -6,9 +6,9 @@ import pytest
 from robot_logs import ARM, FLOATER
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data.names.matching import match_columns
-from btr_mjx.gap.data.names.required import check_matched
-from btr_mjx.gap.data.names.units import TIME_UNITS, conversion, stated_unit, time_unit, to_seconds
+from btr_mjx.gap.data.columns.matching import match_columns
+from btr_mjx.gap.data.columns.required import check_matched
+from btr_mjx.gap.data.columns.units import TIME_UNITS, conversion, stated_unit, time_unit, to_seconds
 
 MODEL, FLOATING = mujoco.MjModel.from_xml_string(ARM), mujoco.MjModel.from_xml_string(FLOATER)
 DRIVES = (
