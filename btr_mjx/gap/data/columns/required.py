@@ -84,8 +84,8 @@ def may_be(column: str, target: str, model: mujoco.MjModel, unit: str | None = N
     """
     name, own = stated_unit(column)
     said, quantity = frozenset(words(name)), quantity_of(target, model)
-    stated = UNITS[unit or own][0] if unit or own else None
-    if stated and quantity and stated != quantity:
+    unit = unit or own
+    if unit and quantity and UNITS[unit][0] != quantity:
         return False
     if target == "time" or said & set(TIME):
         return target == "time" and not any(kind_of(said))

@@ -117,9 +117,9 @@ def _tables(path: Path, groups: Mapping[str, Group]) -> list[LogTable]:
         for group, arrays in groups.items()
     }
     if not any(times.values()):
-        names = [f"{group}/{name}".strip("/") for group, arrays in groups.items() for name in arrays]
+        held = [f"{group}/{name}".strip("/") for group, arrays in groups.items() for name in arrays]
         raise InputError(
-            f"{path}: no dataset is called time or timestamp; it holds {listed(names, quotes=True) or 'no numbers'}"
+            f"{path}: no dataset is called time or timestamp; it holds {listed(held, quotes=True) or 'no numbers'}"
         )
     tables = []
     for group, arrays in groups.items():

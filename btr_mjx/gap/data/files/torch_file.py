@@ -11,7 +11,7 @@ import math
 import pickle
 import pickletools
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from io import BytesIO
 from pathlib import Path
@@ -64,7 +64,7 @@ def read_torch(path: Path) -> list[LogTable]:
     arrays = {str(k): v for k, v in content.items() if isinstance(v, np.ndarray) and v.ndim in (1, 2) and len(v)}
     if "time" not in arrays:
         raise InputError(f"{path}: holds no tensor 'time'; it holds {', '.join(map(repr, content)) or 'nothing'}")
-    said = next((content[key] for key in _NAMES if isinstance(content.get(key), list | tuple)), [])
+    said: Sequence[Any] = next((content[key] for key in _NAMES if isinstance(content.get(key), list | tuple)), [])
     same = {k: v for k, v in arrays.items() if len(v) == len(arrays["time"])}
     groups = {k: list(map(str, said)) for k, v in same.items() if said and v.ndim == 2 and v.shape[1] == len(said)}
     return [log_table(path, path.stem, same, groups)]
