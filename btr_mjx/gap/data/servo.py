@@ -37,13 +37,10 @@ SETTINGS = ("mass", "length", "kp", "vin")
 """Settings that each recording file states."""
 LARGEST_VALUE = 1e6
 """Largest value of a servo or a setting, in SI units."""
-COLUMNS: Mapping[str, str] = {
-    "timestamp": "time",
-    "goal_position": "ctrl/servo",
-    "position": "qpos/servo",
-    "speed": "qvel/servo",
-}
+COLUMNS = {"timestamp": "time", "goal_position": "ctrl/servo", "position": "qpos/servo", "speed": "qvel/servo"}
 """Column name by entry of the JSON file."""
+SENSORS = {entry: f"sensor/{entry}" for entry in ("input_volts", "load", "temp")}
+"""Columns of other entries, read where every sample has them."""
 PARAMETERS = (
     PathParameter(
         "motor strength (torque per volt)",
@@ -81,11 +78,6 @@ class Servo:
     viscous_friction: float = 0.0
     arm_mass: float = 0.0
     gravity: float = 9.81
-
-
-def is_servo_folder(folder: str | Path) -> bool:
-    """Whether a folder holds servo recordings."""
-    return (Path(folder) / SERVO_FILE).is_file()
 
 
 def servo_xml(servo: Servo, mass: float, length: float, kp: float, vin: float) -> str:
@@ -156,17 +148,26 @@ def load_servo(folder: str | Path) -> Dataset:
     recordings, settings = [], []
     for file in files:
         entries, setting = _read_json(file)
-        model = _compile(servo, setting, file)
+        where = f"{file}: the servo that follows from its values"
+        try:
+            model = mujoco.MjModel.from_xml_string(servo_xml(servo, *setting))
+        except COMPILE_ERRORS as error:
+            raise InputError(f"{where}: MuJoCo does not accept it: {error}") from None
+        check_model(model, where)
         parts = make_recordings([entries], model, str(file), file.stem)
         recordings += parts
         settings += [setting] * len(parts)
-    nominal = servo_xml(servo, *settings[0])
+    refitted = [
+        believed  # a factor on a nominal value of 0 changes nothing
+        for believed in PARAMETERS
+        if all(replace(believed, relative=False).value(recording.model) != 0 for recording in recordings)
+    ]
     return Dataset(
         folder=folder,
         model=recordings[0].model,
         model_file=folder / SERVO_FILE,
-        spec_xml=nominal,
-        parameters=_parameters(recordings),
+        spec_xml=servo_xml(servo, *settings[0]),
+        parameters=tuple(refitted),
         recordings=tuple(_held_out(recordings, settings, folder)),
         interpolation="linear",
         notes=tuple(notes),
@@ -187,16 +188,15 @@ def read_servo(path: Path, notes: list[str]) -> Servo:
       InputError: a value that is missing, not a number or negative.
     """
     table = toml_section(read_toml(path), "servo", path)
-    names = [f.name for f in fields(Servo)]
+    names, needed = [f.name for f in fields(Servo)], ("kt", "resistance", "error_gain")
     check_keys({k: v for k, v in table.items() if k != "motor"}, names, f"{path}: [servo]", notes)
-    for name in ("kt", "resistance", "error_gain"):
+    for name in needed:
         if name not in table:
             raise InputError(f"{path}: [servo] has no {name}; add it in SI units")
     values = {name: table[name] for name in names if name in table}
     for name, value in values.items():
-        needed = name in ("kt", "resistance", "error_gain", "max_duty")
-        good = is_number(value) and (1 / LARGEST_VALUE if needed else 0) <= value <= LARGEST_VALUE
-        if not good:
+        smallest = 1 / LARGEST_VALUE if name in (*needed, "max_duty") else 0
+        if not is_number(value) or not smallest <= value <= LARGEST_VALUE:
             raise InputError(
                 f"{path}: [servo] {name} = {value!r}: expected a positive number in SI units, at most {LARGEST_VALUE:g}"
             )
@@ -217,39 +217,17 @@ def _read_json(file: Path) -> tuple[dict[str, np.ndarray], tuple[float, ...]]:
                 f"{file}: {name} = {content.get(name)!r}: expected a positive number, at most {LARGEST_VALUE:g}"
             )
     columns = {}
-    for entry, column in COLUMNS.items():
+    for entry, column in (COLUMNS | SENSORS).items():
         values = [sample.get(entry) for sample in content["entries"]]
-        if all(value is None for value in values):
-            if entry == "speed":
-                continue
-            raise InputError(f"{file}: no entry has {entry!r}; an entry needs {', '.join(COLUMNS)}")
-        columns[column] = np.array([value if is_number(value) else np.nan for value in values], float)
-    for entry in ("input_volts", "load", "temp"):
-        values = [sample.get(entry) for sample in content["entries"]]
-        if all(is_number(value) for value in values):
-            columns[f"sensor/{entry}"] = np.array(values, float)
+        if not any(map(is_number, values)):
+            if entry in COLUMNS and entry != "speed":
+                raise InputError(f"{file}: no entry has {entry!r}; an entry needs {', '.join(COLUMNS)}")
+        elif entry in COLUMNS or all(map(is_number, values)):
+            columns[column] = np.array([value if is_number(value) else np.nan for value in values], float)
     off = [sample.get("torque_enable") is False for sample in content["entries"]]
     if any(off):
         raise InputError(f"{file}: the motor was off in sample {off.index(True) + 1}; cut the recording before")
     return columns, tuple(float(content[name]) for name in SETTINGS)
-
-
-def _compile(servo: Servo, setting: Sequence[float], file: Path) -> mujoco.MjModel:
-    try:
-        model = mujoco.MjModel.from_xml_string(servo_xml(servo, *setting))
-    except COMPILE_ERRORS as error:
-        raise InputError(f"{file}: MuJoCo does not accept the servo that follows from its values: {error}") from None
-    check_model(model, f"{file}: the servo that follows from its values")
-    return model
-
-
-def _parameters(recordings: Sequence[Recording]) -> tuple[PathParameter, ...]:
-    """The parameters whose nominal value is nonzero in every recording."""
-    fitted = []
-    for believed in PARAMETERS:
-        if all(replace(believed, relative=False).value(recording.model) != 0 for recording in recordings):
-            fitted.append(believed)
-    return tuple(fitted)
 
 
 def _held_out(

@@ -1,14 +1,15 @@
 """Frames of LeRobot datasets: names in meta/info.json, numbers in Parquet files, by episode."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import polars as pl
 
 from btr_mjx.errors import InputError
+from btr_mjx.gap.data.files.frames import frame_table
+from btr_mjx.gap.data.files.table import LogTable
 from btr_mjx.gap.data.recordings.stretches import MAX_SAMPLES
 from btr_mjx.models import nearest_names
 from btr_mjx.runs import check_parquet, is_number, read_json, read_table
@@ -78,7 +79,17 @@ def read_episodes(folder: Path, states: int, actions: int, notes: list[str]) -> 
       InputError: no files, a column that is absent or of another kind, or another count of numbers.
       DamagedFile: a file that does not parse.
     """
-    return list(_thinned(list(_all_episodes(folder, states, actions)), notes))
+    episodes = list(_all_episodes(folder, states, actions))
+    total = sum(len(episode.time) for episode in episodes)
+    if total <= MAX_SAMPLES:
+        return episodes
+    count = max(2, len(episodes) * MAX_SAMPLES // total)
+    chosen = np.unique(np.linspace(0, len(episodes) - 1, min(count, len(episodes))).round().astype(int))
+    notes.append(
+        f"{len(chosen)} of {len(episodes)} episodes are used, evenly chosen: all have {total} frames, more than "
+        f"{MAX_SAMPLES}"
+    )
+    return [episodes[i] for i in chosen]
 
 
 def _all_episodes(folder: Path, states: int, actions: int) -> Iterator[Episode]:
@@ -92,45 +103,21 @@ def _all_episodes(folder: Path, states: int, actions: int) -> Iterator[Episode]:
             if column not in frame.columns:
                 near = nearest_names(column, frame.columns)
                 raise InputError(f"{file}: there is no column {column!r}; nearest: {near}")
-        if not frame["timestamp"].dtype.is_numeric():
-            raise InputError(f"{file}: column 'timestamp' holds {frame['timestamp'].dtype}, expected seconds")
         for rows in frame.partition_by("episode_index", maintain_order=True):
             number = rows["episode_index"][0]
             if not is_number(number) or number != int(number) or number < 0:
                 raise InputError(f"{file}: episode_index holds {number!r}: expected whole numbers from 0 on")
-            time = rows["timestamp"].cast(pl.Float64).fill_null(np.nan).to_numpy()
-            where = f"{file}, episode {int(number)}"
-            yield Episode(
-                where, int(number), time, _stacked(rows, STATE, states, file), _stacked(rows, ACTION, actions, file)
-            )
+            table = frame_table(file, rows.select("timestamp", STATE, ACTION))
+            (time,) = _stacked(table, "timestamp", 1, file).T
+            state, action = _stacked(table, STATE, states, file), _stacked(table, ACTION, actions, file)
+            yield Episode(f"{file}, episode {int(number)}", int(number), time, state, action)
 
 
-def _stacked(rows: pl.DataFrame, feature: str, width: int, file: Path) -> np.ndarray:
+def _stacked(table: LogTable, feature: str, width: int, file: Path) -> np.ndarray:
     """Values (K, width) of a feature: lists of numbers, or numbers where the robot has one joint."""
-    series, kind = rows[feature], rows[feature].dtype
-    inner = kind.inner if isinstance(kind, pl.List | pl.Array) else kind
-    if not (isinstance(inner, pl.DataType) and inner.is_numeric()):
-        raise InputError(f"{file}: column {feature!r} holds {kind}, expected a list of numbers a row")
-    lists = [value if isinstance(value, list) else [value] for value in series.to_list()]
-    widths = {len(value) for value in lists}
-    if widths != {width}:
-        raise InputError(
-            f"{file}: column {feature!r} holds {', '.join(map(str, sorted(widths)[:5]))} numbers a row, meta/info.json "
-            f"names {width}"
-        )
-    return np.array(lists, float)
-
-
-def _thinned(episodes: Sequence[Episode], notes: list[str]) -> Iterator[Episode]:
-    """Episodes with `MAX_SAMPLES` frames together, evenly chosen."""
-    total = sum(len(episode.time) for episode in episodes)
-    if total <= MAX_SAMPLES:
-        yield from episodes
-        return
-    count = max(2, len(episodes) * MAX_SAMPLES // total)
-    chosen = np.unique(np.linspace(0, len(episodes) - 1, min(count, len(episodes))).round().astype(int))
-    notes.append(
-        f"{len(chosen)} of {len(episodes)} episodes are used, evenly chosen: all have {total} frames, more than "
-        f"{MAX_SAMPLES}"
-    )
-    yield from (episodes[i] for i in chosen)
+    if feature in table.text:
+        raise InputError(table.text[feature])
+    own = [values for name, values in table.columns.items() if name.partition("/")[0] == feature]
+    if len(own) != width:
+        raise InputError(f"{file}: column {feature!r} holds {len(own)} numbers a row, meta/info.json names {width}")
+    return np.stack(own, axis=1)
