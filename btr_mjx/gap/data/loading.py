@@ -17,7 +17,7 @@ from btr_mjx.gap.data.columns.units import UNITS, known_unit
 from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, read_header
 from btr_mjx.gap.data.files.readers import count_rows, is_log
 from btr_mjx.gap.data.files.ros_bag import TOPICS
-from btr_mjx.gap.data.listed import listed
+from btr_mjx.gap.data.lists import listed
 from btr_mjx.gap.data.model_file import load_model
 from btr_mjx.gap.data.recordings.held import bends, stairs
 from btr_mjx.gap.data.recordings.recording import MIN_SAMPLES, EmptyRecording, Recording, make_recordings

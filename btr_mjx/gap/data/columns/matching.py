@@ -29,7 +29,7 @@ from btr_mjx.gap.data.columns.one_column import (
 from btr_mjx.gap.data.columns.remedy import NO_FILE, Answer, quoted
 from btr_mjx.gap.data.columns.units import stated_unit
 from btr_mjx.gap.data.columns.words import TIME, words
-from btr_mjx.gap.data.listed import listed
+from btr_mjx.gap.data.lists import listed
 from btr_mjx.models import nearest_names, part_names
 
 Tables = Sequence[tuple[str, Sequence[str]]]

@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data.listed import listed
+from btr_mjx.gap.data.lists import listed
 from btr_mjx.models import nearest_names, part_names
 
 _QUAT, _SPIN = ("qw", "qx", "qy", "qz"), ("wx", "wy", "wz")

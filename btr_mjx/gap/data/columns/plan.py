@@ -14,7 +14,7 @@ from btr_mjx.gap.data.columns.required import check_matched
 from btr_mjx.gap.data.columns.units import conversion, stated_unit, to_seconds
 from btr_mjx.gap.data.files.readers import read_file
 from btr_mjx.gap.data.files.table import LogTable
-from btr_mjx.gap.data.listed import listed
+from btr_mjx.gap.data.lists import listed
 from btr_mjx.models import nearest_names
 
 

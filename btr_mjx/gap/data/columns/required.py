@@ -10,7 +10,7 @@ from btr_mjx.gap.data.columns.one_column import commanded
 from btr_mjx.gap.data.columns.remedy import NO_FILE, Answer
 from btr_mjx.gap.data.columns.units import UNITS, quantity_of, stated_unit
 from btr_mjx.gap.data.columns.words import OTHER, TIME, kind_of, words
-from btr_mjx.gap.data.listed import listed
+from btr_mjx.gap.data.lists import listed
 
 
 def check_matched(

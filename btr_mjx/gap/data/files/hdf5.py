@@ -17,7 +17,7 @@ from btr_mjx.errors import DamagedFile, InputError, one_line
 from btr_mjx.gap.data.columns.units import known_unit, stated_unit
 from btr_mjx.gap.data.columns.words import TIME, words
 from btr_mjx.gap.data.files.table import LogTable, check_log_size, log_table, missing_extra
-from btr_mjx.gap.data.listed import listed
+from btr_mjx.gap.data.lists import listed
 from btr_mjx.runs import MAX_TABLE_BYTES, check_regular
 
 Group = Mapping[str, tuple[np.ndarray, str | None, Sequence[str] | None]]

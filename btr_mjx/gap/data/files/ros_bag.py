@@ -36,7 +36,7 @@ from btr_mjx.gap.data.files.ros_messages import (
     twist_numbers,
 )
 from btr_mjx.gap.data.files.table import LogTable, check_log_size, log_table, missing_extra
-from btr_mjx.gap.data.listed import listed
+from btr_mjx.gap.data.lists import listed
 
 TOPICS: Mapping[str, Sequence[str]] = {
     "joint_states": JOINTS,

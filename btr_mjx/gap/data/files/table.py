@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data.listed import listed
+from btr_mjx.gap.data.lists import listed
 
 MAX_COLUMNS = 5_000
 """Most columns of a recording; a robot with a hundred joints and their sensors has fewer than a thousand."""

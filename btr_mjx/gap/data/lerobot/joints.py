@@ -14,7 +14,7 @@ from btr_mjx.gap.data.columns.model_columns import SUFFIXES
 from btr_mjx.gap.data.columns.one_column import ModelNames, common_words
 from btr_mjx.gap.data.columns.remedy import Answer, quoted
 from btr_mjx.gap.data.columns.words import EFFORT, NEUTRAL, OTHER, POSITION, VELOCITY, words
-from btr_mjx.gap.data.listed import listed
+from btr_mjx.gap.data.lists import listed
 from btr_mjx.models import nearest_names, part_names
 
 _NO_POSITION = VELOCITY | EFFORT | OTHER

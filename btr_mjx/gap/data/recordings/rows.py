@@ -8,7 +8,7 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns.model_columns import SUFFIXES
-from btr_mjx.gap.data.listed import listed
+from btr_mjx.gap.data.lists import listed
 from btr_mjx.gap.data.recordings.clocks import CLOSE, usual_interval
 from btr_mjx.gap.data.recordings.noise import DIFFERENCE_ORDER, annihilator
 from btr_mjx.models import part_names
