@@ -7,19 +7,8 @@
                                           episode_index; others are not used
 
 An action is the goal position that the servo holds until the next one. Which joint each number belongs to is found by
-`joints`, its unit, sign and zero by `scales`. dataset.toml says what is otherwise found:
-
-    [model]
-    file = "arm.xml"
-    [lerobot]
-    folder = "recordings"           # that holds meta and data; without it, the folder of dataset.toml
-    unit = "deg"                    # of all but grippers: deg, rad, m, range (-100 to 100), percent (0 to 100)
-    [lerobot.joints."shoulder_pan.pos"]
-    joint = "yaw"                   # of the model; "" for none
-    unit = "deg"                    # of this joint
-    sign = -1                       # the numbers count the other way round
-    zero = 90.0                     # value at which the model's joint is at 0 (deg, rad, m)
-    range = [-1.9, 1.9]             # positions [rad], [m] at the ends (range, percent)
+`joints`, its unit, sign and zero by `scales`, and declared in dataset.toml: in [lerobot] the folder and the unit of all
+but grippers, in tables [lerobot.joints.NAME] the keys `scales.JOINT_KEYS` of a joint.
 """
 
 from collections.abc import Mapping, Sequence
@@ -141,9 +130,8 @@ def _columns(
     """Columns of the model."""
     model, names = head.model, part_names(head.model, "joint")
     columns = {"time": episode.time}
-    for values, joint in zip(episode.state.T, joints, strict=True):
-        if joint is not None:
-            columns[f"qpos/{names[joint]}"] = scales[joint](values)
+    pairs = zip(episode.state.T, joints, strict=True)
+    columns |= {f"qpos/{names[joint]}": scales[joint](values) for values, joint in pairs if joint is not None}
     for values, joint in zip(episode.action.T, goals, strict=True):
         if joint is None:
             continue

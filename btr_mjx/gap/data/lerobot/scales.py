@@ -136,16 +136,16 @@ def find_scales(
       InputError: a joint without limits whose values are a share of its range, or a unit that does not fit.
     """
     stated = {name: tables.get(short(name), {}) for name in joints}
-    units = {name: str(table["unit"]) for name, table in stated.items() if "unit" in table}
-    open_names = [name for name in joints if name not in units]
+    left = [name for name in joints if "unit" not in stated[name]]
     steps = {name: counted_step(values[name]) for name in joints}
-    grippers = [n for n in open_names if _GRIPPERS & set(words(n)) and _between(values[n], *_PERCENT)]
-    others = [name for name in open_names if name not in grippers]
+    grippers = [n for n in left if _GRIPPERS & set(words(n)) and _between(values[n], *_PERCENT)]
+    others = {name: values[name] for name in left if name not in grippers}
     if others and unit is None:
-        unit = _common_unit({name: values[name] for name in others}, joints, model, steps, where, notes)
-    small = max((float(np.abs(values[n]).max()) for n in joints), default=0.0) <= _LARGEST_RAD
-    units |= dict.fromkeys(others, unit or "deg")
+        unit = _common_unit(others, joints, model, steps, where, notes)
+    small = max((float(np.abs(own).max()) for own in values.values()), default=0.0) <= _LARGEST_RAD
+    units = dict.fromkeys(others, unit or "deg")
     units |= dict.fromkeys(grippers, unit if unit in ("rad", "m") and small else "percent")
+    units |= {name: str(table["unit"]) for name, table in stated.items() if "unit" in table}
     return {
         name: _scale(name, joints[name], units[name], stated[name], values[name], steps[name], model, where, notes)
         for name in joints

@@ -16,6 +16,7 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns.model_columns import SUFFIXES, control_columns, state_columns
+from btr_mjx.gap.data.lists import listed
 from btr_mjx.models import part_names
 
 CLOSE = 3.5
@@ -77,7 +78,7 @@ def on_one_clock(
     for signal in signals:
         if signal is axis or not signal.values:
             continue
-        _check_increases(signal, where)
+        check_time(signal.time, f"{where}: {listed(signal.values, 3)}")
         names = list(signal.values)
         held |= hold and any(name in commands for name in names)
         for name in names:
@@ -88,19 +89,15 @@ def on_one_clock(
                     columns[name] = use(axis.time, signal.time[known], signal.values[name][known])
             except ValueError:
                 raise InputError(
-                    f"{where}: column {name!r} cannot be interpolated on the clock of {_listed(list(axis.values))}: "
+                    f"{where}: column {name!r} cannot be interpolated on the clock of {listed(axis.values, 3)}: "
                     "its numbers are too large or its times too close together"
                 ) from None
         how = "held" if hold and set(names) <= commands else "interpolated"
         notes.append(
-            f"{_listed(names)}, sampled every {1e3 * usual_interval(signal.time):.3g} ms, {how} on the clock of "
-            f"{_listed(list(axis.values))} with {1e3 * usual_interval(axis.time):.3g} ms"
+            f"{listed(names, 3)}, sampled every {1e3 * usual_interval(signal.time):.3g} ms, {how} on the clock of "
+            f"{listed(axis.values, 3)} with {1e3 * usual_interval(axis.time):.3g} ms"
         )
     return columns, held
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def _signals(table: Mapping[str, np.ndarray]) -> list[_Signal]:
@@ -127,13 +124,19 @@ def _signals(table: Mapping[str, np.ndarray]) -> list[_Signal]:
     return found
 
 
-def _check_increases(signal: _Signal, where: str) -> None:
-    steps = np.diff(signal.time)
+def check_time(time: np.ndarray, where: str, first_row: int = 0) -> None:
+    """Check that time (K,) [s] increases strictly; `first_row` rows of the file are before it.
+
+    Raises:
+      InputError: it does not; the message names the row and both times.
+    """
+    steps = np.diff(time)
     if (steps <= 0).any():
         row = int(np.argmax(steps <= 0))
+        what = "repeats" if steps[row] == 0 else "goes back"
         raise InputError(
-            f"{where}: time of {_listed(list(signal.values))} goes from {signal.time[row]:.9g} to "
-            f"{signal.time[row + 1]:.9g} s; it has to increase: sort the rows and drop duplicates"
+            f"{where}: time {what} from {time[row]:.9g} to {time[row + 1]:.9g} s in row {first_row + row + 2}; it has "
+            "to increase: sort the rows and drop duplicates"
         )
 
 
@@ -143,10 +146,15 @@ def _check_overlap(axis: _Signal, signals: Sequence[_Signal], where: str) -> Non
             apart = signal.time[0] > axis.time[-1] or signal.time[-1] < axis.time[0]
             if apart:
                 raise InputError(
-                    f"{where}: {_listed(list(signal.values))} have times from {signal.time[0]:.6g} to "
-                    f"{signal.time[-1]:.6g} s, {_listed(list(axis.values))} from {axis.time[0]:.6g} to "
+                    f"{where}: {listed(signal.values, 3)} have times from {signal.time[0]:.6g} to "
+                    f"{signal.time[-1]:.6g} s, {listed(axis.values, 3)} from {axis.time[0]:.6g} to "
                     f"{axis.time[-1]:.6g} s; give both times of one clock"
                 )
+
+
+def sign_flips(quat: np.ndarray) -> np.ndarray:
+    """(K,) -1 where the quaternions (K, 4) have to change their sign to be continuous, else 1."""
+    return np.cumprod(np.r_[1.0, np.where(np.sum(quat[1:] * quat[:-1], axis=1) < 0, -1.0, 1.0)][: len(quat)])
 
 
 def _smooth_signs(table: Mapping[str, np.ndarray], model: mujoco.MjModel) -> None:
@@ -155,10 +163,9 @@ def _smooth_signs(table: Mapping[str, np.ndarray], model: mujoco.MjModel) -> Non
         keys = [f"qpos/{name}/{part}" for part in ("qw", "qx", "qy", "qz")]
         if int(kind) in SUFFIXES and all(key in table for key in keys):
             rows = np.flatnonzero(np.all([np.isfinite(table[key]) for key in keys], axis=0))
-            quat = np.stack([table[key][rows] for key in keys])
-            flips = np.cumsum(np.sum(quat[:, 1:] * quat[:, :-1], axis=0) < 0) % 2 == 1
+            flips = sign_flips(np.stack([table[key][rows] for key in keys], axis=1))
             for key in keys:
-                table[key][rows[1:][flips]] *= -1
+                table[key][rows] *= flips
 
 
 def _hold(axis: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -58,18 +58,13 @@ def read_noise(table: Any, model: mujoco.MjModel, where: str, notes: list[str]) 
         if not is_number(value) or value <= 0:
             raise InputError(f"{where}: {key} = {value!r}: expected a positive standard deviation")
     sigma = np.full((2, model.nv), np.nan)
-    for name, kind, first in zip(names, model.jnt_type, model.jnt_dofadr, strict=True):
-        for i, part in enumerate(SUFFIXES.get(int(kind), ((), ("",)))[1]):
-            turning = part.startswith("w")
-            position = ["rotation" if turning else "position"] if part else []
-            velocity = ["angular_velocity" if turning else "velocity"] if part else []
-            single = "" if turning else f"qpos/{name}/{part[1:]}"  # a rotation has no column of its own in qpos
-            keys = (
-                [single, f"qpos/{name}", *position, "qpos"],
-                [f"qvel/{name}/{part}", f"qvel/{name}", *velocity, "qvel"],
-            )
-            for row in (0, 1):
-                sigma[row, first + i] = next((float(table[key]) for key in keys[row] if key in table), np.nan)
+    for dof, (name, part) in enumerate(_coordinates(model)):
+        turning = part.startswith("w")
+        groups = ("rotation", "angular_velocity") if turning else ("position", "velocity")
+        single = "" if turning else f"qpos/{name}/{part[1:]}"  # a rotation has no column of its own in qpos
+        for row, (kind, own) in enumerate((("qpos", single), ("qvel", f"qvel/{name}/{part}"))):
+            keys = [own, f"{kind}/{name}", *([groups[row]] if part else []), kind]
+            sigma[row, dof] = next((float(table[key]) for key in keys if key in table), np.nan)
     if table and np.isnan(sigma).any():
         notes.append(f"{where}: does not cover all coordinates; the noise is estimated from the data instead")
     return None if np.isnan(sigma).any() else Noise(sigma[0], sigma[1])
@@ -189,12 +184,14 @@ def _quantum(signal: np.ndarray) -> float:
 def noise_as_table(noise: Noise, model: mujoco.MjModel) -> Mapping[str, float]:
     """The [noise] table of a noise, one key per coordinate; the rotation of a joint has the value of its first axis."""
     table: dict[str, float] = {}
-    for name, kind, first in zip(part_names(model, "joint"), model.jnt_type, model.jnt_dofadr, strict=True):
-        parts = SUFFIXES.get(int(kind), ((), ("",)))[1]
-        for i, part in enumerate(parts):
-            table[f"qvel/{name}/{part}" if part else f"qvel/{name}"] = float(noise.qvel[first + i])
-            if not part or not part.startswith("w"):
-                table[f"qpos/{name}/{part[1:]}" if part else f"qpos/{name}"] = float(noise.qpos[first + i])
-            elif f"qpos/{name}" not in table:
-                table[f"qpos/{name}"] = float(noise.qpos[first + i])
+    for dof, (name, part) in enumerate(_coordinates(model)):
+        turning = part.startswith("w")
+        table[f"qvel/{name}/{part}".rstrip("/")] = float(noise.qvel[dof])
+        table.setdefault(f"qpos/{name}" if turning else f"qpos/{name}/{part[1:]}".rstrip("/"), float(noise.qpos[dof]))
     return table
+
+
+def _coordinates(model: mujoco.MjModel) -> list[tuple[str, str]]:
+    """Joint and suffix of its velocity, "" for hinges and slides, of each of the nv coordinates."""
+    joints = zip(part_names(model, "joint"), model.jnt_type.tolist(), strict=True)
+    return [(name, part) for name, kind in joints for part in SUFFIXES.get(kind, ((), ("",)))[1]]

@@ -13,11 +13,10 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns.model_columns import check_names, control_columns, state_columns, ungroup_columns
 from btr_mjx.gap.data.lists import listed
-from btr_mjx.gap.data.recordings.clocks import on_one_clock
+from btr_mjx.gap.data.recordings.clocks import check_time, on_one_clock
 from btr_mjx.gap.data.recordings.held import fresh_rows
 from btr_mjx.gap.data.recordings.plausible import check_sizes, check_span
 from btr_mjx.gap.data.recordings.rows import (
-    check_time,
     complete_rows,
     even_times,
     normalise_quaternions,

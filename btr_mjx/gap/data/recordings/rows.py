@@ -9,7 +9,7 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns.model_columns import SUFFIXES
 from btr_mjx.gap.data.lists import listed
-from btr_mjx.gap.data.recordings.clocks import CLOSE, usual_interval
+from btr_mjx.gap.data.recordings.clocks import CLOSE, sign_flips, usual_interval
 from btr_mjx.gap.data.recordings.noise import DIFFERENCE_ORDER, annihilator
 from btr_mjx.models import part_names
 
@@ -89,22 +89,6 @@ def whole_parts(rows: np.ndarray, time: np.ndarray, shortest: int, notes: list[s
     return kept
 
 
-def check_time(time: np.ndarray, where: str, first_row: int = 0) -> None:
-    """Check that time (K,) [s] increases strictly; `first_row` rows of the file are before it.
-
-    Raises:
-      InputError: it does not; the message names the row and both times.
-    """
-    steps = np.diff(time)
-    if (steps <= 0).any():
-        row = int(np.argmax(steps <= 0))
-        what = "repeats" if steps[row] == 0 else "goes back"
-        raise InputError(
-            f"{where}: time {what} from {time[row]:.9g} to {time[row + 1]:.9g} s in row {first_row + row + 2}; it has "
-            "to increase: sort the rows and drop duplicates"
-        )
-
-
 def even_times(time: np.ndarray, positions: np.ndarray) -> np.ndarray | None:
     """Even times, where positions are smoother as functions of these than of their time stamps.
 
@@ -172,5 +156,4 @@ def normalise_quaternions(qpos: np.ndarray, model: mujoco.MjModel, where: str) -
                 f"row {row + 1}; expected 1, in the order qw, qx, qy, qz"
             )
         quat /= norm[:, None]
-        flips = np.cumsum(np.sum(quat[1:] * quat[:-1], axis=1) < 0) % 2 == 1
-        quat[1:][flips] *= -1
+        quat *= sign_flips(quat)[:, None]

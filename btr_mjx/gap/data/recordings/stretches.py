@@ -14,8 +14,7 @@ import numpy as np
 from btr_mjx.gap.data.columns.model_columns import model_columns, ungroup_columns
 from btr_mjx.gap.data.columns.plan import LogOptions, plan_tables, read_log
 from btr_mjx.gap.data.files.readers import reader_of
-from btr_mjx.gap.data.recordings.clocks import on_one_clock
-from btr_mjx.gap.data.recordings.rows import check_time
+from btr_mjx.gap.data.recordings.clocks import check_time, on_one_clock
 
 MAX_SAMPLES = 100_000
 """Number of samples of a dataset up to which all of them are used."""
@@ -102,7 +101,7 @@ def read_stretches(
       The columns of each stretch, in the order of time.
 
     Raises:
-      InputError: see `plan.read_log` and `rows.check_time`.
+      InputError: see `plan.read_log` and `clocks.check_time`.
       DamagedFile: the content does not parse.
       OSError: the file cannot be read.
     """
