@@ -40,7 +40,7 @@ def load(folder: str | Path, progress: ReadProgress | None = None) -> Dataset:
 
     Returns:
       The dataset, with all recordings loaded, or stretches of them where they have more than
-      `long_files.MAX_SAMPLES` samples together; a note says which share is used.
+      `stretches.MAX_SAMPLES` samples together; a note says which share is used.
 
     Raises:
       InputError: invalid content; one line with the value, its place and the remedy.

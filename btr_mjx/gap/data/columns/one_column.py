@@ -12,6 +12,8 @@ from btr_mjx.gap.data.columns.words import BASE, NEUTRAL, OTHER, TIME, component
 from btr_mjx.models import part_names
 
 Words = tuple[str, ...]
+_MOST_WORDS = 30
+"""Words of a name up to which some of them may be left out."""
 
 
 @dataclass
@@ -88,7 +90,7 @@ class ModelNames:
 
     def occurrences(self, said: Words) -> Iterator[tuple[Words, Words]]:
         """Aliases that occur in words, each with the other words."""
-        for size in range(len(said) + 1):
+        for size in range(min(len(said), max(map(len, self.aliases), default=0)) + 1):
             for at in range(len(said) - size + 1 if size else 1):
                 if (form := said[at : at + size]) in self.aliases:
                     yield form, said[:at] + said[at + size :]
@@ -118,6 +120,8 @@ def _unique(names: Sequence[str]) -> dict[Words, str]:
 
 def fillers(said: Words, names: ModelNames) -> set[Words]:
     """Unknown words of a column without which it would be the position, velocity, effort or command of a part."""
+    if len(said) > _MOST_WORDS:
+        return set()
     found = {rest for _, rest in names.occurrences(said)}
     found |= {said[:at] + said[at + 1 :] for at, word in enumerate(said) if word.isdigit()}
     return {unknown_words(rest) for rest in found if any(kind_of(frozenset(rest))) and not OTHER & set(rest)}
