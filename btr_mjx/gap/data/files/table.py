@@ -59,7 +59,10 @@ def log_table(
     columns: dict[str, np.ndarray] = {}
     stated: dict[str, str] = {}
     for name, array in arrays.items():
-        if array.ndim == 1 or name.partition("/")[0] in _MUJOCO:
+        kind = name.partition("/")[0]
+        if array.ndim == 2 and array.shape[1] == 1 and kind in ("time", "force", "sensor"):
+            array = array[:, 0]
+        if array.ndim == 1 or kind in _MUJOCO:
             keys = [name]
             columns[name] = array.astype(np.float64)
         else:

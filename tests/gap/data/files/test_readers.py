@@ -70,6 +70,21 @@ def test_what_is_no_reader_is_refused_with_its_package(
         open_dataset(folder_with(tmp_path, channels()))
 
 
+def test_columns_of_width_one_and_groups_in_npz(tmp_path: Path) -> None:
+    arrays = {
+        "time": LOG.time[:, None],
+        "qpos": LOG.qpos,
+        "sensor/a": LOG.ctrl[:, :1],
+        "sensor/b": LOG.ctrl,
+        "q": LOG.qpos,
+    }
+    np.savez(tmp_path / "log.npz", **arrays)
+    found = read_columns(tmp_path / "log.npz")
+    assert list(found) == ["time", "qpos", "sensor/a", "sensor/b/0", "sensor/b/1", "q/0", "q/1"]
+    np.testing.assert_array_equal(found["time"], LOG.time)
+    np.testing.assert_array_equal(found["qpos"], LOG.qpos)
+
+
 def test_tables_under_mujocos_names(tmp_path: Path) -> None:
     columns = {"time": LOG.time, "qpos/elbow": LOG.qpos[:, 1]}
     for suffix in ("csv", "parquet"):
