@@ -8,7 +8,7 @@ if there is one; a comment sign in front of the names is taken off. Everything b
 import csv
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from itertools import groupby
@@ -45,7 +45,7 @@ class Dialect:
       separator: between fields; " " stands for any number of spaces and tabs.
       decimal_comma: whether numbers have a comma.
       names: of the columns, "" where there is none; "1", "2", ... in a file without names.
-      units: of the columns, None where none is stated.
+      units: by name, of the columns that have one in a row of units.
       start: byte of the first row of numbers.
       comment: sign that begins a comment line, or None.
     """
@@ -53,14 +53,9 @@ class Dialect:
     separator: str
     decimal_comma: bool
     names: tuple[str, ...]
-    units: tuple[str | None, ...]
+    units: Mapping[str, str]
     start: int
     comment: str | None
-
-    @property
-    def stated_units(self) -> dict[str, str]:
-        """Units by name, of the columns that have one in the row of units."""
-        return {name: unit for name, unit in zip(self.names, self.units, strict=True) if name and unit}
 
 
 def read_dialect(path: Path) -> Dialect:
@@ -92,7 +87,8 @@ def read_dialect(path: Path) -> Dialect:
         if count > 1:
             raise InputError(f"{path}: column {name!r} occurs {count} times; keep one of them")
     start = sum(map(len, lines[:first]))
-    return Dialect(separator, decimal_comma, tuple(names), tuple(units), start, comment)
+    stated = {name: unit for name, unit in zip(names, units, strict=True) if name and unit}
+    return Dialect(separator, decimal_comma, tuple(names), stated, start, comment)
 
 
 def _decoded(line: bytes) -> str:
@@ -244,7 +240,7 @@ def read_text_table(path: Path) -> list[LogTable]:
     dialect = read_dialect(path)
     content = read_limited(path, MAX_TABLE_BYTES)
     check_listed(path, content)
-    return [frame_table(path, parse_rows(path, dialect, content[dialect.start :]), dialect.stated_units)]
+    return [frame_table(path, parse_rows(path, dialect, content[dialect.start :]), dialect.units)]
 
 
 def count_lines(path: Path) -> int:
@@ -263,7 +259,7 @@ def text_blocks(path: Path, advance: Callable[[int], None]) -> Iterator[LogTable
     for lines in _whole_lines(path, dialect.start, advance):
         frame = parse_rows(path, dialect, lines)
         if len(frame):
-            yield frame_table(path, frame, dialect.stated_units, first)
+            yield frame_table(path, frame, dialect.units, first)
             first += len(frame)
 
 
