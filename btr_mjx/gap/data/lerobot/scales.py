@@ -18,6 +18,7 @@ from btr_mjx.gap.data.columns.remedy import quoted
 from btr_mjx.gap.data.columns.words import words
 from btr_mjx.gap.data.lerobot.joints import heading, short
 from btr_mjx.gap.data.lerobot.steps import COUNTS, counted_step
+from btr_mjx.gap.data.lists import listed
 from btr_mjx.models import part_names
 from btr_mjx.runs import check_keys, is_number
 
@@ -38,8 +39,6 @@ _SHARES = (190 / COUNTS, 1.0)
 """Steps of a range of at most a turn and at least 200 counts, counted from -100 to 100."""
 _SLACK = np.radians(6.0)
 """How far a joint may seem to pass its limits: calibrations are by hand [rad]."""
-_WIDER = 0.05
-"""Part by which a gripper's range has to differ from the model's to be mentioned."""
 _INSIDE = 0.995
 """Share of the samples that has to lie inside a joint's limits."""
 
@@ -175,10 +174,10 @@ def _common_unit(
     elif len(known) and len(degrees) > len(known) / 2:
         chosen, why = "deg", f"values are multiples of 360/{COUNTS}, an encoder's count in degrees"
     elif differ:  # those of rounded numbers are alike
-        listed = ", ".join(f"{step:.4g} of {name}" for name, step in list(shares.items())[:3])
-        chosen, why = "range", f"an encoder's steps differ from joint to joint: {listed}"
+        counts = listed((f"{step:.4g} of {name}" for name, step in shares.items()), 3)
+        chosen, why = "range", f"an encoder's steps differ from joint to joint: {counts}"
     elif beyond:
-        chosen, why = "range", f"as degrees, {', '.join(beyond[:4])} would be beyond the joint's limits"
+        chosen, why = "range", f"as degrees, {listed(beyond)} would be beyond the joint's limits"
     else:
         notes.append(
             f"assumed: values of the dataset are degrees (they reach {reach[farthest]:.4g} and have no steps of an "
@@ -228,15 +227,13 @@ def _scale(
     low, high = map(float, model.jnt_range[joint])
     first, last = SPANS[unit]
     why = "its range in the model"
-    if step is not None and hinge and _SHARES[0] / 2 < step < _SHARES[1]:
+    # A gripper's scale matters less than that it keeps its limits.
+    if unit == "range" and step is not None and hinge and _SHARES[0] / 2 < step < _SHARES[1]:
         width = (last - first) / step * 2 * np.pi / COUNTS
+        middle = 0.0 if width > 2 * np.pi - 0.01 else (low + high) / 2  # a joint that turns freely has no middle
         counted = f"{width:.4g} rad by {(last - first) / step:.0f} counts of the encoder"
-        if unit == "range":
-            middle = 0.0 if width > 2 * np.pi - 0.01 else (low + high) / 2  # a joint that turns freely has no middle
-            why = f"{counted}; in the model {low:.4g} to {high:.4g}"
-            low, high = middle - width / 2, middle + width / 2
-        elif abs(width / (high - low) - 1) > _WIDER:  # a gripper's scale matters less than that it keeps its limits
-            why += f", though {counted}"
+        why = f"{counted}; in the model {low:.4g} to {high:.4g}"
+        low, high = middle - width / 2, middle + width / 2
     notes.append(f"{name}: {first:.0f} to {last:.0f} is {low:.4g} to {high:.4g} {'rad' if hinge else 'm'} ({why})")
     return JointScale(name, owner, unit, sign, ends=(low, high))
 
