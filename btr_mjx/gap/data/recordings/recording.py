@@ -78,7 +78,7 @@ class Recording:
         """(nv,) bool: which positions were measured."""
         return np.ones(self.model.nv, bool) if self.qpos_measured is None else self.qpos_measured
 
-    def part(self, rows: slice, split: Split, name: str) -> "Recording":
+    def part(self, rows: slice | np.ndarray, split: Split, name: str) -> "Recording":
         """A part of the recording, as a recording with another name and split."""
         return replace(
             self,
@@ -149,20 +149,25 @@ def make_recordings(
     parts = whole_parts(sound, flat["time"], MIN_SAMPLES, notes)
     if not parts:
         raise EmptyRecording(f"{where}: {notes[-1]}; expected at least {MIN_SAMPLES} samples in a row with all values")
-    return [
-        _recording(
-            {key: value[part] for key, value in flat.items()},
-            qpos[part],
-            ctrl[part],
-            model,
-            where,
-            name if len(parts) == 1 else f"{name} (part {i + 1})",
-            notes,
-            held,
-            unmeasured,
-        )
-        for i, part in enumerate(parts)
-    ]
+    measured, encoders = np.array([c in flat for c in velocities], bool), np.ones(model.nv, bool)
+    encoders[model.jnt_dofadr[unmeasured]] = False
+    whole = Recording(
+        name=name,
+        time=flat["time"],
+        ctrl=ctrl,
+        qpos=qpos,
+        qvel=np.stack([flat.get(c, np.zeros(len(sound))) for c in velocities], axis=1),
+        qvel_measured=measured,
+        split="fit",
+        model=model,
+        force={c.partition("/")[2]: v for c, v in flat.items() if c.startswith("force/")},
+        sensor={c.partition("/")[2]: v for c, v in flat.items() if c.startswith("sensor/")},
+        notes=tuple(notes),
+        held_commands=held,
+        qpos_measured=encoders,
+    )
+    names = [name if len(parts) == 1 else f"{name} (part {i + 1})" for i in range(len(parts))]
+    return [_estimated(whole.part(rows, "fit", own), unmeasured, where) for rows, own in zip(parts, names, strict=True)]
 
 
 def _with_even_times(table: dict[str, np.ndarray], model: mujoco.MjModel, notes: list[str]) -> dict[str, np.ndarray]:
@@ -178,59 +183,27 @@ def _with_even_times(table: dict[str, np.ndarray], model: mujoco.MjModel, notes:
     return table | {"time": times}
 
 
-def _recording(
-    flat: Mapping[str, np.ndarray],
-    qpos: np.ndarray,
-    ctrl: np.ndarray,
-    model: mujoco.MjModel,
-    where: str,
-    name: str,
-    notes: Sequence[str],
-    held: bool,
-    unmeasured: list[int],
-) -> Recording:
-    """The recording of rows without a hole."""
-    time, notes = flat["time"], list(notes)
-    check_span(time, where)
-    sent = None
-    fresh = fresh_rows(qpos)
+def _estimated(one: Recording, unmeasured: list[int], where: str) -> Recording:
+    """A recording without a hole, of its fresh rows, with estimates of what was not measured."""
+    check_span(one.time, where)
+    model, notes, fresh = one.model, list(one.notes), fresh_rows(one.qpos)
     if fresh is not None and len(fresh.rows) >= MIN_SAMPLES:
-        rate = (len(fresh.rows) - 1) / (time[fresh.rows[-1]] - time[0])
+        rate = (len(fresh.rows) - 1) / (one.time[fresh.rows[-1]] - one.time[0])
         notes.append(
             f"positions change every {fresh.every:.3g}th row only ({rate:.4g} Hz) and repeat in between: the fresh "
             "rows are used, commands in all rows"
         )
-        sent = time, ctrl
-        time, qpos, ctrl = time[fresh.rows], qpos[fresh.rows], ctrl[fresh.rows]
-        flat = {key: value[fresh.rows] for key, value in flat.items()}
-    velocities = state_columns(model)[1]
-    measured = np.array([c in flat for c in velocities])
-    qvel = np.empty((len(time), model.nv)) if measured.all() else estimate_velocity(model, time, qpos)
-    for i in np.flatnonzero(measured):
-        qvel[:, i] = flat[velocities[i]]
-    hidden = {part_names(model, "joint")[j] for j in unmeasured}
+        one = replace(one.part(fresh.rows, one.split, one.name), sent=(one.time, one.ctrl))
+    qvel = one.qvel
+    if not one.qvel_measured.all():
+        qvel = np.where(one.qvel_measured, qvel, estimate_velocity(model, one.time, one.qpos))
+    joints = part_names(model, "joint")
+    hidden = sorted(joints[j] for j in unmeasured)
     if hidden:
-        notes.append(f"joints without an encoder, whose states are estimated: {listed(sorted(hidden))}")
-    names = sorted({c.split("/")[1] for c, m in zip(velocities, measured, strict=True) if not m} - hidden)
+        notes.append(f"joints without an encoder, whose states are estimated: {listed(hidden)}")
+    names = sorted({joints[j] for j in model.dof_jntid[~one.qvel_measured]} - set(hidden))
     if names:
         notes.append(f"velocity estimated from positions: {listed(names)}")
-    encoders = np.ones(model.nv, bool)
     if unmeasured:
-        encoders[model.jnt_dofadr[unmeasured]] = False
-        estimate_motion(model, time, ctrl, qpos, qvel, unmeasured)
-    return Recording(
-        name=name,
-        time=time,
-        ctrl=ctrl,
-        qpos=qpos,
-        qvel=qvel,
-        qvel_measured=measured,
-        split="fit",
-        model=model,
-        force={c.partition("/")[2]: v for c, v in flat.items() if c.startswith("force/")},
-        sensor={c.partition("/")[2]: v for c, v in flat.items() if c.startswith("sensor/")},
-        notes=tuple(notes),
-        sent=sent,
-        held_commands=held,
-        qpos_measured=encoders,
-    )
+        estimate_motion(model, one.time, one.ctrl, one.qpos, qvel, unmeasured)
+    return replace(one, qvel=qvel, notes=tuple(notes))
