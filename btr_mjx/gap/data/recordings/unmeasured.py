@@ -13,6 +13,7 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns.model_columns import SUFFIXES
+from btr_mjx.gap.data.lists import listed
 from btr_mjx.models import between, part_names
 
 POSITION_SIGMA, VELOCITY_SIGMA = 0.01, 0.1
@@ -42,10 +43,8 @@ def unmeasured_joints(columns: Collection[str], model: mujoco.MjModel, where: st
         if parts is None and f"qpos/{name}" not in columns:
             out.append(joint)
     if out and len(out) == model.njnt:
-        raise InputError(
-            f"{where}: there is no column of a joint's position; expected qpos/{names[0]}"
-            + (f", qpos/{names[1]}, ..." if len(names) > 1 else "")
-        )
+        expected = listed(f"qpos/{name}" for name in names)
+        raise InputError(f"{where}: there is no column of a joint's position; expected {expected}")
     for joint in out:
         if f"qvel/{names[joint]}" in columns:
             raise InputError(
