@@ -99,8 +99,8 @@ class DiagnoseConfig:
     """With --check: print the findings as JSON."""
 
     effects: tuple[str, ...] = ("all",)
-    """Effects that may be named: "all", names of the library, or FILE.py:NAME for one of your own; "all FILE.py:NAME"
-    adds that to the library."""
+    """Effects that may be named: "all", names of the library or of effects of installed packages, or FILE.py:NAME for
+    one of your own; "all FILE.py:NAME" adds that to the library."""
     max_effects: int = 5
     """Name at most so many effects."""
     residual: bool = False

@@ -1,7 +1,8 @@
-"""Objects of a user's own Python files, named FILE.py:NAME."""
+"""Objects of others: of a user's own Python files, named FILE.py:NAME, and of installed packages (entry points)."""
 
 import importlib.util
 from functools import lru_cache
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,24 @@ def load_object(name: str, what: str) -> Any:
     if not hasattr(module, attribute):
         raise InputError(f"{what} {name!r}: {file} defines no {attribute!r}")
     return getattr(module, attribute)
+
+
+def installed_objects[T](group: str, kind: type[T]) -> dict[str, T]:
+    """Objects that installed packages offer in an entry point group, by the name of their entry point.
+
+    Raises:
+      InputError: an entry point that cannot be loaded, or that is no `kind`.
+    """
+    found = {}
+    for entry in entry_points(group=group):
+        who = f"entry point {entry.name} = {entry.value!r} of {entry.dist.name if entry.dist else group}"
+        try:
+            found[entry.name] = entry.load()
+        except Exception as error:
+            raise InputError(f"{who}: {type(error).__name__}: {error}; mend or remove that package") from error
+        if not isinstance(found[entry.name], kind):
+            raise InputError(f"{who}: got {type(found[entry.name]).__name__}, expected a {kind.__name__}")
+    return found
 
 
 @lru_cache(maxsize=32)

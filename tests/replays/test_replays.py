@@ -13,7 +13,7 @@ from robot_logs import ARM, simulated_log
 from btr_mjx import coevolve, diagnose
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, Recording, control_columns, open_dataset
-from btr_mjx.gap.data.columns import state_columns
+from btr_mjx.gap.data.columns.model_columns import state_columns
 from btr_mjx.gap.data.model_file import load_model
 from btr_mjx.gap.simulate import World
 from btr_mjx.models import base_model, light_meshes

@@ -2,18 +2,21 @@
 
 `open_dataset` detects the format of a folder, `open_logs` reads a model and logs. Both return a `Dataset`: the believed
 (nominal) model, its `Recording`s, the parameters that may be refitted (`models.PathParameter`) and the standard
-deviation of the sensor noise. `save_dataset` writes one.
+deviation of the sensor noise. `save_dataset` writes one. A `Reader` adds a format of files, which gives `LogTable`s.
 """
 
-from btr_mjx.gap.data.columns import control_columns, read_columns, state_columns
-from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, load, noise_of, read_header
-from btr_mjx.gap.data.held import Held, bends, held, stairs
-from btr_mjx.gap.data.inferred import open_logs
-from btr_mjx.gap.data.names.remedy import Answer, quoted
-from btr_mjx.gap.data.noise import Noise, estimate_noise, quantisation_noise, reduced_noise
-from btr_mjx.gap.data.recording import Recording, make_recording
-from btr_mjx.gap.data.sources import open_dataset
-from btr_mjx.gap.data.wraps import Wrap, find_wraps
+from btr_mjx.gap.data.columns.model_columns import control_columns, state_columns
+from btr_mjx.gap.data.columns.remedy import Answer, quoted
+from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, noise_of, read_header
+from btr_mjx.gap.data.files.readers import Reader, read_columns
+from btr_mjx.gap.data.files.table import LogTable, log_table
+from btr_mjx.gap.data.lists import listed
+from btr_mjx.gap.data.loading import load
+from btr_mjx.gap.data.opening import open_dataset, open_logs
+from btr_mjx.gap.data.recordings.held import Held, bends, held, stairs
+from btr_mjx.gap.data.recordings.noise import Noise, estimate_noise, quantisation_noise, reduced_noise
+from btr_mjx.gap.data.recordings.recording import Recording, make_recording
+from btr_mjx.gap.data.recordings.wraps import Wrap, find_wraps
 from btr_mjx.gap.data.writing import DatasetDescription, Format, save_dataset
 
 __all__ = [
@@ -24,7 +27,9 @@ __all__ = [
     "Format",
     "Held",
     "Interpolation",
+    "LogTable",
     "Noise",
+    "Reader",
     "Recording",
     "Wrap",
     "bends",
@@ -32,7 +37,9 @@ __all__ = [
     "estimate_noise",
     "find_wraps",
     "held",
+    "listed",
     "load",
+    "log_table",
     "make_recording",
     "noise_of",
     "open_dataset",

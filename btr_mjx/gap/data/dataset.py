@@ -11,7 +11,7 @@
     relative = false                    # true: the value is a factor on the number in each recording's model
 
     [[recording]]
-    file = "walk_1.csv"                 # any of `logs.LOG_SUFFIXES`; a list of files that were written together
+    file = "walk_1.csv"                 # or another format of `files`; a list of files of one time
     split = "fit"                       # or "test" (held out); default: the last third is held out
     model = "heavy.xml"                 # optional: its own model, with the same joints and actuators
     overrides = {"body:arm/mass" = 0.5} # optional: numbers that differ in this recording
@@ -23,13 +23,13 @@
     [tolerances]                        # optional: 1 sigma of residual calibration errors, by effect
     viscous_damping = 0.1
 
-    [columns]                           # optional: names of the log = names of the model, see `names`
+    [columns]                           # optional: names of the log = names of the model, see `columns`
     "Hip angle" = "qpos/hip"
 
     [units]                             # optional: units of columns whose names state none
     "Hip angle" = "deg"
 
-    [topics]                            # optional: of ROS recordings, see `formats.ros_bag`
+    [topics]                            # optional: of ROS recordings, see `files.ros_bag`
     joint_states = "/joint_states"
 
     [noise]                             # optional: 1 sigma of the sensors; default: estimated
@@ -44,8 +44,8 @@
 Velocities that were not measured are estimated by local cubic fits and marked in `Recording.qvel_measured`.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -53,20 +53,11 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data.formats.lerobot_scales import JointScale
-from btr_mjx.gap.data.formats.ros_bag import TOPICS
-from btr_mjx.gap.data.held import bends, stairs
-from btr_mjx.gap.data.logs import LogOptions
-from btr_mjx.gap.data.long_files import Advance, count_rows, shares
+from btr_mjx.gap.data.lerobot.scales import JointScale
 from btr_mjx.gap.data.model_file import load_model
-from btr_mjx.gap.data.names.remedy import Answer
-from btr_mjx.gap.data.names.units import UNITS, known_unit
-from btr_mjx.gap.data.noise import Noise, estimate_noise, read_noise, without_sensor
-from btr_mjx.gap.data.reading import Reading, read_recording, recording_files
-from btr_mjx.gap.data.recording import Recording
-from btr_mjx.gap.data.samples import estimate_velocity, velocity_lag
-from btr_mjx.gap.data.splits import assign_splits, split_parts
-from btr_mjx.models import PathParameter, difference, part_names, read_path_parameter
+from btr_mjx.gap.data.recordings.noise import Noise, estimate_noise, read_noise, without_sensor
+from btr_mjx.gap.data.recordings.recording import Recording
+from btr_mjx.models import PathParameter, read_path_parameter
 from btr_mjx.runs import check_keys, file_inside, is_number, read_toml, toml_rows, toml_section
 
 DATASET_FILE = "dataset.toml"
@@ -76,8 +67,6 @@ TABLES = ("model", "parameter", "recording", "control", "tolerances", "noise", "
 
 Interpolation = Literal["hold", "linear", "cubic"]
 """The command between two samples: that of the earlier one, a straight line, a cubic spline."""
-ReadProgress = Callable[[int, int], None]
-"""Called with the bytes that were read so far, and those of all files."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,172 +112,6 @@ class Dataset:
     def test(self) -> tuple[Recording, ...]:
         """Recordings with split "test" (held out)."""
         return tuple(r for r in self.recordings if r.split == "test")
-
-
-def load(folder: str | Path, progress: ReadProgress | None = None) -> Dataset:
-    """Read a dataset.
-
-    Args:
-      folder: the folder, or its dataset.toml.
-      progress: called while recordings are read.
-
-    Returns:
-      The dataset, with all recordings loaded, or stretches of them where they have more than
-      `long_files.MAX_SAMPLES` samples together; a note says which share is used.
-
-    Raises:
-      InputError: invalid content; one line with the value, its place and the remedy.
-      DamagedFile: a file that does not parse.
-      OSError: a file that cannot be read.
-    """
-    head, table = read_header(folder)
-    return load_table(head, table, head.folder / DATASET_FILE, progress)
-
-
-def load_table(
-    head: Dataset, table: Mapping[str, Any], path: Path, progress: ReadProgress | None = None, text: str = ""
-) -> Dataset:
-    """Read the recordings of a dataset whose header was read.
-
-    Args:
-      head: the dataset without recordings.
-      table: content of dataset.toml.
-      path: of dataset.toml, for messages.
-      progress: called while recordings are read.
-      text: of dataset.toml, where there is no such file yet.
-
-    Raises:
-      InputError, DamagedFile, OSError: see `load`.
-    """
-    notes = list(head.notes)
-    listed = toml_rows(table, "recording", path)
-    if not listed:
-        raise InputError(f'{path}: there is no [[recording]]; add one with file = "..."')
-    stated = table.get("control", {}).get("interpolation")
-    options = LogOptions(
-        _texts(table, "columns", path),
-        _topics(table, path, notes),
-        _unmeasured(table, head.model, path),
-        _units(table, path),
-        Answer(path, text),
-    )
-    reading = Reading(options, hold=stated in (None, "hold"))
-    places = [f"{path}: [[recording]] {i + 1}" for i in range(len(listed))]
-    files = [recording_files(row, head.folder, where) for row, where in zip(listed, places, strict=True)]
-    advance = _advance([file for group in files for file in group], progress)
-    rows = [max(count_rows(file) for file in group) for group in files]
-    groups = [
-        read_recording(head.folder, row, head.model, where, notes, share, advance, reading)
-        for row, where, share in zip(listed, places, shares(rows), strict=True)
-    ]
-    whole = sum(rows) == 0 or all(share is None for share in shares(rows))
-    groups = _without_lagging_velocities(groups, notes)
-    parts = _split(groups, [row.get("split") for row in listed], str(path), whole)
-    interpolation = head.interpolation if stated else _suitable_interpolation(parts, notes)
-    mended = replace(head, recordings=tuple(parts), notes=tuple(notes), interpolation=interpolation)
-    return replace(mended, sources=options.sources)
-
-
-def _without_lagging_velocities(groups: Sequence[Sequence[Recording]], notes: list[str]) -> list[list[Recording]]:
-    """The recordings, with velocities estimated where the measured ones lag the positions."""
-    model, lags, moves = groups[0][0].model, dict[int, float](), dict[int, np.ndarray]()
-    every = [one for group in groups for one in group]
-    # Displacements of a free or ball joint are in the directions of its velocities; those of a hinge are its angle.
-    for i, r in enumerate(every):
-        steps = difference(model, r.qpos[:-1], r.qpos[1:])
-        moves[i] = np.concatenate([np.zeros((1, model.nv)), np.cumsum(steps, 0)])
-    for dof in range(model.nv):
-        tracks = [(r.time, moves[i][:, dof], r.qvel[:, dof]) for i, r in enumerate(every) if r.qvel_measured[dof]]
-        if tracks and (lag := velocity_lag(tracks)):
-            lags[dof] = lag
-    if not lags:
-        return [list(group) for group in groups]
-    names = part_names(model, "joint")
-    for word, own in (("lag", [v for v in lags if lags[v] > 0]), ("lead", [v for v in lags if lags[v] < 0])):
-        if own:
-            size = 1e3 * np.abs([lags[v] for v in own])
-            apart = f" ({size.min():.3g} to {size.max():.3g} ms)" if len(own) > 1 else ""
-            notes.append(
-                f"velocities {word} the slope of the positions by {np.median(size):.3g} ms{apart}, as behind a filter: "
-                f"they are left out ({', '.join(dict.fromkeys(names[model.dof_jntid[v]] for v in own))})"
-            )
-    dofs = list(lags)
-
-    def mended(one: Recording) -> Recording:
-        measured, qvel = one.qvel_measured.copy(), one.qvel.copy()
-        measured[dofs], qvel[:, dofs] = False, estimate_velocity(one.model, one.time, one.qpos)[:, dofs]
-        return replace(one, qvel=qvel, qvel_measured=measured)
-
-    return [[mended(one) for one in group] for group in groups]
-
-
-def _suitable_interpolation(recordings: Sequence[Recording], notes: list[str]) -> Interpolation:
-    """The interpolation of commands for which dataset.toml names none."""
-    if any(one.held_commands for one in recordings):
-        notes.append('commands come at a rate of their own: interpolation = "hold" was chosen')
-        return "hold"
-    found = stairs([r.commands[1] for r in recordings])
-    if found is None:
-        return "cubic" if bends([r.commands for r in recordings]) else "linear"
-    notes.append(
-        f"commands are stairs (they change every {found.every:.3g}th row, never in two rows that follow each other): "
-        'interpolation = "hold" is used; put it into [control] to say so'
-    )
-    return "hold"
-
-
-def _texts(table: Mapping[str, Any], key: str, path: Path) -> Mapping[str, str]:
-    found = table.get(key, {})
-    if not isinstance(found, Mapping) or not all(isinstance(value, str) for value in found.values()):
-        raise InputError(f'{path}: [{key}]: expected lines of "NAME" = "NAME", got {found!r}')
-    return found
-
-
-def _units(table: Mapping[str, Any], path: Path) -> Mapping[str, str]:
-    """Units by name in the log, as `UNITS` names them."""
-    found = {name: known_unit(text) for name, text in _texts(table, "units", path).items()}
-    for name, unit in found.items():
-        if unit is None:
-            raise InputError(f"{path}: [units] {name!r} = {table['units'][name]!r}: expected one of {', '.join(UNITS)}")
-    return {name: unit for name, unit in found.items() if unit}
-
-
-def _unmeasured(table: Mapping[str, Any], model: mujoco.MjModel, path: Path) -> Sequence[str]:
-    """Names of the joints that are said to have no encoder."""
-    found, names = toml_section(table, "model", path).get("unmeasured", []), part_names(model, "joint")
-    if not isinstance(found, list) or not all(name in names for name in found):
-        raise InputError(f"{path}: [model] unmeasured = {found!r}: expected a list of joints, of {', '.join(names)}")
-    return found
-
-
-def _topics(table: Mapping[str, Any], path: Path, notes: list[str]) -> Mapping[str, str]:
-    found = _texts(table, "topics", path)
-    check_keys(found, tuple(TOPICS), f"{path}: [topics]", notes)
-    return found
-
-
-def _advance(files: Sequence[Path], progress: ReadProgress | None) -> Advance:
-    """Adds up the bytes that were read."""
-    total, done = sum(file.stat().st_size for file in files if file.is_file()), 0
-
-    def advance(count: int) -> None:
-        nonlocal done
-        done += count
-        if progress is not None:
-            progress(done, total)
-
-    advance(0)
-    return advance
-
-
-def _split(groups: Sequence[Sequence[Recording]], given: Sequence[Any], where: str, whole: bool) -> list[Recording]:
-    """Recordings with their split, see `assign_splits`; that of a recording is that of its parts or stretches."""
-    if len(groups) == 1 and given[0] is None and whole:
-        return split_parts(groups[0], where)
-    if len(groups) == 1 and given[0] is None:
-        return assign_splits(groups[0], [None] * len(groups[0]), where)
-    first = assign_splits([group[0] for group in groups], given, where)
-    return [replace(one, split=side.split) for group, side in zip(groups, first, strict=True) for one in group]
 
 
 def read_header(folder: str | Path, more: Sequence[str] = ()) -> tuple[Dataset, dict[str, Any]]:

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data.columns import control_columns, state_columns
+from btr_mjx.gap.data.columns.model_columns import control_columns, state_columns
 from btr_mjx.gap.data.dataset import DATASET_FILE, Interpolation
-from btr_mjx.gap.data.noise import Noise, noise_as_table
-from btr_mjx.gap.data.recording import Recording
+from btr_mjx.gap.data.recordings.noise import Noise, noise_as_table
+from btr_mjx.gap.data.recordings.recording import Recording
 from btr_mjx.models import PathParameter
 from btr_mjx.runs import atomic_write, write_arrays, write_table
 
@@ -90,24 +89,14 @@ def save_dataset(
     if len(set(names)) < len(names):
         raise InputError(f"recordings: got the names {', '.join(names)}, expected different ones")
     _write_text(folder / "model.xml", xml)
-    lines = [
-        "[model]",
-        'file = "model.xml"',
-        "",
-        "[control]",
-        f"interpolation = {json.dumps(description.interpolation)}",
-    ]
-    noise_table = None if noise is None else _noise(noise, recordings)
+    lines = ["[model]", 'file = "model.xml"', "", "[control]", *_pairs({"interpolation": description.interpolation})]
+    noise_table = None if noise is None else noise_as_table(noise, recordings[0].model)
     for title, table in (("tolerances", description.tolerances), ("noise", noise_table)):
         if table:
             lines += ["", f"[{title}]", *_pairs(table)]
     for believed in description.parameters:
-        entry: dict[str, Any] = {
-            "name": believed.name,
-            "path": list(believed.paths),
-            "bounds": [believed.low, believed.high],
-        }
-        lines += ["", "[[parameter]]", *_pairs(entry | ({"relative": True} if believed.relative else {}))]
+        entry = {"name": believed.name, "path": list(believed.paths), "bounds": [believed.low, believed.high]}
+        lines += ["", "[[parameter]]", *_pairs(entry | {"relative": believed.relative})]
     for recording in recordings:
         file = f"{recording.name}.{file_format}"
         columns = recording_columns(recording)
@@ -124,11 +113,6 @@ def save_dataset(
             lines += [f"overrides = {{ {', '.join(_pairs(overrides[recording.name]))} }}"]
     _write_text(folder / DATASET_FILE, "\n".join(lines) + "\n")
     return folder / DATASET_FILE
-
-
-def _noise(noise: Noise, recordings: Sequence[Recording]) -> Mapping[str, float]:
-    model: mujoco.MjModel = recordings[0].model
-    return noise_as_table(noise, model)
 
 
 def _pairs(table: Mapping[str, Any]) -> list[str]:

@@ -9,7 +9,14 @@ from btr_mjx.gap.effects.effect import Candidate, Effect, Parameter, candidates
 from btr_mjx.gap.effects.hypothesis import Hypothesis, believed_steps
 from btr_mjx.gap.effects.law_dictionary import LAW_EFFECTS, LAWS, equation_of, law_effect
 from btr_mjx.gap.effects.law_terms import LawState, LawTerm, Tried
-from btr_mjx.gap.effects.library import EFFECTS, KNOWN_EFFECTS, custom_effect_code, of_forces, selected_effects
+from btr_mjx.gap.effects.library import (
+    EFFECTS,
+    KNOWN_EFFECTS,
+    custom_effect_code,
+    known_effects,
+    of_forces,
+    selected_effects,
+)
 from btr_mjx.gap.effects.links import link_of
 from btr_mjx.gap.effects.per_member import EACH_MEMBER, per_member
 from btr_mjx.gap.effects.places import (
@@ -57,6 +64,7 @@ __all__ = [
     "has_closed_loops",
     "joint_of",
     "joint_places",
+    "known_effects",
     "law_effect",
     "link_of",
     "of_forces",

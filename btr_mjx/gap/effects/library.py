@@ -19,6 +19,7 @@ Changes of model fields are also written into the mended model. Terms that depen
 """
 
 from collections.abc import Sequence
+from importlib.metadata import entry_points
 from pathlib import Path
 
 from btr_mjx.errors import InputError
@@ -32,13 +33,29 @@ from btr_mjx.gap.effects.law_dictionary import LAW_EFFECTS
 from btr_mjx.gap.effects.motors import MOTOR_EFFECTS
 from btr_mjx.gap.effects.similar import SIMILAR_EFFECTS
 from btr_mjx.models import nearest_names
-from btr_mjx.runs import load_object
+from btr_mjx.runs import installed_objects, load_object
 
 EFFECTS: tuple[Effect, ...] = (*FRICTION_EFFECTS, *JOINT_EFFECTS, *ACTUATOR_EFFECTS, *BODY_EFFECTS, *GROUND_EFFECTS)
 """Effects that are searched by default."""
 
 KNOWN_EFFECTS: tuple[Effect, ...] = (*EFFECTS, *MOTOR_EFFECTS, *SIMILAR_EFFECTS, *LAW_EFFECTS)
 """All effects that can be selected by name: with those of motors, some that are easily mistaken for them, and laws."""
+
+
+def known_effects() -> dict[str, Effect]:
+    """Effects that can be selected, by name: `KNOWN_EFFECTS`, and those of installed packages.
+
+    A package adds effects in the entry point group `btr_mjx.effects`; each entry point names an `Effect`.
+
+    Raises:
+      InputError: an entry point that cannot be loaded, or whose effect has a name of the library.
+    """
+    known = {effect.name: effect for effect in KNOWN_EFFECTS}
+    for entry, effect in installed_objects("btr_mjx.effects", Effect).items():
+        if effect.name in known:
+            raise InputError(f"entry point {entry}: the effect {effect.name!r} is there already; give it another name")
+        known[effect.name] = effect
+    return known
 
 
 def of_forces(effects: Sequence[Effect]) -> tuple[tuple[Effect, ...], tuple[Effect, ...]]:
@@ -60,7 +77,7 @@ def selected_effects(names: Sequence[str]) -> tuple[Effect, ...]:
     """Effects by name.
 
     Args:
-      names: "all", names of the library, or FILE.py:NAME.
+      names: "all", names of the library or of effects of installed packages, or FILE.py:NAME.
 
     Returns:
       The effects, each once.
@@ -68,7 +85,7 @@ def selected_effects(names: Sequence[str]) -> tuple[Effect, ...]:
     Raises:
       InputError: an unknown name, or a file without such an effect.
     """
-    known = {effect.name: effect for effect in KNOWN_EFFECTS}
+    known = known_effects()
     chosen: dict[str, Effect] = {}
     for name in names:
         if name == "all":
@@ -86,8 +103,10 @@ def selected_effects(names: Sequence[str]) -> tuple[Effect, ...]:
 
 
 def custom_effect_code(names: Sequence[str]) -> bytes:
-    """Content of the files of user-defined effects, part of the key of `simulate.Journal`."""
-    return b"".join(Path(name.rpartition(":")[0]).read_bytes() for name in names if ".py:" in name)
+    """Files of user-defined effects and versions of installed ones, part of the key of `simulate.Journal`."""
+    own = [Path(name.rpartition(":")[0]).read_bytes() for name in names if ".py:" in name]
+    entries = sorted(entry_points(group="btr_mjx.effects"))
+    return b"".join([*own, *(f"{entry.value} {entry.dist and entry.dist.version}".encode() for entry in entries)])
 
 
 def _own_effect(name: str) -> Effect:

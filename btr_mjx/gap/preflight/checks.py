@@ -11,11 +11,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data import Dataset, Noise, noise_of
+from btr_mjx.gap.data import Dataset, Noise, listed, noise_of
 from btr_mjx.gap.preflight.conventions import position_conventions
 from btr_mjx.gap.preflight.drift import clock_drift
 from btr_mjx.gap.preflight.excitation import NO_GROUND, JointTrack, joint_tracks, moves, unexcited_effects
-from btr_mjx.gap.preflight.findings import DEGREES_REMEDY, Finding, Level, listed
+from btr_mjx.gap.preflight.findings import DEGREES_REMEDY, Finding, Level
 from btr_mjx.gap.preflight.repeats import angle_jumps, held_commands, held_positions
 from btr_mjx.gap.preflight.stability import stability
 from btr_mjx.gap.preflight.timing import response_delays, sampling

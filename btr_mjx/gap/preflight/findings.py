@@ -1,13 +1,11 @@
 """Findings of the checks: one line about a dataset, with a level, numbers and a remedy."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
 Level = Literal["error", "warning", "note"]
 DEGREES_REMEDY = 'angles are in rad: name the column ..._deg, or put "COLUMN" = "deg" into [units] of dataset.toml'
-_MAX_NAMES = 6
-"""Names listed in one finding; the rest is counted."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +27,3 @@ class Finding:
     remedy: str = ""
     evidence: Mapping[str, float] = field(default_factory=dict)
     lines: tuple[str, ...] = ()
-
-
-def listed(names: Sequence[str]) -> str:
-    """Names separated by commas; after `_MAX_NAMES` only their count."""
-    return ", ".join(names[:_MAX_NAMES]) + (f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else "")

@@ -6,7 +6,7 @@ from itertools import permutations
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.data import DATASET_FILE, Answer, Dataset, control_columns, quoted, state_columns
+from btr_mjx.gap.data import DATASET_FILE, Answer, Dataset, control_columns, listed, quoted, state_columns
 from btr_mjx.gap.preflight.predictions import Change
 from btr_mjx.models import part_names
 
@@ -46,8 +46,7 @@ def joint_orders(
     for words, one in found:
         if one not in seen:
             seen.append(one)
-            listed = ", ".join(names[j] for j in one[:8]) + (", ..." if len(one) > 8 else "")
-            yield f"{words}: {listed}", one
+            yield f"{words}: {listed(names[j] for j in one)}", one
 
 
 def column_lines(dataset: Dataset, change: Change) -> tuple[str, ...]:

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from btr_mjx.gap.data import Dataset, find_wraps, held, stairs
-from btr_mjx.gap.preflight.findings import Finding, listed
+from btr_mjx.gap.data import Dataset, find_wraps, held, listed, stairs
+from btr_mjx.gap.preflight.findings import Finding
 from btr_mjx.models import part_names
 
 _MIN_STEPS = 20

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from btr_mjx.gap.data import Dataset, Recording
+from btr_mjx.gap.data import Dataset, Recording, listed
 from btr_mjx.gap.preflight.excitation import JointTrack
-from btr_mjx.gap.preflight.findings import Finding, listed
+from btr_mjx.gap.preflight.findings import Finding
 from btr_mjx.models import part_names
 
 _SLOWEST = 0.5

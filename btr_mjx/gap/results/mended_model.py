@@ -25,7 +25,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.effects import KNOWN_EFFECTS, RESIDUAL, Effect, Place, ResidualTable, Scales
+from btr_mjx.gap.effects import KNOWN_EFFECTS, RESIDUAL, Effect, Place, ResidualTable, Scales, known_effects
 from btr_mjx.gap.results.transcribe import changed_numbers, normalised, write_changes
 from btr_mjx.gap.simulate import Command, Rows, World
 from btr_mjx.models import nearest_names, read_field, set_values
@@ -195,6 +195,7 @@ def resolve_effect(
       InputError: a name that the library or the model does not have; the message lists the nearest.
     """
     library = {effect.name: effect for effect in effects}
+    library = library if found.effect in library else known_effects() | library
     if found.effect not in library:
         raise InputError(
             f"effect {found.effect!r} is not in the library; nearest: {nearest_names(found.effect, [*library])}"

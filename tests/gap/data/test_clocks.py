@@ -11,11 +11,11 @@ from robot_logs import ARM, FLOATER, simulated_log
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import load
-from btr_mjx.gap.data.clocks import CLOSE, on_one_clock
-from btr_mjx.gap.data.columns import state_columns
-from btr_mjx.gap.data.recording import make_recordings
-from btr_mjx.gap.data.samples import MAX_PARTS, whole_parts
-from btr_mjx.gap.data.splits import split_parts
+from btr_mjx.gap.data.columns.model_columns import state_columns
+from btr_mjx.gap.data.recordings.clocks import CLOSE, on_one_clock
+from btr_mjx.gap.data.recordings.recording import make_recordings
+from btr_mjx.gap.data.recordings.rows import MAX_PARTS, whole_parts
+from btr_mjx.gap.data.recordings.splits import split_parts
 from btr_mjx.runs import write_table
 
 MODEL, FLOATING = mujoco.MjModel.from_xml_string(ARM), mujoco.MjModel.from_xml_string(FLOATER)

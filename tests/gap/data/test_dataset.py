@@ -11,8 +11,8 @@ from gap_recordings import COUNT, MODEL, XML, smooth_recording
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import DatasetDescription, Format, Noise, control_columns, load, noise_of, save_dataset
-from btr_mjx.gap.data.columns import state_columns
-from btr_mjx.gap.data.samples import estimate_velocity
+from btr_mjx.gap.data.columns.model_columns import state_columns
+from btr_mjx.gap.data.recordings.velocities import estimate_velocity
 from btr_mjx.gap.data.writing import recording_columns
 from btr_mjx.models import PathParameter, parse_path, part_names, set_values
 from btr_mjx.runs import write_arrays

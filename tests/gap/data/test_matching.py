@@ -6,9 +6,9 @@ import pytest
 from robot_logs import ARM, FLOATER
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data.names.matching import match_columns
-from btr_mjx.gap.data.names.required import check_matched
-from btr_mjx.gap.data.names.units import TIME_UNITS, conversion, stated_unit, time_unit, to_seconds
+from btr_mjx.gap.data.columns.matching import match_columns
+from btr_mjx.gap.data.columns.required import check_matched, may_be
+from btr_mjx.gap.data.columns.units import TIME_UNITS, conversion, stated_unit, time_unit, to_seconds
 
 MODEL, FLOATING = mujoco.MjModel.from_xml_string(ARM), mujoco.MjModel.from_xml_string(FLOATER)
 DRIVES = (
@@ -87,6 +87,82 @@ def test_a_prefix_between_quantity_and_joint_does_not_count() -> None:
         assert names_of(["time", *columns], model) == {"time": "time", **expected}
         two_robots = [*columns, form.format("position", 1).replace("lbr", "old")]
         assert names_of(["time", *two_robots], model) == {"time": "time"}
+
+
+@pytest.mark.parametrize("form", ["{kind}_robot1_{joint}", "left/arm/{kind}_{joint}", "/north/{kind}/arm1/{joint}"])
+def test_unknown_words_do_not_count_where_all_names_match_without_them(form: str) -> None:
+    columns = {form.format(kind=k, joint=j): f"{t}/{j}" for k, t in KINDS for j in ("shoulder", "elbow")}
+    found = match_columns([("log", ["t", *columns, "battery"])], MODEL, {}, "log.csv")
+    assert {column: target for (_, column), target in found.names.items()} == {"t": "time", **columns}
+    assert any("in names of columns does not count" in note for note in found.notes)
+
+
+KINDS = (("q", "qpos"), ("dq", "qvel"), ("cmd", "ctrl"))
+
+
+@pytest.mark.parametrize("other", ["error", "temperature", "max"])
+def test_words_of_other_quantities_count(other: str) -> None:
+    found = names_of(["t", *(f"q_{other}_{joint}" for joint in ("shoulder", "elbow")), "u1", "u2"])
+    assert set(found.values()) == {"time", "ctrl/shoulder", "ctrl/elbow"}
+
+
+def test_of_two_robots_none_is_taken() -> None:
+    columns = [f"{side}_{kind}_{j}" for side in ("left", "right") for kind in ("q", "u") for j in ("shoulder", "elbow")]
+    assert names_of(["t", *columns]) == {"t": "time"}
+    assert len(names_of(["t", *columns[:4]])) == 5
+
+
+ONE_JOINT = ARM[: ARM.index('<body name="lower"')] + "</body></worldbody><actuator>{}</actuator></mujoco>"
+MOTOR, SERVO = (
+    mujoco.MjModel.from_xml_string(ONE_JOINT.format(f'<{kind} name="drive" joint="shoulder"{more}/>'))
+    for kind, more in (("motor", ""), ("position", ' kp="5"'))
+)
+
+
+@pytest.mark.parametrize(
+    ("model", "columns"),
+    [
+        (MOTOR, {"t": "time", "position": "qpos/shoulder", "velocity": "qvel/shoulder", "torque": "ctrl/drive"}),
+        (MOTOR, {"time": "time", "theta [deg]": "qpos/shoulder", "omega": "qvel/shoulder", "u": "ctrl/drive"}),
+        (SERVO, {"t": "time", "pos": "qpos/shoulder", "goal_pos": "ctrl/drive", "torque": "force/drive"}),
+        (SERVO, {"t": "time", "motor.position": "qpos/shoulder", "motor.target": "ctrl/drive"}),
+    ],
+)
+def test_the_only_joint_needs_no_name(model: mujoco.MjModel, columns: dict[str, str]) -> None:
+    assert names_of([*columns, "battery", "state", "temperature"], model) == columns
+    tables = [("log", [*columns])]
+    check_matched(match_columns(tables, model, {}, "x"), tables, model, "x")
+
+
+def test_suggestions_fit_in_unit_and_quantity() -> None:
+    columns = [
+        "t",
+        "shoulder",
+        "elbw_vel",
+        "elbw_pos [rad]",
+        "elbow1 [rpm]",
+        "elbow_current",
+        "elbw_cmd",
+        "cmd_shoulder",
+    ]
+    tables = [("log", columns)]
+    with pytest.raises(InputError) as raised:
+        check_matched(match_columns(tables, MODEL, {}, "x"), tables, MODEL, "x")
+    lines = "\n".join(raised.value.lines)
+    assert '"NAME 1" = "qpos/elbow"  # nearest: \'elbw_pos [rad]\'\n' in lines
+    assert '"NAME 2" = "ctrl/elbow"  # nearest: \'elbw_cmd\'\n' in lines
+    assert [may_be(column, "time", MODEL) for column in ("clock", "elbw_pos", "x [rad]", "x [ms]")] == [1, 0, 0, 1]
+    assert not may_be("x", "qpos/elbow", MODEL, "nm")
+
+
+def test_lists_in_messages_are_whole_or_say_how_much_is_missing() -> None:
+    for count in (30, 41):
+        tables = [("log", ["t", *(f"channel{i}" for i in range(count - 1))])]
+        with pytest.raises(InputError) as raised:
+            check_matched(match_columns(tables, MODEL, {}, "x"), tables, MODEL, "x")
+        assert "..." not in str(raised.value)
+        assert str(raised.value).count("channel") == 29
+        assert ("and 11 more" in str(raised.value)) == (count == 41)
 
 
 def test_numbers_of_joints_win_over_their_order() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import open_dataset
-from btr_mjx.gap.data.formats.servo import Servo, load_servo, servo_xml
+from btr_mjx.gap.data.servo import Servo, load_servo, servo_xml
 
 NOMINAL = Servo(kt=0.4, resistance=3.0, error_gain=0.003, armature=0.002, viscous_friction=0.001, arm_mass=0.03)
 SETTING = {"mass": 0.5, "length": 0.1, "kp": 200, "vin": 7.4}

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 from gap_models import MODELS, inertia, load, moderate, one, windows
+from installed_packages import install
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.effects import (
@@ -16,9 +17,12 @@ from btr_mjx.gap.effects import (
     Parameter,
     Scales,
     candidates,
+    custom_effect_code,
     joint_places,
+    selected_effects,
 )
 from btr_mjx.gap.effects.joints import ARMATURE
+from btr_mjx.gap.results.mended_model import FoundEffect, resolve_effect
 from btr_mjx.gap.results.transcribe import normalised, write_changes
 from btr_mjx.gap.simulate import Rows, World, differing_fields, simulate
 
@@ -221,3 +225,22 @@ def test_user_defined_effect() -> None:
         one(model, "gust@all", effects).apply(World.of(model), [0.1, 0.2])
     with pytest.raises(InputError, match="null"):
         Parameter("coefficient", "1", 1.0, 2.0, 0.1)
+
+
+def test_effects_of_installed_packages_are_selected_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = "import dataclasses, btr_mjx.gap.effects as e\nmine = dataclasses.replace(e.EFFECTS[0], name={})"
+    with pytest.raises(InputError, match="'own' is not in the library"):
+        selected_effects(("own",))
+    before = custom_effect_code(("all",))
+    install(tmp_path / "a", monkeypatch, "own_effects", code.format("'own'"), "btr_mjx.effects", "a = own_effects:mine")
+    assert [effect.name for effect in selected_effects(("all", "own"))] == [*(e.name for e in EFFECTS), "own"]
+    assert custom_effect_code(("all",)) != before
+    model = load("pendulum")
+    candidate = candidates(model, Scales.of(model), selected_effects(("own",)))[0]
+    values = dict(zip([p.name for p in candidate.parameters], moderate(candidate), strict=True))
+    found = FoundEffect("own", candidate.place.label, values)
+    assert resolve_effect(model, found, EFFECTS)[0].name == "own"  # as a mended model is read again
+    twice = code.format("e.EFFECTS[1].name")
+    install(tmp_path / "b", monkeypatch, "twice", twice, "btr_mjx.effects", "b = twice:mine")
+    with pytest.raises(InputError, match="is there already; give it another name"):
+        selected_effects(("all",))

@@ -1,0 +1,77 @@
+"""What to write into dataset.toml where columns cannot be matched by their names."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from btr_mjx.errors import InputError, command_line
+from btr_mjx.models import nearest_names
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The dataset.toml in which a user says what the columns of a log are.
+
+    Attributes:
+      file: where it is, or has to be written.
+      head: what it begins with where there is none yet: the model and the recordings.
+    """
+
+    file: Path = Path("dataset.toml")
+    head: str = ""
+
+    def asked(self, message: str, near: Mapping[str, Sequence[str]], joints: Sequence[str] = ()) -> InputError:
+        """The error that asks for columns.
+
+        Args:
+          message: what is wrong, in one line.
+          near: columns of the file that may be it, by each column of the model for which one has to be named.
+          joints: those that may have no encoder.
+
+        Returns:
+          An error with the lines to write and the command to run then.
+        """
+        lines = [
+            f'"NAME {i}" = {quoted(target)}  # nearest: {nearest_names(target.partition("/")[2] or target, columns)}'
+            for i, (target, columns) in enumerate(near.items(), 1)
+        ]
+        return self.error(message, lines, joints)
+
+    def error(self, message: str, lines: Sequence[str], joints: Sequence[str] = ()) -> InputError:
+        """An error with lines of the table [columns].
+
+        Args:
+          message: what is wrong, in one line.
+          lines: of the table.
+          joints: that may have no encoder.
+        """
+        fill = "with names of the file in place of NAME 1, ..." if any("NAME " in line for line in lines) else ""
+        without = [
+            f"(a joint without an encoder has no line there, but below [model]: unmeasured = [{quoted(joint)}])"
+            for joint in joints[:1]
+        ]
+        block = self.lines(["[columns]", *lines], fill, without)
+        return InputError(f"{message}; name them in [columns] of {self.file}", lines=block)
+
+    def lines(self, tables: Sequence[str], fill: str = "", more: Sequence[str] = ()) -> list[str]:
+        """What to write into the file, and to run then.
+
+        Args:
+          tables: lines of TOML.
+          fill: what is to be put in place of names that are left open.
+          more: lines that explain.
+        """
+        where = f"Write this to {self.file}" if self.head else f"Add this to {self.file}"
+        head = [*self.head.rstrip().splitlines(), ""] if self.head else []
+        run = f"then run: {command_line('btr_mjx.diagnose', [str(self.file.parent)])}"
+        return [f"{where}{f', {fill}' if fill else ''}:", "", *head, *tables, "", *more, run]
+
+
+NO_FILE = Answer()
+"""Where nothing is known of a dataset.toml."""
+
+
+def quoted(text: str) -> str:
+    """A text as a string of TOML."""
+    return json.dumps(text, ensure_ascii=False)

@@ -1,0 +1,96 @@
+"""Whether the columns of a log are all that a model needs; what is missing is asked for at once."""
+
+from collections.abc import Collection, Mapping, Sequence
+
+import mujoco
+
+from btr_mjx.gap.data.columns.matching import Matched, Tables
+from btr_mjx.gap.data.columns.model_columns import check_spelling, check_velocities, model_columns
+from btr_mjx.gap.data.columns.one_column import commanded
+from btr_mjx.gap.data.columns.remedy import NO_FILE, Answer
+from btr_mjx.gap.data.columns.units import UNITS, quantity_of, stated_unit
+from btr_mjx.gap.data.columns.words import OTHER, TIME, kind_of, words
+from btr_mjx.gap.data.lists import listed
+
+
+def check_matched(
+    matched: Matched,
+    tables: Tables,
+    model: mujoco.MjModel,
+    where: str,
+    unmeasured: Collection[str] = (),
+    answer: Answer = NO_FILE,
+    units: Mapping[str, str] | None = None,
+) -> None:
+    """Check that every required column of a model was found, and no name misspelt.
+
+    A hinge or slide without a column has no encoder only where that is said, or where no column of the log is left
+    that may be its own.
+
+    Args:
+      matched: the matches.
+      tables: label and column names of each table.
+      model: the model.
+      where: file, for messages.
+      unmeasured: names of joints that are said to have no encoder.
+      answer: where a user says what columns are.
+      units: that the file states beside the names, by column.
+
+    Raises:
+      InputError: required columns that are absent, all of them, with the lines of dataset.toml that name them; or a
+        column of an unknown joint or actuator.
+    """
+
+    def near(targets: Sequence[str], columns: Sequence[str]) -> dict[str, list[str]]:
+        return {target: [c for c in columns if may_be(c, target, model, (units or {}).get(c))] for target in targets}
+
+    found = set(matched.names.values())
+    known = [column for _, columns in tables for column in columns]
+    for i, (_, columns) in enumerate(tables):
+        check_spelling([column for column in columns if (i, column) not in matched.names], model, where)
+        used = [target for (table, _), target in matched.names.items() if table == i]
+        if used and "time" not in used:
+            message = f"{where}: there is no column 'time' beside {listed(columns, quotes=True)}"
+            raise answer.asked(message, near(["time"], columns))
+    named = {column for _, column in matched.names}
+    free = [name for name in known if name not in named]
+    missing, hidden = [] if "time" in found else ["time"], list[str]()
+    families = model_columns(model)
+    for column in [*families["qpos"], *families["ctrl"]]:
+        kind, _, name = column.partition("/")
+        if not {column, kind, f"{kind}/{name.rpartition('/')[0]}"} & found:
+            if kind == "qpos" and "/" not in name:
+                if name in unmeasured or not free:
+                    continue
+                hidden.append(name)
+            missing.append(column)
+    if missing:
+        message = (
+            f"{where}: there is no column {listed(missing, quotes=True)}; columns of the file: "
+            f"{listed(known, quotes=True)}"
+        )
+        raise answer.asked(message, near(missing, free or known), hidden)
+    check_velocities(found, model, where)
+
+
+def may_be(column: str, target: str, model: mujoco.MjModel, unit: str | None = None) -> bool:
+    """Whether a column of a log may be a column of a model, by the unit and the quantity that it states.
+
+    Args:
+      column: name in the log.
+      target: name of the model.
+      model: the model.
+      unit: of the column, where the file states it beside the name.
+    """
+    name, own = stated_unit(column)
+    said, quantity = frozenset(words(name)), quantity_of(target, model)
+    unit = unit or own
+    if unit and quantity and UNITS[unit][0] != quantity:
+        return False
+    if target == "time" or said & set(TIME):
+        return target == "time" and not any(kind_of(said))
+    command, kind = kind_of(said)
+    if target.startswith("ctrl/"):
+        drive = commanded(model, target.removeprefix("ctrl/"))
+        return kind in (None, drive) and (command or kind is None or drive == "effort") and not said & OTHER
+    return not command and kind in (None, "position") and not said & OTHER

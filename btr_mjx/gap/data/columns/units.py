@@ -1,0 +1,179 @@
+"""Units of columns: what a name or a row of units states, and what the interval of time stamps tells.
+
+Only units that are written down are converted, and those of time stamps, which their interval gives away. Whether
+numbers without a unit look like degrees or millimetres is for preflight to ask.
+"""
+
+import math
+import re
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+
+from btr_mjx.errors import InputError
+from btr_mjx.models import part_names
+
+TIME_UNITS: Mapping[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+"""Seconds by unit of time."""
+
+UNITS: Mapping[str, tuple[str, float]] = {
+    **{unit: ("time", seconds) for unit, seconds in TIME_UNITS.items()},
+    "rad": ("angle", 1.0),
+    "deg": ("angle", math.pi / 180),
+    "m": ("length", 1.0),
+    "cm": ("length", 1e-2),
+    "mm": ("length", 1e-3),
+    "rad/s": ("turning", 1.0),
+    "deg/s": ("turning", math.pi / 180),
+    "rpm": ("turning", 2 * math.pi / 60),
+    "m/s": ("moving", 1.0),
+    "cm/s": ("moving", 1e-2),
+    "mm/s": ("moving", 1e-3),
+    "nm": ("force", 1.0),
+    "mnm": ("force", 1e-3),
+    "n": ("force", 1.0),
+    "mn": ("force", 1e-3),
+}
+"""Quantity and SI units per unit, by unit."""
+
+_SPELLINGS: Mapping[str, str] = {
+    **dict.fromkeys(("sec", "secs", "second", "seconds"), "s"),
+    **dict.fromkeys(("msec", "msecs", "millisecond", "milliseconds", "millis"), "ms"),
+    **dict.fromkeys(("µs", "μs", "usec", "usecs", "microsecond", "microseconds", "micros"), "us"),
+    **dict.fromkeys(("nsec", "nsecs", "nanosecond", "nanoseconds", "nanos"), "ns"),
+    **dict.fromkeys(("radian", "radians"), "rad"),
+    **dict.fromkeys(("°", "degs", "degree", "degrees"), "deg"),
+    **dict.fromkeys(("rad/sec", "rads", "radps", "rad*s-1", "rad s-1"), "rad/s"),
+    **dict.fromkeys(("°/s", "deg/sec", "degs/s", "dps", "degree/s", "degrees/s"), "deg/s"),
+    **dict.fromkeys(("1/min", "rev/min", "u/min"), "rpm"),
+    **dict.fromkeys(("meter", "meters", "metre", "metres"), "m"),
+    **dict.fromkeys(("n m", "n*m", "n·m", "n.m", "newton metre"), "nm"),
+}
+_OTHER = ("", "-", "1", "a", "ma", "v", "mv", "w", "%", "c", "°c", "degc", "k", "hz", "pa", "bar", "g", "kg", "count")
+"""What else may stand in a row of units: nothing is converted there."""
+
+_AS_SUFFIX = (
+    *("deg", "degrees", "rad", "mm", "cm", "rpm", "dps"),
+    *("sec", "secs", "ms", "msec", "us", "usec", "ns", "nsec"),
+)
+"""Units that the last word of a name may be; shorter ones are too often something else."""
+
+_TYPICAL = (("s", 0.5), ("ms", 200.0), ("us", 2e5), ("ns", 2e8))
+"""Largest typical interval between samples by unit: two seconds^-1 in seconds, five a second in the others."""
+
+_EPOCH = (1e9, 3e9)
+"""Seconds since 1970 between 2001 and 2065."""
+
+
+def known_unit(text: str) -> str | None:
+    """The unit that a text stands for, e.g. "[Deg]" for "deg"; None if it is none of `UNITS`."""
+    word = text.strip().strip("[](){}<>").strip().lower()
+    word = _SPELLINGS.get(word, word)
+    return word if word in UNITS else None
+
+
+def is_unit_text(text: str) -> bool:
+    """Whether a field of a row of units may hold this text."""
+    return known_unit(text) is not None or text.strip().strip("[](){}").strip().lower() in _OTHER
+
+
+def stated_unit(name: str) -> tuple[str, str | None]:
+    """Split a column's name into the name proper and its unit.
+
+    Returns:
+      The name without the unit, and the unit, or None: ("q_hip", "deg") for "q_hip [deg]" and for "q_hip_deg".
+    """
+    if match := re.fullmatch(r"(.*\S)\s*[\[(<]([^\[\]()<>]*)[\])>]\s*", name):
+        unit = known_unit(match[2])
+        if unit or (is_unit_text(match[2]) and not match[2].strip().isdigit()):
+            return match[1], unit
+    if (match := re.fullmatch(r"(.+?)[\s_./-]+([A-Za-z]+)", name)) and match[2].lower() in _AS_SUFFIX:
+        return match[1], known_unit(match[2])
+    return name, None
+
+
+def time_unit(time: np.ndarray) -> str:
+    """The unit of time stamps (K,), told by their range (epochs) or else by their interval.
+
+    Stamps that count from 1970 lie between 1e9 and 3e9 seconds, a thousand times that in milliseconds and so on. Others
+    are told by the median interval: logs have 2 to 10,000 samples a second.
+    """
+    time = time[np.isfinite(time)]
+    steps = np.abs(np.diff(time))
+    steps = steps[steps > 0]
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    for unit, seconds in TIME_UNITS.items():
+        if len(time) and _EPOCH[0] <= time[0] * seconds <= _EPOCH[1] and 1e-5 <= usual * seconds <= 10:
+            return unit
+    return next((unit for unit, largest in _TYPICAL if usual < largest), "s")
+
+
+def conversion(column: str, unit: str, model: mujoco.MjModel, where: str) -> float:
+    """Factor from a stated unit to that of a column.
+
+    Args:
+      column: the model's column, e.g. "qpos/hip".
+      unit: one of `UNITS`.
+      model: the model.
+      where: file and column of the file, for messages.
+
+    Raises:
+      InputError: the unit is of another quantity than the column.
+    """
+    quantity, factor = UNITS[unit]
+    expected = quantity_of(column, model)
+    if expected is None or (expected == "turning" and quantity == "angle"):  # "velocity_deg" is meant a second
+        return factor if expected else 1.0
+    if expected != quantity:
+        if column.startswith("ctrl/"):  # commands of other drives have units of their own
+            return 1.0
+        raise InputError(f"{where}: is in {unit}, {column!r} needs a unit of {expected}; correct the unit or the name")
+    return factor
+
+
+def quantity_of(column: str, model: mujoco.MjModel) -> str | None:
+    """Quantity of a column of the model: a first entry of `UNITS`; None if it has no unit or one of its own."""
+    kind, _, name = column.partition("/")
+    if kind == "time":
+        return "time"
+    if kind == "force":
+        return "force"
+    if kind == "ctrl":
+        i = part_names(model, "actuator").index(name)
+        if int(model.actuator_trntype[i]) != mujoco.mjtTrn.mjTRN_JOINT:
+            return None
+        hinge = model.jnt_type[int(model.actuator_trnid[i, 0])] == mujoco.mjtJoint.mjJNT_HINGE
+        if model.actuator_biasprm[i, 1] != 0:
+            return "angle" if hinge else "length"
+        return ("turning" if hinge else "moving") if model.actuator_biasprm[i, 2] != 0 else "force"
+    if kind not in ("qpos", "qvel"):
+        return None
+    joints = part_names(model, "joint")
+    name, _, part = (name, "", "") if name in joints else name.rpartition("/")
+    if part:
+        return {"q": None, "w": "turning", "v": "moving"}.get(part[0], "length")
+    hinge = name in joints and model.jnt_type[joints.index(name)] == mujoco.mjtJoint.mjJNT_HINGE
+    return ("angle" if hinge else "length") if kind == "qpos" else ("turning" if hinge else "moving")
+
+
+def to_seconds(time: np.ndarray, unit: str | None, notes: list[str]) -> tuple[float, float]:
+    """Factor and origin with which time stamps become seconds: (time - origin) * factor.
+
+    Args:
+      time: (K,) stamps; the first ones of a recording are enough.
+      unit: as stated; None if it is to be told from the stamps.
+      notes: what was found is appended here, unless these are plain seconds.
+    """
+    found = unit or time_unit(time)
+    factor = TIME_UNITS[found]
+    finite = time[np.isfinite(time)]
+    start = float(finite[0]) * factor if len(finite) else 0.0
+    # Keeps the digits of the intervals, and effects may depend on the time since the recording began.
+    origin = float(finite[0]) if abs(start) >= 1 else 0.0
+    if found != "s":
+        reason = "as stated" if unit else f"told by intervals of {np.median(np.abs(np.diff(finite))):.3g}"
+        notes.append(f"time stamps are in {found} ({reason}) and were converted to s")
+    if origin:
+        notes.append(f"time counts from the first sample, at {start:.3f} s")
+    return factor, origin

@@ -1,1 +1,0 @@
-"""Foreign file formats of recordings, one module per format."""

@@ -1,0 +1,252 @@
+"""Recordings of a dataset.toml: the rows [[recording]], their files and models, and what all of them say together."""
+
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from btr_mjx.errors import InputError
+from btr_mjx.gap.data.columns.model_columns import model_columns
+from btr_mjx.gap.data.columns.plan import LogOptions, read_log
+from btr_mjx.gap.data.columns.remedy import Answer
+from btr_mjx.gap.data.columns.units import UNITS, known_unit
+from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, read_header
+from btr_mjx.gap.data.files.readers import count_rows, is_log
+from btr_mjx.gap.data.files.ros_bag import TOPICS
+from btr_mjx.gap.data.lists import listed
+from btr_mjx.gap.data.model_file import load_model
+from btr_mjx.gap.data.recordings.held import bends, stairs
+from btr_mjx.gap.data.recordings.recording import MIN_SAMPLES, EmptyRecording, Recording, make_recordings
+from btr_mjx.gap.data.recordings.splits import assign_splits, split_parts
+from btr_mjx.gap.data.recordings.stretches import Advance, Share, read_stretches, shares
+from btr_mjx.gap.data.recordings.velocities import estimate_velocity, velocity_lag
+from btr_mjx.models import difference, part_names, set_values
+from btr_mjx.runs import check_keys, file_inside, is_number, toml_rows, toml_section
+
+ReadProgress = Callable[[int, int], None]
+"""Called with the bytes that were read so far, and those of all files."""
+
+
+def load(folder: str | Path, progress: ReadProgress | None = None) -> Dataset:
+    """Read a dataset.
+
+    Args:
+      folder: the folder, or its dataset.toml.
+      progress: called while recordings are read.
+
+    Returns:
+      The dataset, with all recordings loaded, or stretches of them where they have more than
+      `stretches.MAX_SAMPLES` samples together; a note says which share is used.
+
+    Raises:
+      InputError: invalid content; one line with the value, its place and the remedy.
+      DamagedFile: a file that does not parse.
+      OSError: a file that cannot be read.
+    """
+    head, table = read_header(folder)
+    return load_table(head, table, head.folder / DATASET_FILE, progress)
+
+
+def load_table(
+    head: Dataset, table: Mapping[str, Any], path: Path, progress: ReadProgress | None = None, text: str = ""
+) -> Dataset:
+    """Read the recordings of a dataset whose header was read.
+
+    Args:
+      head: the dataset without recordings.
+      table: content of dataset.toml.
+      path: of dataset.toml, for messages.
+      progress: called while recordings are read.
+      text: of dataset.toml, where there is no such file yet.
+
+    Raises:
+      InputError, DamagedFile, OSError: see `load`.
+    """
+    notes, listed_rows = list(head.notes), toml_rows(table, "recording", path)
+    if not listed_rows:
+        raise InputError(f'{path}: there is no [[recording]]; add one with file = "..."')
+    stated = table.get("control", {}).get("interpolation")
+    options = _options(table, head.model, path, notes, Answer(path, text), stated in (None, "hold"))
+    places = [f"{path}: [[recording]] {i + 1}" for i in range(len(listed_rows))]
+    files = [_files(row, head.folder, where) for row, where in zip(listed_rows, places, strict=True)]
+    parts = shares([max(map(count_rows, group)) for group in files])
+    advance = _advance([file for group in files for file in group], progress)
+    groups = []
+    for row, own, share, where in zip(listed_rows, files, parts, places, strict=True):
+        model, name = _model_and_name(row, head, own, where, notes)
+        if share is None:
+            groups.append(_whole(own, model, name, options, advance))
+        else:
+            groups.append(_stretches(own, model, name, options, advance, share, notes))
+    groups = _without_lagging_velocities(groups, notes)
+    recordings = _split(groups, [row.get("split") for row in listed_rows], str(path), parts[0] is None)
+    interpolation = head.interpolation if stated else _suitable_interpolation(recordings, notes)
+    return replace(
+        head, recordings=tuple(recordings), notes=tuple(notes), interpolation=interpolation, sources=options.sources
+    )
+
+
+def _options(
+    table: Mapping[str, Any], model: mujoco.MjModel, path: Path, notes: list[str], answer: Answer, hold: bool
+) -> LogOptions:
+    """What the tables [columns], [units], [topics] and [model] say about logs."""
+
+    def texts(key: str) -> Mapping[str, str]:
+        found = table.get(key, {})
+        if not isinstance(found, Mapping) or not all(isinstance(value, str) for value in found.values()):
+            raise InputError(f'{path}: [{key}]: expected lines of "NAME" = "NAME", got {found!r}')
+        return found
+
+    units = {name: known_unit(text) for name, text in texts("units").items()}
+    for name, unit in units.items():
+        if unit is None:
+            raise InputError(f"{path}: [units] {name!r} = {table['units'][name]!r}: expected one of {', '.join(UNITS)}")
+    check_keys(texts("topics"), tuple(TOPICS), f"{path}: [topics]", notes)
+    unmeasured, names = toml_section(table, "model", path).get("unmeasured", []), part_names(model, "joint")
+    if not isinstance(unmeasured, list) or not all(name in names for name in unmeasured):
+        raise InputError(f"{path}: [model] unmeasured = {unmeasured!r}: expected a list of joints, of {listed(names)}")
+    stated = {name: unit for name, unit in units.items() if unit}
+    return LogOptions(texts("columns"), texts("topics"), unmeasured, stated, answer, hold)
+
+
+def _files(row: Mapping[str, Any], folder: Path, where: str) -> list[Path]:
+    """The files of a row: one, or several that were written at the same time."""
+    names = row["file"] if isinstance(row.get("file"), list) else [row.get("file")]
+    if not 0 < len(names) <= 100:
+        raise InputError(f"{where}: file lists {len(names)} names; expected 1 to 100")
+    files = [file_inside({"file": name}, "file", folder, where) for name in names]
+    for file in files:
+        if not is_log(file) and not file.is_file():
+            raise InputError(f"{where}: there is no file {file}")
+    return files
+
+
+def _model_and_name(
+    row: Mapping[str, Any], head: Dataset, files: Sequence[Path], where: str, notes: list[str]
+) -> tuple[mujoco.MjModel, str]:
+    """The model of a row, with its overrides, and its name."""
+    check_keys(row, ("file", "split", "model", "overrides", "name"), where, notes)
+    model, overrides, name = head.model, row.get("overrides"), row.get("name", files[0].stem)
+    if "model" in row:
+        model, _ = load_model(file_inside(row, "model", head.folder, where), head.folder)
+        if model_columns(model) != model_columns(head.model):
+            raise InputError(f"{where}: model {row['model']!r} has other joints or actuators than the dataset's model")
+    if overrides:
+        if not isinstance(overrides, Mapping) or not all(is_number(v) for v in overrides.values()):
+            raise InputError(f'{where}: overrides: expected {{"body:arm/mass" = 0.5, ...}}, got {overrides!r}')
+        model = copy.deepcopy(model)
+        try:
+            set_values(model, overrides)
+        except InputError as error:
+            raise InputError(f"{where}: overrides: {error}") from None
+    if not isinstance(name, str) or not 0 < len(name) <= 200 or not name.isprintable():
+        raise InputError(f"{where}: name = {name!r}: expected a text of one line, at most 200 characters")
+    return model, name
+
+
+def _whole(
+    files: Sequence[Path], model: mujoco.MjModel, name: str, options: LogOptions, advance: Advance
+) -> list[Recording]:
+    """A recording, or its parts between holes."""
+    notes: list[str] = []
+    tables = read_log(files, model, options, notes, advance)
+    found = make_recordings(tables, model, ", ".join(map(str, files)), name, options.hold)
+    return [replace(one, notes=(*notes, *one.notes)) for one in found]
+
+
+def _stretches(
+    files: Sequence[Path],
+    model: mujoco.MjModel,
+    name: str,
+    options: LogOptions,
+    advance: Advance,
+    share: Share,
+    notes: list[str],
+) -> list[Recording]:
+    """Stretches of a long recording."""
+    found, file = list[Recording](), ", ".join(map(str, files))
+    for columns in read_stretches(files, share, model, notes, advance, options):
+        start = float(columns["time"][0])
+        try:
+            found += make_recordings([columns], model, f"{file} from {start:.6g} s on", f"{name} at {start:.6g} s")
+        except EmptyRecording as error:
+            notes.append(f"left out: {error}")
+    if not found:
+        raise InputError(f"{file}: no stretch of it has {MIN_SAMPLES} rows in a row with all values")
+    return found
+
+
+def _without_lagging_velocities(groups: Sequence[Sequence[Recording]], notes: list[str]) -> list[list[Recording]]:
+    """The recordings, with velocities estimated where the measured ones lag the positions."""
+    model, lags, moves = groups[0][0].model, dict[int, float](), dict[int, np.ndarray]()
+    every = [one for group in groups for one in group]
+    # Displacements of a free or ball joint are in the directions of its velocities; those of a hinge are its angle.
+    for i, r in enumerate(every):
+        steps = difference(model, r.qpos[:-1], r.qpos[1:])
+        moves[i] = np.concatenate([np.zeros((1, model.nv)), np.cumsum(steps, 0)])
+    for dof in range(model.nv):
+        tracks = [(r.time, moves[i][:, dof], r.qvel[:, dof]) for i, r in enumerate(every) if r.qvel_measured[dof]]
+        if tracks and (lag := velocity_lag(tracks)):
+            lags[dof] = lag
+    if not lags:
+        return [list(group) for group in groups]
+    names = part_names(model, "joint")
+    for word, own in (("lag", [v for v in lags if lags[v] > 0]), ("lead", [v for v in lags if lags[v] < 0])):
+        if own:
+            size = 1e3 * np.abs([lags[v] for v in own])
+            apart = f" ({size.min():.3g} to {size.max():.3g} ms)" if len(own) > 1 else ""
+            notes.append(
+                f"velocities {word} the slope of the positions by {np.median(size):.3g} ms{apart}, as behind a filter: "
+                f"they are left out ({', '.join(dict.fromkeys(names[model.dof_jntid[v]] for v in own))})"
+            )
+    dofs = list(lags)
+
+    def mended(one: Recording) -> Recording:
+        measured, qvel = one.qvel_measured.copy(), one.qvel.copy()
+        measured[dofs], qvel[:, dofs] = False, estimate_velocity(one.model, one.time, one.qpos)[:, dofs]
+        return replace(one, qvel=qvel, qvel_measured=measured)
+
+    return [[mended(one) for one in group] for group in groups]
+
+
+def _suitable_interpolation(recordings: Sequence[Recording], notes: list[str]) -> Interpolation:
+    """The interpolation of commands for which dataset.toml names none."""
+    if any(one.held_commands for one in recordings):
+        notes.append('commands come at a rate of their own: interpolation = "hold" was chosen')
+        return "hold"
+    found = stairs([r.commands[1] for r in recordings])
+    if found is None:
+        return "cubic" if bends([r.commands for r in recordings]) else "linear"
+    notes.append(
+        f"commands are stairs (they change every {found.every:.3g}th row, never in two rows that follow each other): "
+        'interpolation = "hold" is used; put it into [control] to say so'
+    )
+    return "hold"
+
+
+def _advance(files: Sequence[Path], progress: ReadProgress | None) -> Advance:
+    """Adds up the bytes that were read."""
+    total, done = sum(file.stat().st_size for file in files if file.is_file()), 0
+
+    def advance(count: int) -> None:
+        nonlocal done
+        done += count
+        if progress is not None:
+            progress(done, total)
+
+    advance(0)
+    return advance
+
+
+def _split(groups: Sequence[Sequence[Recording]], given: Sequence[Any], where: str, whole: bool) -> list[Recording]:
+    """Recordings with their split, see `assign_splits`; that of a recording is that of its parts or stretches."""
+    if len(groups) == 1 and given[0] is None and whole:
+        return split_parts(groups[0], where)
+    if len(groups) == 1 and given[0] is None:
+        return assign_splits(groups[0], [None] * len(groups[0]), where)
+    first = assign_splits([group[0] for group in groups], given, where)
+    return [replace(one, split=side.split) for group, side in zip(groups, first, strict=True) for one in group]
