@@ -35,6 +35,7 @@ def report(folder: str | Path) -> Path:
     return draw_run_page(folder)
 
 
+@cli_errors()
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
 
@@ -48,9 +49,8 @@ def main(argv: Sequence[str] | None = None) -> None:
 
     argv = sys.argv[1:] if argv is None else list(argv)
     folders = tyro.cli(command, args=argv, description=__doc__, prog="btr_mjx.report")
-    with cli_errors():
-        for folder in folders:
-            print(report(folder))
+    for folder in folders:
+        print(report(folder))
 
 
 if __name__ == "__main__":

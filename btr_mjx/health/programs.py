@@ -138,11 +138,9 @@ def width_of(devices: dict[str, Any]) -> int | None:
 
 
 def judge_pictures(found: dict[str, Any]) -> CheckResult:
-    """Judge section "pictures": off where not even a sketch is drawn, warning where robots are not rendered."""
-    if not found["sketch"]:
-        return CheckResult("off", "robots can be neither rendered nor sketched", "uv sync --reinstall")
+    """Judge section "pictures": warning where robots are not rendered."""
     if found["backend"] is None:
         asked = f"MUJOCO_GL={found['asked']} does not render" if found["asked"] else "neither EGL nor OSMesa works"
         remedy = "unset MUJOCO_GL" if found["asked"] else "on Debian: apt install libegl1; elsewhere: a driver with EGL"
-        return CheckResult("warning", f"{asked}: robots are sketched, not rendered", remedy)
-    return CheckResult("ok", f"rendered with {found['backend'] or 'the default of the system'}; sketches work too")
+        return CheckResult("warning", f"{asked}: no pictures of robots, no films", remedy)
+    return CheckResult("ok", f"rendered with {found['backend'] or 'the default of the system'}")

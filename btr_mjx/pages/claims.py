@@ -54,6 +54,6 @@ def claims_content(folder: Path) -> dict[str, Any]:
         "name": folder.resolve().name,
         "sentence": claims_sentence(rows),
         "numbers": [],
-        "sections": [part for part in sections if part.lines or part.figures or part.tables],
+        "sections": sections,
         "footer": ["Numbers: claims.json. Table: claims.md."],
     }

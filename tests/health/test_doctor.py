@@ -26,7 +26,7 @@ HEALTHY = {
     "agreement": {"precision": "float32", "difference": {"hexapod": {"lanes": 5e-7}, "arm": {"lanes": 4e-7}}},
     "speed": {"lanes": 1.2e6, "native": 1.1e5, "cores": 2},
     "cache": {"enabled": True, "folder": None, "hit": True},
-    "pictures": {"backend": "egl", "asked": "", "sketch": 9000},
+    "pictures": {"backend": "egl", "asked": ""},
 }
 """Measurements of a machine on which nothing is wrong, by kind of section; the cache's folder is added by a test."""
 
@@ -87,7 +87,6 @@ FAULTS: list[tuple[str, Callable[[pytest.MonkeyPatch], None], str]] = [
     ("speed", lambda patch: play(patch, "speed", lanes=8e4), "times below"),
     ("cache", lambda patch: play(patch, "cache"), "no folder"),
     ("cache", lambda patch: play(patch, "cache", folder="/nowhere", hit=False), "not found by the next"),
-    ("pictures", lambda patch: play(patch, "pictures", sketch=0), "neither rendered nor sketched"),
     ("pictures", lambda patch: play(patch, "pictures", error="ImportError: matplotlib"), "could not be checked"),
 ]
 """Check, the fault that is played, and what its line says."""
@@ -191,8 +190,8 @@ def test_warnings() -> None:
     assert programs.judge_speed(slow, 512).state == "warning"  # a busy machine: both are slow
     assert programs.judge_speed(slow, None).state == "ok"
     assert programs.judge_cache({"enabled": False, "folder": None, "hit": False}, None).state == "warning"
-    assert "unset MUJOCO_GL" in programs.judge_pictures({"backend": None, "asked": "osmesa", "sketch": 1}).remedy
-    assert programs.judge_pictures({"backend": None, "asked": "", "sketch": 1}).state == "warning"
+    assert "unset MUJOCO_GL" in programs.judge_pictures({"backend": None, "asked": "osmesa"}).remedy
+    assert programs.judge_pictures({"backend": None, "asked": ""}).state == "warning"
 
 
 def test_worst() -> None:

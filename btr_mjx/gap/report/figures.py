@@ -2,7 +2,6 @@
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import matplotlib
@@ -11,7 +10,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from btr_mjx.gap.results import effect_at_place, format_number
+from btr_mjx.gap.results import JointForce, effect_at_place, format_number
 
 MEASURED, BEFORE, AFTER = "#000000", "#c8641e", "#1f5fa8"
 """Colours of data, believed model and mended model; dots, dashes and a solid line distinguish them in grey as well."""
@@ -122,88 +121,17 @@ def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-@dataclass(frozen=True)
-class OverlayData:
-    """A part of a held-out recording, one coordinate.
-
-    Attributes:
-      recording: name of the recording.
-      name: name of the coordinate.
-      unit: unit of the coordinate.
-      time: (K,) times [s].
-      measured, before, after: (K,) data, believed model, mended model.
-    """
-
-    recording: str
-    name: str
-    unit: str
-    time: np.ndarray
-    measured: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
+def force_data(arrays: Mapping[str, np.ndarray]) -> list[JointForce]:
+    """Missing forces at joints, of joint_forces.npz."""
+    keys = ("position", "velocity", "load", "time", "before", "after", "law", "spread")
+    texts = zip(*([str(text) for text in arrays[key]] for key in ("joints", "units", "follows")), strict=True)
+    return [
+        JointForce(joint, unit, **{key: arrays[f"{key}_{n}"] for key in keys}, follows=tuple(follows.split()))
+        for n, (joint, unit, follows) in enumerate(texts)
+    ]
 
 
-def overlay_figure(stretches: Sequence[OverlayData], after: str | None = "mended model") -> Figure:
-    """Measured and simulated coordinates, with the differences beside them; one row a stretch.
-
-    Args:
-      stretches: parts of held-out recordings.
-      after: label of the second model; None leaves it out.
-
-    Returns:
-      The figure.
-    """
-    figure = Figure(figsize=(7.4, 0.6 + 1.6 * len(stretches)))
-    axes = figure.subplots(len(stretches), 2, squeeze=False, width_ratios=[1.25, 1])
-    for (left, right), one in zip(axes, stretches, strict=True):
-        every = max(1, len(one.time) // 250)
-        left.plot(one.time[::every], one.measured[::every], ".", color=MEASURED, markersize=2.6, label="measured")
-        right.axhline(0.0, color="0.7", linewidth=0.6)
-        for label, values, look in (
-            ("believed model", one.before, {"color": BEFORE, "linestyle": (0, (4, 2))}),
-            (after, one.after, {"color": AFTER, "linestyle": "-"}),
-        ):
-            if label is None:
-                continue
-            style: dict[str, Any] = dict(look)
-            left.plot(one.time, values, linewidth=1.1, label=label, **style)
-            right.plot(one.time, values - one.measured, linewidth=0.9, **style)
-        left.set_ylabel(f"{one.name} [{one.unit}]")
-        left.set_title(f"recording {one.recording}", loc="left", fontsize=8)
-        right.set_title(f"model − measured [{one.unit}]", loc="left", fontsize=8)
-        for panel in (left, right):
-            panel.xaxis.set_major_locator(MaxNLocator(4))
-    for panel in axes[-1]:
-        panel.set_xlabel("time [s]")
-    handles, labels = axes[0][0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=3)
-    return figure
-
-
-@dataclass(frozen=True)
-class ForceData:
-    """The missing force at a joint, (N,) arrays.
-
-    Attributes:
-      joint: name of the joint.
-      unit: of forces.
-      states: what it is drawn against: "position", "velocity", "load", "time".
-      before, after: missing force beside the believed and the mended model.
-      law, spread: force of the laws that were named there, and half the width of its 90 % interval.
-      follows: states that these laws depend on.
-    """
-
-    joint: str
-    unit: str
-    states: Mapping[str, np.ndarray]
-    before: np.ndarray
-    after: np.ndarray
-    law: np.ndarray
-    spread: np.ndarray
-    follows: Sequence[str]
-
-
-def force_figure(joints: Sequence[ForceData], mended: bool = True) -> Figure:
+def force_figure(joints: Sequence[JointForce], mended: bool = True) -> Figure:
     """Missing force against position, velocity and load, or against what a law depends on; one row a joint.
 
     Args:
@@ -220,7 +148,7 @@ def force_figure(joints: Sequence[ForceData], mended: bool = True) -> Figure:
         length = "rad" if one.unit == "N m" else "m"
         units = {"position": length, "velocity": f"{length}/s", "load": one.unit, "time": "s"}
         for panel, name in zip(row, [*one.follows, *others], strict=False):
-            x = one.states[name]
+            x = getattr(one, name)
             panel.plot(x, one.before, ".", color="0.55", markersize=1.6, label="missing")
             if mended:
                 panel.plot(x, one.after, ".", color=AFTER, markersize=1.2, label="left")

@@ -24,6 +24,7 @@ from btr_mjx.gap.results.records import (
     DisagreementMap,
     Estimate,
     Gap,
+    JointError,
     JointForce,
     NamedEffect,
     NextExperiment,
@@ -36,22 +37,24 @@ from btr_mjx.gap.results.records import (
 )
 from btr_mjx.gap.results.saved import RESULT, as_result, before_entry, save_diagnosis, save_quantities
 from btr_mjx.gap.results.simulation_file import simulation_mjcf
-from btr_mjx.gap.results.verdict_words import detail_sentences, verdict_sentence
-from btr_mjx.gap.results.wording import (
+from btr_mjx.gap.results.words import (
     REASON_NOT_NAMED,
     confound_sentence,
+    detail_sentences,
     effect_at_place,
     effect_title,
     estimate_cells,
     format_number,
     hypothesis_in_words,
     in_percent,
+    in_reading_unit,
     number_in_words,
     parameter_in_words,
     parameters_in_words,
     place_in_words,
     refit_sentence,
     unit_in_words,
+    verdict_sentence,
 )
 
 __all__ = [
@@ -67,6 +70,7 @@ __all__ = [
     "Estimate",
     "FoundEffect",
     "Gap",
+    "JointError",
     "JointForce",
     "MendedModel",
     "NamedEffect",
@@ -89,6 +93,7 @@ __all__ = [
     "found_effects",
     "hypothesis_in_words",
     "in_percent",
+    "in_reading_unit",
     "mend",
     "mended_robot",
     "number_in_words",

@@ -22,7 +22,7 @@ from btr_mjx.gap.results import (
     mend,
     verdict_sentence,
 )
-from btr_mjx.gap.results.wording import format_estimate
+from btr_mjx.gap.results.words.terms import format_estimate
 from btr_mjx.report import main
 from btr_mjx.runs import read_arrays, write_arrays, write_json, write_table
 

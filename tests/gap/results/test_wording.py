@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from btr_mjx.gap.effects import KNOWN_EFFECTS
 from btr_mjx.gap.results import detail_sentences, hypothesis_in_words, number_in_words, verdict_sentence
-from btr_mjx.gap.results.wording import EFFECT_TITLES, effect_at_place, parameters_in_words
+from btr_mjx.gap.results.words.terms import EFFECT_TITLES, effect_at_place, parameters_in_words
 
 
 def result(after: float, nulls: float, before: float = 180.0) -> dict[str, Any]:
