@@ -18,7 +18,7 @@ def report(folder: str | Path) -> Path:
     """Draw the figures and the page of a run.
 
     Args:
-      folder: run folder of btr_mjx.coevolve, scan or diagnose, or folder of experiments/claims.py.
+      folder: run folder of btr_mjx.coevolve, scan or diagnose.
 
     Returns:
       The page.
@@ -43,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         """Draw the pages of runs again.
 
         Args:
-          folders: run folders of btr_mjx.coevolve, scan or diagnose, or folders of experiments/claims.py.
+          folders: run folders of btr_mjx.coevolve, scan or diagnose.
         """
         return folders
 

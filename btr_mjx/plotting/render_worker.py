@@ -20,12 +20,6 @@ BACKGROUND = (240, 241, 244)
 TRAIL, TRAIL_WIDTH = (0.78, 0.39, 0.12, 1.0), 0.012
 """Colour and radius [m] of the path that a robot has travelled."""
 
-TILES = 24
-"""Tiles along each side of the pattern on a bare floor."""
-
-TILE_SHADE, TILE_HEIGHT = 0.8, 1e-3
-"""Brightness of the dark tiles over that of the floor, and their height over the width of a tile."""
-
 
 def write_pictures(
     model: mujoco.MjModel, poses: np.ndarray, width: int, height: int, camera: Camera, out: BinaryIO
@@ -48,7 +42,6 @@ def write_pictures(
             mujoco.mj_forward(model, data)
             renderer.update_scene(data, view, option)
             _light(renderer.scene, camera)
-            _tile_bare_floors(renderer.scene, model, camera)
             _draw_trail(renderer.scene, trail[: number + 1])
             out.write((renderer.render() if has_sky else _with_background(renderer)).tobytes())
             out.flush()
@@ -78,29 +71,6 @@ def _light(scene: mujoco.MjvScene, camera: Camera) -> None:
     lamp.ambient[:], lamp.diffuse[:], lamp.specular[:] = 0.0, 0.5, 0.2
     lamp.headlight, lamp.castshadow, lamp.type = 0, 1, mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
     lamp.pos[:], lamp.dir[:] = camera.lookat + 0.5 * camera.distance * towards, -towards
-
-
-def _tile_bare_floors(scene: mujoco.MjvScene, model: mujoco.MjModel, camera: Camera) -> None:
-    """Add dark tiles to planes without a material, on which motion would not be seen."""
-    width = 2.0 ** round(np.log2(camera.distance / 10))
-    for floor in list(scene.geoms[: scene.ngeom]):
-        if floor.type != mujoco.mjtGeom.mjGEOM_PLANE or floor.objtype != mujoco.mjtObj.mjOBJ_GEOM:
-            continue
-        if model.geom_matid[floor.objid] >= 0:
-            continue
-        frame, extent = np.array(floor.mat).reshape(3, 3), model.geom_size[floor.objid, :2]
-        middle = np.round((camera.lookat - floor.pos) @ frame / width).astype(int)
-        colour = np.append(TILE_SHADE * np.array(floor.rgba[:3]), 1.0).astype(np.float32)
-        for i, j in itertools.product(range(-TILES // 2, TILES // 2), repeat=2):
-            place = width * (np.array([middle[0] + i, middle[1] + j, 0]) + 0.5) * [1, 1, 0]
-            outside = (extent > 0) & (np.abs(place[:2]) + width / 2 > extent)
-            if (i + j + middle[0] + middle[1]) % 2 or outside.any() or scene.ngeom >= scene.maxgeom:
-                continue
-            geom, size = scene.geoms[scene.ngeom], width / 2 * np.array([1, 1, TILE_HEIGHT])
-            at = np.array(floor.pos) + frame @ place
-            mujoco.mjv_initGeom(geom, mujoco.mjtGeom.mjGEOM_BOX, size, at, frame.ravel(), colour)
-            geom.objtype, geom.objid, geom.segid = floor.objtype, floor.objid, floor.segid  # part of the floor
-            scene.ngeom += 1
 
 
 def _with_background(renderer: mujoco.Renderer) -> np.ndarray:

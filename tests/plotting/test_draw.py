@@ -8,15 +8,14 @@ import warnings
 from pathlib import Path
 
 import matplotlib
-import mujoco
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import FITNESS_FUNCTIONS
-from btr_mjx.plotting import Camera, figures, render_worker, rendering, robot_figure
 from btr_mjx.plotting import draw as plots
+from btr_mjx.plotting import figures, rendering, robot_figure
 from btr_mjx.plotting.run_data import read_robot, read_run, read_scan
 from btr_mjx.robots import Box, hexapod
 from btr_mjx.runs import write_arrays, write_json, write_table
@@ -372,34 +371,3 @@ def test_importing_plots_loads_neither_matplotlib_nor_gl():
     code = f"import sys, btr_mjx.plotting.draw; print({loaded})"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert out.stdout.strip() == "[]"
-
-
-@pytest.mark.parametrize(("extent", "material"), [("0 0", ""), ("2 1", ""), ("0 0", 'material="m"')])
-def test_bare_floors_get_tiles_that_are_part_of_them(extent, material):
-    """Without OpenGL: the geoms of the scene."""
-    model = mujoco.MjModel.from_xml_string(
-        f"""<mujoco><asset><material name="m"/></asset><worldbody><geom type="plane" size="{extent} 1" {material}
-        pos="0 0 0.5"/><body pos="0 0 1"><geom size="0.1"/></body></worldbody></mujoco>"""
-    )
-    data, scene = mujoco.MjData(model), mujoco.MjvScene(model, 2000)
-    mujoco.mj_forward(model, data)
-    kinds = (mujoco.MjvOption(), None, mujoco.MjvCamera(), mujoco.mjtCatBit.mjCAT_ALL)
-    mujoco.mjv_updateScene(model, data, *kinds, scene)
-    before = scene.ngeom
-    floor = next(one for one in scene.geoms[:before] if one.type == mujoco.mjtGeom.mjGEOM_PLANE)
-    render_worker._tile_bare_floors(scene, model, Camera(np.array([0.3, 0.2, 0.8]), 5.0))
-    tiles = scene.geoms[before : scene.ngeom]
-    if material:
-        assert not tiles
-        return
-    places = np.array([tile.pos for tile in tiles])
-    width = 2 * tiles[0].size[0]
-    assert (places[:, 2] == 0.5).all()
-    steps = np.round(places[:, :2] / width - 0.5).astype(int)
-    assert (steps.sum(axis=1) % 2 == 0).all()  # a chess board
-    assert all(tile.segid == floor.segid and tile.objid == floor.objid for tile in tiles)
-    if extent == "2 1":
-        assert (np.abs(places[:, :2]) + width / 2 <= [2.0, 1.0]).all()
-        assert len(tiles) == 4 * 2 / width**2 / 2
-    else:
-        assert len(tiles) == render_worker.TILES**2 / 2

@@ -192,10 +192,9 @@ def _candidates(result: Mapping[str, Any], figures: Sequence[Figure]) -> list[Se
     if not ranking:
         return []
     rows = [
-        (effect_title(row["effect"]), row["location"])
-        + tuple(row.get(key) for key in ("score", "margin", "held_out"))
-        + (hypothesis_in_words(" + ".join(row.get("beside") or [])),)
+        (effect_title(row["effect"]), row["location"], row.get("score"), row.get("margin"), row.get("held_out"), beside)
         for row in ranking
+        for beside in [hypothesis_in_words(" + ".join(row.get("beside") or []))]
     ]
     note = "Score: fall of the misfit (χ²), less a price for the effect's parameters."
     names = ["effect", "place", "score", "behind the first", "held-out gain", "beside"]
