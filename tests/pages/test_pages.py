@@ -14,7 +14,7 @@ import pytest
 from claims_page import claims_sentence, draw_claims_page
 
 from btr_mjx import coevolve, report, scan
-from btr_mjx.backtoreality import bound_words
+from btr_mjx.backtoreality import bound_words, summary_table
 from btr_mjx.errors import InputError
 from btr_mjx.gap.results import format_number, verdict_sentence
 from btr_mjx.pages import Section, Table, kind_of_run, write_page
@@ -252,6 +252,14 @@ def test_the_sentence_of_claims_counts() -> None:
     rows = [{"verdict": word} for word in ("holds", "holds", "does not", "undecided")]
     assert claims_sentence(rows) == "2 of 4 claims hold, 1 does not, 1 is undecided."
     assert claims_sentence(rows[:2]) == "2 of 2 claims hold."
+
+
+def test_small_numbers_are_printed_with_their_digits(folders: Callable[[str], Path]) -> None:
+    result = read_json(folders("coevolve") / "result.json")
+    small = {"lp": 1.23e-4, "prediction_error_last": 2.5e-4, "f_r_best": 3.4e-5, "delta_fitness_last": 1.1e-4}
+    text = summary_table(result | small, Path("runs/x"))
+    for number in ("learning performance 0.000123,", " 0.00025", " 3.400·10^−5", ": 0.00011 [m/s]"):
+        assert number in text
 
 
 def test_the_page_of_claims(tmp_path: Path) -> None:

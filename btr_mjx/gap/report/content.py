@@ -12,6 +12,7 @@ from btr_mjx.gap.results import (
     detail_sentences,
     effect_at_place,
     effect_title,
+    error_in_words,
     estimate_cells,
     format_number,
     hypothesis_in_words,
@@ -208,14 +209,15 @@ def _candidates(result: Mapping[str, Any], figures: Sequence[Figure]) -> list[Se
     ]
 
 
-def gap_numbers(gap: Mapping[str, Any], mended: bool) -> list[tuple[str, str]]:
+def gap_numbers(gap: Mapping[str, Any], mended: bool, joints: bool) -> list[tuple[str, str]]:
     """Figures under the verdict.
 
     Args:
       gap: entry of result.json.
       mended: whether there is a mended model.
+      joints: whether there are errors by joint: then no mean over radians and metres is told.
     """
-    loop = f" {gap.get('open_loop_unit', 'rad')}"
+    loop = str(gap.get("open_loop_unit", "rad"))
     unit = f" [{gap['unit']}]" if gap.get("unit") else ""
     chi2 = str(gap.get("unit") or "").startswith("χ²")
     held_out = "held-out misfit (1 = noise)" if chi2 else "held-out gap"
@@ -227,7 +229,11 @@ def gap_numbers(gap: Mapping[str, Any], mended: bool) -> list[tuple[str, str]]:
         ("after", "after" if mended else "", ""),
         ("noise floor", "noise_floor", ""),
     )
-    return [(label, f"{format_number(gap[key])}{of}") for label, key, of in rows if is_json_number(gap.get(key))]
+    return [
+        (label, error_in_words(gap[key], of, 3).strip())
+        for label, key, of in rows
+        if is_json_number(gap.get(key)) and not ("and" in of and joints)
+    ]
 
 
 def is_json_number(value: Any) -> bool:

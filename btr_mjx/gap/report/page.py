@@ -49,7 +49,7 @@ def draw_report(folder: str | Path) -> Path:
         "heading": "What has changed" if result.get("before") else "Simulation against data",
         "name": str(result.get("dataset") or folder.name),
         "sentence": verdict_sentence(result),
-        "numbers": gap_numbers(result.get("gap") or {}, bool(result.get("effects"))),
+        "numbers": gap_numbers(result.get("gap") or {}, bool(result.get("effects")), bool(result.get("joint_errors"))),
         "sections": report_sections(folder, result, _figures(folder, result)),
         "footer": [*spent(result), "Numbers: result.json. Figures: figures/. Tables: *.csv, *.npz."],
     }

@@ -61,6 +61,14 @@ def test_the_joint_that_has_it_is_told_in_the_unit_of_its_kind(
     assert "joint shoulder is off by" in verdict_sentence(elsewhere)
 
 
+def test_radians_and_metres_are_not_added() -> None:
+    made = {"horizon": 0.25, "believed": 0.3, "mended": 0.1, "constant_velocity": 0.4}
+    row = {"joint": "joint elbow", "unit": "rad", "horizon": 0.25, "before": 0.3, "after": 0.1, "noise": 0.01}
+    one = result(1.0, 1.0) | {"predictions": made, "joint_errors": [row]}
+    one["gap"] |= {"open_loop_before": 0.3, "open_loop_after": 0.1, "open_loop_unit": "rad and m"}
+    assert "rad and m" not in " ".join([verdict_sentence(one), *detail_sentences(one)])
+
+
 def test_what_is_not_all_is_not_said_to_be_all() -> None:
     """Of a gap of millions of times the noise, thousands are left."""
     text = verdict_sentence(result(8328.0, 1.0, before=9e6))

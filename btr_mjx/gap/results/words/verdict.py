@@ -129,7 +129,7 @@ def _predictions(result: Mapping[str, Any]) -> str:
     """Errors of predictions over a short horizon."""
     of, unit = result.get("predictions") or {}, (result.get("gap") or {}).get("open_loop_unit", "rad")
     values = [as_float(of.get(key)) for key in ("believed", "mended", "constant_velocity")]
-    if of.get("horizon") is None or None in values:
+    if of.get("horizon") is None or None in values or _is_mixed(result):
         return ""
     believed, mended, steady = (error_in_words(value or 0.0, unit, 3) for value in values)
     is_mended = result.get("verdict") == "effect" or result.get("calibration")
@@ -138,6 +138,11 @@ def _predictions(result: Mapping[str, Any]) -> str:
         f"Predicted over {of['horizon']:g} s, positions of held-out recordings are off by {believed} "
         f"with {_first_model(result)}{own}, with constant velocity by {steady} (root mean square of all joints)."
     )
+
+
+def _is_mixed(result: Mapping[str, Any]) -> bool:
+    """Whether a mean over all joints would add radians and metres, where errors by joint are there to be told."""
+    return "and" in str((result.get("gap") or {}).get("open_loop_unit")) and bool(result.get("joint_errors"))
 
 
 def _first_model(result: Mapping[str, Any]) -> str:
@@ -227,7 +232,7 @@ def _whole_recordings(result: Mapping[str, Any]) -> str:
     """How well whole recordings are followed."""
     gap = result.get("gap") or {}
     start, end = as_float(gap.get("open_loop_before")), as_float(gap.get("open_loop_after"))
-    if start is None or end is None:
+    if start is None or end is None or _is_mixed(result):
         return ""
     unit = gap.get("open_loop_unit", "rad")
     first, last = (error_in_words(value, unit, 3) for value in (start, end))
