@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import subprocess
+import types
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +25,7 @@ from btr_mjx.pages.page import sentences
 from btr_mjx.pages.scan import scan_sentence
 from btr_mjx.plotting import ScanData, read_run, robot_figure
 from btr_mjx.robots import Box
-from btr_mjx.runs import read_json, write_json
+from btr_mjx.runs import check_sums, read_json, write_json
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine: pages are not opened")
@@ -299,6 +300,27 @@ def test_folders_without_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str
         report.main([str(tmp_path)])
     assert stopped.value.code == 2
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(("command", "said"), [(coevolve, "learning performance"), (scan, "spearman")])
+def test_a_page_that_fails_is_one_line_after_the_result(
+    command: types.ModuleType,
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    printed = []
+
+    def fails(run: Path) -> None:
+        printed.append(capsys.readouterr().out)
+        check_sums(run)
+        raise ZeroDivisionError("of a bug")
+
+    monkeypatch.setattr(command, "draw_run_page", fails)
+    (make_coevolution if command is coevolve else make_scan)(tmp_path / "run")
+    assert said in printed[0]
+    assert capsys.readouterr().err.splitlines()[-1] == "no report.html: ZeroDivisionError: of a bug"
 
 
 def test_no_figures_skips_the_page(tmp_path: Path) -> None:
