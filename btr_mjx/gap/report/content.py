@@ -1,27 +1,30 @@
 """Sections of the page about a diagnosis, from its saved files."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from btr_mjx.gap.effects import EACH_MEMBER
+from btr_mjx.gap.report.tables import (
+    as_table,
+    candidate_sections,
+    disagreement_tables,
+    effect_table,
+    joint_error_table,
+    reading_unit,
+    table_over_sets,
+)
 from btr_mjx.gap.results import (
-    REASON_NOT_NAMED,
     detail_sentences,
     effect_at_place,
     effect_title,
     error_in_words,
-    estimate_cells,
     format_number,
     hypothesis_in_words,
-    in_percent,
     in_reading_unit,
-    parameter_in_words,
     parameters_in_words,
     place_in_words,
-    unit_in_words,
 )
 from btr_mjx.pages import Curves, Figure, Section, Table
 from btr_mjx.runs import read_arrays, read_json, read_table
@@ -65,10 +68,10 @@ def report_sections(folder: Path, result: Mapping[str, Any], figures: Mapping[st
     laws = [f"{place_in_words(str(e['location']))}: {e['equation']}" for e in effects if e.get("latex")]
     return [
         Section("", detail_sentences(result)),
-        Section("What has changed" if before else "What is missing", tables=_effects(result)),
+        Section("What has changed" if before else "What is missing", tables=effect_table(result)),
         Section("Before", _before(before) if before else []),
-        Section("Numbers over the sets of recordings", figures=shown("sets"), tables=_sets(folder)),
-        Section("Errors of predictions by joint", tables=_joint_errors(result)),
+        Section("Numbers over the sets of recordings", figures=shown("sets"), tables=table_over_sets(folder)),
+        Section("Errors of predictions by joint", tables=joint_error_table(result)),
         Section(
             f"{'Before and after, on recordings' if effects else 'Recordings'} that were not fitted",
             **_overlays(folder, result),
@@ -76,9 +79,9 @@ def report_sections(folder: Path, result: Mapping[str, Any], figures: Mapping[st
         *_preflight(folder),
         Section("What the unexplained part looks like", _lines(result.get("unexplained"))),
         Section("Missing force", laws, shown("joint-forces")) if shown("joint-forces") else Section(""),
-        Section("Where simulation and data disagree", figures=shown("disagreement")),
-        *_candidates(result, shown("ranking", "ranking-second")),
-        Section("Believed parameters", tables=_table(result.get("believed") or [])),
+        Section("Where simulation and data disagree", tables=disagreement_tables(folder)),
+        *candidate_sections(result),
+        Section("Believed parameters", tables=as_table(result.get("believed") or [])),
         Section("What could be mistaken for it", _lines(result.get("confounds"))),
         Section("Next experiment", _experiment(result.get("next_experiment")), shown("next-command")),
         *_mended(folder, result),
@@ -86,60 +89,10 @@ def report_sections(folder: Path, result: Mapping[str, Any], figures: Mapping[st
     ]
 
 
-def _effects(result: Mapping[str, Any]) -> list[Table]:
-    """Numbers of the named effects with their intervals."""
-    rows = []
-    for effect in result.get("effects") or []:
-        place = place_in_words(str(effect["location"]).removeprefix(EACH_MEMBER))
-        for name, given in effect["parameters"].items():
-            cells = estimate_cells(in_percent(name, given)).values()
-            unit = unit_in_words(in_percent(name, given).get("unit"))
-            rows.append([effect_title(effect["effect"]), place, parameter_in_words(name), *cells, unit])
-    note = str(result.get("interval_note") or "From, to: 90 % interval; it does not assume that the fit is good.")
-    return [Table(["effect", "place", "parameter", "value", "from", "to", "unit"], rows, note)] if rows else []
-
-
 def _before(before: Mapping[str, Any]) -> list[str]:
     """What the diagnosis of the recordings before said."""
     found = [f"{effect_at_place(e)} ({parameters_in_words(e)})" for e in before.get("effects") or []]
     return [f"{before['dataset']}: {before['sentence']}", *found]
-
-
-def _sets(folder: Path) -> list[Table]:
-    """Numbers over sets of recordings."""
-    if not (folder / "sets.csv").is_file():
-        return []
-    rows = [
-        {"set": row["name"], "number": f"{effect_at_place(row)}, {parameter_in_words(row['parameter'])}"}
-        | {"value": row["value"], "from": row["low"], "to": row["high"]}
-        | {"unit": unit_in_words(row["unit"]), "named": "yes" if row["named"] else ""}
-        for row in read_table(folder / "sets.csv").to_dicts()
-    ]
-    note = (
-        "Numbers beside the believed model, the oldest set first, with 90 % intervals. Named: said to be missing in "
-        "the first set, to have changed in a later one."
-    )
-    return _table(rows, note)
-
-
-def _joint_errors(result: Mapping[str, Any]) -> list[Table]:
-    """Errors of predictions in degrees or millimetres."""
-    found = result.get("joint_errors") or []
-    if not found:
-        return []
-    keys = ("before", "after", "noise") if result.get("effects") or result.get("calibration") else ("before", "noise")
-    rows = [
-        (row["joint"], *(in_reading_unit(float(row[key]), row["unit"])[0] for key in keys), _reading_unit(row["unit"]))
-        for row in found
-    ]
-    names = {"before": "believed model", "after": "mended model", "noise": "noise alone"}
-    ahead = f"{found[0]['horizon']:g} s after a measured state"
-    note = f"Root mean square error of positions of held-out recordings, {ahead}."
-    return [Table(["joint", *(names[key] for key in keys), "unit"], rows, note)]
-
-
-def _reading_unit(unit: str) -> str:
-    return str(in_reading_unit(0.0, unit)[1])
 
 
 def _overlays(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
@@ -156,7 +109,7 @@ def _overlays(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
         every = -(-len(data[f"time_{n}"]) // _SAMPLES)
         lines = {label: _plain(in_reading_unit(data[f"{key}_{n}"][::every], unit)[0]) for key, label in labels.items()}
         time = [round(float(t), 6) for t in data[f"time_{n}"][::every]]
-        curves.append(Curves(f"{name}, recording {recording}", _reading_unit(unit), time, lines))
+        curves.append(Curves(f"{name}, recording {recording}", reading_unit(unit), time, lines))
     where = "the believed model is worst" if same else "the two models differ most"
     return {"lines": [f"Held-out stretches in which {where}."], "curves": curves}
 
@@ -177,35 +130,6 @@ def _preflight(folder: Path) -> list[Section]:
     return [
         Section("What is odd about the data", warnings or [nothing]),
         Section("All that was looked at", notes, folded=True),
-    ]
-
-
-def disagreement(folder: Path) -> tuple[list[str], list[str], np.ndarray, np.ndarray | None]:
-    """Rows, columns and values of the map of disagreement, before and after."""
-    data = read_arrays(folder / "disagreement.npz")
-    rows, columns = ([str(name) for name in data[key]] for key in ("rows", "columns"))
-    return rows, columns, data["before"], data.get("after")
-
-
-def _candidates(result: Mapping[str, Any], figures: Sequence[Figure]) -> list[Section]:
-    """The ranking, and what these data cannot distinguish."""
-    ranking, given, effects = (result.get(key) or [] for key in ("ranking", "equivalent", "effects"))
-    if not ranking:
-        return []
-    rows = [
-        (effect_title(row["effect"]), row["location"], row.get("score"), row.get("margin"), row.get("held_out"), beside)
-        for row in ranking
-        for beside in [hypothesis_in_words(" + ".join(row.get("beside") or []))]
-    ]
-    note = "Score: fall of the misfit (χ²), less a price for the effect's parameters."
-    names = ["effect", "place", "score", "behind the first", "held-out gain", "beside"]
-    lines = []
-    if given and (len(given) > 1 or not effects):
-        what = "These data cannot distinguish" if effects else f"Not ruled out, though {REASON_NOT_NAMED}"
-        lines = [f"{what}: {'; '.join(effect_at_place(one) for one in given)}."]
-    return [
-        Section("Candidates", lines, figures),
-        Section("All candidates", tables=[Table(names, rows, note)], folded=True),
     ]
 
 
@@ -258,12 +182,6 @@ def _experiment(value: Any) -> list[str]:
     return lines
 
 
-def _table(rows: Sequence[Mapping[str, Any]], note: str = "") -> list[Table]:
-    """Mappings of the same keys as a table; none of none."""
-    names = [str(name).replace("_", " ") for name in rows[0]] if rows else []
-    return [Table(names, [list(row.values()) for row in rows], note)] if rows else []
-
-
 def _mended(folder: Path, result: Mapping[str, Any]) -> list[Section]:
     """How to load the mended model, what is in it, and code for what MJCF cannot express."""
     if not (folder / "mended.xml").is_file():
@@ -290,7 +208,7 @@ def _mended(folder: Path, result: Mapping[str, Any]) -> list[Section]:
     ]
     more = f"And {len(changes) - _CHANGES} more, listed in mended.json." if len(changes) > _CHANGES else ""
     keys = ("part", "field", "believed", "mended")
-    tables = _table([{key: change[key] for key in keys} for change in changes[:_CHANGES]], more)
+    tables = as_table([{key: change[key] for key in keys} for change in changes[:_CHANGES]], more)
     rows = [[effect_title(t["effect"]), place_in_words(t["location"]), t.get("equation", "")] for t in terms]
     tables += [Table(["effect without a term in MJCF", "place", "equation"], rows)] if rows else []
     code = _CODE if terms else f'model = mujoco.MjModel.from_xml_path("{path}")'

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.report.content import disagreement, gap_numbers, is_json_number, report_sections, spent
-from btr_mjx.gap.results import REASON_NOT_NAMED, hypothesis_in_words, verdict_sentence
+from btr_mjx.gap.report.content import gap_numbers, report_sections, spent
+from btr_mjx.gap.results import verdict_sentence
 from btr_mjx.pages import Figure, embedded, write_page
 from btr_mjx.plotting import save_figure
 from btr_mjx.runs import read_arrays, read_json, read_table
@@ -75,14 +75,6 @@ def _wanted(folder: Path, result: Mapping[str, Any]) -> dict[str, tuple[Callable
         make = partial(figures.numbers_over_sets, read_table(folder / "sets.csv").to_dicts())
         caption = "Named numbers of each set, the oldest first, beside the believed model; bars are 90 % intervals."
         out["sets"] = make, "Numbers over the sets of recordings", caption
-    if (folder / "disagreement.npz").is_file():
-        make = partial(figures.disagreement_map, *disagreement(folder))
-        caption = (
-            "Mean square of the force that would make the believed model follow the data, in units of the value that "
-            "noise alone would give: 1 is the noise floor, a dot marks a regime without data."
-        )
-        out["disagreement"] = make, "Disagreement by part and regime", caption
-    out |= _rankings(result, figures.ranking_bars)
     if (folder / "joint_forces.npz").is_file():
         joints = figures.force_data(read_arrays(folder / "joint_forces.npz"))
         is_mended = bool(result.get("effects"))
@@ -98,32 +90,4 @@ def _wanted(folder: Path, result: Mapping[str, Any]) -> dict[str, tuple[Callable
         caption = "The proposed command" + (f"; {more} further channels are in next_command.csv." if more > 0 else ".")
         make = partial(figures.commands, table["time"].to_numpy(), table.select(names).to_numpy(), names)
         out["next-command"] = make, "The proposed command", caption
-    return out
-
-
-def _rankings(
-    result: Mapping[str, Any], bars: Callable[..., "drawn.Figure"]
-) -> dict[str, tuple[Callable[[], "drawn.Figure"], str, str]]:
-    """The candidates, and those for one more effect."""
-    out: dict[str, tuple[Callable[[], drawn.Figure], str, str]] = {}
-    found = [(e["effect"], e["location"]) for e in result.get("effects") or []]
-    rows = list(result.get("ranking") or [])
-    first, second = ([row for row in rows if bool(row.get("beside")) is beside] for beside in (False, True))
-    if first:
-        threshold = result["threshold"] if is_json_number(result.get("threshold")) else None
-        hatched = "these data cannot distinguish it from the named one" if found else REASON_NOT_NAMED
-        caption = (
-            "Score: fall of the misfit, less a price for the effect's parameters. Black: named. "
-            f"Hatched: {hatched}. Grey: other candidates. Dotted line: score that a name needs at least."
-        )
-        if len(found) == 1 and any(row["score"] > first[0]["score"] for row in first):
-            caption += (
-                " What scores more than the name does not meet the other conditions for a name: it gains too little on "
-                "held-out recordings, or errors of calibration explain as much."
-            )
-        out["ranking"] = partial(bars, first, found, threshold), "Candidates by score", caption
-    if second and len(found) > 1:
-        beside = hypothesis_in_words(" + ".join(second[0]["beside"]))
-        caption = f"The same for one more effect beside {beside}; scores are of both together."
-        out["ranking-second"] = partial(bars, second, found), "Candidates for one more effect", caption
     return out
