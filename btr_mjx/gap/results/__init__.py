@@ -37,10 +37,9 @@ from btr_mjx.gap.results.records import (
 )
 from btr_mjx.gap.results.saved import RESULT, as_result, before_entry, save_diagnosis, save_quantities
 from btr_mjx.gap.results.simulation_file import simulation_mjcf
-from btr_mjx.gap.results.words import (
+from btr_mjx.gap.results.words.terms import (
     REASON_NOT_NAMED,
     confound_sentence,
-    detail_sentences,
     effect_at_place,
     effect_title,
     error_in_words,
@@ -55,8 +54,8 @@ from btr_mjx.gap.results.words import (
     place_in_words,
     refit_sentence,
     unit_in_words,
-    verdict_sentence,
 )
+from btr_mjx.gap.results.words.verdict import detail_sentences, verdict_sentence
 
 __all__ = [
     "REASON_NOT_NAMED",

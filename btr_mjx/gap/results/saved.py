@@ -15,7 +15,8 @@ from btr_mjx.gap.effects import KNOWN_EFFECTS, Effect
 from btr_mjx.gap.results.exported import export_diagnosis
 from btr_mjx.gap.results.mended_model import FoundEffect, MendedModel, mend, with_residual
 from btr_mjx.gap.results.records import Diagnosis, DisagreementMap, JointForce, NamedEffect, NextExperiment, Quantity
-from btr_mjx.gap.results.words import detail_sentences, place_in_words, verdict_sentence
+from btr_mjx.gap.results.words.terms import place_in_words
+from btr_mjx.gap.results.words.verdict import detail_sentences, verdict_sentence
 from btr_mjx.models import parse_path, part_names
 from btr_mjx.runs import atomic_write, write_arrays, write_json, write_table
 
