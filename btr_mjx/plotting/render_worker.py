@@ -105,6 +105,6 @@ def _draw_trail(scene: mujoco.MjvScene, points: np.ndarray) -> None:
 if __name__ == "__main__":
     with os.fdopen(os.dup(sys.stdout.fileno()), "wb") as pipe:
         os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # libraries write no words among the pictures
-        motions, *view = pickle.load(sys.stdin.buffer)
-        for own in motions:
-            write_pictures(*own, *view, pipe)
+        motions, width, height, camera = pickle.load(sys.stdin.buffer)
+        for model, poses in motions:
+            write_pictures(model, poses, width, height, camera, pipe)
