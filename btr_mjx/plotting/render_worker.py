@@ -99,6 +99,8 @@ def _draw_trail(scene: mujoco.MjvScene, points: np.ndarray) -> None:
             kind = mujoco.mjtGeom.mjGEOM_CAPSULE
             mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(TRAIL, np.float32))
             mujoco.mjv_connector(geom, kind, TRAIL_WIDTH, start, end)
+            first = scene.geoms[0]  # counts as a part of it, and so not as background
+            geom.objtype, geom.objid, geom.segid = first.objtype, first.objid, first.segid
             scene.ngeom += 1
 
 

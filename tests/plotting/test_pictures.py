@@ -155,6 +155,20 @@ def test_a_robot_of_collision_geoms_alone_is_in_its_picture() -> None:
 
 
 @needs_gl
+def test_the_path_of_a_robot_without_a_sky_is_drawn() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><geom type="plane" size="5 5 1"/><body pos="0 0 .3"><freejoint/>
+        <geom size=".1" rgba=".2 .2 .2 1"/></body></worldbody></mujoco>"""
+    )
+    poses = np.repeat(model.qpos0[None], 2, axis=0)
+    poses[1, 0] = 1.0
+    (both,) = rendering.render([(model, poses)], 160, 120, camera_for([model], poses=[poses])) or ()
+    orange = (both[..., 0].astype(int) > 40 + both[..., 2]).sum(axis=(1, 2))
+    assert orange[0] == 0
+    assert orange[1] > 20
+
+
+@needs_gl
 def test_the_worker_ignores_what_libraries_print(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Words on stdout must not become pixels."""
     (tmp_path / "sitecustomize.py").write_text("import atexit, os\natexit.register(os.write, 1, b'bye')\n")
