@@ -1,7 +1,6 @@
 """Figures show what the run folder holds, nothing else, and can be drawn whatever went wrong in the run."""
 
 import dataclasses
-import functools
 import subprocess
 import sys
 import warnings
@@ -34,7 +33,8 @@ def strict():
 @pytest.fixture(autouse=True)
 def coarse(monkeypatch):
     """Few pixels, to be fast."""
-    monkeypatch.setattr(plots, "write_figure", functools.partial(plots.write_figure, dpi=30))
+    write = plots.write_figure
+    monkeypatch.setattr(plots, "write_figure", lambda path, figure, dpi: write(path, figure, dpi=30))
 
 
 def write_run(
