@@ -14,7 +14,7 @@ AZIMUTH, ELEVATION = 145.0, -28.0
 FOVY = 25.0
 """Vertical field of view [degrees]."""
 
-MARGIN = 0.06
+EMPTY_SIDE = 0.06
 """Empty fraction of a picture at each side."""
 
 
@@ -60,7 +60,7 @@ def camera_for(
         points = np.concatenate([points, points * [1, 1, 0]])  # shadows of light from above
     axes = view_axes()
     right, up, forward = axes @ points.T
-    slope = (1 - 2 * MARGIN) * np.tan(np.radians(FOVY) / 2)
+    slope = (1 - 2 * EMPTY_SIDE) * np.tan(np.radians(FOVY) / 2)
     distance, centre = 0.0, []
     for across, tangent in ((right, slope * aspect), (up, slope)):
         # The least distance with |across - centre| <= tangent (distance + forward) for all points.

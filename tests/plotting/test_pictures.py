@@ -10,7 +10,7 @@ import pytest
 
 from btr_mjx.models import compile_mjcf
 from btr_mjx.plotting import rendering
-from btr_mjx.plotting.camera import FOVY, MARGIN, Camera, camera_for, geom_corners, highest_group, view_axes
+from btr_mjx.plotting.camera import EMPTY_SIDE, FOVY, Camera, camera_for, geom_corners, highest_group, view_axes
 from btr_mjx.plotting.render_worker import hide_covered_spheres
 from btr_mjx.robots import hexapod
 
@@ -32,7 +32,7 @@ def test_camera_shows_every_corner_and_no_more_than_that() -> None:
     corners = np.concatenate([geom_corners(model, model.qpos0) for model in models])
     flat, depth = projected(camera, np.concatenate([corners, corners * [1, 1, 0]]))  # with their shadows
     assert (depth > 0).all()
-    assert np.abs(flat / [1.3, 1]).max() == pytest.approx(1 - 2 * MARGIN)
+    assert np.abs(flat / [1.3, 1]).max() == pytest.approx(1 - 2 * EMPTY_SIDE)
 
 
 def test_corners_are_those_of_every_kind_of_geom_that_is_drawn() -> None:
