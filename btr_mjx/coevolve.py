@@ -22,8 +22,9 @@ The run folder holds:
 import dataclasses
 import sys
 import types
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
+from pathlib import Path
 from typing import Any
 
 import tyro
@@ -45,7 +46,8 @@ from btr_mjx.backtoreality import (
 )
 from btr_mjx.errors import cli_errors, resume_command
 from btr_mjx.models import base_model
-from btr_mjx.pages import draw_run_page
+from btr_mjx.pages import PAGE, draw_run_page
+from btr_mjx.plotting import attempt
 from btr_mjx.runs import IGNORED_FIELDS, RunFolder, claimed_folder, graceful_interrupt, write_json
 
 
@@ -65,6 +67,11 @@ def coevolve(config: CoevolveConfig | None = None, **changes: Any) -> dict[str, 
       Interrupted: a signal asked to stop; everything up to the last generation is saved.
     """
     config = dataclasses.replace(config or PRESETS[changes.get("preset", "quick")], **changes)
+    return _coevolve(config, lambda result, out: None)
+
+
+def _coevolve(config: CoevolveConfig, tell: Callable[[dict[str, Any], Path], None]) -> dict[str, Any]:
+    """As `coevolve`; the result and its folder are told once all of it is saved, before anything is drawn."""
     with _claimed(config) as config:
         assert config.out is not None
         problem = build_problem(config)
@@ -83,8 +90,9 @@ def coevolve(config: CoevolveConfig | None = None, **changes: Any) -> dict[str, 
             export_simulation(run.path, problem, state)
             export_coevolution(run.path)
             run.seal()
+            tell(result, run.path)
             if config.figures:
-                draw_run_page(run.path)
+                attempt(PAGE, lambda: draw_run_page(run.path))
     return result
 
 
@@ -104,20 +112,17 @@ def parse(argv: Sequence[str]) -> CoevolveConfig:
     return tyro.cli(CoevolveConfig, args=list(argv), default=default, description=__doc__, prog="btr_mjx.coevolve")
 
 
+@cli_errors()
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
     argv = sys.argv[1:] if argv is None else list(argv)
-    config = parse(argv)
-    with cli_errors(), _claimed(config) as config:
+    with _claimed(parse(argv)) as config:
         resume = resume_command("btr_mjx.coevolve", argv, config.out)
         try:
             with cli_errors(resume):
-                result = coevolve(config)
+                _coevolve(config, lambda result, out: print(summary_table(result, out), flush=True))
         except Waiting as waiting:
             print("\n".join([*waiting.complaints, str(waiting), f"then go on with: {resume}"]))
-            return
-        assert config.out is not None
-        print(summary_table(result, config.out))
 
 
 class _CallableModule(types.ModuleType):

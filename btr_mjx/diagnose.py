@@ -32,6 +32,7 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -136,7 +137,11 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
       InputError: bad settings or data, or a folder that cannot take this run.
       Interrupted: a signal asked to stop; the run can be resumed.
     """
-    config = dataclasses.replace(config or DiagnoseConfig(), **changes)
+    return _diagnose(dataclasses.replace(config or DiagnoseConfig(), **changes), lambda result, out: None)
+
+
+def _diagnose(config: DiagnoseConfig, tell: Callable[[dict[str, Any], Path], None]) -> dict[str, Any]:
+    """As `diagnose`; the result and its folder are told once all of it is saved, before anything is drawn."""
     check_diagnosis(config)
     # Loading what a search needs takes seconds: arguments, and then the data, are checked before.
     from btr_mjx.gap.effects import selected_effects
@@ -157,6 +162,8 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
             inputs["the recordings before"] = content_digest(tuple(earlier))
     from btr_mjx.gap.report import draw_report, print_findings
     from btr_mjx.gap.results import RESULT
+    from btr_mjx.pages import PAGE
+    from btr_mjx.plotting import attempt
 
     ignore = (*IGNORED_FIELDS, "figures")
     with _claimed(config) as config:
@@ -180,9 +187,11 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
                 search_missing(dataset, library, config, run.path, stop.checkpoint, earlier)
                 run.seal()
                 stop.checkpoint()
+            result = read_json(run.path / RESULT)
+            tell(result, run.path)
             if config.figures:
-                draw_report(run.path)
-            return read_json(run.path / RESULT)
+                attempt(PAGE, lambda: draw_report(run.path))
+            return result
 
 
 def check_diagnosis(config: DiagnoseConfig) -> None:
@@ -437,28 +446,31 @@ def _silence_mujoco() -> None:
     mujoco.set_mju_user_warning(lambda _: None)
 
 
+def _print_all(config: DiagnoseConfig, result: dict[str, Any], out: Path) -> None:
+    from btr_mjx.gap.report import print_result, print_truth
+
+    print_result(result, out, config.figures)
+    if config.demo:
+        print_truth(read_json(out / "truth.json"))
+    sys.stdout.flush()
+
+
+@cli_errors()
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
     argv = sys.argv[1:] if argv is None else list(argv)
     config = tyro.cli(DiagnoseConfig, args=list(argv), description=__doc__, prog="btr_mjx.diagnose")
     if config.check:
-        with cli_errors():
-            check_diagnosis(config)
-            _silence_mujoco()
-            if not check_data(config):
-                raise SystemExit(BAD_INPUT_CODE)
+        check_diagnosis(config)
+        _silence_mujoco()
+        if not check_data(config):
+            raise SystemExit(BAD_INPUT_CODE)
         return
-    with cli_errors(), _claimed(config) as config:
+    with _claimed(config) as config:
         check_diagnosis(config)
         _silence_mujoco()
         with cli_errors(resume_command("btr_mjx.diagnose", argv, config.out)):
-            result = diagnose(config)
-        from btr_mjx.gap.report import print_result, print_truth
-
-        assert config.out is not None
-        print_result(result, config.out)
-        if config.demo:
-            print_truth(read_json(config.out / "truth.json"))
+            _diagnose(config, partial(_print_all, config))
 
 
 if __name__ == "__main__":

@@ -57,12 +57,12 @@ def examine_installation(config: DoctorConfig = DoctorConfig()) -> dict[str, Che
     return results
 
 
+@cli_errors()
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
     argv = sys.argv[1:] if argv is None else list(argv)
     config = tyro.cli(DoctorConfig, args=list(argv), description=__doc__, prog="btr_mjx.doctor")
-    with cli_errors():
-        results = examine_installation(config)
+    results = examine_installation(config)
     if any(result.state == "off" for result in results.values()):
         raise SystemExit(OFF_CODE)
 

@@ -1,8 +1,9 @@
 """Errors of bad input and of interrupts, and how commands report them.
 
-Three outcomes of a command are not bugs: bad input (exit code 2), a file or folder the operating system refuses (2) and
-an interrupt (130). `cli_errors` turns these into one line on stderr, with what to write below it where that takes more;
-everything else is a bug and keeps its traceback. Set `BTR_MJX_TRACEBACK=1` to see the traceback of bad input as well.
+Four outcomes of a command are not bugs: bad input (exit code 2), a file or folder the operating system refuses (2), an
+interrupt (130) and output that nobody reads to the end (141). `cli_errors` turns these into one line on stderr, with
+what to write below it where that takes more, and the last into silence; everything else is a bug and keeps its
+traceback. Set `BTR_MJX_TRACEBACK=1` to see the traceback of bad input as well.
 
 Inside the package, raise `InputError` (or another ValueError subclass of the package) for whatever a caller can
 correct: the message names what was given, what was expected and the remedy. A bare ValueError counts as a bug, because
@@ -24,6 +25,9 @@ MAX_LINE = 1000
 
 INTERRUPTED_CODE = 130
 """Exit code of a command after an interrupt: 128 + SIGINT."""
+
+UNREAD_CODE = 141
+"""Exit code of a command whose output nobody reads to the end, as in `--help | head`: 128 + SIGPIPE."""
 
 
 class InputError(ValueError):
@@ -122,10 +126,18 @@ def cli_errors(resume: str | None = None) -> Iterator[None]:
       resume: command that continues the run, printed after an interrupt (see `resume_command`).
 
     Raises:
-      SystemExit: 2 for bad input (see `is_bad_input`), 130 for an interrupt. All other errors pass unchanged.
+      SystemExit: 2 for bad input (see `is_bad_input`), 130 for an interrupt, 141 where nobody reads the output any
+        more. All other errors pass unchanged.
     """
     try:
-        yield
+        try:
+            yield
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        # What is left in the buffer must not fail once more when Python ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(UNREAD_CODE) from None
     except KeyboardInterrupt as interrupt:
         print(f"\n{one_line(interrupt) if str(interrupt) else 'interrupted'}", file=sys.stderr)
         if resume:

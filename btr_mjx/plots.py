@@ -11,6 +11,7 @@ from btr_mjx.errors import cli_errors
 from btr_mjx.plotting import draw_folder
 
 
+@cli_errors()
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
 
@@ -23,10 +24,9 @@ def main(argv: Sequence[str] | None = None) -> None:
         return folders
 
     folders = tyro.cli(command, args=sys.argv[1:] if argv is None else list(argv), prog="btr_mjx.plots")
-    with cli_errors():
-        for folder in folders:
-            for path in draw_folder(folder):
-                print(path)
+    for folder in folders:
+        for path in draw_folder(folder):
+            print(path)
 
 
 if __name__ == "__main__":

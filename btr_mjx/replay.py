@@ -6,7 +6,7 @@ reality. Of a diagnosis: a held-out recording beside the believed model and the 
 one, which start as it does and get its command. Trials are simulated again in native MuJoCo, in float64.
 
 The film is a GIF, or an MP4 with the extra `video`; its labels say what is shown, the time and the fitness. The page of
-the run (report.html) then holds the film too. Without OpenGL the robots are drawn as outlines.
+the run (report.html) then holds the film too. Without EGL, OSMesa or a display there is none, and a line says so.
 """
 
 import sys
@@ -72,13 +72,14 @@ def replay(config: ReplayConfig) -> Path | None:
       config: the settings.
 
     Returns:
-      The film; None with `view`.
+      The film; None with `view`, or where nothing can be rendered, which one line on stderr says.
 
     Raises:
       InputError: bad settings, no run that can be shown, no display.
     """
     out = check_replay(config)
     from btr_mjx.pages import PAGE
+    from btr_mjx.plotting import attempt
     from btr_mjx.replays import draw_film, read_replay, view_replay, write_film
     from btr_mjx.runs import progress
 
@@ -90,21 +91,23 @@ def replay(config: ReplayConfig) -> Path | None:
         return None
     total = len(shown.motions) * len(shown.times)
     with progress(total=total, description="film", unit="frames", show=config.progress) as bar:
-        film = draw_film(shown, config.width, slowness, bar.update)
+        film = attempt("film", lambda: draw_film(shown, config.width, slowness, bar.update))
+    if film is None:
+        return None
     write_film(out, film, config.rate, round(config.limit * 1e6))
     if (config.run / PAGE).is_file() and out.resolve().parent == config.run.resolve():
-        report(config.run)
+        attempt(PAGE, lambda: report(config.run))
     return out
 
 
+@cli_errors()
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
     argv = sys.argv[1:] if argv is None else list(argv)
     config = tyro.cli(ReplayConfig, args=list(argv), description=__doc__, prog="btr_mjx.replay")
-    with cli_errors():
-        out = replay(config)
-        if out is not None:
-            print(f"{out} ({out.stat().st_size / 1e6:.2f} MB)")
+    out = replay(config)
+    if out is not None:
+        print(f"{out} ({out.stat().st_size / 1e6:.2f} MB)")
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ def report(folder: str | Path) -> Path:
     """Draw the figures and the page of a run.
 
     Args:
-      folder: run folder of btr_mjx.coevolve, scan or diagnose, or folder of experiments/claims.py.
+      folder: run folder of btr_mjx.coevolve, scan or diagnose.
 
     Returns:
       The page.
@@ -35,6 +35,7 @@ def report(folder: str | Path) -> Path:
     return draw_run_page(folder)
 
 
+@cli_errors()
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
 
@@ -42,15 +43,14 @@ def main(argv: Sequence[str] | None = None) -> None:
         """Draw the pages of runs again.
 
         Args:
-          folders: run folders of btr_mjx.coevolve, scan or diagnose, or folders of experiments/claims.py.
+          folders: run folders of btr_mjx.coevolve, scan or diagnose.
         """
         return folders
 
     argv = sys.argv[1:] if argv is None else list(argv)
     folders = tyro.cli(command, args=argv, description=__doc__, prog="btr_mjx.report")
-    with cli_errors():
-        for folder in folders:
-            print(report(folder))
+    for folder in folders:
+        print(report(folder))
 
 
 if __name__ == "__main__":

@@ -33,13 +33,16 @@ from btr_mjx.backtoreality import (
 )
 from btr_mjx.errors import InputError, cli_errors, resume_command
 from btr_mjx.evaluation import fitness_function
+from btr_mjx.gap.results import format_number
 from btr_mjx.models import robot_digest
-from btr_mjx.pages import draw_run_page
+from btr_mjx.pages import PAGE, draw_run_page
+from btr_mjx.plotting import attempt
 from btr_mjx.runs import IGNORED_FIELDS, RunFolder, content_digest, progress, say_progress, write_arrays, write_json
 
 __all__ = ["ScanConfig", "along", "curve_statistics", "delta", "delta_fitness", "main", "run_scan"]
 
 
+@cli_errors()
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
     argv = sys.argv[1:] if argv is None else list(argv)
@@ -52,27 +55,30 @@ def main(argv: Sequence[str] | None = None) -> None:
         evolved = 0 if config.behaviours == "random" else config.controllers * config.generations
         total = evolved + config.trials * (config.grid + 1)
         if config.out is None:
+            _print_result(config, *_with_bar(config, total))
+            return
+        ignore = (*IGNORED_FIELDS, "cluster", "figures")
+        inputs = {
+            "the robot": robot_digest(robot),
+            "the fitness function": content_digest(fitness_function(config.fitness or robot.fitness, robot.target)),
+        }
+        with RunFolder.create(config.out, config, config.resume, ignore=ignore, inputs=inputs) as run:
             arrays, result = _with_bar(config, total)
-        else:
-            ignore = (*IGNORED_FIELDS, "cluster", "figures")
-            inputs = {
-                "the robot": robot_digest(robot),
-                "the fitness function": content_digest(fitness_function(config.fitness or robot.fitness, robot.target)),
-            }
-            with RunFolder.create(config.out, config, config.resume, ignore=ignore, inputs=inputs) as run:
-                arrays, result = _with_bar(config, total)
-                write_arrays(run.path / "scan.npz", arrays)
-                write_json(run.path / "result.json", result)
-                run.seal()
-                if config.figures:
-                    draw_run_page(run.path)
-        print(f"{arrays['parameter']}: {arrays['delta'].shape[1]} behaviours, {config.grid} simulations")
-        for name, value in result.items():
-            print(
-                f"  {name:20} {format(value, '.4f') if isinstance(value, float) else '-' if value is None else value}"
-            )
-        if config.out is not None:
-            print(f"all files in {config.out}")
+            write_arrays(run.path / "scan.npz", arrays)
+            write_json(run.path / "result.json", result)
+            run.seal()
+            _print_result(config, arrays, result)
+            if config.figures:
+                attempt(PAGE, lambda: draw_run_page(run.path))
+
+
+def _print_result(config: ScanConfig, arrays: dict[str, np.ndarray], result: dict[str, Any]) -> None:
+    print(f"{arrays['parameter']}: {arrays['delta'].shape[1]} behaviours, {config.grid} simulations")
+    for name, value in result.items():
+        text = format_number(value, 4) if isinstance(value, float) else "-" if value is None else value
+        print(f"  {name:20} {text}")
+    if config.out is not None:
+        print(f"all files in {config.out}", flush=True)
 
 
 def _with_bar(config: ScanConfig, total: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

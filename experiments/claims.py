@@ -32,6 +32,7 @@ import fig4_identification
 import fig5_metrics
 import numpy as np
 import tyro
+from claims_page import draw_claims_page
 from common import Config
 from drawing import figure_of, save
 from fig3_behaviours import sizes_of
@@ -41,7 +42,6 @@ from units import estimate, missing
 from verdicts import Claim
 
 from btr_mjx.errors import InputError, cli_errors
-from btr_mjx.pages import draw_claims_page
 from btr_mjx.runs import atomic_write, is_unused, note, read_json, write_json
 
 FIGURES: dict[str, Any] = {

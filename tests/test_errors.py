@@ -1,10 +1,12 @@
+import os
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
 from btr_mjx import errors
-from btr_mjx.errors import InputError, Interrupted, cli_errors, resume_command
+from btr_mjx.errors import UNREAD_CODE, InputError, Interrupted, cli_errors, resume_command
 
 
 class OurError(ValueError):
@@ -68,3 +70,15 @@ def test_resume_command(monkeypatch):
     assert resume_command("btr_mjx.scan", out="y") == "uv run python -m btr_mjx.scan --out=y --resume"
     monkeypatch.setattr("sys.argv", ["/environment/bin/btr-scan", "--out=y"])
     assert resume_command("btr_mjx.scan", out="y") == "uv run btr-scan --out=y --resume"
+
+
+@pytest.mark.parametrize("command", ["coevolve", "diagnose", "doctor", "plots", "replay", "report", "scan"])
+def test_help_that_nobody_reads_to_the_end_ends_quietly(command: str) -> None:
+    """As in `--help | head`: the other end of the pipe is closed."""
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "wb") as pipe:
+        line = [sys.executable, "-m", f"btr_mjx.{command}", "--help"]
+        done = subprocess.run(line, stdout=pipe, stderr=subprocess.PIPE, text=True, timeout=120)
+    assert done.stderr == ""
+    assert done.returncode == UNREAD_CODE

@@ -12,6 +12,7 @@ from btr_mjx.backtoreality.growth import growth_sentence
 from btr_mjx.backtoreality.simulation_search import whole_trial_delta
 from btr_mjx.backtoreality.state import Problem, State, Trials
 from btr_mjx.evaluation import learning_performance
+from btr_mjx.gap.results import format_number
 from btr_mjx.runs import read_arrays
 
 _SIMILAR = 2.0
@@ -139,8 +140,8 @@ def summary_table(result: dict[str, Any], out: Path) -> str:
         ("prediction error on new controllers", ("prediction_error_first", "prediction_error_last")),
         ("best fitness in reality", ("f_r_best_first_iteration", "f_r_best")),
     ):
-        lines.append(f"{label + unit:46}" + "".join(f"{result[key]:14.4f}" for key in keys))
-    fitted = f"{result['delta_fitness_last']:.4f}{unit}"
+        lines.append(f"{label + unit:46}" + "".join(f"{format_number(result[key], 4):>14}" for key in keys))
+    fitted = f"{format_number(result['delta_fitness_last'], 4)}{unit}"
     lines.append(f"fitted: Delta_fitness of the final simulation, over the trials it was fitted to: {fitted}")
     lines.append("")
     lines.append(f"{'parameter':34}{'start':>11}{'identified':>11}  {'similar fit from, to':>21}{'truth':>11}")
@@ -162,6 +163,6 @@ def summary_table(result: dict[str, Any], out: Path) -> str:
     lines.append(f"step 3 minimised {_DISTANCES[result['distance']]} (--distance)")
     lines.append(
         f"{result['reality_evaluations']} evaluations in reality ({result['failed_trials']} failed), "
-        f"learning performance {result['lp']:.3f}, stopped by {result['stop']}; all files in {out}"
+        f"learning performance {format_number(result['lp'])}, stopped by {result['stop']}; all files in {out}"
     )
     return "\n".join(lines)

@@ -54,7 +54,7 @@ def check_versions() -> CheckResult:
     """Versions of Python and of all that this package's distribution requires.
 
     Returns:
-      off where a requirement is not met, or mujoco and mujoco-mjx differ.
+      off where a requirement is not met, or a release is known to err.
     """
     from packaging.requirements import Requirement
     from packaging.specifiers import SpecifierSet
@@ -75,9 +75,8 @@ def check_versions() -> CheckResult:
             wrong[f"{one.name} is not installed"] = f"pip install '{one}'"
         elif not one.specifier.contains(version, prereleases=True):
             wrong[f"{one.name} {version}, expected {one.specifier}"] = f"pip install '{one}'"
-    mujoco, mjx = package_version("mujoco"), package_version("mujoco-mjx")
-    if mujoco and mjx and mujoco != mjx:
-        wrong[f"mujoco {mujoco} beside mujoco-mjx {mjx}, expected one version"] = f"pip install mujoco-mjx=={mujoco}"
+    if package_version("mujoco") == "4.0.0":
+        wrong["mujoco 4.0.0, whose solver errs where Jacobians are sparse"] = "pip install 'mujoco>=4.0.1'"
     if wrong:
         return CheckResult("off", "; ".join(wrong), "; ".join(dict.fromkeys(wrong.values())))
     shown = [f"{name} {package_version(name)}" for name in SHOWN_VERSIONS]

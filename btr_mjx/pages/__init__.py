@@ -1,21 +1,23 @@
 """Self-contained HTML pages about runs, drawn from their saved files only.
 
-`draw_run_page` makes the page of a co-evolution, a scan or the claims of the paper. `write_page` renders a template
-that extends base.html.j2, which has the style, the folded settings and environment, and the films of the folder.
+`draw_run_page` makes the page of a co-evolution or a scan. `write_page` renders
+`Section`s of lines, figures, tables and curves by the templates in templates/, with the films of the folder and the
+folded settings and environment.
 """
 
-from btr_mjx.pages.content import Figure, Section, Table
+from btr_mjx.pages.content import Curves, Figure, Section, Table, with_interval
 from btr_mjx.pages.page import PAGE, embedded, write_page
-from btr_mjx.pages.runs import draw_claims_page, draw_run_page, kind_of_run
+from btr_mjx.pages.runs import draw_run_page, kind_of_run
 
 __all__ = [
     "PAGE",
+    "Curves",
     "Figure",
     "Section",
     "Table",
-    "draw_claims_page",
     "draw_run_page",
     "embedded",
     "kind_of_run",
+    "with_interval",
     "write_page",
 ]

@@ -2,14 +2,14 @@
 
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from btr_mjx.gap.results import format_number
 
-_INTERVAL = r"[\N{MINUS SIGN}\d].* \[.*\]"
-"""Pattern of what `with_interval` writes."""
+_NUMBER = r"\N{MINUS SIGN}?\d[\d.]*(·10\^\N{MINUS SIGN}?\d+)?( \[.*\])?"
+"""Pattern of what `format_number` and `with_interval` write."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,23 @@ class Table:
 
 
 @dataclass(frozen=True)
+class Curves:
+    """Curves over time that a reader can zoom and read off; not more than three.
+
+    Attributes:
+      title: what they show.
+      unit: of the values.
+      time: (K,) [s].
+      lines: values (K,) by name, the measured ones first; None is a gap.
+    """
+
+    title: str
+    unit: str
+    time: Sequence[float]
+    lines: Mapping[str, Sequence[float | None]]
+
+
+@dataclass(frozen=True)
 class Section:
     """A part of a page under its own heading.
 
@@ -59,19 +76,28 @@ class Section:
       title: the heading.
       lines: sentences, a list item each.
       figures: shown below them.
-      tables: shown below the figures.
+      tables: shown below the figures and curves.
       folded: closed until the reader opens it.
+      curves: shown below the figures.
+      code: shown last.
     """
 
     title: str
     lines: Sequence[str] = ()
     figures: Sequence[Figure] = ()
-    tables: Sequence[Table] = field(default=())
+    tables: Sequence[Table] = ()
     folded: bool = False
+    curves: Sequence[Curves] = ()
+    code: str = ""
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is nothing below the heading."""
+        return not (self.lines or self.figures or self.tables or self.curves or self.code)
 
 
 def _is_numeric(cell: Any) -> bool:
-    return isinstance(cell, int | float) or (isinstance(cell, str) and bool(re.fullmatch(_INTERVAL, cell)))
+    return isinstance(cell, int | float) or (isinstance(cell, str) and bool(re.fullmatch(_NUMBER, cell)))
 
 
 def cell_text(value: Any) -> str:

@@ -17,17 +17,16 @@ PAGE = "report.html"
 LARGEST_FILM = 8_000_000
 """Size up to which a film is inside the page; a larger one is a link [bytes]."""
 
-_HERE = Path(__file__).parent
+_TEMPLATES = Path(__file__).with_name("templates")
 _FILMS = {".gif": "image/gif", ".mp4": "video/mp4"}
 
 
-def write_page(folder: Path, template: Path, variables: Mapping[str, Any]) -> Path:
+def write_page(folder: Path, variables: Mapping[str, Any]) -> Path:
     """Render a page about a run folder and write it there.
 
     Args:
       folder: the run folder; its config.json, environment.json, *.gif and *.mp4 are shown where they are there.
-      template: a template that extends base.html.j2.
-      variables: of the template; base.html.j2 needs heading, name, sentence and numbers.
+      variables: heading, name, sentence, numbers, sections and footer; a film_caption where films have one.
 
     Returns:
       The page.
@@ -37,7 +36,7 @@ def write_page(folder: Path, template: Path, variables: Mapping[str, Any]) -> Pa
       OSError: it cannot be written.
     """
     environment = Environment(
-        loader=FileSystemLoader([template.parent, _HERE]), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+        loader=FileSystemLoader(_TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
     environment.filters |= {"cell": cell_text, "order": cell_order, "sentences": sentences}
     parts = {
@@ -45,7 +44,8 @@ def write_page(folder: Path, template: Path, variables: Mapping[str, Any]) -> Pa
         "settings": _settings_table(folder / CONFIG_NAME, "setting"),
         "environment": _settings_table(folder / "environment.json", "of the machine"),
     }
-    html = environment.get_template(template.name).render(parts | dict(variables))
+    variables = dict(variables) | {"sections": [one for one in variables["sections"] if not one.is_empty]}
+    html = environment.get_template("page.html.j2").render(parts | variables)
     with atomic_write(folder / PAGE) as file:
         file.write(html.encode("utf-8"))
     return folder / PAGE

@@ -1,27 +1,22 @@
-"""Pages of co-evolutions, scans and claims."""
+"""Pages of co-evolutions and scans."""
 
 from pathlib import Path
 
 from btr_mjx.errors import InputError
-from btr_mjx.pages.claims import claims_content
 from btr_mjx.pages.coevolution import coevolution_content
 from btr_mjx.pages.page import write_page
 from btr_mjx.pages.scan import scan_content
 from btr_mjx.plotting import draw_run, draw_scan, read_run, read_scan
 from btr_mjx.runs import read_json
 
-_TEMPLATE = Path(__file__).with_name("run.html.j2")
-
 
 def kind_of_run(folder: str | Path) -> str:
-    """What a folder is the run of: "coevolve", "scan", "diagnose" or "claims".
+    """What a folder is the run of: "coevolve", "scan" or "diagnose".
 
     Raises:
       InputError: none of these, or a run that has not ended.
     """
     folder = Path(folder)
-    if (folder / "claims.json").is_file():
-        return "claims"
     if not (folder / "result.json").is_file():
         raise InputError(
             f"{folder} holds no result.json: expected a run folder of btr_mjx.coevolve, scan or diagnose that has "
@@ -50,18 +45,10 @@ def draw_run_page(folder: str | Path) -> Path:
     """
     folder = Path(folder)
     kind = kind_of_run(folder)
-    if kind == "claims":
-        return draw_claims_page(folder)
     if kind == "scan":
         figures = draw_scan(folder)
-        return write_page(folder, _TEMPLATE, scan_content(folder, read_scan(folder), figures))
+        return write_page(folder, scan_content(folder, read_scan(folder), figures))
     if kind == "coevolve":
         figures = draw_run(folder)
-        return write_page(folder, _TEMPLATE, coevolution_content(folder, read_run(folder), figures))
+        return write_page(folder, coevolution_content(folder, read_run(folder), figures))
     raise InputError(f"{folder}: the page of a diagnosis is drawn by btr_mjx.report")
-
-
-def draw_claims_page(folder: str | Path) -> Path:
-    """Draw the page of claims from claims.json and the PNG files beside it; returns and raises as `draw_run_page`."""
-    folder = Path(folder)
-    return write_page(folder, _TEMPLATE, claims_content(folder))

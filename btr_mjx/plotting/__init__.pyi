@@ -1,5 +1,6 @@
-from .draw import draw_folder, draw_run, draw_scan, style
-from .pictures import Camera, camera_for, render_motion, sketch, working_backend
+from .camera import Camera, camera_for
+from .draw import attempt, draw_folder, draw_run, draw_scan, save_figure, style
+from .rendering import render, working_backend
 from .robot_figure import highlight
 from .run_data import RunData, ScanData, read_robot, read_run, read_scan, with_unit
 
@@ -7,6 +8,7 @@ __all__ = [
     "Camera",
     "RunData",
     "ScanData",
+    "attempt",
     "camera_for",
     "draw_folder",
     "draw_run",
@@ -15,8 +17,8 @@ __all__ = [
     "read_robot",
     "read_run",
     "read_scan",
-    "render_motion",
-    "sketch",
+    "render",
+    "save_figure",
     "style",
     "with_unit",
     "working_backend",

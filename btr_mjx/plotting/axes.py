@@ -16,6 +16,10 @@ ABOVE: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "va": "b
 """Text properties of annotations along the upper edge of the axes."""
 
 
+MOST_NAMES = 10
+"""Iterations that are named along an axis, at most."""
+
+
 def figure_width(searches: Sequence[Search], per_generation: float) -> float:
     """Width of a figure by its number of generations, limited to the width of a page [inch]."""
     return float(np.clip(2.6 + per_generation * sum(len(search.scores) for search in searches), 5.6, 9.0))
@@ -42,15 +46,9 @@ def block_offsets(searches: Sequence[Search], spacing: float, first: float) -> l
 
 
 def generation_axis(
-    axes: Axes,
-    searches: Sequence[Search],
-    offsets: list[float],
-    spacing: float,
-    border: float,
-    most: int = 18,
-    sides: str = "tb",
+    axes: Axes, searches: Sequence[Search], offsets: list[float], spacing: float, border: float, sides: str = "tb"
 ) -> None:
-    """Number the generations of each iteration from 1, and the iterations along the top.
+    """Name the iterations along the top and number the last generation of each along the bottom.
 
     Args:
       axes: the axes.
@@ -58,31 +56,22 @@ def generation_axis(
       offsets: from `block_offsets`.
       spacing: as given to `block_offsets`.
       border: position of a block's left border, relative to its offset.
-      most: approximate maximum number of tick labels.
-      sides: with "t" iterations are named along the top, with "b" generations along the bottom.
+      sides: with "t" iterations are named, with "b" the axis has its label.
     """
-    total, count = sum(len(search.scores) for search in searches), len(searches)
-    step = next(step for step in (1, 2, 5, 10, 20, 50, 100, 200, 500, total) if total / step <= most)
-    places, names = [], []
-    for i, (search, offset) in enumerate(zip(searches, offsets, strict=True)):
-        last = len(search.scores)
-        for generation in range(1, last + 1):
-            if generation == last or (generation % step == 0 and last - generation >= 0.6 * step):
-                places.append(offset + generation)
-                names.append(str(generation))
-        if "t" in sides and i % math.ceil(1.2 * count / most) == 0:
-            text = f"iteration {search.iteration}" if count <= most / 3 else str(search.iteration)
-            text += ", grown" if search.part > 1 else ""
-            middle = offset + border + (last + spacing) / 2
-            axes.annotate(text, (middle, 1), xycoords=("data", "axes fraction"), xytext=(0, 2), **ABOVE)
+    count, lengths = len(searches), [len(search.scores) for search in searches]
+    shown = range(0, count, math.ceil(count / MOST_NAMES))
+    for i in shown if "t" in sides else ():
+        text = f"iteration {searches[i].iteration}" if count <= MOST_NAMES / 2 else str(searches[i].iteration)
+        text += ", grown" if searches[i].part > 1 else ""
+        middle = offsets[i] + border + (lengths[i] + spacing) / 2
+        axes.annotate(text, (middle, 1), xycoords=("data", "axes fraction"), xytext=(0, 2), **ABOVE)
     for offset in offsets[1:]:
         axes.axvline(offset + border, color="0.8", linewidth=0.7, zorder=0)
-    crowded = count > most
     axes.xaxis.set_minor_locator(NullLocator())
-    axes.set_xticks([] if crowded else places, [] if crowded else names)
-    axes.set_xlim(-0.5 - 0.012 * total, offsets[-1] + border + last + spacing + 0.1)
+    axes.set_xticks([offsets[i] + lengths[i] for i in shown], [str(lengths[i]) for i in shown])
+    axes.set_xlim(-0.5 - 0.012 * sum(lengths), offsets[-1] + border + lengths[-1] + spacing + 0.1)
     if "b" in sides:
-        axes.set_xlabel(f"{len(searches[0].scores)} generations per iteration" if crowded else "generation")
+        axes.set_xlabel("generation")
 
 
 def positive_scale(axes: Axes, values: np.ndarray) -> None:

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from btr_mjx.errors import InputError
+from btr_mjx.errors import is_bad_input, one_line
 from btr_mjx.plotting.run_data import read_robot, read_run, read_scan
 from btr_mjx.runs import note, write_figure
 
@@ -29,6 +29,34 @@ def style() -> Iterator[None]:
         yield
 
 
+def attempt[T](what: str, draw: Callable[[], T]) -> T | None:
+    """What a drawing function returns; None where it fails, which one line on stderr says: no figure ends a run.
+
+    Args:
+      what: is drawn, such as "scan.png".
+      draw: the function.
+    """
+    try:
+        return draw()
+    except Exception as error:
+        kind = "" if is_bad_input(error) else f"{type(error).__name__}: "
+        note(f"no {what}: {kind}{one_line(error)}")
+        return None
+
+
+def save_figure(path: Path, make: "Callable[[], Figure | None]", dpi: int = 150) -> Path | None:
+    """Make a figure with the common style and save it; None where there is none, or where it fails (see `attempt`)."""
+
+    def draw() -> Path | None:
+        with style():
+            figure = make()
+            if figure is not None:
+                write_figure(path, figure, dpi=dpi)
+        return path if figure is not None else None
+
+    return attempt(path.name, draw)
+
+
 def draw_run(folder: Path) -> list[Path]:
     """Draw the figures of a run folder of `btr_mjx.coevolve`.
 
@@ -36,7 +64,7 @@ def draw_run(folder: Path) -> list[Path]:
       folder: the run folder.
 
     Returns:
-      The PNG files.
+      The PNG files; figures that fail are left out, which one line each on stderr says.
 
     Raises:
       InputError: not a run folder, a run that has not ended, or a damaged file.
@@ -50,14 +78,11 @@ def draw_run(folder: Path) -> list[Path]:
         "delta_fitness": figures.delta_fitness_curve,
         "parameters": figures.parameter_values,
         "sim_versus_reality": figures.sim_versus_reality,
+        # Last, since its template may have been moved or deleted.
+        "robot": lambda run: robot_figure.morphologies(read_robot(folder), run),
     }
-    saved = [_save(folder / f"{name}.png", partial(make, run)) for name, make in curves.items()]
-    try:
-        robot = read_robot(folder)
-    except InputError as error:  # its template has been moved or deleted
-        note(f"no picture of the robot: {error}")
-        return saved
-    return [*saved, _save(folder / "robot.png", partial(robot_figure.morphologies, robot, run))]
+    saved = [save_figure(folder / f"{name}.png", partial(make, run)) for name, make in curves.items()]
+    return [path for path in saved if path is not None]
 
 
 def draw_scan(folder: Path) -> list[Path]:
@@ -66,15 +91,10 @@ def draw_scan(folder: Path) -> list[Path]:
     data = read_scan(folder)
     from btr_mjx.plotting import figures
 
-    return [_save(folder / "scan.png", partial(figures.scan_curve, data))]
+    path = save_figure(folder / "scan.png", partial(figures.scan_curve, data))
+    return [] if path is None else [path]
 
 
 def draw_folder(folder: Path) -> list[Path]:
     """Draw the figures of either kind of run folder; returns and raises as `draw_run`."""
     return draw_scan(folder) if (Path(folder) / "scan.npz").is_file() else draw_run(folder)
-
-
-def _save(path: Path, make: "Callable[[], Figure]") -> Path:
-    with style():
-        write_figure(path, make())
-    return path

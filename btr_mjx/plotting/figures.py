@@ -117,7 +117,7 @@ def parameter_values(run: RunData) -> Figure:
             ),
         )
         sides = ("t" if i < columns else "") + ("b" if i >= box.n - columns else "")
-        generation_axis(axes, run.simulations, offsets, spacing, border=1 - 0.5 * (spacing + 1), most=9, sides=sides)
+        generation_axis(axes, run.simulations, offsets, spacing, border=1 - 0.5 * (spacing + 1), sides=sides)
         axes.tick_params(labelbottom=i >= box.n - columns)
     for axes in panels[box.n :]:
         axes.remove()

@@ -8,7 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from btr_mjx.models import compile_models
-from btr_mjx.plotting import pictures
+from btr_mjx.plotting.camera import camera_for
+from btr_mjx.plotting.rendering import render
 from btr_mjx.plotting.run_data import RunData
 from btr_mjx.robots import Robot
 
@@ -19,7 +20,7 @@ UNKNOWN = (0.97, 0.80, 0.30, 1.0)
 """Colour of geoms whose size is searched: lighter than the others, also in grey scale."""
 
 
-def morphologies(robot: Robot, run: RunData) -> Figure:
+def morphologies(robot: Robot, run: RunData) -> Figure | None:
     """Pictures of the nominal, the identified and (where known) the true morphology, to the same scale.
 
     Args:
@@ -27,7 +28,7 @@ def morphologies(robot: Robot, run: RunData) -> Figure:
       run: the run, for the values of the unknown parameters.
 
     Returns:
-      The figure, with outlines instead of rendered pictures on a machine without OpenGL.
+      The figure; None on a machine that renders nothing.
     """
     nominal = robot.nominal_simulation
     # Numbers of effects that were added to the simulator change no shape.
@@ -42,11 +43,17 @@ def morphologies(robot: Robot, run: RunData) -> Figure:
         simulation[indices] = values
         models.append(compile_models(robot, simulation).row(0))
     highlight(robot, models, indices)
+    pictures = render(
+        [(model, model.qpos0[None]) for model in models], WIDTH, HEIGHT, camera_for(models, WIDTH / HEIGHT)
+    )
+    if pictures is None:
+        return None
     columns, size = (2, 8.5) if run.box.n <= 4 else (3, 7.5)
     figure = Figure(figsize=(3.3 * len(cases), 3.2 + 0.18 * math.ceil(run.box.n / columns)))
     panels = figure.subplots(1, len(cases), squeeze=False)[0]
-    draw_models(panels, models)
-    for axes, title, values in zip(panels, cases, cases.values(), strict=True):
+    for axes, (title, values), picture in zip(panels, cases.items(), pictures, strict=True):
+        axes.imshow(picture[0], interpolation="antialiased")
+        axes.set_axis_off()
         axes.set_title(title, fontsize=11)
         units = [f" {run.box.units[i]}" if run.box.units[i] else "" for i in own]
         lengths = [f"{n}: {v:.2f}{unit}" for n, v, unit in zip(names, values, units, strict=True)]
@@ -67,18 +74,6 @@ def highlight(robot: Robot, models: Sequence[mujoco.MjModel], indices: np.ndarra
     for model in models:
         model.geom_rgba[searched] = UNKNOWN
         model.geom_matid[searched] = -1
-
-
-def draw_models(panels: Sequence, models: Sequence[mujoco.MjModel]) -> None:
-    """Draw one model in each panel, from a common camera that shows all of them."""
-    camera = pictures.camera_for(models, WIDTH / HEIGHT)
-    rendered = pictures.render_all(models, WIDTH, HEIGHT, camera)
-    for i, (axes, model) in enumerate(zip(panels, models, strict=True)):
-        if rendered is None:
-            pictures.sketch(axes, model, camera, WIDTH / HEIGHT)
-        else:
-            axes.imshow(rendered[i], interpolation="antialiased")
-            axes.set_axis_off()
 
 
 def _searched_geoms(robot: Robot, indices: np.ndarray) -> np.ndarray:

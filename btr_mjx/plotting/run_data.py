@@ -77,7 +77,8 @@ class RunData:
     @property
     def fitness_label(self) -> str:
         """Axis label of the fitness, with its unit."""
-        return fitness_label(self.fitness, self.unit)
+        words = {"distance": "distance / duration"}.get(self.fitness, self.fitness.replace("_", " "))
+        return with_unit(f"fitness ({words})", self.unit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,12 +104,6 @@ class ScanData:
     delta: np.ndarray
     delta_fitness: np.ndarray
     result: dict[str, Any]
-
-
-def fitness_label(name: str, unit: str) -> str:
-    """Axis label of a fitness function, with its unit."""
-    words = {"distance": "distance / duration"}.get(name, name.replace("_", " "))
-    return with_unit(f"fitness ({words})", unit)
 
 
 def with_unit(text: str, unit: str) -> str:

@@ -1,25 +1,24 @@
 """Films of replays: frames with labels, and their files."""
 
 import io
+import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import replace
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from btr_mjx.errors import InputError
-from btr_mjx.plotting import Camera, camera_for, render_motion, sketch, style
-from btr_mjx.replays.motion import Replay, ReplayedMotion
+from btr_mjx.plotting import camera_for, render
+from btr_mjx.replays.motion import Replay
 from btr_mjx.runs import atomic_write, check_regular
 
 FILM_SUFFIXES = (".gif", ".mp4")
 """Kinds of films."""
 
 ASPECT = 4 / 3
-"""Width over height of a panel."""
+"""Width over height of a picture."""
 
 LABEL, FOOT, GAP = 40, 26, 6
 """Height of a panel's label and of the line with the time, and the space between panels [pixels]."""
@@ -35,31 +34,6 @@ NOTHING = "no recording of this trial"
 
 _VIEWS = 10
 """Poses of a motion that its camera is fitted to."""
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """Sizes of a film [pixels]."""
-
-    columns: int
-    rows: int
-    width: int
-
-    @property
-    def height(self) -> int:
-        """Height of a panel."""
-        return round(self.width / ASPECT / 2) * 2
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height of the film, even as MP4 needs them."""
-        across = self.columns * self.width + (self.columns - 1) * GAP
-        down = self.rows * (self.height + LABEL) + (self.rows - 1) * GAP + FOOT
-        return across + across % 2, down + down % 2
-
-    def corner(self, row: int, column: int) -> tuple[int, int]:
-        """Upper left corner of a panel's label."""
-        return column * (self.width + GAP), row * (self.height + LABEL + GAP)
 
 
 def check_film(path: Path) -> None:
@@ -81,35 +55,42 @@ def check_film(path: Path) -> None:
 
 def draw_film(
     replay: Replay, width: int = 480, slowness: float = 1.0, progress: Callable[[int], object] | None = None
-) -> np.ndarray:
+) -> np.ndarray | None:
     """The frames of a film.
 
     Args:
       replay: what is shown.
       width: of a panel [pixels].
       slowness: how many times slower than reality the film plays, for its label.
-      progress: called with the number of frames of panels done since the last call.
+      progress: called with the number of pictures done since the last call.
 
     Returns:
-      (F, height, width, 3) uint8.
+      (F, height, width, 3) uint8; None where nothing can be rendered, which one line on stderr says.
     """
-    layout = _Layout(max(map(len, replay.rows)), len(replay.rows), width)
-    paper = Image.new("RGB", layout.size, PAPER)
-    film = np.repeat(np.asarray(paper)[None], len(replay.times), axis=0)
-    for r, (row, camera) in enumerate(zip(replay.rows, _cameras(replay), strict=True)):
-        for c, motion in enumerate(row):
-            left, top = layout.corner(r, c)
-            label = np.asarray(_label(motion, layout.width))
-            film[:, top : top + LABEL, left : left + layout.width] = label
-            panel = _frames(motion, layout, camera, progress)
-            top += LABEL
-            film[:, top : top + layout.height, left : left + layout.width] = panel
-        for c in range(len(row), layout.columns):
-            left, top = layout.corner(r, c)
-            film[:, top : top + LABEL, left : left + layout.width] = np.asarray(_title(NOTHING, layout.width))
-    for frame, time in zip(film, replay.times, strict=True):
-        frame[-FOOT:] = np.asarray(_foot(float(time), float(replay.times[-1]), slowness, layout.size[0]))
-    return film
+    count, height = len(replay.times), picture_height(width)
+    views = np.unique(np.linspace(0, count - 1, _VIEWS).astype(int))
+    cameras = [camera_for([m.model for m in row], ASPECT, [m.qpos[views] for m in row]) for row in replay.rows]
+    distance = max(camera.distance for camera in cameras)
+    columns, rows = max(map(len, replay.rows)), []
+    for row, camera in zip(replay.rows, cameras, strict=True):
+        pictures = render([(m.model, m.qpos) for m in row], width, height, replace(camera, distance=distance), progress)
+        if pictures is None:
+            return None
+        empty = np.full((count, height, width, 3), 255, np.uint8)
+        panels = [_below(_label(m.title, m.detail, m.number, width), own) for m, own in zip(row, pictures, strict=True)]
+        panels += [_below(_label("", NOTHING, "", width), empty)] * (columns - len(row))
+        rows.append(_joined(panels, axis=2))
+    film = _joined(rows, axis=1)
+    end, across = float(replay.times[-1]), film.shape[2]
+    feet = np.stack([np.asarray(_foot(float(t), end, slowness, across)) for t in replay.times])
+    film = np.concatenate([film, feet], axis=1)
+    odd = [(0, size % 2) for size in film.shape[1:3]]  # MP4 needs even numbers
+    return np.pad(film, [(0, 0), *odd, (0, 0)], constant_values=255)
+
+
+def picture_height(width: int) -> int:
+    """Height of a picture of this width [pixels]."""
+    return round(width / ASPECT / 2) * 2
 
 
 def write_film(path: Path, film: np.ndarray, rate: int, limit: int | None = None) -> int:
@@ -127,8 +108,9 @@ def write_film(path: Path, film: np.ndarray, rate: int, limit: int | None = None
     Raises:
       OSError: the file cannot be written.
     """
-    content = _mp4(film, rate, path) if path.suffix.lower() == ".mp4" else _gif(film, rate)
-    while path.suffix.lower() == ".gif" and limit is not None and len(content) > limit and film.shape[2] > 160:
+    is_gif = path.suffix.lower() == ".gif"
+    content = _gif(film, rate) if is_gif else _mp4(film, rate)
+    while is_gif and limit is not None and len(content) > limit and film.shape[2] > 160:
         factor = max(0.5, min(0.92, 0.97 * (limit / len(content)) ** 0.5))
         size = (int(film.shape[2] * factor), int(film.shape[1] * factor))
         # Not a sharper filter: its ringing costs more bytes than the smaller size saves.
@@ -139,73 +121,30 @@ def write_film(path: Path, film: np.ndarray, rate: int, limit: int | None = None
     return len(content)
 
 
-def _cameras(replay: Replay) -> list[Camera]:
-    """A camera for each row, all at the same distance."""
-    cameras = []
-    for row in replay.rows:
-        views = np.unique(np.linspace(0, len(replay.times) - 1, _VIEWS).astype(int))
-        models = [motion.model for motion in row]
-        cameras.append(camera_for(models, ASPECT, poses=[motion.qpos[views] for motion in row]))
-    distance = max(camera.distance for camera in cameras)
-    return [replace(camera, distance=distance) for camera in cameras]
+def _below(label: Image.Image, pictures: np.ndarray) -> np.ndarray:
+    """Pictures (F, h, w, 3) under a label."""
+    return np.concatenate([np.repeat(np.asarray(label)[None], len(pictures), axis=0), pictures], axis=1)
 
 
-def _frames(
-    motion: ReplayedMotion, layout: _Layout, camera: Camera, progress: Callable[[int], object] | None
-) -> np.ndarray:
-    """Pictures (F, height, width, 3) of a motion."""
-    rendered = render_motion(motion.model, motion.qpos, layout.width, layout.height, camera, progress)
-    if rendered is not None:
-        return rendered
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    frames = []
-    with style(), matplotlib.rc_context({"figure.constrained_layout.use": False}):
-        for qpos in motion.qpos:
-            figure = Figure(figsize=(layout.width / 100, layout.height / 100), dpi=100)
-            canvas = FigureCanvasAgg(figure)
-            sketch(figure.add_axes((0, 0, 1, 1)), motion.model, camera, ASPECT, qpos)
-            canvas.draw()
-            frames.append(np.asarray(canvas.buffer_rgba())[..., :3].copy())
-            if progress is not None:
-                progress(1)
-    return np.stack(frames)
+def _joined(parts: list[np.ndarray], axis: int) -> np.ndarray:
+    """Parts of frames beside or below each other, with gaps."""
+    shape = list(parts[0].shape)
+    shape[axis] = GAP
+    gap = np.full(shape, 255, np.uint8)
+    return np.concatenate([part for one in parts for part in (gap, one)][1:], axis=axis)
 
 
-@lru_cache(maxsize=8)
-def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
-    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
-    return ImageFont.truetype(str(Path(matplotlib.get_data_path(), "fonts", "ttf", name)), size)
-
-
-def _title(text: str, width: int) -> Image.Image:
-    """The label of an empty panel."""
-    picture = Image.new("RGB", (width, LABEL), PAPER)
-    size = 12 if width >= 300 else 10
-    ImageDraw.Draw(picture).text((4, 6), _fitting(text, width - 8, size), SOFT, _font(size))
-    return picture
-
-
-def _label(motion: ReplayedMotion, width: int) -> Image.Image:
-    """What a panel shows: title and number, and below them the detail."""
+def _label(title: str, detail: str, number: str, width: int) -> Image.Image:
+    """What a panel shows: title and number, and below them the detail; what is too long is cut."""
     picture = Image.new("RGB", (width, LABEL), PAPER)
     draw = ImageDraw.Draw(picture)
-    large, small = (14, 12) if width >= 300 else (12, 10)
-    draw.text((width - 4, 4), motion.number, INK, _font(large, bold=True), anchor="ra")
-    room = width - 16 - draw.textlength(motion.number, _font(large, bold=True))
-    draw.text((4, 4), _fitting(motion.title, room, large, bold=True), INK, _font(large, bold=True))
-    draw.text((4, 22), _fitting(motion.detail, width - 8, small), SOFT, _font(small))
+    large, small = (ImageFont.load_default(size) for size in ((14, 12) if width >= 300 else (12, 10)))
+    draw.text((4, 4), title, INK, large)
+    draw.text((4, 22), detail, SOFT, small)
+    left = width - 8 - draw.textlength(number, large)
+    draw.rectangle((left - 4, 0, width, 21), PAPER)
+    draw.text((left, 4), number, INK, large)
     return picture
-
-
-def _fitting(text: str, room: float, size: int, bold: bool = False) -> str:
-    """A text, cut where it is wider than there is room [pixels]."""
-    if _font(size, bold).getlength(text) <= room:
-        return text
-    while text and _font(size, bold).getlength(text + "…") > room:
-        text = text[:-1]
-    return text + "…"
 
 
 def _foot(time: float, end: float, slowness: float, width: int) -> Image.Image:
@@ -215,7 +154,7 @@ def _foot(time: float, end: float, slowness: float, width: int) -> Image.Image:
     words = f"t = {time:.2f} s"
     if abs(slowness - 1) > 0.05:
         words += f"   {slowness:.2g} times slower" if slowness > 1 else f"   {1 / slowness:.2g} times faster"
-    draw.text((4, 6), words, INK, _font(12))
+    draw.text((4, 6), words, INK, ImageFont.load_default(12))
     first = 190
     if width > first + 60:
         draw.line((first, 13, width - 6, 13), LINE, 3)
@@ -237,10 +176,8 @@ def _gif(film: np.ndarray, rate: int) -> bytes:
     return content.getvalue()
 
 
-def _mp4(film: np.ndarray, rate: int, path: Path) -> bytes:
+def _mp4(film: np.ndarray, rate: int) -> bytes:
     """An H.264 film that browsers play."""
-    import tempfile
-
     import imageio_ffmpeg
 
     with tempfile.TemporaryDirectory(prefix="btr_mjx-") as folder:

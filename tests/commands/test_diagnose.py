@@ -31,7 +31,7 @@ from btr_mjx.gap.results import (
     place_in_words,
 )
 from btr_mjx.gap.simulate import Journal
-from btr_mjx.runs import progress
+from btr_mjx.runs import check_sums, progress
 
 TIME = np.linspace(0, 1, 20)
 NAMED = NamedEffect("dry_friction", "joint:servo", {"torque": Estimate(0.031, 0.028, 0.034, "N m")}, 80.0, 30.0)
@@ -122,6 +122,23 @@ def test_a_run_folder(folder: Path, searches: list, capsys: pytest.CaptureFixtur
     assert "<li>More viscous damping.</li>" in (run / "report.html").read_text()
     names = {path.name for path in run.iterdir()}
     assert {"config.json", "environment.json", "preflight.csv", "ranking.csv", "report.html", "mended.xml"} <= names
+
+
+def test_a_page_that_fails_is_one_line_after_the_result(
+    folder: Path, searches: list, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    printed = []
+
+    def fails(run: Path) -> None:
+        printed.append(capsys.readouterr().out)
+        check_sums(run)
+        raise ZeroDivisionError("of a bug")
+
+    monkeypatch.setattr("btr_mjx.gap.report.draw_report", fails)
+    diagnose.main([str(folder), "--out", str(tmp_path / "run"), "--no-progress"])
+    assert "The missing effect is dry friction" in " ".join(printed[0].split())
+    assert "mended.xml" in printed[0]
+    assert capsys.readouterr().err.splitlines()[-1] == "no report.html: ZeroDivisionError: of a bug"
 
 
 def test_effects_that_are_searched_where_nothing_is_touched_are_mended(

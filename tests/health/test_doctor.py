@@ -22,7 +22,7 @@ from btr_mjx.health.checks import MARK, check_folder, check_versions, run_engine
     [
         ("polars", None, "polars is not installed"),
         ("mujoco-mjx", "3.2.0", "mujoco-mjx 3.2.0, expected"),
-        ("mujoco-mjx", "3.999.0", "beside mujoco-mjx 3.999.0, expected one version"),
+        ("mujoco", "4.0.0", "mujoco 4.0.0, whose solver errs"),
         ("jax", "0.11.2", "jax 0.11.2, expected >=0.12"),
     ],
 )

@@ -5,26 +5,27 @@ import os
 import re
 import shutil
 import subprocess
+import types
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from claims_page import claims_sentence, draw_claims_page
 
 from btr_mjx import coevolve, report, scan
-from btr_mjx.backtoreality import bound_words
+from btr_mjx.backtoreality import bound_words, summary_table
 from btr_mjx.errors import InputError
 from btr_mjx.gap.results import format_number, verdict_sentence
 from btr_mjx.pages import Section, Table, kind_of_run, write_page
-from btr_mjx.pages.claims import claims_sentence
 from btr_mjx.pages.coevolution import coevolution_sentence, prediction_errors
 from btr_mjx.pages.content import cell_text, flat_rows
 from btr_mjx.pages.page import sentences
 from btr_mjx.pages.scan import scan_sentence
-from btr_mjx.plotting import ScanData, pictures, read_run
+from btr_mjx.plotting import ScanData, read_run, robot_figure
 from btr_mjx.robots import Box
-from btr_mjx.runs import read_json, write_json
+from btr_mjx.runs import check_sums, read_json, write_json
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine: pages are not opened")
@@ -59,7 +60,8 @@ addEventListener("load", () => {
 
 @pytest.fixture(autouse=True)
 def no_gl(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pictures, "working_backend", lambda: None)
+    grey = lambda motions, width, height, camera: [np.full((1, height, width, 3), 99, np.uint8)] * len(motions)  # noqa: E731
+    monkeypatch.setattr(robot_figure, "render", grey)
 
 
 def opened(page: Path, folder: Path, width: int, dark: bool) -> dict:
@@ -102,15 +104,6 @@ def make_scan(folder: Path) -> Path:
     return folder
 
 
-def make_claims(folder: Path) -> Path:
-    folder.mkdir()
-    gallery = Path(__file__).parents[2] / "docs" / "gallery"
-    for name in ("claims.json", "claims.png", "fig2.png"):
-        shutil.copyfile(gallery / name, folder / name)
-    report.report(folder)
-    return folder
-
-
 def make_diagnosis(folder: Path) -> Path:
     folder.mkdir()
     effect = {"effect": "payload", "location": "body:torso", "parameters": {"mass": {"value": 2.0, "unit": "kg"}}}
@@ -128,7 +121,6 @@ def make_diagnosis(folder: Path) -> Path:
 MAKERS: dict[str, Callable[[Path], Path]] = {
     "coevolve": make_coevolution,
     "scan": make_scan,
-    "claims": make_claims,
     "diagnose": make_diagnosis,
 }
 
@@ -263,6 +255,23 @@ def test_the_sentence_of_claims_counts() -> None:
     assert claims_sentence(rows[:2]) == "2 of 2 claims hold."
 
 
+def test_small_numbers_are_printed_with_their_digits(folders: Callable[[str], Path]) -> None:
+    result = read_json(folders("coevolve") / "result.json")
+    small = {"lp": 1.23e-4, "prediction_error_last": 2.5e-4, "f_r_best": 3.4e-5, "delta_fitness_last": 1.1e-4}
+    text = summary_table(result | small, Path("runs/x"))
+    for number in ("learning performance 0.000123,", " 0.00025", " 3.400·10^−5", ": 0.00011 [m/s]"):
+        assert number in text
+
+
+def test_the_page_of_claims(tmp_path: Path) -> None:
+    gallery = Path(__file__).parents[2] / "docs" / "gallery"
+    for name in ("claims.json", "claims.png", "fig2.png"):
+        shutil.copyfile(gallery / name, tmp_path / name)
+    text = draw_claims_page(tmp_path).read_text(encoding="utf-8")
+    assert text.count("<img") == 2
+    assert claims_sentence(read_json(tmp_path / "claims.json")) in text
+
+
 def test_parts_of_a_page() -> None:
     assert cell_text(-2) == "\N{MINUS SIGN}2"
     assert cell_text(float("nan")) == "–"
@@ -275,10 +284,10 @@ def test_parts_of_a_page() -> None:
 
 
 def test_text_is_escaped(tmp_path: Path) -> None:
-    (tmp_path / "page.html.j2").write_text('{% extends "base.html.j2" %}')
     parts = {"heading": "<h>", "name": "<n>", "sentence": "<b>1</b>", "numbers": [("<l>", "<v>")], "footer": ["<f>"]}
-    text = write_page(tmp_path, tmp_path / "page.html.j2", parts).read_text()
-    for tag in ("<h>", "<n>", "<b>", "<l>", "<v>", "<f>"):
+    parts["sections"] = [Section("<t>", ["<s>"])]
+    text = write_page(tmp_path, parts).read_text()
+    for tag in ("<h>", "<n>", "<b>", "<l>", "<v>", "<f>", "<t>", "<s>"):
         assert tag not in text
     assert Section("title").folded is False
 
@@ -291,6 +300,27 @@ def test_folders_without_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str
         report.main([str(tmp_path)])
     assert stopped.value.code == 2
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(("command", "said"), [(coevolve, "learning performance"), (scan, "spearman")])
+def test_a_page_that_fails_is_one_line_after_the_result(
+    command: types.ModuleType,
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    printed = []
+
+    def fails(run: Path) -> None:
+        printed.append(capsys.readouterr().out)
+        check_sums(run)
+        raise ZeroDivisionError("of a bug")
+
+    monkeypatch.setattr(command, "draw_run_page", fails)
+    (make_coevolution if command is coevolve else make_scan)(tmp_path / "run")
+    assert said in printed[0]
+    assert capsys.readouterr().err.splitlines()[-1] == "no report.html: ZeroDivisionError: of a bug"
 
 
 def test_no_figures_skips_the_page(tmp_path: Path) -> None:

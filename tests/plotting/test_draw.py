@@ -1,14 +1,12 @@
 """Figures show what the run folder holds, nothing else, and can be drawn whatever went wrong in the run."""
 
 import dataclasses
-import functools
 import subprocess
 import sys
 import warnings
 from pathlib import Path
 
 import matplotlib
-import mujoco
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -16,7 +14,7 @@ from matplotlib.figure import Figure
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import FITNESS_FUNCTIONS
 from btr_mjx.plotting import draw as plots
-from btr_mjx.plotting import figures, pictures, render_worker, robot_figure
+from btr_mjx.plotting import figures, rendering, robot_figure
 from btr_mjx.plotting.run_data import read_robot, read_run, read_scan
 from btr_mjx.robots import Box, hexapod
 from btr_mjx.runs import write_arrays, write_json, write_table
@@ -35,7 +33,8 @@ def strict():
 @pytest.fixture(autouse=True)
 def coarse(monkeypatch):
     """Few pixels, to be fast."""
-    monkeypatch.setattr(plots, "write_figure", functools.partial(plots.write_figure, dpi=30))
+    write = plots.write_figure
+    monkeypatch.setattr(plots, "write_figure", lambda path, figure, dpi: write(path, figure, dpi=30))
 
 
 def write_run(
@@ -131,7 +130,9 @@ def lines_like(figure: Figure, example, panel: int = 0):
 
 @pytest.fixture
 def no_gl(monkeypatch):
-    monkeypatch.setattr(pictures, "working_backend", lambda: None)
+    """One-coloured pictures, without OpenGL."""
+    grey = lambda motions, width, height, camera: [np.full((1, height, width, 3), 99, np.uint8)] * len(motions)  # noqa: E731
+    monkeypatch.setattr(robot_figure, "render", grey)
 
 
 @pytest.mark.usefixtures("no_gl")
@@ -331,10 +332,32 @@ def test_a_template_that_is_gone_costs_one_picture_only(tmp_path, capsys):
     assert "gone.xml" in capsys.readouterr().err
 
 
+def test_where_nothing_renders_all_other_figures_are_drawn(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("MUJOCO_GL", "disable")
+    rendering.working_backend.cache_clear()
+    assert len(plots.draw_run(write_run(tmp_path, iterations=1))) == 4
+    rendering.working_backend.cache_clear()
+    assert capsys.readouterr().err.splitlines() == ["no pictures of robots: MUJOCO_GL=disable"]
+
+
+def test_a_figure_that_fails_costs_one_line(tmp_path, monkeypatch, capsys):
+    def fails(data):
+        raise ZeroDivisionError("of a bug")
+
+    monkeypatch.setattr(figures, "scan_curve", fails)
+    assert plots.draw_scan(write_scan(tmp_path)) == []
+    assert capsys.readouterr().err.splitlines() == ["no scan.png: ZeroDivisionError: of a bug"]
+
+
 def test_morphologies_have_the_lengths_of_the_run(tmp_path, monkeypatch):
     run = read_run(write_run(tmp_path))
     seen = []
-    monkeypatch.setattr(robot_figure, "draw_models", lambda panels, models: seen.extend(models))
+
+    def render(motions, width, height, camera):
+        seen.extend(model for model, _ in motions)
+        return [np.zeros((1, height, width, 3), np.uint8)] * len(motions)
+
+    monkeypatch.setattr(robot_figure, "render", render)
     figure = robot_figure.morphologies(read_robot(tmp_path), run)
     assert [axes.get_title() for axes in figure.axes] == ["nominal", "identified", "reality"]
     for model, values in zip(seen, [run.start, run.identified, run.truth], strict=True):
@@ -346,38 +369,7 @@ def test_morphologies_have_the_lengths_of_the_run(tmp_path, monkeypatch):
 
 
 def test_importing_plots_loads_neither_matplotlib_nor_gl():
-    loaded = "[m for m in ('matplotlib', 'btr_mjx.plotting.pictures') if m in sys.modules]"
+    loaded = "[m for m in ('matplotlib', 'btr_mjx.plotting.rendering') if m in sys.modules]"
     code = f"import sys, btr_mjx.plotting.draw; print({loaded})"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert out.stdout.strip() == "[]"
-
-
-@pytest.mark.parametrize(("extent", "material"), [("0 0", ""), ("2 1", ""), ("0 0", 'material="m"')])
-def test_bare_floors_get_tiles_that_are_part_of_them(extent, material):
-    """Without OpenGL: the geoms of the scene."""
-    model = mujoco.MjModel.from_xml_string(
-        f"""<mujoco><asset><material name="m"/></asset><worldbody><geom type="plane" size="{extent} 1" {material}
-        pos="0 0 0.5"/><body pos="0 0 1"><geom size="0.1"/></body></worldbody></mujoco>"""
-    )
-    data, scene = mujoco.MjData(model), mujoco.MjvScene(model, 2000)
-    mujoco.mj_forward(model, data)
-    kinds = (mujoco.MjvOption(), None, mujoco.MjvCamera(), mujoco.mjtCatBit.mjCAT_ALL)
-    mujoco.mjv_updateScene(model, data, *kinds, scene)
-    before = scene.ngeom
-    floor = next(one for one in scene.geoms[:before] if one.type == mujoco.mjtGeom.mjGEOM_PLANE)
-    render_worker._tile_bare_floors(scene, model, np.array([0.3, 0.2, 0.8]), 5.0)
-    tiles = scene.geoms[before : scene.ngeom]
-    if material:
-        assert not tiles
-        return
-    places = np.array([tile.pos for tile in tiles])
-    width = 2 * tiles[0].size[0]
-    assert (places[:, 2] == 0.5).all()
-    steps = np.round(places[:, :2] / width - 0.5).astype(int)
-    assert (steps.sum(axis=1) % 2 == 0).all()  # a chess board
-    assert all(tile.segid == floor.segid and tile.objid == floor.objid for tile in tiles)
-    if extent == "2 1":
-        assert (np.abs(places[:, :2]) + width / 2 <= [2.0, 1.0]).all()
-        assert len(tiles) == 4 * 2 / width**2 / 2
-    else:
-        assert len(tiles) == render_worker.TILES**2 / 2

@@ -17,11 +17,11 @@ from btr_mjx.gap.data.columns.model_columns import state_columns
 from btr_mjx.gap.data.model_file import load_model
 from btr_mjx.gap.simulate import World
 from btr_mjx.models import base_model, light_meshes
-from btr_mjx.plotting import pictures
+from btr_mjx.plotting import camera_for, rendering
 from btr_mjx.replay import ReplayConfig, main, replay
-from btr_mjx.replays import Replay, ReplayedMotion, draw_film, read_replay, write_film
+from btr_mjx.replays import Replay, ReplayedMotion, draw_film, film, read_replay, write_film
 from btr_mjx.replays.diagnosis import _drawn_model, _mended_world, open_loop_positions
-from btr_mjx.replays.film import FOOT, LABEL, _Layout
+from btr_mjx.replays.film import FOOT, GAP, LABEL, picture_height
 from btr_mjx.replays.motion import frame_times, hold_last_valid
 from btr_mjx.robots import hexapod
 from btr_mjx.runs import RunFolder, content_digest, read_json, write_json, write_table
@@ -39,9 +39,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture
-def no_gl(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pictures, "working_backend", lambda: None)
+needs_gl = pytest.mark.skipif("rendering.working_backend() is None", reason="no OpenGL on this machine")
 
 
 def frames_of(path: Path) -> np.ndarray:
@@ -92,17 +90,16 @@ def test_motions_are_those_of_a_loop_over_steps(run: Path) -> None:
     np.testing.assert_allclose(shown.rows[0][0].qpos, states, atol=1e-6)
 
 
-@pytest.mark.usefixtures("no_gl")
+@needs_gl
 def test_the_film_has_its_frames_and_panels_differ_where_the_parameters_do(run: Path, tmp_path: Path) -> None:
     out = replay(ReplayConfig(run, tmp_path / "film.gif", seconds=1.0, rate=5, width=160, progress=False))
     assert out is not None
     frames = frames_of(out)
-    layout = _Layout(2, 2, 160)
-    assert frames.shape == (5, layout.size[1], layout.size[0], 3)
+    assert frames.shape == (5, 2 * (picture_height(160) + LABEL) + GAP + FOOT, 2 * 160 + GAP, 3)
 
     def panel(row: int, column: int) -> np.ndarray:
-        left, top = layout.corner(row, column)
-        return frames[:, top + LABEL : top + LABEL + layout.height, left : left + layout.width]
+        rows, columns = panel_at(row, column, 160)
+        return frames[:, rows, columns]
 
     # Nominal and hidden lengths differ by 0.24 m; what was identified differs from the nominal, too.
     differing = lambda a, b: (np.abs(a - b).max(axis=-1) > 40).mean()  # noqa: E731
@@ -112,46 +109,62 @@ def test_the_film_has_its_frames_and_panels_differ_where_the_parameters_do(run: 
     assert (foot[0] != foot[-1]).any()  # the time
 
 
+def panel_at(row: int, column: int, width: int) -> tuple[slice, slice]:
+    """Rows and columns of a panel's picture."""
+    top, left = row * (picture_height(width) + LABEL + GAP) + LABEL, column * (width + GAP)
+    return slice(top, top + picture_height(width)), slice(left, left + width)
+
+
+@needs_gl
 def test_equal_parameters_give_equal_panels() -> None:
     model = base_model(hexapod())
     poses = np.repeat(model.qpos0[None], 2, axis=0)
     pair = [ReplayedMotion(title, "", "", model, poses) for title in ("a", "b")]
     film = draw_film(Replay(np.array([0.0, 1.0]), [pair]), 120)
-    layout = _Layout(2, 1, 120)
-    left, right = (layout.corner(0, c)[0] for c in (0, 1))
-    rows = slice(LABEL, LABEL + layout.height)
-    np.testing.assert_array_equal(film[:, rows, left : left + 120], film[:, rows, right : right + 120])
-    assert film[:, rows, left : left + 120].std() > 5
+    assert film is not None
+    left, right = (film[:, *panel_at(0, column, 120)] for column in (0, 1))
+    np.testing.assert_array_equal(left, right)
+    assert left.std() > 5
 
 
-@pytest.mark.skipif(pictures.working_backend() is None, reason="no OpenGL here: robots are drawn as outlines")
+@needs_gl
 def test_rendered_frames_are_those_of_the_poses() -> None:
-    """Frames of a film equal pictures of the same poses, made one by one; chunks of frames change nothing."""
+    """Frames of a film equal pictures of the same poses, made one by one."""
     xml = """<mujoco><worldbody><light pos="0 0 3"/><body pos="0 0 1"><joint axis="0 1 0"/>
       <geom type="capsule" fromto="0 0 0 0 0 -.5" size=".05"/></body></worldbody></mujoco>"""
     model = mujoco.MjModel.from_xml_string(xml)
-    poses = np.linspace(0, 1, pictures.FRAMES_AT_ONCE + 2)[:, None]
-    camera = pictures.camera_for([model], poses=[poses])
-    frames = pictures.render_motion(model, poses, 64, 48, camera)
-    assert frames is not None
-    assert frames.shape == (len(poses), 48, 64, 3)
-    for k in (0, len(poses) - 1):
-        alone = pictures.render_motion(model, poses[k : k + 1], 64, 48, camera)
-        assert alone is not None
-        np.testing.assert_array_equal(alone[0], frames[k])
+    poses = np.linspace(0, 1, 5)[:, None]
+    camera = camera_for([model], poses=[poses])
+    frames, again = rendering.render([(model, poses), (model, poses[::-1])], 64, 48, camera) or ()
+    np.testing.assert_array_equal(frames, again[::-1])
+    (alone,) = rendering.render([(model, poses[4:])], 64, 48, camera) or ()
+    np.testing.assert_array_equal(alone[0], frames[4])
     assert (frames[0] != frames[-1]).any()
     assert frames[0, 0, 0].min() > 200  # a light background where the model has no sky
 
 
-def test_camera_shows_every_pose() -> None:
-    model = base_model(hexapod())
-    poses = np.repeat(model.qpos0[None], 3, axis=0)
-    poses[1:, 0] += [1.0, 2.5]
-    camera = pictures.camera_for([model], 4 / 3, poses=[poses])
-    points = np.concatenate([cloud for qpos in poses for _, cloud in pictures.point_clouds(model, qpos)])
-    flat, depth = camera.project(points)
-    assert (depth > 0).all()
-    assert (np.abs(flat) <= [4 / 3, 1]).all()
+def test_without_opengl_a_line_says_that_there_is_no_film(
+    run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "disable")
+    rendering.working_backend.cache_clear()
+    main([str(run), "--out", str(tmp_path / "film.gif"), "--no-progress"])
+    rendering.working_backend.cache_clear()
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.splitlines() == ["no pictures of robots: MUJOCO_GL=disable"]
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_film_that_fails_is_said_in_one_line(
+    run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    def fails(*_: object) -> None:
+        raise ZeroDivisionError("of a bug")
+
+    monkeypatch.setattr(film, "render", fails)
+    main([str(run), "--out", str(tmp_path / "film.gif"), "--no-progress"])
+    assert capsys.readouterr().err.splitlines() == ["no film: ZeroDivisionError: of a bug"]
 
 
 def test_a_gif_keeps_to_its_limit(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -209,7 +222,6 @@ def test_open_loop_is_a_loop_over_steps() -> None:
     np.testing.assert_allclose(found[:, 0], expected, atol=1e-9)
 
 
-@pytest.mark.usefixtures("no_gl")
 def test_what_cannot_be_shown_is_said_in_one_line(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -278,14 +290,14 @@ def test_a_diagnosis_of_a_model_and_its_logs_is_shown(tmp_path: Path) -> None:
     assert np.abs(shown.motions[0].qpos - shown.motions[1].qpos).max() < 0.05
 
 
-@pytest.mark.usefixtures("no_gl")
+@needs_gl
 def test_a_panel_without_a_recording_says_so(run: Path) -> None:
     shown = read_replay(run, 2, 6.0)
     film = draw_film(Replay(shown.times, [shown.rows[0], shown.rows[1][:1]]), 160)
-    layout = _Layout(2, 2, 160)
-    left, top = layout.corner(1, 1)
-    assert film[:, top : top + LABEL, left : left + 160].min() < 128
-    assert (film[:, top + LABEL : top + LABEL + layout.height, left : left + 160] == 255).all()
+    assert film is not None
+    rows, columns = panel_at(1, 1, 160)
+    assert film[:, rows.start - LABEL : rows.start, columns].min() < 128
+    assert (film[:, rows, columns] == 255).all()
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from btr_mjx.gap.forces.joint_forces import QUANTILE, joint_forces
 from btr_mjx.gap.forces.law_scan import law_words
 from btr_mjx.gap.forces.missing_force import MissingForce, commanded_share
 from btr_mjx.gap.forces.points import Fitted, ForceSide, covariance, names
-from btr_mjx.gap.forces.predictions import HORIZON, predictions
+from btr_mjx.gap.forces.predictions import HORIZON, joint_errors, predictions
 from btr_mjx.gap.forces.scan import Scanned
 from btr_mjx.gap.forces.search import Named, SearchRound
 from btr_mjx.gap.forces.sets.combined import combined
@@ -137,6 +137,7 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
         seconds=seconds,
         survivors=_survivors(found),
         predictions=predictions(found.errors[:2], found.errors[2]),
+        joint_errors=joint_errors(model, found.errors[:2], sigma),
         notes=(_NOT_BORNE_OUT,) if found.contradicted else (),
         joint_forces=joint_forces(found.side, first, last if verdict == "effect" else first),
     )

@@ -2,13 +2,15 @@
 
 from collections.abc import Sequence
 
+import mujoco
 import numpy as np
 
 from btr_mjx.gap.effects import Hypothesis
 from btr_mjx.gap.forces.horizons import FOLLOWS, SAMPLES, cut_horizons, motion_size, position_errors, steady_errors
-from btr_mjx.gap.results import Predictions
+from btr_mjx.gap.results import JointError, Predictions
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.gap.windows import PreparedData
+from btr_mjx.models import part_names
 
 HORIZON = 0.25
 """Time over which predictions are compared and told [s]."""
@@ -93,6 +95,31 @@ def predictions(errors: Sequence[np.ndarray], steady: np.ndarray) -> Predictions
       steady: those of constant velocity.
     """
     return Predictions(HORIZON, *(float(np.sqrt(np.mean(own))) for own in (*errors, steady)))
+
+
+def joint_errors(model: mujoco.MjModel, errors: Sequence[np.ndarray], sigma: np.ndarray) -> tuple[JointError, ...]:
+    """The same by joint, each in its own unit.
+
+    Args:
+      model: the model.
+      errors: (W, nv) mean square errors of the believed and of the mended model.
+      sigma: (2 nv,) noise of positions and velocities.
+    """
+    joints, bodies = part_names(model, "joint"), part_names(model, "body")
+    dofs: dict[tuple[str, str], list[int]] = {}
+    for dof, joint in enumerate(model.dof_jntid):
+        kind, body = model.jnt_type[joint], bodies[model.jnt_bodyid[joint]]
+        is_shift = dof - model.jnt_dofadr[joint] < 3
+        name, unit = f"joint {joints[joint]}", "m" if kind == mujoco.mjtJoint.mjJNT_SLIDE else "rad"
+        if kind == mujoco.mjtJoint.mjJNT_FREE:
+            name, unit = (f"position of body {body}", "m") if is_shift else (f"orientation of body {body}", "rad")
+        dofs.setdefault((name, unit), []).append(dof)
+    every = (*(np.mean(own, axis=0) for own in errors), np.asarray(sigma[: model.nv]) ** 2)
+    rows = [
+        JointError(name, unit, HORIZON, *(float(np.sqrt(np.mean(own[at]))) for own in every))
+        for (name, unit), at in dofs.items()
+    ]
+    return tuple(row for row in rows if np.isfinite([row.before, row.after, row.noise]).all())
 
 
 def predicts_well(believed: np.ndarray, mended: np.ndarray, steady: np.ndarray) -> bool:

@@ -1,25 +1,33 @@
-"""Text and tables of the page about a diagnosis, from its saved files."""
+"""Sections of the page about a diagnosis, from its saved files."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from btr_mjx.gap.effects import EACH_MEMBER
+import numpy as np
+
+from btr_mjx.gap.report.tables import (
+    as_table,
+    candidate_sections,
+    disagreement_tables,
+    effect_table,
+    joint_error_table,
+    reading_unit,
+    table_over_sets,
+)
 from btr_mjx.gap.results import (
-    REASON_NOT_NAMED,
     detail_sentences,
     effect_at_place,
     effect_title,
-    estimate_cells,
+    error_in_words,
     format_number,
-    in_percent,
-    parameter_in_words,
+    hypothesis_in_words,
+    in_reading_unit,
     parameters_in_words,
     place_in_words,
-    unit_in_words,
-    verdict_sentence,
 )
-from btr_mjx.runs import read_json, read_table
+from btr_mjx.pages import Curves, Figure, Section, Table
+from btr_mjx.runs import read_arrays, read_json, read_table
 
 _CODE = """import json, mujoco
 from btr_mjx.gap.results import Callback
@@ -32,7 +40,6 @@ while data.time < 1.0:
     missing(model, data)  # before every step
     mujoco.mj_step(model, data)"""
 
-
 _BETWEEN = {
     "hold": "Commands were held from one sample to the next, as a loop that sets data.ctrl at each sample does.",
     "linear": "Between samples, commands were taken as straight lines: before each step, set data.ctrl to their value "
@@ -41,101 +48,100 @@ _BETWEEN = {
     "data.time.",
 }
 
+_STRETCHES, _SAMPLES = 6, 2000
+"""Held-out stretches that the page shows, and samples of each, at most."""
 
-def content(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
-    """Everything on the page but the figures.
+_CHANGES = 20
+"""Numbers of the mended model that the page lists, at most."""
+
+
+def report_sections(folder: Path, result: Mapping[str, Any], figures: Mapping[str, Figure]) -> list[Section]:
+    """Everything on the page below the verdict.
 
     Args:
       folder: of the diagnosis.
       result: content of its result.json.
-
-    Returns:
-      Variables of the page's template.
+      figures: by the names of their files.
     """
-    effects = [
-        {
-            "effect": effect_title(effect["effect"]),
-            "location": place_in_words(str(effect["location"]).removeprefix(EACH_MEMBER)),
-            "name": parameter_in_words(name),
-            **estimate_cells(parameter),
-            "unit": unit_in_words(parameter.get("unit")),
-        }
-        for effect in result.get("effects") or []
-        for name, given in effect["parameters"].items()
-        for parameter in [in_percent(name, given)]
-    ]
-    return {
-        "heading": "What has changed" if result.get("before") else "Simulation against data",
-        "before": _before(result.get("before")),
-        "sets": _sets(folder),
-        "dataset": str(result.get("dataset") or folder.name),
-        "sentence": verdict_sentence(result),
-        "details": detail_sentences(result),
-        "gap": _gap(result.get("gap") or {}, bool(effects)),
-        "effects": effects,
-        "interval_note": str(
-            result.get("interval_note") or "From, to: 90 % interval; it does not assume that the fit is good."
+    shown = lambda *names: [figures[name] for name in names if name in figures]  # noqa: E731
+    effects, before = result.get("effects") or [], result.get("before")
+    laws = [f"{place_in_words(str(e['location']))}: {e['equation']}" for e in effects if e.get("latex")]
+    return [
+        Section("", detail_sentences(result)),
+        Section("What has changed" if before else "What is missing", tables=effect_table(result)),
+        Section("Before", _before(before) if before else []),
+        Section("Numbers over the sets of recordings", figures=shown("sets"), tables=table_over_sets(folder)),
+        Section("Errors of predictions by joint", tables=joint_error_table(result)),
+        Section(
+            f"{'Before and after, on recordings' if effects else 'Recordings'} that were not fitted",
+            **_overlays(folder, result),
         ),
-        "laws": [
-            f"{place_in_words(str(effect['location']))}: {effect['equation']}"
-            for effect in result.get("effects") or []
-            if effect.get("latex")
-        ],
-        "unexplained": _lines(result.get("unexplained")),
-        "equivalent": _equivalent(result),
-        "reason_not_named": REASON_NOT_NAMED,
-        "believed": _table(result.get("believed")),
-        "confounds": _lines(result.get("confounds")),
-        "next_experiment": _experiment(result.get("next_experiment")),
-        "mended": _mended(folder, result),
-        "notes": _lines(result.get("notes")),
-        "preflight": _preflight(folder),
-        "footer": _footer(result),
-    }
-
-
-def _before(before: Any) -> dict[str, Any] | None:
-    """What the diagnosis of the recordings before said."""
-    if not before:
-        return None
-    found = [f"{effect_at_place(e)} ({parameters_in_words(e)})" for e in before.get("effects") or []]
-    return {"dataset": before["dataset"], "sentence": before["sentence"], "effects": found}
-
-
-def _sets(folder: Path) -> dict[str, Any] | None:
-    """Numbers over sets of recordings."""
-    if not (folder / "sets.csv").is_file():
-        return None
-    rows = read_table(folder / "sets.csv").to_dicts()
-    shown = [
-        {
-            "set": row["name"],
-            "number": f"{effect_at_place(row)}, {parameter_in_words(row['parameter'])}",
-            "value": row["value"],
-            "from": row["low"],
-            "to": row["high"],
-            "unit": unit_in_words(row["unit"]),
-            "named": "yes" if row["named"] else "",
-        }
-        for row in rows
+        *_preflight(folder),
+        Section("What the unexplained part looks like", _lines(result.get("unexplained"))),
+        Section("Missing force", laws, shown("joint-forces")) if shown("joint-forces") else Section(""),
+        Section("Where simulation and data disagree", tables=disagreement_tables(folder)),
+        *candidate_sections(result),
+        Section("Believed parameters", tables=as_table(result.get("believed") or [])),
+        Section("What could be mistaken for it", _lines(result.get("confounds"))),
+        Section("Next experiment", _experiment(result.get("next_experiment")), shown("next-command")),
+        *_mended(folder, result),
+        Section("Notes", _lines(result.get("notes"))),
     ]
-    return _table(shown)
 
 
-def _preflight(folder: Path) -> dict[str, list[str]] | None:
+def _before(before: Mapping[str, Any]) -> list[str]:
+    """What the diagnosis of the recordings before said."""
+    found = [f"{effect_at_place(e)} ({parameters_in_words(e)})" for e in before.get("effects") or []]
+    return [f"{before['dataset']}: {before['sentence']}", *found]
+
+
+def _overlays(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
+    """Held-out stretches, measured and simulated."""
+    data = read_arrays(folder / "overlays.npz") if (folder / "overlays.npz").is_file() else {}
+    stretches = list(zip(*(data.get(key, ()) for key in ("recordings", "names", "units")), strict=True))[:_STRETCHES]
+    if not stretches:
+        return {}
+    same = all(np.array_equal(data[f"before_{n}"], data[f"after_{n}"]) for n in range(len(stretches)))
+    second = "mended model" if result.get("verdict") != "unexplained" else "best candidate"
+    labels = {"measured": "measured", "before": "believed model"} | ({} if same else {"after": second})
+    curves = []
+    for n, (recording, name, unit) in enumerate(stretches):
+        every = -(-len(data[f"time_{n}"]) // _SAMPLES)
+        lines = {label: _plain(in_reading_unit(data[f"{key}_{n}"][::every], unit)[0]) for key, label in labels.items()}
+        time = [round(float(t), 6) for t in data[f"time_{n}"][::every]]
+        curves.append(Curves(f"{name}, recording {recording}", reading_unit(unit), time, lines))
+    where = "the believed model is worst" if same else "the two models differ most"
+    return {"lines": [f"Held-out stretches in which {where}."], "curves": curves}
+
+
+def _plain(values: np.ndarray) -> list[float | None]:
+    """Values for JSON, with six digits."""
+    return [float(f"{value:.6g}") if np.isfinite(value) else None for value in values]
+
+
+def _preflight(folder: Path) -> list[Section]:
     """What was odd about the data before the search: warnings, and notes."""
     if not (folder / "preflight.csv").is_file():
-        return None
+        return []
     rows = read_table(folder / "preflight.csv").select("level", "message").rows()
-    return {
-        "warnings": [str(message) for level, message in rows if level != "note"],
-        "notes": [str(message) for level, message in rows if level == "note"],
-    }
+    warnings = [str(message) for level, message in rows if level != "note"]
+    notes = [str(message) for level, message in rows if level == "note"]
+    nothing = "Nothing that matters was found before the search."
+    return [
+        Section("What is odd about the data", warnings or [nothing]),
+        Section("All that was looked at", notes, folded=True),
+    ]
 
 
-def _gap(gap: Mapping[str, Any], mended: bool) -> list[tuple[str, str]]:
-    """Figures under the verdict."""
-    loop = f" {gap.get('open_loop_unit', 'rad')}"
+def gap_numbers(gap: Mapping[str, Any], mended: bool, joints: bool) -> list[tuple[str, str]]:
+    """Figures under the verdict.
+
+    Args:
+      gap: entry of result.json.
+      mended: whether there is a mended model.
+      joints: whether there are errors by joint: then no mean over radians and metres is told.
+    """
+    loop = str(gap.get("open_loop_unit", "rad"))
     unit = f" [{gap['unit']}]" if gap.get("unit") else ""
     chi2 = str(gap.get("unit") or "").startswith("χ²")
     held_out = "held-out misfit (1 = noise)" if chi2 else "held-out gap"
@@ -147,7 +153,11 @@ def _gap(gap: Mapping[str, Any], mended: bool) -> list[tuple[str, str]]:
         ("after", "after" if mended else "", ""),
         ("noise floor", "noise_floor", ""),
     )
-    return [(label, f"{format_number(gap[key])}{of}") for label, key, of in rows if is_json_number(gap.get(key))]
+    return [
+        (label, error_in_words(gap[key], of, 3).strip())
+        for label, key, of in rows
+        if is_json_number(gap.get(key)) and not ("and" in of and joints)
+    ]
 
 
 def is_json_number(value: Any) -> bool:
@@ -156,134 +166,59 @@ def is_json_number(value: Any) -> bool:
 
 
 def _lines(value: Any) -> list[str]:
-    """A text, a mapping or a list as lines of text."""
-    if value in (None, "", [], {}):
+    """A text, or a list of texts and of entries with a text."""
+    if not value:
         return []
-    if isinstance(value, str):
-        return [value]
-    if isinstance(value, Mapping):
-        if isinstance(value.get("text"), str):
-            return [value["text"]]
-        return [
-            f"{str(key).replace('_', ' ')}: {_in_words(item)}" for key, item in value.items() if item not in (None, [])
-        ]
-    if isinstance(value, Sequence):
-        return [line for item in value for line in ([_in_words(item)] if isinstance(item, Mapping) else _lines(item))]
-    return [_in_words(value)]
+    many = [value] if isinstance(value, str | Mapping) else value
+    return [str(one["text"]) if isinstance(one, Mapping) else str(one) for one in many]
 
 
 def _experiment(value: Any) -> list[str]:
     """The next experiment, and the two candidates that it separates."""
     lines = _lines(value)
-    if isinstance(value, Mapping) and len(value.get("between") or []) == 2:
+    if value and len(value.get("between") or []) == 2:
         pair = [effect_at_place(one) if "effect" in one else str(one["name"]) for one in value["between"]]
         lines.append(f"It decides between {pair[0]} and {pair[1]}.")
     return lines
 
 
-def _in_words(value: Any) -> str:
-    """One value of result.json as text."""
-    if isinstance(value, Mapping):
-        if isinstance(value.get("text"), str):
-            return value["text"]
-        if "effect" in value and "location" in value:
-            rest = {k: v for k, v in value.items() if k not in ("effect", "location", "parameters", "values")}
-            more = ", ".join(f"{str(k).replace('_', ' ')} {_in_words(v)}" for k, v in rest.items())
-            return effect_at_place(value) + (f" ({more})" if more else "")
-        return ", ".join(f"{str(key).replace('_', ' ')} {_in_words(item)}" for key, item in value.items())
-    if isinstance(value, bool) or value is None:
-        return "no" if not value else "yes"
-    if isinstance(value, int | float):
-        return format_number(value)
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        shown = [_in_words(item) for item in value[:12]]
-        return ", ".join(shown) + (", …" if len(value) > 12 else "")
-    return str(value)
-
-
-def _equivalent(result: Mapping[str, Any]) -> list[str]:
-    """Equivalent candidates, where there are more than the named effects."""
-    given = result.get("equivalent") or []
-    out = []
-    for entry in given if len(given) > 1 or not result.get("effects") else []:
-        members = entry if isinstance(entry, Sequence) and not isinstance(entry, str) else [entry]
-        out.append(
-            "; ".join(effect_at_place(m) if isinstance(m, Mapping) and "effect" in m else _in_words(m) for m in members)
-        )
-    return out
-
-
-def _table(rows: Any) -> dict[str, Any] | None:
-    """A list of mappings as a table; the first column is the name."""
-    if not isinstance(rows, Sequence) or isinstance(rows, str) or not rows:
-        return None
-    columns = list(rows[0])
-    cells = [
-        [format_number(v) if is_json_number(v) else str("" if v is None else v) for v in row.values()] for row in rows
-    ]
-    return {"columns": [name.replace("_", " ") for name in columns], "rows": cells}
-
-
-def _cell(value: Any) -> str:
-    return format_number(value) if is_json_number(value) else str("" if value is None else value)
-
-
-def _mended(folder: Path, result: Mapping[str, Any]) -> dict[str, Any] | None:
+def _mended(folder: Path, result: Mapping[str, Any]) -> list[Section]:
+    """How to load the mended model, what is in it, and code for what MJCF cannot express."""
     if not (folder / "mended.xml").is_file():
-        return None
+        return []
     path = folder / "mended.xml"
-    text = f"{path} is the believed model with what was found; plain MuJoCo loads it."
-    between = _BETWEEN.get(str(result.get("interpolation")), "")
-    load = f'model = mujoco.MjModel.from_xml_path("{path}")'
-    changes: list[dict[str, str]] = []
-    terms: list[dict[str, str]] = []
-    if (folder / "mended.json").is_file():
-        saved = read_json(folder / "mended.json")
-        terms = [
-            {
-                "effect": effect_title(t["effect"]),
-                "location": place_in_words(t["location"]),
-                "equation": str(t.get("equation", "")),
-            }
-            for t in saved.get("terms", [])
-        ]
-        names = dict.fromkeys(f"{e['effect']}@{e['location']}" for e in result.get("effects") or [])
-        native = [
-            effect_at_place(dict(zip(("effect", "location"), name.split("@", 1), strict=True)))
-            for name in saved.get("native", [])
-            if name in names
-        ]
-        native += ["calibration"] if result.get("calibration") else []
-        text += f" It contains {' and '.join(native)}." if native else ""
-        changes = [
-            {
-                "part": str(c["part"]),
-                "field": str(c["field"]),
-                "believed": _cell(c["believed"]),
-                "mended": _cell(c["mended"]),
-            }
-            for c in saved.get("changes", [])
-        ]
-        text += " ".join(["", *saved.get("notes", [])])
-    if terms:
-        text += " Effects without a term in MJCF are in mended.json; this code adds them to a simulation:"
-    ranges = (folder / "randomisation.json").is_file()
-    return {"text": text, "terms": terms, "code": _CODE, "load": load, "changes": changes} | {
-        "between": between,
-        "ranges": ranges,
-    }
+    saved = read_json(folder / "mended.json") if (folder / "mended.json").is_file() else {}
+    terms, changes = saved.get("terms", []), saved.get("changes", [])
+    named = {f"{e['effect']}@{e['location']}" for e in result.get("effects") or []}
+    inside = [hypothesis_in_words(name) for name in saved.get("native", []) if name in named]
+    inside += ["calibration"] if result.get("calibration") else []
+    lines = [
+        f"{path} is the believed model with what was found; plain MuJoCo loads it."
+        + (f" It contains {' and '.join(inside)}." if inside else ""),
+        *saved.get("notes", []),
+        _BETWEEN.get(str(result.get("interpolation")), ""),
+        "parameters.csv holds the values with their intervals"
+        + (
+            ", randomisation.json the ranges of the model's numbers"
+            if (folder / "randomisation.json").is_file()
+            else ""
+        )
+        + ". These intervals are statistical only: widen them for domain randomisation (docs/exports.md).",
+        "Effects without a term in MJCF are in mended.json; the code below adds them to a simulation." if terms else "",
+    ]
+    more = f"And {len(changes) - _CHANGES} more, listed in mended.json." if len(changes) > _CHANGES else ""
+    keys = ("part", "field", "believed", "mended")
+    tables = as_table([{key: change[key] for key in keys} for change in changes[:_CHANGES]], more)
+    rows = [[effect_title(t["effect"]), place_in_words(t["location"]), t.get("equation", "")] for t in terms]
+    tables += [Table(["effect without a term in MJCF", "place", "equation"], rows)] if rows else []
+    code = _CODE if terms else f'model = mujoco.MjModel.from_xml_path("{path}")'
+    return [Section("The mended model", [line for line in lines if line], tables=tables, code=code)]
 
 
-def _footer(result: Mapping[str, Any]) -> list[str]:
-    lines = []
-    spent = []
-    if is_json_number(result.get("steps")):
-        spent.append(f"{int(result['steps']):,} simulated steps".replace(",", " "))
-    if is_json_number(result.get("seconds")):
-        spent.append(f"{format_number(result['seconds'])} s")
-    if is_json_number(result.get("seed")):
-        spent.append(f"seed {int(result['seed'])}")
-    if spent:
-        lines.append(", ".join(spent))
-    lines.append("Numbers: result.json. Figures: figures/. Tables: *.csv, *.npz.")
-    return lines
+def spent(result: Mapping[str, Any]) -> list[str]:
+    """What the diagnosis took, in a line."""
+    words = {"steps": "{:,} simulated steps", "seconds": "{} s", "seed": "seed {}"}
+    found = {key: result[key] for key in words if is_json_number(result.get(key))}
+    if "seconds" in found:
+        found["seconds"] = format_number(found["seconds"])
+    return [", ".join(words[key].format(value).replace(",", " ") for key, value in found.items())] if found else []

@@ -1,209 +1,32 @@
 """Figures of a diagnosis: each function makes one matplotlib Figure from saved data and reads no file."""
 
-import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
-import matplotlib
 import numpy as np
-from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from btr_mjx.gap.results import effect_at_place, format_number
+from btr_mjx.gap.results import JointForce, effect_at_place
 
 MEASURED, BEFORE, AFTER = "#000000", "#c8641e", "#1f5fa8"
 """Colours of data, believed model and mended model; dots, dashes and a solid line distinguish them in grey as well."""
 
-_WIDEST = 46
-"""Characters in a line of a candidate's name."""
-
-_CANDIDATES, _CHANNELS = 14, 5
-"""Largest numbers of candidates of a ranking, and of channels of a command."""
+_CHANNELS = 5
+"""Channels of a command that are drawn, at most."""
 
 
-def disagreement_map(
-    rows: Sequence[str], columns: Sequence[str], before: np.ndarray, after: np.ndarray | None = None
-) -> Figure:
-    """Heat map of the disagreement by part and regime, in units of the noise.
-
-    Args:
-      rows: names of joints or bodies.
-      columns: names of regimes.
-      before: (R, C) disagreement of the believed model, 1 is the noise; NaN where there are no data.
-      after: (R, C) the same of the mended model, or None.
-
-    Returns:
-      The figure, one panel a model.
-    """
-    panels = [("believed model", before)] + ([("mended model", after)] if after is not None else [])
-    height = 1.3 + 0.21 * len(rows)
-    figure = Figure(figsize=(2.2 + len(panels) * max(2.2, 0.55 * len(columns)), height))
-    axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
-    known = before[np.isfinite(before)]
-    top = max(4.0, float(known.max(initial=1.0)))
-    grey = matplotlib.colormaps["Greys"].with_extremes(bad="#ffffff")
-    norm = LogNorm(1.0, top, clip=True)
-    image = None
-    for panel, (name, values) in zip(axes, panels, strict=True):
-        shown = np.ma.masked_invalid(np.asarray(values, float))
-        image = panel.imshow(shown, cmap=grey, norm=norm, aspect="auto")
-        for i in range(len(rows)):
-            for j in range(len(columns)):
-                value = float(np.asarray(values, float)[i, j])
-                dark = np.isfinite(value) and norm(value) > 0.55
-                text = format_number(value, 2) if np.isfinite(value) else "·"
-                panel.text(j, i, text, ha="center", va="center", fontsize=7, color="white" if dark else "black")
-        panel.set_title(name)
-        panel.set_xticks(range(len(columns)), columns, rotation=40, ha="right")
-        panel.tick_params(length=0)
-        for spine in panel.spines.values():
-            spine.set_visible(False)
-    axes[0].set_yticks(range(len(rows)), rows)
-    assert image is not None
-    bar = figure.colorbar(image, ax=list(axes), shrink=min(1.0, 2.0 / height), pad=0.02)
-    marks = [m * 10**e for e in range(int(np.log10(top)) + 1) for m in (1, 2, 5) if m * 10**e <= top]
-    bar.set_ticks(marks[-6:], labels=[f"{mark:g}" for mark in marks[-6:]])
-    bar.minorticks_off()
-    bar.set_label("force² / noise")
-    return figure
+def force_data(arrays: Mapping[str, np.ndarray]) -> list[JointForce]:
+    """Missing forces at joints, of joint_forces.npz."""
+    keys = ("position", "velocity", "load", "time", "before", "after", "law", "spread")
+    texts = zip(*([str(text) for text in arrays[key]] for key in ("joints", "units", "follows")), strict=True)
+    return [
+        JointForce(joint, unit, **{key: arrays[f"{key}_{n}"] for key in keys}, follows=tuple(follows.split()))
+        for n, (joint, unit, follows) in enumerate(texts)
+    ]
 
 
-def ranking_bars(
-    rows: Sequence[Mapping[str, Any]],
-    found: Sequence[tuple[str, str]],
-    threshold: float | None = None,
-) -> Figure:
-    """Candidates by score: named effects black, equivalent candidates hatched, the others grey.
-
-    Args:
-      rows: entries of `ranking` in result.json, best first.
-      found: (effect, location) of the effects that were named.
-      threshold: score that a name needs; None if it is not shown.
-
-    Returns:
-      The figure.
-    """
-    shown = list(rows)[:_CANDIDATES]
-    labels = [textwrap.fill(_capital(effect_at_place(row)), _WIDEST) for row in shown]
-    lines = sum(1 + label.count("\n") for label in labels)
-    figure = Figure(figsize=(7.2, 0.7 + 0.16 * lines + 0.09 * max(len(shown), 1)))
-    axes = figure.subplots()
-    scores = [max(float(row.get("score") or 0.0), 0.0) for row in shown]
-    for i, (row, score) in enumerate(zip(shown, scores, strict=True)):
-        best = (row["effect"], row["location"]) in set(found)
-        same = bool(row.get("equivalent")) and not best
-        axes.barh(
-            i,
-            score,
-            height=0.62,
-            color="#000000" if best else "#ffffff" if same else "#c4c4c4",
-            edgecolor="#000000" if best or same else "#c4c4c4",
-            hatch="/////" if same else None,
-            linewidth=0.7,
-        )
-        note = format_number(float(row.get("score") or 0.0))
-        if not best and row.get("margin"):
-            behind = float(row["margin"])
-            note += f"  ({'−' if behind > 0 else '+'}{format_number(abs(behind))})"
-        axes.annotate(note, (score, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=7.5)
-    axes.set_yticks(range(len(shown)), labels)
-    axes.invert_yaxis()
-    axes.set_xlim(0, 1.5 * max([*scores, threshold or 1e-9]))
-    if threshold is not None:
-        axes.axvline(threshold, color="0.4", linewidth=0.8, linestyle=(0, (2, 2)), zorder=0)
-    axes.tick_params(axis="y", length=0)
-    axes.set_xlabel("score (in brackets: distance to the first)", loc="right")
-    return figure
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
-
-
-@dataclass(frozen=True)
-class OverlayData:
-    """A part of a held-out recording, one coordinate.
-
-    Attributes:
-      recording: name of the recording.
-      name: name of the coordinate.
-      unit: unit of the coordinate.
-      time: (K,) times [s].
-      measured, before, after: (K,) data, believed model, mended model.
-    """
-
-    recording: str
-    name: str
-    unit: str
-    time: np.ndarray
-    measured: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-
-
-def overlay_figure(stretches: Sequence[OverlayData], after: str | None = "mended model") -> Figure:
-    """Measured and simulated coordinates, with the differences beside them; one row a stretch.
-
-    Args:
-      stretches: parts of held-out recordings.
-      after: label of the second model; None leaves it out.
-
-    Returns:
-      The figure.
-    """
-    figure = Figure(figsize=(7.4, 0.6 + 1.6 * len(stretches)))
-    axes = figure.subplots(len(stretches), 2, squeeze=False, width_ratios=[1.25, 1])
-    for (left, right), one in zip(axes, stretches, strict=True):
-        every = max(1, len(one.time) // 250)
-        left.plot(one.time[::every], one.measured[::every], ".", color=MEASURED, markersize=2.6, label="measured")
-        right.axhline(0.0, color="0.7", linewidth=0.6)
-        for label, values, look in (
-            ("believed model", one.before, {"color": BEFORE, "linestyle": (0, (4, 2))}),
-            (after, one.after, {"color": AFTER, "linestyle": "-"}),
-        ):
-            if label is None:
-                continue
-            style: dict[str, Any] = dict(look)
-            left.plot(one.time, values, linewidth=1.1, label=label, **style)
-            right.plot(one.time, values - one.measured, linewidth=0.9, **style)
-        left.set_ylabel(f"{one.name} [{one.unit}]")
-        left.set_title(f"recording {one.recording}", loc="left", fontsize=8)
-        right.set_title(f"model − measured [{one.unit}]", loc="left", fontsize=8)
-        for panel in (left, right):
-            panel.xaxis.set_major_locator(MaxNLocator(4))
-    for panel in axes[-1]:
-        panel.set_xlabel("time [s]")
-    handles, labels = axes[0][0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=3)
-    return figure
-
-
-@dataclass(frozen=True)
-class ForceData:
-    """The missing force at a joint, (N,) arrays.
-
-    Attributes:
-      joint: name of the joint.
-      unit: of forces.
-      states: what it is drawn against: "position", "velocity", "load", "time".
-      before, after: missing force beside the believed and the mended model.
-      law, spread: force of the laws that were named there, and half the width of its 90 % interval.
-      follows: states that these laws depend on.
-    """
-
-    joint: str
-    unit: str
-    states: Mapping[str, np.ndarray]
-    before: np.ndarray
-    after: np.ndarray
-    law: np.ndarray
-    spread: np.ndarray
-    follows: Sequence[str]
-
-
-def force_figure(joints: Sequence[ForceData], mended: bool = True) -> Figure:
+def force_figure(joints: Sequence[JointForce], mended: bool = True) -> Figure:
     """Missing force against position, velocity and load, or against what a law depends on; one row a joint.
 
     Args:
@@ -220,7 +43,7 @@ def force_figure(joints: Sequence[ForceData], mended: bool = True) -> Figure:
         length = "rad" if one.unit == "N m" else "m"
         units = {"position": length, "velocity": f"{length}/s", "load": one.unit, "time": "s"}
         for panel, name in zip(row, [*one.follows, *others], strict=False):
-            x = one.states[name]
+            x = getattr(one, name)
             panel.plot(x, one.before, ".", color="0.55", markersize=1.6, label="missing")
             if mended:
                 panel.plot(x, one.after, ".", color=AFTER, markersize=1.2, label="left")
@@ -264,7 +87,7 @@ def numbers_over_sets(rows: Sequence[Mapping[str, Any]]) -> Figure:
         at = np.array([r["set"] for r in own])
         value, low, high = (np.array([r[name] for r in own], float) for name in ("value", "low", "high"))
         panel.errorbar(at, value, [value - low, high - value], color="black", marker="o", capsize=3, linewidth=1.1)
-        panel.set_title(_capital(effect_at_place(own[0])), loc="left", fontsize=8)
+        panel.set_title(effect_at_place(own[0]), loc="left", fontsize=8)
         panel.set_ylabel(f"{key[2]} [{own[0]['unit']}]")
         panel.set_xticks(at, [str(r["name"]) for r in own])
     return figure

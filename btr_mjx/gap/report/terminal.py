@@ -8,6 +8,7 @@ from typing import Any
 from btr_mjx.gap.preflight import Finding
 from btr_mjx.gap.report.content import is_json_number
 from btr_mjx.gap.results import effect_at_place, effect_title, place_in_words
+from btr_mjx.pages import PAGE
 
 
 def print_findings(findings: Sequence[Finding], what: str = "") -> None:
@@ -26,12 +27,13 @@ def print_findings(findings: Sequence[Finding], what: str = "") -> None:
     print(flush=True)
 
 
-def print_result(result: Mapping[str, Any], folder: Path) -> None:
+def print_result(result: Mapping[str, Any], folder: Path, page: bool = True) -> None:
     """Print the verdict, the first six candidates of the ranking, and what else there is to say.
 
     Args:
       result: content of result.json.
       folder: the run folder.
+      page: whether its page is there, or drawn next.
     """
     print(textwrap.fill(str(result["sentence"]), 110))
     rows = [row for row in result["ranking"] if not row["beside"]][:6]
@@ -47,8 +49,9 @@ def print_result(result: Mapping[str, Any], folder: Path) -> None:
         print()
     for line in result.get("details") or []:
         print(textwrap.fill(line, 110, initial_indent="  - ", subsequent_indent="    "))
-    ends = (("page", "report.html"), ("mended model", "mended.xml"), ("ranges for randomisation", "randomisation.json"))
-    there = [f"{what} {folder / name}" for what, name in ends if (folder / name).is_file()]
+    ends = (("mended model", "mended.xml"), ("ranges for randomisation", "randomisation.json"))
+    there = [f"page {folder / PAGE}"] if page else []
+    there += [f"{what} {folder / name}" for what, name in ends if (folder / name).is_file()]
     print(f"\n{'; '.join(there) or f'all files in {folder}'}")
 
 

@@ -24,6 +24,7 @@ from btr_mjx.gap.results.records import (
     DisagreementMap,
     Estimate,
     Gap,
+    JointError,
     JointForce,
     NamedEffect,
     NextExperiment,
@@ -36,16 +37,17 @@ from btr_mjx.gap.results.records import (
 )
 from btr_mjx.gap.results.saved import RESULT, as_result, before_entry, save_diagnosis, save_quantities
 from btr_mjx.gap.results.simulation_file import simulation_mjcf
-from btr_mjx.gap.results.verdict_words import detail_sentences, verdict_sentence
-from btr_mjx.gap.results.wording import (
+from btr_mjx.gap.results.words.terms import (
     REASON_NOT_NAMED,
     confound_sentence,
     effect_at_place,
     effect_title,
+    error_in_words,
     estimate_cells,
     format_number,
     hypothesis_in_words,
     in_percent,
+    in_reading_unit,
     number_in_words,
     parameter_in_words,
     parameters_in_words,
@@ -53,6 +55,7 @@ from btr_mjx.gap.results.wording import (
     refit_sentence,
     unit_in_words,
 )
+from btr_mjx.gap.results.words.verdict import detail_sentences, verdict_sentence
 
 __all__ = [
     "REASON_NOT_NAMED",
@@ -67,6 +70,7 @@ __all__ = [
     "Estimate",
     "FoundEffect",
     "Gap",
+    "JointError",
     "JointForce",
     "MendedModel",
     "NamedEffect",
@@ -84,11 +88,13 @@ __all__ = [
     "detail_sentences",
     "effect_at_place",
     "effect_title",
+    "error_in_words",
     "estimate_cells",
     "format_number",
     "found_effects",
     "hypothesis_in_words",
     "in_percent",
+    "in_reading_unit",
     "mend",
     "mended_robot",
     "number_in_words",

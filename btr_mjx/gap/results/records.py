@@ -236,6 +236,26 @@ class Predictions:
 
 
 @dataclass(frozen=True)
+class JointError:
+    """Root mean square error of a joint's position on held-out recordings, as in `Predictions`.
+
+    Attributes:
+      joint: in words; "position of body torso" and "orientation of body torso" for a free joint.
+      unit: "rad" or "m".
+      horizon: time from a measured state to the prediction [s].
+      before, after: of the believed and the mended model.
+      noise: what the sensor's noise alone makes.
+    """
+
+    joint: str
+    unit: str
+    horizon: float
+    before: float
+    after: float
+    noise: float
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """The outcome of a search.
 
@@ -265,6 +285,7 @@ class Diagnosis:
       notes: remarks for the reader.
       joint_forces: missing force at joints, for a figure.
       residual: tables of the force that nothing explains, where they were asked for.
+      joint_errors: errors of the same predictions by joint.
     """
 
     verdict: Verdict
@@ -291,6 +312,7 @@ class Diagnosis:
     calibration: tuple[NamedEffect, ...] = ()
     joint_forces: tuple[JointForce, ...] = field(default=(), repr=False)
     residual: tuple[ResidualTable, ...] = field(default=(), repr=False)
+    joint_errors: tuple[JointError, ...] = ()
 
 
 @dataclass(frozen=True)

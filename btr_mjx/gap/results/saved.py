@@ -15,8 +15,8 @@ from btr_mjx.gap.effects import KNOWN_EFFECTS, Effect
 from btr_mjx.gap.results.exported import export_diagnosis
 from btr_mjx.gap.results.mended_model import FoundEffect, MendedModel, mend, with_residual
 from btr_mjx.gap.results.records import Diagnosis, DisagreementMap, JointForce, NamedEffect, NextExperiment, Quantity
-from btr_mjx.gap.results.verdict_words import detail_sentences, verdict_sentence
-from btr_mjx.gap.results.wording import place_in_words
+from btr_mjx.gap.results.words.terms import place_in_words
+from btr_mjx.gap.results.words.verdict import detail_sentences, verdict_sentence
 from btr_mjx.models import parse_path, part_names
 from btr_mjx.runs import atomic_write, write_arrays, write_json, write_table
 
@@ -121,6 +121,7 @@ def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
             "equation": effect.equation,
             **({"latex": effect.latex} if effect.latex else {}),
             "excited_by": effect.excited_by,
+            "joint": _driven_joint(dataset.model, effect.location),
         }
         for effect in diagnosis.effects
     ]
@@ -137,6 +138,7 @@ def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
         | {"closed": diagnosis.gap.closed, "unit": "χ² per degree of freedom"}
         | {"open_loop_unit": _position_unit(dataset.model), "open_loop_noise": _mean_noise(diagnosis, dataset.model)},
         "predictions": asdict(diagnosis.predictions) if diagnosis.predictions else None,
+        "joint_errors": [asdict(error) for error in diagnosis.joint_errors],
         "unexplained": list(diagnosis.unexplained),
         "residual": [table.joint for table in diagnosis.residual],
         "believed": [asdict(refit) for refit in diagnosis.believed],
@@ -151,6 +153,19 @@ def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
         "seconds": diagnosis.seconds,
         "notes": [*dataset.notes, *diagnosis.notes],
     }
+
+
+def _driven_joint(model: mujoco.MjModel, location: str) -> str:
+    """Name of the joint that the actuator of a place drives; "" for other places."""
+    kind, _, name = location.partition(":")
+    actuators = part_names(model, "actuator")
+    if kind != "actuator" or name not in actuators:
+        return ""
+    number = actuators.index(name)
+    drives = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    if model.actuator_trntype[number] not in drives:
+        return ""
+    return part_names(model, "joint")[model.actuator_trnid[number, 0]]
 
 
 def before_entry(diagnosis: Diagnosis, dataset: Dataset, before: Mapping[str, Any] | None = None) -> dict[str, Any]:

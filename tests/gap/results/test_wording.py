@@ -3,13 +3,14 @@
 import re
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from btr_mjx.gap.effects import KNOWN_EFFECTS
-from btr_mjx.gap.results import detail_sentences, hypothesis_in_words, number_in_words, verdict_sentence
-from btr_mjx.gap.results.wording import EFFECT_TITLES, effect_at_place, parameters_in_words
+from btr_mjx.gap.results import detail_sentences, format_number, hypothesis_in_words, number_in_words, verdict_sentence
+from btr_mjx.gap.results.words.terms import EFFECT_TITLES, effect_at_place, parameters_in_words
 
 
 def result(after: float, nulls: float, before: float = 180.0) -> dict[str, Any]:
@@ -26,9 +27,9 @@ def result(after: float, nulls: float, before: float = 180.0) -> dict[str, Any]:
         (
             54.7,
             "viscous damping at joint elbow (damping 0.40 ± 0.10 N m s/rad)",
-            "the rest is not noise but 54.7 times",
+            "more than noise is left.",
         ),
-        (2.9, "The missing effect is", "what is left is 2.9 times the noise"),
+        (2.9, "The missing effect is", "more than noise is left."),
         (
             1.0,
             "The missing effect is",
@@ -41,6 +42,49 @@ def test_a_name_says_how_much_it_explains_and_leaves(after: float, subject: str,
     text = verdict_sentence(result(after, 1.0))
     assert subject in text
     assert rest in text
+
+
+@pytest.mark.parametrize(
+    ("kind", "unit", "before", "after", "noise"),
+    [("rad", "rad", "17°", "0.0057°", "0.0011°"), ("m", "m", "300 mm", "0.1 mm", "0.02 mm")],
+)
+def test_the_joint_that_has_it_is_told_in_the_unit_of_its_kind(
+    kind: str, unit: str, before: str, after: str, noise: str
+) -> None:
+    rows = [
+        {"joint": f"joint {name}", "unit": unit, "horizon": 0.25, "before": first, "after": 1e-4, "noise": 2e-5}
+        for name, first in (("shoulder", 0.4), ("elbow", 0.3))
+    ]
+    told = f"predicted over 0.25 s, joint elbow is off by {after} instead of {before}, where noise makes {noise}"
+    assert told in verdict_sentence(result(1.0, 1.0) | {"joint_errors": rows})
+    elsewhere = result(1.0, 1.0) | {"joint_errors": rows[:1]}  # the effect is at a joint that is not measured
+    assert "joint shoulder is off by" in verdict_sentence(elsewhere)
+
+
+def test_radians_and_metres_are_not_added() -> None:
+    made = {"horizon": 0.25, "believed": 0.3, "mended": 0.1, "constant_velocity": 0.4}
+    row = {"joint": "joint elbow", "unit": "rad", "horizon": 0.25, "before": 0.3, "after": 0.1, "noise": 0.01}
+    one = result(1.0, 1.0) | {"predictions": made, "joint_errors": [row]}
+    one["gap"] |= {"open_loop_before": 0.3, "open_loop_after": 0.1, "open_loop_unit": "rad and m"}
+    assert "rad and m" not in " ".join([verdict_sentence(one), *detail_sentences(one)])
+
+
+def test_what_is_not_all_is_not_said_to_be_all() -> None:
+    """Of a gap of millions of times the noise, thousands are left."""
+    text = verdict_sentence(result(8328.0, 1.0, before=9e6))
+    assert "It explains more than 99 % of the disagreement on recordings that were not used; more than noise" in text
+    assert "8328" not in text
+
+
+def test_the_joint_of_an_actuator_is_named_where_its_name_is_another_one() -> None:
+    one = result(1.0, 1.0)
+    effect = {
+        "effect": "actuator_gain",
+        "location": "actuator:m3",
+        "parameters": {"change": {"value": 0.1, "unit": "1"}},
+    }
+    assert "at actuator m3 of joint knee (" in verdict_sentence(one | {"effects": [effect | {"joint": "knee"}]})
+    assert "at actuator m3 (" in verdict_sentence(one | {"effects": [effect | {"joint": "m3"}]})
 
 
 def test_a_gap_that_grows_is_never_said_to_shrink() -> None:
@@ -69,7 +113,7 @@ def test_a_model_that_beats_no_simple_predictor_says_so_first(
     assert ("do not predict" in first) == bool(rival)
     assert rival in first
     (told,) = [line for line in detail_sentences(one) if line.startswith("Predicted over 0.25 s")]
-    assert all(f"{number:g}" in told for number in (believed, mended, steady))
+    assert all(f"{format_number(np.degrees(number))}°" in told for number in (believed, mended, steady))
 
 
 def test_fitness_has_no_noise() -> None:
@@ -86,7 +130,7 @@ def test_members_with_a_number_each() -> None:
     entry = {"effect": "armature", "location": "each:subtree:leg", "parameters": rows}
     place = "every joint from body leg down, each with its own number"
     assert effect_at_place(entry) == f"rotor inertia (armature) at {place}"
-    assert parameters_in_words(entry) == "armature from 0.1 to 0.7 kg m²"
+    assert parameters_in_words(entry) == "armature from 0.1 to 0.7 kg m², the largest at j7"
     few = entry | {"parameters": dict(list(rows.items())[:2])}
     assert parameters_in_words(few) == "armature at j1 0.100 ± 0.010 kg m², armature at j2 0.200 ± 0.010 kg m²"
 
@@ -152,6 +196,11 @@ def results(draw: st.DrawFn) -> dict[str, Any]:
         "verdict": verdict,
         "effects": effects,
         "gap": gap,
+        "joint_errors": [
+            {"joint": "joint knee", "horizon": 0.25, "unit": draw(st.sampled_from(["rad", "m"]))}
+            | {key: draw(_SIZE) for key in ("before", "after", "noise")}
+            for _ in range(draw(st.integers(0, 2)))
+        ],
         "where": draw(st.sampled_from(["", "joint leg.knee, when it moves fast"])),
         "ranking": draw(st.lists(entry, max_size=4)),
         "equivalent": draw(st.lists(entry, max_size=6)),
@@ -165,7 +214,7 @@ def sentences(text: str) -> list[str]:
     return [part for part in re.split(r"[.!?](?:\s|$)", text) if part.strip()]
 
 
-UNIT = r"(?:N m|N|rad|m|kg|s|times|of the motor torque|%)(?=\W|$)"
+UNIT = r"(?:N m|N|rad|mm|m|kg|s|times|of the motor torque|%)(?=\W|$)"
 
 
 @settings(max_examples=300, deadline=None)
@@ -190,7 +239,7 @@ def numbers_without_unit(text: str) -> list[str]:
     text = re.sub(rf"{number} ± {number}", "7", text)
     text = re.sub(rf"from {number} to {number}", "7", text)
     text = re.sub(r"\d+ more", "more", text).replace("m²", "m")  # candidates are counted
-    return [m[0] for m in re.finditer(number, text) if not re.match(rf" {UNIT}", text[m.end() :])]
+    return [m[0] for m in re.finditer(number, text) if not re.match(rf"°| {UNIT}", text[m.end() :])]
 
 
 def test_a_change_beside_what_nobody_explains() -> None:

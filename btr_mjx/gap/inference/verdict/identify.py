@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import EFFECTS, Effect
-from btr_mjx.gap.forces import horizon_errors, identify_forces, predictions, prepare_forces
+from btr_mjx.gap.forces import horizon_errors, identify_forces, joint_errors, predictions, prepare_forces
 from btr_mjx.gap.inference.search.naming import CONTACT_THRESHOLD, THRESHOLD, within_calibration
 from btr_mjx.gap.inference.search.rounds import search
 from btr_mjx.gap.inference.search.search import Bench
@@ -149,6 +149,7 @@ def name_missing(
         seconds=time.monotonic() - begun + bench.counter.earlier,
         survivors=survivors(bench, rounds, named),
         predictions=predictions(errors, steady),
+        joint_errors=joint_errors(bench.dataset.model, errors, bench.sigma),
         notes=time_step_notes(bench.fit.windows),
     )
 

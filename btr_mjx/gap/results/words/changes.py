@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from btr_mjx.gap.effects import EACH_MEMBER
-from btr_mjx.gap.results.wording import (
+from btr_mjx.gap.results.words.terms import (
     as_float,
     effect_at_place,
     effect_title,

@@ -1,11 +1,10 @@
-"""What the page of the paper's claims says."""
+"""The page of the paper's claims."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from btr_mjx.pages.content import Section, Table, with_interval
-from btr_mjx.pages.page import embedded
+from btr_mjx.pages import Section, Table, embedded, with_interval, write_page
 from btr_mjx.runs import read_json
 
 
@@ -20,8 +19,8 @@ def claims_sentence(rows: Sequence[Mapping[str, Any]]) -> str:
     return ", ".join([hold, *others]) + "."
 
 
-def claims_content(folder: Path) -> dict[str, Any]:
-    """Variables of the page, from claims.json and the PNG files in the folder and beside the experiments."""
+def draw_claims_page(folder: Path) -> Path:
+    """Draw the page from claims.json and the PNG files in the folder and beside the experiments."""
     rows = read_json(folder / "claims.json")
     table = Table(
         ["claim", "verdict", "statistic [95 %]", "claimed", "p", "seeds", "measured"],
@@ -49,11 +48,12 @@ def claims_content(folder: Path) -> dict[str, Any]:
     if (folder / "claims.png").is_file():
         caption = "Intervals relative to the bound, scaled by their size; the claimed side is to the right."
         sections.insert(1, Section("Intervals", figures=[embedded(folder / "claims.png", "Intervals", caption)]))
-    return {
+    variables = {
         "heading": "Claims of the paper",
         "name": folder.resolve().name,
         "sentence": claims_sentence(rows),
         "numbers": [],
-        "sections": [part for part in sections if part.lines or part.figures or part.tables],
+        "sections": sections,
         "footer": ["Numbers: claims.json. Table: claims.md."],
     }
+    return write_page(folder, variables)

@@ -1,11 +1,13 @@
 """Words for effects, places, and numbers with their intervals, as sentences, tables and figures have them.
 
-Every function returns text and computes nothing else. `verdict_words` builds the sentences of a verdict of them.
+Every function returns text and computes nothing else. `verdict` builds the sentences of a verdict of them.
 """
 
 import math
 from collections.abc import Mapping
 from typing import Any
+
+import numpy as np
 
 from btr_mjx.gap.effects import EACH_MEMBER, LAWS
 
@@ -158,6 +160,19 @@ def format_number(value: float | None, digits: int = 3) -> str:
     return f"{mantissa}·10^{int(exponent)}".replace("-", "−")
 
 
+def in_reading_unit(value: Any, unit: str) -> tuple[Any, str]:
+    """A position error, or an array of them, in degrees or millimetres, with the unit; others as they are."""
+    if unit == "rad":
+        return np.degrees(value), "°"
+    return (1000 * value, "mm") if unit == "m" else (value, unit)
+
+
+def error_in_words(value: float, unit: str, digits: int = 2) -> str:
+    """A position error such as "1.2°" or "3.4 mm"."""
+    shown, unit = in_reading_unit(value, unit)
+    return f"{format_number(float(shown), digits)}{'' if unit == '°' else ' '}{unit}"
+
+
 def format_estimate(parameter: Mapping[str, Any]) -> str:
     """An estimate with its interval and unit.
 
@@ -233,9 +248,12 @@ def parameters_in_words(effect: Mapping[str, Any]) -> str:
     if effect["effect"] == "load_friction" and set(parameters) == {"coefficient"}:
         return f"{format_estimate(parameters['coefficient'])} of the motor torque"
     if str(effect["location"]).startswith(EACH_MEMBER) and len(parameters) > _FEW:
-        rows = [in_percent(name, p) for name, p in parameters.items()]
-        ends = [format_number(f([as_float(p["value"]) or 0.0 for p in rows])) for f in (min, max)]
-        return f"{_member_of(next(iter(parameters)))[0]} from {ends[0]} to {ends[1]}{_unit_words(rows[0])}"
+        rows = {_member_of(name): in_percent(name, p) for name, p in parameters.items()}
+        values = {member: as_float(p["value"]) or 0.0 for (_, member), p in rows.items()}
+        ends = [format_number(f(values.values())) for f in (min, max)]
+        (kind, _), one = next(iter(rows.items()))
+        largest = max(values, key=lambda member: abs(values[member]))
+        return f"{kind} from {ends[0]} to {ends[1]}{_unit_words(one)}, the largest at {largest}"
     return ", ".join(
         f"{parameter_in_words(name)} {format_estimate(in_percent(name, p))}" for name, p in parameters.items()
     )

@@ -7,13 +7,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from btr_mjx.gap.effects import EACH_MEMBER
-from btr_mjx.gap.results.change_words import SAME_REST, UNCHANGED, change_in_words
-from btr_mjx.gap.results.wording import (
+from btr_mjx.gap.results.words.changes import SAME_REST, UNCHANGED, change_in_words
+from btr_mjx.gap.results.words.terms import (
     REASON_NOT_NAMED,
     as_float,
     effect_at_place,
+    error_in_words,
     format_number,
     parameters_in_words,
+    place_in_words,
 )
 
 TIMES_NOISE = 3.0
@@ -55,8 +57,8 @@ def verdict_sentence(result: Mapping[str, Any]) -> str:
 
 def _looks(result: Mapping[str, Any]) -> str:
     """Where what is unexplained is, and what it looks like."""
-    where = f", most of it at {result['where']}" if _text(result.get("where")) else ""
-    looks = _lines(result.get("unexplained"))
+    where = f", most of it at {result['where']}" if result.get("where") else ""
+    looks = result.get("unexplained") or []
     return f"{where}." + (f" It looks like this: {looks[0].rstrip('.')}." if looks else "")
 
 
@@ -85,8 +87,8 @@ def detail_sentences(result: Mapping[str, Any]) -> list[str]:
     verdict = result.get("verdict")
     where = result.get("where") if verdict == "effect" else None
     lines = [
-        f"Simulation and data disagree most at {where}." if _text(where) else "",
-        _gap(result) if verdict == "effect" else _gap_as_it_is(result),
+        f"Simulation and data disagree most at {where}." if where else "",
+        _gap(result),
         _predictions(result),
         f"Before: {result['before']['sentence']}" if result.get("before") else "",
         _whole_recordings(result) if verdict == "effect" else "",
@@ -102,7 +104,9 @@ def _named(result: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> s
     each = []
     for effect in effects[:_LISTED]:  # the numbers say that each member has its own
         place = {**effect, "location": str(effect["location"]).removeprefix(EACH_MEMBER)}
-        each.append(f"{effect_at_place(place)} ({parameters_in_words(effect)})")
+        joint = effect.get("joint") or ""
+        drives = f" of joint {joint}" if joint and not place["location"].endswith(f":{joint}") else ""
+        each.append(f"{effect_at_place(place)}{drives} ({parameters_in_words(effect)})")
     if len(effects) > _LISTED:
         more = len(effects) - _LISTED
         each.append(f"{more} more effect{'s' if more > 1 else ''}, listed in the table")
@@ -123,20 +127,22 @@ def _no_use(result: Mapping[str, Any]) -> str:
 
 def _predictions(result: Mapping[str, Any]) -> str:
     """Errors of predictions over a short horizon."""
-    of = result.get("predictions") or {}
-    horizon, believed, mended, steady = (
-        as_float(of.get(key)) for key in ("horizon", "believed", "mended", "constant_velocity")
-    )
-    if horizon is None or believed is None or mended is None or steady is None:
+    of, unit = result.get("predictions") or {}, (result.get("gap") or {}).get("open_loop_unit", "rad")
+    values = [as_float(of.get(key)) for key in ("believed", "mended", "constant_velocity")]
+    if of.get("horizon") is None or None in values or _is_mixed(result):
         return ""
-    unit = (result.get("gap") or {}).get("open_loop_unit", "rad")
+    believed, mended, steady = (error_in_words(value or 0.0, unit, 3) for value in values)
     is_mended = result.get("verdict") == "effect" or result.get("calibration")
-    own = f", the mended one by {format_number(mended)}" if is_mended else ""
+    own = f", the mended one by {mended}" if is_mended else ""
     return (
-        f"Predicted over {horizon:g} s, positions of held-out recordings are off by {format_number(believed)} {unit} "
-        f"with {_first_model(result)}{own}, with constant velocity by {format_number(steady)} "
-        "(root mean square of all joints)."
+        f"Predicted over {of['horizon']:g} s, positions of held-out recordings are off by {believed} "
+        f"with {_first_model(result)}{own}, with constant velocity by {steady} (root mean square of all joints)."
     )
+
+
+def _is_mixed(result: Mapping[str, Any]) -> bool:
+    """Whether a mean over all joints would add radians and metres, where errors by joint are there to be told."""
+    return "and" in str((result.get("gap") or {}).get("open_loop_unit")) and bool(result.get("joint_errors"))
 
 
 def _first_model(result: Mapping[str, Any]) -> str:
@@ -183,64 +189,61 @@ def _explained(result: Mapping[str, Any]) -> str:
     if before <= _LITTLE * noise:
         return f"On {_UNUSED} the disagreement is close to the noise with and without {'them' if many else 'it'}."
     share = (before - after) / (before - min(noise, after))
-    left = after / noise
-    rest = "the rest is noise"
-    if left > TIMES_NOISE:
-        rest = f"the rest is not noise but {format_number(left)} times as much"
-    elif left > _LITTLE:
-        rest = f"what is left is {format_number(left, 2)} times the noise"
-    return f"{it} {explains} {_percent(share)} of the disagreement on {_UNUSED}; {rest}."
+    is_all = after <= _LITTLE * noise
+    rest = "the rest is noise" if is_all else "more than noise is left"
+    return f"{it} {explains} {_percent(share, is_all)} of the disagreement on {_UNUSED}{_joint(result)}; {rest}."
 
 
-def _percent(share: float) -> str:
+def _joint(result: Mapping[str, Any]) -> str:
+    """Errors of the named joint, else of the one that is worst beside its noise, before and after."""
+    rows = result.get("joint_errors") or []
+    if not rows:
+        return ""
+    named = {place_in_words(str(effect["location"])) for effect in result.get("effects") or []}
+    own = [row for row in rows if row["joint"] in named] or rows
+    row = max(own, key=lambda row: row["before"] / max(row["noise"], 1e-300))
+    before, after, noise = (error_in_words(row[key], row["unit"]) for key in ("before", "after", "noise"))
+    ahead = f"predicted over {row['horizon']:g} s, {row['joint']} is off by {after} instead of {before}"
+    return f": {ahead}, where noise makes {noise}"
+
+
+def _percent(share: float, is_all: bool = False) -> str:
     """A share in per cent; what is not all is not rounded to all."""
     value = 100 * min(share, 1.0)
+    if value > 99.5 and not is_all:
+        return "more than 99 %"
     return f"{value:.0f} %" if value >= 1 else f"{format_number(value, 1)} %"
 
 
 def _gap(result: Mapping[str, Any]) -> str:
     before, after, noise = _levels(result)
-    if before is None or after is None:
+    is_mended = result.get("verdict") == "effect"
+    if before is None or (after is None and is_mended):
         return ""
-    if after == before:
-        return _gap_as_it_is(result)
-    word = "shrinks" if after < before else "grows"
-    ends = f"from {format_number(before)} to {format_number(after)}{_unit(result)}"
-    return f"The held-out gap {word} {ends}{_noise(noise)}."
-
-
-def _gap_as_it_is(result: Mapping[str, Any]) -> str:
-    before, _, noise = _levels(result)
-    if before is None:
-        return ""
-    return f"The held-out gap is {format_number(before)}{_unit(result)}{_noise(noise)}."
-
-
-def _unit(result: Mapping[str, Any]) -> str:
+    words = f"is {format_number(before)}"
+    if is_mended and after != before and after is not None:
+        words = f"{'shrinks' if after < before else 'grows'} from {format_number(before)} to {format_number(after)}"
     unit = (result.get("gap") or {}).get("unit")
-    return f" {unit}" if unit else ""
-
-
-def _noise(noise: float | None) -> str:
-    return f"; noise leaves {format_number(noise)}" if noise else ""
+    leaves = f"; noise leaves {format_number(noise)}" if noise else ""
+    return f"The held-out gap {words}{f' {unit}' if unit else ''}{leaves}."
 
 
 def _whole_recordings(result: Mapping[str, Any]) -> str:
     """How well whole recordings are followed."""
     gap = result.get("gap") or {}
     start, end = as_float(gap.get("open_loop_before")), as_float(gap.get("open_loop_after"))
-    if start is None or end is None:
+    if start is None or end is None or _is_mixed(result):
         return ""
     unit = gap.get("open_loop_unit", "rad")
-    ends = [format_number(start), f"{format_number(end)} {unit}"]
+    first, last = (error_in_words(value, unit, 3) for value in (start, end))
     whole = "over whole held-out recordings, simulated from their first sample"
     noise = as_float(gap.get("open_loop_noise"))
-    leaves = f"; the sensors' noise alone makes {format_number(noise)}" if noise else ""
+    leaves = f"; the sensors' noise alone makes {error_in_words(noise, unit, 3)}" if noise else ""
     if end < start:
-        return f"The mean position error {whole}, falls from {ends[0]} to {ends[1]}{leaves}."
+        return f"The mean position error {whole}, falls from {first} to {last}{leaves}."
     return (
-        f"The mean position error {whole}, is {ends[0]} {unit} without and {ends[1]} with it{leaves}: where small "
-        "differences grow, a motion can be followed over short stretches only."
+        f"The mean position error {whole}, is {first} without and {last} with it{leaves}: where small differences "
+        "grow, a motion can be followed over short stretches only."
     )
 
 
@@ -281,11 +284,7 @@ def _key(row: Mapping[str, Any]) -> tuple[str, str]:
 def _others(result: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """Candidates that these data cannot distinguish from what is named."""
     same = {_key(effect) for effect in result.get("effects") or []}
-    others = []
-    for entry in result.get("equivalent") or []:
-        members = entry if isinstance(entry, Sequence) and not isinstance(entry, str | Mapping) else [entry]
-        others += [m for m in members if isinstance(m, Mapping) and "effect" in m and _key(m) not in same]
-    return others
+    return [entry for entry in result.get("equivalent") or [] if _key(entry) not in same]
 
 
 def _alternatives(others: Sequence[Mapping[str, Any]]) -> str:
@@ -331,19 +330,6 @@ def _equivalent(result: Mapping[str, Any]) -> str:
             then = ", and none of the commands that were tried separates them: take the simpler one."
         lines.append(f"These data cannot tell it apart from {_alternatives(rivals)}{then}")
     return " ".join(lines)
-
-
-def _lines(looks: Any) -> list[str]:
-    """The description of what is unexplained as lines of text."""
-    if isinstance(looks, Mapping):
-        looks = looks.get("description") or looks.get("text")
-    if isinstance(looks, Sequence) and not isinstance(looks, str):
-        return [str(item.get("text", item)) if isinstance(item, Mapping) else str(item) for item in looks]
-    return [str(looks).strip()] if looks else []
-
-
-def _text(value: Any) -> bool:
-    return isinstance(value, str) and bool(value)
 
 
 def _capital(text: str) -> str:
