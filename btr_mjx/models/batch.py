@@ -186,7 +186,10 @@ def varying_fields(robot: Robot) -> tuple[str, ...]:
     for probe in (box.low, box.high, *box.sample(np.random.default_rng(0), _PROBES)):
         with _named(robot, probe):
             models.append(model_of(robot, probe))
-    found = tuple(name for name in field_names(base) if any(_differ(base, model, name) for model in models))
+    differing = {name for name in field_names(base) if any(_differ(base, model, name) for model in models)}
+    if "body_inertia" in differing:
+        differing.add("body_iquat")  # principal axes may turn between the probes
+    found = tuple(name for name in field_names(base) if name in differing)
     if not found and robot.simulator is None:
         raise InputError(f"{robot.template_path}: the model is the same for all of {', '.join(box.names)}")
     return found or ("qpos0",)  # a batch holds at least one field

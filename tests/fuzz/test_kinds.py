@@ -273,13 +273,13 @@ def test_lerobot_info(tmp_path: Path, info: object) -> None:
 @pytest.mark.parametrize(
     ("column", "values", "named"),
     [
-        ("timestamp", [str(t) for t in TIME], "timestamp"),
+        ("timestamp", ["noon"] * 80, "timestamp"),
         ("episode_index", [float("nan")] * 80, "episode_index"),
         ("episode_index", ["a"] * 80, "episode_index"),
         ("episode_index", [-1] * 80, "episode_index"),
         ("action", [[1.0, 2.0]] * 80, "numbers a row"),
-        ("action", [["x"]] * 80, "list of numbers"),
-        ("observation.state", [{"a": 1}] * 80, "list of numbers"),
+        ("action", [["x"]] * 80, "expected numbers"),
+        ("observation.state", [{"a": 1}] * 80, "expected numbers"),
     ],
 )
 def test_lerobot_frames(tmp_path: Path, column: str, values: list, named: str) -> None:
