@@ -1,5 +1,6 @@
-from . import cluster, coevolve, lanes, scan
+from . import cluster, lanes, scan
 from .backtoreality import Reality, SimulatedReality
+from .coevolve import coevolve
 from .errors import InputError
 from .evaluation import (
     EngineSettings,

@@ -39,24 +39,27 @@ from btr_mjx.backtoreality import (
     export_simulation,
     inputs_of,
     run_in_folder,
+    setting_of_robot,
     similar_ranges,
     summarise,
     summary_table,
+    typed_settings,
     write_trials,
 )
 from btr_mjx.errors import cli_errors, resume_command
 from btr_mjx.models import base_model
 from btr_mjx.pages import PAGE, draw_run_page
 from btr_mjx.plotting import attempt
+from btr_mjx.robots import Robot
 from btr_mjx.runs import IGNORED_FIELDS, RunFolder, claimed_folder, graceful_interrupt, write_json
 
 
-def coevolve(config: CoevolveConfig | None = None, **changes: Any) -> dict[str, Any]:
-    """Run Back-to-Reality in a run folder.
+def coevolve(robot: Robot | Path | str | None = None, **settings: Any) -> dict[str, Any]:
+    """Run Back-to-Reality in a run folder, as the command does.
 
     Args:
-      config: the settings; None for the quick preset.
-      **changes: fields of the config to replace.
+      robot: a robot, or a robot.toml that describes one; None for the hexapod of the paper.
+      **settings: fields of `CoevolveConfig`, the flags of the command; `preset` chooses the defaults of the others.
 
     Returns:
       The content of result.json.
@@ -66,15 +69,28 @@ def coevolve(config: CoevolveConfig | None = None, **changes: Any) -> dict[str, 
       Waiting: measurements are missing in the exchange folder; continue with `resume` when they are there.
       Interrupted: a signal asked to stop; everything up to the last generation is saved.
     """
-    config = dataclasses.replace(config or PRESETS[changes.get("preset", "quick")], **changes)
-    return _coevolve(config, lambda result, out: None)
+    own = robot if isinstance(robot, Robot) else None
+    if robot is not None:
+        settings = (setting_of_robot(robot) if isinstance(robot, Robot) else {"robot": robot}) | settings
+    settings = typed_settings(CoevolveConfig, settings)
+    return run_config(dataclasses.replace(PRESETS[settings.get("preset", "quick")], **settings), own)
 
 
-def _coevolve(config: CoevolveConfig, tell: Callable[[dict[str, Any], Path], None]) -> dict[str, Any]:
-    """As `coevolve`; the result and its folder are told once all of it is saved, before anything is drawn."""
+def run_config(
+    config: CoevolveConfig,
+    robot: Robot | None = None,
+    tell: Callable[[dict[str, Any], Path], None] = lambda result, out: None,
+) -> dict[str, Any]:
+    """Run Back-to-Reality with the settings of a config; see `coevolve`.
+
+    Args:
+      config: the settings.
+      robot: the robot where the config does not name a file, see `build_problem`.
+      tell: called with the result and its folder once all of it is saved, before anything is drawn.
+    """
     with _claimed(config) as config:
         assert config.out is not None
-        problem = build_problem(config)
+        problem = build_problem(config, robot)
         # Bad input raises its error before anything is written.
         begin(problem)
         base_model(problem.robot)
@@ -120,7 +136,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         resume = resume_command("btr_mjx.coevolve", argv, config.out)
         try:
             with cli_errors(resume):
-                _coevolve(config, lambda result, out: print(summary_table(result, out), flush=True))
+                run_config(config, tell=lambda result, out: print(summary_table(result, out), flush=True))
         except Waiting as waiting:
             print("\n".join([*waiting.complaints, str(waiting), f"then go on with: {resume}"]))
 
@@ -128,8 +144,8 @@ def main(argv: Sequence[str] | None = None) -> None:
 class _CallableModule(types.ModuleType):
     """Makes this module callable, since `btr_mjx.coevolve` is both the module and a public function."""
 
-    def __call__(self, config: CoevolveConfig | None = None, **changes: Any) -> dict[str, Any]:
-        return coevolve(config, **changes)
+    def __call__(self, *args: Any, **settings: Any) -> dict[str, Any]:
+        return coevolve(*args, **settings)
 
 
 if __name__ == "__main__":

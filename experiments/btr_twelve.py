@@ -22,7 +22,7 @@ from fig4_identification import OTHER_PHYSICS
 
 from btr_mjx.backtoreality import PRESETS as COEVOLVE
 from btr_mjx.backtoreality import CoevolveConfig
-from btr_mjx.coevolve import coevolve
+from btr_mjx.coevolve import run_config
 from btr_mjx.errors import InputError, cli_errors
 from btr_mjx.evaluation import evaluate
 from btr_mjx.models import chosen_robot
@@ -143,7 +143,7 @@ def main(argv: Sequence[str] | None = None) -> None:
             rows = []
             for seed in range(config.seeds):
                 run = run_of(config, folder, seed)
-                result = coevolve(run)
+                result = run_config(run)
                 rows.append(
                     transfer(run, result)
                     | {f"error_{end}": float(result[f"parameter_error_{end}"]) for end in ("first", "last")}

@@ -6,7 +6,7 @@ replace it.
 """
 
 from btr_mjx.backtoreality.algorithm import begin
-from btr_mjx.backtoreality.config import PRESETS, CoevolveConfig, build_problem
+from btr_mjx.backtoreality.config import PRESETS, CoevolveConfig, build_problem, setting_of_robot
 from btr_mjx.backtoreality.controller_search import evolve_controllers, select_transferable
 from btr_mjx.backtoreality.exported import export_coevolution, export_simulation
 from btr_mjx.backtoreality.grown import grown
@@ -22,13 +22,8 @@ from btr_mjx.backtoreality.line_scan import (
 )
 from btr_mjx.backtoreality.reality import FolderReality, Reality, SimulatedReality, Waiting
 from btr_mjx.backtoreality.resumable import inputs_of, run_in_folder, write_trials
-from btr_mjx.backtoreality.state import (
-    BTRSettings,
-    Problem,
-    Progress,
-    SearchSettings,
-    State,
-)
+from btr_mjx.backtoreality.setting_checks import typed_settings
+from btr_mjx.backtoreality.state import BTRSettings, Problem, Progress, SearchSettings, State
 from btr_mjx.backtoreality.summary import bound_words, similar_ranges, summarise, summary_table
 
 __all__ = [
@@ -61,8 +56,10 @@ __all__ = [
     "run_in_folder",
     "run_scan",
     "select_transferable",
+    "setting_of_robot",
     "similar_ranges",
     "summarise",
     "summary_table",
+    "typed_settings",
     "write_trials",
 ]

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -13,8 +13,8 @@ from btr_mjx.backtoreality.setting_checks import check_settings
 from btr_mjx.backtoreality.state import BTRSettings, Distance, Problem, SearchSettings
 from btr_mjx.errors import InputError, resume_command
 from btr_mjx.evaluation import MARKS, EngineSettings, FitnessFunction, fitness_function
-from btr_mjx.models import chosen_robot, compile_mjcf, part_names
-from btr_mjx.robots import PAPER_REALITIES, Robot, read_template
+from btr_mjx.models import chosen_robot, compile_mjcf, load_robot, part_names
+from btr_mjx.robots import PAPER_REALITIES, Robot, hexapod, read_template
 
 
 @dataclass(frozen=True)
@@ -172,13 +172,37 @@ def parse_values(robot: Robot, settings: Sequence[str]) -> dict[str, float]:
     return values
 
 
-def build_problem(config: CoevolveConfig) -> Problem:
+def setting_of_robot(robot: Robot) -> dict[str, Any]:
+    """Settings by which a run folder finds a robot again.
+
+    Returns:
+      None for the hexapod, with its duration; the robot.toml beside the robot's model if it describes this robot. Of
+      any other one a description, which no command can read: it is for `build_problem` with the robot.
+    """
+    if robot == replace(hexapod(), duration=robot.duration):
+        return {"robot": None, "duration": robot.duration}
+    file = Path(robot.template_path).parent / "robot.toml"
+    if file.is_file() and load_robot(file) == robot:
+        return {"robot": file}
+    return {"robot": Path(f"a program's robot {robot.name!r}")}
+
+
+def build_problem(config: CoevolveConfig, robot: Robot | None = None) -> Problem:
     """The problem that a config defines; writes no files.
+
+    Args:
+      config: the settings.
+      robot: the robot where the config's `robot` is not a file, see `setting_of_robot`.
 
     Raises:
       InputError: a setting that is out of its range.
     """
-    robot = chosen_robot(config.robot, config.template, config.duration)
+    if robot is None:
+        robot = chosen_robot(config.robot, config.template, config.duration)
+    elif config.template is not None:
+        raise InputError(f"template {config.template}: the robot {robot.name} has its own")
+    elif config.duration is not None:
+        robot = replace(robot, duration=config.duration)
     check_settings(config, robot)
     box = robot.simulation_box
     unknown = tuple(config.unknown)

@@ -4,7 +4,7 @@ import numpy as np
 
 from btr_mjx.backtoreality.simulation_search import genetic_algorithm
 from btr_mjx.backtoreality.state import Progress, SearchSettings
-from btr_mjx.evaluation import DISTANCE, Engine, FitnessFunction, evaluate
+from btr_mjx.evaluation import DISTANCE, Engine, FitnessLike, evaluate, fitness_function
 from btr_mjx.robots import Robot
 
 
@@ -15,7 +15,7 @@ def evolve_controllers(
     *,
     seed: int,
     genome: np.ndarray | None = None,
-    fitness: FitnessFunction = DISTANCE,
+    fitness: FitnessLike = DISTANCE,
     engine: Engine | None = None,
     progress: Progress | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -27,13 +27,14 @@ def evolve_controllers(
       settings: of the search.
       seed: of all random numbers.
       genome: (bits,) initial genome; None for a random one.
-      fitness: the fitness function.
+      fitness: see `evaluate`.
       engine: see `evaluate`.
       progress: called with the number of pairs simulated since the last call.
 
     Returns:
       (g, M, bits) all generations in order and (g, M) their fitness; see `select_transferable`.
     """
+    fitness = fitness_function(fitness, robot.target)
     box = robot.controller_box.with_bits(settings.bits)
     algorithm = genetic_algorithm(box, settings, fitness.maximise)
     rng = np.random.default_rng([seed, 0, 1])

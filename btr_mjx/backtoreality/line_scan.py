@@ -16,7 +16,7 @@ from btr_mjx.evaluation import (
     DISTANCE,
     Engine,
     EngineSettings,
-    FitnessFunction,
+    FitnessLike,
     delta_of,
     evaluate,
     fitness_function,
@@ -34,7 +34,7 @@ def delta(
     f_real: ArrayLike,
     *,
     engine: Engine | None = None,
-    fitness: FitnessFunction = DISTANCE,
+    fitness: FitnessLike = DISTANCE,
     settings: EngineSettings | None = None,
     progress: Progress | None = None,
 ) -> np.ndarray:
@@ -46,7 +46,7 @@ def delta(
       controllers: (m, n_c).
       f_real: (m,) fitness of the controllers in reality.
       engine: see `evaluate`.
-      fitness: the fitness function.
+      fitness: see `evaluate`.
       settings: see `EngineSettings`.
       progress: called with the number of pairs done since the last call.
 

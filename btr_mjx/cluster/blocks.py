@@ -23,7 +23,16 @@ from numpy.typing import ArrayLike
 from btr_mjx.cluster.connection import check_cluster, connect
 from btr_mjx.cluster.mapping import map_tasks
 from btr_mjx.errors import DamagedFile, InputError
-from btr_mjx.evaluation import DISTANCE, Engine, EngineSettings, FitnessFunction, evaluate, fastest_engine
+from btr_mjx.evaluation import (
+    DISTANCE,
+    Engine,
+    EngineSettings,
+    FitnessFunction,
+    FitnessLike,
+    evaluate,
+    fastest_engine,
+    fitness_function,
+)
 from btr_mjx.models import robot_digest
 from btr_mjx.robots import Robot
 from btr_mjx.runs import content_digest, note, read_arrays, write_arrays
@@ -100,7 +109,7 @@ def evaluate_blocks(
     controllers: ArrayLike,
     *,
     engine: Engine | None = None,
-    fitness: FitnessFunction = DISTANCE,
+    fitness: FitnessLike = DISTANCE,
     settings: EngineSettings | None = None,
     blocks: BlockSettings = BlockSettings(),
     progress: Callable[[int], object] | None = None,
@@ -127,7 +136,7 @@ def iterate_blocks(
     controllers: ArrayLike,
     *,
     engine: Engine | None = None,
-    fitness: FitnessFunction = DISTANCE,
+    fitness: FitnessLike = DISTANCE,
     settings: EngineSettings | None = None,
     blocks: BlockSettings = BlockSettings(),
     progress: Callable[[int], object] | None = None,
@@ -139,7 +148,7 @@ def iterate_blocks(
       simulations: (L, n_s) parameters inside the robot's simulation box.
       controllers: (M, n_c) parameters inside the robot's controller box.
       engine: see `evaluate`.
-      fitness: the fitness function.
+      fitness: see `evaluate`.
       settings: see `EngineSettings`.
       blocks: how pairs are divided, where results are kept and who computes them.
       progress: called with the number of pairs done since the last call, those read from files included; on a cluster
@@ -155,6 +164,7 @@ def iterate_blocks(
     s, c = _checked(robot, simulations, controllers)
     chosen = engine or fastest_engine(robot)
     how = settings or EngineSettings()
+    fitness = fitness_function(fitness, robot.target)
     compute = partial(_compute, robot, chosen, fitness, how)
     # Threads do not change results, so that they may differ on resume.
     key = content_digest(_FORMAT, robot_digest(robot), fitness, chosen, how.chunk, how.timestep, how.integrator, _x64())

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from btr_mjx.engines import Record, UnsupportedModel, native
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation.fitness import DISTANCE, FitnessFunction, Outcome
+from btr_mjx.evaluation.fitness import DISTANCE, FitnessFunction, FitnessLike, Outcome, fitness_function
 from btr_mjx.evaluation.own_simulator import run_simulator
 from btr_mjx.evaluation.tracked_point import track_point
 from btr_mjx.models import Models, base_model, compile_models, start_of, varying_fields
@@ -91,7 +91,7 @@ def evaluate(
     *,
     pairwise: bool = False,
     engine: Engine | None = None,
-    fitness: FitnessFunction = DISTANCE,
+    fitness: FitnessLike = DISTANCE,
     times: ArrayLike | None = None,
     states: bool = False,
     settings: EngineSettings = EngineSettings(),
@@ -107,7 +107,7 @@ def evaluate(
       engine: "lanes", "mjx" or "native"; None for the fastest one that supports this robot. Pairs in which a contact
         may take part that "lanes" does not compute are evaluated by native MuJoCo, see `Evaluation.tripped`; where
         None is given and more than a quarter of the first block are such pairs, native MuJoCo evaluates all.
-      fitness: the fitness function.
+      fitness: a fitness function, or its name as in a robot.toml, see `fitness_function`.
       times: (K,) sample times in (0, T_e] [s] for the outcome, rounded to steps; None for the end alone. The last one
         ends the trial.
       states: whether the outcome holds qpos, qvel and act at the sample times.
@@ -118,9 +118,11 @@ def evaluate(
       The evaluation.
 
     Raises:
-      InputError: parameters out of bounds, of a wrong shape or not finite, unequal rows where pairwise, bad times.
+      InputError: parameters out of bounds, of a wrong shape or not finite, unequal rows where pairwise, bad times, an
+        unknown fitness.
       UnsupportedModel: the given engine does not support this robot.
     """
+    fitness = fitness_function(fitness, robot.target)
     s = np.atleast_2d(robot.simulation_box.validate(simulations, "simulations"))
     c = np.atleast_2d(robot.controller_box.validate(controllers, "controllers"))
     if s.ndim != 2 or c.ndim != 2 or not len(s) or not len(c):

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -86,32 +87,45 @@ DISTANCE = FITNESS_FUNCTIONS["distance"]
 """The fitness function of the paper: horizontal distance / T_e [m/s]."""
 
 
-def fitness_function(name: str, target: Sequence[float] = ()) -> FitnessFunction:
-    """A fitness function by name.
+FitnessLike = FitnessFunction | Callable[[Outcome], np.ndarray] | str
+"""A fitness as it may be given, see `fitness_function`."""
+
+
+def fitness_function(fitness: FitnessLike, target: Sequence[float] = ()) -> FitnessFunction:
+    """A fitness function by name, or of a function.
 
     Args:
-      name: of a built-in one, "target_distance", or FILE.py:NAME for a `FitnessFunction` of one's own, or for a
-        function of an `Outcome` with states whose value is maximised.
+      fitness: a `FitnessFunction`, or a function of an `Outcome` with states whose value is maximised; or the name of
+        a built-in one, "target_distance", or FILE.py:NAME of one of the first two.
       target: (3,) point that "target_distance" refers to [m].
 
     Raises:
-      InputError: an unknown name, no target, a file without such a function.
+      InputError: an unknown name, no target, a file without such a function, neither a name nor a function.
     """
+    if isinstance(fitness, FitnessFunction):
+        return fitness
+    if not isinstance(fitness, str):
+        return _of_callable(fitness, getattr(fitness, "__name__", type(fitness).__name__))
+    name = fitness
     if name == "target_distance":
         if len(target) != 3:
             raise InputError(f"fitness {name!r}: got the target {tuple(target)}, expected [x, y, z] in metres")
         return FitnessFunction(name, "m", False, partial(_target_distance, np.array(target, float)))
     if ".py:" in name:
         own = load_object(name, "fitness")
-        if isinstance(own, FitnessFunction):
-            return own
-        if not callable(own):
-            raise InputError(f"fitness {name!r}: got {type(own).__name__}, expected a function or a FitnessFunction")
-        return FitnessFunction(name, "", True, own, needs_states=True)
+        return own if isinstance(own, FitnessFunction) else _of_callable(own, name)
     if name not in FITNESS_FUNCTIONS:
         known = ", ".join([*FITNESS_FUNCTIONS, "target_distance", "FILE.py:NAME"])
         raise InputError(f"fitness: got {name!r}, expected one of: {known}")
     return FITNESS_FUNCTIONS[name]
+
+
+def _of_callable(own: Any, name: str) -> FitnessFunction:
+    if not callable(own):
+        raise InputError(
+            f"fitness {name!r}: got {type(own).__name__}, expected a name, a function or a FitnessFunction"
+        )
+    return FitnessFunction(name, "", True, own, needs_states=True)
 
 
 def _target_distance(target: np.ndarray, outcome: Outcome) -> np.ndarray:

@@ -70,7 +70,6 @@ def sinusoids(controller: Any, time: Any, xp: Any) -> Any:
     return controller[0::2] * xp.sin(OMEGA * time + controller[1::2])
 
 
-@cache
 def hexapod(**constants: float) -> Robot:
     """The paper's hexapod: 12 limb lengths bl_3..bl_14 in [0.4, 1.6] m, 18 motors, T_e = 1.7 s.
 
@@ -82,6 +81,11 @@ def hexapod(**constants: float) -> Robot:
       left front, left middle, left rear, in this order. Motors 1..12 are the vertical and frontal axes of the femur
       joints j2..j7, motors 13..18 the knees j8..j13.
     """
+    return _hexapod(tuple(sorted(constants.items())))
+
+
+@cache  # of a function of its own, since editors show no parameters of a decorated one
+def _hexapod(constants: tuple[tuple[str, float], ...]) -> Robot:
     motors = range(1, 19)
     return Robot(
         name="hexapod",
@@ -98,7 +102,7 @@ def hexapod(**constants: float) -> Robot:
         nominal=(0.64,) * 6 + (1.36,) * 6,
         constants=tuple(HEXAPOD.items()),
         base_body="b0",
-    ).with_constants(**constants)
+    ).with_constants(**dict(constants))
 
 
 PAPER_STARTS: Mapping[str, float] = {"bl_14": 0.4, "bl_5": 0.64}

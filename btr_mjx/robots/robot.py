@@ -38,6 +38,10 @@ applied to the batch.
 """
 
 
+_SHOWN = 8
+"""Names of a space that a robot's repr has."""
+
+
 class Edit(Protocol):
     """Changes numbers of a compiled model. Edits are compared and hashed, as they belong to the key of caches."""
 
@@ -92,7 +96,7 @@ class Simulator(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Robot:
     """A robot whose simulation is not fully known.
 
@@ -146,6 +150,14 @@ class Robot:
         for edit in self.edits:
             for name in edit.parameters:
                 self.simulation_box.index(name)
+
+    def __repr__(self) -> str:
+        """Three lines: what it is, its simulations and its controllers."""
+        lines = [f"Robot {self.name!r} of {self.template_path}, trials of {self.duration:g} s, fitness {self.fitness}"]
+        for kind, box in (("simulations", self.simulation_box), ("controllers", self.controller_box)):
+            names = box.names if box.n <= _SHOWN else (*box.names[: _SHOWN - 2], "...", box.names[-1])
+            lines.append(f"  {kind}: {box.n} parameter{'s' if box.n > 1 else ''} ({', '.join(names)})")
+        return "\n".join(lines)
 
     @property
     def nominal_simulation(self) -> np.ndarray:

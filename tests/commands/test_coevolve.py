@@ -1,5 +1,6 @@
 """The command: what it writes, how it resumes, what it says to bad input."""
 
+import dataclasses
 import json
 import os
 import random
@@ -9,18 +10,23 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import btr_mjx
 from btr_mjx import coevolve
-from btr_mjx.backtoreality import Problem
+from btr_mjx.backtoreality import CoevolveConfig, Problem
+from btr_mjx.errors import InputError
 from btr_mjx.evaluation import evaluate
+from btr_mjx.models import load_robot
 from btr_mjx.plotting import draw_run
 from btr_mjx.plotting.run_data import read_run
 from btr_mjx.robots import hexapod
-from btr_mjx.runs import read_arrays, read_table
+from btr_mjx.runs import read_arrays, read_config, read_table
+
+ROOT = Path(__file__).parents[2]
 
 SMALL_RUN = (
     "--engine=native",
@@ -83,12 +89,79 @@ def test_progress_ends_at_the_total_that_was_announced(tmp_path: Path, capsys: p
     assert {total for _, _, total in counts} == {counts[-1][1]}
 
 
+SMALL: dict[str, Any] = {
+    "engine": "native",
+    "duration": 0.05,
+    "controllers": 8,
+    "controller_generations": 2,
+    "trials": 3,
+    "simulations": 6,
+    "simulation_generations": 2,
+    "iterations": 2,
+    "figures": False,
+    "progress": False,
+}
+"""The same settings in Python."""
+
+
 def test_library_face(finished: Path, tmp_path: Path) -> None:
     """btr_mjx.coevolve is a module and can be called; it does what the command does."""
-    config = coevolve.parse([*SMALL_RUN, "--out", str(tmp_path / "again")])
-    result = btr_mjx.coevolve(config)
+    result = btr_mjx.coevolve(hexapod(), **SMALL, out=str(tmp_path / "again"))
     assert files(tmp_path / "again") == files(finished)
     assert result["reality_evaluations"] == 7
+
+
+def test_a_robot_of_a_program_and_of_a_file(tmp_path: Path) -> None:
+    """A robot that its robot.toml describes is named by it; another one is the program's."""
+    file = ROOT / "examples" / "thrower" / "robot.toml"
+    robot = load_robot(file)
+    settings = SMALL | {"iterations": 1, "duration": None}
+    for name, own in (("file", file), ("read", robot), ("own", dataclasses.replace(robot, speed_limit=40.0))):
+        btr_mjx.coevolve(own, **settings, out=tmp_path / name)
+    assert len({(tmp_path / name / "result.json").read_bytes() for name in ("file", "read", "own")}) == 1
+    files = {name: read_config(tmp_path / name, CoevolveConfig).robot for name in ("file", "read", "own")}
+    assert files["file"] == files["read"] == file
+    assert files["own"] is not None
+    assert "program" in str(files["own"])
+    with pytest.raises(InputError, match="other"):  # of another robot the folder is not continued
+        btr_mjx.coevolve(robot, **settings, out=tmp_path / "own", resume=True)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"iterationz": 3}, "no setting 'iterationz'; nearest: 'iterations'"),
+        ({"iterations": "3"}, "iterations: got '3', expected a whole number"),
+        ({"iterations": True}, "iterations: got True"),
+        ({"optimiser": "adam"}, "optimiser: got 'adam', expected 'ga', 'cma'"),
+        ({"marks": 0.3}, "marks: got 0.3, expected a tuple of float"),
+        ({"noise": -1}, "noise: got -1"),
+        ({"trials": 900, "controllers": 8}, "trials m = 900"),
+        ({"unknown": "bl_99"}, "bl_99"),
+        ({"robot": 3}, "robot: got 3, expected a path or None"),
+    ],
+)
+def test_settings_in_python_are_checked_as_those_of_the_command(
+    settings: dict[str, Any], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=message):
+        btr_mjx.coevolve(**settings)
+    assert not list(tmp_path.rglob("*.*"))
+
+
+@pytest.mark.slow
+def test_types_of_the_library_face(tmp_path: Path) -> None:
+    """What static editors and type checkers know of the package's names."""
+    good = "import btr_mjx as btr\nfrom btr_mjx import hexapod\nrobot: btr.Robot = hexapod(timestep=1e-3)\n"
+    good += "btr.evaluate(robot, robot.nominal, [], fitness='forward_speed').fitness.shape\n"
+    good += "btr.coevolve(robot, iterations=3, seed=1)['simulation']\nbtr.coevolve(optimiser='cma')\n"
+    bad = "btr.coevolve(robot, iterations='3')\nbtr.coevolve(robot, iterationz=3)\nhexapod(1)\n"
+    (tmp_path / "notebook.py").write_text(good + bad)
+    command = [sys.executable, "-m", "mypy", "--config-file", str(ROOT / "pyproject.toml"), "notebook.py"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    lines = {int(line.split(":")[1]) for line in done.stdout.splitlines() if ": error:" in line}
+    assert lines == {7, 8, 9}, done.stdout
 
 
 def test_seeds_differ_and_truth_may_be_drawn(finished: Path, tmp_path: Path) -> None:

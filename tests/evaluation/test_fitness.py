@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,9 +12,11 @@ from btr_mjx.evaluation import (
     Outcome,
     delta_fitness_of,
     delta_of,
+    evaluate,
     fitness_function,
     learning_performance,
 )
+from btr_mjx.robots import Robot
 
 finite = st.floats(-100, 100)
 
@@ -35,6 +39,27 @@ def test_built_in_fitness_functions_by_hand() -> None:
 def test_unknown_fitness_lists_the_known_ones() -> None:
     with pytest.raises(InputError, match=r"speed.*distance, forward_speed, energy_per_metre"):
         fitness_function("speed")
+
+
+def test_a_fitness_by_name_or_function(robot: Robot, rng: np.random.Generator) -> None:
+    """`evaluate` takes what a robot.toml does, and a function of an outcome."""
+    short = replace(robot, duration=0.02, target=(1.0, 0.0, 0.5))
+    pairs = short.nominal, short.controller_box.sample(rng, 2)
+    outcome = evaluate(short, *pairs, engine="native").outcome
+    moved = outcome.position[..., -1, :] - outcome.start
+
+    def height(o: Outcome) -> np.ndarray:
+        return o.qpos[..., -1, 2]
+
+    by_name = evaluate(short, *pairs, engine="native", fitness="forward_speed").fitness
+    np.testing.assert_array_equal(by_name, moved[..., 0] / 0.02)
+    own = evaluate(short, *pairs, engine="native", fitness=height).fitness
+    np.testing.assert_array_equal(own, outcome.position[..., -1, 2])
+    to_target = evaluate(short, *pairs, engine="native", fitness="target_distance").fitness
+    np.testing.assert_allclose(to_target, np.linalg.norm(outcome.position[..., -1, :] - short.target, axis=-1))
+    for wrong, message in (("spee", "got 'spee', expected one of"), (3.0, "got float, expected a name")):
+        with pytest.raises(InputError, match=message):
+            evaluate(short, *pairs, fitness=wrong)
 
 
 @given(hnp.arrays(float, st.tuples(st.integers(1, 4), st.integers(1, 6)), elements=finite), st.data())

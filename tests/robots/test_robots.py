@@ -117,3 +117,24 @@ def test_unreadable_template(tmp_path) -> None:
 def test_robots_are_values() -> None:
     assert hexapod() == hexapod()
     assert hash(hexapod(kp=1.0)) != hash(hexapod())
+
+
+def test_a_robot_in_three_lines(robot: Robot) -> None:
+    first, simulations, controllers = repr(robot).splitlines()
+    assert "hexapod" in first
+    assert simulations.split() == [
+        "simulations:",
+        "12",
+        "parameters",
+        "(bl_3,",
+        "bl_4,",
+        "bl_5,",
+        "bl_6,",
+        "bl_7,",
+        "bl_8,",
+        "...,",
+        "bl_14)",
+    ]
+    assert "36 parameters" in controllers
+    one = dataclasses.replace(robot, simulation_box=robot.simulation_box.subspace(["bl_3"]), nominal=(0.5,))
+    assert repr(one).splitlines()[1] == "  simulations: 1 parameter (bl_3)"
