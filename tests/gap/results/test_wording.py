@@ -254,3 +254,13 @@ def test_a_change_beside_what_nobody_explains() -> None:
     }
     assert "within the noise" not in verdict_sentence(same)
     assert "within the noise" in verdict_sentence(same | {"gap": same["gap"] | {"before": 1.0, "after": 1.0}})
+
+
+def test_what_was_tried_together_is_no_runner_up() -> None:
+    row = {"location": "all", "margin": 0.0, "parameters": {}, "equivalent": False, "beside": []}
+    one = result(1.0, 1.0)
+    named = {key: one["effects"][0][key] for key in ("effect", "location")}
+    together = [row | named | {"score": 90.0}, row | {"effect": "armature", "score": 90.0}]
+    assert not any("Runner-up" in line for line in detail_sentences(one | {"ranking": together}))
+    other = [*together, row | {"effect": "backlash", "score": 20.0}]
+    assert "Runner-up: backlash" in " ".join(detail_sentences(one | {"ranking": other}))

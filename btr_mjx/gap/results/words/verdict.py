@@ -250,8 +250,13 @@ def _whole_recordings(result: Mapping[str, Any]) -> str:
 def _runner_up(result: Mapping[str, Any]) -> str:
     same = {_key(effect) for effect in result.get("effects") or []}
     rows = [row for row in result.get("ranking") or [] if not row.get("beside")]
-    others = [row for row in rows if _key(row) not in same and not row.get("equivalent")]
     ranked = [row for row in rows if _key(row) in same]
+    together = {row.get("score") for row in ranked}  # what was tried in one hypothesis has one score
+    others = [
+        row
+        for row in rows
+        if _key(row) not in same and not row.get("equivalent") and row.get("score") not in together
+    ]
     if not others:
         return ""
     best, second = (as_float(ranked[0].get("score")) if ranked else None), as_float(others[0].get("score"))
