@@ -24,12 +24,13 @@ from btr_mjx.gap.effects import (
     has_closed_loops,
     of_forces,
 )
+from btr_mjx.gap.forces.answer.found import SearchOutcome
+from btr_mjx.gap.forces.answer.outcome import diagnosis_of, with_tables_told
 from btr_mjx.gap.forces.held_out import HeldOut, held_out, is_better
 from btr_mjx.gap.forces.horizons import follow_horizons
 from btr_mjx.gap.forces.law_scan import scan_laws
 from btr_mjx.gap.forces.missing_force import missing_force
 from btr_mjx.gap.forces.motion import responses
-from btr_mjx.gap.forces.outcome import SearchOutcome, diagnosis_of, with_tables_told
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, covariance, settled
 from btr_mjx.gap.forces.predictions import compared_predictions, horizon_errors, predicts_well
 from btr_mjx.gap.forces.residual import fit_residual

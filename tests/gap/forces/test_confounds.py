@@ -7,7 +7,7 @@ import pytest
 from gap_arm import LIBRARY
 from gap_forces import arm_side, arm_stretches, believed, moved_arm
 
-from btr_mjx.gap.forces.confounds import confounds_of
+from btr_mjx.gap.forces.answer.force_confounds import confounds_of
 from btr_mjx.gap.forces.points import Point, evaluate_point
 from btr_mjx.gap.forces.search import first_variances
 

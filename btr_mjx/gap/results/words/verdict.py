@@ -253,9 +253,7 @@ def _runner_up(result: Mapping[str, Any]) -> str:
     ranked = [row for row in rows if _key(row) in same]
     together = {row.get("score") for row in ranked}  # what was tried in one hypothesis has one score
     others = [
-        row
-        for row in rows
-        if _key(row) not in same and not row.get("equivalent") and row.get("score") not in together
+        row for row in rows if _key(row) not in same and not row.get("equivalent") and row.get("score") not in together
     ]
     if not others:
         return ""
