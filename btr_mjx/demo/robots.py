@@ -93,7 +93,7 @@ def _quadruped_motion(rng: np.random.Generator) -> MotionCommand:
 def _arm_motion(rng: np.random.Generator) -> MotionCommand:
     centre = np.array([0.0, -0.3, 0.6, 0.2, 0.0])
     motion = _sinusoids(rng, centre, np.array([0.8, 0.6, 0.7, 0.8, 1.0]), 2.0, 12.0)
-    return lambda t: motion(t) - np.exp(-8 * t[:, None]) * (motion(np.zeros(1)) - 0.0)
+    return lambda t: motion(t) - np.exp(-8 * t[:, None]) * motion(np.zeros(1))
 
 
 def demo_robot(name: str) -> DemoRobot:
