@@ -25,7 +25,7 @@ from btr_mjx.pages.page import sentences
 from btr_mjx.pages.scan import scan_sentence
 from btr_mjx.plotting import ScanData, read_run, robot_figure
 from btr_mjx.robots import Box
-from btr_mjx.runs import check_sums, read_json, write_json
+from btr_mjx.runs import check_sums, read_json, write_arrays, write_json
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine: pages are not opened")
@@ -53,6 +53,9 @@ addEventListener("load", () => {
     faults, tables, width: innerWidth, needed: document.documentElement.scrollWidth,
     ink: style.color, paper: style.backgroundColor,
     images: [...document.images].map(image => image.naturalWidth),
+    plots: [...document.querySelectorAll("img.plot")].map(image => image.clientWidth),
+    ticks: [...document.querySelectorAll(".curves svg")].map(
+      svg => [...svg.querySelectorAll("text")].filter(one => !one.textContent.endsWith("s")).length),
   }), "*");
 });
 </script>"""
@@ -114,6 +117,14 @@ def make_diagnosis(folder: Path) -> Path:
     result = {"verdict": "effect", "dataset": "d", "where": "joint knee", "effects": [effect], "ranking": rows}
     result |= {"believed": [{"name": n, "before": v} for n, v in (("a", -0.5), ("b", 10.0), ("c", 2.0))]}
     write_json(folder / "result.json", result | {"sentence": verdict_sentence(result)})
+    ends = np.radians([(-36, 49), (0, 1.01), (19.9, 81), (-1e-3, 9e3)])
+    arrays = {
+        key: np.array([text] * len(ends)) for key, text in (("recordings", "r"), ("names", "j"), ("units", "rad"))
+    }
+    for n, (low, high) in enumerate(ends):
+        arrays |= {f"{key}_{n}": np.linspace(low, high, 9) for key in ("measured", "before", "after")}
+        arrays[f"time_{n}"] = np.linspace(3.51, 4.01, 9)
+    write_arrays(folder / "overlays.npz", arrays)
     report.report(folder)
     return folder
 
@@ -155,6 +166,9 @@ def test_pages_in_a_browser(folders: Callable[[str], Path], kind: str, tmp_path:
         assert said["width"] == width
         assert said["needed"] <= width  # no scrolling sideways
         assert all(said["images"])
+        assert min(said["plots"], default=width) >= 400  # smaller, their words are not legible
+        assert len(said["ticks"]) == (4 if kind == "diagnose" else 0)
+        assert all(3 <= count <= 9 for count in said["ticks"])
         light = [sum(map(int, re.findall(r"\d+", said[key])[:3])) for key in ("ink", "paper")]
         assert (light[0] > light[1]) is dark
         assert abs(light[0] - light[1]) > 400

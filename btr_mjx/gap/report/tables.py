@@ -111,11 +111,10 @@ def candidate_sections(result: Mapping[str, Any]) -> list[Section]:
         is_named = (row["effect"], row["location"]) in found
         word = "named" if is_named else "alike" if row.get("equivalent") else ""
         beside = hypothesis_in_words(" + ".join(row.get("beside") or []))
-        numbers = [row.get(key) for key in ("score", "margin", "held_out")]
+        given_numbers = [row.get(key) for key in ("score", "margin", "held_out")]
+        numbers = [None if value == "NaN" else value for value in given_numbers]
         rows.append([effect_title(row["effect"]), place_in_words(row["location"]), *numbers, word, beside])
-    names = ["effect", "place", "score", "behind the first", "held-out gain", "", "beside"]
-    if not any(row["beside"] for row in ranking if "beside" in row):
-        names, rows = names[:-1], [row[:-1] for row in rows]
+    names = ("effect", "place", "score", "behind the first", "held-out gain", "note", "beside")
     alike = "these data cannot distinguish it from the named one" if effects else REASON_NOT_NAMED
     note = f"Score: fall of the misfit (χ²), less a price for the effect's parameters. Alike: {alike}."
     if threshold := result.get("threshold"):
@@ -130,11 +129,17 @@ def candidate_sections(result: Mapping[str, Any]) -> list[Section]:
     if given and (len(given) > 1 or not effects):
         what = "These data cannot distinguish" if effects else f"Not ruled out, though {REASON_NOT_NAMED}"
         lines = [f"{what}: {'; '.join(effect_at_place(one) for one in given)}."]
-    more = [Table(names, rows[_CANDIDATES:])] if len(rows) > _CANDIDATES else []
+    more = [_filled(names, rows[_CANDIDATES:])] if len(rows) > _CANDIDATES else []
     return [
-        Section("Candidates", lines, tables=[Table(names, rows[:_CANDIDATES], note)]),
+        Section("Candidates", lines, tables=[_filled(names, rows[:_CANDIDATES], note)]),
         Section("More candidates", tables=more, folded=True),
     ]
+
+
+def _filled(columns: Sequence[str], rows: Sequence[Sequence[Any]], note: str = "") -> Table:
+    """A table without the columns that have empty cells only."""
+    shown = [k for k in range(len(columns)) if any(row[k] not in (None, "") for row in rows)]
+    return Table([columns[k] for k in shown], [[row[k] for k in shown] for row in rows], note)
 
 
 def as_table(rows: Sequence[Mapping[str, Any]], note: str = "") -> list[Table]:

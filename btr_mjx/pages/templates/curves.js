@@ -38,17 +38,17 @@ for (const figure of document.querySelectorAll(".curves")) {
     if (low > high) return;
     if (low === high) [low, high] = [low - 1, high + 1];
     const row = value => above + (height - above - below) * (high - value) / (high - low);
-    const nice = (a, b) => {
-      const rough = (b - a) / 4, power = 10 ** Math.floor(Math.log10(rough));
-      const step = power * [1, 2, 5, 10].find(m => m * power >= rough), ticks = [];
+    const nice = (a, b, least) => {  // at least so many ticks, at round values
+      const most = (b - a) / least, power = 10 ** Math.floor(Math.log10(most));
+      const step = power * [5, 2, 1].find(m => m * power <= most), ticks = [];
       for (let t = Math.ceil(a / step) * step; t <= b + 1e-9 * step; t += step) ticks.push(Math.abs(t) < 1e-9 * step ? 0 : t);
       return ticks;
     };
-    for (const tick of nice(low, high)) {
+    for (const tick of nice(low, high, 3)) {
       add("path", {class: "axis", d: `M${left} ${row(tick)}H${width}`});
       add("text", {x: left - 5, y: row(tick) + 4, "text-anchor": "end"}, words(tick));
     }
-    for (const tick of nice(time[first], time[last])) {
+    for (const tick of nice(time[first], time[last], 2)) {
       const x = left + (width - left) * (tick - time[first]) / (time[last] - time[first]);
       add("text", {x, y: height - 5, "text-anchor": x > width - 30 ? "end" : "middle"}, `${words(tick)} s`);
     }

@@ -419,9 +419,20 @@ def test_candidates_are_listed_with_their_distance_to_the_first(folder: Path) ->
     friction = "load-dependent gear friction"
     assert f"{friction} joint knee0 812 0 named {friction} every joint from body thigh0 down 800 12 alike" in text
     assert "dry friction joint knee0 402 410" in text
+    assert "held-out gain" not in text
     assert "A name needs a score of 20 at least." in text
     first, rest = text[text.index("Candidates") :].split("More candidates")
     assert (first.count("air drag the world"), rest.count("air drag the world")) == (10, 16)
+
+
+def test_a_candidate_without_a_number_has_an_empty_cell(folder: Path) -> None:
+    first, *others = RESULT["ranking"]
+    ranking = [first | {"held_out": 3.5}, *(row | {"held_out": "NaN"} for row in others)]
+    write_json(folder / "result.json", RESULT | {"ranking": ranking})
+    text = Page(draw_report(folder).read_text(encoding="utf-8")).text
+    assert "held-out gain" in text
+    assert "joint knee0 812 0 3.5 named" in text
+    assert "NaN" not in text[text.index("Candidates") : text.index("The mended model")]
 
 
 def test_the_first_page_says_what_is_odd_about_the_data(folder: Path) -> None:
