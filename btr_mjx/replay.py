@@ -4,6 +4,7 @@ Of a co-evolution: the controller of iteration 1 that the simulation of the star
 reality, and below them the one that was best in reality in the last iteration, in the identified simulation and in
 reality. Of a diagnosis: a held-out recording beside the believed model and the mended
 one, which start as it does and get its command. Trials are simulated again in native MuJoCo, in float64.
+Errors too small to be seen: `--magnify 10 --overlay` draws ten times the error, and the measured motion over it.
 
 The film is a GIF, or an MP4 with the extra `video`; its labels say what is shown, the time and the fitness. The page of
 the run (report.html) then holds the film too. Without EGL, OSMesa or a display there is none, and a line says so.
@@ -31,6 +32,10 @@ class ReplayConfig:
     """The film, .gif or .mp4; by default replay.gif in the run folder."""
     view: bool = False
     """Play the motions in MuJoCo's viewer instead, one after another; needs a display."""
+    magnify: float = 1.0
+    """Draw simulated motions with so many times their error: the difference of positions from the measured motion."""
+    overlay: bool = False
+    """Draw the measured motion over the simulated ones, half transparent."""
     seconds: float = 6.0
     """Length of the film [s]: a trial is slowed down to it, of a longer recording this much is shown."""
     rate: int = 12
@@ -52,7 +57,8 @@ def check_replay(config: ReplayConfig) -> Path:
     Raises:
       InputError: a setting that is out of its range, or a film that cannot be written.
     """
-    for name, low, high in (("seconds", 0.1, 120.0), ("rate", 1, 50), ("width", 120, 960), ("limit", 0.05, 100.0)):
+    ranges = (("seconds", 0.1, 120.0), ("rate", 1, 50), ("width", 120, 960), ("limit", 0.05, 100.0))
+    for name, low, high in (*ranges, ("magnify", 1, 1000)):
         value = getattr(config, name)
         if not low <= value <= high:
             raise InputError(f"{name}: got {value}, expected {low:g} to {high:g}")
@@ -80,18 +86,18 @@ def replay(config: ReplayConfig) -> Path | None:
     out = check_replay(config)
     from btr_mjx.pages import PAGE
     from btr_mjx.plotting import attempt
-    from btr_mjx.replays import draw_film, read_replay, view_replay, write_film
+    from btr_mjx.replays import draw_film, magnified, read_replay, view_replay, write_film
     from btr_mjx.runs import progress
 
     frames = max(2, round(config.seconds * config.rate))
-    shown = read_replay(config.run, frames, config.seconds)
+    shown = magnified(read_replay(config.run, frames, config.seconds), config.magnify)
     slowness = len(shown.times) / config.rate / float(shown.times[-1])
     if config.view:
         view_replay(shown, slowness)
         return None
     total = len(shown.motions) * len(shown.times)
     with progress(total=total, description="film", unit="frames", show=config.progress) as bar:
-        film = attempt("film", lambda: draw_film(shown, config.width, slowness, bar.update))
+        film = attempt("film", lambda: draw_film(shown, config.width, slowness, bar.update, config.overlay))
     if film is None:
         return None
     write_film(out, film, config.rate, round(config.limit * 1e6))

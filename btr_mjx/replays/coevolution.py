@@ -64,7 +64,8 @@ def coevolution_replay(folder: Path, frames: int) -> Replay:
         row = [replace(simulated, title=f"{when}: simulation", detail=f"{words}, iteration {which[1]}")]
         real = _real(problem, controller, trial, times, float(trials["f_r"][trial]))
         if real is not None:
-            row.append(replace(real, title=f"{when}: reality", detail=f"{which[0]}, iteration {which[1]}"))
+            detail = f"{which[0]}, iteration {which[1]}"
+            row.append(replace(real, title=f"{when}: reality", detail=detail, measured=True))
         rows.append(row)
     shown = np.concatenate([[0.0], times])
     return Replay(shown, rows if any(len(row) > 1 for row in rows) else [[row[0] for row in rows]])

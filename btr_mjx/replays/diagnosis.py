@@ -33,6 +33,41 @@ def diagnosis_replay(folder: Path, frames: int, seconds: float) -> Replay:
     Raises:
       InputError: a table of fitness, a dataset that is gone or changed since, effects that the library does not have.
     """
+    result = read_json(folder / "result.json")
+    dataset, recording, worlds = compared_worlds(folder)
+    model = recording.model
+    length = min(seconds, float(recording.time[-1] - recording.time[0]))
+    frames = max(2, round(frames * length / seconds))
+    times = np.concatenate([[0.0], frame_times(length, frames, float(model.opt.timestep))])
+    measured = sampled(recording, times)
+    details = ["as in the dataset"]
+    if found := found_effects(result):
+        first = (result["effects"] or result["calibration"])[0]
+        details.append(f"with {effect_title(first['effect'])}" + (" and more" if len(found) > 1 else ""))
+    unit = (result.get("gap") or {}).get("open_loop_unit", "")
+    drawn = _drawn_model(dataset, model)
+    row = [ReplayedMotion("recording", recording.name, "", drawn, measured, measured=True)]
+    for (title, world), detail in zip(worlds.items(), details, strict=True):
+        qpos = open_loop_positions(world, recording, dataset.interpolation, times)
+        error = np.abs(difference(model, measured, qpos)).mean()
+        number = f"off by {error:.2g} {unit}".rstrip() if np.isfinite(error) else "diverged"
+        row.append(ReplayedMotion(title, detail, number, drawn, hold_last_valid(qpos)))
+    return Replay(times, [row])
+
+
+def compared_worlds(folder: Path) -> tuple[Dataset, Recording, dict[str, World]]:
+    """What a diagnosis compares: its dataset, the first held-out recording, and the worlds that follow it.
+
+    Args:
+      folder: the run folder of a diagnosis that has ended.
+
+    Returns:
+      The dataset, the recording, and the worlds by title: "believed model" and, where an effect was named, "mended
+      model".
+
+    Raises:
+      InputError: see `diagnosis_replay`.
+    """
     config, result = read_config_json(folder), read_json(folder / "result.json")
     if config.get("signal", "trajectory") != "trajectory":
         raise InputError(f"{folder}: a table of fitness was diagnosed, which holds no motion that could be shown")
@@ -43,26 +78,10 @@ def diagnosis_replay(folder: Path, frames: int, seconds: float) -> Replay:
     if not config.get("demo"):
         check_inputs(folder, {"the dataset": content_digest(dataset)})
     recording = (dataset.test or dataset.recordings)[0]
-    model = recording.model
-    length = min(seconds, float(recording.time[-1] - recording.time[0]))
-    frames = max(2, round(frames * length / seconds))
-    times = np.concatenate([[0.0], frame_times(length, frames, float(model.opt.timestep))])
-    measured = sampled(recording, times)
-    worlds = {"believed model": World.of(model)}
-    details = ["as in the dataset"]
-    if found := found_effects(result):
+    worlds = {"believed model": World.of(recording.model)}
+    if found_effects(result):
         worlds["mended model"] = _mended_world(dataset, recording, result, config.get("effects", ("all",)))
-        first = (result["effects"] or result["calibration"])[0]
-        details.append(f"with {effect_title(first['effect'])}" + (" and more" if len(found) > 1 else ""))
-    unit = (result.get("gap") or {}).get("open_loop_unit", "")
-    drawn = _drawn_model(dataset, model)
-    row = [ReplayedMotion("recording", recording.name, "", drawn, measured)]
-    for (title, world), detail in zip(worlds.items(), details, strict=True):
-        qpos = open_loop_positions(world, recording, dataset.interpolation, times)
-        error = np.abs(difference(model, measured, qpos)).mean()
-        number = f"off by {error:.2g} {unit}".rstrip() if np.isfinite(error) else "diverged"
-        row.append(ReplayedMotion(title, detail, number, drawn, hold_last_valid(qpos)))
-    return Replay(times, [row])
+    return dataset, recording, worlds
 
 
 def open_loop_positions(world: World, recording: Recording, interpolation: Any, times: np.ndarray) -> np.ndarray:

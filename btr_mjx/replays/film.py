@@ -54,7 +54,11 @@ def check_film(path: Path) -> None:
 
 
 def draw_film(
-    replay: Replay, width: int = 480, slowness: float = 1.0, progress: Callable[[int], object] | None = None
+    replay: Replay,
+    width: int = 480,
+    slowness: float = 1.0,
+    progress: Callable[[int], object] | None = None,
+    overlay: bool = False,
 ) -> np.ndarray | None:
     """The frames of a film.
 
@@ -63,6 +67,7 @@ def draw_film(
       width: of a panel [pixels].
       slowness: how many times slower than reality the film plays, for its label.
       progress: called with the number of pictures done since the last call.
+      overlay: draw the measured motion over the simulated ones of its row, both half transparent.
 
     Returns:
       (F, height, width, 3) uint8; None where nothing can be rendered, which one line on stderr says.
@@ -76,6 +81,9 @@ def draw_film(
         pictures = render([(m.model, m.qpos) for m in row], width, height, replace(camera, distance=distance), progress)
         if pictures is None:
             return None
+        real = next((own for m, own in zip(row, pictures, strict=True) if m.measured), None)
+        if overlay and real is not None:
+            pictures = [(own // 2 + real // 2) if own is not real else own for own in pictures]
         empty = np.full((count, height, width, 3), 255, np.uint8)
         panels = [_below(_label(m.title, m.detail, m.number, width), own) for m, own in zip(row, pictures, strict=True)]
         panels += [_below(_label("", NOTHING, "", width), empty)] * (columns - len(row))
