@@ -20,6 +20,7 @@ The run folder holds:
     mended.xml, mended.json         the believed model with what was found
     parameters.csv, parameters.json, randomisation.json   the same numbers for other programs
     report.html, figures/           the page
+    diagnosis.rrd, diagnosis.mcap   with --export: measured and simulated motions for Rerun and Foxglove
     demo/, truth.json               with --demo: the case, and the answer
     search/                         what was simulated so far, until the search ends; --resume goes on from there
 
@@ -93,6 +94,9 @@ class DiagnoseConfig:
     """Show a progress bar (lines now and then where there is no terminal)."""
     figures: bool = True
     """Draw the page and its figures."""
+    export: tuple[Literal["rerun", "mcap"], ...] = ()
+    """Write what is measured and simulated for a viewer of recordings as well, see docs/exports.md. rerun:
+    diagnosis.rrd, for Rerun. mcap: diagnosis.mcap, for Foxglove and others. Both need the extra of the same name."""
 
     check: bool = False
     """Only check the data and the model, without a search and without a run folder."""
@@ -164,8 +168,9 @@ def _diagnose(config: DiagnoseConfig, tell: Callable[[dict[str, Any], Path], Non
     from btr_mjx.gap.results import RESULT
     from btr_mjx.pages import PAGE
     from btr_mjx.plotting import attempt
+    from btr_mjx.replays import export_motions
 
-    ignore = (*IGNORED_FIELDS, "figures")
+    ignore = (*IGNORED_FIELDS, "figures", "export")
     with _claimed(config) as config:
         assert config.out is not None
         folder = RunFolder.create(config.out, config, config.resume, ignore=ignore, inputs=inputs)
@@ -191,6 +196,8 @@ def _diagnose(config: DiagnoseConfig, tell: Callable[[dict[str, Any], Path], Non
             tell(result, run.path)
             if config.figures:
                 attempt(PAGE, lambda: draw_report(run.path))
+            for path in export_motions(run.path, config.export):
+                print(path, flush=True)
             return result
 
 
@@ -198,7 +205,8 @@ def check_diagnosis(config: DiagnoseConfig) -> None:
     """Check settings.
 
     Raises:
-      InputError: neither or both of a dataset and `demo`, a dataset that does not exist, or `max_effects` below 1.
+      InputError: neither or both of a dataset and `demo`, a dataset that does not exist, an export whose package is not
+        installed, or `max_effects` below 1.
     """
     if (config.dataset is None) != config.demo:
         what = "no dataset" if config.dataset is None else f"a dataset ({config.dataset}) and --demo"
@@ -226,6 +234,12 @@ def check_diagnosis(config: DiagnoseConfig) -> None:
     if config.residual and (config.before or config.signal == "fitness"):
         other = "--before" if config.before else "--signal fitness"
         raise InputError(f"got --residual and {other}; --residual is for a diagnosis of one set of recordings")
+    if config.export and config.signal == "fitness":
+        raise InputError("got --export and --signal fitness; a table of fitness holds no motion")
+    if config.export:
+        from btr_mjx.replays import check_exports
+
+        check_exports(config.export)
     if not 1 <= config.max_effects <= 100:
         raise InputError(f"max_effects: got {config.max_effects}, expected at least 1, at most 100")
     if not 0 <= config.chosen_seed < 2**63:

@@ -2,16 +2,29 @@
 
 The page, report.html in the run folder, needs no other file: the verdict, figures, tables that a click sorts, films of
 `btr_mjx.replay`, settings and environment. Every command draws it at its end unless it is given --no-figures.
+With --export rerun or mcap, what a diagnosis compares is also written for Rerun or Foxglove, see docs/exports.md.
 """
 
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
-from btr_mjx.errors import cli_errors
+from btr_mjx.errors import InputError, cli_errors
+
+
+@dataclass(frozen=True)
+class ReportConfig:
+    """Settings of a report; every field is a flag."""
+
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Run folders of btr_mjx.coevolve, scan or diagnose."""
+    export: tuple[Literal["rerun", "mcap"], ...] = ()
+    """Of diagnoses, write what is measured and simulated as well. rerun: diagnosis.rrd, for Rerun. mcap:
+    diagnosis.mcap, for Foxglove and others. Both need the extra of the same name."""
 
 
 def report(folder: str | Path) -> Path:
@@ -35,22 +48,35 @@ def report(folder: str | Path) -> Path:
     return draw_run_page(folder)
 
 
+def check_report(config: ReportConfig) -> None:
+    """Check that runs can be exported.
+
+    Raises:
+      InputError: a run that is no diagnosis, or a package that is not installed.
+    """
+    from btr_mjx.pages import kind_of_run
+    from btr_mjx.replays import check_exports
+
+    check_exports(config.export)
+    for run in config.runs:
+        if kind_of_run(run) != "diagnose":
+            raise InputError(f"{run}: --export is for runs of btr_mjx.diagnose; btr_mjx.replay films others")
+
+
 @cli_errors()
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
-
-    def command(folders: Annotated[tuple[Path, ...], tyro.conf.Positional]) -> tuple[Path, ...]:
-        """Draw the pages of runs again.
-
-        Args:
-          folders: run folders of btr_mjx.coevolve, scan or diagnose.
-        """
-        return folders
-
     argv = sys.argv[1:] if argv is None else list(argv)
-    folders = tyro.cli(command, args=argv, description=__doc__, prog="btr_mjx.report")
-    for folder in folders:
-        print(report(folder))
+    config = tyro.cli(ReportConfig, args=argv, description=__doc__, prog="btr_mjx.report")
+    if config.export:
+        check_report(config)
+    for run in config.runs:
+        print(report(run))
+        if config.export:
+            from btr_mjx.replays import export_motions
+
+            for path in export_motions(run, config.export):
+                print(path)
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from btr_mjx.backtoreality import ScanConfig
 from btr_mjx.diagnose import DiagnoseConfig, check_diagnosis
 from btr_mjx.doctor import DoctorConfig
 from btr_mjx.replay import ReplayConfig
+from btr_mjx.report import ReportConfig
 from btr_mjx.robots import Robot
 
 ROOT = Path(__file__).parents[2]
@@ -44,7 +45,7 @@ PARSERS: dict[str, Callable[[list[str]], Any]] = {
     "diagnose": of(DiagnoseConfig),
     "replay": of(ReplayConfig),
     "doctor": of(DoctorConfig),
-    "report": lambda argv: tyro.cli(tuple[Path, ...], args=argv),
+    "report": of(ReportConfig),
 }
 
 
