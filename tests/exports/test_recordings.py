@@ -80,6 +80,7 @@ def test_times_below_zero_are_counted_from_the_first(tmp_path: Path) -> None:
     assert times == [("/recording/a", 0.0), ("/recording/b", 0.5), ("/recording/a", 4.0), ("/recording/b", 5.0)]
 
 
+@pytest.mark.slow  # with the extra, which is large
 def test_rerun_holds_the_numbers_and_the_poses(
     curves: list[RecordedCurves], poses: RecordedPoses, tmp_path: Path
 ) -> None:
