@@ -10,7 +10,6 @@ from btr_mjx.gap.results.effect_simulator import EffectEdit, EffectSimulator, ad
 from btr_mjx.gap.results.late_logs import without_late_log
 from btr_mjx.gap.results.mended_model import (
     Callback,
-    FoundEffect,
     MendedModel,
     found_effects,
     mend,
@@ -23,6 +22,7 @@ from btr_mjx.gap.results.records import (
     Diagnosis,
     DisagreementMap,
     Estimate,
+    FoundEffect,
     Gap,
     JointError,
     JointForce,

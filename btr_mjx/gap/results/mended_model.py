@@ -26,37 +26,13 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.effects import KNOWN_EFFECTS, RESIDUAL, Effect, Place, ResidualTable, Scales, known_effects
+from btr_mjx.gap.results.records import FoundEffect
 from btr_mjx.gap.results.transcribe import changed_numbers, normalised, write_changes
-from btr_mjx.gap.simulate import Command, Rows, World
+from btr_mjx.gap.simulate import Command, Rows, World, differing_fields
 from btr_mjx.models import nearest_names, read_field, set_values
 
 _MEMORY = 2.0
 """Time for which a callback keeps past commands [s], much longer than any delay or lag of the library."""
-
-
-@dataclass(frozen=True)
-class FoundEffect:
-    """An effect that was found missing.
-
-    Attributes:
-      effect: name of the effect.
-      location: label of its place, such as "joint:knee".
-      values: parameter name -> value, in SI units.
-    """
-
-    effect: str
-    location: str
-    values: Mapping[str, float]
-
-    @classmethod
-    def from_result(cls, entry: Mapping[str, Any]) -> "FoundEffect":
-        """A finding from an entry of `effects` in result.json.
-
-        Args:
-          entry: effect, location, and parameters as numbers or as mappings with `value`.
-        """
-        values = {name: float(p["value"] if isinstance(p, Mapping) else p) for name, p in entry["parameters"].items()}
-        return cls(str(entry["effect"]), str(entry["location"]), values)
 
 
 def found_effects(result: Mapping[str, Any]) -> list[FoundEffect]:
@@ -75,7 +51,7 @@ class MendedModel:
     Attributes:
       xml: MJCF that plain MuJoCo loads, with every effect that MJCF can express.
       terms: the other effects, for JSON: effect, location, parameters, equation, and why MJCF cannot express them.
-      native: "effect@location" of the effects inside `xml`.
+      native: "effect@location" of the effects that are entirely inside `xml`.
       notes: remarks for the reader, such as fields that could not be written.
       changes: numbers that differ from the believed model: part, field, and both values.
     """
@@ -93,8 +69,30 @@ class MendedModel:
             "native": list(self.native),
             "notes": list(self.notes),
             "changes": list(self.changes),
-            "use": _USE if self.terms else "nothing has to be added: mended.xml holds everything that was found",
+            "use": self.use,
         }
+
+    @property
+    def use(self) -> str:
+        """What whoever simulates the model has to add to it."""
+        if self.terms:
+            return _USE
+        if self.notes:
+            return "the model does not hold everything that was found: see notes"
+        return "nothing has to be added: the model holds everything that was found"
+
+    def what_else(self, name: str, file: str) -> str:
+        """What a simulation of an effect needs beside the model, to be appended to a sentence; "" for nothing.
+
+        Args:
+          name: "effect@location".
+          file: name of the file that holds `as_json`.
+        """
+        if name in self.native:
+            return ""
+        if name in {f"{term['effect']}@{term['location']}" for term in self.terms}:
+            return f"; needs {file} in a simulation"
+        return f"; not in the model, see the notes of {file}"
 
 
 _USE = (
@@ -141,6 +139,7 @@ def written(
     world: World,
     found: Sequence[FoundEffect],
     effects: Sequence[Effect],
+    edited: Sequence[FoundEffect] = (),
 ) -> MendedModel:
     """A world and effects as MJCF.
 
@@ -150,18 +149,19 @@ def written(
       world: the base model with its changes so far, changed in place.
       found: effects that are added, in this order.
       effects: the library that they refer to.
+      edited: effects that the world has already, all of them edits of its model.
 
     Raises:
       InputError: an effect, place or parameter that the library or the model does not have.
     """
-    terms, native = [], []
-    for item in found:
+    terms, native = [], dict[str, set[str]]()
+    for item in (*edited, *found):
         effect, place, values = resolve_effect(base, item, effects)
-        before = (len(world.command_edits), len(world.laws), world.wrench.copy())
-        effect.apply(world, place, values)
-        extra = before[:2] != (len(world.command_edits), len(world.laws)) or not np.array_equal(before[2], world.wrench)
-        if not extra or (effect.native is not None and effect.native(spec, base, place, values)):
-            native.append(f"{item.effect}@{item.location}")
+        alone, is_edit = applied_alone(effect, base, place, values)
+        if item not in edited:
+            effect.apply(world, place, values)
+        if is_edit or (effect.native is not None and effect.native(spec, base, place, values)):
+            native[item.name] = set(differing_fields(alone, base))
             continue
         terms.append(
             {
@@ -175,7 +175,16 @@ def written(
     left = write_changes(spec, world, base)
     notes = tuple(f"{name} differs from the believed model and cannot be written as MJCF" for name in left)
     changes = changed_numbers(base, spec.compile())
-    return MendedModel(spec.to_xml(), terms, tuple(native), notes, changes)
+    inside = tuple(name for name, fields in native.items() if fields.isdisjoint(left))
+    return MendedModel(spec.to_xml(), terms, inside, notes, changes)
+
+
+def applied_alone(effect: Effect, model: mujoco.MjModel, place: Place, values: np.ndarray) -> tuple[World, bool]:
+    """The world of a model with one effect, and whether all that the effect does is to change numbers of the model."""
+    world = World.of(model)
+    before = len(world.command_edits)
+    effect.apply(world, place, values)
+    return world, not world.laws and len(world.command_edits) == before and not world.wrench.any()
 
 
 def resolve_effect(

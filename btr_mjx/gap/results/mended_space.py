@@ -16,7 +16,8 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.effects import KNOWN_EFFECTS, Effect, Scales
 from btr_mjx.gap.results.effect_simulator import added_effects
-from btr_mjx.gap.results.mended_model import FoundEffect, mend, resolve_effect
+from btr_mjx.gap.results.mended_model import mend, resolve_effect
+from btr_mjx.gap.results.records import FoundEffect
 from btr_mjx.gap.results.transcribe import normalised
 from btr_mjx.robots import Box, Robot, Signal
 

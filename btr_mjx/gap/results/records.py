@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -30,6 +30,36 @@ class Estimate:
     unit: str
     null: float = 0.0
     edge: bool = False
+
+
+@dataclass(frozen=True)
+class FoundEffect:
+    """An effect that was found missing.
+
+    Attributes:
+      effect: name of the effect.
+      location: label of its place, such as "joint:knee".
+      values: parameter name -> value, in SI units.
+    """
+
+    effect: str
+    location: str
+    values: Mapping[str, float]
+
+    @property
+    def name(self) -> str:
+        """effect@location."""
+        return f"{self.effect}@{self.location}"
+
+    @classmethod
+    def from_result(cls, entry: Mapping[str, Any]) -> "FoundEffect":
+        """A finding from an entry of `effects` in result.json.
+
+        Args:
+          entry: effect, location, and parameters as numbers or as mappings with `value`.
+        """
+        values = {name: float(p["value"] if isinstance(p, Mapping) else p) for name, p in entry["parameters"].items()}
+        return cls(str(entry["effect"]), str(entry["location"]), values)
 
 
 @dataclass(frozen=True)
@@ -62,6 +92,11 @@ class NamedEffect:
     def name(self) -> str:
         """effect@location."""
         return f"{self.effect}@{self.location}"
+
+    def found(self, **changed: float) -> FoundEffect:
+        """The effect with its best values, or with others of some parameters."""
+        values = {name: estimate.value for name, estimate in self.parameters.items()}
+        return FoundEffect(self.effect, self.location, values | changed)
 
 
 @dataclass(frozen=True)

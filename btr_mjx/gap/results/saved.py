@@ -13,8 +13,16 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, control_columns
 from btr_mjx.gap.effects import KNOWN_EFFECTS, Effect
 from btr_mjx.gap.results.exported import export_diagnosis
-from btr_mjx.gap.results.mended_model import FoundEffect, MendedModel, mend, with_residual
-from btr_mjx.gap.results.records import Diagnosis, DisagreementMap, JointForce, NamedEffect, NextExperiment, Quantity
+from btr_mjx.gap.results.mended_model import MendedModel, mend, with_residual
+from btr_mjx.gap.results.records import (
+    Diagnosis,
+    DisagreementMap,
+    FoundEffect,
+    JointForce,
+    NamedEffect,
+    NextExperiment,
+    Quantity,
+)
 from btr_mjx.gap.results.words.terms import place_in_words
 from btr_mjx.gap.results.words.verdict import detail_sentences, verdict_sentence
 from btr_mjx.models import parse_path, part_names
@@ -254,12 +262,8 @@ def _mended(diagnosis: Diagnosis, dataset: Dataset, effects: Sequence[Effect] = 
     """The believed model with named effects, calibration and refitted parameters; None without effects."""
     if not (diagnosis.effects or diagnosis.calibration or diagnosis.residual):
         return None
-    mended = _mend([_found(effect) for effect in diagnosis.effects], diagnosis, dataset, effects)
+    mended = _mend([effect.found() for effect in diagnosis.effects], diagnosis, dataset, effects)
     return with_residual(mended, diagnosis.residual)
-
-
-def _found(effect: NamedEffect) -> FoundEffect:
-    return FoundEffect(effect.effect, effect.location, {name: p.value for name, p in effect.parameters.items()})
 
 
 def _mend(
@@ -276,8 +280,8 @@ def _mend(
     is_mjcf = dataset.model_file.suffix == ".xml" and dataset.model_file.is_file()
     source = dataset.model_file if is_mjcf else dataset.spec_xml
     try:
-        every = (*map(_found, diagnosis.calibration), *found)
-        return mend(source, every, believed=values, effects=effects)
+        calibration = [effect.found() for effect in diagnosis.calibration]
+        return mend(source, [*calibration, *found], believed=values, effects=effects)
     except (InputError, ValueError) as error:
         return MendedModel(dataset.spec_xml, notes=(f"the model could not be mended: {error}",))
 
