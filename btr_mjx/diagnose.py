@@ -42,13 +42,13 @@ from btr_mjx.errors import BAD_INPUT_CODE, InputError, cli_errors, is_bad_input,
 from btr_mjx.runs import (
     IGNORED_FIELDS,
     RunFolder,
-    atomic_write,
     check_sums,
     claimed_folder,
     content_digest,
     graceful_interrupt,
     read_json,
     write_json,
+    write_text,
 )
 
 if TYPE_CHECKING:
@@ -165,8 +165,7 @@ def _diagnose(config: DiagnoseConfig, tell: Callable[[dict[str, Any], Path], Non
             print_findings(findings)
             save_findings(findings, run.path / "preflight.csv")
             if inferred := getattr(dataset, "inferred", ""):
-                with atomic_write(run.path / "dataset.toml") as file:
-                    file.write(inferred.encode())
+                write_text(run.path / "dataset.toml", inferred)
             if RESULT not in check_sums(run.path):
                 search_missing(
                     dataset,

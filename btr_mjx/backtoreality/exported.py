@@ -6,7 +6,7 @@ from btr_mjx.backtoreality.grown import grown, number_name
 from btr_mjx.backtoreality.state import Problem, State
 from btr_mjx.exports import ExportedParameter, write_exports
 from btr_mjx.gap.results import simulation_mjcf
-from btr_mjx.runs import atomic_write, read_json, write_json
+from btr_mjx.runs import read_json, write_json, write_text
 
 
 def export_simulation(folder: Path, problem: Problem, state: State) -> None:
@@ -16,8 +16,7 @@ def export_simulation(folder: Path, problem: Problem, state: State) -> None:
       OSError: a file cannot be written.
     """
     model = simulation_mjcf(grown(problem, state.grown).robot, state.simulation)
-    with atomic_write(folder / "simulation.xml") as file:
-        file.write(model.xml.encode("utf-8"))
+    write_text(folder / "simulation.xml", model.xml)
     if model.terms or model.notes:
         write_json(folder / "simulation.json", model.as_json())
 

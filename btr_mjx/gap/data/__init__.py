@@ -5,7 +5,7 @@
 deviation of the sensor noise. `save_dataset` writes one. A `Reader` adds a format of files, which gives `LogTable`s.
 """
 
-from btr_mjx.gap.data.columns.model_columns import control_columns, state_columns
+from btr_mjx.gap.data.columns.model_columns import control_columns, driven_joint, state_columns
 from btr_mjx.gap.data.columns.remedy import Answer, quoted
 from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, noise_of, read_header
 from btr_mjx.gap.data.files.readers import Reader, read_columns
@@ -34,6 +34,7 @@ __all__ = [
     "Wrap",
     "bends",
     "control_columns",
+    "driven_joint",
     "estimate_noise",
     "find_wraps",
     "held",

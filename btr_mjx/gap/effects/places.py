@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from btr_mjx.gap.data import driven_joint
 from btr_mjx.models import part_names
 
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-_JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 
 @dataclass(frozen=True)
@@ -57,10 +57,8 @@ WORLD = Place("world")
 
 def joint_of(model: mujoco.MjModel, actuator: int) -> int | None:
     """Id of the hinge or slide that an actuator drives; None for other transmissions."""
-    if int(model.actuator_trntype[actuator]) not in _JOINT_TRANSMISSIONS:
-        return None
-    joint = int(model.actuator_trnid[actuator, 0])
-    return joint if int(model.jnt_type[joint]) in _SCALAR else None
+    joint = driven_joint(model, actuator)
+    return joint if joint is not None and int(model.jnt_type[joint]) in _SCALAR else None
 
 
 def actuator_count(model: mujoco.MjModel) -> int:

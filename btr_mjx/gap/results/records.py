@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from btr_mjx.gap.effects import ResidualTable
+from btr_mjx.gap.results.drawn import DisagreementMap, JointForce, Overlay
 
 Verdict = Literal["effect", "none", "unexplained"]
 """An effect is missing, nothing is missing, or something is missing that no known effect explains."""
@@ -190,70 +191,6 @@ class Confound:
 
 
 @dataclass(frozen=True)
-class Overlay:
-    """A part of a held-out recording, for a figure.
-
-    Attributes:
-      recording: name of the recording.
-      coordinate: name of the joint at which the two models differ most, or the data from the only one.
-      time: (K,) [s].
-      measured, before, after: (K,) position [rad or m].
-    """
-
-    recording: str
-    coordinate: str
-    time: np.ndarray
-    measured: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-
-
-@dataclass(frozen=True)
-class JointForce:
-    """The force that is missing at a joint, for a figure.
-
-    Attributes:
-      joint: in words.
-      unit: of forces.
-      position, velocity, load, time: (N,) states, force of the actuators, and time.
-      before, after: (N,) force that is missing beside the believed and the mended model.
-      law: (N,) force of the laws that were named there; zero without.
-      spread: (N,) half the width of its 90 % interval.
-      follows: what laws there depend on: "position", "velocity", "load", "time".
-    """
-
-    joint: str
-    unit: str
-    position: np.ndarray
-    velocity: np.ndarray
-    load: np.ndarray
-    time: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-    law: np.ndarray
-    spread: np.ndarray
-    follows: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class DisagreementMap:
-    """Where simulation and data disagree before any fit.
-
-    Attributes:
-      places: joints, and bodies with a free joint.
-      regimes: kinds of motion, such as "fast" or "contact".
-      value: (places, regimes) mean square of the unknown generalised force there in units of what noise would give; 1
-        is the noise floor, NaN where the regime does not occur.
-      count: (places, regimes) number of time intervals of each mean.
-    """
-
-    places: tuple[str, ...]
-    regimes: tuple[str, ...]
-    value: np.ndarray
-    count: np.ndarray
-
-
-@dataclass(frozen=True)
 class Predictions:
     """Root mean square errors of positions of held-out recordings, predicted over a horizon from measured states.
 
@@ -348,48 +285,3 @@ class Diagnosis:
     joint_forces: tuple[JointForce, ...] = field(default=(), repr=False)
     residual: tuple[ResidualTable, ...] = field(default=(), repr=False)
     joint_errors: tuple[JointError, ...] = ()
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """A number over several sets of recordings, the oldest first.
-
-    Attributes:
-      effect, location, parameter: what it is.
-      unit: SI unit.
-      value: of each set, beside the believed model.
-      low, high: 90 % intervals.
-      named: whether the number was named in that set: at first as missing, later as changed.
-    """
-
-    effect: str
-    location: str
-    parameter: str
-    unit: str
-    value: tuple[float, ...]
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-    named: tuple[bool, ...]
-
-
-@dataclass(frozen=True)
-class NextExperiment:
-    """A command that is proposed to be recorded next.
-
-    Attributes:
-      time: (K,) times [s].
-      values: (K, nu) command, in the actuators' units.
-      between: names of the two hypotheses that it is expected to separate.
-      disagreement: expected difference of their scores in one recording.
-      others: expected difference for every command that was compared.
-      chosen: index of the proposed command in `others`.
-      reason: the reason in words.
-    """
-
-    time: np.ndarray
-    values: np.ndarray
-    between: tuple[str, str]
-    disagreement: float
-    others: tuple[float, ...]
-    chosen: int
-    reason: str

@@ -52,6 +52,12 @@ def model_columns(model: mujoco.MjModel) -> dict[str, list[str]]:
     return {"qpos": positions, "qvel": velocities, "ctrl": controls, "force": forces}
 
 
+def driven_joint(model: mujoco.MjModel, actuator: int) -> int | None:
+    """Id of the joint on which an actuator acts; None for a tendon, a site or a body."""
+    kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    return int(model.actuator_trnid[actuator, 0]) if int(model.actuator_trntype[actuator]) in kinds else None
+
+
 def ungroup_columns(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, where: str) -> dict[str, np.ndarray]:
     """Split grouped arrays (K, n) into single columns (K,).
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 import mujoco
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data.columns.model_columns import SUFFIXES
+from btr_mjx.gap.data.columns.model_columns import SUFFIXES, driven_joint
 from btr_mjx.gap.data.columns.one_column import ModelNames, common_words
 from btr_mjx.gap.data.columns.remedy import Answer, quoted
 from btr_mjx.gap.data.columns.words import EFFORT, NEUTRAL, OTHER, POSITION, VELOCITY, words
@@ -112,9 +112,3 @@ def _by_name(names: Sequence[str], model: mujoco.MjModel) -> dict[str, int]:
         elif actuator is not None and (driven := driven_joint(model, actuators.index(actuator))) is not None:
             found[name] = driven
     return found
-
-
-def driven_joint(model: mujoco.MjModel, actuator: int) -> int | None:
-    """Id of the joint on which an actuator acts; None for a tendon, a site or a body."""
-    kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-    return int(model.actuator_trnid[actuator, 0]) if int(model.actuator_trntype[actuator]) in kinds else None

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data.columns.model_columns import SUFFIXES
+from btr_mjx.gap.data.columns.model_columns import SUFFIXES, driven_joint
 from btr_mjx.gap.data.columns.remedy import Answer
 from btr_mjx.gap.data.dataset import Dataset
 from btr_mjx.gap.data.lerobot.frames import (
@@ -31,7 +31,7 @@ from btr_mjx.gap.data.lerobot.frames import (
     names_in,
     read_episodes,
 )
-from btr_mjx.gap.data.lerobot.joints import driven_joint, heading, joints_of, short
+from btr_mjx.gap.data.lerobot.joints import heading, joints_of, short
 from btr_mjx.gap.data.lerobot.scales import FACTORS, SPANS, JointScale, check_scale, find_scales
 from btr_mjx.gap.data.recordings.recording import Recording, make_recordings
 from btr_mjx.gap.data.recordings.splits import assign_splits
