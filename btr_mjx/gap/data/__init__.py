@@ -3,6 +3,8 @@
 `open_dataset` detects the format of a folder, `open_logs` reads a model and logs. Both return a `Dataset`: the believed
 (nominal) model, its `Recording`s, the parameters that may be refitted (`models.PathParameter`) and the standard
 deviation of the sensor noise. `save_dataset` writes one. A `Reader` adds a format of files, which gives `LogTable`s.
+
+Throughout, `where` says in messages which file or table is meant, and what is found and chosen is appended to `notes`.
 """
 
 from btr_mjx.gap.data.columns.model_columns import control_columns, driven_joint, state_columns

@@ -139,13 +139,7 @@ def read_header(folder: str | Path, more: Sequence[str] = ()) -> tuple[Dataset, 
 
 
 def header_of(table: Mapping[str, Any], folder: Path, path: Path, more: Sequence[str] = ()) -> Dataset:
-    """The dataset without recordings that the tables of a dataset.toml describe.
-
-    Args:
-      table: content of the file.
-      folder: of the files that it names.
-      path: of the file, for messages.
-      more: names of further tables that it may hold.
+    """The dataset without recordings that a dataset.toml describes; `more` names further tables that it may hold.
 
     Raises:
       InputError, DamagedFile, OSError: see `load`.

@@ -54,14 +54,7 @@ def load(folder: str | Path, progress: ReadProgress | None = None) -> Dataset:
 def load_table(
     head: Dataset, table: Mapping[str, Any], path: Path, progress: ReadProgress | None = None, text: str = ""
 ) -> Dataset:
-    """Read the recordings of a dataset whose header was read.
-
-    Args:
-      head: the dataset without recordings.
-      table: content of dataset.toml.
-      path: of dataset.toml, for messages.
-      progress: called while recordings are read.
-      text: of dataset.toml, where there is no such file yet.
+    """Read the recordings of a dataset whose header was read; `text` is its dataset.toml where that is no file yet.
 
     Raises:
       InputError, DamagedFile, OSError: see `load`.

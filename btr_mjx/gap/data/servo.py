@@ -89,9 +89,6 @@ def servo_xml(servo: Servo, mass: float, length: float, kp: float, vin: float) -
       length: distance from the axis to the load [m].
       kp: firmware gain.
       vin: supply voltage [V].
-
-    Returns:
-      MJCF text.
     """
     volts_to_torque = servo.kt / servo.resistance * vin
     gain, limit = kp * servo.error_gain * volts_to_torque, servo.max_duty * volts_to_torque
@@ -128,9 +125,6 @@ def load_servo(folder: str | Path) -> Dataset:
     """Read a folder of servo recordings and its servo.toml.
 
     About a third of each group of equal mass, length, kp and vin is held out, at alternating positions in the group.
-
-    Args:
-      folder: the folder.
 
     Returns:
       The dataset, one recording per JSON file.
@@ -175,14 +169,7 @@ def load_servo(folder: str | Path) -> Dataset:
 
 
 def read_servo(path: Path, notes: list[str]) -> Servo:
-    """Read the nominal values from the table [servo].
-
-    Args:
-      path: of servo.toml.
-      notes: warnings are appended here.
-
-    Returns:
-      The nominal values.
+    """Read the nominal values from the table [servo] of servo.toml.
 
     Raises:
       InputError: a value that is missing, not a number or negative.

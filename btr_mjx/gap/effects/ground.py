@@ -23,13 +23,9 @@ def _softness_places(model: mujoco.MjModel) -> list[Place]:
 
 
 def believed_friction(model: mujoco.MjModel, place: Place) -> float:
-    """Mean sliding coefficient between the geoms of a place and the ground.
+    """Mean sliding coefficient between the geoms of a place, or all that can touch it, and the ground.
 
     As in MuJoCo: the larger coefficient of both geoms, or that of the geom of higher priority.
-
-    Args:
-      model: the believed model.
-      place: geoms; all geoms that can touch the ground if it has none.
     """
     touching, ground = ground_geoms(model)
     chosen = place.geoms or touching

@@ -168,35 +168,16 @@ def _sizes(model: mujoco.MjModel) -> tuple[float, float]:
 
 
 def smallest_believed(model: mujoco.MjModel, field: str, place: Place) -> float:
-    """Smallest value of a model field over the joints of a place: the largest decrease that keeps all values positive.
-
-    Args:
-      model: the believed model.
-      field: name of an MjModel field of shape (nv,).
-      place: joints.
-    """
+    """Smallest value of a model field (nv,) over the joints of a place: as large a decrease keeps all positive."""
     return float(np.min(getattr(model, field)[place.dofs(model)]))
 
 
 def typical_scale(values: np.ndarray, place: Place, model: mujoco.MjModel) -> float:
-    """Geometric mean over the joints of a place.
-
-    Args:
-      values: (nv,) sizes, such as those of `Scales`.
-      place: joints.
-      model: the believed model.
-    """
+    """Geometric mean of sizes (nv,), such as those of `Scales`, over the joints of a place."""
     return float(np.exp(np.mean(np.log(np.maximum(values[place.dofs(model)], 1e-300)))))
 
 
 def unit_of(model: mujoco.MjModel, place: Place, hinge: str, slide: str) -> str:
-    """Unit of a parameter at a place.
-
-    Args:
-      model: the believed model.
-      place: joints.
-      hinge: unit if all joints are hinges.
-      slide: unit otherwise.
-    """
+    """Unit of a parameter at a place: one if all its joints are hinges, else the other."""
     kinds = model.jnt_type[list(place.joints)]
     return hinge if (kinds == int(mujoco.mjtJoint.mjJNT_HINGE)).all() else slide

@@ -42,13 +42,7 @@ class ResidualTable:
     weights: np.ndarray
 
     def features(self, q: ArrayLike, v: ArrayLike, load: ArrayLike) -> np.ndarray:
-        """Bumps (..., n) at states.
-
-        Args:
-          q: positions.
-          v: velocities.
-          load: forces of the actuators.
-        """
+        """Bumps (..., n) at positions, velocities and forces of the actuators."""
         state = np.stack([q, v, load], -1)
         part = np.clip((state - self.low) / np.maximum(self.high - self.low, 1e-12), 0.0, 1.0)
         square = np.nan_to_num((part[..., None, :] - self.centres) ** 2).sum(-1)
@@ -73,9 +67,6 @@ class ResidualTable:
 
     def candidate(self, model: mujoco.MjModel) -> Candidate:
         """The table as an effect without free numbers.
-
-        Args:
-          model: the believed model.
 
         Raises:
           InputError: the model has no such joint.

@@ -30,12 +30,7 @@ same as one that follows the motion."""
 
 
 def clock_drift(dataset: Dataset, noise: Noise) -> list[Finding]:
-    """An error if the commands' clock drifts against the states'.
-
-    Args:
-      dataset: the dataset, in sound conventions.
-      noise: of its sensors.
-    """
+    """An error if the commands' clock drifts against the states'; of data in sound conventions."""
     if all(np.ptp(r.ctrl, axis=0).max(initial=0) == 0 for r in dataset.recordings):
         return []
     predictor = Predictor(dataset, noise, _STRETCHES)

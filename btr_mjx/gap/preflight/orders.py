@@ -52,12 +52,7 @@ def joint_orders(
 def column_lines(dataset: Dataset, change: Change) -> tuple[str, ...]:
     """What to write into dataset.toml where columns have another order, and to run then.
 
-    Args:
-      dataset: the dataset.
-      change: of the order of positions, with which velocities go, and of commands, with which forces go.
-
-    Returns:
-      Lines; none where columns have no names of their own in the logs.
+    Velocities go with positions, forces with commands. There are no lines for columns without names in the logs.
     """
     model, sources = dataset.model, dataset.sources
     positions, velocities = state_columns(model)

@@ -50,12 +50,7 @@ class VelocityReading:
 
 
 def velocity_conventions(dataset: Dataset, noise: Noise) -> list[Finding]:
-    """Errors for velocities that fit their positions under another convention, and warnings where they fit under none.
-
-    Args:
-      dataset: the dataset.
-      noise: of its sensors.
-    """
+    """Errors for velocities that fit their positions under another convention, warnings where they fit under none."""
     stretches = choose_stretches(dataset, motion_seconds(dataset), _STRETCHES)
     groups = groups_of(dataset.model) if stretches else []
     measured = [g for g in groups if all(r.qvel_measured[g.dofs].all() for r in dataset.recordings)]

@@ -87,11 +87,7 @@ _CONTRASTS = (
 def place_of_disagreement(disagreement: DisagreementMap) -> str:
     """The place with the largest disagreement, and the regimes in which it occurs, in words.
 
-    Args:
-      disagreement: mean squares of the unknown force by place and regime, in units of the noise.
-
-    Returns:
-      Text such as "joint knee, when it moves fast"; empty where the map has no numbers or all are below 1.5.
+    Text such as "joint knee, when it moves fast"; empty where the map has no numbers or all are below 1.5.
     """
     value = np.asarray(disagreement.value, float)
     column = {name: i for i, name in enumerate(disagreement.regimes)}

@@ -16,13 +16,7 @@ Mend = Callable[[Sequence[FoundEffect]], MendedModel]
 
 
 def export_diagnosis(diagnosis: Diagnosis, dataset: Dataset, folder: Path, mended: Mend) -> None:
-    """Write the exports of a diagnosis, see `btr_mjx.exports`.
-
-    Args:
-      diagnosis: the outcome of the search.
-      dataset: the dataset that was searched.
-      folder: the run folder.
-      mended: adds effects to the believed model.
+    """Write the exports of a diagnosis into its run folder, see `btr_mjx.exports`.
 
     Raises:
       OSError: the folder cannot be written to.

@@ -127,12 +127,9 @@ def normalised(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
 
 
 def write_changes(spec: mujoco.MjSpec, world: World, base: mujoco.MjModel) -> list[str]:
-    """Write every field in which a world's model differs from the base model into a compiled specification.
+    """Write every field in which a world's model differs from the base model into the specification of the base.
 
-    Args:
-      spec: the base model's specification from `normalised`; edited in place, to be compiled by the caller.
-      world: the world whose model is written.
-      base: the model that `spec` compiles to.
+    The specification comes from `normalised` and is edited in place; the caller compiles it.
 
     Returns:
       Names of fields that differ and that a specification cannot express.

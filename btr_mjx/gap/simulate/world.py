@@ -59,13 +59,9 @@ class World:
         return command
 
     def update_constants(self, data: mujoco.MjData | None = None) -> mujoco.MjModel:
-        """Update the constants that MuJoCo derives from the model (`mj_setConst`).
+        """The model, with the constants that MuJoCo derives from it (`mj_setConst`) brought up to date.
 
-        Args:
-          data: scratch data of a model of the same structure, to avoid its allocation; overwritten.
-
-        Returns:
-          The model.
+        `data` of a model of the same structure is overwritten, which saves its allocation.
         """
         with self._lock:
             if not (self.frozen and self._constants_current):

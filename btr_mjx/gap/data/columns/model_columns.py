@@ -59,15 +59,7 @@ def driven_joint(model: mujoco.MjModel, actuator: int) -> int | None:
 
 
 def ungroup_columns(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, where: str) -> dict[str, np.ndarray]:
-    """Split grouped arrays (K, n) into single columns (K,).
-
-    Args:
-      columns: arrays by name, as `readers.read_columns` returns them.
-      model: the model.
-      where: file, for messages.
-
-    Returns:
-      Arrays (K,) by column name.
+    """Split grouped arrays (K, n), as `readers.read_columns` returns them, into single columns (K,).
 
     Raises:
       InputError: the width of a group differs from the number of coordinates of the model.

@@ -141,16 +141,10 @@ def without(said: Words, filler: Words) -> Words:
 def match_one(
     i: int, column: str, label: Words, common: Words, filler: Words, names: ModelNames, finds: Candidates
 ) -> None:
-    """Add a column to the candidates of the column of the model that it may be.
+    """Add a column of table `i` to the candidates of the column of the model that it may be.
 
-    Args:
-      i: number of its table.
-      column: its name.
-      label: words of the table's label, which count where the column says of no quantity.
-      common: words at the beginning of all columns of the table.
-      filler: words that may be left out of columns that speak of a quantity.
-      names: of the model.
-      finds: the candidates.
+    Words of the table's label count where the column says of no quantity. Words that are `common` to the columns, and
+    those of a `filler` in columns that speak of a quantity, may be left out.
     """
     said = words(stated_unit(column)[0])
     if names.named_by(said) is None and said[: len(common)] == common:

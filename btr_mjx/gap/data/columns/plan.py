@@ -83,13 +83,6 @@ def plan_tables(
 ) -> list[Plan]:
     """Match the tables of a recording to a model.
 
-    Args:
-      tables: of the recording.
-      model: the recording's model.
-      options: what the dataset says.
-      where: file, for messages.
-      notes: choices are appended here.
-
     Returns:
       A plan for each table; tables without a column of the model have no names in theirs.
 
@@ -147,14 +140,7 @@ def read_log(
     notes: list[str],
     advance: Callable[[int], None] = lambda count: None,
 ) -> list[dict[str, np.ndarray]]:
-    """Read the files of one recording.
-
-    Args:
-      paths: its files.
-      model: the recording's model.
-      options: what the dataset says.
-      notes: choices and conversions are appended here.
-      advance: called with numbers of bytes that were read.
+    """Read the files of one recording; `advance` is called with numbers of bytes that were read.
 
     Returns:
       Columns of the model by name, for each table with a clock of its own; "time" in [s].

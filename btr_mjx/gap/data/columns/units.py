@@ -110,13 +110,7 @@ def time_unit(time: np.ndarray) -> str:
 
 
 def conversion(column: str, unit: str, model: mujoco.MjModel, where: str) -> float:
-    """Factor from a stated unit to that of a column.
-
-    Args:
-      column: the model's column, e.g. "qpos/hip".
-      unit: one of `UNITS`.
-      model: the model.
-      where: file and column of the file, for messages.
+    """Factor from a stated unit of `UNITS` to that of a column of the model, such as "qpos/hip".
 
     Raises:
       InputError: the unit is of another quantity than the column.
@@ -158,12 +152,9 @@ def quantity_of(column: str, model: mujoco.MjModel) -> str | None:
 
 
 def to_seconds(time: np.ndarray, unit: str | None, notes: list[str]) -> tuple[float, float]:
-    """Factor and origin with which time stamps become seconds: (time - origin) * factor.
+    """Factor and origin with which time stamps (K,) become seconds: (time - origin) * factor.
 
-    Args:
-      time: (K,) stamps; the first ones of a recording are enough.
-      unit: as stated; None if it is to be told from the stamps.
-      notes: what was found is appended here, unless these are plain seconds.
+    Stamps without a stated unit tell their own.
     """
     found = unit or time_unit(time)
     factor = TIME_UNITS[found]

@@ -83,12 +83,7 @@ def is_log(path: Path) -> bool:
 def read_file(
     path: Path, topics: Mapping[str, str] | None = None, model: mujoco.MjModel | None = None
 ) -> Sequence[LogTable]:
-    """Read the tables of a log.
-
-    Args:
-      path: a file or folder.
-      topics: of ROS recordings, chosen ones by key of `ros_bag.TOPICS`.
-      model: of ROS recordings, decides which topics are needed; None for all.
+    """Read the tables of a log; of ROS recordings those of the `topics`, see `read_ros`.
 
     Raises:
       InputError: no format that is known, or invalid content.

@@ -73,12 +73,9 @@ def is_ros_folder(path: Path) -> bool:
 def read_ros(
     path: Path, topics: Mapping[str, str] | None = None, model: mujoco.MjModel | None = None
 ) -> list[LogTable]:
-    """Read the topics of a recording.
+    """Read the topics of a .mcap, .db3 or .bag file, or of a rosbag2 folder.
 
-    Args:
-      path: a .mcap, .db3 or .bag file, or a rosbag2 folder.
-      topics: chosen topics by key of `TOPICS`.
-      model: decides which topics are needed; None for all of them.
+    `topics` are chosen ones by key of `TOPICS`; a model decides which others are needed, without one it is all.
 
     Returns:
       A table per topic, and per set of joints that its messages name.

@@ -184,15 +184,7 @@ def _uncommented(text: str) -> str:
 
 
 def parse_rows(path: Path, dialect: Dialect, text: bytes) -> pl.DataFrame:
-    """The columns of whole lines of numbers.
-
-    Args:
-      path: for messages.
-      dialect: of the file.
-      text: the lines.
-
-    Returns:
-      Columns with a name; of numbers, or of text where a field is none.
+    """The columns with a name of whole lines of numbers; of text where a field is none.
 
     Raises:
       DamagedFile: lines with more fields than there are columns, or text that does not parse.

@@ -39,15 +39,7 @@ def joints_of(
     answer: Answer,
     notes: list[str],
 ) -> list[int | None]:
-    """The hinge or slide of each number.
-
-    Args:
-      names: of the numbers.
-      model: the model.
-      given: joints by `short` name, as stated in dataset.toml; "" for none.
-      where: file and feature, for messages.
-      answer: where a user says which joints the numbers belong to.
-      notes: choices are appended here.
+    """The hinge or slide of each number; `given` has joints by `short` name, "" for none.
 
     Returns:
       Ids of joints; None for numbers that are no positions, or that are said to be of no joint.

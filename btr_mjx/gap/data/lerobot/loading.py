@@ -42,11 +42,6 @@ from btr_mjx.runs import check_keys, file_inside
 def load_lerobot(head: Dataset, table: Mapping[str, Any], answer: Answer) -> Dataset:
     """Read a LeRobot dataset whose dataset.toml was read; the last third of the episodes is held out.
 
-    Args:
-      head: the dataset without recordings.
-      table: content of dataset.toml.
-      answer: where it is, or would be.
-
     Returns:
       The dataset, one recording per episode.
 

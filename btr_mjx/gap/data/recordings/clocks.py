@@ -46,14 +46,9 @@ def on_one_clock(
     where: str,
     notes: list[str],
 ) -> tuple[dict[str, np.ndarray], bool]:
-    """Bring the columns of a recording onto one time axis.
+    """Bring the columns (K,) of the tables of a recording onto one time axis [s].
 
-    Args:
-      tables: columns (K,) of the model by name, with "time" [s], of each table.
-      model: the model.
-      hold: hold commands of another clock instead of interpolating them.
-      where: file, for messages.
-      notes: what was done is appended here.
+    Commands of another clock are interpolated, or held if `hold`.
 
     Returns:
       Columns (N,) on one axis, NaN where a value is not known; and whether commands were held.

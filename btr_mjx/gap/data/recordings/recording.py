@@ -111,12 +111,8 @@ def make_recordings(
 ) -> list[Recording]:
     """Build the recordings of one log: one, or one for each part between holes.
 
-    Args:
-      tables: arrays by name, as `readers.read_columns` returns them, for each table with a clock of its own.
-      model: the recording's model.
-      where: file, for messages.
-      name: the recording's name.
-      hold: hold commands of a slower clock between their samples, instead of interpolating them.
+    `tables` have arrays by name, as `readers.read_columns` returns them, and a clock of their own each. Commands of a
+    slower clock are held between their samples, or interpolated without `hold`.
 
     Raises:
       InputError: missing or unknown columns, time that does not increase, quaternions that are not of unit length.

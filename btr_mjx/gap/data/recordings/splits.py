@@ -11,12 +11,7 @@ from btr_mjx.gap.data.recordings.recording import MIN_SAMPLES, Recording, Split
 
 
 def assign_splits(recordings: Sequence[Recording], given: Sequence[Any], where: str) -> list[Recording]:
-    """Assign recordings to fit or test.
-
-    Args:
-      recordings: all recordings.
-      given: split of each in the dataset: "fit", "test" or None.
-      where: file, for messages.
+    """Assign recordings to fit or test, by what the dataset says of each: "fit", "test" or None.
 
     Returns:
       The recordings with their split. If no split is given, the last third of the recordings is held out; a single

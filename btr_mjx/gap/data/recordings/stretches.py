@@ -48,14 +48,7 @@ class Share:
 
 
 def shares(rows: Sequence[int]) -> list[Share | None]:
-    """The part of each recording of a dataset that is used.
-
-    Args:
-      rows: number of rows of each recording.
-
-    Returns:
-      Shares in proportion to the rows; None for recordings of which everything is used.
-    """
+    """Parts of recordings that are used, in proportion to their rows; None where everything is used."""
     total = sum(rows)
     if total <= MAX_SAMPLES:
         return [None] * len(rows)

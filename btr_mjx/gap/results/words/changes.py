@@ -23,12 +23,7 @@ SAME_REST = "Nothing has changed that can be told: what the model lacks is alike
 
 
 def change_in_words(effects: Sequence[Mapping[str, Any]], listed: int) -> str:
-    """What has changed, as the beginning of a sentence.
-
-    Args:
-      effects: entries of `effects` in result.json, as changes since the recordings before.
-      listed: effects that are said, at most; the others are counted.
-    """
+    """Changes since the recordings before as the beginning of a sentence; what is not `listed` is counted."""
     each = [part for effect in effects[:listed] for part in _change(effect)]
     if len(effects) > listed:
         each.append(f"{len(effects) - listed} more, listed in the table, as well")

@@ -156,11 +156,7 @@ def _absent_members(result: Mapping[str, Any], other: Mapping[str, Any]) -> str:
     if len(effects) != 1 or effects[0]["effect"] != other["effect"] or not other["location"].startswith(EACH_MEMBER):
         return ""
     named = str(effects[0]["location"]).partition(":")[2]
-    rows = [
-        row
-        for row in result.get("ranking") or []
-        if effect_and_place(row) == effect_and_place(other) and not row.get("beside")
-    ]
+    rows = [row for row in _alone(result) if effect_and_place(row) == effect_and_place(other)]
     found = {name: as_float(value) for name, value in (rows[0].get("parameters") or {}).items()} if rows else {}
     own = [value for name, value in found.items() if name.endswith(f"[{named}]")]
     rest = {name: value for name, value in found.items() if not name.endswith(f"[{named}]")}
