@@ -19,23 +19,15 @@ def _extent(model: mujoco.MjModel, body: int) -> float:
     return float(reach.max(initial=0.0)) or 0.1
 
 
-def _group_mass(model: mujoco.MjModel, body: int) -> float:
-    return float(model.body_mass[model.body_weldid == model.body_weldid[body]].sum())
-
-
 def _payload_places(model: mujoco.MjModel) -> list[Place]:
     # The diagonal mass matrix of a simple body (body_simple) cannot represent another centre of mass.
     free = [b for b in [*trunks(model), *links(model), *welded_bodies(model)] if model.body_mass[b] > 0]
-    return [body_place(model, b) for b in sorted(free) if not _fixed_centre(model, b)]
-
-
-def _fixed_centre(model: mujoco.MjModel, body: int) -> bool:
-    return bool(model.body_simple[body])
+    return [body_place(model, b) for b in sorted(free) if not model.body_simple[b]]
 
 
 def _payload(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
     (body,) = place.bodies
-    own = _group_mass(model, body)
+    own = float(model.body_mass[model.body_weldid == model.body_weldid[body]].sum())
     welded = body in welded_bodies(model)
     mass = Parameter(
         "mass",
@@ -85,7 +77,7 @@ def _apply_payload(world: World, place: Place, values: np.ndarray) -> None:
 
 
 def _link_places(model: mujoco.MjModel) -> list[Place]:
-    return [body_place(model, b) for b in links(model) if link_of(model, b) is not None and not _fixed_centre(model, b)]
+    return [body_place(model, b) for b in links(model) if link_of(model, b) is not None and not model.body_simple[b]]
 
 
 def _length(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
@@ -103,7 +95,7 @@ def _apply_length(world: World, place: Place, values: np.ndarray) -> None:
 
 
 def _shift_places(model: mujoco.MjModel) -> list[Place]:
-    return [body_place(model, b) for b in trunks(model) if model.body_mass[b] > 0 and not _fixed_centre(model, b)]
+    return [body_place(model, b) for b in trunks(model) if model.body_mass[b] > 0 and not model.body_simple[b]]
 
 
 def _shift(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
@@ -157,10 +149,7 @@ def _apply_drag(world: World, place: Place, values: np.ndarray) -> None:
 
 def _mounted(model: mujoco.MjModel) -> list[Place]:
     """The world of a robot that is bolted down, with gravity."""
-    floats = (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any() or (
-        model.jnt_type == mujoco.mjtJoint.mjJNT_BALL
-    ).any()
-    return [] if floats else _slope_places(model)
+    return [] if (model.jnt_type < int(mujoco.mjtJoint.mjJNT_SLIDE)).any() else _slope_places(model)
 
 
 def _compensation(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:

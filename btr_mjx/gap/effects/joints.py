@@ -36,8 +36,7 @@ def _stiffness(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Par
 
 def _apply_stiffness(world: World, place: Place, values: np.ndarray) -> None:
     """Tau = -k (q - q_spring), such as of cables or seals; k is added to the believed stiffness and may be negative."""
-    model, joints = world.model, list(place.joints)
-    model.jnt_stiffness[joints] += values[0]
+    world.model.jnt_stiffness[list(place.joints)] += values[0]
 
 
 def _offset(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
@@ -164,9 +163,4 @@ BACKLASH = per_member(
     )
 )
 
-JOINT_EFFECTS = (
-    ARMATURE,
-    JOINT_STIFFNESS,
-    JOINT_OFFSET,
-    BACKLASH,
-)
+JOINT_EFFECTS = (ARMATURE, JOINT_STIFFNESS, JOINT_OFFSET, BACKLASH)

@@ -45,10 +45,8 @@ class Place:
 
     def controls(self, model: mujoco.MjModel) -> np.ndarray:
         """Indices of the controls of the actuators."""
-        return np.array(
-            [model.actuator_ctrladr[a] + k for a in self.actuators for k in range(int(model.actuator_ctrlnum[a]))],
-            int,
-        )
+        first, count = model.actuator_ctrladr, model.actuator_ctrlnum
+        return np.array([first[a] + k for a in self.actuators for k in range(int(count[a]))], int)
 
 
 WORLD = Place("world")
@@ -108,11 +106,8 @@ def _groups(model: mujoco.MjModel, singles: Sequence[Place]) -> list[Place]:
     groups, seen = [], {everything.members}
     bodies = part_names(model, "body")
     for body in range(1, model.nbody):
-        below = [
-            place
-            for place in singles
-            if place.joints and all(is_below(model, int(model.jnt_bodyid[j]), body) for j in place.joints)
-        ]
+        is_inside = [_is_below(model, int(own), body) for own in model.jnt_bodyid]
+        below = [place for place in singles if place.joints and all(is_inside[j] for j in place.joints)]
         actuated = {j for place in below if place.actuators for j in place.joints}
         group = _union(f"subtree:{bodies[body]}", below)
         if len(actuated) >= 2 and group.members not in seen:
@@ -130,7 +125,7 @@ def _union(label: str, places: Sequence[Place]) -> Place:
     )
 
 
-def is_below(model: mujoco.MjModel, body: int, ancestor: int) -> bool:
+def _is_below(model: mujoco.MjModel, body: int, ancestor: int) -> bool:
     """Whether `body` is `ancestor` or a descendant of it."""
     while body > ancestor:
         body = int(model.body_parentid[body])
@@ -170,7 +165,7 @@ def _jointed(model: mujoco.MjModel) -> list[int]:
 def _floats(model: mujoco.MjModel, body: int) -> bool:
     first = int(model.body_jntadr[body])
     kinds = model.jnt_type[first : first + int(model.body_jntnum[body])]
-    return bool((kinds == int(mujoco.mjtJoint.mjJNT_FREE)).any() or (kinds == int(mujoco.mjtJoint.mjJNT_BALL)).any())
+    return bool((kinds < int(mujoco.mjtJoint.mjJNT_SLIDE)).any())
 
 
 def _branches(model: mujoco.MjModel, body: int) -> list[int]:
@@ -190,10 +185,8 @@ def ground_geoms(model: mujoco.MjModel) -> tuple[list[int], list[int]]:
     paired = {frozenset(pair) for pair in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)}
 
     def meet(a: int, b: int) -> bool:
-        filters = (model.geom_contype[a] & model.geom_conaffinity[b]) | (
-            model.geom_contype[b] & model.geom_conaffinity[a]
-        )
-        return bool(filters) or frozenset((a, b)) in paired
+        one, other = model.geom_contype[[a, b]] & model.geom_conaffinity[[b, a]]
+        return bool(one or other) or frozenset((a, b)) in paired
 
     touching = [g for g in feet.tolist() if any(meet(g, other) for other in ground.tolist())]
     return touching, [g for g in ground.tolist() if any(meet(g, other) for other in touching)]
