@@ -139,11 +139,7 @@ def read_header(folder: str | Path, more: Sequence[str] = ()) -> tuple[Dataset, 
 
 
 def header_of(table: Mapping[str, Any], folder: Path, path: Path, more: Sequence[str] = ()) -> Dataset:
-    """The dataset without recordings that a dataset.toml describes; `more` names further tables that it may hold.
-
-    Raises:
-      InputError, DamagedFile, OSError: see `load`.
-    """
+    """The dataset without recordings that a dataset.toml describes; `more` names further tables that it may hold."""
     notes: list[str] = []
     check_keys(table, (*TABLES, *more), f"{path}", notes)
     about = toml_section(table, "model", path)

@@ -54,11 +54,7 @@ def load(folder: str | Path, progress: ReadProgress | None = None) -> Dataset:
 def load_table(
     head: Dataset, table: Mapping[str, Any], path: Path, progress: ReadProgress | None = None, text: str = ""
 ) -> Dataset:
-    """Read the recordings of a dataset whose header was read; `text` is its dataset.toml where that is no file yet.
-
-    Raises:
-      InputError, DamagedFile, OSError: see `load`.
-    """
+    """Read the recordings of a dataset whose header was read, see `load`; `text` is its dataset.toml without a file."""
     notes, listed_rows = list(head.notes), toml_rows(table, "recording", path)
     if not listed_rows:
         raise InputError(f'{path}: there is no [[recording]]; add one with file = "..."')

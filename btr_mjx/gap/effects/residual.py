@@ -66,11 +66,7 @@ class ResidualTable:
         return cls(str(content["joint"]), *(np.array(content[name], float) for name in names))
 
     def candidate(self, model: mujoco.MjModel) -> Candidate:
-        """The table as an effect without free numbers.
-
-        Raises:
-          InputError: the model has no such joint.
-        """
+        """The table as an effect without free numbers; refuses a model without its joint."""
         names = part_names(model, "joint")
         if self.joint not in names:
             nearest = nearest_names(self.joint, names)

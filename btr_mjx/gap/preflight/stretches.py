@@ -70,9 +70,6 @@ def choose_stretches(dataset: Dataset, seconds: float, count: int, margin: float
       seconds: length of a stretch [s]; longer where it has fewer than 8 intervals.
       count: number of stretches.
       margin: share of the length that must exist on either side as well.
-
-    Returns:
-      At most `count` stretches.
     """
     total = sum(len(r.time) for r in dataset.recordings)
     out: list[Stretch] = []

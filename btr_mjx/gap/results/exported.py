@@ -16,11 +16,7 @@ Mend = Callable[[Sequence[FoundEffect]], MendedModel]
 
 
 def export_diagnosis(diagnosis: Diagnosis, dataset: Dataset, folder: Path, mended: Mend) -> None:
-    """Write the exports of a diagnosis into its run folder, see `btr_mjx.exports`.
-
-    Raises:
-      OSError: the folder cannot be written to.
-    """
+    """Write the exports of a diagnosis into its run folder, see `btr_mjx.exports`."""
     paths = {parameter.name: parameter for parameter in dataset.parameters}
     exported = [
         ExportedParameter(

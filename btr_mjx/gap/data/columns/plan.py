@@ -60,11 +60,7 @@ class Plan:
         return to_seconds(table.columns[self.time[0]], self.time[1], notes)
 
     def apply(self, table: LogTable, clock: tuple[float, float]) -> dict[str, np.ndarray]:
-        """Columns of the model from those of the table.
-
-        Raises:
-          InputError: a column that is used holds something else than numbers.
-        """
+        """Columns of the model from those of the table; refuses a column that holds something else than numbers."""
         found = {}
         for name, target in self.names.items():
             if name in table.text:
@@ -144,11 +140,6 @@ def read_log(
 
     Returns:
       Columns of the model by name, for each table with a clock of its own; "time" in [s].
-
-    Raises:
-      InputError: see `readers.read_file` and `plan_tables`.
-      DamagedFile: a file does not parse.
-      OSError: a file cannot be read.
     """
     tables: list[LogTable] = []
     for path in paths:

@@ -79,11 +79,7 @@ def is_unit_text(text: str) -> bool:
 
 
 def stated_unit(name: str) -> tuple[str, str | None]:
-    """Split a column's name into the name proper and its unit.
-
-    Returns:
-      The name without the unit, and the unit, or None: ("q_hip", "deg") for "q_hip [deg]" and for "q_hip_deg".
-    """
+    """A column's name without its unit, and the unit or None: ("q_hip", "deg") for "q_hip [deg]" and "q_hip_deg"."""
     if match := re.fullmatch(r"(.*\S)\s*[\[(<]([^\[\]()<>]*)[\])>]\s*", name):
         unit = known_unit(match[2])
         if unit or (is_unit_text(match[2]) and not match[2].strip().isdigit()):
@@ -110,11 +106,7 @@ def time_unit(time: np.ndarray) -> str:
 
 
 def conversion(column: str, unit: str, model: mujoco.MjModel, where: str) -> float:
-    """Factor from a stated unit of `UNITS` to that of a column of the model, such as "qpos/hip".
-
-    Raises:
-      InputError: the unit is of another quantity than the column.
-    """
+    """Factor from a stated unit of `UNITS` to that of a column of the model; refuses that of another quantity."""
     quantity, factor = UNITS[unit]
     expected = quantity_of(column, model)
     if expected is None or (expected == "turning" and quantity == "angle"):  # "velocity_deg" is meant a second

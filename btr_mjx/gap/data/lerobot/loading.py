@@ -40,16 +40,7 @@ from btr_mjx.runs import check_keys, file_inside
 
 
 def load_lerobot(head: Dataset, table: Mapping[str, Any], answer: Answer) -> Dataset:
-    """Read a LeRobot dataset whose dataset.toml was read; the last third of the episodes is held out.
-
-    Returns:
-      The dataset, one recording per episode.
-
-    Raises:
-      InputError: names that are not joints of the model, units that do not fit, missing columns, no frames, or an error
-        of `recording.make_recordings`.
-      DamagedFile: a file that does not parse.
-    """
+    """Read a LeRobot dataset whose dataset.toml was read: a recording per episode, the last third of them held out."""
     about, notes, model = table.get("lerobot", {}), list(head.notes), head.model
     where = f"{answer.file}: [lerobot]"
     check_keys(about, ("folder", "unit", "joints"), where, notes)

@@ -120,11 +120,7 @@ def _signals(table: Mapping[str, np.ndarray]) -> list[_Signal]:
 
 
 def check_time(time: np.ndarray, where: str, first_row: int = 0) -> None:
-    """Check that time (K,) [s] increases strictly; `first_row` rows of the file are before it.
-
-    Raises:
-      InputError: it does not; the message names the row and both times.
-    """
+    """Refuse times (K,) [s] that do not increase strictly; `first_row` rows of the file are before them."""
     steps = np.diff(time)
     if (steps <= 0).any():
         row = int(np.argmax(steps <= 0))

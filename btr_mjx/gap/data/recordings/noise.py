@@ -36,11 +36,7 @@ class Noise:
 
 
 def read_noise(table: Any, model: mujoco.MjModel, where: str, notes: list[str]) -> Noise | None:
-    """The noise of a [noise] table; None if it does not cover all coordinates.
-
-    Raises:
-      InputError: a value that is not a positive number.
-    """
+    """The noise of a [noise] table; None if it does not cover all coordinates."""
     names = part_names(model, "joint")
     columns = [f"{kind}/{name}" for name in names for kind in ("qpos", "qvel")]
     positions, velocities = state_columns(model)

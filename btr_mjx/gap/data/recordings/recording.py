@@ -16,12 +16,7 @@ from btr_mjx.gap.data.lists import listed
 from btr_mjx.gap.data.recordings.clocks import check_time, on_one_clock
 from btr_mjx.gap.data.recordings.held import fresh_rows
 from btr_mjx.gap.data.recordings.plausible import check_sizes, check_span
-from btr_mjx.gap.data.recordings.rows import (
-    complete_rows,
-    even_times,
-    normalise_quaternions,
-    whole_parts,
-)
+from btr_mjx.gap.data.recordings.rows import complete_rows, even_times, normalise_quaternions, whole_parts
 from btr_mjx.gap.data.recordings.unmeasured import estimate_motion, unmeasured_joints
 from btr_mjx.gap.data.recordings.velocities import estimate_velocity
 from btr_mjx.gap.data.recordings.wraps import unwrap_hinges
@@ -124,9 +119,9 @@ def make_recordings(
     ignored = check_names(merged, model, where)
     unmeasured = unmeasured_joints(merged, model, where)
     notes += [f"columns without a use: {listed(ignored)}"] if ignored else []
-    positions, velocities = state_columns(model)
+    (positions, velocities), controls = state_columns(model), control_columns(model)
     positions = [c for c in positions if c in merged]
-    needed = ["time", *positions, *control_columns(model), *(c for c in velocities if c in merged)]
+    needed = ["time", *positions, *controls, *(c for c in velocities if c in merged)]
     sound = complete_rows(merged, needed, where, notes)
     flat = {key: value[sound] for key, value in merged.items()}
     check_time(flat["time"], where)
@@ -139,7 +134,6 @@ def make_recordings(
     seen = np.delete(np.arange(model.nq), model.jnt_qposadr[unmeasured])
     qpos[:, seen] = np.stack([flat[c] for c in positions], axis=1)
     normalise_quaternions(qpos, model, where)
-    controls = control_columns(model)
     ctrl = np.stack([flat[c] for c in controls], axis=1) if controls else np.empty((len(sound), 0))
     unwrap_hinges(model, qpos, ctrl, notes)
     parts = whole_parts(sound, flat["time"], MIN_SAMPLES, notes)

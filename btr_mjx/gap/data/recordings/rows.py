@@ -29,11 +29,7 @@ _MIN_WINDOWS = 20
 
 
 def complete_rows(flat: Mapping[str, np.ndarray], needed: Sequence[str], where: str, notes: list[str]) -> np.ndarray:
-    """Indices (N,) of the rows in which all `needed` columns (K,) have a value.
-
-    Raises:
-      InputError: a column without any value, or no row in which all have one.
-    """
+    """Indices (N,) of the rows in which all `needed` columns (K,) have a value."""
     bad = np.zeros(len(flat["time"]), bool)
     for column in needed:
         missing = ~np.isfinite(flat[column])
@@ -125,11 +121,7 @@ def _counted(time: np.ndarray, interval: float) -> np.ndarray:
 
 
 def normalise_quaternions(qpos: np.ndarray, model: mujoco.MjModel, where: str) -> None:
-    """Normalise the quaternions in qpos (K, nq) in place and make their signs continuous.
-
-    Raises:
-      InputError: the norm of a quaternion differs from 1 by more than 0.05.
-    """
+    """Normalise quaternions in qpos (K, nq) in place, with continuous signs; refuses norms that are not near 1."""
     for joint, kind in enumerate(model.jnt_type):
         if int(kind) not in SUFFIXES:
             continue

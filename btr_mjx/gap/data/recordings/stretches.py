@@ -89,14 +89,6 @@ def read_stretches(
       notes: choices, which share is used, missing values and gaps in time are appended here.
       advance: see `Advance`.
       options: what the dataset says about columns and topics.
-
-    Returns:
-      The columns of each stretch, in the order of time.
-
-    Raises:
-      InputError: see `plan.read_log` and `clocks.check_time`.
-      DamagedFile: the content does not parse.
-      OSError: the file cannot be read.
     """
     options, path = options or LogOptions(), paths[0]
     reader = reader_of(path) if len(paths) == 1 else None
