@@ -1,7 +1,6 @@
 """Laws as effects: a term of the dictionary at a joint, with ranges of its numbers, and as a force in a simulation."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -10,7 +9,7 @@ from btr_mjx.gap.effects.effect import Candidate, Effect, Parameter
 from btr_mjx.gap.effects.law_terms import LawState, LawTerm
 from btr_mjx.gap.effects.places import Place, joint_places
 from btr_mjx.gap.effects.ranges import Scales
-from btr_mjx.gap.simulate import Rows, World
+from btr_mjx.gap.simulate import Rows, StateLaw, World
 
 _FROM = " from "
 """Between the names of two joints, in the label of a place."""
@@ -22,46 +21,18 @@ _STEP = 0.05
 """Step of a coefficient, in the same unit."""
 
 
-@dataclass(frozen=True)
-class LawForce:
-    """A law in a simulation.
-
-    Attributes:
-      law: the term.
-      joint: id of the joint where it acts.
-      other: id of the other joint.
-      values: coefficients, and the number within.
-    """
-
-    law: LawTerm
-    joint: int
-    other: int
-    values: tuple[float, ...]
-
-    @property
-    def fields(self) -> tuple[str, ...]:
-        """The friction loss, of a friction torque."""
-        return ("dof_frictionloss",) if self.law.friction else ()
-
-    def __call__(self, rows: Rows) -> None:
-        """Add to the force, or to the friction loss, of the next step."""
-        joints = [self.joint, self.other]
-        (q, other_q), (v, other_v) = rows.model.jnt_qposadr[joints], rows.model.jnt_dofadr[joints]
-        at = LawState(
-            rows.qpos[:, q],
-            rows.qvel[:, v],
-            rows.qfrc_actuator[:, v],
-            rows.time,
-            rows.qpos[:, other_q],
-            rows.qvel[:, other_v],
-        )
-        with np.errstate(over="ignore", invalid="ignore"):  # a simulation that diverges is told elsewhere
-            added = self.law.force(at, self.values)
-        if self.law.friction:
-            loss = rows.field("dof_frictionloss")
-            loss[:, v] = np.maximum(loss[:, v] + added, 0.0)
-        else:
-            rows.qfrc_applied[:, v] += added
+def _add_law(rows: Rows, law: LawTerm, joint: int, other: int, values: tuple[float, ...]) -> None:
+    """Add a law at a joint, which may depend on another one, to its force, or to its friction loss."""
+    (q, other_q), (v, other_v) = rows.model.jnt_qposadr[[joint, other]], rows.model.jnt_dofadr[[joint, other]]
+    load, partner = rows.qfrc_actuator[:, v], (rows.qpos[:, other_q], rows.qvel[:, other_v])
+    at = LawState(rows.qpos[:, q], rows.qvel[:, v], load, rows.time, *partner)
+    with np.errstate(over="ignore", invalid="ignore"):  # a simulation that diverges is told elsewhere
+        added = law.force(at, values)
+    if law.friction:
+        loss = rows.field("dof_frictionloss")
+        loss[:, v] = np.maximum(loss[:, v] + added, 0.0)
+    else:
+        rows.qfrc_applied[:, v] += added
 
 
 def law_effect(law: LawTerm) -> Effect:
@@ -118,7 +89,8 @@ def law_effect(law: LawTerm) -> Effect:
 
     def apply(world: World, place: Place, values: np.ndarray) -> None:
         """Add the term to the laws of a world."""
-        world.laws.append(LawForce(law, place.joints[0], place.joints[-1], tuple(float(v) for v in values)))
+        numbers = law, place.joints[0], place.joints[-1], tuple(float(v) for v in values)
+        world.laws.append(StateLaw(_add_law, numbers, ("dof_frictionloss",) if law.friction else ()))
 
     kind = "Δf = " if law.friction else "τ = "
     return Effect(
