@@ -6,7 +6,8 @@ from itertools import permutations
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.data import DATASET_FILE, Answer, Dataset, control_columns, listed, quoted, state_columns
+from btr_mjx.gap.data import Dataset, control_columns, listed, quoted, state_columns
+from btr_mjx.gap.preflight.lerobot_tables import toml_lines
 from btr_mjx.gap.preflight.predictions import Change
 from btr_mjx.models import part_names
 
@@ -71,9 +72,7 @@ def column_lines(dataset: Dataset, change: Change) -> tuple[str, ...]:
     named = [(sources.get(old, "" if sources else old), new) for old, new in pairs]
     if not all(old for old, _ in named):
         return ()
-    head = "\n".join(line for line in dataset.inferred.splitlines() if not line.startswith("#"))
-    lines = [f"{quoted(old)} = {quoted(new)}" for old, new in named if old != new]
-    return Answer(dataset.folder / DATASET_FILE, head.strip()).error("", lines).lines
+    return toml_lines(dataset, ["[columns]", *(f"{quoted(old)} = {quoted(new)}" for old, new in named if old != new)])
 
 
 def _parents(model: mujoco.MjModel, joints: Sequence[int]) -> dict[int, int | None]:
