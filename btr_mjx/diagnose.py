@@ -30,7 +30,7 @@ import dataclasses
 import json
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -204,16 +204,14 @@ def check_diagnosis(config: DiagnoseConfig) -> None:
     if config.json and not config.check:
         raise InputError("got --json without --check; result.json in the run folder is for scripts")
     if config.logs and config.dataset is not None and config.dataset.is_dir():
-        raise InputError(
-            f"{config.dataset}: is a folder and logs follow it; give the MJCF file of the robot before them"
-        )
+        remedy = "give the MJCF file of the robot before them"
+        raise InputError(f"{config.dataset}: is a folder and logs follow it; {remedy}")
     if config.logs and config.signal == "fitness":
         raise InputError("signal: fitness needs a folder with a dataset.toml and its table; got logs")
-    if config.before and (config.demo or config.check or config.signal == "fitness"):
-        other = "--demo" if config.demo else "--check" if config.check else "--signal fitness"
-        raise InputError(
-            f"got --before and {other}; --before compares recordings of the motion. Check each set by itself"
-        )
+    others = {"--demo": config.demo, "--check": config.check, "--signal fitness": config.signal == "fitness"}
+    if config.before and (other := next((flag for flag, given in others.items() if given), "")):
+        why = "--before compares recordings of the motion. Check each set by itself"
+        raise InputError(f"got --before and {other}; {why}")
     for path in config.before:
         if not path.exists():
             raise InputError(f"--before {path}: there is no such file or folder; give earlier recordings of the robot")
@@ -233,13 +231,7 @@ def _claimed(config: DiagnoseConfig) -> AbstractContextManager[DiagnoseConfig]:
 
 
 def check_data(config: DiagnoseConfig) -> bool:
-    """Check a dataset and print the findings.
-
-    Args:
-      config: the settings.
-
-    Returns:
-      Whether the data can be used.
+    """Check a dataset, print the findings, and say whether the data can be used.
 
     Raises:
       InputError: the dataset cannot be read; with `json` it is printed as a finding instead.
@@ -276,13 +268,6 @@ def _make_demo(folder: Path, config: DiagnoseConfig) -> None:
     write_json(folder / "truth.json", case(folder / "demo", config.chosen_seed, config.robot))
 
 
-def _silence_mujoco() -> None:
-    """No messages of MuJoCo: unstable candidates are handled and reported by checks and search."""
-    import mujoco
-
-    mujoco.set_mju_user_warning(lambda _: None)
-
-
 def _print_all(config: DiagnoseConfig, result: dict[str, Any], out: Path) -> None:
     from btr_mjx.gap.report import print_result, print_truth
 
@@ -297,15 +282,15 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
     argv = sys.argv[1:] if argv is None else list(argv)
     config = tyro.cli(DiagnoseConfig, args=list(argv), description=__doc__, prog="btr_mjx.diagnose")
-    if config.check:
+    with nullcontext(config) if config.check else _claimed(config) as config:
         check_diagnosis(config)
-        _silence_mujoco()
-        if not check_data(config):
-            raise SystemExit(BAD_INPUT_CODE)
-        return
-    with _claimed(config) as config:
-        check_diagnosis(config)
-        _silence_mujoco()
+        import mujoco
+
+        mujoco.set_mju_user_warning(lambda _: None)  # checks and the search report unstable candidates
+        if config.check:
+            if not check_data(config):
+                raise SystemExit(BAD_INPUT_CODE)
+            return
         with cli_errors(resume_command("btr_mjx.diagnose", argv, config.out)):
             _diagnose(config, partial(_print_all, config))
 

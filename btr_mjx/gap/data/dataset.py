@@ -138,7 +138,7 @@ def read_header(folder: str | Path, more: Sequence[str] = ()) -> tuple[Dataset, 
     return header_of(table, folder, path, more), table
 
 
-def header_of(table: Mapping[str, Any], folder: Path, path: Path, more: Sequence[str] = ()) -> Dataset:
+def header_of(table: Mapping[str, Any], folder: Path, path: Path, more: Sequence[str]) -> Dataset:
     """The dataset without recordings that a dataset.toml describes; `more` names further tables that it may hold."""
     notes: list[str] = []
     check_keys(table, (*TABLES, *more), f"{path}", notes)

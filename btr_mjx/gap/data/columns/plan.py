@@ -134,7 +134,7 @@ def read_log(
     model: mujoco.MjModel,
     options: LogOptions,
     notes: list[str],
-    advance: Callable[[int], None] = lambda count: None,
+    advance: Callable[[int], None],
 ) -> list[dict[str, np.ndarray]]:
     """Read the files of one recording; `advance` is called with numbers of bytes that were read.
 

@@ -28,8 +28,8 @@ class EffectWords:
     moves: str = ""
 
 
-def _amount(title: str, of: str, grows: str = "") -> EffectWords:
-    return EffectWords(title, f"more {of}", f"less {of}", grows or of)
+def _amount(title: str, of: str) -> EffectWords:
+    return EffectWords(title, f"more {of}", f"less {of}", of)
 
 
 EFFECT_WORDS: Mapping[str, EffectWords] = {
