@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import mujoco
 
 from btr_mjx.gap.data.columns.model_columns import SUFFIXES
-from btr_mjx.gap.data.columns.units import stated_unit
+from btr_mjx.gap.data.columns.units import commanded, stated_unit
 from btr_mjx.gap.data.columns.words import BASE, NEUTRAL, OTHER, TIME, component, kind_of, unknown_words, words
 from btr_mjx.models import part_names
 
@@ -204,14 +204,6 @@ def _targets(
         yield f"{'qvel' if quantity == 'velocity' else 'qpos'}/{joint}", 2 if quantity else 1
     elif actuator is not None and quantity is None:
         yield f"ctrl/{actuator}", 1
-
-
-def commanded(model: mujoco.MjModel, actuator: str) -> str:
-    """The quantity that an actuator is commanded: of a servo its position or velocity, else an effort."""
-    i = part_names(model, "actuator").index(actuator)
-    if model.actuator_biasprm[i, 1] != 0:
-        return "position"
-    return "velocity" if model.actuator_biasprm[i, 2] != 0 else "effort"
 
 
 def match_numbers(model: mujoco.MjModel, finds: Candidates, taken: set[str], notes: list[str]) -> None:

@@ -6,9 +6,8 @@ import mujoco
 
 from btr_mjx.gap.data.columns.matching import Matched, Tables
 from btr_mjx.gap.data.columns.model_columns import check_spelling, check_velocities, model_columns
-from btr_mjx.gap.data.columns.one_column import commanded
 from btr_mjx.gap.data.columns.remedy import NO_FILE, Answer
-from btr_mjx.gap.data.columns.units import UNITS, quantity_of, stated_unit
+from btr_mjx.gap.data.columns.units import UNITS, commanded, quantity_of, stated_unit
 from btr_mjx.gap.data.columns.words import OTHER, TIME, kind_of, words
 from btr_mjx.gap.data.lists import listed
 
