@@ -90,10 +90,6 @@ def linear_actuators(model: mujoco.MjModel) -> list[Place]:
     return actuator_places(model, np.flatnonzero(linear).tolist())
 
 
-def _gain(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("change", "1", -0.9, 9.0, -0.03, 0.003),)
-
-
 def _apply_gain(world: World, place: Place, values: np.ndarray) -> None:
     """Force -> (1 + change) force, feedback terms included."""
     actuators = list(place.actuators)
@@ -184,7 +180,7 @@ ACTUATOR_GAIN = per_member(
     Effect(
         "actuator_gain",
         linear_actuators,
-        _gain,
+        lambda *_: (Parameter("change", "1", -0.9, 9.0, -0.03, 0.003),),
         _apply_gain,
         excited_by="loads and accelerations",
         summable=True,

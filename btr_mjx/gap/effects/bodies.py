@@ -76,10 +76,6 @@ def _apply_payload(world: World, place: Place, values: np.ndarray) -> None:
     MassProperties.of(model, body).plus(point_mass(float(values[0]), position)).write(model, body)
 
 
-def _link_places(model: mujoco.MjModel) -> list[Place]:
-    return [body_place(model, b) for b in links(model) if link_of(model, b) is not None and not model.body_simple[b]]
-
-
 def _length(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
     link = link_of(model, place.bodies[0])
     assert link is not None
@@ -94,10 +90,6 @@ def _apply_length(world: World, place: Place, values: np.ndarray) -> None:
     lengthen(world.model, link, float(values[0]))
 
 
-def _shift_places(model: mujoco.MjModel) -> list[Place]:
-    return [body_place(model, b) for b in trunks(model) if model.body_mass[b] > 0 and not model.body_simple[b]]
-
-
 def _shift(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
     reach = _extent(model, place.bodies[0])
     return tuple(Parameter(axis, "m", -0.5 * reach, 0.5 * reach, 0.02 * reach, 0.002 * reach) for axis in "xyz")
@@ -108,10 +100,6 @@ def _apply_shift(world: World, place: Place, values: np.ndarray) -> None:
     (body,) = place.bodies
     world.model.body_ipos[body] += values
     clear_sameframe(world.model, body)
-
-
-def _force_places(model: mujoco.MjModel) -> list[Place]:
-    return [body_place(model, b) for b in sorted({*trunks(model), *leaf_links(model)})]
 
 
 def _force(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
@@ -168,10 +156,6 @@ def _slope_places(model: mujoco.MjModel) -> list[Place]:
     return _world(model) if np.linalg.norm(model.opt.gravity) > 0 else []
 
 
-def _slope(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("x", "rad", -0.6, 0.6, 0.02, 1e-3), Parameter("y", "rad", -0.6, 0.6, 0.02, 1e-3))
-
-
 def _apply_slope(world: World, place: Place, values: np.ndarray) -> None:
     """Slope of the ground (or of the base of a fixed robot): rotation by x about the x axis, then by y about y.
 
@@ -193,7 +177,7 @@ PAYLOAD = Effect(
 )
 LINK_LENGTH = Effect(
     "link_length",
-    _link_places,
+    lambda m: [body_place(m, b) for b in links(m) if link_of(m, b) is not None and not m.body_simple[b]],
     _length,
     _apply_length,
     excited_by="contact of the limb's end, accelerations",
@@ -201,7 +185,7 @@ LINK_LENGTH = Effect(
 )
 COM_SHIFT = Effect(
     "com_shift",
-    _shift_places,
+    lambda m: [body_place(m, b) for b in trunks(m) if m.body_mass[b] > 0 and not m.body_simple[b]],
     _shift,
     _apply_shift,
     excited_by="accelerations and tilts of the trunk",
@@ -209,7 +193,7 @@ COM_SHIFT = Effect(
 )
 CONSTANT_FORCE = Effect(
     "constant_force",
-    _force_places,
+    lambda model: [body_place(model, b) for b in sorted({*trunks(model), *leaf_links(model)})],
     _force,
     _apply_force,
     excited_by="any motion",
@@ -234,7 +218,7 @@ GRAVITY_COMPENSATION = Effect(
 GROUND_SLOPE = Effect(
     "ground_slope",
     _slope_places,
-    _slope,
+    lambda *_: tuple(Parameter(axis, "rad", -0.6, 0.6, 0.02, 1e-3) for axis in "xy"),
     _apply_slope,
     excited_by="free motion, standing",
     equation="gravity turned by the slope of the ground",

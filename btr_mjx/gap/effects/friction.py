@@ -44,10 +44,6 @@ def _add_load_friction(rows: Rows, dofs: np.ndarray, coefficient: float) -> None
     rows.field("dof_frictionloss")[:, dofs] += coefficient * np.abs(rows.qfrc_actuator[:, dofs])
 
 
-def _load(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("coefficient", "1", 0.0, 0.9, 0.02),)
-
-
 def _apply_load(world: World, place: Place, values: np.ndarray) -> None:
     """|tau_f| <= f0 + mu |tau_motor|: gear friction proportional to the load."""
     numbers = place.dofs(world.model), float(values[0])
@@ -113,7 +109,7 @@ LOAD_FRICTION = per_member(
     Effect(
         "load_friction",
         _driven,
-        _load,
+        lambda *_: (Parameter("coefficient", "1", 0.0, 0.9, 0.02),),
         _apply_load,
         excited_by="motion under loads of several sizes",
         summable=True,

@@ -108,10 +108,6 @@ def _servos(model: mujoco.MjModel) -> list[Place]:
     return actuator_places(model, damped)
 
 
-def _stiffness(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("change", "1", _SOFTEST, 9.0, -0.03, 0.003),)
-
-
 def _apply_stiffness(world: World, place: Place, values: np.ndarray) -> None:
     """Kp -> (1 + change) kp, kv as it was: a controller whose gains are not those that are believed."""
     actuators = list(place.actuators)
@@ -123,7 +119,7 @@ SERVO_STIFFNESS = per_member(
     Effect(
         "servo_stiffness",
         _servos,
-        _stiffness,
+        lambda *_: (Parameter("change", "1", _SOFTEST, 9.0, -0.03, 0.003),),
         _apply_stiffness,
         excited_by="commands of several frequencies, and loads",
         summable=True,

@@ -53,10 +53,6 @@ def _free_joint(model: mujoco.MjModel, body: int) -> int | None:
     return first if first >= 0 and int(model.jnt_type[first]) == int(mujoco.mjtJoint.mjJNT_FREE) else None
 
 
-def _free_bodies(model: mujoco.MjModel) -> list[Place]:
-    return [body_place(model, b) for b in range(1, model.nbody) if _free_joint(model, b) is not None]
-
-
 def _cord(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
     size = 9.81 * float(model.body_subtreemass[place.bodies[0]]) / scales.length
     return (Parameter("stiffness", "N/m", -3.0 * size, 3.0 * size, 0.02 * size),)
@@ -90,7 +86,7 @@ ONE_SIDED_SPRING = Effect(
 )
 ELASTIC_CORD = Effect(
     "elastic_cord",
-    _free_bodies,
+    lambda model: [body_place(model, b) for b in range(1, model.nbody) if _free_joint(model, b) is not None],
     _cord,
     _apply_cord,
     excited_by="travel of the body",
