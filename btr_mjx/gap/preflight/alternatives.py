@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 
 import mujoco
 import numpy as np
@@ -260,7 +260,9 @@ class Catalogue:
         """Other directions of gravity in the model."""
         now = self._model.opt.gravity
         size = float(np.linalg.norm(now)) or 9.81
-        for vector in size * np.concatenate([np.stack([-axis, axis]) for axis in np.eye(3)]) if poor else ():
+        for axis, sign in product(range(3), (-1.0, 1.0)) if poor else ():
+            vector = np.zeros(3)
+            vector[axis] = sign * size
             if np.linalg.norm(vector - now) > 0.5 * size:
                 chosen = (float(vector[0]), float(vector[1]), float(vector[2]))
                 own, wanted = (" ".join(f"{x:.4g}" for x in vector) for vector in (now, chosen))
