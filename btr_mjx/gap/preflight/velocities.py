@@ -6,6 +6,7 @@ frame, so that the same few lines cover signs, units, frames of free joints and 
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 
 import mujoco
 import numpy as np
@@ -119,6 +120,7 @@ def _readings(model: mujoco.MjModel, group: CoordinateGroup) -> Iterator[Velocit
     documented, other = ("world", "body") if linear else ("body", "world")
     unit = ((1e-3, "mm/s"), (1e3, "units of 1000 m/s")) if linear else ((DEGREE, "degrees/s"),)
     yield VelocityReading("", "", frame=documented)
+    turn = "R" if linear else "R^T"
     orders = {
         "wxyz": ("", ""),
         "xyzw": (
@@ -130,23 +132,20 @@ def _readings(model: mujoco.MjModel, group: CoordinateGroup) -> Iterator[Velocit
             f"negate qx, qy, qz of qpos/{name}",
         ),
     }
-    for order, (order_words, order_remedy) in orders.items():
-        for frame in (documented, other):
-            for scale, unit_words in ((1.0, ""), *unit):
-                if (order, frame, scale) == ("wxyz", documented, 1.0) or (
-                    linear and order != "wxyz" and frame == "world"
-                ):
-                    continue
-                parts = [order_words] if order_words else []
-                remedies = [order_remedy] if order_remedy else []
-                if frame == other:
-                    parts.append(f"are in the {other}'s frame, not in the {documented}'s")
-                    turn = "R" if linear else "R^T"
-                    remedies.append(f"turn them into the {documented}'s frame ({turn} v, with R of the quaternion)")
-                if scale != 1.0:
-                    parts.append(f"are in {unit_words}")
-                    remedies.append(f"multiply them by {scale:.6g}")
-                yield VelocityReading("{columns} " + " and ".join(parts), " and ".join(remedies), scale, frame, order)
+    frames = {
+        documented: ("", ""),
+        other: (
+            f"are in the {other}'s frame, not in the {documented}'s",
+            f"turn them into the {documented}'s frame ({turn} v, with R of the quaternion)",
+        ),
+    }
+    units = {1.0: ("", "")} | {scale: (f"are in {words}", f"multiply them by {scale:.6g}") for scale, words in unit}
+    for order, frame, scale in product(orders, frames, units):
+        # The linear velocity in the world needs no quaternion.
+        if (order, frame, scale) != ("wxyz", documented, 1.0) and not (linear and order != "wxyz" and frame == "world"):
+            said = zip(orders[order], frames[frame], units[scale], strict=True)
+            words, remedy = (" and ".join(filter(None, parts)) for parts in said)
+            yield VelocityReading(f"{{columns}} {words}", remedy, scale, frame, order)
 
 
 def _scalar_units(hinge: bool, name: str) -> Iterator[tuple[float, str, str]]:
