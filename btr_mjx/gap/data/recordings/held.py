@@ -61,12 +61,6 @@ def held(columns: np.ndarray, fewest: int = _MIN_CHANGES) -> Held | None:
     return Held(np.concatenate([[0], rows]), float(np.median(np.diff(rows))), bool(counts < _MIN_COUNTS))
 
 
-def fresh_rows(qpos: np.ndarray) -> Held | None:
-    """The rows in which positions (K, nq) were refreshed; None if in all of them, or if that cannot be told."""
-    found = held(qpos)
-    return None if found is None or found.coarse else found
-
-
 def stairs(controls: Sequence[np.ndarray]) -> Held | None:
     """Whether the commands of all recordings are stairs.
 

@@ -14,7 +14,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns.model_columns import check_names, control_columns, state_columns, ungroup_columns
 from btr_mjx.gap.data.lists import listed
 from btr_mjx.gap.data.recordings.clocks import check_time, on_one_clock
-from btr_mjx.gap.data.recordings.held import fresh_rows
+from btr_mjx.gap.data.recordings.held import held
 from btr_mjx.gap.data.recordings.plausible import check_sizes, check_span
 from btr_mjx.gap.data.recordings.rows import complete_rows, even_times, normalise_quaternions, whole_parts
 from btr_mjx.gap.data.recordings.unmeasured import estimate_motion, unmeasured_joints
@@ -176,8 +176,8 @@ def _with_even_times(table: dict[str, np.ndarray], model: mujoco.MjModel, notes:
 def _estimated(one: Recording, unmeasured: list[int], where: str) -> Recording:
     """A recording without a hole, of its fresh rows, with estimates of what was not measured."""
     check_span(one.time, where)
-    model, notes, fresh = one.model, list(one.notes), fresh_rows(one.qpos)
-    if fresh is not None and len(fresh.rows) >= MIN_SAMPLES:
+    model, notes, fresh = one.model, list(one.notes), held(one.qpos)
+    if fresh is not None and not fresh.coarse and len(fresh.rows) >= MIN_SAMPLES:
         rate = (len(fresh.rows) - 1) / (one.time[fresh.rows[-1]] - one.time[0])
         notes.append(
             f"positions change every {fresh.every:.3g}th row only ({rate:.4g} Hz) and repeat in between: the fresh "
