@@ -1,12 +1,14 @@
 """Effects that MJCF cannot express, added to a simulation of the mended model.
 
-model = mujoco.MjModel.from_xml_path("mended.xml")
-data = mujoco.MjData(model)
-missing = Callback(model, json.loads(Path("mended.json").read_text())["terms"])
-while data.time < 1.0:
-data.ctrl[:] = controller(data.time)
-missing(model, data)  # before every step, after the control was set
-mujoco.mj_step(model, data)
+A `Callback` adds the terms of mended.json to any simulation, step by step:
+
+    model = mujoco.MjModel.from_xml_path("mended.xml")
+    data = mujoco.MjData(model)
+    missing = Callback(model, json.loads(Path("mended.json").read_text())["terms"])
+    while data.time < 1.0:
+        data.ctrl[:] = controller(data.time)
+        missing(model, data)  # before every step, after the control was set
+        mujoco.mj_step(model, data)
 """
 
 from collections.abc import Mapping, Sequence
