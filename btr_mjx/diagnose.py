@@ -31,7 +31,7 @@ import dataclasses
 import json
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -43,31 +43,18 @@ from btr_mjx.errors import BAD_INPUT_CODE, InputError, cli_errors, is_bad_input,
 from btr_mjx.runs import (
     IGNORED_FIELDS,
     RunFolder,
-    atomic_write,
     check_sums,
     claimed_folder,
     content_digest,
     graceful_interrupt,
-    progress,
     read_json,
     write_json,
-    write_table,
+    write_text,
 )
 
 if TYPE_CHECKING:
     from btr_mjx.gap.data import Dataset
-    from btr_mjx.gap.effects import Effect
     from btr_mjx.gap.fitness_only import FitnessTable
-    from btr_mjx.gap.preflight import Finding
-
-JOURNAL = "search"
-"""Folder of simulation results in a run folder, from which a search is resumed."""
-
-LONG_READING = 10_000_000
-"""Bytes of recordings from which on a bar is shown while they are read."""
-
-STEPS_PER_BUDGET = 2.0
-"""Estimated steps of a search per step of its budget, which pays for the windows of one round."""
 
 DEMO_SEEDS = {"hexapod": 0, "quadruped": 3, "arm": 0, "pendulum": 0}
 """Default seeds of `--demo` by robot: hidden cases whose effect is found."""
@@ -148,7 +135,9 @@ def _diagnose(config: DiagnoseConfig, tell: Callable[[dict[str, Any], Path], Non
     """As `diagnose`; the result and its folder are told once all of it is saved, before anything is drawn."""
     check_diagnosis(config)
     # Loading what a search needs takes seconds: arguments, and then the data, are checked before.
-    from btr_mjx.gap.effects import selected_effects
+    from btr_mjx.gap import examine, examine_earlier, search_missing
+    from btr_mjx.gap.effects import custom_effect_code, selected_effects
+    from btr_mjx.gap.preflight import refuse_errors, save_findings
 
     library = selected_effects(config.effects)
     dataset: Dataset | FitnessTable | None = None
@@ -157,12 +146,11 @@ def _diagnose(config: DiagnoseConfig, tell: Callable[[dict[str, Any], Path], Non
     if not config.demo:
         assert config.dataset is not None
         dataset, findings = examine(config.dataset, library, config.signal, config.progress, config.logs)
-        from btr_mjx.gap.preflight import refuse_errors
-
         refuse_errors(findings)
         inputs = {"the dataset": content_digest(dataset)}
         if config.before:
-            earlier = _examine_earlier(config, library, dataset)
+            model = config.dataset if config.logs else None
+            earlier = examine_earlier(config.before, dataset, model, library, config.progress)
             inputs["the recordings before"] = content_digest(tuple(earlier))
     from btr_mjx.gap.report import draw_report, print_findings
     from btr_mjx.gap.results import RESULT
@@ -180,16 +168,22 @@ def _diagnose(config: DiagnoseConfig, tell: Callable[[dict[str, Any], Path], Non
                 dataset, findings = examine(run.path / "demo", library, config.signal, config.progress)
                 stop.checkpoint()
             print_findings(findings)
-            rows = [
-                dataclasses.asdict(f) | {"evidence": json.dumps(dict(f.evidence)), "lines": "\n".join(f.lines)}
-                for f in findings
-            ]
-            write_table(run.path / "preflight.csv", rows)
+            save_findings(findings, run.path / "preflight.csv")
             if inferred := getattr(dataset, "inferred", ""):
-                with atomic_write(run.path / "dataset.toml") as file:
-                    file.write(inferred.encode())
+                write_text(run.path / "dataset.toml", inferred)
             if RESULT not in check_sums(run.path):
-                search_missing(dataset, library, config, run.path, stop.checkpoint, earlier)
+                search_missing(
+                    dataset,
+                    library,
+                    run.path,
+                    earlier=earlier,
+                    seed=config.chosen_seed,
+                    max_effects=config.max_effects,
+                    residual=config.residual,
+                    code=custom_effect_code(config.effects),
+                    show=config.progress,
+                    checkpoint=stop.checkpoint,
+                )
                 run.seal()
                 stop.checkpoint()
             result = read_json(run.path / RESULT)
@@ -218,16 +212,14 @@ def check_diagnosis(config: DiagnoseConfig) -> None:
     if config.json and not config.check:
         raise InputError("got --json without --check; result.json in the run folder is for scripts")
     if config.logs and config.dataset is not None and config.dataset.is_dir():
-        raise InputError(
-            f"{config.dataset}: is a folder and logs follow it; give the MJCF file of the robot before them"
-        )
+        remedy = "give the MJCF file of the robot before them"
+        raise InputError(f"{config.dataset}: is a folder and logs follow it; {remedy}")
     if config.logs and config.signal == "fitness":
         raise InputError("signal: fitness needs a folder with a dataset.toml and its table; got logs")
-    if config.before and (config.demo or config.check or config.signal == "fitness"):
-        other = "--demo" if config.demo else "--check" if config.check else "--signal fitness"
-        raise InputError(
-            f"got --before and {other}; --before compares recordings of the motion. Check each set by itself"
-        )
+    others = {"--demo": config.demo, "--check": config.check, "--signal fitness": config.signal == "fitness"}
+    if config.before and (other := next((flag for flag, given in others.items() if given), "")):
+        why = "--before compares recordings of the motion. Check each set by itself"
+        raise InputError(f"got --before and {other}; {why}")
     for path in config.before:
         if not path.exists():
             raise InputError(f"--before {path}: there is no such file or folder; give earlier recordings of the robot")
@@ -252,95 +244,13 @@ def _claimed(config: DiagnoseConfig) -> AbstractContextManager[DiagnoseConfig]:
     return claimed_folder(config, f"{'demo' if config.demo else 'diagnosis'}-{config.seed}")
 
 
-def examine(
-    folder: Path, library: "Sequence[Effect]", signal: str, show: bool = False, logs: Sequence[Path] = ()
-) -> "tuple[Dataset | FitnessTable, list[Finding]]":
-    """Read a dataset and check it before any fit.
-
-    Args:
-      folder: of the dataset, or a file: its dataset.toml, or the model that `logs` are of.
-      library: effects that may be named.
-      signal: "trajectory" or "fitness", see `DiagnoseConfig.signal`.
-      show: show a progress bar while a long dataset is read.
-      logs: files of recordings.
-
-    Returns:
-      The dataset, and the findings of the preflight checks.
-
-    Raises:
-      InputError: the dataset cannot be read.
-    """
-    if signal == "fitness":
-        from btr_mjx.gap.fitness_only import load_fitness, preflight_fitness
-
-        table = load_fitness(folder)
-        return table, preflight_fitness(table)
-    from btr_mjx.gap.data import open_dataset
-
-    with ExitStack() as stack:
-        bar = None
-
-        def report(done: int, total: int) -> None:
-            nonlocal bar
-            if bar is None and show and total >= LONG_READING:
-                bar = progress(total=total, description="reading", unit="B", unit_scale=True, show=True)
-                stack.enter_context(bar)
-            if bar is not None:
-                bar.update(done - bar.n)
-
-        dataset = open_dataset(folder, report, logs)
-        if bar is not None:
-            bar.set_description("checks")
-        from btr_mjx.gap.preflight import preflight
-
-        return dataset, preflight(dataset, [effect.name for effect in library])
-
-
-def _examine_earlier(config: DiagnoseConfig, library: "Sequence[Effect]", dataset: Any) -> "list[Dataset]":
-    """Read and check the recordings of --before, the oldest first.
-
-    Raises:
-      InputError: one of them cannot be read or used, or is of another robot; it names the set.
-    """
-    from btr_mjx.gap.data import DATASET_FILE
-    from btr_mjx.gap.fitness_only import FitnessTable
-    from btr_mjx.gap.forces import check_same_robot
-    from btr_mjx.gap.preflight import refuse_errors
-    from btr_mjx.gap.report import print_findings
-
-    assert config.dataset is not None
-    earlier: list[Dataset] = []
-    for path in config.before:
-        described = path.is_dir() and ((path / DATASET_FILE).is_file() or any(path.glob("*.xml")))
-        alone = path.name == DATASET_FILE or described or not config.logs
-        # Logs without a model of their own are of the model that was given.
-        folder, logs = (path, ()) if alone else (config.dataset, (path,))
-        try:
-            own, findings = examine(folder, library, config.signal, config.progress, logs)
-            refuse_errors(findings)
-            assert not isinstance(own, FitnessTable)  # refused with --before
-            check_same_robot(own, dataset)
-        except Exception as error:
-            if not is_bad_input(error):
-                raise
-            raise InputError(f"--before {path}: {one_line(error)}") from error
-        print_findings(findings, str(path))
-        earlier.append(own)
-    return earlier
-
-
 def check_data(config: DiagnoseConfig) -> bool:
-    """Check a dataset and print the findings.
-
-    Args:
-      config: the settings.
-
-    Returns:
-      Whether the data can be used.
+    """Check a dataset, print the findings, and say whether the data can be used.
 
     Raises:
       InputError: the dataset cannot be read; with `json` it is printed as a finding instead.
     """
+    from btr_mjx.gap import examine
     from btr_mjx.gap.effects import selected_effects
     from btr_mjx.gap.preflight import Finding
 
@@ -354,7 +264,7 @@ def check_data(config: DiagnoseConfig) -> bool:
         findings = [Finding("error", "loading", one_line(error))]
     usable = all(finding.level != "error" for finding in findings)
     if config.json:
-        found = [dataclasses.asdict(f) | {"evidence": dict(f.evidence)} for f in findings]
+        found = [dataclasses.asdict(finding) for finding in findings]
         print(json.dumps({"dataset": str(config.dataset), "usable": usable, "findings": found}, indent=2))
     else:
         from btr_mjx.gap.report import print_findings
@@ -364,100 +274,12 @@ def check_data(config: DiagnoseConfig) -> bool:
     return usable
 
 
-def search_missing(
-    dataset: "Dataset | FitnessTable",
-    library: "Sequence[Effect]",
-    config: DiagnoseConfig,
-    folder: Path,
-    checkpoint: Callable[[], None] = lambda: None,
-    earlier: "Sequence[Dataset]" = (),
-) -> None:
-    """Search for missing effects, or for what has changed, and write all files from which the report is drawn.
-
-    Args:
-      dataset: the recordings, or the table of measured fitness.
-      library: effects that may be named.
-      config: the settings.
-      folder: the run folder.
-      checkpoint: called often; raises Interrupted to stop the search.
-      earlier: recordings of the same robot before these, the oldest first.
-    """
-    from btr_mjx.gap.effects import custom_effect_code, of_forces
-    from btr_mjx.gap.experiments import propose
-    from btr_mjx.gap.fitness_only import FitnessTable, expected_steps, identify_fitness
-    from btr_mjx.gap.forces import identify_changes
-    from btr_mjx.gap.inference import identify
-    from btr_mjx.gap.results import as_result, before_entry, save_diagnosis, save_quantities
-    from btr_mjx.gap.simulate import Journal
-    from btr_mjx.gap.windows import Options
-
-    if isinstance(dataset, FitnessTable):
-        total = expected_steps(dataset, library)
-    else:
-        total = (1 + len(earlier)) * STEPS_PER_BUDGET * Options().budget(dataset.model.nv)
-    with progress(
-        total=round(total), description="search", unit="steps", unit_scale=True, show=config.progress or False
-    ) as bar:
-
-        def report_stage(stage: str) -> None:
-            bar.set_description(stage)
-            checkpoint()
-
-        def count(steps: int) -> None:
-            if bar.total is not None and steps > bar.total:
-                bar.total = None  # more than was estimated: nothing is known of the time left
-            bar.update(steps - bar.n)
-            checkpoint()
-
-        journal = Journal(folder / JOURNAL, count, custom_effect_code(config.effects))
-        more: dict[str, Any] = {"seed": config.chosen_seed, "signal": config.signal}
-        if isinstance(dataset, FitnessTable):
-            diagnosis, data, proposal = (
-                identify_fitness(dataset, library, report_stage, counter=journal),
-                dataset.head,
-                None,
-            )
-            more["gap"] = as_result(diagnosis, data)["gap"] | {"unit": "m/s of Delta_fitness"}
-        else:
-            if earlier:
-                sets = [*earlier, dataset]
-                found = identify_changes(sets, library, config.max_effects, report_stage, journal)
-                diagnosis = found.diagnoses[-1]
-                said: list[dict[str, Any]] = []
-                for one, own in zip(found.diagnoses[:-1], earlier, strict=True):
-                    said.append(before_entry(one, own, said[-1] if said else None))
-                more |= {"before": said[-1], "sets": said}
-                save_quantities(folder, found.quantities, [own.folder.name for own in sets])
-            else:
-                diagnosis = identify(
-                    dataset,
-                    library,
-                    config.max_effects,
-                    config.chosen_seed,
-                    report_stage,
-                    counter=journal,
-                    residual=config.residual,
-                )
-            report_stage("next experiment")
-            data, proposal = dataset, propose(diagnosis, dataset, config.chosen_seed, counter=journal)
-        bar.total = bar.n
-    save_diagnosis(diagnosis, data, folder, effects=sum(of_forces(library), ()), next_experiment=proposal, more=more)
-    journal.close()
-
-
 def _make_demo(folder: Path, config: DiagnoseConfig) -> None:
     """Make the hidden case; the same one again on resume, so that damaged files of it do no harm."""
     from btr_mjx.demo import make_demo, make_fitness_demo
 
     case = make_fitness_demo if config.signal == "fitness" else make_demo
     write_json(folder / "truth.json", case(folder / "demo", config.chosen_seed, config.robot))
-
-
-def _silence_mujoco() -> None:
-    """No messages of MuJoCo: unstable candidates are handled and reported by checks and search."""
-    import mujoco
-
-    mujoco.set_mju_user_warning(lambda _: None)
 
 
 def _print_all(config: DiagnoseConfig, result: dict[str, Any], out: Path) -> None:
@@ -474,15 +296,15 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
     argv = sys.argv[1:] if argv is None else list(argv)
     config = tyro.cli(DiagnoseConfig, args=list(argv), description=__doc__, prog="btr_mjx.diagnose")
-    if config.check:
+    with nullcontext(config) if config.check else _claimed(config) as config:
         check_diagnosis(config)
-        _silence_mujoco()
-        if not check_data(config):
-            raise SystemExit(BAD_INPUT_CODE)
-        return
-    with _claimed(config) as config:
-        check_diagnosis(config)
-        _silence_mujoco()
+        import mujoco
+
+        mujoco.set_mju_user_warning(lambda _: None)  # checks and the search report unstable candidates
+        if config.check:
+            if not check_data(config):
+                raise SystemExit(BAD_INPUT_CODE)
+            return
         with cli_errors(resume_command("btr_mjx.diagnose", argv, config.out)):
             _diagnose(config, partial(_print_all, config))
 

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from btr_mjx.backtoreality.grown import grown
+from btr_mjx.backtoreality.grown import grown, number_name
 from btr_mjx.backtoreality.state import Problem, State
 from btr_mjx.exports import ExportedParameter, write_exports
 from btr_mjx.gap.results import simulation_mjcf
-from btr_mjx.runs import atomic_write, read_json, write_json
+from btr_mjx.runs import read_json, write_json, write_text
 
 
 def export_simulation(folder: Path, problem: Problem, state: State) -> None:
@@ -16,8 +16,7 @@ def export_simulation(folder: Path, problem: Problem, state: State) -> None:
       OSError: a file cannot be written.
     """
     model = simulation_mjcf(grown(problem, state.grown).robot, state.simulation)
-    with atomic_write(folder / "simulation.xml") as file:
-        file.write(model.xml.encode("utf-8"))
+    write_text(folder / "simulation.xml", model.xml)
     if model.terms or model.notes:
         write_json(folder / "simulation.json", model.as_json())
 
@@ -32,11 +31,12 @@ def export_coevolution(folder: Path) -> None:
       DamagedFile: result.json was altered.
       OSError: a file cannot be read or written.
     """
-    result = read_json(folder / "result.json")
-    parameters = [
-        ExportedParameter(
-            name, result["space"][name]["unit"], float(value), None, None, "best of the last simulation search"
-        )
-        for name, value in result["simulation"].items()
-    ]
+    result, left = read_json(folder / "result.json"), folder / "simulation.json"
+    terms = read_json(left)["terms"] if left.is_file() else []
+    beside = {number_name(term["effect"], term["location"], name) for term in terms for name in term["parameters"]}
+    parameters = []
+    for name, value in result["simulation"].items():
+        also = f"; needs {left.name} in a simulation" if name in beside else ""
+        origin, unit = f"best of the last simulation search{also}", result["space"][name]["unit"]
+        parameters.append(ExportedParameter(name, unit, float(value), None, None, origin))
     write_exports(folder, parameters)

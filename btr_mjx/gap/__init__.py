@@ -2,4 +2,10 @@
 
 One folder a stage: `data` (recordings), `preflight` (checks), `effects` (library), `simulate` (batches of worlds),
 `windows` (multiple shooting), `inference` (search and decision), `results`, `report`, `fitness_only`, `experiments`.
+`examine` reads and checks recordings, `search_missing` goes through the stages and writes all files of a run.
 """
+
+from btr_mjx.gap.examining import examine, examine_earlier
+from btr_mjx.gap.searching import search_missing
+
+__all__ = ["examine", "examine_earlier", "search_missing"]

@@ -5,7 +5,7 @@ flushed and renamed, so that a file is either complete or absent. Long work repo
 `graceful_interrupt`.
 """
 
-from btr_mjx.runs.atomic import atomic_write
+from btr_mjx.runs.atomic import atomic_write, write_text
 from btr_mjx.runs.bounded_files import (
     MAX_TABLE_BYTES,
     MAX_TEXT_BYTES,
@@ -85,4 +85,5 @@ __all__ = [
     "write_figure",
     "write_json",
     "write_table",
+    "write_text",
 ]

@@ -46,3 +46,9 @@ def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
         temporary.unlink(missing_ok=True)
         raise
     sync_folder(path.parent)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text as UTF-8, see `atomic_write`."""
+    with atomic_write(path) as file:
+        file.write(text.encode("utf-8"))

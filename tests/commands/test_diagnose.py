@@ -159,7 +159,7 @@ def test_reading_shows_a_bar(
     """Of long recordings only, in bytes."""
     diagnose.main([str(folder), "--out", str(tmp_path / "short"), "--no-figures"])
     assert "reading" not in capsys.readouterr().err
-    monkeypatch.setattr(diagnose, "LONG_READING", 1)
+    monkeypatch.setattr("btr_mjx.gap.examining.LONG_READING", 1)
     diagnose.main([str(folder), "--out", str(tmp_path / "long"), "--no-figures"])
     size = sum(path.stat().st_size for path in folder.iterdir() if path.suffix in (".npz", ".csv", ".parquet"))
     lines = capsys.readouterr().err.splitlines()
@@ -176,7 +176,7 @@ def test_a_search_that_takes_longer_than_estimated_shows_no_remaining_time(
         return NOTHING
 
     monkeypatch.setattr(inference, "identify", stand_in)
-    monkeypatch.setattr(diagnose, "progress", partial(progress, interval=0.0))
+    monkeypatch.setattr("btr_mjx.gap.searching.progress", partial(progress, interval=0.0))
     diagnose.main([str(folder), "--out", str(tmp_path / "run"), "--no-figures"])
     lines = capsys.readouterr().err.splitlines()
     assert any(re.search(r"36%.* 1\.00M/2\.82M", line) for line in lines), lines

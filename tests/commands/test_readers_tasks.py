@@ -15,6 +15,7 @@ from robot_logs import ARM, RobotLog, simulated_log
 
 from btr_mjx import diagnose
 from btr_mjx.errors import InputError
+from btr_mjx.gap import examine
 from btr_mjx.gap.data import Dataset, open_dataset
 from btr_mjx.gap.effects import selected_effects
 from btr_mjx.gap.preflight import Finding, refuse_errors
@@ -33,7 +34,7 @@ PENDULUM = """<mujoco>
 
 def findings_of(model: Path, *logs: Path) -> tuple[Dataset, list[Finding]]:
     """What the command reads and finds before it searches."""
-    dataset, findings = diagnose.examine(model, selected_effects(("all",)), "trajectory", logs=logs)
+    dataset, findings = examine(model, selected_effects(("all",)), "trajectory", logs=logs)
     assert isinstance(dataset, Dataset)
     refuse_errors(findings)
     return dataset, findings

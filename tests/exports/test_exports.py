@@ -18,7 +18,7 @@ from mujoco import mjx
 from btr_mjx.backtoreality.exported import export_coevolution
 from btr_mjx.errors import InputError
 from btr_mjx.exports import ExportedParameter, field_ends, is_linear, robot_ends, write_exports
-from btr_mjx.gap.results import Estimate, FoundEffect, NamedEffect, mend
+from btr_mjx.gap.results import Estimate, FoundEffect, MendedModel, NamedEffect, mend
 from btr_mjx.gap.results.exported import export_diagnosis
 from btr_mjx.models import compile_models, model_of, parse_path, set_values
 from btr_mjx.robots import Robot
@@ -121,15 +121,52 @@ def test_effects_without_mjcf_have_no_ranges(tmp_path: Path) -> None:
     assert "mended.json" in row["origin"]
 
 
+def test_files_agree_on_what_is_in_the_mjcf(tmp_path: Path) -> None:
+    """An effect is inside mended.xml, or to be added beside it, in every file; ranges are of numbers inside it."""
+    nan = float("nan")
+    slow = NamedEffect("viscous_damping", "joint:shoulder", {"damping": Estimate(0.2, nan, nan, "N m s/rad")}, 9.0, 3.0)
+    worn = NamedEffect("load_friction", "all", {"coefficient": Estimate(0.1, 0.08, 0.12, "1")}, 9.0, 3.0)
+    weak = NamedEffect("actuator_gain", "all", {"change": Estimate(0.02, 0.01, 0.03, "1")}, 9.0, 3.0)
+    late = NamedEffect("backlash", "joint:elbow", {"play": Estimate(0.01, 0.0, 0.02, "rad")}, 9.0, 3.0)
+    diagnosis: Any = SimpleNamespace(believed=(), effects=(DAMPING, slow, worn), calibration=(weak, late))
+    dataset: Any = SimpleNamespace(parameters=())
+    fixed = [weak.found(), late.found()]
+    export_diagnosis(diagnosis, dataset, tmp_path, lambda found: mend(gap_arm.XML, [*fixed, *found]))
+    saved = mend(gap_arm.XML, [*fixed, *(effect.found() for effect in diagnosis.effects)]).as_json()
+    terms = {f"{term['effect']}@{term['location']}" for term in saved["terms"]}
+    assert terms == {worn.name, late.name}
+    assert set(saved["native"]) == {DAMPING.name, slow.name, weak.name}
+    rows = {row["name"].split(" ")[0]: row for row in json.loads((tmp_path / "parameters.json").read_text())}
+    assert {name for name, row in rows.items() if "needs mended.json" in row["origin"]} == terms
+    assert {name for name, row in rows.items() if row["interval_low"] is not None} == {DAMPING.name, worn.name}
+    assert "interval" not in rows[slow.name]["origin"]
+    assert list(json.loads((tmp_path / "randomisation.json").read_text())["parameters"]) == [f"{DAMPING.name} damping"]
+
+
+def test_what_mjcf_cannot_write_is_said(tmp_path: Path) -> None:
+    """A model that could not be mended holds nothing of what was found."""
+    failed = MendedModel(gap_arm.XML, notes=("the model could not be mended: for some reason",))
+    diagnosis: Any = SimpleNamespace(believed=(), effects=(DAMPING,), calibration=())
+    export_diagnosis(diagnosis, SimpleNamespace(parameters=()), tmp_path, lambda found: failed)  # type: ignore[arg-type]
+    (row,) = json.loads((tmp_path / "parameters.json").read_text())
+    assert "not in the model, see the notes of mended.json" in row["origin"]
+    assert "see notes" in failed.as_json()["use"]
+    assert not (tmp_path / "randomisation.json").exists()
+
+
 def test_a_finished_run(tmp_path: Path) -> None:
-    space = {"bl_5": {"unit": "m"}, "added": {"unit": "N m"}}
-    write_json(tmp_path / "result.json", {"simulation": {"bl_5": 0.9, "added": 2.0}, "space": space})
+    name = "backlash all play"
+    space = {"bl_5": {"unit": "m"}, name: {"unit": "rad"}}
+    write_json(tmp_path / "result.json", {"simulation": {"bl_5": 0.9, name: 0.02}, "space": space})
+    term = {"effect": "backlash", "location": "all", "parameters": {"play": 0.02}}
+    write_json(tmp_path / "simulation.json", {"terms": [term]})
     export_coevolution(tmp_path)
     rows = json.loads((tmp_path / "parameters.json").read_text())
     assert [(row["name"], row["unit"], row["value"], row["interval_low"]) for row in rows] == [
         ("bl_5", "m", 0.9, None),
-        ("added", "N m", 2.0, None),
+        (name, "rad", 0.02, None),
     ]
+    assert ["needs simulation.json" in row["origin"] for row in rows] == [False, True]
     assert not (tmp_path / "randomisation.json").exists()
 
 

@@ -3,9 +3,11 @@
 `open_dataset` detects the format of a folder, `open_logs` reads a model and logs. Both return a `Dataset`: the believed
 (nominal) model, its `Recording`s, the parameters that may be refitted (`models.PathParameter`) and the standard
 deviation of the sensor noise. `save_dataset` writes one. A `Reader` adds a format of files, which gives `LogTable`s.
+
+Throughout, `where` says in messages which file or table is meant, and what is found and chosen is appended to `notes`.
 """
 
-from btr_mjx.gap.data.columns.model_columns import control_columns, state_columns
+from btr_mjx.gap.data.columns.model_columns import control_columns, driven_joint, state_columns
 from btr_mjx.gap.data.columns.remedy import Answer, quoted
 from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, noise_of, read_header
 from btr_mjx.gap.data.files.readers import Reader, read_columns
@@ -34,6 +36,7 @@ __all__ = [
     "Wrap",
     "bends",
     "control_columns",
+    "driven_joint",
     "estimate_noise",
     "find_wraps",
     "held",

@@ -138,18 +138,8 @@ def read_header(folder: str | Path, more: Sequence[str] = ()) -> tuple[Dataset, 
     return header_of(table, folder, path, more), table
 
 
-def header_of(table: Mapping[str, Any], folder: Path, path: Path, more: Sequence[str] = ()) -> Dataset:
-    """The dataset without recordings that the tables of a dataset.toml describe.
-
-    Args:
-      table: content of the file.
-      folder: of the files that it names.
-      path: of the file, for messages.
-      more: names of further tables that it may hold.
-
-    Raises:
-      InputError, DamagedFile, OSError: see `load`.
-    """
+def header_of(table: Mapping[str, Any], folder: Path, path: Path, more: Sequence[str]) -> Dataset:
+    """The dataset without recordings that a dataset.toml describes; `more` names further tables that it may hold."""
     notes: list[str] = []
     check_keys(table, (*TABLES, *more), f"{path}", notes)
     about = toml_section(table, "model", path)

@@ -54,18 +54,7 @@ def load(folder: str | Path, progress: ReadProgress | None = None) -> Dataset:
 def load_table(
     head: Dataset, table: Mapping[str, Any], path: Path, progress: ReadProgress | None = None, text: str = ""
 ) -> Dataset:
-    """Read the recordings of a dataset whose header was read.
-
-    Args:
-      head: the dataset without recordings.
-      table: content of dataset.toml.
-      path: of dataset.toml, for messages.
-      progress: called while recordings are read.
-      text: of dataset.toml, where there is no such file yet.
-
-    Raises:
-      InputError, DamagedFile, OSError: see `load`.
-    """
+    """Read the recordings of a dataset whose header was read, see `load`; `text` is its dataset.toml without a file."""
     notes, listed_rows = list(head.notes), toml_rows(table, "recording", path)
     if not listed_rows:
         raise InputError(f'{path}: there is no [[recording]]; add one with file = "..."')

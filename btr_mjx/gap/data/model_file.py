@@ -10,14 +10,7 @@ from btr_mjx.runs import read_text
 
 
 def load_model(path: Path, inside: Path) -> tuple[mujoco.MjModel, str]:
-    """Compile an MJCF file.
-
-    Args:
-      path: the file.
-      inside: folder of the dataset; the model may not name files outside of it.
-
-    Returns:
-      The model, and the file's text.
+    """Compile an MJCF file, which may not name files outside of the folder `inside`; also returns its text.
 
     Raises:
       InputError: the file is absent, MuJoCo rejects it, its numbers cannot be simulated, or the model has no joint.

@@ -13,6 +13,7 @@ kp and vin are given per recording, so each recording has its own model; the par
 Zero angle: the arm hangs straight down.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -89,9 +90,6 @@ def servo_xml(servo: Servo, mass: float, length: float, kp: float, vin: float) -
       length: distance from the axis to the load [m].
       kp: firmware gain.
       vin: supply voltage [V].
-
-    Returns:
-      MJCF text.
     """
     volts_to_torque = servo.kt / servo.resistance * vin
     gain, limit = kp * servo.error_gain * volts_to_torque, servo.max_duty * volts_to_torque
@@ -129,12 +127,6 @@ def load_servo(folder: str | Path) -> Dataset:
 
     About a third of each group of equal mass, length, kp and vin is held out, at alternating positions in the group.
 
-    Args:
-      folder: the folder.
-
-    Returns:
-      The dataset, one recording per JSON file.
-
     Raises:
       InputError: no recordings, a missing or invalid value, or an error of `recording.make_recordings`.
       DamagedFile: a file that does not parse.
@@ -169,24 +161,12 @@ def load_servo(folder: str | Path) -> Dataset:
         spec_xml=servo_xml(servo, *settings[0]),
         parameters=tuple(refitted),
         recordings=tuple(_held_out(recordings, settings, folder)),
-        interpolation="linear",
         notes=tuple(notes),
     )
 
 
 def read_servo(path: Path, notes: list[str]) -> Servo:
-    """Read the nominal values from the table [servo].
-
-    Args:
-      path: of servo.toml.
-      notes: warnings are appended here.
-
-    Returns:
-      The nominal values.
-
-    Raises:
-      InputError: a value that is missing, not a number or negative.
-    """
+    """Read the nominal values from the table [servo] of servo.toml."""
     table = toml_section(read_toml(path), "servo", path)
     names, needed = [f.name for f in fields(Servo)], ("kt", "resistance", "error_gain")
     check_keys({k: v for k, v in table.items() if k != "motor"}, names, f"{path}: [servo]", notes)
@@ -233,10 +213,9 @@ def _read_json(file: Path) -> tuple[dict[str, np.ndarray], tuple[float, ...]]:
 def _held_out(
     recordings: Sequence[Recording], settings: Sequence[tuple[float, ...]], folder: Path
 ) -> Sequence[Recording]:
-    words: list[Split] = ["fit"] * len(recordings)
-    for number, setting in enumerate(sorted(set(settings))):
-        members = [i for i, other in enumerate(settings) if other == setting]
-        for place, i in enumerate(members):
-            if (place + number) % 3 == 2:
-                words[i] = "test"
+    places, numbers = Counter[tuple[float, ...]](), {setting: k for k, setting in enumerate(sorted(set(settings)))}
+    words: list[Split] = []
+    for setting in settings:
+        words.append("test" if (places[setting] + numbers[setting]) % 3 == 2 else "fit")
+        places[setting] += 1
     return assign_splits(recordings, words if len(set(words)) > 1 else [None] * len(words), str(folder))

@@ -14,7 +14,7 @@ from btr_mjx.gap.data.dataset import DATASET_FILE, Interpolation
 from btr_mjx.gap.data.recordings.noise import Noise, noise_as_table
 from btr_mjx.gap.data.recordings.recording import Recording
 from btr_mjx.models import PathParameter
-from btr_mjx.runs import atomic_write, write_arrays, write_table
+from btr_mjx.runs import write_arrays, write_table, write_text
 
 Format = Literal["npz", "csv", "parquet"]
 """Formats in which recordings are written."""
@@ -88,7 +88,7 @@ def save_dataset(
     names = [recording.name for recording in recordings]
     if len(set(names)) < len(names):
         raise InputError(f"recordings: got the names {', '.join(names)}, expected different ones")
-    _write_text(folder / "model.xml", xml)
+    write_text(folder / "model.xml", xml)
     lines = ["[model]", 'file = "model.xml"', "", "[control]", *_pairs({"interpolation": description.interpolation})]
     noise_table = None if noise is None else noise_as_table(noise, recordings[0].model)
     for title, table in (("tolerances", description.tolerances), ("noise", noise_table)):
@@ -107,11 +107,11 @@ def save_dataset(
         row: dict[str, Any] = {"file": file, "split": recording.split}
         if recording.name in models:
             row["model"] = own = f"{recording.name}.xml"
-            _write_text(folder / own, models[recording.name])
+            write_text(folder / own, models[recording.name])
         lines += ["", "[[recording]]", *_pairs(row)]
         if overrides.get(recording.name):
             lines += [f"overrides = {{ {', '.join(_pairs(overrides[recording.name]))} }}"]
-    _write_text(folder / DATASET_FILE, "\n".join(lines) + "\n")
+    write_text(folder / DATASET_FILE, "\n".join(lines) + "\n")
     return folder / DATASET_FILE
 
 
@@ -123,8 +123,3 @@ def _value(value: Any) -> str:
     if isinstance(value, list):
         return f"[{', '.join(_value(item) for item in value)}]"
     return json.dumps(value if isinstance(value, str | bool) else float(value), ensure_ascii=False)
-
-
-def _write_text(path: Path, text: str) -> None:
-    with atomic_write(path) as file:
-        file.write(text.encode("utf-8"))

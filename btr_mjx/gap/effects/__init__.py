@@ -4,15 +4,18 @@ An `Effect` is data: a name, the `Place`s where it may occur, parameters with un
 that is used by the search and for the mended model. A `Candidate` is an effect at a place.
 """
 
-from btr_mjx.gap.effects.calibration import TIME_IN_SAMPLE, TIMING, field_tolerance
 from btr_mjx.gap.effects.effect import Candidate, Effect, Parameter, candidates
 from btr_mjx.gap.effects.hypothesis import Hypothesis, believed_steps
-from btr_mjx.gap.effects.law_dictionary import LAW_EFFECTS, LAWS, equation_of, law_effect
+from btr_mjx.gap.effects.law_dictionary import LAW_EFFECTS, LAWS
+from btr_mjx.gap.effects.law_effects import equation_of, law_effect
 from btr_mjx.gap.effects.law_terms import LawState, LawTerm, Tried
 from btr_mjx.gap.effects.library import (
     EFFECTS,
     KNOWN_EFFECTS,
+    TIME_IN_SAMPLE,
+    TIMING,
     custom_effect_code,
+    field_tolerance,
     known_effects,
     of_forces,
     selected_effects,

@@ -36,12 +36,14 @@ def _per_control(model: mujoco.MjModel, place: Place, value: float) -> np.ndarra
 
 
 def _delay(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    time = scales.time
     # A negative delay is a clock offset, common to all actuators.
-    low = -0.15 * time if len(place.actuators) == actuator_count(model) else 0.0
-    return (
-        Parameter("delay", "s", low, max(2.0 * time, 0.03), 0.03 * time, negligible=_HOLD_DELAY * model.opt.timestep),
-    )
+    low = -0.15 * scales.time if len(place.actuators) == actuator_count(model) else 0.0
+    return (_time("delay", low, model, scales),)
+
+
+def _time(name: str, low: float, model: mujoco.MjModel, scales: Scales) -> Parameter:
+    high, negligible = max(2.0 * scales.time, 0.03), _HOLD_DELAY * model.opt.timestep
+    return Parameter(name, "s", low, high, 0.03 * scales.time, negligible=negligible)
 
 
 def _apply_delay(world: World, place: Place, values: np.ndarray) -> None:
@@ -53,22 +55,15 @@ def _native_delay(spec: mujoco.MjSpec, model: mujoco.MjModel, place: Place, valu
     """Native actuator delay of MuJoCo, with a history buffer of sufficient length."""
     if values[0] < 0:
         return False
-    actuators = _by_id(spec)
-    for a in place.actuators:
-        actuator = actuators[a]
+    for actuator in (spec.actuators[a] for a in place.actuators):
         actuator.delay = actuator.delay + float(values[0])
         actuator.nsample = max(int(actuator.nsample), math.ceil(actuator.delay / model.opt.timestep) + 2)
         actuator.interp = 1
     return True
 
 
-def _by_id(spec: mujoco.MjSpec) -> dict[int, mujoco.MjsActuator]:
-    return {int(actuator.id): actuator for actuator in spec.actuators}
-
-
 def _lag(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    high, negligible = max(2.0 * scales.time, 0.03), _HOLD_DELAY * model.opt.timestep
-    return (Parameter("time_constant", "s", 0.0, high, 0.03 * scales.time, negligible=negligible),)
+    return (_time("time_constant", 0.0, model, scales),)
 
 
 def _apply_lag(world: World, place: Place, values: np.ndarray) -> None:
@@ -79,7 +74,7 @@ def _apply_lag(world: World, place: Place, values: np.ndarray) -> None:
 
 def _native_lag(spec: mujoco.MjSpec, model: mujoco.MjModel, place: Place, values: np.ndarray) -> bool:
     """Native dyntype "filterexact", for actuators without activation state."""
-    actuators = [_by_id(spec)[a] for a in place.actuators]
+    actuators = [spec.actuators[a] for a in place.actuators]
     free = all(a.dyntype == mujoco.mjtDyn.mjDYN_NONE for a in actuators)
     if not free or any(model.actuator_ctrllimited[a] or model.actuator_ctrlnum[a] != 1 for a in place.actuators):
         return False
@@ -91,18 +86,8 @@ def _native_lag(spec: mujoco.MjSpec, model: mujoco.MjModel, place: Place, values
 
 def linear_actuators(model: mujoco.MjModel) -> list[Place]:
     """Actuators whose force is affine in command and state, and their groups."""
-    return actuator_places(
-        model,
-        [
-            a
-            for a in range(actuator_count(model))
-            if int(model.actuator_gaintype[a]) in _LINEAR_GAINS and int(model.actuator_biastype[a]) in _LINEAR_BIASES
-        ],
-    )
-
-
-def _gain(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("change", "1", -0.9, 9.0, -0.03, 0.003),)
+    linear = np.isin(model.actuator_gaintype, _LINEAR_GAINS) & np.isin(model.actuator_biastype, _LINEAR_BIASES)
+    return actuator_places(model, np.flatnonzero(linear).tolist())
 
 
 def _apply_gain(world: World, place: Place, values: np.ndarray) -> None:
@@ -195,7 +180,7 @@ ACTUATOR_GAIN = per_member(
     Effect(
         "actuator_gain",
         linear_actuators,
-        _gain,
+        lambda *_: (Parameter("change", "1", -0.9, 9.0, -0.03, 0.003),),
         _apply_gain,
         excited_by="loads and accelerations",
         summable=True,

@@ -19,23 +19,15 @@ def _extent(model: mujoco.MjModel, body: int) -> float:
     return float(reach.max(initial=0.0)) or 0.1
 
 
-def _group_mass(model: mujoco.MjModel, body: int) -> float:
-    return float(model.body_mass[model.body_weldid == model.body_weldid[body]].sum())
-
-
 def _payload_places(model: mujoco.MjModel) -> list[Place]:
     # The diagonal mass matrix of a simple body (body_simple) cannot represent another centre of mass.
     free = [b for b in [*trunks(model), *links(model), *welded_bodies(model)] if model.body_mass[b] > 0]
-    return [body_place(model, b) for b in sorted(free) if not _fixed_centre(model, b)]
-
-
-def _fixed_centre(model: mujoco.MjModel, body: int) -> bool:
-    return bool(model.body_simple[body])
+    return [body_place(model, b) for b in sorted(free) if not model.body_simple[b]]
 
 
 def _payload(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
     (body,) = place.bodies
-    own = _group_mass(model, body)
+    own = float(model.body_mass[model.body_weldid == model.body_weldid[body]].sum())
     welded = body in welded_bodies(model)
     mass = Parameter(
         "mass",
@@ -84,10 +76,6 @@ def _apply_payload(world: World, place: Place, values: np.ndarray) -> None:
     MassProperties.of(model, body).plus(point_mass(float(values[0]), position)).write(model, body)
 
 
-def _link_places(model: mujoco.MjModel) -> list[Place]:
-    return [body_place(model, b) for b in links(model) if link_of(model, b) is not None and not _fixed_centre(model, b)]
-
-
 def _length(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
     link = link_of(model, place.bodies[0])
     assert link is not None
@@ -102,10 +90,6 @@ def _apply_length(world: World, place: Place, values: np.ndarray) -> None:
     lengthen(world.model, link, float(values[0]))
 
 
-def _shift_places(model: mujoco.MjModel) -> list[Place]:
-    return [body_place(model, b) for b in trunks(model) if model.body_mass[b] > 0 and not _fixed_centre(model, b)]
-
-
 def _shift(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
     reach = _extent(model, place.bodies[0])
     return tuple(Parameter(axis, "m", -0.5 * reach, 0.5 * reach, 0.02 * reach, 0.002 * reach) for axis in "xyz")
@@ -116,10 +100,6 @@ def _apply_shift(world: World, place: Place, values: np.ndarray) -> None:
     (body,) = place.bodies
     world.model.body_ipos[body] += values
     clear_sameframe(world.model, body)
-
-
-def _force_places(model: mujoco.MjModel) -> list[Place]:
-    return [body_place(model, b) for b in sorted({*trunks(model), *leaf_links(model)})]
 
 
 def _force(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
@@ -157,10 +137,7 @@ def _apply_drag(world: World, place: Place, values: np.ndarray) -> None:
 
 def _mounted(model: mujoco.MjModel) -> list[Place]:
     """The world of a robot that is bolted down, with gravity."""
-    floats = (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any() or (
-        model.jnt_type == mujoco.mjtJoint.mjJNT_BALL
-    ).any()
-    return [] if floats else _slope_places(model)
+    return [] if (model.jnt_type < int(mujoco.mjtJoint.mjJNT_SLIDE)).any() else _slope_places(model)
 
 
 def _compensation(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
@@ -177,10 +154,6 @@ def _apply_compensation(world: World, place: Place, values: np.ndarray) -> None:
 
 def _slope_places(model: mujoco.MjModel) -> list[Place]:
     return _world(model) if np.linalg.norm(model.opt.gravity) > 0 else []
-
-
-def _slope(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("x", "rad", -0.6, 0.6, 0.02, 1e-3), Parameter("y", "rad", -0.6, 0.6, 0.02, 1e-3))
 
 
 def _apply_slope(world: World, place: Place, values: np.ndarray) -> None:
@@ -204,7 +177,7 @@ PAYLOAD = Effect(
 )
 LINK_LENGTH = Effect(
     "link_length",
-    _link_places,
+    lambda m: [body_place(m, b) for b in links(m) if link_of(m, b) is not None and not m.body_simple[b]],
     _length,
     _apply_length,
     excited_by="contact of the limb's end, accelerations",
@@ -212,7 +185,7 @@ LINK_LENGTH = Effect(
 )
 COM_SHIFT = Effect(
     "com_shift",
-    _shift_places,
+    lambda m: [body_place(m, b) for b in trunks(m) if m.body_mass[b] > 0 and not m.body_simple[b]],
     _shift,
     _apply_shift,
     excited_by="accelerations and tilts of the trunk",
@@ -220,7 +193,7 @@ COM_SHIFT = Effect(
 )
 CONSTANT_FORCE = Effect(
     "constant_force",
-    _force_places,
+    lambda model: [body_place(model, b) for b in sorted({*trunks(model), *leaf_links(model)})],
     _force,
     _apply_force,
     excited_by="any motion",
@@ -245,7 +218,7 @@ GRAVITY_COMPENSATION = Effect(
 GROUND_SLOPE = Effect(
     "ground_slope",
     _slope_places,
-    _slope,
+    lambda *_: tuple(Parameter(axis, "rad", -0.6, 0.6, 0.02, 1e-3) for axis in "xy"),
     _apply_slope,
     excited_by="free motion, standing",
     equation="gravity turned by the slope of the ground",

@@ -1,7 +1,5 @@
 """Joint friction: viscous, Coulomb, load-dependent, Stribeck."""
 
-from dataclasses import dataclass
-
 import mujoco
 import numpy as np
 
@@ -9,7 +7,7 @@ from btr_mjx.gap.effects.effect import Effect, Parameter
 from btr_mjx.gap.effects.per_member import per_member
 from btr_mjx.gap.effects.places import Place, actuator_count, joint_of, joint_places
 from btr_mjx.gap.effects.ranges import Scales, smallest_believed, typical_scale, unit_of
-from btr_mjx.gap.simulate import Rows, World
+from btr_mjx.gap.simulate import Rows, StateLaw, World
 
 
 def _damping(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
@@ -41,52 +39,20 @@ def _apply_friction(world: World, place: Place, values: np.ndarray) -> None:
     world.model.dof_frictionloss[place.dofs(world.model)] += values[0]
 
 
-@dataclass(frozen=True)
-class LoadFriction:
-    """Friction loss f = mu |tau|, tau the generalised force of the actuators in the last step.
-
-    Attributes:
-      dofs: degrees of freedom.
-      coefficient: mu [1].
-    """
-
-    dofs: np.ndarray
-    coefficient: float
-    fields: tuple[str, ...] = ("dof_frictionloss",)
-
-    def __call__(self, rows: Rows) -> None:
-        """Add to the friction loss of the next step."""
-        rows.field("dof_frictionloss")[:, self.dofs] += self.coefficient * np.abs(rows.qfrc_actuator[:, self.dofs])
-
-
-def _load(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("coefficient", "1", 0.0, 0.9, 0.02),)
+def _add_load_friction(rows: Rows, dofs: np.ndarray, coefficient: float) -> None:
+    """Friction loss mu |tau|, tau the generalised force of the actuators in the last step."""
+    rows.field("dof_frictionloss")[:, dofs] += coefficient * np.abs(rows.qfrc_actuator[:, dofs])
 
 
 def _apply_load(world: World, place: Place, values: np.ndarray) -> None:
     """|tau_f| <= f0 + mu |tau_motor|: gear friction proportional to the load."""
-    world.laws.append(LoadFriction(place.dofs(world.model), float(values[0])))
+    numbers = place.dofs(world.model), float(values[0])
+    world.laws.append(StateLaw(_add_load_friction, numbers, ("dof_frictionloss",)))
 
 
-@dataclass(frozen=True)
-class StribeckFriction:
-    """Friction loss f = F exp(-(qvel / v)^2): breakaway friction (Stribeck).
-
-    Attributes:
-      dofs: degrees of freedom.
-      torque: F [N m or N].
-      speed: v [rad/s or m/s].
-    """
-
-    dofs: np.ndarray
-    torque: float
-    speed: float
-    fields: tuple[str, ...] = ("dof_frictionloss",)
-
-    def __call__(self, rows: Rows) -> None:
-        """Add to the friction loss of the next step."""
-        fall = np.exp(-((rows.qvel[:, self.dofs] / self.speed) ** 2))
-        rows.field("dof_frictionloss")[:, self.dofs] += self.torque * fall
+def _add_stribeck_friction(rows: Rows, dofs: np.ndarray, torque: float, speed: float) -> None:
+    """Friction loss F exp(-(qvel / v)^2)."""
+    rows.field("dof_frictionloss")[:, dofs] += torque * np.exp(-((rows.qvel[:, dofs] / speed) ** 2))
 
 
 def _stribeck(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
@@ -107,7 +73,8 @@ def _stribeck(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Para
 
 def _apply_stribeck(world: World, place: Place, values: np.ndarray) -> None:
     """|tau| <= f0 + F exp(-(qvel / v)^2): breakaway friction (Stribeck)."""
-    world.laws.append(StribeckFriction(place.dofs(world.model), float(values[0]), float(values[1])))
+    numbers = place.dofs(world.model), float(values[0]), float(values[1])
+    world.laws.append(StateLaw(_add_stribeck_friction, numbers, ("dof_frictionloss",)))
 
 
 def _driven(model: mujoco.MjModel) -> list[Place]:
@@ -142,7 +109,7 @@ LOAD_FRICTION = per_member(
     Effect(
         "load_friction",
         _driven,
-        _load,
+        lambda *_: (Parameter("coefficient", "1", 0.0, 0.9, 0.02),),
         _apply_load,
         excited_by="motion under loads of several sizes",
         summable=True,

@@ -23,13 +23,9 @@ def _softness_places(model: mujoco.MjModel) -> list[Place]:
 
 
 def believed_friction(model: mujoco.MjModel, place: Place) -> float:
-    """Mean sliding coefficient between the geoms of a place and the ground.
+    """Mean sliding coefficient between the geoms of a place, or all that can touch it, and the ground.
 
     As in MuJoCo: the larger coefficient of both geoms, or that of the geom of higher priority.
-
-    Args:
-      model: the believed model.
-      place: geoms; all geoms that can touch the ground if it has none.
     """
     touching, ground = ground_geoms(model)
     chosen = place.geoms or touching
@@ -37,12 +33,10 @@ def believed_friction(model: mujoco.MjModel, place: Place) -> float:
 
 
 def _combined(model: mujoco.MjModel, geom: int, ground: list[int]) -> float:
-    values = []
-    for other in ground:
-        ours, theirs = model.geom_priority[geom], model.geom_priority[other]
-        pair = (model.geom_friction[geom, 0], model.geom_friction[other, 0])
-        values.append(max(pair) if ours == theirs else pair[0] if ours > theirs else pair[1])
-    return max(values) if values else float(model.geom_friction[geom, 0])
+    own, others = model.geom_friction[geom, 0], model.geom_friction[ground, 0]
+    ahead = model.geom_priority[geom] - model.geom_priority[ground]
+    values = np.where(ahead > 0, own, np.where(ahead < 0, others, np.maximum(own, others)))
+    return float(values.max() if ground else own)
 
 
 def _friction(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
@@ -83,18 +77,12 @@ def _own_contact(model: mujoco.MjModel, geom: int, ground: list[int]) -> None:
     ours, theirs = int(model.geom_priority[geom]), int(model.geom_priority[other])
     if ours > theirs:
         return
-    if ours < theirs:
-        model.geom_solref[geom] = model.geom_solref[other]
-        model.geom_solimp[geom] = model.geom_solimp[other]
-        model.geom_friction[geom] = model.geom_friction[other]
-        model.geom_condim[geom] = model.geom_condim[other]
-    else:
-        a, b = float(model.geom_solmix[geom]), float(model.geom_solmix[other])
-        share = a / (a + b) if a + b > 0 else 0.5
-        model.geom_solref[geom] = share * model.geom_solref[geom] + (1 - share) * model.geom_solref[other]
-        model.geom_solimp[geom] = share * model.geom_solimp[geom] + (1 - share) * model.geom_solimp[other]
-        model.geom_friction[geom] = np.maximum(model.geom_friction[geom], model.geom_friction[other])
-        model.geom_condim[geom] = max(int(model.geom_condim[geom]), int(model.geom_condim[other]))
+    a, b = float(model.geom_solmix[geom]), float(model.geom_solmix[other])
+    share = 0.0 if ours < theirs else a / (a + b) if a + b > 0 else 0.5
+    for mixed in (model.geom_solref, model.geom_solimp):
+        mixed[geom] = share * mixed[geom] + (1 - share) * mixed[other]
+    for largest in (model.geom_friction, model.geom_condim):
+        largest[geom] = largest[other] if ours < theirs else np.maximum(largest[geom], largest[other])
     model.geom_priority[geom] = theirs + 1
 
 

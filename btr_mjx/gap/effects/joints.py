@@ -1,7 +1,5 @@
 """Effects at joints besides friction: armature, stiffness, encoder offset, backlash."""
 
-from dataclasses import dataclass
-
 import mujoco
 import numpy as np
 
@@ -9,7 +7,7 @@ from btr_mjx.gap.effects.effect import Effect, Parameter
 from btr_mjx.gap.effects.per_member import per_member
 from btr_mjx.gap.effects.places import Place, actuator_count, joint_of, joint_places
 from btr_mjx.gap.effects.ranges import Scales, smallest_believed, typical_scale, unit_of
-from btr_mjx.gap.simulate import Rows, World
+from btr_mjx.gap.simulate import Rows, StateLaw, World
 
 AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 
@@ -36,8 +34,7 @@ def _stiffness(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Par
 
 def _apply_stiffness(world: World, place: Place, values: np.ndarray) -> None:
     """Tau = -k (q - q_spring), such as of cables or seals; k is added to the believed stiffness and may be negative."""
-    model, joints = world.model, list(place.joints)
-    model.jnt_stiffness[joints] += values[0]
+    world.model.jnt_stiffness[list(place.joints)] += values[0]
 
 
 def _offset(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
@@ -61,28 +58,10 @@ def _apply_offset(world: World, place: Place, values: np.ndarray) -> None:
             model.jnt_range[j] += values[0]
 
 
-@dataclass(frozen=True)
-class Backlash:
-    """A dead zone in the error of position servos: e -> e - clip(e, -b, b), e = r - gear q.
-
-    Attributes:
-      controls: indices of the position references of the servos.
-      positions: addresses of the joints in qpos.
-      gear: (n,) gears.
-      play: b [rad or m at the joint].
-    """
-
-    controls: np.ndarray
-    positions: np.ndarray
-    gear: np.ndarray
-    play: float
-    fields: tuple[str, ...] = ()
-
-    def __call__(self, rows: Rows) -> None:
-        """Shift the reference of the next step."""
-        reach = np.abs(self.gear) * self.play
-        error = rows.ctrl[:, self.controls] - self.gear * rows.qpos[:, self.positions]
-        rows.ctrl[:, self.controls] -= np.clip(error, -reach, reach)
+def _add_backlash(rows: Rows, controls: np.ndarray, positions: np.ndarray, gear: np.ndarray, play: float) -> None:
+    """A dead zone in the error of position servos: e -> e - clip(e, -b, b), e = r - gear q, b the play at the joint."""
+    reach = np.abs(gear) * play
+    rows.ctrl[:, controls] -= np.clip(rows.ctrl[:, controls] - gear * rows.qpos[:, positions], -reach, reach)
 
 
 def position_servos(model: mujoco.MjModel) -> list[int]:
@@ -111,15 +90,9 @@ def _apply_backlash(world: World, place: Place, values: np.ndarray) -> None:
     """Dead zone of half width b (gear play) in the position error of the servo."""
     model = world.model
     servos = [a for a in place.actuators if a in set(position_servos(model))]
-    joints = model.actuator_trnid[servos, 0]
-    world.laws.append(
-        Backlash(
-            model.actuator_ctrladr[servos].astype(int),
-            model.jnt_qposadr[joints].astype(int),
-            model.actuator_gear[servos, 0].copy(),
-            float(values[0]),
-        )
-    )
+    positions = model.jnt_qposadr[model.actuator_trnid[servos, 0]].astype(int)
+    controls, gear = model.actuator_ctrladr[servos].astype(int), model.actuator_gear[servos, 0].copy()
+    world.laws.append(StateLaw(_add_backlash, (controls, positions, gear, float(values[0]))))
 
 
 ARMATURE = per_member(
@@ -164,9 +137,4 @@ BACKLASH = per_member(
     )
 )
 
-JOINT_EFFECTS = (
-    ARMATURE,
-    JOINT_STIFFNESS,
-    JOINT_OFFSET,
-    BACKLASH,
-)
+JOINT_EFFECTS = (ARMATURE, JOINT_STIFFNESS, JOINT_OFFSET, BACKLASH)

@@ -14,26 +14,11 @@ A term of one's own is one more entry:
     python -m btr_mjx.diagnose robot.xml log.csv --effects all laws.py:mine
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
-import mujoco
 import numpy as np
 
-from btr_mjx.gap.effects.effect import Candidate, Effect, Parameter
-from btr_mjx.gap.effects.law_terms import LawState, LawTerm, Tried
-from btr_mjx.gap.effects.places import Place, joint_places
-from btr_mjx.gap.effects.ranges import Scales, unit_of
-from btr_mjx.gap.simulate import Rows, World
-
-_FROM = " from "
-"""Between the names of two joints, in the label of a place."""
-
-_LARGEST = 3.0
-"""Largest force of a law, in peak torques of the joint."""
-
-_STEP = 0.05
-"""Step of a coefficient, in the same unit."""
+from btr_mjx.gap.effects.effect import Effect
+from btr_mjx.gap.effects.law_effects import law_effect
+from btr_mjx.gap.effects.law_terms import LawTerm, Tried
 
 _COARSEST, _FINEST = 0.5, 60.0
 """Radians of phase of a ripple over half the range of a joint's motion: the fewest that are tried, which is also the
@@ -47,119 +32,6 @@ _FASTEST = 2 * np.pi * 25
 
 _SLOWEST = 2 * np.pi * 0.2
 """Smallest one."""
-
-
-@dataclass(frozen=True)
-class LawForce:
-    """A law in a simulation.
-
-    Attributes:
-      law: the term.
-      joint: id of the joint where it acts.
-      other: id of the other joint.
-      values: coefficients, and the number within.
-    """
-
-    law: LawTerm
-    joint: int
-    other: int
-    values: tuple[float, ...]
-
-    @property
-    def fields(self) -> tuple[str, ...]:
-        """The friction loss, of a friction torque."""
-        return ("dof_frictionloss",) if self.law.friction else ()
-
-    def __call__(self, rows: Rows) -> None:
-        """Add to the force, or to the friction loss, of the next step."""
-        model = rows.model
-        (q, other_q), (v, other_v) = (
-            (int(of[self.joint]), int(of[self.other])) for of in (model.jnt_qposadr, model.jnt_dofadr)
-        )
-        at = LawState(
-            rows.qpos[:, q],
-            rows.qvel[:, v],
-            rows.qfrc_actuator[:, v],
-            rows.time,
-            rows.qpos[:, other_q],
-            rows.qvel[:, other_v],
-        )
-        with np.errstate(over="ignore", invalid="ignore"):  # a simulation that diverges is told elsewhere
-            added = self.law.force(at, self.values)
-        if self.law.friction:
-            loss = rows.field("dof_frictionloss")
-            loss[:, v] = np.maximum(loss[:, v] + added, 0.0)
-        else:
-            rows.qfrc_applied[:, v] += added
-
-
-def law_effect(law: LawTerm) -> Effect:
-    """A term as an effect at every joint, or at every joint beside every other one.
-
-    Args:
-      law: the term.
-    """
-
-    def places(model: mujoco.MjModel) -> list[Place]:
-        singles = [place for place in joint_places(model) if not place.members]
-        if not law.coupled:
-            return singles
-        return [
-            Place(f"{own.label}{_FROM}{other.label.partition(':')[2]}", joints=(*own.joints, *other.joints))
-            for own in singles
-            for other in singles
-            if own is not other
-        ]
-
-    def parameters(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-        own = Place(place.label, joints=place.joints[:1])
-        dof, other = (int(model.jnt_dofadr[j]) for j in (place.joints[0], place.joints[-1]))
-        torque, speed, reach = (float(of[dof]) for of in (scales.torque, scales.speed, scales.amplitude))
-        ends = np.array([-1.0, 1.0, -1.0, 1.0, 0.5, 0.5])
-        turn = np.array([1.0, 1.0, -1.0, -1.0, 0.5, 1.0])
-        at = LawState(
-            reach * ends,
-            speed * turn,
-            torque * turn,
-            ends + 1,
-            scales.amplitude[other] * ends,
-            scales.speed[other] * turn,
-        )
-        number, within = 0.0, list[Parameter]()
-        if law.tried is not None:
-            low, high = law.tried.bounds(reach)
-            number, unit = float(np.sqrt(low * high)) if low > 0 else 0.0, unit_of(model, own, "rad", "m")
-            step = 0.02 * (1.0 if law.tried.unit == "rad/s" else reach if low < 0 else 1 / max(reach, 1e-9))
-            within.append(
-                Parameter(law.tried.name, law.tried.unit.format(x=unit), low, high, step, null=number, shape=True)
-            )
-        units = [u.format(f=unit_of(model, own, "N m", "N"), x=unit_of(model, own, "rad", "m")) for u in law.units]
-        peaks = [max(float(np.abs(f).max()), 1e-9) for f in law.basis(at, number)]
-        if law.tried is not None:
-            peaks = [max(peaks)] * len(peaks)
-        sizes = [torque / peak for peak in peaks]
-        return (
-            *(
-                Parameter(name, unit, -_LARGEST * size, _LARGEST * size, _STEP * size)
-                for name, unit, size in zip(law.coefficients, units, sizes, strict=True)
-            ),
-            *within,
-        )
-
-    def apply(world: World, place: Place, values: np.ndarray) -> None:
-        """Add the term to the laws of a world."""
-        world.laws.append(LawForce(law, place.joints[0], place.joints[-1], tuple(float(v) for v in values)))
-
-    kind = "Δf = " if law.friction else "τ = "
-    return Effect(
-        law.name,
-        places,
-        parameters,
-        apply,
-        excited_by="the whole range of positions and speeds",
-        equation=kind + " + ".join(f"{c} {t}" for c, t in zip(law.coefficients, law.text, strict=True)),
-        law=law,
-    )
 
 
 def _ripples(q: np.ndarray) -> np.ndarray:
@@ -313,17 +185,3 @@ LAWS: tuple[LawTerm, ...] = (
 
 LAW_EFFECTS: tuple[Effect, ...] = tuple(law_effect(law) for law in LAWS)
 """Its terms as effects."""
-
-
-def equation_of(candidate: Candidate, values: Sequence[float] | np.ndarray, latex: bool = False) -> str:
-    """The equation of an effect, of a law with its numbers.
-
-    Args:
-      candidate: the effect at its place.
-      values: of its parameters.
-      latex: whether in LaTeX, which only laws have.
-    """
-    law = candidate.effect.law
-    if law is None:
-        return "" if latex else candidate.effect.equation
-    return law.equation(values, candidate.place.label.partition(_FROM)[2], latex)

@@ -41,6 +41,30 @@ EFFECTS: tuple[Effect, ...] = (*FRICTION_EFFECTS, *JOINT_EFFECTS, *ACTUATOR_EFFE
 KNOWN_EFFECTS: tuple[Effect, ...] = (*EFFECTS, *MOTOR_EFFECTS, *SIMILAR_EFFECTS, *LAW_EFFECTS)
 """All effects that can be selected by name: with those of motors, some that are easily mistaken for them, and laws."""
 
+TIMING = "actuator_delay"
+"""Effect that is calibration where all commands share it: the time within a sample at which they act."""
+
+TIME_IN_SAMPLE = 0.29
+"""1 sigma of the time at which a command acts, in intervals of commands: anywhere within one."""
+
+_FIELD = 5.0
+"""Tolerances outside a laboratory, in units of those of the library. With those of the library five of eight walking
+robots that lacked nothing, with faults of data, were said to lack damping, gains or a lag, with these none
+(`benchmarks/field_gate.py --robot legged --nulls --cases 8 --seed 2`)."""
+
+_FACTORS = {"viscous_damping": 10.0, "armature": 10.0, "ground_slope": 1.0}
+"""The same of what nobody measures (damping, rotor inertia), and of what a spirit level tells."""
+
+
+def field_tolerance(effect: str, tolerance: float) -> float:
+    """1 sigma of a number outside a laboratory.
+
+    Args:
+      effect: name of the effect that the number belongs to.
+      tolerance: 1 sigma that the library has for it; 0 for none.
+    """
+    return _FACTORS.get(effect, _FIELD) * tolerance
+
 
 def known_effects() -> dict[str, Effect]:
     """Effects that can be selected, by name: `KNOWN_EFFECTS`, and those of installed packages.

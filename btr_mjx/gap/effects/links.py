@@ -170,9 +170,9 @@ def _move_geom(model: mujoco.MjModel, geom: int, link: LinkAxis, moved: Callable
     model.geom_pos[geom] = 0.5 * (ends[0] + ends[1])
     new = ends[0] - ends[1]
     model.geom_size[geom, axis] = 0.5 * np.linalg.norm(new)
-    turn, quaternion = np.zeros(4), np.zeros(4)
-    _between_vectors(turn, old, new / np.linalg.norm(new))
-    mujoco.mju_mulQuat(quaternion, turn, model.geom_quat[geom].copy())
+    unit = new / np.linalg.norm(new)
+    turn, quaternion = np.r_[1 + old @ unit, np.cross(old, unit)], np.zeros(4)  # the shortest one
+    mujoco.mju_mulQuat(quaternion, turn / np.linalg.norm(turn), model.geom_quat[geom].copy())
     model.geom_quat[geom] = quaternion
     grown = model.geom_size[geom, axis] - half
     # The bounding box is (centre, half sizes) in the geom's frame.
@@ -195,10 +195,3 @@ def _bound(model: mujoco.MjModel, geom: int) -> float:
     if kind == int(mujoco.mjtGeom.mjGEOM_ELLIPSOID):
         return max(a, b, c)
     return float(np.linalg.norm([a, b, c]))
-
-
-def _between_vectors(quaternion: np.ndarray, old: np.ndarray, new: np.ndarray) -> None:
-    """Write the quaternion of the shortest rotation from one unit vector to another."""
-    cross, dot = np.cross(old, new), float(old @ new)
-    quaternion[:] = [1 + dot, *cross]
-    quaternion /= np.linalg.norm(quaternion)

@@ -1,6 +1,6 @@
 """Effects of drives: the torque-speed line, strength that fades, the stiffness of a servo."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -10,7 +10,7 @@ from btr_mjx.gap.effects.effect import Effect, Parameter
 from btr_mjx.gap.effects.per_member import per_member
 from btr_mjx.gap.effects.places import Place, actuator_count, actuator_places, joint_of
 from btr_mjx.gap.effects.ranges import Scales, unit_of
-from btr_mjx.gap.simulate import Rows, World
+from btr_mjx.gap.simulate import Rows, StateLaw, World
 
 _FASTEST = 3.0
 """No-load speed above which a line is not tried, in peak speeds of the joint."""
@@ -22,35 +22,21 @@ _SOFTEST = -0.99
 """Largest loss of a servo's stiffness: gains of hobby servos in models are often fifty times too large."""
 
 
-@dataclass(frozen=True)
-class TorqueSpeedLine:
+def _narrow_limits(
+    rows: Rows, actuators: np.ndarray, dofs: np.ndarray, turn: np.ndarray, speed: float, stall: float | None
+) -> None:
     """Force limits that fall linearly with the speed in the direction of the force, down to zero.
 
-    Attributes:
-      actuators: ids.
-      dofs: degree of freedom that each of them drives.
-      turn: (n,) sign of its gear.
-      speed: at which no force is left [rad/s or m/s at the joint].
-      stall: limit at rest of actuators that have none [N m or N before the gear]; None where all have one.
+    `turn` is the sign of each actuator's gear; the stall torque limits actuators that have no limit at rest.
     """
-
-    actuators: np.ndarray
-    dofs: np.ndarray
-    turn: np.ndarray
-    speed: float
-    stall: float | None = None
-    fields: tuple[str, ...] = ("actuator_forcerange", "actuator_forcelimited")
-
-    def __call__(self, rows: Rows) -> None:
-        """Narrow the force limits of the next step."""
-        part = self.turn * rows.qvel[:, self.dofs] / self.speed
-        limits, limited = (rows.field(name) for name in self.fields)
-        if self.stall is not None:
-            own = np.where(limited[:, self.actuators, None] != 0, limits[:, self.actuators], [-np.inf, np.inf])
-            limits[:, self.actuators] = np.clip(own, -self.stall, self.stall)
-            limited[:, self.actuators] = 1
-        limits[:, self.actuators, 0] *= np.clip(1 + part, 0.0, 1.0)
-        limits[:, self.actuators, 1] *= np.clip(1 - part, 0.0, 1.0)
+    part = turn * rows.qvel[:, dofs] / speed
+    limits, limited = rows.field("actuator_forcerange"), rows.field("actuator_forcelimited")
+    if stall is not None:
+        own = np.where(limited[:, actuators, None] != 0, limits[:, actuators], [-np.inf, np.inf])
+        limits[:, actuators] = np.clip(own, -stall, stall)
+        limited[:, actuators] = 1
+    limits[:, actuators, 0] *= np.clip(1 + part, 0.0, 1.0)
+    limits[:, actuators, 1] *= np.clip(1 - part, 0.0, 1.0)
 
 
 def _lines(model: mujoco.MjModel) -> list[Place]:
@@ -91,27 +77,18 @@ def _apply_line(world: World, place: Place, values: np.ndarray) -> None:
     dofs = model.jnt_dofadr[model.actuator_trnid[actuators, 0]].astype(int)
     turn = np.sign(model.actuator_gear[actuators, 0])
     stall = float(values[1]) if len(values) > 1 else None
-    world.laws.append(TorqueSpeedLine(actuators, dofs, turn, float(values[0]), stall))
+    fields = "actuator_forcerange", "actuator_forcelimited"
+    world.laws.append(StateLaw(_narrow_limits, (actuators, dofs, turn, float(values[0]), stall), fields))
 
 
-@dataclass(frozen=True)
-class DriftingGain:
-    """Actuator gain that drifts linearly with the time since the start of the recording, force limits included.
+_STRENGTH = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
 
-    Attributes:
-      actuators: ids, with forces that are affine in command and state.
-      rate: of the change [1/s].
-    """
 
-    actuators: np.ndarray
-    rate: float
-    fields: tuple[str, ...] = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
-
-    def __call__(self, rows: Rows) -> None:
-        """Scale the actuators of the next step."""
-        left = np.maximum(1 + self.rate * rows.time, 0.0)[:, None, None]
-        for name in self.fields:
-            rows.field(name)[:, self.actuators] *= left
+def _drift(rows: Rows, actuators: np.ndarray, rate: float) -> None:
+    """Strength that drifts linearly with the time since the start of the recording, force limits included."""
+    left = np.maximum(1 + rate * rows.time, 0.0)[:, None, None]
+    for name in _STRENGTH:
+        rows.field(name)[:, actuators] *= left
 
 
 def _rate(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
@@ -121,7 +98,7 @@ def _rate(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Paramete
 
 def _apply_rate(world: World, place: Place, values: np.ndarray) -> None:
     """Force -> (1 + rate t) force, t since the start of the recording: motor heating, battery discharge."""
-    world.laws.append(DriftingGain(np.array(place.actuators, int), float(values[0])))
+    world.laws.append(StateLaw(_drift, (np.array(place.actuators, int), float(values[0])), _STRENGTH))
 
 
 def _servos(model: mujoco.MjModel) -> list[Place]:
@@ -129,10 +106,6 @@ def _servos(model: mujoco.MjModel) -> list[Place]:
     linear = {a for place in linear_actuators(model) for a in place.actuators}
     damped = [a for a in sorted(linear) if model.actuator_biasprm[a, 1] < 0 and model.actuator_biasprm[a, 2] < 0]
     return actuator_places(model, damped)
-
-
-def _stiffness(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("change", "1", _SOFTEST, 9.0, -0.03, 0.003),)
 
 
 def _apply_stiffness(world: World, place: Place, values: np.ndarray) -> None:
@@ -146,7 +119,7 @@ SERVO_STIFFNESS = per_member(
     Effect(
         "servo_stiffness",
         _servos,
-        _stiffness,
+        lambda *_: (Parameter("change", "1", _SOFTEST, 9.0, -0.03, 0.003),),
         _apply_stiffness,
         excited_by="commands of several frequencies, and loads",
         summable=True,

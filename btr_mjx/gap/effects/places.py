@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from btr_mjx.gap.data import driven_joint
 from btr_mjx.models import part_names
 
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-_JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,8 @@ class Place:
 
     def controls(self, model: mujoco.MjModel) -> np.ndarray:
         """Indices of the controls of the actuators."""
-        return np.array(
-            [model.actuator_ctrladr[a] + k for a in self.actuators for k in range(int(model.actuator_ctrlnum[a]))],
-            int,
-        )
+        first, count = model.actuator_ctrladr, model.actuator_ctrlnum
+        return np.array([first[a] + k for a in self.actuators for k in range(int(count[a]))], int)
 
 
 WORLD = Place("world")
@@ -57,10 +55,8 @@ WORLD = Place("world")
 
 def joint_of(model: mujoco.MjModel, actuator: int) -> int | None:
     """Id of the hinge or slide that an actuator drives; None for other transmissions."""
-    if int(model.actuator_trntype[actuator]) not in _JOINT_TRANSMISSIONS:
-        return None
-    joint = int(model.actuator_trnid[actuator, 0])
-    return joint if int(model.jnt_type[joint]) in _SCALAR else None
+    joint = driven_joint(model, actuator)
+    return joint if joint is not None and int(model.jnt_type[joint]) in _SCALAR else None
 
 
 def actuator_count(model: mujoco.MjModel) -> int:
@@ -110,11 +106,8 @@ def _groups(model: mujoco.MjModel, singles: Sequence[Place]) -> list[Place]:
     groups, seen = [], {everything.members}
     bodies = part_names(model, "body")
     for body in range(1, model.nbody):
-        below = [
-            place
-            for place in singles
-            if place.joints and all(is_below(model, int(model.jnt_bodyid[j]), body) for j in place.joints)
-        ]
+        is_inside = [_is_below(model, int(own), body) for own in model.jnt_bodyid]
+        below = [place for place in singles if place.joints and all(is_inside[j] for j in place.joints)]
         actuated = {j for place in below if place.actuators for j in place.joints}
         group = _union(f"subtree:{bodies[body]}", below)
         if len(actuated) >= 2 and group.members not in seen:
@@ -132,7 +125,7 @@ def _union(label: str, places: Sequence[Place]) -> Place:
     )
 
 
-def is_below(model: mujoco.MjModel, body: int, ancestor: int) -> bool:
+def _is_below(model: mujoco.MjModel, body: int, ancestor: int) -> bool:
     """Whether `body` is `ancestor` or a descendant of it."""
     while body > ancestor:
         body = int(model.body_parentid[body])
@@ -172,7 +165,7 @@ def _jointed(model: mujoco.MjModel) -> list[int]:
 def _floats(model: mujoco.MjModel, body: int) -> bool:
     first = int(model.body_jntadr[body])
     kinds = model.jnt_type[first : first + int(model.body_jntnum[body])]
-    return bool((kinds == int(mujoco.mjtJoint.mjJNT_FREE)).any() or (kinds == int(mujoco.mjtJoint.mjJNT_BALL)).any())
+    return bool((kinds < int(mujoco.mjtJoint.mjJNT_SLIDE)).any())
 
 
 def _branches(model: mujoco.MjModel, body: int) -> list[int]:
@@ -192,10 +185,8 @@ def ground_geoms(model: mujoco.MjModel) -> tuple[list[int], list[int]]:
     paired = {frozenset(pair) for pair in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)}
 
     def meet(a: int, b: int) -> bool:
-        filters = (model.geom_contype[a] & model.geom_conaffinity[b]) | (
-            model.geom_contype[b] & model.geom_conaffinity[a]
-        )
-        return bool(filters) or frozenset((a, b)) in paired
+        one, other = model.geom_contype[[a, b]] & model.geom_conaffinity[[b, a]]
+        return bool(one or other) or frozenset((a, b)) in paired
 
     touching = [g for g in feet.tolist() if any(meet(g, other) for other in ground.tolist())]
     return touching, [g for g in ground.tolist() if any(meet(g, other) for other in touching)]

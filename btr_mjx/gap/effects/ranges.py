@@ -44,7 +44,6 @@ class Scales:
     def of(cls, model: mujoco.MjModel) -> "Scales":
         """Scales estimated from the model alone."""
         data = mujoco.MjData(model)
-        mujoco.mj_resetData(model, data)
         mujoco.mj_forward(model, data)
         amplitude = np.full(model.nv, _DEFAULT_AMPLITUDE)
         for j in np.flatnonzero(model.jnt_limited):
@@ -93,12 +92,10 @@ class Scales:
         model = copy.copy(model)
         data = mujoco.MjData(model)
         torque, inertia, force = [], [], []
-        touching = np.zeros(model.ngeom, bool)
-        ground = np.zeros(model.ngeom, bool)
+        touching, ground = np.zeros((2, model.ngeom), bool)
         ground[ground_geoms(model)[1]] = True
         model.geom_margin[:] = np.maximum(model.geom_margin, 0.01 * guess.length)
         model.geom_gap[:] = model.geom_margin  # contacts are detected, but without force
-        diagonal = np.zeros(model.nv)
         for k in range(len(qpos)):
             data.qpos[:], data.qvel[:], data.ctrl[:] = qpos[k], qvel[k], ctrl[k]
             if act is not None:
@@ -111,12 +108,11 @@ class Scales:
                 mujoco.mj_fullM(model, data, full)
                 inertia.append(np.diag(full).copy())
             pairs = data.contact.geom[: data.ncon]
-            for pair in pairs[ground[pairs].any(axis=1)] if data.ncon else []:
-                touching[pair] = True
+            touching[pairs[ground[pairs].any(axis=1)]] = True
         touching &= ~ground
         speed = np.maximum(np.percentile(np.abs(qvel), 99, axis=0), 1e-3 * guess.speed)
         amplitude = _amplitude(model, qpos, guess.amplitude)
-        mean_inertia = np.maximum(np.mean(inertia, axis=0) if inertia else diagonal, 1e-12)
+        mean_inertia = np.maximum(np.mean(inertia, axis=0), 1e-12)
         driven = np.percentile(torque, 99.5, axis=0)
         passive = mean_inertia * speed**2 / np.maximum(amplitude, 1e-9)
         if has_closed_loops(model) and driven.any():
@@ -168,35 +164,16 @@ def _sizes(model: mujoco.MjModel) -> tuple[float, float]:
 
 
 def smallest_believed(model: mujoco.MjModel, field: str, place: Place) -> float:
-    """Smallest value of a model field over the joints of a place: the largest decrease that keeps all values positive.
-
-    Args:
-      model: the believed model.
-      field: name of an MjModel field of shape (nv,).
-      place: joints.
-    """
+    """Smallest value of a model field (nv,) over the joints of a place: as large a decrease keeps all positive."""
     return float(np.min(getattr(model, field)[place.dofs(model)]))
 
 
 def typical_scale(values: np.ndarray, place: Place, model: mujoco.MjModel) -> float:
-    """Geometric mean over the joints of a place.
-
-    Args:
-      values: (nv,) sizes, such as those of `Scales`.
-      place: joints.
-      model: the believed model.
-    """
+    """Geometric mean of sizes (nv,), such as those of `Scales`, over the joints of a place."""
     return float(np.exp(np.mean(np.log(np.maximum(values[place.dofs(model)], 1e-300)))))
 
 
 def unit_of(model: mujoco.MjModel, place: Place, hinge: str, slide: str) -> str:
-    """Unit of a parameter at a place.
-
-    Args:
-      model: the believed model.
-      place: joints.
-      hinge: unit if all joints are hinges.
-      slide: unit otherwise.
-    """
+    """Unit of a parameter at a place: one if all its joints are hinges, else the other."""
     kinds = model.jnt_type[list(place.joints)]
     return hinge if (kinds == int(mujoco.mjtJoint.mjJNT_HINGE)).all() else slide

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from btr_mjx.errors import InputError
 from btr_mjx.gap.effects.effect import Candidate, Effect
 from btr_mjx.gap.effects.places import Place
-from btr_mjx.gap.simulate import Rows, World
+from btr_mjx.gap.simulate import Rows, StateLaw, World
 from btr_mjx.models import nearest_names, part_names
 
 RESIDUAL = "residual"
@@ -42,13 +42,7 @@ class ResidualTable:
     weights: np.ndarray
 
     def features(self, q: ArrayLike, v: ArrayLike, load: ArrayLike) -> np.ndarray:
-        """Bumps (..., n) at states.
-
-        Args:
-          q: positions.
-          v: velocities.
-          load: forces of the actuators.
-        """
+        """Bumps (..., n) at positions, velocities and forces of the actuators."""
         state = np.stack([q, v, load], -1)
         part = np.clip((state - self.low) / np.maximum(self.high - self.low, 1e-12), 0.0, 1.0)
         square = np.nan_to_num((part[..., None, :] - self.centres) ** 2).sum(-1)
@@ -72,14 +66,7 @@ class ResidualTable:
         return cls(str(content["joint"]), *(np.array(content[name], float) for name in names))
 
     def candidate(self, model: mujoco.MjModel) -> Candidate:
-        """The table as an effect without free numbers.
-
-        Args:
-          model: the believed model.
-
-        Raises:
-          InputError: the model has no such joint.
-        """
+        """The table as an effect without free numbers; refuses a model without its joint."""
         names = part_names(model, "joint")
         if self.joint not in names:
             nearest = nearest_names(self.joint, names)
@@ -87,27 +74,13 @@ class ResidualTable:
         joint = names.index(self.joint)
 
         def apply(world: World, place: Place, values: np.ndarray) -> None:
-            world.laws.append(ResidualForce(self, joint))
+            world.laws.append(StateLaw(_add_table, (self, joint)))
 
         place = Place(f"joint:{self.joint}", joints=(joint,))
         return Candidate(Effect(RESIDUAL, lambda _: [place], lambda *_: (), apply), place, ())
 
 
-@dataclass(frozen=True)
-class ResidualForce:
-    """A table in a simulation.
-
-    Attributes:
-      table: the force.
-      joint: id of the joint.
-    """
-
-    table: ResidualTable
-    joint: int
-    fields: tuple[str, ...] = ()
-
-    def __call__(self, rows: Rows) -> None:
-        """Add to the force of the next step."""
-        q, v = int(rows.model.jnt_qposadr[self.joint]), int(rows.model.jnt_dofadr[self.joint])
-        found = self.table.features(rows.qpos[:, q], rows.qvel[:, v], rows.qfrc_actuator[:, v])
-        rows.qfrc_applied[:, v] += found @ self.table.weights
+def _add_table(rows: Rows, table: ResidualTable, joint: int) -> None:
+    q, v = int(rows.model.jnt_qposadr[joint]), int(rows.model.jnt_dofadr[joint])
+    found = table.features(rows.qpos[:, q], rows.qvel[:, v], rows.qfrc_actuator[:, v])
+    rows.qfrc_applied[:, v] += found @ table.weights

@@ -4,15 +4,13 @@ A hardening spring is similar to a stiffness, an elastic cord to a constant forc
 by name.
 """
 
-from dataclasses import dataclass
-
 import mujoco
 import numpy as np
 
 from btr_mjx.gap.effects.effect import Effect, Parameter
 from btr_mjx.gap.effects.places import Place, body_place, joint_places
 from btr_mjx.gap.effects.ranges import Scales, typical_scale, unit_of
-from btr_mjx.gap.simulate import Rows, World
+from btr_mjx.gap.simulate import Rows, StateLaw, World
 
 
 def _cubic(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
@@ -26,25 +24,10 @@ def _apply_cubic(world: World, place: Place, values: np.ndarray) -> None:
     world.model.jnt_stiffnesspoly[list(place.joints), 1] += values[0]
 
 
-@dataclass(frozen=True)
-class OneSidedSpring:
-    """Joint forces -k |q - q_spring|.
-
-    Attributes:
-      dofs: degrees of freedom.
-      positions: their addresses in qpos.
-      stiffness: k [N m/rad or N/m].
-    """
-
-    dofs: np.ndarray
-    positions: np.ndarray
-    stiffness: float
-    fields: tuple[str, ...] = ()
-
-    def __call__(self, rows: Rows) -> None:
-        """Add to the applied force of the next step."""
-        away = rows.qpos[:, self.positions] - rows.model.qpos_spring[self.positions]
-        rows.qfrc_applied[:, self.dofs] -= self.stiffness * np.abs(away)
+def _pull_to_one_side(rows: Rows, dofs: np.ndarray, positions: np.ndarray, stiffness: float) -> None:
+    """Joint forces -k |q - q_spring|."""
+    away = rows.qpos[:, positions] - rows.model.qpos_spring[positions]
+    rows.qfrc_applied[:, dofs] -= stiffness * np.abs(away)
 
 
 def _one_sided(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
@@ -56,37 +39,18 @@ def _apply_one_sided(world: World, place: Place, values: np.ndarray) -> None:
     """Tau = -k |q - q_spring|; together with a stiffness k, a cable that is slack on one side."""
     model = world.model
     positions = model.jnt_qposadr[list(place.joints)].astype(int)
-    world.laws.append(OneSidedSpring(place.dofs(model), positions, float(values[0])))
+    world.laws.append(StateLaw(_pull_to_one_side, (place.dofs(model), positions, float(values[0]))))
 
 
-@dataclass(frozen=True)
-class AnchoredSpring:
-    """Force -k (x - x0) on a free body, x0 its position in qpos0.
-
-    Attributes:
-      body: the body.
-      position: address of its position in qpos.
-      stiffness: k [N/m].
-    """
-
-    body: int
-    position: int
-    stiffness: float
-    fields: tuple[str, ...] = ()
-
-    def __call__(self, rows: Rows) -> None:
-        """Add to the applied force of the next step."""
-        here = slice(self.position, self.position + 3)
-        rows.xfrc_applied[:, self.body, :3] -= self.stiffness * (rows.qpos[:, here] - rows.model.qpos0[here])
+def _pull_to_anchor(rows: Rows, body: int, position: int, stiffness: float) -> None:
+    """Force -k (x - x0) on a free body with its position at this address in qpos, x0 that in qpos0."""
+    here = slice(position, position + 3)
+    rows.xfrc_applied[:, body, :3] -= stiffness * (rows.qpos[:, here] - rows.model.qpos0[here])
 
 
 def _free_joint(model: mujoco.MjModel, body: int) -> int | None:
     first = int(model.body_jntadr[body])
     return first if first >= 0 and int(model.jnt_type[first]) == int(mujoco.mjtJoint.mjJNT_FREE) else None
-
-
-def _free_bodies(model: mujoco.MjModel) -> list[Place]:
-    return [body_place(model, b) for b in range(1, model.nbody) if _free_joint(model, b) is not None]
 
 
 def _cord(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
@@ -99,7 +63,7 @@ def _apply_cord(world: World, place: Place, values: np.ndarray) -> None:
     (body,) = place.bodies
     joint = _free_joint(world.model, body)
     assert joint is not None
-    world.laws.append(AnchoredSpring(body, int(world.model.jnt_qposadr[joint]), float(values[0])))
+    world.laws.append(StateLaw(_pull_to_anchor, (body, int(world.model.jnt_qposadr[joint]), float(values[0]))))
 
 
 HARDENING_SPRING = Effect(
@@ -122,7 +86,7 @@ ONE_SIDED_SPRING = Effect(
 )
 ELASTIC_CORD = Effect(
     "elastic_cord",
-    _free_bodies,
+    lambda model: [body_place(model, b) for b in range(1, model.nbody) if _free_joint(model, b) is not None],
     _cord,
     _apply_cord,
     excited_by="travel of the body",

@@ -1,13 +1,14 @@
 """Checks of a dataset before any fit: units, timing, excitation, noise, stability of the believed model.
 
-`preflight` returns `Finding`s; `refuse_errors` raises if one of them is an error.
+`preflight` returns `Finding`s, which `save_findings` writes; `refuse_errors` raises if one of them is an error.
 """
 
 from btr_mjx.gap.preflight.checks import preflight, refuse_errors
-from btr_mjx.gap.preflight.findings import Finding
+from btr_mjx.gap.preflight.findings import Finding, save_findings
 
 __all__ = [
     "Finding",
     "preflight",
     "refuse_errors",
+    "save_findings",
 ]

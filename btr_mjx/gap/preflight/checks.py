@@ -27,12 +27,9 @@ _FEW_VALUES = 20
 """Different positions of a joint below which its resolution is called coarse."""
 
 _BETWEEN = {
-    key: f'{words} ("{key}"; interpolation in [control] of dataset.toml changes it)'
-    for key, words in (
-        ("hold", "the last one is held until the next"),
-        ("linear", "a straight line from one to the next"),
-        ("cubic", "a cubic spline through all"),
-    )
+    "hold": "the last one is held until the next",
+    "linear": "a straight line from one to the next",
+    "cubic": "a cubic spline through all",
 }
 _FAULTS_OF_DATA = ("convention", "units", "repeats", "wrap", "clocks")
 """Topics of errors that the data, rather than the robot, are to blame for."""
@@ -88,14 +85,14 @@ def refuse_errors(findings: Sequence[Finding]) -> None:
 
 
 def _summary(dataset: Dataset) -> list[str]:
-    model, times = dataset.model, [r.time for r in dataset.recordings]
+    model, times, key = dataset.model, [r.time for r in dataset.recordings], dataset.interpolation
     seconds = sum(float(t[-1] - t[0]) for t in times)
+    between = f'{_BETWEEN[key]} ("{key}"; interpolation in [control] of dataset.toml changes it)'
     return [
         f"{len(dataset.fit)} recording{'s' if len(dataset.fit) > 1 else ''} to fit and {len(dataset.test)} held out, "
-        f"{seconds:.1f} s, "
-        f"{sum(map(len, times))} samples of {model.njnt} joints and {model.nu} commands",
+        f"{seconds:.1f} s, {sum(map(len, times))} samples of {model.njnt} joints and {model.nu} commands",
         "held out: " + listed([r.name for r in dataset.test]),
-        *([f"commands between samples: {_BETWEEN[dataset.interpolation]}"] if model.nu else []),
+        *([f"commands between samples: {between}"] if model.nu else []),
     ]
 
 
@@ -115,102 +112,76 @@ def _units(joints: Sequence[JointTrack]) -> list[Finding]:
         if not joint.hinge:
             continue
         peak = float(np.percentile(np.abs(joint.qpos), 98))
-        limit = None if joint.limits is None else float(np.abs(joint.limits).max())
-        if limit is not None and peak > 5 * limit + 1:
+        limit = np.inf if joint.limits is None else float(np.abs(joint.limits).max())
+        if peak > 5 * limit + 1:
             text = f"reaches {peak:.4g}, its limit in the model is {limit:.4g} rad"
         elif joint.servo and peak > 15:
             text = f"reaches {peak:.4g}, more than two turns of a position servo"
         elif joint.servo and np.ptp(joint.ctrl) > 30 * max(np.ptp(joint.qpos), 1e-9) and np.abs(joint.ctrl).max() > 6:
-            text = (
-                f"has a command that reaches {np.abs(joint.ctrl).max():.4g} while it moves by {np.ptp(joint.qpos):.3g}"
-            )
+            most = np.abs(joint.ctrl).max()
+            text = f"has a command that reaches {most:.4g} while it moves by {np.ptp(joint.qpos):.3g}"
         else:
             continue
-        findings.append(
-            Finding("error", "units", f"joint {joint.name!r} {text}; this looks like degrees; {DEGREES_REMEDY}")
-        )
+        message = f"joint {joint.name!r} {text}; this looks like degrees; {DEGREES_REMEDY}"
+        findings.append(Finding("error", "units", message))
     return findings
 
 
 def _channels(dataset: Dataset, joints: Sequence[JointTrack], noise: Noise) -> list[Finding]:
-    findings, model = [], dataset.model
-    actuators = part_names(model, "actuator")
+    model, actuators = dataset.model, part_names(dataset.model, "actuator")
     ctrl = np.concatenate([r.ctrl for r in dataset.recordings])
     still = [name for name, column in zip(actuators, ctrl.T, strict=False) if np.ptp(column) == 0]
     frozen = [j.name for j in joints if np.ptp(j.qpos) == 0]
     sigma = dict(zip(part_names(model, "joint"), noise.qpos[model.jnt_dofadr], strict=True))
     quiet = [j.name for j in joints if 0 < np.ptp(j.qpos) < 8 * sigma[j.name]]
+    findings = []
     if len(still) == len(actuators) and len(frozen) + len(quiet) == len(joints) and not moves(dataset):
-        findings.append(
-            Finding(
-                "error",
-                "excitation",
-                "no excitation: every command is constant and no joint moves beyond its noise; record motions",
-            )
+        message = "no excitation: every command is constant and no joint moves beyond its noise; record motions"
+        findings.append(Finding("error", "excitation", message))
+    odd = [
+        f"{text}: {listed(names)}"
+        for names, text in (
+            (still, "commands that never change"),
+            (frozen, "joints whose position never changes; is the sensor connected?"),
+            (quiet, "joints that move no further than their noise"),
         )
-    for names, text in (
-        (still, "commands that never change"),
-        (frozen, "joints whose position never changes; is the sensor connected?"),
-        (quiet, "joints that move no further than their noise"),
-    ):
-        if names:
-            findings.append(Finding("warning", "channels", f"{text}: {listed(names)}"))
+        if names
+    ]
     for joint in joints:
-        stuck = _stuck_at_peak(joint.qpos)
-        if stuck > 0.05 and np.ptp(joint.qpos) > 0 and len(np.unique(joint.qpos)) > 20:
-            findings.append(
-                Finding("warning", "channels", f"qpos/{joint.name} stays at its extreme for {stuck:.0%} of the samples")
-            )
-        values = np.unique(joint.qpos)
+        values, counts = np.unique(joint.qpos, return_counts=True)
+        stuck = max(counts[0], counts[-1]) / len(joint.qpos)
+        if stuck > 0.05 and len(values) > _FEW_VALUES:
+            odd.append(f"qpos/{joint.name} stays at its extreme for {stuck:.0%} of the samples")
         if 1 < len(values) <= _FEW_VALUES:
             apart = float(np.median(np.diff(values)))
-            message = (
+            odd.append(
                 f"qpos/{joint.name} takes only {len(values)} different values, {apart:.3g} apart: its "
                 "resolution is coarse beside its motion; velocities and friction are hard to see"
             )
-            findings.append(Finding("warning", "channels", message))
-    for a, name in enumerate(actuators):
-        if a < ctrl.shape[1] and model.actuator_ctrllimited[a]:
-            low, high = model.actuator_ctrlrange[a]
-            beyond = float(np.mean((ctrl[:, a] <= low) | (ctrl[:, a] >= high)))
-            if beyond > 0.02:
-                findings.append(
-                    Finding(
-                        "warning",
-                        "channels",
-                        f"ctrl/{name} is at or beyond its ctrlrange in {beyond:.0%} of the samples",
-                    )
-                )
-    return findings
-
-
-def _stuck_at_peak(signal: np.ndarray) -> float:
-    """Fraction of the samples at the largest or at the smallest value, whichever is larger."""
-    return float(max(np.mean(signal == signal.max()), np.mean(signal == signal.min())))
+    for name, column, limited, (low, high) in zip(
+        actuators, ctrl.T, model.actuator_ctrllimited, model.actuator_ctrlrange, strict=False
+    ):
+        beyond = float(np.mean((column <= low) | (column >= high)))
+        if limited and beyond > 0.02:
+            odd.append(f"ctrl/{name} is at or beyond its ctrlrange in {beyond:.0%} of the samples")
+    return findings + [Finding("warning", "channels", message) for message in odd]
 
 
 def _parameter_bounds(dataset: Dataset) -> list[Finding]:
     findings = []
     for believed in dataset.parameters:
-        value = believed.value(dataset.model)
-        room = 0.01 * (believed.high - believed.low)
-        if value < believed.low + room or value > believed.high - room:
-            findings.append(
-                Finding(
-                    "warning",
-                    "parameters",
-                    f"parameter {believed.name!r} starts at its bound: {value:.6g} of "
-                    f"[{believed.low}, {believed.high}]",
-                )
-            )
+        value, room = believed.value(dataset.model), 0.01 * (believed.high - believed.low)
+        if not believed.low + room <= value <= believed.high - room:
+            bounds = f"{value:.6g} of [{believed.low}, {believed.high}]"
+            message = f"parameter {believed.name!r} starts at its bound: {bounds}"
+            findings.append(Finding("warning", "parameters", message))
     return findings
 
 
 def _excitation(dataset: Dataset, joints: Sequence[JointTrack], effects: Sequence[str] | None) -> list[Finding]:
     """A note for each effect that these data do not excite, though the model could have it."""
-    blind = unexcited_effects(dataset, joints)
     return [
         Finding("note", "excitation", f"these data cannot show {name}: {reason}")
-        for name, reason in blind.items()
+        for name, reason in unexcited_effects(dataset, joints).items()
         if reason not in ("", NO_GROUND) and (effects is None or name in effects)
     ]

@@ -14,7 +14,6 @@ CHANCE = 1e-5
 """Largest probability of the gain of an alternative by chance: about a hundred alternatives are tried for a dataset, so
 that one dataset in a thousand would be accused if stretches were independent and the ratio below did not count."""
 
-
 _MIN_VALUES = 5
 """Fewest stretches for a t test: the standard deviation of fewer is hardly known."""
 

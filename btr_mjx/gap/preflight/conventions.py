@@ -46,12 +46,7 @@ class _Fault:
 
 
 def position_conventions(dataset: Dataset, noise: Noise) -> list[Finding]:
-    """Errors for columns of positions and commands that follow another convention than the documented one.
-
-    Args:
-      dataset: the dataset.
-      noise: of its sensors.
-    """
+    """Errors for columns of positions and commands that follow another convention than the documented one."""
     predictor = Predictor(dataset, noise, STRETCHES)
     if len(predictor) < _FEWEST:
         return []

@@ -30,12 +30,7 @@ same as one that follows the motion."""
 
 
 def clock_drift(dataset: Dataset, noise: Noise) -> list[Finding]:
-    """An error if the commands' clock drifts against the states'.
-
-    Args:
-      dataset: the dataset, in sound conventions.
-      noise: of its sensors.
-    """
+    """An error if the commands' clock drifts against the states'; of data in sound conventions."""
     if all(np.ptp(r.ctrl, axis=0).max(initial=0) == 0 for r in dataset.recordings):
         return []
     predictor = Predictor(dataset, noise, _STRETCHES)
@@ -67,9 +62,8 @@ def _delays(dataset: Dataset, noise: Noise, predictor: Predictor) -> tuple[np.nd
     stronger, weaker = (predictor.motions(none, command_scale=s)[0][1] for s in (1.02, 0.98))
     middle = 0.5 * (late + early)
     with np.errstate(invalid="ignore", over="ignore"):
-        size = (
-            np.sqrt(np.nanmedian((measured - middle) ** 2, axis=(0, 1))) + noise.qpos
-        )  # what the model does not explain
+        # What the model does not explain.
+        size = np.sqrt(np.nanmedian((measured - middle) ** 2, axis=(0, 1))) + noise.qpos
         left, by_delay, by_gain = (
             np.nan_to_num(x / size, nan=0.0, posinf=0.0, neginf=0.0)
             for x in (measured - middle, (late - early) / (2 * step), (stronger - weaker) / 0.04)
@@ -106,12 +100,8 @@ def _slope(
     starts, dofs = np.unique(recording), np.unique(dof)
     if len(np.unique(stretch)) < max(_MIN_STRETCHES, len(starts) + 8):
         return None
-    delay, weight, motion, recording = (
-        delay[stretch, dof],
-        weight[stretch, dof],
-        motion[stretch, dof],
-        recording[stretch],
-    )
+    delay, weight, motion = (values[stretch, dof] for values in (delay, weight, motion))
+    recording = recording[stretch]
     of_dof = [np.where(dof == v, column, 0.0) for v in dofs for column in (np.ones(len(dof)), *motion.T)]
     constant = np.stack([np.where(recording == i, 1.0, 0.0) for i in starts], axis=1)
     others = np.concatenate([constant, np.stack(of_dof, axis=1)], axis=1)

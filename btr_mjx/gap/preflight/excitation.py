@@ -29,8 +29,7 @@ class JointTrack:
       actuator: id of the actuator that drives it; None without one.
       servo: whether the actuator is a position servo.
       limits: (2,) range in the model [rad or m]; None if unlimited.
-      qpos, qvel: (N,) measured position and velocity.
-      measured: whether the velocity was measured in all recordings.
+      qpos: (N,) measured position.
       slope: (N,) central differences of the positions.
       ctrl: (N,) commands, (0,) without an actuator.
     """
@@ -41,8 +40,6 @@ class JointTrack:
     servo: bool
     limits: np.ndarray | None
     qpos: np.ndarray
-    qvel: np.ndarray
-    measured: bool
     slope: np.ndarray
     ctrl: np.ndarray
 
@@ -68,8 +65,6 @@ def joint_tracks(dataset: Dataset) -> list[JointTrack]:
                 servo,
                 model.jnt_range[j] if model.jnt_limited[j] else None,
                 np.concatenate([r.qpos[:, q] for r in dataset.recordings]),
-                np.concatenate([r.qvel[:, v] for r in dataset.recordings]),
-                all(bool(r.qvel_measured[v]) for r in dataset.recordings),
                 np.concatenate([s[:, v] for s in slopes]),
                 np.concatenate([r.ctrl[:, a] for r in dataset.recordings]) if a is not None else np.zeros(0),
             )
@@ -84,17 +79,8 @@ def _slopes(recording: Recording) -> np.ndarray:
     return np.concatenate([inner[:1], inner, inner[-1:]])
 
 
-def unexcited_effects(dataset: Dataset, joints: Sequence[JointTrack] | None = None) -> dict[str, str]:
-    """Reason why these data do not excite an effect, for each effect that is checked.
-
-    Args:
-      dataset: the dataset.
-      joints: result of `joint_tracks`, if already computed.
-
-    Returns:
-      Reason by effect name; "" where the effect is excited.
-    """
-    joints = joint_tracks(dataset) if joints is None else joints
+def unexcited_effects(dataset: Dataset, joints: Sequence[JointTrack]) -> dict[str, str]:
+    """Reason why these data do not excite an effect, by the name of each effect that is checked; "" where they do."""
     model = dataset.model
     moving = [j for j in joints if np.ptp(j.qpos) > _LEAST_MOTION]
     driven = [j for j in moving if j.actuator is not None]

@@ -1,8 +1,12 @@
 """Findings of the checks: one line about a dataset, with a level, numbers and a remedy."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Literal
+
+from btr_mjx.runs import write_table
 
 Level = Literal["error", "warning", "note"]
 DEGREES_REMEDY = 'angles are in rad: name the column ..._deg, or put "COLUMN" = "deg" into [units] of dataset.toml'
@@ -27,3 +31,9 @@ class Finding:
     remedy: str = ""
     evidence: Mapping[str, float] = field(default_factory=dict)
     lines: tuple[str, ...] = ()
+
+
+def save_findings(findings: Sequence[Finding], path: Path) -> None:
+    """Write findings as a table, a row each."""
+    rows = [asdict(f) | {"evidence": json.dumps(f.evidence), "lines": "\n".join(f.lines)} for f in findings]
+    write_table(path, rows)

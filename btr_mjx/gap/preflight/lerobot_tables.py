@@ -8,14 +8,9 @@ from btr_mjx.models import part_names
 
 
 def joint_lines(dataset: Dataset, change: Change) -> tuple[str, ...]:
-    """What to write where joints are exchanged or count the other way round, and to run then.
+    """What to write where joints of a LeRobot dataset are exchanged or count the other way round, and to run then.
 
-    Args:
-      dataset: a LeRobot dataset.
-      change: of positions and of the commands of the same joints; others cannot be declared.
-
-    Returns:
-      Lines; none where the change is none of these.
+    There are no lines for other changes, which cannot be declared.
     """
     model, tables = dataset.model, list[str]()
     joints, owner = part_names(model, "joint"), {int(q): j for j, q in enumerate(model.jnt_qposadr)}

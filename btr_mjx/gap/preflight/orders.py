@@ -6,7 +6,8 @@ from itertools import permutations
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.data import DATASET_FILE, Answer, Dataset, control_columns, listed, quoted, state_columns
+from btr_mjx.gap.data import Dataset, control_columns, listed, quoted, state_columns
+from btr_mjx.gap.preflight.lerobot_tables import toml_lines
 from btr_mjx.gap.preflight.predictions import Change
 from btr_mjx.models import part_names
 
@@ -52,12 +53,7 @@ def joint_orders(
 def column_lines(dataset: Dataset, change: Change) -> tuple[str, ...]:
     """What to write into dataset.toml where columns have another order, and to run then.
 
-    Args:
-      dataset: the dataset.
-      change: of the order of positions, with which velocities go, and of commands, with which forces go.
-
-    Returns:
-      Lines; none where columns have no names of their own in the logs.
+    Velocities go with positions, forces with commands. There are no lines for columns without names in the logs.
     """
     model, sources = dataset.model, dataset.sources
     positions, velocities = state_columns(model)
@@ -76,9 +72,7 @@ def column_lines(dataset: Dataset, change: Change) -> tuple[str, ...]:
     named = [(sources.get(old, "" if sources else old), new) for old, new in pairs]
     if not all(old for old, _ in named):
         return ()
-    head = "\n".join(line for line in dataset.inferred.splitlines() if not line.startswith("#"))
-    lines = [f"{quoted(old)} = {quoted(new)}" for old, new in named if old != new]
-    return Answer(dataset.folder / DATASET_FILE, head.strip()).error("", lines).lines
+    return toml_lines(dataset, ["[columns]", *(f"{quoted(old)} = {quoted(new)}" for old, new in named if old != new)])
 
 
 def _parents(model: mujoco.MjModel, joints: Sequence[int]) -> dict[int, int | None]:

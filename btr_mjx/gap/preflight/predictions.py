@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.data import Dataset, Noise
+from btr_mjx.gap.data import Dataset, Noise, Recording
 from btr_mjx.gap.preflight.stretches import Stretch, choose_stretches, motion_seconds
 from btr_mjx.gap.simulate import Command, Segments, World, simulate
-from btr_mjx.models import difference, integrate, part_names
+from btr_mjx.models import difference, integrate
 
 WORST = 1e4
 """Largest relative error (variance), also that of a simulation that diverges."""
@@ -39,9 +39,13 @@ class ColumnMap:
     offset: np.ndarray
 
     @classmethod
-    def identity(cls, count: int) -> "ColumnMap":
-        """No change of `count` columns."""
-        return cls(np.arange(count), np.ones(count), np.zeros(count))
+    def affine(
+        cls, count: int, columns: Sequence[int] | np.ndarray = (), scale: float = 1.0, offset: float = 0.0
+    ) -> "ColumnMap":
+        """A change of some of `count` columns, which all stay in their places."""
+        out, chosen = cls(np.arange(count), np.ones(count), np.zeros(count)), np.asarray(columns, int)
+        out.scale[chosen], out.offset[chosen] = scale, offset
+        return out
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
         """The changed columns."""
@@ -74,7 +78,7 @@ class Change:
     @classmethod
     def none(cls, model: mujoco.MjModel) -> "Change":
         """No change."""
-        return cls(ColumnMap.identity(model.nq), ColumnMap.identity(model.nu))
+        return cls(ColumnMap.affine(model.nq), ColumnMap.affine(model.nu))
 
     def after(self, first: "Change") -> "Change":
         """This change of what `first` gives."""
@@ -113,34 +117,6 @@ def groups_of(model: mujoco.MjModel) -> list[CoordinateGroup]:
     return out
 
 
-@dataclass(frozen=True, eq=False)
-class _Cut:
-    """Rows of one stretch: those around its start, those that are compared, and its command."""
-
-    stretch: Stretch
-    around: np.ndarray
-    samples: np.ndarray
-    command: slice
-
-
-@dataclass(frozen=True)
-class _Worlds:
-    """Worlds by model and change of it: a model with meshes takes many megabytes, and most changes leave it alone."""
-
-    known: dict[tuple[int, tuple[float, float, float] | None, tuple[int, ...]], World]
-
-    def of(self, model: mujoco.MjModel, change: Change) -> World:
-        """The world of a recording's model under a change."""
-        key = id(model), change.gravity, change.switched_off
-        if key not in self.known:
-            world = self.known[key] = World.of(model)
-            if change.gravity is not None:
-                world.model.opt.gravity[:] = change.gravity
-            for actuator in change.switched_off:
-                world.model.actuator_gainprm[actuator], world.model.actuator_biasprm[actuator] = 0.0, 0.0
-        return self.known[key]
-
-
 class Predictor:
     """Stretches of a dataset, and the error of the believed model in them.
 
@@ -153,25 +129,24 @@ class Predictor:
         self.groups = groups_of(dataset.model)
         self._dataset, self._noise = dataset, noise
         self.seconds = motion_seconds(dataset)
-        stretches = choose_stretches(dataset, self.seconds, count, _SLOPE_SHARE)
-        self._cuts = [_cut(s) for s in stretches]
+        self._stretches = choose_stretches(dataset, self.seconds, count, _SLOPE_SHARE)
 
     def __len__(self) -> int:
-        return len(self._cuts)
+        return len(self._stretches)
 
     def few(self, count: int) -> "Predictor":
         """The same with at most `count` stretches."""
         out = copy.copy(self)
         if len(self) > count:
-            out._cuts = [self._cuts[i] for i in np.linspace(0, len(self) - 1, count).round().astype(int)]
+            chosen = np.linspace(0, len(self) - 1, count).round().astype(int)
+            out._stretches = [self._stretches[i] for i in chosen]
         return out
 
     def start_times(self) -> tuple[np.ndarray, np.ndarray]:
         """Recording (W,) of each stretch, and time of its start since the recording's [s]."""
-        rows = [(c.stretch.recording, c.stretch.first) for c in self._cuts]
-        times = [self._dataset.recordings[i].time for i, _ in rows]
-        since = [time[k] - time[0] for time, (_, k) in zip(times, rows, strict=True)]
-        return np.array([i for i, _ in rows], int), np.array(since)
+        times = [self._dataset.recordings[s.recording].time for s in self._stretches]
+        since = [time[s.first] - time[0] for time, s in zip(times, self._stretches, strict=True)]
+        return np.array([s.recording for s in self._stretches], int), np.array(since)
 
     def errors(self, changes: Sequence[Change]) -> np.ndarray:
         """Relative error variances (changes, W, groups), between the noise and `WORST`; see `motions`."""
@@ -180,7 +155,7 @@ class Predictor:
 
     def motions(
         self, changes: Sequence[Change], command_shift: float = 0.0, command_scale: float = 1.0
-    ) -> list[tuple[np.ndarray, np.ndarray]]:
+    ) -> list[np.ndarray]:
         """Simulate all stretches under each change.
 
         Args:
@@ -189,31 +164,27 @@ class Predictor:
           command_scale: factor of all commands.
 
         Returns:
-          For each change, measured and simulated motion since the start of each stretch, (W, samples, nv) each.
+          For each change (2, W, samples, nv): measured and simulated motion since the start of each stretch.
         """
-        jobs, ends = [], []
-        worlds = _Worlds({})
+        jobs, ends = list[tuple[World, Segments]](), list[np.ndarray]()
+        worlds: dict[tuple, World] = {}
         for change in changes:
-            for recording in sorted({c.stretch.recording for c in self._cuts}):
-                cuts = [c for c in self._cuts if c.stretch.recording == recording]
-                job, end = self._job(worlds, change, recording, cuts, command_shift, command_scale)
-                jobs.append(job)
+            for number in sorted({s.recording for s in self._stretches}):
+                recording = self._dataset.recordings[number]
+                # A model with meshes takes many megabytes, and most changes leave it alone.
+                key = id(recording.model), change.gravity, change.switched_off
+                world = worlds[key] if key in worlds else worlds.setdefault(key, _changed(recording.model, change))
+                own = [s for s in self._stretches if s.recording == number]
+                segments, end = self._segments(world, change, recording, own, command_shift, command_scale)
+                jobs.append((world, segments))
                 ends.append(end)
-        states = simulate(jobs)
-        out = []
+        moved = []
+        for (world, segments), end, states in zip(jobs, ends, simulate(jobs), strict=True):
+            with np.errstate(invalid="ignore"):
+                both = np.stack([end, states[..., : world.model.nq]])
+                moved.append(difference(world.model, segments.qpos[:, None], both))
         each = len(jobs) // max(len(changes), 1)
-        nq = self._dataset.model.nq
-        for i in range(len(changes)):
-            pairs = []
-            for (world, segments), end, found in zip(
-                *(x[i * each : (i + 1) * each] for x in (jobs, ends, states)), strict=True
-            ):
-                start = segments.qpos[:, None]
-                measured = difference(world.model, start, end)
-                with np.errstate(invalid="ignore"):
-                    pairs.append((measured, difference(world.model, start, found[..., :nq])))
-            out.append((np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])))
-        return out
+        return [np.concatenate(moved[i * each : (i + 1) * each], axis=1) for i in range(len(changes))]
 
     def _relative(self, change: Change, measured: np.ndarray, simulated: np.ndarray) -> np.ndarray:
         sigma = self._dof_noise(change)
@@ -228,60 +199,61 @@ class Predictor:
             out[:, g] = np.clip(np.nan_to_num((left + noise) / scale, nan=WORST, posinf=WORST), 0, WORST)
         return out
 
-    def _command(self, recording: int, cut: _Cut, change: Change, shift: float, scale: float) -> Command:
-        """The commands around a stretch."""
-        data = self._dataset.recordings[recording]
-        times, values = data.commands
-        low, high = np.searchsorted(times, data.time[[cut.command.start, min(cut.command.stop, len(data.time)) - 1]])
-        rows = slice(max(0, int(low) - 1), int(high) + 2)
-        return Command(times[rows] + shift, change.ctrl(values[rows]) * scale, self._dataset.interpolation)
-
     def _dof_noise(self, change: Change) -> np.ndarray:
         """Standard deviations (nv,) of the changed positions."""
         model, sigma = self._dataset.model, self._noise.qpos.copy()
-        owner = {int(q): int(v) for q, v in zip(model.jnt_qposadr, model.jnt_dofadr, strict=True)}
+        owner = dict(zip(model.jnt_qposadr.tolist(), model.jnt_dofadr.tolist(), strict=True))
         for group in self.groups:
-            if group.dofs.stop - group.dofs.start == 1:
-                q = int(model.jnt_qposadr[group.joint])
-                source = owner.get(int(change.qpos.source[q]))
-                if source is not None:
-                    sigma[group.dofs] = self._noise.qpos[source] * abs(change.qpos.scale[q])
-            elif model.jnt_type[group.joint] == mujoco.mjtJoint.mjJNT_FREE and group.dofs.start == int(
-                model.jnt_dofadr[group.joint]
-            ):
-                sigma[group.dofs] *= abs(change.qpos.scale[int(model.jnt_qposadr[group.joint])])
+            q, v = int(model.jnt_qposadr[group.joint]), int(model.jnt_dofadr[group.joint])
+            if group.dofs.start == v:  # others are rotations of free joints, which have no unit
+                source = owner.get(int(change.qpos.source[q]), v)
+                width = group.dofs.stop - group.dofs.start
+                sigma[group.dofs] = self._noise.qpos[source : source + width] * abs(change.qpos.scale[q])
         return sigma
 
-    def _job(
-        self, worlds: _Worlds, change: Change, recording: int, cuts: Sequence[_Cut], shift: float, scale: float
-    ) -> tuple[tuple[World, Segments], np.ndarray]:
-        """World and segments of the stretches of a recording, and measured positions (W, samples, nq) at their ends."""
-        data = self._dataset.recordings[recording]
-        world = worlds.of(data.model, change)
-        model = world.model
-        starts, speeds, acts = [], [], []
-        for cut in cuts:
-            near = change.qpos(data.qpos[cut.around])
-            middle = change.qpos(data.qpos[cut.stretch.first])
-            moves = difference(model, middle, near)
-            since = data.time[cut.around] - data.time[cut.stretch.first]
-            place, slope = _fitted(since, moves)
+    def _segments(
+        self, world: World, change: Change, data: Recording, own: Sequence[Stretch], shift: float, scale: float
+    ) -> tuple[Segments, np.ndarray]:
+        """Segments of the stretches of a recording, and measured positions (W, samples, nq) at their ends."""
+        model, starts, speeds, acts = world.model, [], [], []
+        times, values = data.commands
+        commands, samples = list[Command](), []
+        for stretch in own:
+            first, length = stretch.first, stretch.last - stretch.first
+            side = max(3, int(_SLOPE_SHARE * length))
+            around = first + np.unique(np.linspace(-side, side, 2 * min(side, _SLOPE_ROWS) + 1).round().astype(int))
+            middle = change.qpos(data.qpos[first])
+            moves = difference(model, middle, change.qpos(data.qpos[around]))
+            place, slope = _fitted(data.time[around] - data.time[first], moves)
             starts.append(integrate(model, middle, place))
             speeds.append(slope)
-            acts.append(_activation(model, change.ctrl(data.ctrl[cut.stretch.first]) * scale, middle))
-        commands = tuple(self._command(recording, cut, change, shift, scale) for cut in cuts)
-        at = np.array([cut.samples for cut in cuts])
-        first = data.time[[cut.stretch.first for cut in cuts]]
+            acts.append(_activation(model, change.ctrl(data.ctrl[first]) * scale, middle))
+            low, high = np.searchsorted(times, data.time[[first - side, stretch.last + side]])
+            rows = slice(max(0, int(low) - 1), int(high) + 2)
+            sent = change.ctrl(values[rows]) * scale
+            commands.append(Command(times[rows] + shift, sent, self._dataset.interpolation))
+            samples.append(first + np.unique(np.linspace(length / _SAMPLES, length, _SAMPLES).round().astype(int)))
+        start = data.time[[stretch.first for stretch in own]]
         segments = Segments(
-            first,
+            start,
             np.array(starts),
             np.array(speeds),
-            data.time[at] - first[:, None],
-            commands,
-            np.arange(len(cuts)),
+            data.time[samples] - start[:, None],
+            tuple(commands),
+            np.arange(len(own)),
             np.array(acts) if model.na else None,
         )
-        return (world, segments), change.qpos(data.qpos[at])
+        return segments, change.qpos(data.qpos[samples])
+
+
+def _changed(model: mujoco.MjModel, change: Change) -> World:
+    """The world of a recording's model under a change."""
+    world = World.of(model)
+    if change.gravity is not None:
+        world.model.opt.gravity[:] = change.gravity
+    switched_off = list(change.switched_off)
+    world.model.actuator_gainprm[switched_off], world.model.actuator_biasprm[switched_off] = 0.0, 0.0
+    return world
 
 
 def typical_error(errors: np.ndarray, groups: Sequence[int]) -> np.ndarray:
@@ -290,15 +262,6 @@ def typical_error(errors: np.ndarray, groups: Sequence[int]) -> np.ndarray:
     Its logarithm is, up to a factor, the log-likelihood of groups whose noise has unknown variances.
     """
     return np.exp(np.mean(np.log(errors[:, list(groups)]), axis=1))
-
-
-def _cut(stretch: Stretch) -> _Cut:
-    length = stretch.last - stretch.first
-    side = max(3, int(_SLOPE_SHARE * length))
-    offsets = np.unique(np.linspace(-side, side, 2 * min(side, _SLOPE_ROWS) + 1).round().astype(int))
-    around = stretch.first + offsets
-    samples = stretch.first + np.unique(np.linspace(length / _SAMPLES, length, _SAMPLES).round().astype(int))
-    return _Cut(stretch, around[around >= 0], samples, slice(max(0, stretch.first - side), stretch.last + side + 1))
 
 
 def _fitted(time: np.ndarray, moves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -325,8 +288,3 @@ def _activation(model: mujoco.MjModel, ctrl: np.ndarray, qpos: np.ndarray) -> np
         else:
             act[last] = ctrl[actuator]
     return act
-
-
-def joint_name(model: mujoco.MjModel, joint: int) -> str:
-    """Name of a joint, as in columns."""
-    return part_names(model, "joint")[joint]

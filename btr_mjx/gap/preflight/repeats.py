@@ -3,7 +3,7 @@
 import numpy as np
 
 from btr_mjx.gap.data import Dataset, find_wraps, held, listed, stairs
-from btr_mjx.gap.preflight.findings import Finding
+from btr_mjx.gap.preflight.findings import Finding, Level
 from btr_mjx.models import part_names
 
 _MIN_STEPS = 20
@@ -45,16 +45,8 @@ def held_commands(dataset: Dataset) -> list[Finding]:
         f'repeat in between, while dataset.toml says interpolation = "{dataset.interpolation}", which makes ramps of '
         f"one interval of them and a delay of {500 * interval:.3g} ms; {remedy}"
     )
-    certain = len(found.rows) > _MIN_STEPS and not found.coarse
-    return [
-        Finding(
-            "error" if certain else "warning",
-            "repeats",
-            message,
-            remedy,
-            {"rows_between_changes": found.every, "interval": interval},
-        )
-    ]
+    level: Level = "error" if len(found.rows) > _MIN_STEPS and not found.coarse else "warning"
+    return [Finding(level, "repeats", message, remedy, {"rows_between_changes": found.every, "interval": interval})]
 
 
 def angle_jumps(dataset: Dataset) -> list[Finding]:

@@ -27,11 +27,7 @@ _BAD = mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoc
 def stability(dataset: Dataset) -> list[Finding]:
     """Simulate short segments from measured states with plain MuJoCo steps.
 
-    Args:
-      dataset: the dataset.
-
-    Returns:
-      One error if at least half of the segments become unstable, one warning if fewer do, else nothing.
+    One error if at least half of the segments become unstable, one warning if fewer do.
     """
     ends: list[tuple[Recording, float | None]] = []
     for i in range(_SEGMENTS):
@@ -55,16 +51,7 @@ def stability(dataset: Dataset) -> list[Finding]:
 
 
 def instability_time(recording: Recording, row: int, command: Command) -> float | None:
-    """Time at which MuJoCo reports an invalid position, velocity or acceleration.
-
-    Args:
-      recording: the recording.
-      row: sample of the starting state.
-      command: command of the recording.
-
-    Returns:
-      Time [s]; None if the simulation stays valid.
-    """
+    """Time [s] at which MuJoCo reports an invalid state or acceleration, from the state of a row on; None if never."""
     model = copy.copy(recording.model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     data = mujoco.MjData(model)

@@ -14,7 +14,7 @@ _SHORTEST, _LONGEST = 0.02, 0.5
 _TURN = 1.0
 """Largest rms rotation of a free or ball joint in a stretch [rad]: beyond half a turn rotations are ambiguous."""
 
-_TURNING = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
+_FREE, _BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
 
 _MIN_INTERVALS = 8
 """Smallest number of sampling intervals of a stretch."""
@@ -41,15 +41,10 @@ def motion_seconds(dataset: Dataset) -> float:
     Velocities are chords over at least 20 ms, which noise disturbs less than differences between neighbours.
     """
     found: list[np.ndarray] = []
-    turning = np.isin(dataset.model.jnt_type[dataset.model.dof_jntid], _TURNING)
-    turning &= np.array(
-        [
-            v - dataset.model.jnt_dofadr[j] >= 3 * (dataset.model.jnt_type[j] == _TURNING[0])
-            for v, j in enumerate(dataset.model.dof_jntid)
-        ],
-        bool,
-    )
-    longest = _LONGEST
+    model, longest = dataset.model, _LONGEST
+    since = np.arange(model.nv) - model.jnt_dofadr[model.dof_jntid]
+    kinds = model.jnt_type[model.dof_jntid]
+    turning = (kinds == _BALL) | ((kinds == _FREE) & (since >= 3))
     for recording in dataset.recordings[:12]:
         rows = slice(0, _SCALE_ROWS)
         time, qpos = recording.time[rows], recording.qpos[rows]
@@ -75,9 +70,6 @@ def choose_stretches(dataset: Dataset, seconds: float, count: int, margin: float
       seconds: length of a stretch [s]; longer where it has fewer than 8 intervals.
       count: number of stretches.
       margin: share of the length that must exist on either side as well.
-
-    Returns:
-      At most `count` stretches.
     """
     total = sum(len(r.time) for r in dataset.recordings)
     out: list[Stretch] = []

@@ -29,51 +29,27 @@ def sampling(dataset: Dataset) -> list[Finding]:
     steps = np.concatenate([np.diff(r.time) for r in dataset.recordings])
     slow, fast = max(usual.values()), min(usual.values())
     rates = f"{1 / slow:.1f}" if slow < 1.2 * fast else f"{1 / slow:.1f} to {1 / fast:.1f}"
-    findings.append(
-        Finding(
-            "note",
-            "sampling",
-            f"{rates} samples per second, {_intervals(*np.percentile(1e3 * steps, [1, 99]))}",
-        )
-    )
+    least, most = (f"{length:.3g}" for length in np.percentile(1e3 * steps, [1, 99]))
+    apart = f"one every {least} ms" if least == most else f"{least} to {most} ms apart (the middle 98 %)"
+    findings.append(Finding("note", "sampling", f"{rates} samples per second, {apart}"))
     for recording in dataset.recordings:
-        gaps = np.flatnonzero(np.diff(recording.time) > 3 * usual[recording.name])
-        if len(gaps):
-            k = int(gaps[np.argmax(np.diff(recording.time)[gaps])])
-            findings.append(
-                Finding(
-                    "warning",
-                    "gaps",
-                    f"{recording.name}: {len(gaps)} gaps of more than three intervals, the longest from "
-                    f"{recording.time[k]:.6g} to {recording.time[k + 1]:.6g} s",
-                )
-            )
+        own = np.diff(recording.time)
+        count, k = int((own > 3 * usual[recording.name]).sum()), int(np.argmax(own))
+        if count:
+            longest = f"{recording.time[k]:.6g} to {recording.time[k + 1]:.6g} s"
+            message = f"{recording.name}: {count} gaps of more than three intervals, the longest from {longest}"
+            findings.append(Finding("warning", "gaps", message))
     sparse = [(f * usual[r.name], f) for r in dataset.recordings if (f := _command_frequency(r)) > 0]
     share, tempo = max(sparse, default=(0.0, 0.0))
     if share > 0.1:
-        findings.append(
-            Finding(
-                "warning",
-                "sampling",
-                f"commands turn over at {tempo:.3g} Hz, {1 / share:.1f} samples a period; delays and "
-                "velocities are hard to see below ten",
-            )
-        )
-    if dataset.model.opt.timestep > 1.001 * fast:  # time stamps are rounded
-        findings.append(
-            Finding(
-                "warning",
-                "sampling",
-                f"the model's time step of {dataset.model.opt.timestep:g} s is longer than a sampling interval",
-            )
-        )
+        period = f"{tempo:.3g} Hz, {1 / share:.1f} samples a period"
+        message = f"commands turn over at {period}; delays and velocities are hard to see below ten"
+        findings.append(Finding("warning", "sampling", message))
+    step = dataset.model.opt.timestep
+    if step > 1.001 * fast:  # time stamps are rounded
+        message = f"the model's time step of {step:g} s is longer than a sampling interval"
+        findings.append(Finding("warning", "sampling", message))
     return findings
-
-
-def _intervals(least: float, most: float) -> str:
-    """The middle 98 % of intervals [ms] in words."""
-    low, high = f"{least:.3g}", f"{most:.3g}"
-    return f"one every {low} ms" if low == high else f"{low} to {high} ms apart (the middle 98 %)"
 
 
 def _time_unit(recording: Recording) -> Finding | None:
@@ -87,13 +63,8 @@ def _time_unit(recording: Recording) -> Finding | None:
         if recording.time[0] / factor > 1e8:
             what += " since 1970"
     remedy = f"the column time is in seconds: divide by {factor:.0e}" if factor > 1 else "the column time is in seconds"
-    return Finding(
-        "error",
-        "units",
-        f"{recording.name}: time: samples are {usual:.6g} s apart, which looks like {what}; {remedy}",
-        remedy,
-        {"interval": usual},
-    )
+    message = f"{recording.name}: time: samples are {usual:.6g} s apart, which looks like {what}; {remedy}"
+    return Finding("error", "units", message, remedy, {"interval": usual})
 
 
 def _command_frequency(recording: Recording) -> float:
@@ -114,38 +85,27 @@ def response_delays(dataset: Dataset, joints: Sequence[JointTrack]) -> list[Find
         if not joint.servo or joint.actuator is None or np.ptp(joint.ctrl) == 0:
             continue
         q = int(model.jnt_qposadr[part_names(model, "joint").index(joint.name)])
-        own = [
-            _shift(r.time, r.ctrl[:, joint.actuator], r.qpos[:, q], float(np.median(np.diff(r.time))))
-            for r in dataset.recordings
-        ]
-        found = [s for s in own if s is not None]
-        if found:
+        own = [_shift(r.time, r.ctrl[:, joint.actuator], r.qpos[:, q]) for r in dataset.recordings]
+        if found := [s for s in own if s is not None]:
             shifts.append((joint.name, float(np.median(found))))
     if not shifts:
         return []
     values = np.array([shift for _, shift in shifts])
-    findings = [
-        Finding(
-            "note",
-            "clocks",
-            f"positions follow commands by {1e3 * np.median(values):.3g} ms ({1e3 * values.min():.3g} to "
-            f"{1e3 * values.max():.3g} ms), the servo's own dynamics included",
-        )
-    ]
+    span = f"{1e3 * values.min():.3g} to {1e3 * values.max():.3g} ms"
+    message = (
+        f"positions follow commands by {1e3 * np.median(values):.3g} ms ({span}), the servo's own dynamics included"
+    )
+    findings = [Finding("note", "clocks", message)]
     early = [name for name, shift in shifts if shift < -1.5 * usual]
     if 2 * len(early) >= len(shifts):  # clocks are common to all joints; one alone is pushed by something
-        findings.append(
-            Finding(
-                "warning",
-                "clocks",
-                f"positions come before their commands at {listed(early)}; do both share one clock?",
-            )
-        )
+        message = f"positions come before their commands at {listed(early)}; do both share one clock?"
+        findings.append(Finding("warning", "clocks", message))
     return findings
 
 
-def _shift(time: np.ndarray, command: np.ndarray, response: np.ndarray, step: float) -> float | None:
+def _shift(time: np.ndarray, command: np.ndarray, response: np.ndarray) -> float | None:
     """Lag [s] within +-0.25 s of the largest cross-correlation of the slopes; None if the correlation is below 0.7."""
+    step = float(np.median(np.diff(time)))
     even = np.arange(time[0], time[-1], step)
     if len(even) < 40 or np.ptp(command) == 0 or np.ptp(response) == 0:
         return None

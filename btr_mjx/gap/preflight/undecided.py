@@ -16,12 +16,7 @@ _STRETCHES = 32
 
 
 def undecided_signs(dataset: Dataset, noise: Noise) -> list[Finding]:
-    """A note that names the joints whose sign cannot be told, with what would declare it.
-
-    Args:
-      dataset: the dataset; nothing is said of one without `Dataset.scales`.
-      noise: of its sensors.
-    """
+    """A note that names the joints whose sign cannot be told, with what would declare it; of LeRobot datasets only."""
     if not dataset.scales:
         return []
     predictor, names = Predictor(dataset, noise, _STRETCHES), part_names(dataset.model, "joint")

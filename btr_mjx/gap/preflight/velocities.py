@@ -6,13 +6,15 @@ frame, so that the same few lines cover signs, units, frames of free joints and 
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 
 import mujoco
 import numpy as np
 
 from btr_mjx.gap.data import Dataset, Noise, Recording
-from btr_mjx.gap.preflight.comparison import Comparison, compare
+from btr_mjx.gap.preflight.comparison import compare
 from btr_mjx.gap.preflight.findings import Finding
+from btr_mjx.gap.preflight.predictions import CoordinateGroup, groups_of
 from btr_mjx.gap.preflight.stretches import Stretch, choose_stretches, motion_seconds
 from btr_mjx.models import part_names
 
@@ -25,6 +27,8 @@ _MOVING = 5.0
 
 DEGREE = float(np.pi / 180)
 """[rad]."""
+
+_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
 @dataclass(frozen=True)
@@ -47,57 +51,21 @@ class VelocityReading:
 
 
 def velocity_conventions(dataset: Dataset, noise: Noise) -> list[Finding]:
-    """Errors for velocities that fit their positions under another convention, and warnings where they fit under none.
-
-    Args:
-      dataset: the dataset.
-      noise: of its sensors.
-    """
-    model, findings = dataset.model, []
+    """Errors for velocities that fit their positions under another convention, warnings where they fit under none."""
     stretches = choose_stretches(dataset, motion_seconds(dataset), _STRETCHES)
-    for j, name in enumerate(part_names(model, "joint")):
-        kind, v = int(model.jnt_type[j]), int(model.jnt_dofadr[j])
-        for block in _blocks(kind):
-            own = slice(v + block.start, v + block.stop)
-            if all(r.qvel_measured[own].all() for r in dataset.recordings):
-                columns = _column_words(name, kind, block)
-                found = _judge(dataset, stretches, j, block, columns, noise.qpos[own])
-                findings += [found] if found is not None else []
-    return findings
+    groups = groups_of(dataset.model) if stretches else []
+    measured = [g for g in groups if all(r.qvel_measured[g.dofs].all() for r in dataset.recordings)]
+    return [found for group in measured if (found := _judge(dataset, stretches, group, noise)) is not None]
 
 
-def _blocks(kind: int) -> list[slice]:
-    """Coordinates of a joint that are judged together."""
-    match kind:
-        case mujoco.mjtJoint.mjJNT_FREE:
-            return [slice(0, 3), slice(3, 6)]
-        case mujoco.mjtJoint.mjJNT_BALL:
-            return [slice(0, 3)]
-    return [slice(0, 1)]
-
-
-def _column_words(name: str, kind: int, block: slice) -> str:
-    if kind == mujoco.mjtJoint.mjJNT_FREE and block.start == 0:
-        return f"qvel/{name}/vx, vy, vz"
-    if kind in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
-        return f"qvel/{name}/wx, wy, wz"
-    return f"qvel/{name}"
-
-
-def _judge(
-    dataset: Dataset, stretches: list[Stretch], joint: int, block: slice, columns: str, sigma: np.ndarray
-) -> Finding | None:
-    """The finding about one block of velocity columns."""
-    model = dataset.model
-    kind = int(model.jnt_type[joint])
+def _judge(dataset: Dataset, stretches: list[Stretch], group: CoordinateGroup, sensor: Noise) -> Finding | None:
+    """The finding about one group of velocity columns."""
     errors: list[tuple[VelocityReading, np.ndarray]] = []
-    for reading in _readings(model, joint, block):
-        pairs = [_moved(dataset.recordings[s.recording], s, joint, block, reading) for s in stretches]
-        if not pairs:
-            return None
+    for reading in _readings(dataset.model, group):
+        pairs = [_moved(dataset.recordings[s.recording], s, group, reading) for s in stretches]
         moved, integral = (np.array(x) for x in zip(*pairs, strict=True))
         size = np.sum(moved**2, axis=1)
-        noise = 2 * float(np.sum(sigma**2))
+        noise = 2 * float(np.sum(sensor.qpos[group.dofs] ** 2))
         if not errors:
             moving = size > _MOVING**2 * noise
             if not moving.any():
@@ -107,13 +75,14 @@ def _judge(
         errors.append((reading, ((left + noise) / (size + noise))[moving]))
     now = errors[0][1]
     best, left = min(errors[1:], key=lambda pair: float(np.sum(np.log(pair[1]))))
-    found = compare(now, left)
+    found, columns = compare(now, left), f"qvel/{part_names(dataset.model, 'joint')[group.joint]}"
+    is_scalar = dataset.model.jnt_type[group.joint] in _SCALAR
+    if not is_scalar:
+        columns += "/vx, vy, vz" if _is_place(dataset.model, group) else "/wx, wy, wz"
     if found.decisive(_RATIO):
-        return _error(columns, best, found, kind)
-    if (
-        kind in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-        and np.count_nonzero(now > 0.75) > 0.5 * len(now) > 8
-    ):
+        message = f"{best.words.format(columns=columns)}: with that, {found.words()}; {best.remedy}"
+        return Finding("error", "convention", message, best.remedy, found.evidence())
+    if is_scalar and np.count_nonzero(now > 0.75) > 0.5 * len(now) > 8:
         message = (
             f"{columns} does not follow the slope of {columns.replace('qvel', 'qpos')}: in half of the stretches its "
             f"integral misses {100 * np.sqrt(np.median(now)):.0f} % of the motion or more; check its unit and clock, "
@@ -123,16 +92,16 @@ def _judge(
     return None
 
 
-def _error(columns: str, reading: VelocityReading, found: Comparison, kind: int) -> Finding:
-    message = f"{reading.words.format(columns=columns)}: with that, {found.words()}; {reading.remedy}"
-    return Finding("error", "convention", message, reading.remedy, found.evidence())
+def _is_place(model: mujoco.MjModel, group: CoordinateGroup) -> bool:
+    """Whether coordinates are the position of a free joint, whose velocities are in the world's frame."""
+    is_free = model.jnt_type[group.joint] == mujoco.mjtJoint.mjJNT_FREE
+    return bool(is_free and group.dofs.start == model.jnt_dofadr[group.joint])
 
 
-def _readings(model: mujoco.MjModel, joint: int, block: slice) -> Iterator[VelocityReading]:
+def _readings(model: mujoco.MjModel, group: CoordinateGroup) -> Iterator[VelocityReading]:
     """The documented reading first, then the alternatives."""
-    kind, name = int(model.jnt_type[joint]), part_names(model, "joint")[joint]
-    free = kind == mujoco.mjtJoint.mjJNT_FREE
-    if kind in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+    kind, name = int(model.jnt_type[group.joint]), part_names(model, "joint")[group.joint]
+    if kind in _SCALAR:
         yield VelocityReading("", "")
         hinge = kind == mujoco.mjtJoint.mjJNT_HINGE
         both = f"qpos/{name} and qvel/{name}"
@@ -147,11 +116,11 @@ def _readings(model: mujoco.MjModel, joint: int, block: slice) -> Iterator[Veloc
             for scale, words, remedy in _scalar_units(hinge, name):
                 yield VelocityReading(f"{words}{turned}", remedy, sign * scale)
         return
-    linear = free and block.start == 0
-    documented = "world" if linear else "body"
-    other = "body" if linear else "world"
+    linear = _is_place(model, group)
+    documented, other = ("world", "body") if linear else ("body", "world")
     unit = ((1e-3, "mm/s"), (1e3, "units of 1000 m/s")) if linear else ((DEGREE, "degrees/s"),)
     yield VelocityReading("", "", frame=documented)
+    turn = "R" if linear else "R^T"
     orders = {
         "wxyz": ("", ""),
         "xyzw": (
@@ -163,23 +132,20 @@ def _readings(model: mujoco.MjModel, joint: int, block: slice) -> Iterator[Veloc
             f"negate qx, qy, qz of qpos/{name}",
         ),
     }
-    for order, (order_words, order_remedy) in orders.items():
-        for frame in (documented, other):
-            for scale, unit_words in ((1.0, ""), *unit):
-                if (order, frame, scale) == ("wxyz", documented, 1.0) or (
-                    linear and order != "wxyz" and frame == "world"
-                ):
-                    continue
-                parts = [order_words] if order_words else []
-                remedies = [order_remedy] if order_remedy else []
-                if frame == other:
-                    parts.append(f"are in the {other}'s frame, not in the {documented}'s")
-                    turn = "R" if linear else "R^T"
-                    remedies.append(f"turn them into the {documented}'s frame ({turn} v, with R of the quaternion)")
-                if scale != 1.0:
-                    parts.append(f"are in {unit_words}")
-                    remedies.append(f"multiply them by {scale:.6g}")
-                yield VelocityReading("{columns} " + " and ".join(parts), " and ".join(remedies), scale, frame, order)
+    frames = {
+        documented: ("", ""),
+        other: (
+            f"are in the {other}'s frame, not in the {documented}'s",
+            f"turn them into the {documented}'s frame ({turn} v, with R of the quaternion)",
+        ),
+    }
+    units = {1.0: ("", "")} | {scale: (f"are in {words}", f"multiply them by {scale:.6g}") for scale, words in unit}
+    for order, frame, scale in product(orders, frames, units):
+        # The linear velocity in the world needs no quaternion.
+        if (order, frame, scale) != ("wxyz", documented, 1.0) and not (linear and order != "wxyz" and frame == "world"):
+            said = zip(orders[order], frames[frame], units[scale], strict=True)
+            words, remedy = (" and ".join(filter(None, parts)) for parts in said)
+            yield VelocityReading(f"{{columns}} {words}", remedy, scale, frame, order)
 
 
 def _scalar_units(hinge: bool, name: str) -> Iterator[tuple[float, str, str]]:
@@ -199,34 +165,25 @@ def _scalar_units(hinge: bool, name: str) -> Iterator[tuple[float, str, str]]:
 
 
 def _moved(
-    recording: Recording, stretch: Stretch, joint: int, block: slice, reading: VelocityReading
+    recording: Recording, stretch: Stretch, group: CoordinateGroup, reading: VelocityReading
 ) -> tuple[np.ndarray, np.ndarray]:
     """Displacement over a stretch, and integral of the velocity columns, in the world's frame for vectors."""
     model, rows = recording.model, slice(stretch.first, stretch.last + 1)
-    q, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-    kind = int(model.jnt_type[joint])
-    time, velocity = recording.time[rows], recording.qvel[rows, v + block.start : v + block.stop]
-    spans = np.diff(time)[:, None]
-    if kind in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
-        return recording.qpos[stretch.last, q : q + 1] - recording.qpos[stretch.first, q : q + 1], _trapezoid(
-            velocity, spans
-        )
+    kind, q = int(model.jnt_type[group.joint]), int(model.jnt_qposadr[group.joint])
+    time, velocity = recording.time[rows], recording.qvel[rows, group.dofs]
+    qpos = recording.qpos[rows]
+    if kind in _SCALAR:
+        return qpos[-1, q : q + 1] - qpos[0, q : q + 1], np.trapezoid(velocity, time, axis=0)
     first = q + (3 if kind == mujoco.mjtJoint.mjJNT_FREE else 0)
-    turns = rotations(reordered(recording.qpos[rows, first : first + 4], reading.order))
+    turns = rotations(reordered(qpos[:, first : first + 4], reading.order))
     if reading.frame == "body":
         velocity = np.einsum("kij,kj->ki", turns, velocity)
-    if block.start == 0 and kind == mujoco.mjtJoint.mjJNT_FREE:
-        moved = recording.qpos[stretch.last, q : q + 3] - recording.qpos[stretch.first, q : q + 3]
+    if _is_place(model, group):
+        moved = qpos[-1, q : q + 3] - qpos[0, q : q + 3]
     else:
-        steps = np.einsum("kij,kjl->kil", turns[1:], np.swapaxes(turns[:-1], 1, 2))  # in the world's frame
-        moved = 0.5 * np.sum(
-            np.stack([steps[:, i, j] - steps[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0))], 1), axis=0
-        )
-    return moved, _trapezoid(velocity, spans)
-
-
-def _trapezoid(values: np.ndarray, spans: np.ndarray) -> np.ndarray:
-    return np.sum(0.5 * (values[1:] + values[:-1]) * spans, axis=0)
+        steps = np.einsum("kij,klj->kil", turns[1:], turns[:-1])  # in the world's frame
+        moved = 0.5 * np.sum([steps[:, i, j] - steps[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=1)
+    return moved, np.trapezoid(velocity, time, axis=0)
 
 
 def reordered(quaternions: np.ndarray, order: str) -> np.ndarray:
@@ -240,11 +197,7 @@ def reordered(quaternions: np.ndarray, order: str) -> np.ndarray:
 
 
 def rotations(quaternions: np.ndarray) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4)."""
-    w, x, y, z = np.moveaxis(quaternions, -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    """Rotation matrices (K, 3, 3) of quaternions (K, 4)."""
+    from scipy.spatial.transform import Rotation  # slow to load
+
+    return np.asarray(Rotation.from_quat(quaternions, scalar_first=True).as_matrix())

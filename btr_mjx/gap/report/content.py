@@ -56,13 +56,7 @@ _CHANGES = 20
 
 
 def report_sections(folder: Path, result: Mapping[str, Any], figures: Mapping[str, Figure]) -> list[Section]:
-    """Everything on the page below the verdict.
-
-    Args:
-      folder: of the diagnosis.
-      result: content of its result.json.
-      figures: by the names of their files.
-    """
+    """Everything on the page below the verdict; figures are by the names of their files."""
     shown = lambda *names: [figures[name] for name in names if name in figures]  # noqa: E731
     effects, before = result.get("effects") or [], result.get("before")
     laws = [f"{place_in_words(str(e['location']))}: {e['equation']}" for e in effects if e.get("latex")]
@@ -134,13 +128,7 @@ def _preflight(folder: Path) -> list[Section]:
 
 
 def gap_numbers(gap: Mapping[str, Any], mended: bool, joints: bool) -> list[tuple[str, str]]:
-    """Figures under the verdict.
-
-    Args:
-      gap: entry of result.json.
-      mended: whether there is a mended model.
-      joints: whether there are errors by joint: then no mean over radians and metres is told.
-    """
+    """Figures under the verdict; with errors by joint there is no mean over radians and metres."""
     loop = str(gap.get("open_loop_unit", "rad"))
     unit = f" [{gap['unit']}]" if gap.get("unit") else ""
     chi2 = str(gap.get("unit") or "").startswith("χ²")

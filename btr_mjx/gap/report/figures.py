@@ -27,15 +27,7 @@ def force_data(arrays: Mapping[str, np.ndarray]) -> list[JointForce]:
 
 
 def force_figure(joints: Sequence[JointForce], mended: bool = True) -> Figure:
-    """Missing force against position, velocity and load, or against what a law depends on; one row a joint.
-
-    Args:
-      joints: their missing force.
-      mended: whether the force that is left beside a mended model is drawn.
-
-    Returns:
-      The figure.
-    """
+    """Missing force against position, velocity and load, or against what a law depends on; one row a joint."""
     figure = Figure(figsize=(7.4, 0.6 + 2.0 * len(joints)))
     axes = figure.subplots(len(joints), 3, squeeze=False, sharey="row")
     for row, one in zip(axes, joints, strict=True):
@@ -71,14 +63,7 @@ def force_figure(joints: Sequence[JointForce], mended: bool = True) -> Figure:
 
 
 def numbers_over_sets(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """Numbers over sets of recordings, a panel each.
-
-    Args:
-      rows: of sets.csv.
-
-    Returns:
-      The figure.
-    """
+    """Numbers over sets of recordings, a panel each, from the rows of sets.csv."""
     keys = list(dict.fromkeys((r["effect"], r["location"], r["parameter"]) for r in rows))
     figure = Figure(figsize=(7.2, 0.5 + 1.5 * len(keys)))
     axes = figure.subplots(len(keys), 1, squeeze=False)[:, 0]
@@ -94,16 +79,7 @@ def numbers_over_sets(rows: Sequence[Mapping[str, Any]]) -> Figure:
 
 
 def commands(time: np.ndarray, values: np.ndarray, names: Sequence[str]) -> Figure:
-    """A proposed command: the channels with the largest range.
-
-    Args:
-      time: (K,) times [s].
-      values: (K, n) commands.
-      names: (n,) names of the channels.
-
-    Returns:
-      The figure.
-    """
+    """A proposed command (K, n) over times (K,) [s]: the channels with the largest range."""
     chosen = np.argsort(-np.ptp(values, axis=0), kind="stable")[:_CHANNELS]
     figure = Figure(figsize=(7.2, 2.2))
     axes = figure.subplots()

@@ -6,11 +6,11 @@ adds those that MJCF cannot express to a simulation. `added_effects` makes parts
 `mended_robot` a space of simulations for Back-to-Reality.
 """
 
+from btr_mjx.gap.results.callback import Callback
+from btr_mjx.gap.results.drawn import DisagreementMap, JointForce, Overlay
 from btr_mjx.gap.results.effect_simulator import EffectEdit, EffectSimulator, added_effects
 from btr_mjx.gap.results.late_logs import without_late_log
 from btr_mjx.gap.results.mended_model import (
-    Callback,
-    FoundEffect,
     MendedModel,
     found_effects,
     mend,
@@ -21,41 +21,41 @@ from btr_mjx.gap.results.mended_space import ControllerTrial, mended_robot
 from btr_mjx.gap.results.records import (
     Confound,
     Diagnosis,
-    DisagreementMap,
     Estimate,
+    FoundEffect,
     Gap,
     JointError,
-    JointForce,
     NamedEffect,
-    NextExperiment,
-    Overlay,
     Predictions,
-    Quantity,
     RankedCandidate,
     Refit,
     Verdict,
 )
-from btr_mjx.gap.results.saved import RESULT, as_result, before_entry, save_diagnosis, save_quantities
+from btr_mjx.gap.results.saved import RESULT, as_result, before_entry, save_diagnosis
 from btr_mjx.gap.results.simulation_file import simulation_mjcf
-from btr_mjx.gap.results.words.terms import (
-    REASON_NOT_NAMED,
+from btr_mjx.gap.results.tables import NextExperiment, Quantity, save_quantities
+from btr_mjx.gap.results.words.details import detail_sentences
+from btr_mjx.gap.results.words.effects import (
     confound_sentence,
     effect_at_place,
     effect_title,
+    hypothesis_in_words,
+    number_in_words,
+    place_in_words,
+)
+from btr_mjx.gap.results.words.terms import (
+    REASON_NOT_NAMED,
     error_in_words,
     estimate_cells,
     format_number,
-    hypothesis_in_words,
     in_percent,
     in_reading_unit,
-    number_in_words,
     parameter_in_words,
     parameters_in_words,
-    place_in_words,
     refit_sentence,
     unit_in_words,
 )
-from btr_mjx.gap.results.words.verdict import detail_sentences, verdict_sentence
+from btr_mjx.gap.results.words.verdict import verdict_sentence
 
 __all__ = [
     "REASON_NOT_NAMED",

@@ -13,7 +13,8 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.effects import Effect, Place
-from btr_mjx.gap.results.mended_model import FoundEffect, resolve_effect
+from btr_mjx.gap.results.mended_model import applied_alone, resolve_effect
+from btr_mjx.gap.results.records import FoundEffect
 from btr_mjx.gap.simulate import Command, Segments, World, differing_fields, simulate
 from btr_mjx.models import start_of, write_field
 from btr_mjx.robots import Edit, Pairs, Robot, Simulator
@@ -103,7 +104,7 @@ def added_effects(
     edits, others = list[Edit](), list[EffectEdit]()
     for item, names in zip(found, parameters, strict=True):
         effect, place, values = resolve_effect(model, item, effects)
-        is_edit = _is_model_edit(effect, model, place, values)
+        _, is_edit = applied_alone(effect, model, place, values)
         (edits if is_edit else others).append(EffectEdit(effect, place, names))
     if not others:
         return tuple(edits), simulator
@@ -111,11 +112,3 @@ def added_effects(
         raise InputError(f"{others[0].effect.name}: cannot be added to {type(simulator).__name__}")
     known = () if simulator is None else simulator.effects
     return tuple(edits), EffectSimulator((*known, *others))
-
-
-def _is_model_edit(effect: Effect, model: mujoco.MjModel, place: Place, values: np.ndarray) -> bool:
-    """Whether all that an effect does is to change numbers of a model."""
-    world = World.of(model)
-    before = len(world.command_edits)
-    effect.apply(world, place, values)
-    return not world.laws and len(world.command_edits) == before and not world.wrench.any()

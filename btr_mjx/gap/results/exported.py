@@ -1,5 +1,6 @@
 """Named effects, refitted parameters and calibration for other programs."""
 
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -7,25 +8,15 @@ import mujoco
 
 from btr_mjx.exports import Ends, ExportedParameter, field_ends, is_linear, write_exports
 from btr_mjx.gap.data import Dataset
-from btr_mjx.gap.results.mended_model import FoundEffect, MendedModel
-from btr_mjx.gap.results.records import Diagnosis, NamedEffect
+from btr_mjx.gap.results.mended_model import MendedModel
+from btr_mjx.gap.results.records import Diagnosis, FoundEffect, NamedEffect
 
 Mend = Callable[[Sequence[FoundEffect]], MendedModel]
 """The believed model with effects, see `mended_model.mend`."""
 
 
 def export_diagnosis(diagnosis: Diagnosis, dataset: Dataset, folder: Path, mended: Mend) -> None:
-    """Write the exports of a diagnosis, see `btr_mjx.exports`.
-
-    Args:
-      diagnosis: the outcome of the search.
-      dataset: the dataset that was searched.
-      folder: the run folder.
-      mended: adds effects to the believed model.
-
-    Raises:
-      OSError: the folder cannot be written to.
-    """
+    """Write the exports of a diagnosis into its run folder, see `btr_mjx.exports`."""
     paths = {parameter.name: parameter for parameter in dataset.parameters}
     exported = [
         ExportedParameter(
@@ -33,25 +24,17 @@ def export_diagnosis(diagnosis: Diagnosis, dataset: Dataset, folder: Path, mende
         )
         for refit in diagnosis.believed
     ]
-    for effect in diagnosis.effects:
-        for name, estimate in effect.parameters.items():
-            ends = _ends(diagnosis.effects, effect, name, mended)
-            exported.append(
-                ExportedParameter(
-                    f"{effect.name} {name}",
-                    estimate.unit,
-                    estimate.value,
-                    estimate.low,
-                    estimate.high,
-                    "named effect; 90 % interval" + ("" if ends else "; needs mended.json in a simulation"),
-                    ends,
-                )
-            )
-    for effect in diagnosis.calibration:
-        exported += [
-            ExportedParameter(f"{effect.name} {name}", one.unit, one.value, None, None, "calibration")
-            for name, one in effect.parameters.items()
-        ]
+    every = [(effect, True) for effect in diagnosis.effects] + [(effect, False) for effect in diagnosis.calibration]
+    whole = mended([effect.found() for effect in diagnosis.effects]) if every else MendedModel("")
+    for effect, named in every:
+        also = whole.what_else(effect.name, "mended.json")
+        for name, one in effect.parameters.items():
+            # A search by fitness gives no intervals, and calibration is for this robot alone.
+            known = named and math.isfinite(one.low) and math.isfinite(one.high)
+            origin = f"{'named effect' if named else 'calibration'}{'; 90 % interval' if known else ''}{also}"
+            ends = _ends(diagnosis.effects, effect, name, mended) if known else {}
+            low, high = (one.low, one.high) if known else (None, None)
+            exported.append(ExportedParameter(f"{effect.name} {name}", one.unit, one.value, low, high, origin, ends))
     write_exports(folder, exported)
 
 
@@ -60,13 +43,8 @@ def _ends(effects: Sequence[NamedEffect], chosen: NamedEffect, parameter: str, m
     estimate = chosen.parameters[parameter]
     models = []
     for value in (estimate.low, estimate.high, estimate.value):
-        found = []
-        for effect in effects:
-            values = {name: one.value for name, one in effect.parameters.items()}
-            changed = values | {parameter: value} if effect is chosen else values
-            found.append(FoundEffect(effect.effect, effect.location, changed))
-        made = mended(found)
-        if chosen.name not in made.native or made.notes:
+        made = mended([one.found(**({parameter: value} if one is chosen else {})) for one in effects])
+        if chosen.name not in made.native:
             return {}
         try:
             models.append(mujoco.MjModel.from_xml_string(made.xml))

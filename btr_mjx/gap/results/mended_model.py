@@ -1,19 +1,11 @@
-"""The mended model: the believed MJCF with the effects that were found, and a callback for those without MJCF.
+"""The mended model: the believed MJCF with the effects that were found.
 
     mended = mend(xml, [FoundEffect("viscous_damping", "joint:knee", {"damping": 0.8})])
     Path("mended.xml").write_text(mended.xml)
     Path("mended.json").write_text(json.dumps(mended.as_json()))
 
 Effects that depend on the state or on the command (load-dependent friction, backlash, ...) have no term in MJCF. They
-are listed in `mended.terms`, and a `Callback` adds them to any simulation:
-
-    model = mujoco.MjModel.from_xml_path("mended.xml")
-    data = mujoco.MjData(model)
-    missing = Callback(model, json.loads(Path("mended.json").read_text())["terms"])
-    while data.time < 1.0:
-        data.ctrl[:] = controller(data.time)
-        missing(model, data)  # before every step, after the control was set
-        mujoco.mj_step(model, data)
+are listed in `mended.terms`, and a `callback.Callback` adds them to any simulation.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,37 +18,10 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.effects import KNOWN_EFFECTS, RESIDUAL, Effect, Place, ResidualTable, Scales, known_effects
+from btr_mjx.gap.results.records import FoundEffect
 from btr_mjx.gap.results.transcribe import changed_numbers, normalised, write_changes
-from btr_mjx.gap.simulate import Command, Rows, World
-from btr_mjx.models import nearest_names, read_field, set_values
-
-_MEMORY = 2.0
-"""Time for which a callback keeps past commands [s], much longer than any delay or lag of the library."""
-
-
-@dataclass(frozen=True)
-class FoundEffect:
-    """An effect that was found missing.
-
-    Attributes:
-      effect: name of the effect.
-      location: label of its place, such as "joint:knee".
-      values: parameter name -> value, in SI units.
-    """
-
-    effect: str
-    location: str
-    values: Mapping[str, float]
-
-    @classmethod
-    def from_result(cls, entry: Mapping[str, Any]) -> "FoundEffect":
-        """A finding from an entry of `effects` in result.json.
-
-        Args:
-          entry: effect, location, and parameters as numbers or as mappings with `value`.
-        """
-        values = {name: float(p["value"] if isinstance(p, Mapping) else p) for name, p in entry["parameters"].items()}
-        return cls(str(entry["effect"]), str(entry["location"]), values)
+from btr_mjx.gap.simulate import World, differing_fields
+from btr_mjx.models import nearest_names, set_values
 
 
 def found_effects(result: Mapping[str, Any]) -> list[FoundEffect]:
@@ -75,7 +40,7 @@ class MendedModel:
     Attributes:
       xml: MJCF that plain MuJoCo loads, with every effect that MJCF can express.
       terms: the other effects, for JSON: effect, location, parameters, equation, and why MJCF cannot express them.
-      native: "effect@location" of the effects inside `xml`.
+      native: "effect@location" of the effects that are entirely inside `xml`.
       notes: remarks for the reader, such as fields that could not be written.
       changes: numbers that differ from the believed model: part, field, and both values.
     """
@@ -93,8 +58,30 @@ class MendedModel:
             "native": list(self.native),
             "notes": list(self.notes),
             "changes": list(self.changes),
-            "use": _USE if self.terms else "nothing has to be added: mended.xml holds everything that was found",
+            "use": self.use,
         }
+
+    @property
+    def use(self) -> str:
+        """What whoever simulates the model has to add to it."""
+        if self.terms:
+            return _USE
+        if self.notes:
+            return "the model does not hold everything that was found: see notes"
+        return "nothing has to be added: the model holds everything that was found"
+
+    def what_else(self, name: str, file: str) -> str:
+        """What a simulation of an effect needs beside the model, to be appended to a sentence; "" for nothing.
+
+        Args:
+          name: "effect@location".
+          file: name of the file that holds `as_json`.
+        """
+        if name in self.native:
+            return ""
+        if name in {f"{term['effect']}@{term['location']}" for term in self.terms}:
+            return f"; needs {file} in a simulation"
+        return f"; not in the model, see the notes of {file}"
 
 
 _USE = (
@@ -141,6 +128,7 @@ def written(
     world: World,
     found: Sequence[FoundEffect],
     effects: Sequence[Effect],
+    edited: Sequence[FoundEffect] = (),
 ) -> MendedModel:
     """A world and effects as MJCF.
 
@@ -150,18 +138,19 @@ def written(
       world: the base model with its changes so far, changed in place.
       found: effects that are added, in this order.
       effects: the library that they refer to.
+      edited: effects that the world has already, all of them edits of its model.
 
     Raises:
       InputError: an effect, place or parameter that the library or the model does not have.
     """
-    terms, native = [], []
-    for item in found:
+    terms, native = [], dict[str, set[str]]()
+    for item in (*edited, *found):
         effect, place, values = resolve_effect(base, item, effects)
-        before = (len(world.command_edits), len(world.laws), world.wrench.copy())
-        effect.apply(world, place, values)
-        extra = before[:2] != (len(world.command_edits), len(world.laws)) or not np.array_equal(before[2], world.wrench)
-        if not extra or (effect.native is not None and effect.native(spec, base, place, values)):
-            native.append(f"{item.effect}@{item.location}")
+        alone, is_edit = applied_alone(effect, base, place, values)
+        if item not in edited:
+            effect.apply(world, place, values)
+        if is_edit or (effect.native is not None and effect.native(spec, base, place, values)):
+            native[item.name] = set(differing_fields(alone, base))
             continue
         terms.append(
             {
@@ -175,7 +164,16 @@ def written(
     left = write_changes(spec, world, base)
     notes = tuple(f"{name} differs from the believed model and cannot be written as MJCF" for name in left)
     changes = changed_numbers(base, spec.compile())
-    return MendedModel(spec.to_xml(), terms, tuple(native), notes, changes)
+    inside = tuple(name for name, fields in native.items() if fields.isdisjoint(left))
+    return MendedModel(spec.to_xml(), terms, inside, notes, changes)
+
+
+def applied_alone(effect: Effect, model: mujoco.MjModel, place: Place, values: np.ndarray) -> tuple[World, bool]:
+    """The world of a model with one effect, and whether all that the effect does is to change numbers of the model."""
+    world = World.of(model)
+    before = len(world.command_edits)
+    effect.apply(world, place, values)
+    return world, not world.laws and len(world.command_edits) == before and not world.wrench.any()
 
 
 def resolve_effect(
@@ -240,93 +238,3 @@ def with_residual(mended: MendedModel, tables: Sequence[ResidualTable]) -> Mende
         for table in tables
     ]
     return replace(mended, terms=[*mended.terms, *terms])
-
-
-class Callback:
-    """Effects that MJCF cannot express, for a simulation of the mended model step by step.
-
-    Call it before every `mujoco.mj_step`, after the control was set: it changes the control, the applied forces and
-    fields of the model for the coming step, and reverts its own changes at the next call. As MuJoCo's control callback
-    it is called at a later stage of the step, so that friction acts one step late:
-
-        mujoco.set_mjcb_control(lambda model, data: (control(model, data), missing(model, data)))
-
-    A negative delay would need a command that is not known yet; such a command is not changed.
-    """
-
-    def __init__(
-        self, model: mujoco.MjModel, terms: Sequence[Mapping[str, Any]], effects: Sequence[Effect] = KNOWN_EFFECTS
-    ) -> None:
-        """A callback for one simulation.
-
-        Args:
-          model: the mended model; fields such as dof_frictionloss are written at every call.
-          terms: entries of `MendedModel.terms`.
-          effects: the library that they refer to.
-
-        Raises:
-          InputError: an effect, place or parameter that the library or the model does not have.
-        """
-        world = World.of(model)
-        inherent = len(world.command_edits)  # the model's own delays, which MuJoCo simulates
-        for term in terms:
-            if term["effect"] == RESIDUAL:
-                ResidualTable.from_json(term["table"]).candidate(model).apply(world, ())
-                continue
-            effect, place, values = resolve_effect(model, FoundEffect.from_result(term), effects)
-            effect.apply(world, place, values)
-        self._world = world
-        self._edits = world.command_edits[inherent:]
-        self._baseline = {name: read_field(model, name) for law in world.laws for name in law.fields}
-        self._sent: list[tuple[float, np.ndarray]] = []
-        self._force, self._wrench = np.zeros(model.nv), np.zeros((model.nbody, 6))
-        self._fresh = True
-
-    def __call__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Apply the effects to the coming step.
-
-        Args:
-          model: the mended model.
-          data: the state; `data.ctrl` is the command.
-        """
-        data.qfrc_applied -= self._force
-        data.xfrc_applied -= self._wrench
-        for name, values in self._baseline.items():
-            getattr(model, name)[...] = values
-        if self._edits:
-            data.ctrl[:] = self._command(model, data)
-        if self._fresh and self._world.laws and mujoco.get_mjcb_control() is None:
-            mujoco.mj_forward(model, data)  # laws may read the actuators' forces
-        self._fresh = False
-        force, wrench = data.qfrc_applied.copy(), data.xfrc_applied.copy()
-        data.xfrc_applied += self._world.wrench
-        rows = Rows(
-            self._world.model,
-            time=np.array([data.time]),
-            qpos=data.qpos[None],
-            qvel=data.qvel[None],
-            act=data.act[None],
-            ctrl=data.ctrl[None],
-            qfrc_applied=data.qfrc_applied[None],
-            xfrc_applied=data.xfrc_applied[None],
-            actuator_force=data.actuator_force[None],
-            qfrc_actuator=data.qfrc_actuator[None],
-            fields={name: getattr(model, name)[None] for name in self._baseline},
-        )
-        for law in self._world.laws:
-            law(rows)
-        self._force, self._wrench = data.qfrc_applied - force, data.xfrc_applied - wrench
-
-    def _command(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-        """The command at the middle of the coming step, after delays and lags of all commands so far."""
-        middle = data.time + 0.5 * model.opt.timestep
-        if self._sent and middle <= self._sent[-1][0]:  # a simulation that starts again
-            self._sent.clear()
-        self._sent.append((middle, data.ctrl.copy()))
-        while self._sent[0][0] < middle - _MEMORY:
-            self._sent.pop(0)
-        times, values = zip(*self._sent, strict=True)
-        command = Command(np.array(times), np.array(values), "linear")
-        for edit in self._edits:
-            command = edit(command)
-        return command.at(middle)

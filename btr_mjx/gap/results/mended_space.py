@@ -16,7 +16,8 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.effects import KNOWN_EFFECTS, Effect, Scales
 from btr_mjx.gap.results.effect_simulator import added_effects
-from btr_mjx.gap.results.mended_model import FoundEffect, mend, resolve_effect
+from btr_mjx.gap.results.mended_model import mend, resolve_effect
+from btr_mjx.gap.results.records import FoundEffect
 from btr_mjx.gap.results.transcribe import normalised
 from btr_mjx.robots import Box, Robot, Signal
 
@@ -68,9 +69,10 @@ def mended_robot(
       InputError: no parameters, or an effect, place or parameter that the library or the model does not have.
     """
     found = [FoundEffect.from_result(entry) for entry in effects_found]
-    names, nominal, low, high = _box(source, found, effects_found, widen, effects)
-    if not names:
+    dimensions = _box(source, found, effects_found, widen, effects)
+    if not dimensions:
         raise InputError("effects: got none with parameters, expected at least one")
+    names, nominal, low, high = (list(column) for column in zip(*dimensions, strict=True))
     text = mend(source, [FoundEffect.from_result(one) for one in calibration], believed=believed, effects=effects).xml
     first = np.cumsum([0, *(len(item.values) for item in found)])
     named = [tuple(names[first[i] : first[i + 1]]) for i in range(len(found))]
@@ -97,24 +99,18 @@ def _box(
     entries: Sequence[Mapping[str, Any]],
     widen: float,
     effects: Sequence[Effect],
-) -> tuple[list[str], list[float], list[float], list[float]]:
-    """Names, nominal values and bounds of the new dimensions."""
-    model = normalised(source).compile()
-    names: list[str] = []
-    nominal: list[float] = []
-    low: list[float] = []
-    high: list[float] = []
+) -> list[tuple[str, float, float, float]]:
+    """Name, nominal value and bounds of each new dimension."""
+    model, out = normalised(source).compile(), []
     for item, entry in zip(found, entries, strict=True):
         effect, place, _ = resolve_effect(model, item, effects)
-        bounds = {p.name: p for p in effect.parameters(model, Scales.of(model), place)}
+        parameters = {p.name: p for p in effect.parameters(model, Scales.of(model), place)}
         for key, value in item.values.items():
-            given = entry["parameters"][key]
-            given = given if isinstance(given, Mapping) else {}
-            parameter = bounds[key]
-            reach = widen * max(abs(float(given.get(end, value)) - value) for end in ("low", "high"))
-            reach = reach or 0.2 * abs(value) or abs(parameter.step)
-            names.append(re.sub(r"\W+", "_", f"{item.effect}_{item.location}_{key}").strip("_"))
-            nominal.append(value)
-            low.append(max(value - reach, min(parameter.low, value)))
-            high.append(min(value + reach, max(parameter.high, value)))
-    return names, nominal, low, high
+            given, parameter = entry["parameters"][key], parameters[key]
+            ends = [given.get(end, value) if isinstance(given, Mapping) else value for end in ("low", "high")]
+            reach = widen * max(abs(float(end) - value) for end in ends) or 0.2 * abs(value) or abs(parameter.step)
+            low = max(value - reach, min(parameter.low, value))
+            high = min(value + reach, max(parameter.high, value))
+            name = re.sub(r"\W+", "_", f"{item.effect}_{item.location}_{key}").strip("_")
+            out.append((name, value, low, high))
+    return out

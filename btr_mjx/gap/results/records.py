@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from btr_mjx.gap.effects import ResidualTable
+from btr_mjx.gap.results.drawn import DisagreementMap, JointForce, Overlay
 
 Verdict = Literal["effect", "none", "unexplained"]
 """An effect is missing, nothing is missing, or something is missing that no known effect explains."""
@@ -30,6 +31,36 @@ class Estimate:
     unit: str
     null: float = 0.0
     edge: bool = False
+
+
+@dataclass(frozen=True)
+class FoundEffect:
+    """An effect that was found missing.
+
+    Attributes:
+      effect: name of the effect.
+      location: label of its place, such as "joint:knee".
+      values: parameter name -> value, in SI units.
+    """
+
+    effect: str
+    location: str
+    values: Mapping[str, float]
+
+    @property
+    def name(self) -> str:
+        """effect@location."""
+        return f"{self.effect}@{self.location}"
+
+    @classmethod
+    def from_result(cls, entry: Mapping[str, Any]) -> "FoundEffect":
+        """A finding from an entry of `effects` in result.json.
+
+        Args:
+          entry: effect, location, and parameters as numbers or as mappings with `value`.
+        """
+        values = {name: float(p["value"] if isinstance(p, Mapping) else p) for name, p in entry["parameters"].items()}
+        return cls(str(entry["effect"]), str(entry["location"]), values)
 
 
 @dataclass(frozen=True)
@@ -62,6 +93,11 @@ class NamedEffect:
     def name(self) -> str:
         """effect@location."""
         return f"{self.effect}@{self.location}"
+
+    def found(self, **changed: float) -> FoundEffect:
+        """The effect with its best values, or with others of some parameters."""
+        values = {name: estimate.value for name, estimate in self.parameters.items()}
+        return FoundEffect(self.effect, self.location, values | changed)
 
 
 @dataclass(frozen=True)
@@ -152,70 +188,6 @@ class Confound:
     other: str
     correlation: float | None
     text: str
-
-
-@dataclass(frozen=True)
-class Overlay:
-    """A part of a held-out recording, for a figure.
-
-    Attributes:
-      recording: name of the recording.
-      coordinate: name of the joint at which the two models differ most, or the data from the only one.
-      time: (K,) [s].
-      measured, before, after: (K,) position [rad or m].
-    """
-
-    recording: str
-    coordinate: str
-    time: np.ndarray
-    measured: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-
-
-@dataclass(frozen=True)
-class JointForce:
-    """The force that is missing at a joint, for a figure.
-
-    Attributes:
-      joint: in words.
-      unit: of forces.
-      position, velocity, load, time: (N,) states, force of the actuators, and time.
-      before, after: (N,) force that is missing beside the believed and the mended model.
-      law: (N,) force of the laws that were named there; zero without.
-      spread: (N,) half the width of its 90 % interval.
-      follows: what laws there depend on: "position", "velocity", "load", "time".
-    """
-
-    joint: str
-    unit: str
-    position: np.ndarray
-    velocity: np.ndarray
-    load: np.ndarray
-    time: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-    law: np.ndarray
-    spread: np.ndarray
-    follows: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class DisagreementMap:
-    """Where simulation and data disagree before any fit.
-
-    Attributes:
-      places: joints, and bodies with a free joint.
-      regimes: kinds of motion, such as "fast" or "contact".
-      value: (places, regimes) mean square of the unknown generalised force there in units of what noise would give; 1
-        is the noise floor, NaN where the regime does not occur.
-      count: (places, regimes) number of time intervals of each mean.
-    """
-
-    places: tuple[str, ...]
-    regimes: tuple[str, ...]
-    value: np.ndarray
-    count: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -313,48 +285,3 @@ class Diagnosis:
     joint_forces: tuple[JointForce, ...] = field(default=(), repr=False)
     residual: tuple[ResidualTable, ...] = field(default=(), repr=False)
     joint_errors: tuple[JointError, ...] = ()
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """A number over several sets of recordings, the oldest first.
-
-    Attributes:
-      effect, location, parameter: what it is.
-      unit: SI unit.
-      value: of each set, beside the believed model.
-      low, high: 90 % intervals.
-      named: whether the number was named in that set: at first as missing, later as changed.
-    """
-
-    effect: str
-    location: str
-    parameter: str
-    unit: str
-    value: tuple[float, ...]
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-    named: tuple[bool, ...]
-
-
-@dataclass(frozen=True)
-class NextExperiment:
-    """A command that is proposed to be recorded next.
-
-    Attributes:
-      time: (K,) times [s].
-      values: (K, nu) command, in the actuators' units.
-      between: names of the two hypotheses that it is expected to separate.
-      disagreement: expected difference of their scores in one recording.
-      others: expected difference for every command that was compared.
-      chosen: index of the proposed command in `others`.
-      reason: the reason in words.
-    """
-
-    time: np.ndarray
-    values: np.ndarray
-    between: tuple[str, str]
-    disagreement: float
-    others: tuple[float, ...]
-    chosen: int
-    reason: str

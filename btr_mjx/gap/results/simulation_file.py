@@ -2,7 +2,9 @@
 
 from numpy.typing import ArrayLike
 
-from btr_mjx.gap.results.mended_model import FoundEffect, MendedModel, parameter_names, written
+from btr_mjx.gap.results.effect_simulator import EffectEdit
+from btr_mjx.gap.results.mended_model import MendedModel, parameter_names, written
+from btr_mjx.gap.results.records import FoundEffect
 from btr_mjx.gap.results.transcribe import normalised
 from btr_mjx.gap.simulate import World
 from btr_mjx.models import mjcf_spec
@@ -30,10 +32,12 @@ def simulation_mjcf(robot: Robot, simulation: ArrayLike) -> MendedModel:
     world = World.of(base)
     for edit in robot.edits:
         edit(world.model, [number(name) for name in edit.parameters])
-    found, library = [], []
-    for one in getattr(robot.simulator, "effects", ()):
+    edits = [edit for edit in robot.edits if isinstance(edit, EffectEdit)]
+    others = list[EffectEdit](getattr(robot.simulator, "effects", ()))
+
+    def found(one: EffectEdit) -> FoundEffect:
         names = parameter_names(base, one.effect, one.place)
-        numbers = dict(zip(names, map(number, one.parameters), strict=True))
-        found.append(FoundEffect(one.effect.name, one.place.label, numbers))
-        library.append(one.effect)
-    return written(spec, base, world, found, library)
+        return FoundEffect(one.effect.name, one.place.label, dict(zip(names, map(number, one.parameters), strict=True)))
+
+    library = [one.effect for one in (*edits, *others)]
+    return written(spec, base, world, [*map(found, others)], library, [*map(found, edits)])

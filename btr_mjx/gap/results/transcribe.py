@@ -40,22 +40,16 @@ _DERIVED = (
 )
 """Fields that the compiler computes from other fields, or that are written by other means."""
 
-_GEOM = {
-    "geom_friction": "friction",
-    "geom_solref": "solref",
-    "geom_solimp": "solimp",
-    "geom_condim": "condim",
-    "geom_priority": "priority",
-    "geom_solmix": "solmix",
-    "geom_margin": "margin",
-    "geom_gap": "gap",
+_WRITTEN = {
+    "actuator": ("gainprm", "biastype", "biasprm", "forcerange", "forcelimited", "gear", "ctrlrange"),
+    "body": ("gravcomp", "pos"),
+    "geom": ("friction", "solref", "solimp", "condim", "priority", "solmix", "margin", "gap", "pos", "quat", "size"),
+    "pair": ("friction", "solref", "solimp"),
+    "site": ("pos",),
 }
-_JOINT = {"dof_frictionloss": "frictionloss", "dof_armature": "armature"}
+"""Fields that elements of a specification have under the same name, by kind."""
 _OPTION = ("gravity", "wind", "density", "viscosity", "impratio")
 _BODY_INERTIA = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
-_PAIR = {"pair_friction": "friction", "pair_solref": "solref", "pair_solimp": "solimp"}
-_ACTUATOR = ("gainprm", "biastype", "biasprm", "forcerange", "forcelimited", "gear", "ctrlrange")
-
 
 _PARTS = {"jnt": "joint", "body": "body", "geom": "geom", "site": "site", "actuator": "actuator", "tendon": "tendon"}
 """Kinds of parts by the beginning of the names of their fields."""
@@ -133,12 +127,9 @@ def normalised(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
 
 
 def write_changes(spec: mujoco.MjSpec, world: World, base: mujoco.MjModel) -> list[str]:
-    """Write every field in which a world's model differs from the base model into a compiled specification.
+    """Write every field in which a world's model differs from the base model into the specification of the base.
 
-    Args:
-      spec: the base model's specification from `normalised`; edited in place, to be compiled by the caller.
-      world: the world whose model is written.
-      base: the model that `spec` compiles to.
+    The specification comes from `normalised` and is edited in place; the caller compiles it.
 
     Returns:
       Names of fields that differ and that a specification cannot express.
@@ -175,73 +166,40 @@ def _write(spec: mujoco.MjSpec, name: str, rows: list[int], model: mujoco.MjMode
         return attribute in _OPTION
     if kind in ("dof", "jnt", "qpos0", "qpos"):
         return _write_joints(spec, name, rows, model)
-    if kind == "actuator" and attribute in _ACTUATOR:
-        for actuator in _chosen(spec.actuators, rows):
-            value = getattr(model, name)[actuator.id]
-            setattr(actuator, attribute, int(value) if attribute in ("forcelimited", "biastype") else value)
-        return True
-    if name == "body_gravcomp":
-        for body in _chosen(spec.bodies, rows):
-            body.gravcomp = float(model.body_gravcomp[body.id])
-        return True
-    if name == "body_pos":
-        for body in _chosen(spec.bodies, rows):
-            body.pos = body.pos + model.body_pos[body.id] - base.body_pos[body.id]
-        return True
-    if name in ("geom_pos", "geom_quat", "geom_size") or name in _GEOM:
-        return _write_geoms(spec, name, rows, model, base)
-    if name == "site_pos":
-        for site in _chosen(spec.sites, rows):
-            site.pos = site.pos + model.site_pos[site.id] - base.site_pos[site.id]
-        return True
-    if name in _PAIR:
-        for pair in _chosen(spec.pairs, rows):
-            setattr(pair, _PAIR[name], getattr(model, name)[pair.id])
-        return True
-    return False
+    if attribute not in _WRITTEN.get(kind, ()):
+        return False
+    values, before = getattr(model, name), getattr(base, name)
+    for element in getattr(spec, {"body": "bodies"}.get(kind, f"{kind}s")):
+        if element.id in rows:
+            value = values[element.id]
+            if attribute == "pos":  # the compiled place of a mesh is its centre
+                value = element.pos + value - before[element.id]
+            setattr(element, attribute, value.item() if value.ndim == 0 else value)
+    return True
 
 
 def _write_joints(spec: mujoco.MjSpec, name: str, rows: list[int], model: mujoco.MjModel) -> bool:
-    of_dof = [int(j) for j in model.dof_jntid[rows]] if name.startswith("dof_") else None
-    joints = {int(joint.id): joint for joint in spec.joints}
+    joints, field = {int(joint.id): joint for joint in spec.joints}, getattr(model, name)
     if name in ("qpos0", "qpos_spring"):
         of = {int(a): j for j, a in enumerate(model.jnt_qposadr)}
         scalar = [of[r] for r in rows if r in of and model.jnt_type[of[r]] >= int(mujoco.mjtJoint.mjJNT_SLIDE)]
         for j in scalar:
-            value = float(getattr(model, name)[model.jnt_qposadr[j]])
-            setattr(joints[j], "ref" if name == "qpos0" else "springref", value)
+            setattr(joints[j], "ref" if name == "qpos0" else "springref", float(field[model.jnt_qposadr[j]]))
         return len(scalar) == len(rows)
-    for j in sorted(set(of_dof if of_dof is not None else rows)):
+    kind, _, attribute = name.partition("_")
+    for j in sorted({int(j) for j in model.dof_jntid[rows]} if kind == "dof" else rows):
         joint, dof = joints[j], int(model.jnt_dofadr[j])
         if name in ("dof_damping", "dof_dampingpoly"):
             joint.damping = np.r_[model.dof_damping[dof], model.dof_dampingpoly[dof]]
         elif name in ("jnt_stiffness", "jnt_stiffnesspoly"):
             joint.stiffness = np.r_[model.jnt_stiffness[j], model.jnt_stiffnesspoly[j]]
-        elif name in _JOINT:
-            setattr(joint, _JOINT[name], float(getattr(model, name)[dof]))
-        elif name == "jnt_range":
-            joint.range = model.jnt_range[j]
-        elif name == "jnt_axis":
-            joint.axis = model.jnt_axis[j]
+        elif name in ("dof_frictionloss", "dof_armature"):
+            setattr(joint, attribute, float(field[dof]))
+        elif name in ("jnt_range", "jnt_axis"):
+            setattr(joint, attribute, field[j])
         else:
             return False
     return True
-
-
-def _write_geoms(spec: mujoco.MjSpec, name: str, rows: list[int], model: mujoco.MjModel, base: mujoco.MjModel) -> bool:
-    for geom in _chosen(spec.geoms, rows):
-        if name == "geom_pos":
-            geom.pos = geom.pos + model.geom_pos[geom.id] - base.geom_pos[geom.id]
-        elif name in ("geom_quat", "geom_size"):
-            geom.quat = model.geom_quat[geom.id]
-            geom.size = model.geom_size[geom.id]
-        else:
-            setattr(geom, _GEOM[name], getattr(model, name)[geom.id])
-    return True
-
-
-def _chosen(elements: list, rows: list[int]) -> list:
-    return [element for element in elements if int(element.id) in rows]
 
 
 def _write_inertia(body: mujoco.MjsBody, model: mujoco.MjModel) -> None:

@@ -8,7 +8,7 @@ runs `Job`s (a world over `Segments` of recordings) in batches on threads. `Coun
 from btr_mjx.gap.simulate.batch import Counter, simulate
 from btr_mjx.gap.simulate.commands import Command, command_phase
 from btr_mjx.gap.simulate.journal import Journal
-from btr_mjx.gap.simulate.laws import Rows
+from btr_mjx.gap.simulate.laws import Rows, StateLaw
 from btr_mjx.gap.simulate.segments import Job, Segments
 from btr_mjx.gap.simulate.threads import run_in_threads
 from btr_mjx.gap.simulate.world import World, differing_fields, fingerprint
@@ -20,6 +20,7 @@ __all__ = [
     "Journal",
     "Rows",
     "Segments",
+    "StateLaw",
     "World",
     "command_phase",
     "differing_fields",

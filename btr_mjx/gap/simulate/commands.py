@@ -4,6 +4,7 @@ A command is a piecewise polynomial, one column per control. Its response to a f
 polynomial plus an exponential on each piece, so that delays and lags have no discretisation error.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -31,7 +32,6 @@ class Command:
       interpolation: "hold" (zero-order hold), "linear" or "cubic" (spline).
       delay: (nu,) delay of each control [s]; negative values advance it.
       lags: time constants (nu,) [s] of first-order lags in series; 0 is no lag.
-      added: (nu,) constant added after delay and lags.
     """
 
     times: np.ndarray
@@ -39,7 +39,6 @@ class Command:
     interpolation: Interpolation = "linear"
     delay: np.ndarray | None = None
     lags: tuple[np.ndarray, ...] = ()
-    added: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.times.shape != (len(self.values),) or not len(self.times):
@@ -91,23 +90,9 @@ class Command:
         other.__dict__["_polynomial"] = polynomial
         return other
 
-    def plus(self, offset: ArrayLike) -> "Command":
-        """The command plus a constant (nu,)."""
-        offset = np.broadcast_to(np.asarray(offset, float), (self.n,))
-        return self._with(added=offset if self.added is None else self.added + offset)
-
     def at(self, times: ArrayLike) -> np.ndarray:
         """Values (..., nu) at times (...) [s]."""
-        times = np.asarray(times, float)
-        flat = times.reshape(-1)
-        out = np.empty((flat.size, self.n))
-        delays = self._delay
-        for delay in np.unique(delays):
-            columns = np.flatnonzero(delays == delay)
-            out[:, columns] = self._evaluate(flat - delay, columns)
-        if self.added is not None:
-            out += self.added
-        return out.reshape(*times.shape, self.n)
+        return self._delayed(times, self._evaluate)
 
     def over_step(self, times: ArrayLike, length: float, phase: ArrayLike = 0.0) -> np.ndarray:
         """Control of simulation steps: the value within a step, or the mean over it for a held command.
@@ -122,19 +107,22 @@ class Command:
         Returns:
           (..., nu) controls.
         """
-        times = np.asarray(times, float)
         if self.interpolation != "hold":
             phase = np.asarray(phase, float)
             return (self.shifted(-length * phase) if phase.any() else self).at(times)
-        flat = times.reshape(-1)
-        out = np.empty((flat.size, self.n))
-        delays = self._delay
+
+        def mean(begin: np.ndarray, columns: np.ndarray) -> np.ndarray:
+            return (self._integral(begin + length, columns) - self._integral(begin, columns)) / length
+
+        return self._delayed(times, mean)
+
+    def _delayed(self, times: ArrayLike, of: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+        """What a function gives (N, columns) at times (N,) of the undelayed command, at times (...): (..., nu)."""
+        times, delays = np.asarray(times, float), self._delay
+        flat, out = times.reshape(-1), np.empty((times.size, self.n))
         for delay in np.unique(delays):
             columns = np.flatnonzero(delays == delay)
-            ends = [self._integral(flat - delay + extra, columns) for extra in (0.0, length)]
-            out[:, columns] = (ends[1] - ends[0]) / length
-        if self.added is not None:
-            out += self.added
+            out[:, columns] = of(flat - delay, columns)
         return out.reshape(*times.shape, self.n)
 
     def _integral(self, times: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -170,18 +158,10 @@ class Command:
         polynomial, exponentials = self._solution
         piece = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 1)
         since = np.maximum(times - self.times[piece], 0.0)[:, None]
-        every = len(columns) == self.n
-        out = None
-        for coefficient in polynomial[::-1]:
-            part = coefficient[piece] if every else coefficient[piece[:, None], columns]
-            out = part if out is None else out * since + part
-        assert out is not None
+        out = _horner(polynomial[:, piece] if len(columns) == self.n else polynomial[:, piece[:, None], columns], since)
         for weight, constant in exponentials:
-            chosen = constant[columns]
-            slow = chosen > 0
-            if slow.any():
-                part = weight[piece[:, None], columns[slow]]
-                out[:, slow] += part * np.exp(-since / chosen[slow])
+            slow = columns[constant[columns] > 0]
+            out[:, constant[columns] > 0] += weight[piece[:, None], slow] * np.exp(-since / constant[slow])
         return out
 
     @cached_property

@@ -1,8 +1,8 @@
 """Laws: state-dependent changes of forces, controls or model fields, applied before each step of a batch."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
@@ -55,3 +55,22 @@ class Law(Protocol):
 
     def __call__(self, rows: Rows) -> None:
         """Change the next step of every row."""
+
+
+@dataclass(frozen=True)
+class StateLaw:
+    """A law as a function of the rows and of numbers: act(rows, *numbers).
+
+    Attributes:
+      act: changes the next step of every row.
+      numbers: its other arguments.
+      fields: the MjModel fields that it writes.
+    """
+
+    act: Callable[..., None]
+    numbers: tuple[Any, ...]
+    fields: tuple[str, ...] = ()
+
+    def __call__(self, rows: Rows) -> None:
+        """See `Law`."""
+        self.act(rows, *self.numbers)

@@ -17,12 +17,7 @@ _MOTION = int(mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL)
 
 
 def rollout_without_laws(batch: Batch, sampler: Sampler, controls: Controls) -> np.ndarray:
-    """Simulate a batch to the last sample of every row, in blocks of steps.
-
-    Args:
-      batch: at its start states; only controls change from step to step.
-      sampler: of the rows of the batch, with the start recorded.
-      controls: of the rows of the batch.
+    """Simulate a batch from its start, which is recorded, to the last sample of every row, in blocks of steps.
 
     Returns:
       (rows,) number of steps taken. A row for which MuJoCo warned or failed is reset to the start of the block and has

@@ -24,10 +24,4 @@ def run_in_threads[T](tasks: Sequence[Callable[[], T]], most: int | None = None)
     if threads < 2:
         return [task() for task in tasks]
     with ThreadPoolExecutor(threads) as pool:
-        futures = [pool.submit(task) for task in tasks]
-        try:
-            return [future.result() for future in futures]
-        except BaseException:
-            for future in futures:
-                future.cancel()
-            raise
+        return list(pool.map(lambda task: task(), tasks))

@@ -5,7 +5,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from threading import Lock
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -13,6 +12,7 @@ from mujoco.batch import MODEL_FIELDS
 
 from btr_mjx.gap.simulate.commands import Command
 from btr_mjx.gap.simulate.laws import Law
+from btr_mjx.models import read_field
 
 CommandEdit = Callable[[Command], Command]
 
@@ -59,13 +59,9 @@ class World:
         return command
 
     def update_constants(self, data: mujoco.MjData | None = None) -> mujoco.MjModel:
-        """Update the constants that MuJoCo derives from the model (`mj_setConst`).
+        """The model, with the constants that MuJoCo derives from it (`mj_setConst`) brought up to date.
 
-        Args:
-          data: scratch data of a model of the same structure, to avoid its allocation; overwritten.
-
-        Returns:
-          The model.
+        `data` of a model of the same structure is overwritten, which saves its allocation.
         """
         with self._lock:
             if not (self.frozen and self._constants_current):
@@ -74,8 +70,8 @@ class World:
         return self.model
 
 
-Fingerprint = Mapping[str, object]
-"""Values of the compared fields of a model, as bytes or numbers."""
+Fingerprint = Mapping[str, bytes]
+"""Values of the compared fields of a model."""
 
 
 def differing_fields(
@@ -94,9 +90,7 @@ def differing_fields(
     """
     known = fingerprint(base) if known is None else known
     changed = _differing(world.model, known)
-    if changed:
-        changed = _differing(world.update_constants(data), known)
-    return changed
+    return _differing(world.update_constants(data), known) if changed else {}
 
 
 _COMPARED = tuple(
@@ -114,23 +108,10 @@ _COMPARED = tuple(
 
 def fingerprint(model: mujoco.MjModel) -> Fingerprint:
     """The nonempty fields of a model that `differing_fields` compares."""
-    fields = ((name, _field(model, name)) for name in _COMPARED)
-    return {name: _comparable(value) for name, value in fields if np.size(value)}
-
-
-def _field(model: mujoco.MjModel, name: str) -> Any:
-    return getattr(model.opt, name[4:]) if name.startswith("opt.") else getattr(model, name)
-
-
-def _comparable(value: Any) -> object:
-    # Comparing bytes is faster than np.array_equal.
-    return value.tobytes() if isinstance(value, np.ndarray) else value
+    return {name: content for name in _COMPARED if (content := read_field(model, name).tobytes())}
 
 
 def _differing(model: mujoco.MjModel, known: Fingerprint) -> dict[str, np.ndarray]:
-    changed = {}
-    for name, theirs in known.items():
-        ours = _field(model, name)
-        if _comparable(ours) != theirs:
-            changed[name] = np.array(ours)
-    return changed
+    # Comparing bytes is faster than np.array_equal.
+    fields = ((name, read_field(model, name)) for name in known)
+    return {name: value for name, value in fields if value.tobytes() != known[name]}

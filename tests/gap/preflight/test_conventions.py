@@ -242,7 +242,7 @@ def test_column_maps_compose() -> None:
     values = rng.normal(size=(7, 4))
     np.testing.assert_allclose(second.after(first)(values), second(first(values)))
     model = mujoco.MjModel.from_xml_string(CART)
-    change = Change(ColumnMap.identity(2), ColumnMap.identity(1), (0.0, 0.0, 1.0), (0,))
+    change = Change(ColumnMap.affine(2), ColumnMap.affine(1), (0.0, 0.0, 1.0), (0,))
     assert Change.none(model).after(change).gravity == (0.0, 0.0, 1.0)
 
 

@@ -28,7 +28,7 @@ from btr_mjx.gap.results import (
     found_effects,
     save_diagnosis,
 )
-from btr_mjx.gap.results.saved import place_of_disagreement
+from btr_mjx.gap.results.drawn import place_of_disagreement
 from btr_mjx.models import PathParameter
 from btr_mjx.runs import read_arrays, read_json
 

@@ -74,4 +74,5 @@ def test_effects_are_numbers_or_terms() -> None:
     model = mujoco.MjModel.from_xml_string(found.xml)
     assert model.dof_frictionloss[model.joint("elbow").dofadr[0]] == pytest.approx(0.07)
     assert [(term["effect"], term["parameters"]) for term in found.terms] == [("backlash", {"play": 0.03})]
+    assert found.native == ("dry_friction@joint:elbow",)
     Callback(model, found.terms)

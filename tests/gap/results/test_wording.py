@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from btr_mjx.gap.effects import KNOWN_EFFECTS
 from btr_mjx.gap.results import detail_sentences, format_number, hypothesis_in_words, number_in_words, verdict_sentence
-from btr_mjx.gap.results.words.terms import EFFECT_TITLES, effect_at_place, parameters_in_words
+from btr_mjx.gap.results.words.effects import EFFECT_WORDS, effect_at_place
+from btr_mjx.gap.results.words.terms import parameters_in_words
 
 
 def result(after: float, nulls: float, before: float = 180.0) -> dict[str, Any]:
@@ -166,7 +167,7 @@ def test_hypotheses_in_words() -> None:
 
 
 def test_every_effect_has_a_title() -> None:
-    assert {effect.name for effect in KNOWN_EFFECTS} <= set(EFFECT_TITLES)
+    assert {effect.name for effect in KNOWN_EFFECTS} <= set(EFFECT_WORDS)
 
 
 UNITS = ("N m", "N", "rad", "m", "kg", "s", "N m s/rad", "kg m^2")
@@ -179,7 +180,7 @@ def results(draw: st.DrawFn) -> dict[str, Any]:
     """Results of every kind of verdict."""
     verdict = draw(st.sampled_from(["effect", "none", "unexplained"]))
     entry = st.fixed_dictionaries(
-        {"effect": st.sampled_from(sorted(EFFECT_TITLES)), "location": st.sampled_from(PLACES), "score": _SIZE}
+        {"effect": st.sampled_from(sorted(EFFECT_WORDS)), "location": st.sampled_from(PLACES), "score": _SIZE}
     )
     effects = []
     for row in draw(st.lists(entry, min_size=1, max_size=5)) if verdict == "effect" else []:

@@ -46,7 +46,7 @@ def test_step_control_is_mean_of_held_command(lags: Sequence[list[float]], delay
     sent, length, parts = command(5, "hold"), 0.0017, 2000
     for constants in lags:
         sent = sent.filtered(constants)
-    sent = sent.shifted([delay, 0.0]).plus([1.0, 2.0])
+    sent = sent.shifted([delay, 0.0])
     starts = np.linspace(sent.times[0] - 0.02, sent.times[-1] + 0.02, 37)
     fine = np.stack([sent.at(starts + (k + 0.5) * length / parts) for k in range(parts)]).mean(0)
     np.testing.assert_allclose(sent.over_step(starts, length), fine, atol=2 * np.ptp(sent.values) / parts)
@@ -101,7 +101,6 @@ def test_interpolation_and_extrapolation() -> None:
         np.testing.assert_allclose(late.at(sent.times)[:, 0], sent.values[:, 0], atol=1e-12)
         only = sent.filtered([0.0, 0.01])
         np.testing.assert_allclose(only.at(sent.times)[:, 0], sent.values[:, 0], atol=1e-12)
-        np.testing.assert_allclose(sent.plus([1.0, 0.0]).at(0.1), sent.at(0.1) + np.array([1.0, 0.0]))
     linear = command(4, "linear")
     middle = 0.5 * (linear.times[1:] + linear.times[:-1])
     np.testing.assert_allclose(linear.at(middle), 0.5 * (linear.values[1:] + linear.values[:-1]), atol=1e-12)

@@ -141,7 +141,7 @@ def test_other_jobs_are_not_matched(tmp_path: Path, jobs) -> None:
         lambda size: partial(Command.shifted, delay=size),
         lambda size: partial(Command.filtered, time_constant=np.array([size, 0.0])),
         lambda size: partial(Command.rate_limited, rate=size),
-        lambda size: lambda command: command.plus(size),
+        lambda size: lambda command: command.shifted(size).filtered(size),
     ],
     ids=["delay", "lag", "rate", "closure"],
 )

@@ -61,13 +61,7 @@ def match_columns(
 ) -> Matched:
     """Match the columns of the tables of one recording.
 
-    Args:
-      tables: of the recording.
-      model: the model.
-      given: names of the model by name in the log, as stated in dataset.toml; these win.
-      where: file, for messages.
-      answer: where a user says what columns are.
-      labelled: whether the labels of the tables say what they hold.
+    Names that are `given`, by name in the log, win. Labels of the tables count if `labelled`: they say what these hold.
 
     Returns:
       The matches. Columns of the log that are none of the model's are left out.

@@ -52,20 +52,14 @@ def model_columns(model: mujoco.MjModel) -> dict[str, list[str]]:
     return {"qpos": positions, "qvel": velocities, "ctrl": controls, "force": forces}
 
 
+def driven_joint(model: mujoco.MjModel, actuator: int) -> int | None:
+    """Id of the joint on which an actuator acts; None for a tendon, a site or a body."""
+    kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    return int(model.actuator_trnid[actuator, 0]) if int(model.actuator_trntype[actuator]) in kinds else None
+
+
 def ungroup_columns(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, where: str) -> dict[str, np.ndarray]:
-    """Split grouped arrays (K, n) into single columns (K,).
-
-    Args:
-      columns: arrays by name, as `readers.read_columns` returns them.
-      model: the model.
-      where: file, for messages.
-
-    Returns:
-      Arrays (K,) by column name.
-
-    Raises:
-      InputError: the width of a group differs from the number of coordinates of the model.
-    """
+    """Split grouped arrays (K, n), as `readers.read_columns` returns them, into single columns (K,)."""
     groups = model_columns(model)
     flat: dict[str, np.ndarray] = {}
     for name, array in columns.items():
@@ -84,11 +78,7 @@ def ungroup_columns(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, wh
 
 
 def check_spelling(columns: Iterable[str], model: mujoco.MjModel, where: str) -> None:
-    """Check that columns that begin like those of a model are columns of this model.
-
-    Raises:
-      InputError: a column of an unknown joint or actuator, with the nearest names.
-    """
+    """Refuse columns that begin like those of a model and are none of its own, with the nearest names."""
     known = model_columns(model)
     for column in columns:
         kind = column.partition("/")[0]
@@ -99,11 +89,7 @@ def check_spelling(columns: Iterable[str], model: mujoco.MjModel, where: str) ->
 
 
 def check_velocities(columns: Collection[str], model: mujoco.MjModel, where: str) -> None:
-    """Check that columns have all velocities of a joint, or none.
-
-    Raises:
-      InputError: they have some only.
-    """
+    """Refuse columns that have some of a joint's velocities only."""
     velocities = state_columns(model)[1]
     for name in part_names(model, "joint"):
         of_joint = [c for c in velocities if c == f"qvel/{name}" or c.startswith(f"qvel/{name}/")]
@@ -113,14 +99,7 @@ def check_velocities(columns: Collection[str], model: mujoco.MjModel, where: str
 
 
 def check_names(columns: Collection[str], model: mujoco.MjModel, where: str) -> list[str]:
-    """Check the columns of a file against the joints and actuators of a model.
-
-    Returns:
-      Names of columns that are not used.
-
-    Raises:
-      InputError: a column of an unknown joint or actuator, or a required column that is absent, with the nearest names.
-    """
+    """Names of columns that are not used; refuses unknown ones of joints and actuators, and missing ones."""
     check_spelling(columns, model, where)
     families = model_columns(model)
     # A joint without any column has no encoder, see `unmeasured`.

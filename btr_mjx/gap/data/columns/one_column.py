@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import mujoco
 
 from btr_mjx.gap.data.columns.model_columns import SUFFIXES
-from btr_mjx.gap.data.columns.units import stated_unit
+from btr_mjx.gap.data.columns.units import commanded, stated_unit
 from btr_mjx.gap.data.columns.words import BASE, NEUTRAL, OTHER, TIME, component, kind_of, unknown_words, words
 from btr_mjx.models import part_names
 
@@ -141,16 +141,10 @@ def without(said: Words, filler: Words) -> Words:
 def match_one(
     i: int, column: str, label: Words, common: Words, filler: Words, names: ModelNames, finds: Candidates
 ) -> None:
-    """Add a column to the candidates of the column of the model that it may be.
+    """Add a column of table `i` to the candidates of the column of the model that it may be.
 
-    Args:
-      i: number of its table.
-      column: its name.
-      label: words of the table's label, which count where the column says of no quantity.
-      common: words at the beginning of all columns of the table.
-      filler: words that may be left out of columns that speak of a quantity.
-      names: of the model.
-      finds: the candidates.
+    Words of the table's label count where the column says of no quantity. Words that are `common` to the columns, and
+    those of a `filler` in columns that speak of a quantity, may be left out.
     """
     said = words(stated_unit(column)[0])
     if names.named_by(said) is None and said[: len(common)] == common:
@@ -210,14 +204,6 @@ def _targets(
         yield f"{'qvel' if quantity == 'velocity' else 'qpos'}/{joint}", 2 if quantity else 1
     elif actuator is not None and quantity is None:
         yield f"ctrl/{actuator}", 1
-
-
-def commanded(model: mujoco.MjModel, actuator: str) -> str:
-    """The quantity that an actuator is commanded: of a servo its position or velocity, else an effort."""
-    i = part_names(model, "actuator").index(actuator)
-    if model.actuator_biasprm[i, 1] != 0:
-        return "position"
-    return "velocity" if model.actuator_biasprm[i, 2] != 0 else "effort"
 
 
 def match_numbers(model: mujoco.MjModel, finds: Candidates, taken: set[str], notes: list[str]) -> None:

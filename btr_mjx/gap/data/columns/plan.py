@@ -60,11 +60,7 @@ class Plan:
         return to_seconds(table.columns[self.time[0]], self.time[1], notes)
 
     def apply(self, table: LogTable, clock: tuple[float, float]) -> dict[str, np.ndarray]:
-        """Columns of the model from those of the table.
-
-        Raises:
-          InputError: a column that is used holds something else than numbers.
-        """
+        """Columns of the model from those of the table; refuses a column that holds something else than numbers."""
         found = {}
         for name, target in self.names.items():
             if name in table.text:
@@ -82,13 +78,6 @@ def plan_tables(
     tables: Sequence[LogTable], model: mujoco.MjModel, options: LogOptions, where: str, notes: list[str]
 ) -> list[Plan]:
     """Match the tables of a recording to a model.
-
-    Args:
-      tables: of the recording.
-      model: the recording's model.
-      options: what the dataset says.
-      where: file, for messages.
-      notes: choices are appended here.
 
     Returns:
       A plan for each table; tables without a column of the model have no names in theirs.
@@ -145,24 +134,12 @@ def read_log(
     model: mujoco.MjModel,
     options: LogOptions,
     notes: list[str],
-    advance: Callable[[int], None] = lambda count: None,
+    advance: Callable[[int], None],
 ) -> list[dict[str, np.ndarray]]:
-    """Read the files of one recording.
-
-    Args:
-      paths: its files.
-      model: the recording's model.
-      options: what the dataset says.
-      notes: choices and conversions are appended here.
-      advance: called with numbers of bytes that were read.
+    """Read the files of one recording; `advance` is called with numbers of bytes that were read.
 
     Returns:
       Columns of the model by name, for each table with a clock of its own; "time" in [s].
-
-    Raises:
-      InputError: see `readers.read_file` and `plan_tables`.
-      DamagedFile: a file does not parse.
-      OSError: a file cannot be read.
     """
     tables: list[LogTable] = []
     for path in paths:

@@ -22,15 +22,9 @@ class Answer:
     head: str = ""
 
     def asked(self, message: str, near: Mapping[str, Sequence[str]], joints: Sequence[str] = ()) -> InputError:
-        """The error that asks for columns.
+        """The error that asks for columns, with the lines to write and the command to run then.
 
-        Args:
-          message: what is wrong, in one line.
-          near: columns of the file that may be it, by each column of the model for which one has to be named.
-          joints: those that may have no encoder.
-
-        Returns:
-          An error with the lines to write and the command to run then.
+        `near` has columns of the file that may be it, by each column of the model; `joints` may have no encoder.
         """
         lines = [
             f'"NAME {i}" = {quoted(target)}  # nearest: {nearest_names(target.partition("/")[2] or target, columns)}'
@@ -39,13 +33,7 @@ class Answer:
         return self.error(message, lines, joints)
 
     def error(self, message: str, lines: Sequence[str], joints: Sequence[str] = ()) -> InputError:
-        """An error with lines of the table [columns].
-
-        Args:
-          message: what is wrong, in one line.
-          lines: of the table.
-          joints: that may have no encoder.
-        """
+        """An error with lines of the table [columns]; `joints` may have no encoder."""
         fill = "with names of the file in place of NAME 1, ..." if any("NAME " in line for line in lines) else ""
         without = [
             f"(a joint without an encoder has no line there, but below [model]: unmeasured = [{quoted(joint)}])"
@@ -55,13 +43,7 @@ class Answer:
         return InputError(f"{message}; name them in [columns] of {self.file}", lines=block)
 
     def lines(self, tables: Sequence[str], fill: str = "", more: Sequence[str] = ()) -> list[str]:
-        """What to write into the file, and to run then.
-
-        Args:
-          tables: lines of TOML.
-          fill: what is to be put in place of names that are left open.
-          more: lines that explain.
-        """
+        """What to write into the file, and to run then: tables of TOML, what to `fill` in, and `more` that explains."""
         where = f"Write this to {self.file}" if self.head else f"Add this to {self.file}"
         head = [*self.head.rstrip().splitlines(), ""] if self.head else []
         run = f"then run: {command_line('btr_mjx.diagnose', [str(self.file.parent)])}"

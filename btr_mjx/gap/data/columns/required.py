@@ -6,9 +6,8 @@ import mujoco
 
 from btr_mjx.gap.data.columns.matching import Matched, Tables
 from btr_mjx.gap.data.columns.model_columns import check_spelling, check_velocities, model_columns
-from btr_mjx.gap.data.columns.one_column import commanded
 from btr_mjx.gap.data.columns.remedy import NO_FILE, Answer
-from btr_mjx.gap.data.columns.units import UNITS, quantity_of, stated_unit
+from btr_mjx.gap.data.columns.units import UNITS, commanded, quantity_of, stated_unit
 from btr_mjx.gap.data.columns.words import OTHER, TIME, kind_of, words
 from btr_mjx.gap.data.lists import listed
 
@@ -26,15 +25,6 @@ def check_matched(
 
     A hinge or slide without a column has no encoder only where that is said, or where no column of the log is left
     that may be its own.
-
-    Args:
-      matched: the matches.
-      tables: label and column names of each table.
-      model: the model.
-      where: file, for messages.
-      unmeasured: names of joints that are said to have no encoder.
-      answer: where a user says what columns are.
-      units: that the file states beside the names, by column.
 
     Raises:
       InputError: required columns that are absent, all of them, with the lines of dataset.toml that name them; or a
@@ -74,14 +64,7 @@ def check_matched(
 
 
 def may_be(column: str, target: str, model: mujoco.MjModel, unit: str | None = None) -> bool:
-    """Whether a column of a log may be a column of a model, by the unit and the quantity that it states.
-
-    Args:
-      column: name in the log.
-      target: name of the model.
-      model: the model.
-      unit: of the column, where the file states it beside the name.
-    """
+    """Whether a column of a log may be one of a model, by the quantity and the unit that it, or its file, states."""
     name, own = stated_unit(column)
     said, quantity = frozenset(words(name)), quantity_of(target, model)
     unit = unit or own

@@ -79,11 +79,7 @@ def is_unit_text(text: str) -> bool:
 
 
 def stated_unit(name: str) -> tuple[str, str | None]:
-    """Split a column's name into the name proper and its unit.
-
-    Returns:
-      The name without the unit, and the unit, or None: ("q_hip", "deg") for "q_hip [deg]" and for "q_hip_deg".
-    """
+    """A column's name without its unit, and the unit or None: ("q_hip", "deg") for "q_hip [deg]" and "q_hip_deg"."""
     if match := re.fullmatch(r"(.*\S)\s*[\[(<]([^\[\]()<>]*)[\])>]\s*", name):
         unit = known_unit(match[2])
         if unit or (is_unit_text(match[2]) and not match[2].strip().isdigit()):
@@ -110,60 +106,51 @@ def time_unit(time: np.ndarray) -> str:
 
 
 def conversion(column: str, unit: str, model: mujoco.MjModel, where: str) -> float:
-    """Factor from a stated unit to that of a column.
-
-    Args:
-      column: the model's column, e.g. "qpos/hip".
-      unit: one of `UNITS`.
-      model: the model.
-      where: file and column of the file, for messages.
-
-    Raises:
-      InputError: the unit is of another quantity than the column.
-    """
+    """Factor from a stated unit of `UNITS` to that of a column of the model; refuses that of another quantity."""
     quantity, factor = UNITS[unit]
     expected = quantity_of(column, model)
-    if expected is None or (expected == "turning" and quantity == "angle"):  # "velocity_deg" is meant a second
-        return factor if expected else 1.0
-    if expected != quantity:
+    if expected is not None and expected != quantity and (expected, quantity) != ("turning", "angle"):
         if column.startswith("ctrl/"):  # commands of other drives have units of their own
             return 1.0
         raise InputError(f"{where}: is in {unit}, {column!r} needs a unit of {expected}; correct the unit or the name")
-    return factor
+    return 1.0 if expected is None else factor  # "velocity_deg" is meant a second
+
+
+def commanded(model: mujoco.MjModel, actuator: str) -> str:
+    """The quantity that an actuator is commanded: of a servo its position or velocity, else an effort."""
+    i = part_names(model, "actuator").index(actuator)
+    if model.actuator_biasprm[i, 1] != 0:
+        return "position"
+    return "velocity" if model.actuator_biasprm[i, 2] != 0 else "effort"
 
 
 def quantity_of(column: str, model: mujoco.MjModel) -> str | None:
     """Quantity of a column of the model: a first entry of `UNITS`; None if it has no unit or one of its own."""
     kind, _, name = column.partition("/")
-    if kind == "time":
-        return "time"
-    if kind == "force":
-        return "force"
+    if kind in ("time", "force"):
+        return kind
+    joints, part, driven = part_names(model, "joint"), "", ""
     if kind == "ctrl":
         i = part_names(model, "actuator").index(name)
         if int(model.actuator_trntype[i]) != mujoco.mjtTrn.mjTRN_JOINT:
             return None
-        hinge = model.jnt_type[int(model.actuator_trnid[i, 0])] == mujoco.mjtJoint.mjJNT_HINGE
-        if model.actuator_biasprm[i, 1] != 0:
-            return "angle" if hinge else "length"
-        return ("turning" if hinge else "moving") if model.actuator_biasprm[i, 2] != 0 else "force"
-    if kind not in ("qpos", "qvel"):
+        name, driven = joints[int(model.actuator_trnid[i, 0])], commanded(model, name)
+    elif kind in ("qpos", "qvel"):
+        driven = "position" if kind == "qpos" else "velocity"
+        name, _, part = (name, "", "") if name in joints else name.rpartition("/")
+    else:
         return None
-    joints = part_names(model, "joint")
-    name, _, part = (name, "", "") if name in joints else name.rpartition("/")
     if part:
         return {"q": None, "w": "turning", "v": "moving"}.get(part[0], "length")
     hinge = name in joints and model.jnt_type[joints.index(name)] == mujoco.mjtJoint.mjJNT_HINGE
-    return ("angle" if hinge else "length") if kind == "qpos" else ("turning" if hinge else "moving")
+    pairs = {"position": ("length", "angle"), "velocity": ("moving", "turning"), "effort": ("force", "force")}
+    return pairs[driven][bool(hinge)]
 
 
 def to_seconds(time: np.ndarray, unit: str | None, notes: list[str]) -> tuple[float, float]:
-    """Factor and origin with which time stamps become seconds: (time - origin) * factor.
+    """Factor and origin with which time stamps (K,) become seconds: (time - origin) * factor.
 
-    Args:
-      time: (K,) stamps; the first ones of a recording are enough.
-      unit: as stated; None if it is to be told from the stamps.
-      notes: what was found is appended here, unless these are plain seconds.
+    Stamps without a stated unit tell their own.
     """
     found = unit or time_unit(time)
     factor = TIME_UNITS[found]

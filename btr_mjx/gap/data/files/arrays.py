@@ -21,13 +21,7 @@ _KINDS: Mapping[int, str] = {2: "qpos", 3: "qvel", 5: "ctrl"}
 
 
 def read_npz(path: Path) -> list[LogTable]:
-    """Read an NPZ file.
-
-    Raises:
-      InputError: arrays of something else than numbers, or of different lengths.
-      DamagedFile: the content does not parse.
-      OSError: the file cannot be read.
-    """
+    """Read an NPZ file."""
     arrays = read_arrays(path)
     if {"times", "data", "signal_mapping"} <= set(arrays):
         return [_time_series(path, arrays)]

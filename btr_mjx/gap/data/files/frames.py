@@ -19,11 +19,7 @@ READ_ERRORS = Exception, pl.exceptions.PanicException
 
 
 def frame_table(path: Path, frame: pl.DataFrame, units: Mapping[str, str] | None = None, first: int = 0) -> LogTable:
-    """The table of a frame of numbers and of lists of numbers; `first` rows of the file are before it.
-
-    Raises:
-      InputError: see `table.log_table`.
-    """
+    """The table of a frame of numbers and of lists of numbers; `first` rows of the file are before it."""
     arrays: dict[str, np.ndarray] = {}
     text: dict[str, str] = {}
     for series in frame:
@@ -59,11 +55,7 @@ def _values(path: Path, series: pl.Series, first: int) -> np.ndarray:
 
 
 def read_parquet_table(path: Path) -> list[LogTable]:
-    """Read a Parquet file.
-
-    Raises:
-      InputError, DamagedFile, OSError: see `frame_table` and `runs.read_table`.
-    """
+    """Read a Parquet file."""
     return [frame_table(path, read_table(path))]
 
 
@@ -73,11 +65,7 @@ def count_parquet_rows(path: Path) -> int:
 
 
 def parquet_blocks(path: Path, advance: Callable[[int], None]) -> Iterator[LogTable]:
-    """Successive rows of a Parquet file; `advance` is called with numbers of bytes.
-
-    Raises:
-      DamagedFile: it is not readable.
-    """
+    """Successive rows of a Parquet file; `advance` is called with numbers of bytes."""
     try:
         rows, names = count_parquet_rows(path), list(pl.read_parquet_schema(path))
         size, share = max(1, BLOCK_NUMBERS // max(len(names), 1)), path.stat().st_size / max(rows, 1)

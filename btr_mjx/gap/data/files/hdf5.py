@@ -27,13 +27,7 @@ _MAX_OBJECTS = 20_000
 
 
 def read_hdf5(path: Path) -> list[LogTable]:
-    """Read the tables of an HDF5 file.
-
-    Raises:
-      InputError: h5py is not installed, too much data, columns without a time.
-      DamagedFile: not an HDF5 file, or a part of it cannot be read.
-      OSError: the file cannot be read.
-    """
+    """Read the tables of an HDF5 file."""
     try:
         import h5py
     except ImportError:

@@ -31,7 +31,8 @@ class Reader:
 
     Attributes:
       suffixes: of its files, in lower case and with the dot.
-      read: tables of a file, under the file's own names; raises `InputError` for what is no such file.
+      read: tables of a file, under the file's own names; raises `InputError` for content that cannot be used and for a
+        library that is not installed, `DamagedFile` for what does not parse, `OSError` for what cannot be read.
       is_folder: whether a folder is a recording of this format; None where recordings are files only.
       rows: number of rows of a file, or a few more, told without reading it; with it, a file of very many rows is used
         in stretches.
@@ -58,21 +59,21 @@ READERS = (
 """The formats of this package."""
 
 
+def _readers() -> Iterator[Reader]:
+    yield from READERS
+    yield from installed_objects(GROUP, Reader).values()  # loaded only where they are needed
+
+
 def log_suffixes() -> tuple[str, ...]:
     """Suffixes of the files that can be recordings."""
-    return tuple(
-        suffix for reader in (*READERS, *installed_objects(GROUP, Reader).values()) for suffix in reader.suffixes
-    )
+    return tuple(suffix for reader in _readers() for suffix in reader.suffixes)
 
 
 def reader_of(path: Path) -> Reader | None:
     """The reader of a file or folder; None if it is no recording."""
-    folder, suffix = path.is_dir(), path.suffix.lower()
-    for readers in (READERS, None):  # others are loaded only where they are needed
-        for reader in installed_objects(GROUP, Reader).values() if readers is None else readers:
-            if (reader.is_folder is not None and reader.is_folder(path)) if folder else suffix in reader.suffixes:
-                return reader
-    return None
+    if path.is_dir():
+        return next((one for one in _readers() if one.is_folder is not None and one.is_folder(path)), None)
+    return next((one for one in _readers() if path.suffix.lower() in one.suffixes), None)
 
 
 def is_log(path: Path) -> bool:
@@ -83,18 +84,7 @@ def is_log(path: Path) -> bool:
 def read_file(
     path: Path, topics: Mapping[str, str] | None = None, model: mujoco.MjModel | None = None
 ) -> Sequence[LogTable]:
-    """Read the tables of a log.
-
-    Args:
-      path: a file or folder.
-      topics: of ROS recordings, chosen ones by key of `ros_bag.TOPICS`.
-      model: of ROS recordings, decides which topics are needed; None for all.
-
-    Raises:
-      InputError: no format that is known, or invalid content.
-      DamagedFile: the file does not parse.
-      OSError: the file cannot be read.
-    """
+    """Read the tables of a log, see `Reader.read`; of ROS recordings those of the `topics`, see `read_ros`."""
     reader = reader_of(path)
     if reader is None:
         raise InputError(

@@ -37,6 +37,7 @@ from btr_mjx.gap.data.files.ros_messages import (
 )
 from btr_mjx.gap.data.files.table import LogTable, check_log_size, log_table, missing_extra
 from btr_mjx.gap.data.lists import listed
+from btr_mjx.gap.data.recordings.clocks import sign_flips
 
 TOPICS: Mapping[str, Sequence[str]] = {
     "joint_states": JOINTS,
@@ -73,30 +74,16 @@ def is_ros_folder(path: Path) -> bool:
 def read_ros(
     path: Path, topics: Mapping[str, str] | None = None, model: mujoco.MjModel | None = None
 ) -> list[LogTable]:
-    """Read the topics of a recording.
+    """Read the topics of a recording: a table for each, and for each set of joints that its messages name.
 
-    Args:
-      path: a .mcap, .db3 or .bag file, or a rosbag2 folder.
-      topics: chosen topics by key of `TOPICS`.
-      model: decides which topics are needed; None for all of them.
+    `topics` are chosen ones by key of `TOPICS`; a model decides which others are needed, without one it is all.
 
-    Returns:
-      A table per topic, and per set of joints that its messages name.
-
-    Raises:
-      InputError: `rosbags` is not installed, no or several topics of a type, or too much data.
-      DamagedFile: the file cannot be read.
-      OSError: likewise.
+    `topics` are chosen ones by key of `TOPICS`; a model decides which others are needed, without one it is all.
     """
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise missing_extra(path, "ros") from None
     files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
     check_log_size(sum(file.stat().st_size for file in files), path)
     try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
+        with _opened(path) as reader:
             types = {name: str(about.msgtype) for name, about in reader.topics.items() if about.msgcount}
             roles = _roles(types, topics or {}, model, path)
             found = _read_topics(reader, {topic: role for role, topic in roles.items()})
@@ -109,11 +96,17 @@ def read_ros(
 
 def count_messages(path: Path) -> int:
     """Largest number of messages of a topic."""
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
-
-    with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
+    with _opened(path) as reader:
         return max((int(about.msgcount) for about in reader.topics.values()), default=0)
+
+
+def _opened(path: Path) -> Any:
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise missing_extra(path, "ros") from None
+    return AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
 
 
 def _roles(
@@ -247,12 +240,11 @@ def _turned(
     moving: Mapping[str, np.ndarray], pose: Mapping[str, np.ndarray], time: np.ndarray, kind: str, inverse: bool
 ) -> dict[str, np.ndarray]:
     """Velocities with one part rotated by the orientation of the base at these times, or by its inverse."""
-    quat = np.stack([pose[f"base/q{axis}"] for axis in "wxyz"])
-    quat[:, 1:] *= np.cumprod(np.where(np.sum(quat[:, 1:] * quat[:, :-1], axis=0) < 0, -1, 1))
-    w, *axis = (np.interp(time, pose["time"], part) for part in quat)
-    norm = np.sqrt(w**2 + sum(part**2 for part in axis))
-    w, u = w / norm, np.stack(axis) / norm * (-1 if inverse else 1)
-    vector = np.stack([moving[f"base/{kind}{part}"] for part in "xyz"])
+    quat = np.stack([pose[f"base/q{axis}"] for axis in "wxyz"], axis=1)
+    quat *= sign_flips(quat)[:, None]
+    between = np.stack([np.interp(time, pose["time"], part) for part in quat.T])
+    w, *axis = between / np.linalg.norm(between, axis=0)  # not of scipy: a tracker may write zeros, which is told later
+    u, vector = np.stack(axis) * (-1 if inverse else 1), np.stack([moving[f"base/{kind}{part}"] for part in "xyz"])
     cross = 2 * np.cross(u, vector, axis=0)
     turned = vector + w * cross + np.cross(u, cross, axis=0)
     return dict(moving) | {f"base/{kind}{part}": row for part, row in zip("xyz", turned, strict=True)}

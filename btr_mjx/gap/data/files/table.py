@@ -91,21 +91,13 @@ def log_table(
 
 
 def check_column_count(count: int, path: Path) -> None:
-    """Check the number of columns.
-
-    Raises:
-      InputError: more than `MAX_COLUMNS`.
-    """
+    """Refuse more columns than `MAX_COLUMNS`."""
     if count > MAX_COLUMNS:
         raise InputError(f"{path}: has {count} columns, at most {MAX_COLUMNS} are read; keep those of the robot")
 
 
 def check_log_size(size: int, path: Path) -> None:
-    """Check the size of the numbers that a log unpacks to [bytes].
-
-    Raises:
-      InputError: more than `MAX_LOG_BYTES`.
-    """
+    """Refuse a log whose numbers unpack to more than `MAX_LOG_BYTES`."""
     if size > MAX_LOG_BYTES:
         raise InputError(
             f"{path}: its numbers take {size / 2**30:.3g} GiB, at most {MAX_LOG_BYTES >> 30} GiB are read; write the "

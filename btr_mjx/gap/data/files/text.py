@@ -59,13 +59,7 @@ class Dialect:
 
 
 def read_dialect(path: Path) -> Dialect:
-    """Find the dialect of a text table from its first lines.
-
-    Raises:
-      DamagedFile: the file is empty, or no table; the message shows its first line.
-      InputError: too many columns, or a name that occurs twice.
-      OSError: the file cannot be read.
-    """
+    """Find the dialect of a text table from its first lines."""
     with path.open("rb") as file:
         head = file.read(MAX_HEADER_BYTES)
     if not head.strip():
@@ -184,19 +178,7 @@ def _uncommented(text: str) -> str:
 
 
 def parse_rows(path: Path, dialect: Dialect, text: bytes) -> pl.DataFrame:
-    """The columns of whole lines of numbers.
-
-    Args:
-      path: for messages.
-      dialect: of the file.
-      text: the lines.
-
-    Returns:
-      Columns with a name; of numbers, or of text where a field is none.
-
-    Raises:
-      DamagedFile: lines with more fields than there are columns, or text that does not parse.
-    """
+    """The columns with a name of whole lines of numbers; of text where a field is none."""
     if dialect.separator == " ":
         text = b"\n".join(b" ".join(line.split()) for line in text.splitlines() if line.strip())
     keys = [str(i) for i in range(len(dialect.names))]
@@ -232,11 +214,7 @@ def _first_of_other_width(dialect: Dialect, text: bytes) -> str:
 
 
 def read_text_table(path: Path) -> list[LogTable]:
-    """Read a whole text table.
-
-    Raises:
-      InputError, DamagedFile, OSError: see `read_dialect`, `parse_rows` and `table.log_table`.
-    """
+    """Read a whole text table."""
     dialect = read_dialect(path)
     content = read_limited(path, MAX_TABLE_BYTES)
     check_listed(path, content)
@@ -250,11 +228,7 @@ def count_lines(path: Path) -> int:
 
 
 def text_blocks(path: Path, advance: Callable[[int], None]) -> Iterator[LogTable]:
-    """Successive rows of a text table; `advance` is called with numbers of bytes.
-
-    Raises:
-      InputError, DamagedFile, OSError: see `read_text_table`.
-    """
+    """Successive rows of a text table; `advance` is called with numbers of bytes."""
     dialect, first = read_dialect(path), 0
     for lines in _whole_lines(path, dialect.start, advance):
         frame = parse_rows(path, dialect, lines)

@@ -39,13 +39,7 @@ _NAMES = ("joint_names", "joint_order", "dof_names", "names")
 
 
 def read_torch(path: Path) -> list[LogTable]:
-    """Read the tensors of a .pt file as one table.
-
-    Raises:
-      InputError: objects other than tensors, no time, or sizes beyond bounds.
-      DamagedFile: not a file of torch.save, or damaged.
-      OSError: the file cannot be read.
-    """
+    """Read the tensors of a .pt file as one table."""
     check_regular(path, MAX_TABLE_BYTES)
     try:
         with zipfile.ZipFile(path) as archive:

@@ -67,13 +67,7 @@ def _names(info: Any, feature: str, path: Path) -> list[str]:
 
 
 def read_episodes(folder: Path, states: int, actions: int, notes: list[str]) -> list[Episode]:
-    """Read the episodes of a dataset; of more than `MAX_SAMPLES` frames some, evenly chosen.
-
-    Args:
-      folder: of the dataset.
-      states: numbers of a state.
-      actions: numbers of an action.
-      notes: a choice of episodes is appended here.
+    """Read the episodes, with so many numbers of a state and an action; of more than `MAX_SAMPLES` frames some.
 
     Raises:
       InputError: no files, a column that is absent or of another kind, or another count of numbers.

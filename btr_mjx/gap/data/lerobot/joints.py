@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 import mujoco
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data.columns.model_columns import SUFFIXES
+from btr_mjx.gap.data.columns.model_columns import SUFFIXES, driven_joint
 from btr_mjx.gap.data.columns.one_column import ModelNames, common_words
 from btr_mjx.gap.data.columns.remedy import Answer, quoted
 from btr_mjx.gap.data.columns.words import EFFORT, NEUTRAL, OTHER, POSITION, VELOCITY, words
@@ -39,15 +39,7 @@ def joints_of(
     answer: Answer,
     notes: list[str],
 ) -> list[int | None]:
-    """The hinge or slide of each number.
-
-    Args:
-      names: of the numbers.
-      model: the model.
-      given: joints by `short` name, as stated in dataset.toml; "" for none.
-      where: file and feature, for messages.
-      answer: where a user says which joints the numbers belong to.
-      notes: choices are appended here.
+    """The hinge or slide of each number; `given` has joints by `short` name, "" for none.
 
     Returns:
       Ids of joints; None for numbers that are no positions, or that are said to be of no joint.
@@ -112,9 +104,3 @@ def _by_name(names: Sequence[str], model: mujoco.MjModel) -> dict[str, int]:
         elif actuator is not None and (driven := driven_joint(model, actuators.index(actuator))) is not None:
             found[name] = driven
     return found
-
-
-def driven_joint(model: mujoco.MjModel, actuator: int) -> int | None:
-    """Id of the joint on which an actuator acts; None for a tendon, a site or a body."""
-    kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-    return int(model.actuator_trnid[actuator, 0]) if int(model.actuator_trntype[actuator]) in kinds else None

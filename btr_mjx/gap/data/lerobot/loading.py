@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data.columns.model_columns import SUFFIXES
+from btr_mjx.gap.data.columns.model_columns import SUFFIXES, driven_joint
 from btr_mjx.gap.data.columns.remedy import Answer
 from btr_mjx.gap.data.dataset import Dataset
 from btr_mjx.gap.data.lerobot.frames import (
@@ -31,7 +31,7 @@ from btr_mjx.gap.data.lerobot.frames import (
     names_in,
     read_episodes,
 )
-from btr_mjx.gap.data.lerobot.joints import driven_joint, heading, joints_of, short
+from btr_mjx.gap.data.lerobot.joints import heading, joints_of, short
 from btr_mjx.gap.data.lerobot.scales import FACTORS, SPANS, JointScale, check_scale, find_scales
 from btr_mjx.gap.data.recordings.recording import Recording, make_recordings
 from btr_mjx.gap.data.recordings.splits import assign_splits
@@ -40,21 +40,7 @@ from btr_mjx.runs import check_keys, file_inside
 
 
 def load_lerobot(head: Dataset, table: Mapping[str, Any], answer: Answer) -> Dataset:
-    """Read a LeRobot dataset whose dataset.toml was read; the last third of the episodes is held out.
-
-    Args:
-      head: the dataset without recordings.
-      table: content of dataset.toml.
-      answer: where it is, or would be.
-
-    Returns:
-      The dataset, one recording per episode.
-
-    Raises:
-      InputError: names that are not joints of the model, units that do not fit, missing columns, no frames, or an error
-        of `recording.make_recordings`.
-      DamagedFile: a file that does not parse.
-    """
+    """Read a LeRobot dataset whose dataset.toml was read: a recording per episode, the last third of them held out."""
     about, notes, model = table.get("lerobot", {}), list(head.notes), head.model
     where = f"{answer.file}: [lerobot]"
     check_keys(about, ("folder", "unit", "joints"), where, notes)

@@ -88,11 +88,7 @@ class JointScale:
 
 
 def check_scale(table: Mapping[str, Any], where: str, notes: list[str]) -> None:
-    """Check a table [lerobot.joints.NAME].
-
-    Raises:
-      InputError: a misspelt key or an invalid value.
-    """
+    """Refuse misspelt keys and invalid values in a table [lerobot.joints.NAME]."""
     check_keys(table, JOINT_KEYS, where, notes)
     known = (*FACTORS, *SPANS)
     ends = table.get("range", [0.0, 1.0])

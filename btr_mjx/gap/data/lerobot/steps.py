@@ -16,14 +16,7 @@ _NEAR = 20
 
 
 def counted_step(values: np.ndarray) -> float | None:
-    """The step of which all differences of values are multiples.
-
-    Args:
-      values: (N,) in any unit and from any zero.
-
-    Returns:
-      The step, or None where values are not multiples of one, or too few differ.
-    """
+    """The step of which all differences of values (N,) are multiples; None where there is none, or too few differ."""
     own = np.unique(np.asarray(values, float))
     own = own[np.diff(own, prepend=-np.inf) > _SMALLEST]
     if len(own) < _FEWEST:

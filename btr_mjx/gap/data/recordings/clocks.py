@@ -46,14 +46,9 @@ def on_one_clock(
     where: str,
     notes: list[str],
 ) -> tuple[dict[str, np.ndarray], bool]:
-    """Bring the columns of a recording onto one time axis.
+    """Bring the columns (K,) of the tables of a recording onto one time axis [s].
 
-    Args:
-      tables: columns (K,) of the model by name, with "time" [s], of each table.
-      model: the model.
-      hold: hold commands of another clock instead of interpolating them.
-      where: file, for messages.
-      notes: what was done is appended here.
+    Commands of another clock are interpolated, or held if `hold`.
 
     Returns:
       Columns (N,) on one axis, NaN where a value is not known; and whether commands were held.
@@ -125,11 +120,7 @@ def _signals(table: Mapping[str, np.ndarray]) -> list[_Signal]:
 
 
 def check_time(time: np.ndarray, where: str, first_row: int = 0) -> None:
-    """Check that time (K,) [s] increases strictly; `first_row` rows of the file are before it.
-
-    Raises:
-      InputError: it does not; the message names the row and both times.
-    """
+    """Refuse times (K,) [s] that do not increase strictly; `first_row` rows of the file are before them."""
     steps = np.diff(time)
     if (steps <= 0).any():
         row = int(np.argmax(steps <= 0))

@@ -56,18 +56,9 @@ def held(columns: np.ndarray, fewest: int = _MIN_CHANGES) -> Held | None:
     moving = (steps > 0).sum(axis=0)
     if moving[moving > 0].mean() < _TOGETHER * len(rows):
         return None
-    counts = []
-    for column in steps.T:
-        sizes = column[column > 0]
-        if len(sizes):
-            counts.append(float(np.median(sizes)) / float(sizes.min()))
-    return Held(np.concatenate([[0], rows]), float(np.median(np.diff(rows))), max(counts) < _MIN_COUNTS)
-
-
-def fresh_rows(qpos: np.ndarray) -> Held | None:
-    """The rows in which positions (K, nq) were refreshed; None if in all of them, or if that cannot be told."""
-    found = held(qpos)
-    return None if found is None or found.coarse else found
+    sizes = [column[column > 0] for column in steps.T]
+    counts = max(np.median(own) / own.min() for own in sizes if len(own))
+    return Held(np.concatenate([[0], rows]), float(np.median(np.diff(rows))), bool(counts < _MIN_COUNTS))
 
 
 def stairs(controls: Sequence[np.ndarray]) -> Held | None:
@@ -79,15 +70,9 @@ def stairs(controls: Sequence[np.ndarray]) -> Held | None:
     Returns:
       The stairs of the column with the most changes; None if any command changes in consecutive rows, or none changes.
     """
-    found = []
-    for ctrl in controls:
-        for column in ctrl.T:
-            if np.ptp(column) > 0:
-                one = held(column[:, None], fewest=1)
-                if one is None:
-                    return None
-                found.append(one)
-    return max(found, key=lambda one: len(one.rows), default=None)
+    columns = [column[:, None] for ctrl in controls for column in ctrl.T if np.ptp(column) > 0]
+    found = [one for column in columns if (one := held(column, fewest=1)) is not None]
+    return max(found, key=lambda one: len(one.rows), default=None) if len(found) == len(columns) else None
 
 
 def bends(commands: Sequence[tuple[np.ndarray, np.ndarray]]) -> bool:

@@ -36,20 +36,7 @@ class Noise:
 
 
 def read_noise(table: Any, model: mujoco.MjModel, where: str, notes: list[str]) -> Noise | None:
-    """Read a [noise] table.
-
-    Args:
-      table: the table.
-      model: the believed model.
-      where: file and table, for messages.
-      notes: warnings are appended here.
-
-    Returns:
-      Noise of each tangent-space coordinate; None if the table does not cover all of them.
-
-    Raises:
-      InputError: a value that is not a positive number.
-    """
+    """The noise of a [noise] table; None if it does not cover all coordinates."""
     names = part_names(model, "joint")
     columns = [f"{kind}/{name}" for name in names for kind in ("qpos", "qvel")]
     positions, velocities = state_columns(model)
@@ -127,12 +114,7 @@ def quantisation_noise(model: mujoco.MjModel, tracks: Sequence[_Samples]) -> np.
 
 
 def without_sensor(noise: Noise, seen: np.ndarray) -> Noise:
-    """The noise, with the steps by which states are varied at joints without an encoder.
-
-    Args:
-      noise: of all coordinates.
-      seen: (nv,) bool: positions that were measured.
-    """
+    """The noise, with the steps by which states are varied where `seen` (nv,) is False: there is no encoder."""
     if seen.all():
         return noise
     return Noise(np.where(seen, noise.qpos, POSITION_SIGMA), np.where(seen, noise.qvel, VELOCITY_SIGMA))

@@ -16,12 +16,7 @@ LONGEST_INTERVAL = 1000.0
 
 
 def check_span(time: np.ndarray, where: str) -> None:
-    """Check that times (K,) [s] that increase are seconds and leave no gap out of proportion.
-
-    Raises:
-      InputError: the median interval is beyond `LONGEST_INTERVAL`, or the duration is more than `MOST_EMPTY` times what
-        the rows cover.
-    """
+    """Refuse times (K,) that are no seconds, by `LONGEST_INTERVAL`, and gaps out of proportion, by `MOST_EMPTY`."""
     if len(time) < 2:
         return
     with np.errstate(over="ignore"):
@@ -41,11 +36,7 @@ def check_span(time: np.ndarray, where: str) -> None:
 
 
 def check_sizes(columns: Mapping[str, np.ndarray], needed: Sequence[str], where: str) -> None:
-    """Check the sizes of numbers.
-
-    Raises:
-      InputError: a number beyond `LARGEST_MEASURED`.
-    """
+    """Refuse numbers beyond `LARGEST_MEASURED`."""
     for name in needed:
         bad = np.abs(columns[name]) > LARGEST_MEASURED
         if bad.any():

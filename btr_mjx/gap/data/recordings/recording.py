@@ -14,14 +14,9 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns.model_columns import check_names, control_columns, state_columns, ungroup_columns
 from btr_mjx.gap.data.lists import listed
 from btr_mjx.gap.data.recordings.clocks import check_time, on_one_clock
-from btr_mjx.gap.data.recordings.held import fresh_rows
+from btr_mjx.gap.data.recordings.held import held
 from btr_mjx.gap.data.recordings.plausible import check_sizes, check_span
-from btr_mjx.gap.data.recordings.rows import (
-    complete_rows,
-    even_times,
-    normalise_quaternions,
-    whole_parts,
-)
+from btr_mjx.gap.data.recordings.rows import complete_rows, even_times, normalise_quaternions, whole_parts
 from btr_mjx.gap.data.recordings.unmeasured import estimate_motion, unmeasured_joints
 from btr_mjx.gap.data.recordings.velocities import estimate_velocity
 from btr_mjx.gap.data.recordings.wraps import unwrap_hinges
@@ -111,12 +106,8 @@ def make_recordings(
 ) -> list[Recording]:
     """Build the recordings of one log: one, or one for each part between holes.
 
-    Args:
-      tables: arrays by name, as `readers.read_columns` returns them, for each table with a clock of its own.
-      model: the recording's model.
-      where: file, for messages.
-      name: the recording's name.
-      hold: hold commands of a slower clock between their samples, instead of interpolating them.
+    `tables` have arrays by name, as `readers.read_columns` returns them, and a clock of their own each. Commands of a
+    slower clock are held between their samples, or interpolated without `hold`.
 
     Raises:
       InputError: missing or unknown columns, time that does not increase, quaternions that are not of unit length.
@@ -128,9 +119,9 @@ def make_recordings(
     ignored = check_names(merged, model, where)
     unmeasured = unmeasured_joints(merged, model, where)
     notes += [f"columns without a use: {listed(ignored)}"] if ignored else []
-    positions, velocities = state_columns(model)
+    (positions, velocities), controls = state_columns(model), control_columns(model)
     positions = [c for c in positions if c in merged]
-    needed = ["time", *positions, *control_columns(model), *(c for c in velocities if c in merged)]
+    needed = ["time", *positions, *controls, *(c for c in velocities if c in merged)]
     sound = complete_rows(merged, needed, where, notes)
     flat = {key: value[sound] for key, value in merged.items()}
     check_time(flat["time"], where)
@@ -143,7 +134,6 @@ def make_recordings(
     seen = np.delete(np.arange(model.nq), model.jnt_qposadr[unmeasured])
     qpos[:, seen] = np.stack([flat[c] for c in positions], axis=1)
     normalise_quaternions(qpos, model, where)
-    controls = control_columns(model)
     ctrl = np.stack([flat[c] for c in controls], axis=1) if controls else np.empty((len(sound), 0))
     unwrap_hinges(model, qpos, ctrl, notes)
     parts = whole_parts(sound, flat["time"], MIN_SAMPLES, notes)
@@ -186,8 +176,8 @@ def _with_even_times(table: dict[str, np.ndarray], model: mujoco.MjModel, notes:
 def _estimated(one: Recording, unmeasured: list[int], where: str) -> Recording:
     """A recording without a hole, of its fresh rows, with estimates of what was not measured."""
     check_span(one.time, where)
-    model, notes, fresh = one.model, list(one.notes), fresh_rows(one.qpos)
-    if fresh is not None and len(fresh.rows) >= MIN_SAMPLES:
+    model, notes, fresh = one.model, list(one.notes), held(one.qpos)
+    if fresh is not None and not fresh.coarse and len(fresh.rows) >= MIN_SAMPLES:
         rate = (len(fresh.rows) - 1) / (one.time[fresh.rows[-1]] - one.time[0])
         notes.append(
             f"positions change every {fresh.every:.3g}th row only ({rate:.4g} Hz) and repeat in between: the fresh "

@@ -29,20 +29,7 @@ _MIN_WINDOWS = 20
 
 
 def complete_rows(flat: Mapping[str, np.ndarray], needed: Sequence[str], where: str, notes: list[str]) -> np.ndarray:
-    """Indices of the rows without missing values.
-
-    Args:
-      flat: (K,) columns by name.
-      needed: names of the columns that are checked.
-      where: file, for messages.
-      notes: the number of dropped rows is appended here.
-
-    Returns:
-      (N,) row indices.
-
-    Raises:
-      InputError: a column without any value, or no row in which all have one.
-    """
+    """Indices (N,) of the rows in which all `needed` columns (K,) have a value."""
     bad = np.zeros(len(flat["time"]), bool)
     for column in needed:
         missing = ~np.isfinite(flat[column])
@@ -90,11 +77,7 @@ def whole_parts(rows: np.ndarray, time: np.ndarray, shortest: int, notes: list[s
 
 
 def even_times(time: np.ndarray, positions: np.ndarray) -> np.ndarray | None:
-    """Even times, where positions are smoother as functions of these than of their time stamps.
-
-    Args:
-      time: (K,) time stamps [s].
-      positions: (K, n).
+    """Even times, where positions (K, n) are smoother as functions of these than of their time stamps (K,) [s].
 
     Returns:
       (K,) the even times nearest to the stamps; samples may be lost in between. None where the stamps fit better, or
@@ -138,11 +121,7 @@ def _counted(time: np.ndarray, interval: float) -> np.ndarray:
 
 
 def normalise_quaternions(qpos: np.ndarray, model: mujoco.MjModel, where: str) -> None:
-    """Normalise the quaternions in qpos (K, nq) in place and make their signs continuous.
-
-    Raises:
-      InputError: the norm of a quaternion differs from 1 by more than 0.05.
-    """
+    """Normalise quaternions in qpos (K, nq) in place, with continuous signs; refuses norms that are not near 1."""
     for joint, kind in enumerate(model.jnt_type):
         if int(kind) not in SUFFIXES:
             continue

@@ -11,12 +11,7 @@ from btr_mjx.gap.data.recordings.recording import MIN_SAMPLES, Recording, Split
 
 
 def assign_splits(recordings: Sequence[Recording], given: Sequence[Any], where: str) -> list[Recording]:
-    """Assign recordings to fit or test.
-
-    Args:
-      recordings: all recordings.
-      given: split of each in the dataset: "fit", "test" or None.
-      where: file, for messages.
+    """Assign recordings to fit or test, by what the dataset says of each: "fit", "test" or None.
 
     Returns:
       The recordings with their split. If no split is given, the last third of the recordings is held out; a single
@@ -38,10 +33,8 @@ def assign_splits(recordings: Sequence[Recording], given: Sequence[Any], where: 
             )
         return [replace(r, split=word) for r, word in zip(recordings, words, strict=True)]
     if len(recordings) > 1:
-        held_out = max(1, len(recordings) // 3)
-        return [
-            replace(r, split="test" if i >= len(recordings) - held_out else "fit") for i, r in enumerate(recordings)
-        ]
+        count = len(recordings) - max(1, len(recordings) // 3)
+        return [replace(r, split="fit" if i < count else "test") for i, r in enumerate(recordings)]
     only = recordings[0]
     cut = int(np.searchsorted(only.time, only.time[0] + 2 / 3 * (only.time[-1] - only.time[0])))
     if min(cut, len(only.time) - cut) < MIN_SAMPLES:
@@ -56,9 +49,6 @@ def split_parts(parts: Sequence[Recording], where: str) -> list[Recording]:
     """Hold out the last third of the samples of the only recording, which is in several parts.
 
     A part is cut where the last third begins, if both pieces are long enough.
-
-    Raises:
-      InputError: a single part that is too short, see `assign_splits`.
     """
     if len(parts) == 1:
         return assign_splits(parts, [None], where)
@@ -74,7 +64,6 @@ def split_parts(parts: Sequence[Recording], where: str) -> list[Recording]:
         else:
             found.append(replace(part, split="fit" if 2 * cut >= count else "test"))
     if len({one.split for one in found}) == 1:  # one part has nearly everything
-        found[-1 if found[0].split == "fit" else 0] = replace(
-            found[-1 if found[0].split == "fit" else 0], split="test" if found[0].split == "fit" else "fit"
-        )
+        end = len(found) - 1 if found[0].split == "fit" else 0
+        found[end] = replace(found[end], split="test" if end else "fit")
     return found

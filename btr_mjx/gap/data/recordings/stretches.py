@@ -48,14 +48,7 @@ class Share:
 
 
 def shares(rows: Sequence[int]) -> list[Share | None]:
-    """The part of each recording of a dataset that is used.
-
-    Args:
-      rows: number of rows of each recording.
-
-    Returns:
-      Shares in proportion to the rows; None for recordings of which everything is used.
-    """
+    """Parts of recordings that are used, in proportion to their rows; None where everything is used."""
     total = sum(rows)
     if total <= MAX_SAMPLES:
         return [None] * len(rows)
@@ -96,14 +89,6 @@ def read_stretches(
       notes: choices, which share is used, missing values and gaps in time are appended here.
       advance: see `Advance`.
       options: what the dataset says about columns and topics.
-
-    Returns:
-      The columns of each stretch, in the order of time.
-
-    Raises:
-      InputError: see `plan.read_log` and `clocks.check_time`.
-      DamagedFile: the content does not parse.
-      OSError: the file cannot be read.
     """
     options, path = options or LogOptions(), paths[0]
     reader = reader_of(path) if len(paths) == 1 else None

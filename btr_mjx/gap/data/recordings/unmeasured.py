@@ -23,11 +23,6 @@ POSITION_SIGMA, VELOCITY_SIGMA = 0.01, 0.1
 def unmeasured_joints(columns: Collection[str], model: mujoco.MjModel, where: str) -> list[int]:
     """Ids of the hinges and slides of which no column holds the position.
 
-    Args:
-      columns: names of the columns.
-      model: the model.
-      where: file, for messages.
-
     Raises:
       InputError: a free or ball joint without its columns, a velocity without its position, or nothing measured.
     """

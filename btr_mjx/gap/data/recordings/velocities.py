@@ -48,16 +48,7 @@ def velocity_lag(tracks: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) ->
 
 
 def estimate_velocity(model: mujoco.MjModel, time: np.ndarray, qpos: np.ndarray) -> np.ndarray:
-    """Velocities by a least-squares cubic fit to positions, over `HALF_WIDTH` samples on either side.
-
-    Args:
-      model: the model.
-      time: (K,) [s].
-      qpos: (K, nq).
-
-    Returns:
-      (K, nv) velocities.
-    """
+    """Velocities (K, nv) by cubic fits to `HALF_WIDTH` positions (K, nq) before and after each time (K,) [s]."""
     count = len(time)
     first = np.clip(np.arange(count) - HALF_WIDTH, 0, max(count - 2 * HALF_WIDTH - 1, 0))
     index = np.minimum(first[:, None] + np.arange(2 * HALF_WIDTH + 1), count - 1)  # (K, 2 HALF_WIDTH + 1)

@@ -41,14 +41,7 @@ def find_wraps(model: mujoco.MjModel, qpos: np.ndarray) -> list[Wrap]:
 
 
 def unwrap_hinges(model: mujoco.MjModel, qpos: np.ndarray, ctrl: np.ndarray, notes: list[str]) -> None:
-    """Unwrap hinges without limits in place, with the commands of their position servos.
-
-    Args:
-      model: the model.
-      qpos: (K, nq).
-      ctrl: (K, nu).
-      notes: what was unwrapped is appended here.
-    """
+    """Unwrap hinges without limits in qpos (K, nq), and in ctrl (K, nu) commands of their position servos, in place."""
     for wrap in find_wraps(model, qpos):
         joint, column = wrap.joint, int(model.jnt_qposadr[wrap.joint])
         if model.jnt_limited[joint] or wrap.turn != 2 * np.pi:

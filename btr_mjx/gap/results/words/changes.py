@@ -7,39 +7,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from btr_mjx.gap.effects import EACH_MEMBER
+from btr_mjx.gap.results.words.effects import effect_at_place, place_in_words, words_of
 from btr_mjx.gap.results.words.terms import (
     as_float,
-    effect_at_place,
-    effect_title,
     format_estimate,
     in_percent,
     parameters_in_words,
-    place_in_words,
 )
-
-_GROWS: Mapping[str, str] = {
-    "viscous_damping": "viscous damping",
-    "dry_friction": "dry friction",
-    "load_friction": "load-dependent gear friction",
-    "armature": "rotor inertia",
-    "actuator_delay": "the delay of the command",
-    "actuator_lag": "the lag of the command",
-    "actuator_gain": "the motor's strength",
-    "servo_stiffness": "the servo's stiffness",
-    "payload": "mass",
-    "link_length": "the length of the link",
-    "backlash": "backlash",
-    "joint_stiffness": "the stiffness of a spring",
-    "ground_friction": "friction of the ground",
-}
-"""Effects whose first parameter grows or falls."""
-
-_MOVES: Mapping[str, str] = {
-    "joint_offset": "the encoder's zero",
-    "offset_torque": "a constant force",
-    "com_shift": "the centre of mass",
-}
-"""Effects whose parameters have a sign."""
 
 UNCHANGED = "Nothing has changed: one model explains both sets of recordings within the noise."
 """The sentence where no change was found."""
@@ -49,12 +23,7 @@ SAME_REST = "Nothing has changed that can be told: what the model lacks is alike
 
 
 def change_in_words(effects: Sequence[Mapping[str, Any]], listed: int) -> str:
-    """What has changed, as the beginning of a sentence.
-
-    Args:
-      effects: entries of `effects` in result.json, as changes since the recordings before.
-      listed: effects that are said, at most; the others are counted.
-    """
+    """Changes since the recordings before as the beginning of a sentence; what is not `listed` is counted."""
     each = [part for effect in effects[:listed] for part in _change(effect)]
     if len(effects) > listed:
         each.append(f"{len(effects) - listed} more, listed in the table, as well")
@@ -71,13 +40,13 @@ def _change(effect: Mapping[str, Any]) -> list[str]:
         moved = {key: p for key, p in parameters.items() if not _may_be_nothing(p)} or parameters
         members = [(f"{kind}:{key.partition('[')[2].removesuffix(']')}", key, p) for key, p in moved.items()]
         return [_of_number(name, place, key, p, "") for place, key, p in members]
-    first = next(iter(parameters))
+    (first, *_), own = parameters, words_of(name)
     rest = {key: p for key, p in parameters.items() if key != first}
-    if name in _GROWS and name not in _MOVES and not parameters[first].get("null"):
+    if own.grows and not parameters[first].get("null"):
         more = f" ({parameters_in_words({**effect, 'parameters': rest})})" if rest else ""
         return [_of_number(name, location, first, parameters[first], more)]
-    if name in _MOVES:
-        return [f"{_MOVES[name]} at {place_in_words(location)} has moved by {parameters_in_words(effect)}"]
+    if own.moves:
+        return [f"{own.moves} at {place_in_words(location)} has moved by {parameters_in_words(effect)}"]
     return [f"{effect_at_place(effect)} has appeared ({parameters_in_words(effect)})"]
 
 
@@ -85,19 +54,14 @@ def _of_number(name: str, location: str, key: str, parameter: Mapping[str, Any],
     """A number that has grown or fallen."""
     shown = in_percent(key, parameter)
     value = as_float(shown.get("value")) or 0.0
-    if name in _MOVES:
-        return f"{_MOVES[name]} at {place_in_words(location)} has moved by {format_estimate(shown)}"
+    own = words_of(name)
+    if own.moves:
+        return f"{own.moves} at {place_in_words(location)} has moved by {format_estimate(shown)}"
     if value < 0:
-        ends = {"value": -value, "low": _minus(shown.get("high")), "high": _minus(shown.get("low"))}
-        shown = shown | ends
-    title = _GROWS.get(name, effect_title(name))
+        high, low = (None if (end := as_float(shown.get(key))) is None else -end for key in ("low", "high"))
+        shown = shown | {"value": -value, "low": low, "high": high}
     verb = "grown" if value >= 0 else "fallen"
-    return f"{title} at {place_in_words(location)} has {verb} by {format_estimate(shown)}{more}"
-
-
-def _minus(value: Any) -> float | None:
-    number = as_float(value)
-    return None if number is None else -number
+    return f"{own.grows or own.title} at {place_in_words(location)} has {verb} by {format_estimate(shown)}{more}"
 
 
 def _may_be_nothing(parameter: Mapping[str, Any]) -> bool:

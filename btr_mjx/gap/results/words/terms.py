@@ -1,4 +1,4 @@
-"""Words for effects, places, and numbers with their intervals, as sentences, tables and figures have them.
+"""Words for numbers with their intervals and units, as sentences, tables and figures have them.
 
 Every function returns text and computes nothing else. `verdict` builds the sentences of a verdict of them.
 """
@@ -9,117 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from btr_mjx.gap.effects import EACH_MEMBER, LAWS
-
-EFFECT_TITLES: Mapping[str, str] = {
-    "viscous_damping": "viscous damping",
-    "dry_friction": "dry friction",
-    "load_friction": "load-dependent gear friction",
-    "stribeck_friction": "Stribeck (breakaway) friction",
-    "armature": "rotor inertia (armature)",
-    "joint_stiffness": "a spring",
-    "joint_offset": "an encoder offset",
-    "backlash": "backlash",
-    "actuator_delay": "a delay of the command",
-    "actuator_lag": "a first-order lag of the command",
-    "command_rate_limit": "a limit of the command's rate",
-    "actuator_gain": "a change of the motor's strength",
-    "offset_torque": "a constant force of the joint",
-    "gravity_compensation": "gravity compensation",
-    "torque_limit": "a torque limit",
-    "torque_speed": "a torque-speed line of the motor",
-    "servo_stiffness": "another stiffness of the servo",
-    "payload": "a payload",
-    "link_length": "another length of the link",
-    "com_shift": "a shift of the centre of mass",
-    "constant_force": "a constant force",
-    "air_drag": "air drag",
-    "ground_slope": "a slope of the ground",
-    "ground_friction": "another friction of the ground",
-    "contact_softness": "another softness of contact",
-    "hardening_spring": "a hardening spring",
-    "one_sided_spring": "a spring on one side",
-    "fading_motor": "a motor that loses force over time",
-    "elastic_cord": "an elastic cord",
-    **{law.name: law.title for law in LAWS},
-}
-"""Effects of the library as they appear in sentences; other effects appear by their names."""
-
-_MORE: Mapping[str, tuple[str, str]] = {
-    "viscous_damping": ("more viscous damping", "less viscous damping"),
-    "dry_friction": ("more dry friction", "less dry friction"),
-    "armature": ("more rotor inertia", "less rotor inertia"),
-    "actuator_delay": ("a later command", "an earlier command"),
-    "actuator_gain": ("a stronger motor", "a weaker motor"),
-    "servo_stiffness": ("a stiffer servo", "a softer servo"),
-    "payload": ("more mass", "less mass"),
-    "link_length": ("a longer link", "a shorter link"),
-    "ground_friction": ("more friction of the ground", "less friction of the ground"),
-    "contact_softness": ("softer contacts", "harder contacts"),
-    "air_drag": ("more air drag", "less air drag"),
-}
-"""Effects whose first parameter may rise or fall: words for an increase and for a decrease."""
+from btr_mjx.gap.effects import EACH_MEMBER
+from btr_mjx.gap.results.words.effects import member_of
 
 _FEW = 3
 """So many numbers of the members of a group are written out in a sentence, at most."""
 
-_SEVERAL_NUMBERS = ("stribeck_friction", "payload", "com_shift", "constant_force", "ground_slope")
-"""Effects with several numbers, whose names say which one is meant."""
-
 REASON_NOT_NAMED = "small errors of calibration explain nearly as much, or held-out recordings do not bear it out"
 """Reason why a candidate is neither named nor ruled out."""
-
-
-def effect_title(effect: str) -> str:
-    """An effect in words, such as "viscous damping"."""
-    return EFFECT_TITLES.get(effect, effect.replace("_", " "))
-
-
-def place_in_words(label: str) -> str:
-    """A place in words, such as "joint knee" for "joint:knee"."""
-    if label.startswith(EACH_MEMBER):
-        return f"{place_in_words(label.removeprefix(EACH_MEMBER))}, each with its own number"
-    kind, _, name = label.partition(":")
-    if kind == "subtree":
-        return f"every joint from body {name} down"
-    if not name:
-        return {"all": "all joints", "world": "the world as a whole"}.get(label, label)
-    return f"{kind} {name}"
-
-
-def effect_at_place(row: Mapping[str, Any]) -> str:
-    """Effect and place of an entry of results, in words."""
-    return f"{effect_title(str(row['effect']))} at {place_in_words(str(row['location']))}"
-
-
-def hypothesis_in_words(name: str) -> str:
-    """Effects of a hypothesis in words, such as "dry friction at joint knee" for "dry_friction@joint:knee"."""
-    parts = [part.partition("@") for part in name.split(" + ")]
-    return " and ".join(
-        effect_at_place({"effect": effect, "location": location}) if location else effect
-        for effect, _, location in parts
-    )
-
-
-def confound_sentence(effect: str, location: str, change: float, correlation: float) -> str:
-    """A sentence on a change that would leave almost the same traces as a named effect.
-
-    Args:
-      effect: name of the other effect, or of a believed parameter.
-      location: its place; "" for a believed parameter.
-      change: change of its first parameter; only the sign counts.
-      correlation: correlation of the two signatures, in [0, 1].
-
-    Returns:
-      The sentence.
-    """
-    if not location:
-        what = f"a {'larger' if change > 0 else 'smaller'} {effect}"
-    else:
-        more, less = _MORE.get(effect, (effect_title(effect), effect_title(effect)))
-        what = f"{more if change > 0 else less} at {place_in_words(location)}"
-    how = "almost the same" if correlation >= 0.95 else "similar"
-    return f"{what[0].upper()}{what[1:]} would leave {how} traces ({correlation:.2f})."
 
 
 def refit_sentence(name: str, before: float, after: float) -> str:
@@ -248,7 +145,7 @@ def parameters_in_words(effect: Mapping[str, Any]) -> str:
     if effect["effect"] == "load_friction" and set(parameters) == {"coefficient"}:
         return f"{format_estimate(parameters['coefficient'])} of the motor torque"
     if str(effect["location"]).startswith(EACH_MEMBER) and len(parameters) > _FEW:
-        rows = {_member_of(name): in_percent(name, p) for name, p in parameters.items()}
+        rows = {member_of(name): in_percent(name, p) for name, p in parameters.items()}
         values = {member: as_float(p["value"]) or 0.0 for (_, member), p in rows.items()}
         ends = [format_number(f(values.values())) for f in (min, max)]
         (kind, _), one = next(iter(rows.items()))
@@ -261,14 +158,8 @@ def parameters_in_words(effect: Mapping[str, Any]) -> str:
 
 def parameter_in_words(name: str) -> str:
     """A parameter's name in words, such as "armature at knee" for "armature[knee]"."""
-    kind, member = _member_of(name)
+    kind, member = member_of(name)
     return f"{kind} at {member}" if member else kind
-
-
-def _member_of(name: str) -> tuple[str, str]:
-    """Kind and member of a number, such as ("armature", "knee") of "armature[knee]"."""
-    kind, _, member = name.partition("[")
-    return kind.replace("_", " "), member.removesuffix("]")
 
 
 def in_percent(name: str, parameter: Mapping[str, Any]) -> dict[str, Any]:
@@ -293,20 +184,3 @@ def unit_in_words(unit: Any) -> str:
     """A unit as people write it, such as "kg m²" for "kg m^2"; "" for numbers without one."""
     text = str(unit or "")
     return "" if text == "1" else text.replace("^2", "²").replace("^3", "³")
-
-
-def number_in_words(name: str) -> str:
-    """A number of a simulator that grew in words: "dry friction at joint knee" for "dry_friction joint:knee torque".
-
-    Args:
-      name: effect, place and parameter; any other name is returned as it is.
-    """
-    effect, _, rest = name.partition(" ")
-    location, _, parameter = rest.rpartition(" ")
-    if effect not in EFFECT_TITLES or not location:
-        return name
-    kind, member = _member_of(parameter)
-    if location.startswith(EACH_MEMBER) and member:
-        return f"{effect_title(effect)} at {member}"
-    words = effect_at_place({"effect": effect, "location": location})
-    return f"{words}, {kind}" if effect in _SEVERAL_NUMBERS else words
