@@ -18,7 +18,7 @@ from btr_mjx.demo import cases as demo_cases
 from btr_mjx.errors import InputError
 from btr_mjx.gap import inference, simulate
 from btr_mjx.gap.data import Dataset
-from btr_mjx.gap.effects import EFFECTS, selected_effects
+from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.results import (
     Confound,
     Diagnosis,
@@ -321,27 +321,6 @@ def test_unusable_data_are_one_line(folder: Path, searches: list, capsys: pytest
         diagnose.main([str(folder), "--out", str(folder.parent / "run")])
     assert stop.value.code == 2
     assert "looks like degrees" in capsys.readouterr().err
-
-
-def test_effects_of_ones_own(tmp_path: Path) -> None:
-    file = tmp_path / "mine.py"
-    file.write_text(
-        "from btr_mjx.gap.effects import Effect, Parameter, joint_places\n"
-        "def ranges(model, scales, place):\n"
-        "    return (Parameter('coefficient', 'N m s^2/rad^2', 0.0, 3.0, 0.05),)\n"
-        "def edit(world, place, values):\n"
-        "    world.model.dof_dampingpoly[place.dofs(world.model), 0] += values[0]\n"
-        "MINE = Effect('quadratic_damping', joint_places, ranges, edit, summable=True)\n"
-        "NUMBER = 3\n"
-    )
-    library = selected_effects(["all", f"{file}:MINE"])
-    assert [e.name for e in library] == [*(e.name for e in EFFECTS), "quadratic_damping"]
-    assert [e.name for e in selected_effects(["backlash", f"{file}:MINE"])] == [
-        "backlash",
-        "quadratic_damping",
-    ]
-    with pytest.raises(InputError, match=r"NUMBER.*: got int, expected an Effect"):
-        selected_effects([f"{file}:NUMBER"])
 
 
 def test_check_writes_nothing_and_prints_findings(
