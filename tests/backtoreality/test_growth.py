@@ -6,6 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from gap_results import FOUND
 
 from btr_mjx.backtoreality import CoevolveConfig, build_problem, summarise
 from btr_mjx.backtoreality.algorithm import advance, begin
@@ -174,10 +175,10 @@ def test_an_unknown_parameter_changes_what_it_does_in_S(robot: Path | None) -> N
     assert not np.array_equal(expected.dof_M0, general_model(made.robot, here).dof_M0)
 
 
-def test_recordings_propose_what_they_prefer(ended: tuple[Problem, State]) -> None:
+def test_recordings_propose_what_they_prefer() -> None:
     row = RankedCandidate("dry_friction", "joint:elbow", 12.0, 0.0, 15.0, 6.0, {"torque": 0.1})
     rows = (row, replace(row, beside=("armature@joint:elbow",)), replace(row, effect="backlash", score=-1.0))
-    diagnosis = replace(_diagnosis(), verdict="unexplained", ranking=rows)
+    diagnosis = replace(FOUND, verdict="unexplained", ranking=rows)
     assert [(one.effect, one.values) for one in proposals(diagnosis)] == [("dry_friction", {"torque": 0.1})]
     assert proposals(replace(diagnosis, verdict="none")) == []
 
@@ -186,7 +187,7 @@ def test_bounds_of_new_dimensions(ended: tuple[Problem, State]) -> None:
     """The null is possible, and friction is not negative."""
     made, state = ended
     diagnosis = replace(
-        _diagnosis(),
+        FOUND,
         effects=(
             NamedEffect("dry_friction", "joint:elbow", {"torque": Estimate(0.1, 0.05, 0.2, "N m")}, 1.0, 1.0),
             NamedEffect("armature", "joint:elbow", {"armature": Estimate(0.1, 0.09, 0.12, "kg m^2")}, 1.0, 1.0),
@@ -198,11 +199,3 @@ def test_bounds_of_new_dimensions(ended: tuple[Problem, State]) -> None:
     armature = second["numbers"]["armature"]
     assert (armature["low"], armature["high"]) == (0.0, pytest.approx(0.16))
     assert len(entries_of_diagnosis(diagnosis, made, replace(state, simulation=made.start), 1)) == 1
-
-
-def _diagnosis():
-    from gap_arm import LIBRARY, QUICK, damped, dataset
-
-    from btr_mjx.gap.inference import identify
-
-    return identify(dataset(damped, seed=1, fit=2, test=1), LIBRARY[:1], max_effects=1, options=QUICK)

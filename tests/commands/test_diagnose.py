@@ -11,6 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from gap_results import FOUND
 from hidden_cases import CaseSettings, make_case
 
 from btr_mjx import diagnose
@@ -19,45 +20,10 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap import inference, simulate
 from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.results import (
-    Confound,
-    Diagnosis,
-    DisagreementMap,
-    Estimate,
-    Gap,
-    NamedEffect,
-    Overlay,
-    RankedCandidate,
-    place_in_words,
-)
+from btr_mjx.gap.results import Estimate, NamedEffect, place_in_words
 from btr_mjx.gap.simulate import Journal
 from btr_mjx.runs import check_sums, progress
 
-TIME = np.linspace(0, 1, 20)
-NAMED = NamedEffect("dry_friction", "joint:servo", {"torque": Estimate(0.031, 0.028, 0.034, "N m")}, 80.0, 30.0)
-FOUND = Diagnosis(
-    verdict="effect",
-    effects=(NAMED,),
-    ranking=(
-        RankedCandidate("dry_friction", "joint:servo", 80.0, 0.0, 55.0, 30.0, {"torque": 0.031}),
-        RankedCandidate("viscous_damping", "joint:servo", 20.0, 60.0, 18.0, 7.0, {"damping": 0.004}),
-    ),
-    equivalent=("dry_friction@joint:servo",),
-    gap=Gap(3.0, 1.2, 1.0, 1.0, 2.0, 1.1, 0.05, 0.02),
-    disagreement=DisagreementMap(("joint:servo",), ("all", "fast"), np.array([[3.0, 5.0]]), np.array([[40, 20]])),
-    unexplained=(),
-    believed=(),
-    confounds=(Confound("dry_friction@joint:servo", "viscous_damping@joint:servo", 0.93, "More viscous damping."),),
-    overlays=(Overlay("behaviour_09", "joint:servo", TIME, np.sin(TIME), np.cos(TIME), np.sin(TIME) + 0.01),),
-    share=0.9,
-    lack_of_fit=(12.0, 0.5),
-    threshold=15.0,
-    dispersion=1.0,
-    sigma=np.ones(2),
-    windows=(40, 20, 10, 0.04),
-    steps=1000,
-    seconds=1.0,
-)
 NOTHING = dataclasses.replace(FOUND, verdict="none", effects=(), equivalent=())
 
 
