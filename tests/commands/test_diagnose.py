@@ -11,6 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from failing_pages import SAID, failing_page
 from gap_results import FOUND
 from hidden_cases import CaseSettings, make_case
 
@@ -22,7 +23,7 @@ from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.results import Estimate, NamedEffect, place_in_words
 from btr_mjx.gap.simulate import Journal
-from btr_mjx.runs import check_sums, progress
+from btr_mjx.runs import progress
 
 NOTHING = dataclasses.replace(FOUND, verdict="none", effects=(), equivalent=())
 
@@ -93,18 +94,12 @@ def test_a_run_folder(folder: Path, searches: list, capsys: pytest.CaptureFixtur
 def test_a_page_that_fails_is_one_line_after_the_result(
     folder: Path, searches: list, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    printed = []
-
-    def fails(run: Path) -> None:
-        printed.append(capsys.readouterr().out)
-        check_sums(run)
-        raise ZeroDivisionError("of a bug")
-
-    monkeypatch.setattr("btr_mjx.gap.report.draw_report", fails)
+    printed: list[str] = []
+    monkeypatch.setattr("btr_mjx.gap.report.draw_report", failing_page(capsys, printed))
     diagnose.main([str(folder), "--out", str(tmp_path / "run"), "--no-progress"])
     assert "The missing effect is dry friction" in " ".join(printed[0].split())
     assert "mended.xml" in printed[0]
-    assert capsys.readouterr().err.splitlines()[-1] == "no report.html: ZeroDivisionError: of a bug"
+    assert capsys.readouterr().err.splitlines()[-1] == SAID
 
 
 def test_effects_that_are_searched_where_nothing_is_touched_are_mended(
