@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+import shutil
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -28,11 +29,17 @@ from btr_mjx.runs import progress
 NOTHING = dataclasses.replace(FOUND, verdict="none", effects=(), equivalent=())
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("made") / "data"
+    make_case(folder, 4, "pendulum", CaseSettings(verdict="none", recordings=(2, 1), duration=0.8))
+    return folder
+
+
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(made: Path, tmp_path: Path) -> Path:
     """A sound dataset."""
-    make_case(tmp_path / "data", 4, "pendulum", CaseSettings(verdict="none", recordings=(2, 1), duration=0.8))
-    return tmp_path / "data"
+    return shutil.copytree(made, tmp_path / "data")
 
 
 @pytest.fixture
