@@ -11,16 +11,18 @@ from btr_mjx.robots import Robot, hexapod
 
 
 def pytest_configure() -> None:
-    """What this process and those that tests start share: bytecode, options of the compiler, compiled programs."""
+    """What processes of tests share: bytecode, options of the compiler, compiled programs, also of earlier sessions."""
     # Where Python keeps no bytecode, each process compiles JAX's and MuJoCo's packages again: longer than most tests.
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     sys.dont_write_bytecode = False
-    # Programs of tests are small: JAX keeps by default only those that took a second to compile.
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
-    from btr_mjx.engines import use_all_cores, use_compilation_cache  # reads these settings when it loads JAX
+    import jax
+
+    from btr_mjx.engines import use_all_cores, use_compilation_cache
 
     use_all_cores()  # what is compiled directly gets the same options as what users compile
     use_compilation_cache()
+    # JAX keeps by default what took a second to compile; programs of tests are smaller.
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
 
 @pytest.fixture(scope="session")
