@@ -1,6 +1,8 @@
 """A simulator that grows: what is added to it, when, and that it can be saved in between."""
 
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import mujoco
@@ -8,7 +10,7 @@ import numpy as np
 import pytest
 from gap_results import FOUND
 
-from btr_mjx.backtoreality import CoevolveConfig, build_problem, summarise
+from btr_mjx.backtoreality import CoevolveConfig, build_problem, growth, summarise
 from btr_mjx.backtoreality.algorithm import advance, begin
 from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import (
@@ -20,6 +22,7 @@ from btr_mjx.backtoreality.growth import (
 )
 from btr_mjx.backtoreality.state import Problem, State, state_from_arrays, state_to_arrays
 from btr_mjx.evaluation import evaluate
+from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.results import Estimate, NamedEffect, RankedCandidate
 from btr_mjx.models import compile_models, general_model
 
@@ -68,6 +71,15 @@ def run(made: Problem, saved: bool = False) -> State:
         if saved:
             state = state_from_arrays(*state_to_arrays(state))
     return state
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_effects() -> Iterator[None]:
+    """Diagnoses of a robot of two joints need not try the whole library."""
+    names = ("dry_friction", "viscous_damping", "armature", "actuator_gain")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(growth, "identify", partial(growth.identify, effects=[e for e in EFFECTS if e.name in names]))
+        yield
 
 
 @pytest.fixture(scope="module")
