@@ -9,6 +9,7 @@ import statistics
 import subprocess
 import sys
 from collections import defaultdict
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -52,6 +53,7 @@ def room_of(module: str) -> str:
     return max((room for room in ORDER if module == room or module.startswith(f"{room}.")), key=len)
 
 
+@cache
 def tree_of(module: str) -> ast.Module:
     """Syntax tree of a module; of a door whose names load on first use that of its stub."""
     path = FILES[module]
@@ -59,6 +61,7 @@ def tree_of(module: str) -> ast.Module:
     return ast.parse((stub if stub.is_file() else path).read_text(encoding="utf-8"))
 
 
+@cache
 def imports_of(module: str) -> list[str]:
     """Modules of this package that a module imports, anywhere in it."""
     found = []
@@ -77,14 +80,11 @@ def imports_of(module: str) -> list[str]:
     return [name for name in own if name != module]
 
 
-IMPORTS = {module: imports_of(module) for module in FILES}
-
-
 def test_rooms_import_rooms_above_them_only():
     wrong = [
         f"{module} imports {other}"
-        for module, imported in IMPORTS.items()
-        for other in imported
+        for module in FILES
+        for other in imports_of(module)
         if ORDER.index(room_of(other)) > ORDER.index(room_of(module))
     ]
     assert not wrong
@@ -99,7 +99,7 @@ def test_inference_goes_from_scores_to_the_search_to_the_verdict():
     back = [
         f"{module} imports {other}"
         for module in FILES
-        for other in IMPORTS[module]
+        for other in imports_of(module)
         if -1 < level(module) < level(other)
     ]
     assert not back
@@ -114,8 +114,8 @@ def test_files_are_private_to_their_room():
     }
     wrong = [
         f"{module} imports {other}"
-        for module, imported in IMPORTS.items()
-        for other in imported
+        for module in FILES
+        for other in imports_of(module)
         if room_of(module) != (room := room_of(other)) != "commands"
         and other != room
         and not (other.rpartition(".")[0] == room and other.rpartition(".")[2] in named[room])
@@ -131,11 +131,11 @@ def test_no_cycles():
         assert module not in trail, " -> ".join([*trail[trail.index(module) :], module])
         if module in done:
             return
-        for other in IMPORTS[module]:
+        for other in imports_of(module):
             visit(other, (*trail, module))
         done.add(module)
 
-    for module in IMPORTS:
+    for module in FILES:
         if module:  # the package loads its public names on first use
             visit(module, ())
 

@@ -1,6 +1,7 @@
 """Films of replays: frames with labels, and their files."""
 
 import io
+import subprocess
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -188,13 +189,22 @@ def _mp4(film: np.ndarray, rate: int) -> bytes:
     """An H.264 film that browsers play."""
     import imageio_ffmpeg
 
+    # Not imageio_ffmpeg's own writer: it forks this process by Python, which may hang once JAX has started threads.
+    given = (
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgb24",
+        "-s",
+        f"{film.shape[2]}x{film.shape[1]}",
+        "-r",
+        str(rate),
+        "-i",
+        "-",
+    )
     with tempfile.TemporaryDirectory(prefix="btr_mjx-") as folder:
         file = Path(folder, "film.mp4")
-        size = (film.shape[2], film.shape[1])
-        writer = imageio_ffmpeg.write_frames(str(file), size, fps=rate, macro_block_size=2, ffmpeg_log_level="error")
-        writer.send(None)
-        for frame in film:
-            writer.send(np.ascontiguousarray(frame))
-        writer.close()
+        made = ("-loglevel", "error", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "25", str(file))
+        subprocess.run([imageio_ffmpeg.get_ffmpeg_exe(), *given, *made], input=film.tobytes(), check=True)
         check_regular(file, 2**32)
         return file.read_bytes()

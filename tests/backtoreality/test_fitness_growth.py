@@ -72,6 +72,7 @@ def test_nothing_is_found_where_nothing_is_missing_or_known() -> None:
     assert seek_by_fitness(*few) == FitnessSearch("none", ())
 
 
+@pytest.mark.slow
 def test_a_run_grows_without_recordings() -> None:
     """A reality that does not record, whose unknown parameters are identified as well."""
     made = build_problem(replace(SETTINGS, iterations=1, trials=10, controllers=12, controller_generations=2))

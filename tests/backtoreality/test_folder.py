@@ -242,7 +242,7 @@ def test_a_run_that_waits(uninterrupted: dict, tmp_path: Path) -> None:
             ours = subprocess.Popen(words, **quiet)
         if theirs is None or theirs.poll() is not None:
             theirs = subprocess.Popen(room(tmp_path), **quiet)
-        time.sleep(float(rng.uniform(0.3, 3.0)))
+        time.sleep(float(rng.uniform(0.3, 1.5)))
         victim = ours if rng.random() < 0.5 else theirs
         if kills < 6 and not result.is_file():
             victim.send_signal(signal.SIGKILL)

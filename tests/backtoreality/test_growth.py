@@ -1,13 +1,16 @@
 """A simulator that grows: what is added to it, when, and that it can be saved in between."""
 
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+from gap_results import FOUND
 
-from btr_mjx.backtoreality import CoevolveConfig, build_problem, summarise
+from btr_mjx.backtoreality import CoevolveConfig, build_problem, growth, summarise
 from btr_mjx.backtoreality.algorithm import advance, begin
 from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import (
@@ -19,6 +22,7 @@ from btr_mjx.backtoreality.growth import (
 )
 from btr_mjx.backtoreality.state import Problem, State, state_from_arrays, state_to_arrays
 from btr_mjx.evaluation import evaluate
+from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.results import Estimate, NamedEffect, RankedCandidate
 from btr_mjx.models import compile_models, general_model
 
@@ -67,6 +71,15 @@ def run(made: Problem, saved: bool = False) -> State:
         if saved:
             state = state_from_arrays(*state_to_arrays(state))
     return state
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_effects() -> Iterator[None]:
+    """Diagnoses of a robot of two joints need not try the whole library."""
+    names = ("dry_friction", "viscous_damping", "armature", "actuator_gain")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(growth, "identify", partial(growth.identify, effects=[e for e in EFFECTS if e.name in names]))
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -174,10 +187,10 @@ def test_an_unknown_parameter_changes_what_it_does_in_S(robot: Path | None) -> N
     assert not np.array_equal(expected.dof_M0, general_model(made.robot, here).dof_M0)
 
 
-def test_recordings_propose_what_they_prefer(ended: tuple[Problem, State]) -> None:
+def test_recordings_propose_what_they_prefer() -> None:
     row = RankedCandidate("dry_friction", "joint:elbow", 12.0, 0.0, 15.0, 6.0, {"torque": 0.1})
     rows = (row, replace(row, beside=("armature@joint:elbow",)), replace(row, effect="backlash", score=-1.0))
-    diagnosis = replace(_diagnosis(), verdict="unexplained", ranking=rows)
+    diagnosis = replace(FOUND, verdict="unexplained", ranking=rows)
     assert [(one.effect, one.values) for one in proposals(diagnosis)] == [("dry_friction", {"torque": 0.1})]
     assert proposals(replace(diagnosis, verdict="none")) == []
 
@@ -186,7 +199,7 @@ def test_bounds_of_new_dimensions(ended: tuple[Problem, State]) -> None:
     """The null is possible, and friction is not negative."""
     made, state = ended
     diagnosis = replace(
-        _diagnosis(),
+        FOUND,
         effects=(
             NamedEffect("dry_friction", "joint:elbow", {"torque": Estimate(0.1, 0.05, 0.2, "N m")}, 1.0, 1.0),
             NamedEffect("armature", "joint:elbow", {"armature": Estimate(0.1, 0.09, 0.12, "kg m^2")}, 1.0, 1.0),
@@ -198,11 +211,3 @@ def test_bounds_of_new_dimensions(ended: tuple[Problem, State]) -> None:
     armature = second["numbers"]["armature"]
     assert (armature["low"], armature["high"]) == (0.0, pytest.approx(0.16))
     assert len(entries_of_diagnosis(diagnosis, made, replace(state, simulation=made.start), 1)) == 1
-
-
-def _diagnosis():
-    from gap_arm import LIBRARY, QUICK, damped, dataset
-
-    from btr_mjx.gap.inference import identify
-
-    return identify(dataset(damped, seed=1, fit=2, test=1), LIBRARY[:1], max_effects=1, options=QUICK)

@@ -158,7 +158,8 @@ def test_types_of_the_library_face(tmp_path: Path) -> None:
     good += "btr.coevolve(robot, iterations=3, seed=1)['simulation']\nbtr.coevolve(optimiser='cma')\n"
     bad = "btr.coevolve(3)\nhexapod(1)\n"
     (tmp_path / "notebook.py").write_text(good + bad)
-    command = [sys.executable, "-m", "mypy", "--config-file", str(ROOT / "pyproject.toml"), "notebook.py"]
+    places = "--config-file", str(ROOT / "pyproject.toml"), "--cache-dir", str(ROOT / ".mypy_cache" / "notebook")
+    command = [sys.executable, "-m", "mypy", *places, "notebook.py"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     lines = {int(line.split(":")[1]) for line in done.stdout.splitlines() if ": error:" in line}
     assert lines == {7, 8}, done.stdout

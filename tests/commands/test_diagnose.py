@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+import shutil
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -11,6 +12,8 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from failing_pages import SAID, failing_page
+from gap_results import FOUND
 from hidden_cases import CaseSettings, make_case
 
 from btr_mjx import diagnose
@@ -18,54 +21,25 @@ from btr_mjx.demo import cases as demo_cases
 from btr_mjx.errors import InputError
 from btr_mjx.gap import inference, simulate
 from btr_mjx.gap.data import Dataset
-from btr_mjx.gap.effects import EFFECTS, selected_effects
-from btr_mjx.gap.results import (
-    Confound,
-    Diagnosis,
-    DisagreementMap,
-    Estimate,
-    Gap,
-    NamedEffect,
-    Overlay,
-    RankedCandidate,
-    place_in_words,
-)
+from btr_mjx.gap.effects import EFFECTS
+from btr_mjx.gap.results import Estimate, NamedEffect, place_in_words
 from btr_mjx.gap.simulate import Journal
-from btr_mjx.runs import check_sums, progress
+from btr_mjx.runs import progress
 
-TIME = np.linspace(0, 1, 20)
-NAMED = NamedEffect("dry_friction", "joint:servo", {"torque": Estimate(0.031, 0.028, 0.034, "N m")}, 80.0, 30.0)
-FOUND = Diagnosis(
-    verdict="effect",
-    effects=(NAMED,),
-    ranking=(
-        RankedCandidate("dry_friction", "joint:servo", 80.0, 0.0, 55.0, 30.0, {"torque": 0.031}),
-        RankedCandidate("viscous_damping", "joint:servo", 20.0, 60.0, 18.0, 7.0, {"damping": 0.004}),
-    ),
-    equivalent=("dry_friction@joint:servo",),
-    gap=Gap(3.0, 1.2, 1.0, 1.0, 2.0, 1.1, 0.05, 0.02),
-    disagreement=DisagreementMap(("joint:servo",), ("all", "fast"), np.array([[3.0, 5.0]]), np.array([[40, 20]])),
-    unexplained=(),
-    believed=(),
-    confounds=(Confound("dry_friction@joint:servo", "viscous_damping@joint:servo", 0.93, "More viscous damping."),),
-    overlays=(Overlay("behaviour_09", "joint:servo", TIME, np.sin(TIME), np.cos(TIME), np.sin(TIME) + 0.01),),
-    share=0.9,
-    lack_of_fit=(12.0, 0.5),
-    threshold=15.0,
-    dispersion=1.0,
-    sigma=np.ones(2),
-    windows=(40, 20, 10, 0.04),
-    steps=1000,
-    seconds=1.0,
-)
 NOTHING = dataclasses.replace(FOUND, verdict="none", effects=(), equivalent=())
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("made") / "data"
+    make_case(folder, 4, "pendulum", CaseSettings(verdict="none", recordings=(2, 1), duration=0.8))
+    return folder
+
+
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(made: Path, tmp_path: Path) -> Path:
     """A sound dataset."""
-    make_case(tmp_path / "data", 4, "pendulum", CaseSettings(verdict="none", recordings=(2, 1), duration=0.8))
-    return tmp_path / "data"
+    return shutil.copytree(made, tmp_path / "data")
 
 
 @pytest.fixture
@@ -127,18 +101,12 @@ def test_a_run_folder(folder: Path, searches: list, capsys: pytest.CaptureFixtur
 def test_a_page_that_fails_is_one_line_after_the_result(
     folder: Path, searches: list, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    printed = []
-
-    def fails(run: Path) -> None:
-        printed.append(capsys.readouterr().out)
-        check_sums(run)
-        raise ZeroDivisionError("of a bug")
-
-    monkeypatch.setattr("btr_mjx.gap.report.draw_report", fails)
+    printed: list[str] = []
+    monkeypatch.setattr("btr_mjx.gap.report.draw_report", failing_page(capsys, printed))
     diagnose.main([str(folder), "--out", str(tmp_path / "run"), "--no-progress"])
     assert "The missing effect is dry friction" in " ".join(printed[0].split())
     assert "mended.xml" in printed[0]
-    assert capsys.readouterr().err.splitlines()[-1] == "no report.html: ZeroDivisionError: of a bug"
+    assert capsys.readouterr().err.splitlines()[-1] == SAID
 
 
 def test_effects_that_are_searched_where_nothing_is_touched_are_mended(
@@ -321,27 +289,6 @@ def test_unusable_data_are_one_line(folder: Path, searches: list, capsys: pytest
         diagnose.main([str(folder), "--out", str(folder.parent / "run")])
     assert stop.value.code == 2
     assert "looks like degrees" in capsys.readouterr().err
-
-
-def test_effects_of_ones_own(tmp_path: Path) -> None:
-    file = tmp_path / "mine.py"
-    file.write_text(
-        "from btr_mjx.gap.effects import Effect, Parameter, joint_places\n"
-        "def ranges(model, scales, place):\n"
-        "    return (Parameter('coefficient', 'N m s^2/rad^2', 0.0, 3.0, 0.05),)\n"
-        "def edit(world, place, values):\n"
-        "    world.model.dof_dampingpoly[place.dofs(world.model), 0] += values[0]\n"
-        "MINE = Effect('quadratic_damping', joint_places, ranges, edit, summable=True)\n"
-        "NUMBER = 3\n"
-    )
-    library = selected_effects(["all", f"{file}:MINE"])
-    assert [e.name for e in library] == [*(e.name for e in EFFECTS), "quadratic_damping"]
-    assert [e.name for e in selected_effects(["backlash", f"{file}:MINE"])] == [
-        "backlash",
-        "quadratic_damping",
-    ]
-    with pytest.raises(InputError, match=r"NUMBER.*: got int, expected an Effect"):
-        selected_effects([f"{file}:NUMBER"])
 
 
 def test_check_writes_nothing_and_prints_findings(

@@ -5,13 +5,11 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from lanes_models import FAST, WATER, mjcf
+from lanes_models import FAST, QUICK, WATER, mjcf
 
 from btr_mjx import lanes
 from btr_mjx.engines import LanesStepper, UnsupportedModel
 from btr_mjx.engines.base import MUJOCO_4
-
-QUICK = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 
 
 def arms(first: str, second: str) -> str:

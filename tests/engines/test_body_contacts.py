@@ -5,12 +5,11 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from lanes_models import FAST, mjcf, tangle
+from lanes_models import FAST, QUICK, mjcf, tangle
 
 from btr_mjx import lanes
 from btr_mjx.engines import LanesStepper
 
-QUICK = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 SHAPES = (
     'type="sphere" size="0.06"',
     'type="capsule" size="0.03 0.1" margin="0.01"',

@@ -7,14 +7,13 @@ import jax
 import mujoco
 import numpy as np
 import pytest
-from lanes_models import mjcf, plain_box
+from lanes_models import QUICK, mjcf, plain_box
 
 from btr_mjx.engines import LanesStepper, UnsupportedModel
 from btr_mjx.engines.guards.pairs import geom_pairs
 from btr_mjx.evaluation import evaluate
 from btr_mjx.robots import Box, Robot
 
-QUICK = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 SHAPES = {
     "sphere": 'type="sphere" size="0.05"',
     "capsule": 'type="capsule" size="0.03 0.08" margin="0.004"',

@@ -9,6 +9,7 @@ from lanes_models import (
     CASES,
     FAST,
     QUADRUPED_SERVOS,
+    QUICK,
     SERVOS,
     biped,
     chain,
@@ -29,8 +30,6 @@ from btr_mjx.robots import Robot, hexapod
 
 STIFF_SERVOS = "".join(f'<position joint="p{i}" kp="30" kv="2"/>' for i in range(2))
 WORLDS = 24
-QUICK = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
-"""Compiler options for programs that run once."""
 
 
 def random_state(model: mujoco.MjModel, rng: np.random.Generator, pressed: bool) -> mujoco.MjData:

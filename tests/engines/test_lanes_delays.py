@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lanes_models import chain, mjcf
+from lanes_models import QUICK, chain, mjcf
 
 from btr_mjx.engines import LanesStepper
 from btr_mjx.engines.lanes.delays import CUBIC, HOLD, LINEAR, delayed
@@ -36,7 +36,7 @@ def lanes(stepper: LanesStepper, params: dict, controls: np.ndarray) -> np.ndarr
         state = stepper.step(params, state, ctrl)
         return state, stepper.qpos(state)
 
-    run = jax.jit(lambda u: jax.lax.scan(step, stepper.initial(params, u.shape[-1]), u)[1])
+    run = jax.jit(lambda u: jax.lax.scan(step, stepper.initial(params, u.shape[-1]), u)[1], compiler_options=QUICK)
     return np.asarray(run(jnp.asarray(controls)))
 
 

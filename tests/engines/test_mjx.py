@@ -6,6 +6,7 @@ import jax
 import mujoco
 import numpy as np
 import pytest
+from lanes_models import QUICK
 
 from btr_mjx.engines import MjxStepper, UnsupportedModel
 from btr_mjx.evaluation import evaluate
@@ -24,7 +25,7 @@ def test_float64_trajectory_equals_native(robot: Robot, rng: np.random.Generator
         params = jax.tree.map(
             lambda x: x[0], stepper.pack({name: values[None] for name, values in models.leaves.items()})
         )
-        step = jax.jit(lambda params, state, ctrl: stepper.step(params, state, ctrl))
+        step = jax.jit(lambda params, state, ctrl: stepper.step(params, state, ctrl), compiler_options=QUICK)
         state, trace, capped = stepper.initial(params, 5), [], []
         for k in range(steps):
             state = step(params, state, grounded.signal(c.T, k * 5e-4, np))

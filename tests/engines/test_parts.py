@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 from jax import lax
+from lanes_models import QUICK
 from random_programs import INTEGER, integer_program, straight_line
 from retrace_checks import assert_same, equations, op_by_op
 
@@ -15,7 +16,6 @@ from btr_mjx.engines import LanesStepper
 from btr_mjx.engines.rewriting import parts
 from btr_mjx.engines.rewriting.retrace import retrace
 
-QUICK = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 CALL = "xla_metadata_call"
 
 

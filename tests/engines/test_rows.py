@@ -5,13 +5,12 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from lanes_models import FAST, chain, mjcf, quadruped, tangle
+from lanes_models import FAST, QUICK, chain, mjcf, quadruped, tangle
 
 from btr_mjx import lanes
 from btr_mjx.engines import LanesStepper, UnsupportedModel
 from btr_mjx.engines.lanes.state import LanesState
 
-QUICK = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 CONSTRAINT = mujoco.mjtConstraint
 LIMITS = """<fixed name="a" range="-0.2 0.1" margin="0.02" solreflimit="0.03 0.8" springlength="-0.05 0.1"
 stiffness="3"><joint joint="p0" coef="1"/><joint joint="p2" coef="-1.5"/></fixed>

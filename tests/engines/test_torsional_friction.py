@@ -5,11 +5,10 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from lanes_models import FAST, mjcf
+from lanes_models import FAST, QUICK, mjcf
 
 from btr_mjx.engines import LanesStepper
 
-QUICK = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 FEET = (
     'type="sphere" size="0.1"',
     'type="capsule" size="0.05 0.1" euler="90 0 0"',

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from lanes_models import QUICK
 from small_robots import STEPS
 from small_robots import hopper as small_robot
 
@@ -88,9 +89,10 @@ def test_derivatives_against_differences_and_mjx(hopper: Robot, rng: np.random.G
 
     def slopes(one):
         """d fitness of every simulation along every direction, (directions, simulations): jvp of a vmap."""
-        return jax.jit(jax.vmap(lambda t: jax.jvp(jax.vmap(one), (leaves, c), t)[1]))(stacked)
+        along = lambda t: jax.jvp(jax.vmap(one), (leaves, c), t)[1]  # noqa: E731
+        return jax.jit(jax.vmap(along), compiler_options=QUICK)(stacked)
 
-    value = jax.jit(jax.vmap(fitness))
+    value = jax.jit(jax.vmap(fitness), compiler_options=QUICK)
     along = lambda h, t: jax.tree.map(lambda x, d: x + h * d, (leaves, c), t)  # noqa: E731
     h = 1e-6
     differences = jnp.stack([(value(*along(h, t)) - value(*along(-h, t))) / (2 * h) for t in directions])
@@ -100,7 +102,7 @@ def test_derivatives_against_differences_and_mjx(hopper: Robot, rng: np.random.G
     np.testing.assert_allclose(got, differences, rtol=1e-5, atol=1e-7)
     # The other engine, and the other order of transformations.
     mjx = btr.pair_fitness(hopper, "mjx", fitness=moved, steps=STEPS, chunk=2 * len(SIMULATIONS))
-    found = jax.jit(jax.vmap(jax.jacfwd(mjx, argnums=1)))(leaves, c).T
+    found = jax.jit(jax.vmap(jax.jacfwd(mjx, argnums=1)), compiler_options=QUICK)(leaves, c).T
     np.testing.assert_allclose(found, got[:2], rtol=1e-4, atol=1e-6)
     with pytest.raises(ValueError, match="reverse-mode"):
         jax.grad(lambda c: fitness({k: v[0] for k, v in leaves.items()}, c))(c[0])

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from claims_page import claims_sentence, draw_claims_page
+from failing_pages import SAID, failing_page
 
 from btr_mjx import coevolve, report, scan
 from btr_mjx.backtoreality import bound_words, summary_table
@@ -25,9 +26,11 @@ from btr_mjx.pages.page import sentences
 from btr_mjx.pages.scan import scan_sentence
 from btr_mjx.plotting import ScanData, read_run, robot_figure
 from btr_mjx.robots import Box
-from btr_mjx.runs import check_sums, read_json, write_arrays, write_json
+from btr_mjx.runs import read_json, write_arrays, write_json
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+WIDTHS = (1200, 400)
+"""Of the page, on a desk and on a phone [pixels]."""
 browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine: pages are not opened")
 
 PROBE = """<script>
@@ -67,14 +70,15 @@ def no_gl(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(robot_figure, "render", grey)
 
 
-def opened(page: Path, folder: Path, width: int, dark: bool) -> dict:
-    """What a browser says about a page, in a frame of a given width (its windows cannot be as narrow as a phone)."""
+def opened(page: Path, folder: Path, dark: bool) -> dict[int, dict]:
+    """What a browser says about a page by its width, in frames: windows cannot be as narrow as a phone."""
     assert CHROMIUM is not None
     text = page.read_text(encoding="utf-8").replace("<head>", "<head>" + PROBE, 1)
     (folder / "page.html").write_text(text, encoding="utf-8")
     (folder / "frame.html").write_text(
-        f'<iframe src="page.html" style="width:{width}px;height:900px;border:0"></iframe><pre id="said"></pre><script>'
-        'addEventListener("message", event => document.getElementById("said").textContent = event.data)</script>',
+        "".join(f'<iframe src="page.html" style="width:{w}px;height:900px;border:0"></iframe>' for w in WIDTHS)
+        + '<pre id="said"></pre><script>const said = [], place = document.getElementById("said");'
+        'addEventListener("message", event => { said.push(event.data); place.textContent = `[${said}]`; })</script>',
         encoding="utf-8",
     )
     sandbox = ["--no-sandbox"] if os.geteuid() == 0 else []
@@ -92,7 +96,8 @@ def opened(page: Path, folder: Path, width: int, dark: bool) -> dict:
     said = re.search(r'<pre id="said">(.*?)</pre>', done.stdout, re.S)
     assert said is not None
     assert said[1], "the page sent nothing: its script failed"
-    return json.loads(said[1].replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&"))
+    every = json.loads(said[1].replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&"))
+    return {one["width"]: one for one in every}
 
 
 def make_coevolution(folder: Path) -> Path:
@@ -160,19 +165,20 @@ def test_pages_in_a_browser(folders: Callable[[str], Path], kind: str, tmp_path:
     page = folders(kind) / "report.html"
     assert kind_of_run(folders(kind)) == kind
     looks = set()
-    for width, dark in ((1200, False), (1200, True), (400, False), (400, True)):
-        said = opened(page, tmp_path, width, dark)
-        assert said["faults"] == []
-        assert said["width"] == width
-        assert said["needed"] <= width  # no scrolling sideways
-        assert all(said["images"])
-        assert min(said["plots"], default=width) >= 400  # smaller, their words are not legible
-        assert len(said["ticks"]) == (4 if kind == "diagnose" else 0)
-        assert all(3 <= count <= 9 for count in said["ticks"])
-        light = [sum(map(int, re.findall(r"\d+", said[key])[:3])) for key in ("ink", "paper")]
-        assert (light[0] > light[1]) is dark
-        assert abs(light[0] - light[1]) > 400
-        looks.add((said["ink"], said["paper"]))
+    for dark in (False, True):
+        frames = opened(page, tmp_path, dark)
+        assert set(frames) == set(WIDTHS)
+        for width, said in frames.items():
+            assert said["faults"] == []
+            assert said["needed"] <= width  # no scrolling sideways
+            assert all(said["images"])
+            assert min(said["plots"], default=width) >= 400  # smaller, their words are not legible
+            assert len(said["ticks"]) == (4 if kind == "diagnose" else 0)
+            assert all(3 <= count <= 9 for count in said["ticks"])
+            light = [sum(map(int, re.findall(r"\d+", said[key])[:3])) for key in ("ink", "paper")]
+            assert (light[0] > light[1]) is dark
+            assert abs(light[0] - light[1]) > 400
+            looks.add((said["ink"], said["paper"]))
     assert len(looks) == 2
     sorted_columns = 0
     for table in said["tables"]:
@@ -324,17 +330,11 @@ def test_a_page_that_fails_is_one_line_after_the_result(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    printed = []
-
-    def fails(run: Path) -> None:
-        printed.append(capsys.readouterr().out)
-        check_sums(run)
-        raise ZeroDivisionError("of a bug")
-
-    monkeypatch.setattr(command, "draw_run_page", fails)
+    printed: list[str] = []
+    monkeypatch.setattr(command, "draw_run_page", failing_page(capsys, printed))
     (make_coevolution if command is coevolve else make_scan)(tmp_path / "run")
     assert said in printed[0]
-    assert capsys.readouterr().err.splitlines()[-1] == "no report.html: ZeroDivisionError: of a bug"
+    assert capsys.readouterr().err.splitlines()[-1] == SAID
 
 
 def test_no_figures_skips_the_page(tmp_path: Path) -> None:

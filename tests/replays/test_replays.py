@@ -175,8 +175,10 @@ def test_a_gif_keeps_to_its_limit(tmp_path: Path, rng: np.random.Generator) -> N
     assert len(frames_of(tmp_path / "small.gif")) == 6
 
 
-def test_mp4(tmp_path: Path) -> None:
+@pytest.mark.filterwarnings("error:os.fork")
+def test_mp4(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     reader = pytest.importorskip("imageio_ffmpeg", reason="the extra 'video' is not installed")
+    monkeypatch.setenv("IMAGEIO_FFMPEG_NO_PREVENT_SIGINT", "1")  # else its reader forks this process, which has threads
     film = np.zeros((7, 64, 96, 3), np.uint8)
     film[3:] = 200
     write_film(tmp_path / "film.mp4", film, 7)

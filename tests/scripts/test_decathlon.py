@@ -295,7 +295,8 @@ def test_a_page_without_data(parts: Any, trial: Any, tmp_path: Path) -> None:
 
 
 def test_the_toolbox_recovers_known_numbers(parts: Any, trial: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parts.toolbox, "MOST", 6)
+    monkeypatch.setattr(parts.toolbox, "LENGTH", 1.0)
+    monkeypatch.setattr(parts.toolbox, "MOST", 4)
     late = [replace(log, ctrl=parts.open_loop.commands(log, "linear", log.time + 0.01)) for log in trial.logs[:2]]
     delayed = replace(trial, logs=(*late, trial.logs[2]))
     found, _ = parts.toolbox.fitted(rule(), delayed, 60.0)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from stepping import stepped
 
 from btr_mjx.gap.data import Dataset, Recording
 from btr_mjx.models import integrate
@@ -88,19 +89,9 @@ def log(
     model, believed = mujoco.MjModel.from_xml_string(xml), mujoco.MjModel.from_xml_string(xml)
     edit(model)
     model.opt.timestep, every = 5e-4, round(2000 / rate)
-    data, rng = mujoco.MjData(model), np.random.default_rng(seed)
-    if start is not None:
-        data.qpos[:], data.qvel[:] = start
-    count = round(2000 * seconds)
-    sent = command((np.arange(count + 1) + 0.5) * 5e-4)
-    rows = []
-    for k in range(count + 1):
-        if k % every == 0:
-            rows.append((data.qpos.copy(), data.qvel.copy()))
-        data.ctrl[:] = sent[k]
-        mujoco.mj_step(model, data)
-    time = np.arange(len(rows)) * every * 5e-4
-    qpos, qvel = (np.array(x) for x in zip(*rows, strict=True))
+    rng, count = np.random.default_rng(seed), round(2000 * seconds)
+    qpos, qvel = (x[::every] for x in stepped(model, command((np.arange(count) + 0.5) * 5e-4), start))
+    time = np.arange(len(qpos)) * every * 5e-4
     qpos = integrate(believed, qpos, 3e-4 * rng.normal(size=qvel.shape))
     qvel = qvel + 5e-3 * rng.normal(size=qvel.shape)
     split = "test" if seed == 1 else "fit"

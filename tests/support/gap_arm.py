@@ -4,6 +4,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from stepping import stepped
 
 from btr_mjx.gap.data import Dataset, Noise, Recording
 from btr_mjx.gap.effects import EFFECTS
@@ -63,16 +64,10 @@ def recording(
     if change is not None:
         change(model)
     mujoco.mj_setConst(model, mujoco.MjData(model))
-    data = mujoco.MjData(model)
     steps = round(sent.times[-1] / 1e-4)
     starts = np.arange(steps) * 1e-4
     controls = sent.at(starts) if arrive is None else arrive(sent, starts)
-    states = np.empty((steps + 1, 4))
-    states[0] = 0.0
-    for i in range(steps):
-        data.ctrl[:] = controls[i]
-        mujoco.mj_step(model, data)
-        states[i + 1] = [*data.qpos, *data.qvel]
+    states = np.concatenate(stepped(model, controls), axis=1)
     index = np.round(sent.times / 1e-4).astype(int)
     if uneven:
         index = np.sort(np.clip(index + rng.integers(-12, 13, len(index)), 0, steps))

@@ -7,6 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 from gap_arm import SIGMA, XML, arm, command
+from stepping import stepped
 
 from btr_mjx.gap.data import Dataset, Noise, Recording
 from btr_mjx.gap.effects import Effect, Hypothesis, candidates
@@ -60,17 +61,18 @@ def moved_arm(
     if change is not None:
         change(model)
     mujoco.mj_setConst(model, mujoco.MjData(model))
-    data = mujoco.MjData(model)
     # A little longer than the recording, so that its last sample may be late.
     count = round((sent.times[-1] + 10 * jitter) / step)
     controls = sent.at(np.arange(count) * step)
-    states = np.zeros((count + 1, 4))
-    for i in range(count):
-        data.ctrl[:] = controls[i]
-        if force is not None:
+    if force is None:
+        states = np.concatenate(stepped(model, controls), axis=1)
+    else:
+        states, data = np.zeros((count + 1, 4)), mujoco.MjData(model)
+        for i in range(count):
+            data.ctrl[:] = controls[i]
             data.qfrc_applied[:] = force(data.qpos, data.qvel, i * step)
-        mujoco.mj_step(model, data)
-        states[i + 1] = [*data.qpos, *data.qvel]
+            mujoco.mj_step(model, data)
+            states[i + 1, :2], states[i + 1, 2:] = data.qpos, data.qvel
     time = np.arange(0, sent.times[-1] + 1e-9, 1 / rate)
     taken = np.clip(time + jitter * rng.standard_normal(len(time)), 0, count * step)
     index = np.round(taken / step).astype(int)

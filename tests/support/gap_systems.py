@@ -6,6 +6,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from stepping import stepped
 
 from btr_mjx.gap.data import Dataset, Recording
 from btr_mjx.gap.data.writing import recording_columns
@@ -98,28 +99,20 @@ class System:
         self.change(model)
         model.opt.timestep, model.opt.integrator = STEP, mujoco.mjtIntegrator.mjINT_IMPLICIT
         mujoco.mj_setConst(model, mujoco.MjData(model))
-        data = mujoco.MjData(model)
-        if self.start is not None:
-            data.qpos[:], data.qvel[:] = self.start(model, rng)
+        start = None if self.start is None else self.start(model, rng)
         phase, speed = rng.uniform(0, 6.28, (2, model.nu)), rng.uniform((3, 8), (7, 14), (model.nu, 2)).T
 
-        def ctrl(t: float) -> np.ndarray:
-            return self.offset + self.amplitude * 0.5 * np.sin(speed * t + phase).sum(0)
+        def ctrl(times: np.ndarray) -> np.ndarray:
+            return self.offset + self.amplitude * 0.5 * np.sin(speed * times[:, None, None] + phase).sum(1)
 
         every = round(1 / self.rate / STEP)
         count = round(self.seconds * self.rate) + 1
-        qpos, qvel = np.empty((count, model.nq)), np.empty((count, model.nv))
-        for k in range(count):
-            qpos[k], qvel[k] = data.qpos, data.qvel
-            for i in range(every):
-                data.ctrl[:] = ctrl((k * every + i) * STEP)
-                mujoco.mj_step(model, data)
+        qpos, qvel = (x[::every] for x in stepped(model, ctrl(np.arange((count - 1) * every) * STEP), start))
         qpos = integrate(model, qpos, self.sigma[0] * rng.standard_normal(qvel.shape))
         qvel = qvel + self.sigma[1] * rng.standard_normal(qvel.shape)
         time = np.arange(count) / self.rate
         seen = np.full(model.nv, self.measured)
-        commands = np.array([ctrl(t) for t in time]).reshape(count, model.nu)
-        return Recording(name, time, commands, qpos, qvel, seen, split, believed)  # type: ignore[arg-type]
+        return Recording(name, time, ctrl(time), qpos, qvel, seen, split, believed)  # type: ignore[arg-type]
 
     def dataset(self, fit: int = 3, test: int = 2, seed: int = 0) -> Dataset:
         """Recordings of reality, with the believed model."""

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from stepping import stepped
 
 ARM = """<mujoco>
   <compiler angle="radian"/>
@@ -49,16 +50,11 @@ class RobotLog:
 def simulated_log(xml: str, seconds: float = 3.0, hold: int = 1, seed: int = 0) -> RobotLog:
     """A robot that follows sines; commands change every `hold` milliseconds."""
     model = mujoco.MjModel.from_xml_string(xml)
-    data = mujoco.MjData(model)
     rng = np.random.default_rng(seed)
     speed, phase = rng.uniform(3, 9, model.nu), rng.uniform(0, 6, model.nu)
-    data.qvel[: model.nv] = 0.4 * rng.standard_normal(model.nv)
+    start = model.qpos0, 0.4 * rng.standard_normal(model.nv)
     count = round(1000 * seconds)
     time = 1e-3 * np.arange(count)
     sent = 0.4 * np.sin(speed * time[::hold, None].repeat(hold, 0)[:count] + phase)
-    qpos, qvel = np.empty((count, model.nq)), np.empty((count, model.nv))
-    for k in range(count):
-        qpos[k], qvel[k] = data.qpos, data.qvel
-        data.ctrl[:] = sent[k]
-        mujoco.mj_step(model, data)
+    qpos, qvel = stepped(model, sent[:-1], start)
     return RobotLog(time, sent, qpos, qvel)

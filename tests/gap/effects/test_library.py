@@ -227,6 +227,27 @@ def test_user_defined_effect() -> None:
         Parameter("coefficient", "1", 1.0, 2.0, 0.1)
 
 
+def test_effects_of_a_file_are_selected_by_name(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from btr_mjx.gap.effects import Effect, Parameter, joint_places\n"
+        "def ranges(model, scales, place):\n"
+        "    return (Parameter('coefficient', 'N m s^2/rad^2', 0.0, 3.0, 0.05),)\n"
+        "def edit(world, place, values):\n"
+        "    world.model.dof_dampingpoly[place.dofs(world.model), 0] += values[0]\n"
+        "MINE = Effect('quadratic_damping', joint_places, ranges, edit, summable=True)\n"
+        "NUMBER = 3\n"
+    )
+    library = selected_effects(["all", f"{file}:MINE"])
+    assert [e.name for e in library] == [*(e.name for e in EFFECTS), "quadratic_damping"]
+    assert [e.name for e in selected_effects(["backlash", f"{file}:MINE"])] == [
+        "backlash",
+        "quadratic_damping",
+    ]
+    with pytest.raises(InputError, match=r"NUMBER.*: got int, expected an Effect"):
+        selected_effects([f"{file}:NUMBER"])
+
+
 def test_effects_of_installed_packages_are_selected_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     code = "import dataclasses, btr_mjx.gap.effects as e\nmine = dataclasses.replace(e.EFFECTS[0], name={})"
     with pytest.raises(InputError, match="'own' is not in the library"):

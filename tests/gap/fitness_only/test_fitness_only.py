@@ -1,6 +1,7 @@
 """Fitness alone: what a table of trials says, its bad input, and a search that finds a large effect."""
 
 import dataclasses
+import shutil
 from pathlib import Path
 
 import mujoco
@@ -23,6 +24,7 @@ from btr_mjx.gap.fitness_only import (
 )
 from btr_mjx.gap.fitness_only.screen import rank_by_fit, screening_timestep
 from btr_mjx.gap.preflight import refuse_errors
+from btr_mjx.gap.results import Diagnosis
 from btr_mjx.gap.simulate import World
 
 XML = """<mujoco>
@@ -55,16 +57,28 @@ def plain(model: mujoco.MjModel, amplitude: float, phase: float) -> float:
     return float(np.hypot(*(data.qpos[:2] - model.qpos0[:2]))) / SPAN
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Trials of a cart whose ground has less friction than believed."""
     rng = np.random.default_rng(2)
     amplitude, phase = rng.uniform(0.3, 1.2, 24), rng.uniform(0, 3, 24)
     real = mujoco.MjModel.from_xml_string(XML.replace('friction="0.6"', 'friction="0.25"'))
     fitness = [plain(real, a, p) for a, p in zip(amplitude, phase, strict=True)]
     columns = {"amplitude/tail": amplitude, "phase/tail": phase, "fitness": fitness}
-    save_fitness(tmp_path, XML, ABOUT, columns)
-    return tmp_path
+    folder = tmp_path_factory.mktemp("made") / "cart"
+    save_fitness(folder, XML, ABOUT, columns)
+    return folder
+
+
+@pytest.fixture
+def folder(made: Path, tmp_path: Path) -> Path:
+    """Those trials, which a test may change."""
+    return shutil.copytree(made, tmp_path / "cart")
+
+
+@pytest.fixture(scope="module")
+def found(made: Path) -> Diagnosis:
+    return identify_fitness(load_fitness(made), CHOSEN)
 
 
 def test_a_table_of_trials(folder: Path) -> None:
@@ -104,29 +118,28 @@ def test_fitness_against_a_loop(folder: Path) -> None:
 CHOSEN = [e for e in EFFECTS if e.name in ("ground_friction", "viscous_damping", "payload", "actuator_gain")]
 
 
-def test_a_large_effect_is_found(folder: Path) -> None:
-    table = load_fitness(folder)
-    diagnosis = identify_fitness(table, CHOSEN)
-    assert diagnosis.verdict == "effect"
-    assert diagnosis.effects[0].effect == "ground_friction"
-    assert diagnosis.effects[0].parameters["coefficient"].value == pytest.approx(0.25, rel=0.25)
-    assert diagnosis.gap.after < 0.5 * diagnosis.gap.before
-    assert diagnosis.ranking[0].margin == 0
-    assert len(diagnosis.ranking) == len(candidates(MODEL, TrialSimulator(table).scales(np.arange(3)), CHOSEN))
-    assert expected_steps(table, CHOSEN) == pytest.approx(diagnosis.steps, rel=0.5)
+def test_a_large_effect_is_found(made: Path, found: Diagnosis) -> None:
+    table = load_fitness(made)
+    assert found.verdict == "effect"
+    assert found.effects[0].effect == "ground_friction"
+    assert found.effects[0].parameters["coefficient"].value == pytest.approx(0.25, rel=0.25)
+    assert found.gap.after < 0.5 * found.gap.before
+    assert found.ranking[0].margin == 0
+    assert len(found.ranking) == len(candidates(MODEL, TrialSimulator(table).scales(np.arange(3)), CHOSEN))
+    assert expected_steps(table, CHOSEN) == pytest.approx(found.steps, rel=0.5)
 
 
-def test_responses_can_be_reused_for_another_reality(folder: Path) -> None:
+def test_responses_can_be_reused_for_another_reality(made: Path, found: Diagnosis) -> None:
     """Responses do not depend on measured fitness: a search with given responses is the same, at less cost."""
-    table = load_fitness(folder)
+    table = load_fitness(made)
     trials = TrialSimulator(table)
     rows = np.arange(16)
     own = trials.fitness([World.of(MODEL)], rows)[0]
     step = screening_timestep(trials, rows, own, table.fitness[rows] - own)
     responses = simulate_candidates(trials, candidates(MODEL, trials.scales(np.arange(3)), CHOSEN), rows, step)
-    again, whole = identify_fitness(table, CHOSEN, responses=responses), identify_fitness(table, CHOSEN)
-    np.testing.assert_equal(*([dataclasses.asdict(row) for row in d.ranking] for d in (again, whole)))
-    assert again.steps < 0.9 * whole.steps
+    again = identify_fitness(table, CHOSEN, responses=responses)
+    np.testing.assert_equal(*([dataclasses.asdict(row) for row in d.ranking] for d in (again, found)))
+    assert again.steps < 0.9 * found.steps
 
 
 def test_responses_against_single_simulations(folder: Path) -> None:

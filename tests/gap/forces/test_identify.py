@@ -33,11 +33,17 @@ def test_a_robot_that_is_as_believed_lacks_nothing(how):
     assert found.confounds == ()
 
 
-def test_friction_is_named_at_its_joint():
+def stronger(model: mujoco.MjModel, actuator: int) -> None:
+    model.actuator_gainprm[actuator] *= 1.05
+    model.actuator_biasprm[actuator] *= 1.05
+
+
+def test_friction_is_named_at_its_joint_and_is_no_part_of_calibration():
     def sticky(model: mujoco.MjModel) -> None:
         model.dof_frictionloss[0] = 0.25
+        stronger(model, 1)
 
-    found = diagnosis(2, change=sticky)
+    found = diagnosis(8, change=sticky)
     assert found.verdict == "effect"
     assert [named.name for named in found.effects] == ["dry_friction@joint:shoulder"]
     (own,) = found.effects[0].parameters.values()
@@ -47,6 +53,9 @@ def test_friction_is_named_at_its_joint():
     assert found.gap.after < found.gap.before
     assert found.gap.open_loop_after < found.gap.open_loop_before
     assert found.ranking[0].effect == "dry_friction"
+    names = [one.name for one in found.calibration]
+    assert "dry_friction@joint:shoulder" not in names
+    assert names[0].startswith("actuator_gain")
 
 
 def test_an_offset_is_named_at_its_joint():
@@ -55,11 +64,6 @@ def test_an_offset_is_named_at_its_joint():
     assert [named.name for named in found.effects] == ["offset_torque@joint:elbow"]
     (own,) = found.effects[0].parameters.values()
     assert own.value == pytest.approx(-0.4, rel=0.05)
-
-
-def stronger(model: mujoco.MjModel, actuator: int) -> None:
-    model.actuator_gainprm[actuator] *= 1.05
-    model.actuator_biasprm[actuator] *= 1.05
 
 
 def test_a_library_without_calibration_finds_nothing_missing():
@@ -78,18 +82,6 @@ def test_a_motor_that_is_a_little_stronger_is_calibration():
     assert gain.value == pytest.approx(0.05, rel=0.2)
     assert found.predictions is not None
     assert found.predictions.mended < 0.5 * found.predictions.believed
-
-
-def test_what_is_named_is_no_part_of_calibration():
-    def sticky(model: mujoco.MjModel) -> None:
-        model.dof_frictionloss[0] = 0.25
-        stronger(model, 1)
-
-    found = diagnosis(8, change=sticky)
-    assert [named.name for named in found.effects] == ["dry_friction@joint:shoulder"]
-    names = [one.name for one in found.calibration]
-    assert "dry_friction@joint:shoulder" not in names
-    assert names[0].startswith("actuator_gain")
 
 
 DELAY = (*OWN, *(e for e in EFFECTS if e.name == "actuator_delay"))
@@ -129,6 +121,7 @@ def test_a_law_that_may_be_named_is_named_with_its_equation():
     numbers = {name: own.value for name, own in found.effects[0].parameters.items()}
     assert np.hypot(numbers["a"], numbers["b"]) == pytest.approx(0.6, rel=0.05)
     assert numbers["ripples"] == pytest.approx(8, rel=0.02)
+    assert np.arctan2(numbers["b"], numbers["a"]) == pytest.approx(0.7, abs=0.1)
     assert found.effects[0].latex.startswith(r"\tau = 0.")
     shown = found.joint_forces[0]
     assert (shown.joint, shown.follows) == ("joint shoulder", ("position",))

@@ -37,7 +37,7 @@ def recording(seed: int, believed: mujoco.MjModel) -> Recording:
     """A controller that knows the joints' noisy angles sends torques, which arrive 4 ms late."""
     rng, model = np.random.default_rng(seed), mujoco.MjModel.from_xml_string(XML)
     model.opt.timestep, model.opt.integrator = STEP, mujoco.mjtIntegrator.mjINT_RK4
-    data, time = mujoco.MjData(model), np.arange(0, 1.2, INTERVAL)
+    data, time = mujoco.MjData(model), np.arange(0, 0.9, INTERVAL)
     speed, phase = 2 * np.pi * rng.uniform(0.4, 2.0, (2, 2)), rng.uniform(0, 6.28, (2, 2))
     sent, states = np.empty((len(time), 2)), np.empty((len(time), 4))
     every = round(INTERVAL / STEP)

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable
+from functools import cache
 
 import mujoco
 import numpy as np
@@ -42,7 +43,12 @@ def cart() -> Dataset:
     return dataset(CART, [log(CART, sines(rng, [5.0]), i, seconds=5.0, rate=100, start=start) for i in range(2)])
 
 
-SOUND = {"arm": arm(), "floater": floater(), "cart": cart()}
+ROBOTS = {"arm": arm, "floater": floater, "cart": cart}
+
+
+@cache
+def sound(robot: str) -> Dataset:
+    return ROBOTS[robot]()
 
 
 def scaled(factor: float, **columns: int | slice | list[int]) -> Plant:
@@ -87,9 +93,9 @@ def errors(data: Dataset) -> list[str]:
     return [f.message for f in preflight(data) if f.level == "error"]
 
 
-@pytest.mark.parametrize("robot", SOUND)
+@pytest.mark.parametrize("robot", ROBOTS)
 def test_sound_data_are_not_accused(robot: str) -> None:
-    findings = preflight(SOUND[robot])
+    findings = preflight(sound(robot))
     assert [f.message for f in findings if f.level != "note"] == []
 
 
@@ -151,7 +157,7 @@ CASES: dict[str, tuple[str, Plant, str]] = {
 @pytest.mark.parametrize("case", CASES)
 def test_errors_of_convention_are_named(case: str) -> None:
     robot, plant, message = CASES[case]
-    found = [f for f in preflight(planted(SOUND[robot], plant)) if f.level == "error"]
+    found = [f for f in preflight(planted(sound(robot), plant)) if f.level == "error"]
     assert any(re.search(message, f.message) for f in found), [f.message for f in found]
     assert all(f.remedy and f.evidence for f in found)
     with pytest.raises(InputError, match=r"^fix the data first: "):
@@ -161,7 +167,7 @@ def test_errors_of_convention_are_named(case: str) -> None:
 @pytest.mark.parametrize("case", ["encoder", "mm", "passive degrees", "swapped", "xyzw"])
 def test_they_are_named_without_measured_velocities(case: str) -> None:
     robot, plant, message = CASES[case]
-    found = errors(planted(SOUND[robot], plant, measured=False))
+    found = errors(planted(sound(robot), plant, measured=False))
     assert any(re.search(message, text) for text in found), found
 
 
@@ -200,7 +206,7 @@ def test_a_constant_delay_is_not_a_drift() -> None:
     def late(arrays: Arrays) -> None:
         arrays["ctrl"][:] = np.stack([np.interp(arrays["time"] + 0.02, arrays["time"], c) for c in arrays["ctrl"].T], 1)
 
-    assert errors(planted(SOUND["arm"], late)) == []
+    assert errors(planted(sound("arm"), late)) == []
 
 
 @pytest.mark.parametrize("slower", [False, True])
@@ -255,7 +261,7 @@ def test_advice_about_velocities_is_for_joints_that_move() -> None:
         arrays["qvel"][:, 2] = 5e-3 * rng.normal(size=len(arrays["time"]))
         arrays["ctrl"][:, 2] = 0
 
-    findings = preflight(planted(SOUND["arm"], still))
+    findings = preflight(planted(sound("arm"), still))
     assert not any("qvel/wrist" in f.message or "qpos/wrist" in f.message for f in findings)
     assert any("no further than their noise: wrist" in f.message for f in findings)
 
@@ -272,5 +278,5 @@ def test_a_coarse_encoder_is_a_warning() -> None:
     def coarse(arrays: Arrays) -> None:
         arrays["qpos"][:, 1] = np.round(arrays["qpos"][:, 1] / 0.2) * 0.2
 
-    warnings = [f.message for f in preflight(planted(SOUND["arm"], coarse)) if f.level == "warning"]
+    warnings = [f.message for f in preflight(planted(sound("arm"), coarse)) if f.level == "warning"]
     assert any("qpos/elbow takes only" in text and "0.2 apart" in text for text in warnings)

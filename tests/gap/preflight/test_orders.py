@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from functools import cache
 from pathlib import Path
 
 import mujoco
@@ -28,7 +29,11 @@ XML = f"""<mujoco><compiler angle="radian"/><option timestep="0.002" integrator=
 {"".join(LIMB.format(name=name, x=0, y=y, out=y) for name, y in SIDES.items())}</worldbody><actuator>
 {"".join(SERVO.format(f"{s}_{p}", 10 if p == "calf" else 30) for s in SIDES for p in PARTS)}</actuator></mujoco>"""
 BY_LEVEL = [0, 3, 1, 4, 2, 5]
-SOUND = [log(XML, sines(np.random.default_rng(1), [0.3, 0.8, 0.9] * 2), i) for i in range(2)]
+
+
+@cache
+def sound() -> list[Recording]:
+    return [log(XML, sines(np.random.default_rng(1), [0.3, 0.8, 0.9] * 2), i) for i in range(2)]
 
 
 def written(folder: Path, recordings: list[Recording], qpos: list[int], ctrl: list[int]) -> list[Path]:
@@ -47,7 +52,7 @@ def written(folder: Path, recordings: list[Recording], qpos: list[int], ctrl: li
 @pytest.mark.parametrize(("what", "qpos", "ctrl"), [("positions and commands", True, True), ("commands", False, True)])
 def test_a_whole_order_is_named_with_what_to_write(tmp_path: Path, what: str, qpos: bool, ctrl: bool) -> None:
     own = list(range(6))
-    model, *logs = written(tmp_path, SOUND, BY_LEVEL if qpos else own, BY_LEVEL if ctrl else own)
+    model, *logs = written(tmp_path, sound(), BY_LEVEL if qpos else own, BY_LEVEL if ctrl else own)
     data = open_dataset(model, logs=logs)
     errors = [f for f in preflight(data) if f.level == "error"]
     assert f"columns of {what} are in another order" in errors[0].message
@@ -62,7 +67,7 @@ def test_a_whole_order_is_named_with_what_to_write(tmp_path: Path, what: str, qp
 
     (tmp_path / "dataset.toml").write_text(table)
     mended = open_dataset(tmp_path)
-    for found, truth in zip(mended.recordings, SOUND, strict=True):
+    for found, truth in zip(mended.recordings, sound(), strict=True):
         np.testing.assert_allclose(found.qpos, truth.qpos, rtol=1e-6)
         np.testing.assert_allclose(found.qvel, truth.qvel, rtol=1e-6)
         np.testing.assert_allclose(found.ctrl, truth.ctrl, rtol=1e-6)
@@ -75,7 +80,7 @@ def test_the_models_own_order_is_not_accused(tmp_path: Path) -> None:
         model.body_mass[2:] *= 2
 
     wave = sines(np.random.default_rng(2), [0.3, 0.8, 0.9] * 2)
-    for logs in (SOUND, [log(XML, wave, i, edit=rough) for i in range(2)]):
+    for logs in (sound(), [log(XML, wave, i, edit=rough) for i in range(2)]):
         model, *paths = written(tmp_path, logs, list(range(6)), list(range(6)))
         assert [f.message for f in preflight(open_dataset(model, logs=paths)) if f.level == "error"] == []
 
@@ -96,7 +101,7 @@ def test_names_that_were_given_in_the_wrong_order_are_found() -> None:
     """A program wrote the names of the model over columns of another order."""
     turned = [
         dataclasses.replace(r, qpos=r.qpos[:, BY_LEVEL], qvel=r.qvel[:, BY_LEVEL], ctrl=r.ctrl[:, BY_LEVEL])
-        for r in SOUND
+        for r in sound()
     ]
     (found,) = (f for f in preflight(dataset(XML, turned)) if f.level == "error")
     assert re.search(r"positions and commands are in another order", found.message)

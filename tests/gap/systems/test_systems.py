@@ -1,5 +1,7 @@
 """Systems without actuators, tossed, driven at sites or by cables, under torque or velocity control."""
 
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -7,12 +9,12 @@ import pytest
 from gap_systems import SYSTEMS
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data import load, save_dataset
+from btr_mjx.gap.data import Dataset, load, save_dataset
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.experiments import propose
 from btr_mjx.gap.inference import identify
 from btr_mjx.gap.preflight import preflight
-from btr_mjx.gap.results import save_diagnosis
+from btr_mjx.gap.results import Diagnosis, save_diagnosis
 from btr_mjx.gap.windows import Options
 
 QUICK = Options(steps=3e4, leaders=2, contact_leaders=0)
@@ -33,12 +35,19 @@ def test_a_system_is_read_and_what_is_missing_can_be_shown(name: str, tmp_path: 
     assert not any("nothing moves" in line for line in blind)
 
 
-@pytest.mark.parametrize("name", CONTACT_FREE)
-def test_a_small_search_names_what_is_missing(name: str) -> None:
-    system = SYSTEMS[name]
+@cache
+def small_search(name: str) -> tuple[Dataset, Diagnosis]:
+    """A second at most of each recording, and two kinds of effects."""
+    system = replace(SYSTEMS[name], seconds=min(SYSTEMS[name].seconds, 1.0))
     kind = system.effect.partition("@")[0]
     library = tuple(e for e in EFFECTS if e.name in (kind, "armature"))
-    found = identify(system.dataset(fit=2, test=1), library, max_effects=1, options=QUICK)
+    data = system.dataset(fit=2, test=1)
+    return data, identify(data, library, max_effects=1, options=QUICK)
+
+
+@pytest.mark.parametrize("name", CONTACT_FREE)
+def test_a_small_search_names_what_is_missing(name: str) -> None:
+    system, (_, found) = SYSTEMS[name], small_search(name)
     (named,) = found.effects
     assert named.name == system.effect
     (estimate,) = named.parameters.values()
@@ -46,9 +55,7 @@ def test_a_small_search_names_what_is_missing(name: str) -> None:
 
 
 def test_no_command_is_proposed_where_nothing_takes_one(tmp_path: Path) -> None:
-    data = SYSTEMS["free swing"].dataset(fit=2, test=1)
-    library = tuple(e for e in EFFECTS if e.name == "dry_friction")
-    found = identify(data, library, max_effects=1, options=QUICK)
+    data, found = small_search("free swing")
     assert propose(found, data) is None
     result = save_diagnosis(found, data, tmp_path)
     assert result["next_experiment"] is None
