@@ -148,9 +148,7 @@ def _gap(a: Shapes, b: Shapes, d: Three, both: bool) -> jax.Array:
 def lower_bound(a: Shapes, b: Shapes) -> jax.Array:
     """A lower bound on the distance of each pair [m], (P, C); of either sign where the geoms overlap.
 
-    Args:
-      a: the first geoms; of a plane only the third axis counts, its normal.
-      b: the second geoms, none of them a plane.
+    The first geoms may be planes, of which only the third axis counts, the normal.
     """
     if a.kind == PLANE:
         normal = a.axes[2]

@@ -30,14 +30,10 @@ class PlacedGeoms:
     """Numbers of geoms in C worlds."""
 
     def __init__(self, parameters: GeomParameters, poses: Sequence[Pose | None], lanes: int, dtype: Any):
-        """Place the geoms.
+        """Place the geoms of links in poses, or of the world (None), in C = `lanes` worlds.
 
-        Args:
-          parameters: "geoms/centre" (3), "geoms/axes" (9, a matrix row by row), "geoms/size" (3) and "geoms/margin" (1)
-            of all geoms in their links.
-          poses: of the link of each geom; None for geoms fixed to the world.
-          lanes: number C of worlds.
-          dtype: of the computation.
+        Of all geoms in their links the parameters hold "geoms/centre" (3), "geoms/axes" (9, a matrix row by row),
+        "geoms/size" (3) and "geoms/margin" (1).
         """
         self.lanes, self._dtype = lanes, dtype
         self._stacks: dict[tuple[str, int], jax.Array] = {}

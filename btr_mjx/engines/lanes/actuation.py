@@ -76,20 +76,9 @@ def actuate(
     history: Sequence[Sequence[jax.Array]],
     ctrl: jax.Array,
 ) -> Actuation:
-    """Actuator forces at the given state and controls (mj_fwdActuation, mjd_actuator_vel).
+    """Actuator forces at a state and controls (nu, C), their derivatives and next activations (mj_fwdActuation).
 
-    Args:
-      model: base model, for settings that are equal in all worlds.
-      plan: the static plan.
-      parameters: parameters of this chunk.
-      q: coordinates per joint.
-      v: velocity per dof.
-      act: activations per state of the plan.
-      history: earlier controls per history of the plan.
-      ctrl: controls (nu, C).
-
-    Returns:
-      Forces, their derivatives, next activations and histories, and power.
+    Coordinates are per joint, velocities per dof, activations and earlier controls per state and history of the plan.
     """
     result = Actuation({}, {}, list(act), [list(samples) for samples in history], [])
     if support.disabled(model, "ACTUATION"):

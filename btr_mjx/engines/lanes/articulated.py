@@ -43,13 +43,9 @@ class Factors:
 def factorise(
     plan: TreePlan, motions: Sequence[Motion], blocks: Sequence[Block], diagonal: Mapping[int, Scalar]
 ) -> Factors:
-    """Factor the matrix in a sweep to the roots.
+    """Factor the matrix in a sweep to the roots: B per link about its origin, diag per dof.
 
-    Args:
-      plan: the static plan.
-      motions: poses and velocities of the links.
-      blocks: B, per link, about its origin.
-      diagonal: diag, per dof; dofs of free joints have none (it belongs into the block of the root link).
+    Dofs of free joints have no diag: it belongs into the block of the root link.
     """
     inner = list(blocks)
     eliminated: dict[int, tuple[Spatial, Scalar]] = {}
@@ -73,15 +69,9 @@ def factorise(
 def solve_factored(
     factors: Factors, wrenches: Sequence[Spatial], tau: Mapping[int, Scalar]
 ) -> tuple[list[Scalar], list[Spatial]]:
-    """Accelerations of dofs and links.
+    """Accelerations x per dof, and spatial accelerations J x per link.
 
-    Args:
-      factors: the matrix.
-      wrenches: f, per link, about its origin.
-      tau: forces along single dofs, none on free joints.
-
-    Returns:
-      x per dof, and the spatial acceleration J x per link.
+    Wrenches f are per link about its origin, forces tau along single dofs that do not belong to free joints.
     """
     plan, motions = factors.plan, factors.motions
     outer = list(wrenches)
@@ -136,11 +126,7 @@ def _dense(block: Block) -> list[list[Scalar]]:
 
 
 def ldl_factor(lower: Sequence[Sequence[Scalar]]) -> list[list[Scalar]]:
-    """Factor L D L^T of a symmetric positive definite matrix, given by the rows of its lower triangle.
-
-    Returns:
-      The n rows of L below the diagonal, then the row of the inverses of D.
-    """
+    """Rows of L below the diagonal, then the inverses of D, of a matrix L D L^T given by its lower triangle."""
     n = len(lower)
     factor: list[list[Scalar]] = [[0.0] * i for i in range(n)]
     scaled: list[list[Scalar]] = [[0.0] * n for _ in range(n)]  # L D

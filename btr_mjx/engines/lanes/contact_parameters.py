@@ -40,16 +40,10 @@ def _impedance(solimp: np.ndarray) -> np.ndarray:
 
 
 def constraint_row(solref: np.ndarray, solimp: np.ndarray, model: mujoco.MjModel) -> dict[str, np.ndarray]:
-    """Reference and impedance of a constraint row.
+    """Reference and impedance of a constraint row from its solref (..., 2) and solimp (..., 5), as in MJCF.
 
-    Args:
-      solref: (..., 2) as in MJCF.
-      solimp: (..., 5) as in MJCF.
-      model: for the time step, on which the shortest time constant depends.
-
-    Returns:
-      "reference" (..., 2): stiffness [1/s^2] and damping [1/s]; "impedance" (..., 5): dmin, dmax, width, midpoint,
-      power.
+    "reference" (..., 2) is stiffness [1/s^2] and damping [1/s], "impedance" (..., 5) dmin, dmax, width, midpoint and
+    power. The model's time step limits the time constant.
     """
     dmax = np.clip(solimp[..., 1], _MINIMP, _MAXIMP)
     return {"reference": _reference(solref, dmax, model), "impedance": _impedance(solimp)}

@@ -19,16 +19,7 @@ _SLACK = 1e-9
 
 
 def delayed(samples: Sequence[Scalar], age: Scalar, order: int) -> Scalar:
-    """The control at an age, interpolated between samples.
-
-    Args:
-      samples: controls of ages 1, 2, ..., n.
-      age: [steps]; a constant or one per world.
-      order: HOLD, LINEAR or CUBIC.
-
-    Returns:
-      The control, of the samples' shape.
-    """
+    """The control at an age [steps], interpolated between samples of ages 1, 2, ..., n with HOLD, LINEAR or CUBIC."""
     weights = _weights(age, len(samples), order)
     return total(mul(weight, sample) for weight, sample in zip(weights, samples, strict=True))
 

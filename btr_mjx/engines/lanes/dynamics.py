@@ -142,13 +142,7 @@ def _turned(plan: TreePlan, kind: int, turns: Sequence[Matrix], x: Sequence[Scal
 def opposing_forces(
     system: System, links: Sequence[Spatial], dofs: Sequence[Scalar]
 ) -> tuple[list[Spatial], dict[int, Scalar]]:
-    """Wrenches per link and forces per dof of minus a system times accelerations (or velocities).
-
-    Args:
-      system: the matrix, such as inertia or damping.
-      links: spatial acceleration (or velocity) of each link.
-      dofs: acceleration (or velocity) per dof.
-    """
+    """Wrenches per link and forces per dof of minus a system times accelerations (or velocities) of links and dofs."""
     wrenches: list[Spatial] = []
     for block, a in zip(system.blocks, links, strict=True):
         force, torque = block @ a
@@ -157,16 +151,7 @@ def opposing_forces(
 
 
 def drag(plan: TreePlan, parameters: Parameters, motions: Sequence[Motion]) -> tuple[list[Spatial], System] | None:
-    """Drag of the fluid on the links.
-
-    Args:
-      plan: the static plan.
-      parameters: parameters of this chunk.
-      motions: poses and velocities of the links.
-
-    Returns:
-      Wrenches about the links' origins, and minus their derivative with respect to velocity; None in a vacuum.
-    """
+    """Drag of the fluid: wrenches on the links, and minus their derivative by velocity; None in a vacuum."""
     if is_zero(parameters.one("world/density")) and is_zero(parameters.one("world/viscosity")):
         return None
     wrenches: list[Spatial] = []

@@ -54,12 +54,9 @@ class Fields:
     """Reads elements of MjModel fields with two batch axes in front: (N, C) where they may differ, else (1, 1)."""
 
     def __init__(self, model: mujoco.MjModel, masks: Mapping[str, np.ndarray], leaves: Mapping[str, np.ndarray]):
-        """Make a view of fields.
+        """Make a view of fields with leaves (N, C, *field shape) of a base model.
 
-        Args:
-          model: base model.
-          masks: field name -> bool array of the field's shape, elements that may differ between worlds.
-          leaves: field name -> (N, C, *field shape).
+        Masks are bool arrays of the field's shape: elements that may differ between worlds.
         """
         self._model, self._masks, self._leaves = model, masks, leaves
 

@@ -52,21 +52,7 @@ def integrate_step(
     damping: Damping,
     acceleration: Sequence[jax.Array],
 ) -> tuple[list[list[jax.Array]], list[jax.Array]]:
-    """Next coordinates and velocities.
-
-    Args:
-      model: base model: integrator, flags and time step.
-      plan: the static plan.
-      motions: poses and velocities of the links.
-      q: coordinates per joint.
-      v: velocity per dof.
-      inertia: M, of all links, with armature.
-      damping: D, minus the derivatives of forces with respect to velocity.
-      acceleration: solution of the constraint problem, per dof.
-
-    Returns:
-      Coordinates per joint and velocities per dof after one step.
-    """
+    """Coordinates per joint and velocities per dof after one step, from the accelerations of the constraint problem."""
     dt = float(model.opt.timestep)
     implicit = damping.joints
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST:
@@ -121,12 +107,7 @@ def turning_rates(plan: TreePlan, moved: Sequence[Scalar], v: Sequence[Scalar]) 
 
     For a rotation by the vector u, u' = w + u x w / 2 + (1 - |u|/2 cot(|u|/2)) / |u|^2 u x (u x w), with the angular
     velocity w in the turned axes: the inverse of the derivative of the exponential map (Munthe-Kaas, "High order
-    Runge-Kutta methods on manifolds", 1999).
-
-    Args:
-      plan: the static plan.
-      moved: u per dof, and the displacement of dofs that are no rotations.
-      v: velocity per dof.
+    Runge-Kutta methods on manifolds", 1999). `moved` is u per dof, and the displacement of dofs that are no rotations.
     """
     rates = list(v)
     for joint in (joint for link in plan.links for joint in link.joints if joint.kind in (BALL, FREE)):

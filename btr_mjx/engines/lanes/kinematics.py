@@ -154,15 +154,9 @@ def _moved(
 def _pivoted(
     pivot: Vector, anchor: Vector, turn: Matrix, axes: Sequence[Vector], speeds: Sequence[jax.Array], m: Motion
 ) -> Motion:
-    """Motion of a link after a rotation.
+    """Motion `m` of a link after a rotation, whose matrix is `turn` afterwards, about axes in the world.
 
-    Args:
-      pivot: fixed point, in link axes from the origin.
-      anchor: the same before the rotation, in world axes.
-      turn: rotation matrix of the link afterwards.
-      axes: of the rotation's dofs, in world axes.
-      speeds: their angular velocities.
-      m: motion before the rotation.
+    The fixed point is `pivot` in link axes from the origin, and `anchor` in world axes before the rotation.
     """
     lever = scale(-1.0, matvec(turn, pivot))  # from the anchor to the origin, after the turn
     velocity, acceleration = _carry(m, anchor)
@@ -188,14 +182,8 @@ def motions(
 ) -> list[Motion]:
     """Motion of every link.
 
-    Args:
-      plan: the static plan.
-      parameters: parameters of this chunk.
-      q: per joint of the plan, in link order, its coordinates: 7 for a free joint, 4 for a ball joint, else 1.
-      v: velocity per dof of the plan, MuJoCo's conventions.
-
-    Returns:
-      One `Motion` per link.
+    Coordinates are per joint in link order, 7 of a free joint, 4 of a ball joint, else 1; velocities per dof in
+    MuJoCo's conventions.
     """
     found: list[Motion] = []
     world = world_motion(parameters)

@@ -172,17 +172,11 @@ def derive(
     geoms: Sequence[int] = (),
     between: Sequence[PairGroup] = (),
 ) -> dict[str, np.ndarray]:
-    """All parameters of a step.
+    """All parameters of a step: name -> (N, C, G, k), or (1, 1, G, k) where the worlds are equal.
 
-    Args:
-      model: the base model.
-      plan: the static plan.
-      fields: view of the fields of the batch.
-      geoms: geoms that may meet others than planes; they are the members of the group "geoms".
-      between: pairs of them whose contact is computed; those of the n-th are the members of the group "between<n>".
-
-    Returns:
-      name -> (N, C, G, k) where the worlds differ, else (1, 1, G, k), for k components of G group members.
+    G are the members of a group, k the components of the parameter. `geoms`, which may meet others than planes, are the
+    members of the group "geoms"; the n-th of their pairs whose contact is computed, `between`, are those of
+    "between<n>".
     """
     table: dict[str, np.ndarray] = {}
 
@@ -234,11 +228,7 @@ def derive(
 
 
 def split_constants(table: Mapping[str, np.ndarray]) -> tuple[dict[str, list[Scalar]], dict[str, list[np.ndarray]]]:
-    """Separate the parameters of `derive` into constants and arrays.
-
-    Returns:
-      name -> list of k constants, and name -> list of k float64 arrays (N, C) or (N, G, C).
-    """
+    """Lists of the k constants, and of the k float64 arrays (N, C) or (N, G, C), by name of a parameter of `derive`."""
     constants: dict[str, list[Scalar]] = {}
     arrays: dict[str, list[np.ndarray]] = {}
     for key, value in table.items():

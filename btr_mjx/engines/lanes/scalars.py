@@ -95,12 +95,7 @@ def total(items: Iterable[Scalar]) -> Scalar:
 
 
 def group_sum(a: Scalar, size: int) -> Scalar:
-    """Sum over the members of a group of `size` links; the result belongs to their common parent.
-
-    Args:
-      a: a scalar; one without a group axis counts `size` times.
-      size: number of members.
-    """
+    """Sum over the `size` members of a group, for their common parent; without a group axis all are equal."""
     if size == 1 or is_zero(a):
         return a
     if not _traced(a):

@@ -45,14 +45,9 @@ def _joints(plan: TreePlan) -> list[Joint]:
 def split_rows(
     model: mujoco.MjModel, plan: TreePlan, qpos: jax.Array, qvel: jax.Array, act: jax.Array | None
 ) -> tuple[list[list[jax.Array]], list[jax.Array], list[jax.Array]]:
-    """Positions, velocities and activations as the fields `q`, `v` and `act` of a state.
+    """Positions (nq, C), velocities (nv, C) and activations (na, C) as the fields `q`, `v` and `act` of a state.
 
-    Args:
-      model: the model.
-      plan: its plan.
-      qpos: positions (nq, C).
-      qvel: velocities (nv, C).
-      act: activations (na, C); zero if None.
+    Without activations these are zero.
     """
     q, v, acts = [], [], [jnp.zeros(0)] * plan.states
     for joint in _joints(plan):

@@ -146,13 +146,7 @@ class LanesStepper:
         return masks
 
     def pack(self, leaves: Leaves) -> dict[str, list[np.ndarray]]:
-        """Convert per-world model fields to this engine's parameters (numpy, on the host).
-
-        Args:
-          leaves: MjModel field name -> (N, C, *field shape): N chunks of C worlds, for every field of `varying`.
-
-        Returns:
-          name -> list of arrays with leading axis N; `initial` and `step` take one slice of it.
+        """See `Stepper.pack`.
 
         Raises:
           UnsupportedModel: a free joint has stiffness or friction loss, or a ball joint with a limit has friction loss
@@ -218,7 +212,7 @@ class LanesStepper:
         return found, doubtful
 
     def initial(self, params: Mapping[str, list[jax.Array]], chunk: int) -> LanesState:
-        """State of `chunk` worlds at rest in the model's qpos0, with actuator activations zero."""
+        """See `Stepper.initial`."""
         return self._fresh(*self._rest(Parameters(self._constants, params), chunk), chunk)
 
     def _fresh(self, q: list[list[jax.Array]], v: list[jax.Array], act: list[jax.Array], chunk: int) -> LanesState:
@@ -243,19 +237,13 @@ class LanesStepper:
         return q, v, [act[i] for i in range(self.plan.states)]
 
     def state(self, qpos: Any, qvel: Any, act: Any = None) -> LanesState:
-        """State of a chunk from MuJoCo's arrays; history buffers of controls are zero.
-
-        Args:
-          qpos: positions (nq, C).
-          qvel: velocities (nv, C).
-          act: activations (na, C); zero if None.
-        """
+        """See `Stepper.state`; history buffers of controls are zero."""
         qpos, qvel = jnp.asarray(qpos, self._dtype), jnp.asarray(qvel, self._dtype)
         act = None if act is None else jnp.asarray(act, self._dtype)
         return self._fresh(*split_rows(self._model, self.plan, qpos, qvel, act), qpos.shape[-1])
 
     def step(self, params: Mapping[str, list[jax.Array]], state: LanesState, ctrl: jax.Array) -> LanesState:
-        """State after one time step under controls of shape (nu, C)."""
+        """See `Stepper.step`."""
         in_parts = jax.default_backend() == "cpu"  # other compilers do not put loops into single functions
         return retrace(self._step, threshold=16, in_parts=in_parts)(params, state, ctrl)
 
@@ -339,11 +327,11 @@ class LanesStepper:
         return PlacedGeoms(parameters, poses, lanes, self._dtype)
 
     def qpos(self, state: LanesState) -> jax.Array:
-        """Generalised positions (nq, C), MuJoCo's order and conventions."""
+        """See `Stepper.qpos`."""
         return positions_in_order(self._model, self.plan, state)
 
     def qvel(self, state: LanesState) -> jax.Array:
-        """Generalised velocities (nv, C), MuJoCo's order and conventions."""
+        """See `Stepper.qvel`."""
         return dofs_in_order(self._model, self.plan, state.v)
 
     def qacc(self, state: LanesState) -> jax.Array:
@@ -351,17 +339,17 @@ class LanesStepper:
         return dofs_in_order(self._model, self.plan, state.acceleration)
 
     def act(self, state: LanesState) -> jax.Array:
-        """Activations (na, C), MuJoCo's order."""
+        """See `Stepper.act`."""
         return activations_in_order(self._model, self.plan, state)
 
     def power(self, state: LanesState) -> jax.Array:
-        """Sum over actuators of |force x velocity| in the last step [W], shape (C,)."""
+        """See `Stepper.power`."""
         return state.power
 
     def capped(self, state: LanesState) -> jax.Array:
-        """Whether the constraint solver reached its iteration limit in the last step, bool (C,)."""
+        """See `Stepper.capped`."""
         return state.capped
 
     def tripped(self, state: LanesState) -> jax.Array:
-        """Whether the bound of a guarded pair was crossed at the start of some step so far, bool (C,)."""
+        """See `Stepper.tripped`."""
         return state.tripped

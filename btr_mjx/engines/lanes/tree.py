@@ -209,14 +209,7 @@ class _Builder:
         friction: np.ndarray,
         tendon_friction: np.ndarray,
     ):
-        """Collect the actuators and the signature of every subtree.
-
-        Args:
-          model: the model.
-          pairs: geom -> (plane geom, condim) of all its possible contacts.
-          friction: bool (nv,), dofs that have or may have friction loss.
-          tendon_friction: bool (ntendon,), the same of tendons.
-        """
+        """Collect the actuators and the signature of every subtree; arguments as of `make_plan`."""
         self.model, self.pairs, self.friction, self.tendon_friction = model, pairs, friction, tendon_friction
         self.limited, self.tendon_limited = (
             has_constraints(model, "LIMIT") & (np.asarray(field) != 0)
@@ -362,15 +355,9 @@ def make_plan(
     friction: np.ndarray,
     tendon_friction: np.ndarray,
 ) -> TreePlan:
-    """Make the static plan of a model.
+    """The static plan of a model that has passed `support.refusals`; links are in depth-first order.
 
-    Args:
-      model: the model; must have passed `support.refusals`.
-      pairs: geom -> (plane geom, condim) of all its possible contacts (from `support.require_supported`).
-      friction: bool (nv,), dofs that have or may have friction loss.
-      tendon_friction: bool (ntendon,), the same of tendons.
-
-    Returns:
-      The static plan; links in depth-first order.
+    `pairs` has (plane geom, condim) of all possible contacts of a geom. `friction` (nv,) and `tendon_friction`
+    (ntendon,) say which dofs and tendons have or may have friction loss.
     """
     return _Builder(model, pairs, friction, tendon_friction).build()

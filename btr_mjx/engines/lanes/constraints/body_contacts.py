@@ -131,22 +131,11 @@ def body_contacts(
     elliptic: bool,
     dtype: Any,
 ) -> tuple[list[Coupling], jax.Array]:
-    """Contacts between bodies, with MuJoCo's reference accelerations and weights.
+    """Contacts of each group of pairs, with MuJoCo's reference accelerations and weights; and marked worlds, bool (C,).
 
-    Args:
-      groups: the pairs.
-      owners: the body of each geom, MuJoCo's number of the one that carries the joints; 0 for the world.
-      moving: all dofs.
-      parameters: of this chunk.
-      geoms: the geoms in the world.
-      motions: poses of the links.
-      v: velocity per dof, of free joints in world axes.
-      elliptic: whether friction cones are elliptic rather than pyramidal.
-      dtype: of the computation.
-
-    Returns:
-      The contacts of each group; and bool (C,), worlds in which more pairs touch than there are slots, capsules that
-      may touch are parallel, where MuJoCo finds two contacts, or the axes of capsules cross.
+    The owner of a geom is MuJoCo's number of the body that carries the joints, 0 for the world. Velocities are per dof,
+    of free joints in world axes. A world is marked in which more pairs touch than there are slots, capsules that may
+    touch are parallel, where MuJoCo finds two contacts, or the axes of capsules cross.
     """
     found, marked = [], jnp.zeros(geoms.lanes, bool)
     for n, group in enumerate(groups):
@@ -201,16 +190,9 @@ class _Touching:
         elliptic: bool,
         dtype: Any,
     ) -> Coupling:
-        """The contacts in the slots.
+        """The contacts in the slots (K, C), which hold the number of a pair, or P where they are empty.
 
-        Args:
-          slot: pair of each slot (K, C), P where it is empty.
-          bodies: (2, P) the first and the second body of each pair.
-          moving: dofs that move one of them.
-          motions: of the links.
-          v: velocity per dof.
-          elliptic: whether friction cones are elliptic.
-          dtype: of the computation.
+        `bodies` (2, P) are the first and the second body of each pair, `moving` the dofs that move one of them.
         """
         pairs = self.beyond.shape[0]
         filled, index = slot < pairs, jnp.minimum(slot, pairs - 1)
@@ -254,11 +236,7 @@ class _Touching:
 
 
 def _nearest(a: Shapes, b: Shapes, eps: float) -> tuple[list[Scalar], list[Scalar], jax.Array, jax.Array]:
-    """Nearest points of the segments of capsules.
-
-    Returns:
-      A point of each; which are parallel; and by how much the distance of these may be too large [m].
-    """
+    """Nearest points of the segments of capsules; which are parallel; how much too large their distance may be [m]."""
     first, second = scale(a.size[1], a.axes[2]), scale(b.size[1], b.axes[2])
     between = vsub(a.centre, b.centre)
     ma, mb, mc = dot(first, first), -dot(first, second), dot(second, second)

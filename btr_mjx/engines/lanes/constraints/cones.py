@@ -44,14 +44,9 @@ type ZoneModel = tuple[jax.Array, ...]
 
 
 def impedance(parameters: Sequence[Scalar], depth: Scalar) -> Scalar:
-    """MuJoCo's impedance d(r) in (0, 1) at violation `depth` = |r| (getimpedance).
+    """MuJoCo's impedance d(r) in (0, 1) at a distance beyond the margin [m or rad], of any sign (getimpedance).
 
-    Args:
-      parameters: dmin, dmax, width, midpoint, power.
-      depth: distance beyond the margin [m or rad], any sign.
-
-    Returns:
-      The impedance, dimensionless.
+    Its parameters are dmin, dmax, width, midpoint and power.
     """
     low, high, width, middle, power = parameters
     x = jnp.minimum(jnp.abs(mul(_inverse(width), depth)), 1.0)
@@ -285,17 +280,7 @@ def make_cone(
     impratio: Scalar | None,
     dtype: Any,
 ) -> Cone:
-    """The force law of contact points.
-
-    Args:
-      condim: 1 for a normal force only.
-      frame: rows: normal and two tangents.
-      friction: coefficients of sliding, spinning and rolling, as far as the contact has them.
-      weight: inverse regularisation of each row; zero where inactive.
-      reference: reference acceleration along the rows.
-      impratio: MuJoCo's option, for an elliptic cone; None for a pyramidal one.
-      dtype: of the computation.
-    """
+    """The force law of contact points, see `Cone`; pyramidal without an impratio, elliptic with one."""
     numbers = (frame, friction, weight, reference)
     if condim == 1:
         return Frictionless(*numbers)

@@ -114,18 +114,7 @@ class _GeomOverPlane:
 def contact_points(
     plan: TreePlan, parameters: Parameters, motions: Sequence[Motion], elliptic: bool, dtype: Any
 ) -> list[Contact]:
-    """All candidate contact points, with MuJoCo's reference accelerations and weights.
-
-    Args:
-      plan: the static plan.
-      parameters: parameters of this chunk.
-      motions: poses and velocities of the links.
-      elliptic: whether friction cones are elliptic rather than pyramidal.
-      dtype: of the computation.
-
-    Returns:
-      One contact per candidate point; inactive ones have weight zero.
-    """
+    """All candidate contact points, with MuJoCo's reference accelerations; inactive ones have weight zero."""
     found = []
     for link, m in zip(plan.links, motions, strict=True):
         for n, touch in enumerate(link.touches):

@@ -35,17 +35,10 @@ def solve_coupled(
     tau: Mapping[int, Scalar],
     like: Sequence[jax.Array],
 ) -> tuple[list[Scalar], list[Spatial]]:
-    """Accelerations of dofs and links.
+    """Acceleration per dof and spatial acceleration per link, as a function of the zones of each world alone.
 
-    Args:
-      factors: matrix of the tree, with the constraints of single links and dofs.
-      coupled: constraints between links, each with its zone.
-      wrenches: per link, about its origin, without those of the constraints between links.
-      tau: forces along single dofs.
-      like: arrays of the accelerations' shapes.
-
-    Returns:
-      Acceleration per dof, spatial acceleration per link. They are a function of the zones of each world alone.
+    `factors` hold the constraints of single links and dofs; wrenches and forces are without those of constraints
+    between links, `coupled`, each with its zone. `like` has arrays of the accelerations' shapes.
     """
     plan = factors.plan
     couplings, linear = [c for c, _ in coupled], [c.cone.linear(model) for c, model in coupled]
@@ -115,14 +108,9 @@ def solve_coupled(
 def member_forces(
     plan: TreePlan, forces: Sequence[tuple[Column, Scalar]]
 ) -> tuple[dict[int, Spatial], dict[int, Scalar]]:
-    """Forces along dofs of members of groups, as forces along dofs of the plan.
+    """Forces (C,) along dofs of members of groups, added up as forces along dofs of the plan.
 
-    Args:
-      plan: the static plan.
-      forces: dof of a member, and the force (C,); several are added.
-
-    Returns:
-      Per link with a free joint, the wrench about its origin; and per other dof, the force, (C,) or (G, C).
+    Per link with a free joint this is a wrench about its origin; per other dof a force, (C,) or (G, C).
     """
     parts: dict[int, dict[int, Scalar]] = {}
     for column, force in forces:

@@ -88,11 +88,7 @@ def dof_constraints(
 ) -> list[DofConstraint]:
     """All joint limits and dry frictions of a chunk; limits that are not violated have weight zero.
 
-    Args:
-      plan: the static plan.
-      parameters: parameters of this chunk.
-      q: coordinates per joint.
-      v: velocity per dof, along the solver's axes.
+    Coordinates are per joint, velocities per dof along the solver's axes.
     """
     found: list[DofConstraint] = []
     coordinates = iter(q)

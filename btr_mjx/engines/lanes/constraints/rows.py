@@ -146,16 +146,7 @@ def path_rows(
     v: Sequence[jax.Array],
     dtype: Any,
 ) -> list[Coupling]:
-    """All such rows of a chunk; limits that are not violated have weight zero.
-
-    Args:
-      plan: the static plan.
-      columns: all dofs.
-      parameters: of this chunk.
-      q: coordinates per joint.
-      v: velocity per dof.
-      dtype: of the computation.
-    """
+    """All such rows of a chunk; limits that are not violated have weight zero."""
     rows = _Rows(plan, columns, parameters, q, v, dtype)
     found = [rows.equalities()] if plan.equalities else []
     found += [rows.limits()] if any(tendon.limited for tendon in plan.tendons) else []

@@ -164,16 +164,10 @@ def constrained_acceleration(
     zones: Zones,
     max_newton: int,
 ) -> tuple[list[jax.Array], jax.Array, Zones]:
-    """Accelerations under constraints: the solution of the constraint problem.
+    """The solution of the constraint problem: accelerations per dof, worlds (C,) that did not converge, and its zones.
 
-    Args:
-      problem: inertia, forces and constraints.
-      guess: initial accelerations per dof, (C,) or (G, C).
-      zones: of the last step; all False at the first step.
-      max_newton: maximum number of iterations.
-
-    Returns:
-      Accelerations per dof; bool (C,), worlds that did not converge; the zones of the solution.
+    The guess is initial accelerations per dof, (C,) or (G, C); zones are those of the last step, all False at the
+    first.
     """
     plan, motions, constraints, inertia = problem.plan, problem.motions, problem.constraints, problem.inertia
     lanes = guess[0].shape[-1]
@@ -223,17 +217,9 @@ def _summed(plan: TreePlan, c: Constraint, x: Scalar) -> Scalar:
 
 
 def _step_length(problem: ConstraintProblem, old: Sequence[jax.Array], new: Sequence[jax.Array]) -> jax.Array:
-    """Step length along the line from `old` through `new` at which the cost is minimal.
+    """Step lengths (C,), relative to the full step from `old` to `new` accelerations per dof, of the least cost.
 
     The zero of the slope is found by Newton's method with bracketing and bisection, starting at the full step.
-
-    Args:
-      problem: the problem.
-      old: accelerations per dof at the start of the step.
-      new: accelerations per dof after the full step.
-
-    Returns:
-      (C,) step lengths relative to the full step.
     """
     plan, constraints, inertia, tau = problem.plan, problem.constraints, problem.inertia, problem.tau
     direction = [y - x for x, y in zip(old, new, strict=True)]
