@@ -23,9 +23,8 @@ from mujoco import rollout
 from mujoco.batch import Batch
 
 from btr_mjx.engines import MjxStepper, Program, native, use_all_cores
-from btr_mjx.evaluation import base_address
 from btr_mjx.evaluation.evaluation import _program, _program_inputs, _stepper
-from btr_mjx.models import Models, compile_models
+from btr_mjx.models import Models, base_address, compile_models
 from btr_mjx.robots import Robot, hexapod
 from btr_mjx.runs import available_cores
 

@@ -26,7 +26,8 @@ def report(folder: str | Path) -> Path:
     Raises:
       InputError: no such run, one that has not ended, or a damaged file.
     """
-    from btr_mjx.pages import draw_run_page, kind_of_run
+    from btr_mjx.pages import draw_run_page
+    from btr_mjx.plotting import kind_of_run
 
     if kind_of_run(folder) == "diagnose":
         from btr_mjx.gap.report import draw_report

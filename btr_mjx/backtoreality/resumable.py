@@ -50,7 +50,7 @@ def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: boo
         else:
             tables[kind].append(row)
 
-    with progress(total=_pairs_left(problem, state), description="pairs", unit="pairs", show=show or False) as bar:
+    with progress(total=_pairs_left(problem, state), description="pairs", unit="pairs", show=show) as bar:
         problem = replace(problem, progress=bar.update)
         while state.phase != "done":
             phase, text = state.phase, f"iteration {state.iteration}: {_PHASE_TEXTS[state.phase]}"
@@ -108,9 +108,9 @@ def _pairs_left(problem: Problem, state: State) -> int:
         behaviours = settings.trials * (iteration if settings.behaviours == "all" else 1)
         done = len(state.scores) if iteration == state.iteration else 0
         if iteration > state.iteration or state.phase in ("baseline", "controllers"):
-            left += settings.controllers.population * (settings.controllers.generations - done) + behaviours
+            left += settings.controllers * (settings.controller_generations - done) + behaviours
             done = 0
-        left += settings.simulations.population * behaviours * (settings.simulations.generations - done)
+        left += settings.simulations * behaviours * (settings.simulation_generations - done)
     return left
 
 

@@ -1,4 +1,4 @@
-"""Settings, problem and state of Back-to-Reality."""
+"""Problem and state of Back-to-Reality."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -7,109 +7,19 @@ from typing import Any, Literal
 import numpy as np
 
 from btr_mjx.backtoreality.reality.simulated import Reality
-from btr_mjx.errors import InputError
-from btr_mjx.evaluation import DISTANCE, MARKS, Engine, FitnessFunction, evaluate
+from btr_mjx.backtoreality.settings import BTRSettings
+from btr_mjx.evaluation import DISTANCE, Engine, FitnessFunction, evaluate
 from btr_mjx.optimise import GAState, ga_state_from_arrays, ga_state_to_arrays
 from btr_mjx.robots import Box, Robot
 
 Phase = Literal["baseline", "controllers", "transfer", "simulations", "growth", "done"]
 """Next piece of work: the first controller in reality, steps 1, 2 and 3, the search for a missing effect, none."""
 
-Distance = Literal["fitness", "multiscale"]
-"""Distance that step 3 minimises, see `BTRSettings.distance`."""
-
-GrowFrom = Literal["recordings", "fitness"]
-"""Data in which a missing effect is sought, see `BTRSettings.grow_from`."""
-
-Optimiser = Literal["ga", "cma"]
-"""Optimiser of step 3, see `BTRSettings.optimiser`."""
-
 Progress = Callable[[int], object]
 """Callback for the number of pairs simulated since its last call."""
 
 CMA_BITS = 30
 """Bits per parameter of stored members of CMA-ES: a grid of a billionth of the range."""
-
-
-@dataclass(frozen=True)
-class SearchSettings:
-    """Settings of one of the two evolutionary searches.
-
-    Attributes:
-      population: M controllers or L simulations.
-      generations: generations per iteration.
-      p_m: mutation probability per bit.
-      bits: bits per parameter.
-    """
-
-    population: int
-    generations: int
-    p_m: float = 0.02
-    bits: int = 8
-
-    def __post_init__(self) -> None:
-        if self.population < 2 or self.generations < 1:
-            raise InputError(
-                f"population {self.population} and generations {self.generations}: expected at least 2 and 1"
-            )
-        if not 0 <= self.p_m <= 1:
-            raise InputError(f"p_m: got {self.p_m}, expected a probability per bit within [0, 1]")
-
-
-@dataclass(frozen=True)
-class BTRSettings:
-    """Settings of the algorithm.
-
-    Attributes:
-      controllers: step 1.
-      trials: m, controllers tried in reality per iteration.
-      simulations: step 3.
-      iterations: maximum number of iterations.
-      max_evaluations: maximum number of evaluations in reality; None for no limit.
-      target_delta: Delta_fitness at which the algorithm stops; None for no target.
-      behaviours: whether the distance compares the behaviours of the latest iteration (the paper) or all so far.
-      distance: what step 3 minimises: "fitness" is Delta_fitness (the paper), "multiscale" is
-        `distances.multiscale_fitness` at `marks`.
-      marks: ascending times [s], before the end of the trial.
-      optimiser: of step 3: "ga" is the genetic algorithm (the paper), "cma" is CMA-ES, which ignores p_m and bits and
-        ends a search early once it has converged.
-      most_effects: effects that may be added to the simulator, see `growth`; 0 for a simulator that does not grow.
-      grow_from: "recordings" of the trials where reality gives them, else their fitness; or "fitness" in any case.
-    """
-
-    controllers: SearchSettings
-    trials: int
-    simulations: SearchSettings
-    iterations: int
-    max_evaluations: int | None = None
-    target_delta: float | None = None
-    behaviours: Literal["latest", "all"] = "latest"
-    distance: Distance = "fitness"
-    marks: tuple[float, ...] = MARKS
-    optimiser: Optimiser = "ga"
-    most_effects: int = 0
-    grow_from: GrowFrom = "recordings"
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.trials < self.controllers.population:
-            raise InputError(
-                f"trials m = {self.trials}: expected 1 <= m < M, the controller population of "
-                f"{self.controllers.population}; lower m or raise the population"
-            )
-        if self.iterations < 1:
-            raise InputError(f"iterations: got {self.iterations}, expected at least 1")
-        if self.max_evaluations is not None and self.max_evaluations < self.trials + 1:
-            raise InputError(
-                f"max_evaluations: got {self.max_evaluations}, expected at least {self.trials + 1}: the first "
-                "controller and one iteration's trials"
-            )
-        if self.optimiser == "cma" and self.simulations.population < 4:
-            raise InputError(
-                f"simulations L = {self.simulations.population}: CMA-ES needs at least 4; raise L or take the genetic "
-                "algorithm"
-            )
-        if self.distance == "multiscale" and self.trials < 2:
-            raise InputError("trials m = 1: the multiscale distance needs at least 2, to know the spread at each mark")
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,21 +48,24 @@ class Problem:
     seed: int = 0
     progress: Progress | None = None
 
+    def __post_init__(self) -> None:
+        self.settings.check()
+
     @property
     def simulation_box(self) -> Box:
         """Box of the unknown parameters, with the bits of step 3."""
-        bits = CMA_BITS if self.settings.optimiser == "cma" else self.settings.simulations.bits
+        bits = CMA_BITS if self.settings.optimiser == "cma" else self.settings.simulation_bits
         return self.robot.simulation_box.subspace(self.unknown).with_bits(bits)
 
     @property
     def controller_box(self) -> Box:
         """Box of the controllers, with the bits of step 1."""
-        return self.robot.controller_box.with_bits(self.settings.controllers.bits)
+        return self.robot.controller_box.with_bits(self.settings.controller_bits)
 
     @property
     def times(self) -> tuple[float, ...]:
         """Times [s] at which a trial in reality is measured: the marks, if the distance needs them, and T_e."""
-        marks = self.settings.marks if self.settings.distance == "multiscale" else ()
+        marks = self.settings.marks if self.settings.compared == "multiscale" else ()
         return (*marks, self.robot.duration)
 
     def embed(self, unknown_values: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
 from . import native
 from .base import Stepper, UnsupportedModel
 from .controlled import ControlledProgram
-from .devices import default_chunk, use_all_cores, use_compilation_cache
+from .devices import default_chunk, use_all_cores, use_compilation_cache, uses_doubles
 from .lanes.fields import base_field, influences_motion
 from .lanes.stepper import LanesStepper
 from .lanes.support import possible_contacts, refusals, require_supported
@@ -30,4 +30,5 @@ __all__ = [
     "rollout_chunk",
     "use_all_cores",
     "use_compilation_cache",
+    "uses_doubles",
 ]

@@ -1,6 +1,6 @@
 from . import metrics
 from .distances import MARKS, fitness_at_marks, multiscale_fitness
-from .evaluation import Engine, EngineSettings, Evaluation, base_address, evaluate, fastest_engine
+from .evaluation import Engine, EngineSettings, Evaluation, checked_pairs, evaluate, fastest_engine
 from .fitness import (
     DISTANCE,
     FITNESS_FUNCTIONS,
@@ -26,7 +26,7 @@ __all__ = [
     "FitnessLike",
     "Outcome",
     "Trajectory",
-    "base_address",
+    "checked_pairs",
     "delta_fitness_of",
     "delta_of",
     "evaluate",

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Literal, get_args
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -22,7 +21,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.evaluation.fitness import DISTANCE, FitnessFunction, FitnessLike, Outcome, fitness_function
 from btr_mjx.evaluation.own_simulator import run_simulator
 from btr_mjx.evaluation.tracked_point import track_point
-from btr_mjx.models import Models, base_model, compile_models, start_of, varying_fields
+from btr_mjx.models import Models, base_address, base_model, compile_models, start_of, varying_fields
 from btr_mjx.robots import Robot
 
 if TYPE_CHECKING:
@@ -123,12 +122,7 @@ def evaluate(
       UnsupportedModel: the given engine does not support this robot.
     """
     fitness = fitness_function(fitness, robot.target)
-    s = np.atleast_2d(robot.simulation_box.validate(simulations, "simulations"))
-    c = np.atleast_2d(robot.controller_box.validate(controllers, "controllers"))
-    if s.ndim != 2 or c.ndim != 2 or not len(s) or not len(c):
-        raise InputError(
-            f"got simulations {s.shape} and controllers {c.shape}, expected non-empty (L, n_s) and (M, n_c)"
-        )
+    s, c = checked_pairs(robot, simulations, controllers)
     if pairwise and len(s) != len(c):
         raise InputError(f"pairwise: got {len(s)} simulations and {len(c)} controllers, expected as many of each")
     shape = (len(s),) if pairwise else (len(s), len(c))
@@ -140,9 +134,8 @@ def evaluate(
     records: list[Record] = []
     for rows, columns in _blocks(shape, runner.block):
         used, index = np.unique(rows, return_inverse=True)
-        models = compile_models(robot, s[used])
-        block = _Block(robot, models, s[used], index, c[columns])
-        record = block.run(runner)
+        models, own = compile_models(robot, s[used]), c[columns]
+        record = runner(models, s[used], index, own)
         tripped = np.flatnonzero(record.tripped)
         if len(tripped) and engine is None and not records and len(tripped) > _MAX_TRIPPED * len(rows):
             _LOG.warning(
@@ -162,12 +155,27 @@ def evaluate(
             )
         if len(tripped):
             native_runner = _runner(robot, "native", samples, recorded, EngineSettings())
-            record = _replace_rows(record, tripped, block.subset(tripped).run(native_runner))
+            record = _replace_rows(record, tripped, native_runner(models, s[used], index[tripped], own[tripped]))
         records.append(record)
         if progress is not None:
             progress(len(rows))
     record = Record(*(np.concatenate(column) for column in zip(*records, strict=True)))
     return _evaluation(robot, chosen, record, samples * dt, shape, fitness, recorded)
+
+
+def checked_pairs(robot: Robot, simulations: ArrayLike, controllers: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Simulations (L, n_s) and controllers (M, n_c) as arrays.
+
+    Raises:
+      InputError: parameters out of bounds, of a wrong shape or not finite, or none.
+    """
+    s = np.atleast_2d(robot.simulation_box.validate(simulations, "simulations"))
+    c = np.atleast_2d(robot.controller_box.validate(controllers, "controllers"))
+    if s.ndim != 2 or c.ndim != 2 or not len(s) or not len(c):
+        raise InputError(
+            f"got simulations {s.shape} and controllers {c.shape}, expected non-empty (L, n_s) and (M, n_c)"
+        )
+    return s, c
 
 
 def fastest_engine(robot: Robot) -> Engine:
@@ -179,8 +187,10 @@ def fastest_engine(robot: Robot) -> Engine:
         return "native"
     import jax  # takes seconds, which bad input should not
 
+    from btr_mjx.engines import uses_doubles
+
     try:
-        _stepper(_program_inputs(robot), "lanes", bool(jax.config.read("jax_enable_x64")), guards=True)
+        _stepper(_program_inputs(robot), "lanes", uses_doubles(), guards=True)
         return "lanes"
     except UnsupportedModel:
         return "native" if jax.default_backend() == "cpu" else "mjx"
@@ -237,30 +247,16 @@ def _blocks(shape: tuple[int, ...], size: int) -> Iterator[tuple[np.ndarray, np.
 
 @dataclass(frozen=True)
 class _Runner:
-    """Runs one block: `run(models, their simulations, index of each pair's model, controllers (B, n_c))`."""
-
-    block: int
-    run: Callable[[Models, np.ndarray, np.ndarray, np.ndarray], Record]
-
-
-@dataclass(frozen=True)
-class _Block:
-    """Pairs that are simulated together; arguments of `_Runner.run`."""
+    """Runs blocks of pairs: models, their simulations, the index of each pair's model, controllers (B, n_c)."""
 
     robot: Robot
-    models: Models
-    simulations: np.ndarray
-    index: np.ndarray
-    controllers: np.ndarray
+    block: int
+    simulate: Callable[[Models, np.ndarray, np.ndarray, np.ndarray], Record]
 
-    def run(self, runner: _Runner) -> Record:
+    def __call__(self, models: Models, simulations: np.ndarray, index: np.ndarray, controllers: np.ndarray) -> Record:
         """The record, with the position of the robot's tracked point if it has one."""
-        record = runner.run(self.models, self.simulations, self.index, self.controllers)
-        return track_point(self.robot, self.models, self.index, record) if self.robot.point else record
-
-    def subset(self, rows: np.ndarray) -> "_Block":
-        """Some of the pairs."""
-        return replace(self, index=self.index[rows], controllers=self.controllers[rows])
+        record = self.simulate(models, simulations, index, controllers)
+        return track_point(self.robot, models, index, record) if self.robot.point else record
 
 
 def _replace_rows(record: Record, rows: np.ndarray, other: Record) -> Record:
@@ -286,7 +282,8 @@ def _runner(robot: Robot, engine: Engine, samples: np.ndarray, states: bool, set
                 f"engine {engine!r}: {robot.name} has a simulator of its own, which counts as 'native' and takes no "
                 "other integrator or number of threads"
             )
-        return _Runner(settings.chunk or 8192, partial(run_simulator, robot, address, samples, settings.timestep))
+        run_own = partial(run_simulator, robot, address, samples, settings.timestep)
+        return _Runner(robot, settings.chunk or 8192, run_own)
     if engine == "native":
         run_native = lambda models, _, index, controllers: native.rollout_native(  # noqa: E731
             models.base,
@@ -297,37 +294,19 @@ def _runner(robot: Robot, engine: Engine, samples: np.ndarray, states: bool, set
             base_address=address,
             record_states=states,
             start=start_of(robot),
-            settings=native.NativeSettings(settings.timestep, settings.integrator, settings.threads),
+            timestep=settings.timestep,
+            integrator=settings.integrator,
+            threads=settings.threads,
         )
-        return _Runner(settings.chunk or 256, run_native)
-    import jax
+        return _Runner(robot, settings.chunk or 256, run_native)
+    from btr_mjx.engines import uses_doubles
 
-    program = _program(
-        _program_inputs(robot), engine, len(samples), states, settings.chunk, bool(jax.config.read("jax_enable_x64"))
-    )
+    inputs = _program_inputs(robot)
+    program = _program(inputs, engine, len(samples), states, settings.chunk, uses_doubles())
     run = lambda models, _, index, controllers: program(  # noqa: E731
         {name: values[index] for name, values in models.leaves.items()}, controllers, samples
     )
-    return _Runner(program.layout.pairs, run)
-
-
-def base_address(robot: Robot) -> tuple[int, int] | None:
-    """Addresses of the base's free joint in qpos and in qvel; None for a robot with a fixed base.
-
-    Raises:
-      InputError: the robot's base body does not exist or has no free joint.
-    """
-    if robot.base_body is None:
-        return None
-    model = base_model(robot)
-    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, robot.base_body)
-    if body < 0:
-        names = ", ".join(model.body(i).name for i in range(1, model.nbody))
-        raise InputError(f"base_body: got {robot.base_body!r}, expected one of the model's bodies: {names}")
-    joint = model.body_jntadr[body]
-    if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
-        raise InputError(f"base_body: {robot.base_body!r} has no free joint; name the body that moves freely, or None")
-    return int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+    return _Runner(robot, program.layout.pairs, run)
 
 
 def _program_inputs(robot: Robot) -> Robot:

@@ -33,6 +33,7 @@ from btr_mjx.engines import (
     rollout_chunk,
     use_all_cores,
     use_compilation_cache,
+    uses_doubles,
 )
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import evaluation as behaviour
@@ -40,7 +41,7 @@ from btr_mjx.evaluation.evaluation import Engine
 from btr_mjx.evaluation.fitness import DISTANCE, FitnessFunction, Outcome
 from btr_mjx.evaluation.rowwise import rowwise
 from btr_mjx.evaluation.traced import TracedArray, in_double
-from btr_mjx.models import base_model, compile_models, start_of
+from btr_mjx.models import base_address, base_model, compile_models, start_of
 from btr_mjx.robots import Robot
 
 ModelLeaves = dict[str, Any]
@@ -178,7 +179,7 @@ def _one_pair(
     if chosen == "native":
         raise InputError("engine: got 'native', which runs outside JAX; expected 'lanes' or 'mjx', or use evaluate()")
     width = chunk or default_chunk(devices[0] if devices else jax.devices()[0])
-    address = behaviour.base_address(robot)
+    address = base_address(robot)
     nominal = compile_models(robot, robot.nominal_simulation).leaves
     needed = _influential(nominal)
     _stepper(robot, chosen)  # raises UnsupportedModel before anything is traced
@@ -214,7 +215,7 @@ def _engine(robot: Robot) -> Engine:
 
 
 def _stepper(robot: Robot, engine: Engine) -> Stepper:
-    return behaviour._stepper(behaviour._program_inputs(robot), engine, bool(jax.config.read("jax_enable_x64")))
+    return behaviour._stepper(behaviour._program_inputs(robot), engine, uses_doubles())
 
 
 def _timestep(robot: Robot) -> float:
@@ -235,10 +236,7 @@ def _influential(names: Any) -> list[str]:
 def _packed(stepper: Stepper, leaves: ModelLeaves, others: dict[str, np.ndarray]) -> Any:
     """The engine's parameters of one chunk, derived in double precision as on the host.
 
-    Args:
-      stepper: the engine.
-      leaves: traced fields (C, *field shape).
-      others: fields (*field shape) that are equal for all pairs.
+    Traced fields are (C, *field shape), the others, equal for all pairs, (*field shape).
     """
     (chunk,) = {len(value) for value in leaves.values()}
 

@@ -31,18 +31,14 @@ Kernel = Callable[..., Any]
 
 
 def rowwise(kernel: Kernel, chunk: int, devices: Sequence[jax.Device] | None = None) -> Kernel:
-    """The function of one row of a kernel that computes many rows.
+    """The function of one row of a kernel that computes `chunk` rows.
 
-    Args:
-      kernel: maps pytrees of arrays (chunk, ...) to a pytree of floating-point arrays (chunk, ...). Row i of the
-        results depends on row i of the arguments only, and has the same bits at any position.
-      chunk: number of rows of the kernel.
-      devices: devices over which the chunks of a batch are distributed; None for all of the default backend. Within
-        a `shard_map` of the caller, chunks stay on their device.
+    The kernel maps pytrees of arrays (chunk, ...) to a pytree of floating-point arrays (chunk, ...); row i of the
+    results depends on row i of the arguments only, and has the same bits at any position. Chunks of a batch are
+    distributed over the devices; within a `shard_map` of the caller they stay on their device.
 
-    Returns:
-      A function of pytrees of arrays (...), without the rows' axis. It supports `jit`, `vmap`, `jvp`, `jacfwd` and
-      their compositions. Reverse mode (`grad`, `vjp`) and `linearize` raise JAX's ValueError.
+    The function supports `jit`, `vmap`, `jvp`, `jacfwd` and their compositions. Reverse mode (`grad`, `vjp`) and
+    `linearize` raise JAX's ValueError.
     """
     traced_once = jax.jit(kernel)  # traced once: every level of vmap would trace a long kernel again
 

@@ -64,12 +64,8 @@ class TracedArray(NDArrayOperatorsMixin):
 def in_double(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function that computes in double precision, derivatives included, whatever the precision mode of JAX.
 
-    Args:
-      function: maps pytrees of floating-point arrays to such a pytree. It may use `float64` arrays; it must
-        convert its arguments to double precision and its results to the wanted precision itself.
-
-    Returns:
-      The function, for use in programs that JAX traces, with forward-mode derivatives.
+    It may use float64 arrays; it must convert its arguments to double precision and its results to the wanted precision
+    itself. Derivatives are those of forward mode.
     """
 
     def run(*arguments: Any) -> Any:

@@ -51,11 +51,7 @@ class CheckResult:
 
 
 def check_versions() -> CheckResult:
-    """Versions of Python and of all that this package's distribution requires.
-
-    Returns:
-      off where a requirement is not met, or a release is known to err.
-    """
+    """Versions of Python and of all that this package's distribution requires; off for a release known to err, too."""
     from packaging.requirements import Requirement
     from packaging.specifiers import SpecifierSet
 
@@ -84,11 +80,7 @@ def check_versions() -> CheckResult:
 
 
 def check_folder(folder: Path) -> CheckResult:
-    """Write a file where run folders are kept, or in the nearest folder above that exists.
-
-    Returns:
-      off where nothing can be written, warning where less than `FREE_SPACE` is left.
-    """
+    """Write a file where run folders are kept, or in the nearest folder above that exists."""
     folder = folder.absolute()
     folder = next(place for place in (folder, *folder.parents) if place.exists())
     probe = folder / f".btr_mjx-{os.getpid()}"
@@ -104,12 +96,7 @@ def check_folder(folder: Path) -> CheckResult:
 
 
 def run_engine_checks(names: Sequence[str], timeout: float = ENGINE_TIMEOUT) -> Mapping[str, CheckResult]:
-    """Run some of `ENGINE_CHECKS` in a process of their own, which may crash or hang.
-
-    Args:
-      names: of the checks.
-      timeout: time after which the process is killed [s].
-    """
+    """Run some of `ENGINE_CHECKS` in a process of their own, which may crash, or hang until the timeout [s]."""
     output: str | bytes | None
     try:
         done = subprocess.run(

@@ -76,11 +76,9 @@ def check_engines() -> CheckResult:
 
 
 def engine_differences() -> tuple[str, Mapping[str, float]]:
-    """Simulate a few pairs of two robots on every engine; mjx, which compiles slowly, gets the smaller one only.
+    """Precision, and by engine and robot the greatest difference from native MuJoCo: of positions [m] or angles [rad].
 
-    Returns:
-      Precision ("float32" or "float64") and, by engine and robot, the greatest difference from native MuJoCo: of
-      positions [m] or joint angles [rad].
+    A few pairs of two robots are simulated on every engine; mjx, which compiles slowly, gets the smaller one only.
     """
     import jax
     import numpy as np

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from btr_mjx.engines import UnsupportedModel, base_field, expand, possible_contacts, require_supported
 from btr_mjx.errors import InputError
 from btr_mjx.lanes.coverage import as_model
+from btr_mjx.models import write_field
 from btr_mjx.runs import available_cores
 
 if TYPE_CHECKING:
@@ -172,11 +173,7 @@ def _with_fields(m: mujoco.MjModel, fields: Mapping[str, np.ndarray]) -> mujoco.
     """A copy of the model with other values of some fields."""
     model = copy.copy(m)
     for name, value in fields.items():
-        owner, word = (model.opt, name[4:]) if name.startswith("opt.") else (model, name)
-        if value.ndim:
-            getattr(owner, word)[:] = value
-        else:
-            setattr(owner, word, float(value))
+        write_field(model, name, value)
     return model
 
 

@@ -50,17 +50,9 @@ class _Group:
 def read_controller(
     table: Mapping[str, Any], model: mujoco.MjModel, start: np.ndarray, duration: float, file: Path
 ) -> tuple[Box, Signal]:
-    """The controller space and the reference signal.
+    """The controller space and the reference signal of a [controller] table.
 
-    Args:
-      table: the [controller] table.
-      model: the robot's nominal model.
-      start: (nu,) controls that hold the robot at its start.
-      duration: of a trial [s].
-      file: the robot.toml, for messages and for files beside it.
-
-    Returns:
-      The box of the controllers and the signal.
+    `start` (nu,) are the controls that hold the robot at its start; the file is for messages and for files beside it.
 
     Raises:
       InputError: unknown keys or motors, ranges that are neither given nor follow from the model, a function whose

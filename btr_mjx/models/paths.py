@@ -141,7 +141,8 @@ class ModelPath:
             return
         array, sign = self._view(model)
         array[self.index] = sign * value
-        if (self.kind, self.attribute) == ("actuator", "kp") and not _is_pid(model, self.part):
+        pid = self.kind == "actuator" and model.actuator_dyntype[self.part] == mujoco.mjtDyn.mjDYN_PID
+        if (self.kind, self.attribute) == ("actuator", "kp") and not pid:
             model.actuator_gainprm[self.part, 0] = value
         if (self.kind, self.attribute) == ("actuator", "forcerange"):
             model.actuator_forcelimited[self.part] = 1
@@ -171,10 +172,6 @@ class ModelPath:
         elif self.kind == "joint" and self.attribute == "springref":
             row = int(model.jnt_qposadr[self.part])
         return np.atleast_1d(field[row : row + 1] if field.ndim == 1 else field[row]), 1.0
-
-
-def _is_pid(model: mujoco.MjModel, actuator: int) -> bool:
-    return bool(model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_PID)
 
 
 def parse_path(model: mujoco.MjModel, text: str) -> ModelPath:

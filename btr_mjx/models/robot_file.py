@@ -30,7 +30,7 @@ from btr_mjx.models.compilation import base_model, start_of
 from btr_mjx.models.controller_table import controls_at_start, read_controller
 from btr_mjx.models.path_parameters import KEYS, PathParameter, read_bounds, read_path_parameter
 from btr_mjx.models.paths import nearest_names
-from btr_mjx.robots import Box, Robot, Sinusoids, read_template, robot_of
+from btr_mjx.robots import Box, Robot, Sinusoids, hexapod, read_template
 from btr_mjx.runs import file_name, is_number, read_toml, toml_rows, toml_section
 
 _KEYS = ("name", "model", "base_body", "point", "duration", "keyframe", "fitness", "target", "speed_limit")
@@ -113,10 +113,13 @@ def chosen_robot(robot: Path | None, template: Path | None, duration: float | No
       InputError: both files are given, a file that cannot be read or does not fit, a duration that is not positive.
     """
     if robot is None:
-        return robot_of(template, 1.7 if duration is None else duration)
-    if template is not None:
+        found = hexapod()
+        if template is not None:
+            found = replace(found, template=read_template(template), template_path=str(template))
+    elif template is not None:
         raise InputError("--robot and --template: got both; a robot.toml names its own template (model = ...)")
-    found = load_robot(robot)
+    else:
+        found = load_robot(robot)
     return found if duration is None else replace(found, duration=duration)
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from btr_mjx.backtoreality import bound_words, growth_sentence
+from btr_mjx.backtoreality import bound_words, growth_sentence, prediction_errors
 from btr_mjx.evaluation import metrics
 from btr_mjx.gap.results import format_number
 from btr_mjx.pages.content import Section, Table, with_interval
@@ -70,7 +70,7 @@ def coevolution_sentence(run: RunData) -> str:
     """
     result, unit = run.result, f" {run.unit}".rstrip()
     tried, last = result.get("reality_evaluations", len(run.trials["f_r"])), int(run.trials["iteration"].max())
-    before, after = prediction_errors(run)[[0, -1]]
+    before, after = _errors(run)[[0, -1]]
     values = [format_number(before) + unit, format_number(after) + unit]
     text = f"With {_count(tried, 'trial')} in reality, the mean error of the predicted fitness of new controllers "
     if last == 1:
@@ -91,11 +91,8 @@ def coevolution_sentence(run: RunData) -> str:
     return text
 
 
-def prediction_errors(run: RunData) -> np.ndarray:
-    """(iterations,) mean |f_s - f_r| of the controllers of each iteration; NaN where all trials failed."""
-    gap, iteration = np.abs(run.trials["f_s"] - run.trials["f_r"]), run.trials["iteration"]
-    own = [gap[(iteration == k) & np.isfinite(gap)] for k in range(1, int(iteration.max()) + 1)]
-    return np.array([values.mean() if len(values) else np.nan for values in own])
+def _errors(run: RunData) -> np.ndarray:
+    return prediction_errors(*(run.trials[name] for name in ("f_s", "f_r", "iteration")))
 
 
 def _identified(run: RunData) -> str:
@@ -120,16 +117,13 @@ def _identified(run: RunData) -> str:
 
 
 def coevolution_content(folder: Path, run: RunData, figures: Sequence[Path]) -> dict[str, Any]:
-    """Variables of the page.
-
-    Args:
-      folder: the run folder.
-      run: its data.
-      figures: PNG files of `draw_run`.
-    """
+    """Variables of the page, with the PNG files of `draw_run`."""
     result = run.result
     unit = f" {run.unit}".rstrip()
-    last, errors = int(run.trials["iteration"].max()), prediction_errors(run)
+    last, errors = (
+        int(run.trials["iteration"].max()),
+        _errors(run),
+    )
     numbers = [("prediction error, iteration 1", f"{format_number(errors[0])}{unit}")]
     if last > 1:
         numbers.append((f"prediction error, iteration {last}", f"{format_number(errors[-1])}{unit}"))

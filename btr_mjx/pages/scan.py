@@ -30,12 +30,7 @@ STATISTIC_WORDS = {
 
 
 def scan_sentence(data: ScanData, minimum: tuple[float, float, float]) -> str:
-    """The verdict of a scan.
-
-    Args:
-      data: the scan.
-      minimum: where Delta_fitness is least, and the ends of its interval.
-    """
+    """The verdict of a scan; `minimum` is where Delta_fitness is least, and the ends of its interval."""
     unit = f" {data.parameter_unit}".rstrip()
     at, low, high = minimum
     text = f"Over {data.delta.shape[1]} behaviours, Delta_fitness is least at {data.parameter} = "
@@ -60,13 +55,7 @@ def scan_sentence(data: ScanData, minimum: tuple[float, float, float]) -> str:
 
 
 def scan_content(folder: Path, data: ScanData, figures: Sequence[Path]) -> dict[str, Any]:
-    """Variables of the page.
-
-    Args:
-      folder: the run folder.
-      data: its data.
-      figures: PNG files of `draw_scan`.
-    """
+    """Variables of the page, with the PNG files of `draw_scan`."""
     means, ends = _resampled_means(data), (0.025, 0.975)
     minima = data.grid[np.argmin(np.where(np.isfinite(means), means, np.inf), axis=1)]
     finite = np.where(np.isfinite(data.delta_fitness), data.delta_fitness, np.inf)

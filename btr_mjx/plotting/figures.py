@@ -237,11 +237,7 @@ def _finite(function: Callable[[np.ndarray], float], scores: np.ndarray) -> np.n
 def _population(
     axes: Axes, searches: Sequence[Search], offsets: list[float], best_of: Callable[[np.ndarray], float]
 ) -> list[np.ndarray]:
-    """Draw best, mean and spread of every generation of the searches.
-
-    Returns:
-      The values that determine the range of the y axis.
-    """
+    """Draw best, mean and spread of every generation; gives the values that determine the range of the y axis."""
     shown = []
     for number, (search, offset) in enumerate(zip(searches, offsets, strict=True)):
         x = offset + 1 + np.arange(len(search.scores))

@@ -23,12 +23,7 @@ UNKNOWN = (0.97, 0.80, 0.30, 1.0)
 def morphologies(robot: Robot, run: RunData) -> Figure | None:
     """Pictures of the nominal, the identified and (where known) the true morphology, to the same scale.
 
-    Args:
-      robot: the robot.
-      run: the run, for the values of the unknown parameters.
-
-    Returns:
-      The figure; None on a machine that renders nothing.
+    None on a machine that renders nothing.
     """
     nominal = robot.nominal_simulation
     # Numbers of effects that were added to the simulator change no shape.

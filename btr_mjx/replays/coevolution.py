@@ -31,18 +31,8 @@ def coevolution_replay(folder: Path, frames: int) -> Replay:
 
     Before: the controller of iteration 1 with the best predicted fitness, in the simulation of the start. After: the
     controller of the last iteration with the best measured fitness, in the identified simulation. The trials are
-    simulated again in native MuJoCo. Of a reality behind a folder those trials are shown of which it holds a recording.
-
-    Args:
-      folder: the run folder of a co-evolution that has ended.
-      frames: number of frames.
-
-    Returns:
-      A row before and a row after the co-evolution, each of the simulation and reality; one row of the two simulations
-      where nothing of reality can be shown.
-
-    Raises:
-      InputError: a robot that cannot be read or that changed since, a damaged file.
+    simulated again in native MuJoCo. Of a reality behind a folder those trials are shown of which it holds a recording;
+    where there is none, the two simulations are shown in one row.
     """
     problem = build_problem(replace(read_config(folder, CoevolveConfig), out=folder))
     check_inputs(folder, inputs_of(problem))

@@ -22,13 +22,8 @@ from btr_mjx.runs import check_inputs, content_digest, read_config_json, read_js
 def diagnosis_replay(folder: Path, frames: int, seconds: float) -> Replay:
     """The first held-out recording beside the believed and the mended model, which get its command from its start.
 
-    Args:
-      folder: the run folder of a diagnosis that has ended.
-      frames: number of frames for as long as `seconds`; fewer for a shorter recording.
-      seconds: longest part of the recording that is shown [s].
-
-    Returns:
-      One row: the recording, the believed model and, where an effect was named, the mended one.
+    At most `seconds` of it are shown, with as many `frames`, fewer of a shorter recording. The mended model is there
+    where an effect was named.
 
     Raises:
       InputError: a table of fitness, a dataset that is gone or changed since, effects that the library does not have.
@@ -68,11 +63,7 @@ def diagnosis_replay(folder: Path, frames: int, seconds: float) -> Replay:
 def open_loop_positions(world: World, recording: Recording, interpolation: Any, times: np.ndarray) -> np.ndarray:
     """Positions (F, nq) of a world that starts as a recording and gets its command; NaN once it diverged.
 
-    Args:
-      world: the world.
-      recording: the recording.
-      interpolation: of its command between samples.
-      times: (F,) after its first sample [s].
+    Times (F,) are after its first sample [s].
     """
     command = Command(recording.time, recording.ctrl, interpolation)
     start = Segments(

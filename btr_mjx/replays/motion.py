@@ -45,15 +45,9 @@ class Replay:
 
 
 def frame_times(duration: float, frames: int, timestep: float) -> np.ndarray:
-    """Times of the frames of a film after its first one, whole time steps.
+    """Ascending times [s] of the frames of a film after its first one, whole time steps; the last is the duration.
 
-    Args:
-      duration: of what is shown [s].
-      frames: number of frames, with the first one; fewer where there are fewer steps.
-      timestep: [s].
-
-    Returns:
-      (F - 1,) ascending times [s], the last one the duration.
+    There are fewer frames where there are fewer steps.
     """
     steps = max(1, round(duration / timestep))
     return np.unique(np.round(np.linspace(0, steps, min(frames, steps + 1))[1:])) * timestep

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from btr_mjx.errors import InputError
+from btr_mjx.plotting import kind_of_run
 from btr_mjx.replays.motion import Replay
-from btr_mjx.runs import read_json
 
 
 def read_replay(folder: str | Path, frames: int, seconds: float) -> Replay:
@@ -21,17 +21,12 @@ def read_replay(folder: str | Path, frames: int, seconds: float) -> Replay:
     Raises:
       InputError: no such run, a robot or dataset that is gone or changed since.
     """
-    folder = Path(folder)
-    if not (folder / "result.json").is_file():
-        raise InputError(
-            f"{folder} holds no result.json: expected a run of btr_mjx.coevolve or diagnose that has ended"
-        )
-    result = read_json(folder / "result.json")
-    if isinstance(result, dict) and "verdict" in result:
+    folder, kind = Path(folder), kind_of_run(folder)
+    if kind == "diagnose":
         from btr_mjx.replays.diagnosis import diagnosis_replay
 
         return diagnosis_replay(folder, frames, seconds)
-    if isinstance(result, dict) and "best_controller" in result:
+    if kind == "coevolve":
         from btr_mjx.replays.coevolution import coevolution_replay
 
         return coevolution_replay(folder, frames)

@@ -120,12 +120,9 @@ class Box:
                     f"Box bits of {name!r}: {b} bits over [{lo}, {hi}] are finer than float64 resolves; "
                     "use fewer bits, or measure the parameter from the middle of its range"
                 )
-        object.__setattr__(self, "names", names)
-        object.__setattr__(self, "low", bounds[0])
-        object.__setattr__(self, "high", bounds[1])
-        object.__setattr__(self, "bits", tuple(int(b) for b in bits))
-        object.__setattr__(self, "code", code)
-        object.__setattr__(self, "units", units)
+        whole = tuple(int(b) for b in bits)
+        for name, value in zip(Box.__dataclass_fields__, (names, *bounds, whole, code, units), strict=True):
+            object.__setattr__(self, name, value)
 
     def _key(self) -> tuple:
         return self.names, tuple(self.low.tolist()), tuple(self.high.tolist()), self.bits, self.code, self.units

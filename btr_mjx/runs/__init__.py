@@ -9,13 +9,12 @@ from btr_mjx.runs.atomic import atomic_write
 from btr_mjx.runs.bounded_files import (
     MAX_TABLE_BYTES,
     MAX_TEXT_BYTES,
-    check_plain,
     check_regular,
     parse_json,
     read_limited,
     read_text,
 )
-from btr_mjx.runs.checkpoints import read_checkpoint, save_checkpoint
+from btr_mjx.runs.checkpoints import read_checkpoint
 from btr_mjx.runs.checksums import check_listed, check_sums
 from btr_mjx.runs.config_json import CONFIG_NAME, config_to_json, differences, read_config, read_config_json
 from btr_mjx.runs.digests import content_digest
@@ -48,7 +47,6 @@ __all__ = [
     "check_inputs",
     "check_keys",
     "check_listed",
-    "check_plain",
     "check_regular",
     "check_sums",
     "claimed_folder",
@@ -76,7 +74,6 @@ __all__ = [
     "read_table",
     "read_text",
     "read_toml",
-    "save_checkpoint",
     "say_progress",
     "to_plain",
     "toml_rows",

@@ -83,23 +83,14 @@ class History:
         return [dict(row) for row in self._rows]
 
     def append(self, row: Mapping[str, Any]) -> None:
-        """Add a row in memory; numpy scalars and arrays become plain numbers and lists.
-
-        Raises:
-          ValueError: other columns than those of the rows before.
-          TypeError: a value that a table cannot hold.
-        """
+        """Add a row in memory, of the same columns; numpy scalars and arrays become plain numbers and lists."""
         plain = to_plain(row, strict=False)
         if self._rows and set(plain) != set(self._rows[0]):
             raise ValueError(f"{self.path.name}: expected the columns {list(self._rows[0])}, got {list(plain)}")
         self._rows.append(plain)
 
     def write(self) -> None:
-        """Replace the file by all rows so far.
-
-        Raises:
-          OSError: the file cannot be written.
-        """
+        """Replace the file by all rows so far."""
         cell = lambda value: json.dumps(value) if isinstance(value, list) else value  # noqa: E731
         write_table(self.path, [{name: cell(value) for name, value in row.items()} for row in self._rows])
 

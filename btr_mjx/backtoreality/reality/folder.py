@@ -211,11 +211,7 @@ class FolderReality:
 
 
 def _used_rows(path: Path) -> list[dict[str, str]]:
-    """Rows of a table in `used`.
-
-    Raises:
-      DamagedFile: the file was altered.
-    """
+    """Rows of a table in `used`; DamagedFile if it was altered."""
     content, _, digest = path.read_bytes().rpartition(_END.encode())
     if hashlib.sha256(content).hexdigest().encode() != digest.strip():
         raise DamagedFile(

@@ -4,7 +4,3 @@
 whose last axis is the batch, so that plain elementwise code fills the SIMD lanes of a CPU; the kinematic tree's
 sparsity is used, and the program is unrolled while JAX traces it.
 """
-
-from btr_mjx.engines.lanes.stepper import LanesStepper
-
-__all__ = ["LanesStepper"]

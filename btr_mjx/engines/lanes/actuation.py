@@ -123,7 +123,7 @@ def actuate(
 def _pulled(plan: TreePlan, pulls: Mapping[Tendon, jax.Array]) -> dict[int, Scalar]:
     """Generalised forces per dof of forces along fixed tendons."""
     found: dict[int, Scalar] = {}
-    for joint in (joint for link in plan.links for joint in link.joints):
+    for joint in plan.joints:
         rows = [total(mul(dict(t.path).get(j, 0.0), pull) for t, pull in pulls.items()) for j in joint.ids]
         if any(not is_zero(row) for row in rows):
             like = next(iter(pulls.values()))

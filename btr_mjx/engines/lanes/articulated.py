@@ -106,18 +106,6 @@ def solve_factored(
     return x, found
 
 
-def solve_articulated(
-    plan: TreePlan,
-    motions: Sequence[Motion],
-    blocks: Sequence[Block],
-    wrenches: Sequence[Spatial],
-    diagonal: Mapping[int, Scalar],
-    tau: Mapping[int, Scalar],
-) -> tuple[list[Scalar], list[Spatial]]:
-    """Accelerations of dofs and links, see `factorise` and `solve_factored`."""
-    return solve_factored(factorise(plan, motions, blocks, diagonal), wrenches, tau)
-
-
 def _dense(block: Block) -> list[list[Scalar]]:
     """Rows of the lower triangle of a 6x6 block."""
     linear, angular = full(block.linear), full(block.angular)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import mujoco
 
 from btr_mjx.engines.lanes import support
-from btr_mjx.engines.lanes.articulated import lu_solve, solve_articulated
+from btr_mjx.engines.lanes.articulated import factorise, lu_solve, solve_factored
 from btr_mjx.engines.lanes.dynamics import NO_BLOCK, System, local_rates, opposing_forces
 from btr_mjx.engines.lanes.kinematics import Motion, unit_quaternion
 from btr_mjx.engines.lanes.scalars import (
@@ -69,7 +69,7 @@ def integrate_step(
         # errors and does not need the contact forces.
         system = inertia + implicit
         wrenches, tau = opposing_forces(implicit, links, acceleration)
-        change, _ = solve_articulated(plan, motions, system.blocks, wrenches, system.diagonal, tau)
+        change, _ = solve_factored(factorise(plan, motions, system.blocks, system.diagonal), wrenches, tau)
         following = [add(a, c) for a, c in zip(acceleration, change, strict=True)]
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST:
         for link in plan.links:
@@ -89,8 +89,7 @@ def moved_coordinates(
 ) -> list[list[jax.Array]]:
     """Coordinates per joint after moving for `dt` at constant velocities (mj_integratePos)."""
     coordinates = []
-    joints = [joint for link in plan.links for joint in link.joints]
-    for joint, old in zip(joints, q, strict=True):
+    for joint, old in zip(plan.joints, q, strict=True):
         speed = [v[k] for k in joint.dofs]
         if joint.kind == BALL:
             coordinates.append(_turned(unit_quaternion(old), speed, dt))
@@ -110,7 +109,7 @@ def turning_rates(plan: TreePlan, moved: Sequence[Scalar], v: Sequence[Scalar]) 
     Runge-Kutta methods on manifolds", 1999). `moved` is u per dof, and the displacement of dofs that are no rotations.
     """
     rates = list(v)
-    for joint in (joint for link in plan.links for joint in link.joints if joint.kind in (BALL, FREE)):
+    for joint in (joint for joint in plan.joints if joint.kind in (BALL, FREE)):
         dofs = joint.dofs[-3:]
         u, w = [moved[k] for k in dofs], [v[k] for k in dofs]
         square = u[0] * u[0] + u[1] * u[1] + u[2] * u[2]

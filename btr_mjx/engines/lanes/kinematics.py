@@ -209,8 +209,7 @@ def path_motion(
     weights = dict(path)
     length: Scalar = 0.0
     velocity: Scalar = 0.0
-    joints = [joint for link in plan.links for joint in link.joints]
-    for joint, here in zip(joints, q, strict=True):
+    for joint, here in zip(plan.joints, q, strict=True):
         for member, j in enumerate(joint.ids):
             if j in weights:
                 row = lambda x: x[member] if x.ndim == 2 else x  # noqa: B023, E731

@@ -21,7 +21,7 @@ from btr_mjx.engines.lanes.contact_parameters import (
     touch_parameters,
 )
 from btr_mjx.engines.lanes.fields import Fields, apply_matrix, rigid_pose, rigid_root, rotation_matrices
-from btr_mjx.engines.lanes.scalars import Scalar, constant
+from btr_mjx.engines.lanes.scalars import SIX, Scalar, constant
 from btr_mjx.engines.lanes.tree import BALL, FREE, Joint, TreePlan, massive_members, rigid_members
 
 
@@ -39,7 +39,7 @@ def _inertia(model: mujoco.MjModel, fields: Fields, body: int) -> dict[str, np.n
         square = (c * c).sum(-1)[..., None, None] * np.eye(3) - c[..., :, None] * c[..., None, :]
         own, h = own + mass[..., 0], h + mass * c
         tensor = tensor + about + mass[..., None] * square
-    six = [tensor[..., i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    six = [tensor[..., i, j] for i, j in SIX]
     return {"mass": own[..., None], "h": h, "inertia": np.stack(six, -1)}
 
 

@@ -26,6 +26,10 @@ ZERO: list[float] = [0.0, 0.0, 0.0]
 UNIT: list[list[float]] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
 
+SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+"""Row and column of each entry of a symmetric 3x3 matrix."""
+
+
 def constant(values: Any) -> Scalar:
     """A constant scalar: a float if all members of the group agree, else an array of shape (G, 1)."""
     values = np.asarray(values, np.float64)
@@ -187,7 +191,7 @@ def padded(v: Vector, size: int) -> list[Scalar]:
 def sandwich(m: Matrix, s: Symmetric) -> list[Scalar]:
     """M S M^T for a symmetric S, as a symmetric matrix."""
     half = [matvec(full(s), row) for row in m]
-    return [dot(m[i], half[j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    return [dot(m[i], half[j]) for i, j in SIX]
 
 
 def axis_rotation(axis: Vector, sine: Scalar, cosine: Scalar) -> list[list[Scalar]]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from btr_mjx.engines.lanes.kinematics import Motion
 from btr_mjx.engines.lanes.scalars import (
+    SIX,
     ZERO,
     Matrix,
     Scalar,
@@ -32,8 +33,6 @@ from btr_mjx.engines.lanes.tree import Link, TreePlan
 
 type Spatial = tuple[Vector, Vector]
 """Linear and angular acceleration, or force and torque."""
-
-_SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 @dataclass(frozen=True)
@@ -65,9 +64,9 @@ class Block:
     def rank_one_downdate(self, u: Spatial, inverse: Scalar) -> "Block":
         """The block minus u u^T / d: the articulated inertia after one dof is eliminated; `inverse` is 1 / d."""
         (f, n), (g, o) = u, (scale(inverse, u[0]), scale(inverse, u[1]))
-        linear = [sub(x, mul(f[i], g[j])) for x, (i, j) in zip(self.linear, _SIX, strict=True)]
+        linear = [sub(x, mul(f[i], g[j])) for x, (i, j) in zip(self.linear, SIX, strict=True)]
         mixed = [[sub(self.mixed[i][j], mul(f[i], o[j])) for j in range(3)] for i in range(3)]
-        angular = [sub(x, mul(n[i], o[j])) for x, (i, j) in zip(self.angular, _SIX, strict=True)]
+        angular = [sub(x, mul(n[i], o[j])) for x, (i, j) in zip(self.angular, SIX, strict=True)]
         return Block(linear, mixed, angular)
 
     def shifted(self, arm: Vector) -> "Block":
@@ -77,7 +76,7 @@ class Block:
         mixed = [vsub(row, cross(k, arm)) for row, k in zip(self.mixed, full(self.linear), strict=True)]
         first = [cross(column, arm) for column in transpose(self.mixed)]
         second = transpose([cross(arm, column) for column in transpose(mixed)])
-        angular = [add(sub(x, first[i][j]), second[i][j]) for x, (i, j) in zip(self.angular, _SIX, strict=True)]
+        angular = [add(sub(x, first[i][j]), second[i][j]) for x, (i, j) in zip(self.angular, SIX, strict=True)]
         return Block(self.linear, mixed, angular)
 
     def scalars(self) -> list[Scalar]:
@@ -94,7 +93,7 @@ def point_block(k: Symmetric, x: Vector) -> Block:
     """The block of a 3x3 stiffness `k` at a point `x` relative to the origin."""
     mixed = [cross(x, row) for row in full(k)]
     columns = [cross(x, column) for column in transpose(mixed)]
-    return Block(k, mixed, [columns[j][i] for i, j in _SIX])
+    return Block(k, mixed, [columns[j][i] for i, j in SIX])
 
 
 def rigid_block(mass: Scalar, h: Vector, inertia: Symmetric) -> Block:

@@ -10,7 +10,7 @@ import numpy as np
 
 from btr_mjx.engines.lanes.actuation import group_rows
 from btr_mjx.engines.lanes.constraints.solver import Zones
-from btr_mjx.engines.lanes.tree import Joint, TreePlan
+from btr_mjx.engines.lanes.tree import TreePlan
 
 
 @jax.tree_util.register_dataclass
@@ -38,10 +38,6 @@ class LanesState:
     """Whether the bound of a guarded pair was crossed at the start of some step, bool (C,)."""
 
 
-def _joints(plan: TreePlan) -> list[Joint]:
-    return [joint for link in plan.links for joint in link.joints]
-
-
 def split_rows(
     model: mujoco.MjModel, plan: TreePlan, qpos: jax.Array, qvel: jax.Array, act: jax.Array | None
 ) -> tuple[list[list[jax.Array]], list[jax.Array], list[jax.Array]]:
@@ -50,7 +46,7 @@ def split_rows(
     Without activations these are zero.
     """
     q, v, acts = [], [], [jnp.zeros(0)] * plan.states
-    for joint in _joints(plan):
+    for joint in plan.joints:
         positions, dofs = (np.array([adr[j] for j in joint.ids]) for adr in (model.jnt_qposadr, model.jnt_dofadr))
         q.append([group_rows(qpos, positions + i) for i in range(joint.coordinates)])
         v += [group_rows(qvel, dofs + i) for i in range(len(joint.dofs))]
@@ -65,7 +61,7 @@ def positions_in_order(model: mujoco.MjModel, plan: TreePlan, state: LanesState)
     """Generalised positions (nq, C), MuJoCo's order and conventions."""
     found = [
         (model.jnt_qposadr[j] + i, x, member)
-        for joint, xs in zip(_joints(plan), state.q, strict=True)
+        for joint, xs in zip(plan.joints, state.q, strict=True)
         for i, x in enumerate(xs)
         for member, j in enumerate(joint.ids)
     ]
@@ -76,7 +72,7 @@ def dofs_in_order(model: mujoco.MjModel, plan: TreePlan, values: Sequence[jax.Ar
     """Values per dof of the plan as one array (nv, C), MuJoCo's order."""
     found = [
         (model.jnt_dofadr[j] + i, values[k], member)
-        for joint in _joints(plan)
+        for joint in plan.joints
         for i, k in enumerate(joint.dofs)
         for member, j in enumerate(joint.ids)
     ]

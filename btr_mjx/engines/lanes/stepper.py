@@ -80,7 +80,6 @@ class LanesStepper:
         model: mujoco.MjModel,
         varying: Iterable[str] | Mapping[str, np.ndarray] = (),
         *,
-        max_newton: int = 20,
         dtype: Any = None,
         guards: bool = False,
     ):
@@ -91,7 +90,6 @@ class LanesStepper:
           varying: fields that differ between worlds, by MjModel's names ("opt.gravity" for options). As a mapping, the
             values are bool arrays of the field's shape: the elements that may differ. Fields without influence on the
             motion (colours, bounding boxes, ...) are ignored.
-          max_newton: maximum number of solver iterations per step.
           dtype: float32 or float64; None for JAX's default.
           guards: whether a model with contacts that may not be computed is accepted: those of other geoms are guarded,
             those of spheres and capsules with each other have a limited number of slots. `tripped` tells the worlds in
@@ -102,7 +100,7 @@ class LanesStepper:
             not differ between worlds.
           ValueError: a mask of `varying` has the wrong shape.
         """
-        self._model, self._dtype, self._max_newton = model, np.dtype(dtype or jnp.result_type(float)), max_newton
+        self._model, self._dtype = model, np.dtype(dtype or jnp.result_type(float))
         self.nq, self.nv, self.nu = int(model.nq), int(model.nv), int(model.nu)
         self._elliptic = bool(model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC)
         self.timestep = float(model.opt.timestep)
@@ -281,7 +279,7 @@ class LanesStepper:
         constraints, doubtful = self._constraints(parameters, q, v, moving, placed)
         guess = world_rates(plan, moving, state.acceleration)
         found, capped, zones = constrained_acceleration(
-            ConstraintProblem(plan, moving, constraints, bodies, wrenches, tau), guess, state.zones, self._max_newton
+            ConstraintProblem(plan, moving, constraints, bodies, wrenches, tau), guess, state.zones
         )
         tripped = state.tripped | doubtful | crossed(self.guards, placed, self._dtype)
         return _Forward(moving, bodies, damping, actuation, medium and medium[1], found, capped, zones, tripped)

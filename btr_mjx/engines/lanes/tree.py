@@ -134,9 +134,14 @@ class TreePlan:
     equalities: tuple[Equality, ...] = ()
 
     @property
+    def joints(self) -> list[Joint]:
+        """All joints, in link order."""
+        return [joint for link in self.links for joint in link.joints]
+
+    @property
     def actuators(self) -> list[Actuator]:
         """All actuators."""
-        own = [actuator for link in self.links for joint in link.joints for actuator in joint.actuators]
+        own = [actuator for joint in self.joints for actuator in joint.actuators]
         return own + [actuator for tendon in self.tendons for actuator in tendon.actuators]
 
 

@@ -6,8 +6,7 @@ Delta_fitness = mean of abs(f_s - f_r), on the trials to fit and on held-out tri
 
 from btr_mjx.gap.fitness_only.screen import COARSE_FACTORS, CandidateResponses, simulate_candidates
 from btr_mjx.gap.fitness_only.search import SCREENING_TRIALS, expected_steps, identify_fitness
-from btr_mjx.gap.fitness_only.table import FitnessTable, load_fitness, save_fitness
-from btr_mjx.gap.fitness_only.table_checks import preflight_fitness
+from btr_mjx.gap.fitness_only.table import FitnessTable, load_fitness, preflight_fitness, save_fitness
 from btr_mjx.gap.fitness_only.trials import TrialSimulator
 
 __all__ = [

@@ -1,7 +1,7 @@
 """The diagnosis of a search by fitness: a ranking, and a name where Delta_fitness falls on both sides of the split."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -30,10 +30,6 @@ class ValuedCandidate:
     values: tuple[float, ...]
     delta: float = float("nan")
 
-    def with_delta(self, delta: float) -> "ValuedCandidate":
-        """A copy with its Delta_fitness [m/s]."""
-        return replace(self, delta=delta)
-
     def apply(self, trials: TrialSimulator) -> World:
         """The believed model with the effect at these values."""
         return self.candidate.apply(World.of(trials.table.head.model), self.values)
@@ -50,17 +46,10 @@ def as_diagnosis(
 ) -> Diagnosis:
     """The diagnosis of a search by fitness.
 
-    Args:
-      refined: leaders that were simulated at the model's own time step on all trials to fit, best first.
-      ends: their Delta_fitness on the held-out trials [m/s].
-      rest: other candidates, with an estimate of their Delta_fitness.
-      believed: Delta_fitness of the believed model on the trials to fit and on the held-out trials [m/s].
-      floor: change of the fitness by half the time step [m/s].
-      trials: simulator of the table's trials.
-      seconds: duration of the search [s].
-
-    Returns:
-      The diagnosis; its verdict is "effect" or "none".
+    Refined leaders, best first, were simulated at the model's own time step on all trials to fit; `ends` are their
+    Delta_fitness on the held-out trials, `rest` other candidates with an estimate. `believed` has Delta_fitness of the
+    believed model on the trials to fit and on the held-out ones, `floor` is the change of the fitness by half the time
+    step [m/s].
     """
     nan = float("nan")
     rows = []

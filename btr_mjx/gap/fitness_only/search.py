@@ -12,6 +12,7 @@ from no missing effect.
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -135,7 +136,7 @@ def _narrow(
     worlds = [t.apply(trials) for t in tries]
     rows, real = responses.rows, wanted[responses.rows]
     change = trials.fitness(worlds, rows, responses.timestep) - responses.believed
-    return _best([t.with_delta(_delta(row, real, trials)) for t, row in zip(tries, change, strict=True)])
+    return _best([replace(t, delta=_delta(row, real, trials)) for t, row in zip(tries, change, strict=True)])
 
 
 def _refine(trials: TrialSimulator, leaders: Sequence[ValuedCandidate], fit: np.ndarray) -> list[ValuedCandidate]:
@@ -144,7 +145,7 @@ def _refine(trials: TrialSimulator, leaders: Sequence[ValuedCandidate], fit: np.
     def simulated(tries: Sequence[ValuedCandidate]) -> list[ValuedCandidate]:
         found = trials.fitness([t.apply(trials) for t in tries], fit)
         real = trials.table.fitness[fit]
-        return [t.with_delta(_delta(row, real, trials)) for t, row in zip(tries, found, strict=True)]
+        return [replace(t, delta=_delta(row, real, trials)) for t, row in zip(tries, found, strict=True)]
 
     first = _best(simulated(leaders))
     best = first[0]

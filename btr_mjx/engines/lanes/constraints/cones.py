@@ -16,7 +16,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from btr_mjx.engines.lanes.parameters import Parameters
 from btr_mjx.engines.lanes.scalars import (
+    SIX,
     Matrix,
     Scalar,
     Symmetric,
@@ -28,6 +30,7 @@ from btr_mjx.engines.lanes.scalars import (
     matmul,
     matvec,
     mul,
+    neg,
     padded,
     sandwich,
     sub,
@@ -49,14 +52,13 @@ def impedance(parameters: Sequence[Scalar], depth: Scalar) -> Scalar:
     Its parameters are dmin, dmax, width, midpoint and power.
     """
     low, high, width, middle, power = parameters
-    x = jnp.minimum(jnp.abs(mul(_inverse(width), depth)), 1.0)
+    x = jnp.minimum(jnp.abs(mul(1.0 / width, depth)), 1.0)
     rest = sub(1.0, x)
-    shape = power if isinstance(power, float) else None
-    if shape == 1.0:
+    if isinstance(power, float) and power == 1.0:
         y = x
-    elif shape == 2.0:
-        upper = sub(1.0, mul(_inverse(sub(1.0, middle)), mul(rest, rest)))
-        y = jnp.where(_below(x, middle), mul(_inverse(middle), mul(x, x)), upper)
+    elif isinstance(power, float) and power == 2.0:
+        upper = sub(1.0, mul(1.0 / sub(1.0, middle), mul(rest, rest)))
+        y = jnp.where(sub(x, middle) <= 0, mul(1.0 / middle, mul(x, x)), upper)
     else:
         ones = jnp.ones_like(x)
         middle, power = mul(middle, ones), mul(power, ones)
@@ -65,12 +67,12 @@ def impedance(parameters: Sequence[Scalar], depth: Scalar) -> Scalar:
     return add(low, mul(y, sub(high, low)))
 
 
-def _inverse(a: Scalar) -> Scalar:
-    return 1.0 / a
-
-
-def _below(x: jax.Array, limit: Scalar) -> jax.Array:
-    return sub(x, limit) <= 0
+def constraint_law(parameters: Parameters, prefix: str, beyond: Scalar, speed: Scalar) -> tuple[Scalar, Scalar]:
+    """Weight and reference acceleration of a row at a violation and its rate (mj_makeImpedance)."""
+    imp = impedance(parameters[f"{prefix}impedance"], beyond)
+    stiffness, damping = parameters[f"{prefix}reference"]
+    weight = mul(parameters.one(f"{prefix}scale"), imp / (1.0 - imp))
+    return weight, sub(mul(neg(damping), speed), mul(mul(stiffness, imp), beyond))
 
 
 _KINDS = (0, 0, 1, 2, 2)
@@ -260,15 +262,10 @@ class Contact:
             return point_block(sandwich(across, stiffness), self.x), (f, cross(self.x, f))
         rows = [padded(row, 6) for row in full(stiffness)]
         rows += [[0.0] * 6] * (6 - len(rows))
-        linear, angular = (sandwich(across, _packed([row[k : k + 3] for row in rows[k : k + 3]])) for k in (0, 3))
+        linear, angular = (sandwich(across, [rows[k + i][k + j] for i, j in SIX]) for k in (0, 3))
         mixed = matmul(across, matmul([row[3:] for row in rows[:3]], self.cone.frame))
         torque = vadd(matvec(across, padded(force[3:], 3)), cross(self.x, f))
         return Block(linear, mixed, angular).shifted(self.x), (f, torque)
-
-
-def _packed(m: Matrix) -> list[Scalar]:
-    """A symmetric 3x3 matrix from its rows."""
-    return [m[i][j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
 
 
 def make_cone(

@@ -9,7 +9,7 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 
-from btr_mjx.engines.lanes.constraints.cones import ZoneModel, impedance
+from btr_mjx.engines.lanes.constraints.cones import ZoneModel, constraint_law
 from btr_mjx.engines.lanes.kinematics import axis_angle, unit_quaternion
 from btr_mjx.engines.lanes.parameters import Parameters
 from btr_mjx.engines.lanes.scalars import Scalar, add, mul, neg, sub
@@ -116,8 +116,5 @@ def dof_constraints(
 
 def _limit(parameters: Parameters, key: str, dof: int, sign: float, distance: Scalar, v: jax.Array) -> Limit:
     beyond = sub(distance, parameters.one(f"{key}/limit_margin"))
-    imp = impedance(parameters[f"{key}/limit_impedance"], beyond)
-    stiffness, damping = parameters[f"{key}/limit_reference"]
-    strength = mul(parameters.one(f"{key}/limit_scale"), imp / (1.0 - imp))
-    reference = sub(mul(neg(damping), mul(sign, v)), mul(mul(stiffness, imp), beyond))
+    strength, reference = constraint_law(parameters, f"{key}/limit_", beyond, mul(sign, v))
     return Limit(dof, sign, jnp.where(beyond < 0, strength, 0), reference)

@@ -15,7 +15,7 @@ import numpy as np
 
 from btr_mjx.engines.guards.places import member, stack_rows
 from btr_mjx.engines.lanes.constraints.body_contacts import Column, Coupling
-from btr_mjx.engines.lanes.constraints.cones import Cone, Frictionless, ZoneModel, impedance
+from btr_mjx.engines.lanes.constraints.cones import Cone, Frictionless, ZoneModel, constraint_law
 from btr_mjx.engines.lanes.constraints.dof_constraints import Friction
 from btr_mjx.engines.lanes.kinematics import path_motion
 from btr_mjx.engines.lanes.parameters import Parameters
@@ -69,21 +69,13 @@ class _Rows:
     ):
         self.plan, self.parameters, self.q, self.v = plan, parameters, q, v
         self.lanes, self.dtype = v[0].shape[-1], dtype
-        joints = (joint for link in plan.links for joint in link.joints)
-        ids = {(joint.dofs[0], n): j for joint in joints for n, j in enumerate(joint.ids)}
+        ids = {(joint.dofs[0], n): j for joint in plan.joints for n, j in enumerate(joint.ids)}
         self.columns = [(ids.get((column.dof, column.member), -1), column) for column in columns]
 
     def motion(self, paths: Sequence[Path]) -> list[jax.Array]:
         """Lengths and velocities of paths, (K, C)."""
         found = [path_motion(self.plan, path, self.q, self.v) for path in paths]
         return [stack_rows(rows, self.lanes, self.dtype) for rows in zip(*found, strict=True)]
-
-    def law(self, key: str, beyond: jax.Array, speed: Scalar) -> tuple[Scalar, Scalar]:
-        """Weight and reference acceleration at a violation and its rate (mj_makeImpedance, mj_referenceConstraint)."""
-        imp = impedance(self.parameters[f"{key}/impedance"], beyond)
-        stiffness, damping = self.parameters[f"{key}/reference"]
-        reference = sub(mul(neg(damping), speed), mul(mul(stiffness, imp), beyond))
-        return mul(self.parameters.one(f"{key}/scale"), imp / (1.0 - imp)), reference
 
     def coupling(
         self, jacobian: _Jacobian, kind: type[Cone], weight: Scalar, reference: Scalar, *more: Scalar
@@ -108,7 +100,9 @@ class _Rows:
         for power in (3, 2, 1, 0):
             value = add(polynomial[power], mul(x, value))
             slope = add(mul(float(power), polynomial[power]), mul(x, slope)) if power else slope
-        weight, reference = self.law("equality", sub(sub(one, zero[0]), value), sub(rate, mul(slope, other_rate)))
+        weight, reference = constraint_law(
+            self.parameters, "equality/", sub(sub(one, zero[0]), value), sub(rate, mul(slope, other_rate))
+        )
         jacobian: _Jacobian = []
         for k, (first, second) in enumerate(sides):
             row: dict[int, Scalar] = dict(first)
@@ -125,7 +119,7 @@ class _Rows:
         sign = np.array(signs)[:, None]
         bound, margin = (self.parameters.one(f"tendon_limit/{key}") for key in ("bound", "margin"))
         beyond = sub(mul(sign, sub(length, bound)), margin)
-        weight, reference = self.law("tendon_limit", beyond, mul(sign, rate))
+        weight, reference = constraint_law(self.parameters, "tendon_limit/", beyond, mul(sign, rate))
         jacobian = [{j: s * factor for j, factor in path} for s, path in zip(signs, paths, strict=True)]
         return self.coupling(jacobian, Frictionless, jnp.where(beyond < 0, weight, 0), reference)
 

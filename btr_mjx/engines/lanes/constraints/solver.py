@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from btr_mjx.engines.lanes.articulated import factorise, solve_articulated, solve_factored
+from btr_mjx.engines.lanes.articulated import factorise, solve_factored
 from btr_mjx.engines.lanes.constraints.body_contacts import Coupling, over_slots
 from btr_mjx.engines.lanes.constraints.cones import Cone, Contact, ZoneModel
 from btr_mjx.engines.lanes.constraints.coupled import solve_coupled
@@ -44,6 +44,9 @@ from btr_mjx.engines.lanes.scalars import (
 from btr_mjx.engines.lanes.spatial import Spatial, generalised_force, propagate
 from btr_mjx.engines.lanes.tree import TreePlan
 from btr_mjx.engines.rewriting import retrace
+
+_MAX_NEWTON = 20
+"""Iterations of a step."""
 
 _LINE_ITERATIONS = 10
 """Iterations of the line search."""
@@ -162,17 +165,17 @@ def constrained_acceleration(
     problem: ConstraintProblem,
     guess: Sequence[jax.Array],
     zones: Zones,
-    max_newton: int,
 ) -> tuple[list[jax.Array], jax.Array, Zones]:
     """The solution of the constraint problem: accelerations per dof, worlds (C,) that did not converge, and its zones.
 
     The guess is initial accelerations per dof, (C,) or (G, C); zones are those of the last step, all False at the
     first.
     """
-    plan, motions, constraints, inertia = problem.plan, problem.motions, problem.constraints, problem.inertia
+    plan, motions, constraints = problem.plan, problem.motions, problem.constraints
     lanes = guess[0].shape[-1]
     if not constraints:
-        solution, _ = solve_articulated(plan, motions, inertia.blocks, problem.wrenches, inertia.diagonal, problem.tau)
+        factors = factorise(plan, motions, problem.inertia.blocks, problem.inertia.diagonal)
+        solution, _ = solve_factored(factors, problem.wrenches, problem.tau)
         return [array(x, g.shape, g.dtype) for x, g in zip(solution, guess, strict=True)], jnp.zeros(lanes, bool), []
     search = not all(_law(c).quadratic for c in constraints)
 
@@ -197,7 +200,7 @@ def constrained_acceleration(
         return count + 1, moved, a, following
 
     def searching(carry: tuple) -> jax.Array:
-        return jnp.any(carry[1]) & (carry[0] < max_newton)
+        return jnp.any(carry[1]) & (carry[0] < _MAX_NEWTON)
 
     start = shaped(_models(constraints, guess, propagate(plan, motions, guess)))
     if not search:  # with a line search the zones must be those of the initial accelerations
