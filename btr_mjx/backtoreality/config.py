@@ -120,11 +120,7 @@ def setting_of_robot(robot: Robot) -> dict[str, Any]:
 
 
 def build_problem(config: CoevolveConfig, robot: Robot | None = None) -> Problem:
-    """The problem that a config defines; writes no files.
-
-    Args:
-      config: the settings.
-      robot: the robot where the config's `robot` is not a file, see `setting_of_robot`.
+    """The problem that a config defines, of a robot where the config names no file; writes no files.
 
     Raises:
       InputError: a setting that is out of its range.

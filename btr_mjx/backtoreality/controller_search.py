@@ -59,14 +59,9 @@ def select_transferable(
     Equal genomes count once. If the last generation has too few, the best ones of the generation before are added, and
     so on.
 
-    Args:
-      genomes: (g, M, bits) generations in order.
-      scores: (g, M) fitness in simulation.
-      trials: m, number of controllers to select.
-      maximise: whether larger is better.
-
     Returns:
-      (m', bits) genomes and (m',) scores with m' <= m, best first within each generation.
+      (m', bits) genomes and (m',) scores of genomes (g, M, bits) and scores (g, M), at most `trials`, best first within
+      each generation.
     """
     chosen: dict[bytes, tuple[np.ndarray, float]] = {}
     for generation, values in zip(genomes[::-1], scores[::-1], strict=True):

@@ -12,14 +12,9 @@ from btr_mjx.models import nearest_names
 
 
 def typed_settings(config: type, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings that were given in Python, as a command line would give them.
+    """Settings that were given in Python, with the types of a config's fields, as a command line would give them.
 
-    Args:
-      config: a flat dataclass of bools, numbers, texts, choices, paths and tuples of these.
-      given: some of its fields; a text may stand for a path, and one value or a list for a tuple.
-
-    Returns:
-      The same with the types of the fields.
+    A text may stand for a path, and one value or a list for a tuple.
 
     Raises:
       InputError: a name that is no field, a value of another type, or none of the choices.

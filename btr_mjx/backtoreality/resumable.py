@@ -17,17 +17,10 @@ from btr_mjx.runs import RunFolder, StopRequest, content_digest, note, progress,
 
 
 def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: bool, wait: bool = False) -> State:
-    """Run a co-evolution from the last checkpoint of its folder to the end.
+    """The last state of a co-evolution that is run from the last checkpoint of its folder to the end.
 
-    Args:
-      problem: the problem.
-      run: folder of checkpoints, generations.csv, iterations.csv and the archives of both searches.
-      stop: checked after every piece of work.
-      show: whether a progress bar is shown.
-      wait: whether measurements that are missing are waited for.
-
-    Returns:
-      The last state.
+    The folder gets checkpoints, generations.csv, iterations.csv and the archives of both searches. With `wait`,
+    measurements that are missing are waited for.
 
     Raises:
       Waiting: measurements are missing, and not waited for; a resumed run asks for the same ones.

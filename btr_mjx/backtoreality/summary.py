@@ -102,15 +102,12 @@ def prediction_errors(f_s: np.ndarray, f_r: np.ndarray, iteration: np.ndarray) -
 def similar_ranges(folder: Path, result: dict[str, Any]) -> dict[str, list[float]]:
     """What the trials leave open: extent of the simulations that fit them nearly as well as the identified one.
 
-    Of the last search of step 3, since distances to other trials cannot be compared.
-
-    Args:
-      folder: the run folder, with its archives of simulations.
-      result: from `summarise`.
+    Of the last search of step 3, since distances to other trials cannot be compared. It is no confidence interval: it
+    depends on what was tried.
 
     Returns:
       Unknown parameter -> [lowest, highest] value among all simulations tried whose distance is at most twice the
-      least, and the identified one. It is no confidence interval: it depends on what was tried.
+      least, and the identified one.
     """
     archives = [read_arrays(path) for path in folder.glob(f"simulations-{result['iterations']:03d}*.npz")]
     archive = max(archives, key=lambda arrays: len(arrays["names"]))  # the search after a growth has more numbers

@@ -33,11 +33,7 @@ class MjxStepper:
     """
 
     def __init__(self, model: mujoco.MjModel, varying: frozenset[str]) -> None:
-        """Prepare a model.
-
-        Args:
-          model: the base model.
-          varying: names of the fields that `pack` will receive.
+        """Prepare a model, with the names of the fields that `pack` will receive.
 
         Raises:
           UnsupportedModel: a feature that MJX does not compute.

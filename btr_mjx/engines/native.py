@@ -118,12 +118,7 @@ _INVALID_STATE_WARNINGS = [
 
 
 def expand(batch: Batch, leaves: Leaves) -> None:
-    """Write the fields in which models differ into a batch of MuJoCo.
-
-    Args:
-      batch: the batch of B simulations.
-      leaves: MjModel field -> (B, *field shape); "stat.<name>" is skipped, since a batch holds no statistics.
-    """
+    """Write the fields in which models differ, (B, *field shape), into a batch of MuJoCo, which holds no statistics."""
     for name, values in leaves.items():
         if not name.startswith("stat."):
             batch.expand(name)[...] = values

@@ -26,10 +26,6 @@ ROUNDING = 1e-9
 def field_ends(low: mujoco.MjModel, high: mujoco.MjModel) -> dict[str, tuple[float, float]]:
     """Numbers in which two models of the same structure differ by more than rounding, derived constants included.
 
-    Args:
-      low: the model where the parameter is at the low end.
-      high: likewise at the high end.
-
     Returns:
       Values at both ends by path: `option/density`, `dof_damping[3]`, `geom_friction[2][0]`.
     """
@@ -43,14 +39,7 @@ def field_ends(low: mujoco.MjModel, high: mujoco.MjModel) -> dict[str, tuple[flo
 
 
 def is_linear(ends: Ends, share: float, low: mujoco.MjModel, between: mujoco.MjModel) -> bool:
-    """Whether a model between both ends is near the straight line: numbers that jump or turn back are not.
-
-    Args:
-      ends: from `field_ends`.
-      share: position of the model between the ends, in [0, 1].
-      low: the model at the low end.
-      between: the model there.
-    """
+    """Whether a model at a share in [0, 1] between both ends is near the straight line, unlike numbers that jump."""
     actual = {path: b for path, (_, b) in field_ends(low, between).items()}
     return all(
         abs(a + share * (b - a) - actual.get(path, a)) <= LINEARITY * abs(b - a) for path, (a, b) in ends.items()

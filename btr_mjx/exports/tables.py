@@ -39,13 +39,9 @@ _USE = (
 
 
 def write_exports(folder: Path, parameters: Sequence[ExportedParameter]) -> None:
-    """Write parameters.csv, parameters.json and, where there are ranges, randomisation.json.
+    """Write parameters.csv, parameters.json and, where parameters have paths and an interval, randomisation.json.
 
     Nothing is written where there are no parameters.
-
-    Args:
-      folder: the run folder.
-      parameters: what was identified. Those with paths and an interval get a range in randomisation.json.
 
     Raises:
       OSError: the folder cannot be written to.

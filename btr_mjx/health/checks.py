@@ -147,15 +147,7 @@ CHECKS = ("versions", "runs", *ENGINE_CHECKS)
 
 
 def run_checks(folder: Path, names: Sequence[str]) -> Iterator[tuple[str, CheckResult]]:
-    """Run checks in the order of `CHECKS`.
-
-    Args:
-      folder: where run folders are kept.
-      names: of the checks.
-
-    Yields:
-      Name and result of each.
-    """
+    """Names and results of checks, in the order of `CHECKS`; `folder` is where run folders are kept."""
     if "versions" in names:
         yield "versions", run_check(check_versions)
     if "runs" in names:

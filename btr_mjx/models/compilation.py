@@ -94,12 +94,7 @@ def start_of(robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
 
 
 def compile_mjcf(robot: Robot, xml: str, general: bool = False) -> mujoco.MjModel:
-    """Compile rendered MJCF.
-
-    Args:
-      robot: for the folder of included files, and for messages.
-      xml: the rendered text.
-      general: no body counts as simple.
+    """Compile rendered MJCF; if general, no body counts as simple.
 
     Raises:
       InputError: MuJoCo rejects it; the message has the template's name, the line number and the line's text.

@@ -228,11 +228,7 @@ def parse_path(model: mujoco.MjModel, text: str) -> ModelPath:
 
 
 def set_values(model: mujoco.MjModel, values: Mapping[str, float]) -> None:
-    """Set numbers of a model in place and update its derived constants (mj_setConst).
-
-    Args:
-      model: the model.
-      values: path -> value.
+    """Set numbers of a model by path in place, and update its derived constants (mj_setConst).
 
     Raises:
       InputError: see `parse_path` and `ModelPath.write`.

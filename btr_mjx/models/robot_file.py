@@ -63,29 +63,29 @@ def load_robot(path: str | Path) -> Robot:
     rows = toml_rows(table, "parameter", file)
     if not rows:
         raise InputError(f"{file}: there is no [[parameter]]; name at least one unknown number of the model")
-    draft = _Draft(file, source, read_template(source), plain, _constants(table, file))
-    draft = draft.with_template_parameters([row for row in rows if "path" not in row])
-    model = draft.model()
-    parameters = [_parameter(draft, row, i, model) for i, row in enumerate(rows, 1)]
     text, number = _of(table, str, "a text", file), _of(table, (int, float), "a number", file)
-    robot = Robot(
-        name=text("name", file.parent.resolve().name if file.stem == "robot" else file.stem),
-        template=draft.text,
+    known = [_template_parameter(row, plain, source, file) for row in rows if "path" not in row]
+    draft = Robot(
+        name="draft",
+        template=read_template(source),
         template_path=str(source),
-        simulation_box=Box(
-            [p.name for p in parameters],
-            [p.low for p in parameters],
-            [p.high for p in parameters],
-            units=[p.unit for p in parameters],
-        ),
+        simulation_box=_box(known or [_Parameter("none", 0.0, 1.0, 0.0, "")]),
         controller_box=Box(["none"], 0.0, 1.0),
         signal=Sinusoids((), (), (), -1, 1.0, (), (), ()),
-        nominal=tuple(p.nominal for p in parameters),
-        constants=draft.constants,
-        base_body=_checked_base(model, text("base_body", ""), text("point", ""), file),
-        edits=tuple(p.edit for p in parameters if p.edit is not None),
+        nominal=tuple(p.nominal for p in known) or (0.0,),
+        constants=_constants(table, file),
         folder=str(source.parent.resolve()),
         plain=plain,
+    )
+    model = base_model(draft)
+    parameters = [_parameter(known, row, f"{file}: [[parameter]] {i}", model) for i, row in enumerate(rows, 1)]
+    robot = replace(
+        draft,
+        name=text("name", file.parent.resolve().name if file.stem == "robot" else file.stem),
+        simulation_box=_box(parameters),
+        nominal=tuple(p.nominal for p in parameters),
+        base_body=_checked_base(model, text("base_body", ""), text("point", ""), file),
+        edits=tuple(p.edit for p in parameters if p.edit is not None),
         keyframe=text("keyframe", ""),
         point=text("point", ""),
         fitness=_fitness(text("fitness", "distance"), file),
@@ -104,10 +104,7 @@ def load_robot(path: str | Path) -> Robot:
 def chosen_robot(robot: Path | None, template: Path | None, duration: float | None) -> Robot:
     """The robot of a command: that of a robot.toml, the hexapod, or the hexapod with another template.
 
-    Args:
-      robot: a robot.toml.
-      template: another template of the hexapod.
-      duration: T_e [s]; None for the robot's own.
+    The duration T_e [s] is the robot's own by default.
 
     Raises:
       InputError: both files are given, a file that cannot be read or does not fit, a duration that is not positive.
@@ -124,53 +121,6 @@ def chosen_robot(robot: Path | None, template: Path | None, duration: float | No
 
 
 @dataclass(frozen=True)
-class _Draft:
-    """What is known of a robot before its model is compiled."""
-
-    file: Path
-    source: Path
-    text: str
-    plain: bool
-    constants: tuple[tuple[str, float], ...]
-    template_parameters: tuple["_Parameter", ...] = ()
-
-    def with_template_parameters(self, rows: list[Mapping[str, Any]]) -> "_Draft":
-        """The same with the parameters that are variables of the template."""
-        found = []
-        for row in rows:
-            where = f"{self.file}: [[parameter]] {row.get('name', '')}".rstrip()
-            known = ("name", "bounds", "low", "high", "unit", "nominal")
-            for key in row:
-                if key not in known:
-                    raise _unknown_key(where, key, (*known, "path"))
-            if self.plain:
-                raise InputError(f'{where}: no path, and {self.source.name} is no template; add path = "..."')
-            low, high = read_bounds(row, where)
-            nominal = row.get("nominal", (low + high) / 2)
-            if not is_number(nominal) or not isinstance(row.get("name"), str):
-                raise InputError(f'{where}: expected name = "..." and a number for nominal, got {nominal!r}')
-            found.append(_Parameter(row["name"], low, high, float(nominal), str(row.get("unit", ""))))
-        return _Draft(self.file, self.source, self.text, self.plain, self.constants, tuple(found))
-
-    def model(self) -> mujoco.MjModel:
-        """The compiled model at the nominal values of the template's parameters."""
-        known = self.template_parameters or (_Parameter("none", 0.0, 1.0, 0.0, ""),)
-        robot = Robot(
-            name="draft",
-            template=self.text,
-            template_path=str(self.source),
-            simulation_box=Box([p.name for p in known], [p.low for p in known], [p.high for p in known]),
-            controller_box=Box(["none"], 0.0, 1.0),
-            signal=Sinusoids((), (), (), -1, 1.0, (), (), ()),
-            nominal=tuple(p.nominal for p in known),
-            constants=self.constants,
-            folder=str(self.source.parent.resolve()),
-            plain=self.plain,
-        )
-        return base_model(robot)
-
-
-@dataclass(frozen=True)
 class _Parameter:
     name: str
     low: float
@@ -180,10 +130,31 @@ class _Parameter:
     edit: PathParameter | None = None
 
 
-def _parameter(draft: _Draft, row: Mapping[str, Any], number: int, model: mujoco.MjModel) -> _Parameter:
+def _box(parameters: Sequence[_Parameter]) -> Box:
+    names, low, high, units = zip(*((p.name, p.low, p.high, p.unit) for p in parameters), strict=True)
+    return Box(names, low, high, units=units)
+
+
+def _template_parameter(row: Mapping[str, Any], plain: bool, source: Path, file: Path) -> _Parameter:
+    """A parameter that is a variable of the template."""
+    where = f"{file}: [[parameter]] {row.get('name', '')}".rstrip()
+    known = ("name", "bounds", "low", "high", "unit", "nominal")
+    for key in row:
+        if key not in known:
+            raise _unknown_key(where, key, (*known, "path"))
+    if plain:
+        raise InputError(f'{where}: no path, and {source.name} is no template; add path = "..."')
+    low, high = read_bounds(row, where)
+    nominal = row.get("nominal", (low + high) / 2)
+    if not is_number(nominal) or not isinstance(row.get("name"), str):
+        raise InputError(f'{where}: expected name = "..." and a number for nominal, got {nominal!r}')
+    return _Parameter(row["name"], low, high, float(nominal), str(row.get("unit", "")))
+
+
+def _parameter(known: Sequence[_Parameter], row: Mapping[str, Any], where: str, model: mujoco.MjModel) -> _Parameter:
     if "path" not in row:
-        return next(p for p in draft.template_parameters if p.name == row["name"])
-    where, notes = f"{draft.file}: [[parameter]] {number}", list[str]()
+        return next(p for p in known if p.name == row["name"])
+    notes = list[str]()
     edit = read_path_parameter(row, model, where, notes, ("nominal",))
     if notes:
         raise InputError(f"{notes[0].replace(' was ignored', '')}; valid keys: {', '.join((*KEYS, 'nominal'))}")

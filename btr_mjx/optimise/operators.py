@@ -12,15 +12,7 @@ Crossover = Literal["uniform", "one_point", "two_point"]
 
 
 def mutate(genomes: NDArray[np.bool_], p_m: float, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Flip every bit independently with probability p_m.
-
-    Args:
-      genomes: (..., n_bits).
-      p_m: probability per bit, 0 .. 1.
-      rng: source of randomness; advances.
-
-    Returns:
-      (..., n_bits) new genomes.
+    """Genomes (..., n_bits) with every bit flipped independently with probability p_m.
 
     Raises:
       InputError: p_m outside [0, 1].

@@ -58,13 +58,9 @@ def save_figure(path: Path, make: "Callable[[], Figure | None]", dpi: int = 150)
 
 
 def draw_run(folder: Path) -> list[Path]:
-    """Draw the figures of a run folder of `btr_mjx.coevolve`.
+    """Draw the figures of a run folder of `btr_mjx.coevolve`; the PNG files.
 
-    Args:
-      folder: the run folder.
-
-    Returns:
-      The PNG files; figures that fail are left out, which one line each on stderr says.
+    Figures that fail are left out, which one line each on stderr says.
 
     Raises:
       InputError: not a run folder, a run that has not ended, or a damaged file.

@@ -58,13 +58,7 @@ def morphologies(robot: Robot, run: RunData) -> Figure | None:
 
 
 def highlight(robot: Robot, models: Sequence[mujoco.MjModel], indices: np.ndarray) -> None:
-    """Colour the geoms whose size depends on some parameters, in place.
-
-    Args:
-      robot: the robot.
-      models: models of it.
-      indices: (k,) of the parameters in its simulation box.
-    """
+    """Colour the geoms of a robot's models whose size depends on some parameters, by index (k,), in place."""
     searched = _searched_geoms(robot, indices)
     for model in models:
         model.geom_rgba[searched] = UNKNOWN

@@ -10,13 +10,7 @@ from btr_mjx.replays.motion import Replay
 def read_replay(folder: str | Path, frames: int, seconds: float) -> Replay:
     """The motions that a run folder is about, simulated again from its saved files.
 
-    Args:
-      folder: of a co-evolution or a diagnosis that has ended.
-      frames: number of frames.
-      seconds: longest part of a recording that is shown [s]; trials of a co-evolution are shown whole.
-
-    Returns:
-      The motions.
+    At most so many seconds of a recording are shown; trials of a co-evolution are shown whole.
 
     Raises:
       InputError: no such run, a robot or dataset that is gone or changed since.

@@ -21,10 +21,6 @@ def check_display() -> None:
 def view_replay(replay: Replay, slowness: float = 1.0) -> None:
     """Play the motions one after another in MuJoCo's viewer, each again and again until its window is closed.
 
-    Args:
-      replay: what is shown.
-      slowness: how many times slower than reality it plays.
-
     Raises:
       InputError: there is no display.
     """

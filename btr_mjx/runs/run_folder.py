@@ -266,11 +266,7 @@ def _check(
 
 
 def check_inputs(path: Path, inputs: Mapping[str, str]) -> None:
-    """Compare what a run refers to with what it was when the run started.
-
-    Args:
-      path: the run folder.
-      inputs: see `RunFolder.create`.
+    """Compare what a run refers to, see `RunFolder.create`, with what it was when the run started.
 
     Raises:
       InputError: a robot, a dataset, ... that changed since.
@@ -290,11 +286,7 @@ def claimed_folder[Config](config: Config, base: str) -> Iterator[Config]:
     """A command's config with its run folder: the named one, or a new one of runs/BASE, runs/BASE-2, ...
 
     A new folder is made at once, so that commands that begin together take different ones; it is removed again if it is
-    empty at the end.
-
-    Args:
-      config: a dataclass with the fields `out` (a path or None) and `resume`.
-      base: name of the folder where none is given.
+    empty at the end. The config has the fields `out` (a path or None) and `resume`.
 
     Raises:
       InputError: `resume` without a folder.

@@ -67,15 +67,10 @@ class Contacts:
 
 
 def require_supported(model: mujoco.MjModel, guards: bool = False) -> Contacts:
-    """Check that this engine supports a model.
+    """The possible contacts of a model that this engine supports.
 
-    Args:
-      model: the model.
-      guards: whether native MuJoCo can take over the worlds that the engine marks; otherwise contacts that may have to
-        be marked are refused.
-
-    Returns:
-      The possible contacts.
+    Without guards, native MuJoCo cannot take over the worlds that the engine marks: contacts that may have to be marked
+    are refused.
 
     Raises:
       UnsupportedModel: the message names the feature and the element that uses it.

@@ -69,13 +69,7 @@ class FitnessTable:
 
 
 def load_fitness(folder: str | Path) -> FitnessTable:
-    """Read a folder of fitness-only data.
-
-    Args:
-      folder: folder with dataset.toml and the table of trials.
-
-    Returns:
-      The trials with a finite fitness.
+    """The trials with a finite fitness of a folder with dataset.toml and the table of trials.
 
     Raises:
       InputError: anything wrong with it, in one line.
@@ -160,16 +154,9 @@ def _split(table: pl.DataFrame, kept: np.ndarray, file: Path) -> np.ndarray:
 
 
 def save_fitness(folder: str | Path, xml: str, about: Mapping[str, Any], columns: Mapping[str, Any]) -> None:
-    """Write a folder that `load_fitness` reads.
+    """Write a folder that `load_fitness` reads: the believed model as MJCF, the table's columns.
 
-    Args:
-      folder: the folder, created if absent.
-      xml: MJCF text of the believed model.
-      about: entries of [fitness]: body, function, duration and omega.
-      columns: columns of the table of trials.
-
-    Raises:
-      OSError: the folder cannot be written to.
+    Entries of [fitness] are body, function, duration and omega.
     """
     folder = Path(folder)
     lines = ["[model]", 'file = "model.xml"', "", "[fitness]", 'file = "trials.csv"']
@@ -181,14 +168,7 @@ def save_fitness(folder: str | Path, xml: str, about: Mapping[str, Any], columns
 
 
 def preflight_fitness(table: FitnessTable) -> list[Finding]:
-    """Check numbers of trials, and that controllers and fitness vary.
-
-    Args:
-      table: the trials.
-
-    Returns:
-      Findings, errors first.
-    """
+    """Findings, errors first: numbers of trials, and whether controllers and fitness vary."""
     fit, test = int((~table.test).sum()), int(table.test.sum())
     low, high = float(table.fitness.min()), float(table.fitness.max())
     summary = f"{fit} trials to fit and {test} held out of {table.duration:g} s, fitness {low:.3g} to {high:.3g}"

@@ -29,15 +29,9 @@ class TrialSimulator:
         self._function = fitness_function(table.function)
 
     def fitness(self, worlds: Sequence[World], rows: np.ndarray, timestep: float | None = None) -> np.ndarray:
-        """Fitness of trials in several worlds.
+        """Fitness (C, M) [m/s] of trials, given by index (M,), in worlds (C,); NaN where a simulation diverged.
 
-        Args:
-          worlds: (C,) worlds.
-          rows: (M,) indices of trials.
-          timestep: time step [s]; None for the model's own.
-
-        Returns:
-          (C, M) [m/s]; NaN where a simulation diverged.
+        The time step [s] is the model's own by default.
         """
         model, count, times = self.table.head.model, len(rows), np.array([self.table.duration])
         segments = Segments(
