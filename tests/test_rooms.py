@@ -90,19 +90,23 @@ def test_rooms_import_rooms_above_them_only():
     assert not wrong
 
 
-def test_inference_goes_from_scores_to_the_search_to_the_verdict():
-    folders = [f"gap.inference.{name}." for name in ("scoring", "search", "verdict")]
+TANGLED = {("gap.data.columns", "gap.data.files"), ("gap.forces.answer", "gap.forces.sets")}
+"""Folders of a room that import each other; no more of them may."""
 
-    def level(module: str) -> int:
-        return next((i for i, folder in enumerate(folders) if module.startswith(folder)), -1)
 
-    back = [
-        f"{module} imports {other}"
-        for module in FILES
-        for other in IMPORTS[module]
-        if -1 < level(module) < level(other)
-    ]
-    assert not back
+def test_folders_of_a_room_have_an_order():
+    """Two folders side by side do not import each other."""
+    folders = {module for module, path in FILES.items() if path.name == "__init__.py"} - {"", *ORDER}
+    above = {name: name.rpartition(".")[0] for name in folders}
+    pairs = {
+        (one, two)
+        for one in folders
+        for two in folders
+        if above[one] == above[two] and one != two
+        for module, imported in IMPORTS.items()
+        if f"{module}.".startswith(f"{one}.") and any(f"{other}.".startswith(f"{two}.") for other in imported)
+    }
+    assert {pair for pair in pairs if pair[::-1] in pairs and pair[0] < pair[1]} == TANGLED
 
 
 def test_files_are_private_to_their_room():

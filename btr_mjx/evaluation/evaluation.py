@@ -9,37 +9,22 @@ pairs.
 
 import logging
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Literal, get_args
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from btr_mjx.engines import Record, UnsupportedModel, native
+from btr_mjx.engines import Record
 from btr_mjx.errors import InputError
+from btr_mjx.evaluation.engine_choice import Engine, EngineSettings, fastest_engine, runner_of
 from btr_mjx.evaluation.fitness import DISTANCE, FitnessFunction, FitnessLike, Outcome, fitness_function
-from btr_mjx.evaluation.own_simulator import run_simulator
-from btr_mjx.evaluation.tracked_point import track_point
-from btr_mjx.models import Models, base_address, base_model, compile_models, start_of, varying_fields
+from btr_mjx.models import base_model, compile_models
 from btr_mjx.robots import Robot
-
-if TYPE_CHECKING:
-    from btr_mjx.engines import Program, Stepper
-
-Engine = Literal["lanes", "mjx", "native"]
-"""Name of a physics engine, see `btr_mjx.engines`."""
 
 _LOG = logging.getLogger(__name__)
 
 _MAX_TRIPPED = 0.25
 """Part of the first block that guards may hand to native MuJoCo before it evaluates everything."""
-
-_CAPACITY = 16
-"""Chunks per device and block."""
-
-_TRACE_BYTES = 2**26
-"""Upper limit of the recorded states of one block [bytes]; blocks are made smaller to respect it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,23 +51,6 @@ class Evaluation:
     tripped: np.ndarray
 
 
-@dataclass(frozen=True)
-class EngineSettings:
-    """Settings of an engine.
-
-    Attributes:
-      chunk: pairs per chunk; None for the engine's default. Results are bit-identical for a fixed chunk size only.
-      timestep: native only: another time step than the model's [s].
-      integrator: native only: another integrator, see `native.INTEGRATORS`.
-      threads: native only: number of threads; None for all cores.
-    """
-
-    chunk: int | None = None
-    timestep: float | None = None
-    integrator: str | None = None
-    threads: int | None = None
-
-
 def evaluate(
     robot: Robot,
     simulations: ArrayLike,
@@ -93,7 +61,7 @@ def evaluate(
     fitness: FitnessLike = DISTANCE,
     times: ArrayLike | None = None,
     states: bool = False,
-    settings: EngineSettings = EngineSettings(),
+    settings: EngineSettings | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Evaluation:
     """Evaluate controllers in simulations.
@@ -110,7 +78,7 @@ def evaluate(
       times: (K,) sample times in (0, T_e] [s] for the outcome, rounded to steps; None for the end alone. The last one
         ends the trial.
       states: whether the outcome holds qpos, qvel and act at the sample times.
-      settings: how the engine runs.
+      settings: how the engine runs; None for the defaults.
       progress: called with the number of pairs done since the last call.
 
     Returns:
@@ -121,7 +89,7 @@ def evaluate(
         unknown fitness.
       UnsupportedModel: the given engine does not support this robot.
     """
-    fitness = fitness_function(fitness, robot.target)
+    fitness, settings = fitness_function(fitness, robot.target), settings or EngineSettings()
     s, c = checked_pairs(robot, simulations, controllers)
     if pairwise and len(s) != len(c):
         raise InputError(f"pairwise: got {len(s)} simulations and {len(c)} controllers, expected as many of each")
@@ -129,8 +97,8 @@ def evaluate(
     chosen = engine or fastest_engine(robot)
     recorded = states or fitness.needs_states or bool(robot.point)
     dt = settings.timestep if chosen == "native" and settings.timestep else float(base_model(robot).opt.timestep)
-    samples = _sample_steps(robot, times, dt)
-    runner = _runner(robot, chosen, samples, recorded, settings)
+    samples = sample_steps(robot, times, dt)
+    runner = runner_of(robot, chosen, samples, recorded, settings)
     records: list[Record] = []
     for rows, columns in _blocks(shape, runner.block):
         used, index = np.unique(rows, return_inverse=True)
@@ -154,7 +122,7 @@ def evaluate(
                 progress=progress,
             )
         if len(tripped):
-            native_runner = _runner(robot, "native", samples, recorded, EngineSettings())
+            native_runner = runner_of(robot, "native", samples, recorded, EngineSettings())
             record = _replace_rows(record, tripped, native_runner(models, s[used], index[tripped], own[tripped]))
         records.append(record)
         if progress is not None:
@@ -176,24 +144,6 @@ def checked_pairs(robot: Robot, simulations: ArrayLike, controllers: ArrayLike) 
             f"got simulations {s.shape} and controllers {c.shape}, expected non-empty (L, n_s) and (M, n_c)"
         )
     return s, c
-
-
-def fastest_engine(robot: Robot) -> Engine:
-    """The fastest engine that supports a robot: lanes; otherwise MJX on an accelerator or native on a CPU.
-
-    A simulator of the robot's own counts as native.
-    """
-    if robot.simulator is not None:
-        return "native"
-    import jax  # takes seconds, which bad input should not
-
-    from btr_mjx.engines import uses_doubles
-
-    try:
-        _stepper(_program_inputs(robot), "lanes", uses_doubles(), guards=True)
-        return "lanes"
-    except UnsupportedModel:
-        return "native" if jax.default_backend() == "cpu" else "mjx"
 
 
 def _evaluation(
@@ -225,7 +175,8 @@ def _evaluation(
     return Evaluation(values, diverged, counts, whole["peak_speed"], outcome, engine, tripped)
 
 
-def _sample_steps(robot: Robot, times: ArrayLike | None, timestep: float) -> np.ndarray:
+def sample_steps(robot: Robot, times: ArrayLike | None, timestep: float) -> np.ndarray:
+    """Step counts (K,) of sample times [s], or of the end of the trial."""
     wanted = np.atleast_1d(np.asarray(robot.duration if times is None else times, np.float64))
     steps = np.round(wanted / timestep)
     if wanted.ndim != 1 or not wanted.size or not np.all(np.isfinite(steps)) or np.any(np.diff(steps, prepend=0) < 1):
@@ -245,20 +196,6 @@ def _blocks(shape: tuple[int, ...], size: int) -> Iterator[tuple[np.ndarray, np.
         yield (flat, flat) if len(shape) == 1 else (flat // shape[1], flat % shape[1])
 
 
-@dataclass(frozen=True)
-class _Runner:
-    """Runs blocks of pairs: models, their simulations, the index of each pair's model, controllers (B, n_c)."""
-
-    robot: Robot
-    block: int
-    simulate: Callable[[Models, np.ndarray, np.ndarray, np.ndarray], Record]
-
-    def __call__(self, models: Models, simulations: np.ndarray, index: np.ndarray, controllers: np.ndarray) -> Record:
-        """The record, with the position of the robot's tracked point if it has one."""
-        record = self.simulate(models, simulations, index, controllers)
-        return track_point(self.robot, models, index, record) if self.robot.point else record
-
-
 def _replace_rows(record: Record, rows: np.ndarray, other: Record) -> Record:
     """The record with rows of another engine; they stay marked as tripped."""
 
@@ -268,79 +205,3 @@ def _replace_rows(record: Record, rows: np.ndarray, other: Record) -> Record:
         return result
 
     return Record(*map(merged, record, other._replace(tripped=np.ones(len(rows), bool))))
-
-
-def _runner(robot: Robot, engine: Engine, samples: np.ndarray, states: bool, settings: EngineSettings) -> _Runner:
-    if engine not in get_args(Engine):
-        raise InputError(f"engine: got {engine!r}, expected one of: {', '.join(get_args(Engine))}")
-    if engine != "native" and (settings.timestep or settings.integrator or settings.threads):
-        raise InputError(f"engine {engine!r}: another timestep, integrator or thread count needs engine='native'")
-    address = base_address(robot)
-    if robot.simulator is not None:
-        if engine != "native" or settings.integrator or settings.threads:
-            raise InputError(
-                f"engine {engine!r}: {robot.name} has a simulator of its own, which counts as 'native' and takes no "
-                "other integrator or number of threads"
-            )
-        run_own = partial(run_simulator, robot, address, samples, settings.timestep)
-        return _Runner(robot, settings.chunk or 8192, run_own)
-    if engine == "native":
-        run_native = lambda models, _, index, controllers: native.rollout_native(  # noqa: E731
-            models.base,
-            {name: values[index] for name, values in models.leaves.items()},
-            controllers,
-            samples,
-            signal=robot.signal,
-            base_address=address,
-            record_states=states,
-            start=start_of(robot),
-            timestep=settings.timestep,
-            integrator=settings.integrator,
-            threads=settings.threads,
-        )
-        return _Runner(robot, settings.chunk or 256, run_native)
-    from btr_mjx.engines import uses_doubles
-
-    inputs = _program_inputs(robot)
-    program = _program(inputs, engine, len(samples), states, settings.chunk, uses_doubles())
-    run = lambda models, _, index, controllers: program(  # noqa: E731
-        {name: values[index] for name, values in models.leaves.items()}, controllers, samples
-    )
-    return _Runner(robot, program.layout.pairs, run)
-
-
-def _program_inputs(robot: Robot) -> Robot:
-    """The robot reduced to what compiled programs depend on, as a key of caches."""
-    return replace(robot, name="", duration=1.0, speed_limit=1.0)
-
-
-@lru_cache(maxsize=16)
-def _stepper(robot: Robot, engine: Engine, x64: bool, guards: bool = False) -> "Stepper":
-    model, varying = base_model(robot), frozenset(varying_fields(robot))
-    # Imported here, since each import takes a second.
-    if engine == "lanes":
-        from btr_mjx.engines import LanesStepper
-
-        return LanesStepper(model, varying, guards=guards)
-    from btr_mjx.engines import MjxStepper
-
-    return MjxStepper(model, varying)
-
-
-@lru_cache(maxsize=16)
-def _program(robot: Robot, engine: Engine, samples: int, states: bool, chunk: int | None, x64: bool) -> "Program":
-    import jax
-
-    from btr_mjx.engines import Layout, Program, default_chunk, use_all_cores, use_compilation_cache
-
-    use_all_cores()
-    use_compilation_cache()
-    devices = jax.devices()
-    stepper = _stepper(robot, engine, x64, guards=True)
-    width = chunk or default_chunk(devices[0])
-    record_bytes = (
-        samples * (stepper.nq + stepper.nv + stepper.nu if states else 4) * width * len(devices) * (8 if x64 else 4)
-    )
-    capacity = int(np.clip(_TRACE_BYTES // record_bytes, 1, _CAPACITY if devices[0].platform == "cpu" else 4))
-    layout = Layout(len(devices), capacity, width)
-    return Program(stepper, robot.signal, base_address(robot), layout, states, devices, start_of(robot))

@@ -33,11 +33,10 @@ from btr_mjx.engines import (
     rollout_chunk,
     use_all_cores,
     use_compilation_cache,
-    uses_doubles,
 )
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation import evaluation as behaviour
-from btr_mjx.evaluation.evaluation import Engine
+from btr_mjx.evaluation.engine_choice import Engine, stepper_of
+from btr_mjx.evaluation.evaluation import sample_steps
 from btr_mjx.evaluation.fitness import DISTANCE, FitnessFunction, Outcome
 from btr_mjx.evaluation.rowwise import rowwise
 from btr_mjx.evaluation.traced import TracedArray, in_double
@@ -182,10 +181,10 @@ def _one_pair(
     address = base_address(robot)
     nominal = compile_models(robot, robot.nominal_simulation).leaves
     needed = _influential(nominal)
-    _stepper(robot, chosen)  # raises UnsupportedModel before anything is traced
+    stepper_of(robot, chosen)  # raises UnsupportedModel before anything is traced
 
     def roll(leaves: ModelLeaves, controllers: jax.Array) -> Record:
-        stepper = _stepper(robot, chosen)
+        stepper = stepper_of(robot, chosen)
         # The barrier hides the number of steps from the compiler, which would otherwise unroll short loops and change
         # the last bits of results.
         marks = lax.optimization_barrier(jnp.asarray(samples, jnp.int32))
@@ -208,14 +207,10 @@ def _one_pair(
 def _engine(robot: Robot) -> Engine:
     """The fastest engine without guards: a compiled function cannot hand a pair to native MuJoCo."""
     try:
-        _stepper(robot, "lanes")
+        stepper_of(robot, "lanes")
     except UnsupportedModel:
         return "mjx"
     return "lanes"
-
-
-def _stepper(robot: Robot, engine: Engine) -> Stepper:
-    return behaviour._stepper(behaviour._program_inputs(robot), engine, uses_doubles())
 
 
 def _timestep(robot: Robot) -> float:
@@ -223,7 +218,7 @@ def _timestep(robot: Robot) -> float:
 
 
 def _samples(robot: Robot, times: ArrayLike | None) -> np.ndarray:
-    return behaviour._sample_steps(robot, times, _timestep(robot))
+    return sample_steps(robot, times, _timestep(robot))
 
 
 def _influential(names: Any) -> list[str]:

@@ -87,7 +87,7 @@ def _simulated(
     engine: Engine | None = None if robot.simulator is not None else "native"
     found = evaluate(
         robot, [simulation], [controller], engine=engine, fitness=problem.fitness, times=times, states=True,
-        settings=settings or EngineSettings(),
+        settings=settings,
     )  # fmt: skip
     assert found.outcome.qpos is not None
     model = compile_models(robot, simulation).row(0)

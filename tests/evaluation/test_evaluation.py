@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation import EngineSettings, evaluate, fitness
-from btr_mjx.evaluation.evaluation import fastest_engine
+from btr_mjx.evaluation import EngineSettings, evaluate, fastest_engine, fitness
 from btr_mjx.models import batch, compile_models
 from btr_mjx.robots import Robot
 

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 
 from btr_mjx.engines.guards.pairs import CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE
-from btr_mjx.engines.lanes.scalars import cross, dot, scale, vadd, vsub
+from btr_mjx.engines.scalars import cross, dot, scale, vadd, vsub
 
 type Three = Sequence[jax.Array]
 

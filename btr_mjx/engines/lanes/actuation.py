@@ -16,8 +16,8 @@ from btr_mjx.engines.lanes import support
 from btr_mjx.engines.lanes.delays import delayed
 from btr_mjx.engines.lanes.kinematics import Motion, axis_angle, path_motion, quaternion_product, unit_quaternion
 from btr_mjx.engines.lanes.parameters import Parameters
-from btr_mjx.engines.lanes.scalars import Scalar, add, dot, is_zero, matvec, mul, neg, scale, sub, total
 from btr_mjx.engines.lanes.tree import BALL, FREE, Actuator, Tendon, TreePlan
+from btr_mjx.engines.scalars import Scalar, add, dot, is_zero, matvec, mul, neg, scale, sub, total
 
 _DYN, _GAIN, _BIAS = mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
 

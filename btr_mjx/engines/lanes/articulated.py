@@ -9,7 +9,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from btr_mjx.engines.lanes.kinematics import Motion
-from btr_mjx.engines.lanes.scalars import (
+from btr_mjx.engines.lanes.spatial import Block, Spatial, acceleration_from_parent, generalised_force, sum_over_group
+from btr_mjx.engines.lanes.tree import FREE, TreePlan
+from btr_mjx.engines.scalars import (
     Matrix,
     Scalar,
     Vector,
@@ -24,8 +26,6 @@ from btr_mjx.engines.lanes.scalars import (
     vadd,
     vsub,
 )
-from btr_mjx.engines.lanes.spatial import Block, Spatial, acceleration_from_parent, generalised_force, sum_over_group
-from btr_mjx.engines.lanes.tree import FREE, TreePlan
 
 
 @dataclass(frozen=True)

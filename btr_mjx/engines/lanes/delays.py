@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from btr_mjx.engines.lanes.scalars import Scalar, mul, total
+from btr_mjx.engines.scalars import Scalar, mul, total
 
 HOLD, LINEAR, CUBIC = 0, 1, 2
 """MuJoCo's interpolation orders: zero-order hold, linear, Catmull-Rom spline."""

@@ -11,7 +11,9 @@ import jax.numpy as jnp
 
 from btr_mjx.engines.lanes.kinematics import Motion, point_velocity
 from btr_mjx.engines.lanes.parameters import Parameters
-from btr_mjx.engines.lanes.scalars import (
+from btr_mjx.engines.lanes.spatial import Block, Spatial, point_block, rigid_block
+from btr_mjx.engines.lanes.tree import BALL, FREE, TreePlan
+from btr_mjx.engines.scalars import (
     Matrix,
     Scalar,
     add,
@@ -28,8 +30,6 @@ from btr_mjx.engines.lanes.scalars import (
     vadd,
     vsub,
 )
-from btr_mjx.engines.lanes.spatial import Block, Spatial, point_block, rigid_block
-from btr_mjx.engines.lanes.tree import BALL, FREE, TreePlan
 
 _NO_COUPLING = [[0.0] * 3] * 3
 NO_BLOCK = Block([0.0] * 6, _NO_COUPLING, [0.0] * 6)

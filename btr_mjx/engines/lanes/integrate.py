@@ -1,87 +1,123 @@
-"""Semi-implicit integration of velocities and positions (mj_Euler, mj_implicit with implicitfast)."""
+"""Integration of velocities and positions (mj_Euler, mj_implicit with implicitfast, mj_RungeKutta)."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
 import mujoco
+from jax import lax
 
+from btr_mjx.engines.base import MUJOCO_4
 from btr_mjx.engines.lanes import support
+from btr_mjx.engines.lanes.actuation import Actuation
 from btr_mjx.engines.lanes.articulated import factorise, lu_solve, solve_factored
+from btr_mjx.engines.lanes.constraints.solver import Zones
 from btr_mjx.engines.lanes.dynamics import NO_BLOCK, System, local_rates, opposing_forces
 from btr_mjx.engines.lanes.kinematics import Motion, unit_quaternion
-from btr_mjx.engines.lanes.scalars import (
+from btr_mjx.engines.lanes.spatial import Block, Spatial, propagate
+from btr_mjx.engines.lanes.state import LanesState
+from btr_mjx.engines.lanes.tree import BALL, FREE, TreePlan
+from btr_mjx.engines.scalars import (
     Scalar,
     add,
     array,
     cross,
     dot,
     full,
+    group_sum,
     is_zero,
     matvec,
     mul,
     scale,
     sub,
+    total,
     transpose,
     vadd,
 )
-from btr_mjx.engines.lanes.spatial import Block, Spatial, propagate
-from btr_mjx.engines.lanes.tree import BALL, FREE, TreePlan
 
 
 @dataclass(frozen=True)
-class Damping:
-    """Minus the derivatives of forces with respect to velocity [N s/m or N m s/rad], by the source of the forces."""
+class Forward:
+    """Forces and accelerations at a state."""
 
-    joints: System
+    moving: Sequence[Motion]
+    inertia: System
+    damping: System
     """Of joint dampers."""
-    actuators: Mapping[int, Scalar]
-    """Of actuators, per dof."""
+    actuation: Actuation
     medium: System | None
-    """Of fluid drag; None in a vacuum."""
+    """Minus the derivative of the fluid's drag by velocity."""
+    found: list[jax.Array]
+    """Accelerations per dof, with world axes."""
+    capped: jax.Array
+    zones: Zones
+    tripped: jax.Array
 
 
-def integrate_step(
-    model: mujoco.MjModel,
-    plan: TreePlan,
-    motions: Sequence[Motion],
-    q: Sequence[Sequence[jax.Array]],
-    v: Sequence[jax.Array],
-    inertia: System,
-    damping: Damping,
-    acceleration: Sequence[jax.Array],
-) -> tuple[list[list[jax.Array]], list[jax.Array]]:
-    """Coordinates per joint and velocities per dof after one step, from the accelerations of the constraint problem."""
+def integrate_step(model: mujoco.MjModel, plan: TreePlan, state: LanesState, f: Forward) -> LanesState:
+    """State after one step of Euler or implicitfast from the forces and accelerations at a state."""
     dt = float(model.opt.timestep)
-    implicit = damping.joints
+    implicit = f.damping
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST:
         blocks = [NO_BLOCK] * len(plan.links)
-        implicit = damping.joints + System(blocks, {k: d for k, d in damping.actuators.items() if not is_zero(d)})
-        implicit = implicit + damping.medium if damping.medium else implicit
+        implicit = f.damping + System(blocks, {k: d for k, d in f.actuation.damping.items() if not is_zero(d)})
+        implicit = implicit + f.medium if f.medium else implicit
     elif support.disabled(model, "EULERDAMP"):
-        implicit = damping.joints.times(0.0)
+        implicit = f.damping.times(0.0)
     implicit = implicit.times(dt)
-    links = propagate(plan, motions, acceleration)
-    following: list[Scalar] = list(acceleration)
+    links = propagate(plan, f.moving, f.found)
+    following: list[Scalar] = list(f.found)
     if not implicit.zero:
         # (M + h D) a' = M a, where M a is the sum of all forces. Solving for the difference a' - a reduces rounding
         # errors and does not need the contact forces.
-        system = inertia + implicit
-        wrenches, tau = opposing_forces(implicit, links, acceleration)
-        change, _ = solve_factored(factorise(plan, motions, system.blocks, system.diagonal), wrenches, tau)
-        following = [add(a, c) for a, c in zip(acceleration, change, strict=True)]
+        system = f.inertia + implicit
+        wrenches, tau = opposing_forces(implicit, links, f.found)
+        change, _ = solve_factored(factorise(plan, f.moving, system.blocks, system.diagonal), wrenches, tau)
+        following = vadd(f.found, change)
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST:
         for link in plan.links:
             if link.free_body:
                 i = link.index
-                change = _gyroscopic(inertia.blocks[i], implicit.blocks[i], motions[i], links[i], dt)
+                change = _gyroscopic(f.inertia.blocks[i], implicit.blocks[i], f.moving[i], links[i], dt)
                 for k, c in zip(link.dofs, change, strict=True):
-                    following[k] = add(acceleration[k], c)
-    acceleration = [array(x, a.shape, a.dtype) for x, a in zip(following, acceleration, strict=True)]
-    rates = local_rates(plan, motions, acceleration)
-    velocities = vadd(v, scale(dt, rates))
-    return moved_coordinates(plan, q, velocities, dt), velocities
+                    following[k] = add(f.found[k], c)
+    acceleration = [array(x, a.shape, a.dtype) for x, a in zip(following, f.found, strict=True)]
+    velocities = vadd(state.v, scale(dt, local_rates(plan, f.moving, acceleration)))
+    q = moved_coordinates(plan, state.q, velocities, dt)
+    return _following(q, velocities, f, local_rates(plan, f.moving, f.found))
+
+
+def _following(q: list[list[jax.Array]], v: list[jax.Array], f: Forward, rates: list[jax.Array]) -> LanesState:
+    """The state at these coordinates and velocities, after accelerations in MuJoCo's convention."""
+    power = array(total(group_sum(p, size) for p, size in f.actuation.power), f.capped.shape, v[0].dtype)
+    return LanesState(q, v, f.actuation.act, f.actuation.history, rates, f.zones, power, f.capped, f.tripped)
+
+
+def runge_kutta(plan: TreePlan, dt: float, state: LanesState, forward: Callable[[LanesState], Forward]) -> LanesState:
+    """State after one step of the classical Runge-Kutta method of fourth order (mj_RungeKutta).
+
+    A stage ends where the velocity of the stage before leads; velocities of rotations are those of the coordinates of
+    this motion, from MuJoCo 4.0 on.
+    """
+    dtype = state.v[0].dtype
+    ahead, weights = (jnp.asarray(x, dtype) for x in ([0.5, 0.5, 1, 0], [1 / 6, 1 / 3, 1 / 3, 1 / 6]))
+
+    def stage(i: jax.Array, carry: tuple) -> tuple:
+        here, moved, speed, rate, capped = carry
+        f = forward(here)
+        rates = [array(x, v.shape, dtype) for x, v in zip(local_rates(plan, f.moving, f.found), here.v, strict=True)]
+        velocity = turning_rates(plan, moved, here.v) if MUJOCO_4 else here.v
+        speed, rate = (vadd(sums, scale(weights[i], x)) for sums, x in ((speed, velocity), (rate, rates)))
+        q = moved_coordinates(plan, state.q, velocity, ahead[i] * dt)
+        moved, v = scale(ahead[i] * dt, velocity), vadd(state.v, scale(ahead[i] * dt, rates))
+        return _following(q, v, f, rates), moved, speed, rate, capped | f.capped
+
+    still = [jnp.zeros_like(x) for x in state.v]
+    begin = (state, still, still, still, jnp.zeros_like(state.capped))
+    end, _, speed, rate, capped = lax.fori_loop(0, 4, stage, begin)
+    q, v = moved_coordinates(plan, state.q, speed, dt), vadd(state.v, scale(dt, rate))
+    return replace(end, q=q, v=v, capped=capped)
 
 
 def moved_coordinates(

@@ -12,7 +12,8 @@ import jax.numpy as jnp
 from jax import lax
 
 from btr_mjx.engines.lanes.parameters import Parameters
-from btr_mjx.engines.lanes.scalars import (
+from btr_mjx.engines.lanes.tree import BALL, FREE, HINGE, Joint, Link, Path, TreePlan
+from btr_mjx.engines.scalars import (
     UNIT,
     ZERO,
     Matrix,
@@ -31,7 +32,6 @@ from btr_mjx.engines.lanes.scalars import (
     tangents,
     vadd,
 )
-from btr_mjx.engines.lanes.tree import BALL, FREE, HINGE, Joint, Link, Path, TreePlan
 
 
 @dataclass

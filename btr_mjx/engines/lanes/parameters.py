@@ -21,8 +21,9 @@ from btr_mjx.engines.lanes.contact_parameters import (
     touch_parameters,
 )
 from btr_mjx.engines.lanes.fields import Fields, apply_matrix, rigid_pose, rigid_root, rotation_matrices
-from btr_mjx.engines.lanes.scalars import SIX, Scalar, constant
-from btr_mjx.engines.lanes.tree import BALL, FREE, Joint, TreePlan, massive_members, rigid_members
+from btr_mjx.engines.lanes.planning import massive_members, rigid_members
+from btr_mjx.engines.lanes.tree import BALL, FREE, Joint, TreePlan
+from btr_mjx.engines.scalars import SIX, Scalar, constant
 
 
 def _inertia(model: mujoco.MjModel, fields: Fields, body: int) -> dict[str, np.ndarray]:

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from btr_mjx.engines.lanes.kinematics import Motion
-from btr_mjx.engines.lanes.scalars import (
+from btr_mjx.engines.lanes.tree import Link, TreePlan
+from btr_mjx.engines.scalars import (
     SIX,
     ZERO,
     Matrix,
@@ -29,7 +30,6 @@ from btr_mjx.engines.lanes.scalars import (
     vadd,
     vsub,
 )
-from btr_mjx.engines.lanes.tree import Link, TreePlan
 
 type Spatial = tuple[Vector, Vector]
 """Linear and angular acceleration, or force and torque."""

@@ -1,21 +1,20 @@
 """The `Stepper` of the lanes engine: one MuJoCo step for a chunk of worlds, with the batch in the SIMD lanes."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jax import lax
 
-from btr_mjx.engines.base import MUJOCO_4, Leaves
+from btr_mjx.engines.base import Leaves
 from btr_mjx.engines.guards.pairs import group_by_condim, group_by_kinds
 from btr_mjx.engines.guards.places import PlacedGeoms, Pose
 from btr_mjx.engines.guards.watch import crossed
 from btr_mjx.engines.lanes import support
-from btr_mjx.engines.lanes.actuation import Actuation, actuate, springs, tendon_forces
+from btr_mjx.engines.lanes.actuation import actuate, springs, tendon_forces
 from btr_mjx.engines.lanes.constraints.body_contacts import body_contacts, columns
 from btr_mjx.engines.lanes.constraints.contacts import contact_points
 from btr_mjx.engines.lanes.constraints.dof_constraints import dof_constraints
@@ -29,42 +28,23 @@ from btr_mjx.engines.lanes.constraints.solver import (
     zone_shape,
 )
 from btr_mjx.engines.lanes.dynamics import (
-    System,
     ball_rates,
     bias_wrenches,
     dof_system,
     drag,
     inertia_system,
-    local_rates,
     opposing_forces,
     world_rates,
 )
 from btr_mjx.engines.lanes.fields import VARYING, Fields, base_field, influences_motion, rigid_root
-from btr_mjx.engines.lanes.integrate import Damping, integrate_step, moved_coordinates, turning_rates
+from btr_mjx.engines.lanes.integrate import Forward, integrate_step, runge_kutta
 from btr_mjx.engines.lanes.kinematics import Motion, motions
 from btr_mjx.engines.lanes.parameters import Parameters, derive, split_constants
-from btr_mjx.engines.lanes.scalars import add, array, group_sum, scale, total, vadd, vsub
+from btr_mjx.engines.lanes.planning import has_constraints, make_plan
 from btr_mjx.engines.lanes.state import LanesState, activations_in_order, dofs_in_order, positions_in_order, split_rows
-from btr_mjx.engines.lanes.tree import BALL, FREE, has_constraints, make_plan
+from btr_mjx.engines.lanes.tree import BALL, FREE
 from btr_mjx.engines.rewriting import retrace
-
-
-@dataclass(frozen=True)
-class _Forward:
-    """Forces and accelerations at a state."""
-
-    moving: Sequence[Motion]
-    inertia: System
-    damping: System
-    """Of joint dampers."""
-    actuation: Actuation
-    medium: System | None
-    """Minus the derivative of the fluid's drag by velocity."""
-    found: list[jax.Array]
-    """Accelerations per dof, with world axes."""
-    capped: jax.Array
-    zones: Zones
-    tripped: jax.Array
+from btr_mjx.engines.scalars import add, array, vadd, vsub
 
 
 class LanesStepper:
@@ -247,17 +227,12 @@ class LanesStepper:
 
     def _step(self, params: Mapping[str, list[jax.Array]], state: LanesState, ctrl: jax.Array) -> LanesState:
         parameters = Parameters(self._constants, params)
+        forward = partial(self._forward, parameters, ctrl)
         if self._model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
-            return self._runge_kutta(parameters, state, ctrl)
-        model, plan, q, v = self._model, self.plan, state.q, state.v
-        f = self._forward(parameters, state, ctrl)
-        slopes = Damping(f.damping, f.actuation.damping, f.medium)
-        following = integrate_step(model, plan, f.moving, q, v, f.inertia, slopes, f.found)
-        power = total(group_sum(p, size) for p, size in f.actuation.power)
-        rates, power = local_rates(plan, f.moving, f.found), array(power, f.capped.shape, self._dtype)
-        return LanesState(*following, f.actuation.act, f.actuation.history, rates, f.zones, power, f.capped, f.tripped)
+            return runge_kutta(self.plan, self.timestep, state, forward)
+        return integrate_step(self._model, self.plan, state, forward(state))
 
-    def _forward(self, parameters: Parameters, state: LanesState, ctrl: jax.Array) -> _Forward:
+    def _forward(self, parameters: Parameters, ctrl: jax.Array, state: LanesState) -> Forward:
         """Accelerations at a state (mj_forward)."""
         model, plan = self._model, self.plan
         q, v = state.q, state.v
@@ -282,38 +257,7 @@ class LanesStepper:
             ConstraintProblem(plan, moving, constraints, bodies, wrenches, tau), guess, state.zones
         )
         tripped = state.tripped | doubtful | crossed(self.guards, placed, self._dtype)
-        return _Forward(moving, bodies, damping, actuation, medium and medium[1], found, capped, zones, tripped)
-
-    def _runge_kutta(self, parameters: Parameters, state: LanesState, ctrl: jax.Array) -> LanesState:
-        """One step of the classical Runge-Kutta method of fourth order (mj_RungeKutta).
-
-        A stage ends where the velocity of the stage before leads; velocities of rotations are those of the coordinates
-        of this motion, from MuJoCo 4.0 on.
-        """
-        plan, dt = self.plan, self.timestep
-        ahead, weights = (jnp.asarray(x, self._dtype) for x in ([0.5, 0.5, 1, 0], [1 / 6, 1 / 3, 1 / 3, 1 / 6]))
-
-        def stage(i: jax.Array, carry: tuple) -> tuple:
-            here, moved, speed, rate, capped = carry
-            f = self._forward(parameters, here, ctrl)
-            rates = [
-                array(x, v.shape, self._dtype)
-                for x, v in zip(local_rates(plan, f.moving, f.found), here.v, strict=True)
-            ]
-            velocity = turning_rates(plan, moved, here.v) if MUJOCO_4 else here.v
-            speed, rate = (vadd(sums, scale(weights[i], x)) for sums, x in ((speed, velocity), (rate, rates)))
-            q = moved_coordinates(plan, state.q, velocity, ahead[i] * dt)
-            moved = scale(ahead[i] * dt, velocity)
-            power = array(total(group_sum(p, size) for p, size in f.actuation.power), capped.shape, self._dtype)
-            v = vadd(state.v, scale(ahead[i] * dt, rates))
-            following = LanesState(q, v, state.act, state.history, rates, f.zones, power, f.capped, f.tripped)
-            return following, moved, speed, rate, capped | f.capped
-
-        still = [jnp.zeros_like(x) for x in state.v]
-        begin = (state, still, still, still, jnp.zeros_like(state.capped))
-        end, _, speed, rate, capped = lax.fori_loop(0, 4, stage, begin)
-        q, v = moved_coordinates(plan, state.q, speed, dt), vadd(state.v, scale(dt, rate))
-        return replace(end, q=q, v=v, capped=capped)
+        return Forward(moving, bodies, damping, actuation, medium and medium[1], found, capped, zones, tripped)
 
     def _placed(self, parameters: Parameters, moving: Sequence[Motion], lanes: int) -> PlacedGeoms:
         """The geoms that may meet others than planes, in the world."""

@@ -23,7 +23,8 @@ from btr_mjx.engines.guards.places import PlacedGeoms, fold_rows, member
 from btr_mjx.engines.lanes.constraints.cones import Cone, impedance, make_cone
 from btr_mjx.engines.lanes.kinematics import Motion
 from btr_mjx.engines.lanes.parameters import Parameters
-from btr_mjx.engines.lanes.scalars import (
+from btr_mjx.engines.lanes.tree import TreePlan
+from btr_mjx.engines.scalars import (
     Scalar,
     Vector,
     add,
@@ -40,7 +41,6 @@ from btr_mjx.engines.lanes.scalars import (
     vadd,
     vsub,
 )
-from btr_mjx.engines.lanes.tree import TreePlan
 
 MAX_TOUCHING = 8
 """Pairs of one condim that may touch at a time in a world; worlds with more are marked."""

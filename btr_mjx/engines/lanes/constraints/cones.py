@@ -17,7 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from btr_mjx.engines.lanes.parameters import Parameters
-from btr_mjx.engines.lanes.scalars import (
+from btr_mjx.engines.lanes.spatial import Block, Spatial, point_block
+from btr_mjx.engines.lanes.tree import Link
+from btr_mjx.engines.scalars import (
     SIX,
     Matrix,
     Scalar,
@@ -39,8 +41,6 @@ from btr_mjx.engines.lanes.scalars import (
     vadd,
     vsub,
 )
-from btr_mjx.engines.lanes.spatial import Block, Spatial, point_block
-from btr_mjx.engines.lanes.tree import Link
 
 type ZoneModel = tuple[jax.Array, ...]
 """Coefficients that identify the zone of a constraint and determine its force, see `Cone.linear`."""

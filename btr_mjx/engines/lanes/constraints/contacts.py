@@ -17,7 +17,8 @@ from btr_mjx.engines.lanes import support
 from btr_mjx.engines.lanes.constraints.cones import Contact, impedance, make_cone
 from btr_mjx.engines.lanes.kinematics import Motion, point_velocity
 from btr_mjx.engines.lanes.parameters import Parameters
-from btr_mjx.engines.lanes.scalars import (
+from btr_mjx.engines.lanes.tree import Link, Touch, TreePlan
+from btr_mjx.engines.scalars import (
     Matrix,
     Scalar,
     Vector,
@@ -36,7 +37,6 @@ from btr_mjx.engines.lanes.scalars import (
     vadd,
     vsub,
 )
-from btr_mjx.engines.lanes.tree import Link, Touch, TreePlan
 
 
 def _points(parameters: Parameters, key: str, touch: Touch, m: Motion) -> list[tuple[list[Scalar], Any]]:

@@ -19,8 +19,8 @@ from btr_mjx.engines.lanes.constraints.cones import Cone, Frictionless, ZoneMode
 from btr_mjx.engines.lanes.constraints.dof_constraints import Friction
 from btr_mjx.engines.lanes.kinematics import path_motion
 from btr_mjx.engines.lanes.parameters import Parameters
-from btr_mjx.engines.lanes.scalars import Scalar, Symmetric, Vector, add, array, is_zero, mul, neg, sub
 from btr_mjx.engines.lanes.tree import Path, TreePlan
+from btr_mjx.engines.scalars import Scalar, Symmetric, Vector, add, array, is_zero, mul, neg, sub
 
 type _Jacobian = list[dict[int, Scalar]]
 """Per row, the derivative of its length by the coordinates of MuJoCo's joints."""

@@ -26,7 +26,10 @@ from btr_mjx.engines.lanes.constraints.coupled import solve_coupled
 from btr_mjx.engines.lanes.constraints.dof_constraints import DofConstraint
 from btr_mjx.engines.lanes.dynamics import System
 from btr_mjx.engines.lanes.kinematics import Motion
-from btr_mjx.engines.lanes.scalars import (
+from btr_mjx.engines.lanes.spatial import Spatial, generalised_force, propagate
+from btr_mjx.engines.lanes.tree import TreePlan
+from btr_mjx.engines.rewriting import retrace
+from btr_mjx.engines.scalars import (
     Scalar,
     add,
     array,
@@ -41,9 +44,6 @@ from btr_mjx.engines.lanes.scalars import (
     vadd,
     vsub,
 )
-from btr_mjx.engines.lanes.spatial import Spatial, generalised_force, propagate
-from btr_mjx.engines.lanes.tree import TreePlan
-from btr_mjx.engines.rewriting import retrace
 
 _MAX_NEWTON = 20
 """Iterations of a step."""
