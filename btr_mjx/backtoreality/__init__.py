@@ -8,7 +8,6 @@ replace it.
 from btr_mjx.backtoreality.algorithm import begin
 from btr_mjx.backtoreality.config import PRESETS, CoevolveConfig, build_problem, setting_of_robot
 from btr_mjx.backtoreality.controller_search import evolve_controllers, select_transferable
-from btr_mjx.backtoreality.exported import export_coevolution, export_simulation
 from btr_mjx.backtoreality.given_settings import typed_settings
 from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import growth_sentence
@@ -23,8 +22,9 @@ from btr_mjx.backtoreality.line_scan import (
 )
 from btr_mjx.backtoreality.reality import FolderReality, Reality, SimulatedReality, Waiting
 from btr_mjx.backtoreality.resumable import inputs_of, run_in_folder, write_trials
+from btr_mjx.backtoreality.run_exports import export_coevolution, export_simulation
+from btr_mjx.backtoreality.run_state import Problem, Progress, State
 from btr_mjx.backtoreality.settings import BTRSettings, SearchSettings
-from btr_mjx.backtoreality.state import Problem, Progress, State
 from btr_mjx.backtoreality.summary import bound_words, prediction_errors, similar_ranges, summarise, summary_table
 
 __all__ = [

@@ -24,8 +24,8 @@ from btr_mjx.backtoreality.controller_search import select_transferable
 from btr_mjx.backtoreality.fitness_growth import seek_by_fitness
 from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import calibration_delta, entries_of_diagnosis, proposals, seek
+from btr_mjx.backtoreality.run_state import Phase, Problem, State, Trials
 from btr_mjx.backtoreality.simulation_search import delta_of_simulations, genetic_algorithm, whole_trial_delta
-from btr_mjx.backtoreality.state import Phase, Problem, State, Trials
 from btr_mjx.errors import InputError
 from btr_mjx.gap.results import FoundEffect
 from btr_mjx.optimise import GAState

@@ -9,8 +9,8 @@ import numpy as np
 
 from btr_mjx.backtoreality.given_settings import flags_of
 from btr_mjx.backtoreality.reality import FolderReality, Reality, Rounds, SimulatedReality
+from btr_mjx.backtoreality.run_state import Problem
 from btr_mjx.backtoreality.settings import BTRSettings, Distance, RunSettings, check_settings
-from btr_mjx.backtoreality.state import Problem
 from btr_mjx.errors import InputError, resume_command
 from btr_mjx.evaluation import EngineSettings, FitnessFunction
 from btr_mjx.models import chosen_robot, compile_mjcf, load_robot, part_names

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from btr_mjx.backtoreality.run_state import Progress
 from btr_mjx.backtoreality.settings import SearchSettings
 from btr_mjx.backtoreality.simulation_search import genetic_algorithm
-from btr_mjx.backtoreality.state import Progress
 from btr_mjx.evaluation import DISTANCE, Engine, FitnessLike, evaluate, fitness_function
 from btr_mjx.robots import Robot
 

@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 
 from btr_mjx.backtoreality.grown import grown, number_name
-from btr_mjx.backtoreality.state import Problem, State
+from btr_mjx.backtoreality.run_state import Problem, State
 from btr_mjx.evaluation import evaluate
 from btr_mjx.gap.effects import EFFECTS, Candidate, Scales, candidates
 from btr_mjx.gap.results import FoundEffect

@@ -14,7 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from btr_mjx.backtoreality.state import Problem, State
+from btr_mjx.backtoreality.run_state import Problem, State
 from btr_mjx.evaluation import evaluate
 from btr_mjx.gap.data import Dataset, Recording
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from btr_mjx.backtoreality.controller_search import evolve_controllers, select_transferable
+from btr_mjx.backtoreality.run_state import Progress
 from btr_mjx.backtoreality.settings import RunSettings, SearchSettings, check_settings
-from btr_mjx.backtoreality.state import Progress
 from btr_mjx.cluster import BlockSettings, evaluate_blocks
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import FitnessFunction, delta_of, evaluate, metrics

@@ -11,7 +11,7 @@ from btr_mjx.backtoreality.algorithm import Report, advance, begin
 from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import growth_sentence
 from btr_mjx.backtoreality.reality import SimulatedReality, Waiting
-from btr_mjx.backtoreality.state import Problem, State, state_from_arrays, state_to_arrays
+from btr_mjx.backtoreality.run_state import Problem, State, state_from_arrays, state_to_arrays
 from btr_mjx.models import robot_digest
 from btr_mjx.runs import RunFolder, StopRequest, content_digest, note, progress, say_progress, write_arrays
 

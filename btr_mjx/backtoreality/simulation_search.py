@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from btr_mjx.backtoreality.run_state import Problem, State, Trials
 from btr_mjx.backtoreality.settings import SearchSettings
-from btr_mjx.backtoreality.state import Problem, State, Trials
 from btr_mjx.evaluation import delta_fitness_of, evaluate, fitness_at_marks, multiscale_fitness
 from btr_mjx.optimise import GAConfig, GAState, GeneticAlgorithm, cma_es
 from btr_mjx.robots import Box

@@ -8,8 +8,8 @@ import numpy as np
 from btr_mjx.backtoreality.algorithm import best_index
 from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import growth_sentence
+from btr_mjx.backtoreality.run_state import Problem, State
 from btr_mjx.backtoreality.simulation_search import whole_trial_delta
-from btr_mjx.backtoreality.state import Problem, State
 from btr_mjx.evaluation import learning_performance
 from btr_mjx.gap.results import format_number
 from btr_mjx.runs import read_arrays

@@ -5,7 +5,7 @@
 randomisation.json. docs/exports.md describes these files.
 """
 
-from btr_mjx.exports.fields import Ends, field_ends, is_linear, robot_ends
-from btr_mjx.exports.tables import ExportedParameter, write_exports
+from btr_mjx.exports.export_files import ExportedParameter, write_exports
+from btr_mjx.exports.moved_numbers import Ends, field_ends, is_linear, robot_ends
 
 __all__ = ["Ends", "ExportedParameter", "field_ends", "is_linear", "robot_ends", "write_exports"]

@@ -5,8 +5,8 @@
 folded settings and environment.
 """
 
-from btr_mjx.pages.content import Curves, Figure, Section, Table, with_interval
 from btr_mjx.pages.page import PAGE, embedded, write_page
+from btr_mjx.pages.page_content import Curves, Figure, Section, Table, with_interval
 from btr_mjx.pages.runs import draw_run_page
 
 __all__ = [

@@ -8,7 +8,7 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from btr_mjx.pages.content import Figure, Table, cell_order, cell_text, flat_rows
+from btr_mjx.pages.page_content import Figure, Table, cell_order, cell_text, flat_rows
 from btr_mjx.runs import CONFIG_NAME, atomic_write, read_json, read_limited
 
 PAGE = "report.html"

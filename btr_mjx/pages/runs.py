@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from btr_mjx.errors import InputError
-from btr_mjx.pages.coevolution import coevolution_content
+from btr_mjx.pages.coevolution_page import coevolution_content
 from btr_mjx.pages.page import write_page
-from btr_mjx.pages.scan import scan_content
+from btr_mjx.pages.scan_page import scan_content
 from btr_mjx.plotting import draw_run, draw_scan, kind_of_run, read_run, read_scan
 
 

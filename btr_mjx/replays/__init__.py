@@ -6,7 +6,7 @@ plays the motions in MuJoCo's viewer.
 """
 
 from btr_mjx.replays.film import check_film, draw_film, write_film
-from btr_mjx.replays.motion import Replay, ReplayedMotion
+from btr_mjx.replays.replay_records import Replay, ReplayedMotion
 from btr_mjx.replays.source import read_replay
 from btr_mjx.replays.viewer import check_display, view_replay
 

@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from btr_mjx.errors import InputError
 from btr_mjx.plotting import camera_for, render
-from btr_mjx.replays.motion import Replay
+from btr_mjx.replays.replay_records import Replay
 from btr_mjx.runs import atomic_write, check_regular
 
 FILM_SUFFIXES = (".gif", ".mp4")

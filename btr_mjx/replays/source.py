@@ -4,7 +4,7 @@ from pathlib import Path
 
 from btr_mjx.errors import InputError
 from btr_mjx.plotting import kind_of_run
-from btr_mjx.replays.motion import Replay
+from btr_mjx.replays.replay_records import Replay
 
 
 def read_replay(folder: str | Path, frames: int, seconds: float) -> Replay:
@@ -17,11 +17,11 @@ def read_replay(folder: str | Path, frames: int, seconds: float) -> Replay:
     """
     folder, kind = Path(folder), kind_of_run(folder)
     if kind == "diagnose":
-        from btr_mjx.replays.diagnosis import diagnosis_replay
+        from btr_mjx.replays.diagnosis_motions import diagnosis_replay
 
         return diagnosis_replay(folder, frames, seconds)
     if kind == "coevolve":
-        from btr_mjx.replays.coevolution import coevolution_replay
+        from btr_mjx.replays.coevolution_motions import coevolution_replay
 
         return coevolution_replay(folder, frames)
     raise InputError(f"{folder}: only runs of btr_mjx.coevolve and btr_mjx.diagnose have motions that can be shown")

@@ -5,7 +5,7 @@ import platform
 import time
 
 from btr_mjx.errors import InputError
-from btr_mjx.replays.motion import Replay
+from btr_mjx.replays.replay_records import Replay
 
 
 def check_display() -> None:

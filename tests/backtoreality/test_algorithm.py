@@ -14,8 +14,8 @@ from btr_mjx.backtoreality import (
     State,
 )
 from btr_mjx.backtoreality import algorithm as btr
+from btr_mjx.backtoreality.run_state import Trials, state_from_arrays, state_to_arrays
 from btr_mjx.backtoreality.simulation_search import delta_of_simulations
-from btr_mjx.backtoreality.state import Trials, state_from_arrays, state_to_arrays
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import FITNESS_FUNCTIONS, evaluate, multiscale_fitness
 from btr_mjx.robots import Robot

@@ -9,7 +9,7 @@ from lanes_models import FAST, chain, mjcf, quadruped, tangle
 
 from btr_mjx import lanes
 from btr_mjx.engines import LanesStepper, UnsupportedModel
-from btr_mjx.engines.lanes.state import LanesState
+from btr_mjx.engines.lanes_engine.lanes_state import LanesState
 
 QUICK = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 CONSTRAINT = mujoco.mjtConstraint

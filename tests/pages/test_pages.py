@@ -19,10 +19,10 @@ from btr_mjx.backtoreality import bound_words, summary_table
 from btr_mjx.errors import InputError
 from btr_mjx.gap.results import format_number, verdict_sentence
 from btr_mjx.pages import Section, Table, write_page
-from btr_mjx.pages.coevolution import coevolution_sentence, prediction_errors
-from btr_mjx.pages.content import cell_text, flat_rows
+from btr_mjx.pages.coevolution_page import coevolution_sentence, prediction_errors
 from btr_mjx.pages.page import sentences
-from btr_mjx.pages.scan import scan_sentence
+from btr_mjx.pages.page_content import cell_text, flat_rows
+from btr_mjx.pages.scan_page import scan_sentence
 from btr_mjx.plotting import ScanData, kind_of_run, read_run, robot_figure
 from btr_mjx.robots import Box
 from btr_mjx.runs import check_sums, read_json, write_json

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from btr_mjx.engines.guards import bounds
 from btr_mjx.engines.guards.pairs import PairGroup
-from btr_mjx.engines.guards.places import PlacedGeoms, fold_rows
+from btr_mjx.engines.guards.placed_geoms import PlacedGeoms, fold_rows
 
 
 def crossed(groups: Sequence[PairGroup], geoms: PlacedGeoms, dtype: Any) -> jax.Array:

@@ -7,7 +7,7 @@ import numpy as np
 
 from btr_mjx.evaluation import Outcome, fitness_function
 from btr_mjx.gap.effects import Scales
-from btr_mjx.gap.fitness_only.table import FitnessTable
+from btr_mjx.gap.fitness_only.fitness_table import FitnessTable
 from btr_mjx.gap.simulate import Command, Counter, Segments, World, simulate
 
 _AT_ONCE = 1024

@@ -18,8 +18,8 @@ from btr_mjx.engines.guards.pairs import (
     geom_pairs,
     mixed_condim,
 )
-from btr_mjx.engines.lanes.planning import active_equalities, make_plan, moving_tendons
-from btr_mjx.engines.lanes.tree import BALL, FREE
+from btr_mjx.engines.lanes_engine.tree import BALL, FREE
+from btr_mjx.engines.lanes_engine.tree_builder import active_equalities, make_plan, moving_tendons
 
 MAX_DOFS = 32
 """Dofs of the plan above which native MuJoCo is about as fast, and the program takes minutes to compile."""

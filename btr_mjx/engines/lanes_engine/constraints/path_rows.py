@@ -13,13 +13,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from btr_mjx.engines.guards.places import member, stack_rows
-from btr_mjx.engines.lanes.constraints.body_contacts import Column, Coupling
-from btr_mjx.engines.lanes.constraints.cones import Cone, Frictionless, ZoneModel, constraint_law
-from btr_mjx.engines.lanes.constraints.dof_constraints import Friction
-from btr_mjx.engines.lanes.kinematics import path_motion
-from btr_mjx.engines.lanes.parameters import Parameters
-from btr_mjx.engines.lanes.tree import Path, TreePlan
+from btr_mjx.engines.guards.placed_geoms import member, stack_rows
+from btr_mjx.engines.lanes_engine.constraints.body_contacts import Column, Coupling
+from btr_mjx.engines.lanes_engine.constraints.cones import Cone, Frictionless, ZoneModel, constraint_law
+from btr_mjx.engines.lanes_engine.constraints.dof_constraints import Friction
+from btr_mjx.engines.lanes_engine.kinematics import path_motion
+from btr_mjx.engines.lanes_engine.parameters import Parameters
+from btr_mjx.engines.lanes_engine.tree import Path, TreePlan
 from btr_mjx.engines.scalars import Scalar, Symmetric, Vector, add, array, is_zero, mul, neg, sub
 
 type _Jacobian = list[dict[int, Scalar]]

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from btr_mjx.errors import InputError
 from btr_mjx.models.compilation import base_model, compile_mjcf, editor_of, model_of, unedited_model
-from btr_mjx.models.fields import PHYSICS, field_names, read_field, write_field
+from btr_mjx.models.model_fields import PHYSICS, field_names, read_field, write_field
 from btr_mjx.robots import Robot
 from btr_mjx.runs import available_cores
 

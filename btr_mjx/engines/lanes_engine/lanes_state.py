@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from btr_mjx.engines.lanes.actuation import group_rows
-from btr_mjx.engines.lanes.constraints.solver import Zones
-from btr_mjx.engines.lanes.tree import TreePlan
+from btr_mjx.engines.lanes_engine.actuation import group_rows
+from btr_mjx.engines.lanes_engine.constraints.solver import Zones
+from btr_mjx.engines.lanes_engine.tree import TreePlan
 
 
 @jax.tree_util.register_dataclass

@@ -21,7 +21,7 @@ _KEYS = ("centre", "axes", "size", "margin")
 
 
 class GeomParameters(Protocol):
-    """Scalars by name, such as `lanes.parameters.Parameters`."""
+    """Scalars by name, such as `lanes_engine.parameters.Parameters`."""
 
     def __getitem__(self, key: str, /) -> list[Any]: ...
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 
-from btr_mjx.engines.lanes.kinematics import Motion, point_velocity
-from btr_mjx.engines.lanes.parameters import Parameters
-from btr_mjx.engines.lanes.spatial import Block, Spatial, point_block, rigid_block
-from btr_mjx.engines.lanes.tree import BALL, FREE, TreePlan
+from btr_mjx.engines.lanes_engine.kinematics import Motion, point_velocity
+from btr_mjx.engines.lanes_engine.parameters import Parameters
+from btr_mjx.engines.lanes_engine.spatial import Block, Spatial, point_block, rigid_block
+from btr_mjx.engines.lanes_engine.tree import BALL, FREE, TreePlan
 from btr_mjx.engines.scalars import (
     Matrix,
     Scalar,

@@ -21,7 +21,7 @@ from btr_mjx.evaluation import Engine, EngineSettings, FitnessFunction, evaluate
 from btr_mjx.gap.data import Recording
 from btr_mjx.models import base_model, compile_models, start_of
 from btr_mjx.plotting import highlight
-from btr_mjx.replays.motion import Replay, ReplayedMotion, frame_times, hold_last_valid
+from btr_mjx.replays.replay_records import Replay, ReplayedMotion, frame_times, hold_last_valid
 from btr_mjx.robots import Robot
 from btr_mjx.runs import check_inputs, read_arrays, read_config, read_json
 

@@ -7,8 +7,8 @@ A link's spatial quantities refer to its own origin and to world axes: an accele
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from btr_mjx.engines.lanes.kinematics import Motion
-from btr_mjx.engines.lanes.tree import Link, TreePlan
+from btr_mjx.engines.lanes_engine.kinematics import Motion
+from btr_mjx.engines.lanes_engine.tree import Link, TreePlan
 from btr_mjx.engines.scalars import (
     SIX,
     ZERO,

@@ -8,9 +8,15 @@ number of links (Featherstone 2008, Rigid Body Dynamics Algorithms, chapter 7).
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from btr_mjx.engines.lanes.kinematics import Motion
-from btr_mjx.engines.lanes.spatial import Block, Spatial, acceleration_from_parent, generalised_force, sum_over_group
-from btr_mjx.engines.lanes.tree import FREE, TreePlan
+from btr_mjx.engines.lanes_engine.kinematics import Motion
+from btr_mjx.engines.lanes_engine.spatial import (
+    Block,
+    Spatial,
+    acceleration_from_parent,
+    generalised_force,
+    sum_over_group,
+)
+from btr_mjx.engines.lanes_engine.tree import FREE, TreePlan
 from btr_mjx.engines.scalars import (
     Matrix,
     Scalar,

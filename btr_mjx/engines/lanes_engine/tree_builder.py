@@ -6,7 +6,18 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
-from btr_mjx.engines.lanes.tree import FREE, WIDTHS, Actuator, Equality, Joint, Link, Path, Tendon, Touch, TreePlan
+from btr_mjx.engines.lanes_engine.tree import (
+    FREE,
+    WIDTHS,
+    Actuator,
+    Equality,
+    Joint,
+    Link,
+    Path,
+    Tendon,
+    Touch,
+    TreePlan,
+)
 
 
 def rigid_members(model: mujoco.MjModel, body: int) -> list[int]:

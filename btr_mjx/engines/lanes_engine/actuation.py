@@ -12,11 +12,11 @@ import mujoco
 import numpy as np
 
 from btr_mjx.engines.base import MUJOCO_4
-from btr_mjx.engines.lanes import support
-from btr_mjx.engines.lanes.delays import delayed
-from btr_mjx.engines.lanes.kinematics import Motion, axis_angle, path_motion, quaternion_product, unit_quaternion
-from btr_mjx.engines.lanes.parameters import Parameters
-from btr_mjx.engines.lanes.tree import BALL, FREE, Actuator, Tendon, TreePlan
+from btr_mjx.engines.lanes_engine import support
+from btr_mjx.engines.lanes_engine.delays import delayed
+from btr_mjx.engines.lanes_engine.kinematics import Motion, axis_angle, path_motion, quaternion_product, unit_quaternion
+from btr_mjx.engines.lanes_engine.parameters import Parameters
+from btr_mjx.engines.lanes_engine.tree import BALL, FREE, Actuator, Tendon, TreePlan
 from btr_mjx.engines.scalars import Scalar, add, dot, is_zero, matvec, mul, neg, scale, sub, total
 
 _DYN, _GAIN, _BIAS = mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias

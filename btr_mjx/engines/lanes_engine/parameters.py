@@ -12,17 +12,17 @@ import mujoco
 import numpy as np
 
 from btr_mjx.engines.guards.pairs import PairGroup, bounding_box, shape_kind
-from btr_mjx.engines.lanes import support
-from btr_mjx.engines.lanes.contact_parameters import (
+from btr_mjx.engines.lanes_engine import support
+from btr_mjx.engines.lanes_engine.contact_parameters import (
     MINVAL,
     constraint_row,
     contact_parameters,
     plane_frame,
     touch_parameters,
 )
-from btr_mjx.engines.lanes.fields import Fields, apply_matrix, rigid_pose, rigid_root, rotation_matrices
-from btr_mjx.engines.lanes.planning import massive_members, rigid_members
-from btr_mjx.engines.lanes.tree import BALL, FREE, Joint, TreePlan
+from btr_mjx.engines.lanes_engine.field_access import Fields, apply_matrix, rigid_pose, rigid_root, rotation_matrices
+from btr_mjx.engines.lanes_engine.tree import BALL, FREE, Joint, TreePlan
+from btr_mjx.engines.lanes_engine.tree_builder import massive_members, rigid_members
 from btr_mjx.engines.scalars import SIX, Scalar, constant
 
 

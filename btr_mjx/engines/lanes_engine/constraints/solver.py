@@ -19,15 +19,15 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from btr_mjx.engines.lanes.articulated import factorise, solve_factored
-from btr_mjx.engines.lanes.constraints.body_contacts import Coupling, over_slots
-from btr_mjx.engines.lanes.constraints.cones import Cone, Contact, ZoneModel
-from btr_mjx.engines.lanes.constraints.coupled import solve_coupled
-from btr_mjx.engines.lanes.constraints.dof_constraints import DofConstraint
-from btr_mjx.engines.lanes.dynamics import System
-from btr_mjx.engines.lanes.kinematics import Motion
-from btr_mjx.engines.lanes.spatial import Spatial, generalised_force, propagate
-from btr_mjx.engines.lanes.tree import TreePlan
+from btr_mjx.engines.lanes_engine.articulated import factorise, solve_factored
+from btr_mjx.engines.lanes_engine.constraints.body_contacts import Coupling, over_slots
+from btr_mjx.engines.lanes_engine.constraints.cones import Cone, Contact, ZoneModel
+from btr_mjx.engines.lanes_engine.constraints.coupled import solve_coupled
+from btr_mjx.engines.lanes_engine.constraints.dof_constraints import DofConstraint
+from btr_mjx.engines.lanes_engine.dynamics import System
+from btr_mjx.engines.lanes_engine.kinematics import Motion
+from btr_mjx.engines.lanes_engine.spatial import Spatial, generalised_force, propagate
+from btr_mjx.engines.lanes_engine.tree import TreePlan
 from btr_mjx.engines.rewriting import retrace
 from btr_mjx.engines.scalars import (
     Scalar,

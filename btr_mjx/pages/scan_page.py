@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from btr_mjx.gap.results import format_number
-from btr_mjx.pages.content import Section, Table, with_interval
 from btr_mjx.pages.page import embedded
+from btr_mjx.pages.page_content import Section, Table, with_interval
 from btr_mjx.plotting import ScanData, with_unit
 
 RESAMPLES = 999

@@ -19,11 +19,11 @@ from jax import lax
 
 from btr_mjx.engines.guards.bounds import Shapes
 from btr_mjx.engines.guards.pairs import PairGroup
-from btr_mjx.engines.guards.places import PlacedGeoms, fold_rows, member
-from btr_mjx.engines.lanes.constraints.cones import Cone, impedance, make_cone
-from btr_mjx.engines.lanes.kinematics import Motion
-from btr_mjx.engines.lanes.parameters import Parameters
-from btr_mjx.engines.lanes.tree import TreePlan
+from btr_mjx.engines.guards.placed_geoms import PlacedGeoms, fold_rows, member
+from btr_mjx.engines.lanes_engine.constraints.cones import Cone, impedance, make_cone
+from btr_mjx.engines.lanes_engine.kinematics import Motion
+from btr_mjx.engines.lanes_engine.parameters import Parameters
+from btr_mjx.engines.lanes_engine.tree import TreePlan
 from btr_mjx.engines.scalars import (
     Scalar,
     Vector,

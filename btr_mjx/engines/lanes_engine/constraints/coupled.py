@@ -14,12 +14,12 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from btr_mjx.engines.guards.places import fold_rows
-from btr_mjx.engines.lanes.articulated import Factors, solve_factored
-from btr_mjx.engines.lanes.constraints.body_contacts import Column, Coupling, over_slots
-from btr_mjx.engines.lanes.constraints.cones import ZoneModel
-from btr_mjx.engines.lanes.spatial import Spatial, propagate
-from btr_mjx.engines.lanes.tree import FREE, TreePlan
+from btr_mjx.engines.guards.placed_geoms import fold_rows
+from btr_mjx.engines.lanes_engine.articulated import Factors, solve_factored
+from btr_mjx.engines.lanes_engine.constraints.body_contacts import Column, Coupling, over_slots
+from btr_mjx.engines.lanes_engine.constraints.cones import ZoneModel
+from btr_mjx.engines.lanes_engine.spatial import Spatial, propagate
+from btr_mjx.engines.lanes_engine.tree import FREE, TreePlan
 from btr_mjx.engines.scalars import Scalar, add, array, dot, full, is_zero, matvec, padded, total, vadd
 
 _MAX_ITERATIONS = 60

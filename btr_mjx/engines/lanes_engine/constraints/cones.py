@@ -16,9 +16,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from btr_mjx.engines.lanes.parameters import Parameters
-from btr_mjx.engines.lanes.spatial import Block, Spatial, point_block
-from btr_mjx.engines.lanes.tree import Link
+from btr_mjx.engines.lanes_engine.parameters import Parameters
+from btr_mjx.engines.lanes_engine.spatial import Block, Spatial, point_block
+from btr_mjx.engines.lanes_engine.tree import Link
 from btr_mjx.engines.scalars import (
     SIX,
     Matrix,

@@ -17,7 +17,8 @@ from dataclasses import replace
 import numpy as np
 
 from btr_mjx.gap.effects import EFFECTS, Candidate, Effect, candidates
-from btr_mjx.gap.fitness_only.diagnosis import ValuedCandidate, as_diagnosis
+from btr_mjx.gap.fitness_only.fitness_diagnosis import ValuedCandidate, as_diagnosis
+from btr_mjx.gap.fitness_only.fitness_table import FitnessTable
 from btr_mjx.gap.fitness_only.screen import (
     COARSE_FACTORS,
     CandidateResponses,
@@ -27,7 +28,6 @@ from btr_mjx.gap.fitness_only.screen import (
     simulate_candidates,
     size_parameters,
 )
-from btr_mjx.gap.fitness_only.table import FitnessTable
 from btr_mjx.gap.fitness_only.trials import TrialSimulator
 from btr_mjx.gap.results import Diagnosis
 from btr_mjx.gap.simulate import Counter, World

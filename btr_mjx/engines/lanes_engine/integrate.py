@@ -9,15 +9,15 @@ import mujoco
 from jax import lax
 
 from btr_mjx.engines.base import MUJOCO_4
-from btr_mjx.engines.lanes import support
-from btr_mjx.engines.lanes.actuation import Actuation
-from btr_mjx.engines.lanes.articulated import factorise, lu_solve, solve_factored
-from btr_mjx.engines.lanes.constraints.solver import Zones
-from btr_mjx.engines.lanes.dynamics import NO_BLOCK, System, local_rates, opposing_forces
-from btr_mjx.engines.lanes.kinematics import Motion, unit_quaternion
-from btr_mjx.engines.lanes.spatial import Block, Spatial, propagate
-from btr_mjx.engines.lanes.state import LanesState
-from btr_mjx.engines.lanes.tree import BALL, FREE, TreePlan
+from btr_mjx.engines.lanes_engine import support
+from btr_mjx.engines.lanes_engine.actuation import Actuation
+from btr_mjx.engines.lanes_engine.articulated import factorise, lu_solve, solve_factored
+from btr_mjx.engines.lanes_engine.constraints.solver import Zones
+from btr_mjx.engines.lanes_engine.dynamics import NO_BLOCK, System, local_rates, opposing_forces
+from btr_mjx.engines.lanes_engine.kinematics import Motion, unit_quaternion
+from btr_mjx.engines.lanes_engine.lanes_state import LanesState
+from btr_mjx.engines.lanes_engine.spatial import Block, Spatial, propagate
+from btr_mjx.engines.lanes_engine.tree import BALL, FREE, TreePlan
 from btr_mjx.engines.scalars import (
     Scalar,
     add,

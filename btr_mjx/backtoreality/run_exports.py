@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from btr_mjx.backtoreality.grown import grown
-from btr_mjx.backtoreality.state import Problem, State
+from btr_mjx.backtoreality.run_state import Problem, State
 from btr_mjx.exports import ExportedParameter, write_exports
 from btr_mjx.gap.results import simulation_mjcf
 from btr_mjx.runs import atomic_write, read_json, write_json

@@ -11,15 +11,15 @@ import numpy as np
 
 from btr_mjx.engines.base import Leaves
 from btr_mjx.engines.guards.pairs import group_by_condim, group_by_kinds
-from btr_mjx.engines.guards.places import PlacedGeoms, Pose
+from btr_mjx.engines.guards.placed_geoms import PlacedGeoms, Pose
 from btr_mjx.engines.guards.watch import crossed
-from btr_mjx.engines.lanes import support
-from btr_mjx.engines.lanes.actuation import actuate, springs, tendon_forces
-from btr_mjx.engines.lanes.constraints.body_contacts import body_contacts, columns
-from btr_mjx.engines.lanes.constraints.contacts import contact_points
-from btr_mjx.engines.lanes.constraints.dof_constraints import dof_constraints
-from btr_mjx.engines.lanes.constraints.rows import path_rows
-from btr_mjx.engines.lanes.constraints.solver import (
+from btr_mjx.engines.lanes_engine import support
+from btr_mjx.engines.lanes_engine.actuation import actuate, springs, tendon_forces
+from btr_mjx.engines.lanes_engine.constraints.body_contacts import body_contacts, columns
+from btr_mjx.engines.lanes_engine.constraints.contacts import contact_points
+from btr_mjx.engines.lanes_engine.constraints.dof_constraints import dof_constraints
+from btr_mjx.engines.lanes_engine.constraints.path_rows import path_rows
+from btr_mjx.engines.lanes_engine.constraints.solver import (
     Constraint,
     ConstraintProblem,
     Zones,
@@ -27,7 +27,7 @@ from btr_mjx.engines.lanes.constraints.solver import (
     zone_flags,
     zone_shape,
 )
-from btr_mjx.engines.lanes.dynamics import (
+from btr_mjx.engines.lanes_engine.dynamics import (
     ball_rates,
     bias_wrenches,
     dof_system,
@@ -36,13 +36,19 @@ from btr_mjx.engines.lanes.dynamics import (
     opposing_forces,
     world_rates,
 )
-from btr_mjx.engines.lanes.fields import VARYING, Fields, base_field, influences_motion, rigid_root
-from btr_mjx.engines.lanes.integrate import Forward, integrate_step, runge_kutta
-from btr_mjx.engines.lanes.kinematics import Motion, motions
-from btr_mjx.engines.lanes.parameters import Parameters, derive, split_constants
-from btr_mjx.engines.lanes.planning import has_constraints, make_plan
-from btr_mjx.engines.lanes.state import LanesState, activations_in_order, dofs_in_order, positions_in_order, split_rows
-from btr_mjx.engines.lanes.tree import BALL, FREE
+from btr_mjx.engines.lanes_engine.field_access import VARYING, Fields, base_field, influences_motion, rigid_root
+from btr_mjx.engines.lanes_engine.integrate import Forward, integrate_step, runge_kutta
+from btr_mjx.engines.lanes_engine.kinematics import Motion, motions
+from btr_mjx.engines.lanes_engine.lanes_state import (
+    LanesState,
+    activations_in_order,
+    dofs_in_order,
+    positions_in_order,
+    split_rows,
+)
+from btr_mjx.engines.lanes_engine.parameters import Parameters, derive, split_constants
+from btr_mjx.engines.lanes_engine.tree import BALL, FREE
+from btr_mjx.engines.lanes_engine.tree_builder import has_constraints, make_plan
 from btr_mjx.engines.rewriting import retrace
 from btr_mjx.engines.scalars import add, array, vadd, vsub
 

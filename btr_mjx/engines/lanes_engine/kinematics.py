@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from btr_mjx.engines.lanes.parameters import Parameters
-from btr_mjx.engines.lanes.tree import BALL, FREE, HINGE, Joint, Link, Path, TreePlan
+from btr_mjx.engines.lanes_engine.parameters import Parameters
+from btr_mjx.engines.lanes_engine.tree import BALL, FREE, HINGE, Joint, Link, Path, TreePlan
 from btr_mjx.engines.scalars import (
     UNIT,
     ZERO,

@@ -9,8 +9,8 @@ import numpy as np
 from btr_mjx.backtoreality import bound_words, growth_sentence, prediction_errors
 from btr_mjx.evaluation import metrics
 from btr_mjx.gap.results import format_number
-from btr_mjx.pages.content import Section, Table, with_interval
 from btr_mjx.pages.page import embedded
+from btr_mjx.pages.page_content import Section, Table, with_interval
 from btr_mjx.plotting import RunData, with_unit
 
 DISTANCE_WORDS: Mapping[str, str] = {

@@ -14,8 +14,8 @@ from btr_mjx.gap.effects import of_forces, selected_effects
 from btr_mjx.gap.results import effect_title, found_effects, resolve_effect
 from btr_mjx.gap.simulate import Command, Segments, World, simulate
 from btr_mjx.models import difference, parse_path
-from btr_mjx.replays.coevolution import sampled
-from btr_mjx.replays.motion import Replay, ReplayedMotion, frame_times, hold_last_valid
+from btr_mjx.replays.coevolution_motions import sampled
+from btr_mjx.replays.replay_records import Replay, ReplayedMotion, frame_times, hold_last_valid
 from btr_mjx.runs import check_inputs, content_digest, read_config_json, read_json
 
 

@@ -6,9 +6,9 @@ Source: google-deepmind/mujoco, mj_contactParam, mj_makeImpedance, getsolparam.
 import mujoco
 import numpy as np
 
-from btr_mjx.engines.lanes import support
-from btr_mjx.engines.lanes.fields import Fields, apply_matrix, rigid_pose, rotation_matrices
-from btr_mjx.engines.lanes.tree import Touch
+from btr_mjx.engines.lanes_engine import support
+from btr_mjx.engines.lanes_engine.field_access import Fields, apply_matrix, rigid_pose, rotation_matrices
+from btr_mjx.engines.lanes_engine.tree import Touch
 
 MINVAL = 1e-15
 """MuJoCo's mjMINVAL."""

@@ -9,10 +9,10 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 
-from btr_mjx.engines.lanes.constraints.cones import ZoneModel, constraint_law
-from btr_mjx.engines.lanes.kinematics import axis_angle, unit_quaternion
-from btr_mjx.engines.lanes.parameters import Parameters
-from btr_mjx.engines.lanes.tree import BALL, FREE, TreePlan
+from btr_mjx.engines.lanes_engine.constraints.cones import ZoneModel, constraint_law
+from btr_mjx.engines.lanes_engine.kinematics import axis_angle, unit_quaternion
+from btr_mjx.engines.lanes_engine.parameters import Parameters
+from btr_mjx.engines.lanes_engine.tree import BALL, FREE, TreePlan
 from btr_mjx.engines.scalars import Scalar, add, mul, neg, sub
 
 

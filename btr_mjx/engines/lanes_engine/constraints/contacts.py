@@ -13,11 +13,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from btr_mjx.engines.lanes import support
-from btr_mjx.engines.lanes.constraints.cones import Contact, impedance, make_cone
-from btr_mjx.engines.lanes.kinematics import Motion, point_velocity
-from btr_mjx.engines.lanes.parameters import Parameters
-from btr_mjx.engines.lanes.tree import Link, Touch, TreePlan
+from btr_mjx.engines.lanes_engine import support
+from btr_mjx.engines.lanes_engine.constraints.cones import Contact, impedance, make_cone
+from btr_mjx.engines.lanes_engine.kinematics import Motion, point_velocity
+from btr_mjx.engines.lanes_engine.parameters import Parameters
+from btr_mjx.engines.lanes_engine.tree import Link, Touch, TreePlan
 from btr_mjx.engines.scalars import (
     Matrix,
     Scalar,
