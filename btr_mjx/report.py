@@ -4,7 +4,6 @@ The page, report.html in the run folder, needs no other file: the verdict, figur
 `btr_mjx.replay`, settings and environment. Every command draws it at its end unless it is given --no-figures.
 """
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -48,7 +47,6 @@ def main(argv: Sequence[str] | None = None) -> None:
         """
         return folders
 
-    argv = sys.argv[1:] if argv is None else list(argv)
     folders = tyro.cli(command, args=argv, description=__doc__, prog="btr_mjx.report")
     for folder in folders:
         print(report(folder))

@@ -15,7 +15,6 @@ are done: a scan that was killed continues with --resume. With --cluster the blo
 (docs/scaling.md).
 """
 
-import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -44,8 +43,7 @@ __all__ = ["ScanConfig", "along", "curve_statistics", "delta", "delta_fitness", 
 @cli_errors()
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
-    argv = sys.argv[1:] if argv is None else list(argv)
-    config = tyro.cli(ScanConfig, args=list(argv), description=__doc__, prog="btr_mjx.scan")
+    config = tyro.cli(ScanConfig, args=argv, description=__doc__, prog="btr_mjx.scan")
     resume = None if config.out is None else resume_command("btr_mjx.scan", argv)
     with cli_errors(resume):
         if config.resume and config.out is None:

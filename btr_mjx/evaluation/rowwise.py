@@ -26,6 +26,8 @@ from jax import lax
 from jax.custom_derivatives import SymbolicZero
 from jax.sharding import AxisType, Mesh, PartitionSpec
 
+from btr_mjx.evaluation.traced import jvp_of_moving
+
 Kernel = Callable[..., Any]
 """kernel(*arguments) -> results: pytrees of arrays whose first axis counts the chunk's rows."""
 
@@ -92,13 +94,7 @@ class _Batch:
         @jax.jit
         def kernel(*arguments: jax.Array) -> tuple[jax.Array, ...]:
             primals, tangents = arguments[: len(active)], arguments[len(active) :]
-
-            def of_active(*varied: jax.Array) -> tuple[jax.Array, ...]:
-                given = iter(varied)
-                return self.kernel(*(next(given) if one else x for one, x in zip(active, primals, strict=True)))
-
-            chosen = tuple(x for one, x in zip(active, primals, strict=True) if one)
-            results, derivatives = jax.jvp(of_active, chosen, tangents)
+            results, derivatives = jvp_of_moving(self.kernel, active, primals, tangents)
             return (*results, *derivatives)
 
         axes = self.axes + tuple(a for one, a in zip(active, self.axes, strict=True) if one)
