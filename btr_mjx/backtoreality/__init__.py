@@ -21,7 +21,7 @@ from btr_mjx.backtoreality.line_scan import (
     run_scan,
 )
 from btr_mjx.backtoreality.reality import FolderReality, Reality, SimulatedReality, Waiting
-from btr_mjx.backtoreality.resumable import inputs_of, run_in_folder, write_trials
+from btr_mjx.backtoreality.resumable import inputs_of, run_in_folder
 from btr_mjx.backtoreality.run_exports import export_coevolution, export_simulation
 from btr_mjx.backtoreality.run_state import Problem, Progress, State
 from btr_mjx.backtoreality.settings import BTRSettings, SearchSettings
@@ -63,5 +63,4 @@ __all__ = [
     "summarise",
     "summary_table",
     "typed_settings",
-    "write_trials",
 ]

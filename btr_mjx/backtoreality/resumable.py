@@ -124,8 +124,3 @@ def inputs_of(problem: Problem) -> dict[str, str]:
     if isinstance(problem.reality, SimulatedReality):
         inputs["the hidden reality"] = robot_digest(problem.reality.robot)
     return inputs
-
-
-def write_trials(folder: Path, state: State) -> None:
-    """Write trials.npz: every evaluation in reality."""
-    write_arrays(folder / "trials.npz", vars(state.trials))

@@ -51,45 +51,24 @@ def as_diagnosis(
     believed model on the trials to fit and on the held-out ones, `floor` is the change of the fitness by half the time
     step [m/s].
     """
-    nan = float("nan")
+    nan, table = float("nan"), trials.table
     rows = []
     for t, held_out in zip((*refined, *rest), (*ends, *[nan] * len(rest)), strict=True):
-        parameters = {p.name: v for p, v in zip(t.candidate.parameters, t.values, strict=True)}
-        gain, gain_held_out = believed[0] - t.delta, believed[1] - held_out
-        rows.append(
-            RankedCandidate(
-                t.candidate.effect.name,
-                t.candidate.place.label,
-                100 * gain / believed[0],
-                100 * (t.delta - refined[0].delta) / believed[0],
-                gain,
-                gain_held_out,
-                parameters,
-            )
-        )
-    first, held_out = refined[0], ends[0]
+        numbers = {p.name: v for p, v in zip(t.candidate.parameters, t.values, strict=True)}
+        gain, effect, place = believed[0] - t.delta, t.candidate.effect.name, t.candidate.place.label
+        score, margin = 100 * gain / believed[0], 100 * (t.delta - refined[0].delta) / believed[0]
+        rows.append(RankedCandidate(effect, place, score, margin, gain, believed[1] - held_out, numbers))
+    first, row, held_out = refined[0], rows[0], ends[0]
     named = min(1 - first.delta / believed[0], 1 - held_out / believed[1]) >= LEAST_REDUCTION
     close = tuple(t.candidate.name for t in refined if t.delta <= first.delta + _CLOSE * (believed[0] - first.delta))
     effects: tuple[NamedEffect, ...] = ()
     if named:
-        numbers = {
-            p.name: Estimate(v, nan, nan, p.unit, p.null)
-            for p, v in zip(first.candidate.parameters, first.values, strict=True)
+        estimates = {
+            p.name: Estimate(row.parameters[p.name], nan, nan, p.unit, p.null) for p in first.candidate.parameters
         }
-        effect = first.candidate.effect
         same = tuple(name for name in close if name != first.candidate.name)
-        effects = (
-            NamedEffect(
-                effect.name,
-                first.candidate.place.label,
-                numbers,
-                rows[0].score,
-                rows[0].held_out,
-                same,
-                effect.excited_by,
-                effect.equation,
-            ),
-        )
+        about = (first.candidate.effect.excited_by, first.candidate.effect.equation)
+        effects = (NamedEffect(row.effect, row.location, estimates, row.score, row.held_out, same, *about),)
     gap = Gap(believed[1], held_out if named else believed[1], floor, floor, nan, nan, nan, nan)
     notes = (
         "Only fitness was known: scores are per cent of Delta_fitness, the gap is Delta_fitness on held-out trials "
@@ -107,17 +86,12 @@ def as_diagnosis(
         believed=(),
         confounds=(),
         overlays=(),
-        share=float("nan"),
-        lack_of_fit=(float("nan"), float("nan")),
+        share=nan,
+        lack_of_fit=(nan, nan),
         threshold=100 * LEAST_REDUCTION,
         dispersion=1.0,
         sigma=np.zeros(0),
-        windows=(
-            len(trials.table.fitness) - int(trials.table.test.sum()),
-            int(trials.table.test.sum()),
-            1,
-            trials.table.duration,
-        ),
+        windows=(int((~table.test).sum()), int(table.test.sum()), 1, table.duration),
         steps=trials.counter.steps,
         seconds=seconds,
         notes=notes,
