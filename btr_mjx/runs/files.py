@@ -250,7 +250,11 @@ def read_table(path: str | Path) -> pl.DataFrame:
 
 
 def write_figure(path: str | Path, figure: Any, *, dpi: int = 150, **options: Any) -> None:
-    """Save a matplotlib figure; the file name's suffix decides the format (.png, .svg, .pdf)."""
+    """Save a matplotlib figure; the file name's suffix decides the format (.png, .svg, .pdf).
+
+    Raises:
+      OSError: the file cannot be written.
+    """
     image = BytesIO()  # matplotlib backends may close the file that they write to
     figure.savefig(image, format=Path(path).suffix[1:] or "png", dpi=dpi, **options)
     with atomic_write(path) as file:

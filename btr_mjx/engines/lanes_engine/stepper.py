@@ -77,13 +77,11 @@ class LanesStepper:
             values are bool arrays of the field's shape: the elements that may differ. Fields without influence on the
             motion (colours, bounding boxes, ...) are ignored.
           dtype: float32 or float64; None for JAX's default.
-          guards: whether a model with contacts that may not be computed is accepted: those of other geoms are guarded,
-            those of spheres and capsules with each other have a limited number of slots. `tripped` tells the worlds in
-            which such a contact may have taken part; their states are not MuJoCo's.
+          guards: whether a model with contacts that may not be computed is accepted: other geoms' are guarded, those of
+            spheres and capsules with each other have few slots. The states of `tripped` worlds are not MuJoCo's.
 
         Raises:
-          UnsupportedModel: the model uses something that this engine does not compute, or a field of `varying` may
-            not differ between worlds.
+          UnsupportedModel: the model, or a field that differs between worlds, is not what this engine computes.
           ValueError: a mask of `varying` has the wrong shape.
         """
         self._model, self._dtype = model, np.dtype(dtype or jnp.result_type(float))

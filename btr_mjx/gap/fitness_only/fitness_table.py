@@ -157,6 +157,9 @@ def save_fitness(folder: str | Path, xml: str, about: Mapping[str, Any], columns
     """Write a folder that `load_fitness` reads: the believed model as MJCF, the table's columns.
 
     Entries of [fitness] are body, function, duration and omega.
+
+    Raises:
+      OSError: the folder cannot be written to.
     """
     folder = Path(folder)
     lines = ["[model]", 'file = "model.xml"', "", "[fitness]", 'file = "trials.csv"']
