@@ -18,6 +18,7 @@ import difflib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -70,6 +71,14 @@ def nearest_names(name: str, known: Sequence[str], count: int = 3) -> str:
     known = [k[:200] for k in list(known)[:2000]]  # the comparison takes the product of the lengths
     close = difflib.get_close_matches(name[:200], known, count, 0.4)
     return ", ".join(repr(k) for k in (close or list(known)[: 2 * count]))
+
+
+def refuse_unknown_keys(table: Mapping[str, Any], known: Sequence[str], where: str) -> None:
+    """InputError for a key of a TOML table that is not known."""
+    for key in table:
+        if key not in known:
+            near = nearest_names(key, known)
+            raise InputError(f"{where}: unknown key {key!r}; nearest: {near}; valid keys: {', '.join(known)}")
 
 
 def part_names(model: mujoco.MjModel, kind: str) -> list[str]:

@@ -8,8 +8,6 @@ from btr_mjx.models.compilation import base_model, start_of
 from btr_mjx.models.paths import nearest_names
 from btr_mjx.robots import Robot
 
-_FREE = mujoco.mjtJoint.mjJNT_FREE
-
 MAX_STEPS = 10_000_000
 """Most time steps of a trial."""
 
@@ -33,6 +31,12 @@ def check_robot(robot: Robot) -> None:
     _check_signal(robot, model)
 
 
+def free_joints(model: mujoco.MjModel) -> dict[str, int]:
+    """Body -> its free joint."""
+    free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
+    return {model.body(int(model.jnt_bodyid[j])).name: int(j) for j in free}
+
+
 def base_address(robot: Robot) -> tuple[int, int] | None:
     """Addresses of the base's free joint in qpos and in qvel; None for a robot with a fixed base.
 
@@ -42,7 +46,7 @@ def base_address(robot: Robot) -> tuple[int, int] | None:
     if robot.base_body is None:
         return None
     model = base_model(robot)
-    joints = {model.body(int(model.jnt_bodyid[j])).name: int(j) for j in np.flatnonzero(model.jnt_type == _FREE)}
+    joints = free_joints(model)
     if robot.base_body not in joints:
         bodies = [model.body(i).name for i in range(1, model.nbody)]
         raise InputError(

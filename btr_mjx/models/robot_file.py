@@ -29,7 +29,8 @@ from btr_mjx.errors import InputError
 from btr_mjx.models.compilation import base_model, start_of
 from btr_mjx.models.controller_table import controls_at_start, read_controller
 from btr_mjx.models.path_parameters import KEYS, PathParameter, read_bounds, read_path_parameter
-from btr_mjx.models.paths import nearest_names
+from btr_mjx.models.paths import nearest_names, refuse_unknown_keys
+from btr_mjx.models.robot_checks import free_joints
 from btr_mjx.robots import Box, Robot, Sinusoids, hexapod, read_template
 from btr_mjx.runs import file_name, is_number, read_toml, toml_rows, toml_section
 
@@ -55,9 +56,7 @@ def load_robot(path: str | Path) -> Robot:
         table = read_toml(file)
     except OSError as error:
         raise InputError(f"robot {str(file)!r} cannot be read: {error}") from None
-    for key in table:
-        if key not in (*_KEYS, *_TABLES):
-            raise _unknown_key(str(file), key, (*_KEYS, *_TABLES))
+    refuse_unknown_keys(table, (*_KEYS, *_TABLES), str(file))
     source = file.parent / file_name(table, "model", str(file))
     plain = source.suffix != ".j2"
     rows = toml_rows(table, "parameter", file)
@@ -138,10 +137,7 @@ def _box(parameters: Sequence[_Parameter]) -> Box:
 def _template_parameter(row: Mapping[str, Any], plain: bool, source: Path, file: Path) -> _Parameter:
     """A parameter that is a variable of the template."""
     where = f"{file}: [[parameter]] {row.get('name', '')}".rstrip()
-    known = ("name", "bounds", "low", "high", "unit", "nominal")
-    for key in row:
-        if key not in known:
-            raise _unknown_key(where, key, (*known, "path"))
+    refuse_unknown_keys(row, ("name", "bounds", "low", "high", "unit", "nominal", "path"), where)
     if plain:
         raise InputError(f'{where}: no path, and {source.name} is no template; add path = "..."')
     low, high = read_bounds(row, where)
@@ -162,12 +158,6 @@ def _parameter(known: Sequence[_Parameter], row: Mapping[str, Any], where: str, 
     if not is_number(nominal):
         raise InputError(f"{where}: nominal = {nominal!r}: expected a number")
     return _Parameter(edit.name, edit.low, edit.high, float(nominal), edit.unit, edit)
-
-
-def _unknown_key(where: str, key: str, known: Sequence[str]) -> InputError:
-    return InputError(
-        f"{where}: unknown key {key!r}; nearest: {nearest_names(key, known)}; valid keys: {', '.join(known)}"
-    )
 
 
 def _constants(table: Mapping[str, Any], file: Path) -> tuple[tuple[str, float], ...]:
@@ -207,7 +197,7 @@ def _target(value: Any, file: Path) -> tuple[float, ...]:
 def _checked_base(model: mujoco.MjModel, base: str, point: str, file: Path) -> str | None:
     """The base body; a robot that is bolted down needs a point instead, or its fitness would always be 0."""
     bodies = [model.body(i).name for i in range(1, model.nbody)]
-    free = [model.body(int(b)).name for b in model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]]
+    free = [*free_joints(model)]
     if base and base not in free:
         if base in bodies:
             raise InputError(
