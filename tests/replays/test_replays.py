@@ -228,6 +228,7 @@ def test_what_cannot_be_shown_is_said_in_one_line(
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     write_json(tmp_path / "result.json", {"spearman": 1.0})
+    (tmp_path / "scan.npz").touch()
     for arguments, said in (
         ([str(tmp_path / "nowhere")], "no result.json"),
         ([str(tmp_path)], "only runs of btr_mjx.coevolve and btr_mjx.diagnose"),
