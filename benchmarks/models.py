@@ -16,7 +16,7 @@ import numpy as np
 import tyro
 
 from btr_mjx.engines import use_all_cores
-from btr_mjx.evaluation.evaluation import _program, _program_inputs
+from btr_mjx.evaluation.engine_choice import program_of
 from btr_mjx.models import compile_models, load_robot, varying_fields
 from btr_mjx.robots import hexapod
 from btr_mjx.runs import available_cores
@@ -51,7 +51,7 @@ def main(config: Config) -> None:
     first = time.perf_counter() - start
 
     # One block of pairs, as in `evaluate`; all blocks have the same cost per pair.
-    program = _program(_program_inputs(robot), "lanes", 1, False, None, bool(jax.config.read("jax_enable_x64")))
+    program = program_of(robot, "lanes", 1, False, None)
     size = program.layout.pairs
     controllers = robot.controller_box.sample(rng, size)
     leaves = compile_models(robot, np.resize(simulations, (size, robot.simulation_box.n))).leaves

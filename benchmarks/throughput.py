@@ -23,9 +23,8 @@ from mujoco import rollout
 from mujoco.batch import Batch
 
 from btr_mjx.engines import MjxStepper, Program, native, use_all_cores
-from btr_mjx.evaluation import base_address
-from btr_mjx.evaluation.evaluation import _program, _program_inputs, _stepper
-from btr_mjx.models import Models, compile_models
+from btr_mjx.evaluation.engine_choice import program_of, stepper_of
+from btr_mjx.models import Models, base_address, compile_models
 from btr_mjx.robots import Robot, hexapod
 from btr_mjx.runs import available_cores
 
@@ -133,10 +132,9 @@ def contestants(config: Config, robot: Robot) -> list[Contestant]:
             ),
         )
     )
-    x64 = bool(jax.config.read("jax_enable_x64"))
     if config.mjx:
-        result += mjx_contestants(config, robot, models, index, controllers, x64)
-    program = _program(_program_inputs(robot), "lanes", 1, False, None, x64)
+        result += mjx_contestants(config, robot, models, index, controllers)
+    program = program_of(robot, "lanes", 1, False, None)
     arguments = program.arguments(gathered(models, index), controllers, samples)
     compiled, seconds = timed_compile(program, arguments)
     result.append(
@@ -151,11 +149,11 @@ def contestants(config: Config, robot: Robot) -> list[Contestant]:
 
 
 def mjx_contestants(
-    config: Config, robot: Robot, models: Models, index: np.ndarray, controllers: np.ndarray, x64: bool
+    config: Config, robot: Robot, models: Models, index: np.ndarray, controllers: np.ndarray
 ) -> list[Contestant]:
     """Plain `jax.vmap(mjx.step)` on one device, and the `mjx` engine on all devices."""
     n, steps = config.mjx_pairs, config.mjx_steps
-    stepper = _stepper(_program_inputs(robot), "mjx", x64)
+    stepper = stepper_of(robot, "mjx")
     assert isinstance(stepper, MjxStepper)
     leaves = gathered(models, index[:n])
     packed = jax.tree.map(lambda x: x[0], stepper.pack({name: values[None] for name, values in leaves.items()}))
@@ -172,7 +170,7 @@ def mjx_contestants(
     start = time.perf_counter()
     compiled_plain = plain.lower(packed, c).compile()
     plain_seconds = time.perf_counter() - start
-    program = _program(_program_inputs(robot), "mjx", 1, False, None, x64)
+    program = program_of(robot, "mjx", 1, False, None)
     arguments = program.arguments(leaves, controllers[:n], np.array([steps]))
     compiled, seconds = timed_compile(program, arguments)
     return [

@@ -44,14 +44,13 @@ from btr_mjx.backtoreality import (
     summarise,
     summary_table,
     typed_settings,
-    write_trials,
 )
 from btr_mjx.errors import cli_errors, resume_command
 from btr_mjx.models import base_model
 from btr_mjx.pages import PAGE, draw_run_page
 from btr_mjx.plotting import attempt
 from btr_mjx.robots import Robot
-from btr_mjx.runs import IGNORED_FIELDS, RunFolder, claimed_folder, graceful_interrupt, write_json
+from btr_mjx.runs import IGNORED_FIELDS, RunFolder, claimed_folder, graceful_interrupt, write_arrays, write_json
 
 
 def coevolve(robot: Robot | Path | str | None = None, **settings: Any) -> dict[str, Any]:
@@ -101,7 +100,7 @@ def run_config(
             state = run_in_folder(problem, run, stop, config.progress, config.wait)
             result = summarise(problem, state)
             result["similar_range"] = similar_ranges(run.path, result)
-            write_trials(run.path, state)
+            write_arrays(run.path / "trials.npz", vars(state.trials))
             write_json(run.path / "result.json", result)
             export_simulation(run.path, problem, state)
             export_coevolution(run.path)

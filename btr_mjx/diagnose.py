@@ -99,7 +99,7 @@ class DiagnoseConfig:
     """Fit a smooth table of the force that nothing explains, for mended.json; for robots that touch nothing."""
     signal: Literal["trajectory", "fitness"] = "trajectory"
     """trajectory: recordings of the motion. fitness: a table of controllers and measured fitness, see
-    btr_mjx/gap/fitness_only/table.py."""
+    btr_mjx/gap/fitness_only/fitness_table.py."""
 
     demo: bool = False
     """Make a hidden case from the seed and solve it; the last lines say what was hidden."""

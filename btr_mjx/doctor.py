@@ -9,7 +9,6 @@ something is off, else 0.
 """
 
 import json
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -60,8 +59,7 @@ def examine_installation(config: DoctorConfig = DoctorConfig()) -> dict[str, Che
 @cli_errors()
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
-    argv = sys.argv[1:] if argv is None else list(argv)
-    config = tyro.cli(DoctorConfig, args=list(argv), description=__doc__, prog="btr_mjx.doctor")
+    config = tyro.cli(DoctorConfig, args=argv, description=__doc__, prog="btr_mjx.doctor")
     results = examine_installation(config)
     if any(result.state == "off" for result in results.values()):
         raise SystemExit(OFF_CODE)

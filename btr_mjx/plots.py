@@ -1,6 +1,5 @@
 """Command that draws the figures of run folders again: `python -m btr_mjx.plots runs/quick-0`."""
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -23,7 +22,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         """
         return folders
 
-    folders = tyro.cli(command, args=sys.argv[1:] if argv is None else list(argv), prog="btr_mjx.plots")
+    folders = tyro.cli(command, args=argv, prog="btr_mjx.plots")
     for folder in folders:
         for path in draw_folder(folder):
             print(path)

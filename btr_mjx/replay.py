@@ -10,7 +10,6 @@ The film is a GIF, or an MP4 with the extra `video`; its labels say what is show
 the run (report.html) then holds the film too. Without EGL, OSMesa or a display there is none, and a line says so.
 """
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -109,8 +108,7 @@ def replay(config: ReplayConfig) -> Path | None:
 @cli_errors()
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
-    argv = sys.argv[1:] if argv is None else list(argv)
-    config = tyro.cli(ReplayConfig, args=list(argv), description=__doc__, prog="btr_mjx.replay")
+    config = tyro.cli(ReplayConfig, args=argv, description=__doc__, prog="btr_mjx.replay")
     out = replay(config)
     if out is not None:
         print(f"{out} ({out.stat().st_size / 1e6:.2f} MB)")

@@ -5,7 +5,6 @@ The page, report.html in the run folder, needs no other file: the verdict, figur
 With --export rerun or mcap, what a diagnosis compares is also written for Rerun or Foxglove, see docs/exports.md.
 """
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,7 +38,8 @@ def report(folder: str | Path) -> Path:
     Raises:
       InputError: no such run, one that has not ended, or a damaged file.
     """
-    from btr_mjx.pages import draw_run_page, kind_of_run
+    from btr_mjx.pages import draw_run_page
+    from btr_mjx.plotting import kind_of_run
 
     if kind_of_run(folder) == "diagnose":
         from btr_mjx.gap.report import draw_report
@@ -54,7 +54,7 @@ def check_report(config: ReportConfig) -> None:
     Raises:
       InputError: a run that is no diagnosis, or a package that is not installed.
     """
-    from btr_mjx.pages import kind_of_run
+    from btr_mjx.plotting import kind_of_run
     from btr_mjx.replays import check_exports
 
     check_exports(config.export)
@@ -66,7 +66,6 @@ def check_report(config: ReportConfig) -> None:
 @cli_errors()
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
-    argv = sys.argv[1:] if argv is None else list(argv)
     config = tyro.cli(ReportConfig, args=argv, description=__doc__, prog="btr_mjx.report")
     if config.export:
         check_report(config)

@@ -15,7 +15,6 @@ are done: a scan that was killed continues with --resume. With --cluster the blo
 (docs/scaling.md).
 """
 
-import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -25,14 +24,13 @@ import tyro
 from btr_mjx.backtoreality import (
     ScanConfig,
     along,
-    check_scan,
+    build_scan,
     curve_statistics,
     delta,
     delta_fitness,
     run_scan,
 )
 from btr_mjx.errors import InputError, cli_errors, resume_command
-from btr_mjx.evaluation import fitness_function
 from btr_mjx.gap.results import format_number
 from btr_mjx.models import robot_digest
 from btr_mjx.pages import PAGE, draw_run_page
@@ -45,13 +43,12 @@ __all__ = ["ScanConfig", "along", "curve_statistics", "delta", "delta_fitness", 
 @cli_errors()
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
-    argv = sys.argv[1:] if argv is None else list(argv)
-    config = tyro.cli(ScanConfig, args=list(argv), description=__doc__, prog="btr_mjx.scan")
+    config = tyro.cli(ScanConfig, args=argv, description=__doc__, prog="btr_mjx.scan")
     resume = None if config.out is None else resume_command("btr_mjx.scan", argv)
     with cli_errors(resume):
         if config.resume and config.out is None:
             raise InputError("--resume: say which scan to continue with --out FOLDER")
-        robot, _ = check_scan(config)
+        scan = build_scan(config)
         evolved = 0 if config.behaviours == "random" else config.controllers * config.generations
         total = evolved + config.trials * (config.grid + 1)
         if config.out is None:
@@ -59,8 +56,8 @@ def main(argv: Sequence[str] | None = None) -> None:
             return
         ignore = (*IGNORED_FIELDS, "cluster", "figures")
         inputs = {
-            "the robot": robot_digest(robot),
-            "the fitness function": content_digest(fitness_function(config.fitness or robot.fitness, robot.target)),
+            "the robot": robot_digest(scan.robot),
+            "the fitness function": content_digest(scan.fitness),
         }
         with RunFolder.create(config.out, config, config.resume, ignore=ignore, inputs=inputs) as run:
             arrays, result = _with_bar(config, total)

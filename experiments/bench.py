@@ -9,7 +9,7 @@ from common import Config
 from units import Step
 
 from btr_mjx.evaluation import DISTANCE, EngineSettings, evaluate, fitness_at_marks
-from btr_mjx.robots import Robot, robot_of
+from btr_mjx.robots import Robot, hexapod
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Bench:
     def of(cls, config: Config, step: Step) -> "Bench":
         """The bench of an experiment."""
         engine = None if config.engine == "auto" else config.engine
-        return cls(robot_of(None, config.duration), engine, config.mark_times, step)
+        return cls(dataclasses.replace(hexapod(), duration=config.duration), engine, config.mark_times, step)
 
     def with_marks_until(self, horizon: float) -> "Bench":
         """A copy with the same number of evenly spaced marks, the last one at `horizon` [s]."""

@@ -35,13 +35,12 @@ from btr_mjx.errors import InputError
 from btr_mjx.evaluation import (
     DISTANCE,
     Outcome,
-    base_address,
     delta_of,
     evaluate,
     fitness_at_marks,
     metrics,
 )
-from btr_mjx.models import base_model
+from btr_mjx.models import base_address, base_model
 from btr_mjx.robots import PAPER_STARTS, Robot
 from btr_mjx.runs import write_json
 

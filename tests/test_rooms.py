@@ -9,7 +9,6 @@ import statistics
 import subprocess
 import sys
 from collections import defaultdict
-from functools import cache
 from pathlib import Path
 
 import pytest
@@ -53,7 +52,6 @@ def room_of(module: str) -> str:
     return max((room for room in ORDER if module == room or module.startswith(f"{room}.")), key=len)
 
 
-@cache
 def tree_of(module: str) -> ast.Module:
     """Syntax tree of a module; of a door whose names load on first use that of its stub."""
     path = FILES[module]
@@ -61,7 +59,6 @@ def tree_of(module: str) -> ast.Module:
     return ast.parse((stub if stub.is_file() else path).read_text(encoding="utf-8"))
 
 
-@cache
 def imports_of(module: str) -> list[str]:
     """Modules of this package that a module imports, anywhere in it."""
     found = []
@@ -80,29 +77,36 @@ def imports_of(module: str) -> list[str]:
     return [name for name in own if name != module]
 
 
+IMPORTS = {module: imports_of(module) for module in FILES}
+
+
 def test_rooms_import_rooms_above_them_only():
     wrong = [
         f"{module} imports {other}"
-        for module in FILES
-        for other in imports_of(module)
+        for module, imported in IMPORTS.items()
+        for other in imported
         if ORDER.index(room_of(other)) > ORDER.index(room_of(module))
     ]
     assert not wrong
 
 
-def test_inference_goes_from_scores_to_the_search_to_the_verdict():
-    folders = [f"gap.inference.{name}." for name in ("scoring", "search", "verdict")]
+TANGLED = {("gap.data.columns", "gap.data.files"), ("gap.forces.answer", "gap.forces.sets")}
+"""Folders of a room that import each other; no more of them may."""
 
-    def level(module: str) -> int:
-        return next((i for i, folder in enumerate(folders) if module.startswith(folder)), -1)
 
-    back = [
-        f"{module} imports {other}"
-        for module in FILES
-        for other in imports_of(module)
-        if -1 < level(module) < level(other)
-    ]
-    assert not back
+def test_folders_of_a_room_have_an_order():
+    """Two folders side by side do not import each other."""
+    folders = {module for module, path in FILES.items() if path.name == "__init__.py"} - {"", *ORDER}
+    above = {name: name.rpartition(".")[0] for name in folders}
+    pairs = {
+        (one, two)
+        for one in folders
+        for two in folders
+        if above[one] == above[two] and one != two
+        for module, imported in IMPORTS.items()
+        if f"{module}.".startswith(f"{one}.") and any(f"{other}.".startswith(f"{two}.") for other in imported)
+    }
+    assert {pair for pair in pairs if pair[::-1] in pairs and pair[0] < pair[1]} == TANGLED
 
 
 def test_files_are_private_to_their_room():
@@ -114,8 +118,8 @@ def test_files_are_private_to_their_room():
     }
     wrong = [
         f"{module} imports {other}"
-        for module in FILES
-        for other in imports_of(module)
+        for module, imported in IMPORTS.items()
+        for other in imported
         if room_of(module) != (room := room_of(other)) != "commands"
         and other != room
         and not (other.rpartition(".")[0] == room and other.rpartition(".")[2] in named[room])
@@ -131,11 +135,11 @@ def test_no_cycles():
         assert module not in trail, " -> ".join([*trail[trail.index(module) :], module])
         if module in done:
             return
-        for other in imports_of(module):
+        for other in IMPORTS[module]:
             visit(other, (*trail, module))
         done.add(module)
 
-    for module in FILES:
+    for module in IMPORTS:
         if module:  # the package loads its public names on first use
             visit(module, ())
 

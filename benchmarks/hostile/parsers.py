@@ -13,7 +13,8 @@ from btr_mjx.gap.fitness_only import load_fitness, preflight_fitness
 from btr_mjx.gap.preflight import preflight
 from btr_mjx.models import check_robot, load_robot
 from btr_mjx.robots import Box, Robot, Sinusoids, read_template
-from btr_mjx.runs import read_checkpoint, save_checkpoint, write_arrays
+from btr_mjx.runs import read_checkpoint, write_arrays
+from btr_mjx.runs.checkpoints import save_checkpoint
 from hostile import mutations as mutate
 from hostile.inputs import (
     DATASET,

@@ -8,23 +8,24 @@ replace it.
 from btr_mjx.backtoreality.algorithm import begin
 from btr_mjx.backtoreality.config import PRESETS, CoevolveConfig, build_problem, setting_of_robot
 from btr_mjx.backtoreality.controller_search import evolve_controllers, select_transferable
-from btr_mjx.backtoreality.exported import export_coevolution, export_simulation
+from btr_mjx.backtoreality.given_settings import typed_settings
 from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import growth_sentence
 from btr_mjx.backtoreality.line_scan import (
     ScanConfig,
     along,
-    check_scan,
+    build_scan,
     curve_statistics,
     delta,
     delta_fitness,
     run_scan,
 )
 from btr_mjx.backtoreality.reality import FolderReality, Reality, SimulatedReality, Waiting
-from btr_mjx.backtoreality.resumable import inputs_of, run_in_folder, write_trials
-from btr_mjx.backtoreality.setting_checks import typed_settings
-from btr_mjx.backtoreality.state import BTRSettings, Problem, Progress, SearchSettings, State
-from btr_mjx.backtoreality.summary import bound_words, similar_ranges, summarise, summary_table
+from btr_mjx.backtoreality.resumable import inputs_of, run_in_folder
+from btr_mjx.backtoreality.run_exports import export_coevolution, export_simulation
+from btr_mjx.backtoreality.run_state import Problem, Progress, State
+from btr_mjx.backtoreality.settings import BTRSettings, SearchSettings
+from btr_mjx.backtoreality.summary import bound_words, prediction_errors, similar_ranges, summarise, summary_table
 
 __all__ = [
     "PRESETS",
@@ -43,7 +44,7 @@ __all__ = [
     "begin",
     "bound_words",
     "build_problem",
-    "check_scan",
+    "build_scan",
     "curve_statistics",
     "delta",
     "delta_fitness",
@@ -53,6 +54,7 @@ __all__ = [
     "grown",
     "growth_sentence",
     "inputs_of",
+    "prediction_errors",
     "run_in_folder",
     "run_scan",
     "select_transferable",
@@ -61,5 +63,4 @@ __all__ = [
     "summarise",
     "summary_table",
     "typed_settings",
-    "write_trials",
 ]

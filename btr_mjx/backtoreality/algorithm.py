@@ -12,9 +12,10 @@ returns the state after it. The caller can save the state between pieces; a resu
 bit.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -23,23 +24,19 @@ from btr_mjx.backtoreality.controller_search import select_transferable
 from btr_mjx.backtoreality.fitness_growth import seek_by_fitness
 from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import calibration_delta, entries_of_diagnosis, proposals, seek
+from btr_mjx.backtoreality.run_state import Phase, Problem, State, Trials
 from btr_mjx.backtoreality.simulation_search import delta_of_simulations, genetic_algorithm, whole_trial_delta
-from btr_mjx.backtoreality.state import Problem, State, Trials
 from btr_mjx.errors import InputError
 from btr_mjx.gap.results import FoundEffect
 from btr_mjx.optimise import GAState
 
+Report = Callable[[str, dict[str, Any]], None]
+"""Callback for results, with their kind.
 
-class Report(Protocol):
-    """Callback for results.
-
-    `kind` is "generation" or "iteration", with a row of a table; "growth", with an entry of `State.sought`; or
-    "archive" at the end of a search, with iteration, phase, part (2 for step 3 in a simulator that grew in this
-    iteration), and genomes (g, population, bits) and scores (g, population) of all generations.
-    """
-
-    def __call__(self, kind: str, row: dict[str, Any]) -> None:
-        """Process one row."""
+It is "generation" or "iteration", with a row of a table; "growth", with an entry of `State.sought`; or "archive" at the
+end of a search, with iteration, phase, part (2 for step 3 in a simulator that grew in this iteration), and genomes
+(g, population, bits) and scores (g, population) of all generations.
+"""
 
 
 def begin(problem: Problem, genome: np.ndarray | None = None) -> State:
@@ -66,15 +63,9 @@ def begin(problem: Problem, genome: np.ndarray | None = None) -> State:
 
 
 def advance(problem: Problem, state: State, report: Report | None = None) -> State:
-    """Do the next piece of work.
+    """The state after the next piece of work, in phase "done" once a stop criterion is met.
 
-    Args:
-      problem: the problem.
-      state: the present state.
-      report: receives a row per generation and per iteration.
-
-    Returns:
-      The state after it; with phase "done" once a stop criterion is met.
+    `report` receives a row per generation and per iteration, see `Report`.
     """
     report = report or (lambda kind, row: None)
     problem = grown(problem, state.grown)
@@ -109,7 +100,7 @@ def try_first_controller(problem: Problem, state: State) -> State:
 
 def search_controllers(problem: Problem, state: State, report: Report) -> State:
     """Step 1, one generation: evolve controllers in s_(i-1)."""
-    settings, box = problem.settings.controllers, problem.controller_box
+    settings, box = problem.settings.step_1, problem.controller_box
     algorithm = genetic_algorithm(box, settings, maximise=problem.fitness.maximise)
     search = state.search or algorithm.init(problem.rng(state.iteration, 1), genome=state.genome)
     genomes, search = algorithm.ask(search)
@@ -210,22 +201,22 @@ def _finish_iteration(problem: Problem, state: State, report: Report) -> State:
         stop = "iterations"
     elif settings.max_evaluations is not None and len(state.trials) + settings.trials > settings.max_evaluations:
         stop = "max_evaluations"
-    ended = replace(
-        state,
-        phase="done" if stop else "controllers",
-        iteration=state.iteration + (0 if stop else 1),
-        simulation=simulation,
-        search=None,
-        genomes=state.genomes[:0],
-        scores=state.scores[:0],
-        delta_before=np.nan,
-        stop=stop,
+    state = replace(
+        state, simulation=simulation, search=None, genomes=state.genomes[:0], scores=state.scores[:0], stop=stop
     )
-    if len(state.grown) < settings.most_effects and not any(
-        row["iteration"] == state.iteration for row in state.sought
-    ):
-        return replace(ended, phase="growth", iteration=state.iteration, delta_before=after, stop=stop)
-    return ended
+    if len(state.grown) < settings.most_effects and not _sought_here(state):
+        return replace(state, phase="growth", delta_before=after)
+    return _next_iteration(state)
+
+
+def _sought_here(state: State) -> bool:
+    """Whether a missing effect was looked for in this iteration."""
+    return any(row["iteration"] == state.iteration for row in state.sought)
+
+
+def _next_iteration(state: State) -> State:
+    phase: Phase = "done" if state.stop else "controllers"
+    return replace(state, phase=phase, iteration=state.iteration + (not state.stop), delta_before=np.nan)
 
 
 def seek_missing_effect(problem: Problem, state: State, report: Report) -> State:
@@ -233,22 +224,16 @@ def seek_missing_effect(problem: Problem, state: State, report: Report) -> State
 
     What is found becomes a dimension of S, and step 3 of the same iteration goes on in the larger S.
     """
-    after = replace(
-        state,
-        phase="done" if state.stop else "controllers",
-        iteration=state.iteration + (0 if state.stop else 1),
-        delta_before=np.nan,
-    )
     left = float(whole_trial_delta(problem, state.simulation[None], state.trials, state.iteration)[0])
     row: dict[str, Any] = {"iteration": state.iteration, "delta_before": left, "added": []}
     row["calibration"] = calibration_delta(problem, state)
     if not left > row["calibration"]:
-        return replace(after, sought=(*state.sought, row | {"verdict": "within calibration"}))
+        return _next_iteration(replace(state, sought=(*state.sought, row | {"verdict": "within calibration"})))
     found, entries = _missing(problem, state)
     row |= found | {"added": [f"{entry['effect']}@{entry['location']}" for entry in entries]}
     report("growth", row)
     if not entries:
-        return replace(after, sought=(*state.sought, row))
+        return _next_iteration(replace(state, sought=(*state.sought, row)))
     larger = grown(problem, entries)
     values = [number["value"] for entry in entries for number in entry["numbers"].values()]
     simulation = np.concatenate([state.simulation, values])
@@ -299,20 +284,13 @@ def _after_generation(state: State, search: GAState | None, genomes: np.ndarray,
 def _generation_row(state: State, phase: str, scores: np.ndarray, maximise: bool) -> dict[str, Any]:
     finite = scores[np.isfinite(scores)]
     top, bottom = (np.max, np.min) if maximise else (np.min, np.max)
-    return {
-        "iteration": state.iteration,
-        "phase": phase,
-        "generation": len(state.scores),
-        "best": float(top(finite)) if len(finite) else np.nan,
-        "mean": float(finite.mean()) if len(finite) else np.nan,
-        "worst": float(bottom(finite)) if len(finite) else np.nan,
-        "diverged": int(len(scores) - len(finite)),
-    }
+    best, mean, worst = (float(of(finite)) if len(finite) else np.nan for of in (top, np.mean, bottom))
+    row = {"iteration": state.iteration, "phase": phase, "generation": len(state.scores)}
+    return row | {"best": best, "mean": mean, "worst": worst, "diverged": int(len(scores) - len(finite))}
 
 
 def _archive(state: State, phase: str) -> dict[str, Any]:
-    grown_here = sum(row["iteration"] == state.iteration for row in state.sought)
-    part = 1 + (grown_here if phase == "simulations" else 0)
+    part = 1 + (phase == "simulations" and _sought_here(state))
     archive = {"iteration": state.iteration, "phase": phase, "part": part}
     return archive | {"genomes": state.genomes, "scores": state.scores}
 

@@ -7,18 +7,18 @@ from typing import Any, Literal
 
 import numpy as np
 
-from btr_mjx.backtoreality.command_line import flags_of
+from btr_mjx.backtoreality.given_settings import flags_of
 from btr_mjx.backtoreality.reality import FolderReality, Reality, Rounds, SimulatedReality
-from btr_mjx.backtoreality.setting_checks import check_settings
-from btr_mjx.backtoreality.state import BTRSettings, Distance, Problem, SearchSettings
+from btr_mjx.backtoreality.run_state import Problem
+from btr_mjx.backtoreality.settings import BTRSettings, Distance, RunSettings, check_settings
 from btr_mjx.errors import InputError, resume_command
-from btr_mjx.evaluation import MARKS, EngineSettings, FitnessFunction, fitness_function
+from btr_mjx.evaluation import EngineSettings, FitnessFunction
 from btr_mjx.models import chosen_robot, compile_mjcf, load_robot, part_names
 from btr_mjx.robots import PAPER_REALITIES, Robot, hexapod, read_template
 
 
 @dataclass(frozen=True)
-class CoevolveConfig:
+class CoevolveConfig(RunSettings, BTRSettings):
     """Settings of a run; every field is a flag."""
 
     preset: Literal["quick", "paper"] = "quick"
@@ -27,17 +27,6 @@ class CoevolveConfig:
     """Run folder; by default the first unused one of runs/<preset>-<seed>, runs/<preset>-<seed>-2, ..."""
     resume: bool = False
     """Continue the run in --out."""
-    seed: int = 0
-    """Seed of everything random."""
-    engine: Literal["auto", "lanes", "mjx", "native"] = "auto"
-    """How simulations are computed; auto takes the fastest that can."""
-    progress: bool = True
-    """Show a progress bar (lines now and then where there is no terminal)."""
-    figures: bool = True
-    """Draw the page and its figures at the end."""
-
-    robot: Path | None = None
-    """A robot.toml that describes another robot, see docs/robot_file.md; by default the hexapod of the paper."""
     unknown: tuple[str, ...] = ("preset",)
     """Parameters of the simulation that are searched, "all", or "preset" for the preset's own (quick: bl_5 bl_14); of
     another robot that is all. The others are known."""
@@ -47,55 +36,6 @@ class CoevolveConfig:
     the seed, all of them for another robot."""
     start: Literal["nominal", "random"] = "nominal"
     """s_0: the nominal values, or random values of the unknown ones."""
-
-    iterations: int = 3
-    """At most so many iterations of Back-to-Reality."""
-    trials: int = 10
-    """m, controllers tried in reality per iteration."""
-    max_evaluations: int | None = None
-    """Stop before exceeding so many evaluations in reality."""
-    target_delta: float | None = None
-    """Stop once Delta_fitness is at most this [unit of the fitness]."""
-    behaviours: Literal["latest", "all"] = "all"
-    """Delta_fitness over the behaviours of the latest iteration (the paper), or over all so far."""
-    distance: Literal["auto", "fitness", "multiscale"] = "auto"
-    """What step 3 minimises: Delta_fitness (the paper), or the fitness at several early marks of the trial, which finds
-    many unknown parameters from few trials, in a fraction of the time. auto: multiscale for the hexapod against a
-    simulated reality, for which the default marks are good; else fitness."""
-    marks: tuple[float, ...] = MARKS
-    """Marks of the multiscale distance [s]; no other distance uses them."""
-    optimiser: Literal["ga", "cma"] = "ga"
-    """How step 3 searches: the genetic algorithm (the paper), or CMA-ES, which finds many unknown parameters far better
-    and ends early once it has converged."""
-    fitness: str | None = None
-    """Fitness function: distance (the hexapod's), forward_speed, energy_per_metre, target_distance, or FILE.py:NAME; by
-    default the robot's own."""
-
-    controllers: int = 48
-    """M, population of controllers."""
-    controller_generations: int = 6
-    """Generations of step 1."""
-    p_m: float = 0.02
-    """Probability per bit of flipping a controller's bit."""
-    controller_bits: int = 8
-    """Bits per controller parameter."""
-    simulations: int = 24
-    """L, population of simulations."""
-    simulation_generations: int = 8
-    """Generations of step 3."""
-    simulation_p_m: float = 0.1
-    """Probability per bit of flipping a simulation's bit."""
-    simulation_bits: int = 10
-    """Bits per unknown parameter."""
-
-    grow: bool = False
-    """Where the best simulation leaves more of Delta_fitness than errors of calibration do, look for the missing effect
-    and add it to the simulator."""
-    grow_from: Literal["recordings", "fitness"] = "recordings"
-    """Look for it in recordings of the trials where reality gives them, else by fitness alone; or by fitness alone in
-    any case."""
-    max_effects: int = 2
-    """Effects that --grow adds, at most."""
 
     reality: Literal["simulation", "folder"] = "simulation"
     """simulation: a hidden simulation plays reality. folder: a robot is reached through files in --exchange."""
@@ -115,10 +55,6 @@ class CoevolveConfig:
     """Another integrator of a native reality."""
     noise: float = 0.0
     """Relative standard deviation of the noise on measured fitness."""
-    duration: float | None = None
-    """T_e, duration of a trial [s]; by default the robot's own (hexapod: 1.7)."""
-    template: Path | None = None
-    """Another MJCF template of the hexapod, with the same parameters and motors."""
 
 
 PRESETS: dict[str, CoevolveConfig] = {
@@ -152,11 +88,7 @@ def minimised_distance(config: CoevolveConfig) -> Distance:
 
 
 def parse_values(robot: Robot, settings: Sequence[str]) -> dict[str, float]:
-    """Values of simulation parameters from NAME=VALUE settings.
-
-    Raises:
-      InputError: bad syntax, an unknown name, a value that is not a number or outside its bounds.
-    """
+    """Values of simulation parameters from NAME=VALUE settings."""
     box, values = robot.simulation_box, {}
     for setting in settings:
         name, separator, text = setting.partition("=")
@@ -188,11 +120,7 @@ def setting_of_robot(robot: Robot) -> dict[str, Any]:
 
 
 def build_problem(config: CoevolveConfig, robot: Robot | None = None) -> Problem:
-    """The problem that a config defines; writes no files.
-
-    Args:
-      config: the settings.
-      robot: the robot where the config's `robot` is not a file, see `setting_of_robot`.
+    """The problem that a config defines, of a robot where the config names no file; writes no files.
 
     Raises:
       InputError: a setting that is out of its range.
@@ -230,8 +158,7 @@ def build_problem(config: CoevolveConfig, robot: Robot | None = None) -> Problem
         raise InputError("reality_timestep and reality_integrator need --reality-engine native")
     if config.reality_timestep is not None and not 0 < config.reality_timestep <= 0.01:
         raise InputError(f"reality_timestep: got {config.reality_timestep}, expected a step within (0, 0.01] s")
-    engine = None if config.engine == "auto" else config.engine
-    fitness = fitness_function(config.fitness or robot.fitness, robot.target)
+    engine, fitness = config.engine_or_none, config.fitness_of(robot)
     reality: Reality = SimulatedReality(
         _real_robot(robot, config.reality_model),
         tuple(truth.tolist()),
@@ -248,24 +175,7 @@ def build_problem(config: CoevolveConfig, robot: Robot | None = None) -> Problem
         reality=reality,
         unknown=unknown,
         start=start,
-        settings=BTRSettings(
-            controllers=SearchSettings(
-                config.controllers, config.controller_generations, config.p_m, config.controller_bits
-            ),
-            trials=config.trials,
-            simulations=SearchSettings(
-                config.simulations, config.simulation_generations, config.simulation_p_m, config.simulation_bits
-            ),
-            iterations=config.iterations,
-            max_evaluations=config.max_evaluations,
-            target_delta=config.target_delta,
-            behaviours=config.behaviours,
-            distance=minimised_distance(config),
-            marks=config.marks,
-            optimiser=config.optimiser,
-            most_effects=config.max_effects if config.grow else 0,
-            grow_from=config.grow_from,
-        ),
+        settings=replace(config, distance=minimised_distance(config)),
         fitness=fitness,
         engine=engine,
         seed=config.seed,
@@ -273,11 +183,7 @@ def build_problem(config: CoevolveConfig, robot: Robot | None = None) -> Problem
 
 
 def _real_robot(robot: Robot, model: Path | None) -> Robot:
-    """The robot of a hidden reality, with a model of its own perhaps.
-
-    Raises:
-      InputError: a file that cannot be read, or that does not have the robot's joints and motors.
-    """
+    """The robot of a hidden reality, with a model of its own perhaps, which has the robot's joints and motors."""
     if model is None:
         return robot
     real = replace(
@@ -299,11 +205,7 @@ def _real_robot(robot: Robot, model: Path | None) -> Robot:
 
 
 def _folder_reality(config: CoevolveConfig, robot: Robot, fitness: FitnessFunction) -> FolderReality:
-    """The reality behind a folder.
-
-    Raises:
-      InputError: settings of a simulated reality, no folder, a rate out of range.
-    """
+    """The reality behind a folder; settings of a simulated reality are refused."""
     hidden = [
         name
         for name in ("reality_model", "reality_timestep", "reality_integrator")
@@ -312,8 +214,6 @@ def _folder_reality(config: CoevolveConfig, robot: Robot, fitness: FitnessFuncti
     hidden += ["noise"] * bool(config.noise) + ["truth"] * (config.truth != ("preset",))
     if hidden:
         raise InputError(f"--{hidden[0].replace('_', '-')} is for a simulated reality, and --reality is folder")
-    if not 1.0 <= config.signal_rate <= 1e5:
-        raise InputError(f"signal_rate: got {config.signal_rate}, expected 1 to 100000 samples per second")
     folder = config.exchange or (config.out and config.out / "exchange")
     if folder is None:
         raise InputError("--reality folder: needs --exchange DIR or --out DIR")

@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from btr_mjx.backtoreality.run_state import Progress
+from btr_mjx.backtoreality.settings import SearchSettings
 from btr_mjx.backtoreality.simulation_search import genetic_algorithm
-from btr_mjx.backtoreality.state import Progress, SearchSettings
 from btr_mjx.evaluation import DISTANCE, Engine, FitnessLike, evaluate, fitness_function
 from btr_mjx.robots import Robot
 
@@ -58,14 +59,9 @@ def select_transferable(
     Equal genomes count once. If the last generation has too few, the best ones of the generation before are added, and
     so on.
 
-    Args:
-      genomes: (g, M, bits) generations in order.
-      scores: (g, M) fitness in simulation.
-      trials: m, number of controllers to select.
-      maximise: whether larger is better.
-
     Returns:
-      (m', bits) genomes and (m',) scores with m' <= m, best first within each generation.
+      (m', bits) genomes and (m',) scores of genomes (g, M, bits) and scores (g, M), at most `trials`, best first within
+      each generation.
     """
     chosen: dict[bytes, tuple[np.ndarray, float]] = {}
     for generation, values in zip(genomes[::-1], scores[::-1], strict=True):

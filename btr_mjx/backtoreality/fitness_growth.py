@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 
 from btr_mjx.backtoreality.grown import grown, number_name
-from btr_mjx.backtoreality.state import Problem, State
+from btr_mjx.backtoreality.run_state import Problem, State
 from btr_mjx.evaluation import evaluate
 from btr_mjx.gap.effects import EFFECTS, Candidate, Scales, candidates
 from btr_mjx.gap.results import FoundEffect
@@ -75,15 +75,9 @@ class _Competitor:
 
 
 def seek_by_fitness(problem: Problem, state: State, proposed: Sequence[FoundEffect] = ()) -> FitnessSearch:
-    """Find the effect with which Delta_fitness falls most.
+    """Find the effect with which Delta_fitness falls most; nothing is sought in fewer than nine trials.
 
-    Args:
-      problem: the problem, grown so far.
-      state: after step 3.
-      proposed: effects that compete, with values; none for the most promising ones of the library.
-
-    Returns:
-      What was found; nothing is sought in fewer than nine trials.
+    Proposed effects compete with their values; without any, the most promising ones of the library do.
     """
     rows = np.flatnonzero(np.isfinite(state.trials.f_r))
     if len(rows) < _LEAST_TRIALS:

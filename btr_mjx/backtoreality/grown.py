@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from btr_mjx.backtoreality.state import Problem
+from btr_mjx.backtoreality.run_state import Problem
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.results import FoundEffect, added_effects
 from btr_mjx.models import general_model

@@ -14,7 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from btr_mjx.backtoreality.state import Problem, State
+from btr_mjx.backtoreality.run_state import Problem, State
 from btr_mjx.evaluation import evaluate
 from btr_mjx.gap.data import Dataset, Recording
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
@@ -105,14 +105,7 @@ def calibration_delta(problem: Problem, state: State) -> float:
 
 
 def seek(problem: Problem, state: State, recordings: Sequence[Recording], seed: int) -> Diagnosis:
-    """Diagnose what the best simulation lacks, from recordings of the trials.
-
-    Args:
-      problem: the problem, grown so far.
-      state: after step 3.
-      recordings: of trials, in the order of the trials; the last third is held out.
-      seed: of the resampling behind intervals.
-    """
+    """Diagnose what the best simulation lacks, from recordings of trials in their order; the last third is held out."""
     model = general_model(problem.robot, state.simulation)
     used = recordings[-_MOST_RECORDINGS:]
     held_out = max(1, len(used) // 3)

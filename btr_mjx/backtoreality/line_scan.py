@@ -8,35 +8,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from btr_mjx.backtoreality.controller_search import evolve_controllers, select_transferable
-from btr_mjx.backtoreality.setting_checks import check_settings
-from btr_mjx.backtoreality.state import Progress, SearchSettings
+from btr_mjx.backtoreality.run_state import Progress
+from btr_mjx.backtoreality.settings import RunSettings, SearchSettings, check_settings
 from btr_mjx.cluster import BlockSettings, evaluate_blocks
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation import (
-    DISTANCE,
-    Engine,
-    EngineSettings,
-    FitnessLike,
-    delta_of,
-    evaluate,
-    fitness_function,
-    metrics,
-)
+from btr_mjx.evaluation import FitnessFunction, delta_of, evaluate, metrics
 from btr_mjx.models import chosen_robot
 from btr_mjx.optimise import mutate
 from btr_mjx.robots import PAPER_REALITIES, PAPER_STARTS, Robot
 
 
 def delta(
-    robot: Robot,
-    simulations: ArrayLike,
-    controllers: ArrayLike,
-    f_real: ArrayLike,
-    *,
-    engine: Engine | None = None,
-    fitness: FitnessLike = DISTANCE,
-    settings: EngineSettings | None = None,
-    progress: Progress | None = None,
+    robot: Robot, simulations: ArrayLike, controllers: ArrayLike, f_real: ArrayLike, **options: Any
 ) -> np.ndarray:
     """delta_k = |f_sk - f_rk| (eq. 3) of every simulation and behaviour.
 
@@ -45,10 +28,7 @@ def delta(
       simulations: (L, n_s).
       controllers: (m, n_c).
       f_real: (m,) fitness of the controllers in reality.
-      engine: see `evaluate`.
-      fitness: see `evaluate`.
-      settings: see `EngineSettings`.
-      progress: called with the number of pairs done since the last call.
+      **options: engine, fitness, settings and progress of `evaluate`.
 
     Returns:
       (L, m); NaN where a pair diverged.
@@ -56,11 +36,7 @@ def delta(
     Raises:
       InputError: bad parameters, or f_real is not of shape (m,).
     """
-    how = settings or EngineSettings()
-    evaluation = evaluate(
-        robot, simulations, controllers, engine=engine, fitness=fitness, settings=how, progress=progress
-    )
-    return delta_of(evaluation.fitness, f_real)
+    return delta_of(evaluate(robot, simulations, controllers, **options).fitness, f_real)
 
 
 def delta_fitness(
@@ -123,11 +99,9 @@ def curve_statistics(grid: ArrayLike, curve: ArrayLike, truth: float) -> dict[st
 
 
 @dataclass(frozen=True)
-class ScanConfig:
+class ScanConfig(RunSettings):
     """Settings of a scan; every field is a flag."""
 
-    robot: Path | None = None
-    """A robot.toml that describes another robot, see docs/robot_file.md; by default the hexapod of the paper."""
     parameter: str | None = None
     """Parameter of the simulation that is scanned; by default bl_14, or the first of another robot."""
     grid: int = 49
@@ -145,14 +119,6 @@ class ScanConfig:
     """Pairs per block, the unit that is saved and, on a cluster, given to a worker."""
     cluster: str | None = None
     """Compute on a Dask cluster: local:N (N workers on this machine), tcp://HOST:PORT or file:SCHEDULER.json."""
-    seed: int = 0
-    """Seed of everything random."""
-    engine: Literal["auto", "lanes", "mjx", "native"] = "auto"
-    """How simulations are computed; auto takes the fastest that can."""
-    progress: bool = True
-    """Show a progress bar."""
-    figures: bool = True
-    """Draw the page and its figure at the end."""
 
     trials: int = 15
     """m, number of behaviours."""
@@ -165,32 +131,70 @@ class ScanConfig:
     """M, population of controllers."""
     generations: int = 10
     """Generations of the controllers' evolution."""
-    fitness: str | None = None
-    """Fitness function: distance (the hexapod's), forward_speed, energy_per_metre, target_distance, or FILE.py:NAME; by
-    default the robot's own."""
-    duration: float | None = None
-    """T_e, duration of a trial [s]; by default the robot's own (hexapod: 1.7)."""
-    template: Path | None = None
-    """Another MJCF template of the hexapod, with the same parameters and motors."""
 
 
-def behaviours_of(config: ScanConfig, robot: Robot, simulation: np.ndarray, step: Progress | None) -> np.ndarray:
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """What the settings of a scan define.
+
+    Attributes:
+      robot, fitness, parameter: what is scanned.
+      start, truth: the parameter's value where controllers evolve, and in reality.
+      evolution: of the controllers; None for random ones.
+      blocks: how pairs are divided; their blocks are kept in the run folder.
+    """
+
+    robot: Robot
+    fitness: FitnessFunction
+    parameter: str
+    start: float
+    truth: float
+    evolution: SearchSettings | None
+    blocks: BlockSettings
+
+
+def build_scan(config: ScanConfig) -> Scan:
+    """The scan that a config defines, with all checks that need no simulation.
+
+    Raises:
+      InputError: bad settings, or a cluster without Dask.
+    """
+    robot = chosen_robot(config.robot, config.template, config.duration)
+    check_settings(config, robot)
+    box, paper = robot.simulation_box, config.robot is None
+    parameter = config.parameter or ("bl_14" if paper else box.names[0])
+    index, evolved = box.index(parameter), config.behaviours != "random"
+    truths, starts = (PAPER_REALITIES["fig2"], PAPER_STARTS) if paper else ({}, {})
+    truth = truths.get(parameter, robot.nominal[index]) if config.truth is None else config.truth
+    start = starts.get(parameter, float(box.low[index])) if config.start is None else config.start
+    if config.start is not None and not evolved:
+        raise InputError(f"start {config.start:g}: controllers evolve there, and --behaviours random evolves none")
+    along(robot, parameter, [truth, start])
+    evolution = SearchSettings(config.controllers, config.generations, config.p_m) if evolved else None
+    if config.behaviours == "evolved" and config.trials >= config.controllers:
+        raise InputError(
+            f"trials m = {config.trials}: expected fewer than the controller population M = {config.controllers}"
+        )
+    folder = None if config.out is None else config.out / "blocks"
+    blocks = BlockSettings(folder, config.block, config.cluster)
+    return Scan(robot, config.fitness_of(robot), parameter, start, float(truth), evolution, blocks)
+
+
+def _behaviours(config: ScanConfig, scan: Scan, step: Progress | None) -> np.ndarray:
     """The m controllers (m, n_c) of a scan, see `ScanConfig.behaviours`."""
+    robot = scan.robot
     rng = np.random.default_rng([config.seed, 2])
-    if config.behaviours == "random":
+    if scan.evolution is None:
         return robot.controller_box.sample(rng, config.trials)
-    settings = SearchSettings(config.controllers, config.generations, config.p_m)
-    box = robot.controller_box.with_bits(settings.bits)
-    function = fitness_function(config.fitness or robot.fitness, robot.target)
-    genomes, scores = evolve_controllers(
-        robot, simulation, settings, seed=config.seed, fitness=function, engine=_engine(config), progress=step
-    )
-    chosen, _ = select_transferable(genomes, scores, config.trials, function.maximise)
+    how: dict[str, Any] = {"fitness": scan.fitness, "engine": config.engine_or_none, "progress": step}
+    simulation = along(robot, scan.parameter, [scan.start])[0]
+    genomes, scores = evolve_controllers(robot, simulation, scan.evolution, seed=config.seed, **how)
+    chosen, _ = select_transferable(genomes, scores, config.trials, scan.fitness.maximise)
     if not len(chosen):
         raise InputError("every controller diverged in the starting simulation; change the robot or the fitness")
     if config.behaviours == "mutants":
         chosen = mutate(np.tile(chosen[0], (config.trials, 1)), config.p_m, rng)
-    return box.decode(chosen)
+    return robot.controller_box.with_bits(scan.evolution.bits).decode(chosen)
 
 
 def run_scan(config: ScanConfig, step: Progress | None = None) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -206,23 +210,17 @@ def run_scan(config: ScanConfig, step: Progress | None = None) -> tuple[dict[str
     Raises:
       InputError: bad settings.
     """
-    robot, truth = check_scan(config)
-    function, parameter = fitness_function(config.fitness or robot.fitness, robot.target), scanned(config, robot)
+    scan = build_scan(config)
+    robot, parameter, controllers = scan.robot, scan.parameter, _behaviours(config, scan, step)
+    how: dict[str, Any] = {"engine": config.engine_or_none, "fitness": scan.fitness, "progress": step}
+    f_r = evaluate(robot, along(robot, parameter, [scan.truth]), controllers, **how).fitness[0]
     line = along(robot, parameter, config.grid)
-    start = start_value(config, robot)
-    controllers = behaviours_of(config, robot, along(robot, parameter, [start])[0], step)
-    reality = along(robot, parameter, [truth])
-    engine = _engine(config)
-    f_r = evaluate(robot, reality, controllers, engine=engine, fitness=function, progress=step).fitness[0]
-    table = evaluate_blocks(
-        robot, line, controllers, engine=engine, fitness=function, blocks=block_settings(config), progress=step
-    )
-    deltas = delta_of(table.fitness, f_r)
-    grid = line[:, robot.simulation_box.index(parameter)]
+    table = evaluate_blocks(robot, line, controllers, blocks=scan.blocks, **how)
+    deltas, index = delta_of(table.fitness, f_r), robot.simulation_box.index(parameter)
     arrays = {
         "parameter": np.array(parameter),
-        "grid": grid,
-        "truth": np.array(truth),
+        "grid": line[:, index],
+        "truth": np.array(scan.truth),
         "controllers": controllers,
         "fitness": table.fitness,
         "f_r": f_r,
@@ -230,73 +228,13 @@ def run_scan(config: ScanConfig, step: Progress | None = None) -> tuple[dict[str
         "delta_fitness": deltas.mean(axis=1),
     }
     result = {
-        **curve_statistics(grid, arrays["delta_fitness"], truth),
+        **curve_statistics(line[:, index], arrays["delta_fitness"], scan.truth),
         "pairs": int(deltas.size),
         "diverged": int(table.diverged.sum()),
         "solver_capped_steps": int(table.solver_capped.sum()),
         "engine": table.engine,
-        "evolved_at": None if config.behaviours == "random" else start,
-        "parameter_unit": robot.simulation_box.units[robot.simulation_box.index(parameter)],
-        "fitness_unit": function.unit,
+        "evolved_at": None if scan.evolution is None else scan.start,
+        "parameter_unit": robot.simulation_box.units[index],
+        "fitness_unit": scan.fitness.unit,
     }
     return arrays, result
-
-
-def check_scan(config: ScanConfig) -> tuple[Robot, float]:
-    """Check all settings that can be checked without simulating.
-
-    Returns:
-      The robot, and the parameter's value in reality.
-
-    Raises:
-      InputError: bad settings.
-    """
-    robot = chosen_robot(config.robot, config.template, config.duration)
-    check_settings(config, robot)
-    parameter = scanned(config, robot)
-    index = robot.simulation_box.index(parameter)
-    own = PAPER_REALITIES["fig2"] if config.robot is None else {}
-    truth = own.get(parameter, robot.nominal[index]) if config.truth is None else config.truth
-    along(robot, parameter, [truth])
-    if config.start is not None and config.behaviours == "random":
-        raise InputError(f"start {config.start:g}: controllers evolve there, and --behaviours random evolves none")
-    along(robot, parameter, [start_value(config, robot)])
-    if config.grid < 2 or config.trials < 1:
-        raise InputError(f"grid {config.grid} and trials {config.trials}: expected at least 2 and 1")
-    if config.behaviours != "random":
-        settings = SearchSettings(config.controllers, config.generations, config.p_m)
-        if config.trials >= settings.population and config.behaviours == "evolved":
-            raise InputError(
-                f"trials m = {config.trials}: expected fewer than the controller population M = {config.controllers}"
-            )
-    fitness_function(config.fitness or robot.fitness, robot.target)
-    block_settings(config)
-    return robot, float(truth)
-
-
-def block_settings(config: ScanConfig) -> BlockSettings:
-    """How the pairs of a scan are divided; their blocks are kept in the run folder.
-
-    Raises:
-      InputError: bad settings, or a cluster without Dask.
-    """
-    folder = None if config.out is None else config.out / "blocks"
-    return BlockSettings(folder, config.block, config.cluster)
-
-
-def scanned(config: ScanConfig, robot: Robot) -> str:
-    """Name of the parameter that is scanned."""
-    return config.parameter or ("bl_14" if config.robot is None else robot.simulation_box.names[0])
-
-
-def start_value(config: ScanConfig, robot: Robot) -> float:
-    """The parameter's value in the simulation in which the controllers evolve, see `ScanConfig.start`."""
-    if config.start is not None:
-        return config.start
-    parameter, box = scanned(config, robot), robot.simulation_box
-    own = PAPER_STARTS if config.robot is None else {}
-    return float(own.get(parameter, box.low[box.index(parameter)]))
-
-
-def _engine(config: ScanConfig) -> Engine | None:
-    return None if config.engine == "auto" else config.engine

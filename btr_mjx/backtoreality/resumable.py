@@ -11,23 +11,16 @@ from btr_mjx.backtoreality.algorithm import Report, advance, begin
 from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import growth_sentence
 from btr_mjx.backtoreality.reality import SimulatedReality, Waiting
-from btr_mjx.backtoreality.state import Problem, State, state_from_arrays, state_to_arrays
+from btr_mjx.backtoreality.run_state import Problem, State, state_from_arrays, state_to_arrays
 from btr_mjx.models import robot_digest
 from btr_mjx.runs import RunFolder, StopRequest, content_digest, note, progress, say_progress, write_arrays
 
 
 def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: bool, wait: bool = False) -> State:
-    """Run a co-evolution from the last checkpoint of its folder to the end.
+    """The last state of a co-evolution that is run from the last checkpoint of its folder to the end.
 
-    Args:
-      problem: the problem.
-      run: folder of checkpoints, generations.csv, iterations.csv and the archives of both searches.
-      stop: checked after every piece of work.
-      show: whether a progress bar is shown.
-      wait: whether measurements that are missing are waited for.
-
-    Returns:
-      The last state.
+    The folder gets checkpoints, generations.csv, iterations.csv and the archives of both searches. With `wait`,
+    measurements that are missing are waited for.
 
     Raises:
       Waiting: measurements are missing, and not waited for; a resumed run asks for the same ones.
@@ -50,7 +43,7 @@ def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: boo
         else:
             tables[kind].append(row)
 
-    with progress(total=_pairs_left(problem, state), description="pairs", unit="pairs", show=show or False) as bar:
+    with progress(total=_pairs_left(problem, state), description="pairs", unit="pairs", show=show) as bar:
         problem = replace(problem, progress=bar.update)
         while state.phase != "done":
             phase, text = state.phase, f"iteration {state.iteration}: {_PHASE_TEXTS[state.phase]}"
@@ -108,9 +101,9 @@ def _pairs_left(problem: Problem, state: State) -> int:
         behaviours = settings.trials * (iteration if settings.behaviours == "all" else 1)
         done = len(state.scores) if iteration == state.iteration else 0
         if iteration > state.iteration or state.phase in ("baseline", "controllers"):
-            left += settings.controllers.population * (settings.controllers.generations - done) + behaviours
+            left += settings.controllers * (settings.controller_generations - done) + behaviours
             done = 0
-        left += settings.simulations.population * behaviours * (settings.simulations.generations - done)
+        left += settings.simulations * behaviours * (settings.simulation_generations - done)
     return left
 
 
@@ -131,8 +124,3 @@ def inputs_of(problem: Problem) -> dict[str, str]:
     if isinstance(problem.reality, SimulatedReality):
         inputs["the hidden reality"] = robot_digest(problem.reality.robot)
     return inputs
-
-
-def write_trials(folder: Path, state: State) -> None:
-    """Write trials.npz: every evaluation in reality."""
-    write_arrays(folder / "trials.npz", vars(state.trials))

@@ -9,7 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from btr_mjx.backtoreality.state import Problem, SearchSettings, State, Trials
+from btr_mjx.backtoreality.run_state import Problem, State, Trials
+from btr_mjx.backtoreality.settings import SearchSettings
 from btr_mjx.evaluation import delta_fitness_of, evaluate, fitness_at_marks, multiscale_fitness
 from btr_mjx.optimise import GAConfig, GAState, GeneticAlgorithm, cma_es
 from btr_mjx.robots import Box
@@ -24,16 +25,8 @@ def genetic_algorithm(box: Box, settings: SearchSettings, maximise: bool) -> Gen
 
 
 def ask_simulations(problem: Problem, state: State) -> tuple[np.ndarray, GAState | None]:
-    """The next generation of simulations.
-
-    Args:
-      problem: the problem.
-      state: in phase "simulations".
-
-    Returns:
-      (L, bits) genomes, and the state of the genetic algorithm for `tell_simulations`; None for CMA-ES.
-    """
-    box, settings = problem.simulation_box, problem.settings.simulations
+    """The next generation: genomes (L, bits), and the state of the genetic algorithm; None for CMA-ES."""
+    box, settings = problem.simulation_box, problem.settings.step_3
     known = state.simulation[problem.robot.simulation_box.indices(problem.unknown)]
     if problem.settings.optimiser == "cma":
         told = _in_cube(box, state.genomes) if len(state.scores) else np.zeros((0, settings.population, box.n))
@@ -58,13 +51,13 @@ def tell_simulations(
     """State of the genetic algorithm after a generation; None for CMA-ES, which is restored from its history."""
     if search is None:
         return None
-    algorithm = genetic_algorithm(problem.simulation_box, problem.settings.simulations, maximise=False)
+    algorithm = genetic_algorithm(problem.simulation_box, problem.settings.step_3, maximise=False)
     return algorithm.tell(search, genomes, scores)
 
 
 def finished(problem: Problem, state: State) -> bool:
     """Whether the present search has done all its generations or has converged."""
-    if len(state.scores) >= problem.settings.simulations.generations:
+    if len(state.scores) >= problem.settings.simulation_generations:
         return True
     return problem.settings.optimiser == "cma" and cma_es.converged(_in_cube(problem.simulation_box, state.genomes[-1]))
 
@@ -74,20 +67,12 @@ def _in_cube(box: Box, genomes: np.ndarray) -> np.ndarray:
 
 
 def delta_of_simulations(problem: Problem, simulations: np.ndarray, trials: Trials, iteration: int) -> np.ndarray:
-    """Distance of simulations from reality over the behaviours of an iteration (see `BTRSettings.behaviours`).
+    """Distances (L,) of simulations (L, n_s) from reality over the behaviours of an iteration; NaN where one diverged.
 
-    Delta_fitness (eq. 4), or `distances.multiscale_fitness`, for which trials are simulated up to the last mark.
-
-    Args:
-      problem: the problem.
-      simulations: (L, n_s).
-      trials: evaluations in reality; failed ones are left out.
-      iteration: only trials up to this one are used.
-
-    Returns:
-      (L,) distances; NaN where a behaviour diverged.
+    Delta_fitness (eq. 4), or `distances.multiscale_fitness`, for which trials are simulated up to the last mark. Trials
+    up to this iteration count, see `BTRSettings.behaviours`, but those that failed.
     """
-    if problem.settings.distance == "fitness":
+    if problem.settings.compared == "fitness":
         return whole_trial_delta(problem, simulations, trials, iteration)
     use = _counting(problem, trials, iteration)
     evaluation = evaluate(

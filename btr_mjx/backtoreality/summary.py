@@ -1,6 +1,5 @@
 """Results of a finished co-evolution: the content of result.json, and the table that the command prints."""
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +8,8 @@ import numpy as np
 from btr_mjx.backtoreality.algorithm import best_index
 from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import growth_sentence
+from btr_mjx.backtoreality.run_state import Problem, State
 from btr_mjx.backtoreality.simulation_search import whole_trial_delta
-from btr_mjx.backtoreality.state import Problem, State, Trials
 from btr_mjx.evaluation import learning_performance
 from btr_mjx.gap.results import format_number
 from btr_mjx.runs import read_arrays
@@ -41,6 +40,7 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
     latest = trials.iteration == last
     first = trials.iteration == 1
     maximise = problem.fitness.maximise
+    errors = prediction_errors(trials.f_s, trials.f_r, trials.iteration)
     f_0 = float(trials.f_r[0])
     best = int(best_index(np.where(latest, trials.f_r, np.nan), maximise))
     f_end, f_max = float(trials.f_r[best]), float(np.nanmax(np.abs(trials.f_r)))
@@ -48,7 +48,7 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
         whole_trial_delta(problem, s[None], trials, iteration)[0]
     )
     indices, box = problem.robot.simulation_box.indices(problem.unknown), problem.simulation_box
-    truth = getattr(problem.reality, "truth", None)
+    truth, noise = (getattr(problem.reality, name, None) for name in ("truth", "noise"))
 
     known = original.robot.simulation_box.indices(original.unknown)
 
@@ -57,8 +57,8 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
 
     values = lambda s: dict(zip(problem.unknown, np.asarray(s)[indices].tolist(), strict=True))  # noqa: E731
     return {
-        "prediction_error_first": prediction_error(trials, 1),
-        "prediction_error_last": prediction_error(trials, last),
+        "prediction_error_first": float(errors[0]),
+        "prediction_error_last": float(errors[-1]),
         "delta_fitness_first": delta(problem.start, 1),
         "delta_fitness_last": delta(state.simulation, last),
         "parameter_error_first": error(problem.start),
@@ -67,7 +67,7 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
         "lp": learning_performance(
             f_0 if np.isfinite(f_0) else 0.0, f_end, f_max, problem.controller_box.n, len(trials)
         ),
-        "distance": problem.settings.distance,
+        "distance": problem.settings.compared,
         "fitness": problem.fitness.name,
         "fitness_unit": problem.fitness.unit,
         "maximise": maximise,
@@ -80,7 +80,7 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
         "f_r_best": f_end,
         "f_s_best": float(trials.f_s[best]),
         "failed_trials": int((~np.isfinite(trials.f_r)).sum()),
-        "measurement_noise": _finite(getattr(problem.reality, "noise", math.nan)) if truth is None else None,
+        "measurement_noise": noise if truth is None and noise is not None and np.isfinite(noise) else None,
         "iterations": last,
         "stop": state.stop,
         "start": values(problem.start),
@@ -92,28 +92,22 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
     }
 
 
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def prediction_error(trials: Trials, iteration: int) -> float:
-    """Mean |f_s - f_r| over the trials of an iteration, whose f_s was predicted before; NaN where all failed."""
-    gap = np.abs(trials.f_s - trials.f_r)[trials.iteration == iteration]
-    return float(gap[np.isfinite(gap)].mean()) if np.isfinite(gap).any() else math.nan
+def prediction_errors(f_s: np.ndarray, f_r: np.ndarray, iteration: np.ndarray) -> np.ndarray:
+    """(iterations,) mean |f_s - f_r| of each one's trials, whose f_s was predicted before; NaN where all failed."""
+    gap = np.abs(f_s - f_r)
+    own = [gap[(iteration == k) & np.isfinite(gap)] for k in range(1, int(iteration.max()) + 1)]
+    return np.array([values.mean() if len(values) else np.nan for values in own])
 
 
 def similar_ranges(folder: Path, result: dict[str, Any]) -> dict[str, list[float]]:
     """What the trials leave open: extent of the simulations that fit them nearly as well as the identified one.
 
-    Of the last search of step 3, since distances to other trials cannot be compared.
-
-    Args:
-      folder: the run folder, with its archives of simulations.
-      result: from `summarise`.
+    Of the last search of step 3, since distances to other trials cannot be compared. It is no confidence interval: it
+    depends on what was tried.
 
     Returns:
       Unknown parameter -> [lowest, highest] value among all simulations tried whose distance is at most twice the
-      least, and the identified one. It is no confidence interval: it depends on what was tried.
+      least, and the identified one.
     """
     archives = [read_arrays(path) for path in folder.glob(f"simulations-{result['iterations']:03d}*.npz")]
     archive = max(archives, key=lambda arrays: len(arrays["names"]))  # the search after a growth has more numbers

@@ -29,6 +29,7 @@ from btr_mjx.evaluation import (
     EngineSettings,
     FitnessFunction,
     FitnessLike,
+    checked_pairs,
     evaluate,
     fastest_engine,
     fitness_function,
@@ -119,7 +120,7 @@ def evaluate_blocks(
     Returns:
       The table, equal to that of `evaluate` to the bit; it takes 13 bytes per pair.
     """
-    s, c = _checked(robot, simulations, controllers)
+    s, c = checked_pairs(robot, simulations, controllers)
     engine, shape = engine or fastest_engine(robot), (len(s), len(c))
     table = PairTable(np.empty(shape), np.empty(shape, bool), np.empty(shape, np.int32), engine)
     options: dict[str, Any] = {"engine": engine, "fitness": fitness, "settings": settings, "blocks": blocks}
@@ -161,13 +162,17 @@ def iterate_blocks(
       InputError: as of `evaluate`; or the cluster cannot be used, see `connect` and `map_tasks`.
       OSError: a file cannot be read or written.
     """
-    s, c = _checked(robot, simulations, controllers)
+    from btr_mjx.engines import uses_doubles  # loads JAX
+
+    s, c = checked_pairs(robot, simulations, controllers)
     chosen = engine or fastest_engine(robot)
     how = settings or EngineSettings()
     fitness = fitness_function(fitness, robot.target)
     compute = partial(_compute, robot, chosen, fitness, how)
     # Threads do not change results, so that they may differ on resume.
-    key = content_digest(_FORMAT, robot_digest(robot), fitness, chosen, how.chunk, how.timestep, how.integrator, _x64())
+    key = content_digest(
+        _FORMAT, robot_digest(robot), fitness, chosen, how.chunk, how.timestep, how.integrator, uses_doubles()
+    )
     step = progress or (lambda pairs: None)
 
     def block(name: str, rows: slice, columns: slice, arrays: dict[str, np.ndarray]) -> PairBlock:
@@ -203,16 +208,6 @@ def iterate_blocks(
                     yield block(name, rows, columns, arrays)
 
 
-def _checked(robot: Robot, simulations: ArrayLike, controllers: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    s = np.atleast_2d(robot.simulation_box.validate(simulations, "simulations"))
-    c = np.atleast_2d(robot.controller_box.validate(controllers, "controllers"))
-    if s.ndim != 2 or c.ndim != 2 or not len(s) or not len(c):
-        raise InputError(
-            f"got simulations {s.shape} and controllers {c.shape}, expected non-empty (L, n_s) and (M, n_c)"
-        )
-    return s, c
-
-
 def tiles(rows: int, columns: int, size: int) -> Iterator[tuple[slice, slice]]:
     """Tiles of a table (rows, columns) of at most `size` pairs each, as square as its shape allows, row by row."""
     side = math.isqrt(size)
@@ -225,11 +220,7 @@ def tiles(rows: int, columns: int, size: int) -> Iterator[tuple[slice, slice]]:
 
 
 def read_block(folder: Path | None, name: str) -> dict[str, np.ndarray] | None:
-    """The arrays of a finished block; None where they are missing or, which prints a line, damaged.
-
-    Raises:
-      OSError: the file cannot be read.
-    """
+    """The arrays of a finished block; None where they are missing or, which prints a line, damaged."""
     if folder is None or not (folder / f"{name}.npz").exists():
         return None
     path = folder / f"{name}.npz"
@@ -244,11 +235,7 @@ def read_block(folder: Path | None, name: str) -> dict[str, np.ndarray] | None:
 
 
 def write_block(folder: Path | None, name: str, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write the arrays of a finished block, unless nothing is kept.
-
-    Raises:
-      OSError: the file cannot be written.
-    """
+    """Write the arrays of a finished block, unless nothing is kept."""
     if folder is not None:
         write_arrays(folder / f"{name}.npz", {_NAME: np.array(name), **arrays})
 
@@ -284,9 +271,3 @@ def _compute_there(
             f"{robot.folder or 'the working folder'} on every host, as on a shared file system"
         )
     return compute(simulations, controllers)
-
-
-def _x64() -> bool:
-    import jax
-
-    return bool(jax.config.read("jax_enable_x64"))

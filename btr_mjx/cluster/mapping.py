@@ -60,17 +60,11 @@ def map_tasks(
     jax_backend: bool,
     idle: Callable[[], object] = lambda: None,
 ) -> Iterator[tuple[str, Any]]:
-    """Call a function on the workers of a cluster.
+    """Call a function, which can be repeated without harm, on the workers of a cluster.
 
-    Args:
-      client: a `distributed.Client`.
-      function: the function; it can be repeated without harm.
-      tasks: names and arguments; a name stands for the content of its arguments, and is there once.
-      jax_backend: whether results depend on JAX.
-      idle: called about once a second while nothing arrives.
-
-    Yields:
-      Name and result of each task, in the order in which they arrive.
+    A task is a name, which stands for the content of its arguments and is there once, and these arguments. With
+    `jax_backend` results depend on JAX. `idle` is called about once a second while nothing arrives. Yields names and
+    results in the order in which they arrive.
 
     Raises:
       InputError: a worker differs from this process, cannot import this package or the function's module, raises an

@@ -23,12 +23,7 @@ class DifferentWorker(InputError):
 
 
 def call_on_worker(environment: Mapping[str, str], function: bytes, arguments: bytes) -> Any:
-    """Call a function on a worker.
-
-    Args:
-      environment: `numerical_environment` of the client.
-      function: the pickled function.
-      arguments: its pickled arguments, a tuple.
+    """Call a pickled function with a pickled tuple of arguments, in the `numerical_environment` of the client.
 
     Raises:
       DifferentWorker: the worker's results could differ from the client's.
@@ -55,8 +50,7 @@ def _function(pickled: bytes) -> Any:
 def numerical_environment(jax_backend: bool) -> Mapping[str, str]:
     """What the last bits of a result depend on in this process: versions, code, processor.
 
-    Args:
-      jax_backend: also the device and precision of JAX, which starts its backend.
+    With `jax_backend` also the device and precision of JAX, whose backend starts.
     """
     found = dict(_fixed())
     if jax_backend:
@@ -72,15 +66,7 @@ def numerical_environment(jax_backend: bool) -> Mapping[str, str]:
 
 
 def check_environment(client: Mapping[str, str], where: str) -> None:
-    """Compare this process with the client.
-
-    Args:
-      client: `numerical_environment` of the client.
-      where: name of this process for the message.
-
-    Raises:
-      DifferentWorker: something differs; all differences are named.
-    """
+    """DifferentWorker, which names all differences, where this process is not like the client."""
     own = numerical_environment("JAX" in client)
     differ = [f"{name} {own.get(name)} there, {value} here" for name, value in client.items() if own.get(name) != value]
     if differ:

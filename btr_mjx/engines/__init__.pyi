@@ -1,10 +1,10 @@
 from . import native
 from .base import Stepper, UnsupportedModel
 from .controlled import ControlledProgram
-from .devices import default_chunk, use_all_cores, use_compilation_cache
-from .lanes.fields import base_field, influences_motion
-from .lanes.stepper import LanesStepper
-from .lanes.support import possible_contacts, refusals, require_supported
+from .devices import default_chunk, use_all_cores, use_compilation_cache, uses_doubles
+from .lanes_engine.field_access import base_field, influences_motion
+from .lanes_engine.stepper import LanesStepper
+from .lanes_engine.support import possible_contacts, refusals, require_supported
 from .mjx import MjxStepper
 from .native import expand
 from .program import Layout, Program, rollout_chunk
@@ -30,4 +30,5 @@ __all__ = [
     "rollout_chunk",
     "use_all_cores",
     "use_compilation_cache",
+    "uses_doubles",
 ]

@@ -22,14 +22,7 @@ class ControlledProgram:
     """Compiled segments of rollouts, built once per engine and layout."""
 
     def __init__(self, stepper: Stepper, layout: Layout, devices: list[jax.Device], segment: int) -> None:
-        """Prepare the program.
-
-        Args:
-          stepper: the engine.
-          layout: shape of a block of worlds.
-          devices: over which the block is sharded.
-          segment: number of steps of a segment.
-        """
+        """Prepare segments of `segment` steps for blocks that are sharded over the devices."""
         self.stepper, self.layout, self.segment = stepper, layout, segment
 
         def begin(qpos: jax.Array, qvel: jax.Array, act: jax.Array, active: jax.Array) -> Any:
@@ -59,16 +52,11 @@ class ControlledProgram:
     def __call__(
         self, leaves: Leaves, start: tuple[np.ndarray, np.ndarray, np.ndarray], controls: np.ndarray, out: np.ndarray
     ) -> np.ndarray:
-        """Roll out up to `layout.pairs` worlds.
+        """Roll out up to `layout.pairs` worlds, whose states after each step are written to `out`.
 
-        Args:
-          leaves: MjModel fields (B, *field shape).
-          start: qpos (B, nq), qvel (B, nv) and act (B, na).
-          controls: (B, T, nu).
-          out: (B, T, nq + nv + na), where the states after each step are written.
-
-        Returns:
-          (B,) whether a contact that the engine does not compute may have taken part, or a state is invalid.
+        Model fields are (B, *field shape), the start qpos (B, nq), qvel (B, nv) and act (B, na), controls (B, T, nu)
+        and `out` (B, T, nq + nv + na). The result (B,) says whether a contact that the engine does not compute may have
+        taken part, or a state is invalid.
         """
         layout, dtype = self.layout, jnp.result_type(float)
         count, steps = controls.shape[:2]

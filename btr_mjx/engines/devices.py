@@ -53,3 +53,8 @@ def use_compilation_cache() -> None:
         logging.getLogger(__name__).debug("no compilation cache in %s: %s", folder, error)
         return
     jax.config.update("jax_compilation_cache_dir", str(folder))
+
+
+def uses_doubles() -> bool:
+    """Whether JAX computes in double precision by default."""
+    return bool(jax.config.read("jax_enable_x64"))

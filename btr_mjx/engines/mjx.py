@@ -33,11 +33,7 @@ class MjxStepper:
     """
 
     def __init__(self, model: mujoco.MjModel, varying: frozenset[str]) -> None:
-        """Prepare a model.
-
-        Args:
-          model: the base model.
-          varying: names of the fields that `pack` will receive.
+        """Prepare a model, with the names of the fields that `pack` will receive.
 
         Raises:
           UnsupportedModel: a feature that MJX does not compute.
@@ -46,10 +42,9 @@ class MjxStepper:
         self.nq, self.nv, self.nu = model.nq, model.nv, model.nu
         self.timestep = float(model.opt.timestep)
         self._pid = model.actuator_gaintype == mujoco.mjtGain.mjGAIN_PID
-        plain, changed = _without_pid(model)
         try:
-            put = mjx.put_model(plain, impl="jax")
-            if changed:
+            put = mjx.put_model(_without_pid(model, self._pid), impl="jax")
+            if self._pid.any():
                 put = put.replace(na=0)
         except NotImplementedError as error:
             raise UnsupportedModel(f"MJX does not support this model: {error}; use engine='native'") from None
@@ -151,9 +146,8 @@ def _leaf(model: mjx.Model, name: str) -> Any:
     return value if isinstance(value, np.ndarray) and value.dtype.kind == "f" else None
 
 
-def _without_pid(model: mujoco.MjModel) -> tuple[mujoco.MjModel, bool]:
-    """A copy whose `pid` actuators are position servos of the same kp and kv, and whether there were any."""
-    pid = model.actuator_gaintype == mujoco.mjtGain.mjGAIN_PID
+def _without_pid(model: mujoco.MjModel, pid: np.ndarray) -> mujoco.MjModel:
+    """A copy whose `pid` actuators are position servos of the same kp and kv."""
     plain = copy.copy(model)
     plain.actuator_gaintype[pid] = mujoco.mjtGain.mjGAIN_FIXED
     plain.actuator_dyntype[pid] = mujoco.mjtDyn.mjDYN_NONE
@@ -161,7 +155,7 @@ def _without_pid(model: mujoco.MjModel) -> tuple[mujoco.MjModel, bool]:
     plain.actuator_dynprm[pid, 0] = 1.0  # MuJoCo's default, as a <position> actuator has it
     plain.actuator_actadr[pid] = -1
     plain.actuator_actnum[pid] = 0
-    return plain, bool(pid.any())
+    return plain
 
 
 def _length_address(model: mujoco.MjModel) -> np.ndarray:

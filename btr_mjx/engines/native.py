@@ -6,7 +6,6 @@ time step and with another integrator. Results are bit-identical for any number 
 
 import copy
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -29,21 +28,6 @@ INTEGRATORS: Mapping[str, int] = {
 """Integrators by the name of their setting."""
 
 
-@dataclass(frozen=True)
-class NativeSettings:
-    """Settings of native MuJoCo; the defaults are the model's own.
-
-    Attributes:
-      timestep: another time step [s]; samples then count its steps.
-      integrator: another integrator, a key of `INTEGRATORS`.
-      threads: number of threads; None for all cores.
-    """
-
-    timestep: float | None = None
-    integrator: str | None = None
-    threads: int | None = None
-
-
 def rollout_native(
     model: mujoco.MjModel,
     leaves: Leaves,
@@ -54,7 +38,9 @@ def rollout_native(
     base_address: tuple[int, int] | None,
     record_states: bool,
     start: Start | None = None,
-    settings: NativeSettings = NativeSettings(),
+    timestep: float | None = None,
+    integrator: str | None = None,
+    threads: int | None = None,
 ) -> Record:
     """Simulate pairs in native MuJoCo.
 
@@ -67,20 +53,22 @@ def rollout_native(
       base_address: addresses of the base's position in qpos and of its velocity in qvel, or None.
       record_states: whether qpos, qvel and act are recorded.
       start: state in which the rollouts start; None for the model's qpos0 at rest.
-      settings: time step, integrator and threads.
+      timestep: another time step than the model's [s]; samples then count its steps.
+      integrator: another integrator, a key of `INTEGRATORS`.
+      threads: number of threads; None for all cores.
 
     Returns:
       The record, batch first. Pairs whose state became invalid have NaN positions from that time on.
     """
     model = copy.copy(model)
-    if settings.timestep is not None:
-        model.opt.timestep = settings.timestep
-    if settings.integrator is not None:
-        model.opt.integrator = INTEGRATORS[settings.integrator]
+    if timestep is not None:
+        model.opt.timestep = timestep
+    if integrator is not None:
+        model.opt.integrator = INTEGRATORS[integrator]
     # An invalid state must stay visible: MuJoCo's automatic reset would replace it by the initial state.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     count, dt = len(controllers), float(model.opt.timestep)
-    batch = Batch(model, nsim=count, nthread=settings.threads or available_cores())
+    batch = Batch(model, nsim=count, nthread=threads or available_cores())
     expand(batch, leaves)
     # With stage NONE a reset only writes qpos0; the constants of the models are already in the leaves.
     batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
@@ -130,12 +118,7 @@ _INVALID_STATE_WARNINGS = [
 
 
 def expand(batch: Batch, leaves: Leaves) -> None:
-    """Write the fields in which models differ into a batch of MuJoCo.
-
-    Args:
-      batch: the batch of B simulations.
-      leaves: MjModel field -> (B, *field shape); "stat.<name>" is skipped, since a batch holds no statistics.
-    """
+    """Write the fields in which models differ, (B, *field shape), into a batch of MuJoCo, which holds no statistics."""
     for name, values in leaves.items():
         if not name.startswith("stat."):
             batch.expand(name)[...] = values

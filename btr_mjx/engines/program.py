@@ -82,18 +82,9 @@ def rollout_chunk(
 ) -> Record:
     """Simulate one chunk (traced by JAX).
 
-    Args:
-      stepper: the engine.
-      signal: reference signal of the robot.
-      base_address: addresses of the base's position in qpos and of its velocity in qvel; None for a fixed base.
-      record_states: whether qpos, qvel and act are recorded at the samples.
-      params: the engine's parameters of this chunk.
-      controllers: (n_c, C).
-      samples: (K,) ascending step counts at which to record; the last one ends the rollout.
-      at: state in which the rollout starts; None for the model's qpos0 at rest.
-
-    Returns:
-      The record.
+    Controllers are (n_c, C), samples (K,) ascending step counts at which to record, the last one of which ends the
+    rollout. Addresses are those of the base's position in qpos and of its velocity in qvel, None for a fixed base; `at`
+    is the state in which the rollout starts, None for the model's qpos0 at rest.
     """
     chunk = controllers.shape[1]
     if at is None:
@@ -142,10 +133,7 @@ def rollout_chunk(
 def run_chunks(one: Callable[..., Any], chunked: tuple, active: Any) -> Any:
     """Chunks 0 .. active - 1 of one device in turn; the results of the others stay zero.
 
-    Args:
-      one: computes one chunk from slices of `chunked`.
-      chunked: arguments with the chunks as leading axis.
-      active: number of chunks in use.
+    `one` computes a chunk from slices of the arguments `chunked`, whose leading axis counts chunks.
     """
     one = jax.jit(one)  # traced once, for its shapes and for the loop
     shapes = jax.eval_shape(one, *jax.tree.map(lambda x: x[0], chunked))
@@ -165,11 +153,8 @@ def on_all_devices(
 ) -> jax.stages.Wrapped:
     """Compile a function for blocks of chunks that are sharded over devices.
 
-    Args:
-      devices: the devices.
-      function: its first `chunked` arguments and its results have the chunks as leading axis.
-      chunked: number of such arguments.
-      shared: number of the arguments that follow, copied to every device.
+    Its first `chunked` arguments and its results have the chunks as leading axis; the `shared` ones that follow are
+    copied to every device.
     """
     mesh = Mesh(np.array(devices), ("chunks",), axis_types=(AxisType.Auto,))
     sharded, copied = PartitionSpec("chunks"), PartitionSpec()
@@ -203,15 +188,9 @@ class Program:
         self.function = on_all_devices(devices, block, 2, 2)
 
     def arguments(self, leaves: Leaves, controllers: np.ndarray, samples: np.ndarray) -> tuple:
-        """Arrange up to `layout.pairs` pairs as the block that `function` takes.
+        """Arguments of `function` for up to `layout.pairs` pairs: parameters, controllers, samples, chunks per device.
 
-        Args:
-          leaves: MjModel fields (B, *field shape).
-          controllers: (B, n_c).
-          samples: (K,) step counts.
-
-        Returns:
-          Arguments of `function`: the engine's parameters, controllers, samples and number of chunks per device.
+        Model fields are (B, *field shape), controllers (B, n_c), samples (K,) step counts.
         """
         index, active = self.layout.places(len(controllers))
         packed = self.stepper.pack({name: values[index] for name, values in leaves.items()})

@@ -1,6 +1,7 @@
 from . import metrics
 from .distances import MARKS, fitness_at_marks, multiscale_fitness
-from .evaluation import Engine, EngineSettings, Evaluation, base_address, evaluate, fastest_engine
+from .engine_choice import Engine, EngineSettings, fastest_engine
+from .evaluation import Evaluation, checked_pairs, evaluate
 from .fitness import (
     DISTANCE,
     FITNESS_FUNCTIONS,
@@ -26,7 +27,7 @@ __all__ = [
     "FitnessLike",
     "Outcome",
     "Trajectory",
-    "base_address",
+    "checked_pairs",
     "delta_fitness_of",
     "delta_of",
     "evaluate",

@@ -20,15 +20,7 @@ CLIP = 3.0
 
 
 def fitness_at_marks(outcome: Outcome, fitness: FitnessFunction) -> np.ndarray:
-    """Fitness of the trials as if they had ended at each sample time.
-
-    Args:
-      outcome: of leading shape (...), with K sample times.
-      fitness: the fitness function.
-
-    Returns:
-      (..., K) fitness, in its own unit.
-    """
+    """Fitness (..., K), in its own unit, of trials as if they had ended at each of K sample times."""
     values = []
     for k in range(1, len(outcome.times) + 1):
         early = Outcome(

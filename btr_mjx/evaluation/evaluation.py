@@ -9,38 +9,22 @@ pairs.
 
 import logging
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Literal, get_args
+from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from btr_mjx.engines import Record, UnsupportedModel, native
+from btr_mjx.engines import Record
 from btr_mjx.errors import InputError
+from btr_mjx.evaluation.engine_choice import Engine, EngineSettings, fastest_engine, runner_of
 from btr_mjx.evaluation.fitness import DISTANCE, FitnessFunction, FitnessLike, Outcome, fitness_function
-from btr_mjx.evaluation.own_simulator import run_simulator
-from btr_mjx.evaluation.tracked_point import track_point
-from btr_mjx.models import Models, base_model, compile_models, start_of, varying_fields
+from btr_mjx.models import base_model, compile_models
 from btr_mjx.robots import Robot
-
-if TYPE_CHECKING:
-    from btr_mjx.engines import Program, Stepper
-
-Engine = Literal["lanes", "mjx", "native"]
-"""Name of a physics engine, see `btr_mjx.engines`."""
 
 _LOG = logging.getLogger(__name__)
 
 _MAX_TRIPPED = 0.25
 """Part of the first block that guards may hand to native MuJoCo before it evaluates everything."""
-
-_CAPACITY = 16
-"""Chunks per device and block."""
-
-_TRACE_BYTES = 2**26
-"""Upper limit of the recorded states of one block [bytes]; blocks are made smaller to respect it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,23 +51,6 @@ class Evaluation:
     tripped: np.ndarray
 
 
-@dataclass(frozen=True)
-class EngineSettings:
-    """Settings of an engine.
-
-    Attributes:
-      chunk: pairs per chunk; None for the engine's default. Results are bit-identical for a fixed chunk size only.
-      timestep: native only: another time step than the model's [s].
-      integrator: native only: another integrator, see `native.INTEGRATORS`.
-      threads: native only: number of threads; None for all cores.
-    """
-
-    chunk: int | None = None
-    timestep: float | None = None
-    integrator: str | None = None
-    threads: int | None = None
-
-
 def evaluate(
     robot: Robot,
     simulations: ArrayLike,
@@ -94,7 +61,7 @@ def evaluate(
     fitness: FitnessLike = DISTANCE,
     times: ArrayLike | None = None,
     states: bool = False,
-    settings: EngineSettings = EngineSettings(),
+    settings: EngineSettings | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Evaluation:
     """Evaluate controllers in simulations.
@@ -111,7 +78,7 @@ def evaluate(
       times: (K,) sample times in (0, T_e] [s] for the outcome, rounded to steps; None for the end alone. The last one
         ends the trial.
       states: whether the outcome holds qpos, qvel and act at the sample times.
-      settings: how the engine runs.
+      settings: how the engine runs; None for the defaults.
       progress: called with the number of pairs done since the last call.
 
     Returns:
@@ -122,27 +89,21 @@ def evaluate(
         unknown fitness.
       UnsupportedModel: the given engine does not support this robot.
     """
-    fitness = fitness_function(fitness, robot.target)
-    s = np.atleast_2d(robot.simulation_box.validate(simulations, "simulations"))
-    c = np.atleast_2d(robot.controller_box.validate(controllers, "controllers"))
-    if s.ndim != 2 or c.ndim != 2 or not len(s) or not len(c):
-        raise InputError(
-            f"got simulations {s.shape} and controllers {c.shape}, expected non-empty (L, n_s) and (M, n_c)"
-        )
+    fitness, settings = fitness_function(fitness, robot.target), settings or EngineSettings()
+    s, c = checked_pairs(robot, simulations, controllers)
     if pairwise and len(s) != len(c):
         raise InputError(f"pairwise: got {len(s)} simulations and {len(c)} controllers, expected as many of each")
     shape = (len(s),) if pairwise else (len(s), len(c))
     chosen = engine or fastest_engine(robot)
     recorded = states or fitness.needs_states or bool(robot.point)
     dt = settings.timestep if chosen == "native" and settings.timestep else float(base_model(robot).opt.timestep)
-    samples = _sample_steps(robot, times, dt)
-    runner = _runner(robot, chosen, samples, recorded, settings)
+    samples = sample_steps(robot, times, dt)
+    runner = runner_of(robot, chosen, samples, recorded, settings)
     records: list[Record] = []
     for rows, columns in _blocks(shape, runner.block):
         used, index = np.unique(rows, return_inverse=True)
-        models = compile_models(robot, s[used])
-        block = _Block(robot, models, s[used], index, c[columns])
-        record = block.run(runner)
+        models, own = compile_models(robot, s[used]), c[columns]
+        record = runner(models, s[used], index, own)
         tripped = np.flatnonzero(record.tripped)
         if len(tripped) and engine is None and not records and len(tripped) > _MAX_TRIPPED * len(rows):
             _LOG.warning(
@@ -161,8 +122,8 @@ def evaluate(
                 progress=progress,
             )
         if len(tripped):
-            native_runner = _runner(robot, "native", samples, recorded, EngineSettings())
-            record = _replace_rows(record, tripped, block.subset(tripped).run(native_runner))
+            native_runner = runner_of(robot, "native", samples, recorded, EngineSettings())
+            record = _replace_rows(record, tripped, native_runner(models, s[used], index[tripped], own[tripped]))
         records.append(record)
         if progress is not None:
             progress(len(rows))
@@ -170,20 +131,19 @@ def evaluate(
     return _evaluation(robot, chosen, record, samples * dt, shape, fitness, recorded)
 
 
-def fastest_engine(robot: Robot) -> Engine:
-    """The fastest engine that supports a robot: lanes; otherwise MJX on an accelerator or native on a CPU.
+def checked_pairs(robot: Robot, simulations: ArrayLike, controllers: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Simulations (L, n_s) and controllers (M, n_c) as arrays.
 
-    A simulator of the robot's own counts as native.
+    Raises:
+      InputError: parameters out of bounds, of a wrong shape or not finite, or none.
     """
-    if robot.simulator is not None:
-        return "native"
-    import jax  # takes seconds, which bad input should not
-
-    try:
-        _stepper(_program_inputs(robot), "lanes", bool(jax.config.read("jax_enable_x64")), guards=True)
-        return "lanes"
-    except UnsupportedModel:
-        return "native" if jax.default_backend() == "cpu" else "mjx"
+    s = np.atleast_2d(robot.simulation_box.validate(simulations, "simulations"))
+    c = np.atleast_2d(robot.controller_box.validate(controllers, "controllers"))
+    if s.ndim != 2 or c.ndim != 2 or not len(s) or not len(c):
+        raise InputError(
+            f"got simulations {s.shape} and controllers {c.shape}, expected non-empty (L, n_s) and (M, n_c)"
+        )
+    return s, c
 
 
 def _evaluation(
@@ -215,7 +175,8 @@ def _evaluation(
     return Evaluation(values, diverged, counts, whole["peak_speed"], outcome, engine, tripped)
 
 
-def _sample_steps(robot: Robot, times: ArrayLike | None, timestep: float) -> np.ndarray:
+def sample_steps(robot: Robot, times: ArrayLike | None, timestep: float) -> np.ndarray:
+    """Step counts (K,) of sample times [s], or of the end of the trial."""
     wanted = np.atleast_1d(np.asarray(robot.duration if times is None else times, np.float64))
     steps = np.round(wanted / timestep)
     if wanted.ndim != 1 or not wanted.size or not np.all(np.isfinite(steps)) or np.any(np.diff(steps, prepend=0) < 1):
@@ -235,34 +196,6 @@ def _blocks(shape: tuple[int, ...], size: int) -> Iterator[tuple[np.ndarray, np.
         yield (flat, flat) if len(shape) == 1 else (flat // shape[1], flat % shape[1])
 
 
-@dataclass(frozen=True)
-class _Runner:
-    """Runs one block: `run(models, their simulations, index of each pair's model, controllers (B, n_c))`."""
-
-    block: int
-    run: Callable[[Models, np.ndarray, np.ndarray, np.ndarray], Record]
-
-
-@dataclass(frozen=True)
-class _Block:
-    """Pairs that are simulated together; arguments of `_Runner.run`."""
-
-    robot: Robot
-    models: Models
-    simulations: np.ndarray
-    index: np.ndarray
-    controllers: np.ndarray
-
-    def run(self, runner: _Runner) -> Record:
-        """The record, with the position of the robot's tracked point if it has one."""
-        record = runner.run(self.models, self.simulations, self.index, self.controllers)
-        return track_point(self.robot, self.models, self.index, record) if self.robot.point else record
-
-    def subset(self, rows: np.ndarray) -> "_Block":
-        """Some of the pairs."""
-        return replace(self, index=self.index[rows], controllers=self.controllers[rows])
-
-
 def _replace_rows(record: Record, rows: np.ndarray, other: Record) -> Record:
     """The record with rows of another engine; they stay marked as tripped."""
 
@@ -272,96 +205,3 @@ def _replace_rows(record: Record, rows: np.ndarray, other: Record) -> Record:
         return result
 
     return Record(*map(merged, record, other._replace(tripped=np.ones(len(rows), bool))))
-
-
-def _runner(robot: Robot, engine: Engine, samples: np.ndarray, states: bool, settings: EngineSettings) -> _Runner:
-    if engine not in get_args(Engine):
-        raise InputError(f"engine: got {engine!r}, expected one of: {', '.join(get_args(Engine))}")
-    if engine != "native" and (settings.timestep or settings.integrator or settings.threads):
-        raise InputError(f"engine {engine!r}: another timestep, integrator or thread count needs engine='native'")
-    address = base_address(robot)
-    if robot.simulator is not None:
-        if engine != "native" or settings.integrator or settings.threads:
-            raise InputError(
-                f"engine {engine!r}: {robot.name} has a simulator of its own, which counts as 'native' and takes no "
-                "other integrator or number of threads"
-            )
-        return _Runner(settings.chunk or 8192, partial(run_simulator, robot, address, samples, settings.timestep))
-    if engine == "native":
-        run_native = lambda models, _, index, controllers: native.rollout_native(  # noqa: E731
-            models.base,
-            {name: values[index] for name, values in models.leaves.items()},
-            controllers,
-            samples,
-            signal=robot.signal,
-            base_address=address,
-            record_states=states,
-            start=start_of(robot),
-            settings=native.NativeSettings(settings.timestep, settings.integrator, settings.threads),
-        )
-        return _Runner(settings.chunk or 256, run_native)
-    import jax
-
-    program = _program(
-        _program_inputs(robot), engine, len(samples), states, settings.chunk, bool(jax.config.read("jax_enable_x64"))
-    )
-    run = lambda models, _, index, controllers: program(  # noqa: E731
-        {name: values[index] for name, values in models.leaves.items()}, controllers, samples
-    )
-    return _Runner(program.layout.pairs, run)
-
-
-def base_address(robot: Robot) -> tuple[int, int] | None:
-    """Addresses of the base's free joint in qpos and in qvel; None for a robot with a fixed base.
-
-    Raises:
-      InputError: the robot's base body does not exist or has no free joint.
-    """
-    if robot.base_body is None:
-        return None
-    model = base_model(robot)
-    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, robot.base_body)
-    if body < 0:
-        names = ", ".join(model.body(i).name for i in range(1, model.nbody))
-        raise InputError(f"base_body: got {robot.base_body!r}, expected one of the model's bodies: {names}")
-    joint = model.body_jntadr[body]
-    if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
-        raise InputError(f"base_body: {robot.base_body!r} has no free joint; name the body that moves freely, or None")
-    return int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-
-
-def _program_inputs(robot: Robot) -> Robot:
-    """The robot reduced to what compiled programs depend on, as a key of caches."""
-    return replace(robot, name="", duration=1.0, speed_limit=1.0)
-
-
-@lru_cache(maxsize=16)
-def _stepper(robot: Robot, engine: Engine, x64: bool, guards: bool = False) -> "Stepper":
-    model, varying = base_model(robot), frozenset(varying_fields(robot))
-    # Imported here, since each import takes a second.
-    if engine == "lanes":
-        from btr_mjx.engines import LanesStepper
-
-        return LanesStepper(model, varying, guards=guards)
-    from btr_mjx.engines import MjxStepper
-
-    return MjxStepper(model, varying)
-
-
-@lru_cache(maxsize=16)
-def _program(robot: Robot, engine: Engine, samples: int, states: bool, chunk: int | None, x64: bool) -> "Program":
-    import jax
-
-    from btr_mjx.engines import Layout, Program, default_chunk, use_all_cores, use_compilation_cache
-
-    use_all_cores()
-    use_compilation_cache()
-    devices = jax.devices()
-    stepper = _stepper(robot, engine, x64, guards=True)
-    width = chunk or default_chunk(devices[0])
-    record_bytes = (
-        samples * (stepper.nq + stepper.nv + stepper.nu if states else 4) * width * len(devices) * (8 if x64 else 4)
-    )
-    capacity = int(np.clip(_TRACE_BYTES // record_bytes, 1, _CAPACITY if devices[0].platform == "cpu" else 4))
-    layout = Layout(len(devices), capacity, width)
-    return Program(stepper, robot.signal, base_address(robot), layout, states, devices, start_of(robot))

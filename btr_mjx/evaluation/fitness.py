@@ -133,14 +133,7 @@ def _target_distance(target: np.ndarray, outcome: Outcome) -> np.ndarray:
 
 
 def delta_of(f_s: ArrayLike, f_r: ArrayLike) -> np.ndarray:
-    """delta_k = |f_sk - f_rk|, eq. 3.
-
-    Args:
-      f_s: (..., m) fitness of m controllers in simulations.
-      f_r: (m,) their fitness in reality.
-
-    Returns:
-      (..., m); NaN where either fitness is NaN.
+    """delta_k = |f_sk - f_rk|, eq. 3, of fitness f_s (..., m) and f_r (m,); NaN where either is NaN.
 
     Raises:
       InputError: the last axes differ.
@@ -155,15 +148,10 @@ def delta_of(f_s: ArrayLike, f_r: ArrayLike) -> np.ndarray:
 
 
 def delta_fitness_of(f_s: ArrayLike, f_r: ArrayLike) -> np.ndarray:
-    """Delta_fitness = mean of delta_k over the m behaviours, eq. 4.
+    """Delta_fitness = mean of delta_k over the m behaviours, eq. 4, of fitness f_s (..., m) and f_r (m,).
 
-    Args:
-      f_s: (..., m) fitness of m controllers in simulations.
-      f_r: (m,) their fitness in reality.
-
-    Returns:
-      (...); NaN for a simulation in which any of the behaviours diverged. Leaving diverged behaviours out would favour
-      simulations that diverge.
+    NaN for a simulation in which any of the behaviours diverged: leaving these out would favour simulations that
+    diverge.
     """
     return delta_of(f_s, f_r).mean(axis=-1)
 

@@ -17,21 +17,10 @@ def run_simulator(
     index: np.ndarray,
     controllers: np.ndarray,
 ) -> Record:
-    """Simulate pairs with the robot's own simulator.
+    """The record, batch first, of pairs that the robot's own simulator simulates.
 
-    Args:
-      robot: with a simulator.
-      address: of the base's position in qpos and of its velocity in qvel; None for a fixed base.
-      samples: (K,) ascending step counts at which to record.
-      timestep: [s]; None for the models' own.
-      models: of the L simulations.
-      simulations: (L, n_s).
-      index: (B,) simulation of each pair.
-      controllers: (B, n_c).
-
-    Returns:
-      The record, batch first. The work of the motors and their activations are not known: NaN. The speed of the base is
-      that at the samples.
+    Arguments are as of `native.rollout_native`. The work of the motors and their activations are not known: NaN. The
+    speed of the base is that at the samples.
     """
     assert robot.simulator is not None
     dt, start = timestep or float(models.base.opt.timestep), start_of(robot)

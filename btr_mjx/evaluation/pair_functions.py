@@ -35,12 +35,12 @@ from btr_mjx.engines import (
     use_compilation_cache,
 )
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation import evaluation as behaviour
-from btr_mjx.evaluation.evaluation import Engine
+from btr_mjx.evaluation.engine_choice import Engine, stepper_of
+from btr_mjx.evaluation.evaluation import sample_steps
 from btr_mjx.evaluation.fitness import DISTANCE, FitnessFunction, Outcome
 from btr_mjx.evaluation.rowwise import rowwise
 from btr_mjx.evaluation.traced import TracedArray, in_double
-from btr_mjx.models import base_model, compile_models, start_of
+from btr_mjx.models import base_address, base_model, compile_models, start_of
 from btr_mjx.robots import Robot
 
 ModelLeaves = dict[str, Any]
@@ -178,13 +178,13 @@ def _one_pair(
     if chosen == "native":
         raise InputError("engine: got 'native', which runs outside JAX; expected 'lanes' or 'mjx', or use evaluate()")
     width = chunk or default_chunk(devices[0] if devices else jax.devices()[0])
-    address = behaviour.base_address(robot)
+    address = base_address(robot)
     nominal = compile_models(robot, robot.nominal_simulation).leaves
     needed = _influential(nominal)
-    _stepper(robot, chosen)  # raises UnsupportedModel before anything is traced
+    stepper_of(robot, chosen)  # raises UnsupportedModel before anything is traced
 
     def roll(leaves: ModelLeaves, controllers: jax.Array) -> Record:
-        stepper = _stepper(robot, chosen)
+        stepper = stepper_of(robot, chosen)
         # The barrier hides the number of steps from the compiler, which would otherwise unroll short loops and change
         # the last bits of results.
         marks = lax.optimization_barrier(jnp.asarray(samples, jnp.int32))
@@ -207,14 +207,10 @@ def _one_pair(
 def _engine(robot: Robot) -> Engine:
     """The fastest engine without guards: a compiled function cannot hand a pair to native MuJoCo."""
     try:
-        _stepper(robot, "lanes")
+        stepper_of(robot, "lanes")
     except UnsupportedModel:
         return "mjx"
     return "lanes"
-
-
-def _stepper(robot: Robot, engine: Engine) -> Stepper:
-    return behaviour._stepper(behaviour._program_inputs(robot), engine, bool(jax.config.read("jax_enable_x64")))
 
 
 def _timestep(robot: Robot) -> float:
@@ -222,7 +218,7 @@ def _timestep(robot: Robot) -> float:
 
 
 def _samples(robot: Robot, times: ArrayLike | None) -> np.ndarray:
-    return behaviour._sample_steps(robot, times, _timestep(robot))
+    return sample_steps(robot, times, _timestep(robot))
 
 
 def _influential(names: Any) -> list[str]:
@@ -235,10 +231,7 @@ def _influential(names: Any) -> list[str]:
 def _packed(stepper: Stepper, leaves: ModelLeaves, others: dict[str, np.ndarray]) -> Any:
     """The engine's parameters of one chunk, derived in double precision as on the host.
 
-    Args:
-      stepper: the engine.
-      leaves: traced fields (C, *field shape).
-      others: fields (*field shape) that are equal for all pairs.
+    Traced fields are (C, *field shape), the others, equal for all pairs, (*field shape).
     """
     (chunk,) = {len(value) for value in leaves.values()}
 

@@ -26,23 +26,21 @@ from jax import lax
 from jax.custom_derivatives import SymbolicZero
 from jax.sharding import AxisType, Mesh, PartitionSpec
 
+from btr_mjx.evaluation.traced import jvp_of_moving
+
 Kernel = Callable[..., Any]
 """kernel(*arguments) -> results: pytrees of arrays whose first axis counts the chunk's rows."""
 
 
 def rowwise(kernel: Kernel, chunk: int, devices: Sequence[jax.Device] | None = None) -> Kernel:
-    """The function of one row of a kernel that computes many rows.
+    """The function of one row of a kernel that computes `chunk` rows.
 
-    Args:
-      kernel: maps pytrees of arrays (chunk, ...) to a pytree of floating-point arrays (chunk, ...). Row i of the
-        results depends on row i of the arguments only, and has the same bits at any position.
-      chunk: number of rows of the kernel.
-      devices: devices over which the chunks of a batch are distributed; None for all of the default backend. Within
-        a `shard_map` of the caller, chunks stay on their device.
+    The kernel maps pytrees of arrays (chunk, ...) to a pytree of floating-point arrays (chunk, ...); row i of the
+    results depends on row i of the arguments only, and has the same bits at any position. Chunks of a batch are
+    distributed over the devices; within a `shard_map` of the caller they stay on their device.
 
-    Returns:
-      A function of pytrees of arrays (...), without the rows' axis. It supports `jit`, `vmap`, `jvp`, `jacfwd` and
-      their compositions. Reverse mode (`grad`, `vjp`) and `linearize` raise JAX's ValueError.
+    The function supports `jit`, `vmap`, `jvp`, `jacfwd` and their compositions. Reverse mode (`grad`, `vjp`) and
+    `linearize` raise JAX's ValueError.
     """
     traced_once = jax.jit(kernel)  # traced once: every level of vmap would trace a long kernel again
 
@@ -96,13 +94,7 @@ class _Batch:
         @jax.jit
         def kernel(*arguments: jax.Array) -> tuple[jax.Array, ...]:
             primals, tangents = arguments[: len(active)], arguments[len(active) :]
-
-            def of_active(*varied: jax.Array) -> tuple[jax.Array, ...]:
-                given = iter(varied)
-                return self.kernel(*(next(given) if one else x for one, x in zip(active, primals, strict=True)))
-
-            chosen = tuple(x for one, x in zip(active, primals, strict=True) if one)
-            results, derivatives = jax.jvp(of_active, chosen, tangents)
+            results, derivatives = jvp_of_moving(self.kernel, active, primals, tangents)
             return (*results, *derivatives)
 
         axes = self.axes + tuple(a for one, a in zip(active, self.axes, strict=True) if one)

@@ -5,7 +5,7 @@ double precision. `TracedArray` makes the same code traceable: it implements `__
 NumPy's dispatch protocols. `in_double` runs such code in double precision inside a program of any precision.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import jax
@@ -64,12 +64,8 @@ class TracedArray(NDArrayOperatorsMixin):
 def in_double(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function that computes in double precision, derivatives included, whatever the precision mode of JAX.
 
-    Args:
-      function: maps pytrees of floating-point arrays to such a pytree. It may use `float64` arrays; it must
-        convert its arguments to double precision and its results to the wanted precision itself.
-
-    Returns:
-      The function, for use in programs that JAX traces, with forward-mode derivatives.
+    It may use float64 arrays; it must convert its arguments to double precision and its results to the wanted precision
+    itself. Derivatives are those of forward mode.
     """
 
     def run(*arguments: Any) -> Any:
@@ -82,12 +78,7 @@ def in_double(function: Callable[..., Any]) -> Callable[..., Any]:
         moves = [not isinstance(slope, SymbolicZero) for slope in slopes]
 
         def both(values: list, slopes: list) -> Any:
-            def of_moving(*moving: jax.Array) -> Any:
-                given = iter(moving)
-                mixed = [next(given) if one else x for one, x in zip(moves, values, strict=True)]
-                return function(*jax.tree.unflatten(tree, mixed))
-
-            return jax.jvp(of_moving, [x for one, x in zip(moves, values, strict=True) if one], slopes)
+            return jvp_of_moving(lambda *mixed: function(*jax.tree.unflatten(tree, mixed)), moves, values, slopes)
 
         # Without this rule JAX would differentiate the traced function outside of the double precision mode.
         return in_double(both)(values, [slope for one, slope in zip(moves, slopes, strict=True) if one])
@@ -95,6 +86,18 @@ def in_double(function: Callable[..., Any]) -> Callable[..., Any]:
     differentiable = jax.custom_jvp(run)
     differentiable.defjvp(derivative, symbolic_zeros=True)
     return differentiable
+
+
+def jvp_of_moving(
+    function: Callable[..., Any], moves: Sequence[bool], values: Sequence[Any], slopes: Sequence[Any]
+) -> Any:
+    """`jax.jvp` of a function by the arguments that move, which have slopes."""
+
+    def of_moving(*moving: jax.Array) -> Any:
+        given = iter(moving)
+        return function(*(next(given) if one else x for one, x in zip(moves, values, strict=True)))
+
+    return jax.jvp(of_moving, [x for one, x in zip(moves, values, strict=True) if one], list(slopes))
 
 
 def _plain(tree: Any) -> Any:

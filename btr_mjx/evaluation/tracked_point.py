@@ -13,11 +13,7 @@ _GEOMETRY = ("body_pos", "body_quat", "jnt_pos", "jnt_axis", "site_pos", "site_q
 
 
 def point_address(robot: Robot) -> tuple[str, int]:
-    """Field of MjData with the position of the robot's `point`, and its row.
-
-    Raises:
-      InputError: the model has neither a site nor a body of this name.
-    """
+    """Field of MjData with the position of the robot's `point`, a site or a body, and its row."""
     model = base_model(robot)
     for kind, field in ((mujoco.mjtObj.mjOBJ_SITE, "site_xpos"), (mujoco.mjtObj.mjOBJ_BODY, "xpos")):
         row = mujoco.mj_name2id(model, kind, robot.point)
@@ -42,16 +38,9 @@ def track_configurations(robot: Robot, qpos: np.ndarray) -> np.ndarray:
 
 
 def track_point(robot: Robot, models: Models, index: np.ndarray, record: Record) -> Record:
-    """A record whose start and positions are those of the robot's point.
+    """A record, batch first and with states, whose start and positions are those of the robot's point in the world [m].
 
-    Args:
-      robot: with a point.
-      models: of the simulations.
-      index: (B,) simulation of each pair.
-      record: of B pairs, batch first, with states.
-
-    Returns:
-      The record, with start (B, 3) and position (B, K, 3) in the world frame [m].
+    `index` (B,) is the simulation of each pair.
     """
     field, row = point_address(robot)
     fixed = not any(name in models.leaves for name in _GEOMETRY)

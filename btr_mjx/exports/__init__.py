@@ -6,11 +6,11 @@ randomisation.json. `write_rerun` and `write_mcap` write curves and poses of bod
 files.
 """
 
-from btr_mjx.exports.fields import Ends, field_ends, is_linear, robot_ends
+from btr_mjx.exports.export_files import ExportedParameter, write_exports
 from btr_mjx.exports.mcap_file import write_mcap
+from btr_mjx.exports.moved_numbers import Ends, field_ends, is_linear, robot_ends
 from btr_mjx.exports.recorded import RecordedCurves, RecordedPoses, recorded_poses
 from btr_mjx.exports.rerun_file import write_rerun
-from btr_mjx.exports.tables import ExportedParameter, write_exports
 
 __all__ = [
     "Ends",

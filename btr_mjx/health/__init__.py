@@ -4,6 +4,6 @@
 so that a broken library is reported like any other fault.
 """
 
-from btr_mjx.health.checks import CHECKS, CheckResult, run_checks
+from btr_mjx.health.installation_checks import CHECKS, CheckResult, run_checks
 
 __all__ = ["CHECKS", "CheckResult", "run_checks"]

@@ -1,4 +1,4 @@
-"""Checks that load JAX and MuJoCo, in a process of their own that `btr_mjx.health.checks` starts.
+"""Checks that load JAX and MuJoCo, in a process of their own that `btr_mjx.health.installation_checks` starts.
 
     python -m btr_mjx.health.engine_checks NAME ...
 
@@ -14,7 +14,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from btr_mjx.health.checks import MARK, CheckResult, run_check
+from btr_mjx.health.installation_checks import MARK, CheckResult, run_check
 
 TOLERANCE = {"float32": 1e-4, "float64": 1e-8}
 """Accepted difference between an engine and native MuJoCo, by the engine's precision [m, rad].
@@ -76,11 +76,9 @@ def check_engines() -> CheckResult:
 
 
 def engine_differences() -> tuple[str, Mapping[str, float]]:
-    """Simulate a few pairs of two robots on every engine; mjx, which compiles slowly, gets the smaller one only.
+    """Precision, and by engine and robot the greatest difference from native MuJoCo: of positions [m] or angles [rad].
 
-    Returns:
-      Precision ("float32" or "float64") and, by engine and robot, the greatest difference from native MuJoCo: of
-      positions [m] or joint angles [rad].
+    A few pairs of two robots are simulated on every engine; mjx, which compiles slowly, gets the smaller one only.
     """
     import jax
     import numpy as np

@@ -36,11 +36,7 @@ class Coverage:
 
 
 def as_model(model: mujoco.MjModel | str | Path) -> mujoco.MjModel:
-    """The model, or the one of an MJCF file or MJCF text.
-
-    Raises:
-      InputError: MuJoCo cannot read it.
-    """
+    """The model, or the one of an MJCF file or MJCF text."""
     if isinstance(model, mujoco.MjModel):
         return model
     text = str(model)

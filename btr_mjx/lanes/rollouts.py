@@ -5,7 +5,6 @@ instead, so that every answer is MuJoCo's to the tolerance of the engine's preci
 """
 
 import copy
-import hashlib
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -21,7 +20,8 @@ from numpy.typing import ArrayLike
 from btr_mjx.engines import UnsupportedModel, base_field, expand, possible_contacts, require_supported
 from btr_mjx.errors import InputError
 from btr_mjx.lanes.coverage import as_model
-from btr_mjx.runs import available_cores
+from btr_mjx.models import write_field
+from btr_mjx.runs import available_cores, content_digest
 
 if TYPE_CHECKING:
     from btr_mjx.engines import ControlledProgram
@@ -172,11 +172,7 @@ def _with_fields(m: mujoco.MjModel, fields: Mapping[str, np.ndarray]) -> mujoco.
     """A copy of the model with other values of some fields."""
     model = copy.copy(m)
     for name, value in fields.items():
-        owner, word = (model.opt, name[4:]) if name.startswith("opt.") else (model, name)
-        if value.ndim:
-            getattr(owner, word)[:] = value
-        else:
-            setattr(owner, word, float(value))
+        write_field(model, name, value)
     return model
 
 
@@ -269,12 +265,9 @@ class _Structure:
 
 def _program(m: mujoco.MjModel, varying: tuple[str, ...], chunk: int | None) -> "ControlledProgram":
     """The compiled program of a model."""
-    import jax  # takes seconds, which bad input should not
+    from btr_mjx.engines import uses_doubles  # loads JAX, which takes seconds and bad input should not
 
-    content = np.empty(mujoco.mj_sizeModel(m), np.uint8)
-    mujoco.mj_saveModel(m, None, content)
-    digest = hashlib.sha256(content).hexdigest()
-    return _compiled(_Structure(digest, m), varying, chunk, bool(jax.config.read("jax_enable_x64")))
+    return _compiled(_Structure(content_digest(m), m), varying, chunk, uses_doubles())
 
 
 @lru_cache(maxsize=16)

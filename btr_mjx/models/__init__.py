@@ -4,16 +4,23 @@
 (`parse_path`) and differences of configurations (`difference`).
 """
 
-from btr_mjx.models.batch import Models, compile_models, varying_fields
-from btr_mjx.models.compilation import base_model, compile_mjcf, general_model, mjcf_spec, model_of, start_of
-from btr_mjx.models.fields import read_field, write_field
+from btr_mjx.models.compilation import (
+    base_model,
+    compile_mjcf,
+    general_model,
+    mjcf_spec,
+    model_of,
+    robot_digest,
+    start_of,
+)
 from btr_mjx.models.light_meshes import with_light_meshes
 from btr_mjx.models.mjcf_checks import check_mjcf
+from btr_mjx.models.model_batch import Models, compile_models, varying_fields
 from btr_mjx.models.model_checks import COMPILE_ERRORS, check_model
-from btr_mjx.models.path_parameters import PathParameter, read_bounds, read_path_parameter
+from btr_mjx.models.model_fields import read_field, write_field
+from btr_mjx.models.path_parameters import PathParameter, read_path_parameter
 from btr_mjx.models.paths import dof_places, nearest_names, parse_path, part_names, set_values
-from btr_mjx.models.robot_checks import check_robot
-from btr_mjx.models.robot_digest import robot_digest
+from btr_mjx.models.robot_checks import base_address, check_robot
 from btr_mjx.models.robot_file import chosen_robot, load_robot
 from btr_mjx.models.tangent import between, difference, integrate
 
@@ -21,6 +28,7 @@ __all__ = [
     "COMPILE_ERRORS",
     "Models",
     "PathParameter",
+    "base_address",
     "base_model",
     "between",
     "check_mjcf",
@@ -39,7 +47,6 @@ __all__ = [
     "nearest_names",
     "parse_path",
     "part_names",
-    "read_bounds",
     "read_field",
     "read_path_parameter",
     "robot_digest",

@@ -16,7 +16,7 @@ from btr_mjx.models.model_checks import COMPILE_ERRORS, check_model
 from btr_mjx.models.path_parameters import PathParameter
 from btr_mjx.models.paths import nearest_names
 from btr_mjx.robots import Robot
-from btr_mjx.runs import read_limited
+from btr_mjx.runs import content_digest, read_limited
 
 
 @lru_cache(maxsize=16)
@@ -43,17 +43,15 @@ def general_model(robot: Robot, simulation: np.ndarray) -> mujoco.MjModel:
 
 def unedited_model(robot: Robot, text: str) -> mujoco.MjModel:
     """The model of a rendered text as edits expect it, before them (shared: do not edit it)."""
-    return _general_text(replace(_model_inputs(robot), edits=()), text)
+    inputs = replace(  # what models depend on, as a key of the cache
+        robot, edits=(), name="", duration=1.0, speed_limit=1.0, base_body=None, point="", target=(), keyframe=""
+    )
+    return _general_text(inputs, text)
 
 
 @lru_cache(maxsize=16)
 def _general_text(robot: Robot, text: str) -> mujoco.MjModel:
     return compile_mjcf(robot, text, general=True)
-
-
-def _model_inputs(robot: Robot) -> Robot:
-    """The robot reduced to what its models depend on, as a key of caches."""
-    return replace(robot, name="", duration=1.0, speed_limit=1.0, base_body=None, point="", target=(), keyframe="")
 
 
 def editor_of(robot: Robot, model: mujoco.MjModel) -> Callable[[mujoco.MjModel, np.ndarray], None]:
@@ -96,12 +94,7 @@ def start_of(robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
 
 
 def compile_mjcf(robot: Robot, xml: str, general: bool = False) -> mujoco.MjModel:
-    """Compile rendered MJCF.
-
-    Args:
-      robot: for the folder of included files, and for messages.
-      xml: the rendered text.
-      general: no body counts as simple.
+    """Compile rendered MJCF; if general, no body counts as simple.
 
     Raises:
       InputError: MuJoCo rejects it; the message has the template's name, the line number and the line's text.
@@ -109,12 +102,14 @@ def compile_mjcf(robot: Robot, xml: str, general: bool = False) -> mujoco.MjMode
     check_mjcf(xml, robot.template_path, Path(robot.folder or "."))
     try:
         if not robot.folder and not general:
-            return _checked(mujoco.MjModel.from_xml_string(xml), robot)
-        spec = mjcf_spec(robot, xml)
-        if general:
-            for body in spec.bodies:
+            model = mujoco.MjModel.from_xml_string(xml)
+        else:
+            spec = mjcf_spec(robot, xml)
+            for body in spec.bodies if general else ():
                 body.simple = 0
-        return _checked(spec.compile(), robot)
+            model = spec.compile()
+        check_model(model, robot.template_path)
+        return model
     except InputError:
         raise
     except COMPILE_ERRORS as error:
@@ -137,12 +132,6 @@ def mjcf_spec(robot: Robot, xml: str) -> mujoco.MjSpec:
     return spec
 
 
-def _checked(model: mujoco.MjModel, robot: Robot) -> mujoco.MjModel:
-    """The model, whose numbers can be simulated."""
-    check_model(model, robot.template_path)
-    return model
-
-
 def _included_files(folder: Path, xml: str) -> dict[str, bytes]:
     """Contents of the files that MJCF includes, and of those that these include, by the names it uses for them."""
     found: dict[str, bytes] = {}
@@ -153,3 +142,14 @@ def _included_files(folder: Path, xml: str) -> dict[str, bytes]:
                 found[name] = read_limited(folder / name)
                 left.append(found[name].decode("utf-8", "replace"))
     return found
+
+
+def robot_digest(robot: Robot) -> str:
+    """SHA-256, in hex, of a robot and of its compiled model, which holds the files that its MJCF includes.
+
+    Where these files are does not matter, nor does the robot's name.
+
+    Raises:
+      InputError: the model cannot be compiled.
+    """
+    return content_digest(replace(robot, name="", template_path="", folder=""), base_model(robot))

@@ -15,7 +15,7 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.models.path_parameters import read_bounds
-from btr_mjx.models.paths import nearest_names, part_names
+from btr_mjx.models.paths import nearest_names, part_names, refuse_unknown_keys
 from btr_mjx.robots import Box, Signal, Sinusoids, Spline
 from btr_mjx.runs import is_number, load_object, toml_rows
 
@@ -50,17 +50,9 @@ class _Group:
 def read_controller(
     table: Mapping[str, Any], model: mujoco.MjModel, start: np.ndarray, duration: float, file: Path
 ) -> tuple[Box, Signal]:
-    """The controller space and the reference signal.
+    """The controller space and the reference signal of a [controller] table.
 
-    Args:
-      table: the [controller] table.
-      model: the robot's nominal model.
-      start: (nu,) controls that hold the robot at its start.
-      duration: of a trial [s].
-      file: the robot.toml, for messages and for files beside it.
-
-    Returns:
-      The box of the controllers and the signal.
+    `start` (nu,) are the controls that hold the robot at its start; the file is for messages and for files beside it.
 
     Raises:
       InputError: unknown keys or motors, ranges that are neither given nor follow from the model, a function whose
@@ -71,9 +63,7 @@ def read_controller(
     if not isinstance(kind, str) or (kind not in _KEYS and ".py:" not in kind):
         raise InputError(f'{where}: signal = {kind!r}: expected "sinusoid", "spline" or "FILE.py:FUNCTION"')
     known = (*_COMMON, *_KEYS.get(kind, _KEYS[""]))
-    for key in table:
-        if key not in known:
-            raise InputError(f"{where}: unknown key {key!r}; nearest: {nearest_names(key, known)}")
+    refuse_unknown_keys(table, known, where)
     if ".py:" in kind:
         return _own_signal(table, kind, model, file)
     if model.nu == 0 or model.nu != len(model.actuator_trntype):
@@ -107,9 +97,7 @@ def _groups(table: Mapping[str, Any], model: mujoco.MjModel, file: Path) -> list
     groups, taken = [], dict[int, str]()
     for i, row in enumerate(toml_rows(table, "group", file), 1):
         where = f"{file}: [[controller.group]] {i}"
-        for key in row:
-            if key not in _GROUP_KEYS:
-                raise InputError(f"{where}: unknown key {key!r}; nearest: {nearest_names(key, _GROUP_KEYS)}")
+        refuse_unknown_keys(row, _GROUP_KEYS, where)
         motors = row.get("motors")
         if not isinstance(motors, list) or not motors:
             raise InputError(f"{where}: motors = {motors!r}: expected a list of actuators")
@@ -238,9 +226,7 @@ def _own_signal(table: Mapping[str, Any], kind: str, model: mujoco.MjModel, file
     rows = []
     for i, row in enumerate(toml_rows(table, "parameter", file), 1):
         where = f"{file}: [[controller.parameter]] {i}"
-        for key in row:
-            if key not in ("name", "bounds", "low", "high", "unit"):
-                raise InputError(f"{where}: unknown key {key!r}; expected name, bounds and unit")
+        refuse_unknown_keys(row, ("name", "bounds", "low", "high", "unit"), where)
         if not isinstance(row.get("name"), str):
             raise InputError(f"{where}: name = {row.get('name')!r}: expected a text")
         rows.append((row["name"], *read_bounds(row, where), str(row.get("unit", ""))))

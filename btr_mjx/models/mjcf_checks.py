@@ -56,13 +56,9 @@ class _Found:
 
 
 def check_mjcf(text: str, where: str, folder: Path, inside: Path | None = None) -> None:
-    """Check MJCF and the MJCF files that it includes.
+    """Check MJCF of a file `where`, and the MJCF files that it includes, whose names refer to `folder`.
 
-    Args:
-      text: the MJCF.
-      where: its file, for messages.
-      folder: folder of the files that it names.
-      inside: folder that no named file may lie outside of; None where the user chose the model.
+    No named file may lie outside of the folder `inside`; None where the user chose the model.
 
     Raises:
       InputError: not XML, too many elements, an attribute above its limit, a named file that is a device, too large or

@@ -67,11 +67,7 @@ def physical_numbers(model: mujoco.MjModel) -> Mapping[str, np.ndarray]:
 
 
 def check_model(model: mujoco.MjModel, where: str) -> None:
-    """Check that a model's numbers can be simulated.
-
-    Args:
-      model: the compiled model.
-      where: its file, for messages.
+    """Check that the numbers of a compiled model can be simulated.
 
     Raises:
       InputError: a time step outside `TIMESTEPS`, a number that is not finite, larger than `LARGEST`, or negative where

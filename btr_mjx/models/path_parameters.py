@@ -75,17 +75,7 @@ class PathParameter:
 def read_path_parameter(
     row: Mapping[str, Any], model: mujoco.MjModel, where: str, notes: list[str], more: Sequence[str] = ()
 ) -> PathParameter:
-    """Read a [[parameter]] row with a path.
-
-    Args:
-      row: the row.
-      model: the model that the paths refer to.
-      where: the row's place, for messages.
-      notes: warnings are appended here.
-      more: further keys that the row may have.
-
-    Returns:
-      The parameter.
+    """The parameter of a [[parameter]] row with a path; it may have `more` keys, unknown ones are noted.
 
     Raises:
       InputError: an unknown path, invalid bounds, or a value of the model outside them.

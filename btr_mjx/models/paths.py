@@ -18,6 +18,7 @@ import difflib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -70,6 +71,14 @@ def nearest_names(name: str, known: Sequence[str], count: int = 3) -> str:
     known = [k[:200] for k in list(known)[:2000]]  # the comparison takes the product of the lengths
     close = difflib.get_close_matches(name[:200], known, count, 0.4)
     return ", ".join(repr(k) for k in (close or list(known)[: 2 * count]))
+
+
+def refuse_unknown_keys(table: Mapping[str, Any], known: Sequence[str], where: str) -> None:
+    """InputError for a key of a TOML table that is not known."""
+    for key in table:
+        if key not in known:
+            near = nearest_names(key, known)
+            raise InputError(f"{where}: unknown key {key!r}; nearest: {near}; valid keys: {', '.join(known)}")
 
 
 def part_names(model: mujoco.MjModel, kind: str) -> list[str]:
@@ -141,7 +150,8 @@ class ModelPath:
             return
         array, sign = self._view(model)
         array[self.index] = sign * value
-        if (self.kind, self.attribute) == ("actuator", "kp") and not _is_pid(model, self.part):
+        pid = self.kind == "actuator" and model.actuator_dyntype[self.part] == mujoco.mjtDyn.mjDYN_PID
+        if (self.kind, self.attribute) == ("actuator", "kp") and not pid:
             model.actuator_gainprm[self.part, 0] = value
         if (self.kind, self.attribute) == ("actuator", "forcerange"):
             model.actuator_forcelimited[self.part] = 1
@@ -171,10 +181,6 @@ class ModelPath:
         elif self.kind == "joint" and self.attribute == "springref":
             row = int(model.jnt_qposadr[self.part])
         return np.atleast_1d(field[row : row + 1] if field.ndim == 1 else field[row]), 1.0
-
-
-def _is_pid(model: mujoco.MjModel, actuator: int) -> bool:
-    return bool(model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_PID)
 
 
 def parse_path(model: mujoco.MjModel, text: str) -> ModelPath:
@@ -231,11 +237,7 @@ def parse_path(model: mujoco.MjModel, text: str) -> ModelPath:
 
 
 def set_values(model: mujoco.MjModel, values: Mapping[str, float]) -> None:
-    """Set numbers of a model in place and update its derived constants (mj_setConst).
-
-    Args:
-      model: the model.
-      values: path -> value.
+    """Set numbers of a model by path in place, and update its derived constants (mj_setConst).
 
     Raises:
       InputError: see `parse_path` and `ModelPath.write`.

@@ -27,15 +27,34 @@ def check_robot(robot: Robot) -> None:
             f"duration: got {robot.duration:g} s, {steps:.4g} time steps of {model.opt.timestep:g} s; expected 1 to "
             f"{MAX_STEPS}"
         )
-    bodies = [model.body(i).name for i in range(1, model.nbody)]
-    if robot.base_body is not None:
-        free = [model.body(int(b)).name for b in model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]]
-        if robot.base_body not in free:
-            raise InputError(
-                f"{robot.template_path}: expected a body {robot.base_body!r} with a free joint; nearest: "
-                f"{nearest_names(robot.base_body, free or bodies)}"
-            )
+    base_address(robot)
     _check_signal(robot, model)
+
+
+def free_joints(model: mujoco.MjModel) -> dict[str, int]:
+    """Body -> its free joint."""
+    free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
+    return {model.body(int(model.jnt_bodyid[j])).name: int(j) for j in free}
+
+
+def base_address(robot: Robot) -> tuple[int, int] | None:
+    """Addresses of the base's free joint in qpos and in qvel; None for a robot with a fixed base.
+
+    Raises:
+      InputError: the robot's base body does not exist or has no free joint.
+    """
+    if robot.base_body is None:
+        return None
+    model = base_model(robot)
+    joints = free_joints(model)
+    if robot.base_body not in joints:
+        bodies = [model.body(i).name for i in range(1, model.nbody)]
+        raise InputError(
+            f"{robot.template_path}: expected a body {robot.base_body!r} with a free joint; nearest: "
+            f"{nearest_names(robot.base_body, [*joints] or bodies)}"
+        )
+    joint = joints[robot.base_body]
+    return int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
 
 
 def _check_signal(robot: Robot, model: mujoco.MjModel) -> None:

@@ -29,8 +29,9 @@ from btr_mjx.errors import InputError
 from btr_mjx.models.compilation import base_model, start_of
 from btr_mjx.models.controller_table import controls_at_start, read_controller
 from btr_mjx.models.path_parameters import KEYS, PathParameter, read_bounds, read_path_parameter
-from btr_mjx.models.paths import nearest_names
-from btr_mjx.robots import Box, Robot, Sinusoids, read_template, robot_of
+from btr_mjx.models.paths import nearest_names, refuse_unknown_keys
+from btr_mjx.models.robot_checks import free_joints
+from btr_mjx.robots import Box, Robot, Sinusoids, hexapod, read_template
 from btr_mjx.runs import file_name, is_number, read_toml, toml_rows, toml_section
 
 _KEYS = ("name", "model", "base_body", "point", "duration", "keyframe", "fitness", "target", "speed_limit")
@@ -55,37 +56,35 @@ def load_robot(path: str | Path) -> Robot:
         table = read_toml(file)
     except OSError as error:
         raise InputError(f"robot {str(file)!r} cannot be read: {error}") from None
-    for key in table:
-        if key not in (*_KEYS, *_TABLES):
-            raise _unknown_key(str(file), key, (*_KEYS, *_TABLES))
+    refuse_unknown_keys(table, (*_KEYS, *_TABLES), str(file))
     source = file.parent / file_name(table, "model", str(file))
     plain = source.suffix != ".j2"
     rows = toml_rows(table, "parameter", file)
     if not rows:
         raise InputError(f"{file}: there is no [[parameter]]; name at least one unknown number of the model")
-    draft = _Draft(file, source, read_template(source), plain, _constants(table, file))
-    draft = draft.with_template_parameters([row for row in rows if "path" not in row])
-    model = draft.model()
-    parameters = [_parameter(draft, row, i, model) for i, row in enumerate(rows, 1)]
     text, number = _of(table, str, "a text", file), _of(table, (int, float), "a number", file)
-    robot = Robot(
-        name=text("name", file.parent.resolve().name if file.stem == "robot" else file.stem),
-        template=draft.text,
+    known = [_template_parameter(row, plain, source, file) for row in rows if "path" not in row]
+    draft = Robot(
+        name="draft",
+        template=read_template(source),
         template_path=str(source),
-        simulation_box=Box(
-            [p.name for p in parameters],
-            [p.low for p in parameters],
-            [p.high for p in parameters],
-            units=[p.unit for p in parameters],
-        ),
+        simulation_box=_box(known or [_Parameter("none", 0.0, 1.0, 0.0, "")]),
         controller_box=Box(["none"], 0.0, 1.0),
         signal=Sinusoids((), (), (), -1, 1.0, (), (), ()),
-        nominal=tuple(p.nominal for p in parameters),
-        constants=draft.constants,
-        base_body=_checked_base(model, text("base_body", ""), text("point", ""), file),
-        edits=tuple(p.edit for p in parameters if p.edit is not None),
+        nominal=tuple(p.nominal for p in known) or (0.0,),
+        constants=_constants(table, file),
         folder=str(source.parent.resolve()),
         plain=plain,
+    )
+    model = base_model(draft)
+    parameters = [_parameter(known, row, f"{file}: [[parameter]] {i}", model) for i, row in enumerate(rows, 1)]
+    robot = replace(
+        draft,
+        name=text("name", file.parent.resolve().name if file.stem == "robot" else file.stem),
+        simulation_box=_box(parameters),
+        nominal=tuple(p.nominal for p in parameters),
+        base_body=_checked_base(model, text("base_body", ""), text("point", ""), file),
+        edits=tuple(p.edit for p in parameters if p.edit is not None),
         keyframe=text("keyframe", ""),
         point=text("point", ""),
         fitness=_fitness(text("fitness", "distance"), file),
@@ -104,67 +103,20 @@ def load_robot(path: str | Path) -> Robot:
 def chosen_robot(robot: Path | None, template: Path | None, duration: float | None) -> Robot:
     """The robot of a command: that of a robot.toml, the hexapod, or the hexapod with another template.
 
-    Args:
-      robot: a robot.toml.
-      template: another template of the hexapod.
-      duration: T_e [s]; None for the robot's own.
+    The duration T_e [s] is the robot's own by default.
 
     Raises:
       InputError: both files are given, a file that cannot be read or does not fit, a duration that is not positive.
     """
     if robot is None:
-        return robot_of(template, 1.7 if duration is None else duration)
-    if template is not None:
+        found = hexapod()
+        if template is not None:
+            found = replace(found, template=read_template(template), template_path=str(template))
+    elif template is not None:
         raise InputError("--robot and --template: got both; a robot.toml names its own template (model = ...)")
-    found = load_robot(robot)
+    else:
+        found = load_robot(robot)
     return found if duration is None else replace(found, duration=duration)
-
-
-@dataclass(frozen=True)
-class _Draft:
-    """What is known of a robot before its model is compiled."""
-
-    file: Path
-    source: Path
-    text: str
-    plain: bool
-    constants: tuple[tuple[str, float], ...]
-    template_parameters: tuple["_Parameter", ...] = ()
-
-    def with_template_parameters(self, rows: list[Mapping[str, Any]]) -> "_Draft":
-        """The same with the parameters that are variables of the template."""
-        found = []
-        for row in rows:
-            where = f"{self.file}: [[parameter]] {row.get('name', '')}".rstrip()
-            known = ("name", "bounds", "low", "high", "unit", "nominal")
-            for key in row:
-                if key not in known:
-                    raise _unknown_key(where, key, (*known, "path"))
-            if self.plain:
-                raise InputError(f'{where}: no path, and {self.source.name} is no template; add path = "..."')
-            low, high = read_bounds(row, where)
-            nominal = row.get("nominal", (low + high) / 2)
-            if not is_number(nominal) or not isinstance(row.get("name"), str):
-                raise InputError(f'{where}: expected name = "..." and a number for nominal, got {nominal!r}')
-            found.append(_Parameter(row["name"], low, high, float(nominal), str(row.get("unit", ""))))
-        return _Draft(self.file, self.source, self.text, self.plain, self.constants, tuple(found))
-
-    def model(self) -> mujoco.MjModel:
-        """The compiled model at the nominal values of the template's parameters."""
-        known = self.template_parameters or (_Parameter("none", 0.0, 1.0, 0.0, ""),)
-        robot = Robot(
-            name="draft",
-            template=self.text,
-            template_path=str(self.source),
-            simulation_box=Box([p.name for p in known], [p.low for p in known], [p.high for p in known]),
-            controller_box=Box(["none"], 0.0, 1.0),
-            signal=Sinusoids((), (), (), -1, 1.0, (), (), ()),
-            nominal=tuple(p.nominal for p in known),
-            constants=self.constants,
-            folder=str(self.source.parent.resolve()),
-            plain=self.plain,
-        )
-        return base_model(robot)
 
 
 @dataclass(frozen=True)
@@ -177,10 +129,28 @@ class _Parameter:
     edit: PathParameter | None = None
 
 
-def _parameter(draft: _Draft, row: Mapping[str, Any], number: int, model: mujoco.MjModel) -> _Parameter:
+def _box(parameters: Sequence[_Parameter]) -> Box:
+    names, low, high, units = zip(*((p.name, p.low, p.high, p.unit) for p in parameters), strict=True)
+    return Box(names, low, high, units=units)
+
+
+def _template_parameter(row: Mapping[str, Any], plain: bool, source: Path, file: Path) -> _Parameter:
+    """A parameter that is a variable of the template."""
+    where = f"{file}: [[parameter]] {row.get('name', '')}".rstrip()
+    refuse_unknown_keys(row, ("name", "bounds", "low", "high", "unit", "nominal", "path"), where)
+    if plain:
+        raise InputError(f'{where}: no path, and {source.name} is no template; add path = "..."')
+    low, high = read_bounds(row, where)
+    nominal = row.get("nominal", (low + high) / 2)
+    if not is_number(nominal) or not isinstance(row.get("name"), str):
+        raise InputError(f'{where}: expected name = "..." and a number for nominal, got {nominal!r}')
+    return _Parameter(row["name"], low, high, float(nominal), str(row.get("unit", "")))
+
+
+def _parameter(known: Sequence[_Parameter], row: Mapping[str, Any], where: str, model: mujoco.MjModel) -> _Parameter:
     if "path" not in row:
-        return next(p for p in draft.template_parameters if p.name == row["name"])
-    where, notes = f"{draft.file}: [[parameter]] {number}", list[str]()
+        return next(p for p in known if p.name == row["name"])
+    notes = list[str]()
     edit = read_path_parameter(row, model, where, notes, ("nominal",))
     if notes:
         raise InputError(f"{notes[0].replace(' was ignored', '')}; valid keys: {', '.join((*KEYS, 'nominal'))}")
@@ -188,12 +158,6 @@ def _parameter(draft: _Draft, row: Mapping[str, Any], number: int, model: mujoco
     if not is_number(nominal):
         raise InputError(f"{where}: nominal = {nominal!r}: expected a number")
     return _Parameter(edit.name, edit.low, edit.high, float(nominal), edit.unit, edit)
-
-
-def _unknown_key(where: str, key: str, known: Sequence[str]) -> InputError:
-    return InputError(
-        f"{where}: unknown key {key!r}; nearest: {nearest_names(key, known)}; valid keys: {', '.join(known)}"
-    )
 
 
 def _constants(table: Mapping[str, Any], file: Path) -> tuple[tuple[str, float], ...]:
@@ -233,7 +197,7 @@ def _target(value: Any, file: Path) -> tuple[float, ...]:
 def _checked_base(model: mujoco.MjModel, base: str, point: str, file: Path) -> str | None:
     """The base body; a robot that is bolted down needs a point instead, or its fitness would always be 0."""
     bodies = [model.body(i).name for i in range(1, model.nbody)]
-    free = [model.body(int(b)).name for b in model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]]
+    free = [*free_joints(model)]
     if base and base not in free:
         if base in bodies:
             raise InputError(

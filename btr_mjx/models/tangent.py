@@ -32,16 +32,7 @@ def difference(model: mujoco.MjModel, start: np.ndarray, end: np.ndarray) -> np.
 
 
 def integrate(model: mujoco.MjModel, qpos: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    """A configuration moved along a tangent vector, as `mj_integratePos` with dt = 1.
-
-    Args:
-      model: the model.
-      qpos: (..., nq) configurations.
-      tangent: (..., nv) vectors.
-
-    Returns:
-      (..., nq) configurations; quaternions are normalised.
-    """
+    """Configurations (..., nq) moved along tangent vectors (..., nv), as `mj_integratePos` with dt = 1; normalised."""
     shape = np.broadcast_shapes(qpos.shape[:-1], tangent.shape[:-1])
     qpos = np.broadcast_to(qpos, (*shape, model.nq))
     q_of, v_of, balls = _layout(model)

@@ -29,17 +29,10 @@ CONVERGED = 5e-5
 def restored(
     start: np.ndarray, members: np.ndarray, scores: np.ndarray, *, population: int, sigma: float = SIGMA
 ) -> "cmaes.CMA":
-    """The state of the strategy after g generations.
+    """The state of the strategy, ready for `ask`, after it was told members (g, L, n) of the unit cube; g may be 0.
 
-    Args:
-      start: (n,) initial mean, in the unit cube.
-      members: (g, L, n) all members told so far, g may be 0.
-      scores: (g, L) their scores, to be minimised; not finite where the evaluation failed.
-      population: L.
-      sigma: initial step size.
-
-    Returns:
-      The strategy, ready for `ask`.
+    Scores (g, L) are to be minimised, not finite where the evaluation failed. The start (n,) is the initial mean, sigma
+    the initial step size.
 
     Raises:
       InputError: a start outside the unit cube, a step size that is not positive, fewer than 4 members.

@@ -143,10 +143,7 @@ def ga_state_to_arrays(state: GAState) -> dict[str, np.ndarray]:
 
 
 def ga_state_from_arrays(arrays: Mapping[str, np.ndarray]) -> GAState:
-    """The state from the arrays of `ga_state_to_arrays`.
-
-    Args:
-      arrays: name -> array, such as an open npz file.
+    """The state from the arrays of `ga_state_to_arrays`, such as an open npz file.
 
     Raises:
       InputError: arrays missing, or of the wrong type or shape.
@@ -220,10 +217,8 @@ class GeneticAlgorithm:
     def ask(self, state: GAState) -> tuple[NDArray[np.bool_], GAState]:
         """The next generation: at first the initial population, then children followed by the elites.
 
-        Elites come last, so that `tell` ranks new members before elites of equal fitness (neutral drift on plateaus).
-
-        Args:
-          state: from `init` or `tell`; a state returned by `ask` gives the same genomes again.
+        Elites come last, so that `tell` ranks new members before elites of equal fitness (neutral drift on plateaus). A
+        state that was asked already gives the same genomes again.
 
         Returns:
           (M, n_bits) read-only genomes, and the state to give to `tell`.

@@ -12,15 +12,7 @@ Crossover = Literal["uniform", "one_point", "two_point"]
 
 
 def mutate(genomes: NDArray[np.bool_], p_m: float, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Flip every bit independently with probability p_m.
-
-    Args:
-      genomes: (..., n_bits).
-      p_m: probability per bit, 0 .. 1.
-      rng: source of randomness; advances.
-
-    Returns:
-      (..., n_bits) new genomes.
+    """Genomes (..., n_bits) with every bit flipped independently with probability p_m.
 
     Raises:
       InputError: p_m outside [0, 1].
@@ -36,20 +28,9 @@ def crossover(
     kind: Crossover,
     rng: np.random.Generator,
 ) -> NDArray[np.bool_]:
-    """Make one child of each pair of parents.
+    """Make one child (..., n_bits) of each pair of parents of this shape.
 
-    Args:
-      first: (..., n_bits).
-      second: (..., n_bits), the same shape.
-      p_c: probability that a pair is crossed; otherwise the child is a copy of `first`.
-      kind: "uniform", "one_point" or "two_point".
-      rng: source of randomness; advances.
-
-    Returns:
-      (..., n_bits) children; every bit is that of one of the two parents.
-
-    Raises:
-      InputError: shapes differ, p_c outside [0, 1], unknown kind.
+    With probability p_c a pair is crossed, see `Crossover`; otherwise the child is a copy of `first`.
     """
     check_probability("p_c", p_c)
     if first.shape != second.shape:
@@ -68,10 +49,6 @@ def crossover(
 
 
 def check_probability(name: str, value: float) -> None:
-    """Check a probability.
-
-    Raises:
-      InputError: NaN or outside [0, 1].
-    """
+    """InputError where a number is NaN or outside [0, 1]."""
     if not 0 <= value <= 1:  # catches NaN too
         raise InputError(f"{name}: got {value!r}, expected a probability within [0, 1]")

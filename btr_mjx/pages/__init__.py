@@ -5,9 +5,9 @@
 folded settings and environment.
 """
 
-from btr_mjx.pages.content import Curves, Figure, Section, Table, with_interval
 from btr_mjx.pages.page import PAGE, embedded, write_page
-from btr_mjx.pages.runs import draw_run_page, kind_of_run
+from btr_mjx.pages.page_content import Curves, Figure, Section, Table, with_interval
+from btr_mjx.pages.runs import draw_run_page
 
 __all__ = [
     "PAGE",
@@ -17,7 +17,6 @@ __all__ = [
     "Table",
     "draw_run_page",
     "embedded",
-    "kind_of_run",
     "with_interval",
     "write_page",
 ]

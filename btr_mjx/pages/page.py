@@ -8,7 +8,7 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from btr_mjx.pages.content import Figure, Table, cell_order, cell_text, flat_rows
+from btr_mjx.pages.page_content import Figure, Table, cell_order, cell_text, flat_rows
 from btr_mjx.runs import CONFIG_NAME, atomic_write, read_json, read_limited
 
 PAGE = "report.html"
@@ -24,12 +24,8 @@ _FILMS = {".gif": "image/gif", ".mp4": "video/mp4"}
 def write_page(folder: Path, variables: Mapping[str, Any]) -> Path:
     """Render a page about a run folder and write it there.
 
-    Args:
-      folder: the run folder; its config.json, environment.json, *.gif and *.mp4 are shown where they are there.
-      variables: heading, name, sentence, numbers, sections and footer; a film_caption where films have one.
-
-    Returns:
-      The page.
+    Its config.json, environment.json, *.gif and *.mp4 are shown where they are there. Variables are heading, name,
+    sentence, numbers, sections and footer, and a film_caption where films have one.
 
     Raises:
       DamagedFile: config.json or environment.json was altered.

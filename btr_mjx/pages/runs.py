@@ -3,32 +3,10 @@
 from pathlib import Path
 
 from btr_mjx.errors import InputError
-from btr_mjx.pages.coevolution import coevolution_content
+from btr_mjx.pages.coevolution_page import coevolution_content
 from btr_mjx.pages.page import write_page
-from btr_mjx.pages.scan import scan_content
-from btr_mjx.plotting import draw_run, draw_scan, read_run, read_scan
-from btr_mjx.runs import read_json
-
-
-def kind_of_run(folder: str | Path) -> str:
-    """What a folder is the run of: "coevolve", "scan" or "diagnose".
-
-    Raises:
-      InputError: none of these, or a run that has not ended.
-    """
-    folder = Path(folder)
-    if not (folder / "result.json").is_file():
-        raise InputError(
-            f"{folder} holds no result.json: expected a run folder of btr_mjx.coevolve, scan or diagnose that has "
-            "ended; continue one that has not with --resume"
-        )
-    if (folder / "scan.npz").is_file():
-        return "scan"
-    result = read_json(folder / "result.json")
-    for key, kind in (("verdict", "diagnose"), ("best_controller", "coevolve"), ("iterations", "coevolve")):
-        if isinstance(result, dict) and key in result:
-            return kind
-    raise InputError(f"{folder}: result.json is not that of btr_mjx.coevolve, scan or diagnose")
+from btr_mjx.pages.scan_page import scan_content
+from btr_mjx.plotting import draw_run, draw_scan, kind_of_run, read_run, read_scan
 
 
 def draw_run_page(folder: str | Path) -> Path:

@@ -2,7 +2,7 @@ from .camera import Camera, camera_for
 from .draw import attempt, draw_folder, draw_run, draw_scan, save_figure, style
 from .rendering import render, working_backend
 from .robot_figure import highlight
-from .run_data import RunData, ScanData, read_robot, read_run, read_scan, with_unit
+from .run_data import RunData, ScanData, kind_of_run, read_robot, read_run, read_scan, with_unit
 
 __all__ = [
     "Camera",
@@ -14,6 +14,7 @@ __all__ = [
     "draw_run",
     "draw_scan",
     "highlight",
+    "kind_of_run",
     "read_robot",
     "read_run",
     "read_scan",

@@ -31,15 +31,10 @@ def search_spacing(searches: Sequence[Search]) -> float:
 
 
 def block_offsets(searches: Sequence[Search], spacing: float, first: float) -> list[float]:
-    """Offset of each iteration on the x axis; its generations are at offset + 1, offset + 2, ...
+    """Offset of each iteration on the x axis [generations]; its generations are at offset + 1, offset + 2, ...
 
-    Args:
-      searches: one per iteration.
-      spacing: width added between the last generation of a block and the first of the next, beyond the usual 1.
-      first: offset of the first block; the state before the run is at 0.
-
-    Returns:
-      One offset per iteration [generations].
+    `spacing` is added between the last generation of a block and the first of the next, beyond the usual 1; `first` is
+    the offset of the first block, where the state before the run is at 0.
     """
     lengths = [len(search.scores) + spacing for search in searches]
     return [first, *(first + np.cumsum(lengths[:-1])).tolist()]
@@ -48,15 +43,9 @@ def block_offsets(searches: Sequence[Search], spacing: float, first: float) -> l
 def generation_axis(
     axes: Axes, searches: Sequence[Search], offsets: list[float], spacing: float, border: float, sides: str = "tb"
 ) -> None:
-    """Name the iterations along the top and number the last generation of each along the bottom.
+    """Name the iterations along the top ("t" in `sides`), number the last generation of each, label the axis ("b").
 
-    Args:
-      axes: the axes.
-      searches: one per iteration.
-      offsets: from `block_offsets`.
-      spacing: as given to `block_offsets`.
-      border: position of a block's left border, relative to its offset.
-      sides: with "t" iterations are named, with "b" the axis has its label.
+    Offsets and spacing are those of `block_offsets`, `border` is a block's left border relative to its offset.
     """
     count, lengths = len(searches), [len(search.scores) for search in searches]
     shown = range(0, count, math.ceil(count / MOST_NAMES))

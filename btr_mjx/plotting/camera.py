@@ -42,15 +42,9 @@ def view_axes() -> np.ndarray:
 def camera_for(
     models: Sequence[mujoco.MjModel], aspect: float = 4 / 3, poses: Sequence[np.ndarray] | None = None
 ) -> Camera:
-    """The nearest camera that shows all models completely, in their default posture or in all of their poses.
+    """The nearest camera that shows all models completely, in their default posture or in all of their poses (n, nq).
 
-    Args:
-      models: models to be drawn to the same scale.
-      aspect: width over height of the picture.
-      poses: (n, nq) generalised positions of each model; None for the default posture.
-
-    Returns:
-      The camera.
+    `aspect` is width over height of the picture.
     """
     shown = [model.qpos0[None] for model in models] if poses is None else poses
     points = np.concatenate(

@@ -58,26 +58,22 @@ def save_figure(path: Path, make: "Callable[[], Figure | None]", dpi: int = 150)
 
 
 def draw_run(folder: Path) -> list[Path]:
-    """Draw the figures of a run folder of `btr_mjx.coevolve`.
+    """Draw the figures of a run folder of `btr_mjx.coevolve`; the PNG files.
 
-    Args:
-      folder: the run folder.
-
-    Returns:
-      The PNG files; figures that fail are left out, which one line each on stderr says.
+    Figures that fail are left out, which one line each on stderr says.
 
     Raises:
       InputError: not a run folder, a run that has not ended, or a damaged file.
     """
     folder = Path(folder)
     run = read_run(folder)
-    from btr_mjx.plotting import figures, robot_figure  # matplotlib takes seconds, which bad input should not
+    from btr_mjx.plotting import robot_figure, run_figures  # matplotlib takes seconds, which bad input should not
 
     curves = {
-        "controller_fitness": figures.controller_fitness,
-        "delta_fitness": figures.delta_fitness_curve,
-        "parameters": figures.parameter_values,
-        "sim_versus_reality": figures.sim_versus_reality,
+        "controller_fitness": run_figures.controller_fitness,
+        "delta_fitness": run_figures.delta_fitness_curve,
+        "parameters": run_figures.parameter_values,
+        "sim_versus_reality": run_figures.sim_versus_reality,
         # Last, since its template may have been moved or deleted.
         "robot": lambda run: robot_figure.morphologies(read_robot(folder), run),
     }
@@ -89,9 +85,9 @@ def draw_scan(folder: Path) -> list[Path]:
     """Draw the figure of a run folder of `btr_mjx.scan`; returns and raises as `draw_run`."""
     folder = Path(folder)
     data = read_scan(folder)
-    from btr_mjx.plotting import figures
+    from btr_mjx.plotting import run_figures
 
-    path = save_figure(folder / "scan.png", partial(figures.scan_curve, data))
+    path = save_figure(folder / "scan.png", partial(run_figures.scan_curve, data))
     return [] if path is None else [path]
 
 

@@ -23,12 +23,7 @@ UNKNOWN = (0.97, 0.80, 0.30, 1.0)
 def morphologies(robot: Robot, run: RunData) -> Figure | None:
     """Pictures of the nominal, the identified and (where known) the true morphology, to the same scale.
 
-    Args:
-      robot: the robot.
-      run: the run, for the values of the unknown parameters.
-
-    Returns:
-      The figure; None on a machine that renders nothing.
+    None on a machine that renders nothing.
     """
     nominal = robot.nominal_simulation
     # Numbers of effects that were added to the simulator change no shape.
@@ -63,13 +58,7 @@ def morphologies(robot: Robot, run: RunData) -> Figure | None:
 
 
 def highlight(robot: Robot, models: Sequence[mujoco.MjModel], indices: np.ndarray) -> None:
-    """Colour the geoms whose size depends on some parameters, in place.
-
-    Args:
-      robot: the robot.
-      models: models of it.
-      indices: (k,) of the parameters in its simulation box.
-    """
+    """Colour the geoms of a robot's models whose size depends on some parameters, by index (k,), in place."""
     searched = _searched_geoms(robot, indices)
     for model in models:
         model.geom_rgba[searched] = UNKNOWN

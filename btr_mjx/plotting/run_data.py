@@ -184,6 +184,27 @@ def read_scan(folder: Path) -> ScanData:
     )
 
 
+def kind_of_run(folder: str | Path) -> str:
+    """What a folder is the run of: "coevolve", "scan" or "diagnose".
+
+    Raises:
+      InputError: none of these, or a run that has not ended.
+    """
+    folder = Path(folder)
+    if not (folder / "result.json").is_file():
+        raise InputError(
+            f"{folder} holds no result.json: expected a run folder of btr_mjx.coevolve, scan or diagnose that has "
+            "ended; continue one that has not with --resume"
+        )
+    if (folder / "scan.npz").is_file():
+        return "scan"
+    result = read_json(folder / "result.json")
+    for key, kind in (("verdict", "diagnose"), ("best_controller", "coevolve"), ("iterations", "coevolve")):
+        if isinstance(result, dict) and key in result:
+            return kind
+    raise InputError(f"{folder}: result.json is not that of btr_mjx.coevolve, scan or diagnose")
+
+
 def _result(folder: Path) -> dict[str, Any]:
     if not (folder / "result.json").is_file():
         raise InputError(f"{folder} holds no result.json: its run has not ended; continue it with --resume")

@@ -6,7 +6,7 @@ plays the motions in MuJoCo's viewer. `export_motions` writes those of a diagnos
 """
 
 from btr_mjx.replays.film import check_film, draw_film, write_film
-from btr_mjx.replays.motion import Replay, ReplayedMotion, magnified
+from btr_mjx.replays.replay_records import Replay, ReplayedMotion, magnified
 from btr_mjx.replays.source import check_exports, export_motions, read_replay
 from btr_mjx.replays.viewer import check_display, view_replay
 

@@ -10,8 +10,8 @@ import numpy as np
 from btr_mjx.exports import RecordedCurves, RecordedPoses, recorded_poses, write_mcap, write_rerun
 from btr_mjx.gap.data import state_columns
 from btr_mjx.plotting import attempt
-from btr_mjx.replays.diagnosis import compared_worlds, open_loop_positions
-from btr_mjx.replays.motion import hold_last_valid
+from btr_mjx.replays.diagnosis_motions import compared_worlds, open_loop_positions
+from btr_mjx.replays.replay_records import hold_last_valid
 from btr_mjx.runs import read_arrays, read_json
 
 WriteMotions = Callable[[Path, Sequence[RecordedCurves], Sequence[RecordedPoses]], None]

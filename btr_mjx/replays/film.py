@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from btr_mjx.errors import InputError
 from btr_mjx.plotting import camera_for, render
-from btr_mjx.replays.motion import Replay
+from btr_mjx.replays.replay_records import Replay
 from btr_mjx.runs import atomic_write, check_regular
 
 FILM_SUFFIXES = (".gif", ".mp4")
@@ -61,17 +61,11 @@ def draw_film(
     progress: Callable[[int], object] | None = None,
     overlay: bool = False,
 ) -> np.ndarray | None:
-    """The frames of a film.
+    """The frames of a film, (F, height, width, 3) uint8; None where nothing can be rendered, which a line says.
 
-    Args:
-      replay: what is shown.
-      width: of a panel [pixels].
-      slowness: how many times slower than reality the film plays, for its label.
-      progress: called with the number of pictures done since the last call.
-      overlay: draw the measured motion over the simulated ones of its row, both half transparent.
-
-    Returns:
-      (F, height, width, 3) uint8; None where nothing can be rendered, which one line on stderr says.
+    `width` is that of a panel [pixels]; the label says how many times slower than reality the film plays. `progress` is
+    called with the number of pictures done since the last call. With `overlay` the measured motion is drawn over the
+    simulated ones of its row, both half transparent.
     """
     count, height = len(replay.times), picture_height(width)
     views = np.unique(np.linspace(0, count - 1, _VIEWS).astype(int))
@@ -103,16 +97,9 @@ def picture_height(width: int) -> int:
 
 
 def write_film(path: Path, film: np.ndarray, rate: int, limit: int | None = None) -> int:
-    """Save a film.
+    """Save frames (F, height, width, 3) uint8 as .gif or .mp4; the size of the file [bytes].
 
-    Args:
-      path: the file, .gif or .mp4.
-      film: (F, height, width, 3) uint8.
-      rate: frames per second.
-      limit: of a GIF: largest number of bytes; a film that is larger is made smaller, in pixels.
-
-    Returns:
-      The size of the file [bytes].
+    `rate` is in frames per second. A GIF of more bytes than the limit is made smaller, in pixels.
 
     Raises:
       OSError: the file cannot be written.

@@ -5,7 +5,7 @@ import platform
 import time
 
 from btr_mjx.errors import InputError
-from btr_mjx.replays.motion import Replay
+from btr_mjx.replays.replay_records import Replay
 
 
 def check_display() -> None:
@@ -20,10 +20,6 @@ def check_display() -> None:
 
 def view_replay(replay: Replay, slowness: float = 1.0) -> None:
     """Play the motions one after another in MuJoCo's viewer, each again and again until its window is closed.
-
-    Args:
-      replay: what is shown.
-      slowness: how many times slower than reality it plays.
 
     Raises:
       InputError: there is no display.

@@ -4,7 +4,7 @@
 robot is one more `Robot`; the commands take the hexapod unless another template is given.
 """
 
-from btr_mjx.robots.hexapod import HEXAPOD, PAPER_REALITIES, PAPER_STARTS, hexapod, read_asset, robot_of
+from btr_mjx.robots.hexapod import HEXAPOD, PAPER_REALITIES, PAPER_STARTS, hexapod, read_asset
 from btr_mjx.robots.robot import Edit, Pairs, Robot, Signal, Simulator, read_template
 from btr_mjx.robots.signals import Sinusoids, Spline
 from btr_mjx.robots.spaces import Box
@@ -24,5 +24,4 @@ __all__ = [
     "hexapod",
     "read_asset",
     "read_template",
-    "robot_of",
 ]

@@ -25,15 +25,7 @@ MAX_BITS = 32
 
 
 def bits_to_index(bits: NDArray[np.bool_], code: Code) -> NDArray[np.int64]:
-    """Grid indices of bit strings.
-
-    Args:
-      bits: (..., b), most significant first, b <= 62.
-      code: "binary" or "gray".
-
-    Returns:
-      (...) indices in 0 .. 2**b - 1.
-    """
+    """Grid indices (...) of bit strings (..., b), most significant first, b <= 62."""
     if code == "gray":
         bits = np.logical_xor.accumulate(bits, axis=-1)
     weights = np.int64(1) << np.arange(bits.shape[-1] - 1, -1, -1, dtype=np.int64)
@@ -41,16 +33,7 @@ def bits_to_index(bits: NDArray[np.bool_], code: Code) -> NDArray[np.int64]:
 
 
 def index_to_bits(index: NDArray[np.int64], n_bits: int, code: Code) -> NDArray[np.bool_]:
-    """Bit strings of grid indices; the inverse of `bits_to_index`.
-
-    Args:
-      index: (...) indices in 0 .. 2**n_bits - 1.
-      n_bits: length of the bit strings.
-      code: "binary" or "gray".
-
-    Returns:
-      (..., n_bits), most significant first.
-    """
+    """Bit strings (..., n_bits) of grid indices (...); the inverse of `bits_to_index`."""
     if code == "gray":
         index = index ^ (index >> 1)
     shifts = np.arange(n_bits - 1, -1, -1, dtype=np.int64)
@@ -58,16 +41,7 @@ def index_to_bits(index: NDArray[np.int64], n_bits: int, code: Code) -> NDArray[
 
 
 def genome_to_indices(genomes: NDArray[np.bool_], bits: Sequence[int], code: Code) -> NDArray[np.int64]:
-    """Grid indices of all parameters of genomes.
-
-    Args:
-      genomes: (..., sum(bits)).
-      bits: number of bits of each of the n parameters.
-      code: "binary" or "gray".
-
-    Returns:
-      (..., n) indices in 0 .. 2**bits - 1.
-    """
+    """Grid indices (..., n) of all parameters of genomes (..., sum(bits))."""
     used = _used_bits(bits)
     padded = np.zeros((*genomes.shape[:-1], *used.shape), dtype=bool)
     padded[..., used] = genomes
@@ -75,16 +49,7 @@ def genome_to_indices(genomes: NDArray[np.bool_], bits: Sequence[int], code: Cod
 
 
 def indices_to_genome(indices: NDArray[np.int64], bits: Sequence[int], code: Code) -> NDArray[np.bool_]:
-    """Genomes of grid indices; the inverse of `genome_to_indices`.
-
-    Args:
-      indices: (..., n) indices in 0 .. 2**bits - 1.
-      bits: number of bits of each of the n parameters.
-      code: "binary" or "gray".
-
-    Returns:
-      (..., sum(bits)) bool.
-    """
+    """Genomes (..., sum(bits)) of grid indices (..., n); the inverse of `genome_to_indices`."""
     return index_to_bits(indices, max(bits), code)[..., _used_bits(bits)]
 
 

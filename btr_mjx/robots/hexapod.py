@@ -2,13 +2,11 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import cache
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
-from btr_mjx.robots.robot import Robot, read_template
+from btr_mjx.robots.robot import Robot
 from btr_mjx.robots.spaces import Box
 
 OMEGA = 60.0
@@ -59,13 +57,8 @@ def read_asset(name: str) -> str:
 def sinusoids(controller: Any, time: Any, xp: Any) -> Any:
     """r_i = theta_i + a_i sin(omega t + phi_i), the paper's reference, in a default posture of theta_i = 0.
 
-    Args:
-      controller: (2 n_u, ...) parameters a_1, phi_1, a_2, phi_2, ... [rad].
-      time: t [s].
-      xp: numpy or jax.numpy.
-
-    Returns:
-      (n_u, ...) joint angles [rad].
+    Of controllers (2 n_u, ...) with a_1, phi_1, a_2, phi_2, ... [rad] it gives joint angles (n_u, ...) [rad], see
+    `Signal`.
     """
     return controller[0::2] * xp.sin(OMEGA * time + controller[1::2])
 
@@ -113,19 +106,3 @@ PAPER_REALITIES: Mapping[str, Mapping[str, float]] = {
     "fig4": {"bl_3": 0.54, "bl_5": 0.54, "bl_6": 0.74, "bl_8": 0.74},
 }
 """Lengths of the simulated reality in the paper, by figure [m]; all others are nominal."""
-
-
-def robot_of(template: str | Path | None = None, duration: float = 1.7) -> Robot:
-    """The robot of a command: the hexapod, or another template with the same parameters and motors.
-
-    Args:
-      template: file of the template; None for the paper's hexapod.
-      duration: T_e [s].
-
-    Raises:
-      InputError: a template that cannot be read, a duration that is not positive.
-    """
-    robot = replace(hexapod(), duration=duration)
-    if template is None:
-        return robot
-    return replace(robot, template=read_template(template), template_path=str(template))

@@ -76,19 +76,11 @@ class Box:
         code: Code = "gray",
         units: str | Sequence[str] = "",
     ):
-        """Check and copy the fields.
-
-        Args:
-          names: n distinct names.
-          low: (n,) or one number for all.
-          high: (n,) or one number for all.
-          bits: one count for all parameters, or n of them.
-          code: "gray" or "binary".
-          units: one unit for all parameters, or n of them.
+        """Check and copy the fields; one bound, count of bits or unit may stand for all parameters.
 
         Raises:
-          InputError: repeated or empty names; bounds that are not finite or not low < high; counts of bits outside
-            1 .. 32, or so many that neighbouring grid points would coincide in float64; an unknown code.
+          InputError: repeated or empty names; bounds that are not finite or not low < high; counts of bits outside 1 ..
+            32, or so many that neighbouring grid points would coincide in float64; an unknown code.
         """
         names = _names(names, "Box names")
         n = len(names)
@@ -120,12 +112,9 @@ class Box:
                     f"Box bits of {name!r}: {b} bits over [{lo}, {hi}] are finer than float64 resolves; "
                     "use fewer bits, or measure the parameter from the middle of its range"
                 )
-        object.__setattr__(self, "names", names)
-        object.__setattr__(self, "low", bounds[0])
-        object.__setattr__(self, "high", bounds[1])
-        object.__setattr__(self, "bits", tuple(int(b) for b in bits))
-        object.__setattr__(self, "code", code)
-        object.__setattr__(self, "units", units)
+        whole = tuple(int(b) for b in bits)
+        for name, value in zip(Box.__dataclass_fields__, (names, *bounds, whole, code, units), strict=True):
+            object.__setattr__(self, name, value)
 
     def _key(self) -> tuple:
         return self.names, tuple(self.low.tolist()), tuple(self.high.tolist()), self.bits, self.code, self.units
@@ -220,25 +209,19 @@ class Box:
         return np.clip(np.asarray(values, dtype=np.float64), self.low, self.high)
 
     def decode(self, genomes: ArrayLike) -> NDArray[np.float64]:
-        """Translate genomes into vectors of the box.
-
-        Args:
-          genomes: (..., n_bits) bool, or 0 and 1.
+        """Translate genomes (..., n_bits), bool, or 0 and 1, into vectors of the box.
 
         Returns:
           (..., n) points of the grid; all zeros (in binary) decode to `low` exactly, the last grid point to `high`.
 
         Raises:
-          InputError: wrong length, or entries other than 0 and 1.
+          InputError: as `validate_genomes`.
         """
         index = genome_to_indices(self.validate_genomes(genomes), self.bits, self.code)
         return np.where(index == self._last, self.high, self.low + self.span * (index / self._last))
 
     def encode(self, values: ArrayLike) -> NDArray[np.bool_]:
-        """Translate vectors into genomes, by the nearest grid point.
-
-        Args:
-          values: (..., n) inside the box.
+        """Translate vectors (..., n) of the box into genomes, by the nearest grid point.
 
         Returns:
           (..., n_bits) bool. `decode(encode(x))` is within half a `step` of x; `encode(decode(g))` is g.
@@ -251,14 +234,7 @@ class Box:
         return indices_to_genome(index, self.bits, self.code)
 
     def validate_genomes(self, genomes: ArrayLike, what: str = "genomes") -> NDArray[np.bool_]:
-        """Check genomes.
-
-        Args:
-          genomes: (..., n_bits) bool, or 0 and 1.
-          what: what error messages call them.
-
-        Returns:
-          (..., n_bits) bool.
+        """Genomes (..., n_bits), bool, or 0 and 1, as bool; `what` is what error messages call them.
 
         Raises:
           InputError: wrong length, or entries other than 0 and 1.
@@ -277,11 +253,11 @@ class Box:
 
     def sample(self, rng: np.random.Generator, size: Size = ()) -> NDArray[np.float64]:
         """Draw vectors uniformly from the box (not from its grid), (*size, n)."""
-        return rng.uniform(self.low, self.high, (*_shape(size), self.n))
+        return rng.uniform(self.low, self.high, (*np.ravel(size).astype(int), self.n))
 
     def random_genomes(self, rng: np.random.Generator, size: Size = ()) -> NDArray[np.bool_]:
         """Draw genomes with independent fair bits, (*size, n_bits): uniform over the grid, in either code."""
-        return rng.integers(0, 2, size=(*_shape(size), self.n_bits), dtype=np.uint8).astype(bool)
+        return rng.integers(0, 2, size=(*np.ravel(size).astype(int), self.n_bits), dtype=np.uint8).astype(bool)
 
     def subspace(self, names: Iterable[str]) -> "Box":
         """The box of some of the parameters, in the order given; errors as `index`."""
@@ -321,7 +297,3 @@ class Box:
     def with_bits(self, bits: int | Sequence[int]) -> "Box":
         """The same parameters on another grid."""
         return Box(self.names, self.low, self.high, bits=bits, code=self.code, units=self.units)
-
-
-def _shape(size: Size) -> tuple[int, ...]:
-    return (size,) if isinstance(size, (int, np.integer)) else tuple(size)

@@ -61,8 +61,6 @@ _FILTERS = (
 )
 _METHODS = ("items", "keys", "values", "get", "index", "count", "upper", "lower", "strip", "startswith", "endswith")
 _FORBIDDEN = (nodes.Block, nodes.Extends, nodes.Include, nodes.Import, nodes.FromImport, nodes.FilterBlock)
-
-
 _COUNTED = (float, int, bool)
 """Types whose values the length of what holds them counts."""
 
@@ -151,8 +149,7 @@ class TemplateEnvironment(ImmutableSandboxedEnvironment):
     def template(self, text: str) -> jinja2.Template:
         """The compiled template of a text.
 
-        Raises:
-          jinja2.TemplateError: its syntax is wrong, or it is too large or nested too deeply.
+        Raises jinja2.TemplateError where its syntax is wrong, or it is too large or nested too deeply.
         """
         if len(text) > MAX_TEMPLATE:
             raise TemplateLimit(f"it has {len(text)} characters, at most {MAX_TEMPLATE} are read")

@@ -9,13 +9,12 @@ from btr_mjx.runs.atomic import atomic_write, write_text
 from btr_mjx.runs.bounded_files import (
     MAX_TABLE_BYTES,
     MAX_TEXT_BYTES,
-    check_plain,
     check_regular,
     parse_json,
     read_limited,
     read_text,
 )
-from btr_mjx.runs.checkpoints import read_checkpoint, save_checkpoint
+from btr_mjx.runs.checkpoints import read_checkpoint
 from btr_mjx.runs.checksums import check_listed, check_sums
 from btr_mjx.runs.config_json import CONFIG_NAME, config_to_json, differences, read_config, read_config_json
 from btr_mjx.runs.digests import content_digest
@@ -30,9 +29,10 @@ from btr_mjx.runs.files import (
     write_json,
     write_table,
 )
+from btr_mjx.runs.folder_checks import check_inputs, claimed_folder, is_unused
 from btr_mjx.runs.progress_bar import StopRequest, graceful_interrupt, note, progress, say_progress
 from btr_mjx.runs.python_files import installed_objects, load_object
-from btr_mjx.runs.run_folder import IGNORED_FIELDS, RunFolder, check_inputs, claimed_folder, is_unused
+from btr_mjx.runs.run_folder import IGNORED_FIELDS, RunFolder
 from btr_mjx.runs.toml_tables import check_keys, file_inside, file_name, is_number, read_toml, toml_rows, toml_section
 
 __all__ = [
@@ -48,7 +48,6 @@ __all__ = [
     "check_inputs",
     "check_keys",
     "check_listed",
-    "check_plain",
     "check_regular",
     "check_sums",
     "claimed_folder",
@@ -76,7 +75,6 @@ __all__ = [
     "read_table",
     "read_text",
     "read_toml",
-    "save_checkpoint",
     "say_progress",
     "to_plain",
     "toml_rows",

@@ -81,11 +81,7 @@ def read_text(path: str | Path, limit: int = MAX_TEXT_BYTES) -> str:
 
 
 def parse_json(data: bytes, where: str) -> Any:
-    """Value of strict JSON.
-
-    Args:
-      data: UTF-8 text.
-      where: the file, for messages.
+    """Value of strict JSON in UTF-8; `where` names it in messages.
 
     Raises:
       DamagedFile: not strict JSON (NaN tokens are refused too), or what `check_plain` refuses.
@@ -103,12 +99,7 @@ def parse_json(data: bytes, where: str) -> Any:
 
 
 def check_plain(value: Any, where: str, depth: int = 0) -> None:
-    """Check values that came out of a TOML or JSON file.
-
-    Args:
-      value: tables, lists and scalars.
-      where: the file, for messages.
-      depth: of the value in the file.
+    """Check values (tables, lists and scalars) that came out of a TOML or JSON file.
 
     Raises:
       DamagedFile: an integer that no float can hold, or nesting deeper than `MAX_NESTING`. Both parse, and fail where

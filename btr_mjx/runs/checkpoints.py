@@ -74,27 +74,12 @@ def save_checkpoint(
     tables: Mapping[str, Any] | None = None,
     files: Mapping[str, str] | None = None,
 ) -> Path:
-    """Write the state after `step`, then delete what is no longer needed.
+    """Write the state after `step`, then delete what is no longer needed; the file written.
 
     Of the steps up to this one the last `KEPT` stay. Files of later steps are deleted: they were written before the run
-    was resumed from an earlier checkpoint.
-
-    Args:
-      folder: the run folder.
-      step: 0, 1, 2, ...
-      arrays: name -> array; bools, integers and floats of any width, bit for bit. Names that begin with "__" are
-        reserved.
-      meta: JSON-able values; NaN and infinities are kept.
-      tables: rows of each table.
-      files: digests of files.
-
-    Returns:
-      The file written.
-
-    Raises:
-      TypeError: an array or a value that cannot be saved.
-      ValueError: a negative step or a reserved array name.
-      OSError: the file cannot be written.
+    was resumed from an earlier checkpoint. Arrays are of bools, integers and floats of any width, kept bit for bit;
+    their names do not begin with "__". Meta is JSON-able values, NaN and infinities too. `tables` has rows, `files`
+    digests.
     """
     if step < 0:
         raise ValueError(f"expected step >= 0, got {step}")
@@ -111,11 +96,7 @@ def save_checkpoint(
 
 
 def drop_older(folder: str | Path, step: int) -> None:
-    """Delete the checkpoints of steps up to `step`, except the last `KEPT`.
-
-    Raises:
-      OSError: a file cannot be deleted.
-    """
+    """Delete the checkpoints of steps up to `step`, except the last `KEPT`."""
     for old in [path for saved, path in list_checkpoints(folder) if saved <= step][:-KEPT]:
         old.unlink(missing_ok=True)
 
@@ -148,18 +129,10 @@ def read_checkpoint(path: str | Path) -> Checkpoint:
 
 
 def load_latest(folder: str | Path, *, warn: Callable[[str], None] = note) -> Checkpoint | None:
-    """Load the newest checkpoint that is not damaged.
-
-    Args:
-      folder: the run folder.
-      warn: receives one line for each damaged file that was skipped.
-
-    Returns:
-      The checkpoint, or None where none was ever written.
+    """The newest checkpoint that is not damaged, None where none was ever written.
 
     Raises:
       DamagedFile: there are checkpoints and all are damaged.
-      OSError: a file cannot be read.
     """
     files = list_checkpoints(folder)
     problems = []

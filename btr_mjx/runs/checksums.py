@@ -27,11 +27,7 @@ def file_digest(path: Path) -> str:
 
 
 def write_sums(folder: Path) -> None:
-    """Write SHA256SUMS with the data files of a folder.
-
-    Raises:
-      OSError: a file cannot be read or written.
-    """
+    """Write SHA256SUMS with the data files of a folder."""
     files = sorted(path for path in folder.iterdir() if path.is_file() and not is_temporary(path))
     listed = [
         path

@@ -106,9 +106,9 @@ def differences(saved: Mapping[str, Any], new: Mapping[str, Any], ignore: Collec
     return [
         f"{name}: saved {shown(saved, name)}, now {shown(new, name)}"
         for name in {**saved, **new}
-        if name not in ignore and (name not in saved or name not in new or not _same(saved[name], new[name]))
+        if name not in ignore and (name not in saved or name not in new or _differ(saved[name], new[name]))
     ]
 
 
-def _same(a: Any, b: Any) -> bool:
-    return a == b and isinstance(a, bool) == isinstance(b, bool)
+def _differ(a: Any, b: Any) -> bool:
+    return a != b or isinstance(a, bool) != isinstance(b, bool)

@@ -52,9 +52,8 @@ MAX_CELLS = 500_000_000
 def to_plain(value: Any, *, strict: bool = True) -> Any:
     """Reduce a value to JSON types: None, bool, int, float, str, list and dict with str keys.
 
-    Args:
-      value: also dataclasses (their init fields), paths, tuples, numpy scalars and arrays.
-      strict: write floats that are not finite as strings; False keeps them as floats.
+    Dataclasses (their init fields), paths, tuples, numpy scalars and arrays are reduced; if strict, floats that are not
+    finite become strings.
 
     Raises:
       TypeError: a value or a key of any other type; the message names its place.
@@ -213,10 +212,6 @@ def write_table(path: str | Path, table: pl.DataFrame | Mapping[str, Any] | Sequ
 
     In a CSV file an absent value is an empty field and a NaN is "NaN"; floats keep all their digits.
 
-    Args:
-      path: the file; its suffix decides the format.
-      table: a polars frame, columns by name, or a list of rows.
-
     Raises:
       InputError: another suffix.
       OSError: the file cannot be written.
@@ -256,12 +251,6 @@ def read_table(path: str | Path) -> pl.DataFrame:
 
 def write_figure(path: str | Path, figure: Any, *, dpi: int = 150, **options: Any) -> None:
     """Save a matplotlib figure; the file name's suffix decides the format (.png, .svg, .pdf).
-
-    Args:
-      path: the file.
-      figure: a `matplotlib.figure.Figure`.
-      dpi: resolution of pixels.
-      options: further arguments of `Figure.savefig`.
 
     Raises:
       OSError: the file cannot be written.

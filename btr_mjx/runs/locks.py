@@ -16,17 +16,13 @@ LOCK_TIMEOUT = 1.0
 
 
 def take_lock(folder: Path) -> int | None:
-    """Lock a folder against other processes.
+    """Lock a folder against other processes; a descriptor to close when done, None on systems without `flock`.
 
     The operating system releases the lock when the process ends, in whatever way. The lock file stays behind; its
     presence alone means nothing.
 
-    Returns:
-      A descriptor to close when done; None on systems without `flock`.
-
     Raises:
       InputError: another process (or this one, a second time) is writing to the folder.
-      OSError: the lock file cannot be opened.
     """
     try:
         import fcntl

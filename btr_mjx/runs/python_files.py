@@ -10,14 +10,9 @@ from btr_mjx.errors import InputError
 
 
 def load_object(name: str, what: str) -> Any:
-    """An object of a Python file, which is run: the user says that it is trusted by naming it.
+    """The object FILE.py:NAME of a Python file, which is run: the user says that it is trusted by naming it.
 
-    Args:
-      name: FILE.py:NAME.
-      what: what the object is for, for messages.
-
-    Returns:
-      The object; the same one while the file stays the same.
+    It is the same one while the file stays the same. `what` says in messages what it is for.
 
     Raises:
       InputError: there is no such file, it cannot be run, or it has no such name.

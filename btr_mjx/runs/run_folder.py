@@ -30,37 +30,27 @@ the newest sound checkpoint, or is named in an error; it never changes a result.
 import json
 import os
 import weakref
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import replace
-from itertools import count
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
-from btr_mjx.errors import DamagedFile, InputError
+from btr_mjx.errors import DamagedFile
 from btr_mjx.runs import checkpoints
 from btr_mjx.runs.atomic import is_temporary, sync_folder
 from btr_mjx.runs.checkpoints import Checkpoint
 from btr_mjx.runs.checksums import file_digest, write_sums
-from btr_mjx.runs.config_json import CONFIG_NAME, config_to_json, differences, read_config_json
+from btr_mjx.runs.config_json import CONFIG_NAME, config_to_json
 from btr_mjx.runs.environment import describe_environment, environment_changes
 from btr_mjx.runs.files import read_json, to_plain, write_json, write_table
-from btr_mjx.runs.locks import LOCK_NAME, take_lock
+from btr_mjx.runs.folder_checks import INPUTS_NAME, check_folder_of_run
+from btr_mjx.runs.locks import take_lock
 from btr_mjx.runs.progress_bar import note
 
 ENVIRONMENT_NAME = "environment.json"
 """Name of the file in a run folder."""
 
-INPUTS_NAME = "inputs.json"
-"""Name of the file in a run folder."""
-
 IGNORED_FIELDS = ("out", "resume", "progress")
 """Config fields that do not affect results and may differ on resume."""
-
-
-def is_unused(folder: Path) -> bool:
-    """Whether nothing was ever saved here: absent, empty, or left by a process killed before its first file."""
-    return not folder.exists() or all(path.name == LOCK_NAME or is_temporary(path) for path in folder.iterdir())
 
 
 class History:
@@ -83,23 +73,14 @@ class History:
         return [dict(row) for row in self._rows]
 
     def append(self, row: Mapping[str, Any]) -> None:
-        """Add a row in memory; numpy scalars and arrays become plain numbers and lists.
-
-        Raises:
-          ValueError: other columns than those of the rows before.
-          TypeError: a value that a table cannot hold.
-        """
+        """Add a row in memory, of the same columns; numpy scalars and arrays become plain numbers and lists."""
         plain = to_plain(row, strict=False)
         if self._rows and set(plain) != set(self._rows[0]):
             raise ValueError(f"{self.path.name}: expected the columns {list(self._rows[0])}, got {list(plain)}")
         self._rows.append(plain)
 
     def write(self) -> None:
-        """Replace the file by all rows so far.
-
-        Raises:
-          OSError: the file cannot be written.
-        """
+        """Replace the file by all rows so far."""
         cell = lambda value: json.dumps(value) if isinstance(value, list) else value  # noqa: E731
         write_table(self.path, [{name: cell(value) for name, value in row.items()} for row in self._rows])
 
@@ -145,13 +126,13 @@ class RunFolder:
         """
         path = Path(path)
         data = config_to_json(config)
-        _check(path, data, resume, ignore, inputs or {})
+        check_folder_of_run(path, data, resume, ignore, inputs or {})
         path.mkdir(parents=True, exist_ok=True)
         lock = take_lock(path)
         run = cls(path, (path / CONFIG_NAME).exists(), lock)
         try:
             # Again: another process may have been here before the lock.
-            _check(path, data, resume, ignore, inputs or {})
+            check_folder_of_run(path, data, resume, ignore, inputs or {})
             for leftover in [file for file in path.rglob("*") if is_temporary(file)]:
                 leftover.unlink(missing_ok=True)
             # Written on resume as well: only fields that do not affect results can differ, or be damaged. A run whose
@@ -252,77 +233,3 @@ class RunFolder:
         for change in environment_changes(first, now):
             note(f"warning: {change} since {self.path} was started; results may differ in the last bits")
         write_json(path, {**first, "resumed": [*first.get("resumed", []), now]})
-
-
-def _check(
-    path: Path, data: Mapping[str, Any], resume: bool, ignore: Collection[str], inputs: Mapping[str, str]
-) -> None:
-    """Refuse a folder that cannot take this run, without touching it."""
-    if path.exists() and not path.is_dir():
-        raise InputError(f"{path} is a file, not a run folder; choose another --out")
-    if resume and not path.exists():
-        raise InputError(f"nothing to resume: there is no folder {path}; check --out or leave out --resume")
-    if is_unused(path):
-        return
-    if not resume:
-        raise InputError(f"{path} exists and is not empty; continue it with --resume or choose another --out")
-    changed = differences(read_config_json(path), data, ignore)
-    if changed:
-        raise InputError(
-            f"{path} was started with another config ({'; '.join(changed)}); give the saved values or another --out"
-        )
-    check_inputs(path, inputs)
-
-
-def check_inputs(path: Path, inputs: Mapping[str, str]) -> None:
-    """Compare what a run refers to with what it was when the run started.
-
-    Args:
-      path: the run folder.
-      inputs: see `RunFolder.create`.
-
-    Raises:
-      InputError: a robot, a dataset, ... that changed since.
-    """
-    if (path / INPUTS_NAME).exists():
-        saved = read_json(path / INPUTS_NAME)
-        other = [name for name, digest in inputs.items() if not isinstance(saved, dict) or saved.get(name) != digest]
-        if other:
-            raise InputError(
-                f"{path}: {' and '.join(other)} changed since the run was started; restore what was changed, or begin "
-                "another run with another --out"
-            )
-
-
-@contextmanager
-def claimed_folder[Config](config: Config, base: str) -> Iterator[Config]:
-    """A command's config with its run folder: the named one, or a new one of runs/BASE, runs/BASE-2, ...
-
-    A new folder is made at once, so that commands that begin together take different ones; it is removed again if it is
-    empty at the end.
-
-    Args:
-      config: a dataclass with the fields `out` (a path or None) and `resume`.
-      base: name of the folder where none is given.
-
-    Raises:
-      InputError: `resume` without a folder.
-      OSError: the folder cannot be made.
-    """
-    settings: Any = config
-    if settings.out is not None:
-        yield config
-        return
-    if settings.resume:
-        raise InputError("--resume: say which run to continue with --out FOLDER")
-    Path("runs").mkdir(exist_ok=True)
-    for number in count(1):
-        folder = Path("runs") / (base if number == 1 else f"{base}-{number}")
-        with suppress(FileExistsError):
-            folder.mkdir()
-            break
-    try:
-        yield replace(settings, out=folder)
-    finally:
-        with suppress(OSError):  # not empty
-            folder.rmdir()

@@ -30,14 +30,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def check_keys(table: Any, known: Sequence[str], where: str, notes: list[str], strict: bool = True) -> None:
-    """Check the keys of a table: a misspelt key is an error, any other unknown key is noted.
-
-    Args:
-      table: the value read from the file.
-      known: the valid keys.
-      where: file and table, for messages.
-      notes: unknown keys are reported here.
-      strict: False notes misspelt keys too instead of raising.
+    """Check the keys of a table: a misspelt key is an error if strict, any other unknown key is added to the notes.
 
     Raises:
       InputError: a misspelt key, or the value is not a table.

@@ -14,14 +14,20 @@ from btr_mjx.backtoreality import (
     State,
 )
 from btr_mjx.backtoreality import algorithm as btr
+from btr_mjx.backtoreality.run_state import Trials, state_from_arrays, state_to_arrays
 from btr_mjx.backtoreality.simulation_search import delta_of_simulations
-from btr_mjx.backtoreality.state import Trials, state_from_arrays, state_to_arrays
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import FITNESS_FUNCTIONS, evaluate, multiscale_fitness
 from btr_mjx.robots import Robot
 
 SETTINGS = BTRSettings(
-    controllers=SearchSettings(8, 2), trials=3, simulations=SearchSettings(6, 2, p_m=0.1), iterations=2
+    controllers=8,
+    controller_generations=2,
+    trials=3,
+    simulations=6,
+    simulation_generations=2,
+    iterations=2,
+    behaviours="latest",
 )
 
 
@@ -206,9 +212,10 @@ def test_nothing_transferable_is_said(problem: Problem) -> None:
         ({"max_evaluations": 3}, "at least 4"),
     ],
 )
-def test_bad_settings(change: dict, message: str) -> None:
+def test_bad_settings(change: dict, message: str, problem: Problem) -> None:
+    settings = dataclasses.replace(SETTINGS, **change)
     with pytest.raises(InputError, match=message):
-        dataclasses.replace(SETTINGS, **change)
+        dataclasses.replace(problem, settings=settings)
 
 
 def test_bad_search_settings() -> None:
@@ -263,18 +270,18 @@ def test_multiscale_distance_in_step_3(problem: Problem) -> None:
 def test_cma_es_in_step_3(problem: Problem) -> None:
     """It finds both lengths from the behaviours of one iteration, and stops once it has converged."""
     settings = dataclasses.replace(
-        SETTINGS, simulations=SearchSettings(12, 80), iterations=1, optimiser="cma", distance="multiscale",
+        SETTINGS, simulations=12, simulation_generations=80, iterations=1, optimiser="cma", distance="multiscale",
         marks=(0.01, 0.015, 0.02),
     )  # fmt: skip
     state, rows = run(dataclasses.replace(problem, settings=settings))
     found = rows["archive"][1]
     assert len(found["scores"]) < 80
     assert np.abs(state.simulation - problem.reality.inner.truth).max() < 1e-3
-    few = dataclasses.replace(settings, simulations=SearchSettings(12, 5))
+    few = dataclasses.replace(settings, simulation_generations=5)
     _, short = run(dataclasses.replace(problem, settings=few))
     np.testing.assert_array_equal(short["archive"][1]["genomes"], found["genomes"][:5])
     with pytest.raises(InputError, match="at least 4"):
-        dataclasses.replace(settings, simulations=SearchSettings(3, 5))
+        dataclasses.replace(problem, settings=dataclasses.replace(settings, simulations=3))
 
 
 def test_marks_must_lie_within_the_trial(problem: Problem) -> None:

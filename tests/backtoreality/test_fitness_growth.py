@@ -11,7 +11,7 @@ from btr_mjx.backtoreality.algorithm import run_in_memory
 from btr_mjx.backtoreality.fitness_growth import FitnessSearch, seek_by_fitness
 from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import growth_sentence
-from btr_mjx.backtoreality.state import Problem, State, Trials
+from btr_mjx.backtoreality.run_state import Problem, State, Trials
 from btr_mjx.evaluation import delta_fitness_of, evaluate
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

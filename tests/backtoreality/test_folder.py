@@ -17,7 +17,7 @@ import pytest
 
 from btr_mjx import coevolve
 from btr_mjx.backtoreality import PRESETS, FolderReality, Waiting
-from btr_mjx.backtoreality.command_line import flags_of
+from btr_mjx.backtoreality.given_settings import flags_of
 from btr_mjx.backtoreality.reality.instructions import command_kinds, instructions
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import evaluate, fitness_function

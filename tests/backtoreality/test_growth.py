@@ -20,7 +20,7 @@ from btr_mjx.backtoreality.growth import (
     proposals,
     unknown_parameters,
 )
-from btr_mjx.backtoreality.state import Problem, State, state_from_arrays, state_to_arrays
+from btr_mjx.backtoreality.run_state import Problem, State, state_from_arrays, state_to_arrays
 from btr_mjx.evaluation import evaluate
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.results import Estimate, NamedEffect, RankedCandidate

@@ -23,7 +23,7 @@ from lanes_models import (
 
 from btr_mjx.engines import LanesStepper, MjxStepper, UnsupportedModel
 from btr_mjx.engines.base import MUJOCO_4
-from btr_mjx.engines.lanes.tree import HINGE
+from btr_mjx.engines.lanes_engine.tree import HINGE
 from btr_mjx.evaluation import evaluate
 from btr_mjx.models import compile_models
 from btr_mjx.robots import Robot, hexapod

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from lanes_models import QUICK, chain, mjcf
 
 from btr_mjx.engines import LanesStepper
-from btr_mjx.engines.lanes.delays import CUBIC, HOLD, LINEAR, delayed
+from btr_mjx.engines.lanes_engine.delays import CUBIC, HOLD, LINEAR, delayed
 
 STEPS, WORLDS = 25, 4
 ACTUATORS = """<motor joint="p0" gear="3" delay="0.0033" nsample="4"/>

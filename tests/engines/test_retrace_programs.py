@@ -8,9 +8,9 @@ import numpy as np
 from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 from random_programs import FLOAT_ROUGH, FLOAT_SMOOTH, float_inputs, float_program, integer_program
-from retrace_checks import BARRIER, assert_same, names, op_by_op
+from retrace_checks import BARRIER, assert_same, names, op_by_op, operations, removed
 
-from btr_mjx.engines.rewriting.retrace import EquationCounts, count_equations, retrace
+from btr_mjx.engines.rewriting import retrace
 
 programs = settings(max_examples=6, deadline=None, derandomize=True)
 
@@ -21,7 +21,7 @@ programs = settings(max_examples=6, deadline=None, derandomize=True)
 def test_op_by_op_the_bits_are_the_same(number):
     program, inputs = float_program(number, FLOAT_ROUGH), float_inputs(number)
     assert_same(retrace(program, threshold=3)(*inputs), op_by_op(program, *inputs))
-    assert count_equations(program, *inputs).merged >= 7  # the third call of the nested function at least
+    assert removed(program, *inputs) >= 7  # the third call of the nested function at least
 
 
 @seed(1)
@@ -72,9 +72,6 @@ def test_twice_is_once(number):
         (integer_program(number, 2), [np.arange(3, dtype=np.int32), np.ones((2, 3), np.int32)]),
     ]:
         once = retrace(program, threshold=2)
-        first, second = count_equations(program, *inputs, threshold=2), count_equations(once, *inputs, threshold=2)
-        assert first.materialised > 0
-        assert first.removed > 0
-        assert second == EquationCounts(ops=second.ops)  # tracing may fold constants that inlining exposed
-        assert second.ops <= first.ops
+        assert BARRIER in names(once, *inputs)
+        assert operations(once, *inputs) < operations(program, *inputs)
         assert names(retrace(once, threshold=2), *inputs) == names(once, *inputs)

@@ -9,7 +9,7 @@ from lanes_models import FAST, QUICK, chain, mjcf, quadruped, tangle
 
 from btr_mjx import lanes
 from btr_mjx.engines import LanesStepper, UnsupportedModel
-from btr_mjx.engines.lanes.state import LanesState
+from btr_mjx.engines.lanes_engine.lanes_state import LanesState
 
 CONSTRAINT = mujoco.mjtConstraint
 LIMITS = """<fixed name="a" range="-0.2 0.1" margin="0.02" solreflimit="0.03 0.8" springlength="-0.05 0.1"

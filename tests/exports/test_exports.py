@@ -15,7 +15,7 @@ import polars as pl
 import pytest
 from mujoco import mjx
 
-from btr_mjx.backtoreality.exported import export_coevolution
+from btr_mjx.backtoreality.run_exports import export_coevolution
 from btr_mjx.errors import InputError
 from btr_mjx.exports import ExportedParameter, field_ends, is_linear, robot_ends, write_exports
 from btr_mjx.gap.results import Estimate, FoundEffect, MendedModel, NamedEffect, mend

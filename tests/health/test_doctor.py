@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from btr_mjx import doctor
-from btr_mjx.health import CHECKS, CheckResult, checks, engine_checks
-from btr_mjx.health.checks import MARK, check_folder, check_versions, run_engine_checks
+from btr_mjx.health import CHECKS, CheckResult, engine_checks, installation_checks
+from btr_mjx.health.installation_checks import MARK, check_folder, check_versions, run_engine_checks
 
 
 @pytest.mark.parametrize(
@@ -28,8 +28,8 @@ from btr_mjx.health.checks import MARK, check_folder, check_versions, run_engine
 )
 def test_versions(name: str, installed: str | None, expected: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert check_versions().state == "ok"
-    true = checks.package_version
-    monkeypatch.setattr(checks, "package_version", lambda one: installed if one == name else true(one))
+    true = installation_checks.package_version
+    monkeypatch.setattr(installation_checks, "package_version", lambda one: installed if one == name else true(one))
     found = check_versions()
     assert (found.state, expected in found.finding) == ("off", True)
     assert name in found.remedy
@@ -103,7 +103,7 @@ def test_faults_are_lines_and_codes(
     def fail(folder: Path) -> Any:
         raise KeyError("no such\nthing")
 
-    monkeypatch.setattr(checks, "check_folder", fail)
+    monkeypatch.setattr(installation_checks, "check_folder", fail)
     with pytest.raises(SystemExit, match="1"):
         doctor.main(["--only", "versions", "runs"])
     versions, runs = capsys.readouterr().out.splitlines()

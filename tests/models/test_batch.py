@@ -12,7 +12,7 @@ from mujoco import mjx
 from btr_mjx.engines import MjxStepper
 from btr_mjx.errors import InputError
 from btr_mjx.models import PathParameter, base_model, compile_models, load_robot, read_field, varying_fields
-from btr_mjx.models.fields import field_names
+from btr_mjx.models.model_fields import field_names
 from btr_mjx.robots import Box, Robot, Sinusoids
 
 

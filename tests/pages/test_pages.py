@@ -16,15 +16,15 @@ from claims_page import claims_sentence, draw_claims_page
 from failing_pages import SAID, failing_page
 
 from btr_mjx import coevolve, report, scan
-from btr_mjx.backtoreality import bound_words, summary_table
+from btr_mjx.backtoreality import bound_words, prediction_errors, summary_table
 from btr_mjx.errors import InputError
 from btr_mjx.gap.results import format_number, verdict_sentence
-from btr_mjx.pages import Section, Table, kind_of_run, write_page
-from btr_mjx.pages.coevolution import coevolution_sentence, prediction_errors
-from btr_mjx.pages.content import cell_text, flat_rows
+from btr_mjx.pages import Section, Table, write_page
+from btr_mjx.pages.coevolution_page import coevolution_sentence
 from btr_mjx.pages.page import sentences
-from btr_mjx.pages.scan import scan_sentence
-from btr_mjx.plotting import ScanData, read_run, robot_figure
+from btr_mjx.pages.page_content import cell_text, flat_rows
+from btr_mjx.pages.scan_page import scan_sentence
+from btr_mjx.plotting import ScanData, kind_of_run, read_run, robot_figure
 from btr_mjx.robots import Box
 from btr_mjx.runs import read_json, write_arrays, write_json
 
@@ -218,7 +218,7 @@ def test_the_verdict_of_a_coevolution(folders: Callable[[str], Path]) -> None:
     assert len(sentences(text)) <= 2
     trials = run.trials
     errors = [np.abs(trials["f_s"] - trials["f_r"])[trials["iteration"] == k].mean() for k in (1, 2, 3)]
-    np.testing.assert_allclose(prediction_errors(run), errors)
+    np.testing.assert_allclose(prediction_errors(*(trials[name] for name in ("f_s", "f_r", "iteration"))), errors)
     assert result["prediction_error_first"] == pytest.approx(errors[0])
     assert result["prediction_error_last"] == pytest.approx(errors[2])
     assert text.startswith(f"With {result['reality_evaluations']} trials in reality, the mean error of the predicted")

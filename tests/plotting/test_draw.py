@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import FITNESS_FUNCTIONS
 from btr_mjx.plotting import draw as plots
-from btr_mjx.plotting import figures, rendering, robot_figure
+from btr_mjx.plotting import rendering, robot_figure, run_figures
 from btr_mjx.plotting.run_data import read_robot, read_run, read_scan
 from btr_mjx.robots import Box, hexapod
 from btr_mjx.runs import write_arrays, write_json, write_table
@@ -146,7 +146,7 @@ def test_draw_run_writes_every_figure(tmp_path):
 
 def test_controller_fitness_shows_best_mean_and_trials(tmp_path):
     run = read_run(write_run(tmp_path))
-    figure = figures.controller_fitness(run)
+    figure = run_figures.controller_fitness(run)
     best = lines_like(figure, line(figure, "best"))
     assert len(best) == 3
     for search, curve in zip(run.controllers, best, strict=True):
@@ -168,14 +168,14 @@ def test_controller_fitness_shows_best_mean_and_trials(tmp_path):
 
 def test_controller_fitness_that_is_minimised(tmp_path):
     run = read_run(write_run(tmp_path, fitness="energy_per_metre"))
-    figure = figures.controller_fitness(run)
+    figure = run_figures.controller_fitness(run)
     np.testing.assert_array_equal(line(figure, "best").get_ydata(), run.controllers[0].scores.min(axis=1))
     assert "J/m" in figure.axes[0].get_ylabel()
 
 
 def test_delta_fitness_shows_searches_and_their_ends(tmp_path):
     run = read_run(write_run(tmp_path))
-    figure = figures.delta_fitness_curve(run)
+    figure = run_figures.delta_fitness_curve(run)
     for search, curve in zip(run.simulations, lines_like(figure, line(figure, "best")), strict=True):
         np.testing.assert_array_equal(curve.get_ydata(), search.scores.min(axis=1))
     before, after = line(figure, "before the search"), line(figure, "after the search")
@@ -190,7 +190,7 @@ def test_delta_of_exactly_zero_is_visible(tmp_path):
         delta = saved["delta_fitness"].copy()
     delta[-1, 0] = 0.0
     change(tmp_path / "simulations-003.npz", delta_fitness=delta)
-    figure = figures.delta_fitness_curve(read_run(tmp_path))
+    figure = run_figures.delta_fitness_curve(read_run(tmp_path))
     axes = figure.axes[0]
     assert axes.get_yscale() == "symlog"
     assert axes.get_ylim()[0] <= 0
@@ -200,7 +200,7 @@ def test_delta_of_exactly_zero_is_visible(tmp_path):
 @pytest.mark.parametrize("truth", [True, False])
 def test_limb_lengths(tmp_path, truth):
     run = read_run(write_run(tmp_path, truth=truth))
-    figure = figures.parameter_values(run)
+    figure = run_figures.parameter_values(run)
     assert len(figure.axes) == 2
     for i, axes in enumerate(figure.axes):
         cloud = axes.collections[0].get_offsets()
@@ -221,20 +221,20 @@ def test_a_number_of_a_simulator_that_grew_is_written_in_words(tmp_path):
     run = read_run(write_run(tmp_path))
     names = ["bl_5", "dry_friction joint:shoulder torque"]
     grown = dataclasses.replace(run, box=Box(names, run.box.low, run.box.high, units=["m", "N m"]))
-    labels = [" ".join(axes.get_ylabel().split()) for axes in figures.parameter_values(grown).axes]
+    labels = [" ".join(axes.get_ylabel().split()) for axes in run_figures.parameter_values(grown).axes]
     assert labels == ["bl_5 [m]", "dry friction at joint shoulder [N m]"]
 
 
 def test_members_are_darker_the_better_they_are(tmp_path):
     run = read_run(write_run(tmp_path))
-    darkness = figures.parameter_values(run).axes[0].collections[0].get_array()
+    darkness = run_figures.parameter_values(run).axes[0].collections[0].get_array()
     scores = np.concatenate([search.scores.ravel() for search in run.simulations])
     assert (np.diff(darkness[np.argsort(scores)]) < 0).all()
 
 
 def test_sim_versus_reality_shows_every_trial(tmp_path):
     run = read_run(write_run(tmp_path))
-    axes = figures.sim_versus_reality(run).axes[0]
+    axes = run_figures.sim_versus_reality(run).axes[0]
     for number, label in enumerate(["first controller $c_0$", "iteration 1", "iteration 2", "iteration 3"]):
         points = next(one for one in axes.lines if one.get_label() == label)
         rows = run.trials["iteration"] == number
@@ -273,9 +273,9 @@ def test_diverged_generations_and_failed_trials(tmp_path):
     f_r[[0, 2]] = np.nan
     change(tmp_path / "trials.npz", f_r=f_r)
     run = read_run(tmp_path)
-    best = lines_like(figure := figures.controller_fitness(run), line(figure, "best"))[1].get_ydata()
+    best = lines_like(figure := run_figures.controller_fitness(run), line(figure, "best"))[1].get_ydata()
     assert np.isnan(best).tolist() == [False, True, False, False]
-    assert "2 of 13 trials failed" in figures.sim_versus_reality(run).axes[0].get_title(loc="left")
+    assert "2 of 13 trials failed" in run_figures.sim_versus_reality(run).axes[0].get_title(loc="left")
     assert len(plots.draw_run(tmp_path)) == 5
 
 
@@ -293,7 +293,7 @@ def test_nothing_finite_at_all(tmp_path):
 @pytest.mark.parametrize("nan", [False, True])
 def test_scan(tmp_path, nan):
     data = read_scan(write_scan(tmp_path, nan=nan))
-    axes = figures.scan_curve(data).axes[0]
+    axes = run_figures.scan_curve(data).axes[0]
     thin = [one for one in axes.lines if one.get_linewidth() < 1]
     np.testing.assert_array_equal(np.stack([one.get_ydata() for one in thin], axis=1), data.delta)
     thick = next(one for one in axes.lines if one.get_linewidth() > 2)
@@ -344,7 +344,7 @@ def test_a_figure_that_fails_costs_one_line(tmp_path, monkeypatch, capsys):
     def fails(data):
         raise ZeroDivisionError("of a bug")
 
-    monkeypatch.setattr(figures, "scan_curve", fails)
+    monkeypatch.setattr(run_figures, "scan_curve", fails)
     assert plots.draw_scan(write_scan(tmp_path)) == []
     assert capsys.readouterr().err.splitlines() == ["no scan.png: ZeroDivisionError: of a bug"]
 

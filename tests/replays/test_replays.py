@@ -20,9 +20,9 @@ from btr_mjx.models import base_model, light_meshes
 from btr_mjx.plotting import camera_for, rendering
 from btr_mjx.replay import ReplayConfig, main, replay
 from btr_mjx.replays import Replay, ReplayedMotion, draw_film, film, read_replay, write_film
-from btr_mjx.replays.diagnosis import _drawn_model, _mended_world, open_loop_positions
+from btr_mjx.replays.diagnosis_motions import _drawn_model, _mended_world, open_loop_positions
 from btr_mjx.replays.film import FOOT, GAP, LABEL, picture_height
-from btr_mjx.replays.motion import frame_times, hold_last_valid
+from btr_mjx.replays.replay_records import frame_times, hold_last_valid
 from btr_mjx.robots import hexapod
 from btr_mjx.runs import RunFolder, content_digest, read_json, write_json, write_table
 
@@ -230,6 +230,7 @@ def test_what_cannot_be_shown_is_said_in_one_line(
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     write_json(tmp_path / "result.json", {"spearman": 1.0})
+    (tmp_path / "scan.npz").touch()
     for arguments, said in (
         ([str(tmp_path / "nowhere")], "no result.json"),
         ([str(tmp_path)], "only runs of btr_mjx.coevolve and btr_mjx.diagnose"),

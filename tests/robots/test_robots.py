@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from btr_mjx.errors import InputError
-from btr_mjx.models import base_model, compile_models
-from btr_mjx.robots import Robot, hexapod, robot_of
+from btr_mjx.models import base_model, chosen_robot, compile_models
+from btr_mjx.robots import Robot, hexapod
 from btr_mjx.robots.hexapod import OMEGA
 
 
@@ -111,7 +111,7 @@ def test_unknown_constant() -> None:
 
 def test_unreadable_template(tmp_path) -> None:
     with pytest.raises(InputError, match=r"absent\.xml\.j2"):
-        robot_of(tmp_path / "absent.xml.j2")
+        chosen_robot(None, tmp_path / "absent.xml.j2", None)
 
 
 def test_robots_are_values() -> None:

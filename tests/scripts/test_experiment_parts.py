@@ -1,5 +1,6 @@
 """What the experiments are made of: numbers of curves, verdicts, searches, robots."""
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ import thirty_unknowns
 import verdicts
 
 from btr_mjx.models import base_model
-from btr_mjx.robots import Box, Robot, robot_of
+from btr_mjx.robots import Box, Robot, hexapod
 from btr_mjx.runs import read_arrays
 
 
@@ -44,7 +45,7 @@ def test_thirty_unknowns(tmp_path: Path) -> None:
     robot = thirty_unknowns.detailed_hexapod()
     box = robot.simulation_box
     model = mujoco.MjModel.from_xml_string(robot.render(robot.nominal_simulation))
-    plain = mujoco.MjModel.from_xml_string(robot_of().render(robot_of().nominal_simulation))
+    plain = mujoco.MjModel.from_xml_string(hexapod().render(hexapod().nominal_simulation))
     changed = robot.nominal_simulation.copy()
     changed[box.indices(["density_4", "kp_2", "friction"])] = [110.0, 1300.0, 0.5]
     other = mujoco.MjModel.from_xml_string(robot.render(changed))
@@ -141,7 +142,7 @@ def test_marks_share_a_bench() -> None:
     """Fitness at a mark does not depend on the rest of the trial."""
     config = fig2_scans.PRESETS["tiny"]
     bench = bench_room.Bench.of(config, lambda count: None)
-    robot = robot_of(None, config.duration)
+    robot = dataclasses.replace(hexapod(), duration=config.duration)
     rng = np.random.default_rng(0)
     s, c = robot.simulation_box.sample(rng, 2), robot.controller_box.sample(rng, 3)
     np.testing.assert_array_equal(bench.early(s, c), bench.whole(s, c)[..., :-1])

@@ -23,7 +23,7 @@ import scipy.stats
 import units as units_room
 
 from btr_mjx.errors import Interrupted
-from btr_mjx.robots import robot_of
+from btr_mjx.robots import hexapod
 from btr_mjx.runs import RunFolder, StopRequest, read_arrays
 
 FIGURES: dict[str, Any] = claims.FIGURES
@@ -230,7 +230,7 @@ def test_btr_twelve(tmp_path: Path) -> None:
     words = ["--preset", "tiny", "--seeds", "1", "--no-progress", "--out", str(tmp_path)]
     btr_twelve.main(words)
     row, result = numbers(tmp_path / "btr_twelve.json")["seeds"][0], numbers(tmp_path / "seed-0" / "result.json")
-    robot = robot_of(None, 0.06)
+    robot = dataclasses.replace(hexapod(), duration=0.06)
     found = btr_twelve.evaluate(
         robot, [list(result["simulation"].values())], [result["best_controller"]], engine="native"
     )

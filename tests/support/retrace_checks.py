@@ -5,6 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend import core
 
+from btr_mjx.engines.rewriting import retrace
+
 SHAPES = ((), (3,), (2, 3))
 BARRIER = "optimization_barrier"
 
@@ -33,6 +35,17 @@ def equations(jaxpr):
 
 def names(fn, *args):
     return [eqn.primitive.name for eqn in equations(jax.make_jaxpr(fn)(*args))]
+
+
+def operations(fn, *args):
+    """Equations that compute: neither barriers nor calls."""
+    calls = {BARRIER, "jit", "pjit", "closed_call", "custom_jvp_call"}
+    return sum(name not in calls for name in names(fn, *args))
+
+
+def removed(fn, *args):
+    """Equations that `retrace` merges or drops."""
+    return operations(fn, *args) - operations(retrace(fn), *args)
 
 
 def op_by_op(fn, *args):

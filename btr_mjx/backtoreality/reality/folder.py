@@ -109,12 +109,7 @@ class FolderReality:
         return math.sqrt(sum(squares) / len(squares)) if squares else math.nan
 
     def record(self, controllers: np.ndarray, trials: ArrayLike) -> list[Recording]:
-        """Recordings of trials, of those that were given one.
-
-        Args:
-          controllers: (m, n_c); the recordings have their commands.
-          trials: (m,) ids.
-        """
+        """Recordings of trials with these ids (m,), of those that were given one."""
         files = (self._recording(int(i)) for i in np.asarray(trials))
         model = base_model(self.robot)
         return [make_recording(read_columns(path), model, str(path), path.stem) for path in files if path is not None]
@@ -211,11 +206,7 @@ class FolderReality:
 
 
 def _used_rows(path: Path) -> list[dict[str, str]]:
-    """Rows of a table in `used`.
-
-    Raises:
-      DamagedFile: the file was altered.
-    """
+    """Rows of a table in `used`; DamagedFile if it was altered."""
     content, _, digest = path.read_bytes().rpartition(_END.encode())
     if hashlib.sha256(content).hexdigest().encode() != digest.strip():
         raise DamagedFile(

@@ -25,14 +25,7 @@ class Rounds:
 
 
 def instructions(robot: Robot, fitness: FitnessFunction, rate: float, rounds: Rounds) -> str:
-    """The text of README.md.
-
-    Args:
-      robot: the robot.
-      fitness: what is measured.
-      rate: samples per second of the reference signals.
-      rounds: how the run goes on.
-    """
+    """The text of README.md; `rate` is in samples of the reference signals per second."""
     follow = ""
     if rounds.iterations:
         follow = (

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation import FitnessFunction, Outcome, base_address, fitness_at_marks, track_configurations
+from btr_mjx.evaluation import FitnessFunction, Outcome, fitness_at_marks, track_configurations
 from btr_mjx.gap.data import make_recording, read_columns
-from btr_mjx.models import base_model
+from btr_mjx.models import base_address, base_model
 from btr_mjx.robots import Robot
 
 RECORDING_SUFFIXES = (".csv", ".parquet", ".npz")
@@ -57,15 +57,9 @@ class Measured:
 def read_table_of_fitness(
     path: Path, asked: Sequence[int], limit: float | None
 ) -> tuple[dict[int, Measured], list[str]]:
-    """Read a table of measured fitness.
+    """Measurements in a table by id, and what could not be used, a sentence each.
 
-    Args:
-      path: the file.
-      asked: ids of the trials.
-      limit: largest plausible size of a fitness; None for no limit.
-
-    Returns:
-      Measurements by id, and what could not be used, a sentence each.
+    Asked for are these ids; a fitness larger than the limit is not plausible.
     """
     text = path.read_text(encoding="utf-8-sig", errors="replace")
     rows = list(csv.reader(text.splitlines()))
@@ -124,16 +118,9 @@ def _use(row: dict[str, str], asked: Sequence[int], limit: float | None, found: 
 def read_recorded_fitness(
     path: Path, robot: Robot, fitness: FitnessFunction, times: Sequence[float]
 ) -> tuple[Measured | None, str]:
-    """Fitness of a trial from its recording, with the columns of a dataset for `diagnose`.
+    """Fitness of a trial from its recording, with the columns of a dataset for `diagnose`; or None and what is wrong.
 
-    Args:
-      path: the recording.
-      robot: the robot.
-      fitness: the fitness function.
-      times: (K,) times after the first sample [s]; the last one is the trial's end.
-
-    Returns:
-      The measurement, or None and what is wrong with the file.
+    Times (K,) are after the first sample [s]; the last one is the trial's end.
     """
     try:
         recording = make_recording(read_columns(path), base_model(robot), str(path), path.stem)

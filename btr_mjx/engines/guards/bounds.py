@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 
 from btr_mjx.engines.guards.pairs import CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE
+from btr_mjx.engines.scalars import cross, dot, scale, vadd, vsub
 
 type Three = Sequence[jax.Array]
 
@@ -39,20 +40,8 @@ class Shapes:
     """geom_size for primitive shapes, half edges of the bounding box for others [m]."""
 
 
-def _dot(a: Three, b: Three) -> jax.Array:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _sub(a: Three, b: Three) -> list[jax.Array]:
-    return [x - y for x, y in zip(a, b, strict=True)]
-
-
 def _along(point: Three, length: jax.Array, axis: Three) -> list[jax.Array]:
-    return [p + length * a for p, a in zip(point, axis, strict=True)]
-
-
-def _cross(a: Three, b: Three) -> list[jax.Array]:
-    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    return vadd(point, scale(length, axis))
 
 
 def _reach(s: Shapes, d: Three) -> jax.Array:
@@ -60,14 +49,14 @@ def _reach(s: Shapes, d: Three) -> jax.Array:
     if s.kind == SPHERE:
         return s.size[0]
     if s.kind == CAPSULE:
-        return s.size[0] + s.size[1] * jnp.abs(_dot(d, s.axes[2]))
-    across = [_dot(d, axis) for axis in s.axes]
+        return s.size[0] + s.size[1] * jnp.abs(dot(d, s.axes[2]))
+    across = [dot(d, axis) for axis in s.axes]
     if s.kind == CYLINDER:
         return s.size[1] * jnp.abs(across[2]) + s.size[0] * jnp.sqrt(across[0] ** 2 + across[1] ** 2)
     if s.kind == ELLIPSOID:
         scaled = [r * x for r, x in zip(s.size, across, strict=True)]
-        return jnp.sqrt(_dot(scaled, scaled))
-    return _dot(s.size, [jnp.abs(x) for x in across])
+        return jnp.sqrt(dot(scaled, scaled))
+    return dot(s.size, [jnp.abs(x) for x in across])
 
 
 def _half_length(s: Shapes) -> jax.Array | None:
@@ -77,17 +66,17 @@ def _half_length(s: Shapes) -> jax.Array | None:
 
 def _nearest_of_segments(a: Shapes, b: Shapes) -> list[jax.Array]:
     """Vector from the segment (or centre) of A to that of B, where they are nearest to each other."""
-    between = _sub(b.centre, a.centre)
+    between = vsub(b.centre, a.centre)
     first, second = _half_length(a), _half_length(b)
     if first is None and second is None:
         return between
     if second is None:
         assert first is not None
-        return _along(between, -jnp.clip(_dot(between, a.axes[2]), -first, first), a.axes[2])
+        return _along(between, -jnp.clip(dot(between, a.axes[2]), -first, first), a.axes[2])
     if first is None:
-        return _along(between, jnp.clip(-_dot(between, b.axes[2]), -second, second), b.axes[2])
+        return _along(between, jnp.clip(-dot(between, b.axes[2]), -second, second), b.axes[2])
     u, v = a.axes[2], b.axes[2]
-    cosine, p, q = _dot(u, v), _dot(u, between), _dot(v, between)
+    cosine, p, q = dot(u, v), dot(u, between), dot(v, between)
     square = 1 - cosine * cosine
     s = jnp.clip((p - cosine * q) / jnp.where(square > 1e-6, square, 1), -first, first)
     t = jnp.clip(cosine * s - q, -second, second)
@@ -108,9 +97,9 @@ def _core_points(s: Shapes) -> list[Sequence[jax.Array]]:
 
 def _from_box(box: Shapes, point: Three) -> list[jax.Array]:
     """Vector from the nearest point of a box to a point."""
-    between = result = _sub(point, box.centre)
+    between = result = vsub(point, box.centre)
     for axis, half in zip(box.axes, box.size, strict=True):
-        result = _along(result, -jnp.clip(_dot(between, axis), -half, half), axis)
+        result = _along(result, -jnp.clip(dot(between, axis), -half, half), axis)
     return list(result)
 
 
@@ -124,13 +113,13 @@ def _candidates(a: Shapes, b: Shapes) -> Iterator[tuple[Three, bool]]:
     yield _nearest_of_segments(a, b), False
     if a.kind in (SPHERE, CAPSULE) and b.kind in (SPHERE, CAPSULE):
         return
-    yield _sub(b.centre, a.centre), False
+    yield vsub(b.centre, a.centre), False
     for shape in (a, b):
         if _is_boxed(shape) or shape.kind in (CYLINDER, ELLIPSOID):
             for axis in shape.axes if _is_boxed(shape) or shape.kind == ELLIPSOID else shape.axes[2:]:
                 yield axis, True
     for e, f in product(_edges(a), _edges(b)):
-        yield _cross(e, f), True
+        yield cross(e, f), True
     if _is_boxed(a):
         for point in _core_points(b):
             yield _from_box(a, point), False
@@ -141,24 +130,22 @@ def _candidates(a: Shapes, b: Shapes) -> Iterator[tuple[Three, bool]]:
 
 def _gap(a: Shapes, b: Shapes, d: Three, both: bool) -> jax.Array:
     """gap(d), of the better sign if `both`; shapes here are symmetric about their centres."""
-    shift = _dot(d, _sub(b.centre, a.centre))
+    shift = dot(d, vsub(b.centre, a.centre))
     return (jnp.abs(shift) if both else shift) - _reach(a, d) - _reach(b, d)
 
 
 def lower_bound(a: Shapes, b: Shapes) -> jax.Array:
     """A lower bound on the distance of each pair [m], (P, C); of either sign where the geoms overlap.
 
-    Args:
-      a: the first geoms; of a plane only the third axis counts, its normal.
-      b: the second geoms, none of them a plane.
+    The first geoms may be planes, of which only the third axis counts, the normal.
     """
     if a.kind == PLANE:
         normal = a.axes[2]
-        return _dot(normal, _sub(b.centre, a.centre)) - _reach(b, normal)
+        return dot(normal, vsub(b.centre, a.centre)) - _reach(b, normal)
     gaps = []
     for direction, both in _candidates(a, b):
         # A vanishing direction stays shorter than a unit vector, which only lowers the bound.
-        inverse = jax.lax.rsqrt(jnp.maximum(_dot(direction, direction), 1e-12))
+        inverse = jax.lax.rsqrt(jnp.maximum(dot(direction, direction), 1e-12))
         gaps.append(_gap(a, b, [x * inverse for x in direction], both))
     return reduce(jnp.maximum, gaps)
 

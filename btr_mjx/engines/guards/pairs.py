@@ -102,13 +102,7 @@ def mixed_condim(model: mujoco.MjModel, pair: GeomPair) -> int:
 
 
 def group_by_kinds(model: mujoco.MjModel, pairs: Sequence[GeomPair], geoms: Sequence[int]) -> list[PairGroup]:
-    """Sort pairs into groups of the same two kinds of geoms.
-
-    Args:
-      model: the model.
-      pairs: the pairs.
-      geoms: all their geoms; the groups refer to positions in this list.
-    """
+    """Sort pairs into groups of the same two kinds of geoms, which refer to positions in the list of all geoms."""
     groups: dict[tuple[int, int], list[tuple[int, int, int]]] = {}
     place = {geom: k for k, geom in enumerate(geoms)}
     for pair in pairs:
@@ -126,12 +120,7 @@ def group_by_kinds(model: mujoco.MjModel, pairs: Sequence[GeomPair], geoms: Sequ
 def group_by_condim(model: mujoco.MjModel, pairs: Sequence[GeomPair], geoms: Sequence[int]) -> list[PairGroup]:
     """Sort pairs of spheres and capsules, which no <pair> element names, into groups of the same condim.
 
-    A sphere counts as a capsule without length.
-
-    Args:
-      model: the model.
-      pairs: the pairs.
-      geoms: all their geoms; the groups refer to positions in this list.
+    A sphere counts as a capsule without length. The groups refer to positions in the list of all their geoms.
     """
     groups: dict[int, list[tuple[int, int]]] = {}
     place = {geom: k for k, geom in enumerate(geoms)}

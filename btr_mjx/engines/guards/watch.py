@@ -8,19 +8,13 @@ import jax.numpy as jnp
 
 from btr_mjx.engines.guards import bounds
 from btr_mjx.engines.guards.pairs import PairGroup
-from btr_mjx.engines.guards.places import PlacedGeoms, fold_rows
+from btr_mjx.engines.guards.placed_geoms import PlacedGeoms, fold_rows
 
 
 def crossed(groups: Sequence[PairGroup], geoms: PlacedGeoms, dtype: Any) -> jax.Array:
-    """Worlds in which the bound of some guarded pair is crossed; no other world has a contact of these pairs.
+    """Worlds, bool (C,), in which the bound of some guarded pair is crossed, or a pose is not finite.
 
-    Args:
-      groups: the guarded pairs.
-      geoms: their geoms in the world.
-      dtype: of the computation.
-
-    Returns:
-      bool (C,); also where the pose of a guarded geom is not finite.
+    No other world has a contact of these pairs.
     """
     tripped = jnp.zeros(geoms.lanes, bool)
     for group in groups:

@@ -1,5 +1,5 @@
 """`retrace`: a JAX transformation that rewrites a traced program so that XLA computes each expensive value once."""
 
-from btr_mjx.engines.rewriting.retrace import DEFAULT_COSTS, EquationCounts, count_equations, retrace
+from btr_mjx.engines.rewriting.retrace import retrace
 
-__all__ = ["DEFAULT_COSTS", "EquationCounts", "count_equations", "retrace"]
+__all__ = ["retrace"]

@@ -39,7 +39,6 @@ class Flattener:
         self.eqns: list[core.JaxprEqn] = []
         self.constants: list[Any] = []
         self.constvars: dict[tuple[int, Any], core.Var] = {}
-        self.merged = 0
         self.custom = False
         self.known: dict[Hashable, list[core.Var]] = {}
 
@@ -97,7 +96,6 @@ class Flattener:
         except _Unmergeable:
             key = None
         if key in self.known:
-            self.merged += 1
             return self.known[key]
         outvars = [core.Var(v.aval) for v in eqn.outvars]
         self.eqns.append(eqn.replace(invars=operands, outvars=outvars))
@@ -112,11 +110,7 @@ def rename(names: Mapping[Any, Any], atoms: Sequence[Any]) -> list[Any]:
 
 
 def _key(eqn: core.JaxprEqn, operands: Sequence[Any]) -> Hashable:
-    """A key that two equations share only if they compute the same bits.
-
-    Raises:
-        _Unmergeable: the equation must not be merged, or its parameters cannot be compared.
-    """
+    """A key that two equations share only if they compute the same bits; raises `_Unmergeable` if there is none."""
     name = eqn.primitive.name
     if eqn.effects or name.startswith(_KEEP_APART):
         raise _Unmergeable

@@ -34,14 +34,8 @@ def cut(jaxpr: core.Jaxpr) -> core.Jaxpr:
     """A flat program as calls of parts of it, if it is longer than `LONGEST` equations; else itself.
 
     The bodies of its loops must have been cut already. Cuts are made where few values are alive. A program that has
-    been cut stays as it is.
-
-    Args:
-        jaxpr: program of equations without effects. None of them may need XLA's runtime library: sorting, FFT,
-            factorisations of matrices, callbacks.
-
-    Returns:
-        A program of the same operations on the same operands.
+    been cut stays as it is. No equation may have effects or need XLA's runtime library (sorting, FFT, factorisations of
+    matrices, callbacks).
     """
     eqns = jaxpr.eqns
     if sum(map(number_of_equations, eqns)) <= LONGEST or any(eqn.primitive.name in (_CALL, "sort") for eqn in eqns):

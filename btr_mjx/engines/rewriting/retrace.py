@@ -26,8 +26,6 @@ to a nested `jit` keep it from being inlined; its body is rewritten all the same
 import functools
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import jax
@@ -46,7 +44,7 @@ def _words(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
-DEFAULT_COSTS: Mapping[str, float] = MappingProxyType(
+_COSTS: Mapping[str, float] = (
     # XLA folds data movement into the indexing of the loop that reads the elements.
     dict.fromkeys(_words("broadcast_in_dim convert_element_type copy reshape rev slice squeeze transpose"), 0.0)
     | dict.fromkeys(_words("cbrt div rem rsqrt sqrt"), 8.0)
@@ -71,39 +69,7 @@ _BODIES = {
 }
 
 
-@dataclass(frozen=True)
-class EquationCounts:
-    """What `retrace` does to a function; counts include nested bodies, each counted once per place it appears.
-
-    Attributes:
-        ops: Equations that remain, barriers not counted.
-        materialised: Barriers put in.
-        merged: Equations replaced by an equal earlier one.
-        dead: Equations dropped because their results are not used.
-    """
-
-    ops: int = 0
-    materialised: int = 0
-    merged: int = 0
-    dead: int = 0
-
-    @property
-    def removed(self) -> int:
-        """Number of traced equations that were removed: merged or dead."""
-        return self.merged + self.dead
-
-    def __add__(self, other: "EquationCounts") -> "EquationCounts":
-        return EquationCounts(
-            self.ops + other.ops,
-            self.materialised + other.materialised,
-            self.merged + other.merged,
-            self.dead + other.dead,
-        )
-
-
-def retrace[**A, R](
-    fn: Callable[A, R], *, threshold: float = 8.0, costs: Mapping[str, float] | None = None, in_parts: bool = False
-) -> Callable[A, R]:
+def retrace[**A, R](fn: Callable[A, R], *, threshold: float = 8.0, in_parts: bool = False) -> Callable[A, R]:
     """Returns `fn` with common subexpressions merged and expensive shared values computed once.
 
     The cost of a value is the cost of its own operation plus the costs of its operands, counted back to the nearest
@@ -116,22 +82,17 @@ def retrace[**A, R](
             transformation, and inside the bodies of loops.
         threshold: Cost below which recomputation is cheaper than a store and a load, in simple operations per element.
             Zero puts a barrier on every shared value of positive cost, infinity none (subexpressions are still merged).
-        costs: Cost per element of primitives by name; takes precedence over `DEFAULT_COSTS`.
         in_parts: Whether long programs, and long bodies of loops, become calls of shorter ones; for programs that
             `parts.cut` allows.
 
     Returns:
         A function with the signature, the results and the derivatives of `fn`.
-
-    Raises:
-        ValueError: If `threshold` or a cost is negative or not a number.
     """
-    options = _options(threshold, costs, in_parts)
 
     @functools.wraps(fn)
     def retraced(*args: A.args, **kwargs: A.kwargs) -> R:
         jaxpr, consts, tree = _trace(fn, args, kwargs)
-        result = _Rewriter(options, inline_custom=is_pure(jaxpr)).rewrite(jaxpr)
+        result = _Rewriter(threshold, in_parts, inline_custom=is_pure(jaxpr)).rewrite(jaxpr)
         run = core.jaxpr_as_fun(result.jaxpr)
         if result.custom:
             # Inlining loses custom derivative rules, so derivatives are those of the program as it was traced.
@@ -143,46 +104,9 @@ def retrace[**A, R](
     return retraced
 
 
-def count_equations(
-    fn: Callable[..., Any], *args: Any, threshold: float = 8.0, costs: Mapping[str, float] | None = None, **kwargs: Any
-) -> EquationCounts:
-    """Counts what `retrace(fn, threshold=threshold, costs=costs)(*args, **kwargs)` does, without running `fn`.
-
-    Args:
-        fn: As in `retrace`.
-        *args: Arguments of `fn`, or their `jax.ShapeDtypeStruct`s.
-        threshold: As in `retrace`.
-        costs: As in `retrace`.
-        **kwargs: Keyword arguments of `fn`.
-
-    Returns:
-        The numbers of equations kept, merged and dropped, and of barriers.
-
-    Raises:
-        ValueError: If `threshold` or a cost is negative or not a number.
-    """
-    options = _options(threshold, costs)
-    jaxpr, _, _ = _trace(fn, args, kwargs)
-    return _Rewriter(options, inline_custom=is_pure(jaxpr)).rewrite(jaxpr).plan
-
-
-class _Options(NamedTuple):
-    threshold: float
-    costs: Mapping[str, float]
-    in_parts: bool
-
-
 class _Result(NamedTuple):
     jaxpr: core.Jaxpr
-    plan: EquationCounts
     custom: bool  # a call with a custom derivative rule was inlined somewhere in it
-
-
-def _options(threshold: float, costs: Mapping[str, float] | None, in_parts: bool = False) -> _Options:
-    for name, value in {"threshold": threshold, **(costs or {})}.items():
-        if not value >= 0:  # catches NaN too
-            raise ValueError(f"got {name} = {value!r}, expected a number >= 0; 0 means free, inf is allowed")
-    return _Options(threshold, {**DEFAULT_COSTS, **(costs or {})}, in_parts)
 
 
 def _trace(fn: Callable[..., Any], args: Any, kwargs: Any) -> tuple[core.Jaxpr, Sequence[Any], Any]:
@@ -201,9 +125,8 @@ def _as_array(leaf: Any) -> Any:
 class _Rewriter:
     """Rewrites one traced function. A body that occurs twice (as the same object) is rewritten once."""
 
-    def __init__(self, options: _Options, inline_custom: bool):
-        self.options = options
-        self.inline_custom = inline_custom
+    def __init__(self, threshold: float, in_parts: bool, inline_custom: bool):
+        self.threshold, self.in_parts, self.inline_custom = threshold, in_parts, inline_custom
         self.done: dict[int, tuple[core.Jaxpr, _Result]] = {}  # keeps the jaxprs alive, so that their ids stay unique
 
     def rewrite(self, jaxpr: core.Jaxpr) -> _Result:
@@ -219,25 +142,21 @@ class _Rewriter:
         eqns: list[core.JaxprEqn] = []
         behind_barrier: dict[Any, core.Var] = {}  # shared value -> the same value behind its barrier
         cost: dict[core.Var, float] = {}  # of recomputing a value from what is in memory; absent if it is there
-        counts = EquationCounts(merged=flat.merged, dead=len(flat.eqns) - len(live))
         custom = flat.custom
         for eqn in live:
             for body in self._bodies(eqn):
-                counts += self.rewrite(body).plan
                 custom |= self.rewrite(body).custom
             eqns.append(eqn.replace(invars=rename(behind_barrier, eqn.invars), params=self._rewritten_params(eqn)))
-            counts += EquationCounts(ops=eqn.primitive is not lax.optimization_barrier_p)
             if eqn.primitive.multiple_results or eqn.primitive.name in _OPAQUE:
                 continue
             (out,) = eqn.outvars
-            own = self.options.costs.get(eqn.primitive.name, 1.0)
+            own = _COSTS.get(eqn.primitive.name, 1.0)
             # An operand used twice by one equation is computed once: XLA emits one loop body per reader.
             cost[out] = own + sum(cost.get(v, 0.0) for v in {v for v in eqn.invars if isinstance(v, core.Var)})
-            if cost[out] * (readers.get(out, 0) - 1) > self.options.threshold and _accepts_barrier(out.aval):
+            if cost[out] * (readers.get(out, 0) - 1) > self.threshold and _accepts_barrier(out.aval):
                 behind_barrier[out] = core.Var(out.aval)
                 cost[out] = 0.0
                 eqns.append(_barrier(out, behind_barrier[out], eqn))
-                counts += EquationCounts(materialised=1)
         result = core.Jaxpr(
             constvars=list(flat.constvars.values()),
             invars=invars,
@@ -247,7 +166,7 @@ class _Rewriter:
             debug_info=jaxpr.debug_info,
             consts=flat.constants,
         )
-        return _Result(cut(result) if self.options.in_parts else result, counts, custom)
+        return _Result(cut(result) if self.in_parts else result, custom)
 
     def _bodies(self, eqn: core.JaxprEqn) -> list[core.Jaxpr]:
         """The jaxprs in `eqn` to be rewritten; none if it has effects, which may refer to its variables."""

@@ -13,6 +13,7 @@ can be reused for several realities that are tried with the same controllers.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -50,15 +51,8 @@ class CandidateResponses:
     change: tuple[np.ndarray, ...]
 
 
-@dataclass(frozen=True)
-class ScreenedCandidate:
-    """A candidate with the result of the screening.
-
-    Attributes:
-      candidate: the candidate.
-      values: (p,) fitted values of its parameters.
-      explained: share of the mean square that it explains, adjusted for the number of fitted parameters.
-    """
+class ScreenedCandidate(NamedTuple):
+    """A candidate with fitted values (p,), and the share of the mean square that they explain, adjusted for freedom."""
 
     candidate: Candidate
     values: np.ndarray
@@ -117,15 +111,7 @@ def size_parameters(candidate: Candidate) -> list[int]:
 
 
 def rank_by_fit(responses: CandidateResponses, wanted: np.ndarray) -> list[ScreenedCandidate]:
-    """Rank candidates by the share of the measured change that their fitted response explains.
-
-    Args:
-      responses: responses of the candidates.
-      wanted: (M,) measured fitness less that of the believed model [m/s].
-
-    Returns:
-      (C,) candidates with fitted values, best first.
-    """
+    """Rank candidates by the share of a change of fitness (M,) [m/s] that their fitted response explains."""
     out = []
     energy = float(wanted @ wanted) + 1e-300
     for candidate, tried, change in zip(responses.candidates, responses.tried, responses.change, strict=True):
@@ -150,16 +136,10 @@ def _within(null: np.ndarray, step: np.ndarray, low: np.ndarray, high: np.ndarra
 
 
 def screening_timestep(trials: TrialSimulator, rows: np.ndarray, own: np.ndarray, wanted: np.ndarray) -> float:
-    """The largest time step whose error is small compared with the change that is to be explained.
+    """The largest time step [s] whose error is small compared with the change that is to be explained.
 
-    Args:
-      trials: simulator of the table's trials.
-      rows: (M,) indices of the trials.
-      own: (M,) fitness of the believed model at its own time step [m/s].
-      wanted: (M,) measured fitness less that of the believed model [m/s].
-
-    Returns:
-      The time step [s]; the model's own where no coarser one is accurate enough.
+    `own` is the fitness of the believed model at its own time step in some trials (M,), `wanted` the measured fitness
+    less that [m/s]. Where no coarser step is accurate enough it is the model's own.
     """
     model = trials.table.head.model
     for factor in COARSE_FACTORS:

@@ -7,7 +7,7 @@ import numpy as np
 
 from btr_mjx.evaluation import Outcome, fitness_function
 from btr_mjx.gap.effects import Scales
-from btr_mjx.gap.fitness_only.table import FitnessTable
+from btr_mjx.gap.fitness_only.fitness_table import FitnessTable
 from btr_mjx.gap.simulate import Command, Counter, Segments, World, simulate
 
 _AT_ONCE = 1024
@@ -24,51 +24,37 @@ class TrialSimulator:
 
     def __init__(self, table: FitnessTable, counter: Counter | None = None) -> None:
         self.table, self.counter = table, counter or Counter()
-        model = table.head.model
         times = np.arange(0.0, table.duration + 0.002, min(0.05 / table.omega, 0.01))
         self._commands = tuple(Command(times, values, "cubic") for values in table.commands(times))
-        self._start = np.array(model.qpos0), np.zeros(model.nv)
-        joint = int(model.body_jntadr[model.body(table.body).id])
-        free = joint >= 0 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
-        self._address = int(model.jnt_qposadr[joint]) if free else None
         self._function = fitness_function(table.function)
 
     def fitness(self, worlds: Sequence[World], rows: np.ndarray, timestep: float | None = None) -> np.ndarray:
-        """Fitness of trials in several worlds.
+        """Fitness (C, M) [m/s] of trials, given by index (M,), in worlds (C,); NaN where a simulation diverged.
 
-        Args:
-          worlds: (C,) worlds.
-          rows: (M,) indices of trials.
-          timestep: time step [s]; None for the model's own.
-
-        Returns:
-          (C, M) [m/s]; NaN where a simulation diverged.
+        The time step [s] is the model's own by default.
         """
-        count = len(rows)
+        model, count, times = self.table.head.model, len(rows), np.array([self.table.duration])
         segments = Segments(
             np.zeros(count),
-            np.tile(self._start[0], (count, 1)),
-            np.tile(self._start[1], (count, 1)),
-            np.array([self.table.duration]),
+            np.tile(model.qpos0, (count, 1)),
+            np.zeros((count, model.nv)),
+            times,
             tuple(self._commands[i] for i in rows),
             np.arange(count),
         )
-        model = self.table.head.model
-        start = self._positions(self._start[0][None], model)[0]
-        times = np.array([self.table.duration])
+        start = self._positions(model.qpos0[None])[0]
         out, together = [], max(1, _AT_ONCE // count)
         for first in range(0, len(worlds), together):
             jobs = [(world, segments) for world in worlds[first : first + together]]
             for found in simulate(jobs, timestep=timestep, counter=self.counter):
-                position = self._positions(found[:, 0, : model.nq], model)
+                position = self._positions(found[:, 0, : model.nq])
                 out.append(self._function(Outcome(times, start, position[:, None], np.zeros((count, 1)))))
         return np.array(out)
 
-    def _positions(self, qpos: np.ndarray, model: mujoco.MjModel) -> np.ndarray:
+    def _positions(self, qpos: np.ndarray) -> np.ndarray:
         """Positions (N, 3) of the body in configurations (N, nq)."""
-        if self._address is not None:
-            return qpos[:, self._address : self._address + 3]
-        data, body, out = mujoco.MjData(model), model.body(self.table.body).id, np.full((len(qpos), 3), np.nan)
+        model, out = self.table.head.model, np.full((len(qpos), 3), np.nan)
+        data, body = mujoco.MjData(model), model.body(self.table.body).id
         for k in np.flatnonzero(np.isfinite(qpos).all(axis=1)):
             data.qpos[:] = qpos[k]
             mujoco.mj_kinematics(model, data)
