@@ -22,7 +22,7 @@ from btr_mjx.models.path_parameters import PathParameter, read_path_parameter
 from btr_mjx.models.paths import dof_places, nearest_names, parse_path, part_names, set_values
 from btr_mjx.models.robot_checks import base_address, check_robot
 from btr_mjx.models.robot_file import chosen_robot, load_robot
-from btr_mjx.models.tangent import between, difference, integrate
+from btr_mjx.models.tangent import between, difference, integrate, sign_flips
 
 __all__ = [
     "COMPILE_ERRORS",
@@ -51,6 +51,7 @@ __all__ = [
     "read_path_parameter",
     "robot_digest",
     "set_values",
+    "sign_flips",
     "start_of",
     "varying_fields",
     "with_light_meshes",

@@ -118,3 +118,8 @@ def _log(quaternion: np.ndarray) -> np.ndarray:
     sine = np.linalg.norm(quaternion[..., 1:], axis=-1, keepdims=True)
     scale = np.where(sine > _SMALL, 2 * np.arctan2(sine, quaternion[..., :1]) / np.maximum(sine, _SMALL), 2.0)
     return scale * quaternion[..., 1:]
+
+
+def sign_flips(quat: np.ndarray) -> np.ndarray:
+    """(K,) -1 where the quaternions (K, 4) have to change their sign to be continuous, else 1."""
+    return np.cumprod(np.r_[1.0, np.where(np.sum(quat[1:] * quat[:-1], axis=1) < 0, -1.0, 1.0)][: len(quat)])

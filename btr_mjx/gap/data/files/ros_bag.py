@@ -37,7 +37,7 @@ from btr_mjx.gap.data.files.ros_messages import (
 )
 from btr_mjx.gap.data.files.table import LogTable, check_log_size, log_table, missing_extra
 from btr_mjx.gap.data.lists import listed
-from btr_mjx.gap.data.recordings.clocks import sign_flips
+from btr_mjx.models import sign_flips
 
 TOPICS: Mapping[str, Sequence[str]] = {
     "joint_states": JOINTS,

@@ -17,7 +17,7 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns.model_columns import SUFFIXES, control_columns, state_columns
 from btr_mjx.gap.data.lists import listed
-from btr_mjx.models import part_names
+from btr_mjx.models import part_names, sign_flips
 
 CLOSE = 3.5
 """Largest distance between samples that are interpolated, in usual intervals: two samples may be lost."""
@@ -141,11 +141,6 @@ def _check_overlap(axis: _Signal, signals: Sequence[_Signal], where: str) -> Non
                     f"{signal.time[-1]:.6g} s, {listed(axis.values, 3)} from {axis.time[0]:.6g} to "
                     f"{axis.time[-1]:.6g} s; give both times of one clock"
                 )
-
-
-def sign_flips(quat: np.ndarray) -> np.ndarray:
-    """(K,) -1 where the quaternions (K, 4) have to change their sign to be continuous, else 1."""
-    return np.cumprod(np.r_[1.0, np.where(np.sum(quat[1:] * quat[:-1], axis=1) < 0, -1.0, 1.0)][: len(quat)])
 
 
 def _smooth_signs(table: Mapping[str, np.ndarray], model: mujoco.MjModel) -> None:

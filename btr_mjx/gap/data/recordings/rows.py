@@ -9,9 +9,9 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns.model_columns import SUFFIXES
 from btr_mjx.gap.data.lists import listed
-from btr_mjx.gap.data.recordings.clocks import CLOSE, sign_flips, usual_interval
+from btr_mjx.gap.data.recordings.clocks import CLOSE, usual_interval
 from btr_mjx.gap.data.recordings.noise import DIFFERENCE_ORDER, annihilator
-from btr_mjx.models import part_names
+from btr_mjx.models import part_names, sign_flips
 
 MAX_MISSING_ROWS = 2
 """Longest run of rows with a missing value that is dropped; a longer run splits the recording."""
