@@ -4,7 +4,8 @@ An `Effect` is data: a name, the `Place`s where it may occur, parameters with un
 that is used by the search and for the mended model. A `Candidate` is an effect at a place.
 """
 
-from btr_mjx.gap.effects.calibration import TIME_IN_SAMPLE, TIMING, field_tolerance
+from btr_mjx.gap.effects.actuators import TORQUE_CONSTANT
+from btr_mjx.gap.effects.calibration import OF_LOG, TIME_IN_SAMPLE, TIMING, field_tolerance
 from btr_mjx.gap.effects.effect import Candidate, Effect, Parameter, candidates
 from btr_mjx.gap.effects.hypothesis import Hypothesis, believed_steps
 from btr_mjx.gap.effects.law_dictionary import LAW_EFFECTS, LAWS
@@ -39,9 +40,11 @@ __all__ = [
     "KNOWN_EFFECTS",
     "LAWS",
     "LAW_EFFECTS",
+    "OF_LOG",
     "RESIDUAL",
     "TIME_IN_SAMPLE",
     "TIMING",
+    "TORQUE_CONSTANT",
     "WORLD",
     "Candidate",
     "Effect",
