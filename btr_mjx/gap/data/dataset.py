@@ -84,13 +84,13 @@ class Dataset:
       parameters: parameters that may be refitted.
       recordings: all recordings, in the order of the file.
       interpolation: of the command between samples.
-      forces: whether measured forces of the actuators drive the model, instead of commands; `model` has motors then.
       tolerances: 1 sigma of residual calibration errors, by effect name.
       noise: sensor noise as given; None if it must be estimated.
       notes: warnings of the loader, reported by preflight.
       inferred: text of the dataset.toml that was inferred from the logs; "" where there is one.
       sources: names of columns in the logs, by name of the model; empty where they have the model's names.
       scales: how numbers of a LeRobot dataset became positions, by joint; empty for other formats.
+      forces: whether measured forces of the actuators drive the model, instead of commands; `model` has motors then.
     """
 
     folder: Path
@@ -100,13 +100,13 @@ class Dataset:
     parameters: tuple[PathParameter, ...]
     recordings: tuple[Recording, ...]
     interpolation: Interpolation = "linear"
-    forces: bool = False
     tolerances: Mapping[str, float] = field(default_factory=dict)
     noise: Noise | None = None
     notes: tuple[str, ...] = ()
     inferred: str = ""
     sources: Mapping[str, str] = field(default_factory=dict)
     scales: Mapping[str, JointScale] = field(default_factory=dict)
+    forces: bool = False
 
     @property
     def fit(self) -> tuple[Recording, ...]:
