@@ -13,7 +13,7 @@ from btr_mjx.gap.data import Dataset, Noise, Recording
 from btr_mjx.gap.effects import Effect, Hypothesis, candidates
 from btr_mjx.gap.forces.motion import responses
 from btr_mjx.gap.forces.points import ForceSide
-from btr_mjx.gap.forces.stretches import Stretches, spread_stretches
+from btr_mjx.gap.forces.stretches import Stretches, reported_by, spread_stretches
 from btr_mjx.gap.forces.unknowns import library_of
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.gap.windows import Span, prepare, scales_of
@@ -118,15 +118,17 @@ def shortened(stretches: Stretches, count: int, intervals: int) -> Stretches:
     """The first few intervals of the first few stretches."""
     own = {
         name: getattr(stretches, name)[:count, : intervals + 1]
-        for name in ("time", "measured_q", "measured_v", "act", "qpos", "qvel")
+        for name in ("time", "measured_q", "measured_v", "act", "reported", "qpos", "qvel")
     }
     return replace(stretches, recording=stretches.recording[:count], **own)
 
 
-def exact_stretch(recording: Recording, first: int, count: int) -> Stretches:
-    """One stretch of so many intervals, around what was measured."""
+def exact_stretch(recording: Recording, first: int, count: int, drives: Sequence[int] = ()) -> Stretches:
+    """One stretch of so many intervals, around what was measured, with forces that some drives reported."""
     data = prepare([recording], "cubic", SIGMA, Span(5, 6))
     own = slice(first, first + count + 1)
     time, q, v = (x[None, own] for x in (recording.time, recording.qpos, recording.qvel))
-    act = np.zeros((1, count + 1, 0))
-    return Stretches(data, np.zeros(1, int), time, q, v, act, q, v, np.ones(4, bool), SIGMA, 0.1 * SIGMA)
+    act, actuators = np.zeros((1, count + 1, 0)), np.array(drives, int)
+    seen, sigma = np.ones(4 + len(drives), bool), np.append(SIGMA, np.full(len(drives), 0.01))
+    reported = reported_by(recording, actuators)[None, own]
+    return Stretches(data, np.zeros(1, int), time, q, v, act, actuators, reported, q, v, seen, sigma, 0.1 * sigma)

@@ -19,6 +19,8 @@
     [control]
     interpolation = "linear"            # of the command between samples: "hold", "linear" or "cubic"; by default
                                         # "hold" for stairs, "cubic" for smooth commands, else "linear"
+    measured = "force"                  # optional: measured forces force/<actuator> drive the model, and the robot's
+                                        # controllers may be unknown; by default where a log has no commands
 
     [tolerances]                        # optional: 1 sigma of residual calibration errors, by effect
     viscous_damping = 0.1
@@ -54,6 +56,7 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.lerobot.scales import JointScale
+from btr_mjx.gap.data.measured_forces import driven_by_forces
 from btr_mjx.gap.data.model_file import load_model
 from btr_mjx.gap.data.recordings.noise import Noise, estimate_noise, read_noise, without_sensor
 from btr_mjx.gap.data.recordings.recording import Recording
@@ -87,6 +90,7 @@ class Dataset:
       inferred: text of the dataset.toml that was inferred from the logs; "" where there is one.
       sources: names of columns in the logs, by name of the model; empty where they have the model's names.
       scales: how numbers of a LeRobot dataset became positions, by joint; empty for other formats.
+      forces: whether measured forces of the actuators drive the model, instead of commands; `model` has motors then.
     """
 
     folder: Path
@@ -102,6 +106,7 @@ class Dataset:
     inferred: str = ""
     sources: Mapping[str, str] = field(default_factory=dict)
     scales: Mapping[str, JointScale] = field(default_factory=dict)
+    forces: bool = False
 
     @property
     def fit(self) -> tuple[Recording, ...]:
@@ -147,7 +152,11 @@ def header_of(table: Mapping[str, Any], folder: Path, path: Path, more: Sequence
     model_file = file_inside(about, "file", folder, f"{path}: [model]")
     model, spec_xml = load_model(model_file, folder)
     control = table.get("control", {})
-    check_keys(control, ("interpolation",), f"{path}: [control]", notes)
+    check_keys(control, ("interpolation", "measured"), f"{path}: [control]", notes)
+    if (measured := control.get("measured", "command")) not in ("command", "force"):
+        raise InputError(f"{path}: [control] measured = {measured!r}: expected 'command' or 'force'")
+    if measured == "force":
+        model = driven_by_forces(model, str(path))
     interpolation = control.get("interpolation", "linear")
     if interpolation not in ("hold", "linear", "cubic"):
         raise InputError(f"{path}: interpolation {interpolation!r}: expected 'hold', 'linear' or 'cubic'")
@@ -162,6 +171,7 @@ def header_of(table: Mapping[str, Any], folder: Path, path: Path, more: Sequence
         ),
         recordings=(),
         interpolation=interpolation,
+        forces=measured == "force",
         tolerances=_tolerances(table.get("tolerances", {}), path),
         noise=read_noise(table.get("noise", {}), model, f"{path}: [noise]", notes),
         notes=tuple(notes),

@@ -13,11 +13,13 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns.model_columns import model_columns
 from btr_mjx.gap.data.columns.plan import LogOptions, read_log
 from btr_mjx.gap.data.columns.remedy import Answer
+from btr_mjx.gap.data.columns.required import CommandsMissing
 from btr_mjx.gap.data.columns.units import UNITS, known_unit
 from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, read_header
 from btr_mjx.gap.data.files.readers import count_rows, is_log
 from btr_mjx.gap.data.files.ros_bag import TOPICS
 from btr_mjx.gap.data.lists import listed
+from btr_mjx.gap.data.measured_forces import driven_by_forces
 from btr_mjx.gap.data.model_file import load_model
 from btr_mjx.gap.data.recordings.held import bends, stairs
 from btr_mjx.gap.data.recordings.recording import MIN_SAMPLES, EmptyRecording, Recording, make_recordings
@@ -54,12 +56,29 @@ def load(folder: str | Path, progress: ReadProgress | None = None) -> Dataset:
 def load_table(
     head: Dataset, table: Mapping[str, Any], path: Path, progress: ReadProgress | None = None, text: str = ""
 ) -> Dataset:
-    """Read the recordings of a dataset whose header was read, see `load`; `text` is its dataset.toml without a file."""
+    """Read the recordings of a dataset whose header was read, see `load`; `text` is its dataset.toml without a file.
+
+    Where no commands were logged, but the forces of the actuators, these drive the model.
+    """
+    try:
+        return _load_table(head, table, path, progress, text)
+    except CommandsMissing as error:
+        if "measured" in table.get("control", {}):
+            raise
+        model = driven_by_forces(head.model, str(path))
+        note = f"{error}, but forces of the actuators: they drive the model, and controllers may be unknown"
+        head = replace(head, model=model, forces=True, notes=(*head.notes, note))
+        return _load_table(head, table, path, progress, text)
+
+
+def _load_table(
+    head: Dataset, table: Mapping[str, Any], path: Path, progress: ReadProgress | None, text: str
+) -> Dataset:
     notes, listed_rows = list(head.notes), toml_rows(table, "recording", path)
     if not listed_rows:
         raise InputError(f'{path}: there is no [[recording]]; add one with file = "..."')
     stated = table.get("control", {}).get("interpolation")
-    options = _options(table, head.model, path, notes, Answer(path, text), stated in (None, "hold"))
+    options = _options(table, head, path, notes, Answer(path, text), stated in (None, "hold"))
     places = [f"{path}: [[recording]] {i + 1}" for i in range(len(listed_rows))]
     files = [_files(row, head.folder, where) for row, where in zip(listed_rows, places, strict=True)]
     parts = shares([max(map(count_rows, group)) for group in files])
@@ -80,7 +99,7 @@ def load_table(
 
 
 def _options(
-    table: Mapping[str, Any], model: mujoco.MjModel, path: Path, notes: list[str], answer: Answer, hold: bool
+    table: Mapping[str, Any], head: Dataset, path: Path, notes: list[str], answer: Answer, hold: bool
 ) -> LogOptions:
     """What the tables [columns], [units], [topics] and [model] say about logs."""
 
@@ -95,11 +114,11 @@ def _options(
         if unit is None:
             raise InputError(f"{path}: [units] {name!r} = {table['units'][name]!r}: expected one of {', '.join(UNITS)}")
     check_keys(texts("topics"), tuple(TOPICS), f"{path}: [topics]", notes)
-    unmeasured, names = toml_section(table, "model", path).get("unmeasured", []), part_names(model, "joint")
+    unmeasured, names = toml_section(table, "model", path).get("unmeasured", []), part_names(head.model, "joint")
     if not isinstance(unmeasured, list) or not all(name in names for name in unmeasured):
         raise InputError(f"{path}: [model] unmeasured = {unmeasured!r}: expected a list of joints, of {listed(names)}")
     stated = {name: unit for name, unit in units.items() if unit}
-    return LogOptions(texts("columns"), texts("topics"), unmeasured, stated, answer, hold)
+    return LogOptions(texts("columns"), texts("topics"), unmeasured, stated, answer, hold, head.forces)
 
 
 def _files(row: Mapping[str, Any], folder: Path, where: str) -> list[Path]:
@@ -124,6 +143,7 @@ def _model_and_name(
         model, _ = load_model(file_inside(row, "model", head.folder, where), head.folder)
         if model_columns(model) != model_columns(head.model):
             raise InputError(f"{where}: model {row['model']!r} has other joints or actuators than the dataset's model")
+        model = driven_by_forces(model, where) if head.forces else model
     if overrides:
         if not isinstance(overrides, Mapping) or not all(is_number(v) for v in overrides.values()):
             raise InputError(f'{where}: overrides: expected {{"body:arm/mass" = 0.5, ...}}, got {overrides!r}')

@@ -120,7 +120,7 @@ def _inferred(text: str, data: Dataset) -> str:
         f"# Inferred from the files. To change it, copy it to {data.folder} and give that folder to diagnose.",
         *(f"# {line}" for line in told),
     ]
-    control = f"[control]\ninterpolation = {quoted(data.interpolation)}"
+    control = f"[control]\ninterpolation = {quoted(data.interpolation)}" + '\nmeasured = "force"' * data.forces
     scales = ["\n".join(scale.lines()) for scale in data.scales.values()]
     return "\n\n".join(["\n".join(blocks), model, control, rest, *scales]) + "\n"
 

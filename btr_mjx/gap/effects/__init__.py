@@ -4,6 +4,7 @@ An `Effect` is data: a name, the `Place`s where it may occur, parameters with un
 that is used by the search and for the mended model. A `Candidate` is an effect at a place.
 """
 
+from btr_mjx.gap.effects.actuators import TORQUE_CONSTANT
 from btr_mjx.gap.effects.effect import Candidate, Effect, Parameter, candidates
 from btr_mjx.gap.effects.hypothesis import Hypothesis, believed_steps
 from btr_mjx.gap.effects.law_dictionary import LAW_EFFECTS, LAWS
@@ -12,6 +13,7 @@ from btr_mjx.gap.effects.law_terms import LawState, LawTerm, Tried
 from btr_mjx.gap.effects.library import (
     EFFECTS,
     KNOWN_EFFECTS,
+    OF_LOG,
     TIME_IN_SAMPLE,
     TIMING,
     custom_effect_code,
@@ -41,9 +43,11 @@ __all__ = [
     "KNOWN_EFFECTS",
     "LAWS",
     "LAW_EFFECTS",
+    "OF_LOG",
     "RESIDUAL",
     "TIME_IN_SAMPLE",
     "TIMING",
+    "TORQUE_CONSTANT",
     "WORLD",
     "Candidate",
     "Effect",

@@ -97,6 +97,15 @@ def _apply_gain(world: World, place: Place, values: np.ndarray) -> None:
     world.model.actuator_biasprm[actuators] *= 1 + values[0]
 
 
+def _report(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Parameter, ...]:
+    return (Parameter("change", "1", -0.5, 1.0, 0.03, 0.05),)
+
+
+def _apply_report(world: World, place: Place, values: np.ndarray) -> None:
+    """Reported force = (1 + change) force: a torque constant that is not known well."""
+    world.report[list(place.actuators)] *= 1 + values[0]
+
+
 def _offset_joints(model: mujoco.MjModel) -> list[Place]:
     """Joints that an actuator drives whose force is affine in command and state."""
     linear = {a for place in linear_actuators(model) for a in place.actuators}
@@ -187,6 +196,15 @@ ACTUATOR_GAIN = per_member(
         equation="force → (1 + change) force",
     )
 )
+TORQUE_CONSTANT = Effect(
+    "torque_constant",
+    lambda model: [place for place in actuator_places(model) if not place.members],
+    _report,
+    _apply_report,
+    excited_by="loads and accelerations",
+    equation="reported force = (1 + change) force",
+)
+"""Calibration of drives that report their forces; no robot lacks it."""
 OFFSET_TORQUE = per_member(
     Effect(
         "offset_torque",

@@ -1,6 +1,7 @@
 """Likelihood of recordings: a Kalman filter over linearised motion with noisy encoders and random forces.
 
-State: error e of position and velocity (2 nv). A random generalised force f (nv) is new in every interval h,
+State: error e of position and velocity, and of forces that drives report (nx). A random generalised force f (nv) is
+new in every interval h,
 
     e_(k+1) = A_k e_k + G_k f_k + S_k theta - d_k,      var f_k = q SPAN / h_k
     z_k = e_k + sensor noise of variance sigma^2 + (xdot sigma_t)^2
@@ -37,7 +38,7 @@ class Variances:
     """Variances of all that is random.
 
     Attributes:
-      sensor: (2 nv,) variance of position and velocity measurements.
+      sensor: (nx,) variance of measurements: positions, velocities, forces.
       jitter: variance of time stamps [s^2].
       force: (nv,) variance of the random generalised force, averaged over `SPAN` [N^2 or (N m)^2].
       weight: (S, blocks, nv) weights of the force, 1 where it is usual and less where it is not (heavy tails), over
@@ -164,19 +165,21 @@ def _sensor(linear: Linearised, variances: Variances) -> np.ndarray:
 
 def _rates(linear: Linearised) -> np.ndarray:
     """(S, K + 1, 2 nv) rates of positions and velocities, which turn jitter into noise."""
-    v = linear.stretches.qvel
-    return np.concatenate([v, np.gradient(v, axis=1) / np.mean(linear.interval)], -1)
+    v, interval = linear.stretches.qvel, np.mean(linear.interval)
+    rates = np.gradient(v, axis=1), np.gradient(linear.stretches.reported, axis=1)
+    return np.concatenate([v, *(own / interval for own in rates)], -1)
 
 
 def _start(linear: Linearised, variances: Variances) -> np.ndarray:
-    """(2 nv,) variances of a starting state."""
+    """(nx,) variances of a starting state."""
     nv = len(variances.force)
     seen = linear.stretches.seen
-    sigma = np.sqrt(variances.sensor)
+    sigma = np.sqrt(variances.sensor[: 2 * nv])
     interval = float(np.mean(linear.interval))
     spread = linear.stretches.qvel.std((0, 1))
-    of_v = np.maximum(np.where(seen[nv:], sigma[nv:], 0.0), np.minimum(sigma[:nv] / interval, spread + 1e-12))
-    return np.concatenate([(_START * sigma[:nv]) ** 2, (_START * of_v) ** 2 + 1e-18])
+    of_v = np.maximum(np.where(seen[nv : 2 * nv], sigma[nv:], 0.0), np.minimum(sigma[:nv] / interval, spread + 1e-12))
+    of_forces = linear.stretches.reported.var((0, 1)) + variances.sensor[2 * nv :]
+    return np.concatenate([(_START * sigma[:nv]) ** 2, (_START * of_v) ** 2 + 1e-18, of_forces])
 
 
 def _forward(

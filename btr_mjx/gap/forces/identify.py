@@ -16,7 +16,8 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, noise_of
 from btr_mjx.gap.effects import (
     LAW_EFFECTS,
-    TIMING,
+    OF_LOG,
+    TORQUE_CONSTANT,
     Candidate,
     Effect,
     Hypothesis,
@@ -36,7 +37,7 @@ from btr_mjx.gap.forces.predictions import compared_predictions, horizon_errors,
 from btr_mjx.gap.forces.residual import fit_residual
 from btr_mjx.gap.forces.search import Named, SearchRound, select_effects, start
 from btr_mjx.gap.forces.sets.carried import Carried, carried_library, with_room
-from btr_mjx.gap.forces.stretches import Stretches, spread_stretches
+from btr_mjx.gap.forces.stretches import Stretches, reporting, spread_stretches
 from btr_mjx.gap.forces.unknowns import (
     BELIEVED,
     Library,
@@ -178,17 +179,19 @@ def search_forces(
     if known is not None:
         base = known.base(dataset)
         model = base(model).update_constants()
-    stretches, other = spread_stretches(prepared.fit), spread_stretches(prepared.test)
+    drives = reporting(dataset)
+    stretches, other = (spread_stretches(side, actuators=drives) for side in (prepared.fit, prepared.test))
     if not any(np.ptp(r.qpos, axis=0).max() > 0 for r in dataset.fit):
         raise InputError(f"{dataset.folder}: the robot does not move in any recording of split 'fit'")
     scales, (physical, dictionary) = scales_of(prepared.fit), of_forces(effects)
+    of_log = [one for one in candidates(model, scales, [TORQUE_CONSTANT]) if one.place.actuators[0] in drives]
     possible, laws = (candidates(model, scales, own) for own in (physical, dictionary))
     interval = float(np.median(np.diff(dataset.fit[0].commands[0])))
     if known is None:
-        library = library_of(possible, model, dataset.parameters, dataset.tolerances, interval)
+        library = library_of(possible, model, dataset.parameters, dataset.tolerances, interval, of_log)
     else:
         possible = with_room(possible, known)
-        library = library_of(possible, model, dataset.parameters, dataset.tolerances, interval)
+        library = library_of(possible, model, dataset.parameters, dataset.tolerances, interval, of_log)
         library = carried_library(library, known)
     test = ForceSide(other, library, np.zeros((0,)), counter)
     side, first = start(
@@ -214,8 +217,7 @@ def search_forces(
 def _of_calibration(stretches: Stretches, library: Library, base: Hypothesis, counter: Counter) -> np.ndarray:
     """(S, K, 2 nv, C) columns, of calibration alone."""
     used = sorted({column for entry in library.calibrated for own in entry.columns for column in own})
-    nv = stretches.qvel.shape[-1]
-    columns = np.zeros((len(stretches), stretches.intervals, 2 * nv, len(library.numbers)))
+    columns = np.zeros((len(stretches), stretches.intervals, len(stretches.sigma), len(library.numbers)))
     columns[..., used] = responses(stretches, base, [library.numbers[column] for column in used], counter)
     return columns
 
@@ -274,8 +276,8 @@ def _followed(side: ForceSide, fit: Fitted) -> Point:
 
 
 def _without_log(library: Library, point: Point) -> Point:
-    """A point without when commands act within a sample, which belongs to the log."""
-    of_log = np.array([entry.candidate.effect.name == TIMING for entry in library.calibrated], bool)
+    """A point without what belongs to the log: when commands act within a sample, torque constants of drives."""
+    of_log = np.array([entry.candidate.effect.name in OF_LOG for entry in library.calibrated], bool)
     return replace(point, calibration=np.where(of_log, 0.0, point.calibration))
 
 
@@ -366,5 +368,5 @@ def _calibration(library: Library, point: Point) -> Named:
     return tuple(
         (candidate, values)
         for candidate, values in calibrated_effects(library, point.calibration)
-        if candidate.effect.name != TIMING and not candidate.effect.name.startswith(BELIEVED)
+        if candidate.effect.name not in OF_LOG and not candidate.effect.name.startswith(BELIEVED)
     )

@@ -5,6 +5,8 @@ With the state x_k = x^_k + e_k around a reference x^_k, the step map f_k of a h
     e_(k+1) = A_k e_k + S_k theta - d_k + G_k w_k,      d_k = x^_(k+1) - f_k(x^_k).
 
 All simulations last one interval and start at measured states, so that none can diverge, however wrong the model.
+Forces y_k that drives report are further coordinates, g_k = C_k e_k + D_k theta + F(x^_k) - y_k of the state at the
+same time, see `reported`.
 """
 
 import math
@@ -15,8 +17,9 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.effects import Candidate, Hypothesis
+from btr_mjx.gap.forces.reported import force_slopes, reported_forces
 from btr_mjx.gap.forces.stretches import Stretches
-from btr_mjx.gap.simulate import Counter, Segments, simulate
+from btr_mjx.gap.simulate import Counter, simulate
 from btr_mjx.gap.windows import MakeWorld
 from btr_mjx.models import difference, integrate
 
@@ -46,13 +49,14 @@ class FreeNumber:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """S stretches of K intervals, linearised around a hypothesis.
+    """S stretches of K intervals, linearised around a hypothesis: nx coordinates, 2 nv and those of reported forces.
 
     Attributes:
       stretches: with the states around which they are linearised.
-      defect: (S, K, 2 nv) d_k.
-      transition: (S, K, 2 nv, 2 nv) A_k.
-      force: (S, K, 2 nv, nv) G_k, the response to a constant generalised force.
+      defect: (S, K, nx) d_k.
+      transition: (S, K, nx, nx) A_k.
+      force: (S, K, nx, nv) G_k, the response to a constant generalised force.
+      slope: (S, K, nx - 2 nv, 2 nv) C_k, of reported forces at the ends of the intervals.
       interval: (S, K) lengths [s].
     """
 
@@ -60,6 +64,7 @@ class Linearised:
     defect: np.ndarray
     transition: np.ndarray
     force: np.ndarray
+    slope: np.ndarray
     interval: np.ndarray
 
 
@@ -79,14 +84,18 @@ def linearise_motion(
     nv = model.nv
     base = _extrapolated(stretches, make, counter)
     target = np.concatenate([stretches.qpos[:, 1:], stretches.qvel[:, 1:]], -1)
-    defect = _minus(model, target, base)
+    defect = np.nan_to_num(_minus(model, target, base))
+    shifts = _shifts(stretches)
+    slope = force_slopes(stretches, make, shifts, counter) if known is None else known.slope
+    (reported,) = reported_forces(stretches, [make], counter)
+    defect = np.concatenate([defect, (slope @ defect[..., None])[..., 0] + stretches.reported[:, 1:] - reported], -1)
     if known is not None:
         return replace(known, stretches=stretches, defect=defect)
     transition = np.empty((*interval.shape, 2 * nv, 2 * nv))
     usual = ends(stretches, [make], counter=counter, factor=_COARSE)[0]
     # Either side in turn, so that what is not smooth is met on both.
     sign = np.where(np.arange(interval.shape[1]) % 2, -1.0, 1.0)[None, :, None]
-    for i, size in enumerate(_shifts(stretches)):
+    for i, size in enumerate(shifts):
         moved = np.zeros((*interval.shape, 2 * nv))
         moved[..., i] = (sign * size)[..., 0]
         states = integrate(model, stretches.qpos[:, :-1], moved[..., :nv]), stretches.qvel[:, :-1] + moved[..., nv:]
@@ -97,7 +106,9 @@ def linearise_motion(
     kick[..., nv:, :] = inverse * interval[..., None, None]
     # The mean of a kick at the start and one at the end of the interval.
     force = 0.5 * (kick + transition @ kick)
-    return Linearised(stretches, np.nan_to_num(defect), transition, force, interval)
+    unused = np.zeros((*interval.shape, 2 * nv + slope.shape[-2], slope.shape[-2]))
+    transition = np.concatenate([np.concatenate([transition, slope @ transition], -2), unused], -1)
+    return Linearised(stretches, defect, transition, np.concatenate([force, slope @ force], -2), slope, interval)
 
 
 def responses(
@@ -112,7 +123,7 @@ def responses(
       counter: adds up the simulated steps.
 
     Returns:
-      (S, K, 2 nv, C).
+      (S, K, nx, C).
     """
     model = stretches.data.recordings[0].model
     makes: list[MakeWorld] = []
@@ -132,9 +143,13 @@ def responses(
         moved[number.index] += number.step
         pairs.append((place(number.candidate, number.at), place(number.candidate, tuple(moved))))
     found = ends(stretches, makes, counter=counter, factor=_COARSE)
-    out = np.empty((len(stretches), stretches.intervals, 2 * model.nv, len(numbers)))
+    forces = reported_forces(stretches, makes, counter)
+    slope = force_slopes(stretches, base, _shifts(stretches), counter)
+    out = np.empty((len(stretches), stretches.intervals, 2 * model.nv + slope.shape[-2], len(numbers)))
     for c, ((a, b), number) in enumerate(zip(pairs, numbers, strict=True)):
-        out[..., c] = np.nan_to_num(_minus(model, found[b], found[a])) / number.step
+        moved = np.nan_to_num(_minus(model, found[b], found[a]))
+        of_forces = (slope @ moved[..., None])[..., 0] + forces[b] - forces[a]
+        out[..., c] = np.concatenate([moved, of_forces], -1) / number.step
     return out
 
 
@@ -158,21 +173,7 @@ def ends(
     shape = qpos.shape[:2]
     interval = np.diff(stretches.time, axis=1)
     out = [np.empty((*shape, qpos.shape[-1] + qvel.shape[-1])) for _ in makes]
-    groups: dict[int, list[int]] = {}
-    for s, r in enumerate(stretches.recording):
-        groups.setdefault(id(stretches.data.recordings[r].model), []).append(s)
-    for own in groups.values():
-        model = stretches.data.recordings[stretches.recording[own[0]]].model
-        rows = np.repeat(np.array(own), shape[1])
-        segments = Segments(
-            start=stretches.time[own, :-1].reshape(-1),
-            qpos=qpos[own].reshape(-1, qpos.shape[-1]),
-            qvel=qvel[own].reshape(-1, qvel.shape[-1]),
-            samples=interval[own].reshape(-1, 1),
-            commands=stretches.data.commands,
-            recording=stretches.recording[rows],
-            act=stretches.act[own, :-1].reshape(len(rows), -1) if model.na else None,
-        )
+    for own, model, segments in stretches.segments(slice(-1), qpos, qvel, interval):
         step = time_step(model, interval[own], factor)
         found = simulate([(make(model), segments) for make in makes], timestep=step, threads=1, counter=counter)
         for states, target in zip(found, out, strict=True):

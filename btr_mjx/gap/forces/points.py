@@ -272,7 +272,9 @@ def moved_states(stretches: Stretches, change: np.ndarray) -> Stretches:
     """Stretches around other states, changed by (S, K + 1, 2 nv)."""
     model = stretches.data.recordings[0].model
     nv = model.nv
-    return stretches.about(integrate(model, stretches.qpos, change[..., :nv]), stretches.qvel + change[..., nv:])
+    return stretches.about(
+        integrate(model, stretches.qpos, change[..., :nv]), stretches.qvel + change[..., nv : 2 * nv]
+    )
 
 
 def covariance(side: ForceSide, fit: Fitted, recording: np.ndarray | None = None) -> np.ndarray:

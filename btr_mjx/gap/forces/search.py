@@ -57,7 +57,8 @@ class SearchRound:
 def first_variances(side: ForceSide, hypothesis: Hypothesis) -> Variances:
     """A first guess: what a hypothesis leaves is a random force, the noise is that of the dataset."""
     linear = linearise_motion(side.stretches, hypothesis, side.counter)
-    force = np.einsum("skij,skj->ski", np.linalg.pinv(linear.force), linear.defect)
+    moving = 2 * linear.force.shape[-1]
+    force = np.einsum("skij,skj->ski", np.linalg.pinv(linear.force[..., :moving, :]), linear.defect[..., :moving])
     interval = float(np.median(linear.interval))
     return Variances(
         side.stretches.sigma**2,

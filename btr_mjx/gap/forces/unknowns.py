@@ -93,6 +93,7 @@ def library_of(
     believed: Sequence[PathParameter],
     tolerances: Mapping[str, float],
     interval: float,
+    of_log: Sequence[Candidate] = (),
 ) -> Library:
     """Columns of candidates.
 
@@ -102,6 +103,7 @@ def library_of(
       believed: numbers of the model that may be refitted; they are calibration with wide tolerances.
       tolerances: 1 sigma of calibration by effect, as the dataset has them.
       interval: between samples of commands [s].
+      of_log: what belongs to the log and is calibration alone.
     """
     numbers: list[FreeNumber] = []
     entries: list[CandidateColumns] = []
@@ -133,6 +135,14 @@ def library_of(
                     calibrated.append(
                         (CandidateColumns(candidate, ((column + i,),), (near[0],)), sigma, MOST_CALIBRATED * sigma)
                     )
+    for candidate in of_log:
+        (own,), entry = (
+            candidate.parameters,
+            CandidateColumns(candidate, ((len(numbers),),), (_range(candidate, 0, False),)),
+        )
+        numbers.append(FreeNumber(candidate, 0, (own.null,), own.step))
+        sigma = field_tolerance(candidate.effect.name, own.tolerance)
+        calibrated.append((entry, sigma, MOST_CALIBRATED * sigma))
     for parameter in believed:
         candidate = _as_candidate(parameter, model)
         entry = CandidateColumns(candidate, ((len(numbers),),), (_range(candidate, 0, False),))

@@ -176,6 +176,15 @@ def applied_alone(effect: Effect, model: mujoco.MjModel, place: Place, values: n
     return world, not world.laws and len(world.command_edits) == before and not world.wrench.any()
 
 
+def acts_through_actuators(model: mujoco.MjModel, found: FoundEffect, effects: Sequence[Effect]) -> bool:
+    """Whether an effect changes actuators of a model or their commands."""
+    effect, place, values = resolve_effect(model, found, effects)
+    world = World.of(model)
+    effect.apply(world, place, values)
+    fields = {name for name in differing_fields(world, model) if name.startswith("actuator_")}
+    return bool(world.command_edits) or not fields <= {"actuator_acc0", "actuator_length0"}
+
+
 def resolve_effect(
     model: mujoco.MjModel, found: FoundEffect, effects: Sequence[Effect]
 ) -> tuple[Effect, Place, np.ndarray]:

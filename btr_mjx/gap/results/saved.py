@@ -1,7 +1,7 @@
 """The files of a diagnosis: result.json, tables, arrays and the mended model. The page is drawn from them alone."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from btr_mjx.gap.data import Dataset, driven_joint
 from btr_mjx.gap.effects import KNOWN_EFFECTS, Effect
 from btr_mjx.gap.results.drawn import force_arrays, map_arrays, overlay_arrays, place_of_disagreement
 from btr_mjx.gap.results.exported import export_diagnosis
-from btr_mjx.gap.results.mended_model import MendedModel, mend, with_residual
+from btr_mjx.gap.results.mended_model import MendedModel, acts_through_actuators, mend, with_residual
 from btr_mjx.gap.results.records import Diagnosis, FoundEffect, NamedEffect
 from btr_mjx.gap.results.tables import NextExperiment, name_entry, write_command, write_tables
 from btr_mjx.gap.results.words.details import detail_sentences
@@ -177,7 +177,10 @@ def _effect_entry(effect: NamedEffect) -> dict[str, Any]:
 def _mend(
     found: Sequence[FoundEffect], diagnosis: Diagnosis, dataset: Dataset, effects: Sequence[Effect]
 ) -> MendedModel:
-    """The believed model with refitted parameters, calibration and given effects; where that fails, with a note."""
+    """The believed model with refitted parameters, calibration and given effects; where that fails, with a note.
+
+    Where measured forces drive the model, what was found of them is no part of the MJCF's actuators.
+    """
     final = {refit.name: refit.final for refit in diagnosis.believed if refit.final != refit.believed}
     values: dict[str, float] = {}
     for parameter in dataset.parameters:
@@ -188,7 +191,12 @@ def _mend(
     is_mjcf = dataset.model_file.suffix == ".xml" and dataset.model_file.is_file()
     source = dataset.model_file if is_mjcf else dataset.spec_xml
     try:
-        calibration = [effect.found() for effect in diagnosis.calibration]
-        return mend(source, [*calibration, *found], believed=values, effects=effects)
+        every = [*(effect.found() for effect in diagnosis.calibration), *found]
+        other = [own for own in every if dataset.forces and acts_through_actuators(dataset.model, own, effects)]
+        made = mend(source, [own for own in every if own not in other], believed=values, effects=effects)
+        told = (
+            f"{own.effect} at {own.location}: of the measured forces; the actuators are as believed" for own in other
+        )
+        return replace(made, notes=(*made.notes, *told))
     except (InputError, ValueError) as error:
         return MendedModel(dataset.spec_xml, notes=(f"the model could not be mended: {error}",))

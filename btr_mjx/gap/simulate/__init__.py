@@ -5,6 +5,7 @@ runs `Job`s (a world over `Segments` of recordings) in batches on threads. `Coun
 `Journal` also stores the results on disk, so that an interrupted search can resume.
 """
 
+from btr_mjx.gap.simulate.actuator_forces import actuator_forces
 from btr_mjx.gap.simulate.batch import Counter, simulate
 from btr_mjx.gap.simulate.commands import Command, command_phase
 from btr_mjx.gap.simulate.journal import Journal
@@ -22,6 +23,7 @@ __all__ = [
     "Segments",
     "StateLaw",
     "World",
+    "actuator_forces",
     "command_phase",
     "differing_fields",
     "fingerprint",

@@ -93,9 +93,8 @@ def simulate(
         return known
     out = [np.empty((*segments.times.shape, world.model.nq + world.model.nv)) for world, segments in jobs]
     steps = 0
-    for members in _compatible(jobs, timestep):
-        for block in _blocks(members, jobs):
-            steps += _simulate_batch(block, jobs, out, timestep, threads)
+    for block in batch_blocks(jobs, timestep):
+        steps += _simulate_batch(prepared_batch(block, jobs, timestep, threads), block, out)
     for (world, _), states in zip(jobs, out, strict=True):
         if world.offset.any():
             nq = world.model.nq
@@ -103,6 +102,12 @@ def simulate(
     if counter is not None:
         counter.store(path, out, steps)
     return out
+
+
+def batch_blocks(jobs: Sequence[Job], timestep: float | None) -> Iterator[list[Piece]]:
+    """Pieces of jobs that are simulated as one batch each."""
+    for members in _compatible(jobs, timestep):
+        yield from _blocks(members, jobs)
 
 
 def _compatible(jobs: Sequence[Job], timestep: float | None) -> list[list[int]]:
@@ -140,19 +145,33 @@ def _blocks(members: Sequence[int], jobs: Sequence[Job]) -> Iterator[list[Piece]
         yield block
 
 
-def _simulate_batch(
-    block: list[Piece],
-    jobs: Sequence[Job],
-    out: list[np.ndarray],
-    timestep: float | None,
-    threads: int | None,
-) -> int:
-    """Simulate one batch, write the states of its pieces to `out`, and return the number of steps."""
+@dataclass(frozen=True, eq=False)
+class PreparedBatch:
+    """A batch at the starts of segments.
+
+    Attributes:
+      base: model of the batch, with its time step.
+      batch: with the models and states of all rows.
+      pieces: worlds and their segments.
+      rows: of each piece.
+      forces: constant wrenches and laws of the worlds.
+    """
+
+    base: mujoco.MjModel
+    batch: Batch
+    pieces: list[Job]
+    rows: list[slice]
+    forces: "_Forces"
+
+
+def prepared_batch(
+    block: Sequence[Piece], jobs: Sequence[Job], timestep: float | None, threads: int | None
+) -> PreparedBatch:
+    """The batch of a block: models, states and times at the starts of its segments."""
     base = copy.copy(jobs[block[0][0]][0].update_constants())
     if timestep is not None:
         base.opt.timestep = timestep
     base.opt.disableflags |= _unneeded_features(base)
-    dt = float(base.opt.timestep)
     pieces = [(jobs[i][0], jobs[i][1].take(slice(a, b))) for i, a, b in block]
     ends = np.cumsum([len(segments) for _, segments in pieces])
     rows = [slice(end - len(segments), end) for end, (_, segments) in zip(ends, pieces, strict=True)]
@@ -168,9 +187,15 @@ def _simulate_batch(
         qvel[own] = segments.qvel
         if segments.act is not None:
             batch.bind("act")[own] = segments.act
+    return PreparedBatch(base, batch, pieces, rows, _Forces(batch, pieces, rows))
+
+
+def _simulate_batch(own: PreparedBatch, block: list[Piece], out: list[np.ndarray]) -> int:
+    """Simulate one batch, write the states of its pieces to `out`, and return the number of steps."""
+    base, batch, pieces, forces, dt = own.base, own.batch, own.pieces, own.forces, float(own.base.opt.timestep)
+    qpos, qvel, count = batch.bind("qpos"), batch.bind("qvel"), own.rows[-1].stop
     sampler = Sampler(base, pieces, dt)
-    controls = Controls(pieces, rows, dt, base.nu)
-    forces = _Forces(batch, pieces, rows)
+    controls = Controls(pieces, own.rows, dt, base.nu)
     steps, all_rows = sampler.steps, np.ones(count, bool)
     sampler.record(0, qpos, qvel, all_rows)
     free = not any(world.laws for world, _ in pieces)

@@ -27,6 +27,7 @@ class World:
       laws: state-dependent changes, called in order before every step.
       offset: (nv,) encoder offset, added to the true configuration in the tangent space.
       wrench: (nbody, 6) constant force [N] and torque [N m] on bodies, at their centre of mass in the world frame.
+      report: (actuators,) forces that drives report, in units of those that they have.
       frozen: the world is not edited any more, so that derived constants are computed once only.
     """
 
@@ -35,6 +36,7 @@ class World:
     laws: list[Law]
     offset: np.ndarray
     wrench: np.ndarray
+    report: np.ndarray
     frozen: bool = False
     _constants_current: bool = field(default=False, init=False, repr=False, compare=False)
     _lock: Lock = field(default_factory=Lock, init=False, repr=False, compare=False)
@@ -50,7 +52,9 @@ class World:
                 delay[first : first + model.actuator_ctrlnum[actuator]] = model.actuator_delay[actuator]
             model.actuator_delay[:] = 0
             edits.append(partial(Command.shifted, delay=delay))
-        return cls(model, edits, [], np.zeros(model.nv), np.zeros((model.nbody, 6)))
+        return cls(
+            model, edits, [], np.zeros(model.nv), np.zeros((model.nbody, 6)), np.ones(len(model.actuator_trntype))
+        )
 
     def command(self, command: Command) -> Command:
         """The command that reaches the actuators."""

@@ -58,10 +58,12 @@ def match_columns(
     where: str,
     answer: Answer = NO_FILE,
     labelled: bool = False,
+    forces: bool = False,
 ) -> Matched:
     """Match the columns of the tables of one recording.
 
     Names that are `given`, by name in the log, win. Labels of the tables count if `labelled`: they say what these hold.
+    With `forces`, measured forces of the actuators are their commands, see `measured_forces`.
 
     Returns:
       The matches. Columns of the log that are none of the model's are left out.
@@ -70,10 +72,10 @@ def match_columns(
       InputError: two columns that could be the same one of the model, or a name in `given` that is none.
     """
     families = model_columns(model)
-    exact = {"time", "qpos", "qvel", "ctrl"}.union(*families.values())
+    exact = {"time", "qpos", "qvel", "ctrl", *(["force"] if forces else [])}.union(*families.values())
     exact |= {f"{kind}/{name}" for kind in ("qpos", "qvel") for name in part_names(model, "joint")}
     _check_given(given, tables, exact, where)
-    names = ModelNames.of(model)
+    names = ModelNames.of(model, forces)
 
     def matched(filler: Words) -> Matched:
         return _match(tables, names, given, exact, filler, where, answer, labelled)
@@ -113,16 +115,17 @@ def _match(
         common = common_words([c for c in columns if c not in exact])
         for column in columns:
             if column in given:
-                found[i, column] = given[column]
+                found[i, column] = names.driving(given[column]) or given[column]
             elif column in exact or column.startswith("sensor/"):
-                found[i, column] = column
+                if (target := names.driving(column)) is not None:
+                    found[i, column] = target
             elif (sensor := names.sensors.get(words(stated_unit(column)[0]))) is not None:
                 finds.ranked[sensor].append((3, i, column))
             elif column.split("/", 1)[0] not in ("qpos", "qvel", "ctrl", "force"):  # a misspelt name stays an error
                 match_one(i, column, words(label) if labelled else (), common, filler, names, finds)
         _match_time(i, columns, found, notes)
     taken = set(found.values())
-    match_numbers(names.model, finds, taken, notes)
+    match_numbers(names, finds, taken, notes)
     for target, ranked in sorted(finds.ranked.items()):
         if target in taken:
             continue

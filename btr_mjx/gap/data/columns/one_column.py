@@ -52,14 +52,16 @@ class ModelNames:
       model: the model.
       aliases: joint and actuator by words that name them. Those of the only joint need no words.
       sensors: columns of the model that sensors of its joints read, by the words of the sensor's name.
+      forces: whether measured forces of the actuators are what drives the model, and commands have no use.
     """
 
     model: mujoco.MjModel
     aliases: Mapping[Words, tuple[str | None, str | None]]
     sensors: Mapping[Words, str]
+    forces: bool = False
 
     @staticmethod
-    def of(model: mujoco.MjModel) -> "ModelNames":
+    def of(model: mujoco.MjModel, forces: bool = False) -> "ModelNames":
         """The words that name joints and actuators of a model, those that name one only."""
         joints, actuators = part_names(model, "joint"), part_names(model, "actuator")
         of_joint, of_actuator = _unique(joints), _unique(actuators)
@@ -77,7 +79,14 @@ class ModelNames:
             for i, (kind, joint) in enumerate(zip(model.sensor_type.tolist(), model.sensor_objid.tolist(), strict=True))
             if kind in kinds
         }
-        return ModelNames(model, aliases, sensors)
+        return ModelNames(model, aliases, sensors, forces)
+
+    def driving(self, column: str) -> str | None:
+        """The column that one with a model's own name is; None for a command where forces drive the model."""
+        kind, _, part = column.partition("/")
+        if not self.forces or kind not in ("ctrl", "force"):
+            return column
+        return f"ctrl/{part}".rstrip("/") if kind == "force" else None
 
     def named_by(self, said: Words) -> tuple[Words, Words] | None:
         """The longest alias among words whose other words are all known, and these others."""
@@ -169,7 +178,7 @@ def match_one(
             finds.ranked[f"{'qvel' if part[0] in 'vw' else 'qpos'}/{joint}/{part}"].append((2, i, column))
         return
     command, quantity = kind_of(frozenset(best[1]) | hint)
-    for target, rank in _targets(joint, actuator, command, quantity, names.model):
+    for target, rank in _targets(joint, actuator, command, quantity, names):
         finds.ranked[target].append((rank, i, column))
 
 
@@ -188,26 +197,29 @@ def _match_base(i: int, column: str, said: Words, label: Words, model: mujoco.Mj
 
 
 def _targets(
-    joint: str | None, actuator: str | None, command: bool, quantity: str | None, model: mujoco.MjModel
+    joint: str | None, actuator: str | None, command: bool, quantity: str | None, names: ModelNames
 ) -> Iterable[tuple[str, int]]:
     """Columns of the model that a column with these words may be, and how explicitly it is that one."""
-    driven = None if actuator is None else commanded(model, actuator)
+    driven = None if actuator is None else commanded(names.model, actuator)
     if command:
-        if actuator is not None and (quantity is None or driven in (None, quantity)):
+        if not names.forces and actuator is not None and (quantity is None or driven in (None, quantity)):
             yield f"ctrl/{actuator}", 2 + (quantity is not None)
     elif quantity == "effort":
-        if actuator is not None and driven == "effort":  # a motor's torque, if no command is named as such
+        if actuator is not None and names.forces:
+            yield f"ctrl/{actuator}", 2
+        elif actuator is not None and driven == "effort":  # a motor's torque, if no command is named as such
             yield f"ctrl/{actuator}", 1
         elif actuator is not None:
             yield f"force/{actuator}", 2
     elif joint is not None:
         yield f"{'qvel' if quantity == 'velocity' else 'qpos'}/{joint}", 2 if quantity else 1
-    elif actuator is not None and quantity is None:
+    elif actuator is not None and quantity is None and not names.forces:
         yield f"ctrl/{actuator}", 1
 
 
-def match_numbers(model: mujoco.MjModel, finds: Candidates, taken: set[str], notes: list[str]) -> None:
+def match_numbers(names: ModelNames, finds: Candidates, taken: set[str], notes: list[str]) -> None:
     """Columns with a number: joints with these numbers in their names, else as many joints in the model's order."""
+    model = names.model
     scalar = [n for n, k in zip(part_names(model, "joint"), model.jnt_type, strict=True) if int(k) not in SUFFIXES]
     actuators = part_names(model, "actuator")
     for (command, quantity, i, _), columns in finds.numbered.items():
@@ -225,6 +237,6 @@ def match_numbers(model: mujoco.MjModel, finds: Candidates, taken: set[str], not
             continue
         for number, name in chosen.items():
             joint, actuator = (None, name) if command or effort else (name, None)
-            for target, rank in _targets(joint, actuator, command, quantity, model):
+            for target, rank in _targets(joint, actuator, command, quantity, names):
                 if target not in taken:
                     finds.ranked[target].append((rank, i, columns[number]))

@@ -28,6 +28,7 @@ class LogOptions:
       unmeasured: names of joints that are said to have no encoder.
       units: units by name in the log.
       answer: where a user says what columns are.
+      forces: whether measured forces of the actuators drive the model, instead of commands.
       hold: hold commands of a slower clock between their samples, instead of interpolating them.
       sources: filled with names of the log by name of the model when columns are matched.
     """
@@ -38,6 +39,7 @@ class LogOptions:
     units: Mapping[str, str] = field(default_factory=dict)
     answer: Answer = NO_FILE
     hold: bool = True
+    forces: bool = False
     sources: dict[str, str] = field(default_factory=dict)
 
 
@@ -92,7 +94,9 @@ def plan_tables(
             near = nearest_names(name, known)
             raise InputError(f"{where}: [units] {name!r}: there is no such column; nearest in the file: {near}")
     units = {name: unit for table in tables for name, unit in table.units.items()} | dict(options.units)
-    matched = match_columns(named, model, options.columns, where, options.answer, labelled=len(tables) > 1)
+    matched = match_columns(
+        named, model, options.columns, where, options.answer, labelled=len(tables) > 1, forces=options.forces
+    )
     check_matched(matched, named, model, where, options.unmeasured, options.answer, units)
     notes += matched.notes
     options.sources.update({target: name for (_, name), target in matched.names.items()})

@@ -4,12 +4,17 @@ from collections.abc import Collection, Mapping, Sequence
 
 import mujoco
 
+from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns.matching import Matched, Tables
 from btr_mjx.gap.data.columns.model_columns import check_spelling, check_velocities, model_columns
 from btr_mjx.gap.data.columns.remedy import NO_FILE, Answer
 from btr_mjx.gap.data.columns.units import UNITS, commanded, quantity_of, stated_unit
 from btr_mjx.gap.data.columns.words import OTHER, TIME, kind_of, words
 from btr_mjx.gap.data.lists import listed
+
+
+class CommandsMissing(InputError):
+    """A log without commands that has measured forces of the same actuators."""
 
 
 def check_matched(
@@ -27,6 +32,7 @@ def check_matched(
     that may be its own.
 
     Raises:
+      CommandsMissing: only commands are absent, and forces of these actuators are there.
       InputError: required columns that are absent, all of them, with the lines of dataset.toml that name them; or a
         column of an unknown joint or actuator.
     """
@@ -54,6 +60,8 @@ def check_matched(
                     continue
                 hidden.append(name)
             missing.append(column)
+    if missing and all(c.startswith("ctrl/") and c.replace("ctrl/", "force/", 1) in found for c in missing):
+        raise CommandsMissing(f"{where}: there is no column {listed(missing, quotes=True)}")
     if missing:
         message = (
             f"{where}: there is no column {listed(missing, quotes=True)}; columns of the file: "

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from btr_mjx.gap.data import Dataset
-from btr_mjx.gap.effects import TIMING, Candidate, Hypothesis
+from btr_mjx.gap.effects import OF_LOG, TIMING, Candidate, Hypothesis
 from btr_mjx.gap.forces.answer.found import SearchOutcome
 from btr_mjx.gap.forces.evidence import CalibrationPrior
 from btr_mjx.gap.forces.filtering import Filtered, Variances, smoothed
@@ -99,7 +99,7 @@ def carried_of(found: SearchOutcome) -> Carried:
 
 def _with_held_out(test: ForceSide, fit: Fitted) -> Fitted:
     """A fit whose whitened columns are those of fitted and of held-out stretches."""
-    nothing = np.zeros((len(test.stretches), test.stretches.intervals, 2 * len(fit.variances.force), 0))
+    nothing = np.zeros((len(test.stretches), test.stretches.intervals, len(fit.variances.sensor), 0))
     variances = replace(fit.variances, weight=None)
     own = evaluate_point(replace(test, columns=nothing), fit.point, variances)
     for _ in range(_UPDATES):
@@ -122,7 +122,7 @@ def _numbers(library: Library, point: Point) -> tuple[tuple[CarriedNumber, ...],
     """
     every: list[tuple[CarriedNumber, ...]] = []
     for candidate, values in point.named:
-        shaped = any(p.shape for p in candidate.parameters) or candidate.effect.name == TIMING
+        shaped = any(p.shape for p in candidate.parameters) or candidate.effect.name in OF_LOG
         if candidate.place.parts:
             every += [((single.name, 0),) for single in candidate.singles]
         elif candidate.place.members and not shaped:
@@ -130,7 +130,7 @@ def _numbers(library: Library, point: Point) -> tuple[tuple[CarriedNumber, ...],
         else:
             every += [() if shaped else ((candidate.name, i),) for i in range(len(values))]
     for entry in library.calibrated:
-        of_log = entry.candidate.effect.name == TIMING
+        of_log = entry.candidate.effect.name in OF_LOG
         every.append(() if of_log else ((entry.candidate.name, calibrated_number(library, entry)),))
     numbers = tuple(dict.fromkeys(number for own in every for number in own))
     sums = np.zeros((len(numbers), len(every)))
@@ -149,7 +149,7 @@ def effects_of(library: Library, point: Point) -> Named:
     calibrated = [
         (candidate, values)
         for candidate, values in calibrated_effects(library, point.calibration)
-        if candidate.effect.name != TIMING and not candidate.effect.name.startswith(BELIEVED)
+        if candidate.effect.name not in OF_LOG and not candidate.effect.name.startswith(BELIEVED)
     ]
     late = [(c, v) for c, v in point.named if c.effect.name == TIMING and v[0] < 0]
     named = [one for row in point.named if row not in late for one in at_single_places(library, *row)]
