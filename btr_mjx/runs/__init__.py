@@ -29,9 +29,9 @@ from btr_mjx.runs.files import (
     write_json,
     write_table,
 )
-from btr_mjx.runs.folder_checks import check_inputs, claimed_folder, is_unused
 from btr_mjx.runs.progress_bar import StopRequest, graceful_interrupt, note, progress, say_progress
 from btr_mjx.runs.python_files import installed_objects, load_object
+from btr_mjx.runs.resume_check import check_inputs, claimed_folder, is_unused
 from btr_mjx.runs.run_folder import IGNORED_FIELDS, RunFolder
 from btr_mjx.runs.toml_tables import check_keys, file_inside, file_name, is_number, read_toml, toml_rows, toml_section
 

@@ -42,9 +42,9 @@ from btr_mjx.runs.checksums import file_digest, write_sums
 from btr_mjx.runs.config_json import CONFIG_NAME, config_to_json
 from btr_mjx.runs.environment import describe_environment, environment_changes
 from btr_mjx.runs.files import read_json, to_plain, write_json, write_table
-from btr_mjx.runs.folder_checks import INPUTS_NAME, check_folder_of_run
 from btr_mjx.runs.locks import take_lock
 from btr_mjx.runs.progress_bar import note
+from btr_mjx.runs.resume_check import INPUTS_NAME, check_folder_of_run
 
 ENVIRONMENT_NAME = "environment.json"
 """Name of the file in a run folder."""

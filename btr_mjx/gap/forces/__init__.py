@@ -3,7 +3,8 @@
 `prepare_forces` tells whether a dataset is of this kind, `identify_forces` makes a `Diagnosis` of it,
 `identify_changes` tells what has changed from one set of recordings to the next. Motion from one
 sample to the next is linearised around measured states (`motion`), a Kalman filter with random forces is the likelihood
-(`filtering`), and every effect of the library is a column of a least-squares problem (`unknowns`, `scan`, `points`).
+(`kalman_filter`), and every effect of the library is a column of a least-squares problem (`unknowns`, `scan`,
+`points`). What is named is confirmed by recordings that were not fitted (`confirmation`).
 """
 
 from btr_mjx.gap.forces.identify import PreparedForces, identify_forces, prepare_forces, search_forces

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from btr_mjx.gap.forces.filtering import Variances, filtered, smoothed
+from btr_mjx.gap.forces.kalman_filter import Variances, filtered, smoothed
 from btr_mjx.gap.forces.motion import linearise_motion
 from btr_mjx.gap.forces.points import ForceSide, Point, moved_states
 

@@ -27,13 +27,14 @@ from btr_mjx.gap.effects import (
 )
 from btr_mjx.gap.forces.answer.found import SearchOutcome
 from btr_mjx.gap.forces.answer.outcome import diagnosis_of, with_tables_told
-from btr_mjx.gap.forces.held_out import HeldOut, held_out, is_better
-from btr_mjx.gap.forces.horizons import follow_horizons
+from btr_mjx.gap.forces.confirmation import confirmed_chain
+from btr_mjx.gap.forces.final_numbers import last_numbers, without_invisible
+from btr_mjx.gap.forces.held_out import HeldOut, held_out
 from btr_mjx.gap.forces.law_scan import scan_laws
 from btr_mjx.gap.forces.missing_force import missing_force
 from btr_mjx.gap.forces.motion import responses
-from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, covariance, settled
-from btr_mjx.gap.forces.predictions import compared_predictions, horizon_errors, predicts_well
+from btr_mjx.gap.forces.points import Fitted, ForceSide, Point
+from btr_mjx.gap.forces.predictions import horizon_errors, predicts_well
 from btr_mjx.gap.forces.residual import fit_residual
 from btr_mjx.gap.forces.search import Named, SearchRound, select_effects, start
 from btr_mjx.gap.forces.sets.carried import Carried, carried_library, with_room
@@ -43,7 +44,6 @@ from btr_mjx.gap.forces.unknowns import (
     Library,
     believed_values,
     calibrated_effects,
-    calibrated_number,
     library_of,
 )
 from btr_mjx.gap.results import Diagnosis
@@ -55,9 +55,6 @@ _TOUCHES = 0.01
 
 _LARGE = 0.1
 """Random force of a joint, in units of the force that its actuators usually have, that is no calibration."""
-
-_SEEN = 0.3
-"""Smallest number that is named, in units of the step at which its effect is clearly visible."""
 
 _TOLD = 10.0
 """Evidence of a force of another shape from which on it is told."""
@@ -200,11 +197,11 @@ def search_forces(
     # Drives that were there before do not vanish all at once.
     rounds, chain = select_effects(side, first, max_effects, progress, laws, drives=known is None)
     progress("held-out recordings")
-    confirmed = _confirmed(test, chain)
+    confirmed = confirmed_chain(test, chain)
     progress("numbers")
     contradicted = len(confirmed) < len(chain)
-    seen = _without_invisible(side, confirmed[-1])
-    last, point = _last(side, seen if seen.point.named else confirmed[0], known is None)
+    seen = without_invisible(side, confirmed[-1])
+    last, point = last_numbers(side, seen if seen.point.named else confirmed[0], known is None)
     final = [*confirmed[:-1], last] if seen.point.named else [last]
     after = held_out(test, final[-1].point, final[-1].variances)
     before = held_out(test, final[0].point, final[0].variances, after.sensor)
@@ -220,90 +217,6 @@ def _of_calibration(stretches: Stretches, library: Library, base: Hypothesis, co
     columns = np.zeros((len(stretches), stretches.intervals, len(stretches.sigma), len(library.numbers)))
     columns[..., used] = responses(stretches, base, [library.numbers[column] for column in used], counter)
     return columns
-
-
-def _confirmed(test: ForceSide, chain: Sequence[Fitted]) -> list[Fitted]:
-    """The chain up to the last hypothesis that held-out recordings bear out, one after another.
-
-    Predictions over a horizon decide where they can tell. Where noise hides the difference the likelihood decides,
-    which sees more, but believes in its variances.
-    """
-    makes = [fit.point.hypothesis(test.library) for fit in chain]
-    better = compared_predictions(test.stretches.data, makes, test.counter)
-    out, before = [chain[0]], held_out(test, chain[0].point, chain[0].variances)
-    for i, fit in enumerate(chain[1:]):
-        own = held_out(test, fit.point, fit.variances)
-        told = better[i, i + 1]
-        if not (told > 0 if told else is_better(before, own)):
-            break
-        before = own
-        out.append(fit)
-    return out
-
-
-def _without_invisible(side: ForceSide, fit: Fitted) -> Fitted:
-    """A fit without effects whose numbers are too small to be seen."""
-    seen = _visible(fit.point.named)
-    if len(seen) == len(fit.point.named):
-        return fit
-    return settled(side, replace(fit.point, named=seen), fit.variances, about=fit.linear.stretches)
-
-
-def _last(side: ForceSide, fit: Fitted, follow: bool) -> tuple[Fitted, Point]:
-    """A fit and its point with numbers that follow recordings, or those of the same names from no calibration.
-
-    At its bounds, calibration may still stand for what was named after it. Predictions choose; where they cannot tell,
-    the likelihood does. A change is the difference of two sets whose numbers are found alike: those of neither follow
-    recordings, and what moves within the calibration that the first set leaves open is no change.
-    """
-    if not follow:
-        return fit, _without_log(side.library, fit.point)
-    if not fit.point.named:
-        return fit, _followed(side, fit)
-    point = replace(fit.point, calibration=np.zeros_like(fit.point.calibration))
-    fits = [fit, settled(side, point, fit.variances, about=fit.linear.stretches)]
-    points = [_followed(side, own) for own in fits]
-    makes = [own.hypothesis(side.library) for own in points]
-    told = compared_predictions(side.stretches.data, makes, side.counter)[0, 1]
-    chosen = int(told > 0 if told else fits[1].loss < fit.loss)
-    return fits[chosen], points[chosen]
-
-
-def _followed(side: ForceSide, fit: Fitted) -> Point:
-    """The point of a fit as the mended model has it, with numbers that follow recordings."""
-    point = _without_log(side.library, _merged(side.library, fit.point))
-    return follow_horizons(side, point, covariance(side, fit), side.library)
-
-
-def _without_log(library: Library, point: Point) -> Point:
-    """A point without what belongs to the log: when commands act within a sample, torque constants of drives."""
-    of_log = np.array([entry.candidate.effect.name in OF_LOG for entry in library.calibrated], bool)
-    return replace(point, calibration=np.where(of_log, 0.0, point.calibration))
-
-
-def _merged(library: Library, point: Point) -> Point:
-    """A point whose calibration of a number that is named is part of that number."""
-    rest, named = point.calibration.copy(), []
-    for candidate, values in point.named:
-        own, labels = np.array(values), [single.place.label for single in candidate.singles]
-        for i, entry in enumerate(library.calibrated):
-            place = entry.candidate.place.label
-            if entry.candidate.effect is candidate.effect and place in labels:
-                own[labels.index(place) + calibrated_number(library, entry)] += rest[i]
-                rest[i] = 0.0
-        bounded = np.clip(own, [p.low for p in candidate.parameters], [p.high for p in candidate.parameters])
-        named.append((candidate, tuple(float(v) for v in bounded)))
-    return replace(point, named=tuple(named), calibration=rest)
-
-
-def _visible(named: Named) -> Named:
-    """Effects with a number that is visible: of the size of its step, and no smaller than what is never named."""
-    out = []
-    for candidate, values in named:
-        pairs = zip(candidate.parameters, values, strict=True)
-        if any(abs(v - p.null) > max(_SEEN * abs(p.step), p.negligible) for p, v in pairs if not p.shape):
-            out.append((candidate, values))
-    return tuple(out)
 
 
 def _found(

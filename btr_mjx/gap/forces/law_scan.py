@@ -13,7 +13,7 @@ import numpy as np
 
 from btr_mjx.gap.effects import Candidate, Hypothesis, LawState, LawTerm
 from btr_mjx.gap.forces.evidence import least_squares
-from btr_mjx.gap.forces.filtering import filtered, smoothed
+from btr_mjx.gap.forces.kalman_filter import filtered, smoothed
 from btr_mjx.gap.forces.missing_force import missing_force
 from btr_mjx.gap.forces.points import Fitted, ForceSide
 from btr_mjx.gap.forces.scan import Scanned, price

@@ -7,7 +7,7 @@ import numpy as np
 
 from btr_mjx.gap.effects import Candidate, Hypothesis
 from btr_mjx.gap.forces.evidence import LeastSquares, least_squares, penalty
-from btr_mjx.gap.forces.filtering import Filtered, Variances, filtered, smoothed
+from btr_mjx.gap.forces.kalman_filter import Filtered, Variances, filtered, smoothed
 from btr_mjx.gap.forces.motion import FreeNumber, Linearised, linearise_motion, responses
 from btr_mjx.gap.forces.stretches import Stretches
 from btr_mjx.gap.forces.unknowns import BELIEVED, Library, calibrated_effects, calibrated_number

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.effects import Hypothesis, ResidualTable
-from btr_mjx.gap.forces.filtering import Variances, filtered, smoothed
+from btr_mjx.gap.forces.kalman_filter import Variances, filtered, smoothed
 from btr_mjx.gap.forces.law_scan import JointStates, joint_states
 from btr_mjx.gap.forces.motion import Linearised, linearise_motion
 from btr_mjx.gap.forces.points import ForceSide, Point

@@ -10,7 +10,7 @@ import numpy as np
 from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import joint_of
 from btr_mjx.gap.preflight.findings import DEGREES_REMEDY
-from btr_mjx.gap.preflight.orders import joint_orders
+from btr_mjx.gap.preflight.joint_orders import joint_orders
 from btr_mjx.gap.preflight.predictions import Change, ColumnMap, CoordinateGroup
 from btr_mjx.models import part_names
 

@@ -14,8 +14,8 @@ from btr_mjx.gap.data import Dataset, Noise
 from btr_mjx.gap.preflight.alternatives import Alternative, Catalogue
 from btr_mjx.gap.preflight.comparison import Comparison, compare
 from btr_mjx.gap.preflight.findings import Finding
+from btr_mjx.gap.preflight.joint_orders import column_lines
 from btr_mjx.gap.preflight.lerobot_tables import joint_lines
-from btr_mjx.gap.preflight.orders import column_lines
 from btr_mjx.gap.preflight.predictions import Change, Predictor, typical_error
 
 STRETCHES = 32

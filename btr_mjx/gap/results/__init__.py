@@ -31,7 +31,7 @@ from btr_mjx.gap.results.records import (
     Refit,
     Verdict,
 )
-from btr_mjx.gap.results.saved import RESULT, as_result, before_entry, save_diagnosis
+from btr_mjx.gap.results.result_folder import RESULT, as_result, before_entry, save_diagnosis
 from btr_mjx.gap.results.simulation_file import simulation_mjcf
 from btr_mjx.gap.results.tables import NextExperiment, Quantity, save_quantities
 from btr_mjx.gap.results.words.details import detail_sentences

@@ -6,17 +6,6 @@ states and differentiates; `signatures` are derivatives of residuals with respec
 """
 
 from btr_mjx.gap.windows.impacts import contact_samples
-from btr_mjx.gap.windows.likelihood import (
-    Evidence,
-    Fit,
-    bounded_loss,
-    fit,
-    project,
-    regularised,
-    scan_candidates,
-    typical_chi2,
-    window_weight,
-)
 from btr_mjx.gap.windows.linearisation import linearise, relinearised
 from btr_mjx.gap.windows.options import Options
 from btr_mjx.gap.windows.placement import Survey, survey, tile_windows
@@ -27,6 +16,17 @@ from btr_mjx.gap.windows.sensitivity import force_signatures, signatures, window
 from btr_mjx.gap.windows.starting_states import fit_starting_states, with_fitted_states
 from btr_mjx.gap.windows.state_estimate import Span, Track, best_span, smooth
 from btr_mjx.gap.windows.time_steps import fine_step, reliable_windows, step_uncertainty
+from btr_mjx.gap.windows.window_fits import (
+    Evidence,
+    Fit,
+    bounded_loss,
+    fit,
+    project,
+    regularised,
+    scan_candidates,
+    typical_chi2,
+    window_weight,
+)
 from btr_mjx.gap.windows.windows import MakeWorld, Windows
 
 __all__ = [

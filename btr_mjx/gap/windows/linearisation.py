@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from btr_mjx.gap.windows.likelihood import column_space
 from btr_mjx.gap.windows.propagation import jacobian, linearisation_holds
 from btr_mjx.gap.windows.starting_states import STEPS, fit_starting_states
 from btr_mjx.gap.windows.time_steps import choose_time_step, step_error
 from btr_mjx.gap.windows.transitions import state_jacobians, stride, transition_change, transitions
+from btr_mjx.gap.windows.window_fits import column_space
 from btr_mjx.gap.windows.windows import MakeWorld, Windows
 
 _MAX_CHANGE = 1.0

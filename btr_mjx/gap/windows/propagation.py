@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from btr_mjx.gap.windows.likelihood import project
+from btr_mjx.gap.windows.window_fits import project
 from btr_mjx.gap.windows.windows import Windows
 
 _MAX_GROWTH = 3e3

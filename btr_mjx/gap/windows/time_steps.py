@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.simulate import World
-from btr_mjx.gap.windows.likelihood import project
+from btr_mjx.gap.windows.window_fits import project
 from btr_mjx.gap.windows.windows import Windows
 
 _FINE = 1.25e-4

@@ -13,11 +13,11 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.simulate import Counter, Job, Segments, World, simulate
-from btr_mjx.gap.windows.likelihood import project
 from btr_mjx.gap.windows.prepared import PreparedData
 from btr_mjx.gap.windows.rows import select_rows
 from btr_mjx.gap.windows.state_cache import StateCache
 from btr_mjx.gap.windows.state_estimate import smooth
+from btr_mjx.gap.windows.window_fits import project
 from btr_mjx.models import difference
 
 MakeWorld = Callable[[mujoco.MjModel], World]

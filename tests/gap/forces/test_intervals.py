@@ -7,7 +7,7 @@ from gap_forces import believed
 from gap_models import one
 
 from btr_mjx.gap.forces.evidence import CalibrationPrior
-from btr_mjx.gap.forces.filtering import Filtered
+from btr_mjx.gap.forces.kalman_filter import Filtered
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, covariance
 from btr_mjx.gap.forces.unknowns import Library
 

@@ -12,9 +12,9 @@ from gap_models import one
 from btr_mjx.errors import InputError
 from btr_mjx.gap.effects import Hypothesis, candidates
 from btr_mjx.gap.forces import points
-from btr_mjx.gap.forces.filtering import filtered, smoothed
 from btr_mjx.gap.forces.held_out import held_out, is_better
 from btr_mjx.gap.forces.horizons import cut_horizons
+from btr_mjx.gap.forces.kalman_filter import filtered, smoothed
 from btr_mjx.gap.forces.motion import FreeNumber, responses
 from btr_mjx.gap.forces.points import ForceSide, Point, again, covariance, evaluate_point, newton_step, settled
 from btr_mjx.gap.forces.predictions import compared_predictions, horizon_errors, predicts_better

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from btr_mjx.gap.inference.scoring.gains import fall
 from btr_mjx.gap.inference.scoring.refine import Nuisance
 from btr_mjx.gap.windows import Fit, bounded_loss, fit, project, regularised, scan_candidates, window_weight
-from btr_mjx.gap.windows.likelihood import column_space, evidence
+from btr_mjx.gap.windows.window_fits import column_space, evidence
 
 
 def problem(seed, windows=6, rows=15, columns=5):

@@ -25,8 +25,8 @@ from btr_mjx.gap.windows import (
     transitions,
     with_fitted_states,
 )
-from btr_mjx.gap.windows.likelihood import column_space
 from btr_mjx.gap.windows.transitions import stride
+from btr_mjx.gap.windows.window_fits import column_space
 from btr_mjx.models import integrate
 
 

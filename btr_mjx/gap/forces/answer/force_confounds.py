@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from btr_mjx.gap.forces.filtering import filtered
+from btr_mjx.gap.forces.kalman_filter import filtered
 from btr_mjx.gap.forces.points import Fitted, ForceSide, names
 from btr_mjx.gap.forces.unknowns import BELIEVED
 from btr_mjx.gap.results import Confound, confound_sentence

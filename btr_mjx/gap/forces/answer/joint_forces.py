@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.effects import LawTerm
-from btr_mjx.gap.forces.filtering import smoothed
+from btr_mjx.gap.forces.kalman_filter import smoothed
 from btr_mjx.gap.forces.law_scan import JointStates, joint_states
 from btr_mjx.gap.forces.points import Fitted, ForceSide, covariance
 from btr_mjx.gap.results import JointForce

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.forces.answer.found import SearchOutcome
-from btr_mjx.gap.forces.filtering import smoothed
+from btr_mjx.gap.forces.kalman_filter import smoothed
 from btr_mjx.gap.forces.law_scan import law_words
 from btr_mjx.gap.forces.missing_force import commanded_share
 from btr_mjx.gap.results import (

@@ -15,7 +15,7 @@ from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import OF_LOG, TIMING, Candidate, Hypothesis
 from btr_mjx.gap.forces.answer.found import SearchOutcome
 from btr_mjx.gap.forces.evidence import CalibrationPrior
-from btr_mjx.gap.forces.filtering import Filtered, Variances, smoothed
+from btr_mjx.gap.forces.kalman_filter import Filtered, Variances, smoothed
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, again, covariance, evaluate_point, newton_step
 from btr_mjx.gap.forces.sets.combined import Named, at_single_places, combined
 from btr_mjx.gap.forces.unknowns import (

@@ -67,7 +67,7 @@ class Nuisance:
         return Nuisance(self.columns, self.precision * dispersion, self.gram)
 
     def projected(self, basis: np.ndarray) -> "Nuisance":
-        """The same where other directions (W, R, D) are projected out, see `likelihood.project`."""
+        """The same where other directions (W, R, D) are projected out, see `window_fits.project`."""
         return Nuisance.of(project(np.moveaxis(self.columns, 1, 0), basis).astype(self.columns.dtype), self.precision)
 
     def without(self, index: Sequence[int]) -> "Nuisance":

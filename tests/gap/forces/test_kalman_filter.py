@@ -7,7 +7,7 @@ import pytest
 from gap_forces import arm_stretches, moved_arm, shortened
 
 from btr_mjx.gap.forces import filtering
-from btr_mjx.gap.forces.filtering import Variances, filtered, smoothed
+from btr_mjx.gap.forces.kalman_filter import Variances, filtered, smoothed
 from btr_mjx.gap.forces.motion import Linearised
 
 STRETCHES, INTERVALS, LASTING = 2, 7, 2

@@ -1,0 +1,80 @@
+"""Numbers of the effects that were confirmed, as the mended model has them."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from btr_mjx.gap.effects import OF_LOG
+from btr_mjx.gap.forces.horizons import follow_horizons
+from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, covariance, settled
+from btr_mjx.gap.forces.predictions import compared_predictions
+from btr_mjx.gap.forces.search import Named
+from btr_mjx.gap.forces.unknowns import Library, calibrated_number
+
+_SEEN = 0.3
+"""Smallest number that is named, in units of the step at which its effect is clearly visible."""
+
+
+def without_invisible(side: ForceSide, fit: Fitted) -> Fitted:
+    """A fit without effects whose numbers are too small to be seen."""
+    seen = _visible(fit.point.named)
+    if len(seen) == len(fit.point.named):
+        return fit
+    return settled(side, replace(fit.point, named=seen), fit.variances, about=fit.linear.stretches)
+
+
+def last_numbers(side: ForceSide, fit: Fitted, follow: bool) -> tuple[Fitted, Point]:
+    """A fit and its point with numbers that follow recordings, or those of the same names from no calibration.
+
+    At its bounds, calibration may still stand for what was named after it. Predictions choose; where they cannot tell,
+    the likelihood does. A change is the difference of two sets whose numbers are found alike: those of neither follow
+    recordings, and what moves within the calibration that the first set leaves open is no change.
+    """
+    if not follow:
+        return fit, _without_log(side.library, fit.point)
+    if not fit.point.named:
+        return fit, _followed(side, fit)
+    point = replace(fit.point, calibration=np.zeros_like(fit.point.calibration))
+    fits = [fit, settled(side, point, fit.variances, about=fit.linear.stretches)]
+    points = [_followed(side, own) for own in fits]
+    makes = [own.hypothesis(side.library) for own in points]
+    told = compared_predictions(side.stretches.data, makes, side.counter)[0, 1]
+    chosen = int(told > 0 if told else fits[1].loss < fit.loss)
+    return fits[chosen], points[chosen]
+
+
+def _followed(side: ForceSide, fit: Fitted) -> Point:
+    """The point of a fit as the mended model has it, with numbers that follow recordings."""
+    point = _without_log(side.library, _merged(side.library, fit.point))
+    return follow_horizons(side, point, covariance(side, fit), side.library)
+
+
+def _without_log(library: Library, point: Point) -> Point:
+    """A point without what belongs to the log: when commands act within a sample, torque constants of drives."""
+    of_log = np.array([entry.candidate.effect.name in OF_LOG for entry in library.calibrated], bool)
+    return replace(point, calibration=np.where(of_log, 0.0, point.calibration))
+
+
+def _merged(library: Library, point: Point) -> Point:
+    """A point whose calibration of a number that is named is part of that number."""
+    rest, named = point.calibration.copy(), []
+    for candidate, values in point.named:
+        own, labels = np.array(values), [single.place.label for single in candidate.singles]
+        for i, entry in enumerate(library.calibrated):
+            place = entry.candidate.place.label
+            if entry.candidate.effect is candidate.effect and place in labels:
+                own[labels.index(place) + calibrated_number(library, entry)] += rest[i]
+                rest[i] = 0.0
+        bounded = np.clip(own, [p.low for p in candidate.parameters], [p.high for p in candidate.parameters])
+        named.append((candidate, tuple(float(v) for v in bounded)))
+    return replace(point, named=tuple(named), calibration=rest)
+
+
+def _visible(named: Named) -> Named:
+    """Effects with a number that is visible: of the size of its step, and no smaller than what is never named."""
+    out = []
+    for candidate, values in named:
+        pairs = zip(candidate.parameters, values, strict=True)
+        if any(abs(v - p.null) > max(_SEEN * abs(p.step), p.negligible) for p, v in pairs if not p.shape):
+            out.append((candidate, values))
+    return tuple(out)
