@@ -1,7 +1,8 @@
 """Diagnosis of the gap between a model and recordings of a robot: which physical effect the model lacks.
 
 One folder a stage: `data` (recordings), `preflight` (checks), `effects` (library), `simulate` (batches of worlds),
-`windows` (multiple shooting), `inference` (search and decision), `results`, `report`, `fitness_only`, `experiments`.
+`forces` (search and decision where a robot touches nothing), `windows` and `inference` (the same for all others, by
+multiple shooting), `results`, `report`, `fitness_only`, `experiments`.
 `examine` reads and checks recordings, `search_missing` goes through the stages and writes all files of a run.
 """
 
