@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from btr_mjx.gap.data import Dataset
-from btr_mjx.gap.effects import Candidate, Hypothesis, ResidualTable
+from btr_mjx.gap.effects import TORQUE_CONSTANT, Candidate, Hypothesis, ResidualTable
 from btr_mjx.gap.forces.answer.force_confounds import confounds_of
 from btr_mjx.gap.forces.answer.found import SearchOutcome
 from btr_mjx.gap.forces.answer.joint_forces import joint_forces
@@ -79,7 +79,7 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
         survivors=_survivors(found),
         predictions=predictions(found.errors[:2], found.errors[2]),
         joint_errors=joint_errors(model, found.errors[:2], sigma),
-        notes=(_NOT_BORNE_OUT,) if found.contradicted else (),
+        notes=(*([_NOT_BORNE_OUT] if found.contradicted else []), *_of_drives(found)),
         joint_forces=joint_forces(found.side, first, last if verdict == "effect" else first),
     )
     told = without_late_log(diagnosis)  # of any verdict
@@ -100,6 +100,17 @@ def with_tables_told(diagnosis: Diagnosis, tables: Sequence[ResidualTable]) -> D
         joints = ", ".join(table.joint for table in tables)
         note = f"The force that nothing explains is a table in mended.json, within the recorded range only: {joints}."
     return replace(diagnosis, residual=tuple(tables), notes=(*diagnosis.notes, note))
+
+
+def _of_drives(found: SearchOutcome) -> list[str]:
+    """What was found of torque constants, which belong to the log: those that are off by more than half a tolerance."""
+    prior, values = found.side.library.calibration, found.forces.point.calibration
+    off = [
+        f"{entry.candidate.place.label.partition(':')[2]} {1 + value:.3g}"
+        for entry, value, sigma in zip(found.side.library.calibrated, values, prior.tolerance, strict=True)
+        if entry.candidate.effect is TORQUE_CONSTANT and abs(value) > sigma / 2
+    ]
+    return [f"Drives report another force than they have, by these factors: {', '.join(off)}."] if off else []
 
 
 def _calibration(found: SearchOutcome) -> tuple[NamedEffect, ...]:
