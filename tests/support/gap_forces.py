@@ -17,6 +17,7 @@ from btr_mjx.gap.forces.stretches import Stretches, reported_by, spread_stretche
 from btr_mjx.gap.forces.unknowns import library_of
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.gap.windows import Span, prepare, scales_of
+from btr_mjx.models import part_names
 
 Force = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
 """Generalised force (2,) of position, velocity and time."""
@@ -36,6 +37,7 @@ def moved_arm(
     late: float = 0.0,
     step: float = 1e-4,
     believed: mujoco.MjModel | None = None,
+    reports: float = 0.0,
 ) -> Recording:
     """A recording of an arm after `change(model)` that `force` pushes, simulated with small steps.
 
@@ -53,6 +55,7 @@ def moved_arm(
       late: time by which commands act before their stamps [s]; negative where they act after them.
       step: of the simulation [s].
       believed: model of the recording.
+      reports: by what factor drives report the torques that they have; 0 for drives that report none.
     """
     rng = np.random.default_rng(seed)
     sent = command(rng, seconds, 200.0)
@@ -80,8 +83,16 @@ def moved_arm(
     if quantum:
         seen[:, :2] = quantum * np.round(seen[:, :2] / quantum)
         seen[:, 2:] = np.nan
-    measured = np.full(2, not quantum)
-    return Recording(name, time, sent.at(time - late), seen[:, :2], seen[:, 2:], measured, split, believed or arm())  # type: ignore[arg-type]
+    measured, torques = np.full(2, not quantum), {}
+    if reports:
+        data, rows = mujoco.MjData(model), []
+        for i in index:
+            data.qpos[:], data.qvel[:], data.ctrl[:] = states[i, :2], states[i, 2:], controls[min(i, count - 1)]
+            mujoco.mj_forward(model, data)
+            rows.append(reports * data.actuator_force + 0.01 * rng.standard_normal(2))
+        torques = dict(zip(part_names(model, "actuator"), np.transpose(rows), strict=True))
+    ctrl, own = sent.at(time - late), believed or arm()
+    return Recording(name, time, ctrl, seen[:, :2], seen[:, 2:], measured, split, own, torques)  # type: ignore[arg-type]
 
 
 def arm_dataset(seed: int, fit: int = 3, test: int = 2, known: bool = True, **how) -> Dataset:

@@ -1,4 +1,4 @@
-"""Forces that drives report, against plain MuJoCo."""
+"""Forces that drives report, against plain MuJoCo, and what they tell."""
 
 from dataclasses import replace
 
@@ -6,14 +6,16 @@ import mujoco
 import numpy as np
 import pytest
 from gap_arm import arm
-from gap_forces import believed, exact_stretch, moved_arm
+from gap_forces import arm_dataset, believed, exact_stretch, moved_arm
 from gap_models import one
 
 from btr_mjx.gap.effects import TORQUE_CONSTANT
 from btr_mjx.gap.effects.actuators import ACTUATOR_GAIN
 from btr_mjx.gap.effects.friction import VISCOUS_DAMPING
+from btr_mjx.gap.forces import identify_forces, prepare_forces
 from btr_mjx.gap.forces.motion import FreeNumber, linearise_motion, responses
 from btr_mjx.gap.forces.stretches import Stretches
+from btr_mjx.gap.simulate import Counter
 
 SAMPLES = (3, 18, 31, 47)
 
@@ -70,3 +72,21 @@ def test_reports_tell_a_weak_motor_from_friction(stretches: Stretches) -> None:
         np.testing.assert_allclose(own[:, 1, column], forces[:, 1], rtol=1e-6, atol=1e-6)
         np.testing.assert_allclose(own[:, 0, column], 0, atol=1e-6)
     assert not found[0, :, :4, 2].any()
+
+
+@pytest.mark.slow
+def test_a_weak_motor_and_damping_at_one_joint_are_both_found() -> None:
+    """Although drives report four percent more than they have, which is said."""
+
+    def weak_and_damped(model: mujoco.MjModel) -> None:
+        model.actuator_gainprm[1] *= 0.8
+        model.actuator_biasprm[1] *= 0.8
+        model.dof_damping[1] += 0.3
+
+    prepared = prepare_forces(arm_dataset(3, change=weak_and_damped, reports=1.04, seconds=1.6))
+    assert prepared is not None
+    found = identify_forces(prepared, (VISCOUS_DAMPING, ACTUATOR_GAIN), 3, lambda _: None, Counter())
+    numbers = {one.name: next(iter(one.parameters.values())).value for one in found.effects}
+    damping, gain = f"viscous_damping@joint:{arm().joint(1).name}", f"actuator_gain@actuator:{arm().actuator(1).name}"
+    assert numbers == {damping: pytest.approx(0.3, rel=0.15), gain: pytest.approx(-0.2, abs=0.03)}
+    assert any("Drives report" in note for note in found.notes)
