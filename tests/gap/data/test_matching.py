@@ -171,6 +171,15 @@ def test_numbers_of_joints_win_over_their_order() -> None:
     assert "qpos/joint1" not in names_of(["t", "q0", "q1", "q2"], model).values()
 
 
+@pytest.mark.parametrize("form", ["/joint_states/{}[{}]", "robot/joints/{}_{}", "joint_{}_{}"])
+@pytest.mark.parametrize("first", [0, 1])
+def test_numbers_that_begin_at_nought_are_no_numbers_of_joints_that_begin_at_one(form: str, first: int) -> None:
+    model = mujoco.MjModel.from_xml_string(ARM.replace('"shoulder"', '"joint_1"').replace('"elbow"', '"joint_2"'))
+    columns = [form.format(kind, first + i) for kind in ("position", "velocity") for i in (0, 1)]
+    found = names_of(["__time", *columns], model)
+    assert [found.get(c) for c in columns] == ["qpos/joint_1", "qpos/joint_2", "qvel/joint_1", "qvel/joint_2"]
+
+
 def test_torques_are_the_commands_of_motors_where_none_is_named_so() -> None:
     alone = match_columns([("log", ["t", "tau_shoulder", "elbow_torque"])], MOTORS, {}, "log.csv")
     assert set(alone.names.values()) == {"time", "ctrl/m1", "ctrl/m2"}

@@ -167,7 +167,9 @@ def match_one(
     if len(numbers) == 1 and (best is None or best[0] == (numbers[0],)) and not unknown_words(rest):
         command, quantity = kind_of(frozenset(rest) | hint)
         if command or quantity:
-            finds.numbered[command, quantity, i, rest][int(numbers[0])] = column
+            # Words that all columns share were left out above only of numbers that are no joint's.
+            own = tuple(word for word in rest if word not in common)
+            finds.numbered[command, quantity, i, own][int(numbers[0])] = column
             return
     if best is None:
         _match_base(i, column, said, label, names.model, finds)
