@@ -53,8 +53,9 @@ def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Fi
         findings.append(Finding("warning" if odd else "note", "loading", line))
     for line in dict.fromkeys(note for recording in dataset.recordings for note in recording.notes):
         names = [r.name for r in dataset.recordings if line in r.notes]
+        of = "" if len(names) == len(dataset.recordings) else f" ({listed(names)})"
         level: Level = "warning" if line.startswith("joints without an encoder") else "note"
-        findings.append(Finding(level, "loading", f"{line} ({listed(names)})"))
+        findings.append(Finding(level, "loading", line + of))
     findings += sampling(dataset)
     findings += held_positions(dataset) + held_commands(dataset) + angle_jumps(dataset)
     findings += _conventions(dataset, joints, noise, findings)
