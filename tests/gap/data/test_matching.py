@@ -155,6 +155,13 @@ def test_suggestions_fit_in_unit_and_quantity() -> None:
     assert not may_be("x", "qpos/elbow", MODEL, "nm")
 
 
+def test_a_column_that_has_its_place_is_not_suggested() -> None:
+    tables = [("log", ["t", "shoulder", "elbow", "u_shoulder"])]
+    with pytest.raises(InputError) as raised:
+        check_matched(match_columns(tables, MODEL, {}, "x"), tables, MODEL, "x")
+    assert '"NAME 1" = "ctrl/elbow"  # nearest: none' in raised.value.lines
+
+
 def test_lists_in_messages_are_whole_or_say_how_much_is_missing() -> None:
     for count in (30, 41):
         tables = [("log", ["t", *(f"channel{i}" for i in range(count - 1))])]
