@@ -78,6 +78,17 @@ def test_numbers_are_taken_in_the_order_of_the_model_and_said() -> None:
     assert sum("order of the model" in note for note in matched.notes) == 3
 
 
+def test_the_order_that_was_taken_is_told_of_all_joints() -> None:
+    limbs = "".join(
+        f'<body><joint name="{i}{part}"/><geom size="0.1"/></body>' for i in "abcdef" for part in ("hip", "knee")
+    )
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{limbs}</worldbody></mujoco>")
+    (note,) = match_columns([("log", [f"q[{i}]" for i in range(12)])], model, {}, "x").notes[:1]
+    assert note == "'q[0]' to 'q[11]' were taken in the order of the model: " + ", ".join(
+        mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, i) for i in range(12)
+    )
+
+
 def test_a_prefix_between_quantity_and_joint_does_not_count() -> None:
     model = mujoco.MjModel.from_xml_string(ARM.replace('"shoulder"', '"joint1"').replace('"elbow"', '"joint2"'))
     kinds = {"position": "qpos", "velocity": "qvel", "command": "ctrl"}
