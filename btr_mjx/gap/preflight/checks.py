@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data import Dataset, Noise, listed, noise_of
+from btr_mjx.gap.data import Dataset, Noise, counted, listed, noise_of
 from btr_mjx.gap.preflight.conventions import position_conventions
 from btr_mjx.gap.preflight.drift import clock_drift
 from btr_mjx.gap.preflight.excitation import NO_GROUND, JointTrack, joint_tracks, moves, unexcited_effects
@@ -90,8 +90,8 @@ def _summary(dataset: Dataset) -> list[str]:
     seconds = sum(float(t[-1] - t[0]) for t in times)
     between = f'{_BETWEEN[key]} ("{key}"; interpolation in [control] of dataset.toml changes it)'
     return [
-        f"{len(dataset.fit)} recording{'s' if len(dataset.fit) > 1 else ''} to fit and {len(dataset.test)} held out, "
-        f"{seconds:.1f} s, {sum(map(len, times))} samples of {model.njnt} joints and {model.nu} commands",
+        f"{counted(len(dataset.fit), 'recording')} to fit and {len(dataset.test)} held out, {seconds:.1f} s, "
+        f"{sum(map(len, times))} samples of {counted(model.njnt, 'joint')} and {counted(model.nu, 'command')}",
         "held out: " + listed([r.name for r in dataset.test]),
         *([f"commands between samples: {between}"] if model.nu else []),
     ]
