@@ -22,7 +22,7 @@ The run folder holds:
 import dataclasses
 import sys
 import types
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -59,6 +59,7 @@ def coevolve(robot: Robot | Path | str | None = None, **settings: Any) -> dict[s
     Args:
       robot: a robot, or a robot.toml that describes one; None for the hexapod of the paper.
       **settings: fields of `CoevolveConfig`, the flags of the command; `preset` chooses the defaults of the others.
+        `truth` may be a mapping of names to values.
 
     Returns:
       The content of result.json.
@@ -71,6 +72,8 @@ def coevolve(robot: Robot | Path | str | None = None, **settings: Any) -> dict[s
     own = robot if isinstance(robot, Robot) else None
     if robot is not None:
         settings = (setting_of_robot(robot) if isinstance(robot, Robot) else {"robot": robot}) | settings
+    if isinstance(truth := settings.get("truth"), Mapping):
+        settings["truth"] = [f"{name}={value}" for name, value in truth.items()]
     settings = typed_settings(CoevolveConfig, settings)
     return run_config(dataclasses.replace(PRESETS[settings.get("preset", "quick")], **settings), own)
 

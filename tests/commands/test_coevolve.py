@@ -138,6 +138,8 @@ def test_a_robot_of_a_program_and_of_a_file(tmp_path: Path) -> None:
         ({"noise": -1}, "noise: got -1"),
         ({"trials": 900, "controllers": 8}, "trials m = 900"),
         ({"unknown": "bl_99"}, "bl_99"),
+        ({"truth": {"bl_14": 1.7}}, r"got 1\.7 for 'bl_14'"),
+        ({"truth": {"bl_3": 1.0}}, "bl_3 is not among the unknown"),
         ({"robot": 3}, "robot: got 3, expected a path or None"),
     ],
 )
