@@ -56,6 +56,8 @@ def fastest_engine(robot: Robot) -> Engine:
         return "native"
     import jax  # takes seconds, which bad input should not
 
+    from btr_mjx.engines import uses_doubles
+
     return _fastest(_program_inputs(robot), uses_doubles(), jax.default_backend())
 
 
