@@ -80,13 +80,16 @@ def test_run_folder(finished: Path) -> None:
 
 def test_progress_ends_at_the_total_that_was_announced(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     flags = [flag for flag in SMALL_RUN if flag != "--no-progress"]
-    coevolve.main([*flags, "--distance", "fitness", "--out", str(tmp_path / "run")])
+    flags += ["--distance", "fitness", "--out", str(tmp_path / "run")]
+    coevolve.main(flags)
     lines = [line for line in capsys.readouterr().err.splitlines() if "pairs" in line]
     totals = [re.search(r"(\d+)%.* (\d+)/(\d+) ", line) for line in lines]
     counts = [tuple(map(int, found.groups())) for found in totals if found]
     assert counts[0][:2] == (0, 0)
     assert counts[-1][0] == 100
     assert {total for _, _, total in counts} == {counts[-1][1]}
+    coevolve.main([*flags, "--resume"])  # nothing is left to be done
+    assert "pairs" not in capsys.readouterr().err
 
 
 SMALL: dict[str, Any] = {

@@ -171,6 +171,7 @@ def test_a_column_that_has_its_place_is_not_suggested() -> None:
     with pytest.raises(InputError) as raised:
         check_matched(match_columns(tables, MODEL, {}, "x"), tables, MODEL, "x")
     assert '"NAME 1" = "ctrl/elbow"  # nearest: none' in raised.value.lines
+    assert any("leave the actuator, and joints that stood still" in line for line in raised.value.lines)
 
 
 def test_lists_in_messages_are_whole_or_say_how_much_is_missing() -> None:
