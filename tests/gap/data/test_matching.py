@@ -30,11 +30,13 @@ def names_of(columns: list[str], model: mujoco.MjModel = MODEL) -> dict[str, str
     ("columns", "target"),
     [
         ("q_shoulder|Shoulder|pos_shoulder|shoulder.position|joint_states/shoulder/position|shoulderPos|shoulder [deg]"
-         "|/joint_states/position/shoulder|measured_shoulder_pos|observation.state.shoulder.pos|SHOULDER_joint_pos_deg",
+         "|/joint_states/position/shoulder|measured_shoulder_pos|observation.state.shoulder.pos|SHOULDER_joint_pos_deg"
+         "|feedback/positions/shoulder",
          "qpos/shoulder"),
         ("dq_shoulder|qd_shoulder|shoulder_vel|joint_velocities/shoulder|shoulder_speed [rpm]|shoulder/qdot",
          "qvel/shoulder"),
-        ("shoulder_cmd|cmd/shoulder|des_pos_shoulder|shoulder_ref|u_shoulder|action.shoulder.pos|target_q_shoulder",
+        ("shoulder_cmd|cmd/shoulder|des_pos_shoulder|shoulder_ref|u_shoulder|action.shoulder.pos|target_q_shoulder"
+         "|qdes_shoulder",
          "ctrl/shoulder"),
         ("tau_shoulder|shoulder_torque|joint_states/effort/shoulder", "force/shoulder"),
         ("shoulder_temperature|shoulder_error|shoulder_acceleration|des_vel_shoulder|shoulderx|battery", None),
@@ -203,6 +205,7 @@ def test_torques_are_the_commands_of_motors_where_none_is_named_so() -> None:
     alone = match_columns([("log", ["t", "tau_shoulder", "elbow_torque"])], MOTORS, {}, "log.csv")
     assert set(alone.names.values()) == {"time", "ctrl/m1", "ctrl/m2"}
     assert any("'tau_shoulder' is taken as its command" in note for note in alone.notes)
+    assert "ctrl/m1" not in names_of(["t", "qdes_shoulder"], MOTORS).values()
     both = names_of(["t", "tau_shoulder", "tau_des_shoulder"], MOTORS)
     assert both["tau_des_shoulder"] == "ctrl/m1"
 
