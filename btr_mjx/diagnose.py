@@ -2,7 +2,7 @@
 
 MODEL.xml is the MJCF of the believed robot; a LOG is a CSV, Parquet, NPZ, HDF5, MCAP, rosbag2 or .pt file, see
 docs/logs.md, or the folder of a LeRobot dataset. A folder may stand for both: one that holds them, one with a
-dataset.toml (see btr_mjx/gap/data/dataset.py), or with BAM's JSON beside a servo.toml.
+dataset.toml (docs/gap.md), or with BAM's JSON beside a servo.toml.
 `python -m btr_mjx.diagnose --demo` makes a hidden case from a seed and solves it.
 With --check it only checks the data, within seconds, and writes nothing: docs/check.md.
 With --before EARLIER the question is another one: what has changed since these earlier recordings of the same robot?
@@ -98,8 +98,7 @@ class DiagnoseConfig:
     residual: bool = False
     """Fit a smooth table of the force that nothing explains, for mended.json; for robots that touch nothing."""
     signal: Literal["trajectory", "fitness"] = "trajectory"
-    """trajectory: recordings of the motion. fitness: a table of controllers and measured fitness, see
-    btr_mjx/gap/fitness_only/fitness_table.py."""
+    """trajectory: recordings of the motion. fitness: a table of controllers and measured fitness, see docs/gap.md."""
 
     demo: bool = False
     """Make a hidden case from the seed and solve it; the last lines say what was hidden."""
