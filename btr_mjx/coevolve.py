@@ -45,12 +45,12 @@ from btr_mjx.backtoreality import (
     summary_table,
     typed_settings,
 )
-from btr_mjx.errors import cli_errors, resume_command
+from btr_mjx.errors import Interrupted, cli_errors, resume_command
 from btr_mjx.models import base_model
 from btr_mjx.pages import PAGE, draw_run_page
 from btr_mjx.plotting import attempt
 from btr_mjx.robots import Robot
-from btr_mjx.runs import IGNORED_FIELDS, RunFolder, claimed_folder, graceful_interrupt, write_arrays, write_json
+from btr_mjx.runs import IGNORED_FIELDS, RunFolder, claimed_folder, graceful_interrupt, note, write_arrays, write_json
 
 
 def coevolve(robot: Robot | Path | str | None = None, **settings: Any) -> dict[str, Any]:
@@ -75,7 +75,12 @@ def coevolve(robot: Robot | Path | str | None = None, **settings: Any) -> dict[s
     if isinstance(truth := settings.get("truth"), Mapping):
         settings["truth"] = [f"{name}={value}" for name, value in truth.items()]
     settings = typed_settings(CoevolveConfig, settings)
-    return run_config(dataclasses.replace(PRESETS[settings.get("preset", "quick")], **settings), own)
+    with _claimed(dataclasses.replace(PRESETS[settings.get("preset", "quick")], **settings)) as config:
+        say = note if config.progress else lambda line: None
+        try:
+            return run_config(config, own, lambda result, out: say(f"all files in {out}"))
+        except Interrupted as error:
+            raise Interrupted(f"{error}; go on with out={str(config.out)!r}, resume=True", error.signum) from None
 
 
 def run_config(

@@ -18,7 +18,7 @@ import pytest
 import btr_mjx
 from btr_mjx import coevolve
 from btr_mjx.backtoreality import CoevolveConfig, Problem
-from btr_mjx.errors import InputError
+from btr_mjx.errors import InputError, Interrupted
 from btr_mjx.evaluation import evaluate
 from btr_mjx.models import load_robot
 from btr_mjx.plotting import draw_run
@@ -112,6 +112,16 @@ def test_library_face(finished: Path, tmp_path: Path) -> None:
     result = btr_mjx.coevolve(hexapod(), **SMALL, out=str(tmp_path / "again"))
     assert files(tmp_path / "again") == files(finished)
     assert result["reality_evaluations"] == 7
+
+
+def test_who_interrupts_in_python_learns_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*arguments: Any) -> None:
+        raise Interrupted("stopped at a safe point (SIGINT)", 2)
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(coevolve, "run_in_folder", stopped)
+    with pytest.raises(Interrupted, match=r"safe point \(SIGINT\); go on with out='runs/quick-0', resume=True"):
+        btr_mjx.coevolve(hexapod(), **SMALL)
 
 
 def test_a_robot_of_a_program_and_of_a_file(tmp_path: Path) -> None:
