@@ -230,7 +230,7 @@ def test_a_killed_search_goes_on(
     saved = {path: path.stat().st_mtime_ns for path in (run / "search").iterdir()}
     assert len(saved) > 5
     err = capsys.readouterr().err
-    assert re.search(r"\d+%.*steps/s", err)
+    assert re.search(r"\d+ksteps .*steps/s", err)
     kept: list[int] = []
 
     def watched(path: Path, report: Callable[[int], None], code: bytes) -> Journal:
