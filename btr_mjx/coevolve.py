@@ -22,7 +22,7 @@ The run folder holds:
 import dataclasses
 import sys
 import types
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -45,12 +45,12 @@ from btr_mjx.backtoreality import (
     summary_table,
     typed_settings,
 )
-from btr_mjx.errors import cli_errors, resume_command
+from btr_mjx.errors import Interrupted, cli_errors, resume_command
 from btr_mjx.models import base_model
 from btr_mjx.pages import PAGE, draw_run_page
 from btr_mjx.plotting import attempt
 from btr_mjx.robots import Robot
-from btr_mjx.runs import IGNORED_FIELDS, RunFolder, claimed_folder, graceful_interrupt, write_arrays, write_json
+from btr_mjx.runs import IGNORED_FIELDS, RunFolder, claimed_folder, graceful_interrupt, note, write_arrays, write_json
 
 
 def coevolve(robot: Robot | Path | str | None = None, **settings: Any) -> dict[str, Any]:
@@ -59,6 +59,7 @@ def coevolve(robot: Robot | Path | str | None = None, **settings: Any) -> dict[s
     Args:
       robot: a robot, or a robot.toml that describes one; None for the hexapod of the paper.
       **settings: fields of `CoevolveConfig`, the flags of the command; `preset` chooses the defaults of the others.
+        `truth` may be a mapping of names to values.
 
     Returns:
       The content of result.json.
@@ -71,8 +72,15 @@ def coevolve(robot: Robot | Path | str | None = None, **settings: Any) -> dict[s
     own = robot if isinstance(robot, Robot) else None
     if robot is not None:
         settings = (setting_of_robot(robot) if isinstance(robot, Robot) else {"robot": robot}) | settings
+    if isinstance(truth := settings.get("truth"), Mapping):
+        settings["truth"] = [f"{name}={value}" for name, value in truth.items()]
     settings = typed_settings(CoevolveConfig, settings)
-    return run_config(dataclasses.replace(PRESETS[settings.get("preset", "quick")], **settings), own)
+    with _claimed(dataclasses.replace(PRESETS[settings.get("preset", "quick")], **settings)) as config:
+        say = note if config.progress else lambda line: None
+        try:
+            return run_config(config, own, lambda result, out: say(f"all files in {out}"))
+        except Interrupted as error:
+            raise Interrupted(f"{error}; go on with out={str(config.out)!r}, resume=True", error.signum) from None
 
 
 def run_config(

@@ -2,7 +2,7 @@
 
 MODEL.xml is the MJCF of the believed robot; a LOG is a CSV, Parquet, NPZ, HDF5, MCAP, rosbag2 or .pt file, see
 docs/logs.md, or the folder of a LeRobot dataset. A folder may stand for both: one that holds them, one with a
-dataset.toml (see btr_mjx/gap/data/dataset.py), or with BAM's JSON beside a servo.toml.
+dataset.toml (docs/gap.md), or with BAM's JSON beside a servo.toml.
 `python -m btr_mjx.diagnose --demo` makes a hidden case from a seed and solves it.
 With --check it only checks the data, within seconds, and writes nothing: docs/check.md.
 With --before EARLIER the question is another one: what has changed since these earlier recordings of the same robot?
@@ -98,8 +98,7 @@ class DiagnoseConfig:
     residual: bool = False
     """Fit a smooth table of the force that nothing explains, for mended.json; for robots that touch nothing."""
     signal: Literal["trajectory", "fitness"] = "trajectory"
-    """trajectory: recordings of the motion. fitness: a table of controllers and measured fitness, see
-    btr_mjx/gap/fitness_only/fitness_table.py."""
+    """trajectory: recordings of the motion. fitness: a table of controllers and measured fitness, see docs/gap.md."""
 
     demo: bool = False
     """Make a hidden case from the seed and solve it; the last lines say what was hidden."""
@@ -119,7 +118,7 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
 
     Args:
       config: the settings.
-      **changes: fields of the config to replace.
+      **changes: fields of the config to replace; a text may stand for a path.
 
     Returns:
       The content of result.json.
@@ -128,6 +127,9 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
       InputError: bad settings or data, or a folder that cannot take this run.
       Interrupted: a signal asked to stop; the run can be resumed.
     """
+    from btr_mjx.backtoreality import typed_settings
+
+    changes = typed_settings(DiagnoseConfig, changes)
     return _diagnose(dataclasses.replace(config or DiagnoseConfig(), **changes), lambda result, out: None)
 
 
@@ -204,9 +206,9 @@ def check_diagnosis(config: DiagnoseConfig) -> None:
     """
     if (config.dataset is None) != config.demo:
         what = "no dataset" if config.dataset is None else f"a dataset ({config.dataset}) and --demo"
-        raise InputError(f"got {what}; give a folder of recordings, or --demo alone")
+        raise InputError(f"got {what}; give MODEL.xml and its LOGS, a folder of both, or --demo alone")
     if config.dataset is not None and not config.dataset.exists():
-        raise InputError(f"{config.dataset}: there is no such folder")
+        raise InputError(f"{config.dataset}: there is no such file or folder")
     if config.check and config.demo:
         raise InputError("got --check and --demo; --check takes a folder of recordings")
     if config.json and not config.check:
@@ -296,8 +298,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
     argv = sys.argv[1:] if argv is None else list(argv)
     config = tyro.cli(DiagnoseConfig, args=list(argv), description=__doc__, prog="btr_mjx.diagnose")
+    check_diagnosis(config)
     with nullcontext(config) if config.check else _claimed(config) as config:
-        check_diagnosis(config)
         import mujoco
 
         mujoco.set_mju_user_warning(lambda _: None)  # checks and the search report unstable candidates

@@ -31,8 +31,8 @@ def _typed(name: str, value: Any, hint: Any) -> Any:
     kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
     for kind in kinds:
         inner = get_args(kind)
-        if get_origin(kind) is tuple and isinstance(value, (list, tuple, str)):
-            return tuple(_typed(name, one, inner[0]) for one in ([value] if isinstance(value, str) else value))
+        if get_origin(kind) is tuple and isinstance(value, (list, tuple, str, Path)):
+            return tuple(_typed(name, one, inner[0]) for one in ([value] if isinstance(value, (str, Path)) else value))
         if get_origin(kind) is Literal and isinstance(value, str) and value in inner:
             return value
         if kind is Path and isinstance(value, (str, Path)):

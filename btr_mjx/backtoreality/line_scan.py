@@ -61,12 +61,13 @@ def along(robot: Robot, parameter: str, grid: int | ArrayLike, base: ArrayLike |
     Raises:
       InputError: unknown parameter, values out of bounds, fewer than two points.
     """
+    Robot.expect(robot)
     box = robot.simulation_box
     index = box.index(parameter)
     values = np.asarray(grid)
     if values.ndim == 0:
         if values < 2:
-            raise InputError(f"grid: got {values}, expected at least 2 points")
+            raise InputError(f"grid: got {values}, expected at least 2 points, or a list of values")
         values = np.linspace(box.low[index], box.high[index], int(values))
     base = robot.nominal_simulation if base is None else box.validate(base, "base")
     return box.embed(base, [parameter], values[:, None])

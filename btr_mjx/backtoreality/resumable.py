@@ -43,6 +43,7 @@ def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: boo
         else:
             tables[kind].append(row)
 
+    show = show and state.phase != "done"
     with progress(total=_pairs_left(problem, state), description="pairs", unit="pairs", show=show) as bar:
         problem = replace(problem, progress=bar.update)
         while state.phase != "done":

@@ -1,5 +1,6 @@
 """Engines for a robot: which is fastest, and the runners, steppers and compiled programs, each made once."""
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 
 Engine = Literal["lanes", "mjx", "native"]
 """Name of a physics engine, see `btr_mjx.engines`."""
+
+_LOG = logging.getLogger(__name__)
 
 _CAPACITY = 16
 """Chunks per device and block."""
@@ -47,17 +50,26 @@ class EngineSettings:
 def fastest_engine(robot: Robot) -> Engine:
     """The fastest engine that supports a robot: lanes; otherwise MJX on an accelerator or native on a CPU.
 
-    A simulator of the robot's own counts as native.
+    A simulator of the robot's own counts as native. That an engine other than lanes is taken, and why, is logged once.
     """
     if robot.simulator is not None:
         return "native"
     import jax  # takes seconds, which bad input should not
 
+    from btr_mjx.engines import uses_doubles
+
+    return _fastest(_program_inputs(robot), uses_doubles(), jax.default_backend())
+
+
+@lru_cache(maxsize=16)
+def _fastest(robot: Robot, x64: bool, backend: str) -> Engine:
     try:
-        stepper_of(robot, "lanes", guards=True)
+        _stepper(robot, "lanes", x64, True)
         return "lanes"
-    except UnsupportedModel:
-        return "native" if jax.default_backend() == "cpu" else "mjx"
+    except UnsupportedModel as error:
+        engine: Engine = "native" if backend == "cpu" else "mjx"
+        _LOG.warning("engine %s: %s", engine, str(error).partition(";")[0])
+        return engine
 
 
 @dataclass(frozen=True)

@@ -89,6 +89,7 @@ def evaluate(
         unknown fitness.
       UnsupportedModel: the given engine does not support this robot.
     """
+    Robot.expect(robot)
     fitness, settings = fitness_function(fitness, robot.target), settings or EngineSettings()
     s, c = checked_pairs(robot, simulations, controllers)
     if pairwise and len(s) != len(c):

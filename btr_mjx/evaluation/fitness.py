@@ -54,8 +54,18 @@ class FitnessFunction:
     needs_states: bool = False
 
     def __call__(self, outcome: Outcome) -> np.ndarray:
-        """Fitness of each behaviour."""
-        return self.function(outcome)
+        """Fitness of each behaviour.
+
+        Raises:
+          InputError: the function gives something else than one number for each.
+        """
+        values, expected = self.function(outcome), outcome.position.shape[:-2]
+        if np.shape(values) != expected:
+            raise InputError(
+                f"fitness {self.name!r}: gave shape {np.shape(values)} for trials of shape {expected}, expected one "
+                "number for each trial"
+            )
+        return values
 
 
 def _speed(outcome: Outcome) -> np.ndarray:

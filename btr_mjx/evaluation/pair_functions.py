@@ -198,7 +198,7 @@ def _one_pair(
     def function(leaves: ModelLeaves, controller: Any) -> Any:
         missing = [name for name in needed if name not in leaves]
         if missing:
-            raise InputError(f"leaves: got {sorted(leaves)}, expected those of model_leaves(): without {missing}")
+            raise InputError(f"leaves: expected model_leaves(robot, simulation), got none of {', '.join(missing)}")
         return one({name: leaves[name] for name in needed}, controller)
 
     return function

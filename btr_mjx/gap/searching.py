@@ -14,9 +14,6 @@ if TYPE_CHECKING:
 JOURNAL = "search"
 """Folder of simulation results in a run folder, from which a search is resumed."""
 
-STEPS_PER_BUDGET = 2.0
-"""Estimated steps of a search per step of its budget, which pays for the windows of one round."""
-
 
 def search_missing(
     dataset: "Dataset | FitnessTable",
@@ -52,13 +49,10 @@ def search_missing(
     from btr_mjx.gap.inference import identify
     from btr_mjx.gap.results import as_result, before_entry, save_diagnosis, save_quantities
     from btr_mjx.gap.simulate import Journal
-    from btr_mjx.gap.windows import Options
 
-    if isinstance(dataset, FitnessTable):
-        total = expected_steps(dataset, library)
-    else:
-        total = (1 + len(earlier)) * STEPS_PER_BUDGET * Options().budget(dataset.model.nv)
-    with progress(total=round(total), description="search", unit="steps", unit_scale=True, show=show) as bar:
+    # How many steps a search in recordings takes is known at its end only; robots differ tenfold.
+    total = round(expected_steps(dataset, library)) if isinstance(dataset, FitnessTable) else None
+    with progress(total=total, description="search", unit="steps", unit_scale=True, show=show) as bar:
 
         def report_stage(stage: str) -> None:
             bar.set_description(stage)

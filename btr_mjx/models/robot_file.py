@@ -52,6 +52,8 @@ def load_robot(path: str | Path) -> Robot:
     """
     file = Path(path)
     file = file / "robot.toml" if file.is_dir() else file
+    if file.suffix in (".xml", ".mjcf", ".j2"):
+        raise InputError(f"{file}: a robot is a robot.toml, which names its MJCF; see docs/robot_file.md")
     try:
         table = read_toml(file)
     except OSError as error:

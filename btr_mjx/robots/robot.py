@@ -143,6 +143,16 @@ class Robot:
     duration: float = 1.7
     speed_limit: float = 50.0
 
+    @staticmethod
+    def expect(robot: object) -> None:
+        """Check that an argument is a robot.
+
+        Raises:
+          InputError: it is something else.
+        """
+        if not isinstance(robot, Robot):
+            raise InputError(f"robot: got {robot!r}, expected a Robot; load_robot(FILE) gives that of a robot.toml")
+
     def __post_init__(self) -> None:
         self.simulation_box.validate(self.nominal, "nominal simulation")
         if not (self.duration > 0 and math.isfinite(self.duration)):

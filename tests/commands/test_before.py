@@ -11,7 +11,7 @@ import pytest
 from hidden_cases import CaseSettings, make_case
 
 from btr_mjx import diagnose
-from btr_mjx.errors import BAD_INPUT_CODE
+from btr_mjx.errors import BAD_INPUT_CODE, InputError
 from btr_mjx.gap import forces
 from btr_mjx.gap.forces import Changes
 from btr_mjx.gap.results import (
@@ -138,3 +138,14 @@ def test_another_robot_is_refused_with_both_names(folder: Path, capsys: pytest.C
     assert "not the same robot" in error
     assert str(folder / "arm") in error
     assert str(folder / "after") in error
+
+
+def test_texts_in_python_stand_for_paths(tmp_path: Path) -> None:
+    for given, message in (
+        ({"dataset": "nowhere"}, "nowhere: there is no such file or folder"),
+        ({"dataset": str(tmp_path), "before": str(tmp_path / "absent")}, "--before .*absent: there is no such"),
+        ({"dataset": str(tmp_path), "max_effect": 3}, "no setting 'max_effect'; nearest: 'max_effects'"),
+    ):
+        with pytest.raises(InputError, match=message):
+            diagnose.diagnose(**given, out=str(tmp_path / "run"))
+    assert not (tmp_path / "run").exists()

@@ -18,7 +18,7 @@ import pytest
 import btr_mjx
 from btr_mjx import coevolve
 from btr_mjx.backtoreality import CoevolveConfig, Problem
-from btr_mjx.errors import InputError
+from btr_mjx.errors import InputError, Interrupted
 from btr_mjx.evaluation import evaluate
 from btr_mjx.models import load_robot
 from btr_mjx.plotting import draw_run
@@ -80,13 +80,16 @@ def test_run_folder(finished: Path) -> None:
 
 def test_progress_ends_at_the_total_that_was_announced(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     flags = [flag for flag in SMALL_RUN if flag != "--no-progress"]
-    coevolve.main([*flags, "--distance", "fitness", "--out", str(tmp_path / "run")])
+    flags += ["--distance", "fitness", "--out", str(tmp_path / "run")]
+    coevolve.main(flags)
     lines = [line for line in capsys.readouterr().err.splitlines() if "pairs" in line]
     totals = [re.search(r"(\d+)%.* (\d+)/(\d+) ", line) for line in lines]
     counts = [tuple(map(int, found.groups())) for found in totals if found]
     assert counts[0][:2] == (0, 0)
     assert counts[-1][0] == 100
     assert {total for _, _, total in counts} == {counts[-1][1]}
+    coevolve.main([*flags, "--resume"])  # nothing is left to be done
+    assert "pairs" not in capsys.readouterr().err
 
 
 SMALL: dict[str, Any] = {
@@ -109,6 +112,16 @@ def test_library_face(finished: Path, tmp_path: Path) -> None:
     result = btr_mjx.coevolve(hexapod(), **SMALL, out=str(tmp_path / "again"))
     assert files(tmp_path / "again") == files(finished)
     assert result["reality_evaluations"] == 7
+
+
+def test_who_interrupts_in_python_learns_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*arguments: Any) -> None:
+        raise Interrupted("stopped at a safe point (SIGINT)", 2)
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(coevolve, "run_in_folder", stopped)
+    with pytest.raises(Interrupted, match=r"safe point \(SIGINT\); go on with out='runs/quick-0', resume=True"):
+        btr_mjx.coevolve(hexapod(), **SMALL)
 
 
 def test_a_robot_of_a_program_and_of_a_file(tmp_path: Path) -> None:
@@ -138,6 +151,8 @@ def test_a_robot_of_a_program_and_of_a_file(tmp_path: Path) -> None:
         ({"noise": -1}, "noise: got -1"),
         ({"trials": 900, "controllers": 8}, "trials m = 900"),
         ({"unknown": "bl_99"}, "bl_99"),
+        ({"truth": {"bl_14": 1.7}}, r"got 1\.7 for 'bl_14'"),
+        ({"truth": {"bl_3": 1.0}}, "bl_3 is not among the unknown"),
         ({"robot": 3}, "robot: got 3, expected a path or None"),
     ],
 )

@@ -69,7 +69,7 @@ def test_a_spreadsheet_in_degrees_with_decimal_commas(tmp_path: Path) -> None:
         "Shoulder Pos = qpos/shoulder",
         "Elbow Cmd from deg",
         "in ms (as stated)",
-        "split into 2 parts at 1 holes",
+        "split into 2 parts at 1 hole,",
     ):
         assert told(findings, text), text
     assert not told(findings, "gaps")

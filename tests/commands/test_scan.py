@@ -130,6 +130,11 @@ def test_other_behaviours(behaviours: str, tmp_path: Path) -> None:
     assert len(np.unique(controllers, axis=0)) == 3
 
 
+def test_a_line_needs_points_or_values() -> None:
+    with pytest.raises(InputError, match=r"got 1\.6, expected at least 2 points, or a list of values"):
+        scan.along(hexapod(), "bl_14", 1.6)
+
+
 @pytest.mark.parametrize(
     ("flags", "words"),
     [

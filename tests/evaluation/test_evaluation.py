@@ -1,10 +1,12 @@
 """evaluate() on its fast engine: Theorems 1 and 2 to the bit, shapes, errors."""
 
 import dataclasses
+import logging
 
 import numpy as np
 import pytest
 
+from btr_mjx.backtoreality import along
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import EngineSettings, evaluate, fastest_engine, fitness
 from btr_mjx.models import compile_models, model_batch
@@ -56,6 +58,18 @@ def test_fastest_engine_agrees_with_native(robot: Robot, rng: np.random.Generato
     np.testing.assert_allclose(fast.fitness, exact.fitness, rtol=0, atol=1e-3)
 
 
+def test_another_engine_than_lanes_is_told_once_with_its_reason(
+    robot: Robot, rng: np.random.Generator, caplog: pytest.LogCaptureFixture
+) -> None:
+    template = robot.template.replace("implicitfast", "implicit")
+    own, c = dataclasses.replace(robot, template=template), robot.controller_box.sample(rng, 2)
+    with caplog.at_level(logging.WARNING):
+        for _ in range(2):
+            assert evaluate(own, robot.nominal, c, times=[0.01]).engine == "native"
+    reason = "the lanes engine does not compute the mjINT_IMPLICIT integrator (only Euler, implicitfast and RK4)"
+    assert [record.getMessage() for record in caplog.records] == [f"engine native: {reason}"]
+
+
 def test_samples_on_the_way(robot: Robot, rng: np.random.Generator) -> None:
     c = robot.controller_box.sample(rng, 2)
     result = evaluate(robot, [robot.nominal], c, times=[0.01, 0.02, 0.03], engine="native", states=True)
@@ -91,6 +105,12 @@ def test_bad_input(robot: Robot, arguments: dict, message: str) -> None:
     good = {"simulations": [robot.nominal], "controllers": np.tile(robot.controller_box.low, (3, 1))}
     with pytest.raises(ValueError, match=message):
         evaluate(robot, **(good | arguments))
+
+
+def test_a_file_is_no_robot() -> None:
+    for evaluated in (evaluate, along):
+        with pytest.raises(InputError, match=r"got 'robot\.toml', expected a Robot; load_robot"):
+            evaluated("robot.toml", [], [])  # type: ignore[operator]
 
 
 def test_base_body_must_move_freely(robot: Robot) -> None:

@@ -57,7 +57,13 @@ def test_a_fitness_by_name_or_function(robot: Robot, rng: np.random.Generator) -
     np.testing.assert_array_equal(own, outcome.position[..., -1, 2])
     to_target = evaluate(short, *pairs, engine="native", fitness="target_distance").fitness
     np.testing.assert_allclose(to_target, np.linalg.norm(outcome.position[..., -1, :] - short.target, axis=-1))
-    for wrong, message in (("spee", "got 'spee', expected one of"), (3.0, "got float, expected a name")):
+    for wrong, message in (
+        ("spee", "got 'spee', expected one of"),
+        (3.0, "got float, expected a name"),
+        (lambda o: o.qpos[..., 2], r"gave shape \(1, 2, 1\) for trials of shape \(1, 2\)"),
+        (lambda o: o.qpos[:, -1, -1, 2], r"gave shape \(1,\) for trials"),
+        (lambda o: 3.0, r"gave shape \(\) for trials"),
+    ):
         with pytest.raises(InputError, match=message):
             evaluate(short, *pairs, fitness=wrong)
 

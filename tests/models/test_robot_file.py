@@ -197,6 +197,11 @@ def test_what_is_wrong_is_said_in_one_line(folder: Path, change: tuple[str, str]
     assert "\n" not in str(error.value)
 
 
+def test_a_model_is_no_robot_file(folder: Path) -> None:
+    with pytest.raises(InputError, match=r"a robot is a robot\.toml, which names its MJCF"):
+        load_robot(folder / "robot.xml")
+
+
 def test_a_robot_that_is_bolted_down_needs_a_point(tmp_path: Path) -> None:
     for name in ("robot.xml", "robot.toml"):
         (tmp_path / name).write_text((EXAMPLES / "thrower" / name).read_text().replace('point = "hand"\n', ""))

@@ -12,7 +12,7 @@ from btr_mjx.gap.data.columns.remedy import Answer, quoted
 from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, noise_of, read_header
 from btr_mjx.gap.data.files.readers import Reader, read_columns
 from btr_mjx.gap.data.files.table import LogTable, log_table
-from btr_mjx.gap.data.lists import listed
+from btr_mjx.gap.data.lists import counted, listed
 from btr_mjx.gap.data.loading import load
 from btr_mjx.gap.data.opening import open_dataset, open_logs
 from btr_mjx.gap.data.recordings.held import Held, bends, held, stairs
@@ -36,6 +36,7 @@ __all__ = [
     "Wrap",
     "bends",
     "control_columns",
+    "counted",
     "driven_joint",
     "estimate_noise",
     "find_wraps",

@@ -138,7 +138,7 @@ def read_header(folder: str | Path, more: Sequence[str] = ()) -> tuple[Dataset, 
         raise InputError(f"{folder}: there is no such folder; give a folder that holds {DATASET_FILE}")
     path = folder / DATASET_FILE
     if not path.is_file():
-        raise InputError(f"{folder}: it holds no {DATASET_FILE}; see btr_mjx/gap/data/dataset.py for its form")
+        raise InputError(f"{folder}: it holds no {DATASET_FILE}; see docs/gap.md")
     table = read_toml(path)
     return header_of(table, folder, path, more), table
 

@@ -12,6 +12,7 @@ from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, header_of, read_head
 from btr_mjx.gap.data.files.readers import is_log, log_suffixes
 from btr_mjx.gap.data.lerobot.frames import is_lerobot_folder
 from btr_mjx.gap.data.lerobot.loading import load_lerobot
+from btr_mjx.gap.data.lists import listed
 from btr_mjx.gap.data.loading import ReadProgress, load_table
 from btr_mjx.gap.data.servo import SERVO_FILE, load_servo
 
@@ -61,7 +62,8 @@ def open_logs(model: str | Path, logs: Sequence[str | Path], progress: ReadProgr
 
     Args:
       model: MJCF file of the believed model.
-      logs: files of recordings, or rosbag2 folders; each is a recording of its own. Or the folder of a LeRobot dataset.
+      logs: files of recordings, or rosbag2 folders; each is a recording of its own, unless only together they have all
+        columns. Or the folder of a LeRobot dataset.
       progress: called while recordings are read.
 
     Returns:
@@ -99,17 +101,39 @@ def open_logs(model: str | Path, logs: Sequence[str | Path], progress: ReadProgr
     folder = Path(os.path.commonpath([place if place.is_dir() and lerobot else place.parent for place in places]))
     names = [quoted(str(place.relative_to(folder))) for place in places]
     rows = ["[lerobot]\nfolder = " + names[1]] if lerobot else ["[[recording]]\nfile = " + name for name in names[1:]]
-    text, where = "\n\n".join([f"[model]\nfile = {names[0]}", *rows]) + "\n", folder / DATASET_FILE
+    text, where = _described(names[0], rows), folder / DATASET_FILE
     table = tomllib.loads(text)
     head = header_of(table, folder, where, ("lerobot",))
     if lerobot:
         data = load_lerobot(head, table, Answer(where, text))
     else:
-        data = load_table(head, table, where, progress, text)
+        try:
+            data = load_table(head, table, where, progress, text)
+        except InputError:
+            one = _described(names[0], [f"[[recording]]\nfile = [{', '.join(names[1:])}]"])
+            together = _read(head, one, where)
+            parts = [_described(names[0], [row]) for row in rows]
+            if len(paths) == 1 or together is None or any(_read(head, part, where) for part in parts):
+                raise
+            note = f"{listed(names[1:])} are read as one recording: only together they have all columns"
+            data, text = replace(together, notes=(note, *together.notes)), one
     why = f"was not read; to use it, give {folder}"
     first = f"{where} {why}" if where.is_file() else f"there is no {DATASET_FILE}"
     notes = f"{first}; what was inferred is listed here, and written as {DATASET_FILE} into the folder of a run"
     return replace(data, notes=(notes, *data.notes), inferred=_inferred(text, data))
+
+
+def _described(model: str, rows: Sequence[str]) -> str:
+    """A dataset.toml of a model and of rows."""
+    return "\n\n".join([f"[model]\nfile = {model}", *rows]) + "\n"
+
+
+def _read(head: Dataset, text: str, where: Path) -> Dataset | None:
+    """The dataset that a dataset.toml describes; None where it is refused."""
+    try:
+        return load_table(head, tomllib.loads(text), where, text=text)
+    except InputError:
+        return None
 
 
 def _inferred(text: str, data: Dataset) -> str:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data import Dataset, Noise, listed, noise_of
+from btr_mjx.gap.data import Dataset, Noise, counted, listed, noise_of
 from btr_mjx.gap.preflight.conventions import position_conventions
 from btr_mjx.gap.preflight.drift import clock_drift
 from btr_mjx.gap.preflight.excitation import NO_GROUND, JointTrack, joint_tracks, moves, unexcited_effects
@@ -53,8 +53,9 @@ def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Fi
         findings.append(Finding("warning" if odd else "note", "loading", line))
     for line in dict.fromkeys(note for recording in dataset.recordings for note in recording.notes):
         names = [r.name for r in dataset.recordings if line in r.notes]
+        of = "" if len(names) == len(dataset.recordings) else f" ({listed(names)})"
         level: Level = "warning" if line.startswith("joints without an encoder") else "note"
-        findings.append(Finding(level, "loading", f"{line} ({listed(names)})"))
+        findings.append(Finding(level, "loading", line + of))
     findings += sampling(dataset)
     findings += held_positions(dataset) + held_commands(dataset) + angle_jumps(dataset)
     findings += _conventions(dataset, joints, noise, findings)
@@ -89,8 +90,8 @@ def _summary(dataset: Dataset) -> list[str]:
     seconds = sum(float(t[-1] - t[0]) for t in times)
     between = f'{_BETWEEN[key]} ("{key}"; interpolation in [control] of dataset.toml changes it)'
     return [
-        f"{len(dataset.fit)} recording{'s' if len(dataset.fit) > 1 else ''} to fit and {len(dataset.test)} held out, "
-        f"{seconds:.1f} s, {sum(map(len, times))} samples of {model.njnt} joints and {model.nu} commands",
+        f"{counted(len(dataset.fit), 'recording')} to fit and {len(dataset.test)} held out, {seconds:.1f} s, "
+        f"{sum(map(len, times))} samples of {counted(model.njnt, 'joint')} and {counted(model.nu, 'command')}",
         "held out: " + listed([r.name for r in dataset.test]),
         *([f"commands between samples: {between}"] if model.nu else []),
     ]

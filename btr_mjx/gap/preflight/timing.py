@@ -91,11 +91,9 @@ def response_delays(dataset: Dataset, joints: Sequence[JointTrack]) -> list[Find
     if not shifts:
         return []
     values = np.array([shift for _, shift in shifts])
-    span = f"{1e3 * values.min():.3g} to {1e3 * values.max():.3g} ms"
-    message = (
-        f"positions follow commands by {1e3 * np.median(values):.3g} ms ({span}), the servo's own dynamics included"
-    )
-    findings = [Finding("note", "clocks", message)]
+    apart = f" ({1e3 * values.min():.3g} to {1e3 * values.max():.3g} ms)" if len(values) > 1 else ""
+    text = f"positions follow commands by {1e3 * np.median(values):.3g} ms{apart}, the servo's own dynamics included"
+    findings = [Finding("note", "clocks", text)]
     early = [name for name, shift in shifts if shift < -1.5 * usual]
     if 2 * len(early) >= len(shifts):  # clocks are common to all joints; one alone is pushed by something
         message = f"positions come before their commands at {listed(early)}; do both share one clock?"

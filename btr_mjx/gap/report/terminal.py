@@ -37,14 +37,15 @@ def print_result(result: Mapping[str, Any], folder: Path, page: bool = True) -> 
     """
     print(textwrap.fill(str(result["sentence"]), 110))
     rows = [row for row in result["ranking"] if not row["beside"]][:6]
+    confirmed = any(is_json_number(row["held_out"]) for row in rows)
+    width = max((len(effect_at_place(row)) for row in rows), default=0)
     if rows:
-        print(f"\n{'candidate':60}{'score':>12}{'held-out gain':>16}")
-        print(
-            "(score: gain over the believed model, twice the log-likelihood; held-out gain: on data that were not used)"
-        )
+        print(f"\n{'candidate':{width}}{'score':>12}{'held-out gain' if confirmed else '':>16}".rstrip())
+        held_out = "; held-out gain: on data that were not used" if confirmed else ""
+        print(f"(score: gain over the believed model, twice the log-likelihood{held_out})")
     for row in rows:
-        held = f"{row['held_out']:16.1f}" if is_json_number(row["held_out"]) else f"{'':>16}"
-        print(f"{effect_at_place(row):60}{row['score']:12.1f}{held}")
+        held = f"{row['held_out']:16.1f}" if is_json_number(row["held_out"]) else ""
+        print(f"{effect_at_place(row):{width}}{row['score']:12.1f}{held}")
     if rows and result.get("details"):
         print()
     for line in result.get("details") or []:

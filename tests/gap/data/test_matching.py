@@ -30,11 +30,13 @@ def names_of(columns: list[str], model: mujoco.MjModel = MODEL) -> dict[str, str
     ("columns", "target"),
     [
         ("q_shoulder|Shoulder|pos_shoulder|shoulder.position|joint_states/shoulder/position|shoulderPos|shoulder [deg]"
-         "|/joint_states/position/shoulder|measured_shoulder_pos|observation.state.shoulder.pos|SHOULDER_joint_pos_deg",
+         "|/joint_states/position/shoulder|measured_shoulder_pos|observation.state.shoulder.pos|SHOULDER_joint_pos_deg"
+         "|feedback/positions/shoulder",
          "qpos/shoulder"),
         ("dq_shoulder|qd_shoulder|shoulder_vel|joint_velocities/shoulder|shoulder_speed [rpm]|shoulder/qdot",
          "qvel/shoulder"),
-        ("shoulder_cmd|cmd/shoulder|des_pos_shoulder|shoulder_ref|u_shoulder|action.shoulder.pos|target_q_shoulder",
+        ("shoulder_cmd|cmd/shoulder|des_pos_shoulder|shoulder_ref|u_shoulder|action.shoulder.pos|target_q_shoulder"
+         "|qdes_shoulder",
          "ctrl/shoulder"),
         ("tau_shoulder|shoulder_torque|joint_states/effort/shoulder", "force/shoulder"),
         ("shoulder_temperature|shoulder_error|shoulder_acceleration|des_vel_shoulder|shoulderx|battery", None),
@@ -76,6 +78,17 @@ def test_numbers_are_taken_in_the_order_of_the_model_and_said() -> None:
     assert (found["q1"], found["q2"], found["u[1]"]) == ("qpos/shoulder", "qpos/elbow", "ctrl/elbow")
     assert found["dof_vel/0"] == "qvel/shoulder"
     assert sum("order of the model" in note for note in matched.notes) == 3
+
+
+def test_the_order_that_was_taken_is_told_of_all_joints() -> None:
+    limbs = "".join(
+        f'<body><joint name="{i}{part}"/><geom size="0.1"/></body>' for i in "abcdef" for part in ("hip", "knee")
+    )
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{limbs}</worldbody></mujoco>")
+    (note,) = match_columns([("log", [f"q[{i}]" for i in range(12)])], model, {}, "x").notes[:1]
+    assert note == "'q[0]' to 'q[11]' were taken in the order of the model: " + ", ".join(
+        mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, i) for i in range(12)
+    )
 
 
 def test_a_prefix_between_quantity_and_joint_does_not_count() -> None:
@@ -155,6 +168,14 @@ def test_suggestions_fit_in_unit_and_quantity() -> None:
     assert not may_be("x", "qpos/elbow", MODEL, "nm")
 
 
+def test_a_column_that_has_its_place_is_not_suggested() -> None:
+    tables = [("log", ["t", "shoulder", "elbow", "u_shoulder"])]
+    with pytest.raises(InputError) as raised:
+        check_matched(match_columns(tables, MODEL, {}, "x"), tables, MODEL, "x")
+    assert '"NAME 1" = "ctrl/elbow"  # nearest: none' in raised.value.lines
+    assert any("leave the actuator, and joints that stood still" in line for line in raised.value.lines)
+
+
 def test_lists_in_messages_are_whole_or_say_how_much_is_missing() -> None:
     for count in (30, 41):
         tables = [("log", ["t", *(f"channel{i}" for i in range(count - 1))])]
@@ -171,10 +192,20 @@ def test_numbers_of_joints_win_over_their_order() -> None:
     assert "qpos/joint1" not in names_of(["t", "q0", "q1", "q2"], model).values()
 
 
+@pytest.mark.parametrize("form", ["/joint_states/{}[{}]", "robot/joints/{}_{}", "joint_{}_{}"])
+@pytest.mark.parametrize("first", [0, 1])
+def test_numbers_that_begin_at_nought_are_no_numbers_of_joints_that_begin_at_one(form: str, first: int) -> None:
+    model = mujoco.MjModel.from_xml_string(ARM.replace('"shoulder"', '"joint_1"').replace('"elbow"', '"joint_2"'))
+    columns = [form.format(kind, first + i) for kind in ("position", "velocity") for i in (0, 1)]
+    found = names_of(["__time", *columns], model)
+    assert [found.get(c) for c in columns] == ["qpos/joint_1", "qpos/joint_2", "qvel/joint_1", "qvel/joint_2"]
+
+
 def test_torques_are_the_commands_of_motors_where_none_is_named_so() -> None:
     alone = match_columns([("log", ["t", "tau_shoulder", "elbow_torque"])], MOTORS, {}, "log.csv")
     assert set(alone.names.values()) == {"time", "ctrl/m1", "ctrl/m2"}
     assert any("'tau_shoulder' is taken as its command" in note for note in alone.notes)
+    assert "ctrl/m1" not in names_of(["t", "qdes_shoulder"], MOTORS).values()
     both = names_of(["t", "tau_shoulder", "tau_des_shoulder"], MOTORS)
     assert both["tau_des_shoulder"] == "ctrl/m1"
 

@@ -161,7 +161,7 @@ def test_missing_values_at_any_place(tmp_path: Path, file_format: Format, length
         for count, found in zip(lost, parts, strict=True):
             longest = max(np.diff(one.time).max() for one in found)
             assert longest < (0.019 if count == 2 else 0.0061)  # intervals are 4 to 6 ms
-            assert (count == 3) == any("holes" in note for one in found for note in one.notes)
+            assert (count == 3) == any("parts at" in note for one in found for note in one.notes)
 
 
 def test_gaps_outside_the_stretches_are_reported(tmp_path: Path) -> None:

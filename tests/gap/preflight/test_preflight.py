@@ -67,6 +67,12 @@ def test_valid_data_give_no_errors_or_warnings() -> None:
     assert not any("actuator_delay" in message for message in of_level(findings, "note"))
 
 
+def test_notes_name_their_recordings_unless_these_are_all() -> None:
+    notes = {one.name: ("of all", "of one") if one is SOUND.recordings[0] else ("of all",) for one in SOUND.recordings}
+    found = of_level(preflight(changed(lambda one: dataclasses.replace(one, notes=notes[one.name]))), "note")
+    assert [line for line in found if line.startswith("of ")] == ["of all", "of one (r0)"]
+
+
 DEGREES = 180 / np.pi
 
 

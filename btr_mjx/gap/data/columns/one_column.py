@@ -9,6 +9,7 @@ import mujoco
 from btr_mjx.gap.data.columns.model_columns import SUFFIXES
 from btr_mjx.gap.data.columns.units import commanded, stated_unit
 from btr_mjx.gap.data.columns.words import BASE, NEUTRAL, OTHER, TIME, component, kind_of, unknown_words, words
+from btr_mjx.gap.data.lists import listed
 from btr_mjx.models import part_names
 
 Words = tuple[str, ...]
@@ -167,7 +168,9 @@ def match_one(
     if len(numbers) == 1 and (best is None or best[0] == (numbers[0],)) and not unknown_words(rest):
         command, quantity = kind_of(frozenset(rest) | hint)
         if command or quantity:
-            finds.numbered[command, quantity, i, rest][int(numbers[0])] = column
+            # Words that all columns share were left out above only of numbers that are no joint's.
+            own = tuple(word for word in rest if word not in common)
+            finds.numbered[command, quantity, i, own][int(numbers[0])] = column
             return
     if best is None:
         _match_base(i, column, said, label, names.model, finds)
@@ -232,7 +235,7 @@ def match_numbers(names: ModelNames, finds: Candidates, taken: set[str], notes: 
         elif len(order) == len(family) and order in (list(range(len(order))), list(range(1, len(order) + 1))):
             chosen = dict(zip(order, family, strict=True))
             said = f"{columns[order[0]]!r} to {columns[order[-1]]!r}" if len(order) > 1 else repr(columns[order[0]])
-            notes.append(f"{said} were taken in the order of the model: {', '.join(family[:8])}")
+            notes.append(f"{said} were taken in the order of the model: {listed(family)}")
         else:
             continue
         for number, name in chosen.items():

@@ -30,15 +30,21 @@ class Answer:
             f'"NAME {i}" = {quoted(target)}  # nearest: {nearest_names(target.partition("/")[2] or target, columns)}'
             for i, (target, columns) in enumerate(near.items(), 1)
         ]
-        return self.error(message, lines, joints)
+        silent = any(target.startswith("ctrl/") and not columns for target, columns in near.items())
+        return self.error(message, lines, joints, silent)
 
-    def error(self, message: str, lines: Sequence[str], joints: Sequence[str] = ()) -> InputError:
-        """An error with lines of the table [columns]; `joints` may have no encoder."""
+    def error(self, message: str, lines: Sequence[str], joints: Sequence[str] = (), silent: bool = False) -> InputError:
+        """An error with lines of the table [columns]; `joints` may have no encoder, `silent` commands no column."""
         fill = "with names of the file in place of NAME 1, ..." if any("NAME " in line for line in lines) else ""
         without = [
             f"(a joint without an encoder has no line there, but below [model]: unmeasured = [{quoted(joint)}])"
             for joint in joints[:1]
         ]
+        if silent:
+            without.append(
+                "(where a command was not logged, add a column of it, or leave the actuator, and joints that stood "
+                "still, out of a copy of the model)"
+            )
         block = self.lines(["[columns]", *lines], fill, without)
         return InputError(f"{message}; name them in [columns] of {self.file}", lines=block)
 

@@ -67,7 +67,7 @@ def check_matched(
             f"{where}: there is no column {listed(missing, quotes=True)}; columns of the file: "
             f"{listed(known, quotes=True)}"
         )
-        raise answer.asked(message, near(missing, free or known), hidden)
+        raise answer.asked(message, near(missing, free), hidden)
     check_velocities(found, model, where)
 
 

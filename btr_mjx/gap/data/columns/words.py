@@ -8,16 +8,16 @@ def _set(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
-POSITION = _set("q pos position positions qpos angle angles theta phi encoder enc")
+POSITION = _set("q pos position positions qpos angle angles theta phi encoder enc qdes qref qcmd")
 VELOCITY = _set("dq qd qdot vel velocity velocities qvel speed speeds omega dtheta thetadot")
 EFFORT = _set("tau torque torques effort efforts force forces trq")
 COMMAND = _set(
     "cmd command commands commanded ctrl control controls des desired ref reference target targets goal action actions "
-    "setpoint setpoints sp u"
+    "setpoint setpoints sp u qdes qref qcmd"
 )
 NEUTRAL = _set(
     "joint joints jnt dof dofs state states motor motors actuator actuators servo servos drive drives observation obs "
-    "measured meas measurement actual present data value values msg sensor sensors of the robot"
+    "measured meas measurement actual feedback present data value values msg sensor sensors of the robot"
 )
 """Words that say nothing of what a column holds."""
 OTHER = _set(

@@ -8,7 +8,7 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns.model_columns import SUFFIXES
-from btr_mjx.gap.data.lists import listed
+from btr_mjx.gap.data.lists import counted, listed
 from btr_mjx.gap.data.recordings.clocks import CLOSE, usual_interval
 from btr_mjx.gap.data.recordings.noise import DIFFERENCE_ORDER, annihilator
 from btr_mjx.models import part_names, sign_flips
@@ -66,7 +66,7 @@ def whole_parts(rows: np.ndarray, time: np.ndarray, shortest: int, notes: list[s
     k = int(np.argmax(np.where(holes, steps, -np.inf)))
     left_out = len(rows) - sum(part.stop - part.start for part in kept)
     text = (
-        f"split into {len(kept)} parts at {int(holes.sum())} holes, the longest from {time[k]:.6g} to "
+        f"split into {len(kept)} parts at {counted(int(holes.sum()), 'hole')}, the longest from {time[k]:.6g} to "
         f"{time[k + 1]:.6g} s"
     )
     if left_out:

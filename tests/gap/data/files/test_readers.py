@@ -97,3 +97,33 @@ def test_tables_under_mujocos_names(tmp_path: Path) -> None:
     (tmp_path / "log.npz").write_bytes(b"")
     with pytest.raises(DamagedFile, match="is empty"):
         read_columns(tmp_path / "log.npz")
+
+
+def test_files_that_only_together_have_all_columns_are_one_recording(tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").write_text(ARM)
+    states = {"time": LOG.time, "q_shoulder": LOG.qpos[:, 0], "q_elbow": LOG.qpos[:, 1]}
+    sent = LOG.every(20)
+    commands = {"time": sent.time, "u_shoulder": sent.ctrl[:, 0], "u_elbow": sent.ctrl[:, 1]}
+    write_table(tmp_path / "states.csv", states)
+    write_table(tmp_path / "commands.csv", commands)
+    data = open_dataset(tmp_path)
+    np.testing.assert_array_equal(np.concatenate([one.qpos for one in data.recordings]), LOG.qpos)
+    assert len(data.recordings) == 2  # the first part of the recording and its last third
+    assert [one for one in data.notes if '"commands.csv", "states.csv" are read as one recording' in one]
+    (tmp_path / "again").mkdir()
+    for name in ("arm.xml", "states.csv", "commands.csv"):
+        (tmp_path / name).rename(tmp_path / "again" / name)
+    (tmp_path / "again/dataset.toml").write_text(data.inferred)
+    again = open_dataset(tmp_path / "again")
+    for one, other in zip(data.recordings, again.recordings, strict=True):
+        np.testing.assert_array_equal(one.commands[1], other.commands[1])
+
+
+def test_a_log_without_commands_beside_a_whole_one_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").write_text(ARM)
+    states = {"time": LOG.time, "q_shoulder": LOG.qpos[:, 0], "q_elbow": LOG.qpos[:, 1]}
+    write_table(tmp_path / "run1.csv", states | {"u_shoulder": LOG.ctrl[:, 0], "u_elbow": LOG.ctrl[:, 1]})
+    for columns in (states, {"time": LOG.time, "volts": LOG.time}):
+        write_table(tmp_path / "run2.csv", columns)
+        with pytest.raises(InputError, match=r"run2\.csv: there is no column .*'ctrl/shoulder', 'ctrl/elbow'"):
+            open_dataset(tmp_path)
