@@ -263,5 +263,8 @@ def test_what_was_tried_together_is_no_runner_up() -> None:
     named = {key: one["effects"][0][key] for key in ("effect", "location")}
     together = [row | named | {"score": 90.0}, row | {"effect": "armature", "score": 90.0}]
     assert not any("Runner-up" in line for line in detail_sentences(one | {"ranking": together}))
+    # The best hypothesis had several effects, of which one was left as the name.
+    pruned = [row | {"effect": name, "location": "each:all", "score": 95.0} for name in ("armature", "dry_friction")]
+    assert not any("Runner-up" in line for line in detail_sentences(one | {"ranking": [*pruned, together[0]]}))
     other = [*together, row | {"effect": "backlash", "score": 20.0}]
     assert "Runner-up: backlash" in " ".join(detail_sentences(one | {"ranking": other}))

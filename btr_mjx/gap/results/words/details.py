@@ -127,7 +127,8 @@ def _runner_up(result: Mapping[str, Any]) -> str:
     same = {effect_and_place(effect) for effect in result.get("effects") or []}
     named = [row for row in _alone(result) if effect_and_place(row) in same]
     rest = [row for row in _alone(result) if effect_and_place(row) not in same]
-    together = {row.get("score") for row in named}  # what was tried in one hypothesis has one score
+    # What was tried in one hypothesis has one score, and a name may be what is left of the best one.
+    together = {row.get("score") for row in (*named, *_alone(result)[:1])}
     others = [row for row in rest if not row.get("equivalent") and row.get("score") not in together]
     if not others:
         return ""
