@@ -72,6 +72,7 @@ def test_an_export_that_fails_is_a_line(
         raise ZeroDivisionError("of a bug")
 
     monkeypatch.setitem(exported.EXPORTS, "rerun", ("diagnosis.rrd", fails))
+    monkeypatch.setattr(source, "find_spec", lambda name: name)  # as if it were installed
     report.main([str(run), "--export", "rerun", "mcap"])
     said = capsys.readouterr()
     assert said.err.splitlines() == ["no diagnosis.rrd: ZeroDivisionError: of a bug"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from gap_forces import arm_stretches, moved_arm, shortened
 
-from btr_mjx.gap.forces import filtering
+from btr_mjx.gap.forces import kalman_filter
 from btr_mjx.gap.forces.kalman_filter import Variances, filtered, smoothed
 from btr_mjx.gap.forces.motion import Linearised
 
@@ -18,7 +18,7 @@ BLOCKS = 4
 def short_blocks():
     """Forces are unusual for two intervals."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(filtering, "LASTS", LASTING * 0.005)
+        patch.setattr(kalman_filter, "LASTS", LASTING * 0.005)
         yield
 
 
