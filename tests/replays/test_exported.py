@@ -27,7 +27,8 @@ def run(tmp_path: Path) -> Path:
     with RunFolder.create(given.out, given, inputs=inputs) as folder:
         write_json(folder.path / "result.json", {"verdict": "none", "sentence": "", "effects": []})
         curve = {f"{key}_0": np.arange(4) + k for k, key in enumerate(("measured", "before", "after"))}
-        texts = {key: np.array([text]) for key, text in (("names", "joint elbow"), ("units", "rad"))}
+        said = {"recordings": "log", "names": "joint elbow", "units": "rad"}
+        texts = {key: np.array([text]) for key, text in said.items()}
         write_arrays(folder.path / "overlays.npz", texts | {"time_0": np.arange(4) / 10} | curve)
         folder.seal()
     return given.out
