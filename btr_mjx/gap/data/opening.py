@@ -112,8 +112,11 @@ def open_logs(model: str | Path, logs: Sequence[str | Path], progress: ReadProgr
         except InputError:
             one = _described(names[0], [f"[[recording]]\nfile = [{', '.join(names[1:])}]"])
             together = _read(head, one, where)
-            parts = [_described(names[0], [row]) for row in rows]
-            if len(paths) == 1 or together is None or any(_read(head, part, where) for part in parts):
+            if len(paths) == 1 or together is None:
+                raise
+            parts = (_read(head, _described(names[0], [row]), where) for row in rows)
+            # A log with forces alone is not complete where another one has the commands.
+            if any(part is not None and part.forces == together.forces for part in parts):
                 raise
             note = f"{listed(names[1:])} are read as one recording: only together they have all columns"
             data, text = replace(together, notes=(note, *together.notes)), one

@@ -97,3 +97,18 @@ def test_what_acts_through_actuators_is_told_from_the_rest() -> None:
         ("armature", "joint:elbow", {"armature": 0.1}, False),
     ):
         assert acts_through_actuators(MODEL, FoundEffect(effect, place, numbers), effects) == expected
+
+
+def test_forces_beside_commands_of_another_file_are_measurements(tmp_path: Path) -> None:
+    """Only together the two files have all columns; torques alone do not make the first one complete."""
+    written(tmp_path, "time,q_shoulder,q_elbow,tau_shoulder,tau_elbow")
+    states, commands = tmp_path / "states.csv", tmp_path / "commands.csv"
+    (tmp_path / "a.csv").rename(states)
+    rows = np.loadtxt(states, delimiter=",", skiprows=1)[:, :3]
+    np.savetxt(commands, rows, delimiter=",", header="time,cmd_shoulder,cmd_elbow", comments="")
+    data = open_dataset(tmp_path / "arm.xml", logs=[states, commands])
+    assert not data.forces
+    assert len({r.name for r in data.recordings}) <= 2
+    assert set(data.recordings[0].force) == {"shoulder", "elbow"}
+    t = data.recordings[0].time
+    np.testing.assert_allclose(data.recordings[0].ctrl[:, 0], np.sin(t), atol=1e-3)
