@@ -13,7 +13,7 @@ from btr_mjx.gap.data import Dataset, Noise, Recording
 from btr_mjx.gap.effects import Effect, Hypothesis, candidates
 from btr_mjx.gap.forces.motion import responses
 from btr_mjx.gap.forces.points import ForceSide
-from btr_mjx.gap.forces.stretches import Stretches, reported_by, spread_stretches
+from btr_mjx.gap.forces.stretches import Stretches, spread_stretches
 from btr_mjx.gap.forces.unknowns import library_of
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.gap.windows import Span, prepare, scales_of
@@ -141,5 +141,5 @@ def exact_stretch(recording: Recording, first: int, count: int, drives: Sequence
     time, q, v = (x[None, own] for x in (recording.time, recording.qpos, recording.qvel))
     act, actuators = np.zeros((1, count + 1, 0)), np.array(drives, int)
     seen, sigma = np.ones(4 + len(drives), bool), np.append(SIGMA, np.full(len(drives), 0.01))
-    reported = reported_by(recording, actuators)[None, own]
+    reported = recording.reported(actuators)[None, own]
     return Stretches(data, np.zeros(1, int), time, q, v, act, actuators, reported, q, v, seen, sigma, 0.1 * sigma)

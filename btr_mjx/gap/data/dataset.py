@@ -60,7 +60,7 @@ from btr_mjx.gap.data.measured_forces import driven_by_forces
 from btr_mjx.gap.data.model_file import load_model
 from btr_mjx.gap.data.recordings.noise import Noise, estimate_noise, read_noise, without_sensor
 from btr_mjx.gap.data.recordings.recording import Recording
-from btr_mjx.models import PathParameter, read_path_parameter
+from btr_mjx.models import PathParameter, part_names, read_path_parameter
 from btr_mjx.runs import check_keys, file_inside, is_number, read_toml, toml_rows, toml_section
 
 DATASET_FILE = "dataset.toml"
@@ -117,6 +117,12 @@ class Dataset:
     def test(self) -> tuple[Recording, ...]:
         """Recordings with split "test" (held out)."""
         return tuple(r for r in self.recordings if r.split == "test")
+
+    @property
+    def reporting(self) -> list[int]:
+        """Indices of the actuators whose drives report their forces in all recordings, beside commands."""
+        names = part_names(self.model, "actuator") if not self.forces else []
+        return [i for i, name in enumerate(names) if all(name in r.force for r in self.recordings)]
 
 
 def read_header(folder: str | Path, more: Sequence[str] = ()) -> tuple[Dataset, dict[str, Any]]:

@@ -38,7 +38,7 @@ from btr_mjx.gap.forces.predictions import horizon_errors, predicts_well
 from btr_mjx.gap.forces.residual import fit_residual
 from btr_mjx.gap.forces.search import Named, SearchRound, select_effects, start
 from btr_mjx.gap.forces.sets.carried import Carried, carried_library, with_room
-from btr_mjx.gap.forces.stretches import Stretches, reporting, spread_stretches
+from btr_mjx.gap.forces.stretches import Stretches, spread_stretches
 from btr_mjx.gap.forces.unknowns import (
     BELIEVED,
     Library,
@@ -176,7 +176,7 @@ def search_forces(
     if known is not None:
         base = known.base(dataset)
         model = base(model).update_constants()
-    drives = reporting(dataset)
+    drives = dataset.reporting
     stretches, other = (spread_stretches(side, actuators=drives) for side in (prepared.fit, prepared.test))
     if not any(np.ptp(r.qpos, axis=0).max() > 0 for r in dataset.fit):
         raise InputError(f"{dataset.folder}: the robot does not move in any recording of split 'fit'")

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.data import Dataset, Recording, quantisation_noise
+from btr_mjx.gap.data import quantisation_noise
 from btr_mjx.gap.simulate import Segments
 from btr_mjx.gap.windows import PreparedData, Span, Track, smooth
-from btr_mjx.models import difference, part_names
+from btr_mjx.models import difference
 
 _SHORTEST_INTERVAL = 4e-3
 """Shortest interval [s]. Samples that follow each other faster are averaged by local polynomials."""
@@ -163,7 +163,7 @@ def _stretches(
     actuators: np.ndarray,
 ) -> Stretches:
     parts: dict[str, list[np.ndarray]] = {name: [] for name in ("time", "mq", "mv", "act", "force", "q", "v")}
-    forces = [reported_by(r, actuators) for r in data.recordings]
+    forces = [r.reported(actuators) for r in data.recordings]
     reduction = np.ones(len(data.sigma))
     nv = data.recordings[0].model.nv
     for r, samples in zip(recording, index, strict=True):
@@ -199,20 +199,6 @@ def _stretches(
         np.append(sigma, of_forces),
         np.append(np.maximum(_QUIETEST * sigma, digits), _QUIETEST * of_forces),
     )
-
-
-def reporting(dataset: Dataset) -> list[int]:
-    """Indices of the actuators whose drives report their forces in all recordings."""
-    names = part_names(dataset.model, "actuator")
-    used = not dataset.forces
-    return [i for i, name in enumerate(names) if used and all(name in r.force for r in dataset.recordings)]
-
-
-def reported_by(recording: Recording, actuators: Sequence[int] | np.ndarray) -> np.ndarray:
-    """(K, m) forces that the drives of some actuators report in a recording."""
-    names = part_names(recording.model, "actuator")
-    rows = [recording.force[names[a]] for a in actuators]
-    return np.stack(rows, 1) if rows else np.zeros((len(recording.time), 0))
 
 
 def noise_of_forces(reported: np.ndarray) -> np.ndarray:

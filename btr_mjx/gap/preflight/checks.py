@@ -17,6 +17,7 @@ from btr_mjx.gap.preflight.drift import clock_drift
 from btr_mjx.gap.preflight.excitation import NO_GROUND, JointTrack, joint_tracks, moves, unexcited_effects
 from btr_mjx.gap.preflight.findings import DEGREES_REMEDY, Finding, Level
 from btr_mjx.gap.preflight.repeats import angle_jumps, held_commands, held_positions
+from btr_mjx.gap.preflight.reported_torques import reported_torques
 from btr_mjx.gap.preflight.stability import stability
 from btr_mjx.gap.preflight.timing import response_delays, sampling
 from btr_mjx.gap.preflight.undecided import undecided_signs
@@ -60,7 +61,7 @@ def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Fi
     findings += held_positions(dataset) + held_commands(dataset) + angle_jumps(dataset)
     findings += _conventions(dataset, joints, noise, findings)
     findings += _channels(dataset, joints, noise)
-    findings += response_delays(dataset, joints)
+    findings += response_delays(dataset, joints) + reported_torques(dataset)
     findings += _parameter_bounds(dataset)
     findings += _excitation(dataset, joints, effects)
     if all(finding.level != "error" for finding in findings):

@@ -73,6 +73,12 @@ class Recording:
         """(nv,) bool: which positions were measured."""
         return np.ones(self.model.nv, bool) if self.qpos_measured is None else self.qpos_measured
 
+    def reported(self, actuators: Sequence[int] | np.ndarray) -> np.ndarray:
+        """(K, m) forces that the drives of some actuators report."""
+        names = part_names(self.model, "actuator")
+        rows = [self.force[names[a]] for a in actuators]
+        return np.stack(rows, 1) if rows else np.zeros((len(self.time), 0))
+
     def part(self, rows: slice | np.ndarray, split: Split, name: str) -> "Recording":
         """A part of the recording, as a recording with another name and split."""
         return replace(
