@@ -51,7 +51,7 @@ class CheckResult:
 
 
 def check_versions() -> CheckResult:
-    """Versions of Python and of all that this package's distribution requires; off for a release known to err, too."""
+    """Versions of Python and of all that this package's distribution requires; warns of a release known to err."""
     from packaging.requirements import Requirement
     from packaging.specifiers import SpecifierSet
 
@@ -71,10 +71,11 @@ def check_versions() -> CheckResult:
             wrong[f"{one.name} is not installed"] = f"pip install '{one}'"
         elif not one.specifier.contains(version, prereleases=True):
             wrong[f"{one.name} {version}, expected {one.specifier}"] = f"pip install '{one}'"
-    if package_version("mujoco") == "4.0.0":
-        wrong["mujoco 4.0.0, whose solver errs where Jacobians are sparse"] = "pip install 'mujoco>=4.0.1'"
     if wrong:
         return CheckResult("off", "; ".join(wrong), "; ".join(dict.fromkeys(wrong.values())))
+    if package_version("mujoco") == "4.0.0":
+        finding = "mujoco 4.0.0, whose solver errs where Jacobians are sparse (from 60 degrees of freedom on)"
+        return CheckResult("warning", finding, "pip install 'mujoco!=4.0.0'")
     shown = [f"{name} {package_version(name)}" for name in SHOWN_VERSIONS]
     return CheckResult("ok", ", ".join([f"python {platform.python_version()}", *shown]))
 

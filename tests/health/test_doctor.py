@@ -18,20 +18,20 @@ from btr_mjx.health.installation_checks import MARK, check_folder, check_version
 
 
 @pytest.mark.parametrize(
-    ("name", "installed", "expected"),
+    ("name", "installed", "state", "expected"),
     [
-        ("polars", None, "polars is not installed"),
-        ("mujoco-mjx", "3.2.0", "mujoco-mjx 3.2.0, expected"),
-        ("mujoco", "4.0.0", "mujoco 4.0.0, whose solver errs"),
-        ("jax", "0.11.2", "jax 0.11.2, expected >=0.12"),
+        ("polars", None, "off", "polars is not installed"),
+        ("mujoco-mjx", "3.2.0", "off", "mujoco-mjx 3.2.0, expected"),
+        ("mujoco", "4.0.0", "warning", "mujoco 4.0.0, whose solver errs"),
+        ("jax", "0.11.2", "off", "jax 0.11.2, expected >=0.12"),
     ],
 )
-def test_versions(name: str, installed: str | None, expected: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_versions(name: str, installed: str | None, state: str, expected: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert check_versions().state == "ok"
     true = installation_checks.package_version
     monkeypatch.setattr(installation_checks, "package_version", lambda one: installed if one == name else true(one))
     found = check_versions()
-    assert (found.state, expected in found.finding) == ("off", True)
+    assert (found.state, expected in found.finding) == (state, True)
     assert name in found.remedy
     assert "pip install" in found.remedy
 
