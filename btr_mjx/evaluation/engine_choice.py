@@ -54,20 +54,21 @@ def fastest_engine(robot: Robot) -> Engine:
     """
     if robot.simulator is not None:
         return "native"
-    import jax  # takes seconds, which bad input should not
+    from btr_mjx.engines import uses_doubles  # takes seconds, which bad input should not
 
-    from btr_mjx.engines import uses_doubles
-
-    return _fastest(_program_inputs(robot), uses_doubles(), jax.default_backend())
+    return _fastest(_program_inputs(robot), uses_doubles())
 
 
 @lru_cache(maxsize=16)
-def _fastest(robot: Robot, x64: bool, backend: str) -> Engine:
+def _fastest(robot: Robot, x64: bool) -> Engine:
+    import jax
+
     try:
         _stepper(robot, "lanes", x64, True)
         return "lanes"
     except UnsupportedModel as error:
-        engine: Engine = "native" if backend == "cpu" else "mjx"
+        # Not before: asked for its backend, JAX keeps the devices that it has, see `use_all_cores`.
+        engine: Engine = "native" if jax.default_backend() == "cpu" else "mjx"
         _LOG.warning("engine %s: %s", engine, str(error).partition(";")[0])
         return engine
 

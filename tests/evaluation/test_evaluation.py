@@ -2,6 +2,8 @@
 
 import dataclasses
 import logging
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.evaluation import EngineSettings, evaluate, fastest_engine, fitness
 from btr_mjx.models import compile_models, model_batch
 from btr_mjx.robots import Robot
+from btr_mjx.runs import available_cores
 
 
 def test_theorems_1_and_2_wherever_a_pair_stands(robot: Robot) -> None:
@@ -128,3 +131,18 @@ def test_equal_simulations_are_prepared_once(robot: Robot, monkeypatch: pytest.M
     models = compile_models(robot, np.repeat(s, 500, 0))
     assert sorted(texts) == sorted(robot.render(row) for row in s)
     assert len(models) == 1000
+
+
+def test_choosing_an_engine_leaves_all_cores_to_programs() -> None:
+    """JAX fixes its devices when it is first asked for its backend, which only programs may do."""
+    lines = (
+        "import jax",
+        "from btr_mjx import hexapod",
+        "from btr_mjx.engines import use_all_cores",
+        "from btr_mjx.evaluation import fastest_engine",
+        "fastest_engine(hexapod())",
+        "use_all_cores()",
+        "print(jax.config.jax_num_cpu_devices)",
+    )
+    done = subprocess.run([sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, timeout=120)
+    assert done.stdout.split() == [str(available_cores())], done.stderr
