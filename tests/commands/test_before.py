@@ -6,8 +6,8 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
+from gap_results import FOUND
 from hidden_cases import CaseSettings, make_case
 
 from btr_mjx import diagnose
@@ -15,36 +15,14 @@ from btr_mjx.errors import BAD_INPUT_CODE, InputError
 from btr_mjx.gap import forces
 from btr_mjx.gap.forces import Changes
 from btr_mjx.gap.results import (
-    Diagnosis,
-    DisagreementMap,
     Estimate,
-    Gap,
     NamedEffect,
     Quantity,
 )
 
 MISSING = NamedEffect("viscous_damping", "joint:servo", {"damping": Estimate(0.01, 0.009, 0.011, "N m s/rad")}, 50, 9)
 CHANGE = NamedEffect("dry_friction", "joint:servo", {"torque": Estimate(-0.031, -0.034, -0.028, "N m")}, 80.0, 30.0)
-BEFORE = Diagnosis(
-    verdict="effect",
-    effects=(MISSING,),
-    ranking=(),
-    equivalent=(),
-    gap=Gap(3.0, 1.2, 1.0, 1.0, 2.0, 1.1, 0.05, 0.02),
-    disagreement=DisagreementMap(("joint:servo",), ("all",), np.array([[3.0]]), np.array([[40]])),
-    unexplained=(),
-    believed=(),
-    confounds=(),
-    overlays=(),
-    share=0.9,
-    lack_of_fit=(12.0, 0.5),
-    threshold=15.0,
-    dispersion=1.0,
-    sigma=np.ones(2),
-    windows=(40, 20, 10, 0.04),
-    steps=1000,
-    seconds=1.0,
-)
+BEFORE = dataclasses.replace(FOUND, effects=(MISSING,), ranking=(), equivalent=(), confounds=(), overlays=())
 AFTER = dataclasses.replace(BEFORE, effects=(CHANGE,), calibration=(MISSING,))
 
 
