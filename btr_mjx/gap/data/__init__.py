@@ -9,7 +9,7 @@ Throughout, `where` says in messages which file or table is meant, and what is f
 
 from btr_mjx.gap.data.columns.model_columns import control_columns, driven_joint, state_columns
 from btr_mjx.gap.data.columns.remedy import Answer, quoted
-from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, noise_of, read_header
+from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, known_of, noise_of, read_header
 from btr_mjx.gap.data.files.readers import Reader, read_columns
 from btr_mjx.gap.data.files.table import LogTable, log_table
 from btr_mjx.gap.data.lists import counted, listed
@@ -41,6 +41,7 @@ __all__ = [
     "estimate_noise",
     "find_wraps",
     "held",
+    "known_of",
     "listed",
     "load",
     "log_table",

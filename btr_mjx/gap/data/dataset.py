@@ -185,12 +185,23 @@ def header_of(table: Mapping[str, Any], folder: Path, path: Path, more: Sequence
 
 
 def noise_of(dataset: Dataset) -> Noise:
-    """The sensor noise: as given in the dataset, else estimated from all recordings."""
+    """The sensor noise: as given in the dataset, else estimated from all recordings; of estimated states, theirs."""
     seen = np.all([r.seen for r in dataset.recordings], axis=0)
-    if dataset.noise is not None:
-        return without_sensor(dataset.noise, seen)
-    tracks = [(r.time, r.qpos, r.qvel, r.qvel_measured) for r in dataset.recordings]
-    return without_sensor(estimate_noise(dataset.model, tracks), seen)
+    noise = dataset.noise
+    if noise is None:
+        tracks = [(r.time, r.qpos, r.qvel, r.qvel_measured) for r in dataset.recordings]
+        noise = estimate_noise(dataset.model, tracks)
+    sigma = known_of(dataset.recordings, "sigma").reshape(2, -1)
+    known = np.isnan(sigma)
+    noise = Noise(np.where(known[0], noise.qpos, sigma[0]), np.where(known[1], noise.qvel, sigma[1]))
+    return without_sensor(noise, seen)
+
+
+def known_of(recordings: Sequence[Recording], what: Literal["sigma", "spread"]) -> np.ndarray:
+    """(2 nv,) how well states are known that were estimated, the mean over recordings; NaN for measured ones."""
+    measured = np.full(2 * recordings[0].model.nv, np.nan)
+    rows = [measured if r.estimate is None else getattr(r.estimate, what) for r in recordings]
+    return np.sqrt(np.mean(np.square(rows), axis=0))
 
 
 def _tolerances(table: Any, path: Path) -> dict[str, float]:

@@ -40,8 +40,7 @@ def jacobian(windows: Windows) -> np.ndarray:
     for k in range(windows.k):
         carried = windows.transitions[:, k] @ carried
         out.append(carried)
-    whitened = np.stack(out, 1) / windows.data.sigma[:, None]  # (W, k + 1, 2 nv, size)
-    return whitened[:, :, windows.channels].reshape(len(windows), -1, size)
+    return np.swapaxes(windows.scaled(np.moveaxis(np.stack(out, 1), -1, 1)), 1, 2)
 
 
 def propagate_additions(windows: Windows, injected: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from functools import partial
 import mujoco
 import numpy as np
 
+from btr_mjx.gap.data import known_of
 from btr_mjx.gap.simulate import Counter, Job, Segments, World, simulate
 from btr_mjx.gap.windows.prepared import PreparedData
 from btr_mjx.gap.windows.rows import select_rows
@@ -48,6 +49,8 @@ class Windows:
       recording: (W,) recording index of each window.
       first: (W,) first sample of each window.
       k: samples of a window after the first.
+      channels: (c,) measured coordinates, of (2 nv,) positions and velocities.
+      changes_only: (c,) bool: estimated ones, whose errors stay for the whole window; only their changes are compared.
       qpos, qvel: (W, nq), (W, nv) starting states in measured coordinates.
       basis: (W, R, D) orthonormal basis of the starting state directions, followed by `partial_basis`.
       partial_basis: (W, R, S) directions of `project_partially`.
@@ -96,11 +99,13 @@ class Windows:
             q, v, chi2 = smooth(model, data.tracks[r], self.first[own], data.sigma, data.span)
             self.qpos[own], self.qvel[own] = q, v
             scatter[own] = np.maximum(chi2, 1.0)
-        self.reach = (
-            _MAX_CORRECTION * data.sigma * np.where(data.measured, 1.0, _UNMEASURED_FACTOR) * np.tile(scatter, 2)
-        )
+        factor = np.where(data.measured, 1.0, _UNMEASURED_FACTOR)
+        spread = known_of(data.recordings, "spread")
+        reach = np.where(np.isnan(spread), data.sigma * factor * np.tile(scatter, 2), spread)
+        self.reach = _MAX_CORRECTION * reach
         self.smoothed = self.qpos.copy(), self.qvel.copy()
         self.channels = np.flatnonzero(data.measured)
+        self.changes_only = ~np.isnan(spread[self.channels])
         self.correction = np.zeros((len(self), (k + 1) * len(self.channels)))
         self.basis = np.zeros((*self.correction.shape, 0))
         self.partial_basis = self.basis
@@ -116,7 +121,7 @@ class Windows:
     @property
     def freedom(self) -> int:
         """Degrees of freedom of a window's residual."""
-        return self.correction.shape[1] - 2 * self.nv
+        return self.correction.shape[1] - 2 * self.nv - int(self.changes_only.sum())
 
     @property
     def models(self) -> list[mujoco.MjModel]:
@@ -218,6 +223,8 @@ class Windows:
             -_MAX_RESIDUAL,
             _MAX_RESIDUAL,
         )
+        if self.changes_only.any():
+            rows[..., self.changes_only] -= rows[..., self.changes_only].mean(-2, keepdims=True)
         return rows.reshape(*rows.shape[:-2], -1)
 
     def project_partially(self, directions: np.ndarray) -> None:

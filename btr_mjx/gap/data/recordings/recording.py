@@ -29,6 +29,19 @@ Split = Literal["fit", "test"]
 
 
 @dataclass(frozen=True, eq=False)
+class StateEstimate:
+    """How well states are known that were estimated; NaN where they were measured.
+
+    Attributes:
+      sigma: (2 nv,) standard deviation of positions and velocities within a short time; errors that stay left out.
+      spread: (2 nv,) of all errors.
+    """
+
+    sigma: np.ndarray
+    spread: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class Recording:
     """One recording.
 
@@ -46,6 +59,7 @@ class Recording:
       notes: corrections made by the loader, reported by preflight.
       sent: times (N,) [s] and commands (N, nu), where commands were logged at more times than states.
       held_commands: whether commands of a slower clock were held between their samples.
+      estimate: how well states are known that were estimated and count as measured; None for none.
     """
 
     name: str
@@ -62,6 +76,7 @@ class Recording:
     sent: tuple[np.ndarray, np.ndarray] | None = None
     held_commands: bool = False
     qpos_measured: np.ndarray | None = None
+    estimate: StateEstimate | None = None
 
     @property
     def commands(self) -> tuple[np.ndarray, np.ndarray]:

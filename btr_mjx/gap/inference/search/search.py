@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data import Dataset, noise_of, reduced_noise
+from btr_mjx.gap.data import Dataset, known_of, noise_of, reduced_noise
 from btr_mjx.gap.effects import Candidate, Effect, Hypothesis, candidates
 from btr_mjx.gap.inference.scoring.calibration import tolerance_draws, with_nonlinear_tolerances
 from btr_mjx.gap.inference.scoring.gains import fall
@@ -113,7 +113,8 @@ class Bench:
             less = reduced_noise(self.sigma, windows.channels, windows.residual, windows.freedom)
             if less is None:
                 break
-            self.sigma, self.options = less, options or Options()
+            estimated = known_of(dataset.recordings, "sigma")
+            self.sigma, self.options = np.where(np.isnan(estimated), less, estimated), options or Options()
             entries = self._prepared(effects, tracks, note)
         note(f"signatures of {len(entries)} candidates")
         self._draws = tolerance_draws(self.base, self.candidates, self.tolerances, np.random.default_rng(0), _DRAWS)

@@ -1,0 +1,94 @@
+"""Points at which a robot may touch what does not move: distance and velocity, from joint encoders and a pose."""
+
+import copy
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Touching:
+    """Points of possible contact, N over all samples, in the frame of the base and from its unit.
+
+    Attributes:
+      sample: (N,) sample of each point.
+      geom: (N,) geom of the robot.
+      distance: (N,) from the surface of the other geom [m]; negative inside it.
+      normal: (N, 3) away from the other geom.
+      place: (N, 3) from the inertial unit to the point [m].
+      velocity: (N, 3) of the point relative to the base, by the joints [m/s].
+      distance_variance: (N,) by the noise of the encoders [m^2].
+      velocity_covariance: (N, 3, 3) by the noise of the joints' velocities [(m/s)^2].
+    """
+
+    sample: np.ndarray
+    geom: np.ndarray
+    distance: np.ndarray
+    normal: np.ndarray
+    place: np.ndarray
+    velocity: np.ndarray
+    distance_variance: np.ndarray
+    velocity_covariance: np.ndarray
+
+
+def touching_points(
+    model: mujoco.MjModel,
+    base: int,
+    unit: np.ndarray,
+    qpos: np.ndarray,
+    qvel: np.ndarray,
+    sigma: np.ndarray,
+    margin: float,
+) -> Touching:
+    """Points of a robot that are near what does not move.
+
+    Args:
+      model: the believed model.
+      base: its body with the free joint.
+      unit: (3,) place of the inertial unit in the frame of the base [m].
+      qpos: (K, nq) configurations.
+      qvel: (K, nv) velocities of the joints; those of the base are not used.
+      sigma: (2 nv,) noise of positions and velocities.
+      margin: largest distance [m].
+    """
+    model = copy.copy(model)
+    model.geom_margin[:] = margin
+    data, jacobian = mujoco.MjData(model), np.zeros((3, model.nv))
+    free = int(model.jnt_dofadr[model.body_jntadr[base]])
+    joints = np.delete(np.arange(model.nv), np.arange(free, free + 6))
+    variance_q, variance_v = sigma[joints] ** 2, sigma[model.nv + joints] ** 2
+    fixed = model.body_weldid[model.geom_bodyid] == 0
+    rows: list[tuple[float, ...]] = []
+    for k in range(len(qpos)):
+        data.qpos[:] = qpos[k]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_collision(model, data)
+        turn = data.xmat[base].reshape(3, 3)
+        at = data.xpos[base] + turn @ unit
+        for i in range(data.ncon):
+            contact = data.contact[i]
+            geoms = contact.geom1, contact.geom2
+            if fixed[geoms[0]] == fixed[geoms[1]]:
+                continue
+            own, sign = (geoms[1], 1.0) if fixed[geoms[0]] else (geoms[0], -1.0)
+            away = sign * contact.frame[:3]
+            point = contact.pos + 0.5 * contact.dist * away  # on the robot; MuJoCo's is half way between both
+            mujoco.mj_jac(model, data, jacobian, None, point, model.geom_bodyid[own])
+            by_joints, normal = turn.T @ jacobian[:, joints], turn.T @ away
+            covariance = (by_joints * variance_v) @ by_joints.T
+            variance = ((normal @ by_joints) ** 2) @ variance_q
+            place, velocity = turn.T @ (point - at), by_joints @ qvel[k, joints]
+            rows.append((k, own, contact.dist, *normal, *place, *velocity, variance, *covariance.ravel()))
+    table = np.array(rows).reshape(-1, 22)
+    return Touching(
+        table[:, 0].astype(int),
+        table[:, 1].astype(int),
+        table[:, 2],
+        table[:, 3:6],
+        table[:, 6:9],
+        table[:, 9:12],
+        table[:, 12],
+        table[:, 13:].reshape(-1, 3, 3),
+    )
