@@ -140,13 +140,20 @@ def _filled(recording: Recording, imu: _Imu, unit: Unit, legs: Legs, motion: Mot
     velocity = motion.velocity - motion.turn.apply(np.cross(spin, imu.place))
     qvel[:, own], seen[own], measured[own] = np.concatenate([velocity, spin], axis=1), True, True
     # Zeros of encoders displace feet for the whole recording, and all that stands on these.
-    place, tilt = np.hypot(motion.spread[2], motion.gap.sigma), np.hypot(motion.spread[6:], motion.gap.sigma / legs.arm)
-    usual = float(np.median(np.linalg.norm(spin, axis=1)))
-    rate = np.hypot(unit.noise[0], usual * np.linalg.norm(tilt) / np.sqrt(3))
+    height, tilt = (
+        np.hypot(motion.spread[2], motion.gap.sigma),
+        np.hypot(motion.spread[6:], motion.gap.sigma / legs.arm),
+    )
+    # A unit whose mount is known to that much only mixes the axes of what changes.
+    turned = float(np.linalg.norm(tilt) / np.sqrt(3))
+    force = unit.accelerometer - unit.accelerometer.mean(0)
+    rate, push = (turned * float(np.median(np.linalg.norm(values, axis=1))) for values in (spin, force))
+    within = np.hypot(motion.within, np.repeat([0.0, push * _SHORT, rate * _SHORT], 3))
+    spins = np.full(3, np.hypot(unit.noise[0], rate))
     sigma, spread = np.full((2, 2 * model.nv), np.nan)
     both = np.r_[own, first + model.nv : first + model.nv + 6]
-    sigma[both] = [*motion.within[:3], *motion.within[6:], *motion.within[3:6], rate, rate, rate]
-    spread[both] = [place, place, place, *tilt, *motion.spread[3:6], rate, rate, rate]
+    sigma[both] = [*within[:3], *within[6:], *within[3:6], *spins]
+    spread[both] = [height, height, height, *tilt, *motion.spread[3:6], *spins]
     return replace(
         recording,
         qpos=legs.posed(motion.place, motion.turn),
