@@ -6,7 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from btr_mjx.gap.data.base.block_system import Rows
-from btr_mjx.gap.data.base.motion import MARGIN, Legs, Motion, N, Scatter, Unit
+from btr_mjx.gap.data.base.motion import MARGIN, Motion, N, Scatter, Unit
+from btr_mjx.gap.data.base.touching import Touching
 
 _PLACE, _VELOCITY, _TURN = slice(0, 3), slice(3, 6), slice(6, 9)
 _MOUNT, _GYRO, _ACCELEROMETER = slice(0, 3), slice(3, 6), slice(6, 9)
@@ -88,12 +89,12 @@ def tilts(unit: Unit, motion: Motion, mount: Rotation) -> tuple[Rows, Scatter]:
     return Rows(left / sigma, np.arange(len(left)), slope, border), scatter
 
 
-def touches(legs: Legs, unit: Unit, motion: Motion, inertia: Inertia) -> tuple[Rows, Scatter, Scatter]:
+def touches(points: Touching, unit: Unit, motion: Motion, inertia: Inertia) -> tuple[Rows, Scatter, Scatter]:
     """Points that may touch, weighted with the probability that they do, and scatter of velocities and distances."""
-    points = legs.points(motion.place, motion.turn)
-    k, eye, depth = points.sample, np.eye(3), points.distance + motion.sink
+    k, eye = points.sample, np.eye(3)
     turn, spin, arm = motion.turn.as_matrix()[k], inertia.spin[k], _cross(points.place)
-    own = np.einsum("nji,nj->ni", turn, motion.velocity[k])
+    depth = points.distances(motion.place[k] + np.einsum("nij,nj->ni", turn, points.place)) + motion.sink
+    own, normal = (np.einsum("nji,nj->ni", turn, vector) for vector in (motion.velocity[k], points.normal))
     speed = own + np.cross(spin, points.place) + points.velocity
     by_gyro = unit.noise[0] ** 2 * arm @ np.swapaxes(arm, 1, 2)
     encoders, gaps = points.velocity_covariance + by_gyro, points.distance_variance
@@ -109,8 +110,8 @@ def touches(legs: Legs, unit: Unit, motion: Motion, inertia: Inertia) -> tuple[R
     slope, border = np.zeros((len(k), 4, N)), np.zeros((len(k), 4, N))
     slope[:, :3, _VELOCITY], slope[:, :3, _TURN] = whiten @ np.swapaxes(turn, 1, 2), whiten @ _cross(own)
     border[:, :3, _MOUNT], border[:, :3, _GYRO] = whiten @ arm @ _cross(spin), whiten @ arm @ inertia.mount
-    slope[:, 3, _PLACE] = np.einsum("nij,nj->ni", turn, points.normal) / wide[:, None]
-    slope[:, 3, _TURN] = -np.einsum("ni,nij->nj", points.normal, arm) / wide[:, None]
+    slope[:, 3, _PLACE] = points.normal / wide[:, None]
+    slope[:, 3, _TURN] = -np.einsum("ni,nij->nj", normal, arm) / wide[:, None]
     residual = np.concatenate([np.einsum("nij,nj->ni", whiten, speed), (depth / wide)[:, None]], 1)
     weight = np.sqrt(share)[:, None]
     rows = Rows(residual * weight, k, slope * weight[..., None], border * weight[..., None])

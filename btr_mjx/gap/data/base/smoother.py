@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from btr_mjx.gap.data.base.block_system import BlockSystem, eliminated
 from btr_mjx.gap.data.base.motion import Legs, Motion, Unit, first_estimate
 from btr_mjx.gap.data.base.residuals import inertia_of, propagation, tilts, touches
+from btr_mjx.gap.data.base.touching import Touching
 
 MOUNT, BIASES = np.radians(2.0), np.repeat([0.02, 0.1], 3)
 """Standard deviations before the recordings are seen: turn of the unit [rad]; biases of gyro [rad/s] and accelerometer
@@ -27,6 +28,8 @@ _FIXED = np.repeat([1e4, 0.0, 1e2], 3)
 """Weights that hold the first sample: nothing measures where it is, and an angle about the vertical."""
 _STEPS, _CONVERGED = 20, 2e-3
 """Largest number of steps, and change of all velocities [m/s] below which there are no more."""
+_SEEN = 3
+"""First steps in which points that may touch are looked for; later these points move with the base."""
 _PICKED = 20
 """Samples at which the spread is computed; its median is used."""
 
@@ -48,9 +51,11 @@ def smoothed(
     """
     motions, found = [first_estimate(*pair, mount) for pair in zip(units, legs, strict=True)], mount
     for step in range(_STEPS):
+        if step < _SEEN:
+            points = [own.points(motion.place, motion.turn) for own, motion in zip(legs, motions, strict=True)]
         systems, after = [], []
-        for unit, own, motion in zip(units, legs, motions, strict=True):
-            system, changed = _system(unit, own, motion, found)
+        for row in zip(units, legs, points, motions, strict=True):
+            system, changed = _system(*row, found)
             systems.append(system)
             after.append(changed)
         information = np.eye(3) / MOUNT**2
@@ -70,10 +75,10 @@ def smoothed(
     return [_with_spread(*row, covariance) for row in rows], found, np.sqrt(np.diag(covariance))
 
 
-def _system(unit: Unit, legs: Legs, motion: Motion, mount: Rotation) -> tuple[BlockSystem, Motion]:
+def _system(unit: Unit, legs: Legs, points: Touching, motion: Motion, mount: Rotation) -> tuple[BlockSystem, Motion]:
     """Normal equations of a recording, and its motion with the scatter of its residuals."""
     inertia = inertia_of(unit, motion, mount)
-    contact, slip, gap = touches(legs, unit, motion, inertia)
+    contact, slip, gap = touches(points, unit, motion, inertia)
     rows, tilt = [propagation(unit, motion, inertia, legs.model.opt.gravity), contact], motion.tilt
     if unit.orientation is not None:
         reported, tilt = tilts(unit, motion, mount)

@@ -9,15 +9,16 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class Touching:
-    """Points of possible contact, N over all samples, in the frame of the base and from its unit.
+    """Points of possible contact, N over all samples, seen from some poses of the base.
 
     Attributes:
       sample: (N,) sample of each point.
       geom: (N,) geom of the robot.
       distance: (N,) from the surface of the other geom [m]; negative inside it.
-      normal: (N, 3) away from the other geom.
-      place: (N, 3) from the inertial unit to the point [m].
-      velocity: (N, 3) of the point relative to the base, by the joints [m/s].
+      normal: (N, 3) away from the other geom, in the world.
+      world: (N, 3) the point in the world [m].
+      place: (N, 3) from the inertial unit to the point, in the frame of the base [m].
+      velocity: (N, 3) of the point relative to the base by the joints, in its frame [m/s].
       distance_variance: (N,) by the noise of the encoders [m^2].
       velocity_covariance: (N, 3, 3) by the noise of the joints' velocities [(m/s)^2].
     """
@@ -26,10 +27,15 @@ class Touching:
     geom: np.ndarray
     distance: np.ndarray
     normal: np.ndarray
+    world: np.ndarray
     place: np.ndarray
     velocity: np.ndarray
     distance_variance: np.ndarray
     velocity_covariance: np.ndarray
+
+    def distances(self, moved: np.ndarray) -> np.ndarray:
+        """Distances (N,) [m] of points (N, 3) that moved in the world."""
+        return self.distance + np.einsum("ni,ni->n", self.normal, moved - self.world)
 
 
 def touching_points(
@@ -76,12 +82,12 @@ def touching_points(
             away = sign * contact.frame[:3]
             point = contact.pos + 0.5 * contact.dist * away  # on the robot; MuJoCo's is half way between both
             mujoco.mj_jac(model, data, jacobian, None, point, model.geom_bodyid[own])
-            by_joints, normal = turn.T @ jacobian[:, joints], turn.T @ away
+            by_joints = turn.T @ jacobian[:, joints]
             covariance = (by_joints * variance_v) @ by_joints.T
-            variance = ((normal @ by_joints) ** 2) @ variance_q
+            variance = ((turn.T @ away @ by_joints) ** 2) @ variance_q
             place, velocity = turn.T @ (point - at), by_joints @ qvel[k, joints]
-            rows.append((k, own, contact.dist, *normal, *place, *velocity, variance, *covariance.ravel()))
-    table = np.array(rows).reshape(-1, 22)
+            rows.append((k, own, contact.dist, *away, *point, *place, *velocity, variance, *covariance.ravel()))
+    table = np.array(rows).reshape(-1, 25)
     return Touching(
         table[:, 0].astype(int),
         table[:, 1].astype(int),
@@ -89,6 +95,7 @@ def touching_points(
         table[:, 3:6],
         table[:, 6:9],
         table[:, 9:12],
-        table[:, 12],
-        table[:, 13:].reshape(-1, 3, 3),
+        table[:, 12:15],
+        table[:, 15],
+        table[:, 16:].reshape(-1, 3, 3),
     )

@@ -183,7 +183,8 @@ def test_points_pull_as_the_likelihood_of_touching_or_not(walk, index):
             total -= np.log(touching + 1 / (2.0**3 * 0.04))
         return total
 
-    rows, _, _ = touches(legs, unit, start, inertia_of(unit, start, mount))
+    seen = legs.points(start.place, start.turn)
+    rows, _, _ = touches(seen, unit, start, inertia_of(unit, start, mount))
     own, step = index % 9, 1e-6
     if index < 9:
         low, high = (surprise(changed(start, own, sign * step, slice(None)), mount) for sign in (-1, 1))
@@ -207,6 +208,7 @@ def test_points_move_as_their_velocities_say(walk):
     arm = np.cross(qvel[51, 3:6], one.place) + one.velocity
     speed = turn.apply(arm) + qvel[51, :3] + turn.apply(np.cross(qvel[51, 3:6], PLACE))
     np.testing.assert_allclose((other.distance - one.distance) / step, speed[:, 2], atol=1e-4)
+    np.testing.assert_allclose(one.distances(one.world + np.array([0.1, 0.2, 0.03])), one.distance + 0.03, atol=1e-9)
 
 
 def test_feet_sink_until_they_carry_the_robot():
