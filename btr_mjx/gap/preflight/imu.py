@@ -28,6 +28,10 @@ _FOLLOWS = 0.7
 """Correlation, after the best rotation, from which on a gyro follows the orientation."""
 _OFF = 2.0
 """Factor between a unit and what was measured in it."""
+_GONE = 0.07
+"""Share of gravity in a mean below which it was taken out: in g it would be 0.1."""
+_FULL_SCALE = float(np.deg2rad(2000))
+"""Largest rate of usual gyros [rad/s]."""
 _TURNED = np.deg2rad(10.0)
 """Rotation of a mount that is no error of a calibration: five standard deviations of 2 degrees."""
 _TIE = 1e-3
@@ -71,10 +75,12 @@ def _of_site(dataset: Dataset, site: int, gyro: str, accelerometer: str, level: 
     """Findings about the sensors of a site; "" for one that was not logged."""
     most = max(_FEWEST, _STRETCHES // len(dataset.recordings))
     every = [imu_vectors(recording, site, gyro, accelerometer, most) for recording in dataset.recordings]
+    known = all(own.turned is not None for own in every)
     every = [own for own in every if len(own.felt)]
+    if gyro and not known and (found := _too_fast(dataset, gyro, level)):
+        return found
     if sum(len(own.felt) for own in every) < _FEWEST:
         return []
-    known = all(own.turned is not None for own in every)
     findings, sensors = list[Finding](), list[_Sensor]()
     for name, judge in ((gyro, _gyro), (accelerometer, _accelerometer)):
         if name and (known or judge is _accelerometer):
@@ -82,6 +88,17 @@ def _of_site(dataset: Dataset, site: int, gyro: str, accelerometer: str, level: 
             findings += said
             sensors += [sensor] if sensor is not None else []
     return findings + (_axes(dataset, site, sensors, known, level) if sensors else [])
+
+
+def _too_fast(dataset: Dataset, name: str, level: Level) -> list[Finding]:
+    """An error of the unit of a gyro that no orientation judges."""
+    measured = [own for r in dataset.recordings if (own := r.measured_by(name)) is not None]
+    fastest = max(float(np.nanmax(np.abs(own), initial=0.0)) for own in measured)
+    if fastest <= _FULL_SCALE:
+        return []
+    sensor = _Sensor(name, _columns(dataset, name), np.empty((0, 3)), np.empty((0, 3)))
+    what = f"looks like deg/s, as it reaches {fastest:.3g}, and gyros measure up to {_FULL_SCALE:.3g} rad/s"
+    return [replace(_unit(dataset, sensor, what, "deg/s", level), evidence={"fastest": fastest})]
 
 
 def _gyro(
@@ -127,7 +144,7 @@ def _accelerometer(
     if 1 / _OFF < ratio < _OFF:
         return sensor, []
     evidence, instead = {"mean": mean, "factor": ratio}, f"{mean:.3g} instead of {_GRAVITY:.3g} m/s^2"
-    if ratio * _GRAVITY < 1 / _OFF:
+    if ratio < _GONE:
         message = (
             f"{listed(sensor.columns)}: gravity was taken out of this acceleration, as its mean is {instead}; log what "
             "the accelerometer measures (9.81 upwards at rest), or leave it out"

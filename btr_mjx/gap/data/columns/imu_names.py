@@ -14,7 +14,7 @@ from btr_mjx.gap.data.columns.words import BASE, imu_words, words
 from btr_mjx.gap.data.lists import listed
 from btr_mjx.models import part_names
 
-KINDS: Mapping[int, str] = {
+IMU_SENSORS: Mapping[int, str] = {
     int(mujoco.mjtSensor.mjSENS_GYRO): "gyro",
     int(mujoco.mjtSensor.mjSENS_ACCELEROMETER): "accelerometer",
     int(mujoco.mjtSensor.mjSENS_FRAMEQUAT): "framequat",
@@ -41,7 +41,7 @@ class ImuNames:
         bodies = part_names(model, "body")
         found: dict[str, dict[str, tuple[tuple[str, ...], frozenset[str]]]] = {}
         for sensor, name in enumerate(part_names(model, "sensor")):
-            kind, body = KINDS.get(int(model.sensor_type[sensor])), sensor_body(model, sensor)
+            kind, body = IMU_SENSORS.get(int(model.sensor_type[sensor])), sensor_body(model, sensor)
             if kind is not None and body >= 0:
                 named = frozenset(words(name)) | frozenset(words(bodies[body]))
                 found.setdefault(kind, {})[name] = words(name), named

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import mujoco
 
-from btr_mjx.gap.data.columns.imu_names import KINDS
+from btr_mjx.gap.data.columns.imu_names import IMU_SENSORS
 from btr_mjx.gap.data.columns.model_columns import (
     SUFFIXES,
     imu_columns,
@@ -82,7 +82,7 @@ def _give_to_sensor(
     own = [
         columns
         for name, columns in sensor_parts(model).items()
-        if KINDS.get(int(model.sensor_type[i := sensors.index(name)])) == kind
+        if IMU_SENSORS.get(int(model.sensor_type[i := sensors.index(name)])) == kind
         and model.body_weldid[sensor_body(model, i)] == model.body_weldid[model.jnt_bodyid[joint]]
     ]
     angular = {key: target for key, target in found.items() if target in group}
