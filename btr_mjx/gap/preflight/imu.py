@@ -55,6 +55,16 @@ class _Sensor:
         return np.asarray(np.sum(left**2, axis=1) / np.mean(np.sum(self.predicted**2, axis=1)))
 
 
+@dataclass(frozen=True, eq=False)
+class _Reading:
+    """Signs of the sensors, rotation of their mount, whether that is further than calibrations leave it, errors (N,)."""
+
+    signs: Sequence[float]
+    turn: "Rotation"
+    far: bool
+    errors: np.ndarray
+
+
 def imu_conventions(dataset: Dataset) -> list[Finding]:
     """Findings about gyros and accelerometers: errors where they stand in for a pose that was not measured."""
     model, names = dataset.model, part_names(dataset.model, "sensor")
@@ -96,9 +106,8 @@ def _too_fast(dataset: Dataset, name: str, level: Level) -> list[Finding]:
     fastest = max(float(np.nanmax(np.abs(own), initial=0.0)) for own in measured)
     if fastest <= _FULL_SCALE:
         return []
-    sensor = _Sensor(name, _columns(dataset, name), np.empty((0, 3)), np.empty((0, 3)))
     what = f"looks like deg/s, as it reaches {fastest:.3g}, and gyros measure up to {_FULL_SCALE:.3g} rad/s"
-    return [replace(_unit(dataset, sensor, what, "deg/s", level), evidence={"fastest": fastest})]
+    return [replace(_unit(dataset, name, what, "deg/s", level), evidence={"fastest": fastest})]
 
 
 def _gyro(
@@ -118,7 +127,7 @@ def _gyro(
     degrees = 1 / _OFF < ratio / _DEGREES < _OFF
     what = "is in deg/s, as it" if degrees else "is in another unit: it"
     finding = _unit(
-        dataset, sensor, f"{what} is {ratio:.3g} times the slope of the orientation", "deg/s" if degrees else "", level
+        dataset, name, f"{what} is {ratio:.3g} times the slope of the orientation", "deg/s" if degrees else "", level
     )
     finding = replace(finding, evidence={"factor": ratio})
     return replace(sensor, measured=measured / (_DEGREES if degrees else ratio)), [finding]
@@ -152,41 +161,41 @@ def _accelerometer(
         return None, [Finding(level, "convention", message, evidence=evidence)]
     weights = ratio * _GRAVITY < _OFF
     what = "is in g" if weights else "is in another unit"
-    finding = _unit(dataset, sensor, f"{what}, as its mean is {instead}", "g" if weights else "", level)
+    finding = _unit(dataset, name, f"{what}, as its mean is {instead}", "g" if weights else "", level)
     scaled = replace(sensor, measured=measured * (_GRAVITY if weights else 1 / ratio))
     return scaled, [replace(finding, evidence=evidence)]
 
 
-def _unit(dataset: Dataset, sensor: _Sensor, what: str, unit: str, level: Level) -> Finding:
-    lines = toml_lines(dataset, ["[units]", *(f'{quoted(c)} = "{unit}"' for c in sensor.columns)]) if unit else ()
+def _unit(dataset: Dataset, name: str, what: str, unit: str, level: Level) -> Finding:
+    columns = _columns(dataset, name)
+    lines = toml_lines(dataset, ["[units]", *(f'{quoted(c)} = "{unit}"' for c in columns)]) if unit else ()
     remedy = f"state {quoted(unit)} in [units] of dataset.toml" if unit else "convert it to rad/s or m/s^2"
-    return Finding(level, "units", f"{listed(sensor.columns)}: {sensor.name} {what}; {remedy}", remedy, lines=lines)
+    return Finding(level, "units", f"{listed(columns)}: {name} {what}; {remedy}", remedy, lines=lines)
 
 
 def _axes(dataset: Dataset, site: int, sensors: Sequence[_Sensor], known: bool, level: Level) -> list[Finding]:
     """Findings of signs and of the mount; of signs only where the orientation is presumed, rather than `known`."""
     from scipy.spatial.transform import Rotation  # slow to load
 
-    tried = []
-    for signs in sorted(product((1.0, -1.0), repeat=len(sensors)), key=lambda one: one.count(-1.0)):
-        turn = _mount(sensors, signs) if known else Rotation.identity()
-        far = bool(turn.magnitude() > _TURNED)
-        errors = sum(s.errors(turn, sign) for s, sign in zip(sensors, signs, strict=True))
-        tried.append((far, signs, turn, np.asarray(errors)))
-    best = tried[0]
-    if best[0]:
-        identity = Rotation.identity()
-        as_it_is = sum(s.errors(identity, 1.0) for s in sensors)
-        best = False, best[1], identity, np.asarray(as_it_is)
-    now = best[3]
-    for one in sorted(tried, key=lambda one: one[0]):  # what has fewer faults comes first
-        if compare(best[3], one[3]).significant:
-            best = one
-    far, signs, turn, errors = best
-    evidence = {"error_now": float(np.sqrt(np.median(now))), "error_with_remedy": float(np.sqrt(np.median(errors)))}
+    def read(signs: Sequence[float], turn: Rotation) -> _Reading:
+        errors = np.sum([s.errors(turn, sign) for s, sign in zip(sensors, signs, strict=True)], axis=0)
+        return _Reading(signs, turn, bool(turn.magnitude() > _TURNED), errors)
+
+    as_it_is = [1.0] * len(sensors)
+    tried = [
+        read(signs, _mount(sensors, signs) if known else Rotation.identity())
+        for signs in sorted(product((1.0, -1.0), repeat=len(sensors)), key=lambda one: one.count(-1.0))
+    ]
+    now = best = read(as_it_is, Rotation.identity()) if tried[0].far else tried[0]
+    for one in sorted(tried, key=lambda one: one.far):  # what has fewer faults comes first
+        best = one if compare(best.errors, one.errors).significant else best
+    evidence = {
+        "error_now": float(np.sqrt(np.median(now.errors))),
+        "error_with_remedy": float(np.sqrt(np.median(best.errors))),
+    }
     shown = f"error {evidence['error_with_remedy']:.2g} of the motion instead of {evidence['error_now']:.2g}"
     findings = []
-    for sensor, sign in zip(sensors, signs, strict=True):
+    for sensor, sign in zip(sensors, best.signs, strict=True):
         if sign < 0:
             message = (
                 f"{listed(sensor.columns)}: {sensor.name} has the opposite sign of what the orientation "
@@ -194,9 +203,9 @@ def _axes(dataset: Dataset, site: int, sensors: Sequence[_Sensor], known: bool, 
                 f"columns{'' if known else ', or turn the site if the IMU is mounted upside down'}"
             )
             findings.append(Finding(level, "convention", message, "negate the columns", evidence))
-    if far:
-        angle = float(np.rad2deg(turn.magnitude()))
-        own = Rotation.from_quat(dataset.model.site_quat[site], scalar_first=True) * turn.inv()
+    if best.far:
+        angle = float(np.rad2deg(best.turn.magnitude()))
+        own = Rotation.from_quat(dataset.model.site_quat[site], scalar_first=True) * best.turn.inv()
         quaternion = " ".join(f"{value:.4g}" for value in own.as_quat(canonical=True, scalar_first=True).round(4) + 0.0)
         name = part_names(dataset.model, "site")[site]
         message = (
