@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.data import Dataset, base_unmeasured, listed, quoted
+from btr_mjx.gap.data import Dataset, listed, quoted
 from btr_mjx.gap.preflight.comparison import compare
 from btr_mjx.gap.preflight.findings import Finding, Level
-from btr_mjx.gap.preflight.imu_vectors import ImuVectors, imu_vectors
+from btr_mjx.gap.preflight.imu_vectors import ImuVectors, imu_vectors, poses_measured
 from btr_mjx.gap.preflight.lerobot_tables import toml_lines
 from btr_mjx.models import part_names
 
@@ -57,7 +57,7 @@ class _Sensor:
 
 @dataclass(frozen=True, eq=False)
 class _Reading:
-    """Signs of the sensors, rotation of their mount, whether that is further than calibrations leave it, errors (N,)."""
+    """Signs of the sensors, rotation of their mount, whether no calibration leaves it so far off, and errors (N,)."""
 
     signs: Sequence[float]
     turn: "Rotation"
@@ -68,7 +68,9 @@ class _Reading:
 def imu_conventions(dataset: Dataset) -> list[Finding]:
     """Findings about gyros and accelerometers: errors where they stand in for a pose that was not measured."""
     model, names = dataset.model, part_names(dataset.model, "sensor")
-    level: Level = "error" if any(base_unmeasured(recording) for recording in dataset.recordings) else "warning"
+    free = model.jnt_dofadr[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
+    measured = all(poses_measured(recording)[free].all() for recording in dataset.recordings)
+    level: Level = "warning" if measured else "error"
     kinds = int(mujoco.mjtSensor.mjSENS_GYRO), int(mujoco.mjtSensor.mjSENS_ACCELEROMETER)
     found: dict[int, dict[int, str]] = {}
     for name, kind, site in zip(names, model.sensor_type.tolist(), model.sensor_objid.tolist(), strict=True):

@@ -116,12 +116,18 @@ def _poses(recording: Recording, site: int, rows: np.ndarray) -> tuple[np.ndarra
     return None
 
 
+def poses_measured(recording: Recording) -> np.ndarray:
+    """(nv,) bool: which positions were measured, rather than estimated, from the IMU itself or otherwise."""
+    estimate = recording.estimate
+    return recording.seen if estimate is None else recording.seen & np.isnan(estimate.sigma[: recording.model.nv])
+
+
 def _all_measured(recording: Recording, body: int) -> bool:
     """Whether all joints between a body and the world were measured."""
-    model = recording.model
+    model, measured = recording.model, poses_measured(recording)
     while body > 0:
         dofs = slice(model.body_dofadr[body], model.body_dofadr[body] + model.body_dofnum[body])
-        if model.body_dofnum[body] and not recording.seen[dofs].all():
+        if model.body_dofnum[body] and not measured[dofs].all():
             return False
         body = int(model.body_parentid[body])
     return True

@@ -2,12 +2,14 @@
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from imu_logs import POSE, dataset, quadruped, walk
 from scipy.spatial.transform import Rotation
 
+from btr_mjx.gap.data.recordings.recording import StateEstimate
 from btr_mjx.gap.preflight import Finding
 from btr_mjx.gap.preflight.imu import imu_conventions
 
@@ -101,3 +103,14 @@ def test_of_a_robot_that_stands_still_the_accelerometer_is_checked() -> None:
     assert found(times(still, GYRO, -1.0), "pose") == []  # nothing tells it
     (one,) = found(times(still, ACCELEROMETER, -1.0), "pose")
     assert "opposite sign" in one.message
+
+
+def test_a_pose_that_was_estimated_is_no_measurement(right: Columns) -> None:
+    """The estimate of a base comes from the IMU itself, and would agree with it."""
+    data = dataset(times({n: v for n, v in right.items() if n not in ORIENTATION}, ACCELEROMETER, -1.0))
+    (one,) = data.recordings
+    sigma = np.r_[np.full(6, 1e-3), np.full(one.model.nv - 6, np.nan)]
+    estimated = replace(one, estimate=StateEstimate(np.tile(sigma, 2), np.tile(sigma, 2)))
+    (finding,) = imu_conventions(replace(data, recordings=(estimated,)))
+    assert finding.level == "error"
+    assert "of the model at its start" in finding.message
