@@ -7,7 +7,13 @@ deviation of the sensor noise. `save_dataset` writes one. A `Reader` adds a form
 Throughout, `where` says in messages which file or table is meant, and what is found and chosen is appended to `notes`.
 """
 
-from btr_mjx.gap.data.columns.model_columns import control_columns, driven_joint, state_columns
+from btr_mjx.gap.data.columns.model_columns import (
+    control_columns,
+    driven_joint,
+    sensor_body,
+    sensor_columns,
+    state_columns,
+)
 from btr_mjx.gap.data.columns.remedy import Answer, quoted
 from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, known_of, noise_of, read_header
 from btr_mjx.gap.data.files.readers import Reader, read_columns
@@ -17,7 +23,7 @@ from btr_mjx.gap.data.loading import load
 from btr_mjx.gap.data.opening import open_dataset, open_logs
 from btr_mjx.gap.data.recordings.held import Held, bends, held, stairs
 from btr_mjx.gap.data.recordings.noise import Noise, estimate_noise, quantisation_noise, reduced_noise
-from btr_mjx.gap.data.recordings.recording import Recording, make_recording
+from btr_mjx.gap.data.recordings.recording import Recording, base_unmeasured, make_recording
 from btr_mjx.gap.data.recordings.wraps import Wrap, find_wraps
 from btr_mjx.gap.data.writing import DatasetDescription, Format, save_dataset
 
@@ -34,6 +40,7 @@ __all__ = [
     "Reader",
     "Recording",
     "Wrap",
+    "base_unmeasured",
     "bends",
     "control_columns",
     "counted",
@@ -55,6 +62,8 @@ __all__ = [
     "read_header",
     "reduced_noise",
     "save_dataset",
+    "sensor_body",
+    "sensor_columns",
     "stairs",
     "state_columns",
 ]

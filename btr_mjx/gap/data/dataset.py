@@ -43,6 +43,9 @@
     angular_velocity = 0.03             # free and ball joints [rad/s]
     "qpos/knee" = 0.002                 # of one joint; also "qvel/knee", and any single column
 
+An IMU is logged in columns of the model's sensors, `sensor/<gyro>/x`, see `columns`; a base with one needs no columns
+of its pose: `recording.base_unmeasured`.
+
 Velocities that were not measured are estimated by local cubic fits and marked in `Recording.qvel_measured`.
 """
 

@@ -25,12 +25,10 @@ def recording_columns(recording: Recording) -> dict[str, np.ndarray]:
     positions, velocities = state_columns(recording.model)
     columns = {"time": recording.time}
     columns |= dict(zip(control_columns(recording.model), recording.ctrl.T, strict=True))
-    hidden = recording.model.jnt_qposadr[recording.model.dof_jntid[~recording.seen]]
-    columns |= {
-        name: values
-        for i, (name, values) in enumerate(zip(positions, recording.qpos.T, strict=True))
-        if i not in hidden
-    }
+    model = recording.model
+    seen = np.repeat(recording.seen[model.jnt_dofadr], np.diff([*model.jnt_qposadr, model.nq]))
+    position = zip(positions, recording.qpos.T, seen, strict=True)
+    columns |= {name: values for name, values, measured in position if measured}
     velocity = zip(velocities, recording.qvel.T, recording.qvel_measured, strict=True)
     columns |= {name: values for name, values, measured in velocity if measured}
     columns |= {f"force/{name}": values for name, values in recording.force.items()}

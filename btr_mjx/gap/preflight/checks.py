@@ -16,6 +16,7 @@ from btr_mjx.gap.preflight.conventions import position_conventions
 from btr_mjx.gap.preflight.drift import clock_drift
 from btr_mjx.gap.preflight.excitation import NO_GROUND, JointTrack, joint_tracks, moves, unexcited_effects
 from btr_mjx.gap.preflight.findings import DEGREES_REMEDY, Finding, Level
+from btr_mjx.gap.preflight.imu import imu_conventions
 from btr_mjx.gap.preflight.repeats import angle_jumps, held_commands, held_positions
 from btr_mjx.gap.preflight.reported_torques import reported_torques
 from btr_mjx.gap.preflight.stability import stability
@@ -55,7 +56,8 @@ def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Fi
     for line in dict.fromkeys(note for recording in dataset.recordings for note in recording.notes):
         names = [r.name for r in dataset.recordings if line in r.notes]
         of = "" if len(names) == len(dataset.recordings) else f" ({listed(names)})"
-        level: Level = "warning" if line.startswith("joints without an encoder") else "note"
+        estimated = line.startswith(("joints without an encoder", "poses that were not measured"))
+        level: Level = "warning" if estimated else "note"
         findings.append(Finding(level, "loading", line + of))
     findings += sampling(dataset)
     findings += held_positions(dataset) + held_commands(dataset) + angle_jumps(dataset)
@@ -64,6 +66,8 @@ def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Fi
     findings += response_delays(dataset, joints) + reported_torques(dataset)
     findings += _parameter_bounds(dataset)
     findings += _excitation(dataset, joints, effects)
+    if all(finding.level != "error" for finding in findings):
+        findings += imu_conventions(dataset)
     if all(finding.level != "error" for finding in findings):
         findings += undecided_signs(dataset, noise) + stability(dataset)
     if all(finding.level != "error" for finding in findings):

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import mujoco
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data.columns.model_columns import model_columns
+from btr_mjx.gap.data.columns.model_columns import model_columns, sensor_parts
 from btr_mjx.gap.data.columns.one_column import (
     Candidates,
     ModelNames,
@@ -28,6 +28,7 @@ from btr_mjx.gap.data.columns.one_column import (
 )
 from btr_mjx.gap.data.columns.remedy import NO_FILE, Answer, quoted
 from btr_mjx.gap.data.columns.units import stated_unit
+from btr_mjx.gap.data.columns.whole_groups import keep_whole_groups
 from btr_mjx.gap.data.columns.words import TIME, words
 from btr_mjx.gap.data.lists import listed
 from btr_mjx.models import nearest_names, part_names
@@ -111,12 +112,16 @@ def _match(
     """The matches where the words of `filler` may be left out."""
     finds, notes = Candidates(), list[str]()
     found: dict[tuple[int, str], str] = {}
+    vectors = [(name, own) for name, own in sensor_parts(names.model).items() if len(own) > 1]
+    numbered = {f"sensor/{name}/{k}": column for name, own in vectors for k, column in enumerate(own)}
     for i, (label, columns) in enumerate(tables):
         common = common_words([c for c in columns if c not in exact])
         for column in columns:
             if column in given:
                 found[i, column] = names.driving(given[column]) or given[column]
-            elif column in exact or column.startswith("sensor/"):
+            elif column.startswith("sensor/"):
+                found[i, column] = numbered.get(column, column)
+            elif column in exact:
                 if (target := names.driving(column)) is not None:
                     found[i, column] = target
             elif (sensor := names.sensors.get(words(stated_unit(column)[0]))) is not None:
@@ -131,6 +136,9 @@ def _match(
             continue
         best = max(rank for rank, _, _ in ranked)
         chosen = [(i, column) for rank, i, column in ranked if rank == best]
+        if len(chosen) > 1 and target.startswith("sensor/"):
+            finds.undecided[(target[7:].rpartition("/")[0],)] += [column for _, column in chosen]
+            continue
         if len(chosen) > 1:
             these = [repr(column) for _, column in chosen]
             line = f"{quoted(chosen[0][1])} = {quoted(target)}  # or {listed(these[1:])}"
@@ -138,22 +146,14 @@ def _match(
         found[chosen[0]] = target
         if best == 1 and target.startswith("ctrl/"):
             notes.append(f"no column is named a command of {target[5:]!r}; {chosen[0][1]!r} is taken as its command")
-    _drop_partial_velocities(found, model_columns(names.model)["qvel"], notes)
+    keep_whole_groups(found, names.model, notes)
+    notes += names.imu.lacking([c for i, (_, own) in enumerate(tables) for c in own if (i, c) not in found])
+    for sensors, columns in finds.undecided.items():
+        notes.append(
+            f"columns without a use: {listed(columns)}: may be of {' or '.join(sensors)}; say which in [columns]"
+        )
     spoken = [f"{column} = {target}" for (_, column), target in found.items() if column != target]
     return Matched(found, [*notes, f"columns matched by name: {listed(spoken, 40)}"] if spoken else notes)
-
-
-def _drop_partial_velocities(names: dict[tuple[int, str], str], velocities: Sequence[str], notes: list[str]) -> None:
-    """A gyroscope alone is not the velocity of a free joint; it is left out, unless it has MuJoCo's own names."""
-    joints = {column.split("/")[1] for column in velocities}
-    for joint in joints:
-        needed = {column for column in velocities if column.startswith(f"qvel/{joint}/")}
-        found = {key: target for key, target in names.items() if target in needed}
-        if 0 < len(set(found.values())) < len(needed) and all(key[1] != target for key, target in found.items()):
-            for key in found:
-                del names[key]
-            missing = ", ".join(sorted(needed - set(found.values())))
-            notes.append(f"velocities of {joint} are estimated: there are {len(found)} columns, without {missing}")
 
 
 def _check_given(given: Mapping[str, str], tables: Tables, exact: set[str], where: str) -> None:

@@ -7,7 +7,14 @@
     qvel/<joint>/vx vy vz wx wy wz                           free joint: velocity in the world [m/s], angular velocity
                                                              in the body's frame [rad/s], as MuJoCo has them
     qpos/<joint>/qw qx qy qz, qvel/<joint>/wx wy wz          ball joint
-    force/<actuator>, sensor/<name>                          optional
+    force/<actuator>                                         optional
+    sensor/<sensor>                                          optional: touch, joint and actuator sensors
+    sensor/<sensor>/x y z                                    gyro [rad/s], accelerometer [m/s^2] and others
+    sensor/<sensor>/qw qx qy qz                              framequat
+    sensor/<name>                                            anything else, without a use
+
+<sensor> is the name of a `<sensor>` element of the MJCF, whose conventions hold: an accelerometer at rest measures
+9.81 m/s^2 upwards.
 
 CSV, Parquet and NPZ files hold these columns. In NPZ, arrays `qpos` (K, nq), `qvel` (K, nv) and `ctrl` (K, nu) may
 stand for all columns of their kind, and `qpos/<joint>` (K, 7) for those of a free joint.
@@ -28,6 +35,27 @@ SUFFIXES: Mapping[int, tuple[tuple[str, ...], tuple[str, ...]]] = {
     int(mujoco.mjtJoint.mjJNT_BALL): (_QUAT, _SPIN),
 }
 """Suffixes of the position and velocity columns by joint type; hinges and slides have one column without suffix."""
+_SENSOR = mujoco.mjtSensor
+SENSOR_QUANTITIES: Mapping[int, str | None] = {
+    int(_SENSOR.mjSENS_GYRO): "turning",
+    int(_SENSOR.mjSENS_ACCELEROMETER): "acceleration",
+    int(_SENSOR.mjSENS_VELOCIMETER): "moving",
+    int(_SENSOR.mjSENS_FRAMEQUAT): None,
+    int(_SENSOR.mjSENS_FRAMEPOS): "length",
+    int(_SENSOR.mjSENS_FRAMELINVEL): "moving",
+    int(_SENSOR.mjSENS_FRAMEANGVEL): "turning",
+    int(_SENSOR.mjSENS_JOINTPOS): "qpos",
+    int(_SENSOR.mjSENS_JOINTVEL): "qvel",
+    int(_SENSOR.mjSENS_ACTUATORFRC): "force",
+    int(_SENSOR.mjSENS_JOINTACTFRC): "force",
+    int(_SENSOR.mjSENS_FORCE): "force",
+    int(_SENSOR.mjSENS_TORQUE): "force",
+    int(_SENSOR.mjSENS_TOUCH): "force",
+    int(_SENSOR.mjSENS_MAGNETOMETER): None,
+}
+"""Types of sensors whose measurements a log can hold, and the quantity of their units; "qpos" and "qvel" are those of
+the joint."""
+_SENSOR_PARTS: Mapping[int, tuple[str, ...]] = {3: ("/x", "/y", "/z"), 4: tuple(f"/{part}" for part in _QUAT)}
 
 
 def state_columns(model: mujoco.MjModel) -> tuple[list[str], list[str]]:
@@ -52,6 +80,58 @@ def model_columns(model: mujoco.MjModel) -> dict[str, list[str]]:
     return {"qpos": positions, "qvel": velocities, "ctrl": controls, "force": forces}
 
 
+def sensor_parts(model: mujoco.MjModel) -> dict[str, list[str]]:
+    """Names of the columns of every sensor that a log can hold, by the sensor's name."""
+    return {
+        name: [f"sensor/{name}{part}" for part in _SENSOR_PARTS.get(int(dim), ("",))]
+        for name, kind, dim in zip(part_names(model, "sensor"), model.sensor_type, model.sensor_dim, strict=True)
+        if int(kind) in SENSOR_QUANTITIES
+    }
+
+
+def sensor_columns(model: mujoco.MjModel) -> list[str]:
+    """Names of the columns of sensors that a log can hold, in the model's order."""
+    return [column for columns in sensor_parts(model).values() for column in columns]
+
+
+def sensor_body(model: mujoco.MjModel, sensor: int) -> int:
+    """Id of the body to which a sensor at a site, a body, a geom or a camera is fixed; -1 for other sensors."""
+    owner = {
+        int(mujoco.mjtObj.mjOBJ_SITE): model.site_bodyid,
+        int(mujoco.mjtObj.mjOBJ_GEOM): model.geom_bodyid,
+        int(mujoco.mjtObj.mjOBJ_CAMERA): model.cam_bodyid,
+        int(mujoco.mjtObj.mjOBJ_BODY): np.arange(model.nbody),
+        int(mujoco.mjtObj.mjOBJ_XBODY): np.arange(model.nbody),
+    }.get(int(model.sensor_objtype[sensor]))
+    return -1 if owner is None else int(owner[model.sensor_objid[sensor]])
+
+
+def imu_columns(columns: Collection[str], model: mujoco.MjModel, joint: int) -> list[str]:
+    """Columns of the gyros and accelerometers that were logged whole and move with the body of a joint.
+
+    There are none unless both kinds were logged.
+    """
+    found: dict[int, list[str]] = {}
+    for name, own in sensor_parts(model).items():
+        sensor = part_names(model, "sensor").index(name)
+        fixed = model.body_weldid[sensor_body(model, sensor)] == model.body_weldid[model.jnt_bodyid[joint]]
+        if fixed and all(column in columns for column in own):
+            found.setdefault(int(model.sensor_type[sensor]), []).extend(own)
+    kinds = int(_SENSOR.mjSENS_GYRO), int(_SENSOR.mjSENS_ACCELEROMETER)
+    return [column for kind in kinds for column in found[kind]] if found.keys() >= {*kinds} else []
+
+
+def unmeasured_bases(columns: Collection[str], model: mujoco.MjModel) -> list[int]:
+    """Ids of the free joints of whose pose no column was logged, but all of a gyro and an accelerometer."""
+    return [
+        joint
+        for joint, name in enumerate(part_names(model, "joint"))
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
+        and not any(c in ("qpos", f"qpos/{name}") or c.startswith(f"qpos/{name}/") for c in columns)
+        and imu_columns(columns, model, joint)
+    ]
+
+
 def driven_joint(model: mujoco.MjModel, actuator: int) -> int | None:
     """Id of the joint on which an actuator acts; None for a tendon, a site or a body."""
     kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
@@ -67,7 +147,8 @@ def ungroup_columns(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, wh
             flat[name] = array
             continue
         array = array.reshape(len(array), -1)
-        members = groups.get(name) or [c for c in groups["qpos"] + groups["qvel"] if c.startswith(f"{name}/")] or [name]
+        vectors = groups["qpos"] + groups["qvel"] + sensor_columns(model)
+        members = groups.get(name) or [c for c in vectors if c.startswith(f"{name}/")] or [name]
         if array.shape[1] != len(members):
             raise InputError(
                 f"{where}: array {name!r} has {array.shape[1]} columns, the model needs {len(members)}: "
@@ -98,6 +179,20 @@ def check_velocities(columns: Collection[str], model: mujoco.MjModel, where: str
             raise InputError(f"{where}: there is no column {missing[0]!r}; give all of a joint's velocities or none")
 
 
+def check_sensors(columns: Collection[str], model: mujoco.MjModel, where: str) -> None:
+    """Refuse columns of a sensor of the model that are none of its components, and a part of its components only."""
+    known, columns = sensor_columns(model), [c for c in columns if c.startswith("sensor/")]
+    for name, own in sensor_parts(model).items():
+        for column in columns:
+            if column not in known and f"{column}/".startswith(f"sensor/{name}/"):
+                raise InputError(
+                    f"{where}: column {column!r} is no component of the sensor {name!r}; expected {listed(own)}"
+                )
+        missing = [c for c in own if c not in columns]
+        if 0 < len(missing) < len(own):
+            raise InputError(f"{where}: there is no column {missing[0]!r}; give all columns of a sensor or none")
+
+
 def check_names(columns: Collection[str], model: mujoco.MjModel, where: str) -> list[str]:
     """Names of columns that are not used; refuses unknown ones of joints and actuators, and missing ones."""
     check_spelling(columns, model, where)
@@ -111,5 +206,6 @@ def check_names(columns: Collection[str], model: mujoco.MjModel, where: str) -> 
             near = nearest_names(column, list(columns))
             raise InputError(f"{where}: there is no column {column!r}; nearest in the file: {near}")
     check_velocities(columns, model, where)
+    check_sensors(columns, model, where)
     useful = {"time"}.union(*families.values())
     return [c for c in columns if c not in useful and not c.startswith("sensor/")]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import mujoco
 
+from btr_mjx.gap.data.columns.imu_names import ImuNames
 from btr_mjx.gap.data.columns.model_columns import SUFFIXES
 from btr_mjx.gap.data.columns.units import commanded, stated_unit
 from btr_mjx.gap.data.columns.words import BASE, NEUTRAL, OTHER, TIME, component, kind_of, unknown_words, words
@@ -24,12 +25,14 @@ class Candidates:
     Attributes:
       ranked: rank (explicit ones are higher), table and name.
       numbered: those with a number in place of a joint's name, by number.
+      undecided: columns of an IMU by the names of the sensors that they may be of.
     """
 
     ranked: dict[str, list[tuple[int, int, str]]] = field(default_factory=lambda: defaultdict(list))
     numbered: dict[tuple[bool, str | None, int, Words], dict[int, str]] = field(
         default_factory=lambda: defaultdict(dict)
     )
+    undecided: dict[Words, list[str]] = field(default_factory=lambda: defaultdict(list))
 
 
 def common_words(columns: Sequence[str]) -> Words:
@@ -53,12 +56,14 @@ class ModelNames:
       model: the model.
       aliases: joint and actuator by words that name them. Those of the only joint need no words.
       sensors: columns of the model that sensors of its joints read, by the words of the sensor's name.
+      imu: words of the sensors of IMUs.
       forces: whether measured forces of the actuators are what drives the model, and commands have no use.
     """
 
     model: mujoco.MjModel
     aliases: Mapping[Words, tuple[str | None, str | None]]
     sensors: Mapping[Words, str]
+    imu: ImuNames
     forces: bool = False
 
     @staticmethod
@@ -80,7 +85,7 @@ class ModelNames:
             for i, (kind, joint) in enumerate(zip(model.sensor_type.tolist(), model.sensor_objid.tolist(), strict=True))
             if kind in kinds
         }
-        return ModelNames(model, aliases, sensors, forces)
+        return ModelNames(model, aliases, sensors, ImuNames.of(model), forces)
 
     def driving(self, column: str) -> str | None:
         """The column that one with a model's own name is; None for a command where forces drive the model."""
@@ -156,13 +161,22 @@ def match_one(
     Words of the table's label count where the column says of no quantity. Words that are `common` to the columns, and
     those of a `filler` in columns that speak of a quantity, may be left out.
     """
-    said = words(stated_unit(column)[0])
+    whole = said = words(stated_unit(column)[0])
     if names.named_by(said) is None and said[: len(common)] == common:
         said = said[len(common) :]
     if filler and names.named_by(said) is None and any(kind_of(frozenset(without(said, filler)))):
         said = without(said, filler)
     hint = frozenset(label) if not any(kind_of(frozenset(said))) else frozenset[str]()
     best = names.named_by(said)
+    if best is None or names.part_of(*best) is not None:
+        for own in dict.fromkeys((whole, said)):
+            sensors, rank = names.imu.columns(own, label)
+            if len(sensors) == 1:
+                finds.ranked[sensors[0]].append((rank, i, column))
+            elif sensors:
+                finds.undecided[tuple(one[7:].rpartition("/")[0] for one in sensors)].append(column)
+            if sensors:
+                return
     numbers = [word for word in said if word.isdigit()]
     rest = tuple(word for word in said if not word.isdigit())
     if len(numbers) == 1 and (best is None or best[0] == (numbers[0],)) and not unknown_words(rest):

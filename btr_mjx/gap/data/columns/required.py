@@ -6,11 +6,18 @@ import mujoco
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns.matching import Matched, Tables
-from btr_mjx.gap.data.columns.model_columns import check_spelling, check_velocities, model_columns
+from btr_mjx.gap.data.columns.model_columns import (
+    check_sensors,
+    check_spelling,
+    check_velocities,
+    model_columns,
+    unmeasured_bases,
+)
 from btr_mjx.gap.data.columns.remedy import NO_FILE, Answer
 from btr_mjx.gap.data.columns.units import UNITS, commanded, quantity_of, stated_unit
 from btr_mjx.gap.data.columns.words import OTHER, TIME, kind_of, words
 from btr_mjx.gap.data.lists import listed
+from btr_mjx.models import part_names
 
 
 class CommandsMissing(InputError):
@@ -29,7 +36,7 @@ def check_matched(
     """Check that every required column of a model was found, and no name misspelt.
 
     A hinge or slide without a column has no encoder only where that is said, or where no column of the log is left
-    that may be its own.
+    that may be its own. The pose of a free joint may be absent where its IMU was logged.
 
     Raises:
       CommandsMissing: only commands are absent, and forces of these actuators are there.
@@ -51,7 +58,8 @@ def check_matched(
     named = {column for _, column in matched.names}
     free = [name for name in known if name not in named]
     missing, hidden = [] if "time" in found else ["time"], list[str]()
-    families = model_columns(model)
+    families, joints = model_columns(model), part_names(model, "joint")
+    absent = [joints[joint] for joint in unmeasured_bases(found, model)]
     for column in [*families["qpos"], *families["ctrl"]]:
         kind, _, name = column.partition("/")
         if not {column, kind, f"{kind}/{name.rpartition('/')[0]}"} & found:
@@ -59,7 +67,8 @@ def check_matched(
                 if name in unmeasured or not free:
                     continue
                 hidden.append(name)
-            missing.append(column)
+            if kind == "ctrl" or name.rpartition("/")[0] not in absent:
+                missing.append(column)
     if missing and all(c.startswith("ctrl/") and c.replace("ctrl/", "force/", 1) in found for c in missing):
         raise CommandsMissing(f"{where}: there is no column {listed(missing, quotes=True)}")
     if missing:
@@ -69,6 +78,7 @@ def check_matched(
         )
         raise answer.asked(message, near(missing, free), hidden)
     check_velocities(found, model, where)
+    check_sensors(found, model, where)
 
 
 def may_be(column: str, target: str, model: mujoco.MjModel, unit: str | None = None) -> bool:

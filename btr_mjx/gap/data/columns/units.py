@@ -12,6 +12,8 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
+from btr_mjx.gap.data.columns.model_columns import SENSOR_QUANTITIES, sensor_parts
+from btr_mjx.gap.data.columns.words import ACCELERATION, words
 from btr_mjx.models import part_names
 
 TIME_UNITS: Mapping[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -30,6 +32,8 @@ UNITS: Mapping[str, tuple[str, float]] = {
     "m/s": ("moving", 1.0),
     "cm/s": ("moving", 1e-2),
     "mm/s": ("moving", 1e-3),
+    "m/s^2": ("acceleration", 1.0),
+    "g": ("acceleration", 9.80665),
     "nm": ("force", 1.0),
     "mnm": ("force", 1e-3),
     "n": ("force", 1.0),
@@ -48,9 +52,10 @@ _SPELLINGS: Mapping[str, str] = {
     **dict.fromkeys(("°/s", "deg/sec", "degs/s", "dps", "degree/s", "degrees/s"), "deg/s"),
     **dict.fromkeys(("1/min", "rev/min", "u/min"), "rpm"),
     **dict.fromkeys(("meter", "meters", "metre", "metres"), "m"),
+    **dict.fromkeys(("m/s2", "m/s²", "m/s**2", "m/s/s", "mps2", "ms2"), "m/s^2"),
     **dict.fromkeys(("n m", "n*m", "n·m", "n.m", "newton metre"), "nm"),
 }
-_OTHER = ("", "-", "1", "a", "ma", "v", "mv", "w", "%", "c", "°c", "degc", "k", "hz", "pa", "bar", "g", "kg", "count")
+_OTHER = ("", "-", "1", "a", "ma", "v", "mv", "w", "%", "c", "°c", "degc", "k", "hz", "pa", "bar", "kg", "count")
 """What else may stand in a row of units: nothing is converted there."""
 
 _AS_SUFFIX = (
@@ -58,6 +63,8 @@ _AS_SUFFIX = (
     *("sec", "secs", "ms", "msec", "us", "usec", "ns", "nsec"),
 )
 """Units that the last word of a name may be; shorter ones are too often something else."""
+_A_SECOND = re.compile(r"(.+?)[\s_./-]+((?:deg|rad)[/_]s|m[/_]s(?:\^2|2|²)|mps2|ms2)", re.IGNORECASE)
+"""Rates at the end of a name."""
 
 _TYPICAL = (("s", 0.5), ("ms", 200.0), ("us", 2e5), ("ns", 2e8))
 """Largest typical interval between samples by unit: two seconds^-1 in seconds, five a second in the others."""
@@ -84,8 +91,12 @@ def stated_unit(name: str) -> tuple[str, str | None]:
         unit = known_unit(match[2])
         if unit or (is_unit_text(match[2]) and not match[2].strip().isdigit()):
             return match[1], unit
-    if (match := re.fullmatch(r"(.+?)[\s_./-]+([A-Za-z]+)", name)) and match[2].lower() in _AS_SUFFIX:
-        return match[1], known_unit(match[2])
+    if match := _A_SECOND.fullmatch(name):
+        return match[1], known_unit(match[2].replace("_", "/"))
+    if match := re.fullmatch(r"(.+?)[\s_./-]+([A-Za-z]+)", name):
+        unit = match[2].lower()
+        if unit in _AS_SUFFIX or (unit == "g" and ACCELERATION & set(words(match[1]))):
+            return match[1], known_unit(unit)
     return name, None
 
 
@@ -130,6 +141,13 @@ def quantity_of(column: str, model: mujoco.MjModel) -> str | None:
     if kind in ("time", "force"):
         return kind
     joints, part, driven = part_names(model, "joint"), "", ""
+    if kind == "sensor":
+        sensors = part_names(model, "sensor")
+        sensor = next((sensors.index(one) for one, own in sensor_parts(model).items() if column in own), None)
+        quantity = None if sensor is None else SENSOR_QUANTITIES[int(model.sensor_type[sensor])]
+        if sensor is None or quantity not in ("qpos", "qvel"):
+            return quantity
+        kind, name = quantity, joints[int(model.sensor_objid[sensor])]
     if kind == "ctrl":
         i = part_names(model, "actuator").index(name)
         if int(model.actuator_trntype[i]) != mujoco.mjtTrn.mjTRN_JOINT:

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
 
 def _set(text: str) -> frozenset[str]:
@@ -27,6 +28,8 @@ OTHER = _set(
 """Words that say that a column holds something else than what a model needs."""
 BASE = _set("base root trunk torso body pelvis odom odometry mocap pose twist link floating free imu vicon optitrack")
 """Words that stand for the free joint of a model that has one."""
+ACCELERATION = _set("acc accel acceleration accelerations accelerometer")
+"""Words of an accelerometer."""
 TIME = ("time", "timestamp", "timestamps", "times", "t", "stamp", "clock", "elapsed")
 """Words for time, in the order of preference."""
 
@@ -35,6 +38,15 @@ _QUATERNION = _set("quat quaternion orientation orient ori rot rotation attitude
 _ANGULAR = _set("angular ang gyro omega angvel")
 _LINEAR = _set("linear lin v vel velocity linvel speed")
 _PLACE = _set("pos position translation p")
+_GYRO = _set("gyro gyroscope gyr")
+_IMU = _set("imu ahrs")
+_IMU_KINDS: Mapping[str, tuple[frozenset[str], frozenset[str]]] = {
+    "accelerometer": (ACCELERATION, _set("linear lin")),
+    "magnetometer": (_set("mag magnetometer magnetic"), _set("field")),
+    "framequat": (_QUATERNION, frozenset()),
+    "gyro": (_GYRO | _set("angular ang angvel omega"), _set("velocity vel rate rates speed")),
+}
+"""Sensors of an IMU: words of which one has to be there, and others that may be."""
 
 
 def words(name: str) -> tuple[str, ...]:
@@ -73,3 +85,44 @@ def component(rest: tuple[str, ...]) -> str | None:
     if others & (_LINEAR - _PLACE) and others <= _LINEAR:
         return f"v{last}"
     return last if others <= _PLACE else f"q{last}" if others == {"q"} else None
+
+
+@dataclass(frozen=True)
+class ImuWords:
+    """What words say of a sensor of an IMU.
+
+    Attributes:
+      kind: type of MuJoCo's sensor.
+      part: component: x, y, z, qw, ...
+      explicit: whether they can be nothing of a free joint.
+      raw: whether they say that the values were not filtered.
+      others: words that may name one of several sensors.
+    """
+
+    kind: str
+    part: str
+    explicit: bool
+    raw: bool
+    others: frozenset[str]
+
+
+def imu_words(said: tuple[str, ...], label: tuple[str, ...] = ()) -> ImuWords | None:
+    """The sensor of an IMU and its component that words name, in a table with a label; None if they name none.
+
+    Components may be numbers: 0, 1, 2 of a vector, and of a quaternion 0 for w.
+    """
+    own = frozenset(said[:-1])
+    of_imu = bool(_IMU & (own | frozenset(label)))
+    for kind, (names, context) in _IMU_KINDS.items():
+        quaternion = kind == "framequat" and of_imu and said[-1:] and re.fullmatch("q[wxyz]", said[-1])
+        if not own & names and not quaternion:
+            continue
+        parts = "wxyz" if kind == "framequat" else "xyz"
+        axis = {f"q{part}": part for part in parts if len(parts) > 3} | {str(i): p for i, p in enumerate(parts)}
+        part = axis.get(said[-1], said[-1])
+        if len(part) != 1 or part not in parts:
+            return None
+        explicit = of_imu or kind in ("accelerometer", "magnetometer") or bool(own & _GYRO)
+        others = own - names - context - NEUTRAL - _IMU - {"raw", "lowstate"}
+        return ImuWords(kind, part if len(parts) == 3 else f"q{part}", explicit, "raw" in own, others)
+    return None

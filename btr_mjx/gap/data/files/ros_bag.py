@@ -7,12 +7,13 @@ Every topic is a table with its own clock. Topics are those named in dataset.tom
     command = "/arm/commands"           # Float64MultiArray, JointTrajectory or JointState
     base = "/odom"                      # Odometry, Pose, PoseStamped or TransformStamped, of a free joint
     base_velocity = "/velocity"         # Twist or TwistStamped, where the base has no Odometry
+    imu = "/imu/data"                   # Imu, for sensors of the model; all of them where none is named
 
 Quaternions change from x, y, z, w to w, x, y, z. The twist of an Odometry is in the frame of the child: its linear part
 is rotated into the world, its angular part stays, as in MuJoCo.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,15 +22,19 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import DamagedFile, InputError, one_line
+from btr_mjx.gap.data.columns.imu_names import ImuNames
 from btr_mjx.gap.data.columns.words import COMMAND, words
 from btr_mjx.gap.data.files.ros_messages import (
     COMMANDS,
+    IMU_FIELDS,
+    IMUS,
     JOINTS,
     POSES,
     TWISTS,
     WORLD_FRAMES,
     command_numbers,
     frame_of,
+    imu_numbers,
     joint_numbers,
     pose_numbers,
     stamp_of,
@@ -44,6 +49,7 @@ TOPICS: Mapping[str, Sequence[str]] = {
     "command": COMMANDS,
     "base": POSES,
     "base_velocity": TWISTS,
+    "imu": IMUS,
 }
 """Types of messages by key of [topics]."""
 _USUAL = {"joint_states": "/joint_states", "base": "/odom"}
@@ -86,12 +92,18 @@ def read_ros(
         with _opened(path) as reader:
             types = {name: str(about.msgtype) for name, about in reader.topics.items() if about.msgcount}
             roles = _roles(types, topics or {}, model, path)
-            found = _read_topics(reader, {topic: role for role, topic in roles.items()})
+            imus = [topic for topic, kind in types.items() if kind in IMUS and roles.get("imu", topic) == topic]
+            kinds = set(IMU_FIELDS.values()) if model is None else set(ImuNames.of(model).sensors)
+            every = {topic: role for role, topic in roles.items()} | dict.fromkeys(imus if kinds else [], "imu")
+            found = _read_topics(reader, every, kinds)
+            lacking = (
+                [] if model is None else ImuNames.of(model).without_sensor(dict.fromkeys(IMU_FIELDS.values(), imus))
+            )
     except InputError:
         raise
     except Exception as error:  # the readers of the storages raise many types of errors for damaged bytes
         raise DamagedFile(f"{path}: not a readable ROS recording ({one_line(error)})") from None
-    return _tables(path, found)
+    return _tables(path, found, lacking if imus else [])
 
 
 def count_messages(path: Path) -> int:
@@ -118,6 +130,7 @@ def _roles(
         free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE
         needed = {"joint_states": not free.all(), "command": model.nu > 0, "base": free.any()}
         needed["base_velocity"] = needed["base"]
+    needed["imu"] = False  # all of them are read
     chosen: dict[str, str] = {}
     for role, known in TOPICS.items():
         if role in given:
@@ -164,12 +177,13 @@ _READERS: Mapping[str, Callable[[Any], Mapping[str, float]]] = {
 }
 
 
-def _read_topics(reader: Any, roles: Mapping[str, str]) -> list[_Topic]:
+def _read_topics(reader: Any, roles: Mapping[str, str], kinds: Collection[str]) -> list[_Topic]:
     found: dict[tuple[str, tuple[str, ...]], _Topic] = {}
     connections = [one for one in reader.connections if one.topic in roles]
     for connection, received, raw in reader.messages(connections=connections):
         message, role = reader.deserialize(raw, connection.msgtype), roles[connection.topic]
-        numbers = dict(_READERS[role](message))
+        one_imu = role == "imu"
+        numbers = dict(imu_numbers(message, connection.topic, kinds) if one_imu else _READERS[role](message))
         if role == "base" and hasattr(message, "child_frame_id") and hasattr(message, "twist"):
             numbers |= {f"child/{name}": value for name, value in twist_numbers(message).items()}
         names = tuple(numbers)
@@ -184,9 +198,9 @@ def _read_topics(reader: Any, roles: Mapping[str, str]) -> list[_Topic]:
     return list(found.values())
 
 
-def _tables(path: Path, topics: Sequence[_Topic]) -> list[LogTable]:
+def _tables(path: Path, topics: Sequence[_Topic], told: Sequence[str]) -> list[LogTable]:
     stamped = [None if None in one.stamps else np.array(one.stamps, np.int64) for one in topics]  # [ns]
-    notes: list[str] = []
+    notes = list(told)
     late = [
         one.topic
         for one, stamps in zip(topics, stamped, strict=True)

@@ -1,6 +1,6 @@
 """What each type of ROS message says: numbers by name, in MuJoCo's conventions of quaternions."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 Numbers = Mapping[str, float]
@@ -24,6 +24,9 @@ TWISTS = (
     "geometry_msgs/msg/TwistWithCovarianceStamped",
     "geometry_msgs/msg/Twist",
 )
+IMUS = ("sensor_msgs/msg/Imu",)
+IMU_FIELDS = {"angular_velocity": "gyro", "linear_acceleration": "accelerometer", "orientation": "framequat"}
+"""Kinds of the sensors that a message of an IMU holds, by field."""
 WORLD_FRAMES = ("map", "odom", "world", "earth", "mocap", "vicon", "optitrack")
 """Frames that do not move with the robot."""
 
@@ -72,6 +75,19 @@ def twist_numbers(message: Any) -> Numbers:
         **{f"base/v{axis}": float(getattr(twist.linear, axis)) for axis in "xyz"},
         **{f"base/w{axis}": float(getattr(twist.angular, axis)) for axis in "xyz"},
     }
+
+
+def imu_numbers(message: Any, topic: str, kinds: Collection[str]) -> Numbers:
+    """Angular velocity, acceleration and orientation of an Imu, those of these kinds of sensors that it knows."""
+    found: dict[str, float] = {}
+    for name, kind in IMU_FIELDS.items():
+        values = {
+            axis: float(value) for axis in "wxyz" if (value := getattr(getattr(message, name), axis, None)) is not None
+        }
+        absent = getattr(message, f"{name}_covariance")[0] == -1 or (kind == "framequat" and not any(values.values()))
+        if kind in kinds and not absent:
+            found |= {f"{topic}/{name}/{axis}": value for axis, value in values.items()}
+    return found
 
 
 def frame_of(message: Any) -> str:

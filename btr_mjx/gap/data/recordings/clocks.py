@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data.columns.model_columns import SUFFIXES, control_columns, state_columns
+from btr_mjx.gap.data.columns.model_columns import SUFFIXES, control_columns, sensor_parts, state_columns
 from btr_mjx.gap.data.lists import listed
 from btr_mjx.models import part_names, sign_flips
 
@@ -145,9 +145,10 @@ def _check_overlap(axis: _Signal, signals: Sequence[_Signal], where: str) -> Non
 
 def _smooth_signs(table: Mapping[str, np.ndarray], model: mujoco.MjModel) -> None:
     """Make the signs of quaternions continuous, in place: they are interpolated by their numbers."""
-    for name, kind in zip(part_names(model, "joint"), model.jnt_type, strict=True):
-        keys = [f"qpos/{name}/{part}" for part in ("qw", "qx", "qy", "qz")]
-        if int(kind) in SUFFIXES and all(key in table for key in keys):
+    joints = zip(part_names(model, "joint"), model.jnt_type, strict=True)
+    groups = [[f"qpos/{name}/{part}" for part in ("qw", "qx", "qy", "qz")] for name, k in joints if int(k) in SUFFIXES]
+    for keys in [*groups, *(own for own in sensor_parts(model).values() if len(own) == 4)]:
+        if all(key in table for key in keys):
             rows = np.flatnonzero(np.all([np.isfinite(table[key]) for key in keys], axis=0))
             flips = sign_flips(np.stack([table[key][rows] for key in keys], axis=1))
             for key in keys:

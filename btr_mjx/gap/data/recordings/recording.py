@@ -11,7 +11,14 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data.columns.model_columns import check_names, control_columns, state_columns, ungroup_columns
+from btr_mjx.gap.data.columns.model_columns import (
+    check_names,
+    control_columns,
+    imu_columns,
+    sensor_parts,
+    state_columns,
+    ungroup_columns,
+)
 from btr_mjx.gap.data.lists import listed
 from btr_mjx.gap.data.recordings.clocks import check_time, on_one_clock
 from btr_mjx.gap.data.recordings.held import held
@@ -51,11 +58,12 @@ class Recording:
       ctrl: (K, nu) commands.
       qpos: (K, nq), qvel: (K, nv) measured states in MuJoCo's conventions.
       qvel_measured: (nv,) bool; False where the velocity was estimated from positions.
-      qpos_measured: (nv,) bool; False at joints without an encoder, whose states are estimated; None for all measured.
+      qpos_measured: (nv,) bool; False at joints without an encoder and at a base of which only an IMU was logged, whose
+        states are estimated; None for all measured.
       split: "fit" or "test" (held out).
       model: the believed model of this recording, with its overrides.
       force: (K,) measured actuator forces by actuator.
-      sensor: (K,) other measurements by name.
+      sensor: (K,) other measurements by name, such as "imu_gyro/x"; NaN where there is none at that time.
       notes: corrections made by the loader, reported by preflight.
       sent: times (N,) [s] and commands (N, nu), where commands were logged at more times than states.
       held_commands: whether commands of a slower clock were held between their samples.
@@ -94,6 +102,12 @@ class Recording:
         rows = [self.force[names[a]] for a in actuators]
         return np.stack(rows, 1) if rows else np.zeros((len(self.time), 0))
 
+    def measured_by(self, sensor: str) -> np.ndarray | None:
+        """(K, dim) values of a sensor of the model, all of whose columns were logged; else None."""
+        rows = [self.sensor.get(column.partition("/")[2]) for column in sensor_parts(self.model).get(sensor, [])]
+        known = [row for row in rows if row is not None]
+        return np.stack(known, 1) if known and len(known) == len(rows) else None
+
     def part(self, rows: slice | np.ndarray, split: Split, name: str) -> "Recording":
         """A part of the recording, as a recording with another name and split."""
         return replace(
@@ -104,6 +118,12 @@ class Recording:
             force={key: value[rows] for key, value in self.force.items()},
             sensor={key: value[rows] for key, value in self.sensor.items()},
         )
+
+
+def base_unmeasured(recording: Recording) -> bool:
+    """Whether the pose of a free joint was not logged, but an IMU on its body; its states are to be estimated."""
+    model = recording.model
+    return not recording.seen[model.jnt_dofadr[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]].all()
 
 
 class EmptyRecording(InputError):
@@ -143,6 +163,8 @@ def make_recordings(
     (positions, velocities), controls = state_columns(model), control_columns(model)
     positions = [c for c in positions if c in merged]
     needed = ["time", *positions, *controls, *(c for c in velocities if c in merged)]
+    bases = [joint for joint in unmeasured if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE]
+    needed += [column for joint in bases for column in imu_columns(merged, model, joint)]
     sound = complete_rows(merged, needed, where, notes)
     flat = {key: value[sound] for key, value in merged.items()}
     check_time(flat["time"], where)
@@ -152,16 +174,15 @@ def make_recordings(
             f"{where}: {len(sound)} samples are too short for a window; expected at least {MIN_SAMPLES}"
         )
     qpos = np.tile(model.qpos0, (len(sound), 1))
-    seen = np.delete(np.arange(model.nq), model.jnt_qposadr[unmeasured])
-    qpos[:, seen] = np.stack([flat[c] for c in positions], axis=1)
+    known = ~np.isin(np.arange(model.njnt), unmeasured)
+    qpos[:, np.repeat(known, np.diff([*model.jnt_qposadr, model.nq]))] = np.stack([flat[c] for c in positions], axis=1)
     normalise_quaternions(qpos, model, where)
     ctrl = np.stack([flat[c] for c in controls], axis=1) if controls else np.empty((len(sound), 0))
     unwrap_hinges(model, qpos, ctrl, notes)
     parts = whole_parts(sound, flat["time"], MIN_SAMPLES, notes)
     if not parts:
         raise EmptyRecording(f"{where}: {notes[-1]}; expected at least {MIN_SAMPLES} samples in a row with all values")
-    measured, encoders = np.array([c in flat for c in velocities], bool), np.ones(model.nv, bool)
-    encoders[model.jnt_dofadr[unmeasured]] = False
+    measured = np.array([c in flat for c in velocities], bool)
     whole = Recording(
         name=name,
         time=flat["time"],
@@ -175,7 +196,7 @@ def make_recordings(
         sensor={c.partition("/")[2]: v for c, v in flat.items() if c.startswith("sensor/")},
         notes=tuple(notes),
         held_commands=held,
-        qpos_measured=encoders,
+        qpos_measured=known[model.dof_jntid],
     )
     names = [name if len(parts) == 1 else f"{name} (part {i + 1})" for i in range(len(parts))]
     return [_estimated(whole.part(rows, "fit", own), unmeasured, where) for rows, own in zip(parts, names, strict=True)]
@@ -209,12 +230,16 @@ def _estimated(one: Recording, unmeasured: list[int], where: str) -> Recording:
     if not one.qvel_measured.all():
         qvel = np.where(one.qvel_measured, qvel, estimate_velocity(model, one.time, one.qpos))
     joints = part_names(model, "joint")
-    hidden = sorted(joints[j] for j in unmeasured)
+    free = [j for j in unmeasured if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE]
+    hinges = [j for j in unmeasured if j not in free]
+    hidden = sorted(joints[j] for j in hinges)
+    if free:
+        notes.append(f"poses that were not measured, beside an IMU: {listed(joints[j] for j in free)}")
     if hidden:
         notes.append(f"joints without an encoder, whose states are estimated: {listed(hidden)}")
-    names = sorted({joints[j] for j in model.dof_jntid[~one.qvel_measured]} - set(hidden))
+    names = sorted({joints[j] for j in model.dof_jntid[~one.qvel_measured] if j not in unmeasured})
     if names:
         notes.append(f"velocity estimated from positions: {listed(names)}")
-    if unmeasured:
-        estimate_motion(model, one.time, one.ctrl, one.qpos, qvel, unmeasured)
+    if hinges:
+        estimate_motion(model, one.time, one.ctrl, one.qpos, qvel, hinges)
     return replace(one, qvel=qvel, notes=tuple(notes))

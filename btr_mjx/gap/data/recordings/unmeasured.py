@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data.columns.model_columns import SUFFIXES
+from btr_mjx.gap.data.columns.model_columns import SUFFIXES, unmeasured_bases
 from btr_mjx.gap.data.lists import listed
 from btr_mjx.models import between, part_names
 
@@ -21,15 +21,15 @@ POSITION_SIGMA, VELOCITY_SIGMA = 0.01, 0.1
 
 
 def unmeasured_joints(columns: Collection[str], model: mujoco.MjModel, where: str) -> list[int]:
-    """Ids of the hinges and slides of which no column holds the position.
+    """Ids of the hinges and slides of which no column holds the position, and of bases of which only an IMU was logged.
 
     Raises:
       InputError: a free or ball joint without its columns, a velocity without its position, or nothing measured.
     """
-    names, out = part_names(model, "joint"), []
+    names, out = part_names(model, "joint"), unmeasured_bases(columns, model)
     for joint, name in enumerate(names):
         parts = SUFFIXES.get(int(model.jnt_type[joint]))
-        if parts is not None and not any(f"qpos/{name}/{part}" in columns for part in parts[0]):
+        if parts is not None and joint not in out and not any(f"qpos/{name}/{part}" in columns for part in parts[0]):
             what = "free" if len(parts[0]) > 4 else "ball"
             raise InputError(
                 f"{where}: there is no column 'qpos/{name}/{parts[0][0]}': the pose of a {what} joint cannot be "
@@ -37,11 +37,12 @@ def unmeasured_joints(columns: Collection[str], model: mujoco.MjModel, where: st
             )
         if parts is None and f"qpos/{name}" not in columns:
             out.append(joint)
+    out.sort()
     if out and len(out) == model.njnt:
         expected = listed(f"qpos/{name}" for name in names)
         raise InputError(f"{where}: there is no column of a joint's position; expected {expected}")
     for joint in out:
-        if f"qvel/{names[joint]}" in columns:
+        if any(f"{c}/".startswith(f"qvel/{names[joint]}/") for c in columns):
             raise InputError(
                 f"{where}: there is no column 'qpos/{names[joint]}', but one of its velocity; record both, or leave "
                 "both out: the joint's state is then estimated"

@@ -114,6 +114,57 @@ def test_odometry_becomes_mujocos_state(tmp_path: Path) -> None:
     assert "x, y, z, w were reordered" in notes
 
 
+def imu(time: float, gyro: np.ndarray, accelerometer: np.ndarray, turn: np.ndarray) -> Any:
+    """A message without an orientation has a covariance of -1."""
+    vector, nothing = TYPE["geometry_msgs/msg/Vector3"], np.zeros(9)
+    return TYPE["sensor_msgs/msg/Imu"](
+        header=header(time, "imu_link"),
+        orientation=TYPE["geometry_msgs/msg/Quaternion"](x=turn[1], y=turn[2], z=turn[3], w=turn[0]),
+        orientation_covariance=nothing if turn.any() else np.r_[-1.0, nothing[1:]],
+        angular_velocity=vector(*gyro),
+        angular_velocity_covariance=nothing,
+        linear_acceleration=vector(*accelerometer),
+        linear_acceleration_covariance=nothing,
+    )
+
+
+@pytest.mark.parametrize(("whole", "pose"), [(True, True), (False, True), (False, False)])
+def test_imus_are_those_of_the_model(tmp_path: Path, whole: bool, pose: bool) -> None:
+    """Two IMUs on different clocks, one of them raw, and of a model without sensors none."""
+    log, rng = simulated_log(FLOATER, 1.0).every(5), np.random.default_rng(0)
+    sensed = rng.standard_normal((len(log.time), 10)) * (1.0 if whole else np.r_[np.ones(6), np.zeros(4)])
+    messages = [(t, "/hip_cmd", command(u)) for t, u in zip(log.time, log.ctrl, strict=True)]
+    for t, q, v, s in zip(log.time, log.qpos, log.qvel, sensed, strict=True):
+        messages.append((t, "/joint_states", joint_state(t, ["hip"], q[7:], v[6:])))
+        messages += [(t, "/odom", odometry(t, q, v))] if pose else []
+        messages.append((t, "/imu/data", imu(t, s[:3], s[3:6], s[6:])))
+        messages.append((t, "/imu/data_raw", imu(t, 2 * s[:3], 2 * s[3:6], np.zeros(4))))
+    write_bag(tmp_path / "run", messages, StoragePlugin.MCAP)
+    lines = '<sensor><gyro name="g" site="s"/><accelerometer name="a" site="s"/>{}</sensor>'
+    turn = '<framequat name="q" objtype="site" objname="s"/>'
+    body = FLOATER.replace('<freejoint name="root"/>', '<freejoint name="root"/><site name="s"/>')
+    for text in (body.replace("</worldbody>", f"</worldbody>{lines.format(own)}") for own in (turn, "")):
+        (tmp_path / "robot.xml").write_text(text)
+        first = open_dataset(tmp_path).recordings[0]
+        rows = np.round(200 * first.time).astype(int)
+        np.testing.assert_allclose(first.measured_by("g"), sensed[rows, :3], atol=1e-9)
+        np.testing.assert_allclose(first.measured_by("a"), sensed[rows, 3:6], atol=1e-9)
+        quaternions = first.measured_by("q")
+        assert (quaternions is not None) == (whole and text.count("framequat") > 0)
+        assert first.seen.all() == pose
+    raw = '[model]\nfile = "robot.xml"\n[[recording]]\nfile = "run"\n[topics]\nimu = "/imu/data_raw"\n'
+    (tmp_path / "dataset.toml").write_text(raw)
+    np.testing.assert_allclose(open_dataset(tmp_path).recordings[0].measured_by("g"), 2 * sensed[rows, :3], atol=1e-9)
+    (tmp_path / "dataset.toml").unlink()
+    (tmp_path / "robot.xml").write_text(body)
+    if pose:
+        notes = " ".join(open_dataset(tmp_path).recordings[0].notes)
+        assert "have no use: /imu/data, /imu/data_raw; to have one, add <site" in notes
+    else:
+        with pytest.raises(InputError, match="there is no column 'qpos/root/x'"):
+            open_dataset(tmp_path)
+
+
 def test_topics_are_asked_for_and_given(tmp_path: Path) -> None:
     log = simulated_log(ARM, 1.0)
     messages = arm_messages(log)
