@@ -52,7 +52,7 @@ class Config:
     """Settings; every field is a flag."""
 
     sensors: Literal["imu", "pose"] = "imu"
-    """What is measured of the base."""
+    """What is measured of the base: an inertial unit, and its pose, too."""
     only: tuple[int, ...] = ()
     """Numbers of cases; all by default."""
     seed: int = 1
@@ -174,7 +174,7 @@ def make_case(folder: Path, seed: tuple[int, ...], generator: str, effect: str |
         pose = {f"qpos/{base}/{part}": posed[:, i] for i, part in enumerate(("x", "y", "z", "qw", "qx", "qy", "qz"))}
         pose |= {f"qvel/{base}/{part}": speed[:, i] for i, part in enumerate(("vx", "vy", "vz", "wx", "wy", "wz"))}
         write_arrays(folder / "imu" / f"walk_{number:02d}.npz", columns | unit)
-        write_arrays(folder / "pose" / f"walk_{number:02d}.npz", columns | pose)
+        write_arrays(folder / "pose" / f"walk_{number:02d}.npz", columns | unit | pose)
         files += f'\n[[recording]]\nfile = "walk_{number:02d}.npz"\n'
     for sensors in ("imu", "pose"):
         text = f'[model]\nfile = "model.xml"\n\n[control]\ninterpolation = "cubic"\n{files}'

@@ -22,7 +22,13 @@ from btr_mjx.gap.data.lists import listed
 from btr_mjx.gap.data.measured_forces import driven_by_forces
 from btr_mjx.gap.data.model_file import load_model
 from btr_mjx.gap.data.recordings.held import bends, stairs
-from btr_mjx.gap.data.recordings.recording import MIN_SAMPLES, EmptyRecording, Recording, make_recordings
+from btr_mjx.gap.data.recordings.recording import (
+    MIN_SAMPLES,
+    EmptyRecording,
+    Recording,
+    base_unmeasured,
+    make_recordings,
+)
 from btr_mjx.gap.data.recordings.splits import assign_splits, split_parts
 from btr_mjx.gap.data.recordings.stretches import Advance, Share, read_stretches, shares
 from btr_mjx.gap.data.recordings.velocities import estimate_velocity, velocity_lag
@@ -91,6 +97,7 @@ def _load_table(
         else:
             groups.append(_stretches(own, model, name, options, advance, share, notes))
     groups = _without_lagging_velocities(groups, notes)
+    groups = _with_bases(groups, notes)
     recordings = _split(groups, [row.get("split") for row in listed_rows], str(path), parts[0] is None)
     interpolation = head.interpolation if stated else _suitable_interpolation(recordings, notes)
     return replace(
@@ -187,6 +194,17 @@ def _stretches(
     if not found:
         raise InputError(f"{file}: no stretch of it has {MIN_SAMPLES} rows in a row with all values")
     return found
+
+
+def _with_bases(groups: Sequence[Sequence[Recording]], notes: list[str]) -> list[list[Recording]]:
+    """The recordings, with estimated states of a base whose pose was not measured."""
+    hidden = [one for group in groups for one in group if base_unmeasured(one)]
+    if not hidden:
+        return [list(group) for group in groups]
+    from btr_mjx.gap.data.base.estimate import estimate_bases  # slow to load, and seldom needed
+
+    found = iter(estimate_bases(hidden, notes))
+    return [[next(found) if base_unmeasured(one) else one for one in group] for group in groups]
 
 
 def _without_lagging_velocities(groups: Sequence[Sequence[Recording]], notes: list[str]) -> list[list[Recording]]:

@@ -8,12 +8,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data.base.motion import Legs, Motion, Unit
+from btr_mjx.gap.data.base.motion import Legs, Motion, Pose, Unit
 from btr_mjx.gap.data.base.smoother import smoothed
+from btr_mjx.gap.data.columns.model_columns import imu_columns
 from btr_mjx.gap.data.recordings.noise import DIFFERENCE_ORDER, annihilator, estimate_noise
 from btr_mjx.gap.data.recordings.recording import Recording, StateEstimate
 from btr_mjx.models import part_names
 
+_AGREES = 2.0
+"""Largest distance of a pose from what the unit says, in units of the pose's noise."""
 _SHORT = 0.02
 """Time within which errors of a state count as noise; those that last longer stay for a whole window [s]."""
 _GYRO, _ACCELEROMETER, _ORIENTATION = (
@@ -42,6 +45,15 @@ class _Imu:
     orientation: Rotation | None
 
 
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """What was measured of a recording."""
+
+    imu: _Imu
+    unit: Unit
+    legs: Legs
+
+
 def estimate_bases(recordings: Sequence[Recording], notes: list[str]) -> list[Recording]:
     """Estimate the states of a base whose pose was not measured, in all recordings of one robot.
 
@@ -55,28 +67,80 @@ def estimate_bases(recordings: Sequence[Recording], notes: list[str]) -> list[Re
     Raises:
       InputError: the model has nothing that the robot can touch.
     """
-    units = [_imu_of(one) for one in recordings]
-    pairs = [_unit_and_legs(one, own) for one, own in zip(recordings, units, strict=True)]
-    mount = units[0].mount
-    motions, found, _ = smoothed([unit for unit, _ in pairs], [legs for _, legs in pairs], mount, _SHORT)
+    for one in recordings:
+        if not _can_touch(one.model, base := _hidden_base(one)):
+            raise InputError(
+                f"{one.name}: the pose of {one.model.body(base).name!r} was not measured, and the robot can touch "
+                "nothing in the model that stands still, from which it could be estimated; record the pose, or give "
+                "the model the ground on which the robot stood"
+            )
+    sources = [_source(one, _hidden_base(one)) for one in recordings]
+    motions, found = _smoothed(sources)
+    mount = sources[0].imu.mount
     speed = float(np.median([motion.spread[3:6].max() for motion in motions]))
     turned = np.degrees(np.linalg.norm((found * mount.inv()).as_rotvec()))
     notes.append(
         "the pose of the base was not measured: its motion is estimated from the IMU and from what touches the ground "
         f"(velocity to {speed:.1g} m/s); the IMU is turned by {turned:.2g} degrees from where the model has it"
     )
-    rows = zip(recordings, units, pairs, motions, strict=True)
-    return [_filled(one, own, *pair, motion, found) for one, own, pair, motion in rows]
+    return [_filled(*row, found) for row in zip(recordings, sources, motions, strict=True)]
 
 
-def _imu_of(recording: Recording) -> _Imu:
-    """The sensors on the base whose pose was not measured."""
+def with_imu(recordings: Sequence[Recording]) -> list[Recording]:
+    """Recordings whose base was measured, and an inertial unit on it, with states that both agree with.
+
+    Others are returned as they are: those without a unit, those whose unit disagrees with the pose, robots that touch
+    nothing, and those whose base was estimated already.
+    """
+    model = recordings[0].model
+    free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
+    if len(free) != 1 or not _can_touch(model, int(model.jnt_bodyid[free[0]])):
+        return list(recordings)
+    base, names = int(model.jnt_bodyid[free[0]]), [f"sensor/{name}" for name in recordings[0].sensor]
+    whole = all(np.isfinite(list(one.sensor.values())).all() for one in recordings if one.sensor)
+    if not whole or any(one.estimate or not imu_columns(names, model, int(free[0])) for one in recordings):
+        return list(recordings)
+    sources = [_source(one, base) for one in recordings]
+    motions, found = _smoothed(sources)
+    if np.median([_disagreement(own.unit, motion) for own, motion in zip(sources, motions, strict=True)]) > _AGREES:
+        return list(recordings)
+    return [_filled(*row, found) for row in zip(recordings, sources, motions, strict=True)]
+
+
+def _smoothed(sources: Sequence[_Source]) -> tuple[list[Motion], Rotation]:
+    """Motions, and how the unit is mounted."""
+    rows = [own.unit for own in sources], [own.legs for own in sources]
+    motions, found, _ = smoothed(*rows, sources[0].imu.mount, _SHORT)
+    return motions, found
+
+
+def _pose_of(recording: Recording, base: int, sigma: np.ndarray) -> Pose:
+    """The measured pose of a base, with the noise (2 nv,) of all states."""
     model = recording.model
-    base = next(
-        int(body)
-        for body, kind, dof in zip(model.jnt_bodyid, model.jnt_type, model.jnt_dofadr, strict=True)
-        if kind == mujoco.mjtJoint.mjJNT_FREE and not recording.seen[dof]
-    )
+    q, v = int(model.jnt_qposadr[model.body_jntadr[base]]), int(model.jnt_dofadr[model.body_jntadr[base]])
+    noise = np.concatenate([sigma[v : v + 3], sigma[model.nv + v : model.nv + v + 3], sigma[v + 3 : v + 6]])
+    noise[3:6] = np.where(recording.qvel_measured[v : v + 3], noise[3:6], np.inf)
+    turn = Rotation.from_quat(recording.qpos[:, q + 3 : q + 7], scalar_first=True)
+    return Pose(recording.qpos[:, q : q + 3], turn, recording.qvel[:, v : v + 3], noise)
+
+
+def _disagreement(unit: Unit, motion: Motion) -> float:
+    """Root mean square of the orientation's distance from the measured one, in units of its noise."""
+    assert unit.pose is not None
+    left = (motion.turn.inv() * unit.pose.turn).as_rotvec() / unit.pose.sigma[6:]
+    return float(np.sqrt((left**2).mean()))
+
+
+def _hidden_base(recording: Recording) -> int:
+    """The body whose pose was not measured."""
+    model = recording.model
+    kinds = zip(model.jnt_bodyid, model.jnt_type, model.jnt_dofadr, strict=True)
+    return next(int(b) for b, kind, dof in kinds if kind == mujoco.mjtJoint.mjJNT_FREE and not recording.seen[dof])
+
+
+def _imu_of(recording: Recording, base: int) -> _Imu:
+    """The sensors on a base."""
+    model = recording.model
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     frame = Rotation.from_matrix(data.xmat[base].reshape(3, 3)).inv()
@@ -98,21 +162,17 @@ def _imu_of(recording: Recording) -> _Imu:
     return _Imu(base, place, gyro, gyro_turn, accelerometer, mount, orientation)
 
 
-def _unit_and_legs(recording: Recording, imu: _Imu) -> tuple[Unit, Legs]:
+def _source(recording: Recording, base: int) -> _Source:
     """What was measured, in the frame of the accelerometer."""
-    model, time = recording.model, recording.time
-    if not _can_touch(model, imu.base):
-        raise InputError(
-            f"{recording.name}: the pose of {model.body(imu.base).name!r} was not measured, and the robot can touch "
-            "nothing in the model that stands still, from which it could be estimated; record the pose, or give the "
-            "model the ground on which the robot stood"
-        )
+    model, time, imu = recording.model, recording.time, _imu_of(recording, base)
     gyro = (imu.mount.inv() * imu.gyro_turn).apply(imu.gyro)
     noise = _white_noise(time, gyro), _white_noise(time, imu.accelerometer)
-    unit = Unit(time, gyro, imu.accelerometer, imu.orientation, noise)
     encoders = estimate_noise(model, [(time, recording.qpos, recording.qvel, recording.qvel_measured)])
     sigma = np.concatenate([encoders.qpos, encoders.qvel])
-    return unit, Legs(model, imu.base, imu.place, recording.qpos, recording.qvel, sigma)
+    seen = recording.seen[int(model.jnt_dofadr[model.body_jntadr[base]])]
+    pose = _pose_of(recording, base, sigma) if seen else None
+    unit = Unit(time, gyro, imu.accelerometer, imu.orientation, noise, pose)
+    return _Source(imu, unit, Legs(model, base, imu.place, recording.qpos, recording.qvel, sigma))
 
 
 def _can_touch(model: mujoco.MjModel, base: int) -> bool:
@@ -131,8 +191,9 @@ def _white_noise(time: np.ndarray, values: np.ndarray) -> float:
     return max(float(np.median(np.abs(left))) / 0.6745, 1e-6)
 
 
-def _filled(recording: Recording, imu: _Imu, unit: Unit, legs: Legs, motion: Motion, mount: Rotation) -> Recording:
+def _filled(recording: Recording, source: _Source, motion: Motion, mount: Rotation) -> Recording:
     """A recording with the states of its base, and how well these are known."""
+    imu, unit, legs = source.imu, source.unit, source.legs
     model, seen, measured = recording.model, recording.seen.copy(), recording.qvel_measured.copy()
     first = int(model.jnt_dofadr[model.body_jntadr[imu.base]])
     own = slice(first, first + 6)

@@ -19,6 +19,21 @@ _LOW, _HALF = 3e-3, 4
 
 
 @dataclass(frozen=True, eq=False)
+class Pose:
+    """A base that was measured, K samples, beside its unit.
+
+    Attributes:
+      place: (K, 3) [m], turn: (K,) orientations, velocity: (K, 3) in the world [m/s].
+      sigma: (9,) noise of place, velocity and orientation; infinite where it was not measured.
+    """
+
+    place: np.ndarray
+    turn: Rotation
+    velocity: np.ndarray
+    sigma: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class Unit:
     """Inertial unit of a recording.
 
@@ -27,6 +42,7 @@ class Unit:
       gyro: (K, 3) [rad/s], accelerometer: (K, 3) [m/s^2].
       orientation: (K,) rotations of the unit in the world; None if it has no such estimate.
       noise: of gyro and accelerometer.
+      pose: of the base, where it was measured.
     """
 
     time: np.ndarray
@@ -34,6 +50,7 @@ class Unit:
     accelerometer: np.ndarray
     orientation: Rotation | None
     noise: tuple[float, float]
+    pose: Pose | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +131,7 @@ class Motion:
       sink: depth of a point that touches [m].
       biases: (6,) of gyro [rad/s] and accelerometer [m/s^2].
       slip, gap, tilt: scatter of velocities [m/s] and distances [m] of points that touch, and of orientations [rad].
-      spread: (9,) standard deviations of the estimate at a sample: place, velocity, orientation.
+      spread: (9,) standard deviations of the estimate at a sample (root mean square): place, velocity, orientation.
       within: (9,) of its change over `lag` samples, over the square root of two.
     """
 
@@ -134,6 +151,11 @@ def first_estimate(unit: Unit, legs: Legs, mount: Rotation) -> Motion:
     """A first estimate: the lowest point touches the ground and stands still."""
     count, step = len(unit.time), np.diff(unit.time)[:, None]
     spin = mount.apply(unit.gyro)
+    if unit.pose is not None:
+        turn, velocity = unit.pose.turn, unit.pose.velocity + unit.pose.turn.apply(np.cross(spin, legs.place))
+        place = unit.pose.place + unit.pose.turn.apply(legs.place)
+        sink = legs.sink(place, turn)
+        return Motion(place, velocity, turn, np.zeros(6), sink)
     if unit.orientation is not None:
         turn = unit.orientation * mount.inv()
     else:

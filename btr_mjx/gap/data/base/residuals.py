@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from btr_mjx.gap.data.base.block_system import Rows
-from btr_mjx.gap.data.base.motion import MARGIN, Motion, N, Scatter, Unit
+from btr_mjx.gap.data.base.motion import MARGIN, Legs, Motion, N, Scatter, Unit
 from btr_mjx.gap.data.base.touching import Touching
 
 _PLACE, _VELOCITY, _TURN = slice(0, 3), slice(3, 6), slice(6, 9)
@@ -87,6 +87,28 @@ def tilts(unit: Unit, motion: Motion, mount: Rotation) -> tuple[Rows, Scatter]:
     slope, border = np.zeros((len(left), 3, N)), np.zeros((len(left), 3, N))
     slope[:, :, _TURN] = border[:, :, _MOUNT] = -np.eye(3) / sigma
     return Rows(left / sigma, np.arange(len(left)), slope, border), scatter
+
+
+def poses(legs: Legs, unit: Unit, motion: Motion, inertia: Inertia) -> Rows:
+    """The motion against a pose of the base that was measured: K rows."""
+    assert unit.pose is not None
+    turn, arm, around = motion.turn.as_matrix(), _cross(legs.place), np.cross(inertia.spin, legs.place)
+    residual = np.concatenate(
+        [
+            motion.place - motion.turn.apply(legs.place) - unit.pose.place,
+            motion.velocity - motion.turn.apply(around) - unit.pose.velocity,
+            (motion.turn.inv() * unit.pose.turn).as_rotvec(),
+        ],
+        axis=1,
+    )
+    count, eye = len(residual), np.eye(3)
+    slope, border = np.zeros((count, N, N)), np.zeros((count, N, N))
+    slope[:, _PLACE, _PLACE], slope[:, _VELOCITY, _VELOCITY], slope[:, _TURN, _TURN] = eye, eye, -eye
+    slope[:, _PLACE, _TURN], slope[:, _VELOCITY, _TURN] = turn @ arm, turn @ _cross(around)
+    border[:, _VELOCITY, _MOUNT] = -turn @ arm @ _cross(inertia.spin)
+    border[:, _VELOCITY, _GYRO] = -turn @ arm @ inertia.mount
+    weight = 1 / unit.pose.sigma
+    return Rows(residual * weight, np.arange(count), slope * weight[:, None], border * weight[:, None])
 
 
 def touches(points: Touching, unit: Unit, motion: Motion, inertia: Inertia) -> tuple[Rows, Scatter, Scatter]:

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from btr_mjx.gap.data.base.block_system import BlockSystem, eliminated
 from btr_mjx.gap.data.base.motion import Legs, Motion, Unit, first_estimate
-from btr_mjx.gap.data.base.residuals import inertia_of, propagation, tilts, touches
+from btr_mjx.gap.data.base.residuals import inertia_of, poses, propagation, tilts, touches
 from btr_mjx.gap.data.base.touching import Touching
 
 MOUNT, BIASES = np.radians(2.0), np.repeat([0.02, 0.1], 3)
@@ -30,8 +30,8 @@ _STEPS, _CONVERGED = 20, 2e-3
 """Largest number of steps, and change of all velocities [m/s] below which there are no more."""
 _SEEN = 3
 """First steps in which points that may touch are looked for; later these points move with the base."""
-_PICKED = 20
-"""Samples at which the spread is computed; its median is used."""
+_PICKED = 40
+"""Samples at which the spread is computed; the mean of variances is used."""
 
 
 def smoothed(
@@ -83,6 +83,8 @@ def _system(unit: Unit, legs: Legs, points: Touching, motion: Motion, mount: Rot
     if unit.orientation is not None:
         reported, tilt = tilts(unit, motion, mount)
         rows.append(reported)
+    if unit.pose is not None:
+        rows.append(poses(legs, unit, motion, inertia))
     known = np.concatenate([np.zeros(3), 1 / BIASES**2])
     pull = known * np.concatenate([np.zeros(3), motion.biases])
     system = eliminated(len(unit.time), rows, _FIXED, np.diag(known), pull)
@@ -120,5 +122,5 @@ def _with_spread(motion: Motion, system: BlockSystem, lag: int, mount: np.ndarra
     border = np.block([[mount, both.T], [both, rest + both @ across.T]])
     count = len(motion.place)
     picked = np.unique(np.linspace(0.1 * count, 0.9 * count - lag, _PICKED).astype(int))
-    at, moved = (np.sqrt(np.median(np.maximum(v, 0), axis=0)) for v in system.covariances(picked, lag, border))
+    at, moved = (np.sqrt(np.maximum(v, 0).mean(0)) for v in system.covariances(picked, lag, border))
     return replace(motion, spread=at, within=moved / np.sqrt(2))

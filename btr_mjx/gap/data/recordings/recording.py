@@ -233,8 +233,6 @@ def _estimated(one: Recording, unmeasured: list[int], where: str) -> Recording:
     free = [j for j in unmeasured if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE]
     hinges = [j for j in unmeasured if j not in free]
     hidden = sorted(joints[j] for j in hinges)
-    if free:
-        notes.append(f"poses that were not measured, beside an IMU: {listed(joints[j] for j in free)}")
     if hidden:
         notes.append(f"joints without an encoder, whose states are estimated: {listed(hidden)}")
     names = sorted({joints[j] for j in model.dof_jntid[~one.qvel_measured] if j not in unmeasured})

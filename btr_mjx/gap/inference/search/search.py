@@ -13,6 +13,7 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, known_of, noise_of, reduced_noise
+from btr_mjx.gap.data.base.estimate import with_imu
 from btr_mjx.gap.effects import Candidate, Effect, Hypothesis, candidates
 from btr_mjx.gap.inference.scoring.calibration import tolerance_draws, with_nonlinear_tolerances
 from btr_mjx.gap.inference.scoring.gains import fall
@@ -104,6 +105,7 @@ class Bench:
             if not side:
                 raise InputError(f"{dataset.folder}: no recording is in split {name!r}")
         note("state estimates")
+        dataset = self.dataset = replace(dataset, recordings=tuple(with_imu(dataset.recordings)))
         tracks = [track_of(r) for r in dataset.recordings]
         noise = noise_of(dataset)
         self.sigma = np.concatenate([noise.qpos, noise.qvel])
