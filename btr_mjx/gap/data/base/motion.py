@@ -89,8 +89,11 @@ class Legs:
         bodies = self.model.body_rootid == self.model.body_rootid[self.base]
         return float(np.abs(data.xpos[bodies] - data.xpos[self.base])[:, :2].max()) + 1e-3
 
-    def sink(self, place: np.ndarray, turn: Rotation) -> float:
-        """Depth to which the feet of the believed model sink where they carry it at rest [m], the median of samples."""
+    def softness(self, place: np.ndarray, turn: Rotation) -> float:
+        """Depth to which one foot of the believed model sinks that carries its weight alone [m], the median of samples.
+
+        Found at rest, where all points that are as deep share the weight.
+        """
         model, data = self.model, mujoco.MjData(self.model)
         joint = int(model.body_jntadr[self.base])
         height, lift = int(model.jnt_qposadr[joint]) + 2, int(model.jnt_dofadr[joint]) + 2
@@ -104,7 +107,7 @@ class Legs:
                 mujoco.mj_inverse(model, data)
                 enough = data.qfrc_constraint[lift] > weight
                 low, high = (low, 0.5 * (low + high)) if enough else (0.5 * (low + high), high)
-            depths.append(high)
+            depths.append(high * sum(contact.dist < 0 for contact in data.contact))
         return float(np.median(depths))
 
     def points(self, place: np.ndarray, turn: Rotation, margin: float = MARGIN) -> Touching:
@@ -128,7 +131,8 @@ class Motion:
     Attributes:
       place, velocity: (K, 3) of the unit in the world [m], [m/s].
       turn: (K,) orientations of the base.
-      sink: depth of a point that touches [m].
+      softness: depth of a point that carries the robot's weight alone [m].
+      carrying: (K,) number of points that carry it.
       biases: (6,) of gyro [rad/s] and accelerometer [m/s^2].
       slip, gap, tilt: scatter of velocities [m/s] and distances [m] of points that touch, and of orientations [rad].
       spread: (9,) standard deviations of the estimate at a sample (root mean square): place, velocity, orientation.
@@ -139,7 +143,8 @@ class Motion:
     velocity: np.ndarray
     turn: Rotation
     biases: np.ndarray
-    sink: float = 0.0
+    softness: float
+    carrying: np.ndarray
     slip: Scatter = Scatter(0.2)
     gap: Scatter = Scatter(0.005)
     tilt: Scatter = Scatter(0.01)
@@ -154,8 +159,7 @@ def first_estimate(unit: Unit, legs: Legs, mount: Rotation) -> Motion:
     if unit.pose is not None:
         turn, velocity = unit.pose.turn, unit.pose.velocity + unit.pose.turn.apply(np.cross(spin, legs.place))
         place = unit.pose.place + unit.pose.turn.apply(legs.place)
-        sink = legs.sink(place, turn)
-        return Motion(place, velocity, turn, np.zeros(6), sink)
+        return Motion(place, velocity, turn, np.zeros(6), legs.softness(place, turn), np.full(count, 2.0))
     if unit.orientation is not None:
         turn = unit.orientation * mount.inv()
     else:
@@ -181,6 +185,6 @@ def first_estimate(unit: Unit, legs: Legs, mount: Rotation) -> Motion:
     padded = np.pad(velocity, ((_HALF, _HALF), (0, 0)), "edge")
     velocity = np.stack([np.convolve(own, np.ones(2 * _HALF + 1) / (2 * _HALF + 1), "valid") for own in padded.T], 1)
     place[1:, :2] = np.cumsum(0.5 * step * (velocity[1:] + velocity[:-1]), axis=0)[:, :2]
-    sink = legs.sink(place, turn)
-    place[:, 2] -= sink
-    return Motion(place, velocity, turn, np.zeros(6), sink)
+    softness, carrying = legs.softness(place, turn), np.bincount(sample, minlength=count).astype(float)
+    place[:, 2] -= softness / carrying
+    return Motion(place, velocity, turn, np.zeros(6), softness, carrying)

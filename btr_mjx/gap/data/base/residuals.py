@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.special import softmax
 
 from btr_mjx.gap.data.base.block_system import Rows
 from btr_mjx.gap.data.base.motion import MARGIN, Legs, Motion, N, Scatter, Unit
@@ -12,8 +13,8 @@ from btr_mjx.gap.data.base.touching import Touching
 _PLACE, _VELOCITY, _TURN = slice(0, 3), slice(3, 6), slice(6, 9)
 _MOUNT, _GYRO, _ACCELEROMETER = slice(0, 3), slice(3, 6), slice(6, 9)
 """Unknowns of the border: how the unit is turned, its biases."""
-_AWAY = 3 * np.log(2.0) + np.log(2 * MARGIN)
-"""Logarithm of the volume over which velocity (+- 1 m/s) and distance of a point that does not touch are spread."""
+_SPEEDS, _DISTANCES = 3 * np.log(2.0), np.log(2 * MARGIN)
+"""Logarithms of the volumes over which velocities (+- 1 m/s) and distances are spread of a point that is not held."""
 _LEAST_SLIP, _LEAST_GAP, _LEAST_TILT = 1e-3, 2e-4, 1e-4
 """Smallest scatter that is estimated [m/s], [m], [rad]."""
 _MOST_ALIKE = 0.98
@@ -82,7 +83,8 @@ def tilts(unit: Unit, motion: Motion, mount: Rotation) -> tuple[Rows, Scatter]:
     """Orientations that the unit reports: K rows, and their scatter after the last step."""
     assert unit.orientation is not None
     left = (motion.turn.inv() * unit.orientation * mount.inv()).as_rotvec()
-    scatter = scatter_of(left, left[:-1], left[1:], np.ones(len(left)), np.ones(len(left) - 1), 0.0, _LEAST_TILT)
+    count = np.arange(len(left))
+    scatter = scatter_of(left, (count[:-1], count[1:]), np.ones(len(left)), 0.0, _LEAST_TILT)
     sigma = motion.tilt.sigma * np.sqrt(motion.tilt.alike)
     slope, border = np.zeros((len(left), 3, N)), np.zeros((len(left), 3, N))
     slope[:, :, _TURN] = border[:, :, _MOUNT] = -np.eye(3) / sigma
@@ -111,11 +113,19 @@ def poses(legs: Legs, unit: Unit, motion: Motion, inertia: Inertia) -> Rows:
     return Rows(residual * weight, np.arange(count), slope * weight[:, None], border * weight[:, None])
 
 
-def touches(points: Touching, unit: Unit, motion: Motion, inertia: Inertia) -> tuple[Rows, Scatter, Scatter]:
-    """Points that may touch, weighted with the probability that they do, and scatter of velocities and distances."""
+def touches(
+    points: Touching, unit: Unit, motion: Motion, inertia: Inertia, gravity: np.ndarray
+) -> tuple[Rows, Scatter, Scatter, np.ndarray]:
+    """Points that may touch, weighted with the probabilities that they stand, or slide.
+
+    Returns:
+      Rows, scatter of velocities and distances, and (K,) expected number of points that touch.
+    """
     k, eye = points.sample, np.eye(3)
     turn, spin, arm = motion.turn.as_matrix()[k], inertia.spin[k], _cross(points.place)
-    depth = points.distances(motion.place[k] + np.einsum("nij,nj->ni", turn, points.place)) + motion.sink
+    load = np.maximum(motion.turn.apply(inertia.force) @ -gravity / (gravity @ gravity), 0.0)
+    sunk = motion.softness * load / np.maximum(motion.carrying, 1.0)
+    depth = points.distances(motion.place[k] + np.einsum("nij,nj->ni", turn, points.place)) + sunk[k]
     own, normal = (np.einsum("nji,nj->ni", turn, vector) for vector in (motion.velocity[k], points.normal))
     speed = own + np.cross(spin, points.place) + points.velocity
     by_gyro = unit.noise[0] ** 2 * arm @ np.swapaxes(arm, 1, 2)
@@ -124,10 +134,13 @@ def touches(points: Touching, unit: Unit, motion: Motion, inertia: Inertia) -> t
     def whitener(alike: float) -> np.ndarray:
         return np.linalg.inv(np.linalg.cholesky(encoders + alike * motion.slip.sigma**2 * eye))
 
-    plain, gap = whitener(1.0), np.sqrt(gaps + motion.gap.sigma**2)
-    density = -0.5 * (np.einsum("nij,nj->ni", plain, speed) ** 2).sum(1) - 0.5 * (depth / gap) ** 2
-    density += np.log(np.linalg.det(plain)) - np.log(gap) - 2 * np.log(2 * np.pi)
-    share = 1 / (1 + np.exp(np.clip(-_AWAY - density, -50, 50)))
+    plain, narrow = whitener(1.0), np.sqrt(gaps + motion.gap.sigma**2)
+    near = -0.5 * (depth / narrow) ** 2 - np.log(narrow) - 0.5 * np.log(2 * np.pi)
+    still = -0.5 * (np.einsum("nij,nj->ni", plain, speed) ** 2).sum(1) + np.log(np.linalg.det(plain))
+    still -= 1.5 * np.log(2 * np.pi)
+    kinds = np.stack([near + still, near - _SPEEDS, np.full(len(k), -_SPEEDS - _DISTANCES)], 1)
+    stands, slides, _ = softmax(kinds, axis=1).T
+    touching = stands + slides
     whiten, wide = whitener(motion.slip.alike), np.sqrt(gaps + motion.gap.alike * motion.gap.sigma**2)
     slope, border = np.zeros((len(k), 4, N)), np.zeros((len(k), 4, N))
     slope[:, :3, _VELOCITY], slope[:, :3, _TURN] = whiten @ np.swapaxes(turn, 1, 2), whiten @ _cross(own)
@@ -135,22 +148,20 @@ def touches(points: Touching, unit: Unit, motion: Motion, inertia: Inertia) -> t
     slope[:, 3, _PLACE] = points.normal / wide[:, None]
     slope[:, 3, _TURN] = -np.einsum("ni,nij->nj", normal, arm) / wide[:, None]
     residual = np.concatenate([np.einsum("nij,nj->ni", whiten, speed), (depth / wide)[:, None]], 1)
-    weight = np.sqrt(share)[:, None]
+    weight = np.sqrt(np.stack([stands, stands, stands, touching], 1))
     rows = Rows(residual * weight, k, slope * weight[..., None], border * weight[..., None])
     first, then = _following(points.geom, k)
-    pairs = share[first] * share[then]
     world, distance = np.einsum("nij,nj->ni", turn, speed), depth[:, None]
     noise = np.trace(encoders, axis1=1, axis2=2)
-    slip = scatter_of(world, world[first], world[then], share, pairs, noise, _LEAST_SLIP)
-    return rows, slip, scatter_of(distance, distance[first], distance[then], share, pairs, gaps, _LEAST_GAP)
+    slip = scatter_of(world, (first, then), stands, noise, _LEAST_SLIP)
+    gap = scatter_of(distance, (first, then), touching, gaps, _LEAST_GAP)
+    return rows, slip, gap, np.bincount(k, touching, len(motion.place))
 
 
 def scatter_of(
     values: np.ndarray,
-    before: np.ndarray,
-    after: np.ndarray,
+    following: tuple[np.ndarray, np.ndarray],
     weight: np.ndarray,
-    pairs: np.ndarray,
     noise: np.ndarray | float,
     least: float,
 ) -> Scatter:
@@ -158,13 +169,13 @@ def scatter_of(
 
     Args:
       values: (n, d) residuals.
-      before: (m, d) residuals of samples that others follow.
-      after: (m, d) residuals of these others.
+      following: indices (m,) of residuals, and of those one sample later.
       weight: (n,) of residuals.
-      pairs: (m,) weights of such pairs.
       noise: (n,) known variance, the sum over d.
       least: smallest standard deviation.
     """
+    before, after = (values[index] for index in following)
+    pairs = weight[following[0]] * weight[following[1]]
     size = values.shape[1]
     variance = float((weight * ((values**2).sum(1) - noise)).sum() / max(size * weight.sum(), 1e-9))
     variance = max(variance, least**2)

@@ -78,8 +78,9 @@ def smoothed(
 def _system(unit: Unit, legs: Legs, points: Touching, motion: Motion, mount: Rotation) -> tuple[BlockSystem, Motion]:
     """Normal equations of a recording, and its motion with the scatter of its residuals."""
     inertia = inertia_of(unit, motion, mount)
-    contact, slip, gap = touches(points, unit, motion, inertia)
-    rows, tilt = [propagation(unit, motion, inertia, legs.model.opt.gravity), contact], motion.tilt
+    gravity = legs.model.opt.gravity
+    contact, slip, gap, carrying = touches(points, unit, motion, inertia, gravity)
+    rows, tilt = [propagation(unit, motion, inertia, gravity), contact], motion.tilt
     if unit.orientation is not None:
         reported, tilt = tilts(unit, motion, mount)
         rows.append(reported)
@@ -88,7 +89,7 @@ def _system(unit: Unit, legs: Legs, points: Touching, motion: Motion, mount: Rot
     known = np.concatenate([np.zeros(3), 1 / BIASES**2])
     pull = known * np.concatenate([np.zeros(3), motion.biases])
     system = eliminated(len(unit.time), rows, _FIXED, np.diag(known), pull)
-    return system, replace(motion, slip=slip, gap=gap, tilt=tilt)
+    return system, replace(motion, slip=slip, gap=gap, tilt=tilt, carrying=carrying)
 
 
 def _without_biases(system: BlockSystem) -> tuple[np.ndarray, np.ndarray]:

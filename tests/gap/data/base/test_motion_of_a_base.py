@@ -63,7 +63,7 @@ def test_base_is_found_from_inertial_unit_and_feet(walk, orientation):
     velocity = truth_v[:, :3] + turn.apply(np.cross(truth_v[:, 3:6], PLACE))
     if orientation:
         north = Rotation.identity()
-        assert np.linalg.norm((found.inv() * mount.turn).as_rotvec()) < np.radians(1.0)
+        assert np.linalg.norm((found.inv() * mount.turn).as_rotvec()) < np.radians(1.5)
         assert np.abs((turn.inv() * motion.turn).as_rotvec()).mean() < np.radians(0.5)
     else:  # where north is, nothing tells
         north = Rotation.from_rotvec([0, 0, (turn * motion.turn.inv()).mean().as_rotvec()[2]])
@@ -165,9 +165,9 @@ def test_derivatives_of_residuals_are_differences(walk, index):
             )
 
 
-@pytest.mark.parametrize("index", range(18))
+@pytest.mark.parametrize("index", range(15))
 def test_points_pull_as_the_likelihood_of_touching_or_not(walk, index):
-    """Residuals times derivatives are the slope of the logarithm of a mixture of two densities."""
+    """Residuals times derivatives are the slope of a likelihood: a point stands, slides, or is away."""
     unit, legs, start, mount = few_samples(walk)
 
     def surprise(motion: Motion, turned: Rotation) -> float:
@@ -177,14 +177,17 @@ def test_points_pull_as_the_likelihood_of_touching_or_not(walk, index):
             speed = motion.turn[k].inv().apply(motion.velocity[k]) + np.cross(inertia.spin[k], arm) + points.velocity[n]
             across = np.cross(np.eye(3), arm)
             variance = points.velocity_covariance[n] + 0.005**2 * across.T @ across + motion.slip.sigma**2 * np.eye(3)
-            gap, wide = points.distance[n] + motion.sink, points.distance_variance[n] + motion.gap.sigma**2
-            exponent = speed @ np.linalg.solve(variance, speed) + gap**2 / wide
-            touching = np.exp(-0.5 * exponent) / np.sqrt((2 * np.pi) ** 4 * np.linalg.det(variance) * wide)
-            total -= np.log(touching + 1 / (2.0**3 * 0.04))
+            load = max(motion.turn[k].apply(inertia.force[k])[2] / 9.81, 0.0)
+            gap = points.distance[n] + motion.softness * load / max(motion.carrying[k], 1.0)
+            wide = points.distance_variance[n] + motion.gap.sigma**2
+            near = np.exp(-0.5 * gap**2 / wide) / np.sqrt(2 * np.pi * wide)
+            standing = np.exp(-0.5 * speed @ np.linalg.solve(variance, speed))
+            standing /= np.sqrt((2 * np.pi) ** 3 * np.linalg.det(variance))
+            total -= np.log(near * (standing + 1 / 2.0**3) + 1 / (2.0**3 * 0.04))
         return total
 
     seen = legs.points(start.place, start.turn)
-    rows, _, _ = touches(seen, unit, start, inertia_of(unit, start, mount))
+    rows, *_ = touches(seen, unit, start, inertia_of(unit, start, mount), MODEL.opt.gravity)
     own, step = index % 9, 1e-6
     if index < 9:
         low, high = (surprise(changed(start, own, sign * step, slice(None)), mount) for sign in (-1, 1))
@@ -223,7 +226,7 @@ def test_feet_sink_until_they_carry_the_robot():
     base = model.body("trunk").id
     legs = Legs(model, base, np.zeros(3), still, np.zeros((20, model.nv)), np.repeat([1e-3, 0.05], model.nv))
     turn = Rotation.from_quat(still[:, 3:7], scalar_first=True)
-    assert legs.sink(still[:, :3], turn) == pytest.approx(deepest, rel=0.1)
+    assert legs.softness(still[:, :3], turn) == pytest.approx(len(data.contact) * deepest, rel=0.1)
 
 
 def test_scatter_of_a_process_of_first_order():
@@ -233,6 +236,7 @@ def test_scatter_of_a_process_of_first_order():
         values[i] = correlation * values[i - 1] + np.sqrt(1 - correlation**2) * values[i]
     noisy = 0.3 * values + 0.1 * rng.standard_normal(values.shape)
     ones = np.ones(len(values))
-    found = scatter_of(noisy, noisy[:-1], noisy[1:], ones, ones[1:], 0.1**2 * ones, 1e-6)
+    index = np.arange(len(values))
+    found = scatter_of(noisy, (index[:-1], index[1:]), ones, 0.1**2 * ones, 1e-6)
     assert found.sigma == pytest.approx(0.3, rel=0.05)
     assert found.alike == pytest.approx((1 + correlation) / (1 - correlation), rel=0.15)
