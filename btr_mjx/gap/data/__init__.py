@@ -7,6 +7,7 @@ deviation of the sensor noise. `save_dataset` writes one. A `Reader` adds a form
 Throughout, `where` says in messages which file or table is meant, and what is found and chosen is appended to `notes`.
 """
 
+from btr_mjx.gap.data.base.estimate import with_imu
 from btr_mjx.gap.data.columns.model_columns import (
     control_columns,
     driven_joint,
@@ -66,4 +67,5 @@ __all__ = [
     "sensor_columns",
     "stairs",
     "state_columns",
+    "with_imu",
 ]

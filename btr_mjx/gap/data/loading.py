@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
+from btr_mjx.gap.data.base.estimate import estimate_bases
 from btr_mjx.gap.data.columns.model_columns import model_columns
 from btr_mjx.gap.data.columns.plan import LogOptions, read_log
 from btr_mjx.gap.data.columns.remedy import Answer
@@ -201,8 +202,6 @@ def _with_bases(groups: Sequence[Sequence[Recording]], notes: list[str]) -> list
     hidden = [one for group in groups for one in group if base_unmeasured(one)]
     if not hidden:
         return [list(group) for group in groups]
-    from btr_mjx.gap.data.base.estimate import estimate_bases  # slow to load, and seldom needed
-
     found = iter(estimate_bases(hidden, notes))
     return [[next(found) if base_unmeasured(one) else one for one in group] for group in groups]
 

@@ -13,7 +13,7 @@ _RIDGE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class BlockRows:
     """Residuals in units of their noise, with derivatives.
 
     Attributes:
@@ -74,7 +74,7 @@ class BlockSystem:
 
 
 def eliminated(
-    count: int, rows: Iterable[Rows], fixed: np.ndarray, information: np.ndarray, pull: np.ndarray
+    count: int, rows: Iterable[BlockRows], fixed: np.ndarray, information: np.ndarray, pull: np.ndarray
 ) -> BlockSystem:
     """Add up rows, and eliminate the states of all samples.
 

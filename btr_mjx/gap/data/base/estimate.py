@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data.base.motion import Legs, Motion, Pose, Unit
-from btr_mjx.gap.data.base.smoother import smoothed
+from btr_mjx.gap.data.base.motion import BaseMotion, Legs, MeasuredBase, Unit
+from btr_mjx.gap.data.base.smoother import smoothed_bases
 from btr_mjx.gap.data.columns.model_columns import imu_columns
 from btr_mjx.gap.data.recordings.noise import DIFFERENCE_ORDER, annihilator, estimate_noise
 from btr_mjx.gap.data.recordings.recording import Recording, StateEstimate
@@ -107,24 +107,24 @@ def with_imu(recordings: Sequence[Recording]) -> list[Recording]:
     return [_filled(*row, found) for row in zip(recordings, sources, motions, strict=True)]
 
 
-def _smoothed(sources: Sequence[_Source]) -> tuple[list[Motion], Rotation]:
+def _smoothed(sources: Sequence[_Source]) -> tuple[list[BaseMotion], Rotation]:
     """Motions, and how the unit is mounted."""
     rows = [own.unit for own in sources], [own.legs for own in sources]
-    motions, found, _ = smoothed(*rows, sources[0].imu.mount, _SHORT)
+    motions, found, _ = smoothed_bases(*rows, sources[0].imu.mount, _SHORT)
     return motions, found
 
 
-def _pose_of(recording: Recording, base: int, sigma: np.ndarray) -> Pose:
+def _pose_of(recording: Recording, base: int, sigma: np.ndarray) -> MeasuredBase:
     """The measured pose of a base, with the noise (2 nv,) of all states."""
     model = recording.model
     q, v = int(model.jnt_qposadr[model.body_jntadr[base]]), int(model.jnt_dofadr[model.body_jntadr[base]])
     noise = np.concatenate([sigma[v : v + 3], sigma[model.nv + v : model.nv + v + 3], sigma[v + 3 : v + 6]])
     noise[3:6] = np.where(recording.qvel_measured[v : v + 3], noise[3:6], np.inf)
     turn = Rotation.from_quat(recording.qpos[:, q + 3 : q + 7], scalar_first=True)
-    return Pose(recording.qpos[:, q : q + 3], turn, recording.qvel[:, v : v + 3], noise)
+    return MeasuredBase(recording.qpos[:, q : q + 3], turn, recording.qvel[:, v : v + 3], noise)
 
 
-def _disagreement(unit: Unit, motion: Motion) -> float:
+def _disagreement(unit: Unit, motion: BaseMotion) -> float:
     """Root mean square of the orientation's distance from the measured one, in units of its noise."""
     assert unit.pose is not None
     left = (motion.turn.inv() * unit.pose.turn).as_rotvec() / unit.pose.sigma[6:]
@@ -191,7 +191,7 @@ def _white_noise(time: np.ndarray, values: np.ndarray) -> float:
     return max(float(np.median(np.abs(left))) / 0.6745, 1e-6)
 
 
-def _filled(recording: Recording, source: _Source, motion: Motion, mount: Rotation) -> Recording:
+def _filled(recording: Recording, source: _Source, motion: BaseMotion, mount: Rotation) -> Recording:
     """A recording with the states of its base, and how well these are known."""
     imu, unit, legs = source.imu, source.unit, source.legs
     model, seen, measured = recording.model, recording.seen.copy(), recording.qvel_measured.copy()

@@ -10,7 +10,7 @@ from btr_mjx.gap.data.base.touching import Touching, touching_points
 
 N = 9
 """Unknowns of a sample: place, velocity and orientation."""
-MARGIN = 0.02
+TOUCH_MARGIN = 0.02
 """Largest distance of a point that may touch [m]."""
 _PICKED = 20
 """Samples at which the depth of feet is computed."""
@@ -19,7 +19,7 @@ _LOW, _HALF = 3e-3, 4
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class MeasuredBase:
     """A base that was measured, K samples, beside its unit.
 
     Attributes:
@@ -50,7 +50,7 @@ class Unit:
     accelerometer: np.ndarray
     orientation: Rotation | None
     noise: tuple[float, float]
-    pose: Pose | None = None
+    pose: MeasuredBase | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +100,7 @@ class Legs:
         weight = -model.opt.gravity[2] * model.body_subtreemass[self.base]
         depths = []
         for qpos in self.posed(place, turn)[np.linspace(0, len(place) - 1, _PICKED).astype(int)]:
-            low, high = 0.0, MARGIN
+            low, high = 0.0, TOUCH_MARGIN
             while high - low > 1e-5:
                 data.qpos[:], data.qvel[:], data.qacc[:] = qpos, 0.0, 0.0
                 data.qpos[height] -= 0.5 * (low + high)
@@ -110,7 +110,7 @@ class Legs:
             depths.append(high * sum(contact.dist < 0 for contact in data.contact))
         return float(np.median(depths))
 
-    def points(self, place: np.ndarray, turn: Rotation, margin: float = MARGIN) -> Touching:
+    def points(self, place: np.ndarray, turn: Rotation, margin: float = TOUCH_MARGIN) -> Touching:
         """Points near the ground, see `touching_points`."""
         qpos = self.posed(place, turn)
         return touching_points(self.model, self.base, self.place, qpos, self.qvel, self.sigma, margin)
@@ -125,7 +125,7 @@ class Scatter:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class BaseMotion:
     """Estimate of a recording.
 
     Attributes:
@@ -152,14 +152,14 @@ class Motion:
     within: np.ndarray = field(default_factory=lambda: np.zeros(N))
 
 
-def first_estimate(unit: Unit, legs: Legs, mount: Rotation) -> Motion:
+def first_estimate(unit: Unit, legs: Legs, mount: Rotation) -> BaseMotion:
     """A first estimate: the lowest point touches the ground and stands still."""
     count, step = len(unit.time), np.diff(unit.time)[:, None]
     spin = mount.apply(unit.gyro)
     if unit.pose is not None:
         turn, velocity = unit.pose.turn, unit.pose.velocity + unit.pose.turn.apply(np.cross(spin, legs.place))
         place = unit.pose.place + unit.pose.turn.apply(legs.place)
-        return Motion(place, velocity, turn, np.zeros(6), legs.softness(place, turn), np.full(count, 2.0))
+        return BaseMotion(place, velocity, turn, np.zeros(6), legs.softness(place, turn), np.full(count, 2.0))
     if unit.orientation is not None:
         turn = unit.orientation * mount.inv()
     else:
@@ -187,4 +187,4 @@ def first_estimate(unit: Unit, legs: Legs, mount: Rotation) -> Motion:
     place[1:, :2] = np.cumsum(0.5 * step * (velocity[1:] + velocity[:-1]), axis=0)[:, :2]
     softness, carrying = legs.softness(place, turn), np.bincount(sample, minlength=count).astype(float)
     place[:, 2] -= softness / carrying
-    return Motion(place, velocity, turn, np.zeros(6), softness, carrying)
+    return BaseMotion(place, velocity, turn, np.zeros(6), softness, carrying)

@@ -6,14 +6,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import softmax
 
-from btr_mjx.gap.data.base.block_system import Rows
-from btr_mjx.gap.data.base.motion import MARGIN, Legs, Motion, N, Scatter, Unit
+from btr_mjx.gap.data.base.block_system import BlockRows
+from btr_mjx.gap.data.base.motion import TOUCH_MARGIN, BaseMotion, Legs, N, Scatter, Unit
 from btr_mjx.gap.data.base.touching import Touching
 
 _PLACE, _VELOCITY, _TURN = slice(0, 3), slice(3, 6), slice(6, 9)
 _MOUNT, _GYRO, _ACCELEROMETER = slice(0, 3), slice(3, 6), slice(6, 9)
 """Unknowns of the border: how the unit is turned, its biases."""
-_SPEEDS, _DISTANCES = 3 * np.log(2.0), np.log(2 * MARGIN)
+_SPEEDS, _DISTANCES = 3 * np.log(2.0), np.log(2 * TOUCH_MARGIN)
 """Logarithms of the volumes over which velocities (+- 1 m/s) and distances are spread of a point that is not held."""
 _LEAST_SLIP, _LEAST_GAP, _LEAST_TILT = 1e-3, 2e-4, 1e-4
 """Smallest scatter that is estimated [m/s], [m], [rad]."""
@@ -32,13 +32,13 @@ class Inertia:
     mount: np.ndarray
 
 
-def inertia_of(unit: Unit, motion: Motion, mount: Rotation) -> Inertia:
+def inertia_of(unit: Unit, motion: BaseMotion, mount: Rotation) -> Inertia:
     """Measurements of a unit without their biases, in the frame of the base."""
     spin, force = unit.gyro - motion.biases[:3], unit.accelerometer - motion.biases[3:]
     return Inertia(mount.apply(spin), mount.apply(force), mount.as_matrix())
 
 
-def propagation(unit: Unit, motion: Motion, inertia: Inertia, gravity: np.ndarray) -> Rows:
+def propagation(unit: Unit, motion: BaseMotion, inertia: Inertia, gravity: np.ndarray) -> BlockRows:
     """Each state against the one that follows from the state before: K - 1 rows."""
     count, step = len(unit.time) - 1, np.diff(unit.time)[:, None]
     turn, before, after = motion.turn.as_matrix(), motion.turn[:-1], motion.turn[1:]
@@ -70,7 +70,7 @@ def propagation(unit: Unit, motion: Motion, inertia: Inertia, gravity: np.ndarra
     border[:, _TURN, _MOUNT] = -h * _cross(spin)
     border[:, _TURN, _GYRO] = -h * inertia.mount
     weight = 1 / sigma
-    return Rows(
+    return BlockRows(
         residual * weight,
         np.arange(count),
         slope * weight[..., None],
@@ -79,7 +79,7 @@ def propagation(unit: Unit, motion: Motion, inertia: Inertia, gravity: np.ndarra
     )
 
 
-def tilts(unit: Unit, motion: Motion, mount: Rotation) -> tuple[Rows, Scatter]:
+def tilts(unit: Unit, motion: BaseMotion, mount: Rotation) -> tuple[BlockRows, Scatter]:
     """Orientations that the unit reports: K rows, and their scatter after the last step."""
     assert unit.orientation is not None
     left = (motion.turn.inv() * unit.orientation * mount.inv()).as_rotvec()
@@ -88,10 +88,10 @@ def tilts(unit: Unit, motion: Motion, mount: Rotation) -> tuple[Rows, Scatter]:
     sigma = motion.tilt.sigma * np.sqrt(motion.tilt.alike)
     slope, border = np.zeros((len(left), 3, N)), np.zeros((len(left), 3, N))
     slope[:, :, _TURN] = border[:, :, _MOUNT] = -np.eye(3) / sigma
-    return Rows(left / sigma, np.arange(len(left)), slope, border), scatter
+    return BlockRows(left / sigma, np.arange(len(left)), slope, border), scatter
 
 
-def poses(legs: Legs, unit: Unit, motion: Motion, inertia: Inertia) -> Rows:
+def poses(legs: Legs, unit: Unit, motion: BaseMotion, inertia: Inertia) -> BlockRows:
     """The motion against a pose of the base that was measured: K rows."""
     assert unit.pose is not None
     turn, arm, around = motion.turn.as_matrix(), _cross(legs.place), np.cross(inertia.spin, legs.place)
@@ -110,16 +110,16 @@ def poses(legs: Legs, unit: Unit, motion: Motion, inertia: Inertia) -> Rows:
     border[:, _VELOCITY, _MOUNT] = -turn @ arm @ _cross(inertia.spin)
     border[:, _VELOCITY, _GYRO] = -turn @ arm @ inertia.mount
     weight = 1 / unit.pose.sigma
-    return Rows(residual * weight, np.arange(count), slope * weight[:, None], border * weight[:, None])
+    return BlockRows(residual * weight, np.arange(count), slope * weight[:, None], border * weight[:, None])
 
 
 def touches(
-    points: Touching, unit: Unit, motion: Motion, inertia: Inertia, gravity: np.ndarray
-) -> tuple[Rows, Scatter, Scatter, np.ndarray]:
+    points: Touching, unit: Unit, motion: BaseMotion, inertia: Inertia, gravity: np.ndarray
+) -> tuple[BlockRows, Scatter, Scatter, np.ndarray]:
     """Points that may touch, weighted with the probabilities that they stand, or slide.
 
     Returns:
-      Rows, scatter of velocities and distances, and (K,) expected number of points that touch.
+      BlockRows, scatter of velocities and distances, and (K,) expected number of points that touch.
     """
     k, eye = points.sample, np.eye(3)
     turn, spin, arm = motion.turn.as_matrix()[k], inertia.spin[k], _cross(points.place)
@@ -149,7 +149,7 @@ def touches(
     slope[:, 3, _TURN] = -np.einsum("ni,nij->nj", normal, arm) / wide[:, None]
     residual = np.concatenate([np.einsum("nij,nj->ni", whiten, speed), (depth / wide)[:, None]], 1)
     weight = np.sqrt(np.stack([stands, stands, stands, touching], 1))
-    rows = Rows(residual * weight, k, slope * weight[..., None], border * weight[..., None])
+    rows = BlockRows(residual * weight, k, slope * weight[..., None], border * weight[..., None])
     first, then = _following(points.geom, k)
     world, distance = np.einsum("nij,nj->ni", turn, speed), depth[:, None]
     noise = np.trace(encoders, axis1=1, axis2=2)

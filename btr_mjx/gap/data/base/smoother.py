@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from btr_mjx.gap.data.base.block_system import BlockSystem, eliminated
-from btr_mjx.gap.data.base.motion import Legs, Motion, Unit, first_estimate
+from btr_mjx.gap.data.base.motion import BaseMotion, Legs, Unit, first_estimate
 from btr_mjx.gap.data.base.residuals import inertia_of, poses, propagation, tilts, touches
 from btr_mjx.gap.data.base.touching import Touching
 
@@ -34,16 +34,16 @@ _PICKED = 40
 """Samples at which the spread is computed; the mean of variances is used."""
 
 
-def smoothed(
+def smoothed_bases(
     units: Sequence[Unit], legs: Sequence[Legs], mount: Rotation, lag: float
-) -> tuple[list[Motion], Rotation, np.ndarray]:
+) -> tuple[list[BaseMotion], Rotation, np.ndarray]:
     """Estimate the motion of the base in recordings of one robot.
 
     Args:
       units: of each recording.
       legs: of each recording.
       mount: rotation from the unit's frame to the base's, as the model has it.
-      lag: time over which `Motion.within` is a change [s].
+      lag: time over which `BaseMotion.within` is a change [s].
 
     Returns:
       The motion of each recording, the rotation that was found, and (3,) its standard deviations about the axes of the
@@ -75,7 +75,9 @@ def smoothed(
     return [_with_spread(*row, covariance) for row in rows], found, np.sqrt(np.diag(covariance))
 
 
-def _system(unit: Unit, legs: Legs, points: Touching, motion: Motion, mount: Rotation) -> tuple[BlockSystem, Motion]:
+def _system(
+    unit: Unit, legs: Legs, points: Touching, motion: BaseMotion, mount: Rotation
+) -> tuple[BlockSystem, BaseMotion]:
     """Normal equations of a recording, and its motion with the scatter of its residuals."""
     inertia = inertia_of(unit, motion, mount)
     gravity = legs.model.opt.gravity
@@ -106,7 +108,7 @@ def _border(system: BlockSystem, turned: np.ndarray) -> np.ndarray:
     return np.concatenate([turned, -np.linalg.solve(system.information[3:, 3:], pull)])
 
 
-def _moved(motion: Motion, change: np.ndarray, border: np.ndarray) -> Motion:
+def _moved(motion: BaseMotion, change: np.ndarray, border: np.ndarray) -> BaseMotion:
     return replace(
         motion,
         place=motion.place + change[:, :3],
@@ -116,7 +118,7 @@ def _moved(motion: Motion, change: np.ndarray, border: np.ndarray) -> Motion:
     )
 
 
-def _with_spread(motion: Motion, system: BlockSystem, lag: int, mount: np.ndarray) -> Motion:
+def _with_spread(motion: BaseMotion, system: BlockSystem, lag: int, mount: np.ndarray) -> BaseMotion:
     rest = np.linalg.inv(system.information[3:, 3:])
     across = -rest @ system.information[3:, :3]
     both = across @ mount

@@ -12,8 +12,7 @@ from functools import partial
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data import Dataset, known_of, noise_of, reduced_noise
-from btr_mjx.gap.data.base.estimate import with_imu
+from btr_mjx.gap.data import Dataset, known_of, noise_of, reduced_noise, with_imu
 from btr_mjx.gap.effects import Candidate, Effect, Hypothesis, candidates
 from btr_mjx.gap.inference.scoring.calibration import tolerance_draws, with_nonlinear_tolerances
 from btr_mjx.gap.inference.scoring.gains import fall

@@ -9,10 +9,10 @@ from hidden_cases.imu import PLACE, Mount, imu_columns, with_imu
 from scipy.spatial.transform import Rotation
 
 from btr_mjx.demo import demo_robot
-from btr_mjx.gap.data.base.block_system import Rows, eliminated
-from btr_mjx.gap.data.base.motion import Legs, Motion, Unit, first_estimate
+from btr_mjx.gap.data.base.block_system import BlockRows, eliminated
+from btr_mjx.gap.data.base.motion import BaseMotion, Legs, Unit, first_estimate
 from btr_mjx.gap.data.base.residuals import inertia_of, propagation, scatter_of, tilts, touches
-from btr_mjx.gap.data.base.smoother import smoothed
+from btr_mjx.gap.data.base.smoother import smoothed_bases
 from btr_mjx.gap.data.base.touching import touching_points
 
 ROBOT, RATE = demo_robot("quadruped"), 200
@@ -56,7 +56,7 @@ def measured(walk, orientation: bool = True) -> tuple[Unit, Legs, Mount]:
 @pytest.mark.parametrize("orientation", [True, False])
 def test_base_is_found_from_inertial_unit_and_feet(walk, orientation):
     unit, legs, mount = measured(walk, orientation)
-    (motion,), found, spread = smoothed([unit], [legs], Rotation.identity(), 0.02)
+    (motion,), found, spread = smoothed_bases([unit], [legs], Rotation.identity(), 0.02)
     truth_q, truth_v = walk[1][1::2], walk[2][1::2]
     turn = Rotation.from_quat(truth_q[:, 3:7], scalar_first=True)
     place = truth_q[:, :3] + turn.apply(PLACE)
@@ -79,8 +79,8 @@ def test_base_is_found_from_inertial_unit_and_feet(walk, orientation):
 def test_block_system_is_the_dense_least_squares_solution():
     rng, count = np.random.default_rng(0), 6
     rows = [
-        Rows(rng.standard_normal((5, 9)), np.arange(5), *rng.standard_normal((3, 5, 9, 9))),
-        Rows(rng.standard_normal((8, 4)), rng.integers(0, count, 8), *rng.standard_normal((2, 8, 4, 9))),
+        BlockRows(rng.standard_normal((5, 9)), np.arange(5), *rng.standard_normal((3, 5, 9, 9))),
+        BlockRows(rng.standard_normal((8, 4)), rng.integers(0, count, 8), *rng.standard_normal((2, 8, 4, 9))),
     ]
     dense, right = [], []
     for part in rows:
@@ -114,7 +114,7 @@ def test_block_system_is_the_dense_least_squares_solution():
         np.testing.assert_allclose(moved[row], change, rtol=1e-6)
 
 
-def few_samples(walk) -> tuple[Unit, Legs, Motion, Rotation]:
+def few_samples(walk) -> tuple[Unit, Legs, BaseMotion, Rotation]:
     """Twelve samples, and a motion that is off."""
     unit, legs, _ = measured(walk)
     part, rng = slice(100, 112), np.random.default_rng(1)
@@ -127,7 +127,7 @@ def few_samples(walk) -> tuple[Unit, Legs, Motion, Rotation]:
     return unit, legs, replace(start, biases=np.full(6, 0.01), velocity=velocity), mount
 
 
-def changed(motion: Motion, index: int, step: float, samples: slice) -> Motion:
+def changed(motion: BaseMotion, index: int, step: float, samples: slice) -> BaseMotion:
     """A motion with one coordinate of some samples moved."""
     change = np.zeros((len(motion.place), 9))
     change[samples, index] = step
@@ -139,7 +139,7 @@ def changed(motion: Motion, index: int, step: float, samples: slice) -> Motion:
     )
 
 
-def border_changed(motion: Motion, mount: Rotation, index: int, step: float) -> tuple[Motion, Rotation]:
+def border_changed(motion: BaseMotion, mount: Rotation, index: int, step: float) -> tuple[BaseMotion, Rotation]:
     """A motion and a mount with one of the common unknowns moved."""
     border = step * (np.arange(9) == index)
     return replace(motion, biases=motion.biases + border[3:]), Rotation.from_rotvec(border[:3]) * mount
@@ -149,7 +149,7 @@ def border_changed(motion: Motion, mount: Rotation, index: int, step: float) -> 
 def test_derivatives_of_residuals_are_differences(walk, index):
     unit, _, start, mount = few_samples(walk)
 
-    def rows(motion: Motion, turned: Rotation) -> list[Rows]:
+    def rows(motion: BaseMotion, turned: Rotation) -> list[BlockRows]:
         inertia = inertia_of(unit, motion, turned)
         return [propagation(unit, motion, inertia, MODEL.opt.gravity), tilts(unit, motion, turned)[0]]
 
@@ -170,7 +170,7 @@ def test_points_pull_as_the_likelihood_of_touching_or_not(walk, index):
     """Residuals times derivatives are the slope of a likelihood: a point stands, slides, or is away."""
     unit, legs, start, mount = few_samples(walk)
 
-    def surprise(motion: Motion, turned: Rotation) -> float:
+    def surprise(motion: BaseMotion, turned: Rotation) -> float:
         inertia, points, total = inertia_of(unit, motion, turned), legs.points(motion.place, motion.turn), 0.0
         for n, k in enumerate(points.sample):
             arm = points.place[n]
