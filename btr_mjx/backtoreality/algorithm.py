@@ -28,14 +28,17 @@ from btr_mjx.backtoreality.run_state import Phase, Problem, State, Trials
 from btr_mjx.backtoreality.simulation_search import delta_of_simulations, genetic_algorithm, whole_trial_delta
 from btr_mjx.errors import InputError
 from btr_mjx.gap.results import FoundEffect
+from btr_mjx.gap.simulate import Counter
+from btr_mjx.models import base_model
 from btr_mjx.optimise import GAState
 
 Report = Callable[[str, dict[str, Any]], None]
 """Callback for results, with their kind.
 
-It is "generation" or "iteration", with a row of a table; "growth", with an entry of `State.sought`; or "archive" at the
-end of a search, with iteration, phase, part (2 for step 3 in a simulator that grew in this iteration), and genomes
-(g, population, bits) and scores (g, population) of all generations.
+It is "generation" or "iteration", with a row of a table; "growth", with an entry of `State.sought`; "seeking", with the
+phase of a search for a missing effect; or "archive" at the end of a search, with iteration, phase, part (2 for step 3
+in a simulator that grew in this iteration), and genomes (g, population, bits) and scores (g, population) of all
+generations.
 """
 
 
@@ -62,10 +65,11 @@ def begin(problem: Problem, genome: np.ndarray | None = None) -> State:
     return State("baseline", 1, start, first, trials)
 
 
-def advance(problem: Problem, state: State, report: Report | None = None) -> State:
+def advance(problem: Problem, state: State, report: Report | None = None, counter: Counter | None = None) -> State:
     """The state after the next piece of work, in phase "done" once a stop criterion is met.
 
-    `report` receives a row per generation and per iteration, see `Report`.
+    `report` receives a row per generation and per iteration, see `Report`; `counter` adds up the simulated steps of a
+    search for a missing effect.
     """
     report = report or (lambda kind, row: None)
     problem = grown(problem, state.grown)
@@ -78,7 +82,7 @@ def advance(problem: Problem, state: State, report: Report | None = None) -> Sta
     if state.phase == "simulations":
         return search_simulations(problem, state, report)
     if state.phase == "growth":
-        return seek_missing_effect(problem, state, report)
+        return seek_missing_effect(problem, state, report, counter or Counter())
     return state
 
 
@@ -219,17 +223,20 @@ def _next_iteration(state: State) -> State:
     return replace(state, phase=phase, iteration=state.iteration + (not state.stop), delta_before=np.nan)
 
 
-def seek_missing_effect(problem: Problem, state: State, report: Report) -> State:
+def seek_missing_effect(problem: Problem, state: State, report: Report, counter: Counter) -> State:
     """Growth: look for a missing effect where the best simulation leaves more than calibration explains.
 
     What is found becomes a dimension of S, and step 3 of the same iteration goes on in the larger S.
     """
+    steps = round(problem.robot.duration / base_model(problem.robot).opt.timestep)
+    problem = replace(problem, progress=lambda pairs: counter.add(pairs * steps))
+    report("seeking", {"phase": "errors of calibration"})
     left = float(whole_trial_delta(problem, state.simulation[None], state.trials, state.iteration)[0])
     row: dict[str, Any] = {"iteration": state.iteration, "delta_before": left, "added": []}
     row["calibration"] = calibration_delta(problem, state)
     if not left > row["calibration"]:
         return _next_iteration(replace(state, sought=(*state.sought, row | {"verdict": "within calibration"})))
-    found, entries = _missing(problem, state)
+    found, entries = _missing(problem, state, report, counter)
     row |= found | {"added": [f"{entry['effect']}@{entry['location']}" for entry in entries]}
     report("growth", row)
     if not entries:
@@ -249,7 +256,9 @@ def seek_missing_effect(problem: Problem, state: State, report: Report) -> State
     )
 
 
-def _missing(problem: Problem, state: State) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+def _missing(
+    problem: Problem, state: State, report: Report, counter: Counter
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """What a search for a missing effect says, for `State.sought`, and what is to be added, for `State.grown`."""
     most = problem.settings.most_effects - len(state.grown)
     record = getattr(problem.reality, "record", None) if problem.settings.grow_from == "recordings" else None
@@ -258,13 +267,14 @@ def _missing(problem: Problem, state: State) -> tuple[dict[str, Any], list[dict[
     recordings = record(state.trials.controllers[rows], rows) if record and problem.robot.simulator is None else []
     found, proposed = dict[str, Any](), list[FoundEffect]()
     if len(recordings) >= 2:
-        diagnosis = seek(problem, state, recordings, problem.seed)
+        diagnosis = seek(problem, state, recordings, lambda phase: report("seeking", {"phase": phase}), counter)
         found = {"from": "recordings", "verdict": diagnosis.verdict, "unexplained": list(diagnosis.unexplained)}
         found["ranking"] = [f"{row.effect}@{row.location}" for row in diagnosis.ranking[:5]]
         entries = entries_of_diagnosis(diagnosis, problem, state, most)
         proposed = proposals(diagnosis)
         if entries or not proposed:
             return found, entries
+    report("seeking", {"phase": "fitness with each effect"})
     search = seek_by_fitness(problem, state, proposed)
     ranking = [f"{entry['effect']}@{entry['location']}" for entry in search.ranking]
     added = list(search.ranking[:1]) if search.verdict == "effect" else []
